@@ -1,0 +1,41 @@
+"""Stereo EKF-SLAM filters behind one interface. Estimation only: numpy and scipy."""
+
+from filters.camera import StereoCamera
+from filters.dual_bearing import DualBearingEKF
+from filters.engine.ekf import StereoEKF
+from filters.euclidean_xyz import EuclideanEKF
+from filters.interface import (
+    BodyVelocity,
+    Forecast,
+    LandmarkBelief,
+    PoseBelief,
+    StereoFilter,
+    StereoObservation,
+    UpdateReport,
+    VelocityBelief,
+)
+from filters.inverse_depth_stereo import InverseDepthStereoEKF
+from filters.motion import ConstantVelocity, VelocityDriven
+from filters.noise import StereoNoise
+from filters.registry import available_filters, make_filter
+
+__all__ = [
+    "BodyVelocity",
+    "ConstantVelocity",
+    "DualBearingEKF",
+    "EuclideanEKF",
+    "Forecast",
+    "InverseDepthStereoEKF",
+    "LandmarkBelief",
+    "PoseBelief",
+    "StereoCamera",
+    "StereoEKF",
+    "StereoFilter",
+    "StereoNoise",
+    "StereoObservation",
+    "UpdateReport",
+    "VelocityBelief",
+    "VelocityDriven",
+    "available_filters",
+    "make_filter",
+]

@@ -1,0 +1,28 @@
+"""The chi-square gate: which innovations are believable."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.stats import chi2
+
+from filters.validation import BoolArray, FloatArray
+
+
+def gate_limit(probability: float, degrees_of_freedom: int) -> float:
+    """Squared Mahalanobis distance that a consistent innovation stays below with `probability`."""
+    return float(chi2.ppf(probability, degrees_of_freedom))
+
+
+def squared_distances(innovations: FloatArray, S: FloatArray) -> FloatArray:
+    """nu^T S^-1 nu of each; (M, k), (M, k, k) -> (M,)."""
+    solved = np.linalg.solve(S, innovations[:, :, None])[:, :, 0]
+    distances: FloatArray = np.einsum("mk,mk->m", innovations, solved)
+    return distances
+
+
+def passes(innovations: FloatArray, S: FloatArray, limit: float) -> BoolArray:
+    """Whether each innovation lies inside the gate; (M, k), (M, k, k) -> (M,)."""
+    if len(innovations) == 0:
+        return np.zeros(0, dtype=bool)
+    inside: BoolArray = squared_distances(innovations, S) <= limit
+    return inside

@@ -1,0 +1,68 @@
+"""Error definitions: how a correction of the rotation (three numbers, camera frame) moves the orientation.
+
+`retract` applies it, `local` is the inverse, and `transport` is the Jacobian that carries the covariance from the
+old orientation to the new one.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+
+from filters import rotations
+from filters.validation import FloatArray
+
+
+class Retraction(Protocol):
+    """An error definition of the orientation."""
+
+    def retract(self, orientation: FloatArray, delta: FloatArray) -> FloatArray:
+        """Corrected orientation; (4,), (3,) rad -> (4,)."""
+
+    def local(self, orientation: FloatArray, other: FloatArray) -> FloatArray:
+        """The correction that takes `orientation` to `other`; (4,), (4,) -> (3,)."""
+
+    def transport(self, delta: FloatArray) -> FloatArray:
+        """d local(retract(q, delta), retract(q, delta + e)) / d e at e = 0; (3,) -> (3, 3)."""
+
+
+class AdditiveQuaternion:
+    """The paper's: dq is added to the quaternion, which is then normalised.
+
+    An additive correction of a unit quaternion is tangent to it, dq = q x (delta / 2, 0), because the
+    normalisation Jacobian leaves no variance along q. So the three numbers delta say all there is to say, and
+    the 13-number camera state with a singular P becomes a 12-number one with a regular P and the same estimates:
+    normalise(q + dq) is `retract`, the normalisation Jacobian I - q q^T (over the norm) is `transport`.
+    """
+
+    def retract(self, orientation: FloatArray, delta: FloatArray) -> FloatArray:
+        """q x (delta / 2, 1), normalised."""
+        return rotations.multiply(orientation, np.append(0.5 * delta, 1.0))
+
+    def local(self, orientation: FloatArray, other: FloatArray) -> FloatArray:
+        """Twice the vector part over the scalar part."""
+        dq = rotations.between(orientation, other)
+        correction: FloatArray = 2.0 * dq[:3] / dq[3]
+        return correction
+
+    def transport(self, delta: FloatArray) -> FloatArray:
+        """(I - [delta]x / 2) / (1 + |delta|^2 / 4)."""
+        jacobian: FloatArray = (np.eye(3) - 0.5 * rotations.skew(delta)) / (1.0 + 0.25 * delta @ delta)
+        return jacobian
+
+
+class RotationVector:
+    """SO(3) error state: q x q(delta)."""
+
+    def retract(self, orientation: FloatArray, delta: FloatArray) -> FloatArray:
+        """q x q(delta)."""
+        return rotations.multiply(orientation, rotations.exp_quaternion(delta))
+
+    def local(self, orientation: FloatArray, other: FloatArray) -> FloatArray:
+        """Log(R^T R_other)."""
+        return rotations.log(rotations.matrix(orientation).T @ rotations.matrix(other))
+
+    def transport(self, delta: FloatArray) -> FloatArray:
+        """The right Jacobian of SO(3)."""
+        return rotations.right_jacobian(delta)

@@ -1,0 +1,319 @@
+"""What every filter offers, and what goes in and out of it.
+
+Frames: W is the world (the left camera at `reset`), C the left camera (x right, y down, z forward).
+Orientations are unit quaternions xyzw; R_wc takes camera vectors into W. SI units, float64.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from filters.camera import StereoCamera
+from filters.noise import StereoNoise
+from filters.validation import BoolArray, FloatArray, IntArray, covariance_matrix, finite_array, unique_ids
+
+
+@dataclass(frozen=True, eq=False)
+class StereoObservation:
+    """What the stereo camera saw in one frame.
+
+    Parameters
+    ----------
+    ids : (M,) array_like of int
+        Landmark identities, unique.
+    uvd : (M, 3) array_like
+        Left pixel and disparity, px. d <= 0 is legal: noise on a far point.
+    v_right : (M,) array_like, optional
+        Row measured in the right image, px, where the sensor measures it on its own.
+    R : (M, 3, 3) array_like, optional
+        Covariance of each measurement, px^2; where None, the filter's `noise` holds.
+
+    Raises
+    ------
+    ValueError
+        Wrong shapes, NaN or infinity, repeated ids, an R that is not symmetric positive definite.
+    """
+
+    ids: IntArray
+    uvd: FloatArray
+    v_right: FloatArray | None = None
+    R: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        ids = unique_ids("ids", self.ids)
+        uvd = finite_array("uvd", self.uvd, ("M", 3))
+        if len(uvd) != len(ids):
+            raise ValueError(f"uvd must have one row per id: {len(ids)} ids, {len(uvd)} rows")
+        object.__setattr__(self, "ids", ids)
+        object.__setattr__(self, "uvd", uvd)
+        if self.v_right is not None:
+            v_right = finite_array("v_right", self.v_right, ("M",))
+            if len(v_right) != len(ids):
+                raise ValueError(f"v_right must have one entry per id: {len(ids)} ids, {len(v_right)} entries")
+            object.__setattr__(self, "v_right", v_right)
+        if self.R is not None:
+            R = np.zeros((0, 3, 3)) if len(ids) == 0 else self.R
+            object.__setattr__(self, "R", covariance_matrix("R", R, 3, batch=len(ids), definite=True))
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    def select(self, index: ArrayLike) -> StereoObservation:
+        """The measurements at `index` (positions or a mask), in that order."""
+        i = np.asarray(index)
+        return StereoObservation(
+            self.ids[i],
+            self.uvd[i],
+            None if self.v_right is None else self.v_right[i],
+            None if self.R is None else self.R[i],
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class BodyVelocity:
+    """Odometry: the mean velocity of the left camera over the step that ends now.
+
+    Parameters
+    ----------
+    linear : (3,) array_like
+        m/s, camera frame.
+    angular : (3,) array_like
+        rad/s, camera frame.
+    covariance : (6, 6) array_like
+        Of (linear, angular).
+
+    Raises
+    ------
+    ValueError
+        Wrong shapes, NaN or infinity, a covariance that is not symmetric positive semi-definite.
+    """
+
+    linear: FloatArray
+    angular: FloatArray
+    covariance: FloatArray
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "linear", finite_array("odometry.linear", self.linear, (3,)))
+        object.__setattr__(self, "angular", finite_array("odometry.angular", self.angular, (3,)))
+        covariance = covariance_matrix("odometry.covariance", self.covariance, 6)
+        object.__setattr__(self, "covariance", covariance)
+
+
+def _no_ids() -> IntArray:
+    return np.zeros(0, dtype=np.int64)
+
+
+@dataclass(frozen=True, eq=False)
+class UpdateReport:
+    """What one `update` did with each measurement.
+
+    Attributes
+    ----------
+    updated, initialised, dropped : (K,) int64
+        Ids that corrected the state, entered the map, left the map.
+    gated : (K,) int64
+        Known ids whose measurement failed the chi-square gate (Mahalanobis distance too large).
+    rejected : (K,) int64
+        New ids the filter could not initialise from (for XYZ: d <= 0 or below `min_disparity`).
+    behind_camera : (K,) int64
+        Known ids predicted behind the camera, so not used.
+    failed_factorisations : int
+        Innovation covariances that had no Cholesky factor; their measurements were not used.
+    nis : float
+        Normalised innovation squared over the accepted measurements, chi-square with `nis_dof` if consistent.
+    nis_dof : int
+        Degrees of freedom of `nis`.
+    """
+
+    updated: IntArray = field(default_factory=_no_ids)
+    initialised: IntArray = field(default_factory=_no_ids)
+    dropped: IntArray = field(default_factory=_no_ids)
+    gated: IntArray = field(default_factory=_no_ids)
+    rejected: IntArray = field(default_factory=_no_ids)
+    behind_camera: IntArray = field(default_factory=_no_ids)
+    failed_factorisations: int = 0
+    nis: float = 0.0
+    nis_dof: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class Forecast:
+    """Where landmarks are expected in the current frame: for active search, gating and planning.
+
+    Attributes
+    ----------
+    ids : (N,) int64
+        Landmarks.
+    uvd : (N, 3)
+        Predicted left pixel and disparity, px.
+    S : (N, 3, 3)
+        Innovation covariance H P H^T + R of each (Eq. 15), px^2.
+    in_view : (N,) bool
+        In front of the camera and inside both images.
+    """
+
+    ids: IntArray
+    uvd: FloatArray
+    S: FloatArray
+    in_view: BoolArray
+
+
+@dataclass(frozen=True, eq=False)
+class PoseBelief:
+    """Pose of the left camera.
+
+    Attributes
+    ----------
+    position : (3,)
+        r^WC, m, in W.
+    orientation : (4,)
+        q^WC, unit quaternion xyzw.
+    covariance : (6, 6)
+        Of e = [p_true - p_est in W (m) ; Log(R_est^T R_true) in the camera frame (rad)].
+    """
+
+    position: FloatArray
+    orientation: FloatArray
+    covariance: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class VelocityBelief:
+    """Velocity of the left camera.
+
+    Attributes
+    ----------
+    linear : (3,)
+        m/s, in W.
+    angular : (3,)
+        rad/s, camera frame.
+    covariance : (6, 6)
+        Of (linear, angular).
+    """
+
+    linear: FloatArray
+    angular: FloatArray
+    covariance: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class LandmarkBelief:
+    """The map.
+
+    Attributes
+    ----------
+    ids : (N,) int64
+        Landmarks in the map.
+    positions : (N, 3)
+        m, in W. A landmark at infinity or beyond (inverse distance <= 0) has no finite position: inf or NaN.
+    covariances : (N, 3, 3)
+        First-order covariance of the positions, m^2.
+    inverse_distance : (N,)
+        1/m, along the ray from the landmark's anchor (the camera position it was first seen from);
+        for parametrisations without an anchor, from the current camera position.
+    inverse_distance_variance : (N,)
+        1/m^2.
+    """
+
+    ids: IntArray
+    positions: FloatArray
+    covariances: FloatArray
+    inverse_distance: FloatArray
+    inverse_distance_variance: FloatArray
+
+
+class StereoFilter(ABC):
+    """A stereo SLAM filter. Implement these members and any bench, environment or test here can run it.
+
+    Bad input raises `ValueError` naming the argument, and leaves the state as it was.
+    """
+
+    camera: StereoCamera
+    noise: StereoNoise
+
+    @abstractmethod
+    def reset(
+        self,
+        position: ArrayLike = (0.0, 0.0, 0.0),
+        orientation: ArrayLike = (0.0, 0.0, 0.0, 1.0),
+        linear_velocity: ArrayLike = (0.0, 0.0, 0.0),
+        angular_velocity: ArrayLike = (0.0, 0.0, 0.0),
+        covariance: ArrayLike | None = None,
+    ) -> None:
+        """Start again with an empty map.
+
+        Parameters
+        ----------
+        position : (3,)
+            r^WC, m.
+        orientation : (4,)
+            q^WC, unit quaternion xyzw.
+        linear_velocity : (3,)
+            m/s, in W.
+        angular_velocity : (3,)
+            rad/s, camera frame.
+        covariance : (12, 12), optional
+            Of position (W), rotation (camera frame, rad), linear velocity (W), angular velocity (camera).
+            None: a known start pose (standard deviation 1e-6) and a broad velocity.
+        """
+
+    @abstractmethod
+    def predict(self, dt: float, odometry: BodyVelocity | None = None) -> None:
+        """Move the belief forward by `dt` > 0 seconds (Eq. 6, 11, 12)."""
+
+    @abstractmethod
+    def update(self, observation: StereoObservation) -> UpdateReport:
+        """Use the frame: known ids correct the state (Eq. 13-18), then new ones enter the map (Eq. 19-25)."""
+
+    @abstractmethod
+    def forecast(self, ids: Sequence[int] | IntArray | None = None) -> Forecast:
+        """Predict the measurements of `ids` (None: of the whole map) at the current pose.
+
+        Raises
+        ------
+        ValueError
+            An id is not in the map.
+        """
+
+    @abstractmethod
+    def forget(self, ids: Sequence[int] | IntArray) -> None:
+        """Remove landmarks from the map (marginalise them); ids not in the map are ignored."""
+
+    @property
+    @abstractmethod
+    def pose(self) -> PoseBelief:
+        """Pose of the left camera."""
+
+    @property
+    @abstractmethod
+    def velocity(self) -> VelocityBelief:
+        """Velocity of the left camera."""
+
+    @property
+    @abstractmethod
+    def landmarks(self) -> LandmarkBelief:
+        """The map, in ascending order of ids."""
+
+    @abstractmethod
+    def pose_error(self, position: ArrayLike, orientation: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Error of the pose against a true one, in the filter's own error definition, for NEES.
+
+        Parameters
+        ----------
+        position : (3,)
+            True r^WC, m.
+        orientation : (4,)
+            True q^WC, xyzw.
+
+        Returns
+        -------
+        error : (6,) ndarray
+            Position part, then rotation part.
+        covariance : (6, 6) ndarray
+            The covariance the filter claims for that error.
+        """

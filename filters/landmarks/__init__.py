@@ -1,0 +1,1 @@
+"""Landmark parametrisations: one file each, all offering `LandmarkModel`."""

@@ -1,0 +1,58 @@
+"""Euclidean XYZ: a landmark is its position in W. Simple, but far from Gaussian for distant points."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from filters import rotations
+from filters.camera import StereoCamera
+from filters.landmarks.parametrisation import InverseDistances, NewLandmarks, Points, ScaledPoints
+from filters.validation import BoolArray, FloatArray
+
+
+@dataclass(frozen=True)
+class Euclidean:
+    """A landmark is (X, Y, Z), m, in W."""
+
+    anchored: bool = False
+    shares_anchors: bool = False
+
+    def can_initialise(self, camera: StereoCamera, R_wc: FloatArray, uvd: FloatArray) -> BoolArray:
+        """Only d > 0 has a finite position in front of the camera."""
+        possible: BoolArray = uvd[:, 2] > 0
+        return possible
+
+    def initialise(
+        self, camera: StereoCamera, position: FloatArray, R_wc: FloatArray, uvd: FloatArray
+    ) -> NewLandmarks:
+        """X = r + R_wc h^C, with h^C of Eq. 21."""
+        h_c = camera.backproject(uvd)
+        h_c_by_uvd = np.linalg.inv(camera.project_jacobian(h_c))
+        return NewLandmarks(
+            position + h_c @ R_wc.T,
+            np.broadcast_to(np.eye(3), h_c_by_uvd.shape),
+            -R_wc @ rotations.skew(h_c),
+            R_wc @ h_c_by_uvd,
+        )
+
+    def relative_to(self, position: FloatArray, anchors: FloatArray | None, parameters: FloatArray) -> ScaledPoints:
+        """direction = X - r, scale = 1 (Eq. 9)."""
+        count = len(parameters)
+        homogeneous = np.ones((count, 4))
+        homogeneous[:, :3] = parameters - position
+        by_parameters = np.zeros((count, 4, 3))
+        by_parameters[:, :3] = np.eye(3)
+        return ScaledPoints(homogeneous, -by_parameters, None, by_parameters)
+
+    def points(self, anchors: FloatArray | None, parameters: FloatArray) -> Points:
+        """The parameters themselves."""
+        return Points(parameters.copy(), None, np.broadcast_to(np.eye(3), (len(parameters), 3, 3)))
+
+    def inverse_distances(self, position: FloatArray, parameters: FloatArray) -> InverseDistances:
+        """1 / |X - r|: the distance is from the camera."""
+        offset = parameters - position
+        inverse = 1.0 / np.linalg.norm(offset, axis=1)
+        by_parameters = -offset * inverse[:, None] ** 3
+        return InverseDistances(inverse, -by_parameters, by_parameters)

@@ -1,0 +1,116 @@
+"""Six-dimensional inverse depth: y = (x, y, z, theta, phi, rho) of Eq. 3, each landmark with an anchor of its own.
+
+rho is inverse *distance* along the ray (Eq. 22). It may be zero or negative: a measurement with d <= 0 is kept as
+the forward ray with rho <= 0, which has the same projection as the literal Eq. 21-24 (a point behind the camera).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from filters import rotations
+from filters.camera import StereoCamera
+from filters.landmarks.parametrisation import InverseDistances, NewLandmarks, Points, ScaledPoints
+from filters.validation import BoolArray, FloatArray
+
+# Sine of the angle to the vertical below which azimuth is undefined in double precision.
+_VERTICAL = 1e-6
+
+
+def ray_direction(angles: FloatArray) -> FloatArray:
+    """m(theta, phi) of Eq. 5; (M, 2) rad -> (M, 3), unit, in W."""
+    theta, phi = angles[:, 0], angles[:, 1]
+    return np.stack([np.cos(phi) * np.sin(theta), -np.sin(phi), np.cos(phi) * np.cos(theta)], axis=1)
+
+
+def ray_direction_jacobian(angles: FloatArray) -> FloatArray:
+    """d m / d (theta, phi); (M, 2) -> (M, 3, 2)."""
+    theta, phi = angles[:, 0], angles[:, 1]
+    jacobian = np.zeros((len(angles), 3, 2))
+    jacobian[:, 0, 0] = np.cos(phi) * np.cos(theta)
+    jacobian[:, 2, 0] = -np.cos(phi) * np.sin(theta)
+    jacobian[:, 0, 1] = -np.sin(phi) * np.sin(theta)
+    jacobian[:, 1, 1] = -np.cos(phi)
+    jacobian[:, 2, 1] = -np.sin(phi) * np.cos(theta)
+    return jacobian
+
+
+@dataclass(frozen=True)
+class InverseDepth:
+    """Inverse depth with one anchor a landmark: six numbers each."""
+
+    anchored: bool = True
+    shares_anchors: bool = False
+
+    def can_initialise(self, camera: StereoCamera, R_wc: FloatArray, uvd: FloatArray) -> BoolArray:
+        """All but rays along the vertical of W, where the azimuth (Eq. 24) is undefined."""
+        h_w = camera.ray(uvd) @ R_wc.T
+        possible: BoolArray = np.hypot(h_w[:, 0], h_w[:, 2]) > _VERTICAL * np.linalg.norm(h_w, axis=1)
+        return possible
+
+    def initialise(
+        self, camera: StereoCamera, position: FloatArray, R_wc: FloatArray, uvd: FloatArray
+    ) -> NewLandmarks:
+        """theta, phi and rho of new landmarks (Eq. 21-24); the anchor is the camera position (Eq. 20)."""
+        h_c = camera.ray(uvd)
+        h_w = h_c @ R_wc.T
+        x, y, z = h_w.T
+        across_squared = x**2 + z**2
+        across = np.sqrt(across_squared)
+        length = np.linalg.norm(h_c, axis=1)
+        rho_per_d = 1.0 / (camera.disparity_constant * length)
+        parameters = np.stack([np.arctan2(x, z), np.arctan2(-y, across), uvd[:, 2] * rho_per_d], axis=1)
+
+        angles_by_h_w = np.zeros((len(uvd), 2, 3))
+        angles_by_h_w[:, 0, 0] = z / across_squared
+        angles_by_h_w[:, 0, 2] = -x / across_squared
+        angles_by_h_w[:, 1, 0] = x * y / (length**2 * across)
+        angles_by_h_w[:, 1, 1] = -across / length**2
+        angles_by_h_w[:, 1, 2] = z * y / (length**2 * across)
+        angles_by_h_c = angles_by_h_w @ R_wc
+
+        by_rotation = np.zeros((len(uvd), 3, 3))
+        by_rotation[:, :2] = -angles_by_h_c @ rotations.skew(h_c)
+        h_c_by_pixel = np.array([1.0 / camera.fx, 1.0 / camera.fy])
+        by_measurement = np.zeros((len(uvd), 3, 3))
+        by_measurement[:, :2, :2] = angles_by_h_c[:, :, :2] * h_c_by_pixel
+        by_measurement[:, 2, :2] = -(parameters[:, 2] / length**2)[:, None] * h_c[:, :2] * h_c_by_pixel
+        by_measurement[:, 2, 2] = rho_per_d
+        return NewLandmarks(parameters, np.zeros((len(uvd), 3, 3)), by_rotation, by_measurement)
+
+    def relative_to(self, position: FloatArray, anchors: FloatArray | None, parameters: FloatArray) -> ScaledPoints:
+        """direction = rho (anchor - r) + m, scale = rho: Eq. 8 multiplied by rho, so regular at rho = 0."""
+        assert anchors is not None
+        rho = parameters[:, 2]
+        offset = anchors - position
+        count = len(parameters)
+        homogeneous = np.empty((count, 4))
+        homogeneous[:, :3] = rho[:, None] * offset + ray_direction(parameters)
+        homogeneous[:, 3] = rho
+        by_anchor = np.zeros((count, 4, 3))
+        by_anchor[:, :3] = rho[:, None, None] * np.eye(3)
+        by_parameters = np.zeros((count, 4, 3))
+        by_parameters[:, :3, :2] = ray_direction_jacobian(parameters)
+        by_parameters[:, :3, 2] = offset
+        by_parameters[:, 3, 2] = 1.0
+        return ScaledPoints(homogeneous, -by_anchor, by_anchor, by_parameters)
+
+    def points(self, anchors: FloatArray | None, parameters: FloatArray) -> Points:
+        """Eq. 4; not finite where rho = 0."""
+        assert anchors is not None
+        rho = parameters[:, 2, None]
+        m = ray_direction(parameters)
+        by_parameters = np.zeros((len(parameters), 3, 3))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            positions = anchors + m / rho
+            by_parameters[:, :, :2] = ray_direction_jacobian(parameters) / rho[:, :, None]
+            by_parameters[:, :, 2] = -m / rho**2
+        return Points(positions, np.broadcast_to(np.eye(3), by_parameters.shape), by_parameters)
+
+    def inverse_distances(self, position: FloatArray, parameters: FloatArray) -> InverseDistances:
+        """rho itself: the distance is from the anchor."""
+        by_parameters = np.zeros((len(parameters), 3))
+        by_parameters[:, 2] = 1.0
+        return InverseDistances(parameters[:, 2].copy(), np.zeros((len(parameters), 3)), by_parameters)

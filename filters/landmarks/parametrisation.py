@@ -1,0 +1,98 @@
+"""What a landmark parametrisation offers to the engine.
+
+Every landmark is one block of three parameters in the state, plus, where it is anchored, one block for the
+anchor position. All functions take many landmarks at once.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from filters.camera import StereoCamera
+from filters.validation import BoolArray, FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class NewLandmarks:
+    """Parameters of M new landmarks (Eq. 19) and their Jacobians (Eq. 25).
+
+    Attributes
+    ----------
+    parameters : (M, 3)
+        Without the anchor, which is the camera position itself.
+    by_position, by_rotation : (M, 3, 3)
+        With respect to r^WC and to the rotation error (camera frame): J_xc of Eq. 25.
+    by_measurement : (M, 3, 3)
+        With respect to (u, v, d): J_R of Eq. 25.
+    """
+
+    parameters: FloatArray
+    by_position: FloatArray
+    by_rotation: FloatArray
+    by_measurement: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class ScaledPoints:
+    """M landmarks relative to the camera centre, in homogeneous form: point - r^WC = direction / scale.
+
+    Attributes
+    ----------
+    homogeneous : (M, 4)
+        Direction in W (3), and scale.
+    by_position, by_anchor, by_parameters : (M, 4, 3)
+        Jacobians; `by_anchor` is None where there is no anchor.
+    """
+
+    homogeneous: FloatArray
+    by_position: FloatArray
+    by_anchor: FloatArray | None
+    by_parameters: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Points:
+    """M landmark positions (M, 3) in W, m, and their Jacobians (M, 3, 3); `by_anchor` None without anchor."""
+
+    positions: FloatArray
+    by_anchor: FloatArray | None
+    by_parameters: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class InverseDistances:
+    """Inverse distances (M,), 1/m, and their Jacobians with respect to the camera position and the parameters (M, 3)."""
+
+    values: FloatArray
+    by_position: FloatArray
+    by_parameters: FloatArray
+
+
+class LandmarkModel(Protocol):
+    """A parametrisation of landmarks."""
+
+    @property
+    def anchored(self) -> bool:
+        """Whether a landmark has an anchor block in the state."""
+
+    @property
+    def shares_anchors(self) -> bool:
+        """Whether landmarks that enter the map in one frame share one anchor block."""
+
+    def can_initialise(self, camera: StereoCamera, R_wc: FloatArray, uvd: FloatArray) -> BoolArray:
+        """Which of the measurements (M, 3) this parametrisation can start a landmark from."""
+
+    def initialise(
+        self, camera: StereoCamera, position: FloatArray, R_wc: FloatArray, uvd: FloatArray
+    ) -> NewLandmarks:
+        """Start landmarks from measurements (M, 3) seen from the pose (Eq. 19-25)."""
+
+    def relative_to(self, position: FloatArray, anchors: FloatArray | None, parameters: FloatArray) -> ScaledPoints:
+        """Landmarks as seen from the camera position."""
+
+    def points(self, anchors: FloatArray | None, parameters: FloatArray) -> Points:
+        """Landmark positions in W."""
+
+    def inverse_distances(self, position: FloatArray, parameters: FloatArray) -> InverseDistances:
+        """Inverse distances from the anchor, or from the camera position where there is no anchor."""

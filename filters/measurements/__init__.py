@@ -1,0 +1,1 @@
+"""Measurement models: one file each, all offering `MeasurementModel`."""

@@ -1,0 +1,50 @@
+"""What a measurement model offers to the engine: it says how a frame's measurements enter the update.
+
+Every model here is linear in the stereo triple (u, v, d): z = T (u, v, d). So Eq. 7-10 and its Jacobian are
+written once, and the models differ in T, in the noise, and in the order of the updates.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from filters.interface import StereoObservation
+from filters.validation import FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Stage:
+    """One update of the frame: all landmarks, k rows each.
+
+    Attributes
+    ----------
+    z : (M, k)
+        Measurements, px.
+    T : (k, 3)
+        z = T (u, v, d).
+    R : (M, k, k)
+        Covariance of z, px^2.
+    """
+
+    z: FloatArray
+    T: FloatArray
+    R: FloatArray
+
+
+class MeasurementModel(Protocol):
+    """Turns a frame into updates."""
+
+    def stages(self, observation: StereoObservation, R: FloatArray) -> tuple[Stage, ...]:
+        """Updates to be made one after the other, each linearised at the state the previous one left.
+
+        Parameters
+        ----------
+        observation : StereoObservation
+            M measurements.
+        R : (M, 3, 3)
+            Covariance of (u, v, d), px^2.
+        """
+
+    def gate(self, observation: StereoObservation, R: FloatArray) -> Stage:
+        """The whole measurement of a landmark at once, for the chi-square gate."""

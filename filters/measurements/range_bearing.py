@@ -1,0 +1,24 @@
+"""The paper's measurement: bearing and range together, z = (u, v, d) of Eq. 7."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from filters.interface import StereoObservation
+from filters.measurements.model import Stage
+from filters.validation import FloatArray
+
+
+@dataclass(frozen=True)
+class RangeBearing:
+    """One joint update with (u, v, d). A separately measured right row is not used."""
+
+    def gate(self, observation: StereoObservation, R: FloatArray) -> Stage:
+        """The triple itself, 3 degrees of freedom."""
+        return Stage(observation.uvd, np.eye(3), R)
+
+    def stages(self, observation: StereoObservation, R: FloatArray) -> tuple[Stage, ...]:
+        """One."""
+        return (self.gate(observation, R),)

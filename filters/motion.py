@@ -1,0 +1,180 @@
+"""The camera state (Eq. 2) and how it moves (Eq. 6, 11, 12), with or without odometry.
+
+Errors of a camera state are 12 numbers: position (W, m), rotation (camera frame, rad, on the right),
+linear velocity (W, m/s), angular velocity (camera frame, rad/s). Every Jacobian here is with respect to them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from filters import rotations
+from filters.interface import BodyVelocity
+from filters.validation import FloatArray, positive
+
+POSITION, ROTATION, LINEAR, ANGULAR = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
+CAMERA_SIZE = 12
+POSE_SIZE = 6
+
+
+@dataclass(frozen=True, eq=False)
+class CameraState:
+    """x_C of Eq. 2.
+
+    Attributes
+    ----------
+    position : (3,)
+        r^WC, m.
+    orientation : (4,)
+        q^WC, xyzw.
+    linear_velocity : (3,)
+        v^W, m/s.
+    angular_velocity : (3,)
+        omega^C, rad/s.
+    """
+
+    position: FloatArray
+    orientation: FloatArray
+    linear_velocity: FloatArray
+    angular_velocity: FloatArray
+
+    @property
+    def R_wc(self) -> FloatArray:
+        """Rotation matrix of the orientation."""
+        return rotations.matrix(self.orientation)
+
+
+@dataclass(frozen=True, eq=False)
+class MotionPrediction:
+    """The predicted state, F = d state / d previous state (12, 12), G = d state / d noise (12, k), and the noise Q (k, k)."""
+
+    state: CameraState
+    F: FloatArray
+    G: FloatArray
+    Q: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class LinearMeasurement:
+    """A linearised measurement of the camera state: innovation (m,), H (m, 12), R (m, m)."""
+
+    innovation: FloatArray
+    H: FloatArray
+    R: FloatArray
+
+
+class MotionModel(Protocol):
+    """How the camera moves between two frames."""
+
+    def predict(self, state: CameraState, dt: float, odometry: BodyVelocity | None) -> MotionPrediction:
+        """Move `state` by `dt` seconds."""
+
+    def odometry_measurement(
+        self, state: CameraState, dt: float, odometry: BodyVelocity
+    ) -> LinearMeasurement | None:
+        """What is left to learn from the odometry of the step, given the predicted state; None: nothing."""
+
+
+@dataclass(frozen=True)
+class ConstantVelocity:
+    """Constant velocity with white accelerations (Eq. 6): impulses V = a dt and Omega = alpha dt each step.
+
+    Odometry, where given, is a measurement of the velocity of the step and is fused after the prediction.
+
+    Parameters
+    ----------
+    sigma_acceleration : float
+        Standard deviation of each component of a, m/s^2.
+    sigma_angular_acceleration : float
+        Standard deviation of each component of alpha, rad/s^2.
+    """
+
+    sigma_acceleration: float = 3.0
+    sigma_angular_acceleration: float = 0.6
+
+    def __post_init__(self) -> None:
+        positive("sigma_acceleration", self.sigma_acceleration, allow_zero=True)
+        positive("sigma_angular_acceleration", self.sigma_angular_acceleration, allow_zero=True)
+
+    def predict(self, state: CameraState, dt: float, odometry: BodyVelocity | None) -> MotionPrediction:
+        """Eq. 6 at zero noise, with F and G of Eq. 12; noise n = (V, Omega)."""
+        turn = state.angular_velocity * dt
+        moved = CameraState(
+            state.position + state.linear_velocity * dt,
+            rotations.multiply(state.orientation, rotations.exp_quaternion(turn)),
+            state.linear_velocity,
+            state.angular_velocity,
+        )
+        by_turn = rotations.right_jacobian(turn) * dt
+        F = np.eye(CAMERA_SIZE)
+        F[POSITION, LINEAR] = dt * np.eye(3)
+        F[ROTATION, ROTATION] = rotations.exp(-turn)
+        F[ROTATION, ANGULAR] = by_turn
+        G = np.zeros((CAMERA_SIZE, 6))
+        G[POSITION, :3] = dt * np.eye(3)
+        G[ROTATION, 3:] = by_turn
+        G[LINEAR, :3] = np.eye(3)
+        G[ANGULAR, 3:] = np.eye(3)
+        sigmas = np.repeat([self.sigma_acceleration * dt, self.sigma_angular_acceleration * dt], 3)
+        return MotionPrediction(moved, F, G, np.diag(sigmas**2))
+
+    def odometry_measurement(
+        self, state: CameraState, dt: float, odometry: BodyVelocity
+    ) -> LinearMeasurement | None:
+        """Measure the velocity of the step: linear in the camera frame half-way through the turn, and angular."""
+        half_turn = 0.5 * dt * state.angular_velocity
+        back_half = rotations.exp(half_turn)
+        v_c = state.R_wc.T @ state.linear_velocity
+        H = np.zeros((6, CAMERA_SIZE))
+        H[:3, ROTATION] = back_half @ rotations.skew(v_c)
+        H[:3, LINEAR] = back_half @ state.R_wc.T
+        H[:3, ANGULAR] = -0.5 * dt * back_half @ rotations.skew(v_c) @ rotations.right_jacobian(half_turn)
+        H[3:, ANGULAR] = np.eye(3)
+        innovation = np.concatenate(
+            [odometry.linear - back_half @ v_c, odometry.angular - state.angular_velocity]
+        )
+        return LinearMeasurement(innovation, H, odometry.covariance)
+
+
+@dataclass(frozen=True)
+class VelocityDriven:
+    """Dead reckoning: the odometry is the motion, its covariance the only noise. Needs odometry in every step."""
+
+    def predict(self, state: CameraState, dt: float, odometry: BodyVelocity | None) -> MotionPrediction:
+        """r' = r + R Exp(w dt / 2) v dt, q' = q x q(w dt); noise n = errors of (v, w)."""
+        if odometry is None:
+            raise ValueError(
+                "odometry must be given in every predict with motion=VelocityDriven(): "
+                "pass a BodyVelocity, or use motion=ConstantVelocity(...)"
+            )
+        turn = odometry.angular * dt
+        half = rotations.exp(0.5 * turn)
+        R_mid = state.R_wc @ half
+        moved = CameraState(
+            state.position + R_mid @ odometry.linear * dt,
+            rotations.multiply(state.orientation, rotations.exp_quaternion(turn)),
+            R_mid @ odometry.linear,
+            odometry.angular,
+        )
+        by_rotation = -state.R_wc @ rotations.skew(half @ odometry.linear)
+        by_turn = -0.5 * dt * R_mid @ rotations.skew(odometry.linear) @ rotations.right_jacobian(0.5 * turn)
+        F = np.zeros((CAMERA_SIZE, CAMERA_SIZE))
+        F[POSITION, POSITION] = np.eye(3)
+        F[POSITION, ROTATION] = by_rotation * dt
+        F[ROTATION, ROTATION] = rotations.exp(-turn)
+        F[LINEAR, ROTATION] = by_rotation
+        G = np.zeros((CAMERA_SIZE, 6))
+        G[POSITION, :3], G[POSITION, 3:] = R_mid * dt, by_turn * dt
+        G[ROTATION, 3:] = rotations.right_jacobian(turn) * dt
+        G[LINEAR, :3], G[LINEAR, 3:] = R_mid, by_turn
+        G[ANGULAR, 3:] = np.eye(3)
+        return MotionPrediction(moved, F, G, odometry.covariance)
+
+    def odometry_measurement(
+        self, state: CameraState, dt: float, odometry: BodyVelocity
+    ) -> LinearMeasurement | None:
+        """Nothing: the prediction has used the odometry."""
+        return None

@@ -1,0 +1,137 @@
+"""Names of filters, ours and other people's.
+
+A third party adds a filter with an entry point in the group `stereo_slam.filters`::
+
+    [project.entry-points."stereo_slam.filters"]
+    my-filter = "my_package:MyFilter"
+
+The object is called as `MyFilter(camera, noise, **options)` and returns a `StereoFilter`.
+"""
+
+from __future__ import annotations
+
+import inspect
+import logging
+from collections.abc import Callable
+from difflib import get_close_matches
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any
+
+from filters.camera import StereoCamera
+from filters.dual_bearing import DualBearingEKF
+from filters.euclidean_xyz import EuclideanEKF
+from filters.interface import StereoFilter
+from filters.inverse_depth_stereo import InverseDepthStereoEKF
+from filters.noise import StereoNoise
+
+ENTRY_POINT_GROUP = "stereo_slam.filters"
+FilterFactory = Callable[..., StereoFilter]
+
+_log = logging.getLogger(__name__)
+
+_OWN: dict[str, FilterFactory] = {
+    "inverse-depth": InverseDepthStereoEKF,
+    "dual-bearing": DualBearingEKF,
+    "euclidean": EuclideanEKF,
+}
+
+
+def make_filter(name: str, *, camera: StereoCamera, noise: StereoNoise, **options: Any) -> StereoFilter:
+    """Make a filter by name.
+
+    Parameters
+    ----------
+    name : str
+        One of `available_filters()`.
+    camera : StereoCamera
+        The rig.
+    noise : StereoNoise
+        R of (u, v, d).
+    **options
+        The filter's own; for EKF-based ones see `filters.engine.ekf.StereoEKF`.
+
+    Raises
+    ------
+    ValueError
+        Unknown name or option, an option's value is refused, or a third-party filter cannot be loaded.
+    """
+    plugins = _plugins()
+    if name in _OWN:
+        factory = _OWN[name]
+    elif name in plugins:
+        factory = _load(plugins[name])
+    else:
+        names = sorted({*_OWN, *plugins})
+        raise ValueError(f"filter must be one of {', '.join(names)}, got {name!r}{_hint(name, names)}")
+    _refuse_unknown_options(name, factory, options)
+    made = factory(camera=camera, noise=noise, **options)
+    if not isinstance(made, StereoFilter):
+        raise ValueError(f"filter {name!r} made a {type(made).__name__}, not a StereoFilter: derive it from that")
+    return made
+
+
+def available_filters() -> dict[str, str]:
+    """Names and one line on each; a third-party filter that cannot be loaded says why instead."""
+    lines = {name: _first_line(factory) for name, factory in _OWN.items()}
+    for name, entry_point in _plugins().items():
+        try:
+            lines[name] = _first_line(_load(entry_point))
+        except ValueError as error:
+            _log.warning("%s", error)
+            lines[name] = f"not available: {error}"
+    return lines
+
+
+def _plugins() -> dict[str, EntryPoint]:
+    found: dict[str, EntryPoint] = {}
+    for entry_point in entry_points(group=ENTRY_POINT_GROUP):
+        if entry_point.name in _OWN:
+            _log.warning("filter %r of %s is hidden by the built-in one", entry_point.name, entry_point.value)
+        else:
+            found[entry_point.name] = entry_point
+    return found
+
+
+def _load(entry_point: EntryPoint) -> FilterFactory:
+    try:
+        factory = entry_point.load()
+    except Exception as error:  # whatever a stranger's module does at import must not take the run down
+        raise ValueError(
+            f"filter {entry_point.name!r} ({entry_point.value}) cannot be loaded: {type(error).__name__}: {error}"
+        ) from error
+    if not callable(factory):
+        raise ValueError(f"filter {entry_point.name!r} ({entry_point.value}) is not callable")
+    made: FilterFactory = factory
+    return made
+
+
+def _refuse_unknown_options(name: str, factory: FilterFactory, options: dict[str, Any]) -> None:
+    """Check option names along the class hierarchy, so that a misspelt one is named rather than swallowed."""
+    accepted: set[str] = set()
+    for layer in inspect.getmro(factory) if inspect.isclass(factory) else (factory,):
+        constructor = layer.__dict__.get("__init__") if inspect.isclass(layer) else layer
+        if constructor is None:
+            continue
+        parameters = inspect.signature(constructor).parameters.values()
+        accepted |= {p.name for p in parameters if p.kind in (p.KEYWORD_ONLY, p.POSITIONAL_OR_KEYWORD)}
+        if not any(p.kind is p.VAR_KEYWORD for p in parameters):
+            break
+    else:
+        return
+    accepted -= {"self", "camera", "noise"}
+    for option in options:
+        if option not in accepted:
+            raise ValueError(
+                f"option {option!r} is not one of filter {name!r}{_hint(option, accepted)}; "
+                f"available: {', '.join(sorted(accepted)) or 'none'}"
+            )
+
+
+def _hint(word: str, possible: Any) -> str:
+    close = get_close_matches(word, list(possible), 1)
+    return f"; did you mean {close[0]!r}?" if close else ""
+
+
+def _first_line(factory: FilterFactory) -> str:
+    text = inspect.getdoc(factory) or "no description"
+    return text.splitlines()[0]

@@ -1,0 +1,119 @@
+"""Checks of arguments: each raises one `ValueError` that names the argument, the value and the remedy."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+
+def finite_array(name: str, value: ArrayLike, shape: tuple[int | str, ...]) -> FloatArray:
+    """Return `value` as a read-only float64 copy of the wanted shape.
+
+    Parameters
+    ----------
+    name : str
+        Name of the argument, for the message.
+    value : array_like
+        What the caller passed.
+    shape : tuple of int or str
+        Wanted shape; a string stands for any length (it is only shown in the message).
+
+    Raises
+    ------
+    ValueError
+        Not numeric, wrong shape, NaN or infinite.
+    """
+    try:
+        array = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{name} must be numeric with shape {_shown(shape)}, got {value!r}") from error
+    if array.ndim == len(shape) and array.size == 0 and "M" in shape:
+        array = array.reshape([0 if isinstance(n, str) else n for n in shape])
+    wrong = len(array.shape) != len(shape) or any(
+        isinstance(wanted, int) and wanted != got for wanted, got in zip(shape, array.shape, strict=True)
+    )
+    if wrong:
+        raise ValueError(f"{name} must have shape {_shown(shape)}, got {array.shape}")
+    if not np.isfinite(array).all():
+        raise ValueError(f"{name} must be finite, got NaN or infinity: remove or mask those entries first")
+    array.flags.writeable = False
+    return array
+
+
+def positive(name: str, value: Any, *, allow_zero: bool = False) -> float:
+    """Return `value` as a finite float > 0 (or >= 0)."""
+    bound = ">= 0" if allow_zero else "> 0"
+    try:
+        number = float(value)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{name} must be a number {bound}, got {value!r}") from error
+    if not np.isfinite(number) or number < 0 or (number == 0 and not allow_zero):
+        raise ValueError(f"{name} must be a finite number {bound}, got {value!r}")
+    return number
+
+
+def covariance_matrix(
+    name: str, value: ArrayLike, size: int, *, batch: int | None = None, definite: bool = False
+) -> FloatArray:
+    """Return `value` as a symmetric positive (semi-)definite matrix, or a batch of them.
+
+    Parameters
+    ----------
+    name : str
+        Name of the argument, for the message.
+    value : array_like, (size, size) or (batch, size, size)
+        Covariance.
+    size : int
+        Rows of one matrix.
+    batch : int, optional
+        Number of matrices; None for a single one.
+    definite : bool
+        Refuse singular matrices too.
+    """
+    shape: tuple[int | str, ...] = (size, size) if batch is None else (batch, size, size)
+    matrix = finite_array(name, value, shape)
+    scale = np.abs(matrix).max(initial=0.0)
+    if not np.allclose(matrix, np.swapaxes(matrix, -1, -2), rtol=1e-9, atol=1e-12 * scale):
+        raise ValueError(f"{name} must be symmetric: average it with its transpose first")
+    smallest = np.linalg.eigvalsh(matrix).min(initial=np.inf)
+    if smallest < -1e-12 * scale or (definite and smallest <= 0):
+        wanted = "definite" if definite else "semi-definite"
+        raise ValueError(f"{name} must be positive {wanted}, smallest eigenvalue is {smallest:.3g}")
+    return matrix
+
+
+def unit_quaternion(name: str, value: ArrayLike) -> FloatArray:
+    """Return `value` (xyzw) normalised; refuses anything whose norm is not 1 to 1e-3."""
+    quaternion = finite_array(name, value, (4,))
+    norm = float(np.linalg.norm(quaternion))
+    if abs(norm - 1.0) > 1e-3:
+        raise ValueError(f"{name} must be a unit quaternion (xyzw), got norm {norm:.6g}: normalise it")
+    return quaternion / norm
+
+
+def unique_ids(name: str, value: ArrayLike) -> IntArray:
+    """Return `value` as a read-only (M,) int64 array without repetitions."""
+    raw = np.asarray(value)
+    if raw.ndim != 1:
+        raise ValueError(f"{name} must have shape (M,), got {raw.shape}")
+    if raw.size == 0:
+        raw = raw.astype(np.int64)
+    if raw.dtype.kind not in "iu":
+        raise ValueError(f"{name} must be integers (int64), got dtype {raw.dtype}")
+    ids = raw.astype(np.int64)
+    values, counts = np.unique(ids, return_counts=True)
+    if (counts > 1).any():
+        repeated = values[counts > 1][:5].tolist()
+        raise ValueError(f"{name} must be unique, repeated: {repeated}: keep one measurement per landmark")
+    ids.flags.writeable = False
+    return ids
+
+
+def _shown(shape: tuple[int | str, ...]) -> str:
+    return "(" + ", ".join(str(n) for n in shape) + ("," if len(shape) == 1 else "") + ")"

@@ -1,0 +1,119 @@
+"""The one currency between sensors, real data and filters: frames, and recordings made of them.
+
+Data flows one way: an environment or a dataset reader yields a `Recording`; the benchmark feeds it to filters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from filters.camera import StereoCamera
+from filters.interface import BodyVelocity, StereoObservation
+from filters.noise import StereoNoise
+from filters.validation import FloatArray, IntArray
+
+
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """A pose of the left camera in W.
+
+    Attributes
+    ----------
+    position : (3,)
+        r^WC, m.
+    orientation : (4,)
+        q^WC, unit quaternion xyzw.
+    """
+
+    position: FloatArray
+    orientation: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Velocity:
+    """A true velocity of the left camera: linear (3,) in W, m/s; angular (3,) camera frame, rad/s."""
+
+    linear: FloatArray
+    angular: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """One instant of a recording.
+
+    Attributes
+    ----------
+    timestamp : float
+        s.
+    observation : StereoObservation
+        What the stereo sensor saw; may be empty.
+    odometry : BodyVelocity, optional
+        Mean body velocity of the step from the previous frame to this one.
+    truth : Pose, optional
+        True pose of the left camera in W; None where it is unknown or not to be scored.
+    truth_velocity : Velocity, optional
+        True velocity over the step from the previous frame to this one (as in Eq. 6).
+    """
+
+    timestamp: float
+    observation: StereoObservation
+    odometry: BodyVelocity | None = None
+    truth: Pose | None = None
+    truth_velocity: Velocity | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class LandmarkTruth:
+    """True landmark positions: ids (N,) int64 ascending, positions (N, 3) m in W."""
+
+    ids: IntArray
+    positions: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """What the filter is told before the first frame: arguments of `StereoFilter.reset`."""
+
+    position: FloatArray = field(default_factory=lambda: np.zeros(3))
+    orientation: FloatArray = field(default_factory=lambda: np.array([0.0, 0.0, 0.0, 1.0]))
+    linear_velocity: FloatArray = field(default_factory=lambda: np.zeros(3))
+    angular_velocity: FloatArray = field(default_factory=lambda: np.zeros(3))
+    covariance: FloatArray | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """A measurement stream that any number of filters can be run on, identically.
+
+    Attributes
+    ----------
+    name : str
+        Short name for tables and files.
+    camera : StereoCamera
+        The rig.
+    frames : tuple of Frame
+        In time order; the first one only initialises.
+    noise : StereoNoise
+        Noise to assume unless the scenario says otherwise.
+    start : Start
+        What filters are told at the start.
+    landmarks : LandmarkTruth, optional
+        True map, where known.
+    source : mapping
+        Everything needed to say where the stream came from (scenario, seed, file, settings); JSON-able.
+    """
+
+    name: str
+    camera: StereoCamera
+    frames: tuple[Frame, ...]
+    noise: StereoNoise
+    start: Start = field(default_factory=Start)
+    landmarks: LandmarkTruth | None = None
+    source: Mapping[str, Any] = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        return len(self.frames)
