@@ -1,6 +1,7 @@
 """Stereo EKF-SLAM filters behind one interface. Estimation only: numpy and scipy."""
 
 from filters.camera import StereoCamera
+from filters.conformance import ConformanceError, ConformanceReport, check_filter
 from filters.dual_bearing import DualBearingEKF
 from filters.engine.ekf import StereoEKF
 from filters.euclidean_xyz import EuclideanEKF
@@ -21,6 +22,8 @@ from filters.registry import available_filters, make_filter
 
 __all__ = [
     "BodyVelocity",
+    "ConformanceError",
+    "ConformanceReport",
     "ConstantVelocity",
     "DualBearingEKF",
     "EuclideanEKF",
@@ -37,5 +40,6 @@ __all__ = [
     "VelocityBelief",
     "VelocityDriven",
     "available_filters",
+    "check_filter",
     "make_filter",
 ]

@@ -50,7 +50,7 @@ class StereoCamera:
 
     @property
     def disparity_constant(self) -> float:
-        """fx * baseline, so that d = disparity_constant / z; px m."""
+        """Fx * baseline, so that d = disparity_constant / z; px m."""
         return self.fx * self.baseline
 
     def project(self, points_c: ArrayLike) -> FloatArray:

@@ -122,8 +122,8 @@ class UpdateReport:
         New ids the filter could not initialise from (for XYZ: d <= 0 or below `min_disparity`).
     behind_camera : (K,) int64
         Known ids predicted behind the camera, so not used.
-    failed_factorisations : int
-        Innovation covariances that had no Cholesky factor; their measurements were not used.
+    failed : (K,) int64
+        Known ids whose innovation covariance had no Cholesky factor, so not used (or not in every stage).
     nis : float
         Normalised innovation squared over the accepted measurements, chi-square with `nis_dof` if consistent.
     nis_dof : int
@@ -136,9 +136,14 @@ class UpdateReport:
     gated: IntArray = field(default_factory=_no_ids)
     rejected: IntArray = field(default_factory=_no_ids)
     behind_camera: IntArray = field(default_factory=_no_ids)
-    failed_factorisations: int = 0
+    failed: IntArray = field(default_factory=_no_ids)
     nis: float = 0.0
     nis_dof: int = 0
+
+    @property
+    def failed_factorisations(self) -> int:
+        """Number of `failed` measurements."""
+        return len(self.failed)
 
 
 @dataclass(frozen=True, eq=False)

@@ -49,7 +49,19 @@ class CameraState:
 
 @dataclass(frozen=True, eq=False)
 class MotionPrediction:
-    """The predicted state, F = d state / d previous state (12, 12), G = d state / d noise (12, k), and the noise Q (k, k)."""
+    """The predicted state, its Jacobians and its noise.
+
+    Attributes
+    ----------
+    state : CameraState
+        After the step.
+    F : (12, 12)
+        d state / d previous state.
+    G : (12, k)
+        d state / d noise.
+    Q : (k, k)
+        Covariance of the noise.
+    """
 
     state: CameraState
     F: FloatArray
@@ -72,9 +84,7 @@ class MotionModel(Protocol):
     def predict(self, state: CameraState, dt: float, odometry: BodyVelocity | None) -> MotionPrediction:
         """Move `state` by `dt` seconds."""
 
-    def odometry_measurement(
-        self, state: CameraState, dt: float, odometry: BodyVelocity
-    ) -> LinearMeasurement | None:
+    def odometry_measurement(self, state: CameraState, dt: float, odometry: BodyVelocity) -> LinearMeasurement | None:
         """What is left to learn from the odometry of the step, given the predicted state; None: nothing."""
 
 
@@ -121,9 +131,7 @@ class ConstantVelocity:
         sigmas = np.repeat([self.sigma_acceleration * dt, self.sigma_angular_acceleration * dt], 3)
         return MotionPrediction(moved, F, G, np.diag(sigmas**2))
 
-    def odometry_measurement(
-        self, state: CameraState, dt: float, odometry: BodyVelocity
-    ) -> LinearMeasurement | None:
+    def odometry_measurement(self, state: CameraState, dt: float, odometry: BodyVelocity) -> LinearMeasurement | None:
         """Measure the velocity of the step: linear in the camera frame half-way through the turn, and angular."""
         half_turn = 0.5 * dt * state.angular_velocity
         back_half = rotations.exp(half_turn)
@@ -133,9 +141,7 @@ class ConstantVelocity:
         H[:3, LINEAR] = back_half @ state.R_wc.T
         H[:3, ANGULAR] = -0.5 * dt * back_half @ rotations.skew(v_c) @ rotations.right_jacobian(half_turn)
         H[3:, ANGULAR] = np.eye(3)
-        innovation = np.concatenate(
-            [odometry.linear - back_half @ v_c, odometry.angular - state.angular_velocity]
-        )
+        innovation = np.concatenate([odometry.linear - back_half @ v_c, odometry.angular - state.angular_velocity])
         return LinearMeasurement(innovation, H, odometry.covariance)
 
 
@@ -144,7 +150,7 @@ class VelocityDriven:
     """Dead reckoning: the odometry is the motion, its covariance the only noise. Needs odometry in every step."""
 
     def predict(self, state: CameraState, dt: float, odometry: BodyVelocity | None) -> MotionPrediction:
-        """r' = r + R Exp(w dt / 2) v dt, q' = q x q(w dt); noise n = errors of (v, w)."""
+        """R' = r + R Exp(w dt / 2) v dt, q' = q x q(w dt); noise n = errors of (v, w)."""
         if odometry is None:
             raise ValueError(
                 "odometry must be given in every predict with motion=VelocityDriven(): "
@@ -173,8 +179,6 @@ class VelocityDriven:
         G[ANGULAR, 3:] = np.eye(3)
         return MotionPrediction(moved, F, G, odometry.covariance)
 
-    def odometry_measurement(
-        self, state: CameraState, dt: float, odometry: BodyVelocity
-    ) -> LinearMeasurement | None:
+    def odometry_measurement(self, state: CameraState, dt: float, odometry: BodyVelocity) -> LinearMeasurement | None:
         """Nothing: the prediction has used the odometry."""
         return None

@@ -32,7 +32,9 @@ class StereoNoise:
     @classmethod
     def diagonal(cls, sigma_u: float, sigma_v: float, sigma_d: float) -> StereoNoise:
         """The paper's R: u, v and d independent (page of Eq. 25); standard deviations in px."""
-        sigmas = [positive(n, s) for n, s in zip(("sigma_u", "sigma_v", "sigma_d"), (sigma_u, sigma_v, sigma_d), strict=True)]
+        sigmas = [
+            positive(n, s) for n, s in zip(("sigma_u", "sigma_v", "sigma_d"), (sigma_u, sigma_v, sigma_d), strict=True)
+        ]
         return cls(np.diag(np.square(sigmas)))
 
     @classmethod

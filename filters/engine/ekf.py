@@ -36,7 +36,16 @@ from filters.landmarks.shared_anchor import SharedAnchorInverseDepth
 from filters.measurements.bearing import LeftOnly, LeftThenRight, Stacked
 from filters.measurements.model import MeasurementModel, Stage
 from filters.measurements.range_bearing import RangeBearing
-from filters.motion import ANGULAR, CAMERA_SIZE, LINEAR, POSITION, ROTATION, CameraState, ConstantVelocity, MotionModel
+from filters.motion import (
+    ANGULAR,
+    CAMERA_SIZE,
+    LINEAR,
+    POSITION,
+    ROTATION,
+    CameraState,
+    ConstantVelocity,
+    MotionModel,
+)
 from filters.noise import StereoNoise
 from filters.validation import (
     BoolArray,
@@ -158,7 +167,7 @@ class StereoEKF(StereoFilter):
             P = np.diag(sigmas**2)
         else:
             P = covariance_matrix("covariance", covariance, CAMERA_SIZE)
-        self._state = JointState(camera, np.array(P, order="F"))
+        self._state = JointState(camera, np.array(P, order="F"), self._landmark)
 
     def predict(self, dt: float, odometry: BodyVelocity | None = None) -> None:
         """Move the belief forward (Eq. 6, 11, 12), then fuse what odometry adds."""
@@ -168,19 +177,11 @@ class StereoEKF(StereoFilter):
         predicted = self._motion.predict(self._state.camera, dt, odometry)
         self._state.transform_camera(predicted.F, predicted.G @ predicted.Q @ predicted.G.T)
         self._state.camera = predicted.state
-        measured = odometry and self._motion.odometry_measurement(predicted.state, dt, odometry)
-        if measured:
-            correction = kalman.update(
-                self._state.P,
-                kalman.LinearisedMeasurements(
-                    measured.innovation[None],
-                    measured.H[None],
-                    np.zeros((1, len(measured.H), 0)),
-                    np.zeros((1, 0), dtype=np.int64),
-                    measured.R[None],
-                ),
-            )
-            self._retract(self._state, correction.delta)
+        if odometry is not None:
+            measured = self._motion.odometry_measurement(predicted.state, dt, odometry)
+            if measured is not None:
+                correction = kalman.update(self._state.P, kalman.of_camera(measured))
+                self._retract(self._state, correction.delta)
 
     def update(self, observation: StereoObservation) -> UpdateReport:
         """Known ids correct the state, unseen ones leave, new ones enter; see `StereoFilter.update`."""
@@ -190,11 +191,9 @@ class StereoEKF(StereoFilter):
         observation = observation.select(np.argsort(observation.ids))
         known, index = self._locate(observation.ids)
         report = self._correct(observation.select(known), index)
-        dropped = self._state.ids[~np.isin(self._state.ids, observation.ids)][:0]
-        if self._drop_unseen:
-            gone = ~np.isin(self._state.ids, observation.ids)
-            dropped = self._state.ids[gone]
-            self._state.remove(gone)
+        gone = ~np.isin(self._state.ids, observation.ids) & self._drop_unseen
+        dropped = self._state.ids[gone]
+        self._state.remove(gone)
         initialised, rejected = self._initialise(observation.select(~known))
         return replace(report, dropped=dropped, initialised=initialised, rejected=rejected)
 
@@ -204,9 +203,7 @@ class StereoEKF(StereoFilter):
         wanted = np.sort(state.ids) if ids is None else unique_ids("ids", np.asarray(ids))
         known, index = self._locate(wanted)
         if not known.all():
-            raise ValueError(
-                f"ids must be in the map, not there: {wanted[~known][:5].tolist()}: see landmarks.ids"
-            )
+            raise ValueError(f"ids must be in the map, not there: {wanted[~known][:5].tolist()}: see landmarks.ids")
         uvd, in_front = self._project(state, index)
         linearised = self._linearise(state, index, Stage(uvd, np.eye(3), self._noise_of(len(index))))
         S = linearised.innovation_covariances(state.P)
@@ -220,9 +217,7 @@ class StereoEKF(StereoFilter):
     def pose(self) -> PoseBelief:
         """Pose of the left camera."""
         camera = self._state.camera
-        return PoseBelief(
-            camera.position.copy(), camera.orientation.copy(), symmetric.full(self._state.P[:6, :6])
-        )
+        return PoseBelief(camera.position.copy(), camera.orientation.copy(), symmetric.full(self._state.P[:6, :6]))
 
     @property
     def velocity(self) -> VelocityBelief:
@@ -312,23 +307,21 @@ class StereoEKF(StereoFilter):
         behind = observation.ids[~usable]
         gated = observation.ids[:0]
         if self._gate is not None and usable.any():
-            whole = self._linearise(
-                self._state, index[usable], _select(self._measurement.gate(observation, R), usable)
-            )
+            whole = self._linearise(self._state, index[usable], _select(self._measurement.gate(observation, R), usable))
             limit = gating.gate_limit(self._gate, whole.innovation.shape[1])
             believable = gating.passes(whole.innovation, whole.innovation_covariances(self._state.P), limit)
             gated = observation.ids[usable][~believable]
             usable[usable] = believable
-        accepted, index = observation.select(usable), index[usable]
-        nis, dof, failed = 0.0, 0, 0
-        for stage in self._measurement.stages(accepted, R[usable]) if len(accepted) else ():
-            correction = self._apply(stage, index)
-            nis, dof, failed = nis + correction.nis, dof + correction.dof, failed + correction.failed
+        used, nis, dof = usable.copy(), 0.0, 0
+        for stage in self._measurement.stages(observation, R):
+            correction = self._apply(_select(stage, used), index[used])
+            nis, dof = nis + correction.nis, dof + correction.dof
+            used[used] = correction.used
         return UpdateReport(
-            updated=accepted.ids,
+            updated=observation.ids[used],
             gated=gated,
             behind_camera=behind,
-            failed_factorisations=failed,
+            failed=observation.ids[usable & ~used],
             nis=nis,
             nis_dof=dof,
         )
@@ -342,7 +335,7 @@ class StereoEKF(StereoFilter):
             moved = replace(prior)
             self._retract(moved, delta, covariance=False)
             measurements = self._linearise(moved, index, stage)
-            measurements.by_pose[:, :, ROTATION] = measurements.by_pose[:, :, ROTATION] @ self._error.transport(
+            measurements.by_camera[:, :, ROTATION] = measurements.by_camera[:, :, ROTATION] @ self._error.transport(
                 delta[ROTATION]
             )
             measurements.innovation[:] += measurements.times(delta)
@@ -362,9 +355,7 @@ class StereoEKF(StereoFilter):
         state.blocks = state.blocks + delta[CAMERA_SIZE:].reshape(-1, 3)
         if covariance:
             identity = np.eye(3)
-            state.transform_camera(
-                block_diag(identity, self._error.transport(delta[ROTATION]), identity, identity)
-            )
+            state.transform_camera(block_diag(identity, self._error.transport(delta[ROTATION]), identity, identity))
 
     def _initialise(self, observation: StereoObservation) -> tuple[IntArray, IntArray]:
         """Add new landmarks from the updated pose (Eq. 19-25); returns the ids added and those refused."""
@@ -376,7 +367,7 @@ class StereoEKF(StereoFilter):
         if len(accepted):
             new = self._landmark.initialise(self.camera, camera.position, camera.R_wc, accepted.uvd)
             R = self._noise_of(len(accepted), accepted.R)
-            self._state.augment(self._landmark, accepted.ids, new, R)
+            self._state.augment(accepted.ids, new, R)
         return accepted.ids, observation.ids[~possible]
 
 

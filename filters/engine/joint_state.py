@@ -32,6 +32,8 @@ class JointState:
         x_C.
     P : (n, n)
         Covariance of the error state, lower triangle, column-major.
+    model : LandmarkModel
+        Parametrisation of the landmarks.
     blocks : (B, 3)
         Values of the map blocks; block b is at rows 12 + 3 b of P.
     ids : (N,) int64
@@ -42,6 +44,7 @@ class JointState:
 
     camera: CameraState
     P: FloatArray
+    model: LandmarkModel
     blocks: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
     ids: IntArray = field(default_factory=_empty_blocks)
     parameter_block: IntArray = field(default_factory=_empty_blocks)
@@ -57,16 +60,15 @@ class JointState:
 
     def anchors(self, index: IntArray) -> FloatArray | None:
         """Anchors of the landmarks at `index`, (M, 3); None where landmarks have none."""
-        anchor = self.anchor_block[index]
-        return None if (anchor < 0).any() else self.blocks[anchor]
+        return self.blocks[self.anchor_block[index]] if self.model.anchored else None
 
     def map_rows(self, index: IntArray) -> IntArray:
         """Rows of P that belong to each landmark, anchor first; (M, 6) or (M, 3)."""
         columns = [self.parameter_block[index]]
-        if len(index) and self.anchor_block[index[0]] >= 0:
+        if self.model.anchored:
             columns.insert(0, self.anchor_block[index])
         first = CAMERA_SIZE + 3 * np.stack(columns, axis=1)
-        return (first[:, :, None] + np.arange(3)).reshape(len(index), -1)
+        return (first[:, :, None] + np.arange(3)).reshape(len(index), 3 * len(columns))
 
     def transform_camera(self, F: FloatArray, added: FloatArray | None = None) -> None:
         """P <- blockdiag(F, I) P blockdiag(F, I)^T, plus `added` on the camera block (Eq. 12)."""
@@ -77,14 +79,14 @@ class JointState:
         self.P[:CAMERA_SIZE, :CAMERA_SIZE] = 0.5 * (moved + moved.T)
         self.P[CAMERA_SIZE:, :CAMERA_SIZE] = self.P[CAMERA_SIZE:, :CAMERA_SIZE] @ F.T
 
-    def augment(self, model: LandmarkModel, ids: IntArray, new: NewLandmarks, R: FloatArray) -> None:
+    def augment(self, ids: IntArray, new: NewLandmarks, R: FloatArray) -> None:
         """Add landmarks with their covariance and their cross-covariance with everything else (Eq. 19-25).
 
         Eq. 25 as printed leaves out the correlation of the new landmark with the old map, which it inherits
         from the pose it was seen from; J P for the rows of the pose gives all of it.
         """
         count, old, first_block = len(ids), len(self.P), len(self.blocks)
-        anchors = 0 if not model.anchored else 1 if model.shares_anchors else count
+        anchors = 0 if not self.model.anchored else 1 if self.model.shares_anchors else count
         blocks = np.empty((anchors + count, 3))
         blocks[:anchors] = self.camera.position
         blocks[anchors:] = new.parameters

@@ -14,6 +14,7 @@ import numpy as np
 from scipy.linalg import blas, lapack
 
 from filters.engine import symmetric
+from filters.motion import LinearMeasurement
 from filters.validation import BoolArray, FloatArray, IntArray
 
 CHUNK = 20  # landmarks: where the cost of the small factorisations meets that of passing over P again
@@ -27,8 +28,8 @@ class LinearisedMeasurements:
     ----------
     innovation : (M, k)
         Measured minus predicted, px.
-    by_pose : (M, k, 6)
-        H with respect to position and rotation (the first rows of the state).
+    by_camera : (M, k, c)
+        H with respect to the first c rows of the state: position and rotation, or more of the camera.
     by_map : (M, k, w)
         H with respect to the landmark's own rows.
     map_rows : (M, w) int64
@@ -38,7 +39,7 @@ class LinearisedMeasurements:
     """
 
     innovation: FloatArray
-    by_pose: FloatArray
+    by_camera: FloatArray
     by_map: FloatArray
     map_rows: IntArray
     R: FloatArray
@@ -48,47 +49,72 @@ class LinearisedMeasurements:
 
     def __getitem__(self, index: slice | IntArray | BoolArray) -> LinearisedMeasurements:
         return LinearisedMeasurements(
-            self.innovation[index], self.by_pose[index], self.by_map[index], self.map_rows[index], self.R[index]
+            self.innovation[index],
+            self.by_camera[index],
+            self.by_map[index],
+            self.map_rows[index],
+            self.R[index],
         )
 
     def times(self, delta: FloatArray) -> FloatArray:
         """H delta; (n,) -> (M, k)."""
-        pose_part: FloatArray = self.by_pose @ delta[: self.by_pose.shape[2]]
-        return pose_part + np.einsum("mkw,mw->mk", self.by_map, delta[self.map_rows])
+        product: FloatArray = self.by_camera @ delta[: self.by_camera.shape[2]]
+        product += np.einsum("mkw,mw->mk", self.by_map, delta[self.map_rows])
+        return product
 
     def innovation_covariances(self, P: FloatArray) -> FloatArray:
         """S = H P H^T + R of each measurement on its own (Eq. 15); (M, k, k)."""
-        pose_rows = np.broadcast_to(np.arange(self.by_pose.shape[2]), (len(self), self.by_pose.shape[2]))
-        rows = np.concatenate([pose_rows, self.map_rows], axis=1)
-        H = np.concatenate([self.by_pose, self.by_map], axis=2)
+        camera_rows = np.broadcast_to(np.arange(self.by_camera.shape[2]), (len(self), self.by_camera.shape[2]))
+        rows = np.concatenate([camera_rows, self.map_rows], axis=1)
+        H = np.concatenate([self.by_camera, self.by_map], axis=2)
         S: FloatArray = H @ symmetric.blocks(P, rows) @ H.transpose(0, 2, 1) + self.R
         return S
 
 
+def of_camera(measured: LinearMeasurement) -> LinearisedMeasurements:
+    """A measurement of the camera state alone, as one measurement without a landmark."""
+    nothing = np.zeros((1, len(measured.innovation), 0))
+    no_rows = np.zeros((1, 0), dtype=np.int64)
+    return LinearisedMeasurements(measured.innovation[None], measured.H[None], nothing, no_rows, measured.R[None])
+
+
 @dataclass(frozen=True, eq=False)
 class Correction:
-    """Result of an update: delta (n,) to retract, NIS, its degrees of freedom, and how many chunks had no Cholesky factor."""
+    """Result of an update.
+
+    Attributes
+    ----------
+    delta : (n,)
+        Correction of the error state, to be retracted.
+    nis, dof : float, int
+        Normalised innovation squared and its degrees of freedom.
+    used : (M,) bool
+        Measurements that took part; the others had an innovation covariance without a Cholesky factor.
+    """
 
     delta: FloatArray
     nis: float
     dof: int
-    failed: int
+    used: BoolArray
 
 
 def update(P: FloatArray, measurements: LinearisedMeasurements, chunk: int = CHUNK) -> Correction:
     """Correct with all measurements (Eq. 13-18); P (lower triangle, column-major) is updated in place.
 
-    A chunk whose S has no Cholesky factor is left out and counted.
+    A chunk whose S has no Cholesky factor is taken apart, and the measurements that have none are left out.
     """
     delta = np.zeros(len(P))
-    nis, dof, failed = 0.0, 0, 0
-    for start in range(0, len(measurements), chunk):
-        part = measurements[start : start + chunk]
-        count, size = part.innovation.shape
+    used = np.zeros(len(measurements), dtype=bool)
+    nis, dof = 0.0, 0
+    pending = [slice(start, start + chunk) for start in range(0, len(measurements), chunk)][::-1]
+    while pending:
+        where = pending.pop()
+        part = measurements[where]
         HP = _times_covariance(part, P)
         factor, info = lapack.dpotrf(_innovation_covariance(part, HP), lower=1, clean=1, overwrite_a=1)
         if info != 0 or not np.isfinite(factor[-1, -1]):
-            failed += 1
+            if len(part) > 1:
+                pending += [slice(i, i + 1) for i in range(where.start, where.start + len(part))][::-1]
             continue
         nu = (part.innovation - part.times(delta)).ravel()
         Xt = blas.dtrsm(1.0, factor, HP.T, side=1, lower=1, trans_a=1, overwrite_b=1)
@@ -96,15 +122,16 @@ def update(P: FloatArray, measurements: LinearisedMeasurements, chunk: int = CHU
         delta += Xt @ whitened
         blas.dsyrk(-1.0, Xt, beta=1.0, c=P, lower=1, overwrite_c=1)
         nis += float(whitened @ whitened)
-        dof += count * size
-    return Correction(delta, nis, dof, failed)
+        dof += nu.size
+        used[where] = True
+    return Correction(delta, nis, dof, used)
 
 
 def _times_covariance(part: LinearisedMeasurements, P: FloatArray) -> FloatArray:
     """H P, (M k, n), row-major."""
     count, size, width = part.by_map.shape
-    pose = part.by_pose.shape[2]
-    HP = part.by_pose.reshape(count * size, pose) @ symmetric.rows(P, np.arange(pose))
+    camera = part.by_camera.shape[2]
+    HP = part.by_camera.reshape(count * size, camera) @ symmetric.rows(P, np.arange(camera))
     if width:
         own = symmetric.rows(P, part.map_rows.ravel()).reshape(count, width, -1)
         HP += (part.by_map @ own).reshape(count * size, -1)
@@ -114,8 +141,8 @@ def _times_covariance(part: LinearisedMeasurements, P: FloatArray) -> FloatArray
 def _innovation_covariance(part: LinearisedMeasurements, HP: FloatArray) -> FloatArray:
     """S = (H P) H^T + R of the whole chunk, (M k, M k)."""
     count, size, width = part.by_map.shape
-    pose = part.by_pose.shape[2]
-    S = HP[:, :pose] @ part.by_pose.reshape(count * size, pose).T
+    camera = part.by_camera.shape[2]
+    S = HP[:, :camera] @ part.by_camera.reshape(count * size, camera).T
     if width:
         own = HP[:, part.map_rows.ravel()].reshape(-1, count, width).transpose(1, 0, 2)
         S += (own @ part.by_map.transpose(0, 2, 1)).transpose(1, 0, 2).reshape(S.shape)

@@ -24,7 +24,7 @@ class Retraction(Protocol):
         """The correction that takes `orientation` to `other`; (4,), (4,) -> (3,)."""
 
     def transport(self, delta: FloatArray) -> FloatArray:
-        """d local(retract(q, delta), retract(q, delta + e)) / d e at e = 0; (3,) -> (3, 3)."""
+        """D local(retract(q, delta), retract(q, delta + e)) / d e at e = 0; (3,) -> (3, 3)."""
 
 
 class AdditiveQuaternion:
@@ -37,7 +37,7 @@ class AdditiveQuaternion:
     """
 
     def retract(self, orientation: FloatArray, delta: FloatArray) -> FloatArray:
-        """q x (delta / 2, 1), normalised."""
+        """Q x (delta / 2, 1), normalised."""
         return rotations.multiply(orientation, np.append(0.5 * delta, 1.0))
 
     def local(self, orientation: FloatArray, other: FloatArray) -> FloatArray:
@@ -56,7 +56,7 @@ class RotationVector:
     """SO(3) error state: q x q(delta)."""
 
     def retract(self, orientation: FloatArray, delta: FloatArray) -> FloatArray:
-        """q x q(delta)."""
+        """Q x q(delta)."""
         return rotations.multiply(orientation, rotations.exp_quaternion(delta))
 
     def local(self, orientation: FloatArray, other: FloatArray) -> FloatArray:

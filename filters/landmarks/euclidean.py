@@ -24,9 +24,7 @@ class Euclidean:
         possible: BoolArray = uvd[:, 2] > 0
         return possible
 
-    def initialise(
-        self, camera: StereoCamera, position: FloatArray, R_wc: FloatArray, uvd: FloatArray
-    ) -> NewLandmarks:
+    def initialise(self, camera: StereoCamera, position: FloatArray, R_wc: FloatArray, uvd: FloatArray) -> NewLandmarks:
         """X = r + R_wc h^C, with h^C of Eq. 21."""
         h_c = camera.backproject(uvd)
         h_c_by_uvd = np.linalg.inv(camera.project_jacobian(h_c))
@@ -38,7 +36,7 @@ class Euclidean:
         )
 
     def relative_to(self, position: FloatArray, anchors: FloatArray | None, parameters: FloatArray) -> ScaledPoints:
-        """direction = X - r, scale = 1 (Eq. 9)."""
+        """Direction = X - r, scale = 1 (Eq. 9)."""
         count = len(parameters)
         homogeneous = np.ones((count, 4))
         homogeneous[:, :3] = parameters - position

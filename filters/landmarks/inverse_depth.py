@@ -26,7 +26,7 @@ def ray_direction(angles: FloatArray) -> FloatArray:
 
 
 def ray_direction_jacobian(angles: FloatArray) -> FloatArray:
-    """d m / d (theta, phi); (M, 2) -> (M, 3, 2)."""
+    """D m / d (theta, phi); (M, 2) -> (M, 3, 2)."""
     theta, phi = angles[:, 0], angles[:, 1]
     jacobian = np.zeros((len(angles), 3, 2))
     jacobian[:, 0, 0] = np.cos(phi) * np.cos(theta)
@@ -50,9 +50,7 @@ class InverseDepth:
         possible: BoolArray = np.hypot(h_w[:, 0], h_w[:, 2]) > _VERTICAL * np.linalg.norm(h_w, axis=1)
         return possible
 
-    def initialise(
-        self, camera: StereoCamera, position: FloatArray, R_wc: FloatArray, uvd: FloatArray
-    ) -> NewLandmarks:
+    def initialise(self, camera: StereoCamera, position: FloatArray, R_wc: FloatArray, uvd: FloatArray) -> NewLandmarks:
         """theta, phi and rho of new landmarks (Eq. 21-24); the anchor is the camera position (Eq. 20)."""
         h_c = camera.ray(uvd)
         h_w = h_c @ R_wc.T
@@ -81,7 +79,7 @@ class InverseDepth:
         return NewLandmarks(parameters, np.zeros((len(uvd), 3, 3)), by_rotation, by_measurement)
 
     def relative_to(self, position: FloatArray, anchors: FloatArray | None, parameters: FloatArray) -> ScaledPoints:
-        """direction = rho (anchor - r) + m, scale = rho: Eq. 8 multiplied by rho, so regular at rho = 0."""
+        """Direction = rho (anchor - r) + m, scale = rho: Eq. 8 multiplied by rho, so regular at rho = 0."""
         assert anchors is not None
         rho = parameters[:, 2]
         offset = anchors - position
@@ -110,7 +108,7 @@ class InverseDepth:
         return Points(positions, np.broadcast_to(np.eye(3), by_parameters.shape), by_parameters)
 
     def inverse_distances(self, position: FloatArray, parameters: FloatArray) -> InverseDistances:
-        """rho itself: the distance is from the anchor."""
+        """Rho itself: the distance is from the anchor."""
         by_parameters = np.zeros((len(parameters), 3))
         by_parameters[:, 2] = 1.0
         return InverseDistances(parameters[:, 2].copy(), np.zeros((len(parameters), 3)), by_parameters)

@@ -62,7 +62,7 @@ class Points:
 
 @dataclass(frozen=True, eq=False)
 class InverseDistances:
-    """Inverse distances (M,), 1/m, and their Jacobians with respect to the camera position and the parameters (M, 3)."""
+    """Inverse distances (M,), 1/m, and their Jacobians by the camera position and by the parameters (M, 3)."""
 
     values: FloatArray
     by_position: FloatArray
@@ -83,9 +83,7 @@ class LandmarkModel(Protocol):
     def can_initialise(self, camera: StereoCamera, R_wc: FloatArray, uvd: FloatArray) -> BoolArray:
         """Which of the measurements (M, 3) this parametrisation can start a landmark from."""
 
-    def initialise(
-        self, camera: StereoCamera, position: FloatArray, R_wc: FloatArray, uvd: FloatArray
-    ) -> NewLandmarks:
+    def initialise(self, camera: StereoCamera, position: FloatArray, R_wc: FloatArray, uvd: FloatArray) -> NewLandmarks:
         """Start landmarks from measurements (M, 3) seen from the pose (Eq. 19-25)."""
 
     def relative_to(self, position: FloatArray, anchors: FloatArray | None, parameters: FloatArray) -> ScaledPoints:

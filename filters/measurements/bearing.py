@@ -35,13 +35,13 @@ def right_stage(observation: StereoObservation, R: FloatArray) -> Stage:
 def stacked_stage(observation: StereoObservation, R: FloatArray) -> Stage:
     """Both eyes in one measurement (u, v, u_right[, v_right]), with the correlation of u and u_right that R implies.
 
-    The error of a measured v_right is taken as independent of the left eye's.
+    The error of a measured v_right is taken as independent of the other three.
     """
     right = right_stage(observation, R)
     T = np.vstack([LEFT, right.T])
     joint = T @ R @ T.T
     if observation.v_right is not None:
-        joint[:, 3, :2] = joint[:, :2, 3] = 0.0
+        joint[:, 3, :3] = joint[:, :3, 3] = 0.0
     return Stage(np.hstack([observation.uvd[:, :2], right.z]), T, joint)
 
 
