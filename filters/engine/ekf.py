@@ -299,37 +299,46 @@ class StereoEKF(StereoFilter):
         )
 
     def _correct(self, observation: StereoObservation, index: IntArray) -> UpdateReport:
-        """Gate, then update with what passed."""
+        """Stage by stage: leave out what is behind the camera or not believable, correct with the rest.
+
+        A landmark refused in one stage takes no part in the later ones. Each of n stages has the gate
+        probability^(1/n), so that a consistent landmark passes all of them with the probability asked for.
+        """
         if len(index) == 0:
             return UpdateReport()
         R = self._noise_of(len(observation), observation.R)
-        _, usable = self._project(self._state, index)
-        behind = observation.ids[~usable]
-        gated = observation.ids[:0]
-        if self._gate is not None and usable.any():
-            whole = self._linearise(self._state, index[usable], _select(self._measurement.gate(observation, R), usable))
-            limit = gating.gate_limit(self._gate, whole.innovation.shape[1])
-            believable = gating.passes(whole.innovation, whole.innovation_covariances(self._state.P), limit)
-            gated = observation.ids[usable][~believable]
-            usable[usable] = believable
-        used, nis, dof = usable.copy(), 0.0, 0
-        for stage in self._measurement.stages(observation, R):
-            correction = self._apply(_select(stage, used), index[used])
-            nis, dof = nis + correction.nis, dof + correction.dof
+        stages = self._measurement.stages(observation, R)
+        used = np.ones(len(index), dtype=bool)
+        behind, gated, failed = np.zeros_like(used), np.zeros_like(used), np.zeros_like(used)
+        nis, dof = 0.0, 0
+        for stage in stages:
+            _, in_front = self._project(self._state, index)
+            behind |= used & ~in_front
+            used &= in_front
+            measurements = self._linearise(self._state, index[used], _select(stage, used))
+            if self._gate is not None:
+                limit = gating.gate_limit(self._gate ** (1 / len(stages)), measurements.innovation.shape[1])
+                S = measurements.innovation_covariances(self._state.P)
+                believable = gating.passes(measurements.innovation, S, limit)
+                gated[used] = ~believable
+                used[used] = believable
+                measurements = measurements[believable]
+            correction = self._apply(measurements, _select(stage, used), index[used])
+            failed[used] = ~correction.used
             used[used] = correction.used
+            nis, dof = nis + correction.nis, dof + correction.dof
         return UpdateReport(
             updated=observation.ids[used],
-            gated=gated,
-            behind_camera=behind,
-            failed=observation.ids[usable & ~used],
+            gated=observation.ids[gated],
+            behind_camera=observation.ids[behind],
+            failed=observation.ids[failed],
             nis=nis,
             nis_dof=dof,
         )
 
-    def _apply(self, stage: Stage, index: IntArray) -> kalman.Correction:
+    def _apply(self, measurements: kalman.LinearisedMeasurements, stage: Stage, index: IntArray) -> kalman.Correction:
         """One stage of the update: one pass, or Gauss-Newton passes with the prior held."""
         prior = self._state
-        measurements = self._linearise(prior, index, stage)
         for _ in range(self._iterations - 1):
             delta = kalman.update(prior.P.copy(order="F"), measurements).delta
             moved = replace(prior)

@@ -49,10 +49,6 @@ def stacked_stage(observation: StereoObservation, R: FloatArray) -> Stage:
 class LeftThenRight:
     """Two updates in sequence, left then right, the second linearised at the result of the first."""
 
-    def gate(self, observation: StereoObservation, R: FloatArray) -> Stage:
-        """Both eyes at once: a landmark is taken or refused as a whole."""
-        return stacked_stage(observation, R)
-
     def stages(self, observation: StereoObservation, R: FloatArray) -> tuple[Stage, ...]:
         """Two."""
         return (left_stage(observation, R), right_stage(observation, R))
@@ -62,10 +58,6 @@ class LeftThenRight:
 class Stacked:
     """One update with both eyes' pixels."""
 
-    def gate(self, observation: StereoObservation, R: FloatArray) -> Stage:
-        """The measurement itself, 3 or 4 degrees of freedom."""
-        return stacked_stage(observation, R)
-
     def stages(self, observation: StereoObservation, R: FloatArray) -> tuple[Stage, ...]:
         """One."""
         return (stacked_stage(observation, R),)
@@ -74,10 +66,6 @@ class Stacked:
 @dataclass(frozen=True)
 class LeftOnly:
     """Monocular updates: the left pixel. The disparity serves for initialisation only."""
-
-    def gate(self, observation: StereoObservation, R: FloatArray) -> Stage:
-        """The left pixel, 2 degrees of freedom."""
-        return left_stage(observation, R)
 
     def stages(self, observation: StereoObservation, R: FloatArray) -> tuple[Stage, ...]:
         """One."""

@@ -45,6 +45,3 @@ class MeasurementModel(Protocol):
         R : (M, 3, 3)
             Covariance of (u, v, d), px^2.
         """
-
-    def gate(self, observation: StereoObservation, R: FloatArray) -> Stage:
-        """The whole measurement of a landmark at once, for the chi-square gate."""

@@ -15,10 +15,6 @@ from filters.validation import FloatArray
 class RangeBearing:
     """One joint update with (u, v, d). A separately measured right row is not used."""
 
-    def gate(self, observation: StereoObservation, R: FloatArray) -> Stage:
-        """The triple itself, 3 degrees of freedom."""
-        return Stage(observation.uvd, np.eye(3), R)
-
     def stages(self, observation: StereoObservation, R: FloatArray) -> tuple[Stage, ...]:
         """One."""
-        return (self.gate(observation, R),)
+        return (Stage(observation.uvd, np.eye(3), R),)
