@@ -117,7 +117,8 @@ class UpdateReport:
     updated, initialised, dropped : (K,) int64
         Ids that corrected the state, entered the map, left the map.
     gated : (K,) int64
-        Known ids whose measurement failed the chi-square gate (Mahalanobis distance too large).
+        Known ids whose measurement failed the chi-square gate (Mahalanobis distance too large), in the first or in a
+        later stage of the update; the stages before it have used the measurement.
     rejected : (K,) int64
         New ids the filter could not initialise from (for XYZ: d <= 0 or below `min_disparity`).
     behind_camera : (K,) int64

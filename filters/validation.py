@@ -78,13 +78,14 @@ def covariance_matrix(
     """
     shape: tuple[int | str, ...] = (size, size) if batch is None else (batch, size, size)
     matrix = finite_array(name, value, shape)
-    scale = np.abs(matrix).max(initial=0.0)
-    if not np.allclose(matrix, np.swapaxes(matrix, -1, -2), rtol=1e-9, atol=1e-12 * scale):
+    scale = np.abs(matrix).max(axis=(-2, -1), initial=0.0)
+    asymmetry = np.abs(matrix - np.swapaxes(matrix, -1, -2)).max(axis=(-2, -1), initial=0.0)
+    if (asymmetry > 1e-9 * scale).any():
         raise ValueError(f"{name} must be symmetric: average it with its transpose first")
-    smallest = np.linalg.eigvalsh(matrix).min(initial=np.inf)
-    if smallest < -1e-12 * scale or (definite and smallest <= 0):
+    smallest = np.linalg.eigvalsh(matrix)[..., 0]
+    if (smallest < -1e-12 * scale).any() or (definite and (smallest <= 0).any()):
         wanted = "definite" if definite else "semi-definite"
-        raise ValueError(f"{name} must be positive {wanted}, smallest eigenvalue is {smallest:.3g}")
+        raise ValueError(f"{name} must be positive {wanted}, smallest eigenvalue is {smallest.min():.3g}")
     return matrix
 
 

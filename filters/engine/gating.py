@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from scipy.stats import chi2
 
 from filters.validation import BoolArray, FloatArray
 
 
+@lru_cache
 def gate_limit(probability: float, degrees_of_freedom: int) -> float:
     """Squared Mahalanobis distance that a consistent innovation stays below with `probability`."""
     return float(chi2.ppf(probability, degrees_of_freedom))

@@ -58,7 +58,12 @@ def _drive(name: str, route: Route, seed: int, noise: str, sigma: float, frames:
     pixel_noise = NOISE_MODELS[noise](sigma)
     camera = RIGS["reference"]
     sensor = LandmarkSensor(
-        camera, pixel_noise, landmarks, lambda pose, points: np.ones(len(points), dtype=bool), TrackingPolicy(), sensor_rng
+        camera,
+        pixel_noise,
+        landmarks,
+        lambda pose, points: np.ones(len(points), dtype=bool),
+        TrackingPolicy(),
+        sensor_rng,
     )
     driver = RouteDriver(route, 1.0, drive_rng)
     pose, velocity = driver.start()

@@ -32,12 +32,12 @@ def test_an_unknown_name_gets_a_hint() -> None:
 
 
 def test_an_unknown_option_gets_a_hint() -> None:
-    with pytest.raises(ValueError, match="option 'gat' is not one of filter 'euclidean'; did you mean 'gate'"):
+    with pytest.raises(ValueError, match=r"option 'gat' is not one of filter 'euclidean'; did you mean 'gate'"):
         make_filter("euclidean", **RIG, gat=0.9)
 
 
 def test_an_impossible_value_of_an_option_lists_the_possible_ones() -> None:
-    with pytest.raises(ValueError, match="landmark must be one of 'inverse-depth'.*did you mean 'euclidean'"):
+    with pytest.raises(ValueError, match=r"landmark must be one of 'inverse-depth'.*did you mean 'euclidean'"):
         make_filter("inverse-depth", **RIG, landmark="euclid")
 
 
@@ -58,7 +58,9 @@ def plugin_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_a_third_party_filter_is_found(plugin_folder: Path) -> None:
-    module = '"""Plug-in."""\nfrom filters import EuclideanEKF\nclass Mine(EuclideanEKF):\n    """A filter of mine."""\n'
+    module = (
+        '"""Plug-in."""\nfrom filters import EuclideanEKF\nclass Mine(EuclideanEKF):\n    """A filter of mine."""\n'
+    )
     _install(plugin_folder, "slam_plugin_good", module, {"mine": "slam_plugin_good:Mine"})
     assert available_filters()["mine"] == "A filter of mine."
     assert type(make_filter("mine", **RIG)).__name__ == "Mine"
@@ -83,7 +85,7 @@ def test_a_broken_plugin_is_named_and_takes_nothing_down(plugin_folder: Path) ->
     assert "not available" in listed["bad"]
     assert "no_such_module" in listed["bad"]
     assert "inverse-depth" in listed
-    with pytest.raises(ValueError, match="'bad'.*cannot be loaded: ModuleNotFoundError"):
+    with pytest.raises(ValueError, match=r"'bad'.*cannot be loaded: ModuleNotFoundError"):
         make_filter("bad", **RIG)
 
 

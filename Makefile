@@ -1,0 +1,54 @@
+# Set-up is done once, and again only when pyproject.toml changes. Nothing but Python and pip is needed.
+.DEFAULT_GOAL := help
+.PHONY: help bench test lint format clean
+
+# PyBullet has wheels for CPython up to 3.11, so 3.11 is preferred where several Pythons are installed.
+ifndef PYTHON
+PYTHON := $(shell python3.11 -c 'print("python3.11")' 2>/dev/null || echo python3)
+endif
+VENV := .venv
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
+BENCH ?= --preset quick
+PYTEST ?=
+
+# The matrices are small: a second BLAS thread never helps and can cost a lot. Parallelism comes from whole runs.
+export OPENBLAS_NUM_THREADS := 1
+export OMP_NUM_THREADS := 1
+export MKL_NUM_THREADS := 1
+
+help: ## Show this help
+	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-8s %s\n", $$1, $$2}'
+	@echo "  variables: PYTHON=$(PYTHON)  BENCH=\"$(BENCH)\" (arguments of stereo-slam bench)  PYTEST=\"...\" (of pytest)"
+
+bench: $(VENV)/.installed ## Compare the filters in the simulated world and write the report (under 3 minutes)
+	@$(BIN)/stereo-slam bench $(BENCH)
+
+test: lint ## Lint, types and tests
+	@$(BIN)/python -m pytest $(PYTEST)
+
+lint: $(VENV)/.installed-dev ## ruff and mypy
+	@$(BIN)/ruff check
+	@$(BIN)/ruff format --check
+	@$(BIN)/mypy
+
+format: $(VENV)/.installed-dev ## Let ruff put the code in order
+	@$(BIN)/ruff check --fix
+	@$(BIN)/ruff format
+
+clean: ## Remove the virtual environment, builds and caches (results in runs/ stay)
+	rm -rf $(VENV) build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .benchmarks
+	find filters stereo_slam_env tests examples benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +
+
+$(BIN)/python:
+	@$(PYTHON) -c 'import sys; v = sys.version_info; sys.exit(not (3, 10) <= v[:2] <= (3, 11) and "Python %d.%d found, but PyBullet has wheels for 3.10 and 3.11 only: make PYTHON=python3.11" % v[:2])'
+	@echo "setting up $(VENV) with $(PYTHON) ..."
+	@$(PYTHON) -m venv $(VENV)
+
+$(VENV)/.installed: pyproject.toml | $(BIN)/python
+	@$(PIP) --editable .
+	@touch $@
+
+$(VENV)/.installed-dev: pyproject.toml | $(BIN)/python
+	@$(PIP) --editable '.[dev,gtsam,evo]'
+	@touch $@ $(VENV)/.installed

@@ -1,0 +1,115 @@
+"""Are the filters consistent where theory says they must be? Monte Carlo on the reference problem.
+
+    python benchmarks/reference_consistency.py turn --seeds 50      # 12 frames into a right turn, 20 s
+    python benchmarks/reference_consistency.py long --seeds 50      # 800 frames, 350 m, 10 min on two cores
+
+Prints, for independent pixel noise and for the paper's noise (u, v, d independent), what each filter's errors are and
+what it claims they are. ANEES/6 has a two-sided 95 % band for the number of seeds; no gate, so nothing is hidden.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from joblib import Parallel, delayed
+from rich.console import Console
+from rich.table import Table
+
+from filters import StereoNoise
+from stereo_slam_env.benchmark.consistency import mean_band
+from stereo_slam_env.benchmark.reference_problem import long_drive, short_turn
+from stereo_slam_env.benchmark.results import FilterRun
+from stereo_slam_env.benchmark.runner import run_filter
+
+PAPER_R = StereoNoise.diagonal(1.0, 1.0, 1.0)
+FULL_R = StereoNoise.independent_pixels(1.0)
+
+
+@dataclass(frozen=True)
+class Case:
+    """A filter and the R it assumes."""
+
+    label: str
+    filter_name: str
+    noise: StereoNoise
+    options: dict[str, Any]
+
+
+CASES = (
+    Case("joint, R = I (paper)", "inverse-depth", PAPER_R, {}),
+    Case("joint, full R", "inverse-depth", FULL_R, {}),
+    Case("dual, full R", "dual-bearing", FULL_R, {}),
+    Case("XYZ, full R, d >= 5 px", "euclidean", FULL_R, {"min_disparity": 5.0}),
+)
+PROBLEMS = {"turn": short_turn, "long": long_drive}
+
+
+def run_seed(problem: str, noise: str, seed: int) -> list[FilterRun]:
+    """All cases on the recording of one seed."""
+    recording = PROBLEMS[problem](seed, noise)
+    return [
+        run_filter(recording, case.filter_name, {**case.options, "gate": None}, noise=case.noise, seed=seed)
+        for case in CASES
+    ]
+
+
+def depth_error(runs: list[FilterRun], label: str) -> str:
+    """Sigma / RMSE of the traced landmark at the end, and its depth NEES."""
+    traces = [trace for run in runs for trace in run.traces if trace.label == label]
+    last = [(t.sigma[11], t.depth[11] - t.true_depth[11]) for t in traces if len(t.frames) > 11]
+    if not last:
+        return "–"
+    sigma, error = np.array(last).T
+    return f"{np.median(sigma):.3f} / {np.sqrt(np.mean(error**2)):.3f}, {np.mean((error / sigma) ** 2):.2f}"
+
+
+def row(runs: list[FilterRun], band: tuple[float, float]) -> list[str]:
+    """The figures of one case over all seeds."""
+    nees = np.array([run.pose_nees for run in runs])[:, 1:]
+    by_frame = nees.mean(axis=0)
+    inside = np.mean((by_frame >= band[0]) & (by_frame <= band[1]))
+    ends = np.array([run.pose_errors[-1] for run in runs])
+    lengths = [np.linalg.norm(np.diff(run.true_positions, axis=0), axis=1).sum() for run in runs]
+    drift = 100.0 * np.linalg.norm(ends[:, :3], axis=1) / lengths
+    yaw = 1e3 * np.sqrt(np.mean(ends[:, 4] ** 2))
+    claimed = 1e3 * np.mean([np.sqrt(run.pose_covariances[-1, 4, 4]) for run in runs])
+    return [
+        f"{nees.mean() / 6:.3f}",
+        f"{100 * inside:.0f} %",
+        f"{sum(run.nis.sum() for run in runs) / sum(run.nis_dof.sum() for run in runs):.3f}",
+        f"{np.nanmean([np.nanmean(run.landmark_nees) for run in runs]) / 3:.3f}",
+        f"{drift.mean():.3f}",
+        f"{yaw:.2f} / {claimed:.2f}",
+        depth_error(runs, "near"),
+        depth_error(runs, "far"),
+        f"{np.median(np.concatenate([run.milliseconds for run in runs])):.1f}",
+    ]
+
+
+def main() -> None:
+    """Run and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("problem", choices=PROBLEMS)
+    parser.add_argument("--seeds", type=int, default=50)
+    parser.add_argument("--jobs", type=int, default=2)
+    arguments = parser.parse_args()
+    band = mean_band(6, arguments.seeds)
+    console = Console(width=200)
+    for noise in ("pixels", "uvd"):
+        seeds = range(arguments.seeds)
+        by_seed = Parallel(arguments.jobs)(delayed(run_seed)(arguments.problem, noise, seed) for seed in seeds)
+        title = f"{arguments.problem}, {noise} noise, {arguments.seeds} seeds"
+        table = Table(title=f"{title}; ANEES/6 band [{band[0] / 6:.2f}, {band[1] / 6:.2f}]")
+        heads = ("filter", "ANEES/6", "in band", "NIS/dof", "landmark NEES/3", "drift %", "end yaw rms / claimed mrad")
+        for head in (*heads, "near: σ / RMSE m, NEES", "far: σ / RMSE m, NEES", "ms"):
+            table.add_column(head)
+        for number, case in enumerate(CASES):
+            table.add_row(case.label, *row([runs[number] for runs in by_seed], band))
+        console.print(table)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,34 @@
+"""A simulated world with a stereo camera, and the evaluation of stereo SLAM filters in it.
+
+Importing this package registers the Gymnasium environments.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import gymnasium as _gym
+
+from stereo_slam_env.sensing.padding import stereo_observation
+
+if TYPE_CHECKING:
+    from stereo_slam_env.envs.drive import StereoDriveEnv
+
+__all__ = ["StereoDriveEnv", "stereo_observation"]
+
+
+def _register(name: str, entry_point: str, max_episode_steps: int) -> None:
+    if name not in _gym.registry:
+        _gym.register(name, entry_point=entry_point, max_episode_steps=max_episode_steps)
+
+
+_register("StereoSlam/Drive-v0", "stereo_slam_env.envs.drive:StereoDriveEnv", 3000)
+
+
+def __getattr__(name: str) -> Any:
+    """Import the environment class when it is asked for: it brings the physics engine with it."""
+    if name == "StereoDriveEnv":
+        from stereo_slam_env.envs.drive import StereoDriveEnv
+
+        return StereoDriveEnv
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -1,0 +1,74 @@
+"""Is a filter as sure as it is right? NEES / NIS against their chi-square bands (Bar-Shalom, ch. 5.4)."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.stats import chi2
+
+from filters.validation import FloatArray
+
+
+def nees(errors: FloatArray, covariances: FloatArray) -> FloatArray:
+    """Normalised estimation error squared e^T P^-1 e.
+
+    Parameters
+    ----------
+    errors : (..., n) ndarray
+        Estimation errors.
+    covariances : (..., n, n) ndarray
+        What the filter claims for them.
+
+    Returns
+    -------
+    (...) ndarray
+        NaN where the covariance is not positive definite or something is not finite.
+    """
+    errors, covariances = np.asarray(errors), np.asarray(covariances)
+    usable = np.array(np.isfinite(errors).all(axis=-1) & np.isfinite(covariances).all(axis=(-2, -1)))
+    usable[usable] = np.linalg.eigvalsh(covariances[usable])[..., 0] > 0
+    values = np.full(errors.shape[:-1], np.nan)
+    solved = np.linalg.solve(covariances[usable], errors[usable][..., None])[..., 0]
+    values[usable] = np.sum(errors[usable] * solved, axis=-1)
+    return values
+
+
+def mean_band(dof: float, runs: int, probability: float = 0.95) -> tuple[float, float]:
+    """Two-sided band of the mean of `runs` independent chi-square variables of `dof` degrees of freedom.
+
+    The sum over N runs is chi-square with N * dof degrees of freedom.
+
+    Parameters
+    ----------
+    dof : float
+        Degrees of freedom of one variable (6 for a pose).
+    runs : int
+        Number of independent runs N.
+    probability : float
+        Of a consistent filter to lie inside.
+
+    Returns
+    -------
+    (low, high)
+
+    Raises
+    ------
+    ValueError
+        dof or runs is not positive, or probability is not between 0 and 1.
+    """
+    if not dof > 0:
+        raise ValueError(f"dof must be > 0, got {dof!r}")
+    if not runs >= 1:
+        raise ValueError(f"runs must be >= 1, got {runs!r}")
+    if not 0.0 < probability < 1.0:
+        raise ValueError(f"probability must be between 0 and 1, got {probability!r}")
+    tail = 0.5 * (1.0 - probability)
+    low, high = chi2.ppf([tail, 1.0 - tail], runs * dof) / runs
+    return float(low), float(high)
+
+
+def share_inside(values: FloatArray, band: tuple[float, float]) -> float:
+    """Share of the finite `values` inside `band`, 0 to 1; NaN where none is finite."""
+    finite = values[np.isfinite(values)]
+    if finite.size == 0:
+        return float("nan")
+    return float(np.mean((finite >= band[0]) & (finite <= band[1])))

@@ -1,0 +1,84 @@
+"""The filter's map seen from its current pose, and how wrong it is.
+
+Everything is judged in the camera: depth, point and uncertainty follow from the forecast (u, v, d) and its covariance,
+which holds the correlation of landmark and pose and means the same for every parametrisation.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from filters import rotations
+from filters.camera import StereoCamera
+from filters.interface import StereoFilter
+from filters.validation import FloatArray, IntArray
+from stereo_slam_env.benchmark.consistency import nees
+from stereo_slam_env.recording import LandmarkTruth, Pose
+
+SCORED_RANGE = 40.0  # m; farther landmarks have no useful position error, and not every filter maps them
+
+
+@dataclass(frozen=True, eq=False)
+class MapView:
+    """The map in the current camera.
+
+    Attributes
+    ----------
+    ids : (N,) int64
+        Landmarks.
+    uvd : (N, 3)
+        Predicted measurement, px.
+    covariance : (N, 3, 3)
+        Of the prediction: H P H^T, without the measurement noise, px^2.
+    true_points : (N, 3)
+        True positions in the true camera frame, m; NaN where unknown.
+    """
+
+    ids: IntArray
+    uvd: FloatArray
+    covariance: FloatArray
+    true_points: FloatArray
+
+
+def view_map(estimator: StereoFilter, pose: Pose | None, landmarks: LandmarkTruth | None) -> MapView:
+    """The map of `estimator` in its camera, next to the truth where it is known."""
+    forecast = estimator.forecast()
+    true_points = np.full((len(forecast.ids), 3), np.nan)
+    if pose is not None and landmarks is not None and len(landmarks.ids):
+        place = np.minimum(np.searchsorted(landmarks.ids, forecast.ids), len(landmarks.ids) - 1)
+        known = landmarks.ids[place] == forecast.ids
+        R_wc = rotations.matrix(pose.orientation)
+        true_points[known] = (landmarks.positions[place[known]] - pose.position) @ R_wc
+    return MapView(forecast.ids, forecast.uvd, forecast.S - estimator.noise.R, true_points)
+
+
+def mean_nees(view: MapView, camera: StereoCamera) -> float:
+    """Mean NEES of the landmarks in (u, v, d) space, 3 degrees of freedom each; NaN without truth."""
+    in_front = view.true_points[:, 2] > 0
+    errors = camera.project(view.true_points[in_front]) - view.uvd[in_front]
+    return _mean(nees(errors, view.covariance[in_front]))
+
+
+def position_rmse(view: MapView, camera: StereoCamera) -> float:
+    """Root mean square error of landmark positions relative to the camera, m; NaN without truth.
+
+    Over landmarks truly within `SCORED_RANGE` and estimated in front of the camera.
+    """
+    distance = np.linalg.norm(view.true_points, axis=1)
+    scored = (distance <= SCORED_RANGE) & (view.uvd[:, 2] > 0) & np.isfinite(view.uvd).all(axis=1)
+    errors = camera.backproject(view.uvd[scored]) - view.true_points[scored]
+    return float(np.sqrt(_mean(np.sum(errors**2, axis=1))))
+
+
+def depths(view: MapView, camera: StereoCamera) -> tuple[FloatArray, FloatArray]:
+    """Depth of each landmark and its standard deviation to first order, m; NaN where d <= 0."""
+    d = np.where(view.uvd[:, 2] > 0, view.uvd[:, 2], np.nan)
+    depth = camera.disparity_constant / d
+    return depth, depth / d * np.sqrt(np.maximum(view.covariance[:, 2, 2], 0.0))
+
+
+def _mean(values: FloatArray) -> float:
+    finite = values[np.isfinite(values)]
+    return float(finite.mean()) if finite.size else float("nan")

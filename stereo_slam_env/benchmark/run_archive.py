@@ -1,0 +1,86 @@
+"""A `FilterRun` as an npz file and back, so that tables and reports can be redone without running again."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import zipfile
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+
+from stereo_slam_env.benchmark.results import FilterRun, LandmarkTrace
+
+FORMAT = 1
+_TEXT = ("filter_name", "recording_name", "options", "seed", "failure")
+_SERIES = tuple(f.name for f in dataclasses.fields(FilterRun) if f.name not in (*_TEXT, "counts", "traces"))
+_TRACE_SERIES = ("frames", "depth", "sigma", "true_depth", "measured_depth")
+
+
+def save_run(path: Path, run: FilterRun, provenance: Mapping[str, Any]) -> None:
+    """Write `run` and where it came from; the file appears complete or not at all.
+
+    Parameters
+    ----------
+    path : Path
+        The npz file; its folder is made.
+    run : FilterRun
+        What to keep.
+    provenance : mapping
+        JSON-able; `load_run` gives it back.
+    """
+    arrays: dict[str, Any] = {name: getattr(run, name) for name in _SERIES}
+    arrays |= {f"count.{name}": values for name, values in run.counts.items()}
+    for i, trace in enumerate(run.traces):
+        arrays |= {f"trace.{i}.{name}": getattr(trace, name) for name in _TRACE_SERIES}
+    about = {
+        "format": FORMAT,
+        "run": {name: getattr(run, name) for name in _TEXT} | {"options": dict(run.options)},
+        "traces": [[trace.landmark_id, trace.label] for trace in run.traces],
+        "provenance": dict(provenance),
+    }
+    arrays["about"] = np.array(json.dumps(about, allow_nan=False))
+    write_atomically(path, lambda stream: np.savez_compressed(stream, **arrays))
+
+
+def load_run(path: Path) -> tuple[FilterRun, dict[str, Any]]:
+    """Read a run and its provenance.
+
+    Raises
+    ------
+    ValueError
+        The file is damaged, or of a format this version does not know: the message names it and says what to do.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            arrays = {name: archive[name] for name in archive.files}
+        about = json.loads(str(arrays["about"]))
+        if about["format"] != FORMAT:
+            raise ValueError(f"format {about['format']}, this version reads {FORMAT}")
+        counts = {name.removeprefix("count."): arrays[name] for name in arrays if name.startswith("count.")}
+        traces = tuple(
+            LandmarkTrace(landmark_id, label, *(arrays[f"trace.{i}.{name}"] for name in _TRACE_SERIES))
+            for i, (landmark_id, label) in enumerate(about["traces"])
+        )
+        series = {name: arrays[name] for name in _SERIES}
+        return FilterRun(**about["run"], **series, counts=counts, traces=traces), about["provenance"]
+    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
+        if isinstance(error, FileNotFoundError):
+            raise
+        reason = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
+        raise ValueError(f"{path} is damaged ({reason}): delete it and run the same command again") from error
+
+
+def write_atomically(path: Path, write: Callable[[IO[bytes]], Any]) -> None:
+    """Write a file so that a reader, or an interruption, never meets half of it."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    unfinished = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        with unfinished.open("wb") as stream:
+            write(stream)
+        unfinished.replace(path)
+    finally:
+        unfinished.unlink(missing_ok=True)

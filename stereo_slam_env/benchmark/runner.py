@@ -1,0 +1,239 @@
+"""Run one filter over one recording, and note everything metrics and reports need."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from filters import ConstantVelocity, StereoFilter, StereoNoise, UpdateReport, VelocityDriven, make_filter
+from filters.camera import StereoCamera
+from filters.validation import FloatArray, IntArray
+from stereo_slam_env.benchmark.consistency import nees
+from stereo_slam_env.benchmark.map_scoring import mean_nees, position_rmse, view_map
+from stereo_slam_env.benchmark.results import FilterRun
+from stereo_slam_env.benchmark.traces import TraceRecorder
+from stereo_slam_env.recording import Frame, Recording
+
+EVENTS = ("updated", "initialised", "dropped", "gated", "rejected", "behind_camera")
+COUNTS = (*EVENTS, "failed_factorisations", "map_size")
+
+_log = logging.getLogger(__name__)
+
+
+def run_filter(
+    recording: Recording,
+    filter_name: str,
+    options: Mapping[str, Any] | None = None,
+    *,
+    label: str | None = None,
+    common_options: Mapping[str, Any] | None = None,
+    noise: StereoNoise | None = None,
+    use_odometry: bool = True,
+    seed: int | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> FilterRun:
+    """Feed a recording to a filter.
+
+    The filter starts from `recording.start`; the first frame only initialises; every later one is predict, then
+    update. Only those two calls are timed, with one BLAS thread.
+
+    Parameters
+    ----------
+    recording : Recording
+        The stream.
+    filter_name : str
+        A name of `filters.available_filters()`.
+    options : mapping, optional
+        Options of the filter, JSON-able: `motion` is written as {"sigma_acceleration": ...,
+        "sigma_angular_acceleration": ...} or "velocity-driven".
+    label : str, optional
+        Name in tables and files; None: `filter_name`.
+    common_options : mapping, optional
+        Options given to every filter of a comparison that knows them; `options` go first.
+    noise : StereoNoise, optional
+        Noise to assume; None: what the recording says.
+    use_odometry : bool
+        Whether `predict` is given the odometry of the recording.
+    seed : int, optional
+        Of the recording, for the result.
+    progress : callable, optional
+        Called with (frames done, frames) after each frame.
+
+    Returns
+    -------
+    FilterRun
+        A filter that raises or returns something that is not finite is a result too: `failure` says what happened.
+
+    Raises
+    ------
+    ValueError
+        The recording is empty.
+    """
+    if len(recording) == 0:
+        raise ValueError(f"recording {recording.name!r} has no frames")
+    log = _Log(recording)
+    used: dict[str, Any] = dict(options or {})
+    frame_number = -1
+    with threadpool_limits(limits=1):
+        try:
+            estimator, used = make_with_common_options(
+                filter_name,
+                recording.camera,
+                recording.noise if noise is None else noise,
+                options or {},
+                common_options or {},
+            )
+            start = recording.start
+            estimator.reset(
+                start.position, start.orientation, start.linear_velocity, start.angular_velocity, start.covariance
+            )
+            for frame_number, frame in enumerate(recording.frames):
+                dt = frame.timestamp - recording.frames[frame_number - 1].timestamp if frame_number else None
+                began = time.perf_counter()
+                if dt is not None:
+                    estimator.predict(dt, frame.odometry if use_odometry else None)
+                report = estimator.update(frame.observation)
+                elapsed = time.perf_counter() - began
+                log.add(frame_number, frame, estimator, report, 1000.0 * elapsed)
+                if progress is not None:
+                    progress(frame_number + 1, len(recording))
+            failure = None
+        except Exception as error:  # a stranger's filter may raise anything; the comparison goes on without it
+            where = f"frame {frame_number}" if frame_number >= 0 else "start"
+            failure = f"{where}: {type(error).__name__}: {_one_line(error)}"
+            _log.info("%s on %s failed at %s", label or filter_name, recording.name, failure)
+    return log.result(label or filter_name, used, seed, failure)
+
+
+def make_with_common_options(
+    name: str, camera: StereoCamera, noise: StereoNoise, options: Mapping[str, Any], common: Mapping[str, Any]
+) -> tuple[StereoFilter, dict[str, Any]]:
+    """Make a filter with its own options and those of the `common` ones that it knows.
+
+    A third-party filter need not have a gate or a motion model; it then goes without, and the returned options say so.
+
+    Returns
+    -------
+    estimator : StereoFilter
+    options : dict
+        What it was made with, JSON-able.
+
+    Raises
+    ------
+    ValueError
+        The filter or one of its own options is unknown or impossible.
+    """
+    make_filter(name, camera=camera, noise=noise, **_arguments(options))
+    taken = dict(options)
+    for key in common.keys() - options.keys():
+        try:
+            make_filter(name, camera=camera, noise=noise, **_arguments({**options, key: common[key]}))
+        except ValueError as error:
+            _log.info("filter %s goes without the common option %s: %s", name, key, error)
+        else:
+            taken[key] = common[key]
+    return make_filter(name, camera=camera, noise=noise, **_arguments(taken)), taken
+
+
+def _arguments(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Python arguments of JSON-able options."""
+    arguments = dict(options)
+    motion = arguments.get("motion")
+    if isinstance(motion, Mapping):
+        arguments["motion"] = ConstantVelocity(**motion)
+    elif motion == "velocity-driven":
+        arguments["motion"] = VelocityDriven()
+    return arguments
+
+
+class _Log:
+    """The arrays of a `FilterRun`, filled frame by frame."""
+
+    def __init__(self, recording: Recording) -> None:
+        self._recording = recording
+        count = len(recording)
+
+        def unknown(*shape: int) -> FloatArray:
+            return np.full((count, *shape), np.nan)
+
+        self._series: dict[str, FloatArray] = {
+            "positions": unknown(3),
+            "orientations": unknown(4),
+            "pose_covariances": unknown(6, 6),
+            "linear_velocities": unknown(3),
+            "angular_velocities": unknown(3),
+            "velocity_covariances": unknown(6, 6),
+            "pose_errors": unknown(6),
+            "pose_nees": unknown(),
+            "landmark_nees": unknown(),
+            "landmark_rmse": unknown(),
+            "nis": unknown(),
+            "milliseconds": unknown(),
+        }
+        self._nis_dof: IntArray = np.zeros(count, dtype=np.int64)
+        self._counts: dict[str, IntArray] = {name: np.zeros(count, dtype=np.int64) for name in COUNTS}
+        self._traces = TraceRecorder(recording)
+
+    def add(self, k: int, frame: Frame, estimator: StereoFilter, report: UpdateReport, milliseconds: float) -> None:
+        """Note the belief after frame `k`; raises where it is not finite."""
+        series, camera = self._series, self._recording.camera
+        pose, velocity = estimator.pose, estimator.velocity
+        belief = {
+            "positions": pose.position,
+            "orientations": pose.orientation,
+            "pose_covariances": pose.covariance,
+            "linear_velocities": velocity.linear,
+            "angular_velocities": velocity.angular,
+            "velocity_covariances": velocity.covariance,
+        }
+        for name, value in belief.items():
+            if not np.isfinite(value).all():
+                raise ArithmeticError(f"the filter returned NaN or infinity in its {name.replace('_', ' ')}")
+        for name, value in belief.items():
+            series[name][k] = value
+        series["milliseconds"][k] = milliseconds
+        series["nis"][k], self._nis_dof[k] = report.nis, report.nis_dof
+        if frame.truth is not None:
+            error, covariance = estimator.pose_error(frame.truth.position, frame.truth.orientation)
+            series["pose_errors"][k] = error
+            series["pose_nees"][k] = nees(error[None], covariance[None])[0]
+        view = view_map(estimator, frame.truth, self._recording.landmarks)
+        series["landmark_nees"][k] = mean_nees(view, camera)
+        series["landmark_rmse"][k] = position_rmse(view, camera)
+        self._traces.add(k, view, frame.observation)
+        for name in EVENTS:
+            self._counts[name][k] = len(getattr(report, name))
+        self._counts["failed_factorisations"][k] = report.failed_factorisations
+        self._counts["map_size"][k] = len(view.ids)
+
+    def result(self, label: str, options: Mapping[str, Any], seed: int | None, failure: str | None) -> FilterRun:
+        """The run so far."""
+        frames = self._recording.frames
+        nowhere, no_turn = np.full(3, np.nan), np.full(4, np.nan)
+        poses, moves = [f.truth for f in frames], [f.truth_velocity for f in frames]
+        return FilterRun(
+            filter_name=label,
+            recording_name=self._recording.name,
+            options=options,
+            seed=seed,
+            timestamps=np.array([f.timestamp for f in frames]),
+            true_positions=np.array([nowhere if p is None else p.position for p in poses]),
+            true_orientations=np.array([no_turn if p is None else p.orientation for p in poses]),
+            true_linear_velocities=np.array([nowhere if v is None else v.linear for v in moves]),
+            true_angular_velocities=np.array([nowhere if v is None else v.angular for v in moves]),
+            nis_dof=self._nis_dof,
+            counts=self._counts,
+            traces=self._traces.traces(),
+            failure=failure,
+            **self._series,
+        )
+
+
+def _one_line(error: Exception) -> str:
+    text = str(error).strip()
+    return text.splitlines()[0] if text else "no message"

@@ -1,0 +1,212 @@
+"""What is compared on what: a scenario is plain data, so it can be printed, stored and run again."""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import json
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from filters.noise import StereoNoise
+from filters.validation import finite_array, positive
+
+KINDS: Mapping[str, str] = {
+    "street": "the PyBullet street of the environment; options: its keyword arguments",
+    "reference": "the pure-geometry reference problem; options: name (long_drive, short_turn), noise",
+    "dataset": "a real recording; options: path, and the reader's own",
+    "factory": 'any callable; options: call ("package.module:function", called with seed=) and its arguments',
+}
+
+
+@dataclass(frozen=True)
+class FilterChoice:
+    """One competitor: a filter by name, its options, and the label it has in tables and files.
+
+    Raises
+    ------
+    ValueError
+        The label is not usable as a file name.
+    """
+
+    label: str
+    name: str
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._+-]*", self.label):
+            raise ValueError(f"filter label must be letters, digits, '.', '_', '+' or '-', got {self.label!r}")
+
+
+DEFAULT_FILTERS = (
+    FilterChoice("inverse-depth", "inverse-depth"),
+    FilterChoice("dual-bearing", "dual-bearing"),
+    # Without a guard XYZ diverges on far points (d <= 0 has no point at all), so it is given the usual one.
+    FilterChoice("euclidean", "euclidean", {"min_disparity": 5.0}),
+)
+
+
+def filter_choice(name: str) -> FilterChoice:
+    """The default choice of that name, or the filter as it comes."""
+    return next((choice for choice in DEFAULT_FILTERS if choice.label == name), FilterChoice(name, name))
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """A measurement stream and how the filters are set up for it.
+
+    Attributes
+    ----------
+    name : str
+        For titles.
+    kind : str
+        Where the stream comes from, a key of `KINDS`.
+    options : mapping
+        Arguments of that source; JSON-able.
+    filters : tuple of FilterChoice
+        Who takes part.
+    seeds : tuple of int
+        One recording each; a real recording has none.
+    frames : int, optional
+        Cut after so many frames.
+    use_odometry : bool
+        Whether filters are given the odometry of the recording.
+    noise : mapping, optional
+        Noise the filters assume: {"independent_pixels": sigma} or {"diagonal": [sigma_u, sigma_v, sigma_d]}, px.
+        None: what the recording says.
+    gate : float, optional
+        Probability per landmark of the chi-square gate; None: no gate.
+    motion : mapping
+        Standard deviations sigma_acceleration (m/s^2) and sigma_angular_acceleration (rad/s^2) the filters assume.
+    divergence_percent : float
+        A run that ends farther from the truth than this share of the distance travelled counts as diverged.
+
+    Raises
+    ------
+    ValueError
+        A value is impossible: the message names the field.
+    """
+
+    name: str
+    kind: str = "street"
+    options: Mapping[str, Any] = field(default_factory=dict)
+    filters: tuple[FilterChoice, ...] = DEFAULT_FILTERS
+    seeds: tuple[int, ...] = (0,)
+    frames: int | None = None
+    use_odometry: bool = False
+    noise: Mapping[str, Any] | None = None
+    gate: float | None = 0.99
+    motion: Mapping[str, float] = field(
+        default_factory=lambda: {"sigma_acceleration": 3.0, "sigma_angular_acceleration": 0.6}
+    )
+    divergence_percent: float = 10.0
+
+    def __post_init__(self) -> None:
+        if self.kind not in KINDS:
+            raise ValueError(f"kind must be one of {', '.join(KINDS)}, got {self.kind!r}{_hint(self.kind, KINDS)}")
+        object.__setattr__(self, "filters", tuple(self.filters))
+        object.__setattr__(self, "seeds", tuple(int(seed) for seed in self.seeds))
+        labels = [choice.label for choice in self.filters]
+        if not labels:
+            raise ValueError("filters must name at least one filter")
+        if len(set(labels)) < len(labels):
+            raise ValueError(f"filters must have different labels, got {', '.join(labels)}")
+        if not self.seeds or len(set(self.seeds)) < len(self.seeds) or min(self.seeds) < 0:
+            raise ValueError(f"seeds must be different whole numbers >= 0, at least one, got {list(self.seeds)}")
+        if self.frames is not None and (not isinstance(self.frames, int) or self.frames < 2):
+            raise ValueError(f"frames must be a whole number >= 2, got {self.frames!r}")
+        if self.gate is not None and not 0.0 < self.gate < 1.0:
+            raise ValueError(f"gate must be a probability between 0 and 1, or none, got {self.gate!r}")
+        positive("divergence_percent", self.divergence_percent)
+        _known_keys("motion", self.motion, ("sigma_acceleration", "sigma_angular_acceleration"))
+        for key, value in self.motion.items():
+            positive(f"motion.{key}", value, allow_zero=True)
+        self.assumed_noise(StereoNoise.independent_pixels(1.0))
+        try:
+            json.dumps(self.as_dict(), allow_nan=False)
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"scenario {self.name!r} must consist of JSON values: {error}") from error
+
+    def assumed_noise(self, of_recording: StereoNoise) -> StereoNoise:
+        """The noise filters are told to assume."""
+        if self.noise is None:
+            return of_recording
+        _known_keys("noise", self.noise, ("independent_pixels", "diagonal"))
+        if len(self.noise) != 1:
+            raise ValueError("noise must have one key: independent_pixels or diagonal")
+        if "diagonal" in self.noise:
+            return StereoNoise.diagonal(*finite_array("noise.diagonal", self.noise["diagonal"], (3,)).tolist())
+        return StereoNoise.independent_pixels(self.noise["independent_pixels"])
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON-able form; `from_dict` reads it."""
+        return {
+            **{f.name: getattr(self, f.name) for f in dataclasses.fields(self)},
+            "options": dict(self.options),
+            "noise": None if self.noise is None else dict(self.noise),
+            "motion": dict(self.motion),
+            "seeds": list(self.seeds),
+            "filters": [{"label": c.label, "name": c.name, "options": dict(c.options)} for c in self.filters],
+        }
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Scenario:
+        """A scenario from its JSON form.
+
+        Raises
+        ------
+        ValueError
+            An unknown or missing key: the message names it and what may have been meant.
+        """
+        _known_keys("scenario", data, tuple(f.name for f in dataclasses.fields(cls)))
+        if "name" not in data:
+            raise ValueError("scenario must have a name")
+        values = dict(data)
+        if "filters" in values:
+            values["filters"] = tuple(_choice_from(entry) for entry in values["filters"])
+        return cls(**values)
+
+
+def load_scenario(path: str | Path) -> Scenario:
+    """Read a scenario from a JSON file.
+
+    Raises
+    ------
+    ValueError
+        The file is missing, no JSON, or has an unknown key.
+    """
+    try:
+        data = json.loads(Path(path).read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        raise ValueError(f"scenario file {path} does not exist") from error
+    except (OSError, ValueError) as error:
+        raise ValueError(f"scenario file {path} cannot be read as JSON: {error}") from error
+    if not isinstance(data, dict):
+        raise ValueError(f"scenario file {path} must hold a JSON object")
+    try:
+        return Scenario.from_dict(data)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"scenario file {path}: {error}") from error
+
+
+def _choice_from(entry: Any) -> FilterChoice:
+    if isinstance(entry, str):
+        return filter_choice(entry)
+    if not isinstance(entry, Mapping) or "name" not in entry:
+        raise ValueError(f"filters must be names or objects with a name, got {entry!r}")
+    _known_keys("filters", entry, ("label", "name", "options"))
+    return FilterChoice(entry.get("label", entry["name"]), entry["name"], entry.get("options", {}))
+
+
+def _known_keys(what: str, data: Mapping[str, Any], known: tuple[str, ...]) -> None:
+    for key in data:
+        if key not in known:
+            raise ValueError(f"{what} has no key {key!r}{_hint(key, known)}; known: {', '.join(known)}")
+
+
+def _hint(word: str, possible: Any) -> str:
+    near = difflib.get_close_matches(word, list(possible), n=1)
+    return f", did you mean {near[0]!r}?" if near else ""

@@ -1,0 +1,92 @@
+"""From a scenario and a seed to the recording every filter is given."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import importlib
+from typing import Any
+
+import numpy as np
+
+from stereo_slam_env.benchmark.scenario import Scenario
+from stereo_slam_env.datasets import read_recording
+from stereo_slam_env.recording import Recording
+
+
+def make_recording(scenario: Scenario, seed: int | None) -> Recording:
+    """The measurement stream of `scenario` for `seed` (None for a real recording).
+
+    Raises
+    ------
+    ValueError
+        The source refuses its options or yields no frames: the message names what is wrong.
+    """
+    options = dict(scenario.options)
+    if scenario.kind == "street":
+        recording = _street(options, seed, scenario.frames)
+    elif scenario.kind == "reference":
+        recording = _reference(options, seed, scenario.frames)
+    elif scenario.kind == "dataset":
+        if "path" not in options:
+            raise ValueError("a scenario of kind 'dataset' needs the option path")
+        recording = read_recording(options.pop("path"), **options)
+    else:
+        recording = _called(options, seed)
+    if scenario.frames is not None:
+        recording = dataclasses.replace(recording, frames=recording.frames[: scenario.frames])
+    if len(recording) == 0:
+        raise ValueError(f"recording {recording.name!r} has no frames")
+    return recording
+
+
+def stream_digest(recording: Recording) -> str:
+    """SHA-256 of everything a filter is given: equal digests mean bit-identical input."""
+    digest = hashlib.sha256(repr(recording.camera).encode())
+    start = recording.start
+    parts: list[Any] = [
+        recording.noise.R,
+        start.position,
+        start.orientation,
+        start.linear_velocity,
+        start.angular_velocity,
+        start.covariance,
+    ]
+    for frame in recording.frames:
+        seen, odometry = frame.observation, frame.odometry
+        parts += [np.float64(frame.timestamp), seen.ids, seen.uvd, seen.v_right, seen.R]
+        parts += [None] if odometry is None else [odometry.linear, odometry.angular, odometry.covariance]
+    for part in parts:
+        digest.update(b"-" if part is None else np.ascontiguousarray(part).tobytes() + b"|")
+    return digest.hexdigest()
+
+
+def _street(options: dict[str, Any], seed: int | None, frames: int | None) -> Recording:
+    from stereo_slam_env.envs.recorder import record  # PyBullet and Gymnasium, only where they are needed
+
+    return record(options, seed=seed or 0, frames=frames)
+
+
+def _reference(options: dict[str, Any], seed: int | None, frames: int | None) -> Recording:
+    from stereo_slam_env.benchmark import reference_problem
+
+    problems = {"long_drive": reference_problem.long_drive, "short_turn": reference_problem.short_turn}
+    name = options.pop("name", None)
+    if name not in problems:
+        raise ValueError(f"option name of a 'reference' scenario must be one of {', '.join(problems)}, got {name!r}")
+    if frames is not None:
+        options["frames"] = frames
+    return problems[name](seed=seed or 0, **options)
+
+
+def _called(options: dict[str, Any], seed: int | None) -> Recording:
+    target = options.pop("call", "")
+    module_name, _, function_name = str(target).partition(":")
+    try:
+        function = getattr(importlib.import_module(module_name), function_name)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise ValueError(f'option call must be "package.module:function", got {target!r}: {error}') from error
+    recording = function(seed=seed, **options)
+    if not isinstance(recording, Recording):
+        raise ValueError(f"{target} returned a {type(recording).__name__}, not a Recording")
+    return recording

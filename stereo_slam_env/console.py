@@ -1,0 +1,129 @@
+"""What the command line shows: settings, the progress bar and the result table."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Table
+
+from stereo_slam_env.benchmark.campaign import Progress as ProgressCallback
+from stereo_slam_env.benchmark.results import FilterSummary
+from stereo_slam_env.benchmark.scenario import Scenario
+from stereo_slam_env.recording import Recording
+
+NOTHING = "–"
+
+
+def show_settings(console: Console, scenario: Scenario) -> None:
+    """Print what the filters will assume: nothing of it is hidden in the code."""
+    noise = "as the recording says" if scenario.noise is None else f"{json.dumps(dict(scenario.noise))} px"
+    motion = scenario.motion
+    lines = {
+        "scenario": f"{scenario.name} ({scenario.kind} {json.dumps(dict(scenario.options))})",
+        "frames": "all" if scenario.frames is None else str(scenario.frames),
+        "assumed noise": noise,
+        "gate": "none" if scenario.gate is None else f"{scenario.gate:g} per landmark",
+        "odometry": "used" if scenario.use_odometry else "not used",
+        "motion": f"{motion['sigma_acceleration']:g} m/s², {motion['sigma_angular_acceleration']:g} rad/s²",
+        "filters": ", ".join(
+            choice.label + (f" {json.dumps(dict(choice.options))}" if choice.options else "")
+            for choice in scenario.filters
+        ),
+    }
+    if scenario.kind != "dataset":
+        lines["seeds"] = f"{len(scenario.seeds)} ({_ranges(scenario.seeds)})"
+    for name, value in lines.items():
+        console.print(f"[dim]{name:>14}[/dim]  {value}", highlight=False, soft_wrap=True)
+
+
+def show_recording(console: Console, recording: Recording) -> None:
+    """Print what a real recording holds and how it was read."""
+    frames = recording.frames
+    observed = sum(len(frame.observation) for frame in frames)
+    with_truth = sum(frame.truth is not None for frame in frames)
+    lines = {
+        "recording": f"{recording.name}: {len(frames)} frames, {frames[-1].timestamp - frames[0].timestamp:.1f} s, "
+        f"{observed / len(frames):.0f} landmarks a frame, {with_truth} frames with truth",
+        "read as": ", ".join(f"{key} = {value}" for key, value in recording.source.items()),
+    }
+    for name, value in lines.items():
+        console.print(f"[dim]{name:>14}[/dim]  {value}", highlight=False, soft_wrap=True)
+
+
+@contextmanager
+def progress_bar(console: Console) -> Iterator[ProgressCallback]:
+    """A bar with the time left, to be used as `progress=`."""
+    columns = (
+        TextColumn("running"),
+        BarColumn(),
+        TextColumn("{task.fields[trials]}"),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+    )
+    bar = Progress(*columns, console=console)
+    task = bar.add_task("running", total=None, trials="")
+
+    def tell(done: float, total: int) -> None:
+        if not bar.live.is_started:  # not before there is something to tell: wrong input is refused before that
+            bar.start()
+        bar.update(task, completed=done, total=total, trials=f"{math.floor(done)} of {total} trials")
+
+    try:
+        yield tell
+    finally:
+        if bar.live.is_started:
+            bar.stop()
+
+
+def show_results(console: Console, summaries: Sequence[FilterSummary]) -> None:
+    """Print the result table, a column a filter, and a line for each run that failed."""
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    table.add_column("", no_wrap=True)
+    for summary in summaries:
+        table.add_column(summary.filter_name, justify="right")
+    for name, cells in _rows(summaries).items():
+        if set(cells) != {NOTHING}:
+            table.add_row(name, *cells)
+    console.print(table, highlight=False)
+    for summary in summaries:
+        for failure in summary.failures:
+            console.print(f"[red]{summary.filter_name} failed[/red]: {failure}", highlight=False, soft_wrap=True)
+
+
+def _rows(summaries: Sequence[FilterSummary]) -> dict[str, list[str]]:
+    def row(field: str, digits: int, scale: float = 1.0) -> list[str]:
+        return [_number(getattr(summary, field), digits, scale) for summary in summaries]
+
+    band = next((s.pose_anees_band for s in summaries if s.pose_anees_band is not None), (0.0, 0.0))
+    return {
+        "position RMSE, m": row("position_rmse_m", 3),
+        "ATE (rigidly aligned), m": row("ate_rigid_m", 3),
+        "rotation RMSE, °": row("rotation_rmse_deg", 3),
+        "drift at the end, %": row("end_drift_percent", 3),
+        f"pose NEES / 6 (95 %: {band[0] / 6.0:.2f}–{band[1] / 6.0:.2f})": row("pose_anees", 2, 1.0 / 6.0),
+        "frames inside that band, %": row("frames_in_band_percent", 0),
+        "NIS / dof": row("nis", 2),
+        "landmark NEES / 3": row("landmark_anees", 2, 1.0 / 3.0),
+        "landmark error, m": row("landmark_rmse_m", 3),
+        "gated, %": row("gated_percent", 1),
+        "ms a frame": row("ms_per_frame", 2),
+        "diverged runs": [f"{summary.diverged} of {summary.runs}" for summary in summaries],
+    }
+
+
+def _number(value: float | None, digits: int, scale: float = 1.0) -> str:
+    if value is None:
+        return NOTHING
+    scaled = value * scale
+    return f"{scaled:.{digits}f}" if abs(scaled) < 1e4 else f"{scaled:.1e}"
+
+
+def _ranges(seeds: Sequence[int]) -> str:
+    consecutive = list(seeds) == list(range(seeds[0], seeds[0] + len(seeds)))
+    return f"{seeds[0]} to {seeds[-1]}" if consecutive and len(seeds) > 1 else ", ".join(map(str, seeds))

@@ -1,0 +1,84 @@
+"""Readers of real recordings. Each yields the same `Recording` that the environment yields.
+
+To add a layout: a module with `NAME`, `FILES`, `recognises(path)` and `read(path, **options)`, listed in `READERS`.
+"""
+
+from __future__ import annotations
+
+import difflib
+import inspect
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from stereo_slam_env.datasets import gtsam_examples, kitti00_stereo_tracks, kitti07_tracks
+from stereo_slam_env.recording import Recording
+
+READERS = (kitti07_tracks, kitti00_stereo_tracks)
+
+__all__ = ["READERS", "known_layouts", "read_recording"]
+
+
+def known_layouts() -> dict[str, str]:
+    """What `read_recording` takes: name -> the files that tell a folder of this layout, or what to write."""
+    layouts = {reader.NAME: "folder with " + ", ".join(reader.FILES) for reader in READERS}
+    for name in gtsam_examples.EXAMPLES:
+        layouts[f"{gtsam_examples.PREFIX}:{name}"] = "example data of the gtsam wheel, no folder needed"
+    return layouts
+
+
+def read_recording(path: str | Path, **options: Any) -> Recording:
+    """Read a real recording; the layout is recognised by the files in the folder.
+
+    Parameters
+    ----------
+    path : str or Path
+        A folder, or `gtsam` / `gtsam:NAME` for the example data of the gtsam wheel.
+    **options
+        Options of the reader, see its `read`.
+
+    Raises
+    ------
+    ValueError
+        No such folder, no known layout, an unknown option, or a damaged file: one line that names it.
+    ImportError
+        The example data needs gtsam, which is not installed.
+    """
+    text = str(path)
+    prefix, _, name = text.partition(":")
+    if prefix == gtsam_examples.PREFIX and not Path(text).exists():
+        _check_options(gtsam_examples.read, options)
+        return gtsam_examples.read(name or "kitti00", **options)
+    folder = Path(path)
+    if not folder.is_dir():
+        what = "is a file, not a folder" if folder.exists() else "does not exist"
+        raise ValueError(f"{folder} {what}: give a folder of a known layout ({_layouts()})")
+    for reader in READERS:
+        if reader.recognises(folder):
+            _check_options(reader.read, options)
+            read: Callable[..., Recording] = reader.read
+            return read(folder, **options)
+    raise ValueError(f"{folder} has no known layout: {_nearest(folder)}known are {_layouts()}")
+
+
+def _check_options(read: Callable[..., Recording], options: dict[str, Any]) -> None:
+    known = [n for n, p in inspect.signature(read).parameters.items() if p.kind is inspect.Parameter.KEYWORD_ONLY]
+    for option in options:
+        if option not in known:
+            near = difflib.get_close_matches(option, known, n=1)
+            hint = f", did you mean {near[0]}?" if near else ""
+            raise ValueError(f"the reader has no option {option!r}{hint} Known: {', '.join(known)}")
+
+
+def _layouts() -> str:
+    return "; ".join(f"{name}: {what}" for name, what in known_layouts().items())
+
+
+def _nearest(folder: Path) -> str:
+    """Say what is missing when the folder has a part of a layout."""
+    present = {reader: [name for name in reader.FILES if (folder / name).is_file()] for reader in READERS}
+    reader = max(READERS, key=lambda reader: len(present[reader]))
+    if not present[reader]:
+        return ""
+    missing = [name for name in reader.FILES if name not in present[reader]]
+    return f"for {reader.NAME} it lacks {', '.join(missing)}; "

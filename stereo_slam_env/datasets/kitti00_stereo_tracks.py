@@ -1,0 +1,166 @@
+"""Dense stereo feature tracks over the first frames of KITTI odometry 00 (from GTSAM's example data).
+
+Layout: `stereo_factors.txt` (frame_id landmark_id uL uR v X Y Z), `calibration.txt` (fx fy skew cx cy baseline),
+`vo_poses.txt` (frame_id, 4x4 T_world_cam by stereo odometry), and, for scoring, `poses.txt` (KITTI ground truth)
+and `times.txt`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from filters.camera import StereoCamera
+from filters.noise import StereoNoise
+from filters.validation import FloatArray, IntArray
+from stereo_slam_env.datasets.tables import read_poses, read_table, split_poses
+from stereo_slam_env.datasets.tracks import ASSUMED_SIGMA_PX, Tracks, frames_of
+from stereo_slam_env.recording import Pose, Recording
+
+NAME = "kitti00_stereo_tracks"
+FILES = ("stereo_factors.txt", "calibration.txt", "vo_poses.txt", "poses.txt", "times.txt")
+IMAGE_SIZE = (1241, 376)  # rectified images of the drives of 2011_10_03
+FIRST_SCORED_FRAME = 16  # before it the INS was not yet recording: the ground truth is an extrapolation
+
+
+def recognises(path: Path) -> bool:
+    """Whether the folder has this layout."""
+    return all((path / name).is_file() for name in FILES)
+
+
+def read(path: Path, *, sigma_px: float = ASSUMED_SIGMA_PX, max_per_frame: int | None = 100) -> Recording:
+    """Read the folder.
+
+    Parameters
+    ----------
+    path : Path
+        Folder with the files named in `FILES`.
+    sigma_px : float
+        Standard deviation of a pixel coordinate to assume, px.
+    max_per_frame : int, optional
+        Thin the tracks to so many landmarks at a time, long tracks first; None keeps all (387 to 852 a frame, too
+        many for a filter whose cost grows with their square or cube).
+
+    Returns
+    -------
+    Recording
+        W is the left camera at frame 0. The ground truth of the frames before `FIRST_SCORED_FRAME` is wrong in the
+        source, so they have none; the rest is moved rigidly so that the first scored pose is the one of the
+        stereo odometry, because the true pose of frame 0 is not known. Some frame ids are absent in the source: a
+        longer step, no empty frame. No odometry. One common row v was stored, so there is no `v_right`.
+
+    Raises
+    ------
+    ValueError
+        A file is damaged, has the wrong shape, or holds NaN: the message names it.
+    """
+    frame_ids, odometry_poses = read_odometry_poses(path / "vo_poses.txt")
+    times = read_table(path / "times.txt", 1).reshape(-1)
+    positions, orientations = read_poses(path / "poses.txt")
+    known = min(len(times), len(positions))
+    if frame_ids[-1] >= known:
+        raise ValueError(f"{path}: vo_poses.txt has frame {frame_ids[-1]}, times.txt and poses.txt end at {known - 1}")
+    first = int(np.searchsorted(frame_ids, FIRST_SCORED_FRAME))
+    truth: list[Pose | None] = [None] * len(frame_ids)
+    if first < len(frame_ids):
+        anchor, scored = odometry_poses[first], frame_ids[first:]
+        moved = _moved_to(anchor, positions[scored], orientations[scored])
+        truth[first:] = moved
+    return tracks_recording(
+        NAME,
+        stereo_factors=path / "stereo_factors.txt",
+        calibration=path / "calibration.txt",
+        frame_ids=frame_ids,
+        timestamps=times[frame_ids],
+        truth=truth,
+        image_size=IMAGE_SIZE,
+        sigma_px=sigma_px,
+        max_per_frame=max_per_frame,
+        source={
+            "reader": NAME,
+            "path": str(path),
+            "truth": f"KITTI ground truth (GPS/INS) from frame {FIRST_SCORED_FRAME} on, placed on the odometry there",
+        },
+    )
+
+
+def read_odometry_poses(path: Path) -> tuple[IntArray, FloatArray]:
+    """Frame ids (K,), ascending, and T_world_cam (K, 4, 4) of a table `frame_id T00 ... T33`."""
+    table = read_table(path, 17)
+    frame_ids = table[:, 0].astype(np.int64)
+    if not (np.diff(frame_ids) > 0).all():
+        raise ValueError(f"{path}: frame ids must increase: sort the rows")
+    return frame_ids, table[:, 1:].reshape(-1, 4, 4)
+
+
+def tracks_recording(
+    name: str,
+    *,
+    stereo_factors: Path,
+    calibration: Path,
+    frame_ids: IntArray,
+    timestamps: FloatArray,
+    truth: list[Pose | None],
+    image_size: tuple[int, int],
+    sigma_px: float,
+    max_per_frame: int | None,
+    source: Mapping[str, Any],
+) -> Recording:
+    """The recording of GTSAM's stereo factor files, whatever they are called.
+
+    Parameters
+    ----------
+    stereo_factors, calibration : Path
+        Files as described at the top of this module.
+    frame_ids : (K,) ndarray
+        Frames to use, ascending; every frame of `stereo_factors` must be among them.
+    timestamps : (K,) ndarray
+        s.
+    truth : list of K
+        Poses to score against, or None.
+    """
+    fx, fy, _, cx, cy, baseline = read_table(calibration, 6)[0].tolist()
+    table = read_table(stereo_factors, 8)
+    ids = table[:, 0].astype(np.int64)
+    unknown = np.setdiff1d(ids, frame_ids)
+    if unknown.size:
+        raise ValueError(f"{stereo_factors} has observations of frame {unknown[0]}, which has no pose")
+    u_left, u_right, v = table[:, 2], table[:, 3], table[:, 4]
+    tracks = Tracks(
+        np.searchsorted(frame_ids, ids),
+        table[:, 1].astype(np.int64),
+        np.column_stack([u_left, v, u_left - u_right]),
+    )
+    usable = tracks.with_positive_disparity()
+    thinned = usable.thinned(max_per_frame)
+    settings = {
+        "sigma_px": float(sigma_px),
+        "max_per_frame": max_per_frame,
+        "dropped_non_positive_disparity": len(tracks) - len(usable),
+        "observations_used": len(thinned),
+        "observations_in_file": len(tracks),
+    }
+    return Recording(
+        name,
+        StereoCamera(fx, fy, cx, cy, baseline, *image_size),
+        frames_of(thinned, timestamps, truth),
+        StereoNoise.independent_pixels(sigma_px),
+        source={**source, **settings},
+    )
+
+
+def _moved_to(anchor: FloatArray, positions: FloatArray, orientations: FloatArray) -> list[Pose]:
+    """Poses moved rigidly so that the first of them becomes the 4x4 pose `anchor`."""
+    rotations = Rotation.from_quat(orientations)
+    turn = Rotation.from_matrix(anchor[:3, :3]) * rotations[0].inv()
+    moved = turn.apply(positions - positions[0]) + anchor[:3, 3]
+    return [Pose(r, q) for r, q in zip(moved, (turn * rotations).as_quat(), strict=True)]
+
+
+def odometry_truth(odometry_poses: FloatArray) -> list[Pose | None]:
+    """The stereo odometry as reference, where there is nothing better."""
+    return [Pose(r, q) for r, q in zip(*split_poses(odometry_poses), strict=True)]

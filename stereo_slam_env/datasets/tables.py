@@ -1,0 +1,99 @@
+"""Numeric text files and npz archives, read with errors that name the file and the row."""
+
+from __future__ import annotations
+
+import zipfile
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from filters.validation import FloatArray
+
+
+def read_table(path: Path, columns: int, *, delimiter: str | None = None, header_lines: int = 0) -> FloatArray:
+    """Read a numeric table.
+
+    Parameters
+    ----------
+    path : Path
+        Text file, one row a line.
+    columns : int
+        Wanted number of columns.
+    delimiter : str, optional
+        None for white space.
+    header_lines : int
+        Lines to skip.
+
+    Returns
+    -------
+    (rows, columns) ndarray
+
+    Raises
+    ------
+    ValueError
+        Not a table of that width, empty, or with NaN or infinity: the message names the file and the row.
+    """
+    try:
+        table = np.loadtxt(path, dtype=np.float64, delimiter=delimiter, skiprows=header_lines, ndmin=2)
+    except (ValueError, UnicodeDecodeError) as error:
+        raise ValueError(f"{path} is not a table of {columns} numbers a row: {first_line(error)}") from error
+    if table.size == 0:
+        raise ValueError(f"{path} is empty: {columns} numbers a row were expected")
+    if table.shape[1] != columns:
+        raise ValueError(f"{path} has {table.shape[1]} columns where {columns} were expected")
+    require_finite_rows(path, table)
+    return table
+
+
+def read_archive(path: Path, keys: tuple[str, ...]) -> dict[str, FloatArray]:
+    """Read float64 arrays from an npz archive (no pickles).
+
+    Raises
+    ------
+    ValueError
+        The archive is damaged or lacks a key; the message names the file.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            missing = [key for key in keys if key not in archive.files]
+            if missing:
+                raise KeyError(", ".join(missing))
+            return {key: np.asarray(archive[key], dtype=np.float64) for key in keys}
+    except KeyError as error:
+        raise ValueError(f"{path} lacks the array {error.args[0]}") from error
+    except (ValueError, EOFError, OSError, zipfile.BadZipFile) as error:
+        if isinstance(error, FileNotFoundError):
+            raise
+        raise ValueError(f"{path} is damaged and cannot be read: copy it again ({first_line(error)})") from error
+
+
+def read_poses(path: Path) -> tuple[FloatArray, FloatArray]:
+    """Read KITTI poses: 12 numbers a row, the upper 3x4 part of T_world_cam.
+
+    Returns
+    -------
+    positions : (K, 3) ndarray
+        r^WC, m.
+    orientations : (K, 4) ndarray
+        q^WC, xyzw.
+    """
+    return split_poses(read_table(path, 12).reshape(-1, 3, 4))
+
+
+def split_poses(matrices: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Positions (K, 3) and unit quaternions xyzw (K, 4) of K matrices whose upper 3x4 part is [R | t]."""
+    return matrices[:, :3, 3].copy(), Rotation.from_matrix(matrices[:, :3, :3]).as_quat()
+
+
+def require_finite_rows(path: Path, table: FloatArray) -> None:
+    """Raise a `ValueError` naming the first row of `table` that holds NaN or infinity."""
+    bad = np.flatnonzero(~np.isfinite(table).all(axis=1))
+    if bad.size:
+        raise ValueError(f"{path} has NaN or infinity in {bad.size} rows, the first is row {bad[0]}: remove them")
+
+
+def first_line(error: BaseException) -> str:
+    """First line of an exception's message, or its type where the message is empty."""
+    text = str(error).strip()
+    return text.splitlines()[0] if text else type(error).__name__

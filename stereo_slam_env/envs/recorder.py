@@ -1,0 +1,86 @@
+"""Record an episode: the measurement stream that any number of filters can then be run on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any
+
+import numpy as np
+
+from stereo_slam_env.envs.drive import StereoDriveEnv
+from stereo_slam_env.recording import Recording
+
+
+def record(
+    env_kwargs: Mapping[str, Any] | None = None,
+    seed: int = 0,
+    frames: int | None = None,
+    progress: Callable[[int, int | None], None] | None = None,
+) -> Recording:
+    """Drive a scripted route and keep what was measured.
+
+    Parameters
+    ----------
+    env_kwargs : mapping, optional
+        Arguments of `StereoDriveEnv`; `policy` must be "route".
+    seed : int
+        Seed of the episode: same seed, same bits.
+    frames : int, optional
+        Stop after this many; None: at the end of the route.
+    progress : callable, optional
+        Called after each frame with the number of frames so far and the number wanted (None: not known).
+
+    Returns
+    -------
+    Recording
+        With truth; `source` says how to make it again.
+
+    Raises
+    ------
+    ValueError
+        An argument of the environment is not allowed, `policy` is not "route", `frames` is less than 1, or the
+        drive ended before `frames`.
+    """
+    kwargs = dict(env_kwargs or {})
+    if kwargs.get("policy", "route") != "route":
+        raise ValueError(f"policy must be 'route' to record without an agent, got {kwargs['policy']!r}")
+    if frames is not None and frames < 1:
+        raise ValueError(f"frames must be at least 1, got {frames!r}")
+    env = StereoDriveEnv(**kwargs)
+    try:
+        env.reset(seed=seed)
+        collected = [env.frame]
+        idle = np.zeros(2, dtype=np.float32)
+        over = False
+        while not over and (frames is None or len(collected) < frames):
+            over = env.step(idle)[2]
+            collected.append(env.frame)
+            if progress is not None:
+                progress(len(collected), frames)
+        if frames is not None and len(collected) < frames:
+            raise ValueError(f"frames must be at most {len(collected)} on route {env.options.route!r}, got {frames}")
+        return Recording(
+            name=f"{env.options.route}-{env.options.noise}-{seed}",
+            camera=env.camera,
+            frames=tuple(collected),
+            noise=env.noise,
+            start=env.start,
+            landmarks=env.landmark_truth(),
+            source={
+                "environment": "StereoSlam/Drive-v0",
+                "arguments": env.options.as_dict(),
+                "seed": seed,
+                "frames": len(collected),
+                "versions": {name: _version(name) for name in ("stereo-slam-env", "numpy", "pybullet", "gymnasium")},
+            },
+        )
+    finally:
+        env.close()
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "not installed"

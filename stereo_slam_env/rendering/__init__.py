@@ -1,0 +1,1 @@
+"""From a scene and a pose to stereo images."""

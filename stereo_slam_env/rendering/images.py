@@ -1,0 +1,36 @@
+"""What every renderer returns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from filters.validation import FloatArray
+from stereo_slam_env.recording import Pose
+
+
+@dataclass(frozen=True, eq=False)
+class StereoImages:
+    """A rendered pair.
+
+    Attributes
+    ----------
+    left, right : (H, W, 3) uint8
+        RGB.
+    depth : (H, W) float64
+        Depth z of the left image, m; infinity where there is nothing.
+    """
+
+    left: NDArray[np.uint8]
+    right: NDArray[np.uint8]
+    depth: FloatArray
+
+
+class StereoRenderer(Protocol):
+    """A back end that draws both eyes."""
+
+    def render_pair(self, pose: Pose) -> StereoImages:
+        """Draw what the rig sees from `pose` (left camera in W)."""

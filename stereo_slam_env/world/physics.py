@@ -1,0 +1,267 @@
+"""The physics engine: rays, collisions and pictures of a scene. The only file that imports pybullet."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+import weakref
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pybullet
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from filters.validation import BoolArray, FloatArray
+from stereo_slam_env.world.meshes import obj_text, scene_meshes
+from stereo_slam_env.world.scene import Box, Cylinder, Primitive, Scene
+from stereo_slam_env.world.textures import texture
+
+_SHAPES_PER_BODY = 4
+"""Neighbouring solids share a body: building is faster than with one each, rays as fast. PyBullet allows 16."""
+_EGO_GROUP = 64
+_NOT_EGO = 0xFFFF & ~_EGO_GROUP
+_SURFACE_GAP = 0.05
+"""A ray to a point on a surface stops this short of it, m, so that the surface itself does not hide it."""
+_BELOW_EVERYTHING = [0.0, 0.0, -500.0]
+
+
+class PhysicsWorld:
+    """A scene in PyBullet, without a window. Everything is in the scene frame S.
+
+    The engine is started by the first `build`, so an unused world costs nothing. `close` may be called at any time,
+    also twice; `build` starts again.
+    """
+
+    def __init__(self) -> None:
+        self._client: int | None = None
+        self._ego = -1
+        self._drawn = False
+        self._stop: weakref.finalize[[int, Path], PhysicsWorld] | None = None
+
+    def build(self, scene: Scene, ego_size: tuple[float, float, float], *, draw: bool) -> None:
+        """Replace whatever is there by `scene` and the body of the driving car.
+
+        Parameters
+        ----------
+        scene : Scene
+            What to build.
+        ego_size : tuple
+            Length, width, height of the car's body, m.
+        draw : bool
+            Whether `camera_image` will be wanted; without it building is faster.
+        """
+        if self._client is None:
+            self._client = pybullet.connect(pybullet.DIRECT)
+            self._directory = Path(tempfile.mkdtemp(prefix="stereo-slam-"))
+            self._stop = weakref.finalize(self, _stop_engine, self._client, self._directory)
+        pybullet.resetSimulation(physicsClientId=self._client)
+        pybullet.setPhysicsEngineParameter(enableFileCaching=0, physicsClientId=self._client)
+        self._drawn = draw
+        self._add_solids(scene.solids)
+        self._ego = self._add_ego(ego_size)
+        if draw:
+            self._add_visuals(scene)
+
+    def visible(self, eyes: FloatArray, points: FloatArray) -> BoolArray:
+        """Which points are seen from every eye: nothing but the driving car is in between.
+
+        Parameters
+        ----------
+        eyes : (E, 3)
+            Positions, m.
+        points : (N, 3)
+            Points on surfaces, m.
+
+        Returns
+        -------
+        (N,) ndarray of bool
+        """
+        if len(points) == 0:
+            return np.zeros(0, dtype=bool)
+        starts = np.repeat(eyes, len(points), axis=0)
+        ends = np.tile(points, (len(eyes), 1))
+        ray = ends - starts
+        ends = ends - ray * (_SURFACE_GAP / np.linalg.norm(ray, axis=1, keepdims=True))
+        hits = pybullet.rayTestBatch(
+            starts.tolist(), ends.tolist(), numThreads=1, collisionFilterMask=_NOT_EGO, physicsClientId=self._connected
+        )
+        free = np.fromiter((hit[0] < 0 for hit in hits), dtype=bool, count=len(hits))
+        return np.asarray(free.reshape(len(eyes), len(points)).all(axis=0))
+
+    def ego_collides(self, position: FloatArray, R_sb: FloatArray) -> bool:
+        """Put the car's body (its x axis forward) at a pose and tell whether it touches a solid."""
+        client = self._connected
+        pybullet.resetBasePositionAndOrientation(
+            self._ego, position.tolist(), Rotation.from_matrix(R_sb).as_quat().tolist(), physicsClientId=client
+        )
+        pybullet.performCollisionDetection(physicsClientId=client)
+        contacts = pybullet.getContactPoints(bodyA=self._ego, physicsClientId=client) or ()
+        return any(contact[8] <= 0.0 for contact in contacts)
+
+    def camera_image(
+        self, view: FloatArray, projection: FloatArray, width: int, height: int, light: Sequence[float]
+    ) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
+        """Draw with TinyRenderer.
+
+        Parameters
+        ----------
+        view, projection : (4, 4)
+            OpenGL matrices, row-major.
+        width, height : int
+            px.
+        light : (3,)
+            Direction towards the sun.
+
+        Returns
+        -------
+        rgb : (H, W, 3) uint8
+        depth : (H, W) float32
+            Depth buffer in 0..1; at the far end (to float32) there is nothing.
+
+        Raises
+        ------
+        RuntimeError
+            The world was built without pictures.
+        """
+        if not self._drawn:
+            raise RuntimeError("the scene was built without pictures: build it with draw=True")
+        _, _, rgba, depth, _ = pybullet.getCameraImage(
+            width,
+            height,
+            viewMatrix=view.flatten(order="F").tolist(),
+            projectionMatrix=projection.flatten(order="F").tolist(),
+            lightDirection=list(light),
+            lightColor=[1.0, 1.0, 1.0],
+            lightAmbientCoeff=0.72,
+            lightDiffuseCoeff=0.45,
+            lightSpecularCoeff=0.0,
+            shadow=0,
+            flags=pybullet.ER_NO_SEGMENTATION_MASK,
+            renderer=pybullet.ER_TINY_RENDERER,
+            physicsClientId=self._connected,
+        )
+        # A PyBullet built without NumPy returns tuples; the reshape serves both.
+        rgb = np.reshape(np.asarray(rgba, dtype=np.uint8), (height, width, 4))[..., :3]
+        return np.ascontiguousarray(rgb), np.reshape(np.asarray(depth, dtype=np.float32), (height, width))
+
+    def close(self) -> None:
+        """Stop the engine."""
+        if self._stop is not None:
+            self._stop()
+        self._client = self._stop = None
+
+    @property
+    def _connected(self) -> int:
+        if self._client is None:
+            raise RuntimeError("the world is not built: reset the environment first")
+        return self._client
+
+    def _add_solids(self, solids: Sequence[Primitive]) -> None:
+        client = self._connected
+        hidden = self._hidden_visual()
+        ground = pybullet.createCollisionShape(pybullet.GEOM_PLANE, physicsClientId=client)
+        pybullet.createMultiBody(0, ground, hidden, physicsClientId=client)
+        for first in range(0, len(solids), _SHAPES_PER_BODY):
+            group = [_collision_shape(solid) for solid in solids[first : first + _SHAPES_PER_BODY]]
+            columns = {key: [shape[key] for shape in group] for key in group[0]}
+            body = pybullet.createCollisionShapeArray(**columns, physicsClientId=client)
+            pybullet.createMultiBody(0, body, hidden, physicsClientId=client)
+
+    def _hidden_visual(self) -> int:
+        """A speck below everything: without a visual, TinyRenderer would draw the collision shape."""
+        return int(
+            pybullet.createVisualShape(
+                pybullet.GEOM_MESH,
+                vertices=[[0, 0, 0], [1e-3, 0, 0], [0, 1e-3, 0]],
+                indices=[0, 1, 2],
+                normals=[[0, 0, 1]] * 3,
+                visualFramePosition=_BELOW_EVERYTHING,
+                physicsClientId=self._connected,
+            )
+        )
+
+    def _add_ego(self, size: tuple[float, float, float]) -> int:
+        client = self._connected
+        shape = pybullet.createCollisionShape(
+            pybullet.GEOM_BOX, halfExtents=[0.5 * s for s in size], physicsClientId=client
+        )
+        ego = int(pybullet.createMultiBody(1.0, shape, self._hidden_visual(), physicsClientId=client))
+        pybullet.setCollisionFilterGroupMask(ego, -1, _EGO_GROUP, _NOT_EGO, physicsClientId=client)
+        return ego
+
+    def _add_visuals(self, scene: Scene) -> None:
+        client = self._connected
+        loaded: dict[str, int] = {}
+        # Meshes go through files because PyBullet leaks every vertex that is passed as a Python object.
+        mesh_file = self._directory / "mesh.obj"
+        for material, mesh in scene_meshes(scene).items():
+            mesh_file.write_text(obj_text(mesh), encoding="ascii")
+            visual = pybullet.createVisualShape(
+                pybullet.GEOM_MESH,
+                fileName=str(mesh_file),
+                rgbaColor=[*material.color, 1.0],
+                physicsClientId=client,
+            )
+            body = pybullet.createMultiBody(0, -1, visual, physicsClientId=client)
+            if material.texture is not None:
+                if material.texture not in loaded:
+                    path = str(self._texture_file(material.texture))
+                    loaded[material.texture] = pybullet.loadTexture(path, physicsClientId=client)
+                pybullet.changeVisualShape(body, -1, textureUniqueId=loaded[material.texture], physicsClientId=client)
+
+    def _texture_file(self, name: str) -> Path:
+        """PyBullet takes textures from files only; the same file again costs no memory."""
+        path = self._directory / f"{name}.png"
+        if not path.exists():
+            cv2.imwrite(str(path), cv2.cvtColor(texture(name), cv2.COLOR_RGB2BGR))
+        return path
+
+
+def _stop_engine(client: int, directory: Path) -> None:
+    """Also runs when a world is garbage-collected, so it must not refer to the world."""
+    pybullet.disconnect(physicsClientId=client)
+    shutil.rmtree(directory, ignore_errors=True)
+
+
+def _collision_shape(shape: Primitive) -> dict[str, Any]:
+    """Arguments of `createCollisionShapeArray` for one shape."""
+    arguments: dict[str, Any] = {
+        "shapeTypes": pybullet.GEOM_SPHERE,
+        "halfExtents": [1.0, 1.0, 1.0],
+        "radii": 1.0,
+        "lengths": 1.0,
+        "collisionFramePositions": [0.0, 0.0, 0.0],
+        "collisionFrameOrientations": [0.0, 0.0, 0.0, 1.0],
+    }
+    if isinstance(shape, Box):
+        arguments |= {
+            "shapeTypes": pybullet.GEOM_BOX,
+            "halfExtents": [0.5 * s for s in shape.size],
+            "collisionFramePositions": list(shape.center),
+            "collisionFrameOrientations": Rotation.from_euler("z", shape.yaw).as_quat().tolist(),
+        }
+    elif isinstance(shape, Cylinder):
+        start, end = np.array(shape.start), np.array(shape.end)
+        length = float(np.linalg.norm(end - start))
+        arguments |= {
+            "shapeTypes": pybullet.GEOM_CYLINDER,
+            "radii": shape.radius,
+            "lengths": length,
+            "collisionFramePositions": (0.5 * (start + end)).tolist(),
+            "collisionFrameOrientations": _turn_from_z((end - start) / length),
+        }
+    else:
+        arguments |= {"radii": shape.radius, "collisionFramePositions": list(shape.center)}
+    return arguments
+
+
+def _turn_from_z(axis: FloatArray) -> list[float]:
+    """A quaternion xyzw that turns z into the unit vector `axis` or, the same for a cylinder, into -axis."""
+    x, y, z = axis if axis[2] >= 0 else -axis
+    quaternion = np.array([-y, x, 0.0, 1.0 + z])
+    turned: list[float] = (quaternion / np.linalg.norm(quaternion)).tolist()
+    return turned

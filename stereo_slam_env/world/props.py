@@ -1,0 +1,178 @@
+"""The things that stand in a street, each composed of a few primitives."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from filters.validation import FloatArray
+from stereo_slam_env.world.scene import Box, Cylinder, Material, Primitive, Sphere, Vector
+
+_BAY = 3.2
+"""Width and height of one window bay of a facade, m."""
+_GROUND_FLOOR = 3.6
+
+_WALLS: tuple[tuple[str, Vector], ...] = (
+    ("plaster", (0.93, 0.86, 0.70)),
+    ("plaster", (0.82, 0.86, 0.88)),
+    ("plaster", (0.95, 0.78, 0.64)),
+    ("plaster", (0.78, 0.86, 0.74)),
+    ("brick", (0.78, 0.46, 0.36)),
+    ("brick", (0.66, 0.50, 0.42)),
+    ("brick", (0.88, 0.74, 0.56)),
+    ("balcony", (0.92, 0.90, 0.84)),
+    ("balcony", (0.86, 0.72, 0.58)),
+    ("office", (0.78, 0.82, 0.86)),
+)
+_SHOPS: tuple[Vector, ...] = ((1.0, 0.96, 0.90), (0.92, 0.86, 0.80), (0.84, 0.88, 0.92))
+_ROOFS: tuple[Vector, ...] = ((0.50, 0.36, 0.32), (0.40, 0.40, 0.43))
+_PAINTS: tuple[Vector, ...] = (
+    (0.72, 0.12, 0.12),
+    (0.14, 0.28, 0.56),
+    (0.86, 0.87, 0.88),
+    (0.32, 0.34, 0.37),
+    (0.90, 0.68, 0.16),
+    (0.16, 0.42, 0.34),
+)
+_GLASS = Material((0.16, 0.20, 0.25))
+_RUBBER = Material((0.09, 0.09, 0.10))
+_LAMP = Material((0.96, 0.94, 0.84))
+_TAIL = Material((0.75, 0.10, 0.08))
+_STEEL = Material((0.42, 0.45, 0.48))
+_SHADE = Material((0.20, 0.20, 0.21))
+_SIGN = Material((0.14, 0.34, 0.70))
+_BARK = Material((0.9, 0.9, 0.9), "bark", (1.2, 2.0))
+_LEAVES = (
+    Material((0.92, 1.0, 0.85), "leaves", (2.0, 2.0)),
+    Material((0.80, 0.86, 0.62), "leaves", (2.4, 2.4)),
+)
+
+
+class Placed:
+    """A place to build at: turns local coordinates (x along, y to the left, z up) into S.
+
+    Parameters
+    ----------
+    xy : (2,)
+        Origin, m.
+    yaw : float
+        Direction of local x about z, rad.
+    """
+
+    def __init__(self, xy: FloatArray, yaw: float) -> None:
+        self.xy, self.yaw = xy, yaw
+
+    def point(self, x: float, y: float, z: float) -> Vector:
+        """A local point in S."""
+        cos, sin = np.cos(self.yaw), np.sin(self.yaw)
+        return float(self.xy[0] + cos * x - sin * y), float(self.xy[1] + sin * x + cos * y), z
+
+    def box(self, at: Vector, size: Vector, material: Material, *, solid: bool = True) -> Box:
+        """A box aligned with the place; `at` is the centre of its bottom face."""
+        return Box(self.point(at[0], at[1], at[2] + 0.5 * size[2]), size, float(self.yaw), material, solid)
+
+    def rod(self, start: Vector, end: Vector, radius: float, material: Material, *, solid: bool = True) -> Cylinder:
+        """A cylinder from `start` to `end`."""
+        return Cylinder(self.point(*start), self.point(*end), radius, material, solid)
+
+
+def building(at: Placed, length: float, depth: float, floors: int, rng: np.random.Generator) -> list[Primitive]:
+    """A house with a shop or a plinth on the ground floor, `floors` above it, and an eaves slab."""
+    style, color = _WALLS[rng.integers(len(_WALLS))]
+    bays = max(1, round(length / _BAY))
+    wall = Material(color, style, (4 * length / bays, 4 * _BAY))
+    shop = Material(_SHOPS[rng.integers(len(_SHOPS))], "shop", (4 * length / bays, _GROUND_FLOOR))
+    roof = Material(_ROOFS[rng.integers(len(_ROOFS))], "roof", (3.0, 3.0))
+    top = _GROUND_FLOOR + floors * _BAY
+    shape: list[Primitive] = [
+        at.box((0, 0, 0), (length, depth, _GROUND_FLOOR), shop),
+        at.box((0, 0, _GROUND_FLOOR), (length, depth, floors * _BAY), wall),
+        at.box((0, 0, _GROUND_FLOOR - 0.1), (length + 0.02, depth + 0.3, 0.25), replace(wall, texture=None)),
+        at.box((0, 0, top), (length + 0.1, depth + 0.6, 0.45), roof),
+    ]
+    for side in (-0.3, 0.25):
+        shape.append(at.box((side * length, 0, top + 0.45), (0.8, 0.8, 1.2), Material((0.55, 0.38, 0.33)), solid=False))
+    return shape
+
+
+def tower(at: Placed, length: float, depth: float, floors: int, rng: np.random.Generator) -> list[Primitive]:
+    """A tall building of the second row, seen over the first."""
+    style, color = _WALLS[rng.integers(len(_WALLS))]
+    wall = Material(color, style, (4 * _BAY, 4 * _BAY))
+    return [
+        at.box((0, 0, 0), (length, depth, floors * _BAY), wall),
+        at.box((0, 0, floors * _BAY), (length + 0.4, depth + 0.4, 0.5), Material((0.45, 0.45, 0.47))),
+    ]
+
+
+def car(at: Placed, rng: np.random.Generator) -> list[Primitive]:
+    """A parked car, front along local x."""
+    paint = Material(_PAINTS[rng.integers(len(_PAINTS))])
+    long, tall = float(rng.uniform(0.95, 1.12)), float(rng.uniform(0.95, 1.15))
+    wheels: list[Primitive] = [
+        at.rod((x * long, y - 0.1, 0.33), (x * long, y + 0.1, 0.33), 0.33, _RUBBER, solid=False)
+        for x in (-1.3, 1.35)
+        for y in (-0.82, 0.82)
+    ]
+    hubs: list[Primitive] = [
+        at.rod((x * long, y - 0.02, 0.33), (x * long, y + 0.02, 0.33), 0.19, _STEEL, solid=False)
+        for x in (-1.3, 1.35)
+        for y in (-0.92, 0.92)
+    ]
+    lights: list[Primitive] = [
+        at.box((x * long, y, 0.62), (0.08, 0.36, 0.15), material, solid=False)
+        for x, material in ((2.1, _LAMP), (-2.1, _TAIL))
+        for y in (-0.6, 0.6)
+    ]
+    return [
+        at.box((0, 0, 0.03), (4.3 * long, 1.7, 0.02), _SHADE, solid=False),
+        at.box((0, 0, 0.25), (4.2 * long, 1.76, 0.62), paint),
+        at.box((-0.2, 0, 0.87), (2.35 * long, 1.56, 0.44 * tall), _GLASS),
+        at.box((-0.2, 0, 0.87 + 0.44 * tall), (2.15 * long, 1.52, 0.08), paint),
+        *(at.box((x * long, y, 0.87), (0.1, 0.06, 0.46 * tall), paint, solid=False)
+          for x in (-1.32, -0.2, 0.88) for y in (-0.76, 0.76)),
+        *wheels,
+        *hubs,
+        *lights,
+    ]  # fmt: skip
+
+
+def street_lamp(at: Placed) -> list[Primitive]:
+    """A lamp post; its arm points along local x, over the road."""
+    return [
+        at.rod((0, 0, 0), (0, 0, 0.9), 0.13, _STEEL),
+        at.rod((0, 0, 0.9), (0, 0, 6.2), 0.08, _STEEL),
+        at.rod((0, 0, 6.15), (1.5, 0, 6.4), 0.05, _STEEL, solid=False),
+        at.box((1.7, 0, 6.32), (0.8, 0.26, 0.14), _LAMP, solid=False),
+    ]
+
+
+def traffic_sign(at: Placed) -> list[Primitive]:
+    """A blue sign on a post, facing local x."""
+    return [
+        at.rod((0, 0, 0), (0, 0, 2.9), 0.05, _STEEL),
+        at.box((0.05, 0, 2.1), (0.04, 0.7, 0.7), Material((0.92, 0.92, 0.92))),
+        at.box((0.075, 0, 2.16), (0.02, 0.58, 0.58), _SIGN, solid=False),
+    ]
+
+
+def _sway(rng: np.random.Generator) -> tuple[float, float]:
+    return float(rng.uniform(-0.45, 0.45)), float(rng.uniform(-0.45, 0.45))
+
+
+def tree(at: Placed, rng: np.random.Generator) -> list[Primitive]:
+    """A trunk and a crown of three balls."""
+    height = float(rng.uniform(2.2, 3.0))
+    leaves = _LEAVES[rng.integers(len(_LEAVES))]
+    crown: list[Primitive] = [
+        Sphere(at.point(*_sway(rng), height + lift), float(rng.uniform(low, low + 0.35)), leaves)
+        for lift, low in ((0.5, 1.0), (1.2, 1.05), (1.9, 0.75))
+    ]
+    return [at.rod((0, 0, 0), (0, 0, height), 0.16, _BARK), *crown]
+
+
+def litter_bin(at: Placed) -> list[Primitive]:
+    """A litter bin."""
+    return [at.rod((0, 0, 0), (0, 0, 0.95), 0.28, Material((0.20, 0.36, 0.28))),
+            at.rod((0, 0, 0.95), (0, 0, 1.02), 0.31, _STEEL)]  # fmt: skip

@@ -1,0 +1,65 @@
+"""Points sampled on the surfaces of primitives: where landmarks come from."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from filters.validation import FloatArray
+from stereo_slam_env.world.scene import Box, Cylinder, Primitive, Vector
+
+
+def sample_surface(shape: Primitive, count: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+    """Points uniform on the side (and, for balls, the whole) surface, and the outward normals there.
+
+    Returns
+    -------
+    points, normals : (count, 3) ndarray
+        m in S; unit.
+    """
+    if isinstance(shape, Box):
+        return _sample_box(shape, count, rng)
+    if isinstance(shape, Cylinder):
+        return _sample_cylinder(shape, count, rng)
+    return _sample_sphere(shape.radius, shape.center, count, rng)
+
+
+def sampling_weight(shape: Primitive) -> float:
+    """How many points a shape deserves, relative to others: the root of its side area, so that poles count too."""
+    if isinstance(shape, Box):
+        return float(np.sqrt(max(shape.size[:2]) * min(shape.size[2], 9.0)))
+    if isinstance(shape, Cylinder):
+        length = float(np.linalg.norm(np.subtract(shape.end, shape.start)))
+        return float(np.sqrt(2 * shape.radius * length))
+    return 2 * shape.radius
+
+
+def _sample_box(shape: Box, count: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+    size = np.array(shape.size)
+    normal_axis = rng.choice(2, size=count, p=np.array([size[1], size[0]]) / (size[0] + size[1]))
+    sign = rng.choice([-1.0, 1.0], size=count)
+    local = rng.uniform(-0.5, 0.5, (count, 3))
+    normals = np.zeros((count, 3))
+    row = np.arange(count)
+    local[row, normal_axis] = 0.5 * sign
+    normals[row, normal_axis] = sign
+    cos, sin = np.cos(shape.yaw), np.sin(shape.yaw)
+    R = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    return local * size @ R.T + shape.center, normals @ R.T
+
+
+def _sample_cylinder(shape: Cylinder, count: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+    start, axis = np.array(shape.start), np.array(shape.end) - np.array(shape.start)
+    unit = axis / np.linalg.norm(axis)
+    side = np.cross(unit, [0.0, 0.0, 1.0] if abs(unit[2]) < 0.9 else [1.0, 0.0, 0.0])
+    side /= np.linalg.norm(side)
+    angle = rng.uniform(0.0, 2 * np.pi, count)[:, None]
+    normals = np.cos(angle) * side + np.sin(angle) * np.cross(unit, side)
+    return start + rng.random((count, 1)) * axis + shape.radius * normals, normals
+
+
+def _sample_sphere(
+    radius: float, center: Vector, count: int, rng: np.random.Generator
+) -> tuple[FloatArray, FloatArray]:
+    normals = rng.standard_normal((count, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    return radius * normals + center, normals

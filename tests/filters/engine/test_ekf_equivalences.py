@@ -1,0 +1,225 @@
+"""Filters that must give the same numbers: by a change of coordinates, by relinearising, by sharing anchors."""
+
+from __future__ import annotations
+
+import copy
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+from filters import ConstantVelocity, StereoEKF, StereoNoise, StereoObservation
+from filters.engine import symmetric
+from filters.measurements.model import Stage
+
+from ..drives import DT, INDEPENDENT_PIXELS, INDEPENDENT_UVD, SPEED, drive, run
+from .beliefs import assert_same_belief, make, scaled
+
+FULL = StereoNoise([[1.0, 0.3, 0.6], [0.3, 1.5, -0.2], [0.6, -0.2, 2.0]])
+
+
+# --- measurement coordinates ---
+
+
+@pytest.mark.parametrize("noise", [INDEPENDENT_PIXELS, INDEPENDENT_UVD, FULL], ids=["pixels", "uvd", "full"])
+@pytest.mark.parametrize("landmark", ["inverse-depth", "shared-anchor", "euclidean"])
+def test_joint_and_stacked_are_the_same_filter(landmark: str, noise: StereoNoise) -> None:
+    """(u, v, d) with R, or (u, v, u_right) with T R T^T: the same numbers, NIS included."""
+    frames = drive(0, 12, noise=noise, depths=(6.0, 30.0))
+    joint, stacked = (make(noise, landmark=landmark, measurement=m) for m in ("joint", "stacked"))
+    for one, other in zip(run(joint, frames), run(stacked, frames), strict=True):
+        assert one.nis == pytest.approx(other.nis, rel=1e-8)
+        assert one.nis_dof == other.nis_dof
+    assert_same_belief(joint, stacked, 1e-9)
+
+
+def test_the_right_row_is_one_more_measurement_of_v_and_nothing_else() -> None:
+    """Stacked with v_right is joint with the mean of both rows, of half the variance (R as in the facts)."""
+    frames = drive(1, 12, v_right=True, depths=(6.0, 30.0))
+    stacked, joint = make(measurement="stacked"), make(measurement="joint")
+    averaged_R = np.array([[1.0, 0.0, 1.0], [0.0, 0.5, 0.0], [1.0, 0.0, 2.0]])
+    for number, frame in enumerate(frames):
+        for stereo_filter in (stacked, joint):
+            if number:
+                stereo_filter.predict(DT)
+        seen = frame.observation
+        known = np.isin(seen.ids, joint.landmarks.ids)
+        uvd = seen.uvd.copy()
+        # New landmarks are started from (u, v, d) with R in every filter, without the right row.
+        uvd[known, 1] = 0.5 * (uvd[known, 1] + seen.v_right[known])
+        R = np.where(known[:, None, None], averaged_R, INDEPENDENT_PIXELS.R)
+        stacked.update(seen)
+        joint.update(StereoObservation(seen.ids, uvd, R=R))
+        assert_same_belief(stacked, joint, 1e-9)
+
+
+def test_the_right_row_adds_exactly_its_information() -> None:
+    """At one linearisation P^-1 grows by H_v^T H_v / R_vv, the information of v measured once more."""
+    frames = drive(2, 4, v_right=True, missed=0.0, depths=(6.0, 30.0))
+    without = make(landmark="euclidean", measurement="joint", drop_unseen=False)
+    for _ in run(without, frames[:3]):
+        pass
+    without.predict(DT)
+    with_row = copy.deepcopy(without)
+    with_row._measurement = make(measurement="stacked")._measurement
+    seen = frames[3].observation
+    seen = seen.select(np.isin(seen.ids, without.landmarks.ids))
+    known, index = without._locate(np.sort(seen.ids))
+    assert known.all()
+    rows = Stage(seen.uvd[:, 1:2], np.array([[0.0, 1.0, 0.0]]), np.ones((len(seen), 1, 1)))
+    linearised = without._linearise(without._state, index, rows)
+    H = np.zeros((len(seen), len(without._state.P)))
+    H[:, :6] = linearised.by_camera[:, 0]
+    for row, where in enumerate(linearised.map_rows):
+        H[row, where] = linearised.by_map[row, 0]
+    for stereo_filter in (without, with_row):
+        stereo_filter._retract = lambda *_args, **_options: None  # hold the linearisation point
+        stereo_filter.update(seen)
+    S = np.diag(1 / np.sqrt(np.diag(symmetric.full(without._state.P))))
+    information = [np.linalg.inv(S @ symmetric.full(f._state.P) @ S) for f in (without, with_row)]
+    gained = np.linalg.inv(S) @ (H.T @ H) @ np.linalg.inv(S)
+    np.testing.assert_allclose(information[1] - information[0], gained, rtol=0, atol=1e-6 * np.abs(gained).max())
+
+
+def small_problem(scale: float, seed: int, **options) -> tuple[StereoEKF, StereoObservation]:
+    """A filter with a map, after a prediction, and a consistent frame: every sigma is `scale` times the usual one."""
+    noise = StereoNoise(scale**2 * INDEPENDENT_PIXELS.R)
+    motion = ConstantVelocity(3.0 * scale, 0.6 * scale)
+    stereo_filter = make(noise, motion=motion, drop_unseen=False, **options)
+    covariance = scale**2 * np.diag(np.repeat([0.05, 0.01, 0.5, 0.05], 3) ** 2)
+    stereo_filter.reset(linear_velocity=(0.0, 0.0, SPEED), covariance=covariance)
+    stereo_filter.update(drive(4, 1, depths=(6.0, 30.0))[0].observation)
+    stereo_filter.predict(DT)
+    rng = np.random.default_rng(seed)
+    forecast = stereo_filter.forecast()
+    # One shift for all, as a wrong pose gives, and noise.
+    shift = rng.uniform(3.0, 6.0, 3) + rng.multivariate_normal(np.zeros(3), INDEPENDENT_PIXELS.R, len(forecast.ids))
+    return stereo_filter, StereoObservation(forecast.ids, forecast.uvd + scale * shift)
+
+
+def moved_by(stereo_filter: StereoEKF, observation: StereoObservation) -> np.ndarray:
+    """Run the update and give the change of every number of the state."""
+    before = state_of(stereo_filter)
+    stereo_filter.update(observation)
+    return state_of(stereo_filter) - before
+
+
+def state_of(stereo_filter: StereoEKF) -> np.ndarray:
+    camera, blocks = stereo_filter._state.camera, stereo_filter._state.blocks
+    velocities = camera.linear_velocity, camera.angular_velocity
+    return np.concatenate([camera.position, camera.orientation, *velocities, blocks.ravel()])
+
+
+def test_sequential_differs_from_joint_only_by_relinearisation() -> None:
+    """With all sigmas scaled by s the correction scales with s, and the difference with s^2."""
+
+    def compare(scale: float) -> tuple[float, float]:
+        joint, sequential = (moved_by(*small_problem(scale, 0, measurement=m)) for m in ("joint", "sequential"))
+        return float(np.abs(joint - sequential).max()), float(np.abs(joint).max())
+
+    by_scale = [compare(scale) for scale in (0.08, 0.04, 0.02, 0.01)]
+    for (coarse, _), (fine, _) in pairwise(by_scale):
+        assert 3.5 < coarse / fine < 4.5
+    assert by_scale[-1][0] < 1e-3 * by_scale[-1][1]
+
+
+# --- iterations ---
+
+
+@pytest.mark.parametrize("error", ["quaternion", "so3"])
+@pytest.mark.parametrize("measurement", ["joint", "sequential", "stacked"])
+def test_iterating_changes_nothing_on_an_almost_linear_problem(measurement: str, error: str) -> None:
+    """The measurement is not counted again (a known trap of iterated filters): P stays that of one pass."""
+    made = []
+    for iterations in (1, 3):
+        options = {"measurement": measurement, "error": error, "iterations": iterations}
+        stereo_filter, observation = small_problem(1e-5, 1, **options)
+        before = stereo_filter.velocity.covariance
+        correction = moved_by(stereo_filter, observation)
+        assert (np.diag(stereo_filter.velocity.covariance) < 0.5 * np.diag(before)).any()
+        made.append((correction, stereo_filter.pose.covariance))
+    (once, P_once), (thrice, P_thrice) = made
+    np.testing.assert_allclose(thrice, once, rtol=0, atol=1e-4 * np.abs(once).max())
+    np.testing.assert_allclose(*scaled(P_thrice, P_once), rtol=0, atol=1e-4)
+
+
+@pytest.mark.parametrize("landmark", ["inverse-depth", "shared-anchor", "euclidean"])
+@pytest.mark.parametrize("error", ["quaternion", "so3"])
+def test_iterating_converges_to_the_map_estimate(landmark: str, error: str) -> None:
+    """Against an optimiser that minimises prior plus measurement residuals, with none of the filter's Jacobians."""
+    frames = drive(8, 2, missed=0.0, visible=6, depths=(6.0, 15.0))
+    prior = make(landmark=landmark, error=error, iterations=100, drop_unseen=False)
+    covariance = np.diag(np.repeat([0.1, 0.05, 1.0, 0.3], 3) ** 2)
+    prior.reset(linear_velocity=(0.5, 0.3, SPEED - 1.0), covariance=covariance)
+    prior.update(frames[0].observation)
+    prior.predict(DT)
+    seen = frames[1].observation
+    seen = seen.select(np.argsort(seen.ids))
+    seen = seen.select(np.isin(seen.ids, prior.landmarks.ids))
+    # 6-D inverse depth has a singular P: minimise over coordinates of its range.
+    values, vectors = np.linalg.eigh(symmetric.full(prior._state.P))
+    regular = values > 1e-13 * values.max()
+    root = vectors[:, regular] * np.sqrt(values[regular])
+    _, index = prior._locate(seen.ids)
+    whiten = np.linalg.inv(np.linalg.cholesky(INDEPENDENT_PIXELS.R))
+
+    def moved(x: np.ndarray) -> StereoEKF:
+        other = copy.copy(prior)
+        other._state = copy.copy(prior._state)
+        other._retract(other._state, root @ x, covariance=False)
+        return other
+
+    def residuals(x: np.ndarray) -> np.ndarray:
+        other = moved(x)
+        uvd, _ = other._project(other._state, index)
+        return np.concatenate([x, ((seen.uvd - uvd) @ whiten.T).ravel()])
+
+    start_at = np.zeros(root.shape[1])
+    optimum = least_squares(residuals, start_at, jac="3-point", xtol=1e-15, ftol=1e-15, gtol=1e-10)
+    best = moved(optimum.x)
+    once, converged = copy.deepcopy(prior), copy.deepcopy(prior)
+    once._iterations = 1
+    once.update(seen)
+    converged.update(seen)
+    np.testing.assert_allclose(converged.pose.position, best.pose.position, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(converged.pose.orientation, best.pose.orientation, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(converged.velocity.linear, best.velocity.linear, rtol=0, atol=1e-5)
+    np.testing.assert_allclose(converged._state.blocks, best._state.blocks, rtol=0, atol=1e-5)
+    # One pass is not there yet, or the test would say nothing.
+    assert np.abs(once.pose.position - best.pose.position).max() > 3e-4
+
+
+# --- six numbers or a shared anchor ---
+
+
+@pytest.mark.parametrize("measurement", ["joint", "sequential"])
+def test_shared_anchors_give_the_estimates_of_six_numbers(measurement: str) -> None:
+    frames = drive(7, 40, visible=20, depths=(6.0, 60.0))
+    options = {"measurement": measurement, "gate": 0.99}
+    six, shared = (make(landmark=name, **options) for name in ("inverse-depth", "shared-anchor"))
+    entered = left = 0
+    for one, other in zip(run(six, frames), run(shared, frames), strict=True):
+        np.testing.assert_array_equal(one.updated, other.updated)
+        entered, left = entered + len(one.initialised), left + len(one.dropped)
+        assert_same_belief(six, shared, 1e-9)
+        assert len(shared._state.P) <= len(six._state.P)
+    assert entered > 60
+    assert left > 40
+
+
+def test_anchors_of_one_frame_stay_equal_in_the_six_number_form() -> None:
+    frames = drive(8, 30, visible=20, missed=0.0)
+    stereo_filter = make(landmark="inverse-depth", drop_unseen=False)
+    born: dict[int, int] = {}
+    moved = 0.0
+    for number, report in enumerate(run(stereo_filter, frames)):
+        born |= dict.fromkeys(report.initialised.tolist(), number)
+        state = stereo_filter._state
+        anchors = state.anchors(np.arange(len(state)))
+        frames_of = np.array([born[i] for i in state.ids.tolist()])
+        for frame in set(frames_of):
+            same = anchors[frames_of == frame]
+            assert np.ptp(same, axis=0).max() < 1e-10
+            moved = max(moved, np.abs(same[0] - frames[frame].position).max())
+    assert moved > 1e-3  # they do move

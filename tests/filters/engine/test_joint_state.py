@@ -1,0 +1,179 @@
+"""Bookkeeping of the joint state against a reference that keeps whole matrices and names its rows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+
+from filters.engine import symmetric
+from filters.engine.ekf import LANDMARKS
+from filters.engine.joint_state import JointState
+from filters.landmarks.parametrisation import LandmarkModel, NewLandmarks
+from filters.motion import CameraState
+
+CAMERA = [("camera", i) for i in range(12)]
+
+
+def camera_at(position: np.ndarray) -> CameraState:
+    return CameraState(position, np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(3), np.zeros(3))
+
+
+def random_new(rng: np.random.Generator, count: int) -> NewLandmarks:
+    return NewLandmarks(*(rng.standard_normal(shape) for shape in [(count, 3)] + [(count, 3, 3)] * 3))
+
+
+def random_noise(rng: np.random.Generator, count: int) -> np.ndarray:
+    root = rng.standard_normal((count, 3, 3))
+    return root @ root.transpose(0, 2, 1) + 0.1 * np.eye(3)
+
+
+@dataclass
+class Ledger:
+    """The reference: P dense, every row with a name, every value under its name."""
+
+    P: np.ndarray
+    names: list = field(default_factory=lambda: list(CAMERA))
+    values: dict = field(default_factory=dict)
+    anchor_of: dict = field(default_factory=dict)
+
+    def add(self, name: object, value: np.ndarray, J_pose: np.ndarray, noise: np.ndarray) -> None:
+        """Append one block: P -> [[P, P J'], [J P, J P J' + noise]]."""
+        J = np.zeros((3, len(self.P)))
+        J[:, :6] = J_pose
+        self.P = np.block([[self.P, self.P @ J.T], [J @ self.P, J @ self.P @ J.T + noise]])
+        self.names += [(name, i) for i in range(3)]
+        self.values[name] = value
+
+    def remove(self, ids: set[int]) -> None:
+        for i in ids:
+            self.anchor_of.pop(i)
+        used = {"camera", *self.anchor_of, *self.anchor_of.values()}
+        rows = [row for row, (name, _) in enumerate(self.names) if name in used]
+        self.P, self.names = self.P[np.ix_(rows, rows)], [self.names[row] for row in rows]
+
+    def rows(self, name: object) -> list[int]:
+        return [self.names.index((name, i)) for i in range(3)]
+
+
+def assert_same(state: JointState, ledger: Ledger) -> None:
+    """Every landmark's values, and the covariance of everything with everything, are where the state says."""
+    index = np.arange(len(state))
+    assert set(state.ids.tolist()) == set(ledger.anchor_of)
+    names = []
+    for i in state.ids.tolist():
+        names += ([ledger.anchor_of[i]] if state.model.anchored else []) + [i]
+    expected_rows = list(range(12)) + [row for name in names for row in ledger.rows(name)]
+    rows = np.concatenate([np.arange(12), state.map_rows(index).ravel()])
+    P = symmetric.full(state.P)
+    np.testing.assert_allclose(P[np.ix_(rows, rows)], ledger.P[np.ix_(expected_rows, expected_rows)], atol=1e-12)
+    parameters, anchors = state.parameters(index), state.anchors(index)
+    for row, i in enumerate(state.ids.tolist()):
+        np.testing.assert_array_equal(parameters[row], ledger.values[i])
+        if anchors is not None:
+            np.testing.assert_array_equal(anchors[row], ledger.values[ledger.anchor_of[i]])
+    # Nothing is kept that nobody uses, and nothing is missing.
+    blocks = len({*names})
+    assert len(state.P) == 12 + 3 * blocks
+    assert state.blocks.shape == (blocks, 3)
+    assert state.P.flags.f_contiguous
+
+
+def add_to_both(state: JointState, ledger: Ledger, ids: list[int], frame: int, rng: np.random.Generator) -> None:
+    """New landmarks from the present camera position."""
+    new, R = random_new(rng, len(ids)), random_noise(rng, len(ids))
+    state.augment(np.array(ids), new, R)
+    P_pose = ledger.P[:6, :6].copy()
+    assert P_pose.shape == (6, 6)
+    if state.model.shares_anchors:
+        ledger.add(("anchor", frame), state.camera.position, np.eye(3, 6), np.zeros((3, 3)))
+    for row, i in enumerate(ids):
+        if state.model.anchored and not state.model.shares_anchors:
+            ledger.add(("anchor", i), state.camera.position, np.eye(3, 6), np.zeros((3, 3)))
+        J = np.hstack([new.by_position[row], new.by_rotation[row]])
+        noise = new.by_measurement[row] @ R[row] @ new.by_measurement[row].T
+        ledger.add(i, new.parameters[row], J, noise)
+        ledger.anchor_of[i] = ("anchor", frame if state.model.shares_anchors else i)
+
+
+@pytest.mark.parametrize("model", LANDMARKS.values(), ids=LANDMARKS.keys())
+@pytest.mark.parametrize("seed", range(3))
+def test_random_additions_and_removals_agree_with_a_dense_reference(model: LandmarkModel, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    root = rng.standard_normal((12, 14))
+    P = root @ root.T
+    state = JointState(camera_at(np.zeros(3)), np.asfortranarray(P), model)
+    ledger = Ledger(P)
+    next_id = 0
+    for frame in range(12):
+        state.camera = camera_at(rng.standard_normal(3))
+        F, Q = rng.standard_normal((12, 12)) / 3, 0.1 * np.eye(12)
+        state.transform_camera(F, Q)
+        whole = np.eye(len(ledger.P))
+        whole[:12, :12] = F
+        ledger.P = whole @ ledger.P @ whole.T
+        ledger.P[:12, :12] += Q
+        if frame % 4 != 3:
+            count = int(rng.integers(1, 6))
+            ids = rng.permutation(np.arange(next_id, next_id + count)).tolist()
+            next_id += count
+            add_to_both(state, ledger, ids, frame, rng)
+            assert_same(state, ledger)
+        gone = rng.uniform(size=len(state)) < 0.4
+        ledger.remove(set(state.ids[gone].tolist()))
+        state.remove(gone)
+        assert_same(state, ledger)
+    state.remove(np.ones(len(state), dtype=bool))
+    assert state.P.shape == (12, 12)
+    assert len(state) == len(state.blocks) == 0
+
+
+def test_removal_leaves_every_other_entry_untouched() -> None:
+    rng = np.random.default_rng(5)
+    state = JointState(camera_at(np.zeros(3)), np.asfortranarray(np.eye(12)), LANDMARKS["inverse-depth"])
+    state.augment(np.arange(6), random_new(rng, 6), random_noise(rng, 6))
+    before, rows = symmetric.full(state.P), state.map_rows(np.array([0, 2, 5]))
+    kept = np.concatenate([np.arange(12), rows.ravel()])
+    state.remove(np.isin(state.ids, [1, 3, 4]))
+    now = np.concatenate([np.arange(12), state.map_rows(np.arange(3)).ravel()])
+    np.testing.assert_array_equal(symmetric.full(state.P)[np.ix_(now, now)], before[np.ix_(kept, kept)])
+
+
+def test_a_new_landmark_is_correlated_with_the_old_map() -> None:
+    """What Eq. 25 as printed leaves out: J P for the rows of the pose, against samples of the joint error."""
+    rng = np.random.default_rng(6)
+    state = JointState(
+        camera_at(np.zeros(3)), np.asfortranarray(np.diag(np.linspace(0.5, 2, 12))), LANDMARKS["euclidean"]
+    )
+    old, new = random_new(rng, 1), random_new(rng, 1)
+    R = random_noise(rng, 1)
+    state.augment(np.array([1]), old, R)
+    state.augment(np.array([2]), new, R)
+    count = 200_000
+    pose = rng.standard_normal((count, 6)) * np.sqrt(np.linspace(0.5, 2, 12)[:6])
+
+    def landmark(made: NewLandmarks) -> np.ndarray:
+        J = np.hstack([made.by_position[0], made.by_rotation[0]])
+        return pose @ J.T + rng.multivariate_normal(np.zeros(3), R[0], count) @ made.by_measurement[0].T
+
+    errors = np.hstack([pose, landmark(old), landmark(new)])
+    rows = np.r_[0:6, 12:18]
+    claimed = symmetric.full(state.P)[np.ix_(rows, rows)]
+    sigmas = np.sqrt(np.diag(claimed))
+    sampled = errors.T @ errors / count
+    np.testing.assert_allclose(sampled / np.outer(sigmas, sigmas), claimed / np.outer(sigmas, sigmas), atol=0.015)
+    assert np.abs(claimed[6:9, 9:]).max() > 0.5
+
+
+def test_landmarks_of_one_frame_share_an_anchor_until_the_last_of_them_leaves() -> None:
+    rng = np.random.default_rng(7)
+    state = JointState(camera_at(np.zeros(3)), np.asfortranarray(np.eye(12)), LANDMARKS["shared-anchor"])
+    state.augment(np.arange(3), random_new(rng, 3), random_noise(rng, 3))
+    state.augment(np.arange(3, 5), random_new(rng, 2), random_noise(rng, 2))
+    assert len(np.unique(state.anchor_block)) == 2
+    state.remove(np.isin(state.ids, [0, 2, 4]))
+    assert len(state.blocks) == 4
+    state.remove(state.ids == 1)
+    assert len(state.blocks) == 2
+    assert state.ids.tolist() == [3]

@@ -1,0 +1,257 @@
+"""The blockwise update is the Kalman update: against dense algebra and against filterpy."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from filterpy.kalman import KalmanFilter
+
+from filters.engine import kalman, symmetric
+from filters.engine.joint_state import JointState
+from filters.engine.kalman import LinearisedMeasurements
+from filters.landmarks.euclidean import Euclidean
+from filters.motion import CameraState
+
+RNG = np.random.default_rng
+
+
+def random_covariance(rng: np.random.Generator, size: int) -> np.ndarray:
+    """Positive definite, with standard deviations over four orders of magnitude, as poses and angles have."""
+    root = rng.standard_normal((size, size + 5))
+    sigmas = 10 ** rng.uniform(-3, 1, size)
+    return sigmas[:, None] * (root @ root.T / size) * sigmas
+
+
+def random_measurements(
+    rng: np.random.Generator, count: int, rows: int, blocks: int, per_landmark: int = 2, camera: int = 6
+) -> LinearisedMeasurements:
+    """Each landmark depends on the camera and on `per_landmark` blocks of the map, which others may share."""
+    chosen = np.stack([rng.choice(blocks, per_landmark, replace=False) for _ in range(count)])
+    map_rows = (12 + 3 * chosen[:, :, None] + np.arange(3)).reshape(count, -1)
+    root = rng.standard_normal((count, rows, rows))
+    return LinearisedMeasurements(
+        rng.standard_normal((count, rows)),
+        rng.standard_normal((count, rows, camera)),
+        rng.standard_normal((count, rows, 3 * per_landmark)),
+        map_rows,
+        root @ root.transpose(0, 2, 1) + 0.1 * np.eye(rows),
+    )
+
+
+def dense(measurements: LinearisedMeasurements, size: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The innovation, H and R of all measurements, as full matrices."""
+    count, rows = measurements.innovation.shape
+    H = np.zeros((count, rows, size))
+    H[:, :, : measurements.by_camera.shape[2]] = measurements.by_camera
+    R = np.zeros((count * rows, count * rows))
+    for i in range(count):
+        H[i][:, measurements.map_rows[i]] += measurements.by_map[i]
+        R[i * rows : (i + 1) * rows, i * rows : (i + 1) * rows] = measurements.R[i]
+    return measurements.innovation.ravel(), H.reshape(-1, size), R
+
+
+def joseph_update(P: np.ndarray, measurements: LinearisedMeasurements) -> tuple[np.ndarray, np.ndarray, float]:
+    """State correction, P and NIS of the Kalman update, Joseph form."""
+    nu, H, R = dense(measurements, len(P))
+    S = H @ P @ H.T + R
+    K = np.linalg.solve(S, H @ P).T
+    I_KH = np.eye(len(P)) - K @ H
+    return K @ nu, I_KH @ P @ I_KH.T + K @ R @ K.T, float(nu @ np.linalg.solve(S, nu))
+
+
+def lower(P: np.ndarray) -> np.ndarray:
+    """As the engine keeps it: column-major, with rubbish above the diagonal."""
+    return np.asfortranarray(np.tril(P) + np.triu(np.full_like(P, np.nan), 1))
+
+
+def assert_covariances_equal(actual: np.ndarray, expected: np.ndarray, tolerance: float) -> None:
+    sigmas = np.sqrt(np.diag(expected))
+    np.testing.assert_allclose(
+        actual / np.outer(sigmas, sigmas), expected / np.outer(sigmas, sigmas), rtol=0, atol=tolerance
+    )
+
+
+@pytest.mark.parametrize("rows", [1, 2, 3, 4])
+@pytest.mark.parametrize(("count", "per_landmark"), [(1, 1), (7, 2), (45, 1), (45, 2)])
+def test_update_equals_the_dense_joseph_update(count: int, per_landmark: int, rows: int) -> None:
+    rng = RNG([count, per_landmark, rows])
+    P = random_covariance(rng, 12 + 3 * 30)
+    measurements = random_measurements(rng, count, rows, 30, per_landmark)
+    updated = lower(P)
+    correction = kalman.update(updated, measurements)
+    delta, expected, nis = joseph_update(P, measurements)
+    assert_covariances_equal(symmetric.full(updated), expected, 1e-8)
+    np.testing.assert_allclose(correction.delta, delta, rtol=0, atol=1e-8 * np.sqrt(np.diag(P)).max())
+    assert correction.nis == pytest.approx(nis, rel=1e-9)
+    assert correction.dof == count * rows
+    assert correction.used.all()
+
+
+@pytest.mark.parametrize("chunk", [1, 2, 7, 20, 44, 45, 1000])
+def test_the_size_of_the_chunks_does_not_change_the_result(chunk: int) -> None:
+    rng = RNG(3)
+    P = random_covariance(rng, 12 + 3 * 40)
+    measurements = random_measurements(rng, 45, 3, 40)
+    whole, parts = lower(P), lower(P)
+    expected = kalman.update(whole, measurements, chunk=10**6)
+    correction = kalman.update(parts, measurements, chunk=chunk)
+    np.testing.assert_allclose(correction.delta / np.sqrt(np.diag(P)), expected.delta / np.sqrt(np.diag(P)), atol=1e-10)
+    assert_covariances_equal(symmetric.full(parts), symmetric.full(whole), 1e-10)
+    assert correction.nis == pytest.approx(expected.nis, rel=1e-10)
+    assert correction.dof == expected.dof
+
+
+def test_the_order_of_the_measurements_does_not_change_the_result() -> None:
+    rng = RNG(4)
+    P = random_covariance(rng, 12 + 3 * 40)
+    measurements = random_measurements(rng, 45, 3, 40)
+    first, second = lower(P), lower(P)
+    one = kalman.update(first, measurements)
+    other = kalman.update(second, measurements[rng.permutation(45)])
+    np.testing.assert_allclose(one.delta, other.delta, atol=1e-10)
+    np.testing.assert_allclose(symmetric.full(first), symmetric.full(second), atol=1e-10)
+
+
+def test_p_is_updated_in_place_and_only_its_lower_triangle_is_read() -> None:
+    rng = RNG(5)
+    P = random_covariance(rng, 24)
+    kept = lower(P)
+    kalman.update(kept, random_measurements(rng, 4, 3, 4))
+    assert np.isfinite(np.tril(kept)).all()
+    assert (np.diag(kept) < np.diag(P)).any()
+
+
+def test_no_measurement_changes_nothing() -> None:
+    P = lower(random_covariance(RNG(6), 18))
+    before = P.copy()
+    correction = kalman.update(P, random_measurements(RNG(6), 3, 3, 2)[:0])
+    np.testing.assert_array_equal(P, before)
+    assert not correction.delta.any()
+    assert (correction.nis, correction.dof, len(correction.used)) == (0.0, 0, 0)
+
+
+def test_innovation_covariances_are_the_blocks_of_the_dense_one() -> None:
+    rng = RNG(7)
+    P = random_covariance(rng, 12 + 3 * 6)
+    measurements = random_measurements(rng, 5, 3, 6)
+    _, H, R = dense(measurements, len(P))
+    S = (H @ P @ H.T + R).reshape(5, 3, 5, 3)[np.arange(5), :, np.arange(5), :]
+    np.testing.assert_allclose(measurements.innovation_covariances(lower(P)), S, rtol=1e-10)
+
+
+def test_times_is_the_dense_product() -> None:
+    rng = RNG(8)
+    measurements, delta = random_measurements(rng, 5, 3, 6), rng.standard_normal(30)
+    _, H, _ = dense(measurements, 30)
+    np.testing.assert_allclose(measurements.times(delta).ravel(), H @ delta, rtol=1e-12, atol=1e-12)
+
+
+def test_predict_and_update_equal_filterpy_on_a_linear_gaussian_problem() -> None:
+    """Twenty steps with a fixed map: the engine's predict and update against an independent library."""
+    rng = RNG(9)
+    blocks, size = 5, 12 + 3 * 5
+    P = random_covariance(rng, size)
+    F_camera = np.eye(12) + 0.1 * rng.standard_normal((12, 12))
+    Q_camera = random_covariance(rng, 12)
+    reference = KalmanFilter(dim_x=size, dim_z=1)
+    reference.x, reference.P = np.zeros(size), P.copy()
+    reference.F = np.eye(size)
+    reference.F[:12, :12] = F_camera
+    reference.Q = np.zeros((size, size))
+    reference.Q[:12, :12] = Q_camera
+    still = CameraState(np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(3), np.zeros(3))
+    state = JointState(still, lower(P), Euclidean())
+    x = np.zeros(size)
+    for _ in range(20):
+        reference.predict()
+        state.transform_camera(F_camera, Q_camera)
+        x[:12] = F_camera @ x[:12]
+        measurements = random_measurements(rng, 4, 3, blocks, per_landmark=1)
+        z, H, R = dense(measurements, size)
+        reference.update(z, R=R, H=H)
+        relative = replace(measurements, innovation=measurements.innovation - measurements.times(x))
+        x = x + kalman.update(state.P, relative).delta
+        np.testing.assert_allclose(x, reference.x, rtol=1e-8, atol=1e-8)
+        assert_covariances_equal(symmetric.full(state.P), reference.P, 1e-8)
+
+
+@pytest.mark.parametrize("chunk", [1, 3, 20])
+def test_a_measurement_without_a_cholesky_factor_is_left_out_alone(chunk: int) -> None:
+    """The others count as if it had not been there, P stays positive definite, nothing is raised."""
+    rng = RNG(10)
+    P = random_covariance(rng, 12 + 3 * 9)
+    measurements = random_measurements(rng, 9, 3, 9)
+    broken = replace(measurements, R=measurements.R.copy())
+    broken.R[4] = -1e6 * np.eye(3)
+    others = np.arange(9) != 4
+    updated, expected = lower(P), lower(P)
+    correction = kalman.update(updated, broken, chunk=chunk)
+    good = kalman.update(expected, measurements[others], chunk=chunk)
+    np.testing.assert_array_equal(correction.used, others)
+    assert correction.dof == good.dof == 24
+    assert correction.nis == pytest.approx(good.nis, rel=1e-10)
+    np.testing.assert_allclose(correction.delta, good.delta, atol=1e-10)
+    assert_covariances_equal(symmetric.full(updated), symmetric.full(expected), 1e-10)
+    assert np.linalg.eigvalsh(symmetric.full(updated)).min() > 0
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_a_jacobian_that_is_not_finite_is_left_out(value: float) -> None:
+    rng = RNG(11)
+    P = random_covariance(rng, 24)
+    measurements = random_measurements(rng, 2, 3, 4)
+    measurements.by_camera[1, 2, 3] = value
+    updated = lower(P)
+    with np.errstate(invalid="ignore"):
+        correction = kalman.update(updated, measurements, chunk=1)
+    np.testing.assert_array_equal(correction.used, [True, False])
+    assert np.isfinite(correction.delta).all()
+    assert np.isfinite(np.tril(updated)).all()
+
+
+@pytest.mark.parametrize("rows", [2, 3, 4])
+def test_a_change_of_measurement_coordinates_changes_nothing(rows: int) -> None:
+    """Z' = T z with R' = T R T^T is the same measurement: same correction, same P, same NIS."""
+    rng = RNG(12)
+    P = random_covariance(rng, 12 + 3 * 12)
+    measurements = random_measurements(rng, 30, rows, 12)
+    T = rng.standard_normal((rows, rows)) + 2 * np.eye(rows)
+    transformed = LinearisedMeasurements(
+        measurements.innovation @ T.T,
+        T @ measurements.by_camera,
+        T @ measurements.by_map,
+        measurements.map_rows,
+        T @ measurements.R @ T.T,
+    )
+    first, second = lower(P), lower(P)
+    one, other = kalman.update(first, measurements), kalman.update(second, transformed)
+    np.testing.assert_allclose(one.delta, other.delta, atol=1e-9)
+    assert_covariances_equal(symmetric.full(first), symmetric.full(second), 1e-9)
+    assert one.nis == pytest.approx(other.nis, rel=1e-9)
+
+
+def test_independent_parts_of_a_measurement_may_come_one_after_the_other() -> None:
+    """Left then right, linearised once, is left and right together if their errors are independent."""
+    rng = RNG(13)
+    P = random_covariance(rng, 12 + 3 * 12)
+    together = random_measurements(rng, 30, 4, 12)
+    together.R[:, :2, 2:] = together.R[:, 2:, :2] = 0.0
+    at_once, in_turn = lower(P), lower(P)
+    expected = kalman.update(at_once, together)
+    halves = [
+        LinearisedMeasurements(
+            together.innovation[:, part],
+            together.by_camera[:, part],
+            together.by_map[:, part],
+            together.map_rows,
+            together.R[:, part, part],
+        )
+        for part in (slice(0, 2), slice(2, 4))
+    ]
+    first = kalman.update(in_turn, halves[0])
+    second = kalman.update(in_turn, replace(halves[1], innovation=halves[1].innovation - halves[1].times(first.delta)))
+    np.testing.assert_allclose(first.delta + second.delta, expected.delta, atol=1e-10)
+    assert_covariances_equal(symmetric.full(in_turn), symmetric.full(at_once), 1e-10)
+    assert first.nis + second.nis == pytest.approx(expected.nis, rel=1e-9)

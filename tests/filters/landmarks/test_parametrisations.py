@@ -1,0 +1,120 @@
+"""What every landmark parametrisation must keep: a new landmark projects to where it was seen."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from filters.engine.ekf import LANDMARKS
+
+from ..drives import ODD_CAMERA as CAMERA
+
+POSITION = np.array([3.0, -1.0, 7.0])
+R_WC = Rotation.from_rotvec([0.2, -0.7, 0.3]).as_matrix()
+RNG = np.random.default_rng(0)
+UVD = RNG.uniform([50, 30, 2], [1250, 400, 40], (12, 3))
+ANY_UVD = np.vstack([UVD, [[600, 200, 0.0], [100, 50, -1.0]]])
+
+every = pytest.mark.parametrize("model", LANDMARKS.values(), ids=LANDMARKS.keys())
+anchored = pytest.mark.parametrize(
+    "model", [m for m in LANDMARKS.values() if m.anchored], ids=[n for n, m in LANDMARKS.items() if m.anchored]
+)
+
+
+def started(model, uvd: np.ndarray):
+    parameters = model.initialise(CAMERA, POSITION, R_WC, uvd).parameters
+    return np.tile(POSITION, (len(uvd), 1)) if model.anchored else None, parameters
+
+
+@every
+def test_a_new_landmark_is_seen_where_it_was_measured(model) -> None:
+    uvd = ANY_UVD if model.anchored else UVD
+    anchors, parameters = started(model, uvd)
+    seen = model.relative_to(POSITION, anchors, parameters).homogeneous
+    np.testing.assert_allclose(CAMERA.project_scaled(seen[:, :3] @ R_WC, seen[:, 3]), uvd, rtol=1e-10, atol=1e-10)
+
+
+@every
+def test_points_are_the_triangulated_ones(model) -> None:
+    anchors, parameters = started(model, UVD)
+    expected = POSITION + CAMERA.backproject(UVD) @ R_WC.T
+    np.testing.assert_allclose(model.points(anchors, parameters).positions, expected, rtol=1e-10)
+
+
+@every
+def test_relative_to_another_camera_is_the_point_minus_its_position(model) -> None:
+    anchors, parameters = started(model, UVD)
+    other = np.array([4.0, 0.0, 9.0])
+    seen = model.relative_to(other, anchors, parameters).homogeneous
+    points = model.points(anchors, parameters).positions
+    np.testing.assert_allclose(seen[:, :3] / seen[:, 3:], points - other, rtol=1e-9)
+
+
+@every
+def test_inverse_distance_is_that_of_the_point_from_where_it_was_seen(model) -> None:
+    _, parameters = started(model, UVD)
+    distance = np.linalg.norm(CAMERA.backproject(UVD), axis=1)
+    np.testing.assert_allclose(model.inverse_distances(POSITION, parameters).values, 1 / distance, rtol=1e-10)
+
+
+@every
+def test_no_landmark_is_no_error(model) -> None:
+    empty = np.zeros((0, 3))
+    new = model.initialise(CAMERA, POSITION, R_WC, empty)
+    assert new.parameters.shape == (0, 3)
+    assert new.by_measurement.shape == (0, 3, 3)
+    anchors = empty if model.anchored else None
+    assert model.relative_to(POSITION, anchors, empty).by_parameters.shape == (0, 4, 3)
+    assert model.points(anchors, empty).positions.shape == (0, 3)
+    assert model.inverse_distances(POSITION, empty).values.shape == (0,)
+
+
+@anchored
+def test_rho_is_zero_at_no_disparity_and_changes_sign_with_it(model) -> None:
+    _, parameters = started(model, ANY_UVD)
+    np.testing.assert_array_equal(np.sign(parameters[:, 2]), np.sign(ANY_UVD[:, 2]))
+    mirrored = model.initialise(CAMERA, POSITION, R_WC, ANY_UVD * [1, 1, -1]).parameters
+    np.testing.assert_array_equal(mirrored[:, 2], -parameters[:, 2])
+    np.testing.assert_array_equal(mirrored[:, :2], parameters[:, :2])
+
+
+@anchored
+def test_a_point_at_infinity_has_no_finite_position_and_no_warning(model) -> None:
+    anchors, parameters = started(model, np.array([[600.0, 200.0, 0.0]]))
+    assert not np.isfinite(model.points(anchors, parameters).positions).all()
+
+
+@anchored
+def test_the_vertical_of_the_world_is_refused_and_what_is_near_it_is_not(model) -> None:
+    """There the azimuth of Eq. 24 is undefined."""
+    down = Rotation.from_rotvec([-np.pi / 2, 0, 0]).as_matrix()
+    pixels = np.array([[CAMERA.cx, CAMERA.cy, 5.0], [CAMERA.cx + 0.01, CAMERA.cy, 5.0], [100.0, 100.0, 5.0]])
+    assert abs(down @ [0, 0, 1] @ np.array([0, 1, 0])) == pytest.approx(1.0)
+    assert model.can_initialise(CAMERA, down, pixels).tolist() == [False, True, True]
+    near = model.initialise(CAMERA, POSITION, down, pixels[1:])
+    assert np.isfinite(near.by_measurement).all()
+
+
+def test_euclidean_needs_a_positive_disparity() -> None:
+    uvd = np.array([[600.0, 200.0, d] for d in (-1.0, 0.0, 1e-9, 5.0)])
+    possible = LANDMARKS["euclidean"].can_initialise(CAMERA, R_WC, uvd)
+    assert possible.tolist() == [False, False, True, True]
+
+
+def test_directions_are_those_of_the_paper() -> None:
+    """Eq. 5: theta turns about y from +z to +x, phi lifts against +y (down)."""
+    from filters.landmarks.inverse_depth import ray_direction
+
+    angles = np.array([[0, 0], [np.pi / 2, 0], [0, np.pi / 2], [np.pi, 0]])
+    expected = [[0, 0, 1], [1, 0, 0], [0, -1, 0], [0, 0, -1]]
+    np.testing.assert_allclose(ray_direction(angles), expected, atol=1e-15)
+
+
+def test_only_shared_anchors_are_shared() -> None:
+    shares = {name: (model.anchored, model.shares_anchors) for name, model in LANDMARKS.items()}
+    assert shares == {
+        "inverse-depth": (True, False),
+        "shared-anchor": (True, True),
+        "euclidean": (False, False),
+    }

@@ -1,0 +1,59 @@
+"""Scenario and seed to recording (5 s, most of it the street)."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from filters import StereoObservation
+from stereo_slam_env.benchmark.scenario import Scenario
+from stereo_slam_env.benchmark.sources import make_recording, stream_digest
+
+from .small_recordings import small_recording
+
+
+@pytest.mark.parametrize(
+    "scenario",
+    [
+        Scenario("s", "street", {"route": "right-turn", "max_landmarks": 30}, frames=6),
+        Scenario("s", "reference", {"name": "short_turn"}, frames=6),
+    ],
+    ids=lambda scenario: scenario.kind,
+)
+def test_the_same_seed_gives_the_same_stream_and_another_one_another(scenario):
+    first, again, other = (make_recording(scenario, seed) for seed in (3, 3, 4))
+    assert len(first) == 6
+    assert stream_digest(first) == stream_digest(again)
+    assert stream_digest(first) != stream_digest(other)
+
+
+def test_every_part_of_the_input_is_in_the_digest():
+    recording = small_recording()
+    digest = stream_digest(recording)
+    frame = recording.frames[3]
+    moved = frame.observation.uvd.copy()
+    moved[0, 0] += 1e-9
+    for changed in (
+        replace(frame, observation=StereoObservation(frame.observation.ids, moved)),
+        replace(frame, timestamp=frame.timestamp + 1e-9),
+        replace(frame, odometry=None),
+        replace(frame, observation=replace(frame.observation, v_right=np.ones(len(frame.observation)))),
+    ):
+        frames = (*recording.frames[:3], changed, *recording.frames[4:])
+        assert stream_digest(replace(recording, frames=frames)) != digest
+
+
+@pytest.mark.parametrize(
+    ("scenario", "complaint"),
+    [
+        (Scenario("s", "reference", {"name": "long_way"}), "must be one of long_drive, short_turn, got 'long_way'"),
+        (Scenario("s", "dataset"), "needs the option path"),
+        (Scenario("s", "factory", {"call": "nowhere"}), 'call must be "package.module:function"'),
+        (Scenario("s", "factory", {"call": "math:no_such"}), "got 'math:no_such'"),
+        (Scenario("s", "factory", {"call": "builtins:dict"}), "returned a dict, not a Recording"),
+        (Scenario("s", "street", {"rout": "town"}), "did you mean 'route'"),
+    ],
+)
+def test_wrong_sources_are_named(scenario, complaint):
+    with pytest.raises(ValueError, match=complaint):
+        make_recording(scenario, 0)

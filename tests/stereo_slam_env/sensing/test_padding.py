@@ -1,0 +1,40 @@
+"""A StereoObservation through the fixed-shape arrays and back."""
+
+import numpy as np
+import pytest
+
+from filters.interface import StereoObservation
+from stereo_slam_env import stereo_observation
+from stereo_slam_env.sensing.padding import padded, padded_v_right
+
+UVD = [[10.0, 20.0, 3.0], [11.5, 21.0, -0.5]]
+
+
+@pytest.mark.parametrize("v_right", [None, [20.5, 21.5]])
+def test_there_and_back(v_right):
+    original = StereoObservation([3, 8], UVD, v_right)
+    arrays, info = padded(original, 5), padded_v_right(original, 5)
+    back = stereo_observation(arrays, info)
+    np.testing.assert_array_equal(back.ids, [3, 8])
+    np.testing.assert_allclose(back.uvd, UVD, rtol=1e-6)
+    assert back.uvd.dtype == np.float64
+    if v_right is None:
+        assert back.v_right is None
+    else:
+        np.testing.assert_array_equal(back.v_right, v_right)
+
+
+def test_without_info_there_is_no_right_row():
+    assert stereo_observation(padded(StereoObservation([3, 8], UVD, [20.5, 21.5]), 5)).v_right is None
+
+
+def test_padding():
+    arrays = padded(StereoObservation([3, 8], UVD), 4)
+    assert arrays["ids"].tolist() == [3, 8, -1, -1]
+    assert arrays["mask"].tolist() == [1, 1, 0, 0]
+    assert (arrays["uvd"][2:] == 0).all()
+    assert {k: a.dtype.name for k, a in arrays.items()} == {"uvd": "float32", "ids": "int64", "mask": "int8"}
+
+
+def test_an_empty_observation():
+    assert len(stereo_observation(padded(StereoObservation([], np.zeros((0, 3))), 3))) == 0

@@ -1,0 +1,268 @@
+"""The command, as a user meets it: in this process where possible (30 s, most of it starting processes)."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from stereo_slam_env import cli
+
+from .datasets.small_folders import kitti00, kitti07
+from .third_party import third_party  # noqa: F401 (a fixture)
+
+ROOT = Path(__file__).resolve().parents[2]
+BENCH = ("bench", "--preset", "reference-turn", "--seeds", "2", "--frames", "4", "--jobs", "1")
+
+
+@pytest.fixture
+def command(full_command, monkeypatch):
+    """Run the command with a report that costs no time."""
+
+    def write_report(out, *_):
+        (out / "report.html").write_text("a report")
+        return out / "report.html"
+
+    monkeypatch.setattr("stereo_slam_env.benchmark.report.write_report", write_report)
+    return full_command
+
+
+@pytest.fixture
+def full_command(capsys, monkeypatch):
+    """Run the command: exit code, stdout, stderr."""
+    monkeypatch.setenv("COLUMNS", "160")
+
+    def run(*arguments):
+        code = cli.main([str(argument) for argument in arguments])
+        captured = capsys.readouterr()
+        return code, captured.out, captured.err
+
+    return run
+
+
+def process(*arguments, **options):
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONDONTWRITEBYTECODE": "1"}
+    return subprocess.Popen(
+        [sys.executable, "-m", "stereo_slam_env.cli", *map(str, arguments)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=environment,
+        **options,
+    )
+
+
+def test_bench_compares_and_says_where_everything_is(full_command, tmp_path):
+    code, out, _ = full_command(*BENCH, "--out", tmp_path / "run", "--filters", "inverse-depth,euclidean")
+    assert code == 0
+    for said in (
+        "ATE",
+        "ms a frame",
+        "inverse-depth",
+        "euclidean",
+        "min_disparity",
+        "independent_pixels",
+        "gate  none",
+    ):
+        assert said in out, said
+    assert str(tmp_path / "run" / "report.html") in out
+    assert (tmp_path / "run" / "report.html").is_file()
+    filters = json.loads((tmp_path / "run" / "summary.json").read_text())["filters"]
+    assert list(filters) == ["inverse-depth", "euclidean"]
+    assert filters["euclidean"]["frames"] == 2 * 3
+
+
+def test_options_of_the_command_line_are_stored(command, tmp_path):
+    code, out, _ = command(*BENCH, "--out", tmp_path / "run", "--sigma", "2.5", "--gate", "0.95", "--odometry")
+    assert code == 0
+    assert "0.95 per landmark" in out
+    scenario = json.loads((tmp_path / "run" / "settings.json").read_text())["scenario"]
+    assert scenario["noise"] == {"independent_pixels": 2.5}
+    assert scenario["gate"] == 0.95
+    assert scenario["use_odometry"] is True
+
+
+def test_a_scenario_of_your_own(command, tmp_path):
+    spelt_out = {"name": "mine", "kind": "reference", "options": {"name": "short_turn"}, "frames": 4, "gate": None}
+    (tmp_path / "mine.json").write_text(json.dumps({**spelt_out, "filters": ["euclidean"]}))
+    code, out, _ = command("bench", "--scenario", tmp_path / "mine.json", "--jobs", 1, "--out", tmp_path / "run")
+    assert code == 0
+    assert "mine" in out
+
+
+@pytest.mark.parametrize("layout", [kitti07, kitti00])
+def test_replay_runs_filters_over_a_folder(command, tmp_path, layout):
+    layout(tmp_path / "drive")
+    code, out, _ = command(
+        "replay", tmp_path / "drive", "--filters", "inverse-depth", "--jobs", 1, "--out", tmp_path / "run"
+    )
+    assert code == 0
+    assert "sigma_px = 3.0" in out
+    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
+    assert summary["recordings"][0]["seed"] is None
+    assert summary["recordings"][0]["source"]["reader"].startswith(layout.__name__)
+    assert "inverse-depth" in summary["filters"]
+    assert (tmp_path / "run" / "trajectories" / "recording" / "inverse-depth.tum").is_file()
+
+
+def test_replay_says_whether_odometry_was_used(command, tmp_path):
+    kitti07(tmp_path / "with")
+    kitti00(tmp_path / "without")
+    common = ("--filters", "euclidean", "--jobs", 1)
+    assert "odometry  used" in command("replay", tmp_path / "with", *common, "--out", tmp_path / "a")[1]
+    assert "odometry  not used" in command("replay", tmp_path / "without", *common, "--out", tmp_path / "b")[1]
+    withheld = command("replay", tmp_path / "with", *common, "--out", tmp_path / "c", "--no-odometry")[1]
+    assert "odometry  not used" in withheld
+
+
+def test_report_is_written_again_from_the_directory(command, tmp_path):
+    command(*BENCH, "--out", tmp_path / "run", "--filters", "euclidean")
+    (tmp_path / "run" / "report.html").unlink()
+    before = (tmp_path / "run" / "summary.json").read_text()
+    code, out, _ = command("report", tmp_path / "run")
+    assert code == 0
+    assert "euclidean" in out
+    assert (tmp_path / "run" / "report.html").is_file()
+    assert (tmp_path / "run" / "summary.json").read_text() == before
+
+
+@pytest.mark.usefixtures("third_party")
+def test_third_party_filters_are_listed_and_benchmarked(command, tmp_path):
+    listed = command("filters", "list")[1]
+    assert "dead-reckoning" in listed
+    assert "Integrates the odometry and maps nothing." in listed
+    code, out, _ = command(*BENCH, "--out", tmp_path / "run", "--filters", "dead-reckoning,raises")
+    assert code == 0
+    assert "raises failed: seed 0, frame 2: RuntimeError: the third frame is too much" in out
+
+
+def test_filters_are_checked(command):
+    code, out, _ = command("filters", "check", "euclidean")
+    assert (code, "0 failed" in out) == (0, True)
+
+
+@pytest.mark.usefixtures("third_party")
+def test_a_filter_that_breaks_the_contract_gives_exit_code_1(command):
+    code, out, _ = command("filters", "check", "dead-reckoning")
+    assert code == 1
+    assert "failed:" in out
+
+
+def test_scenes_are_listed_and_drawn(command, tmp_path):
+    from PIL import Image
+
+    listed = command("scenes", "list")[1]
+    assert "town" in listed
+    assert "quick" in listed
+    code, _, _ = command("scenes", "render", "right-turn", "--out", tmp_path / "scene.png", "--seed", 1)
+    assert code == 0
+    with Image.open(tmp_path / "scene.png") as image:
+        assert image.width > 600
+        assert len(set(image.convert("L").resize((40, 20)).tobytes())) > 20
+
+
+@pytest.mark.parametrize(
+    ("arguments", "hint"),
+    [
+        (("bnch",), "Did you mean 'bench'?"),
+        (("bench", "--seds", "3"), "--seeds"),
+        (("bench", "--seeds", "many"), "--seeds"),
+        (("bench", "--seeds", "0"), "--seeds"),
+        (("bench", "--preset", "quik"), "did you mean 'quick'?"),
+        (("bench", "--preset", "quick", "--scenario", "x.json"), "exclude each other"),
+        (("bench", "--scenario", "no.json"), "no.json does not exist"),
+        (("bench", "--filters", "inverse-dept"), "did you mean 'inverse-depth'?"),
+        (("bench", "--filters", ","), "at least one filter"),
+        (("bench", "--gate", "tight"), "--gate must be a probability"),
+        (("bench", "--gate", "2"), "gate must be a probability"),
+        (("bench", "--sigma", "-1"), "must be a finite number > 0"),
+        (("replay",), "argument"),
+        (("replay", "nowhere"), "does not exist"),
+        (("replay", "gtsam:kiti00"), "did you mean gtsam:kitti00?"),
+        (("report", "nowhere"), "holds no run"),
+        (("filters", "check", "inverse-dept"), "did you mean 'inverse-depth'?"),
+        (("scenes", "render", "twon", "--out", "x.png"), "'town'"),
+        (("scenes", "render", "town", "--out", "x.bmp"), ".png"),
+    ],
+)
+def test_wrong_use_gets_one_line_and_exit_code_2(command, tmp_path, monkeypatch, arguments, hint):
+    monkeypatch.chdir(tmp_path)
+    code, _, err = command(*arguments)
+    assert code == 2
+    assert err.startswith("error: ")
+    assert err.count("\n") == 1
+    assert hint in err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_damaged_recording_and_a_damaged_result_are_named(command, tmp_path):
+    folder = kitti07(tmp_path / "drive")
+    (folder / "tracks.npz").write_bytes((folder / "tracks.npz").read_bytes()[:1000])
+    code, _, err = command("replay", folder, "--out", tmp_path / "run")
+    assert (code, err.count("\n")) == (2, 1)
+    assert "tracks.npz is damaged" in err
+    command(*BENCH, "--out", tmp_path / "bench", "--filters", "euclidean")
+    trial = tmp_path / "bench" / "trials" / "seed-0001" / "euclidean.npz"
+    trial.write_bytes(trial.read_bytes()[:1000])
+    for again in (("report", tmp_path / "bench"), (*BENCH, "--out", tmp_path / "bench", "--filters", "euclidean")):
+        code, _, err = command(*again)
+        assert (code, err.count("\n")) == (2, 1)
+        assert "seed-0001/euclidean.npz is damaged" in err
+
+
+def test_other_settings_never_overwrite_results(command, tmp_path):
+    command(*BENCH, "--out", tmp_path / "run", "--filters", "euclidean")
+    code, _, err = command(*BENCH, "--out", tmp_path / "run", "--filters", "euclidean", "--sigma", "2")
+    assert code == 2
+    assert "choose another output directory" in err
+
+
+@pytest.mark.parametrize("arguments", [(), ("filters",), ("scenes",), ("--help",), ("bench", "--help")])
+def test_help_is_there_when_it_is_needed(command, arguments):
+    code, out, err = command(*arguments)
+    assert (code, err) == (0, "")
+    assert "Usage: stereo-slam" in out
+
+
+def test_the_version_is_told(command):
+    assert command("--version")[1].startswith("stereo-slam ")
+
+
+def test_help_loads_nothing_heavy():
+    code = (
+        "import sys; from stereo_slam_env import cli; cli.main(['--help']); "
+        "heavy = {'matplotlib', 'pybullet', 'joblib', 'cv2', 'rich.progress', 'stereo_slam_env.benchmark'}; "
+        "sys.exit(str(heavy & set(sys.modules)) if heavy & set(sys.modules) else 0)"
+    )
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.slow
+def test_ctrl_c_says_what_is_kept_and_the_same_command_goes_on(tmp_path):
+    arguments = ("bench", "--preset", "reference-drive", "--seeds", 2, "--frames", 60, "--jobs", 1)
+    arguments = (*arguments, "--filters", "inverse-depth,euclidean", "--out", tmp_path / "run")
+    running = process(*arguments)
+    deadline = time.monotonic() + 60
+    while not list((tmp_path / "run").glob("trials/*/*.npz")):
+        assert running.poll() is None, running.communicate()[1]
+        assert time.monotonic() < deadline, "no trial was finished in a minute"
+        time.sleep(0.02)
+    running.send_signal(signal.SIGINT)
+    _, err = running.communicate(timeout=60)
+    assert running.returncode == 130
+    assert "Traceback" not in err
+    assert "finished trials are kept in" in err
+    (resume,) = [line.removeprefix("to go on: stereo-slam ") for line in err.splitlines() if "to go on" in line]
+    kept = {path: path.stat().st_mtime_ns for path in (tmp_path / "run").glob("trials/*/*.npz")}
+    assert 1 <= len(kept) < 4
+    again = process(*resume.split())
+    out, err = again.communicate(timeout=120)
+    assert again.returncode == 0, err
+    assert "report.html" in out
+    assert len(list((tmp_path / "run").glob("trials/*/*.npz"))) == 4

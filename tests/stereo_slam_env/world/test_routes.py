@@ -1,0 +1,67 @@
+"""Scripted routes: how far, how fast, which way; and that the motion obeys Eq. 6."""
+
+import numpy as np
+import pytest
+
+from filters import rotations
+from stereo_slam_env.world.routes import FRAME_PERIOD, ROUTES, RouteDriver, advance, right_turn, straight, town
+
+
+def test_town_is_the_reference_drive():
+    route = town()
+    assert route.frames == 800
+    assert route.length == pytest.approx(350, rel=0.03)
+    assert route.speeds.max() == pytest.approx(4.9)
+    assert route.speeds.min() == pytest.approx(3.0)
+    assert np.abs(route.yaw_rates).max() == pytest.approx(0.29)
+
+
+def test_town_turns_left_then_right_and_ends_in_its_first_direction():
+    headings = np.degrees(town().headings)
+    assert headings[400] == pytest.approx(-80, abs=3)
+    assert headings[-1] == pytest.approx(0, abs=1e-6)
+
+
+def test_right_turn_is_90_degrees_to_the_right():
+    route = right_turn()
+    assert np.degrees(route.headings[-1]) == pytest.approx(90, abs=0.1)
+    assert route.positions[-1, 0] > 10
+    assert (route.headings[:5] == 0).all()
+
+
+def test_straight_stays_on_the_axis():
+    positions = straight().positions
+    np.testing.assert_array_equal(positions[:, :2], 0)
+    assert (np.diff(positions[:, 2]) > 0).all()
+
+
+@pytest.mark.parametrize("name", ROUTES)
+def test_without_perturbation_the_driver_follows_the_nominal_poses(name):
+    route = ROUTES[name]()
+    driver = RouteDriver(route, 0.0, np.random.default_rng(0))
+    pose, _ = driver.start()
+    for step in range(1, route.frames):
+        pose = advance(pose, driver.drive(pose, np.zeros(2)), FRAME_PERIOD)
+        np.testing.assert_allclose(pose.position, route.positions[step], atol=1e-9)
+    assert driver.finished
+    np.testing.assert_allclose(rotations.matrix(pose.orientation), rotations.exp([0, route.headings[-1], 0]), atol=1e-9)
+
+
+def test_perturbations_are_there_and_stay_bounded():
+    route = town()
+    for seed in range(5):
+        driver = RouteDriver(route, 1.0, np.random.default_rng(seed))
+        pose, velocity = driver.start()
+        offsets, tilts, speeds = [], [], []
+        for step in range(1, route.frames):
+            velocity = driver.drive(pose, np.zeros(2))
+            pose = advance(pose, velocity, FRAME_PERIOD)
+            offsets.append(pose.position - route.positions[step])
+            R_nominal = rotations.exp([0, route.headings[step], 0])
+            tilts.append(rotations.log(R_nominal.T @ rotations.matrix(pose.orientation)))
+            speeds.append(np.linalg.norm(velocity.linear) - route.speeds[step - 1])
+        assert np.abs(offsets).max() < 1.0
+        assert np.abs(tilts).max() < 0.06
+        assert np.std(offsets, axis=0).min() > 0.02
+        assert np.std(tilts, axis=0).min() > 0.002
+        assert np.std(speeds) == pytest.approx(0.15, rel=0.5)

@@ -1,0 +1,89 @@
+"""The direction of the imports and the shape of the tree, as the design has them (< 1 s)."""
+
+import ast
+import sys
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+PACKAGES = ("filters", "stereo_slam_env")
+MODULES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
+WORLD_SIDE = ("world", "rendering", "sensing", "envs")
+
+MAX_LINES = 400
+LONGER_FOR_A_REASON = {
+    "filters/conformance.py": "the contract of a filter as one list of checks, read from top to bottom",
+}
+
+
+def name_of(path):
+    return path.relative_to(ROOT).as_posix()
+
+
+@cache
+def imports(path):
+    """Absolute names of all modules that a file imports, wherever in the file."""
+    package = path.relative_to(ROOT).with_suffix("").parts[:-1]
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            base = list(package[: len(package) - node.level + 1]) if node.level else []
+            module = ".".join([*base, *([node.module] if node.module else [])])
+            found |= {f"{module}.{alias.name}" for alias in node.names}
+    return frozenset(found)
+
+
+def imported_under(path, *prefixes):
+    return sorted(name for name in imports(path) if any(f"{name}.".startswith(f"{p}.") for p in prefixes))
+
+
+def modules_of(*folders):
+    return [path for path in MODULES if any(name_of(path).startswith(f"{folder}/") for folder in folders)]
+
+
+def test_the_packages_are_found():
+    assert len(MODULES) > 30
+
+
+@pytest.mark.parametrize("path", modules_of("filters"), ids=name_of)
+def test_filters_know_only_numpy_and_scipy(path):
+    allowed = {*sys.stdlib_module_names, "filters", "numpy", "scipy", "filterpy", "threadpoolctl"}
+    assert {name.split(".")[0] for name in imports(path)} <= allowed
+
+
+def test_only_physics_knows_pybullet():
+    users = [name_of(path) for path in MODULES if imported_under(path, "pybullet", "pybullet_data", "pybullet_utils")]
+    assert users == ["stereo_slam_env/world/physics.py"]
+
+
+@pytest.mark.parametrize("path", modules_of(*(f"stereo_slam_env/{part}" for part in WORLD_SIDE)), ids=name_of)
+def test_the_world_knows_no_filter_and_no_evaluation(path):
+    evaluation = (f"stereo_slam_env.{part}" for part in ("benchmark", "viewer", "cli", "console"))
+    concrete = ("inverse_depth_stereo", "dual_bearing", "euclidean_xyz", "engine", "registry", "conformance")
+    named = ("make_filter", "available_filters", "InverseDepthStereoEKF", "DualBearingEKF", "EuclideanEKF")
+    forbidden = (*evaluation, *(f"filters.{part}" for part in (*concrete, *named)))
+    assert imported_under(path, *forbidden) == []
+
+
+@pytest.mark.parametrize("path", [p for p in MODULES if p.name not in ("cli.py", "__main__.py")], ids=name_of)
+def test_nothing_imports_the_command_line(path):
+    assert imported_under(path, "stereo_slam_env.cli", "typer") == []
+
+
+@pytest.mark.parametrize("path", modules_of("stereo_slam_env/viewer"), ids=name_of)
+def test_figures_never_touch_the_global_state_of_pyplot(path):
+    assert imported_under(path, "matplotlib.pyplot", "pylab") == []
+
+
+def test_no_module_is_a_drawer_of_odds_and_ends():
+    vague = {"utils", "util", "helpers", "helper", "common", "misc", "tools"}
+    assert [name_of(path) for path in MODULES if vague & {path.stem, *path.parts}] == []
+
+
+def test_long_files_have_a_reason():
+    long = {name_of(path) for path in MODULES if len(path.read_text(encoding="utf-8").splitlines()) > MAX_LINES}
+    assert long == set(LONGER_FOR_A_REASON)

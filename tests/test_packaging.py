@@ -1,0 +1,98 @@
+"""What a user installs: the wheel holds what it should and works on its own (about 40 s)."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import sysconfig
+import venv
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+PACKAGES = ("filters", "stereo_slam_env")
+pytest.importorskip("build", reason="needs pip install stereo-slam-env[dev]")
+
+pytestmark = pytest.mark.slow
+
+
+def run(*command, cwd):
+    """Run a command as a newcomer would: nothing of this checkout on the path."""
+    environment = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
+    done = subprocess.run(list(map(str, command)), cwd=cwd, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, f"{command}\n{done.stdout}\n{done.stderr}"
+    return done.stdout
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory):
+    """Built from a copy, so that nothing of an earlier build is in it and nothing is left in the checkout."""
+    source = tmp_path_factory.mktemp("source")
+    for package in PACKAGES:
+        shutil.copytree(ROOT / package, source / package, ignore=shutil.ignore_patterns("__pycache__"))
+    for name in ("pyproject.toml", "README.md", "LICENSE"):
+        shutil.copy(ROOT / name, source)
+    run(sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", "dist", cwd=source)
+    (built,) = (source / "dist").glob("*.whl")
+    return built
+
+
+@pytest.fixture(scope="module")
+def home(wheel, tmp_path_factory):
+    """An empty environment with the wheel; only the dependencies are lent by the environment of the tests."""
+    home = tmp_path_factory.mktemp("installed")
+    venv.create(home, with_pip=False)
+    python = home / "bin" / "python"
+    run(sys.executable, "-m", "pip", "--python", python, "install", "--quiet", "--no-deps", wheel, cwd=home)
+    (site,) = home.glob("lib/python*/site-packages")
+    # A path named in a .pth file is searched last, and its own .pth files (an editable install) are not read.
+    (site / "dependencies.pth").write_text(sysconfig.get_path("purelib"), encoding="utf-8")
+    return home
+
+
+def test_the_wheel_holds_both_packages_whole_and_nothing_else(wheel):
+    with zipfile.ZipFile(wheel) as archive:
+        packed = {name for name in archive.namelist() if ".dist-info/" not in name}
+    data = {".py", ".typed", ".html", ".toml"}
+    wanted = {
+        path.relative_to(ROOT).as_posix()
+        for package in PACKAGES
+        for path in (ROOT / package).rglob("*")
+        if path.suffix in data
+    }
+    assert packed == wanted
+    assert {"filters/py.typed", "stereo_slam_env/py.typed", "stereo_slam_env/benchmark/report.html"} <= packed
+
+
+def test_the_wheel_names_its_licence_and_its_command(wheel):
+    with zipfile.ZipFile(wheel) as archive:
+        names = archive.namelist()
+        (metadata,) = (archive.read(name).decode() for name in names if name.endswith(".dist-info/METADATA"))
+        (commands,) = (archive.read(name).decode() for name in names if name.endswith("entry_points.txt"))
+    assert "License-Expression: MIT" in metadata
+    assert any(name.endswith("/licenses/LICENSE") for name in names)
+    assert "stereo-slam = stereo_slam_env.cli:main" in commands
+
+
+def test_the_installed_packages_are_those_of_the_wheel(home, tmp_path):
+    show = "import filters, stereo_slam_env as env; print(filters.__file__); print(env.__file__)"
+    for line in run(home / "bin" / "python", "-c", show, cwd=tmp_path).split():
+        assert Path(line).is_relative_to(home)
+
+
+def test_the_command_answers(home, tmp_path):
+    assert "bench" in run(home / "bin" / "stereo-slam", "--help", cwd=tmp_path)
+    assert "inverse-depth" in run(home / "bin" / "stereo-slam", "filters", "list", cwd=tmp_path)
+
+
+@pytest.mark.parametrize(("preset", "frames"), [("reference-turn", 8), ("turn", 6)])
+def test_the_main_job_runs_from_the_wheel(home, tmp_path, preset, frames):
+    command = (home / "bin" / "stereo-slam", "bench", "--preset", preset, "--seeds", 1, "--frames", frames)
+    printed = run(*command, "--jobs", 1, "--out", tmp_path / "out", cwd=tmp_path)
+    assert "report" in printed
+    assert (tmp_path / "out" / "report.html").stat().st_size > 10_000
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text(encoding="utf-8"))
+    assert "inverse-depth" in json.dumps(summary)
