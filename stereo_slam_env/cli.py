@@ -237,7 +237,7 @@ def render_scene(
 
         if out.suffix.lower() != ".png":
             raise ValueError(f"--out must be a file name ending in .png, got {str(out)!r}")
-        env: Any = gym.make("StereoSlam/Drive-v0", route=name, render_mode="rgb_array")
+        env: Any = gym.make("StereoSlam/Drive-v0", route=name, policy="route", render_mode="rgb_array")
         try:
             env.reset(seed=seed)
             for k in range(frame):

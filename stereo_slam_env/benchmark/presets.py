@@ -20,7 +20,7 @@ PRESETS: Mapping[str, tuple[str, Scenario]] = {
     scenario.name: (description, scenario)
     for description, scenario in (
         (
-            "the first 200 m of the town with its first wide turn, 6 streets: a minute or two",
+            "the first 40 s of the town with its first wide turn, 6 streets: a minute or two",
             Scenario("quick", "street", {"route": "town"}, seeds=_seeds(6), frames=400, **_SETUP),
         ),
         (

@@ -112,7 +112,7 @@ class StereoDriveEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
     | Argument | Default | Meaning |
     |----------|---------|---------|
     | `route` | `"town"` | `"town"` (800 frames, 350 m, two wide turns), `"right-turn"` (80), `"straight"` (200) |
-    | `policy` | `"route"` | `"route"`: scripted; `"agent"`: the action drives |
+    | `policy` | `"agent"` | `"agent"`: the action drives; `"route"`: a script does |
     | `rig` | `"reference"` | `"reference"` 1344x391, f = 721.5 px; `"vga"` 640x480; `"qvga"` 320x240 |
     | `sensor` | `"landmarks"` | projection, occlusion and noise |
     | `render_images` | `False` | add the rendered views to the observation (slow) |

@@ -28,7 +28,7 @@ class DriveOptions:
     """
 
     route: str = "town"
-    policy: str = "route"
+    policy: str = "agent"
     rig: str = "reference"
     sensor: str = "landmarks"
     render_images: bool = False

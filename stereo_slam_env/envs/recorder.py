@@ -23,7 +23,7 @@ def record(
     Parameters
     ----------
     env_kwargs : mapping, optional
-        Arguments of `StereoDriveEnv`; `policy` must be "route".
+        Arguments of `StereoDriveEnv`; `policy` is "route" and can be nothing else.
     seed : int
         Seed of the episode: same seed, same bits.
     frames : int, optional
@@ -42,8 +42,8 @@ def record(
         An argument of the environment is not allowed, `policy` is not "route", `frames` is less than 1, or the
         drive ended before `frames`.
     """
-    kwargs = dict(env_kwargs or {})
-    if kwargs.get("policy", "route") != "route":
+    kwargs = {"policy": "route", **(env_kwargs or {})}
+    if kwargs["policy"] != "route":
         raise ValueError(f"policy must be 'route' to record without an agent, got {kwargs['policy']!r}")
     if frames is not None and frames < 1:
         raise ValueError(f"frames must be at least 1, got {frames!r}")

@@ -29,7 +29,7 @@ def make():
     made = []
 
     def _make(**kwargs):
-        made.append(StereoDriveEnv(**kwargs))
+        made.append(StereoDriveEnv(**{"policy": "route", **kwargs}))
         return made[-1]
 
     yield _make
@@ -85,7 +85,7 @@ def test_resetting_does_not_depend_on_what_was_before(make):
 
 @pytest.mark.parametrize("mode", ["sync", "async"])
 def test_vector_environments_give_the_same_bits(make, mode):
-    vector = gym.make_vec(ID, num_envs=2, vectorization_mode=mode, **QUICK)
+    vector = gym.make_vec(ID, num_envs=2, vectorization_mode=mode, policy="route", **QUICK)
     try:
         observation, info = vector.reset(seed=[11, 12])
         frames = [(observation, info)]
