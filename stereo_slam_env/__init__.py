@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import gymnasium as _gym
 
-from stereo_slam_env.sensing.padding import stereo_observation
-
 if TYPE_CHECKING:
     from stereo_slam_env.envs.drive import StereoDriveEnv
+    from stereo_slam_env.sensing.padding import stereo_observation
 
 __all__ = ["StereoDriveEnv", "stereo_observation"]
 
@@ -26,9 +25,13 @@ _register("StereoSlam/Drive-v0", "stereo_slam_env.envs.drive:StereoDriveEnv", 30
 
 
 def __getattr__(name: str) -> Any:
-    """Import the environment class when it is asked for: it brings the physics engine with it."""
+    """Import what is asked for when it is asked for: the physics engine and scipy take their time."""
     if name == "StereoDriveEnv":
         from stereo_slam_env.envs.drive import StereoDriveEnv
 
         return StereoDriveEnv
+    if name == "stereo_observation":
+        from stereo_slam_env.sensing.padding import stereo_observation
+
+        return stereo_observation
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

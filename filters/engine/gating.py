@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from filters.validation import BoolArray, FloatArray
 
@@ -13,7 +13,7 @@ from filters.validation import BoolArray, FloatArray
 @lru_cache
 def gate_limit(probability: float, degrees_of_freedom: int) -> float:
     """Squared Mahalanobis distance that a consistent innovation stays below with `probability`."""
-    return float(chi2.ppf(probability, degrees_of_freedom))
+    return float(chdtri(degrees_of_freedom, 1.0 - probability))
 
 
 def squared_distances(innovations: FloatArray, S: FloatArray) -> FloatArray:

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import tempfile
 import weakref
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
-import pybullet
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
@@ -19,6 +20,24 @@ from filters.validation import BoolArray, FloatArray
 from stereo_slam_env.world.meshes import obj_text, scene_meshes
 from stereo_slam_env.world.scene import Box, Cylinder, Primitive, Scene
 from stereo_slam_env.world.textures import texture
+
+
+@contextmanager
+def _without_banner() -> Iterator[None]:
+    """Keep the native standard error to ourselves: PyBullet prints its build time to it on import."""
+    kept = os.dup(2)
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 2)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(nowhere)
+
+
+with _without_banner():
+    import pybullet
 
 _SHAPES_PER_BODY = 4
 """Neighbouring solids share a body: building is faster than with one each, rays as fast. PyBullet allows 16."""

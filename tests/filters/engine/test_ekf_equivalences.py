@@ -35,7 +35,7 @@ def test_joint_and_stacked_are_the_same_filter(landmark: str, noise: StereoNoise
 
 
 def test_the_right_row_is_one_more_measurement_of_v_and_nothing_else() -> None:
-    """Stacked with v_right is joint with the mean of both rows, of half the variance (R as in the facts)."""
+    """Stacked with v_right is joint with the mean of both rows, of half the variance."""
     frames = drive(1, 12, v_right=True, depths=(6.0, 30.0))
     stacked, joint = make(measurement="stacked"), make(measurement="joint")
     averaged_R = np.array([[1.0, 0.0, 1.0], [0.0, 0.5, 0.0], [1.0, 0.0, 2.0]])
