@@ -7,7 +7,7 @@ linear velocity (W, m/s), angular velocity (camera frame, rad/s). Every Jacobian
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -78,6 +78,7 @@ class LinearMeasurement:
     R: FloatArray
 
 
+@runtime_checkable
 class MotionModel(Protocol):
     """How the camera moves between two frames."""
 

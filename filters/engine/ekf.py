@@ -129,12 +129,16 @@ class StereoEKF(StereoFilter):
             raise ValueError(f"camera must be a StereoCamera, got {camera!r}")
         if not isinstance(noise, StereoNoise):
             raise ValueError(f"noise must be a StereoNoise, got {noise!r}: see StereoNoise.independent_pixels")
-        if gate is not None and not 0.0 < gate < 1.0:
+        if gate is not None and not (isinstance(gate, float | int) and 0.0 < gate < 1.0):
             raise ValueError(f"gate must be a probability between 0 and 1, or None for no gate, got {gate!r}")
-        if not isinstance(iterations, int) or iterations < 1:
+        if type(iterations) is not int or iterations < 1:
             raise ValueError(f"iterations must be an integer >= 1, got {iterations!r}")
-        if min_disparity is not None and not np.isfinite(min_disparity):
-            raise ValueError(f"min_disparity must be finite or None, got {min_disparity!r}")
+        if not isinstance(drop_unseen, bool):
+            raise ValueError(f"drop_unseen must be True or False, got {drop_unseen!r}")
+        if min_disparity is not None and not (isinstance(min_disparity, float | int) and np.isfinite(min_disparity)):
+            raise ValueError(f"min_disparity must be a finite number of px, or None, got {min_disparity!r}")
+        if motion is not None and not isinstance(motion, MotionModel):
+            raise ValueError(f"motion must be a motion model such as ConstantVelocity(3.0, 0.6), got {motion!r}")
         self.camera = camera
         self.noise = noise
         self._motion: MotionModel = ConstantVelocity() if motion is None else motion
@@ -385,7 +389,7 @@ def _select(stage: Stage, mask: BoolArray) -> Stage:
 
 
 def _choice(name: str, value: str, available: Mapping[str, T]) -> T:
-    if value in available:
+    if isinstance(value, str) and value in available:
         return available[value]
     close = get_close_matches(str(value), available, 1)
     hint = f"; did you mean {close[0]!r}?" if close else ""

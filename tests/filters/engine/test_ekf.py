@@ -211,7 +211,6 @@ def test_impossible_options_are_refused(options: dict, message: str) -> None:
         StereoEKF(CAMERA, INDEPENDENT_PIXELS, **options)
 
 
-@pytest.mark.xfail(strict=True, reason="not checked: TypeError, a late failure, or (drop_unseen=1) a corrupted map")
 @pytest.mark.parametrize(
     "options",
     [
