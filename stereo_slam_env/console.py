@@ -49,6 +49,7 @@ def show_recording(console: Console, recording: Recording) -> None:
     lines = {
         "recording": f"{recording.name}: {len(frames)} frames, {frames[-1].timestamp - frames[0].timestamp:.1f} s, "
         f"{observed / len(frames):.0f} landmarks a frame, {with_truth} frames with truth",
+        "its noise": f"R = {json.dumps(recording.noise.R.round(6).tolist())} px² of (u, v, d)",
         "read as": ", ".join(f"{key} = {value}" for key, value in recording.source.items()),
     }
     for name, value in lines.items():

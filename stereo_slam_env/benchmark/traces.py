@@ -6,10 +6,11 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from filters import rotations
 from filters.interface import StereoObservation
 from stereo_slam_env.benchmark.map_scoring import MapView, depths
 from stereo_slam_env.benchmark.results import LandmarkTrace
-from stereo_slam_env.recording import Recording
+from stereo_slam_env.recording import Frame, Recording
 
 DEPTHS: Mapping[str, float] = {"near": 20.0, "far": 75.0}  # m, the paper's
 ENOUGH_FRAMES = 12  # the paper's figures show so many
@@ -20,8 +21,10 @@ def choose_landmarks(recording: Recording) -> dict[str, int]:
 
     Of the tracks of at least `ENOUGH_FRAMES` frames (of the longest ones, if none is so long) the one whose
     disparity at first sight is nearest to the disparity of the wanted depth; ties to the earlier, then smaller id.
+    The disparity is the true one where truth is known: chosen by a measured one, a landmark would be one whose first
+    error makes it look as far as it was wanted.
     """
-    seen = [frame.observation for frame in recording.frames]
+    seen = [_noise_free(frame, recording) for frame in recording.frames]
     if not any(len(observation) for observation in seen):
         return {}
     ids = np.concatenate([observation.ids for observation in seen])
@@ -37,6 +40,16 @@ def choose_landmarks(recording: Recording) -> dict[str, int]:
         if np.isfinite(miss[best]):
             chosen[label] = int(landmarks[best])
     return chosen
+
+
+def _noise_free(frame: Frame, recording: Recording) -> StereoObservation:
+    """The observation of `frame` with true (u, v, d), as far as truth is known."""
+    seen, landmarks = frame.observation, recording.landmarks
+    if frame.truth is None or landmarks is None or not np.isin(seen.ids, landmarks.ids).all():
+        return seen
+    points_w = landmarks.positions[np.searchsorted(landmarks.ids, seen.ids)]
+    points_c = (points_w - frame.truth.position) @ rotations.matrix(frame.truth.orientation)
+    return StereoObservation(seen.ids, recording.camera.project(points_c))
 
 
 class TraceRecorder:

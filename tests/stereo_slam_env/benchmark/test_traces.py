@@ -38,6 +38,11 @@ def test_near_and_far_are_different_and_may_be_missing():
     assert choose_landmarks(recording_of({})) == {}
 
 
+def test_where_truth_is_known_the_noise_does_not_choose():
+    quiet, noisy = small_recording(sigma=0.01), small_recording(sigma=3.0)
+    assert choose_landmarks(quiet) == choose_landmarks(noisy)
+
+
 def test_a_trace_is_the_depth_in_the_current_camera():
     recording = small_recording(sigma=0.01)
     estimator = make_filter("inverse-depth", camera=CAMERA, noise=recording.noise)
