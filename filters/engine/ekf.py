@@ -5,20 +5,18 @@ The named filters are choices of these parts; this module only says in which ord
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from difflib import get_close_matches
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import block_diag
 
-from filters import rotations
 from filters.camera import StereoCamera
 from filters.engine import gating, kalman, symmetric
-from filters.engine.joint_state import JointState
-from filters.engine.retraction import AdditiveQuaternion, Retraction, RotationVector
+from filters.engine.error_definition import ERRORS
+from filters.engine.joint_state import JointState, world_rotation_of_camera
+from filters.engine.linearisation import linearise, project
+from filters.engine.options import LANDMARKS, MEASUREMENTS, choice
 from filters.interface import (
     BodyVelocity,
     Forecast,
@@ -29,23 +27,8 @@ from filters.interface import (
     UpdateReport,
     VelocityBelief,
 )
-from filters.landmarks.euclidean import Euclidean
-from filters.landmarks.inverse_depth import InverseDepth
-from filters.landmarks.parametrisation import LandmarkModel
-from filters.landmarks.shared_anchor import SharedAnchorInverseDepth
-from filters.measurements.bearing import LeftOnly, LeftThenRight, Stacked
-from filters.measurements.model import MeasurementModel, Stage
-from filters.measurements.range_bearing import RangeBearing
-from filters.motion import (
-    ANGULAR,
-    CAMERA_SIZE,
-    LINEAR,
-    POSITION,
-    ROTATION,
-    CameraState,
-    ConstantVelocity,
-    MotionModel,
-)
+from filters.measurements.model import Stage
+from filters.motion import CAMERA_SIZE, POSE_SIZE, CameraState, ConstantVelocity, MotionModel
 from filters.noise import StereoNoise
 from filters.validation import (
     BoolArray,
@@ -58,25 +41,10 @@ from filters.validation import (
     unit_quaternion,
 )
 
-LANDMARKS: Mapping[str, LandmarkModel] = {
-    "inverse-depth": InverseDepth(),
-    "shared-anchor": SharedAnchorInverseDepth(),
-    "euclidean": Euclidean(),
-}
-MEASUREMENTS: Mapping[str, MeasurementModel] = {
-    "joint": RangeBearing(),
-    "sequential": LeftThenRight(),
-    "stacked": Stacked(),
-    "left": LeftOnly(),
-}
-ERRORS: Mapping[str, Retraction] = {"quaternion": AdditiveQuaternion(), "so3": RotationVector()}
-
 # Standard deviations at reset when the caller gives no covariance: a known pose, a broad velocity.
 KNOWN_POSE = 1e-6
 BROAD_LINEAR_VELOCITY = 10.0
 BROAD_ANGULAR_VELOCITY = 0.5
-
-T = TypeVar("T")
 
 
 class StereoEKF(StereoFilter):
@@ -96,8 +64,8 @@ class StereoEKF(StereoFilter):
         Parametrisation of landmarks.
     measurement : {"joint", "sequential", "stacked", "left"}
         Measurement model: (u, v, d) · left then right · both eyes' pixels at once · left pixel only.
-    error : {"quaternion", "so3"}
-        Error definition of the orientation.
+    error : {"quaternion", "so3", "first-estimates", "right-invariant"}
+        Error definition: the paper's · rotation vector · first-estimates Jacobians · right-invariant.
     iterations : int
         Passes of the update; 1 is the plain EKF, more relinearise at the result with the prior held (Gauss-Newton).
     drop_unseen : bool
@@ -143,9 +111,9 @@ class StereoEKF(StereoFilter):
         self.noise = noise
         self._motion: MotionModel = ConstantVelocity() if motion is None else motion
         self._gate = gate
-        self._landmark = _choice("landmark", landmark, LANDMARKS)
-        self._measurement = _choice("measurement", measurement, MEASUREMENTS)
-        self._error = _choice("error", error, ERRORS)
+        self._landmark = choice("landmark", landmark, LANDMARKS)
+        self._measurement = choice("measurement", measurement, MEASUREMENTS)
+        self._error = choice("error", error, ERRORS)
         self._iterations = iterations
         self._drop_unseen = drop_unseen
         self._min_disparity = min_disparity
@@ -171,7 +139,7 @@ class StereoEKF(StereoFilter):
             P = np.diag(sigmas**2)
         else:
             P = covariance_matrix("covariance", covariance, CAMERA_SIZE)
-        self._state = JointState(camera, np.array(P, order="F"), self._landmark)
+        self._state = JointState.without_map(camera, P, self._landmark)
 
     def predict(self, dt: float, odometry: BodyVelocity | None = None) -> None:
         """Move the belief forward (Eq. 6, 11, 12), then fuse what odometry adds."""
@@ -179,13 +147,19 @@ class StereoEKF(StereoFilter):
         if odometry is not None and not isinstance(odometry, BodyVelocity):
             raise ValueError(f"odometry must be a BodyVelocity or None, got {odometry!r}")
         predicted = self._motion.predict(self._state.camera, dt, odometry)
-        self._state.transform_camera(predicted.F, predicted.G @ predicted.Q @ predicted.G.T)
-        self._state.camera = predicted.state
+        F = self._error.constrained(
+            predicted.F,
+            world_rotation_of_camera(predicted.state),
+            world_rotation_of_camera(self._state.predicted),
+            self._state.predicted.R_wc,
+        )
+        self._state.transform_camera(F, predicted.G @ predicted.Q @ predicted.G.T)
+        self._state.camera = self._state.predicted = predicted.state
         if odometry is not None:
             measured = self._motion.odometry_measurement(predicted.state, dt, odometry)
             if measured is not None:
                 correction = kalman.update(self._state.P, kalman.of_camera(measured))
-                self._retract(self._state, correction.delta)
+                self._retract(correction.delta)
 
     def update(self, observation: StereoObservation) -> UpdateReport:
         """Known ids correct the state, unseen ones leave, new ones enter; see `StereoFilter.update`."""
@@ -208,7 +182,7 @@ class StereoEKF(StereoFilter):
         known, index = self._locate(wanted)
         if not known.all():
             raise ValueError(f"ids must be in the map, not there: {wanted[~known][:5].tolist()}: see landmarks.ids")
-        uvd, in_front = self._project(state, index)
+        uvd, in_front = project(self.camera, state, index)
         linearised = self._linearise(state, index, Stage(uvd, np.eye(3), self._noise_of(len(index))))
         S = linearised.innovation_covariances(state.P)
         return Forecast(wanted, uvd, S, in_front & self.camera.in_view(uvd))
@@ -254,14 +228,11 @@ class StereoEKF(StereoFilter):
         return LandmarkBelief(state.ids[index], points.positions, covariances, inverse.values, variance)
 
     def pose_error(self, position: ArrayLike, orientation: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Position difference in W, and the correction that takes the orientation to the true one."""
+        """Error of the pose in this filter's error definition; see `StereoFilter.pose_error`."""
         true_position = finite_array("position", position, (3,))
         true_orientation = unit_quaternion("orientation", orientation)
         camera = self._state.camera
-        error = np.concatenate(
-            [true_position - camera.position, self._error.local(camera.orientation, true_orientation)]
-        )
-        return error, self.pose.covariance
+        return self._error.pose_error(camera, self.pose.covariance, true_position, true_orientation)
 
     def _locate(self, ids: IntArray) -> tuple[BoolArray, IntArray]:
         """Which of `ids` are in the map, and where those are."""
@@ -274,33 +245,8 @@ class StereoEKF(StereoFilter):
     def _noise_of(self, count: int, R: FloatArray | None = None) -> FloatArray:
         return np.broadcast_to(self.noise.R, (count, 3, 3)) if R is None else R
 
-    def _project(self, state: JointState, index: IntArray) -> tuple[FloatArray, BoolArray]:
-        """Predicted (u, v, d) of landmarks (Eq. 8-10, 13), and whether their rays point forward."""
-        seen = self._landmark.relative_to(
-            state.camera.position, state.anchors(index), state.parameters(index)
-        ).homogeneous
-        h_c = seen[:, :3] @ state.camera.R_wc
-        return self.camera.project_scaled(h_c, seen[:, 3]), h_c[:, 2] > 0
-
     def _linearise(self, state: JointState, index: IntArray, stage: Stage) -> kalman.LinearisedMeasurements:
-        """Innovations (Eq. 14) and H of a stage at `state`, by the chain rule through Eq. 8-10."""
-        R_cw = state.camera.R_wc.T
-        seen = self._landmark.relative_to(state.camera.position, state.anchors(index), state.parameters(index))
-        h_c, scale = seen.homogeneous[:, :3] @ R_cw.T, seen.homogeneous[:, 3]
-        z_by_camera = stage.T @ self.camera.project_scaled_jacobian(h_c, scale)
-        z_by_world = np.concatenate([z_by_camera[:, :, :3] @ R_cw, z_by_camera[:, :, 3:]], axis=2)
-        by_position = z_by_world @ seen.by_position
-        by_rotation = z_by_camera[:, :, :3] @ rotations.skew(h_c)
-        by_map = z_by_world @ seen.by_parameters
-        if seen.by_anchor is not None:
-            by_map = np.concatenate([z_by_world @ seen.by_anchor, by_map], axis=2)
-        return kalman.LinearisedMeasurements(
-            stage.z - self.camera.project_scaled(h_c, scale) @ stage.T.T,
-            np.concatenate([by_position, by_rotation], axis=2),
-            by_map,
-            state.map_rows(index),
-            stage.R,
-        )
+        return linearise(self.camera, state, index, stage, self._error.linearisation_point(state))
 
     def _correct(self, observation: StereoObservation, index: IntArray) -> UpdateReport:
         """Stage by stage: leave out what is behind the camera or not believable, correct with the rest.
@@ -316,7 +262,7 @@ class StereoEKF(StereoFilter):
         behind, gated, failed = np.zeros_like(used), np.zeros_like(used), np.zeros_like(used)
         nis, dof = 0.0, 0
         for stage in stages:
-            _, in_front = self._project(self._state, index)
+            _, in_front = project(self.camera, self._state, index)
             behind |= used & ~in_front
             used &= in_front
             measurements = self._linearise(self._state, index[used], _select(stage, used))
@@ -345,30 +291,19 @@ class StereoEKF(StereoFilter):
         prior = self._state
         for _ in range(self._iterations - 1):
             delta = kalman.update(prior.P.copy(order="F"), measurements).delta
-            moved = replace(prior)
-            self._retract(moved, delta, covariance=False)
-            measurements = self._linearise(moved, index, stage)
-            measurements.by_camera[:, :, ROTATION] = measurements.by_camera[:, :, ROTATION] @ self._error.transport(
-                delta[ROTATION]
+            moved = self._error.moved(prior, delta)
+            measurements = self._linearise(moved, index, stage).by_earlier_errors(
+                self._error.transport(prior, moved, delta), delta
             )
-            measurements.innovation[:] += measurements.times(delta)
         correction = kalman.update(prior.P, measurements)
-        self._retract(prior, correction.delta)
+        self._retract(correction.delta)
         return correction
 
-    def _retract(self, state: JointState, delta: FloatArray, *, covariance: bool = True) -> None:
-        """Move the state by the correction (Eq. 17) and carry P along to the new orientation."""
-        camera = state.camera
-        state.camera = CameraState(
-            camera.position + delta[POSITION],
-            self._error.retract(camera.orientation, delta[ROTATION]),
-            camera.linear_velocity + delta[LINEAR],
-            camera.angular_velocity + delta[ANGULAR],
-        )
-        state.blocks = state.blocks + delta[CAMERA_SIZE:].reshape(-1, 3)
-        if covariance:
-            identity = np.eye(3)
-            state.transform_camera(block_diag(identity, self._error.transport(delta[ROTATION]), identity, identity))
+    def _retract(self, delta: FloatArray) -> None:
+        """Move the state by the correction (Eq. 17) and carry P along."""
+        moved = self._error.moved(self._state, delta)
+        moved.shear_by_rotation(self._error.transport(self._state, moved, delta))
+        self._state = moved
 
     def _initialise(self, observation: StereoObservation) -> tuple[IntArray, IntArray]:
         """Add new landmarks from the updated pose (Eq. 19-25); returns the ids added and those refused."""
@@ -380,17 +315,13 @@ class StereoEKF(StereoFilter):
         if len(accepted):
             new = self._landmark.initialise(self.camera, camera.position, camera.R_wc, accepted.uvd)
             R = self._noise_of(len(accepted), accepted.R)
-            self._state.augment(accepted.ids, new, R)
+            source = world_rotation_of_camera(self._state.predicted)[:POSE_SIZE]
+            R_predicted = self._state.predicted.R_wc
+            self._state.augment(
+                accepted.ids, new, R, lambda J, image: self._error.constrained(J, image, source, R_predicted)
+            )
         return accepted.ids, observation.ids[~possible]
 
 
 def _select(stage: Stage, mask: BoolArray) -> Stage:
     return Stage(stage.z[mask], stage.T, stage.R[mask])
-
-
-def _choice(name: str, value: str, available: Mapping[str, T]) -> T:
-    if isinstance(value, str) and value in available:
-        return available[value]
-    close = get_close_matches(str(value), available, 1)
-    hint = f"; did you mean {close[0]!r}?" if close else ""
-    raise ValueError(f"{name} must be one of {', '.join(map(repr, available))}, got {value!r}{hint}")

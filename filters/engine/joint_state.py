@@ -6,20 +6,40 @@ Only the lower triangle of P is valid. Each operation checks nothing: the filter
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.linalg import blas
 
+from filters import rotations
 from filters.engine import symmetric
 from filters.landmarks.parametrisation import LandmarkModel, NewLandmarks
-from filters.motion import CAMERA_SIZE, POSE_SIZE, CameraState
+from filters.motion import CAMERA_SIZE, LINEAR, POSE_SIZE, POSITION, ROTATION, CameraState
 from filters.validation import BoolArray, FloatArray, IntArray
 
 _CAMERA = np.arange(CAMERA_SIZE)
 
 
-def _empty_blocks() -> IntArray:
+Adjust = Callable[[FloatArray, FloatArray], FloatArray]
+"""(J of new blocks by the pose (m, 6), effect of a rotation of the world on them (m, 3)) -> J to be used."""
+
+
+def _no_landmarks() -> IntArray:
     return np.zeros(0, dtype=np.int64)
+
+
+def _no_blocks() -> FloatArray:
+    return np.zeros((0, 3))
+
+
+def world_rotation_of_camera(camera: CameraState) -> FloatArray:
+    """Gamma of the camera: effect of a rotation of the world about its origin on the error state; (12, 3)."""
+    effect = np.zeros((CAMERA_SIZE, 3))
+    effect[POSITION] = -rotations.skew(camera.position)
+    effect[ROTATION] = camera.R_wc.T
+    effect[LINEAR] = -rotations.skew(camera.linear_velocity)
+    return effect
 
 
 @dataclass(eq=False)
@@ -34,8 +54,10 @@ class JointState:
         Covariance of the error state, lower triangle, column-major.
     model : LandmarkModel
         Parametrisation of the landmarks.
-    blocks : (B, 3)
-        Values of the map blocks; block b is at rows 12 + 3 b of P.
+    predicted : CameraState
+        The camera as it was predicted last, before any correction.
+    blocks, first_blocks : (B, 3)
+        Values of the map blocks, now and when they entered; block b is at rows 12 + 3 b of P.
     ids : (N,) int64
         Landmark identities, in the order in which they entered.
     parameter_block, anchor_block : (N,) int64
@@ -45,10 +67,17 @@ class JointState:
     camera: CameraState
     P: FloatArray
     model: LandmarkModel
-    blocks: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
-    ids: IntArray = field(default_factory=_empty_blocks)
-    parameter_block: IntArray = field(default_factory=_empty_blocks)
-    anchor_block: IntArray = field(default_factory=_empty_blocks)
+    predicted: CameraState
+    blocks: FloatArray = field(default_factory=_no_blocks)
+    first_blocks: FloatArray = field(default_factory=_no_blocks)
+    ids: IntArray = field(default_factory=_no_landmarks)
+    parameter_block: IntArray = field(default_factory=_no_landmarks)
+    anchor_block: IntArray = field(default_factory=_no_landmarks)
+
+    @classmethod
+    def without_map(cls, camera: CameraState, P: FloatArray, model: LandmarkModel) -> JointState:
+        """A camera with its covariance (12, 12), and nothing seen yet."""
+        return cls(camera, np.array(P, order="F"), model, predicted=camera)
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -79,7 +108,38 @@ class JointState:
         self.P[:CAMERA_SIZE, :CAMERA_SIZE] = 0.5 * (moved + moved.T)
         self.P[CAMERA_SIZE:, :CAMERA_SIZE] = self.P[CAMERA_SIZE:, :CAMERA_SIZE] @ F.T
 
-    def augment(self, ids: IntArray, new: NewLandmarks, R: FloatArray) -> None:
+    def world_rotation(self) -> FloatArray:
+        """Gamma: effect of a rotation of the world about its origin on the error state; (n, 3)."""
+        effect = -rotations.skew(self.blocks)
+        effect[self.parameter_block] = self.model.world_rotation(self.blocks[self.parameter_block])
+        return np.vstack([world_rotation_of_camera(self.camera), effect.reshape(-1, 3)])
+
+    def turned_blocks(self, turn: FloatArray, spread: FloatArray, correction: FloatArray) -> FloatArray:
+        """Map blocks turned with the world and corrected, see `LandmarkModel.turned`; (B, 3)."""
+        moved = self.blocks @ turn.T + correction @ spread.T
+        own = self.parameter_block
+        moved[own] = self.model.turned(self.blocks[own], turn, spread, correction[own])
+        return moved
+
+    def at_first_estimates(self) -> JointState:
+        """This state with the predicted camera and the map as it was first estimated."""
+        blocks = self.first_blocks.copy()
+        own = self.parameter_block
+        blocks[own] = self.model.first_estimates(self.first_blocks[own], self.blocks[own])
+        return replace(self, camera=self.predicted, blocks=blocks)
+
+    def shear_by_rotation(self, W: FloatArray) -> None:
+        """P <- (I + W E^T) P (I + W E^T)^T, E selecting the rotation of the camera; W (12, 3) or (n, 3)."""
+        if len(W) == CAMERA_SIZE:
+            M = np.eye(CAMERA_SIZE)
+            M[:, ROTATION] += W
+            self.transform_camera(M)
+            return
+        rotation = symmetric.rows(self.P, np.arange(ROTATION.start, ROTATION.stop))
+        half = rotation.T + 0.5 * W @ rotation[:, ROTATION].T
+        blas.dsyr2k(1.0, np.asfortranarray(W), np.asfortranarray(half), beta=1.0, c=self.P, lower=1, overwrite_c=1)
+
+    def augment(self, ids: IntArray, new: NewLandmarks, R: FloatArray, adjust: Adjust | None = None) -> None:
         """Add landmarks with their covariance and their cross-covariance with everything else (Eq. 19-25).
 
         Eq. 25 as printed leaves out the correlation of the new landmark with the old map, which it inherits
@@ -95,6 +155,10 @@ class JointState:
         by_pose[anchors:, :, :3] = new.by_position
         by_pose[anchors:, :, 3:] = new.by_rotation
         J = by_pose.reshape(-1, POSE_SIZE)
+        if adjust is not None:
+            effect = -rotations.skew(blocks)
+            effect[anchors:] = self.model.world_rotation(new.parameters)
+            J = adjust(J, effect.reshape(-1, 3))
         cross = J @ symmetric.rows(self.P, np.arange(POSE_SIZE))
 
         P = np.zeros((old + len(J), old + len(J)), order="F")
@@ -108,6 +172,7 @@ class JointState:
         anchor_block = np.full(count, -1) if anchors == 0 else first_block + np.arange(count) % anchors
         self.P = P
         self.blocks = np.vstack([self.blocks, blocks])
+        self.first_blocks = np.vstack([self.first_blocks, blocks])
         self.ids = np.concatenate([self.ids, ids])
         self.parameter_block = np.concatenate([self.parameter_block, parameter_block])
         self.anchor_block = np.concatenate([self.anchor_block, anchor_block])
@@ -124,6 +189,7 @@ class JointState:
         kept_rows = CAMERA_SIZE + 3 * np.flatnonzero(used)[:, None] + np.arange(3)
         self.P = symmetric.keep(self.P, np.concatenate([_CAMERA, kept_rows.ravel()]))
         self.blocks = self.blocks[used]
+        self.first_blocks = self.first_blocks[used]
         self.ids = self.ids[stays]
         self.parameter_block = renumbered[self.parameter_block[stays]]
         anchor = self.anchor_block[stays]

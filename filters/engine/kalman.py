@@ -8,13 +8,13 @@ X^T L^-1 nu.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import blas, lapack
 
 from filters.engine import symmetric
-from filters.motion import LinearMeasurement
+from filters.motion import CAMERA_SIZE, ROTATION, LinearMeasurement
 from filters.validation import BoolArray, FloatArray, IntArray
 
 CHUNK = 20  # landmarks: where the cost of the small factorisations meets that of passing over P again
@@ -61,6 +61,19 @@ class LinearisedMeasurements:
         product: FloatArray = self.by_camera @ delta[: self.by_camera.shape[2]]
         product += np.einsum("mkw,mw->mk", self.by_map, delta[self.map_rows])
         return product
+
+    def by_earlier_errors(self, W: FloatArray, delta: FloatArray) -> LinearisedMeasurements:
+        """The same measurements, linear in the errors of an earlier state that `delta` has moved here.
+
+        Errors there become I + W E^T times themselves here (E selects the rotation), and the innovation gets back what
+        the correction has already explained: a Gauss-Newton step with the prior held.
+        """
+        by_camera = self.by_camera.copy()
+        by_camera[:, :, ROTATION] += self.by_camera @ W[: self.by_camera.shape[2]]
+        if len(W) > CAMERA_SIZE:
+            by_camera[:, :, ROTATION] += self.by_map @ W[self.map_rows]
+        earlier = replace(self, by_camera=by_camera)
+        return replace(earlier, innovation=self.innovation + earlier.times(delta))
 
     def innovation_covariances(self, P: FloatArray) -> FloatArray:
         """S = H P H^T + R of each measurement on its own (Eq. 15); (M, k, k)."""

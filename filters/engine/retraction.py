@@ -1,4 +1,4 @@
-"""Error definitions: how a correction of the rotation (three numbers, camera frame) moves the orientation.
+"""Retractions of the orientation: how a correction of the rotation (three numbers, camera frame) moves the orientation.
 
 `retract` applies it, `local` is the inverse, and `transport` is the Jacobian that carries the covariance from the
 old orientation to the new one.
@@ -6,6 +6,7 @@ old orientation to the new one.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Protocol
 
 import numpy as np
@@ -15,7 +16,7 @@ from filters.validation import FloatArray
 
 
 class Retraction(Protocol):
-    """An error definition of the orientation."""
+    """A retraction of the orientation."""
 
     def retract(self, orientation: FloatArray, delta: FloatArray) -> FloatArray:
         """Corrected orientation; (4,), (3,) rad -> (4,)."""
@@ -24,7 +25,7 @@ class Retraction(Protocol):
         """The correction that takes `orientation` to `other`; (4,), (4,) -> (3,)."""
 
     def transport(self, delta: FloatArray) -> FloatArray:
-        """D local(retract(q, delta), retract(q, delta + e)) / d e at e = 0; (3,) -> (3, 3)."""
+        """d local(retract(q, delta), retract(q, delta + e)) / d e at e = 0; (3,) -> (3, 3)."""
 
 
 class AdditiveQuaternion:
@@ -37,7 +38,7 @@ class AdditiveQuaternion:
     """
 
     def retract(self, orientation: FloatArray, delta: FloatArray) -> FloatArray:
-        """Q x (delta / 2, 1), normalised."""
+        """q x (delta / 2, 1), normalised."""
         return rotations.multiply(orientation, np.append(0.5 * delta, 1.0))
 
     def local(self, orientation: FloatArray, other: FloatArray) -> FloatArray:
@@ -56,7 +57,7 @@ class RotationVector:
     """SO(3) error state: q x q(delta)."""
 
     def retract(self, orientation: FloatArray, delta: FloatArray) -> FloatArray:
-        """Q x q(delta)."""
+        """q x q(delta)."""
         return rotations.multiply(orientation, rotations.exp_quaternion(delta))
 
     def local(self, orientation: FloatArray, other: FloatArray) -> FloatArray:
@@ -66,3 +67,6 @@ class RotationVector:
     def transport(self, delta: FloatArray) -> FloatArray:
         """The right Jacobian of SO(3)."""
         return rotations.right_jacobian(delta)
+
+
+RETRACTIONS: Mapping[str, Retraction] = {"quaternion": AdditiveQuaternion(), "so3": RotationVector()}

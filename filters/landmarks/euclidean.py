@@ -48,6 +48,20 @@ class Euclidean:
         """The parameters themselves."""
         return Points(parameters.copy(), None, np.broadcast_to(np.eye(3), (len(parameters), 3, 3)))
 
+    def world_rotation(self, parameters: FloatArray) -> FloatArray:
+        """-[X]x."""
+        return -rotations.skew(parameters)
+
+    def turned(
+        self, parameters: FloatArray, turn: FloatArray, spread: FloatArray, correction: FloatArray
+    ) -> FloatArray:
+        """turn X + spread correction."""
+        return parameters @ turn.T + correction @ spread.T
+
+    def first_estimates(self, first: FloatArray, current: FloatArray) -> FloatArray:
+        """The first ones."""
+        return first
+
     def inverse_distances(self, position: FloatArray, parameters: FloatArray) -> InverseDistances:
         """1 / |X - r|: the distance is from the camera."""
         offset = parameters - position

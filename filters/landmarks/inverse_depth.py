@@ -26,7 +26,7 @@ def ray_direction(angles: FloatArray) -> FloatArray:
 
 
 def ray_direction_jacobian(angles: FloatArray) -> FloatArray:
-    """D m / d (theta, phi); (M, 2) -> (M, 3, 2)."""
+    """d m / d (theta, phi); (M, 2) -> (M, 3, 2)."""
     theta, phi = angles[:, 0], angles[:, 1]
     jacobian = np.zeros((len(angles), 3, 2))
     jacobian[:, 0, 0] = np.cos(phi) * np.cos(theta)
@@ -34,6 +34,27 @@ def ray_direction_jacobian(angles: FloatArray) -> FloatArray:
     jacobian[:, 0, 1] = -np.sin(phi) * np.sin(theta)
     jacobian[:, 1, 1] = -np.cos(phi)
     jacobian[:, 2, 1] = -np.sin(phi) * np.cos(theta)
+    return jacobian
+
+
+def angles_of(h_w: FloatArray) -> FloatArray:
+    """(theta, phi) of directions (Eq. 24); (M, 3) -> (M, 2) rad."""
+    x, y, z = h_w.T
+    return np.stack([np.arctan2(x, z), np.arctan2(-y, np.hypot(x, z))], axis=1)
+
+
+def angles_jacobian(h_w: FloatArray) -> FloatArray:
+    """d (theta, phi) / d direction; (M, 3) of any length, not vertical -> (M, 2, 3)."""
+    x, y, z = h_w.T
+    across_squared = x**2 + z**2
+    across = np.sqrt(across_squared)
+    length_squared = across_squared + y**2
+    jacobian = np.zeros((len(h_w), 2, 3))
+    jacobian[:, 0, 0] = z / across_squared
+    jacobian[:, 0, 2] = -x / across_squared
+    jacobian[:, 1, 0] = x * y / (length_squared * across)
+    jacobian[:, 1, 1] = -across / length_squared
+    jacobian[:, 1, 2] = z * y / (length_squared * across)
     return jacobian
 
 
@@ -54,20 +75,10 @@ class InverseDepth:
         """theta, phi and rho of new landmarks (Eq. 21-24); the anchor is the camera position (Eq. 20)."""
         h_c = camera.ray(uvd)
         h_w = h_c @ R_wc.T
-        x, y, z = h_w.T
-        across_squared = x**2 + z**2
-        across = np.sqrt(across_squared)
         length = np.linalg.norm(h_c, axis=1)
         rho_per_d = 1.0 / (camera.disparity_constant * length)
-        parameters = np.stack([np.arctan2(x, z), np.arctan2(-y, across), uvd[:, 2] * rho_per_d], axis=1)
-
-        angles_by_h_w = np.zeros((len(uvd), 2, 3))
-        angles_by_h_w[:, 0, 0] = z / across_squared
-        angles_by_h_w[:, 0, 2] = -x / across_squared
-        angles_by_h_w[:, 1, 0] = x * y / (length**2 * across)
-        angles_by_h_w[:, 1, 1] = -across / length**2
-        angles_by_h_w[:, 1, 2] = z * y / (length**2 * across)
-        angles_by_h_c = angles_by_h_w @ R_wc
+        parameters = np.column_stack([angles_of(h_w), uvd[:, 2] * rho_per_d])
+        angles_by_h_c = angles_jacobian(h_w) @ R_wc
 
         by_rotation = np.zeros((len(uvd), 3, 3))
         by_rotation[:, :2] = -angles_by_h_c @ rotations.skew(h_c)
@@ -106,6 +117,24 @@ class InverseDepth:
             by_parameters[:, :, :2] = ray_direction_jacobian(parameters) / rho[:, :, None]
             by_parameters[:, :, 2] = -m / rho**2
         return Points(positions, np.broadcast_to(np.eye(3), by_parameters.shape), by_parameters)
+
+    def world_rotation(self, parameters: FloatArray) -> FloatArray:
+        """The ray turns, rho stays."""
+        m = ray_direction(parameters)
+        effect = np.zeros((len(parameters), 3, 3))
+        effect[:, :2] = -angles_jacobian(m) @ rotations.skew(m)
+        return effect
+
+    def turned(
+        self, parameters: FloatArray, turn: FloatArray, spread: FloatArray, correction: FloatArray
+    ) -> FloatArray:
+        """Correct the parameters, then turn the ray."""
+        corrected = parameters + correction
+        return np.column_stack([angles_of(ray_direction(corrected) @ turn.T), corrected[:, 2]])
+
+    def first_estimates(self, first: FloatArray, current: FloatArray) -> FloatArray:
+        """The first angles, the current rho: turning the world leaves rho alone, and freezing it can diverge."""
+        return np.column_stack([first[:, :2], current[:, 2]])
 
     def inverse_distances(self, position: FloatArray, parameters: FloatArray) -> InverseDistances:
         """Rho itself: the distance is from the anchor."""

@@ -92,5 +92,26 @@ class LandmarkModel(Protocol):
     def points(self, anchors: FloatArray | None, parameters: FloatArray) -> Points:
         """Landmark positions in W."""
 
+    def world_rotation(self, parameters: FloatArray) -> FloatArray:
+        """d parameters / d (rotation vector of the world about its origin); (M, 3) -> (M, 3, 3)."""
+
+    def turned(
+        self, parameters: FloatArray, turn: FloatArray, spread: FloatArray, correction: FloatArray
+    ) -> FloatArray:
+        """Parameters of the landmarks turned with the world, as the right-invariant retraction wants it.
+
+        Parameters
+        ----------
+        parameters : (M, 3)
+            Before.
+        turn, spread : (3, 3)
+            Exp(theta), and the left Jacobian of theta.
+        correction : (M, 3)
+            The rest of the correction, to first order added after the turn.
+        """
+
+    def first_estimates(self, first: FloatArray, current: FloatArray) -> FloatArray:
+        """Parameters at which first-estimates Jacobians are taken; (M, 3), (M, 3) -> (M, 3)."""
+
     def inverse_distances(self, position: FloatArray, parameters: FloatArray) -> InverseDistances:
         """Inverse distances from the anchor, or from the camera position where there is no anchor."""

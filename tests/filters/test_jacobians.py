@@ -14,8 +14,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from filters import BodyVelocity, ConstantVelocity, StereoEKF, StereoObservation, VelocityDriven, rotations
-from filters.engine.ekf import ERRORS, LANDMARKS, MEASUREMENTS
+from filters.engine.error_definition import ERRORS
 from filters.engine.joint_state import JointState
+from filters.engine.options import LANDMARKS, MEASUREMENTS
+from filters.engine.retraction import RETRACTIONS
 from filters.motion import CameraState
 
 from .drives import ODD_CAMERA as CAMERA
@@ -206,7 +208,7 @@ def _(s: Situation):
     return lambda e: (here * Rotation.from_rotvec(turn + e)).as_rotvec(), rotations.right_jacobian(turn)
 
 
-for _name, _error in ERRORS.items():
+for _name, _error in RETRACTIONS.items():
 
     @case(f"{_name}: transport")
     def _(s: Situation, error=_error):
@@ -392,14 +394,15 @@ for _landmark in LANDMARKS:
                     drop_unseen=False,
                 )
                 state = _seen_state(stereo_filter, s)
+                # First-estimates Jacobians are those of the state where the state is the first estimate.
+                state = replace(state, predicted=state.camera, first_blocks=state.blocks)
                 index = np.arange(COUNT)[::-1].copy()
                 observation = StereoObservation(np.arange(COUNT), s.uvd, v_right=s.uvd[:, 1] + 0.5)
                 R = np.broadcast_to(stereo_filter.noise.R, (COUNT, 3, 3))
                 stages = MEASUREMENTS[measurement].stages(observation, R)
 
                 def predicted(e: np.ndarray) -> np.ndarray:
-                    other = replace(state)
-                    stereo_filter._retract(other, e, covariance=False)
+                    other = ERRORS[error].moved(state, e)
                     parts = [-stereo_filter._linearise(other, index, stage).innovation for stage in stages]
                     return np.concatenate(parts, axis=1)
 

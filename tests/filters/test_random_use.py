@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from filters import BodyVelocity, StereoEKF, StereoObservation, UpdateReport, VelocityDriven
-from filters.engine.ekf import ERRORS, LANDMARKS, MEASUREMENTS
+from filters.engine.error_definition import ERRORS
+from filters.engine.options import LANDMARKS, MEASUREMENTS
 
 from .drives import CAMERA, INDEPENDENT_PIXELS
 

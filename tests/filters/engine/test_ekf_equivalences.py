@@ -11,6 +11,7 @@ from scipy.optimize import least_squares
 
 from filters import ConstantVelocity, StereoEKF, StereoNoise, StereoObservation
 from filters.engine import symmetric
+from filters.engine.linearisation import project
 from filters.measurements.model import Stage
 
 from ..drives import DT, INDEPENDENT_PIXELS, INDEPENDENT_UVD, SPEED, drive, run
@@ -166,13 +167,12 @@ def test_iterating_converges_to_the_map_estimate(landmark: str, error: str) -> N
 
     def moved(x: np.ndarray) -> StereoEKF:
         other = copy.copy(prior)
-        other._state = copy.copy(prior._state)
-        other._retract(other._state, root @ x, covariance=False)
+        other._state = prior._error.moved(prior._state, root @ x)
         return other
 
     def residuals(x: np.ndarray) -> np.ndarray:
         other = moved(x)
-        uvd, _ = other._project(other._state, index)
+        uvd, _ = project(prior.camera, other._state, index)
         return np.concatenate([x, ((seen.uvd - uvd) @ whiten.T).ravel()])
 
     start_at = np.zeros(root.shape[1])

@@ -38,7 +38,7 @@ def test_the_gate_passes_consistent_measurements_at_its_nominal_rate(
     passed = 0
     for _ in range(draws):
         truth = copy.deepcopy(stereo_filter)
-        truth._retract(truth._state, root @ rng.standard_normal(len(P)), covariance=False)
+        truth._state = truth._error.moved(truth._state, root @ rng.standard_normal(len(P)))
         exact = truth.forecast().uvd
         z = exact + rng.multivariate_normal(np.zeros(3), INDEPENDENT_PIXELS.R, count)
         row = exact[:, 1] + rng.standard_normal(count) if v_right else None

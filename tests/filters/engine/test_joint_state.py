@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from filters.engine import symmetric
-from filters.engine.ekf import LANDMARKS
 from filters.engine.joint_state import JointState
+from filters.engine.options import LANDMARKS
 from filters.landmarks.parametrisation import LandmarkModel, NewLandmarks
 from filters.motion import CameraState
 
@@ -103,7 +103,7 @@ def test_random_additions_and_removals_agree_with_a_dense_reference(model: Landm
     rng = np.random.default_rng(seed)
     root = rng.standard_normal((12, 14))
     P = root @ root.T
-    state = JointState(camera_at(np.zeros(3)), np.asfortranarray(P), model)
+    state = JointState.without_map(camera_at(np.zeros(3)), np.asfortranarray(P), model)
     ledger = Ledger(P)
     next_id = 0
     for frame in range(12):
@@ -131,7 +131,7 @@ def test_random_additions_and_removals_agree_with_a_dense_reference(model: Landm
 
 def test_removal_leaves_every_other_entry_untouched() -> None:
     rng = np.random.default_rng(5)
-    state = JointState(camera_at(np.zeros(3)), np.asfortranarray(np.eye(12)), LANDMARKS["inverse-depth"])
+    state = JointState.without_map(camera_at(np.zeros(3)), np.asfortranarray(np.eye(12)), LANDMARKS["inverse-depth"])
     state.augment(np.arange(6), random_new(rng, 6), random_noise(rng, 6))
     before, rows = symmetric.full(state.P), state.map_rows(np.array([0, 2, 5]))
     kept = np.concatenate([np.arange(12), rows.ravel()])
@@ -143,7 +143,7 @@ def test_removal_leaves_every_other_entry_untouched() -> None:
 def test_a_new_landmark_is_correlated_with_the_old_map() -> None:
     """What Eq. 25 as printed leaves out: J P for the rows of the pose, against samples of the joint error."""
     rng = np.random.default_rng(6)
-    state = JointState(
+    state = JointState.without_map(
         camera_at(np.zeros(3)), np.asfortranarray(np.diag(np.linspace(0.5, 2, 12))), LANDMARKS["euclidean"]
     )
     old, new = random_new(rng, 1), random_new(rng, 1)
@@ -168,7 +168,7 @@ def test_a_new_landmark_is_correlated_with_the_old_map() -> None:
 
 def test_landmarks_of_one_frame_share_an_anchor_until_the_last_of_them_leaves() -> None:
     rng = np.random.default_rng(7)
-    state = JointState(camera_at(np.zeros(3)), np.asfortranarray(np.eye(12)), LANDMARKS["shared-anchor"])
+    state = JointState.without_map(camera_at(np.zeros(3)), np.asfortranarray(np.eye(12)), LANDMARKS["shared-anchor"])
     state.augment(np.arange(3), random_new(rng, 3), random_noise(rng, 3))
     state.augment(np.arange(3, 5), random_new(rng, 2), random_noise(rng, 2))
     assert len(np.unique(state.anchor_block)) == 2

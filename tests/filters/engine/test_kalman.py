@@ -162,7 +162,7 @@ def test_predict_and_update_equal_filterpy_on_a_linear_gaussian_problem() -> Non
     reference.Q = np.zeros((size, size))
     reference.Q[:12, :12] = Q_camera
     still = CameraState(np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(3), np.zeros(3))
-    state = JointState(still, lower(P), Euclidean())
+    state = JointState.without_map(still, lower(P), Euclidean())
     x = np.zeros(size)
     for _ in range(20):
         reference.predict()

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from filters.engine.ekf import ERRORS
+from filters.engine.retraction import RETRACTIONS
 
 from ..textbook import complex_step_jacobian, rotation_tangent
 
-every = pytest.mark.parametrize("name", ERRORS)
+every = pytest.mark.parametrize("name", RETRACTIONS)
 
 
 def additive_then_normalised(q: np.ndarray, delta: np.ndarray) -> np.ndarray:
@@ -30,7 +30,7 @@ def random_orientation(seed: int) -> np.ndarray:
 @every
 @pytest.mark.parametrize("size", [0.0, 1e-9, 1e-4, 0.1, 1.0, 3.0])
 def test_local_undoes_retract_and_the_result_is_a_unit_quaternion(name: str, size: float) -> None:
-    error = ERRORS[name]
+    error = RETRACTIONS[name]
     for seed in range(5):
         q = random_orientation(seed)
         direction = np.random.default_rng(seed).standard_normal(3)
@@ -44,7 +44,7 @@ def test_local_undoes_retract_and_the_result_is_a_unit_quaternion(name: str, siz
 
 @every
 def test_no_correction_moves_nothing(name: str) -> None:
-    error, q = ERRORS[name], random_orientation(1)
+    error, q = RETRACTIONS[name], random_orientation(1)
     np.testing.assert_allclose(error.retract(q, np.zeros(3)), q, atol=1e-16)
     np.testing.assert_array_equal(error.transport(np.zeros(3)), np.eye(3))
 
@@ -52,7 +52,7 @@ def test_no_correction_moves_nothing(name: str) -> None:
 @pytest.mark.parametrize(("name", "reference"), [("quaternion", additive_then_normalised), ("so3", turned)])
 def test_retraction_is_the_documented_one(name: str, reference) -> None:
     q, delta = random_orientation(2), np.array([0.3, -0.7, 0.5])
-    got, expected = ERRORS[name].retract(q, delta), reference(q, delta)
+    got, expected = RETRACTIONS[name].retract(q, delta), reference(q, delta)
     np.testing.assert_allclose(got * np.sign(got @ expected), expected, atol=1e-15)
 
 
@@ -63,4 +63,4 @@ def test_the_papers_transport_is_the_normalisation_jacobian() -> None:
     normalise = complex_step_jacobian(lambda p: p / np.sqrt(p @ p), raw)
     after = rotation_tangent(raw / np.linalg.norm(raw))
     expected = np.linalg.pinv(after) @ normalise @ rotation_tangent(q)
-    np.testing.assert_allclose(ERRORS["quaternion"].transport(delta), expected, atol=1e-14)
+    np.testing.assert_allclose(RETRACTIONS["quaternion"].transport(delta), expected, atol=1e-14)

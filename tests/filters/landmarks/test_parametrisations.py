@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from filters.engine.ekf import LANDMARKS
+from filters.engine.options import LANDMARKS
 
 from ..drives import ODD_CAMERA as CAMERA
 

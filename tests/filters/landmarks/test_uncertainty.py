@@ -11,7 +11,7 @@ import pytest
 from scipy.stats import chi2, norm
 
 from filters import StereoCamera, StereoNoise
-from filters.engine.ekf import LANDMARKS
+from filters.engine.options import LANDMARKS
 
 CAMERA = StereoCamera(721.5, 721.5, 672.0, 195.5, 0.571, 1344, 391)
 NOISE = StereoNoise.diagonal(1.0, 1.0, 2.0)

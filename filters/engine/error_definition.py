@@ -1,0 +1,155 @@
+"""Error definitions of the joint state: what a correction means, and where Jacobians are taken.
+
+P is always kept in the standard coordinates (position, rotation on the right, velocities, parameters). What sets the
+definitions apart is how they move the state, how P is carried along, and where they linearise:
+
+`StandardError`
+    parts are corrected one by one; P follows the orientation.
+`FirstEstimates`
+    H is taken at the predicted pose and at each landmark's first estimate, F and the Jacobians of new landmarks are
+    constrained to agree with that, so that a rotation of the world stays unobservable (Huang et al. 2010).
+`RightInvariant`
+    the correction is exp(xi) of a group that rotates camera and map together about the origin of W
+    (Zhang et al. 2017). In standard coordinates that is: another retraction, and P carried along by
+    delta+ = delta + (Gamma+ - Gamma) theta, with Gamma the effect of a rotation of the world on the error state.
+
+Both of the latter rest on Gamma, `JointState.world_rotation`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from filters import rotations
+from filters.engine.joint_state import JointState
+from filters.engine.retraction import RETRACTIONS, Retraction
+from filters.motion import ANGULAR, CAMERA_SIZE, LINEAR, POSITION, ROTATION, CameraState
+from filters.validation import FloatArray
+
+
+class StandardError:
+    """Position, velocities and landmarks are corrected by addition, the orientation by its retraction."""
+
+    def __init__(self, retraction: Retraction) -> None:
+        self._retraction = retraction
+
+    def moved(self, state: JointState, delta: FloatArray) -> JointState:
+        """The state corrected by delta (Eq. 17); P is shared, not yet carried along."""
+        camera = state.camera
+        corrected = CameraState(
+            camera.position + delta[POSITION],
+            self._retraction.retract(camera.orientation, delta[ROTATION]),
+            camera.linear_velocity + delta[LINEAR],
+            camera.angular_velocity + delta[ANGULAR],
+        )
+        return replace(state, camera=corrected, blocks=state.blocks + delta[CAMERA_SIZE:].reshape(-1, 3))
+
+    def transport(self, state: JointState, moved: JointState, delta: FloatArray) -> FloatArray:
+        """W of the Jacobian I + W E^T that takes errors at `state` to errors at `moved`; E selects the rotation.
+
+        Returns
+        -------
+        (12, 3) or (n, 3) ndarray
+            Rows beyond the camera are zero where they are not given.
+        """
+        W = np.zeros((CAMERA_SIZE, 3))
+        W[ROTATION] = self._retraction.transport(delta[ROTATION]) - np.eye(3)
+        return W
+
+    def linearisation_point(self, state: JointState) -> JointState | None:
+        """Where H is evaluated; None: at the state itself."""
+        return None
+
+    def constrained(self, J: FloatArray, image: FloatArray, source: FloatArray, R_wc: FloatArray) -> FloatArray:
+        """A Jacobian J (m, k) of something with respect to the camera, made to take `source` to `image`.
+
+        Parameters
+        ----------
+        J : (m, k)
+            k >= 6 columns of the camera.
+        image, source : (m, 3), (k, 3)
+            Effect of a rotation of the world on both sides.
+        R_wc : (3, 3)
+            Rotation matrix of the orientation at which `source` was evaluated.
+        """
+        return J
+
+    def pose_error(
+        self, camera: CameraState, P_pose: FloatArray, position: FloatArray, orientation: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Error (6,) of the pose against a true one, and the covariance (6, 6) claimed for it."""
+        rotation = self._retraction.local(camera.orientation, orientation)
+        return np.concatenate([position - camera.position, rotation]), P_pose
+
+
+class FirstEstimates(StandardError):
+    """SO(3) errors with first-estimates Jacobians."""
+
+    def __init__(self) -> None:
+        super().__init__(RETRACTIONS["so3"])
+
+    def transport(self, state: JointState, moved: JointState, delta: FloatArray) -> FloatArray:
+        """None: errors stay those of the linearisation point, which a correction does not move."""
+        return np.zeros((CAMERA_SIZE, 3))
+
+    def linearisation_point(self, state: JointState) -> JointState | None:
+        """Predicted pose, first estimates of the landmarks."""
+        return state.at_first_estimates()
+
+    def constrained(self, J: FloatArray, image: FloatArray, source: FloatArray, R_wc: FloatArray) -> FloatArray:
+        """J with its rotation columns changed by (image - J source) R_wc."""
+        adjusted = J.copy()
+        adjusted[:, ROTATION] += (image - J @ source) @ R_wc
+        return adjusted
+
+
+class RightInvariant(StandardError):
+    """Right-invariant errors: camera and map are rotated together."""
+
+    def __init__(self) -> None:
+        super().__init__(RETRACTIONS["so3"])
+
+    def moved(self, state: JointState, delta: FloatArray) -> JointState:
+        """exp(xi) applied from the left, where delta = xi + Gamma theta and theta is the rotation in W."""
+        camera = state.camera
+        theta = camera.R_wc @ delta[ROTATION]
+        xi = delta - state.world_rotation() @ theta
+        turn = rotations.exp(theta)
+        spread = rotations.right_jacobian(-theta)
+        corrected = CameraState(
+            turn @ camera.position + spread @ xi[POSITION],
+            self._retraction.retract(camera.orientation, delta[ROTATION]),
+            turn @ camera.linear_velocity + spread @ xi[LINEAR],
+            camera.angular_velocity + delta[ANGULAR],
+        )
+        return replace(
+            state, camera=corrected, blocks=state.turned_blocks(turn, spread, xi[CAMERA_SIZE:].reshape(-1, 3))
+        )
+
+    def transport(self, state: JointState, moved: JointState, delta: FloatArray) -> FloatArray:
+        """(Gamma+ - Gamma) R_wc, on all rows: P stays what it was in invariant coordinates."""
+        return (moved.world_rotation() - state.world_rotation()) @ state.camera.R_wc
+
+    def pose_error(
+        self, camera: CameraState, P_pose: FloatArray, position: FloatArray, orientation: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """xi of the pose, position part first: what is left of the true pose after turning the estimate by theta."""
+        R_wc = camera.R_wc
+        theta = rotations.log(rotations.matrix(orientation) @ R_wc.T)
+        spread = rotations.right_jacobian(-theta)
+        shift = np.linalg.solve(spread, position - rotations.exp(theta) @ camera.position)
+        # delta -> xi: theta = R delta_theta, e_p = delta_r + [r]x theta
+        J = np.eye(6)
+        J[POSITION, ROTATION] = rotations.skew(camera.position) @ R_wc
+        J[ROTATION, ROTATION] = R_wc
+        covariance = J @ P_pose @ J.T
+        return np.concatenate([shift, theta]), 0.5 * (covariance + covariance.T)
+
+
+ERRORS: dict[str, StandardError] = {
+    **{name: StandardError(retraction) for name, retraction in RETRACTIONS.items()},
+    "first-estimates": FirstEstimates(),
+    "right-invariant": RightInvariant(),
+}
