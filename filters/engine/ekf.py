@@ -5,7 +5,7 @@ The named filters are choices of these parts; this module only says in which ord
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -13,10 +13,12 @@ from numpy.typing import ArrayLike
 
 from filters.camera import StereoCamera
 from filters.engine import gating, kalman, symmetric
+from filters.engine.consensus import largest_agreement
 from filters.engine.error_definition import ERRORS
+from filters.engine.heavy_tails import reweighted
 from filters.engine.joint_state import JointState, world_rotation_of_camera
 from filters.engine.linearisation import linearise, project
-from filters.engine.options import LANDMARKS, MEASUREMENTS, choice
+from filters.engine.options import LANDMARKS, LINEARISATIONS, MEASUREMENTS, choice
 from filters.interface import (
     BodyVelocity,
     Forecast,
@@ -66,6 +68,13 @@ class StereoEKF(StereoFilter):
         Measurement model: (u, v, d) · left then right · both eyes' pixels at once · left pixel only.
     error : {"quaternion", "so3", "first-estimates", "right-invariant"}
         Error definition: the paper's · rotation vector · first-estimates Jacobians · right-invariant.
+    update : {"extended", "unscented"}
+        Linearisation by Jacobians, or by sigma points on the measured part of the state.
+    consensus : bool
+        One-point RANSAC over the frame: first correct with the largest set of measurements that agree, then let in
+        those that pass the gate at the corrected state.
+    tail_dof : float, optional
+        Degrees of freedom of Student's t for heavy-tailed noise: surprising measurements count less. None: Gaussian.
     iterations : int
         Passes of the update; 1 is the plain EKF, more relinearise at the result with the prior held (Gauss-Newton).
     drop_unseen : bool
@@ -89,6 +98,9 @@ class StereoEKF(StereoFilter):
         landmark: str = "inverse-depth",
         measurement: str = "joint",
         error: str = "quaternion",
+        update: str = "extended",
+        consensus: bool = False,
+        tail_dof: float | None = None,
         iterations: int = 1,
         drop_unseen: bool = True,
         min_disparity: float | None = None,
@@ -101,8 +113,13 @@ class StereoEKF(StereoFilter):
             raise ValueError(f"gate must be a probability between 0 and 1, or None for no gate, got {gate!r}")
         if type(iterations) is not int or iterations < 1:
             raise ValueError(f"iterations must be an integer >= 1, got {iterations!r}")
-        if not isinstance(drop_unseen, bool):
-            raise ValueError(f"drop_unseen must be True or False, got {drop_unseen!r}")
+        for name, value in (("drop_unseen", drop_unseen), ("consensus", consensus)):
+            if not isinstance(value, bool):
+                raise ValueError(f"{name} must be True or False, got {value!r}")
+        if consensus and gate is None:
+            raise ValueError("gate must be a probability with consensus=True, got None: it is the limit of agreement")
+        if update == "unscented" and error == "first-estimates":
+            raise ValueError('error must not be "first-estimates" with update="unscented", which has no Jacobians')
         if min_disparity is not None and not (isinstance(min_disparity, float | int) and np.isfinite(min_disparity)):
             raise ValueError(f"min_disparity must be a finite number of px, or None, got {min_disparity!r}")
         if motion is not None and not isinstance(motion, MotionModel):
@@ -114,6 +131,9 @@ class StereoEKF(StereoFilter):
         self._landmark = choice("landmark", landmark, LANDMARKS)
         self._measurement = choice("measurement", measurement, MEASUREMENTS)
         self._error = choice("error", error, ERRORS)
+        self._linearised_by = choice("update", update, LINEARISATIONS)
+        self._consensus = consensus
+        self._tail_dof = None if tail_dof is None else positive("tail_dof", tail_dof)
         self._iterations = iterations
         self._drop_unseen = drop_unseen
         self._min_disparity = min_disparity
@@ -183,7 +203,7 @@ class StereoEKF(StereoFilter):
         if not known.all():
             raise ValueError(f"ids must be in the map, not there: {wanted[~known][:5].tolist()}: see landmarks.ids")
         uvd, in_front = project(self.camera, state, index)
-        linearised = self._linearise(state, index, Stage(uvd, np.eye(3), self._noise_of(len(index))))
+        linearised = linearise(self.camera, state, index, Stage(uvd, np.eye(3), self._noise_of(len(index))))
         S = linearised.innovation_covariances(state.P)
         return Forecast(wanted, uvd, S, in_front & self.camera.in_view(uvd))
 
@@ -246,7 +266,7 @@ class StereoEKF(StereoFilter):
         return np.broadcast_to(self.noise.R, (count, 3, 3)) if R is None else R
 
     def _linearise(self, state: JointState, index: IntArray, stage: Stage) -> kalman.LinearisedMeasurements:
-        return linearise(self.camera, state, index, stage, self._error.linearisation_point(state))
+        return self._linearised_by(self.camera, state, index, stage, self._error.linearisation_point(state))
 
     def _correct(self, observation: StereoObservation, index: IntArray) -> UpdateReport:
         """Stage by stage: leave out what is behind the camera or not believable, correct with the rest.
@@ -265,18 +285,14 @@ class StereoEKF(StereoFilter):
             _, in_front = project(self.camera, self._state, index)
             behind |= used & ~in_front
             used &= in_front
-            measurements = self._linearise(self._state, index[used], _select(stage, used))
-            if self._gate is not None:
-                limit = gating.gate_limit(self._gate ** (1 / len(stages)), measurements.innovation.shape[1])
-                S = measurements.innovation_covariances(self._state.P)
-                believable = gating.passes(measurements.innovation, S, limit)
-                gated[used] = ~believable
-                used[used] = believable
-                measurements = measurements[believable]
-            correction = self._apply(measurements, _select(stage, used), index[used])
-            failed[used] = ~correction.used
-            used[used] = correction.used
-            nis, dof = nis + correction.nis, dof + correction.dof
+            candidates = used.copy()
+            used[:] = False
+            for where in self._passes(stage, index, candidates, self._gate and self._gate ** (1 / len(stages))):
+                correction = self._apply(_select(stage, where), index[where])
+                used[where] = correction.used
+                failed[where] = ~correction.used
+                nis, dof = nis + correction.nis, dof + correction.dof
+            gated |= candidates & ~used & ~failed
         return UpdateReport(
             updated=observation.ids[used],
             gated=observation.ids[gated],
@@ -286,8 +302,36 @@ class StereoEKF(StereoFilter):
             nis_dof=dof,
         )
 
-    def _apply(self, measurements: kalman.LinearisedMeasurements, stage: Stage, index: IntArray) -> kalman.Correction:
-        """One stage of the update: one pass, or Gauss-Newton passes with the prior held."""
+    def _passes(self, stage: Stage, index: IntArray, candidates: BoolArray, gate: float | None) -> Iterator[BoolArray]:
+        """The measurements (M,) to correct with next, chosen at the state that the previous ones left."""
+        if gate is None:
+            yield candidates
+            return
+        limit = gating.gate_limit(gate, stage.z.shape[1])
+        believable = self._believable(stage, index, candidates, limit)
+        if not self._consensus:
+            yield believable
+            return
+        core = believable.copy()
+        measurements = self._linearise(self._state, index[believable], _select(stage, believable))
+        core[believable] = largest_agreement(self._state.P, measurements, limit)
+        yield core
+        yield self._believable(stage, index, candidates & ~core, limit)
+
+    def _believable(self, stage: Stage, index: IntArray, candidates: BoolArray, limit: float) -> BoolArray:
+        """Which of the candidates (M,) pass the gate at the current state."""
+        measurements = self._linearise(self._state, index[candidates], _select(stage, candidates))
+        S = measurements.innovation_covariances(self._state.P)
+        inside = candidates.copy()
+        inside[candidates] = gating.passes(measurements.innovation, S, limit)
+        return inside
+
+    def _apply(self, stage: Stage, index: IntArray) -> kalman.Correction:
+        """One pass of the update, or Gauss-Newton passes with the prior held."""
+        measurements = self._linearise(self._state, index, stage)
+        if self._tail_dof is not None:
+            measurements = reweighted(self._state.P, measurements, self._tail_dof)
+            stage = replace(stage, R=measurements.R)
         prior = self._state
         for _ in range(self._iterations - 1):
             delta = kalman.update(prior.P.copy(order="F"), measurements).delta

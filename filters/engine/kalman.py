@@ -140,6 +140,12 @@ def update(P: FloatArray, measurements: LinearisedMeasurements, chunk: int = CHU
     return Correction(delta, nis, dof, used)
 
 
+def joint_innovation_covariance(P: FloatArray, measurements: LinearisedMeasurements) -> FloatArray:
+    """S = H P H^T + R of all measurements together; (M, k, M, k)."""
+    S = _innovation_covariance(measurements, _times_covariance(measurements, P))
+    return S.reshape(*measurements.innovation.shape, *measurements.innovation.shape)
+
+
 def _times_covariance(part: LinearisedMeasurements, P: FloatArray) -> FloatArray:
     """H P, (M k, n), row-major."""
     count, size, width = part.by_map.shape

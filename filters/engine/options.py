@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from difflib import get_close_matches
 from typing import TypeVar
 
+from filters.camera import StereoCamera
+from filters.engine import linearisation, unscented
+from filters.engine.joint_state import JointState
+from filters.engine.kalman import LinearisedMeasurements
 from filters.landmarks.euclidean import Euclidean
 from filters.landmarks.inverse_depth import InverseDepth
 from filters.landmarks.parametrisation import LandmarkModel
 from filters.landmarks.shared_anchor import SharedAnchorInverseDepth
 from filters.measurements.bearing import LeftOnly, LeftThenRight, Stacked
-from filters.measurements.model import MeasurementModel
+from filters.measurements.model import MeasurementModel, Stage
 from filters.measurements.range_bearing import RangeBearing
+from filters.validation import IntArray
 
 LANDMARKS: Mapping[str, LandmarkModel] = {
     "inverse-depth": InverseDepth(),
@@ -25,6 +30,9 @@ MEASUREMENTS: Mapping[str, MeasurementModel] = {
     "stacked": Stacked(),
     "left": LeftOnly(),
 }
+
+Linearise = Callable[[StereoCamera, JointState, IntArray, Stage, JointState | None], LinearisedMeasurements]
+LINEARISATIONS: Mapping[str, Linearise] = {"extended": linearisation.linearise, "unscented": unscented.linearise}
 
 T = TypeVar("T")
 
