@@ -1,0 +1,84 @@
+"""Statistical linearisation: Jacobians where the model is straight, something better where it is not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from filters import StereoEKF, StereoObservation, check_filter
+from filters.conformance import REFERENCE_CAMERA as CAMERA
+from filters.conformance import REFERENCE_NOISE as NOISE
+from filters.engine import linearisation, symmetric, unscented
+from filters.measurements.model import Stage
+
+COUNT = 6
+LANDMARKS = ("inverse-depth", "shared-anchor", "euclidean")
+
+
+def started(landmark: str, velocity_sigma: float, depth_disparity: tuple[float, float] = (8.0, 30.0)) -> StereoEKF:
+    """A filter that has seen a few landmarks once and has moved since."""
+    rng = np.random.default_rng(3)
+    slam = StereoEKF(CAMERA, NOISE, landmark=landmark)
+    slam.reset(
+        linear_velocity=(0, 0, 5),
+        covariance=np.diag(np.repeat([1e-4, 1e-4, velocity_sigma, velocity_sigma / 10], 3) ** 2),
+    )
+    low, high = depth_disparity
+    uvd = rng.uniform((300, 80, low), (1000, 320, high), (COUNT, 3))
+    slam.update(StereoObservation(np.arange(COUNT), uvd))
+    slam.predict(0.1)
+    return slam
+
+
+def both(slam: StereoEKF) -> tuple:
+    index = np.arange(COUNT)
+    stage = Stage(np.zeros((COUNT, 3)), np.eye(3), np.broadcast_to(NOISE.R, (COUNT, 3, 3)))
+    state = slam._state
+    return linearisation.linearise(CAMERA, state, index, stage), unscented.linearise(CAMERA, state, index, stage)
+
+
+@pytest.mark.parametrize("landmark", LANDMARKS)
+def test_where_the_state_is_known_well_it_predicts_like_the_jacobians(landmark: str) -> None:
+    slam = started(landmark, 1e-3, (60.0, 90.0))
+    slam._state.P *= 1e-6
+    analytic, fitted = both(slam)
+    np.testing.assert_allclose(fitted.innovation, analytic.innovation, atol=1e-6)
+    P = slam._state.P
+    np.testing.assert_allclose(fitted.innovation_covariances(P), analytic.innovation_covariances(P), rtol=1e-6)
+
+
+@pytest.mark.parametrize("landmark", LANDMARKS)
+def test_mean_and_covariance_are_nearer_to_monte_carlo_where_it_is_not(landmark: str) -> None:
+    slam = started(landmark, 4.0, (2.5, 12.0) if landmark != "euclidean" else (6.0, 12.0))
+    analytic, fitted = both(slam)
+    P = symmetric.full(slam._state.P)
+    values, vectors = np.linalg.eigh(P)
+    draws = np.random.default_rng(0).standard_normal((20_000, len(P))) * np.sqrt(np.maximum(values, 0)) @ vectors.T
+    state, index = slam._state, np.arange(COUNT)
+    mean_errors, spread_errors = [], []
+    for i in index:
+        rows = state.map_rows(index)[i]
+        parameters = state.parameters(index)[i] + draws[:, rows[-3:]]
+        anchors = None if not state.model.anchored else state.anchors(index)[i] + draws[:, rows[:3]]
+        seen = state.model.relative_to(state.camera.position + draws[:, :3], anchors, parameters).homogeneous
+        R_wc = state.camera.R_wc @ Rotation.from_rotvec(draws[:, 3:6]).as_matrix()
+        z = CAMERA.project_scaled(np.einsum("nij,ni->nj", R_wc, seen[:, :3]), seen[:, 3])
+        z += np.random.default_rng(1).multivariate_normal(np.zeros(3), NOISE.R, len(z))
+        for name, linear in (("analytic", analytic), ("fitted", fitted)):
+            S = linear.innovation_covariances(slam._state.P)[i]
+            mean_errors.append((name, np.linalg.norm((-linear.innovation[i] - z.mean(axis=0)) / z.std(axis=0))))
+            spread_errors.append((name, np.abs(np.diag(S) / z.var(axis=0) - 1).max()))
+    for errors in (mean_errors, spread_errors):
+        by = {name: np.mean([value for who, value in errors if who == name]) for name in ("analytic", "fitted")}
+        assert by["fitted"] < by["analytic"]
+
+
+@pytest.mark.parametrize("landmark", LANDMARKS)
+def test_it_conforms(landmark: str) -> None:
+    check_filter(lambda camera, noise: StereoEKF(camera, noise, landmark=landmark, update="unscented"))
+
+
+def test_first_estimates_have_no_place_in_it() -> None:
+    with pytest.raises(ValueError, match='error must not be "first-estimates" with update="unscented"'):
+        StereoEKF(CAMERA, NOISE, update="unscented", error="first-estimates")
