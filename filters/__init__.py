@@ -16,9 +16,13 @@ from filters.interface import (
     VelocityBelief,
 )
 from filters.inverse_depth_stereo import InverseDepthStereoEKF
+from filters.monocular import MonocularEKF
 from filters.motion import ConstantVelocity, VelocityDriven
 from filters.noise import StereoNoise
 from filters.registry import available_filters, make_filter
+from filters.right_invariant import RightInvariantEKF
+from filters.shared_anchor_stereo import SharedAnchorEKF
+from filters.unscented_stereo import UnscentedStereoFilter
 
 __all__ = [
     "BodyVelocity",
@@ -30,12 +34,16 @@ __all__ = [
     "Forecast",
     "InverseDepthStereoEKF",
     "LandmarkBelief",
+    "MonocularEKF",
     "PoseBelief",
+    "RightInvariantEKF",
+    "SharedAnchorEKF",
     "StereoCamera",
     "StereoEKF",
     "StereoFilter",
     "StereoNoise",
     "StereoObservation",
+    "UnscentedStereoFilter",
     "UpdateReport",
     "VelocityBelief",
     "VelocityDriven",

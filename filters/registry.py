@@ -22,7 +22,11 @@ from filters.dual_bearing import DualBearingEKF
 from filters.euclidean_xyz import EuclideanEKF
 from filters.interface import StereoFilter
 from filters.inverse_depth_stereo import InverseDepthStereoEKF
+from filters.monocular import MonocularEKF
 from filters.noise import StereoNoise
+from filters.right_invariant import RightInvariantEKF
+from filters.shared_anchor_stereo import SharedAnchorEKF
+from filters.unscented_stereo import UnscentedStereoFilter
 
 ENTRY_POINT_GROUP = "stereo_slam.filters"
 FilterFactory = Callable[..., StereoFilter]
@@ -33,6 +37,10 @@ _OWN: dict[str, FilterFactory] = {
     "inverse-depth": InverseDepthStereoEKF,
     "dual-bearing": DualBearingEKF,
     "euclidean": EuclideanEKF,
+    "shared-anchor": SharedAnchorEKF,
+    "right-invariant": RightInvariantEKF,
+    "unscented": UnscentedStereoFilter,
+    "monocular": MonocularEKF,
 }
 
 

@@ -144,6 +144,10 @@ def replay(
     odometry: Annotated[bool, typer.Option("--odometry/--no-odometry", help="Use it where there is any.")] = True,
     sigma_px: SigmaOption = None,
     gate: GateOption = None,
+    consensus: Annotated[
+        bool | None,
+        typer.Option("--consensus/--no-consensus", help="Joint test over each frame.", show_default="with a gate"),
+    ] = None,
     frames: FramesOption = None,
     jobs: JobsOption = 2,
 ) -> None:
@@ -157,6 +161,8 @@ def replay(
         scenario = Scenario(f"replay-{Path(path).name.replace(':', '-')}", "dataset", {"path": where})
         scenario = dataclasses.replace(scenario, use_odometry=odometry)
         scenario = _adjusted(scenario, filters, frames, sigma_px, gate)
+        joint = scenario.gate is not None if consensus is None else consensus
+        scenario = dataclasses.replace(scenario, consensus=joint)
         recording = make_recording(scenario, None)
         show_recording(_console(), recording)
         # What is stored must be what happened.

@@ -28,6 +28,7 @@ def show_settings(console: Console, scenario: Scenario) -> None:
         "frames": "all" if scenario.frames is None else str(scenario.frames),
         "assumed noise": noise,
         "gate": "none" if scenario.gate is None else f"{scenario.gate:g} per landmark",
+        "consensus": "one-point RANSAC over the frame" if scenario.consensus else "no",
         "odometry": "used" if scenario.use_odometry else "not used",
         "motion": f"{motion['sigma_acceleration']:g} m/s², {motion['sigma_angular_acceleration']:g} rad/s²",
         "filters": ", ".join(

@@ -223,4 +223,5 @@ def _run_trials(
 
 
 def _common_options(scenario: Scenario) -> dict[str, Any]:
-    return {"gate": scenario.gate, "motion": dict(scenario.motion)}
+    common: dict[str, Any] = {"gate": scenario.gate, "motion": dict(scenario.motion)}
+    return {**common, "consensus": True} if scenario.consensus else common

@@ -79,6 +79,8 @@ class Scenario:
         None: what the recording says.
     gate : float, optional
         Probability per landmark of the chi-square gate; None: no gate.
+    consensus : bool
+        Whether filters that can test the frame as a whole (one-point RANSAC) do so; needs a gate.
     motion : mapping
         Standard deviations sigma_acceleration (m/s^2) and sigma_angular_acceleration (rad/s^2) the filters assume.
     divergence_percent : float
@@ -99,6 +101,7 @@ class Scenario:
     use_odometry: bool = False
     noise: Mapping[str, Any] | None = None
     gate: float | None = 0.99
+    consensus: bool = False
     motion: Mapping[str, float] = field(
         default_factory=lambda: {"sigma_acceleration": 3.0, "sigma_angular_acceleration": 0.6}
     )
@@ -120,6 +123,10 @@ class Scenario:
             raise ValueError(f"frames must be a whole number >= 2, got {self.frames!r}")
         if self.gate is not None and not 0.0 < self.gate < 1.0:
             raise ValueError(f"gate must be a probability between 0 and 1, or none, got {self.gate!r}")
+        if not isinstance(self.consensus, bool):
+            raise ValueError(f"consensus must be true or false, got {self.consensus!r}")
+        if self.consensus and self.gate is None:
+            raise ValueError("consensus needs a gate: give a probability, or do without consensus")
         positive("divergence_percent", self.divergence_percent)
         _known_keys("motion", self.motion, ("sigma_acceleration", "sigma_angular_acceleration"))
         for key, value in self.motion.items():

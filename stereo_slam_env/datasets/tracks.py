@@ -14,7 +14,7 @@ from stereo_slam_env.recording import Frame, Pose
 
 # Standard deviation to assume for the pixels of real tracks. Their core is sharper (0.2 to 0.6 px), but they drift:
 # 14 % of those of KITTI 07 end more than 10 px off, and a filter that believes them is led astray.
-ASSUMED_SIGMA_PX = 3.0
+ASSUMED_SIGMA_PX = 2.0
 
 
 @dataclass(frozen=True, eq=False)

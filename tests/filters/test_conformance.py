@@ -22,7 +22,10 @@ from filters import (
 from filters.conformance import CHECKS, REFERENCE_CAMERA, REFERENCE_NOISE
 
 
-@pytest.mark.parametrize("name", ["inverse-depth", "dual-bearing", "euclidean"])
+@pytest.mark.parametrize(
+    "name",
+    ["inverse-depth", "dual-bearing", "euclidean", "shared-anchor", "right-invariant", "unscented", "monocular"],
+)
 def test_every_named_filter_conforms(name: str) -> None:
     report = check_filter(lambda camera, noise: make_filter(name, camera=camera, noise=noise))
     assert len(report.passed) == len(CHECKS)
@@ -39,6 +42,11 @@ def test_every_combination_of_parts_conforms(landmark: str, measurement: str) ->
     "options",
     [
         {"error": "so3"},
+        {"error": "first-estimates"},
+        {"error": "right-invariant", "landmark": "euclidean"},
+        {"error": "right-invariant", "iterations": 2},
+        {"consensus": True},
+        {"consensus": True, "measurement": "sequential", "tail_dof": 4.0},
         {"drop_unseen": False},
         {"iterations": 3},
         {"gate": None},

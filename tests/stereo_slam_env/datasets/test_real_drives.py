@@ -1,0 +1,46 @@
+"""The filters on the whole of KITTI 07 with its noisy velocities as odometry (695 m, 1101 scored frames; 40 s)."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+import pytest
+
+from stereo_slam_env.benchmark.results import FilterRun
+from stereo_slam_env.benchmark.runner import run_filter
+from stereo_slam_env.benchmark.trajectory_metrics import ate_rigid
+from stereo_slam_env.datasets import read_recording
+from stereo_slam_env.recording import Recording
+
+from ..real_data import real_data
+
+pytestmark = pytest.mark.slow
+DEAD_RECKONING = 15.7  # m, rigid ATE of the velocities alone
+
+
+@lru_cache(maxsize=1)
+def kitti07() -> Recording:
+    return read_recording(real_data("kitti07_tracks"))
+
+
+def ate(run: FilterRun) -> float:
+    scored = np.isfinite(run.true_positions).all(axis=1)
+    return ate_rigid(run.positions[scored], run.true_positions[scored])
+
+
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [("inverse-depth", {}), ("dual-bearing", {}), ("euclidean", {"min_disparity": 5.0})],
+)
+def test_no_filter_diverges_and_all_are_better_than_the_odometry_alone(name: str, options: dict) -> None:
+    run = run_filter(kitti07(), name, {"gate": 0.99, **options})
+    assert run.failure is None
+    assert np.isfinite(run.positions).all()
+    assert ate(run) < 0.6 * DEAD_RECKONING
+    if name == "inverse-depth":
+        assert ate(run) <= 8.0
+
+
+def test_the_joint_test_over_the_frame_halves_the_error() -> None:
+    assert ate(run_filter(kitti07(), "inverse-depth", {"gate": 0.99, "consensus": True})) <= 4.0
