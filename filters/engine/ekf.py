@@ -30,23 +30,18 @@ from filters.interface import (
     VelocityBelief,
 )
 from filters.measurements.model import Stage
-from filters.motion import CAMERA_SIZE, POSE_SIZE, CameraState, ConstantVelocity, MotionModel
+from filters.motion import CAMERA_SIZE, POSE_SIZE, ConstantVelocity, MotionModel
 from filters.noise import StereoNoise
+from filters.start import start_belief
 from filters.validation import (
     BoolArray,
     FloatArray,
     IntArray,
-    covariance_matrix,
     finite_array,
     positive,
     unique_ids,
     unit_quaternion,
 )
-
-# Standard deviations at reset when the caller gives no covariance: a known pose, a broad velocity.
-KNOWN_POSE = 1e-6
-BROAD_LINEAR_VELOCITY = 10.0
-BROAD_ANGULAR_VELOCITY = 0.5
 
 
 class StereoEKF(StereoFilter):
@@ -148,17 +143,7 @@ class StereoEKF(StereoFilter):
         covariance: ArrayLike | None = None,
     ) -> None:
         """Start again with an empty map; see `StereoFilter.reset`."""
-        camera = CameraState(
-            finite_array("position", position, (3,)),
-            unit_quaternion("orientation", orientation),
-            finite_array("linear_velocity", linear_velocity, (3,)),
-            finite_array("angular_velocity", angular_velocity, (3,)),
-        )
-        if covariance is None:
-            sigmas = np.repeat([KNOWN_POSE, KNOWN_POSE, BROAD_LINEAR_VELOCITY, BROAD_ANGULAR_VELOCITY], 3)
-            P = np.diag(sigmas**2)
-        else:
-            P = covariance_matrix("covariance", covariance, CAMERA_SIZE)
+        camera, P = start_belief(position, orientation, linear_velocity, angular_velocity, covariance)
         self._state = JointState.without_map(camera, P, self._landmark)
 
     def predict(self, dt: float, odometry: BodyVelocity | None = None) -> None:
