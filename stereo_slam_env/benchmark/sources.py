@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import importlib
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -68,9 +69,14 @@ def _street(options: dict[str, Any], seed: int | None, frames: int | None) -> Re
 
 
 def _reference(options: dict[str, Any], seed: int | None, frames: int | None) -> Recording:
-    from stereo_slam_env.benchmark import reference_problem
+    from stereo_slam_env.benchmark.large_rotation_problem import relative_noise_loop
+    from stereo_slam_env.benchmark.reference_problem import long_drive, short_turn
 
-    problems = {"long_drive": reference_problem.long_drive, "short_turn": reference_problem.short_turn}
+    problems: dict[str, Callable[..., Recording]] = {
+        "long_drive": long_drive,
+        "short_turn": short_turn,
+        "relative_noise_loop": relative_noise_loop,
+    }
     name = options.pop("name", None)
     if name not in problems:
         raise ValueError(f"option name of a 'reference' scenario must be one of {', '.join(problems)}, got {name!r}")

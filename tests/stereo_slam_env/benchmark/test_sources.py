@@ -17,8 +17,9 @@ from .small_recordings import small_recording
     [
         Scenario("s", "street", {"route": "right-turn", "max_landmarks": 30}, frames=6),
         Scenario("s", "reference", {"name": "short_turn"}, frames=6),
+        Scenario("s", "reference", {"name": "relative_noise_loop", "level": 0.05}, frames=6),
     ],
-    ids=lambda scenario: scenario.kind,
+    ids=lambda scenario: scenario.options.get("name", scenario.kind),
 )
 def test_the_same_seed_gives_the_same_stream_and_another_one_another(scenario):
     first, again, other = (make_recording(scenario, seed) for seed in (3, 3, 4))
@@ -46,7 +47,10 @@ def test_every_part_of_the_input_is_in_the_digest():
 @pytest.mark.parametrize(
     ("scenario", "complaint"),
     [
-        (Scenario("s", "reference", {"name": "long_way"}), "must be one of long_drive, short_turn, got 'long_way'"),
+        (
+            Scenario("s", "reference", {"name": "long_way"}),
+            "must be one of long_drive, short_turn, relative_noise_loop, got",
+        ),
         (Scenario("s", "dataset"), "needs the option path"),
         (Scenario("s", "factory", {"call": "nowhere"}), 'call must be "package.module:function"'),
         (Scenario("s", "factory", {"call": "math:no_such"}), "got 'math:no_such'"),
