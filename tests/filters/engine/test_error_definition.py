@@ -1,4 +1,4 @@
-"""What first-estimates and right-invariant errors promise: a turned world stays unobservable (15 s)."""
+"""What first-estimates and right-invariant errors promise: a turned world stays unobservable (12 s)."""
 
 from __future__ import annotations
 

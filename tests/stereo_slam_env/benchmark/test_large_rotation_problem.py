@@ -1,4 +1,4 @@
-"""The tumbling camera of Zhang et al.: its noise is what it says, and who stays consistent (25 s)."""
+"""The tumbling camera of Zhang et al.: its noise is what it says, and who stays consistent (15 s)."""
 
 import numpy as np
 import pytest
@@ -44,7 +44,7 @@ def test_odometry_has_the_covariance_it_claims_and_leads_from_pose_to_pose(recor
 
 def test_as_many_landmarks_are_in_view_as_published():
     """The published sensor, 120 degrees off its axis and 25 m, sees 6.5 of 300 at a time on this path."""
-    in_view = [len(frame.observation) for seed in range(5) for frame in relative_noise_loop(seed).frames]
+    in_view = [len(frame.observation) for seed in range(2) for frame in relative_noise_loop(seed).frames]
     assert np.mean(in_view) == pytest.approx(6.5, abs=0.5)
 
 
@@ -66,9 +66,9 @@ def test_impossible_options_are_named(options, complaint):
 
 
 def test_only_the_standard_errors_are_overconfident():
-    """Four short runs of large noise; the published figures are measured by benchmarks/large_rotation.py."""
+    """Three short runs of large noise; the published figures are measured by benchmarks/large_rotation.py."""
     nees = {"right-invariant": [], "first-estimates": [], "so3": []}
-    for seed in range(4):
+    for seed in range(3):
         recording = relative_noise_loop(seed, 0.1, 120, sight=30.0)
         for error, found in nees.items():
             run = run_filter(recording, "euclidean", {**OPTIONS, "error": error})

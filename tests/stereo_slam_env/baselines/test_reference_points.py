@@ -1,0 +1,53 @@
+"""The baselines are where others have found them, and the filters' batch reference is no worse than the filters."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from filters import check_filter, make_filter
+from stereo_slam_env.benchmark.reference_problem import short_turn
+from stereo_slam_env.benchmark.results import FilterRun
+from stereo_slam_env.benchmark.runner import run_filter
+from stereo_slam_env.benchmark.trajectory_metrics import ate_rigid
+from stereo_slam_env.datasets import read_recording
+
+from ..real_data import real_data
+
+
+def ate(run: FilterRun) -> float:
+    scored = np.isfinite(run.true_positions).all(axis=1)
+    return ate_rigid(run.positions[scored], run.true_positions[scored])
+
+
+@pytest.mark.parametrize("name", ["dead-reckoning", "frame-to-frame", "batch"])
+def test_every_baseline_keeps_the_contract(name: str) -> None:
+    if name == "batch":
+        pytest.importorskip("gtsam", reason='needs pip install "stereo-slam-env[gtsam]"')
+    check_filter(lambda camera, noise: make_filter(name, camera=camera, noise=noise))
+
+
+def test_dead_reckoning_on_kitti_07_is_as_far_off_as_published_with_the_data() -> None:
+    run = run_filter(read_recording(real_data("kitti07_tracks")), "dead-reckoning")
+    assert ate(run) == pytest.approx(15.7, abs=0.3)
+
+
+@pytest.mark.slow
+def test_frame_to_frame_on_kitti_00_follows_the_drive() -> None:
+    run = run_filter(read_recording(real_data("kitti00_stereo_tracks")), "frame-to-frame")
+    assert run.failure is None
+    assert ate(run) < 0.5
+
+
+@pytest.mark.slow
+def test_smoothing_everything_is_no_worse_than_filtering() -> None:
+    pytest.importorskip("gtsam", reason='needs pip install "stereo-slam-env[gtsam]"')
+    ends = {"batch": [], "inverse-depth": []}
+    for seed in range(6):
+        recording = short_turn(seed)
+        for name, found in ends.items():
+            run = run_filter(recording, name, {} if name == "batch" else {"gate": None})
+            assert run.failure is None
+            found.append(run.positions[-1] - run.true_positions[-1])
+    rms = {name: np.sqrt(np.mean(np.sum(np.square(found), axis=1))) for name, found in ends.items()}
+    assert rms["batch"] <= 1.15 * rms["inverse-depth"]
