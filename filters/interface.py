@@ -66,12 +66,17 @@ class StereoObservation:
     def select(self, index: ArrayLike) -> StereoObservation:
         """The measurements at `index` (positions or a mask), in that order."""
         i = np.asarray(index)
-        return StereoObservation(
-            self.ids[i],
-            self.uvd[i],
-            None if self.v_right is None else self.v_right[i],
-            None if self.R is None else self.R[i],
-        )
+        # Every measurement has been checked when this observation was made; only positions can repeat one.
+        part = object.__new__(StereoObservation)
+        fields = {name: None if value is None else value[i] for name, value in vars(self).items()}
+        vars(part).update(fields)
+        if i.dtype != np.bool_:
+            unique_ids("ids", part.ids)
+        return part
+
+    def ordered(self) -> StereoObservation:
+        """The measurements in ascending order of ids."""
+        return self if (self.ids[1:] > self.ids[:-1]).all() else self.select(np.argsort(self.ids))
 
 
 @dataclass(frozen=True, eq=False)

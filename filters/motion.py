@@ -7,6 +7,7 @@ linear velocity (W, m/s), angular velocity (camera frame, rad/s). Every Jacobian
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -18,6 +19,7 @@ from filters.validation import FloatArray, positive
 POSITION, ROTATION, LINEAR, ANGULAR = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
 CAMERA_SIZE = 12
 POSE_SIZE = 6
+_EYE = np.eye(CAMERA_SIZE)
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +43,7 @@ class CameraState:
     linear_velocity: FloatArray
     angular_velocity: FloatArray
 
-    @property
+    @cached_property
     def R_wc(self) -> FloatArray:
         """Rotation matrix of the orientation."""
         return rotations.matrix(self.orientation)
@@ -120,17 +122,17 @@ class ConstantVelocity:
             state.angular_velocity,
         )
         by_turn = rotations.right_jacobian(turn) * dt
-        F = np.eye(CAMERA_SIZE)
-        F[POSITION, LINEAR] = dt * np.eye(3)
+        F = _EYE.copy()
+        F[POSITION, LINEAR] = dt * _EYE[:3, :3]
         F[ROTATION, ROTATION] = rotations.exp(-turn)
         F[ROTATION, ANGULAR] = by_turn
         G = np.zeros((CAMERA_SIZE, 6))
-        G[POSITION, :3] = dt * np.eye(3)
-        G[ROTATION, 3:] = by_turn
-        G[LINEAR, :3] = np.eye(3)
-        G[ANGULAR, 3:] = np.eye(3)
-        sigmas = np.repeat([self.sigma_acceleration * dt, self.sigma_angular_acceleration * dt], 3)
-        return MotionPrediction(moved, F, G, np.diag(sigmas**2))
+        G[:6, :3] = F[:6, LINEAR]
+        G[:6, 3:] = F[:6, ANGULAR]
+        G[6:] = _EYE[:6, :6]
+        Q = np.zeros((6, 6))
+        Q.flat[:15:7], Q.flat[21::7] = (self.sigma_acceleration * dt) ** 2, (self.sigma_angular_acceleration * dt) ** 2
+        return MotionPrediction(moved, F, G, Q)
 
     def odometry_measurement(self, state: CameraState, dt: float, odometry: BodyVelocity) -> LinearMeasurement | None:
         """Measure the velocity of the step: linear in the camera frame half-way through the turn, and angular."""

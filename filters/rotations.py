@@ -1,10 +1,12 @@
 """SO(3): quaternions (xyzw), rotation vectors and their Jacobians.
 
-Conversions are scipy's; this module adds what an EKF needs on top. A perturbation always acts on the right,
-in the camera frame: R(q) Exp(delta), where R_wc = R(q).
+A perturbation always acts on the right, in the camera frame: R(q) Exp(delta), where R_wc = R(q). A filter turns a
+single camera some ten times a frame, so the closed forms are written out here; the logarithm is scipy's.
 """
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,12 +27,19 @@ def skew(vector: ArrayLike) -> FloatArray:
 
 def matrix(quaternion: ArrayLike) -> FloatArray:
     """Rotation matrix of a unit quaternion xyzw; (4,) -> (3, 3)."""
-    return np.asarray(Rotation.from_quat(quaternion).as_matrix())
+    x, y, z, w = _numbers(quaternion)
+    return np.array(
+        [
+            [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)],
+            [2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)],
+            [2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)],
+        ]
+    )
 
 
 def exp(rotation_vector: ArrayLike) -> FloatArray:
     """Rotation matrix Exp(phi); (3,) rad -> (3, 3)."""
-    return np.asarray(Rotation.from_rotvec(rotation_vector).as_matrix())
+    return matrix(exp_quaternion(rotation_vector))
 
 
 def log(rotation_matrix: ArrayLike) -> FloatArray:
@@ -40,23 +49,24 @@ def log(rotation_matrix: ArrayLike) -> FloatArray:
 
 def exp_quaternion(rotation_vector: ArrayLike) -> FloatArray:
     """The quaternion q(phi) of Eq. 6; (3,) rad -> (4,) xyzw."""
-    return np.asarray(Rotation.from_rotvec(rotation_vector).as_quat())
+    x, y, z = _numbers(rotation_vector)
+    half = 0.5 * math.hypot(x, y, z)
+    # sin(half) / angle; its series below 1e-4 rad is exact to rounding.
+    ratio = 0.5 * math.sin(half) / half if half > 1e-4 else 0.5 - half * half / 12.0
+    return np.array([ratio * x, ratio * y, ratio * z, math.cos(half)])
 
 
 def multiply(left: ArrayLike, right: ArrayLike) -> FloatArray:
     """Quaternion product left x right, normalised; (4,), (4,) xyzw -> (4,)."""
-    x, y, z, w = np.asarray(left, dtype=np.float64)
-    a, b, c, d = np.asarray(right, dtype=np.float64)
-    product = np.array(
-        [
-            w * a + x * d + y * c - z * b,
-            w * b - x * c + y * d + z * a,
-            w * c + x * b - y * a + z * d,
-            w * d - x * a - y * b - z * c,
-        ]
+    x, y, z, w = _numbers(left)
+    a, b, c, d = _numbers(right)
+    product = (
+        w * a + x * d + y * c - z * b,
+        w * b - x * c + y * d + z * a,
+        w * c + x * b - y * a + z * d,
+        w * d - x * a - y * b - z * c,
     )
-    normalised: FloatArray = product / np.linalg.norm(product)
-    return normalised
+    return np.array(product) / math.hypot(*product)
 
 
 def between(q_from: ArrayLike, q_to: ArrayLike) -> FloatArray:
@@ -70,13 +80,26 @@ def right_jacobian(rotation_vector: ArrayLike) -> FloatArray:
 
     The two coefficients are even functions of the angle; below 1e-4 rad their series is exact to rounding.
     """
-    phi = np.asarray(rotation_vector, dtype=np.float64)
-    square = float(phi @ phi)
+    x, y, z = _numbers(rotation_vector)
+    square = x * x + y * y + z * z
     if square < 1e-8:
         first, second = 0.5 - square / 24.0, 1.0 / 6.0 - square / 120.0
     else:
-        angle = np.sqrt(square)
-        first, second = (1.0 - np.cos(angle)) / square, (angle - np.sin(angle)) / (square * angle)
-    cross = skew(phi)
-    jacobian: FloatArray = np.eye(3) - first * cross + second * (cross @ cross)
-    return jacobian
+        angle = math.sqrt(square)
+        first, second = (1.0 - math.cos(angle)) / square, (angle - math.sin(angle)) / (square * angle)
+    # I - first [phi]x + second [phi]x^2, with [phi]x^2 = phi phi^T - |phi|^2 I
+    on_axis = 1.0 - second * square
+    xy, xz, yz = second * x * y, second * x * z, second * y * z
+    return np.array(
+        [
+            [on_axis + second * x * x, xy + first * z, xz - first * y],
+            [xy - first * z, on_axis + second * y * y, yz + first * x],
+            [xz + first * y, yz - first * x, on_axis + second * z * z],
+        ]
+    )
+
+
+def _numbers(array: ArrayLike) -> list[float]:
+    """Python floats: single rotations are a dozen products, which NumPy would take ten times as long for."""
+    numbers: list[float] = np.asarray(array, dtype=np.float64).tolist()
+    return numbers

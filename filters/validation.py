@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -53,7 +54,7 @@ def positive(name: str, value: Any, *, allow_zero: bool = False) -> float:
         number = float(value)
     except (TypeError, ValueError) as error:
         raise ValueError(f"{name} must be a number {bound}, got {value!r}") from error
-    if not np.isfinite(number) or number < 0 or (number == 0 and not allow_zero):
+    if not math.isfinite(number) or number < 0 or (number == 0 and not allow_zero):
         raise ValueError(f"{name} must be a finite number {bound}, got {value!r}")
     return number
 
@@ -108,9 +109,10 @@ def unique_ids(name: str, value: ArrayLike) -> IntArray:
     if raw.dtype.kind not in "iu":
         raise ValueError(f"{name} must be integers (int64), got dtype {raw.dtype}")
     ids = raw.astype(np.int64)
-    values, counts = np.unique(ids, return_counts=True)
-    if (counts > 1).any():
-        repeated = values[counts > 1][:5].tolist()
+    ordered = np.sort(ids)
+    again = ordered[1:] == ordered[:-1]
+    if again.any():
+        repeated = np.unique(ordered[1:][again])[:5].tolist()
         raise ValueError(f"{name} must be unique, repeated: {repeated}: keep one measurement per landmark")
     ids.flags.writeable = False
     return ids

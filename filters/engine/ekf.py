@@ -171,7 +171,7 @@ class StereoEKF(StereoFilter):
         if not isinstance(observation, StereoObservation):
             raise ValueError(f"observation must be a StereoObservation, got {type(observation).__name__}")
         # One order for everything below, so that the result cannot depend on the order of the measurements.
-        observation = observation.select(np.argsort(observation.ids))
+        observation = observation.ordered()
         known, index = self._locate(observation.ids)
         report = self._correct(observation.select(known), index)
         gone = ~np.isin(self._state.ids, observation.ids) & self._drop_unseen

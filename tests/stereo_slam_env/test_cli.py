@@ -101,7 +101,7 @@ def test_replay_runs_filters_over_a_folder(command, tmp_path, layout):
         "replay", tmp_path / "drive", "--filters", "inverse-depth", "--jobs", 1, "--out", tmp_path / "run"
     )
     assert code == 0
-    assert "sigma_px = 3.0" in out
+    assert "sigma_px = 2.0" in out
     summary = json.loads((tmp_path / "run" / "summary.json").read_text())
     assert summary["recordings"][0]["seed"] is None
     assert summary["recordings"][0]["source"]["reader"].startswith(layout.__name__)
@@ -133,9 +133,9 @@ def test_report_is_written_again_from_the_directory(command, tmp_path):
 @pytest.mark.usefixtures("third_party")
 def test_third_party_filters_are_listed_and_benchmarked(command, tmp_path):
     listed = command("filters", "list")[1]
-    assert "dead-reckoning" in listed
+    assert "odometry-only" in listed
     assert "Integrates the odometry and maps nothing." in listed
-    code, out, _ = command(*BENCH, "--out", tmp_path / "run", "--filters", "dead-reckoning,raises")
+    code, out, _ = command(*BENCH, "--out", tmp_path / "run", "--filters", "odometry-only,raises")
     assert code == 0
     assert "raises failed: seed 0, frame 2: RuntimeError: the third frame is too much" in out
 
@@ -147,7 +147,7 @@ def test_filters_are_checked(command):
 
 @pytest.mark.usefixtures("third_party")
 def test_a_filter_that_breaks_the_contract_gives_exit_code_1(command):
-    code, out, _ = command("filters", "check", "dead-reckoning")
+    code, out, _ = command("filters", "check", "odometry-only")
     assert code == 1
     assert "failed:" in out
 

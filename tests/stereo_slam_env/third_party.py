@@ -1,6 +1,6 @@
 """Little third-party filters, laid out on the path as an installer would, with entry points.
 
-`dead-reckoning` integrates odometry and knows nothing of gates or motion models; `raises` fails in its third update;
+`odometry-only` integrates odometry and knows nothing of gates or motion models; `raises` fails in its third update;
 `returns-nan` loses its position in its third; `listens` writes down a digest of everything it is given.
 """
 
@@ -117,7 +117,7 @@ class Listens(DeadReckoning):
 '''
 
 ENTRY_POINTS = {
-    "dead-reckoning": "DeadReckoning",
+    "odometry-only": "DeadReckoning",
     "raises": "Raises",
     "returns-nan": "ReturnsNaN",
     "listens": "Listens",

@@ -16,7 +16,7 @@ from .small_recordings import CAMERA, DT, SPEED, small_recording
 def test_the_first_frame_only_initialises_and_the_others_predict_first():
     """Exact odometry from an exact start: dead reckoning is right in every frame, so no step is missing or doubled."""
     recording = small_recording()
-    run = run_filter(recording, "dead-reckoning")
+    run = run_filter(recording, "odometry-only")
     np.testing.assert_allclose(run.positions, run.true_positions, atol=1e-9)
     np.testing.assert_array_equal(run.positions[0], 0.0)
     np.testing.assert_allclose(run.timestamps, DT * np.arange(len(recording)))
@@ -24,7 +24,7 @@ def test_the_first_frame_only_initialises_and_the_others_predict_first():
 
 @pytest.mark.usefixtures("third_party")
 def test_odometry_can_be_withheld():
-    run = run_filter(small_recording(), "dead-reckoning", use_odometry=False)
+    run = run_filter(small_recording(), "odometry-only", use_odometry=False)
     np.testing.assert_allclose(run.positions[:, 0], 0.0, atol=1e-12)
     np.testing.assert_allclose(run.positions[:, 2], SPEED * run.timestamps)
 
@@ -121,7 +121,7 @@ def test_common_options_go_to_the_filters_that_know_them():
     recording = small_recording()
     assert run_filter(recording, "inverse-depth", common_options=common).options == common
     assert run_filter(recording, "inverse-depth", {"gate": None}, common_options=common).options["gate"] is None
-    foreign = run_filter(recording, "dead-reckoning", {"spread": 0.2}, common_options=common)
+    foreign = run_filter(recording, "odometry-only", {"spread": 0.2}, common_options=common)
     assert foreign.failure is None
     assert foreign.options == {"spread": 0.2}
 
