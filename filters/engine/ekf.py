@@ -17,7 +17,7 @@ from filters.engine.consensus import largest_agreement
 from filters.engine.error_definition import ERRORS
 from filters.engine.heavy_tails import reweighted
 from filters.engine.joint_state import JointState, world_rotation_of_camera
-from filters.engine.linearisation import linearise, project
+from filters.engine.linearisation import in_front, linearise, project
 from filters.engine.options import LANDMARKS, LINEARISATIONS, MEASUREMENTS, choice
 from filters.interface import (
     BodyVelocity,
@@ -152,12 +152,14 @@ class StereoEKF(StereoFilter):
         if odometry is not None and not isinstance(odometry, BodyVelocity):
             raise ValueError(f"odometry must be a BodyVelocity or None, got {odometry!r}")
         predicted = self._motion.predict(self._state.camera, dt, odometry)
-        F = self._error.constrained(
-            predicted.F,
-            world_rotation_of_camera(predicted.state),
-            world_rotation_of_camera(self._state.predicted),
-            self._state.predicted.R_wc,
-        )
+        F = predicted.F
+        if self._error.constrains:
+            F = self._error.constrained(
+                F,
+                world_rotation_of_camera(predicted.state),
+                world_rotation_of_camera(self._state.predicted),
+                self._state.predicted.R_wc,
+            )
         self._state.transform_camera(F, predicted.G @ predicted.Q @ predicted.G.T)
         self._state.camera = self._state.predicted = predicted.state
         if odometry is not None:
@@ -173,12 +175,16 @@ class StereoEKF(StereoFilter):
         # One order for everything below, so that the result cannot depend on the order of the measurements.
         observation = observation.ordered()
         known, index = self._locate(observation.ids)
-        report = self._correct(observation.select(known), index)
-        gone = ~np.isin(self._state.ids, observation.ids) & self._drop_unseen
-        dropped = self._state.ids[gone]
-        self._state.remove(gone)
-        initialised, rejected = self._initialise(observation.select(~known))
-        return replace(report, dropped=dropped, initialised=initialised, rejected=rejected)
+        report = self._correct(observation if known.all() else observation.select(known), index)
+        if self._drop_unseen and len(index) < len(self._state):
+            gone = np.ones(len(self._state), dtype=bool)
+            gone[index] = False
+            report = replace(report, dropped=self._state.ids[gone])
+            self._state.remove(gone)
+        if not known.all():
+            initialised, rejected = self._initialise(observation.select(~known))
+            report = replace(report, initialised=initialised, rejected=rejected)
+        return report
 
     def forecast(self, ids: Sequence[int] | IntArray | None = None) -> Forecast:
         """Predicted (u, v, d) and S of landmarks at the current pose."""
@@ -218,13 +224,10 @@ class StereoEKF(StereoFilter):
         state, index = self._state, np.argsort(self._state.ids)
         parameters, anchors = state.parameters(index), state.anchors(index)
         points = self._landmark.points(anchors, parameters)
-        by_map = points.by_parameters
-        if points.by_anchor is not None:
-            by_map = np.concatenate([points.by_anchor, points.by_parameters], axis=2)
         P_map = symmetric.blocks(state.P, state.map_rows(index))
         with np.errstate(invalid="ignore", over="ignore"):
-            covariances = by_map @ P_map @ by_map.transpose(0, 2, 1)
-        inverse = self._landmark.inverse_distances(state.camera.position, parameters)
+            covariances = points.by_map @ P_map @ points.by_map.transpose(0, 2, 1)
+        inverse = self._landmark.inverse_distances(state.camera.position, anchors, parameters)
         own_rows = CAMERA_SIZE + 3 * state.parameter_block[index, None] + np.arange(3)
         position_rows = np.broadcast_to(np.arange(3), own_rows.shape)
         P_own = symmetric.blocks(state.P, np.concatenate([position_rows, own_rows], axis=1))
@@ -241,10 +244,11 @@ class StereoEKF(StereoFilter):
 
     def _locate(self, ids: IntArray) -> tuple[BoolArray, IntArray]:
         """Which of `ids` are in the map, and where those are."""
+        if len(self._state) == 0:
+            return np.zeros(len(ids), dtype=bool), np.zeros(0, dtype=np.int64)
         order = np.argsort(self._state.ids)
-        place = np.searchsorted(self._state.ids, ids, sorter=order)
-        candidate = order[np.minimum(place, len(order) - 1)] if len(order) else np.zeros(len(ids), np.int64)
-        known = self._state.ids[candidate] == ids if len(order) else np.zeros(len(ids), dtype=bool)
+        candidate = order.take(np.searchsorted(self._state.ids, ids, sorter=order), mode="clip")
+        known = self._state.ids[candidate] == ids
         return known, candidate[known]
 
     def _noise_of(self, count: int, R: FloatArray | None = None) -> FloatArray:
@@ -264,16 +268,17 @@ class StereoEKF(StereoFilter):
         R = self._noise_of(len(observation), observation.R)
         stages = self._measurement.stages(observation, R)
         used = np.ones(len(index), dtype=bool)
-        behind, gated, failed = np.zeros_like(used), np.zeros_like(used), np.zeros_like(used)
+        behind, gated, failed = np.zeros((3, len(index)), dtype=bool)
         nis, dof = 0.0, 0
         for stage in stages:
-            _, in_front = project(self.camera, self._state, index)
-            behind |= used & ~in_front
-            used &= in_front
+            forward = in_front(self._state, index)
+            behind |= used & ~forward
+            used &= forward
             candidates = used.copy()
             used[:] = False
-            for where in self._passes(stage, index, candidates, self._gate and self._gate ** (1 / len(stages))):
-                correction = self._apply(_select(stage, where), index[where])
+            gate = self._gate and self._gate ** (1 / len(stages))
+            for where, measurements in self._passes(stage, index, candidates, gate):
+                correction = self._apply(measurements, _select(stage, where), index[where])
                 used[where] = correction.used
                 failed[where] = ~correction.used
                 nis, dof = nis + correction.nis, dof + correction.dof
@@ -287,33 +292,39 @@ class StereoEKF(StereoFilter):
             nis_dof=dof,
         )
 
-    def _passes(self, stage: Stage, index: IntArray, candidates: BoolArray, gate: float | None) -> Iterator[BoolArray]:
-        """The measurements (M,) to correct with next, chosen at the state that the previous ones left."""
+    def _passes(
+        self, stage: Stage, index: IntArray, candidates: BoolArray, gate: float | None
+    ) -> Iterator[tuple[BoolArray, kalman.LinearisedMeasurements]]:
+        """The measurements (M,) to correct with next, chosen and linearised at the state the previous ones left."""
         if gate is None:
-            yield candidates
+            yield candidates, self._linearise(self._state, index[candidates], _select(stage, candidates))
             return
         limit = gating.gate_limit(gate, stage.z.shape[1])
-        believable = self._believable(stage, index, candidates, limit)
+        believable, measurements = self._believable(stage, index, candidates, limit)
         if not self._consensus:
-            yield believable
+            yield believable, measurements
             return
         core = believable.copy()
-        measurements = self._linearise(self._state, index[believable], _select(stage, believable))
-        core[believable] = largest_agreement(self._state.P, measurements, limit)
-        yield core
+        agree = largest_agreement(self._state.P, measurements, limit)
+        core[believable] = agree
+        yield core, measurements[agree]
         yield self._believable(stage, index, candidates & ~core, limit)
 
-    def _believable(self, stage: Stage, index: IntArray, candidates: BoolArray, limit: float) -> BoolArray:
-        """Which of the candidates (M,) pass the gate at the current state."""
+    def _believable(
+        self, stage: Stage, index: IntArray, candidates: BoolArray, limit: float
+    ) -> tuple[BoolArray, kalman.LinearisedMeasurements]:
+        """Which of the candidates (M,) pass the gate at the current state, and those linearised."""
         measurements = self._linearise(self._state, index[candidates], _select(stage, candidates))
         S = measurements.innovation_covariances(self._state.P)
-        inside = candidates.copy()
-        inside[candidates] = gating.passes(measurements.innovation, S, limit)
-        return inside
+        passed = gating.passes(measurements.innovation, S, limit)
+        if passed.all():
+            return candidates, measurements
+        believable = candidates.copy()
+        believable[candidates] = passed
+        return believable, measurements[passed]
 
-    def _apply(self, stage: Stage, index: IntArray) -> kalman.Correction:
+    def _apply(self, measurements: kalman.LinearisedMeasurements, stage: Stage, index: IntArray) -> kalman.Correction:
         """One pass of the update, or Gauss-Newton passes with the prior held."""
-        measurements = self._linearise(self._state, index, stage)
         if self._tail_dof is not None:
             measurements = reweighted(self._state.P, measurements, self._tail_dof)
             stage = replace(stage, R=measurements.R)
@@ -353,4 +364,4 @@ class StereoEKF(StereoFilter):
 
 
 def _select(stage: Stage, mask: BoolArray) -> Stage:
-    return Stage(stage.z[mask], stage.T, stage.R[mask])
+    return stage if mask.all() else Stage(stage.z[mask], stage.T, stage.R[mask])

@@ -28,9 +28,14 @@ from filters.engine.retraction import RETRACTIONS, Retraction
 from filters.motion import ANGULAR, CAMERA_SIZE, LINEAR, POSITION, ROTATION, CameraState
 from filters.validation import FloatArray
 
+_EYE = np.eye(3)
+
 
 class StandardError:
     """Position, velocities and landmarks are corrected by addition, the orientation by its retraction."""
+
+    constrains = False
+    """Whether `constrained` changes anything."""
 
     def __init__(self, retraction: Retraction) -> None:
         self._retraction = retraction
@@ -55,7 +60,8 @@ class StandardError:
             Rows beyond the camera are zero where they are not given.
         """
         W = np.zeros((CAMERA_SIZE, 3))
-        W[ROTATION] = self._retraction.transport(delta[ROTATION]) - np.eye(3)
+        W[ROTATION] = self._retraction.transport(delta[ROTATION])
+        W[ROTATION] -= _EYE
         return W
 
     def linearisation_point(self, state: JointState) -> JointState | None:
@@ -86,6 +92,8 @@ class StandardError:
 
 class FirstEstimates(StandardError):
     """SO(3) errors with first-estimates Jacobians."""
+
+    constrains = True
 
     def __init__(self) -> None:
         super().__init__(RETRACTIONS["so3"])

@@ -19,6 +19,9 @@ from filters.motion import CAMERA_SIZE, LINEAR, POSE_SIZE, POSITION, ROTATION, C
 from filters.validation import BoolArray, FloatArray, IntArray
 
 _CAMERA = np.arange(CAMERA_SIZE)
+_EYE = np.eye(CAMERA_SIZE)
+_FIRST_BLOCK = np.arange(CAMERA_SIZE, CAMERA_SIZE + 3)
+_LOWER = np.tril(np.ones((CAMERA_SIZE, CAMERA_SIZE), dtype=bool))
 
 
 Adjust = Callable[[FloatArray, FloatArray], FloatArray]
@@ -87,51 +90,51 @@ class JointState:
         taken: FloatArray = self.blocks[self.parameter_block[index]]
         return taken
 
-    def anchors(self, index: IntArray) -> FloatArray | None:
+    def anchors(self, index: IntArray | slice = slice(None)) -> FloatArray | None:
         """Anchors of the landmarks at `index`, (M, 3); None where landmarks have none."""
         return self.blocks[self.anchor_block[index]] if self.model.anchored else None
 
     def map_rows(self, index: IntArray) -> IntArray:
         """Rows of P that belong to each landmark, anchor first; (M, 6) or (M, 3)."""
-        columns = [self.parameter_block[index]]
+        first = self.parameter_block[index, None]
         if self.model.anchored:
-            columns.insert(0, self.anchor_block[index])
-        first = CAMERA_SIZE + 3 * np.stack(columns, axis=1)
-        return (first[:, :, None] + np.arange(3)).reshape(len(index), 3 * len(columns))
+            first = np.hstack([self.anchor_block[index, None], first])
+        return (3 * first[:, :, None] + _FIRST_BLOCK).reshape(len(index), 3 * first.shape[1])
 
     def transform_camera(self, F: FloatArray, added: FloatArray | None = None) -> None:
         """P <- blockdiag(F, I) P blockdiag(F, I)^T, plus `added` on the camera block (Eq. 12)."""
-        camera = symmetric.blocks(self.P, _CAMERA[None])[0]
-        moved = F @ camera @ F.T
+        camera = self.P[:CAMERA_SIZE, :CAMERA_SIZE]
+        moved = F @ np.where(_LOWER, camera, camera.T) @ F.T
         if added is not None:
             moved += added
         self.P[:CAMERA_SIZE, :CAMERA_SIZE] = 0.5 * (moved + moved.T)
-        self.P[CAMERA_SIZE:, :CAMERA_SIZE] = self.P[CAMERA_SIZE:, :CAMERA_SIZE] @ F.T
+        cross = self.P[CAMERA_SIZE:, :CAMERA_SIZE].T
+        cross[...] = F @ cross
 
     def world_rotation(self) -> FloatArray:
         """Gamma: effect of a rotation of the world about its origin on the error state; (n, 3)."""
         effect = -rotations.skew(self.blocks)
-        effect[self.parameter_block] = self.model.world_rotation(self.blocks[self.parameter_block])
+        effect[self.parameter_block] = self.model.world_rotation(self.anchors(), self.blocks[self.parameter_block])
         return np.vstack([world_rotation_of_camera(self.camera), effect.reshape(-1, 3)])
 
     def turned_blocks(self, turn: FloatArray, spread: FloatArray, correction: FloatArray) -> FloatArray:
         """Map blocks turned with the world and corrected, see `LandmarkModel.turned`; (B, 3)."""
         moved = self.blocks @ turn.T + correction @ spread.T
         own = self.parameter_block
-        moved[own] = self.model.turned(self.blocks[own], turn, spread, correction[own])
+        moved[own] = self.model.turned(self.anchors(), self.blocks[own], turn, spread, correction[own])
         return moved
 
     def at_first_estimates(self) -> JointState:
         """This state with the predicted camera and the map as it was first estimated."""
         blocks = self.first_blocks.copy()
         own = self.parameter_block
-        blocks[own] = self.model.first_estimates(self.first_blocks[own], self.blocks[own])
+        blocks[own] = self.model.first_estimates(self.anchors(), self.first_blocks[own], self.blocks[own])
         return replace(self, camera=self.predicted, blocks=blocks)
 
     def shear_by_rotation(self, W: FloatArray) -> None:
         """P <- (I + W E^T) P (I + W E^T)^T, E selecting the rotation of the camera; W (12, 3) or (n, 3)."""
         if len(W) == CAMERA_SIZE:
-            M = np.eye(CAMERA_SIZE)
+            M = _EYE.copy()
             M[:, ROTATION] += W
             self.transform_camera(M)
             return
@@ -157,7 +160,7 @@ class JointState:
         J = by_pose.reshape(-1, POSE_SIZE)
         if adjust is not None:
             effect = -rotations.skew(blocks)
-            effect[anchors:] = self.model.world_rotation(new.parameters)
+            effect[anchors:] = self.model.world_rotation(blocks[:anchors] if anchors else None, new.parameters)
             J = adjust(J, effect.reshape(-1, 3))
         cross = J @ symmetric.rows(self.P, np.arange(POSE_SIZE))
 

@@ -8,7 +8,9 @@ X^T L^-1 nu.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from scipy.linalg import blas, lapack
@@ -17,7 +19,7 @@ from filters.engine import symmetric
 from filters.motion import CAMERA_SIZE, ROTATION, LinearMeasurement
 from filters.validation import BoolArray, FloatArray, IntArray
 
-CHUNK = 20  # landmarks: where the cost of the small factorisations meets that of passing over P again
+CHUNK = 25  # landmarks: where the cost of the small factorisations meets that of passing over P again
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,19 +121,21 @@ def update(P: FloatArray, measurements: LinearisedMeasurements, chunk: int = CHU
     delta = np.zeros(len(P))
     used = np.zeros(len(measurements), dtype=bool)
     nis, dof = 0.0, 0
-    pending = [slice(start, start + chunk) for start in range(0, len(measurements), chunk)][::-1]
+    chunks = -(-len(measurements) // chunk)
+    edges = [len(measurements) * i // chunks for i in range(chunks + 1)] if chunks else []
+    pending = [slice(*ends) for ends in pairwise(edges)][::-1]
     while pending:
         where = pending.pop()
         part = measurements[where]
         HP = _times_covariance(part, P)
-        factor, info = lapack.dpotrf(_innovation_covariance(part, HP), lower=1, clean=1, overwrite_a=1)
-        if info != 0 or not np.isfinite(factor[-1, -1]):
-            if len(part) > 1:
-                pending += [slice(i, i + 1) for i in range(where.start, where.start + len(part))][::-1]
+        factor, info = lapack.dpotrf(_innovation_covariance(part, HP), lower=1, clean=0, overwrite_a=1)
+        if info != 0 or not math.isfinite(factor[-1, -1]):
+            if where.stop - where.start > 1:
+                pending += [slice(i, i + 1) for i in range(where.start, where.stop)][::-1]
             continue
         nu = (part.innovation - part.times(delta)).ravel()
         Xt = blas.dtrsm(1.0, factor, HP.T, side=1, lower=1, trans_a=1, overwrite_b=1)
-        whitened = blas.dtrsv(factor, nu, lower=1)
+        whitened = blas.dtrsv(factor, nu, lower=1, overwrite_x=1)
         delta += Xt @ whitened
         blas.dsyrk(-1.0, Xt, beta=1.0, c=P, lower=1, overwrite_c=1)
         nis += float(whitened @ whitened)

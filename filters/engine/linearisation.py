@@ -9,14 +9,22 @@ from filters.camera import StereoCamera
 from filters.engine.joint_state import JointState
 from filters.engine.kalman import LinearisedMeasurements
 from filters.measurements.model import Stage
+from filters.motion import POSE_SIZE, POSITION, ROTATION
 from filters.validation import BoolArray, FloatArray, IntArray
 
 
 def project(camera: StereoCamera, state: JointState, index: IntArray) -> tuple[FloatArray, BoolArray]:
     """Predicted (u, v, d) of the landmarks at `index`, (M, 3) px, and whether their rays point forward, (M,)."""
-    seen = state.model.relative_to(state.camera.position, state.anchors(index), state.parameters(index))
-    h_c = seen.homogeneous[:, :3] @ state.camera.R_wc
-    return camera.project_scaled(h_c, seen.homogeneous[:, 3]), h_c[:, 2] > 0
+    seen = state.model.homogeneous(state.camera.position, state.anchors(index), state.parameters(index))
+    h_c = seen[:, :3] @ state.camera.R_wc
+    return camera.project_scaled(h_c, seen[:, 3]), h_c[:, 2] > 0
+
+
+def in_front(state: JointState, index: IntArray) -> BoolArray:
+    """Whether the rays of the landmarks at `index` point forward, (M,)."""
+    seen = state.model.homogeneous(state.camera.position, state.anchors(index), state.parameters(index))
+    forward: BoolArray = seen[:, :3] @ state.camera.R_wc[:, 2] > 0
+    return forward
 
 
 def linearise(
@@ -38,21 +46,15 @@ def linearise(
         Where H is evaluated, if elsewhere than at `state`.
     """
     at = state if point is None else point
-    R_cw = at.camera.R_wc.T
+    R_wc = at.camera.R_wc
     seen = at.model.relative_to(at.camera.position, at.anchors(index), at.parameters(index))
-    h_c, scale = seen.homogeneous[:, :3] @ R_cw.T, seen.homogeneous[:, 3]
+    h_c, scale = seen.homogeneous[:, :3] @ R_wc, seen.homogeneous[:, 3]
     z_by_camera = stage.T @ camera.project_scaled_jacobian(h_c, scale)
-    z_by_world = np.concatenate([z_by_camera[:, :, :3] @ R_cw, z_by_camera[:, :, 3:]], axis=2)
-    by_position = z_by_world @ seen.by_position
-    by_rotation = z_by_camera[:, :, :3] @ rotations.skew(h_c)
-    by_map = z_by_world @ seen.by_parameters
-    if seen.by_anchor is not None:
-        by_map = np.concatenate([z_by_world @ seen.by_anchor, by_map], axis=2)
+    z_by_world = z_by_camera.copy()
+    z_by_world[:, :, :3] = z_by_camera[:, :, :3] @ R_wc.T
+    by_pose = np.empty((len(index), len(stage.T), POSE_SIZE))
+    by_pose[:, :, POSITION] = z_by_world @ seen.by_position
+    by_pose[:, :, ROTATION] = z_by_camera[:, :, :3] @ rotations.skew(h_c)
+    by_map = z_by_world @ seen.by_map
     predicted = camera.project_scaled(h_c, scale) if point is None else project(camera, state, index)[0]
-    return LinearisedMeasurements(
-        stage.z - predicted @ stage.T.T,
-        np.concatenate([by_position, by_rotation], axis=2),
-        by_map,
-        state.map_rows(index),
-        stage.R,
-    )
+    return LinearisedMeasurements(stage.z - predicted @ stage.T.T, by_pose, by_map, state.map_rows(index), stage.R)

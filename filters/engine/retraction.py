@@ -39,7 +39,7 @@ class AdditiveQuaternion:
 
     def retract(self, orientation: FloatArray, delta: FloatArray) -> FloatArray:
         """q x (delta / 2, 1), normalised."""
-        return rotations.multiply(orientation, np.append(0.5 * delta, 1.0))
+        return rotations.multiply(orientation, [*(0.5 * delta), 1.0])
 
     def local(self, orientation: FloatArray, other: FloatArray) -> FloatArray:
         """Twice the vector part over the scalar part."""
@@ -49,7 +49,8 @@ class AdditiveQuaternion:
 
     def transport(self, delta: FloatArray) -> FloatArray:
         """(I - [delta]x / 2) / (1 + |delta|^2 / 4)."""
-        jacobian: FloatArray = (np.eye(3) - 0.5 * rotations.skew(delta)) / (1.0 + 0.25 * delta @ delta)
+        x, y, z = (0.5 * delta).tolist()
+        jacobian: FloatArray = np.array([[1.0, z, -y], [-z, 1.0, x], [y, -x, 1.0]]) / (1.0 + x * x + y * y + z * z)
         return jacobian
 
 

@@ -9,8 +9,9 @@ from filters.validation import FloatArray, IntArray
 
 def rows(P: FloatArray, index: IntArray) -> FloatArray:
     """Full rows `index` of the symmetric matrix; (n, n), (k,) -> (k, n)."""
-    below = np.arange(len(P)) <= index[:, None]
-    return np.where(below, P[index], P[:, index].T)
+    taken: FloatArray = P[index]
+    np.copyto(taken, P[:, index].T, where=np.arange(len(P)) > index[:, None])
+    return taken
 
 
 def blocks(P: FloatArray, index: IntArray) -> FloatArray:
@@ -22,7 +23,7 @@ def blocks(P: FloatArray, index: IntArray) -> FloatArray:
 
 def keep(P: FloatArray, index: IntArray) -> FloatArray:
     """The sub-matrix of the ascending `index`; marginalises the rest."""
-    return np.asfortranarray(P[np.ix_(index, index)])
+    return P.T.take(index, axis=0).take(index, axis=1).T
 
 
 def full(P: FloatArray) -> FloatArray:

@@ -74,7 +74,7 @@ def _measured_at(camera: StereoCamera, state: JointState, index: IntArray, error
     if anchors is not None:
         anchors = anchors[repeated] + flat[:, POSE_SIZE : POSE_SIZE + 3]
     position = state.camera.position + flat[:, POSITION]
-    seen = state.model.relative_to(position, anchors, parameters).homogeneous
+    seen = state.model.homogeneous(position, anchors, parameters)
     R_wc = state.camera.R_wc @ Rotation.from_rotvec(flat[:, ROTATION]).as_matrix()
     h_c = np.einsum("nij,ni->nj", R_wc, seen[:, :3])
     return camera.project_scaled(h_c, seen[:, 3]).reshape(count, samples, 3)

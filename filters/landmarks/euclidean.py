@@ -35,34 +35,43 @@ class Euclidean:
             R_wc @ h_c_by_uvd,
         )
 
-    def relative_to(self, position: FloatArray, anchors: FloatArray | None, parameters: FloatArray) -> ScaledPoints:
+    def homogeneous(self, position: FloatArray, anchors: FloatArray | None, parameters: FloatArray) -> FloatArray:
         """Direction = X - r, scale = 1 (Eq. 9)."""
-        count = len(parameters)
-        homogeneous = np.ones((count, 4))
+        homogeneous = np.ones((len(parameters), 4))
         homogeneous[:, :3] = parameters - position
-        by_parameters = np.zeros((count, 4, 3))
-        by_parameters[:, :3] = np.eye(3)
-        return ScaledPoints(homogeneous, -by_parameters, None, by_parameters)
+        return homogeneous
+
+    def relative_to(self, position: FloatArray, anchors: FloatArray | None, parameters: FloatArray) -> ScaledPoints:
+        """`homogeneous` with its Jacobians."""
+        by_parameters = np.broadcast_to(np.eye(4, 3), (len(parameters), 4, 3))
+        return ScaledPoints(self.homogeneous(position, anchors, parameters), -by_parameters, by_parameters)
 
     def points(self, anchors: FloatArray | None, parameters: FloatArray) -> Points:
         """The parameters themselves."""
-        return Points(parameters.copy(), None, np.broadcast_to(np.eye(3), (len(parameters), 3, 3)))
+        return Points(parameters.copy(), np.broadcast_to(np.eye(3), (len(parameters), 3, 3)))
 
-    def world_rotation(self, parameters: FloatArray) -> FloatArray:
+    def world_rotation(self, anchors: FloatArray | None, parameters: FloatArray) -> FloatArray:
         """-[X]x."""
         return -rotations.skew(parameters)
 
     def turned(
-        self, parameters: FloatArray, turn: FloatArray, spread: FloatArray, correction: FloatArray
+        self,
+        anchors: FloatArray | None,
+        parameters: FloatArray,
+        turn: FloatArray,
+        spread: FloatArray,
+        correction: FloatArray,
     ) -> FloatArray:
         """turn X + spread correction."""
         return parameters @ turn.T + correction @ spread.T
 
-    def first_estimates(self, first: FloatArray, current: FloatArray) -> FloatArray:
+    def first_estimates(self, anchors: FloatArray | None, first: FloatArray, current: FloatArray) -> FloatArray:
         """The first ones."""
         return first
 
-    def inverse_distances(self, position: FloatArray, parameters: FloatArray) -> InverseDistances:
+    def inverse_distances(
+        self, position: FloatArray, anchors: FloatArray | None, parameters: FloatArray
+    ) -> InverseDistances:
         """1 / |X - r|: the distance is from the camera."""
         offset = parameters - position
         inverse = 1.0 / np.linalg.norm(offset, axis=1)

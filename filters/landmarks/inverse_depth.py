@@ -89,36 +89,38 @@ class InverseDepth:
         by_measurement[:, 2, 2] = rho_per_d
         return NewLandmarks(parameters, np.zeros((len(uvd), 3, 3)), by_rotation, by_measurement)
 
-    def relative_to(self, position: FloatArray, anchors: FloatArray | None, parameters: FloatArray) -> ScaledPoints:
+    def homogeneous(self, position: FloatArray, anchors: FloatArray | None, parameters: FloatArray) -> FloatArray:
         """Direction = rho (anchor - r) + m, scale = rho: Eq. 8 multiplied by rho, so regular at rho = 0."""
         assert anchors is not None
-        rho = parameters[:, 2]
-        offset = anchors - position
-        count = len(parameters)
-        homogeneous = np.empty((count, 4))
-        homogeneous[:, :3] = rho[:, None] * offset + ray_direction(parameters)
-        homogeneous[:, 3] = rho
-        by_anchor = np.zeros((count, 4, 3))
-        by_anchor[:, :3] = rho[:, None, None] * np.eye(3)
-        by_parameters = np.zeros((count, 4, 3))
-        by_parameters[:, :3, :2] = ray_direction_jacobian(parameters)
-        by_parameters[:, :3, 2] = offset
-        by_parameters[:, 3, 2] = 1.0
-        return ScaledPoints(homogeneous, -by_anchor, by_anchor, by_parameters)
+        homogeneous = np.empty((len(parameters), 4))
+        homogeneous[:, :3] = parameters[:, 2:] * (anchors - position) + ray_direction(parameters)
+        homogeneous[:, 3] = parameters[:, 2]
+        return homogeneous
+
+    def relative_to(self, position: FloatArray, anchors: FloatArray | None, parameters: FloatArray) -> ScaledPoints:
+        """`homogeneous` with its Jacobians."""
+        assert anchors is not None
+        by_map = np.zeros((len(parameters), 4, 6))
+        by_map[:, [0, 1, 2], [0, 1, 2]] = parameters[:, 2:]
+        by_map[:, :3, 3:5] = ray_direction_jacobian(parameters)
+        by_map[:, :3, 5] = anchors - position
+        by_map[:, 3, 5] = 1.0
+        return ScaledPoints(self.homogeneous(position, anchors, parameters), -by_map[:, :, :3], by_map)
 
     def points(self, anchors: FloatArray | None, parameters: FloatArray) -> Points:
         """Eq. 4; not finite where rho = 0."""
         assert anchors is not None
         rho = parameters[:, 2, None]
         m = ray_direction(parameters)
-        by_parameters = np.zeros((len(parameters), 3, 3))
+        by_map = np.zeros((len(parameters), 3, 6))
+        by_map[:, :, :3] = np.eye(3)
         with np.errstate(divide="ignore", invalid="ignore"):
             positions = anchors + m / rho
-            by_parameters[:, :, :2] = ray_direction_jacobian(parameters) / rho[:, :, None]
-            by_parameters[:, :, 2] = -m / rho**2
-        return Points(positions, np.broadcast_to(np.eye(3), by_parameters.shape), by_parameters)
+            by_map[:, :, 3:5] = ray_direction_jacobian(parameters) / rho[:, :, None]
+            by_map[:, :, 5] = -m / rho**2
+        return Points(positions, by_map)
 
-    def world_rotation(self, parameters: FloatArray) -> FloatArray:
+    def world_rotation(self, anchors: FloatArray | None, parameters: FloatArray) -> FloatArray:
         """The ray turns, rho stays."""
         m = ray_direction(parameters)
         effect = np.zeros((len(parameters), 3, 3))
@@ -126,17 +128,24 @@ class InverseDepth:
         return effect
 
     def turned(
-        self, parameters: FloatArray, turn: FloatArray, spread: FloatArray, correction: FloatArray
+        self,
+        anchors: FloatArray | None,
+        parameters: FloatArray,
+        turn: FloatArray,
+        spread: FloatArray,
+        correction: FloatArray,
     ) -> FloatArray:
         """Correct the parameters, then turn the ray."""
         corrected = parameters + correction
         return np.column_stack([angles_of(ray_direction(corrected) @ turn.T), corrected[:, 2]])
 
-    def first_estimates(self, first: FloatArray, current: FloatArray) -> FloatArray:
+    def first_estimates(self, anchors: FloatArray | None, first: FloatArray, current: FloatArray) -> FloatArray:
         """The first angles, the current rho: turning the world leaves rho alone, and freezing it can diverge."""
         return np.column_stack([first[:, :2], current[:, 2]])
 
-    def inverse_distances(self, position: FloatArray, parameters: FloatArray) -> InverseDistances:
+    def inverse_distances(
+        self, position: FloatArray, anchors: FloatArray | None, parameters: FloatArray
+    ) -> InverseDistances:
         """Rho itself: the distance is from the anchor."""
         by_parameters = np.zeros((len(parameters), 3))
         by_parameters[:, 2] = 1.0

@@ -41,23 +41,23 @@ class ScaledPoints:
     ----------
     homogeneous : (M, 4)
         Direction in W (3), and scale.
-    by_position, by_anchor, by_parameters : (M, 4, 3)
-        Jacobians; `by_anchor` is None where there is no anchor.
+    by_position : (M, 4, 3)
+        Jacobian by the camera position.
+    by_map : (M, 4, w)
+        Jacobian by the landmark's own numbers: anchor (where the model has anchors), then parameters.
     """
 
     homogeneous: FloatArray
     by_position: FloatArray
-    by_anchor: FloatArray | None
-    by_parameters: FloatArray
+    by_map: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
 class Points:
-    """M landmark positions (M, 3) in W, m, and their Jacobians (M, 3, 3); `by_anchor` None without anchor."""
+    """M landmark positions (M, 3) in W, m, and their Jacobian (M, 3, w) by anchor (if any) and parameters."""
 
     positions: FloatArray
-    by_anchor: FloatArray | None
-    by_parameters: FloatArray
+    by_map: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +70,10 @@ class InverseDistances:
 
 
 class LandmarkModel(Protocol):
-    """A parametrisation of landmarks."""
+    """A parametrisation of landmarks.
+
+    Everywhere below, `parameters` are (M, 3) and `anchors` (M, 3), or None where the model has none.
+    """
 
     @property
     def anchored(self) -> bool:
@@ -86,23 +89,31 @@ class LandmarkModel(Protocol):
     def initialise(self, camera: StereoCamera, position: FloatArray, R_wc: FloatArray, uvd: FloatArray) -> NewLandmarks:
         """Start landmarks from measurements (M, 3) seen from the pose (Eq. 19-25)."""
 
+    def homogeneous(self, position: FloatArray, anchors: FloatArray | None, parameters: FloatArray) -> FloatArray:
+        """Landmarks as seen from the camera position: direction in W, and scale; (M, 4)."""
+
     def relative_to(self, position: FloatArray, anchors: FloatArray | None, parameters: FloatArray) -> ScaledPoints:
-        """Landmarks as seen from the camera position."""
+        """`homogeneous` with its Jacobians."""
 
     def points(self, anchors: FloatArray | None, parameters: FloatArray) -> Points:
         """Landmark positions in W."""
 
-    def world_rotation(self, parameters: FloatArray) -> FloatArray:
+    def world_rotation(self, anchors: FloatArray | None, parameters: FloatArray) -> FloatArray:
         """d parameters / d (rotation vector of the world about its origin); (M, 3) -> (M, 3, 3)."""
 
     def turned(
-        self, parameters: FloatArray, turn: FloatArray, spread: FloatArray, correction: FloatArray
+        self,
+        anchors: FloatArray | None,
+        parameters: FloatArray,
+        turn: FloatArray,
+        spread: FloatArray,
+        correction: FloatArray,
     ) -> FloatArray:
         """Parameters of the landmarks turned with the world, as the right-invariant retraction wants it.
 
         Parameters
         ----------
-        parameters : (M, 3)
+        anchors, parameters : (M, 3)
             Before.
         turn, spread : (3, 3)
             Exp(theta), and the left Jacobian of theta.
@@ -110,8 +121,10 @@ class LandmarkModel(Protocol):
             The rest of the correction, to first order added after the turn.
         """
 
-    def first_estimates(self, first: FloatArray, current: FloatArray) -> FloatArray:
+    def first_estimates(self, anchors: FloatArray | None, first: FloatArray, current: FloatArray) -> FloatArray:
         """Parameters at which first-estimates Jacobians are taken; (M, 3), (M, 3) -> (M, 3)."""
 
-    def inverse_distances(self, position: FloatArray, parameters: FloatArray) -> InverseDistances:
+    def inverse_distances(
+        self, position: FloatArray, anchors: FloatArray | None, parameters: FloatArray
+    ) -> InverseDistances:
         """Inverse distances from the anchor, or from the camera position where there is no anchor."""

@@ -10,6 +10,8 @@ from filters.interface import StereoObservation
 from filters.measurements.model import Stage
 from filters.validation import FloatArray
 
+_ALL = np.eye(3)
+
 
 @dataclass(frozen=True)
 class RangeBearing:
@@ -17,4 +19,4 @@ class RangeBearing:
 
     def stages(self, observation: StereoObservation, R: FloatArray) -> tuple[Stage, ...]:
         """One."""
-        return (Stage(observation.uvd, np.eye(3), R),)
+        return (Stage(observation.uvd, _ALL, R),)

@@ -324,38 +324,33 @@ for _name, _model in LANDMARKS.items():
     def _(s: Situation, model=_model):
         new, anchors = _started(model, s)
         claimed = model.relative_to(s.camera.position, anchors, new.parameters)
-        parts = [claimed.by_position, claimed.by_parameters]
-        if anchors is not None:
-            parts.append(claimed.by_anchor)
 
         def function(e: np.ndarray) -> np.ndarray:
-            shifted = None if anchors is None else anchors + e[6:]
-            return model.relative_to(s.camera.position + e[:3], shifted, new.parameters + e[3:6]).homogeneous
+            shifted = None if anchors is None else anchors + e[3:6]
+            return model.homogeneous(s.camera.position + e[:3], shifted, new.parameters + e[-3:])
 
-        return function, np.concatenate(parts, axis=2)
+        return function, np.concatenate([claimed.by_position, claimed.by_map], axis=2)
 
     @case(f"{_name}: points", FINITE_POINTS if _model.anchored else EUCLIDEAN)
     def _(s: Situation, model=_model):
         new, anchors = _started(model, s)
         claimed = model.points(anchors, new.parameters)
-        parts = [claimed.by_parameters] + ([] if anchors is None else [claimed.by_anchor])
         # A step in rho is a long way in metres: perturb relative to rho.
         unit = np.array([1.0, 1.0, 1e-2]) if model.anchored else np.ones(3)
 
         def function(e: np.ndarray) -> np.ndarray:
-            shifted = None if anchors is None else anchors + e[3:]
-            return model.points(shifted, new.parameters + e[:3] * unit).positions
+            shifted = None if anchors is None else anchors + e[:3]
+            return model.points(shifted, new.parameters + e[-3:] * unit).positions
 
-        parts[0] = parts[0] * unit
-        return function, np.concatenate(parts, axis=2)
+        return function, np.concatenate([claimed.by_map[:, :, :-3], claimed.by_map[:, :, -3:] * unit], axis=2)
 
     @case(f"{_name}: inverse_distances", _situations)
     def _(s: Situation, model=_model):
-        new, _anchors = _started(model, s)
-        claimed = model.inverse_distances(s.camera.position, new.parameters)
+        new, anchors = _started(model, s)
+        claimed = model.inverse_distances(s.camera.position, anchors, new.parameters)
 
         def function(e: np.ndarray) -> np.ndarray:
-            return model.inverse_distances(s.camera.position + e[:3], new.parameters + e[3:]).values
+            return model.inverse_distances(s.camera.position + e[:3], anchors, new.parameters + e[3:]).values
 
         return function, np.concatenate([claimed.by_position, claimed.by_parameters], axis=1)
 

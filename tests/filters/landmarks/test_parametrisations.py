@@ -53,9 +53,9 @@ def test_relative_to_another_camera_is_the_point_minus_its_position(model) -> No
 
 @every
 def test_inverse_distance_is_that_of_the_point_from_where_it_was_seen(model) -> None:
-    _, parameters = started(model, UVD)
+    anchors, parameters = started(model, UVD)
     distance = np.linalg.norm(CAMERA.backproject(UVD), axis=1)
-    np.testing.assert_allclose(model.inverse_distances(POSITION, parameters).values, 1 / distance, rtol=1e-10)
+    np.testing.assert_allclose(model.inverse_distances(POSITION, anchors, parameters).values, 1 / distance, rtol=1e-10)
 
 
 @every
@@ -65,9 +65,9 @@ def test_no_landmark_is_no_error(model) -> None:
     assert new.parameters.shape == (0, 3)
     assert new.by_measurement.shape == (0, 3, 3)
     anchors = empty if model.anchored else None
-    assert model.relative_to(POSITION, anchors, empty).by_parameters.shape == (0, 4, 3)
+    assert model.relative_to(POSITION, anchors, empty).by_map.shape[:2] == (0, 4)
     assert model.points(anchors, empty).positions.shape == (0, 3)
-    assert model.inverse_distances(POSITION, empty).values.shape == (0,)
+    assert model.inverse_distances(POSITION, anchors, empty).values.shape == (0,)
 
 
 @anchored
