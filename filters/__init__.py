@@ -5,6 +5,7 @@ from filters.conformance import ConformanceError, ConformanceReport, check_filte
 from filters.dual_bearing import DualBearingEKF
 from filters.engine.ekf import StereoEKF
 from filters.euclidean_xyz import EuclideanEKF
+from filters.hybrid_stereo import HybridEKF
 from filters.interface import (
     BodyVelocity,
     Forecast,
@@ -32,6 +33,7 @@ __all__ = [
     "DualBearingEKF",
     "EuclideanEKF",
     "Forecast",
+    "HybridEKF",
     "InverseDepthStereoEKF",
     "LandmarkBelief",
     "MonocularEKF",

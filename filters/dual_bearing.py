@@ -6,11 +6,15 @@ from typing import Any
 
 from filters.camera import StereoCamera
 from filters.engine.ekf import StereoEKF
+from filters.measurements.bearing import LeftThenRight
 from filters.noise import StereoNoise
 
 
 class DualBearingEKF(StereoEKF):
-    """Inverse-depth EKF that updates with the left, then the right bearing."""
+    """Inverse-depth EKF that updates with the left, then the right bearing.
+
+    `copied_row_variance` is that of `LeftThenRight`: how to take the left row for a right one that is not measured.
+    """
 
     def __init__(
         self,
@@ -18,7 +22,8 @@ class DualBearingEKF(StereoEKF):
         noise: StereoNoise,
         *,
         landmark: str = "inverse-depth",
-        measurement: str = "sequential",
+        copied_row_variance: float | None = None,
         **options: Any,
     ) -> None:
-        super().__init__(camera, noise, landmark=landmark, measurement=measurement, **options)
+        options.setdefault("measurement", LeftThenRight(copied_row_variance))
+        super().__init__(camera, noise, landmark=landmark, **options)

@@ -125,7 +125,8 @@ class UpdateReport:
         Known ids whose measurement failed the chi-square gate (Mahalanobis distance too large), in the first or in a
         later stage of the update; the stages before it have used the measurement.
     rejected : (K,) int64
-        New ids the filter could not initialise from (for XYZ: d <= 0 or below `min_disparity`).
+        New ids the filter did not initialise from: it could not (for XYZ: d <= 0 or below `min_disparity`), or it has
+        room for better ones only (`max_landmarks`).
     behind_camera : (K,) int64
         Known ids predicted behind the camera, so not used.
     failed : (K,) int64

@@ -20,6 +20,7 @@ from typing import Any
 from filters.camera import StereoCamera
 from filters.dual_bearing import DualBearingEKF
 from filters.euclidean_xyz import EuclideanEKF
+from filters.hybrid_stereo import HybridEKF
 from filters.interface import StereoFilter
 from filters.inverse_depth_stereo import InverseDepthStereoEKF
 from filters.monocular import MonocularEKF
@@ -38,6 +39,7 @@ _OWN: dict[str, FilterFactory] = {
     "dual-bearing": DualBearingEKF,
     "euclidean": EuclideanEKF,
     "shared-anchor": SharedAnchorEKF,
+    "hybrid": HybridEKF,
     "right-invariant": RightInvariantEKF,
     "unscented": UnscentedStereoFilter,
     "monocular": MonocularEKF,

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from filters.camera import StereoCamera
-from filters.engine import gating, kalman, symmetric
+from filters.engine import gating, kalman, selection, symmetric
 from filters.engine.consensus import largest_agreement
 from filters.engine.error_definition import ERRORS
 from filters.engine.heavy_tails import reweighted
@@ -29,7 +29,9 @@ from filters.interface import (
     UpdateReport,
     VelocityBelief,
 )
-from filters.measurements.model import Stage
+from filters.landmarks.hybrid import Hybrid
+from filters.landmarks.parametrisation import LandmarkModel
+from filters.measurements.model import MeasurementModel, Stage
 from filters.motion import CAMERA_SIZE, POSE_SIZE, ConstantVelocity, MotionModel
 from filters.noise import StereoNoise
 from filters.start import start_belief
@@ -57,10 +59,11 @@ class StereoEKF(StereoFilter):
         `ConstantVelocity` (Eq. 6) or `VelocityDriven`.
     gate : float or None
         Probability with which a consistent measurement of a landmark passes the chi-square gate; None: no gate.
-    landmark : {"inverse-depth", "shared-anchor", "euclidean"}
-        Parametrisation of landmarks.
-    measurement : {"joint", "sequential", "stacked", "left"}
-        Measurement model: (u, v, d) · left then right · both eyes' pixels at once · left pixel only.
+    landmark : {"inverse-depth", "shared-anchor", "euclidean", "hybrid"} or LandmarkModel
+        Parametrisation of landmarks; a model with settings of its own, such as `Hybrid(linearity_limit=0.02)`.
+    measurement : {"joint", "sequential", "stacked", "left"} or MeasurementModel
+        Measurement model: (u, v, d) · left then right · both eyes' pixels at once · left pixel only; or a model with
+        settings of its own, such as `LeftThenRight(copied_row_variance=2.0)`.
     error : {"quaternion", "so3", "first-estimates", "right-invariant"}
         Error definition: the paper's · rotation vector · first-estimates Jacobians · right-invariant.
     update : {"extended", "unscented"}
@@ -76,6 +79,8 @@ class StereoEKF(StereoFilter):
         The paper's policy: a landmark not in the current observation leaves the map.
     min_disparity : float, optional
         A landmark is not started from a smaller disparity, px. None: whatever the parametrisation can do.
+    max_landmarks : int, optional
+        Of the landmarks in view, keep at most so many: those that say most about the pose. None: all.
 
     Raises
     ------
@@ -90,8 +95,8 @@ class StereoEKF(StereoFilter):
         *,
         motion: MotionModel | None = None,
         gate: float | None = 0.99,
-        landmark: str = "inverse-depth",
-        measurement: str = "joint",
+        landmark: str | LandmarkModel = "inverse-depth",
+        measurement: str | MeasurementModel = "joint",
         error: str = "quaternion",
         update: str = "extended",
         consensus: bool = False,
@@ -99,6 +104,7 @@ class StereoEKF(StereoFilter):
         iterations: int = 1,
         drop_unseen: bool = True,
         min_disparity: float | None = None,
+        max_landmarks: int | None = None,
     ) -> None:
         if not isinstance(camera, StereoCamera):
             raise ValueError(f"camera must be a StereoCamera, got {camera!r}")
@@ -117,14 +123,16 @@ class StereoEKF(StereoFilter):
             raise ValueError('error must not be "first-estimates" with update="unscented", which has no Jacobians')
         if min_disparity is not None and not (isinstance(min_disparity, float | int) and np.isfinite(min_disparity)):
             raise ValueError(f"min_disparity must be a finite number of px, or None, got {min_disparity!r}")
+        if max_landmarks is not None and (type(max_landmarks) is not int or max_landmarks < 1):
+            raise ValueError(f"max_landmarks must be an integer >= 1, or None for no limit, got {max_landmarks!r}")
         if motion is not None and not isinstance(motion, MotionModel):
             raise ValueError(f"motion must be a motion model such as ConstantVelocity(3.0, 0.6), got {motion!r}")
         self.camera = camera
         self.noise = noise
         self._motion: MotionModel = ConstantVelocity() if motion is None else motion
         self._gate = gate
-        self._landmark = choice("landmark", landmark, LANDMARKS)
-        self._measurement = choice("measurement", measurement, MEASUREMENTS)
+        self._landmark = choice("landmark", landmark, LANDMARKS, LandmarkModel)
+        self._measurement = choice("measurement", measurement, MEASUREMENTS, MeasurementModel)
         self._error = choice("error", error, ERRORS)
         self._linearised_by = choice("update", update, LINEARISATIONS)
         self._consensus = consensus
@@ -132,6 +140,7 @@ class StereoEKF(StereoFilter):
         self._iterations = iterations
         self._drop_unseen = drop_unseen
         self._min_disparity = min_disparity
+        self._max_landmarks = max_landmarks
         self.reset()
 
     def reset(
@@ -176,15 +185,20 @@ class StereoEKF(StereoFilter):
         observation = observation.ordered()
         known, index = self._locate(observation.ids)
         report = self._correct(observation if known.all() else observation.select(known), index)
-        if self._drop_unseen and len(index) < len(self._state):
-            gone = np.ones(len(self._state), dtype=bool)
-            gone[index] = False
-            report = replace(report, dropped=self._state.ids[gone])
-            self._state.remove(gone)
-        if not known.all():
-            initialised, rejected = self._initialise(observation.select(~known))
-            report = replace(report, initialised=initialised, rejected=rejected)
-        return report
+        unknown = observation.select(~known)
+        new = unknown.select(self._can_initialise(unknown)) if len(unknown) else unknown
+        gone = np.full(len(self._state), self._drop_unseen)
+        gone[index] = False
+        if self._max_landmarks is not None and len(index) + len(new) > self._max_landmarks:
+            stays, enters = self._choose(observation.select(known), index, new)
+            gone[index] = ~stays
+            new = new.select(enters)
+        dropped = self._state.ids[gone]
+        self._state.remove(gone)
+        self._convert()
+        self._initialise(new)
+        rejected = unknown.ids[~np.isin(unknown.ids, new.ids)] if len(new) < len(unknown) else unknown.ids[:0]
+        return replace(report, dropped=dropped, initialised=new.ids, rejected=rejected)
 
     def forecast(self, ids: Sequence[int] | IntArray | None = None) -> Forecast:
         """Predicted (u, v, d) and S of landmarks at the current pose."""
@@ -201,6 +215,11 @@ class StereoEKF(StereoFilter):
     def forget(self, ids: Sequence[int] | IntArray) -> None:
         """Marginalise landmarks out; ids not in the map are ignored."""
         self._state.remove(np.isin(self._state.ids, unique_ids("ids", np.asarray(ids))))
+
+    @property
+    def state_size(self) -> int:
+        """Numbers in the error state: 12 of the camera, and three for every landmark and every anchor."""
+        return CAMERA_SIZE + 3 * self._state.blocks_in_use
 
     @property
     def pose(self) -> PoseBelief:
@@ -345,22 +364,46 @@ class StereoEKF(StereoFilter):
         moved.shear_by_rotation(self._error.transport(self._state, moved, delta))
         self._state = moved
 
-    def _initialise(self, observation: StereoObservation) -> tuple[IntArray, IntArray]:
-        """Add new landmarks from the updated pose (Eq. 19-25); returns the ids added and those refused."""
-        camera = self._state.camera
-        possible = self._landmark.can_initialise(self.camera, camera.R_wc, observation.uvd)
+    def _convert(self) -> None:
+        """Hybrid landmarks that are practically Gaussian in XYZ become XYZ."""
+        if not isinstance(self._landmark, Hybrid):
+            return
+        state = self._state
+        anchors, parameters = state.anchors(), state.parameters()
+        assert anchors is not None
+        rho_rows = CAMERA_SIZE + 3 * state.parameter_block + 2
+        linear = self._landmark.become_points(state.camera.position, anchors, parameters, state.P[rho_rows, rho_rows])
+        state.become_points(np.flatnonzero(linear), self._error.linearisation_point(state) or state)
+
+    def _can_initialise(self, observation: StereoObservation) -> BoolArray:
+        """Which measurements a landmark can start from."""
+        possible = self._landmark.can_initialise(self.camera, self._state.camera.R_wc, observation.uvd)
         if self._min_disparity is not None:
             possible &= observation.uvd[:, 2] >= self._min_disparity
-        accepted = observation.select(possible)
-        if len(accepted):
-            new = self._landmark.initialise(self.camera, camera.position, camera.R_wc, accepted.uvd)
-            R = self._noise_of(len(accepted), accepted.R)
-            source = world_rotation_of_camera(self._state.predicted)[:POSE_SIZE]
-            R_predicted = self._state.predicted.R_wc
-            self._state.augment(
-                accepted.ids, new, R, lambda J, image: self._error.constrained(J, image, source, R_predicted)
-            )
-        return accepted.ids, observation.ids[~possible]
+        return possible
+
+    def _choose(self, known: StereoObservation, index: IntArray, new: StereoObservation) -> tuple[BoolArray, BoolArray]:
+        """Which known landmarks stay and which new ones enter: the `max_landmarks` that say most about the pose."""
+        assert self._max_landmarks is not None
+        R, new_R = self._noise_of(len(known), known.R), self._noise_of(len(new), new.R)
+        candidates = selection.next_measurements(self.camera, self._state, index, R, new.uvd, new_R)
+        kept = selection.most_informative(candidates, self._max_landmarks)
+        return kept[: len(index)], kept[len(index) :]
+
+    def _initialise(self, observation: StereoObservation) -> None:
+        """Add new landmarks from the updated pose (Eq. 19-25)."""
+        if len(observation) == 0:
+            return
+        camera, predicted = self._state.camera, self._state.predicted
+        new = self._landmark.initialise(self.camera, camera.position, camera.R_wc, observation.uvd)
+        R = self._noise_of(len(observation), observation.R)
+        if not self._error.constrains:
+            self._state.augment(observation.ids, new, R)
+            return
+        source = world_rotation_of_camera(predicted)[:POSE_SIZE]
+        self._state.augment(
+            observation.ids, new, R, lambda J, image: self._error.constrained(J, image, source, predicted.R_wc)
+        )
 
 
 def _select(stage: Stage, mask: BoolArray) -> Stage:

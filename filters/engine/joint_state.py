@@ -85,20 +85,34 @@ class JointState:
     def __len__(self) -> int:
         return len(self.ids)
 
-    def parameters(self, index: IntArray) -> FloatArray:
+    @property
+    def blocks_in_use(self) -> int:
+        """Landmarks and anchors."""
+        return len(self.blocks)
+
+    def parameters(self, index: IntArray | slice = slice(None)) -> FloatArray:
         """Parameters of the landmarks at `index`, (M, 3)."""
         taken: FloatArray = self.blocks[self.parameter_block[index]]
         return taken
 
     def anchors(self, index: IntArray | slice = slice(None)) -> FloatArray | None:
-        """Anchors of the landmarks at `index`, (M, 3); None where landmarks have none."""
-        return self.blocks[self.anchor_block[index]] if self.model.anchored else None
+        """Anchors of the landmarks at `index`, (M, 3), NaN where one has none; None where no landmark has."""
+        if not self.model.anchored:
+            return None
+        block = self.anchor_block[index]
+        anchors: FloatArray = self.blocks[block]
+        anchors[block < 0] = np.nan
+        return anchors
 
     def map_rows(self, index: IntArray) -> IntArray:
-        """Rows of P that belong to each landmark, anchor first; (M, 6) or (M, 3)."""
+        """Rows of P that belong to each landmark, anchor first; (M, 6) or (M, 3).
+
+        Where there are anchors, a landmark without one has its own rows twice.
+        """
         first = self.parameter_block[index, None]
         if self.model.anchored:
-            first = np.hstack([self.anchor_block[index, None], first])
+            anchor = self.anchor_block[index, None]
+            first = np.hstack([np.where(anchor < 0, first, anchor), first])
         return (3 * first[:, :, None] + _FIRST_BLOCK).reshape(len(index), 3 * first.shape[1])
 
     def transform_camera(self, F: FloatArray, added: FloatArray | None = None) -> None:
@@ -149,7 +163,10 @@ class JointState:
         from the pose it was seen from; J P for the rows of the pose gives all of it.
         """
         count, old, first_block = len(ids), len(self.P), len(self.blocks)
-        anchors = 0 if not self.model.anchored else 1 if self.model.shares_anchors else count
+        anchors = int(new.anchored.sum())
+        which_anchor = np.where(new.anchored, np.cumsum(new.anchored) - 1, -1)
+        if self.model.shares_anchors:
+            anchors, which_anchor = min(anchors, 1), np.minimum(which_anchor, 0)
         blocks = np.empty((anchors + count, 3))
         blocks[:anchors] = self.camera.position
         blocks[anchors:] = new.parameters
@@ -160,7 +177,8 @@ class JointState:
         J = by_pose.reshape(-1, POSE_SIZE)
         if adjust is not None:
             effect = -rotations.skew(blocks)
-            effect[anchors:] = self.model.world_rotation(blocks[:anchors] if anchors else None, new.parameters)
+            here = np.where(new.anchored[:, None], self.camera.position, np.nan)
+            effect[anchors:] = self.model.world_rotation(here, new.parameters)
             J = adjust(J, effect.reshape(-1, 3))
         cross = J @ symmetric.rows(self.P, np.arange(POSE_SIZE))
 
@@ -172,7 +190,7 @@ class JointState:
         P[own[:, :, None], own[:, None, :]] += new.by_measurement @ R @ new.by_measurement.transpose(0, 2, 1)
 
         parameter_block = first_block + anchors + np.arange(count)
-        anchor_block = np.full(count, -1) if anchors == 0 else first_block + np.arange(count) % anchors
+        anchor_block = np.where(new.anchored, first_block + which_anchor, -1)
         self.P = P
         self.blocks = np.vstack([self.blocks, blocks])
         self.first_blocks = np.vstack([self.first_blocks, blocks])
@@ -185,15 +203,38 @@ class JointState:
         if not gone.any():
             return
         stays = ~gone
+        self.ids = self.ids[stays]
+        self.parameter_block = self.parameter_block[stays]
+        self.anchor_block = self.anchor_block[stays]
+        self._drop_unused_blocks()
+
+    def become_points(self, index: IntArray, at: JointState) -> None:
+        """Turn the inverse-depth landmarks at `index` into XYZ (Eq. 4), with Jacobians taken at the state `at`."""
+        if len(index) == 0:
+            return
+        rows, own = self.map_rows(index), self.parameter_block[index]
+        points = self.model.points(at.anchors(index), at.parameters(index))
+        J = points.by_map
+        moved = (J @ symmetric.rows(self.P, rows.ravel()).reshape(*rows.shape, -1)).reshape(-1, len(self.P))
+        own_rows = rows[:, 3:].ravel()
+        crossed = J @ moved[:, rows].transpose(1, 2, 0)
+        moved[:, own_rows] = crossed.reshape(-1, len(moved)).T
+        self.P[own_rows], self.P[:, own_rows] = moved, moved.T
+        self.blocks[own] = self.model.points(self.anchors(index), self.parameters(index)).positions
+        self.first_blocks[own] = points.positions
+        self.anchor_block[index] = -1
+        self._drop_unused_blocks()
+
+    def _drop_unused_blocks(self) -> None:
         used = np.zeros(len(self.blocks), dtype=bool)
-        used[self.parameter_block[stays]] = True
-        used[self.anchor_block[stays & (self.anchor_block >= 0)]] = True
+        used[self.parameter_block] = True
+        used[self.anchor_block[self.anchor_block >= 0]] = True
+        if used.all():
+            return
         renumbered = np.cumsum(used) - 1
         kept_rows = CAMERA_SIZE + 3 * np.flatnonzero(used)[:, None] + np.arange(3)
         self.P = symmetric.keep(self.P, np.concatenate([_CAMERA, kept_rows.ravel()]))
         self.blocks = self.blocks[used]
         self.first_blocks = self.first_blocks[used]
-        self.ids = self.ids[stays]
-        self.parameter_block = renumbered[self.parameter_block[stays]]
-        anchor = self.anchor_block[stays]
-        self.anchor_block = np.where(anchor < 0, -1, renumbered[anchor])
+        self.parameter_block = renumbered[self.parameter_block]
+        self.anchor_block = np.where(self.anchor_block < 0, -1, renumbered[self.anchor_block])

@@ -127,7 +127,7 @@ def update(P: FloatArray, measurements: LinearisedMeasurements, chunk: int = CHU
     while pending:
         where = pending.pop()
         part = measurements[where]
-        HP = _times_covariance(part, P)
+        HP = times_covariance(part, P)
         factor, info = lapack.dpotrf(_innovation_covariance(part, HP), lower=1, clean=0, overwrite_a=1)
         if info != 0 or not math.isfinite(factor[-1, -1]):
             if where.stop - where.start > 1:
@@ -146,18 +146,18 @@ def update(P: FloatArray, measurements: LinearisedMeasurements, chunk: int = CHU
 
 def joint_innovation_covariance(P: FloatArray, measurements: LinearisedMeasurements) -> FloatArray:
     """S = H P H^T + R of all measurements together; (M, k, M, k)."""
-    S = _innovation_covariance(measurements, _times_covariance(measurements, P))
+    S = _innovation_covariance(measurements, times_covariance(measurements, P))
     return S.reshape(*measurements.innovation.shape, *measurements.innovation.shape)
 
 
-def _times_covariance(part: LinearisedMeasurements, P: FloatArray) -> FloatArray:
+def times_covariance(part: LinearisedMeasurements, P: FloatArray) -> FloatArray:
     """H P, (M k, n), row-major."""
     count, size, width = part.by_map.shape
     camera = part.by_camera.shape[2]
     HP = part.by_camera.reshape(count * size, camera) @ symmetric.rows(P, np.arange(camera))
     if width:
-        own = symmetric.rows(P, part.map_rows.ravel()).reshape(count, width, -1)
-        HP += (part.by_map @ own).reshape(count * size, -1)
+        own = symmetric.rows(P, part.map_rows.ravel()).reshape(count, width, len(P))
+        HP += (part.by_map @ own).reshape(HP.shape)
     return HP
 
 
@@ -167,7 +167,7 @@ def _innovation_covariance(part: LinearisedMeasurements, HP: FloatArray) -> Floa
     camera = part.by_camera.shape[2]
     S = HP[:, :camera] @ part.by_camera.reshape(count * size, camera).T
     if width:
-        own = HP[:, part.map_rows.ravel()].reshape(-1, count, width).transpose(1, 0, 2)
+        own = HP[:, part.map_rows.ravel()].reshape(count * size, count, width).transpose(1, 0, 2)
         S += (own @ part.by_map.transpose(0, 2, 1)).transpose(1, 0, 2).reshape(S.shape)
     diagonal = np.arange(count)
     S.reshape(count, size, count, size)[diagonal, :, diagonal, :] += part.R

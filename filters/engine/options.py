@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from difflib import get_close_matches
-from typing import TypeVar
+from typing import TypeVar, cast
 
 from filters.camera import StereoCamera
 from filters.engine import linearisation, unscented
 from filters.engine.joint_state import JointState
 from filters.engine.kalman import LinearisedMeasurements
 from filters.landmarks.euclidean import Euclidean
+from filters.landmarks.hybrid import Hybrid
 from filters.landmarks.inverse_depth import InverseDepth
 from filters.landmarks.parametrisation import LandmarkModel
 from filters.landmarks.shared_anchor import SharedAnchorInverseDepth
@@ -23,6 +24,7 @@ LANDMARKS: Mapping[str, LandmarkModel] = {
     "inverse-depth": InverseDepth(),
     "shared-anchor": SharedAnchorInverseDepth(),
     "euclidean": Euclidean(),
+    "hybrid": Hybrid(),
 }
 MEASUREMENTS: Mapping[str, MeasurementModel] = {
     "joint": RangeBearing(),
@@ -37,8 +39,8 @@ LINEARISATIONS: Mapping[str, Linearise] = {"extended": linearisation.linearise, 
 T = TypeVar("T")
 
 
-def choice(name: str, value: str, available: Mapping[str, T]) -> T:
-    """The part called `value`.
+def choice(name: str, value: str | T, available: Mapping[str, T], kind: type | None = None) -> T:
+    """The part called `value`, or `value` itself if it is a part of that `kind`.
 
     Raises
     ------
@@ -47,6 +49,8 @@ def choice(name: str, value: str, available: Mapping[str, T]) -> T:
     """
     if isinstance(value, str) and value in available:
         return available[value]
+    if kind is not None and isinstance(value, kind):
+        return cast(T, value)
     close = get_close_matches(str(value), available, 1)
     hint = f"; did you mean {close[0]!r}?" if close else ""
     raise ValueError(f"{name} must be one of {', '.join(map(repr, available))}, got {value!r}{hint}")

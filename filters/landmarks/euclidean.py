@@ -33,6 +33,7 @@ class Euclidean:
             np.broadcast_to(np.eye(3), h_c_by_uvd.shape),
             -R_wc @ rotations.skew(h_c),
             R_wc @ h_c_by_uvd,
+            np.zeros(len(uvd), dtype=bool),
         )
 
     def homogeneous(self, position: FloatArray, anchors: FloatArray | None, parameters: FloatArray) -> FloatArray:

@@ -87,7 +87,13 @@ class InverseDepth:
         by_measurement[:, :2, :2] = angles_by_h_c[:, :, :2] * h_c_by_pixel
         by_measurement[:, 2, :2] = -(parameters[:, 2] / length**2)[:, None] * h_c[:, :2] * h_c_by_pixel
         by_measurement[:, 2, 2] = rho_per_d
-        return NewLandmarks(parameters, np.zeros((len(uvd), 3, 3)), by_rotation, by_measurement)
+        return NewLandmarks(
+            parameters,
+            np.zeros((len(uvd), 3, 3)),
+            by_rotation,
+            by_measurement,
+            np.ones(len(uvd), dtype=bool),
+        )
 
     def homogeneous(self, position: FloatArray, anchors: FloatArray | None, parameters: FloatArray) -> FloatArray:
         """Direction = rho (anchor - r) + m, scale = rho: Eq. 8 multiplied by rho, so regular at rho = 0."""

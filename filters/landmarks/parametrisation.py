@@ -7,7 +7,7 @@ anchor position. All functions take many landmarks at once.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from filters.camera import StereoCamera
 from filters.validation import BoolArray, FloatArray
@@ -25,12 +25,15 @@ class NewLandmarks:
         With respect to r^WC and to the rotation error (camera frame): J_xc of Eq. 25.
     by_measurement : (M, 3, 3)
         With respect to (u, v, d): J_R of Eq. 25.
+    anchored : (M,) bool
+        Whether the landmark has an anchor.
     """
 
     parameters: FloatArray
     by_position: FloatArray
     by_rotation: FloatArray
     by_measurement: FloatArray
+    anchored: BoolArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,15 +72,17 @@ class InverseDistances:
     by_parameters: FloatArray
 
 
+@runtime_checkable
 class LandmarkModel(Protocol):
     """A parametrisation of landmarks.
 
-    Everywhere below, `parameters` are (M, 3) and `anchors` (M, 3), or None where the model has none.
+    Everywhere below, `parameters` are (M, 3) and `anchors` (M, 3), or None where the model has none; a row of NaN
+    stands for a landmark without one.
     """
 
     @property
     def anchored(self) -> bool:
-        """Whether a landmark has an anchor block in the state."""
+        """Whether landmarks have an anchor block in the state (with `Hybrid` some have none)."""
 
     @property
     def shares_anchors(self) -> bool:

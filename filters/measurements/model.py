@@ -7,7 +7,7 @@ written once, and the models differ in T, in the noise, and in the order of the 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from filters.interface import StereoObservation
 from filters.validation import FloatArray
@@ -32,6 +32,7 @@ class Stage:
     R: FloatArray
 
 
+@runtime_checkable
 class MeasurementModel(Protocol):
     """Turns a frame into updates."""
 

@@ -24,7 +24,16 @@ from filters.conformance import CHECKS, REFERENCE_CAMERA, REFERENCE_NOISE
 
 @pytest.mark.parametrize(
     "name",
-    ["inverse-depth", "dual-bearing", "euclidean", "shared-anchor", "right-invariant", "unscented", "monocular"],
+    [
+        "inverse-depth",
+        "dual-bearing",
+        "euclidean",
+        "shared-anchor",
+        "hybrid",
+        "right-invariant",
+        "unscented",
+        "monocular",
+    ],
 )
 def test_every_named_filter_conforms(name: str) -> None:
     report = check_filter(lambda camera, noise: make_filter(name, camera=camera, noise=noise))
@@ -32,7 +41,7 @@ def test_every_named_filter_conforms(name: str) -> None:
     assert name in available_filters()
 
 
-@pytest.mark.parametrize("landmark", ["inverse-depth", "shared-anchor", "euclidean"])
+@pytest.mark.parametrize("landmark", ["inverse-depth", "shared-anchor", "euclidean", "hybrid"])
 @pytest.mark.parametrize("measurement", ["joint", "sequential", "stacked", "left"])
 def test_every_combination_of_parts_conforms(landmark: str, measurement: str) -> None:
     check_filter(lambda camera, noise: StereoEKF(camera, noise, landmark=landmark, measurement=measurement))
@@ -48,6 +57,7 @@ def test_every_combination_of_parts_conforms(landmark: str, measurement: str) ->
         {"consensus": True},
         {"consensus": True, "measurement": "sequential", "tail_dof": 4.0},
         {"drop_unseen": False},
+        {"max_landmarks": 12},
         {"iterations": 3},
         {"gate": None},
         {"min_disparity": 5.0},

@@ -18,6 +18,7 @@ from filters.engine.error_definition import ERRORS
 from filters.engine.joint_state import JointState
 from filters.engine.options import LANDMARKS, MEASUREMENTS
 from filters.engine.retraction import RETRACTIONS
+from filters.landmarks.hybrid import Hybrid
 from filters.motion import CameraState
 
 from .drives import ODD_CAMERA as CAMERA
@@ -291,13 +292,14 @@ def _(s: Situation):
 
 # --- landmarks ------------------------------------------------------------------------------------------------
 
-for _name, _model in LANDMARKS.items():
+for _name, _model in {**LANDMARKS, "hybrid of both": Hybrid(near_disparity=20.0)}.items():
     _situations = SITUATIONS if _model.anchored else EUCLIDEAN
 
     def _started(model, s: Situation):
         """Parameters of landmarks at the situation, and anchors a little away from where the camera is."""
         new = model.initialise(CAMERA, s.camera.position, s.camera.R_wc, s.uvd)
-        return new, s.camera.position + s.anchor_offset if model.anchored else None
+        anchors = np.where(new.anchored[:, None], s.camera.position + s.anchor_offset, np.nan)
+        return new, anchors if model.anchored else None
 
     @case(f"{_name}: initialise by position", _situations)
     def _(s: Situation, model=_model):

@@ -12,6 +12,7 @@ from scipy.optimize import least_squares
 from filters import ConstantVelocity, StereoEKF, StereoNoise, StereoObservation
 from filters.engine import symmetric
 from filters.engine.linearisation import project
+from filters.measurements.bearing import LeftThenRight, Stacked
 from filters.measurements.model import Stage
 
 from ..drives import DT, INDEPENDENT_PIXELS, INDEPENDENT_UVD, SPEED, drive, run
@@ -53,6 +54,26 @@ def test_the_right_row_is_one_more_measurement_of_v_and_nothing_else() -> None:
         stacked.update(seen)
         joint.update(StereoObservation(seen.ids, uvd, R=R))
         assert_same_belief(stacked, joint, 1e-9)
+
+
+@pytest.mark.parametrize("model", [LeftThenRight, Stacked])
+def test_a_copied_right_row_of_huge_variance_is_one_left_out(model: type) -> None:
+    frames = drive(1, 12, depths=(6.0, 30.0))
+    copied, left_out = make(measurement=model(copied_row_variance=1e13)), make(measurement=model())
+    for _ in zip(run(copied, frames), run(left_out, frames), strict=True):
+        assert_same_belief(copied, left_out, 1e-9)
+
+
+@pytest.mark.parametrize("model", [LeftThenRight, Stacked])
+def test_a_copied_right_row_taken_at_its_word_makes_the_filter_surer_than_it_may_be(model: type) -> None:
+    """It counts v twice: less variance from the same measurements."""
+    frames = drive(1, 12, depths=(6.0, 30.0))
+    twice, once = make(measurement=model(copied_row_variance=1.0)), make(measurement=model())
+    for _ in zip(run(twice, frames), run(once, frames), strict=True):
+        pass
+    ratio = np.diag(twice.pose.covariance) / np.diag(once.pose.covariance)
+    assert (ratio < 1.0).all()
+    assert ratio.min() < 0.8
 
 
 def test_the_right_row_adds_exactly_its_information() -> None:

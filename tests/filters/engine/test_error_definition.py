@@ -21,7 +21,7 @@ from ..invariant_ekf import InvariantEKF, wedge
 from ..numeric import numeric_jacobian, relative_difference
 from .beliefs import make, scaled, tilted
 
-LANDMARKS = ["inverse-depth", "shared-anchor", "euclidean"]
+LANDMARKS = ["inverse-depth", "shared-anchor", "euclidean", "hybrid"]
 MOTIONS: dict[str, MotionModel] = {"constant velocity": ConstantVelocity(), "velocity-driven": VelocityDriven()}
 
 
@@ -103,8 +103,7 @@ def standard_error(state: JointState, other: JointState) -> np.ndarray:
 def translations(state: JointState) -> np.ndarray:
     """Effect of moving the world on the error state; (n, 3)."""
     blocks = np.tile(np.eye(3), (len(state.blocks), 1, 1))
-    if state.model.anchored:
-        blocks[state.parameter_block] = 0.0
+    blocks[state.parameter_block[state.anchor_block >= 0]] = 0.0
     camera = np.zeros((CAMERA_SIZE, 3))
     camera[POSITION] = np.eye(3)
     return np.vstack([camera, blocks.reshape(-1, 3)])

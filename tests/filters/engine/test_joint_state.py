@@ -10,6 +10,7 @@ import pytest
 from filters.engine import symmetric
 from filters.engine.joint_state import JointState
 from filters.engine.options import LANDMARKS
+from filters.landmarks.hybrid import Hybrid
 from filters.landmarks.parametrisation import LandmarkModel, NewLandmarks
 from filters.motion import CameraState
 
@@ -20,8 +21,11 @@ def camera_at(position: np.ndarray) -> CameraState:
     return CameraState(position, np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(3), np.zeros(3))
 
 
-def random_new(rng: np.random.Generator, count: int) -> NewLandmarks:
-    return NewLandmarks(*(rng.standard_normal(shape) for shape in [(count, 3)] + [(count, 3, 3)] * 3))
+def random_new(rng: np.random.Generator, count: int, model: LandmarkModel) -> NewLandmarks:
+    anchored = np.full(count, model.anchored)
+    if isinstance(model, Hybrid):
+        anchored = rng.uniform(size=count) < 0.5
+    return NewLandmarks(*(rng.standard_normal(shape) for shape in [(count, 3)] + [(count, 3, 3)] * 3), anchored)
 
 
 def random_noise(rng: np.random.Generator, count: int) -> np.ndarray:
@@ -72,7 +76,8 @@ def assert_same(state: JointState, ledger: Ledger) -> None:
     for row, i in enumerate(state.ids.tolist()):
         np.testing.assert_array_equal(parameters[row], ledger.values[i])
         if anchors is not None:
-            np.testing.assert_array_equal(anchors[row], ledger.values[ledger.anchor_of[i]])
+            missing = ledger.anchor_of[i] == i
+            np.testing.assert_array_equal(anchors[row], np.nan if missing else ledger.values[ledger.anchor_of[i]])
     # Nothing is kept that nobody uses, and nothing is missing.
     blocks = len({*names})
     assert len(state.P) == 12 + 3 * blocks
@@ -82,19 +87,20 @@ def assert_same(state: JointState, ledger: Ledger) -> None:
 
 def add_to_both(state: JointState, ledger: Ledger, ids: list[int], frame: int, rng: np.random.Generator) -> None:
     """New landmarks from the present camera position."""
-    new, R = random_new(rng, len(ids)), random_noise(rng, len(ids))
+    new, R = random_new(rng, len(ids), state.model), random_noise(rng, len(ids))
     state.augment(np.array(ids), new, R)
     P_pose = ledger.P[:6, :6].copy()
     assert P_pose.shape == (6, 6)
-    if state.model.shares_anchors:
+    if state.model.shares_anchors and new.anchored.any():
         ledger.add(("anchor", frame), state.camera.position, np.eye(3, 6), np.zeros((3, 3)))
     for row, i in enumerate(ids):
-        if state.model.anchored and not state.model.shares_anchors:
+        if new.anchored[row] and not state.model.shares_anchors:
             ledger.add(("anchor", i), state.camera.position, np.eye(3, 6), np.zeros((3, 3)))
         J = np.hstack([new.by_position[row], new.by_rotation[row]])
         noise = new.by_measurement[row] @ R[row] @ new.by_measurement[row].T
         ledger.add(i, new.parameters[row], J, noise)
-        ledger.anchor_of[i] = ("anchor", frame if state.model.shares_anchors else i)
+        anchor = ("anchor", frame if state.model.shares_anchors else i)
+        ledger.anchor_of[i] = anchor if new.anchored[row] else i  # without an anchor, its own rows twice
 
 
 @pytest.mark.parametrize("model", LANDMARKS.values(), ids=LANDMARKS.keys())
@@ -132,7 +138,7 @@ def test_random_additions_and_removals_agree_with_a_dense_reference(model: Landm
 def test_removal_leaves_every_other_entry_untouched() -> None:
     rng = np.random.default_rng(5)
     state = JointState.without_map(camera_at(np.zeros(3)), np.asfortranarray(np.eye(12)), LANDMARKS["inverse-depth"])
-    state.augment(np.arange(6), random_new(rng, 6), random_noise(rng, 6))
+    state.augment(np.arange(6), random_new(rng, 6, state.model), random_noise(rng, 6))
     before, rows = symmetric.full(state.P), state.map_rows(np.array([0, 2, 5]))
     kept = np.concatenate([np.arange(12), rows.ravel()])
     state.remove(np.isin(state.ids, [1, 3, 4]))
@@ -146,7 +152,7 @@ def test_a_new_landmark_is_correlated_with_the_old_map() -> None:
     state = JointState.without_map(
         camera_at(np.zeros(3)), np.asfortranarray(np.diag(np.linspace(0.5, 2, 12))), LANDMARKS["euclidean"]
     )
-    old, new = random_new(rng, 1), random_new(rng, 1)
+    old, new = random_new(rng, 1, state.model), random_new(rng, 1, state.model)
     R = random_noise(rng, 1)
     state.augment(np.array([1]), old, R)
     state.augment(np.array([2]), new, R)
@@ -169,8 +175,8 @@ def test_a_new_landmark_is_correlated_with_the_old_map() -> None:
 def test_landmarks_of_one_frame_share_an_anchor_until_the_last_of_them_leaves() -> None:
     rng = np.random.default_rng(7)
     state = JointState.without_map(camera_at(np.zeros(3)), np.asfortranarray(np.eye(12)), LANDMARKS["shared-anchor"])
-    state.augment(np.arange(3), random_new(rng, 3), random_noise(rng, 3))
-    state.augment(np.arange(3, 5), random_new(rng, 2), random_noise(rng, 2))
+    state.augment(np.arange(3), random_new(rng, 3, state.model), random_noise(rng, 3))
+    state.augment(np.arange(3, 5), random_new(rng, 2, state.model), random_noise(rng, 2))
     assert len(np.unique(state.anchor_block)) == 2
     state.remove(np.isin(state.ids, [0, 2, 4]))
     assert len(state.blocks) == 4

@@ -13,7 +13,7 @@ from filters.engine import linearisation, symmetric, unscented
 from filters.measurements.model import Stage
 
 COUNT = 6
-LANDMARKS = ("inverse-depth", "shared-anchor", "euclidean")
+LANDMARKS = ("inverse-depth", "shared-anchor", "euclidean", "hybrid")
 
 
 def started(landmark: str, velocity_sigma: float, depth_disparity: tuple[float, float] = (8.0, 30.0)) -> StereoEKF:

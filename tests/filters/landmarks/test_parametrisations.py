@@ -117,4 +117,5 @@ def test_only_shared_anchors_are_shared() -> None:
         "inverse-depth": (True, False),
         "shared-anchor": (True, True),
         "euclidean": (False, False),
+        "hybrid": (True, True),
     }

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -66,6 +68,30 @@ def test_a_right_row_that_is_not_measured_is_not_counted_twice() -> None:
     _, right = MEASUREMENTS["sequential"].stages(without_row, PIXELS)
     np.testing.assert_allclose(right.z, [[92.0], [301.0]])
     assert MEASUREMENTS["stacked"].stages(without_row, PIXELS)[0].z.shape == (2, 3)
+
+
+@pytest.mark.parametrize("name", ["sequential", "stacked"])
+def test_a_copied_right_row_counts_as_much_as_asked(name: str) -> None:
+    """Its variance is a multiple of the left row's, and it is taken as an independent measurement."""
+    model = replace(MEASUREMENTS[name], copied_row_variance=3.0)
+    stage = model.stages(without_row, PIXELS)[-1]
+    np.testing.assert_allclose(stage.z[:, -1], UVD[:, 1])
+    np.testing.assert_allclose(stage.R[:, -1, -1], 3.0 * 4.0)
+    np.testing.assert_array_equal(stage.R[:, -1, :-1], 0.0)
+    np.testing.assert_array_equal(stage.R, np.swapaxes(stage.R, 1, 2))
+
+
+@pytest.mark.parametrize("name", ["sequential", "stacked"])
+def test_a_measured_right_row_is_not_inflated(name: str) -> None:
+    inflated = replace(MEASUREMENTS[name], copied_row_variance=3.0).stages(with_row, PIXELS)
+    for one, other in zip(inflated, MEASUREMENTS[name].stages(with_row, PIXELS), strict=True):
+        np.testing.assert_array_equal(one.R, other.R)
+        np.testing.assert_array_equal(one.z, other.z)
+
+
+def test_a_variance_that_is_not_positive_is_refused() -> None:
+    with pytest.raises(ValueError, match="copied_row_variance"):
+        replace(MEASUREMENTS["sequential"], copied_row_variance=0.0)
 
 
 def test_stacked_has_independent_pixels_where_they_are() -> None:

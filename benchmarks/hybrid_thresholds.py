@@ -1,0 +1,84 @@
+"""When may a landmark change from inverse depth to XYZ? Consistency, error and size against the threshold.
+
+    python benchmarks/hybrid_thresholds.py --seeds 50      # 800 frames, 350 m, pixel noise: half an hour on two cores
+
+The default of `Hybrid` is the largest linearity index with which the pose stays in its 95 % band in at least 90 % of
+the frames. At first sight by a stereo pair the index is 4 sigma_d / d, so a split by disparity is a threshold, too.
+"""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+import numpy as np
+from joblib import Parallel, delayed
+from rich.console import Console
+from rich.table import Table
+
+from filters import StereoEKF
+from filters.landmarks.hybrid import Hybrid
+from stereo_slam_env.benchmark.consistency import mean_band, nees, share_inside
+from stereo_slam_env.benchmark.reference_problem import long_drive
+from stereo_slam_env.recording import Recording
+
+LIMITS = (0.02, 0.03, 0.05, 0.1)
+DISPARITIES = (30.0,)
+CASES: dict[str, dict[str, Any]] = {
+    "inverse depth": {"landmark": "shared-anchor"},
+    **{f"index < {limit:g}": {"landmark": Hybrid(limit)} for limit in LIMITS},
+    "index < 0.03, an anchor each": {"landmark": Hybrid(0.03, shares_anchors=False)},
+    **{f"first disparity >= {near:g} px": {"landmark": Hybrid(None, near)} for near in DISPARITIES},
+}
+
+
+def run(recording: Recording, options: dict[str, Any]) -> tuple[np.ndarray, float, float]:
+    """Pose NEES of each frame, end error in % of the way, and the mean number of states."""
+    slam = StereoEKF(recording.camera, recording.noise, gate=None, **options)
+    begin = recording.start
+    slam.reset(
+        linear_velocity=begin.linear_velocity, angular_velocity=begin.angular_velocity, covariance=begin.covariance
+    )
+    values, sizes, positions = [], [], []
+    for number, frame in enumerate(recording.frames):
+        if number:
+            slam.predict(frame.timestamp - recording.frames[number - 1].timestamp)
+        slam.update(frame.observation)
+        error, covariance = slam.pose_error(frame.truth.position, frame.truth.orientation)
+        values.append(nees(error, covariance))
+        sizes.append(slam.state_size)
+        positions.append(frame.truth.position)
+    length = np.linalg.norm(np.diff(positions, axis=0), axis=1).sum()
+    return np.array(values[1:]), 100.0 * np.linalg.norm(error[:3]) / length, float(np.mean(sizes))
+
+
+def run_seed(seed: int, frames: int) -> list[tuple[np.ndarray, float, float]]:
+    """All cases on one recording."""
+    recording = long_drive(seed, "pixels", frames=frames)
+    return [run(recording, options) for options in CASES.values()]
+
+
+def main() -> None:
+    """Run and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seeds", type=int, default=50)
+    parser.add_argument("--frames", type=int, default=800)
+    parser.add_argument("--jobs", type=int, default=2)
+    arguments = parser.parse_args()
+    by_seed = Parallel(arguments.jobs)(delayed(run_seed)(seed, arguments.frames) for seed in range(arguments.seeds))
+    band = mean_band(6, arguments.seeds)
+    table = Table(title=f"long drive, {arguments.seeds} seeds; ANEES/6 band [{band[0] / 6:.2f}, {band[1] / 6:.2f}]")
+    for head in ("landmarks", "ANEES/6", "in band", "drift %", "states"):
+        table.add_column(head)
+    for number, label in enumerate(CASES):
+        values, drift, size = (list(part) for part in zip(*(runs[number] for runs in by_seed), strict=True))
+        by_frame = np.mean(values, axis=0)
+        inside = 100 * share_inside(by_frame, band)
+        table.add_row(
+            label, f"{by_frame.mean() / 6:.3f}", f"{inside:.0f} %", f"{np.mean(drift):.4f}", f"{np.mean(size):.0f}"
+        )
+    Console(width=120).print(table)
+
+
+if __name__ == "__main__":
+    main()

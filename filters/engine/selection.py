@@ -1,0 +1,110 @@
+"""Which landmarks to keep when there may only be so many: those that leave the next pose least uncertain.
+
+Looking one frame ahead: the camera makes a step, every candidate is measured once more, and the measure is the
+determinant of the covariance of the pose then (D-optimality). It counts what a landmark says about the step, and what
+it still knows about where the camera was long ago. Candidates are taken away one at a time, the least valuable first.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from filters import rotations
+from filters.camera import StereoCamera
+from filters.engine import symmetric
+from filters.engine.joint_state import JointState
+from filters.engine.kalman import joint_innovation_covariance, times_covariance
+from filters.engine.linearisation import linearise
+from filters.measurements.model import Stage
+from filters.motion import POSE_SIZE
+from filters.validation import BoolArray, FloatArray, IntArray
+
+STEP = np.diag(np.repeat([1.0, 0.1], 3) ** 2)
+"""Covariance of the step, m and rad: as good as unknown, so that the landmarks have to tell it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """Next measurements of M landmarks, (u, v, d) each, jointly with the next pose.
+
+    Attributes
+    ----------
+    pose : (6, 6)
+        Covariance of the next pose without them.
+    cross : (6, 3 M)
+        Covariance of the next pose with the measurements.
+    S : (3 M, 3 M)
+        Covariance of the measurements.
+    """
+
+    pose: FloatArray
+    cross: FloatArray
+    S: FloatArray
+
+
+def next_measurements(
+    camera: StereoCamera, state: JointState, index: IntArray, R: FloatArray, new_uvd: FloatArray, new_R: FloatArray
+) -> Candidates:
+    """Candidates to keep: landmarks in the map first, then measurements that landmarks could start from.
+
+    Parameters
+    ----------
+    camera : StereoCamera
+        The rig.
+    state : JointState
+        Camera, map and covariance.
+    index : (M,) int64
+        Landmarks in the map.
+    R : (M, 3, 3)
+        Noise of their measurements, px^2.
+    new_uvd, new_R : (N, 3), (N, 3, 3)
+        Measurements and their noise. A landmark started there follows the camera: its next measurement depends on the
+        step alone, and has the noise of both measurements.
+    """
+    known = linearise(camera, state, index, Stage(np.zeros((len(index), 3)), np.eye(3), R))
+    count = known.innovation.size
+    by_step = np.concatenate([known.by_camera, _by_step(camera, state.camera.R_wc, new_uvd)]).reshape(-1, POSE_SIZE)
+    S = by_step @ STEP @ by_step.T
+    S[:count, :count] += joint_innovation_covariance(state.P, known).reshape(count, count)
+    new_rows = count + np.arange(3 * len(new_uvd)).reshape(-1, 3)
+    S[new_rows[:, :, None], new_rows[:, None, :]] += 2.0 * new_R
+    cross = STEP @ by_step.T
+    cross[:, :count] += times_covariance(known, state.P)[:, :POSE_SIZE].T
+    return Candidates(symmetric.full(state.P[:POSE_SIZE, :POSE_SIZE]) + STEP, cross, S)
+
+
+def most_informative(candidates: Candidates, count: int) -> BoolArray:
+    """Which `count` of the M candidates to keep, or all if there are not more; (M,)."""
+    total = len(candidates.S) // 3
+    kept = np.ones(total, dtype=bool)
+    precision = np.linalg.inv(candidates.S)
+    gain = candidates.cross @ precision
+    posterior = candidates.pose - gain @ candidates.cross.T
+    every = np.arange(total)
+    for _ in range(total - count):
+        # Without measurement i the posterior covariance grows by B_i A_ii^-1 B_i^T, A the precision and B the gain.
+        own = precision.reshape(total, 3, total, 3)[every, :, every]
+        B = gain.reshape(POSE_SIZE, total, 3).transpose(1, 2, 0)
+        solved = np.linalg.solve(own, B)
+        growth = np.linalg.det(np.eye(3) + B @ np.linalg.solve(posterior, solved.transpose(0, 2, 1)))
+        least = int(np.argmin(np.where(kept, growth, np.inf)))
+        rows = slice(3 * least, 3 * least + 3)
+        posterior = posterior + B[least].T @ solved[least]
+        gain = gain - solved[least].T @ precision[rows]
+        precision = precision - precision[:, rows] @ np.linalg.solve(own[least], precision[rows])
+        kept[least] = False
+        # What is gone says nothing: a neutral block keeps the rest of the matrix regular.
+        gain[:, rows] = 0.0
+        precision[rows], precision[:, rows] = 0.0, 0.0
+        precision[rows, rows] = np.eye(3)
+    return kept
+
+
+def _by_step(camera: StereoCamera, R_wc: FloatArray, uvd: FloatArray) -> FloatArray:
+    """Derivative of (u, v, d) of points now seen there by a step of the camera; (N, 3) -> (N, 3, 6)."""
+    h_c, scale = camera.ray(uvd), uvd[:, 2] / camera.disparity_constant
+    uvd_by_h = camera.project_scaled_jacobian(h_c, scale)[:, :, :3]
+    by_position = -scale[:, None, None] * uvd_by_h @ R_wc.T
+    return np.concatenate([by_position, uvd_by_h @ rotations.skew(h_c)], axis=2)

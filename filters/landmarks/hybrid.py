@@ -1,0 +1,178 @@
+"""Hybrid: inverse depth while a landmark needs it, Euclidean XYZ once its position is practically Gaussian.
+
+Two ways to tell, both on offer: Civera's linearity index (Civera, Davison and Montiel 2008) while the landmark is
+being tracked, and a disparity at first sight from which it starts as XYZ (Paz et al. 2008). At first sight by a stereo
+pair the index is 4 sigma_d / d, so the two are one question asked at different times.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from filters.camera import StereoCamera
+from filters.landmarks.euclidean import Euclidean
+from filters.landmarks.inverse_depth import InverseDepth, ray_direction
+from filters.landmarks.parametrisation import InverseDistances, NewLandmarks, Points, ScaledPoints
+from filters.validation import BoolArray, FloatArray, positive
+
+_INVERSE_DEPTH, _EUCLIDEAN = InverseDepth(), Euclidean()
+
+
+def linearity_index(
+    position: FloatArray, anchors: FloatArray, parameters: FloatArray, rho_sigma: FloatArray
+) -> FloatArray:
+    """Civera's L_d = 4 sigma_depth |cos alpha| / d_1 of inverse-depth landmarks: how far from Gaussian XYZ would be.
+
+    Parameters
+    ----------
+    position : (3,)
+        Camera, m.
+    anchors, parameters : (M, 3)
+        Inverse-depth landmarks.
+    rho_sigma : (M,)
+        Standard deviation of rho, 1/m.
+
+    Returns
+    -------
+    (M,) ndarray
+        sigma_depth = sigma_rho / rho^2 is along the first ray, d_1 the distance from here, alpha the angle between the
+        two rays (the parallax). Infinite where rho <= 0.
+    """
+    rho = parameters[:, 2]
+    ray = ray_direction(parameters)
+    # rho times the way from here to the landmark: finite for every rho.
+    scaled = rho[:, None] * (anchors - position) + ray
+    squared = np.einsum("mi,mi->m", scaled, scaled)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        index: FloatArray = 4.0 * rho_sigma * np.abs(np.einsum("mi,mi->m", scaled, ray)) / (rho * squared)
+    return np.where(rho > 0.0, index, np.inf)
+
+
+@dataclass(frozen=True)
+class Hybrid:
+    """Inverse depth with shared anchors, or XYZ; a landmark whose anchor is NaN is XYZ.
+
+    Parameters
+    ----------
+    linearity_limit : float or None
+        A landmark becomes XYZ as soon as its linearity index is below this; None: never. The default keeps the pose
+        consistent on the reference drive, Civera's 0.1 does not (docs/verification.md).
+    near_disparity : float or None
+        A landmark first seen with at least this disparity, px, starts as XYZ; None: none does.
+    """
+
+    linearity_limit: float | None = 0.03
+    near_disparity: float | None = None
+    anchored: bool = True
+    shares_anchors: bool = True
+
+    def __post_init__(self) -> None:
+        for name in ("linearity_limit", "near_disparity"):
+            if getattr(self, name) is not None:
+                positive(name, getattr(self, name))
+
+    def can_initialise(self, camera: StereoCamera, R_wc: FloatArray, uvd: FloatArray) -> BoolArray:
+        """As inverse depth."""
+        return _INVERSE_DEPTH.can_initialise(camera, R_wc, uvd)
+
+    def initialise(self, camera: StereoCamera, position: FloatArray, R_wc: FloatArray, uvd: FloatArray) -> NewLandmarks:
+        """Near ones as XYZ, the others with inverse depth."""
+        near = self._near(uvd)
+        new = _INVERSE_DEPTH.initialise(camera, position, R_wc, uvd)
+        if near.any():
+            points = _EUCLIDEAN.initialise(camera, position, R_wc, uvd[near])
+            for name in vars(new):
+                getattr(new, name)[near] = getattr(points, name)
+        return new
+
+    def homogeneous(self, position: FloatArray, anchors: FloatArray | None, parameters: FloatArray) -> FloatArray:
+        """Landmarks as seen from the camera position: direction in W, and scale; (M, 4)."""
+        seen = _INVERSE_DEPTH.homogeneous(position, anchors, parameters)
+        xyz = self.are_points(anchors)
+        if xyz.any():
+            position = np.broadcast_to(position, parameters.shape)[xyz]
+            seen[xyz] = _EUCLIDEAN.homogeneous(position, None, parameters[xyz])
+        return seen
+
+    def relative_to(self, position: FloatArray, anchors: FloatArray | None, parameters: FloatArray) -> ScaledPoints:
+        """`homogeneous` with its Jacobians; that by a missing anchor is zero."""
+        seen = _INVERSE_DEPTH.relative_to(position, anchors, parameters)
+        xyz = self.are_points(anchors)
+        if not xyz.any():
+            return seen
+        points = _EUCLIDEAN.relative_to(position, None, parameters[xyz])
+        by_position = seen.by_position.copy()
+        seen.homogeneous[xyz], by_position[xyz] = points.homogeneous, points.by_position
+        seen.by_map[xyz, :, :3], seen.by_map[xyz, :, 3:] = 0.0, points.by_map
+        return ScaledPoints(seen.homogeneous, by_position, seen.by_map)
+
+    def points(self, anchors: FloatArray | None, parameters: FloatArray) -> Points:
+        """Landmark positions in W."""
+        points = _INVERSE_DEPTH.points(anchors, parameters)
+        xyz = self.are_points(anchors)
+        points.positions[xyz] = parameters[xyz]
+        points.by_map[xyz] = np.eye(3, 6, k=3)
+        return points
+
+    def world_rotation(self, anchors: FloatArray | None, parameters: FloatArray) -> FloatArray:
+        """The ray or the point turns."""
+        effect = _INVERSE_DEPTH.world_rotation(anchors, parameters)
+        xyz = self.are_points(anchors)
+        effect[xyz] = _EUCLIDEAN.world_rotation(None, parameters[xyz])
+        return effect
+
+    def turned(
+        self,
+        anchors: FloatArray | None,
+        parameters: FloatArray,
+        turn: FloatArray,
+        spread: FloatArray,
+        correction: FloatArray,
+    ) -> FloatArray:
+        """Parameters of the landmarks turned with the world, as the right-invariant retraction wants it."""
+        moved = _INVERSE_DEPTH.turned(anchors, parameters, turn, spread, correction)
+        xyz = self.are_points(anchors)
+        moved[xyz] = _EUCLIDEAN.turned(None, parameters[xyz], turn, spread, correction[xyz])
+        return moved
+
+    def first_estimates(self, anchors: FloatArray | None, first: FloatArray, current: FloatArray) -> FloatArray:
+        """The first point, or the first angles with the current rho."""
+        estimates = _INVERSE_DEPTH.first_estimates(anchors, first, current)
+        xyz = self.are_points(anchors)
+        estimates[xyz] = first[xyz]
+        return estimates
+
+    def inverse_distances(
+        self, position: FloatArray, anchors: FloatArray | None, parameters: FloatArray
+    ) -> InverseDistances:
+        """From the anchor where there is one, else from the camera position."""
+        inverse = _INVERSE_DEPTH.inverse_distances(position, anchors, parameters)
+        xyz = self.are_points(anchors)
+        points = _EUCLIDEAN.inverse_distances(position, None, parameters[xyz])
+        for name in vars(inverse):
+            getattr(inverse, name)[xyz] = getattr(points, name)
+        return inverse
+
+    def are_points(self, anchors: FloatArray | None) -> BoolArray:
+        """Which landmarks are XYZ: those without an anchor; (M, 3) -> (M,)."""
+        assert anchors is not None
+        missing: BoolArray = np.isnan(anchors[:, 0])
+        return missing
+
+    def become_points(
+        self, position: FloatArray, anchors: FloatArray, parameters: FloatArray, rho_variance: FloatArray
+    ) -> BoolArray:
+        """Which inverse-depth landmarks are to become XYZ now; arguments as of `linearity_index`."""
+        if self.linearity_limit is None:
+            return np.zeros(len(parameters), dtype=bool)
+        sigma = np.sqrt(np.maximum(rho_variance, 0.0))
+        linear = linearity_index(position, anchors, parameters, sigma) < self.linearity_limit
+        return linear & ~self.are_points(anchors)
+
+    def _near(self, uvd: FloatArray) -> BoolArray:
+        if self.near_disparity is None:
+            return np.zeros(len(uvd), dtype=bool)
+        near: BoolArray = uvd[:, 2] >= self.near_disparity
+        return near

@@ -1,0 +1,156 @@
+"""Hybrid landmarks: when they are XYZ, and that changing over loses nothing."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from filters import HybridEKF, SharedAnchorEKF, StereoEKF, StereoObservation
+from filters.engine import symmetric
+from filters.landmarks.hybrid import Hybrid, linearity_index
+from filters.measurements.model import Stage
+
+from ..drives import CAMERA, INDEPENDENT_PIXELS, drive, finish, run, start
+
+
+def filter_with(**options) -> HybridEKF:
+    return HybridEKF(CAMERA, INDEPENDENT_PIXELS, gate=None, **options)
+
+
+def are_points(hybrid: StereoEKF) -> np.ndarray:
+    return hybrid._state.anchor_block < 0
+
+
+def innovation_covariances(hybrid: StereoEKF) -> np.ndarray:
+    """S of every landmark, with H taken where the error definition wants it."""
+    count = len(hybrid._state)
+    stage = Stage(np.zeros((count, 3)), np.eye(3), np.broadcast_to(np.eye(3), (count, 3, 3)))
+    measurements = hybrid._linearise(hybrid._state, np.arange(count), stage)
+    return measurements.innovation_covariances(hybrid._state.P)
+
+
+def test_index_is_civeras_formula() -> None:
+    """4 sigma_d |cos alpha| / d_1 with sigma_d = sigma_rho / rho^2, computed here with points and angles."""
+    rng = np.random.default_rng(1)
+    position, anchors = rng.normal(size=3), rng.normal(size=(20, 3))
+    parameters = np.column_stack([rng.uniform(-1, 1, (20, 2)), rng.uniform(0.02, 0.3, 20)])
+    sigma = rng.uniform(0.001, 0.01, 20)
+    points = Hybrid().points(anchors, parameters).positions
+    first, now = points - anchors, points - position
+    d1 = np.linalg.norm(now, axis=1)
+    cos_alpha = np.sum(first * now, axis=1) / np.linalg.norm(first, axis=1) / d1
+    expected = 4 * sigma / parameters[:, 2] ** 2 * np.abs(cos_alpha) / d1
+    np.testing.assert_allclose(linearity_index(position, anchors, parameters, sigma), expected, rtol=1e-12)
+
+
+def test_at_first_sight_the_index_is_four_sigma_of_the_disparity_over_disparity() -> None:
+    hybrid = start(filter_with(linearity_limit=None))
+    disparities = np.array([5.0, 10.0, 40.0])
+    uvd = np.column_stack([np.full(3, CAMERA.cx), np.full(3, CAMERA.cy), disparities])
+    hybrid.update(StereoObservation(np.arange(3), uvd))
+    state = hybrid._state
+    rho = symmetric.full(state.P)[12:, 12:][3 * state.parameter_block + 2, 3 * state.parameter_block + 2]
+    index = linearity_index(state.camera.position, state.anchors(), state.parameters(), np.sqrt(rho))
+    np.testing.assert_allclose(index, 4 * np.sqrt(INDEPENDENT_PIXELS.R[2, 2]) / disparities, rtol=1e-3)
+
+
+@pytest.mark.parametrize("rho", [0.0, -0.01])
+def test_a_point_at_infinity_or_beyond_is_never_linear(rho: float) -> None:
+    index = linearity_index(np.zeros(3), np.ones((1, 3)), np.array([[0.1, 0.2, rho]]), np.array([1e-6]))
+    assert index == np.inf
+
+
+def test_without_a_limit_the_estimates_are_those_of_shared_anchors() -> None:
+    frames = drive(2, 30)
+    hybrid = finish(filter_with(linearity_limit=None), frames)
+    shared = finish(SharedAnchorEKF(CAMERA, INDEPENDENT_PIXELS, gate=None), frames)
+    assert not are_points(hybrid).any()
+    np.testing.assert_allclose(hybrid.pose.position, shared.pose.position, atol=1e-12)
+    np.testing.assert_allclose(hybrid.pose.covariance, shared.pose.covariance, rtol=1e-9)
+
+
+def test_all_near_the_estimates_are_those_of_euclidean_landmarks() -> None:
+    frames = drive(2, 30, depths=(6.0, 30.0))
+    hybrid = finish(filter_with(near_disparity=1e-3), frames)
+    euclidean = finish(StereoEKF(CAMERA, INDEPENDENT_PIXELS, gate=None, landmark="euclidean"), frames)
+    assert are_points(hybrid).all()
+    assert hybrid.state_size == euclidean.state_size
+    np.testing.assert_allclose(hybrid.pose.position, euclidean.pose.position, atol=1e-11)
+    np.testing.assert_allclose(hybrid.pose.covariance, euclidean.pose.covariance, rtol=1e-8)
+
+
+def test_near_and_far_are_split_by_disparity_at_first_sight() -> None:
+    observation = drive(4, 1, visible=30)[0].observation
+    hybrid = start(filter_with(linearity_limit=None, near_disparity=20.0))
+    hybrid.update(observation)
+    near = dict(zip(observation.ids.tolist(), observation.uvd[:, 2] >= 20.0, strict=True))
+    assert 0 < sum(near.values()) < len(near)
+    assert dict(zip(hybrid._state.ids.tolist(), are_points(hybrid).tolist(), strict=True)) == near
+
+
+@pytest.mark.parametrize("error", ["quaternion", "so3", "right-invariant", "first-estimates"])
+def test_changing_over_keeps_the_belief_to_first_order(error: str) -> None:
+    """Positions, their covariance, the pose and every forecast with its S are what they were."""
+    frames = drive(5, 12)
+    hybrid = finish(filter_with(linearity_limit=None, error=error), frames)
+    before, pose, forecast, S = hybrid.landmarks, hybrid.pose, hybrid.forecast(), innovation_covariances(hybrid)
+    chosen = np.arange(0, len(before.ids), 2)
+    state = hybrid._state
+    at = hybrid._error.linearisation_point(state) or state
+    state.become_points(chosen, at)
+    after = hybrid.landmarks
+    assert are_points(hybrid).sum() == len(chosen)
+    np.testing.assert_allclose(after.positions, before.positions, rtol=1e-12)
+    np.testing.assert_allclose(hybrid.pose.covariance, pose.covariance, rtol=1e-12)
+    np.testing.assert_allclose(hybrid.forecast().uvd, forecast.uvd, rtol=1e-12)
+    if at is state:
+        np.testing.assert_allclose(after.covariances, before.covariances, rtol=1e-8, atol=1e-12)
+    np.testing.assert_allclose(innovation_covariances(hybrid), S, rtol=1e-8, atol=1e-12)
+
+
+def test_the_change_is_a_linear_map_of_the_covariance() -> None:
+    """P after = T P T^T with T dense, every row of it, written out here."""
+    hybrid = finish(filter_with(linearity_limit=None), drive(6, 10))
+    state = hybrid._state
+    full = symmetric.full(state.P)
+    _, first, members = np.unique(state.anchor_block, return_index=True, return_counts=True)
+    chosen = first[members > 1]
+    assert len(chosen) > 1
+    T = np.eye(len(full))
+    by_map = state.model.points(state.anchors(chosen), state.parameters(chosen)).by_map
+    for rows, J in zip(state.map_rows(chosen), by_map, strict=True):
+        T[rows[3:]] = 0.0
+        T[rows[3:, None], rows] = J
+    state.become_points(chosen, state)
+    assert len(state.P) == len(full)  # every anchor has still a user
+    np.testing.assert_allclose(symmetric.full(state.P), T @ full @ T.T, rtol=1e-10, atol=1e-18)
+
+
+def test_an_anchor_leaves_with_the_last_landmark_that_needs_it() -> None:
+    hybrid = start(filter_with(linearity_limit=None))
+    hybrid.update(drive(7, 1, visible=10)[0].observation)
+    assert hybrid.state_size == 12 + 3 * 10 + 3
+    hybrid._state.become_points(np.arange(9), hybrid._state)
+    assert hybrid.state_size == 12 + 3 * 10 + 3
+    hybrid._state.become_points(np.array([9]), hybrid._state)
+    assert hybrid.state_size == 12 + 3 * 10
+
+
+def test_landmarks_change_over_as_they_become_certain() -> None:
+    hybrid = start(filter_with(linearity_limit=0.1))
+    shares = []
+    for _ in run(hybrid, drive(8, 25, missed=0.0)):
+        shares.append(are_points(hybrid).mean())
+    assert shares[0] < 0.2
+    assert max(shares) > 0.6
+
+
+@pytest.mark.parametrize("name", ["linearity_limit", "near_disparity"])
+def test_a_threshold_that_is_not_positive_is_refused(name: str) -> None:
+    with pytest.raises(ValueError, match=name):
+        filter_with(**{name: -1.0})
+
+
+def test_another_landmark_model_is_refused() -> None:
+    with pytest.raises(ValueError, match="landmark is hybrid"):
+        filter_with(landmark="euclidean")
