@@ -57,7 +57,6 @@ def test_every_combination_of_parts_conforms(landmark: str, measurement: str) ->
         {"consensus": True},
         {"consensus": True, "measurement": "sequential", "tail_dof": 4.0},
         {"drop_unseen": False},
-        {"max_landmarks": 12},
         {"iterations": 3},
         {"gate": None},
         {"min_disparity": 5.0},
