@@ -21,20 +21,17 @@ from filters.interface import (
     UpdateReport,
     VelocityBelief,
 )
-from filters.motion import CAMERA_SIZE, POSE_SIZE, CameraState, ConstantVelocity, MotionModel, VelocityDriven
+from filters.motion import POSE_SIZE, CameraState, ConstantVelocity, MotionModel, VelocityDriven
 from filters.noise import StereoNoise
+from filters.start import start_belief
 from filters.validation import (
     FloatArray,
     IntArray,
-    covariance_matrix,
     finite_array,
     positive,
     unique_ids,
     unit_quaternion,
 )
-
-# Standard deviations at reset when the caller gives no covariance: a known pose, a broad velocity.
-DEFAULT_START_SIGMAS = np.repeat([1e-6, 1e-6, 10.0, 0.5], 3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,14 +95,7 @@ class CameraFilter(StereoFilter):
         covariance: ArrayLike | None = None,
     ) -> None:
         """Start again; see `StereoFilter.reset`."""
-        state = CameraState(
-            finite_array("position", position, (3,)),
-            unit_quaternion("orientation", orientation),
-            finite_array("linear_velocity", linear_velocity, (3,)),
-            finite_array("angular_velocity", angular_velocity, (3,)),
-        )
-        P = np.diag(DEFAULT_START_SIGMAS**2) if covariance is None else covariance
-        self._belief = CameraBelief(state, covariance_matrix("covariance", P, CAMERA_SIZE))
+        self._belief = CameraBelief(*start_belief(position, orientation, linear_velocity, angular_velocity, covariance))
         self._restart()
 
     def _restart(self) -> None:

@@ -16,7 +16,7 @@ from filters.validation import finite_array, positive
 
 KINDS: Mapping[str, str] = {
     "street": "the PyBullet street of the environment; options: its keyword arguments",
-    "reference": "the pure-geometry reference problem; options: name (long_drive, short_turn), noise",
+    "reference": "pure geometry; options: name (long_drive, short_turn, relative_noise_loop) and the problem's own",
     "dataset": "a real recording; options: path, and the reader's own",
     "factory": 'any callable; options: call ("package.module:function", called with seed=) and its arguments',
 }

@@ -88,6 +88,14 @@ def beyond_infinity(rng: np.random.Generator) -> Situation:
     return replace(base, uvd=uvd)
 
 
+def steep_at_infinity(rng: np.random.Generator) -> Situation:
+    """Both at once: vertical rays of landmarks at, before and beyond infinity."""
+    base = steep(rng)
+    uvd = base.uvd.copy()
+    uvd[:, 2] = [0.0, 1e-9, -1e-4, -5.0]
+    return replace(base, uvd=uvd)
+
+
 def half_turn(rng: np.random.Generator) -> Situation:
     """Orientation, turn of the step and correction all near pi."""
     base = ordinary(rng)
@@ -115,7 +123,7 @@ def no_turn(rng: np.random.Generator) -> Situation:
     return replace(base, camera=camera, delta=np.zeros(3))
 
 
-SITUATIONS = (ordinary, steep, at_infinity, beyond_infinity, half_turn, tiny_turn, no_turn)
+SITUATIONS = (ordinary, steep, at_infinity, beyond_infinity, steep_at_infinity, half_turn, tiny_turn, no_turn)
 FINITE_POINTS = (ordinary, steep, half_turn, tiny_turn, no_turn)
 EUCLIDEAN = (ordinary, half_turn, tiny_turn, no_turn)
 

@@ -15,19 +15,28 @@ from .. import textbook
 from ..drives import CAMERA, DT, INDEPENDENT_PIXELS, SPEED, drive, run
 from .beliefs import assert_identical, assert_same_belief, make, snapshot, tilted
 
-MODELS = [("joint", False), ("sequential", False), ("sequential", True), ("stacked", True), ("left", False)]
+MODELS = [
+    ("joint", False),
+    ("sequential", False),
+    ("sequential", True),
+    ("stacked", False),
+    ("stacked", True),
+    ("left", False),
+]
+GATES = [("inverse-depth", *model, "extended", 0.99) for model in MODELS]
+GATES += [("euclidean", *model, "extended", p) for model in MODELS for p in (0.5, 0.9, 0.99)]
+GATES += [("shared-anchor", "joint", False, update, p) for update in ("extended", "unscented") for p in (0.5, 0.99)]
 
 
-@pytest.mark.parametrize(("measurement", "v_right"), MODELS)
-@pytest.mark.parametrize("landmark", ["inverse-depth", "euclidean"])
+@pytest.mark.parametrize(("landmark", "measurement", "v_right", "update", "probability"), GATES)
 def test_the_gate_passes_consistent_measurements_at_its_nominal_rate(
-    landmark: str, measurement: str, v_right: bool
+    landmark: str, measurement: str, v_right: bool, update: str, probability: float
 ) -> None:
-    """6000 measurements drawn from the filter's own belief; the pose is nearly known, so they are independent."""
-    probability, count, draws = 0.99, 100, 60
+    """2400 measurements drawn from the filter's own belief; the pose is nearly known, so they are independent."""
+    count, draws = 30, 80
     rng = np.random.default_rng(9)
     uvd = rng.uniform([200.0, 60.0, 15.0], [1200.0, 330.0, 60.0], (count, 3))
-    stereo_filter = make(landmark=landmark, measurement=measurement, gate=probability)
+    stereo_filter = make(landmark=landmark, measurement=measurement, update=update, gate=probability)
     stereo_filter.reset(linear_velocity=(0.0, 0.0, SPEED), covariance=np.diag(np.repeat(1e-10, 12)))
     stereo_filter._motion = ConstantVelocity(1e-3, 1e-4)
     stereo_filter.update(StereoObservation(np.arange(count), uvd))

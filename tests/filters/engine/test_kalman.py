@@ -1,4 +1,4 @@
-"""The blockwise update is the Kalman update: against dense algebra and against filterpy."""
+"""The blockwise update is the Kalman update: against dense algebra (against filterpy: test_linear_gaussian.py)."""
 
 from __future__ import annotations
 
@@ -6,71 +6,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from filterpy.kalman import KalmanFilter
 
 from filters.engine import kalman, symmetric
-from filters.engine.joint_state import JointState
 from filters.engine.kalman import LinearisedMeasurements
-from filters.landmarks.euclidean import Euclidean
-from filters.motion import CameraState
+
+from .linear_problems import (
+    assert_covariances_equal,
+    dense,
+    joseph_update,
+    lower,
+    random_covariance,
+    random_measurements,
+)
 
 RNG = np.random.default_rng
-
-
-def random_covariance(rng: np.random.Generator, size: int) -> np.ndarray:
-    """Positive definite, with standard deviations over four orders of magnitude, as poses and angles have."""
-    root = rng.standard_normal((size, size + 5))
-    sigmas = 10 ** rng.uniform(-3, 1, size)
-    return sigmas[:, None] * (root @ root.T / size) * sigmas
-
-
-def random_measurements(
-    rng: np.random.Generator, count: int, rows: int, blocks: int, per_landmark: int = 2, camera: int = 6
-) -> LinearisedMeasurements:
-    """Each landmark depends on the camera and on `per_landmark` blocks of the map, which others may share."""
-    chosen = np.stack([rng.choice(blocks, per_landmark, replace=False) for _ in range(count)])
-    map_rows = (12 + 3 * chosen[:, :, None] + np.arange(3)).reshape(count, -1)
-    root = rng.standard_normal((count, rows, rows))
-    return LinearisedMeasurements(
-        rng.standard_normal((count, rows)),
-        rng.standard_normal((count, rows, camera)),
-        rng.standard_normal((count, rows, 3 * per_landmark)),
-        map_rows,
-        root @ root.transpose(0, 2, 1) + 0.1 * np.eye(rows),
-    )
-
-
-def dense(measurements: LinearisedMeasurements, size: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The innovation, H and R of all measurements, as full matrices."""
-    count, rows = measurements.innovation.shape
-    H = np.zeros((count, rows, size))
-    H[:, :, : measurements.by_camera.shape[2]] = measurements.by_camera
-    R = np.zeros((count * rows, count * rows))
-    for i in range(count):
-        H[i][:, measurements.map_rows[i]] += measurements.by_map[i]
-        R[i * rows : (i + 1) * rows, i * rows : (i + 1) * rows] = measurements.R[i]
-    return measurements.innovation.ravel(), H.reshape(-1, size), R
-
-
-def joseph_update(P: np.ndarray, measurements: LinearisedMeasurements) -> tuple[np.ndarray, np.ndarray, float]:
-    """State correction, P and NIS of the Kalman update, Joseph form."""
-    nu, H, R = dense(measurements, len(P))
-    S = H @ P @ H.T + R
-    K = np.linalg.solve(S, H @ P).T
-    I_KH = np.eye(len(P)) - K @ H
-    return K @ nu, I_KH @ P @ I_KH.T + K @ R @ K.T, float(nu @ np.linalg.solve(S, nu))
-
-
-def lower(P: np.ndarray) -> np.ndarray:
-    """As the engine keeps it: column-major, with rubbish above the diagonal."""
-    return np.asfortranarray(np.tril(P) + np.triu(np.full_like(P, np.nan), 1))
-
-
-def assert_covariances_equal(actual: np.ndarray, expected: np.ndarray, tolerance: float) -> None:
-    sigmas = np.sqrt(np.diag(expected))
-    np.testing.assert_allclose(
-        actual / np.outer(sigmas, sigmas), expected / np.outer(sigmas, sigmas), rtol=0, atol=tolerance
-    )
 
 
 @pytest.mark.parametrize("rows", [1, 2, 3, 4])
@@ -146,35 +95,6 @@ def test_times_is_the_dense_product() -> None:
     measurements, delta = random_measurements(rng, 5, 3, 6), rng.standard_normal(30)
     _, H, _ = dense(measurements, 30)
     np.testing.assert_allclose(measurements.times(delta).ravel(), H @ delta, rtol=1e-12, atol=1e-12)
-
-
-def test_predict_and_update_equal_filterpy_on_a_linear_gaussian_problem() -> None:
-    """Twenty steps with a fixed map: the engine's predict and update against an independent library."""
-    rng = RNG(9)
-    blocks, size = 5, 12 + 3 * 5
-    P = random_covariance(rng, size)
-    F_camera = np.eye(12) + 0.1 * rng.standard_normal((12, 12))
-    Q_camera = random_covariance(rng, 12)
-    reference = KalmanFilter(dim_x=size, dim_z=1)
-    reference.x, reference.P = np.zeros(size), P.copy()
-    reference.F = np.eye(size)
-    reference.F[:12, :12] = F_camera
-    reference.Q = np.zeros((size, size))
-    reference.Q[:12, :12] = Q_camera
-    still = CameraState(np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(3), np.zeros(3))
-    state = JointState.without_map(still, lower(P), Euclidean())
-    x = np.zeros(size)
-    for _ in range(20):
-        reference.predict()
-        state.transform_camera(F_camera, Q_camera)
-        x[:12] = F_camera @ x[:12]
-        measurements = random_measurements(rng, 4, 3, blocks, per_landmark=1)
-        z, H, R = dense(measurements, size)
-        reference.update(z, R=R, H=H)
-        relative = replace(measurements, innovation=measurements.innovation - measurements.times(x))
-        x = x + kalman.update(state.P, relative).delta
-        np.testing.assert_allclose(x, reference.x, rtol=1e-8, atol=1e-8)
-        assert_covariances_equal(symmetric.full(state.P), reference.P, 1e-8)
 
 
 @pytest.mark.parametrize("chunk", [1, 3, 20])

@@ -1,0 +1,248 @@
+"""Where everything is linear and Gaussian the engine is the Kalman filter: every such case against filterpy's."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from filterpy.kalman import KalmanFilter
+
+from filters import BodyVelocity, ConstantVelocity, StereoEKF, StereoObservation
+from filters.engine import kalman, symmetric
+from filters.engine.joint_state import JointState
+from filters.landmarks.euclidean import Euclidean
+from filters.landmarks.parametrisation import NewLandmarks
+from filters.motion import CAMERA_SIZE, POSE_SIZE, CameraState, LinearMeasurement
+
+from ..drives import CAMERA, DT, INDEPENDENT_PIXELS, SPEED
+from .linear_problems import assert_covariances_equal, dense, lower, random_covariance, random_measurements
+
+
+def kalman_filter(x: np.ndarray, P: np.ndarray) -> KalmanFilter:
+    made = KalmanFilter(dim_x=len(x), dim_z=1)
+    made.x, made.P = x.copy(), P.copy()
+    return made
+
+
+def assert_same(x: np.ndarray, P: np.ndarray, reference: KalmanFilter, tolerance: float = 1e-9) -> None:
+    """The mean within `tolerance` sigmas, the covariance within as many of its variances."""
+    sigmas = np.sqrt(np.diag(reference.P))
+    np.testing.assert_allclose(x / sigmas, reference.x / sigmas, rtol=0, atol=tolerance)
+    assert_covariances_equal(P, reference.P, tolerance)
+
+
+@pytest.mark.parametrize("chunk", [1, 7, 25, 1000])
+@pytest.mark.parametrize("rows", [2, 3, 4])
+def test_an_update_in_chunks_is_one_update_of_filterpy(chunk: int, rows: int) -> None:
+    """60 landmarks on 40 blocks: estimate, covariance and NIS."""
+    rng = np.random.default_rng([20, rows])
+    P = random_covariance(rng, CAMERA_SIZE + 3 * 40)
+    measurements = random_measurements(rng, 60, rows, 40)
+    reference = kalman_filter(np.zeros(len(P)), P)
+    z, H, R = dense(measurements, len(P))
+    reference.update(z, R=R, H=H)
+    updated = lower(P)
+    correction = kalman.update(updated, measurements, chunk)
+    assert_same(correction.delta, symmetric.full(updated), reference, 1e-8)
+    assert correction.nis == pytest.approx(float(reference.mahalanobis) ** 2, rel=1e-9)
+
+
+@pytest.mark.parametrize("rows", [1, 6])
+def test_a_measurement_of_the_camera_corrects_the_whole_map(rows: int) -> None:
+    rng = np.random.default_rng([21, rows])
+    P = random_covariance(rng, CAMERA_SIZE + 3 * 10)
+    H, innovation = rng.standard_normal((rows, CAMERA_SIZE)), rng.standard_normal(rows)
+    R = random_covariance(rng, rows)
+    reference = kalman_filter(np.zeros(len(P)), P)
+    reference.update(innovation, R=R, H=np.hstack([H, np.zeros((rows, len(P) - CAMERA_SIZE))]))
+    updated = lower(P)
+    correction = kalman.update(updated, kalman.of_camera(LinearMeasurement(innovation, H, R)))
+    assert_same(correction.delta, symmetric.full(updated), reference)
+    assert np.abs(correction.delta[CAMERA_SIZE:]).min() > 0
+
+
+def test_the_joint_innovation_covariance_is_that_of_filterpy() -> None:
+    rng = np.random.default_rng(22)
+    P = random_covariance(rng, CAMERA_SIZE + 3 * 8)
+    measurements = random_measurements(rng, 12, 3, 8)
+    reference = kalman_filter(np.zeros(len(P)), P)
+    z, H, R = dense(measurements, len(P))
+    reference.update(z, R=R, H=H)
+    S = kalman.joint_innovation_covariance(lower(P), measurements)
+    np.testing.assert_allclose(S.reshape(36, 36), reference.S, rtol=1e-9, atol=1e-9 * reference.S.max())
+
+
+@pytest.mark.parametrize("passes", [2, 5])
+def test_iterating_a_linear_update_changes_nothing(passes: int) -> None:
+    """Each pass starts from the prior again and finds what one pass of filterpy finds; nothing is counted twice."""
+    rng = np.random.default_rng(23)
+    P = random_covariance(rng, CAMERA_SIZE + 3 * 8)
+    measurements = random_measurements(rng, 12, 3, 8)
+    reference = kalman_filter(np.zeros(len(P)), P)
+    z, H, R = dense(measurements, len(P))
+    reference.update(z, R=R, H=H)
+    again, no_turn = measurements, np.zeros((len(P), 3))
+    for _ in range(passes - 1):
+        delta = kalman.update(lower(P), again).delta
+        there = replace(measurements, innovation=measurements.innovation - measurements.times(delta))
+        again = there.by_earlier_errors(no_turn, delta)
+    updated = lower(P)
+    correction = kalman.update(updated, again)
+    assert_same(correction.delta, symmetric.full(updated), reference, 1e-8)
+    assert correction.nis == pytest.approx(float(reference.mahalanobis) ** 2, rel=1e-8)
+
+
+# --- a map that grows and shrinks ---
+
+
+def test_a_map_that_grows_and_shrinks_equals_filterpy_with_every_landmark_ever_seen() -> None:
+    """30 frames of linear SLAM; filterpy keeps every landmark and knows nothing of blocks.
+
+    A new landmark is a linear function of the pose plus noise; one that leaves is just not looked at any more.
+    """
+    rng = np.random.default_rng(24)
+    state = JointState.without_map(_camera(), lower(random_covariance(rng, CAMERA_SIZE)), Euclidean())
+    x = np.zeros(CAMERA_SIZE)
+    reference = kalman_filter(x, symmetric.full(state.P))
+    everyone: list[int] = []
+    for frame in range(30):
+        F = np.eye(CAMERA_SIZE) + 0.1 * rng.standard_normal((CAMERA_SIZE, CAMERA_SIZE))
+        Q = 0.1 * random_covariance(rng, CAMERA_SIZE)
+        _predict(reference, F, Q)
+        state.transform_camera(F, Q)
+        x[:CAMERA_SIZE] = F @ x[:CAMERA_SIZE]
+
+        seen = rng.choice(len(state), min(len(state), 6), replace=False)
+        if len(seen):
+            measurements = replace(random_measurements(rng, len(seen), 3, len(state), 1), map_rows=state.map_rows(seen))
+            places = np.array([everyone.index(i) for i in state.ids[seen].tolist()])
+            in_full = CAMERA_SIZE + 3 * places[:, None] + np.arange(3)
+            z, H, R = dense(replace(measurements, map_rows=in_full), len(reference.x))
+            reference.update(z, R=R, H=H)
+            relative = replace(measurements, innovation=measurements.innovation - measurements.times(x))
+            x = x + kalman.update(state.P, relative, chunk=2).delta
+
+        gone = rng.uniform(size=len(state)) < 0.2
+        stays = np.concatenate([np.ones(CAMERA_SIZE, dtype=bool), np.repeat(~gone, 3)])
+        state.remove(gone)
+        x = x[stays]
+
+        new = int(rng.integers(0, 4))
+        ids = list(range(10 * frame, 10 * frame + new))
+        by_pose, by_noise = rng.standard_normal((new, 3, POSE_SIZE)), rng.standard_normal((new, 3, 3))
+        R = np.tile(np.diag([0.5, 1.0, 2.0]), (new, 1, 1))
+        started = NewLandmarks(np.zeros((new, 3)), by_pose[:, :, :3], by_pose[:, :, 3:], by_noise)
+        if new:
+            state.augment(np.array(ids), started, R)
+            x = np.concatenate([x, (by_pose.reshape(-1, POSE_SIZE) @ x[:POSE_SIZE])])
+            _grow(reference, by_pose.reshape(-1, POSE_SIZE), by_noise @ R @ by_noise.transpose(0, 2, 1))
+            everyone += ids
+
+        places = np.array([everyone.index(i) for i in state.ids.tolist()], dtype=np.int64)
+        kept = np.concatenate([np.arange(CAMERA_SIZE), (CAMERA_SIZE + 3 * places[:, None] + np.arange(3)).ravel()])
+        marginal = kalman_filter(reference.x[kept], reference.P[np.ix_(kept, kept)])
+        assert_same(x, symmetric.full(state.P), marginal, 1e-7)
+    assert len(everyone) > 30
+    assert 3 < len(state) < len(everyone)
+
+
+def _camera() -> CameraState:
+    return CameraState(np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(3), np.zeros(3))
+
+
+def _predict(reference: KalmanFilter, F_camera: np.ndarray, Q_camera: np.ndarray) -> None:
+    """Move the camera of a whole state, and nothing else."""
+    size = len(reference.x)
+    F, Q = np.eye(size), np.zeros((size, size))
+    F[:CAMERA_SIZE, :CAMERA_SIZE], Q[:CAMERA_SIZE, :CAMERA_SIZE] = F_camera, Q_camera
+    reference.predict(F=F, Q=Q)
+
+
+def _grow(reference: KalmanFilter, J: np.ndarray, noise: np.ndarray) -> None:
+    """A new landmark is a prediction with a tall F: (x, J x_pose + n)."""
+    size = len(reference.x)
+    F = np.vstack([np.eye(size), np.hstack([J, np.zeros((len(J), size - POSE_SIZE))])])
+    Q = np.zeros((len(F), len(F)))
+    for i, block in enumerate(noise):
+        rows = slice(size + 3 * i, size + 3 * i + 3)
+        Q[rows, rows] = block
+    grown = kalman_filter(F @ reference.x, F @ reference.P @ F.T + Q)
+    reference.__dict__.update(grown.__dict__)
+
+
+# --- the whole filter, where its camera does not turn: position and velocity are linear ---
+
+
+def straight(**options) -> tuple[StereoEKF, KalmanFilter]:
+    """A filter that knows it does not turn, and filterpy's for its position and velocity."""
+    stereo_filter = StereoEKF(CAMERA, INDEPENDENT_PIXELS, motion=ConstantVelocity(3.0, 0.0), **options)
+    rng = np.random.default_rng(25)
+    translation = np.r_[0:3, 6:9]
+    P = np.zeros((CAMERA_SIZE, CAMERA_SIZE))
+    P[np.ix_(translation, translation)] = random_covariance(rng, 6)
+    stereo_filter.reset((1.0, 2.0, 3.0), linear_velocity=(0.0, 0.5, SPEED), covariance=P)
+    reference = kalman_filter(np.array([1.0, 2.0, 3.0, 0.0, 0.5, SPEED]), P[np.ix_(translation, translation)])
+    return stereo_filter, reference
+
+
+def assert_translation_is(stereo_filter: StereoEKF, reference: KalmanFilter) -> None:
+    x = np.concatenate([stereo_filter.pose.position, stereo_filter.velocity.linear])
+    sigmas = np.sqrt(np.diag(reference.P))
+    np.testing.assert_allclose(x / sigmas, reference.x / sigmas, rtol=0, atol=1e-9)
+    for part, whole in ((stereo_filter.pose.covariance, slice(0, 3)), (stereo_filter.velocity.covariance, slice(3, 6))):
+        assert_covariances_equal(part[:3, :3], reference.P[whole, whole], 1e-9)
+
+
+@pytest.mark.parametrize("error", ["quaternion", "so3", "first-estimates"])
+@pytest.mark.parametrize("odometry", [False, True])
+def test_prediction_and_odometry_of_a_camera_that_does_not_turn(odometry: bool, error: str) -> None:
+    """Steps of unequal length; odometry measures the velocity after each."""
+    stereo_filter, reference = straight(error=error)
+    rng = np.random.default_rng(26)
+    for dt in (0.1, 0.02, 0.4, 0.1, 0.1):
+        F, G = np.eye(6), np.vstack([dt * np.eye(3), np.eye(3)])
+        F[:3, 3:] = dt * np.eye(3)
+        reference.predict(F=F, Q=(3.0 * dt) ** 2 * G @ G.T)
+        measured = None
+        if odometry:
+            linear = np.array([0.0, 0.5, SPEED]) + 0.3 * rng.standard_normal(3)
+            R = np.diag([0.3, 0.2, 0.4]) ** 2
+            measured = BodyVelocity(
+                linear, np.zeros(3), np.block([[R, np.zeros((3, 3))], [np.zeros((3, 3)), np.eye(3)]])
+            )
+            reference.update(linear, R=R, H=np.hstack([np.zeros((3, 3)), np.eye(3)]))
+        stereo_filter.predict(dt, measured)
+        assert_translation_is(stereo_filter, reference)
+
+
+def test_first_sight_is_a_linear_gaussian_prior_of_the_point() -> None:
+    """XYZ from a camera that does not turn: the point is the position plus the back-projected pixel noise.
+
+    It stays correlated with position and velocity through the predictions that follow.
+    """
+    stereo_filter, reference = straight(landmark="euclidean", drop_unseen=False)
+    uvd = np.array([[700.0, 190.0, 30.0], [500.0, 250.0, 12.0]])
+    stereo_filter.predict(DT)
+    stereo_filter.update(StereoObservation([4, 9], uvd))
+    stereo_filter.predict(DT)
+
+    F, G = np.eye(6), np.vstack([DT * np.eye(3), np.eye(3)])
+    F[:3, 3:] = DT * np.eye(3)
+    Q = (3.0 * DT) ** 2 * G @ G.T
+    reference.predict(F=F, Q=Q)
+    by_noise = np.linalg.inv(CAMERA.project_jacobian(CAMERA.backproject(uvd)))
+    shape = np.vstack([np.eye(6), np.tile(np.eye(3, 6), (2, 1))])
+    noise = np.zeros((12, 12))
+    for i, J in enumerate(by_noise):
+        noise[6 + 3 * i : 9 + 3 * i, 6 + 3 * i : 9 + 3 * i] = J @ INDEPENDENT_PIXELS.R @ J.T
+    offset = np.concatenate([np.zeros(6), CAMERA.backproject(uvd).ravel()])
+    grown = kalman_filter(shape @ reference.x + offset, shape @ reference.P @ shape.T + noise)
+    F_all, Q_all = np.eye(12), np.zeros((12, 12))
+    F_all[:6, :6], Q_all[:6, :6] = F, Q
+    grown.predict(F=F_all, Q=Q_all)
+
+    landmarks = stereo_filter.landmarks
+    np.testing.assert_allclose(landmarks.positions.ravel(), grown.x[6:], rtol=1e-12)
+    rows = np.r_[0:3, 6:9, 12:18]
+    assert_covariances_equal(symmetric.full(stereo_filter._state.P)[np.ix_(rows, rows)], grown.P, 1e-9)
