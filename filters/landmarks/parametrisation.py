@@ -72,7 +72,8 @@ class InverseDistances:
 class LandmarkModel(Protocol):
     """A parametrisation of landmarks.
 
-    Everywhere below, `parameters` are (M, 3) and `anchors` (M, 3), or None where the model has none.
+    Everywhere below, `parameters` are (M, 3) and `anchors` (M, 3), or None where the model has none. The camera is
+    one for all landmarks, `position` (3,) and `R_wc` (3, 3), or one for each, (M, 3) and (M, 3, 3).
     """
 
     @property
