@@ -68,6 +68,7 @@ class StereoEKFTrials:
         _refuse_what_needs_one_by_one(one.parts)
         self.camera, self.noise = one.camera, one.noise
         self._one, self._parts, self._trials = one, one.parts, trials
+        self._work = lockstep.Workspace()
         self.reset()
 
     def __len__(self) -> int:
@@ -129,7 +130,7 @@ class StereoEKFTrials:
             assert seen is not None
             nothing, no_rows = np.zeros((*seen.innovation.shape, 0)), np.zeros((len(seen.H), 0), dtype=np.int64)
             of_camera = LinearisedMeasurements(seen.innovation, seen.H, nothing, no_rows, seen.R)
-            self._retract(lockstep.update(states.P, measured.trial, of_camera, None).delta)
+            self._retract(lockstep.update(states.P, measured.trial, of_camera, None, self._work).delta)
 
     def update(self, observations: Sequence[StereoObservation]) -> TrialReports:
         """Use a frame of every trial: known ids correct the state, unseen ones leave, new ones enter.
@@ -153,17 +154,16 @@ class StereoEKFTrials:
             raise ValueError(f"observations must be one for each of {self._trials} trials, got {len(observations)}")
         sightings = Sightings.of(observations, self.noise.R)
         states = self._states
-        known, block = states.locate(sightings.trial, sightings.ids)
-        seen, block = sightings[known], block[known]
+        known, place = states.locate(sightings.trial, sightings.ids)
+        seen, place = sightings[known], place[known]
         outcome = np.full(len(sightings), REJECTED)
-        outcome[known], nis, dof = self._correct(seen, block)
+        outcome[known], nis, dof = self._correct(seen, place)
         reports = TrialReports(sightings.trial, sightings.ids, outcome, nis, dof)
         if self._parts.drop_unseen:
-            gone = self._states.occupied.copy()
-            gone[seen.trial, block] = False
-            trial, place = np.nonzero(gone)
-            reports = replace(reports, dropped_trial=trial, dropped_ids=self._states.ids[trial, place])
-            self._states.remove(gone)
+            gone = states.taken.copy()
+            gone[seen.trial, place] = False
+            reports = replace(reports, dropped_trial=np.nonzero(gone)[0], dropped_ids=states.ids[gone])
+            states.remove(gone)
         if not known.all():
             outcome[~known] = np.where(self._initialise(sightings[~known]), INITIALISED, REJECTED)
         return reports
@@ -229,7 +229,7 @@ class StereoEKFTrials:
             np.array([o.covariance for _, o in given]),
         )
 
-    def _correct(self, seen: Sightings, block: IntArray) -> tuple[IntArray, FloatArray, IntArray]:
+    def _correct(self, seen: Sightings, place: IntArray) -> tuple[IntArray, FloatArray, IntArray]:
         """Stage by stage as in `StereoEKF`; returns the outcome of each measurement (N,), NIS and its dof (B,)."""
         outcome = np.full(len(seen), UPDATED)
         nis, dof = np.zeros(self._trials), np.zeros(self._trials, dtype=np.int64)
@@ -238,35 +238,35 @@ class StereoEKFTrials:
         stages = self._parts.measurement.stages(seen.numbered(), seen.R)
         gate = self._parts.gate and self._parts.gate ** (1 / len(stages))
         for stage in stages:
-            forward, linear = self._linearise(seen.trial, block, stage)
+            forward, linear = self._linearise(seen.trial, place, stage)
             outcome[(outcome == UPDATED) & ~forward] = BEHIND_CAMERA
             candidates = np.flatnonzero(outcome == UPDATED)
             limit = gating.gate_limit(gate, stage.z.shape[1]) if gate is not None else None
             part = linear if len(candidates) == len(seen) else linear[candidates]
-            correction = lockstep.update(self._states.P, seen.trial[candidates], part, limit)
+            correction = lockstep.update(self._states.P, seen.trial[candidates], part, limit, self._work)
             self._retract(correction.delta)
             outcome[candidates[~correction.passed]] = GATED
             outcome[candidates[correction.passed & ~correction.used]] = FAILED
             nis, dof = nis + correction.nis, dof + correction.dof
         return outcome, nis, dof
 
-    def _linearise(self, trial: IntArray, block: IntArray, stage: Stage) -> tuple[BoolArray, LinearisedMeasurements]:
+    def _linearise(self, trial: IntArray, place: IntArray, stage: Stage) -> tuple[BoolArray, LinearisedMeasurements]:
         """Which rays point forward, and the stage's measurements linearised at the current states (Eq. 14)."""
         states = self._states
         R_wc = states.camera.R_wc[trial]
-        anchors, parameters = states.anchors(trial, block), states.parameters(trial, block)
+        anchors, parameters = states.anchors_and_parameters(trial, place)
         seen = states.model.relative_to(states.camera.position[trial], anchors, parameters)
         h_c = rotations.turned(R_wc.swapaxes(1, 2), seen.homogeneous[:, :3])
         by_pose, by_map = measurement_jacobians(self.camera, R_wc, seen, h_c, stage.T)
         predicted = self.camera.project_scaled(h_c, seen.homogeneous[:, 3]) @ stage.T.T
-        rows = states.map_rows(trial, block)
+        rows = states.map_rows(place)
         return h_c[:, 2] > 0, LinearisedMeasurements(stage.z - predicted, by_pose, by_map, rows, stage.R)
 
     def _retract(self, delta: FloatArray) -> None:
         """Move the states by their corrections (Eq. 17) and carry P along."""
         states, retraction = self._states, self._parts.error.retraction
         states.camera = moved_camera(states.camera, delta, retraction)
-        states.blocks += delta[:, CAMERA_SIZE:].reshape(states.blocks.shape)
+        states.numbers += delta[:, CAMERA_SIZE:].reshape(states.numbers.shape)
         carried = np.zeros((self._trials, CAMERA_SIZE, CAMERA_SIZE))
         carried[...] = np.eye(CAMERA_SIZE)
         carried[:, ROTATION, ROTATION] = retraction.transport(delta[:, ROTATION])

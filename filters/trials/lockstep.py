@@ -6,15 +6,33 @@ measure different numbers of landmarks; the missing measurements have H = 0, nu 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from scipy.linalg import blas
 
 from filters.engine import gating, kalman, symmetric
 from filters.engine.kalman import LinearisedMeasurements
+from filters.motion import CAMERA_SIZE
 from filters.validation import BoolArray, FloatArray, IntArray
 
-WIDTH = 12  # rows of a triangular solve taken at once
+LITTLE = 0.7  # share of the places of a map below which only the measured ones are worked on
+
+
+class Workspace:
+    """Large arrays that serve frame after frame: memory fresh from the system would cost as much as the algebra."""
+
+    def __init__(self) -> None:
+        self._buffers: dict[str, FloatArray] = {}
+
+    def array(self, name: str, *shape: int) -> FloatArray:
+        """The array of that name, of this shape and with any content."""
+        size = math.prod(shape)
+        if name not in self._buffers or self._buffers[name].size < size:
+            self._buffers[name] = np.empty(size + size // 4)
+        return self._buffers[name][:size].reshape(shape)
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,44 +57,50 @@ class Corrections:
     used: BoolArray
 
 
-def update(P: FloatArray, trial: IntArray, measurements: LinearisedMeasurements, limit: float | None) -> Corrections:
+def update(
+    P: FloatArray, trial: IntArray, measurements: LinearisedMeasurements, limit: float | None, work: Workspace
+) -> Corrections:
     """Gate, then correct every trial with its measurements (Eq. 13-18); P (B, n, n) is updated in place.
 
     Parameters
     ----------
     P : (B, n, n)
-        Covariances, both triangles.
+        Covariances, both triangles: 12 rows of the camera, then w of each landmark.
     trial : (N,) int64
         Trial of each measurement, ascending.
     measurements : LinearisedMeasurements
-        N measurements of k rows.
+        N measurements of k rows, of the camera alone or of a landmark each.
     limit : float, optional
         Squared Mahalanobis distance up to which a measurement is believed (Eq. 15); None: all are.
+    work : Workspace
+        Of this size of problem.
     """
     trials, n = P.shape[:2]
     count, size = measurements.innovation.shape
-    padded = _Padding(trial, trials)
-    Y = np.zeros((trials, padded.most * size, n + 1))
-    HP = _times_covariance(P, padded, measurements)
-    S = _innovation_covariance(HP, padded, measurements)
-    Y[:, :, :n] = HP
-    Y.reshape(-1, size, n + 1)[padded.index, :, n] = measurements.innovation
-
     passed = np.ones(count, dtype=bool)
+    if count == 0:
+        return Corrections(np.zeros((trials, n)), np.zeros(trials), np.zeros(trials, dtype=np.int64), passed, passed)
+    seats = _Seats(trial, measurements.map_rows, P)
+    by_camera, by_map = seats.filled(measurements.by_camera), seats.filled(measurements.by_map)
+    HP = work.array("HP", trials, seats.most * size, n)
+    _fill_with_HP(HP, P, by_camera, by_map, seats)
+    nu = seats.filled(measurements.innovation).reshape(trials, -1, 1)
+    S = work.array("S", trials, seats.most * size, seats.most * size)
+    _fill_with_HPHt(S, HP, by_camera, by_map, seats)
+    every = np.arange(seats.most)
+    blocks = S.reshape(trials, seats.most, size, seats.most, size)
+    blocks[:, every, :, every, :] += seats.filled(measurements.R, np.eye(size)).swapaxes(0, 1)
     if limit is not None:
-        number = np.arange(padded.most)
-        own = S.reshape(trials, padded.most, size, padded.most, size)[:, number, :, number, :]
-        passed = gating.passes(measurements.innovation, own[padded.number, trial], limit)
-        _leave_out(S, Y, trial[~passed], padded.number[~passed, None] * size + np.arange(size))
+        own = blocks[trial, seats.number, :, seats.number, :]
+        passed = gating.passes(measurements.innovation, own, limit)
+        _leave_out(S, HP, nu, trial[~passed], seats.number[~passed, None] * size + np.arange(size))
     L, failed = _cholesky(S)
     # Whoever failed has its turn below.
-    Y[failed], L[failed] = 0.0, np.eye(L.shape[1])
+    HP[failed], nu[failed], L[failed] = 0.0, 0.0, np.eye(L.shape[1])
 
-    _solve_lower(L, Y)
-    # Its last column is the whitened innovation: the product holds X^T X, X^T L^-1 nu and the NIS.
-    product = Y.swapaxes(1, 2) @ Y
-    P -= product[:, :n, :n]
-    delta, nis = product[:, :n, n].copy(), product[:, n, n].copy()
+    X, whitened = _solved(L, HP, nu)
+    P -= np.matmul(X.swapaxes(1, 2), X, out=work.array("lost by P", trials, n, n))
+    delta, nis = (X.swapaxes(1, 2) @ whitened)[:, :, 0], np.sum(whitened * whitened, axis=(1, 2))
     used = passed & ~failed[trial]
     for alone in np.flatnonzero(failed):
         mine = np.flatnonzero(passed & (trial == alone))
@@ -87,78 +111,78 @@ def update(P: FloatArray, trial: IntArray, measurements: LinearisedMeasurements,
     return Corrections(delta, nis, size * np.bincount(trial[used], minlength=trials), passed, used)
 
 
-class _Padding:
-    """Where N measurements of B trials go in arrays of equally many measurements a trial.
+class _Seats:
+    """Where N measurements of B trials sit in arrays of equally many measurements a trial.
+
+    Where most of the map is measured, a measurement sits where its landmark is, and the landmarks' rows of P are used
+    where they are; where little of it is, measurements sit in a row, and their landmarks' rows are gathered.
 
     Attributes
     ----------
     trial, number : (N,) int64
-        Trial of each measurement, and which of that trial's it is.
+        Trial of each measurement, and its seat.
     most : int
-        Measurements a trial, M.
-    index : (N,) int64
-        Place in the flattened array of B M measurements.
+        Seats a trial, M.
     """
 
-    def __init__(self, trial: IntArray, trials: int) -> None:
-        counts = np.bincount(trial, minlength=trials)
-        self.trials, self.most = trials, int(counts.max(initial=0))
-        self.number: IntArray = np.arange(len(trial)) - (np.cumsum(counts) - counts)[trial]
-        self.index: IntArray = trial * self.most + self.number
-        self.full = len(trial) == trials * self.most
+    def __init__(self, trial: IntArray, map_rows: IntArray, P: FloatArray) -> None:
+        self.trials, width = len(P), map_rows.shape[1]
+        self.trial = trial
+        counts = np.bincount(trial, minlength=self.trials)
+        self.most = int(counts.max())
+        self._gathered: IntArray | None = None
+        if width and self.most >= LITTLE * (P.shape[1] - CAMERA_SIZE) / width:
+            self.most = (P.shape[1] - CAMERA_SIZE) // width
+            self.number: IntArray = (map_rows[:, 0] - CAMERA_SIZE) // width
+            return
+        self.number = np.arange(len(trial)) - (np.cumsum(counts) - counts)[trial]
+        if width:
+            self._gathered = self.filled((map_rows[:, 0] - CAMERA_SIZE) // width)
 
-    def __call__(self, values: FloatArray) -> FloatArray:
-        """(N, ...) -> (B M, ...), zero where there is no measurement."""
-        if self.full:
-            return values
-        spread = np.zeros((self.trials * self.most, *values.shape[1:]), dtype=values.dtype)
-        spread[self.index] = values
-        return spread
+    def filled(self, values: Any, empty: Any = 0) -> Any:
+        """(N, ...) -> (B, M, ...), `empty` on seats without a measurement."""
+        seated = np.empty((self.trials, self.most, *values.shape[1:]), dtype=values.dtype)
+        if len(values) < self.trials * self.most:
+            seated[...] = empty
+        seated[self.trial, self.number] = values
+        return seated
+
+    def of_landmarks(self, values: FloatArray) -> FloatArray:
+        """What belongs to the landmark on each seat; (B, L, ...) -> (B, M, ...)."""
+        return values if self._gathered is None else values[np.arange(self.trials)[:, None], self._gathered]
 
 
-def _times_covariance(P: FloatArray, padded: _Padding, measurements: LinearisedMeasurements) -> FloatArray:
-    """H P, (B, M k, n)."""
-    trials, n = P.shape[:2]
-    by_camera = padded(measurements.by_camera)
-    rows, camera = by_camera.shape[1] * padded.most, by_camera.shape[2]
-    HP: FloatArray = by_camera.reshape(trials, rows, camera) @ P[:, :camera]
-    if measurements.map_rows.shape[1]:
-        own = P.reshape(-1, n).take(_flat_rows(padded, measurements, n), axis=0)
-        HP += (padded(measurements.by_map) @ own).reshape(HP.shape)
-    return HP
-
-
-def _innovation_covariance(HP: FloatArray, padded: _Padding, measurements: LinearisedMeasurements) -> FloatArray:
-    """S = H P H^T + R, (B, M k, M k); R = 1 where there is no measurement."""
+def _fill_with_HP(HP: FloatArray, P: FloatArray, by_camera: FloatArray, by_map: FloatArray, seats: _Seats) -> None:
+    """HP <- H P, (B, M k, n)."""
     trials, rows, n = HP.shape
-    size, most = measurements.innovation.shape[1], padded.most
-    PHt = np.ascontiguousarray(HP.swapaxes(1, 2))
-    by_camera = padded(measurements.by_camera)
-    S: FloatArray = by_camera.reshape(trials, rows, -1) @ PHt[:, : by_camera.shape[2]]
-    if measurements.map_rows.shape[1]:
-        own = PHt.reshape(-1, rows).take(_flat_rows(padded, measurements, n), axis=0)
-        S += (padded(measurements.by_map) @ own).reshape(S.shape)
-    noise = np.empty((trials * most, size, size))
-    noise[...] = np.eye(size)
-    noise[padded.index] = measurements.R
-    number = np.arange(most)
-    S.reshape(trials, most, size, most, size)[:, number, :, number, :] += noise.reshape(
-        trials, most, size, size
-    ).swapaxes(0, 1)
-    return S
+    width = by_map.shape[3]
+    from_camera = by_camera.reshape(trials, rows, -1), P[:, : by_camera.shape[3]]
+    if width == 0:
+        np.matmul(*from_camera, out=HP)
+        return
+    own = seats.of_landmarks(P[:, CAMERA_SIZE:].reshape(trials, -1, width, n))
+    np.matmul(by_map, own, out=HP.reshape(trials, seats.most, -1, n))
+    HP += np.matmul(*from_camera)
 
 
-def _flat_rows(padded: _Padding, measurements: LinearisedMeasurements, n: int) -> IntArray:
-    """The landmarks' own rows among the B n rows of all trials, (B M, w)."""
-    first = n * np.repeat(np.arange(padded.trials), padded.most)
-    rows: IntArray = padded(measurements.map_rows) + first[:, None]
-    return rows
+def _fill_with_HPHt(S: FloatArray, HP: FloatArray, by_camera: FloatArray, by_map: FloatArray, seats: _Seats) -> None:
+    """S <- H P H^T, (B, M k, M k)."""
+    trials, rows, _ = HP.shape
+    width = by_map.shape[3]
+    from_camera = HP[:, :, : by_camera.shape[3]], by_camera.reshape(trials, rows, -1).swapaxes(1, 2)
+    if width == 0:
+        np.matmul(*from_camera, out=S)
+        return
+    own = seats.of_landmarks(HP[:, :, CAMERA_SIZE:].reshape(trials, rows, -1, width).swapaxes(1, 2))
+    np.matmul(own, by_map.swapaxes(2, 3), out=S.reshape(trials, rows, seats.most, -1).swapaxes(1, 2))
+    S += np.matmul(*from_camera)
 
 
-def _leave_out(S: FloatArray, Y: FloatArray, trial: IntArray, rows: IntArray) -> None:
+def _leave_out(S: FloatArray, HP: FloatArray, nu: FloatArray, trial: IntArray, rows: IntArray) -> None:
     """Make measurements with these trials (K,) and rows (K, k) change nothing."""
     trial = trial[:, None]
-    Y[trial, rows] = 0.0
+    HP[trial, rows] = 0.0
+    nu[trial, rows] = 0.0
     S[trial, rows] = 0.0
     S[trial, :, rows] = 0.0
     S[trial, rows, rows] = 1.0
@@ -182,10 +206,13 @@ def _is_definite(S: FloatArray) -> bool:
         return False
 
 
-def _solve_lower(L: FloatArray, Y: FloatArray) -> None:
-    """Y <- L^-1 Y, block by block; (B, m, m), (B, m, c). NumPy has no triangular solve of many matrices."""
-    for start in range(0, L.shape[1], WIDTH):
-        now = slice(start, start + WIDTH)
-        if start:
-            Y[:, now] -= L[:, now, :start] @ Y[:, :start]
-        Y[:, now] = np.linalg.inv(L[:, now, now]) @ Y[:, now]
+def _solved(L: FloatArray, HP: FloatArray, nu: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """L^-1 HP, in place, and L^-1 nu; (B, m, m), (B, m, n), (B, m, 1).
+
+    NumPy has no triangular solve of many matrices: the one step with a call of BLAS for each trial. Transposed, our
+    row-major matrices are what BLAS wants: X^T L^T = (H P)^T.
+    """
+    for factor, rows, column in zip(L, HP, nu, strict=True):
+        blas.dtrsm(1.0, factor.T, rows.T, side=1, overwrite_b=1)
+        blas.dtrsm(1.0, factor.T, column.T, side=1, overwrite_b=1)
+    return HP, nu
