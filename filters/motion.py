@@ -24,17 +24,17 @@ _EYE = np.eye(CAMERA_SIZE)
 
 @dataclass(frozen=True, eq=False)
 class CameraState:
-    """x_C of Eq. 2.
+    """x_C of Eq. 2; of one camera, or of many at once with the same leading dimensions everywhere.
 
     Attributes
     ----------
-    position : (3,)
+    position : (..., 3)
         r^WC, m.
-    orientation : (4,)
+    orientation : (..., 4)
         q^WC, xyzw.
-    linear_velocity : (3,)
+    linear_velocity : (..., 3)
         v^W, m/s.
-    angular_velocity : (3,)
+    angular_velocity : (..., 3)
         omega^C, rad/s.
     """
 
@@ -57,9 +57,9 @@ class MotionPrediction:
     ----------
     state : CameraState
         After the step.
-    F : (12, 12)
+    F : (..., 12, 12)
         d state / d previous state.
-    G : (12, k)
+    G : (..., 12, k)
         d state / d noise.
     Q : (k, k)
         Covariance of the noise.
@@ -73,7 +73,7 @@ class MotionPrediction:
 
 @dataclass(frozen=True, eq=False)
 class LinearMeasurement:
-    """A linearised measurement of the camera state: innovation (m,), H (m, 12), R (m, m)."""
+    """A linearised measurement of the camera state: innovation (..., m), H (..., m, 12), R (..., m, m)."""
 
     innovation: FloatArray
     H: FloatArray
@@ -121,15 +121,12 @@ class ConstantVelocity:
             state.linear_velocity,
             state.angular_velocity,
         )
-        by_turn = rotations.right_jacobian(turn) * dt
-        F = _EYE.copy()
-        F[POSITION, LINEAR] = dt * _EYE[:3, :3]
-        F[ROTATION, ROTATION] = rotations.exp(-turn)
-        F[ROTATION, ANGULAR] = by_turn
-        G = np.zeros((CAMERA_SIZE, 6))
-        G[:6, :3] = F[:6, LINEAR]
-        G[:6, 3:] = F[:6, ANGULAR]
-        G[6:] = _EYE[:6, :6]
+        F = np.empty((*turn.shape[:-1], CAMERA_SIZE, CAMERA_SIZE))
+        F[...] = _EYE
+        F[..., POSITION, LINEAR] = dt * _EYE[:3, :3]
+        F[..., ROTATION, ROTATION] = rotations.exp(-turn)
+        F[..., ROTATION, ANGULAR] = rotations.right_jacobian(turn) * dt
+        G = F[..., LINEAR.start :].copy()
         Q = np.zeros((6, 6))
         Q.flat[:15:7], Q.flat[21::7] = (self.sigma_acceleration * dt) ** 2, (self.sigma_angular_acceleration * dt) ** 2
         return MotionPrediction(moved, F, G, Q)
@@ -138,14 +135,16 @@ class ConstantVelocity:
         """Measure the velocity of the step: linear in the camera frame half-way through the turn, and angular."""
         half_turn = 0.5 * dt * state.angular_velocity
         back_half = rotations.exp(half_turn)
-        v_c = state.R_wc.T @ state.linear_velocity
-        H = np.zeros((6, CAMERA_SIZE))
-        H[:3, ROTATION] = back_half @ rotations.skew(v_c)
-        H[:3, LINEAR] = back_half @ state.R_wc.T
-        H[:3, ANGULAR] = -0.5 * dt * back_half @ rotations.skew(v_c) @ rotations.right_jacobian(half_turn)
-        H[3:, ANGULAR] = np.eye(3)
-        innovation = np.concatenate([odometry.linear - back_half @ v_c, odometry.angular - state.angular_velocity])
-        return LinearMeasurement(innovation, H, odometry.covariance)
+        R_cw = state.R_wc.swapaxes(-1, -2)
+        v_c = rotations.turned(R_cw, state.linear_velocity)
+        by_half_turn = back_half @ rotations.skew(v_c)
+        H = np.zeros((*v_c.shape[:-1], 6, CAMERA_SIZE))
+        H[..., :3, ROTATION] = by_half_turn
+        H[..., :3, LINEAR] = back_half @ R_cw
+        H[..., :3, ANGULAR] = -0.5 * dt * by_half_turn @ rotations.right_jacobian(half_turn)
+        H[..., 3:, ANGULAR] = _EYE[:3, :3]
+        linear, angular = odometry.linear - rotations.turned(back_half, v_c), odometry.angular - state.angular_velocity
+        return LinearMeasurement(np.concatenate([linear, angular], axis=-1), H, odometry.covariance)
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ The named filters are choices of these parts; this module only says in which ord
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -18,7 +19,7 @@ from filters.engine.error_definition import ERRORS
 from filters.engine.heavy_tails import reweighted
 from filters.engine.joint_state import JointState, world_rotation_of_camera
 from filters.engine.linearisation import in_front, linearise, project
-from filters.engine.options import LANDMARKS, LINEARISATIONS, MEASUREMENTS, choice
+from filters.engine.options import LANDMARKS, LINEARISATIONS, MEASUREMENTS, Parts, choice
 from filters.interface import (
     BodyVelocity,
     Forecast,
@@ -260,6 +261,29 @@ class StereoEKF(StereoFilter):
         true_orientation = unit_quaternion("orientation", orientation)
         camera = self._state.camera
         return self._error.pose_error(camera, self.pose.covariance, true_position, true_orientation)
+
+    @property
+    def parts(self) -> Parts:
+        """What this filter is composed of."""
+        return Parts(
+            motion=self._motion,
+            gate=self._gate,
+            landmark=self._landmark,
+            measurement=self._measurement,
+            error=self._error,
+            linearise=self._linearised_by,
+            consensus=self._consensus,
+            tail_dof=self._tail_dof,
+            iterations=self._iterations,
+            drop_unseen=self._drop_unseen,
+            min_disparity=self._min_disparity,
+        )
+
+    def believing(self, state: JointState) -> StereoEKF:
+        """A filter of the same parts that believes `state`."""
+        other = copy(self)
+        other._state = state
+        return other
 
     def _locate(self, ids: IntArray) -> tuple[BoolArray, IntArray]:
         """Which of `ids` are in the map, and where those are."""

@@ -31,6 +31,16 @@ from filters.validation import FloatArray
 _EYE = np.eye(3)
 
 
+def moved_camera(camera: CameraState, delta: FloatArray, retraction: Retraction) -> CameraState:
+    """A camera, or many, corrected by the first 12 numbers of delta (..., n)."""
+    return CameraState(
+        camera.position + delta[..., POSITION],
+        retraction.retract(camera.orientation, delta[..., ROTATION]),
+        camera.linear_velocity + delta[..., LINEAR],
+        camera.angular_velocity + delta[..., ANGULAR],
+    )
+
+
 class StandardError:
     """Position, velocities and landmarks are corrected by addition, the orientation by its retraction."""
 
@@ -38,18 +48,12 @@ class StandardError:
     """Whether `constrained` changes anything."""
 
     def __init__(self, retraction: Retraction) -> None:
-        self._retraction = retraction
+        self.retraction = retraction
 
     def moved(self, state: JointState, delta: FloatArray) -> JointState:
         """The state corrected by delta (Eq. 17); P is shared, not yet carried along."""
-        camera = state.camera
-        corrected = CameraState(
-            camera.position + delta[POSITION],
-            self._retraction.retract(camera.orientation, delta[ROTATION]),
-            camera.linear_velocity + delta[LINEAR],
-            camera.angular_velocity + delta[ANGULAR],
-        )
-        return replace(state, camera=corrected, blocks=state.blocks + delta[CAMERA_SIZE:].reshape(-1, 3))
+        camera = moved_camera(state.camera, delta, self.retraction)
+        return replace(state, camera=camera, blocks=state.blocks + delta[CAMERA_SIZE:].reshape(-1, 3))
 
     def transport(self, state: JointState, moved: JointState, delta: FloatArray) -> FloatArray:
         """W of the Jacobian I + W E^T that takes errors at `state` to errors at `moved`; E selects the rotation.
@@ -60,7 +64,7 @@ class StandardError:
             Rows beyond the camera are zero where they are not given.
         """
         W = np.zeros((CAMERA_SIZE, 3))
-        W[ROTATION] = self._retraction.transport(delta[ROTATION])
+        W[ROTATION] = self.retraction.transport(delta[ROTATION])
         W[ROTATION] -= _EYE
         return W
 
@@ -86,8 +90,8 @@ class StandardError:
         self, camera: CameraState, P_pose: FloatArray, position: FloatArray, orientation: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Error (6,) of the pose against a true one, and the covariance (6, 6) claimed for it."""
-        rotation = self._retraction.local(camera.orientation, orientation)
-        return np.concatenate([position - camera.position, rotation]), P_pose
+        rotation = self.retraction.local(camera.orientation, orientation)
+        return np.concatenate([position - camera.position, rotation], axis=-1), P_pose
 
 
 class FirstEstimates(StandardError):
@@ -128,7 +132,7 @@ class RightInvariant(StandardError):
         spread = rotations.right_jacobian(-theta)
         corrected = CameraState(
             turn @ camera.position + spread @ xi[POSITION],
-            self._retraction.retract(camera.orientation, delta[ROTATION]),
+            self.retraction.retract(camera.orientation, delta[ROTATION]),
             turn @ camera.linear_velocity + spread @ xi[LINEAR],
             camera.angular_velocity + delta[ANGULAR],
         )

@@ -8,6 +8,7 @@ from filters import rotations
 from filters.camera import StereoCamera
 from filters.engine.joint_state import JointState
 from filters.engine.kalman import LinearisedMeasurements
+from filters.landmarks.parametrisation import ScaledPoints
 from filters.measurements.model import Stage
 from filters.motion import POSE_SIZE, POSITION, ROTATION
 from filters.validation import BoolArray, FloatArray, IntArray
@@ -46,15 +47,40 @@ def linearise(
         Where H is evaluated, if elsewhere than at `state`.
     """
     at = state if point is None else point
-    R_wc = at.camera.R_wc
     seen = at.model.relative_to(at.camera.position, at.anchors(index), at.parameters(index))
-    h_c, scale = seen.homogeneous[:, :3] @ R_wc, seen.homogeneous[:, 3]
-    z_by_camera = stage.T @ camera.project_scaled_jacobian(h_c, scale)
+    h_c = rotations.turned(at.camera.R_wc.T, seen.homogeneous[:, :3])
+    by_pose, by_map = measurement_jacobians(camera, at.camera.R_wc, seen, h_c, stage.T)
+    uvd = camera.project_scaled(h_c, seen.homogeneous[:, 3]) if point is None else project(camera, state, index)[0]
+    return LinearisedMeasurements(stage.z - uvd @ stage.T.T, by_pose, by_map, state.map_rows(index), stage.R)
+
+
+def measurement_jacobians(
+    camera: StereoCamera, R_wc: FloatArray, seen: ScaledPoints, h_c: FloatArray, T: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """H of z = T (u, v, d) by the chain rule through Eq. 8-10.
+
+    Parameters
+    ----------
+    camera : StereoCamera
+        The rig.
+    R_wc : (3, 3) or (M, 3, 3)
+        Orientation, one for all landmarks or one for each.
+    seen : ScaledPoints
+        M landmarks relative to the camera centre.
+    h_c : (M, 3)
+        Their directions in the camera frame.
+    T : (k, 3)
+        Rows of the measurement.
+
+    Returns
+    -------
+    by_pose, by_map : (M, k, 6), (M, k, w)
+        By position and rotation, and by the landmark's own numbers.
+    """
+    z_by_camera = T @ camera.project_scaled_jacobian(h_c, seen.homogeneous[:, 3])
     z_by_world = z_by_camera.copy()
-    z_by_world[:, :, :3] = z_by_camera[:, :, :3] @ R_wc.T
-    by_pose = np.empty((len(index), len(stage.T), POSE_SIZE))
+    z_by_world[:, :, :3] = z_by_camera[:, :, :3] @ R_wc.swapaxes(-1, -2)
+    by_pose = np.empty((len(h_c), len(T), POSE_SIZE))
     by_pose[:, :, POSITION] = z_by_world @ seen.by_position
     by_pose[:, :, ROTATION] = z_by_camera[:, :, :3] @ rotations.skew(h_c)
-    by_map = z_by_world @ seen.by_map
-    predicted = camera.project_scaled(h_c, scale) if point is None else project(camera, state, index)[0]
-    return LinearisedMeasurements(stage.z - predicted @ stage.T.T, by_pose, by_map, state.map_rows(index), stage.R)
+    return by_pose, z_by_world @ seen.by_map

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from difflib import get_close_matches
 from typing import TypeVar, cast
 
 from filters.camera import StereoCamera
 from filters.engine import linearisation, unscented
+from filters.engine.error_definition import StandardError
 from filters.engine.joint_state import JointState
 from filters.engine.kalman import LinearisedMeasurements
 from filters.landmarks.euclidean import Euclidean
@@ -18,6 +20,7 @@ from filters.landmarks.shared_anchor import SharedAnchorInverseDepth
 from filters.measurements.bearing import LeftOnly, LeftThenRight, Stacked
 from filters.measurements.model import MeasurementModel, Stage
 from filters.measurements.range_bearing import RangeBearing
+from filters.motion import MotionModel
 from filters.validation import IntArray
 
 LANDMARKS: Mapping[str, LandmarkModel] = {
@@ -35,6 +38,24 @@ MEASUREMENTS: Mapping[str, MeasurementModel] = {
 
 Linearise = Callable[[StereoCamera, JointState, IntArray, Stage, JointState | None], LinearisedMeasurements]
 LINEARISATIONS: Mapping[str, Linearise] = {"extended": linearisation.linearise, "unscented": unscented.linearise}
+
+
+@dataclass(frozen=True)
+class Parts:
+    """What a filter is composed of: the options of `StereoEKF`, checked, names replaced by what they stand for."""
+
+    motion: MotionModel
+    gate: float | None
+    landmark: LandmarkModel
+    measurement: MeasurementModel
+    error: StandardError
+    linearise: Linearise
+    consensus: bool
+    tail_dof: float | None
+    iterations: int
+    drop_unseen: bool
+    min_disparity: float | None
+
 
 T = TypeVar("T")
 

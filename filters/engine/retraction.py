@@ -1,7 +1,7 @@
 """Retractions of the orientation: how a correction of the rotation (three numbers, camera frame) moves the orientation.
 
 `retract` applies it, `local` is the inverse, and `transport` is the Jacobian that carries the covariance from the
-old orientation to the new one.
+old orientation to the new one. All take one camera or many at once.
 """
 
 from __future__ import annotations
@@ -14,18 +14,20 @@ import numpy as np
 from filters import rotations
 from filters.validation import FloatArray
 
+_EYE = np.eye(3)
+
 
 class Retraction(Protocol):
     """A retraction of the orientation."""
 
     def retract(self, orientation: FloatArray, delta: FloatArray) -> FloatArray:
-        """Corrected orientation; (4,), (3,) rad -> (4,)."""
+        """Corrected orientation; (..., 4), (..., 3) rad -> (..., 4)."""
 
     def local(self, orientation: FloatArray, other: FloatArray) -> FloatArray:
-        """The correction that takes `orientation` to `other`; (4,), (4,) -> (3,)."""
+        """The correction that takes `orientation` to `other`; (..., 4), (..., 4) -> (..., 3)."""
 
     def transport(self, delta: FloatArray) -> FloatArray:
-        """d local(retract(q, delta), retract(q, delta + e)) / d e at e = 0; (3,) -> (3, 3)."""
+        """d local(retract(q, delta), retract(q, delta + e)) / d e at e = 0; (..., 3) -> (..., 3, 3)."""
 
 
 class AdditiveQuaternion:
@@ -39,18 +41,19 @@ class AdditiveQuaternion:
 
     def retract(self, orientation: FloatArray, delta: FloatArray) -> FloatArray:
         """q x (delta / 2, 1), normalised."""
-        return rotations.multiply(orientation, [*(0.5 * delta), 1.0])
+        return rotations.multiply(orientation, np.concatenate([0.5 * delta, np.ones((*delta.shape[:-1], 1))], axis=-1))
 
     def local(self, orientation: FloatArray, other: FloatArray) -> FloatArray:
         """Twice the vector part over the scalar part."""
         dq = rotations.between(orientation, other)
-        correction: FloatArray = 2.0 * dq[:3] / dq[3]
+        correction: FloatArray = 2.0 * dq[..., :3] / dq[..., 3:]
         return correction
 
     def transport(self, delta: FloatArray) -> FloatArray:
         """(I - [delta]x / 2) / (1 + |delta|^2 / 4)."""
-        x, y, z = (0.5 * delta).tolist()
-        jacobian: FloatArray = np.array([[1.0, z, -y], [-z, 1.0, x], [y, -x, 1.0]]) / (1.0 + x * x + y * y + z * z)
+        half = 0.5 * delta
+        square = np.einsum("...i,...i->...", half, half)[..., None, None]
+        jacobian: FloatArray = (_EYE - rotations.skew(half)) / (1.0 + square)
         return jacobian
 
 
@@ -63,7 +66,7 @@ class RotationVector:
 
     def local(self, orientation: FloatArray, other: FloatArray) -> FloatArray:
         """Log(R^T R_other)."""
-        return rotations.log(rotations.matrix(orientation).T @ rotations.matrix(other))
+        return rotations.log(rotations.matrix(orientation).swapaxes(-1, -2) @ rotations.matrix(other))
 
     def transport(self, delta: FloatArray) -> FloatArray:
         """The right Jacobian of SO(3)."""

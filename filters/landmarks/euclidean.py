@@ -29,7 +29,7 @@ class Euclidean:
         h_c = camera.backproject(uvd)
         h_c_by_uvd = np.linalg.inv(camera.project_jacobian(h_c))
         return NewLandmarks(
-            position + h_c @ R_wc.T,
+            position + rotations.turned(R_wc, h_c),
             np.broadcast_to(np.eye(3), h_c_by_uvd.shape),
             -R_wc @ rotations.skew(h_c),
             R_wc @ h_c_by_uvd,

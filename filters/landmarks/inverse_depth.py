@@ -67,14 +67,14 @@ class InverseDepth:
 
     def can_initialise(self, camera: StereoCamera, R_wc: FloatArray, uvd: FloatArray) -> BoolArray:
         """All but rays along the vertical of W, where the azimuth (Eq. 24) is undefined."""
-        h_w = camera.ray(uvd) @ R_wc.T
+        h_w = rotations.turned(R_wc, camera.ray(uvd))
         possible: BoolArray = np.hypot(h_w[:, 0], h_w[:, 2]) > _VERTICAL * np.linalg.norm(h_w, axis=1)
         return possible
 
     def initialise(self, camera: StereoCamera, position: FloatArray, R_wc: FloatArray, uvd: FloatArray) -> NewLandmarks:
         """theta, phi and rho of new landmarks (Eq. 21-24); the anchor is the camera position (Eq. 20)."""
         h_c = camera.ray(uvd)
-        h_w = h_c @ R_wc.T
+        h_w = rotations.turned(R_wc, h_c)
         length = np.linalg.norm(h_c, axis=1)
         rho_per_d = 1.0 / (camera.disparity_constant * length)
         parameters = np.column_stack([angles_of(h_w), uvd[:, 2] * rho_per_d])

@@ -77,7 +77,8 @@ class LandmarkModel(Protocol):
     """A parametrisation of landmarks.
 
     Everywhere below, `parameters` are (M, 3) and `anchors` (M, 3), or None where the model has none; a row of NaN
-    stands for a landmark without one.
+    stands for a landmark without one. The camera is one for all landmarks, `position` (3,) and `R_wc` (3, 3), or one
+    for each, (M, 3) and (M, 3, 3).
     """
 
     @property
