@@ -20,12 +20,15 @@ from filters.validation import BoolArray, FloatArray, IntArray
 
 _CAMERA = np.arange(CAMERA_SIZE)
 _EYE = np.eye(CAMERA_SIZE)
+_NOTHING = np.zeros((CAMERA_SIZE, CAMERA_SIZE))
 _FIRST_BLOCK = np.arange(CAMERA_SIZE, CAMERA_SIZE + 3)
-_LOWER = np.tril(np.ones((CAMERA_SIZE, CAMERA_SIZE), dtype=bool))
 
 
 Adjust = Callable[[FloatArray, FloatArray], FloatArray]
 """(J of new blocks by the pose (m, 6), effect of a rotation of the world on them (m, 3)) -> J to be used."""
+
+
+TransformLeading = Callable[[FloatArray, FloatArray, FloatArray], None]
 
 
 def _no_landmarks() -> IntArray:
@@ -65,6 +68,8 @@ class JointState:
         Landmark identities, in the order in which they entered.
     parameter_block, anchor_block : (N,) int64
         Blocks of each landmark; the anchor block is -1 where there is none.
+    transform_leading : function
+        How P is transformed with the camera, see `symmetric.transform_leading`.
     """
 
     camera: CameraState
@@ -76,11 +81,18 @@ class JointState:
     ids: IntArray = field(default_factory=_no_landmarks)
     parameter_block: IntArray = field(default_factory=_no_landmarks)
     anchor_block: IntArray = field(default_factory=_no_landmarks)
+    transform_leading: TransformLeading = symmetric.transform_leading
 
     @classmethod
-    def without_map(cls, camera: CameraState, P: FloatArray, model: LandmarkModel) -> JointState:
+    def without_map(
+        cls,
+        camera: CameraState,
+        P: FloatArray,
+        model: LandmarkModel,
+        transform_leading: TransformLeading = symmetric.transform_leading,
+    ) -> JointState:
         """A camera with its covariance (12, 12), and nothing seen yet."""
-        return cls(camera, np.array(P, order="F"), model, predicted=camera)
+        return cls(camera, np.array(P, order="F"), model, predicted=camera, transform_leading=transform_leading)
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -103,13 +115,7 @@ class JointState:
 
     def transform_camera(self, F: FloatArray, added: FloatArray | None = None) -> None:
         """P <- blockdiag(F, I) P blockdiag(F, I)^T, plus `added` on the camera block (Eq. 12)."""
-        camera = self.P[:CAMERA_SIZE, :CAMERA_SIZE]
-        moved = F @ np.where(_LOWER, camera, camera.T) @ F.T
-        if added is not None:
-            moved += added
-        self.P[:CAMERA_SIZE, :CAMERA_SIZE] = 0.5 * (moved + moved.T)
-        cross = self.P[CAMERA_SIZE:, :CAMERA_SIZE].T
-        cross[...] = F @ cross
+        self.transform_leading(self.P, F, _NOTHING if added is None else added)
 
     def world_rotation(self) -> FloatArray:
         """Gamma: effect of a rotation of the world about its origin on the error state; (n, 3)."""

@@ -15,7 +15,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.linalg import blas, lapack
 
-from filters.engine import symmetric
+from filters.engine import gating, symmetric
 from filters.motion import CAMERA_SIZE, ROTATION, LinearMeasurement
 from filters.validation import BoolArray, FloatArray, IntArray
 
@@ -84,6 +84,11 @@ class LinearisedMeasurements:
         H = np.concatenate([self.by_camera, self.by_map], axis=2)
         S: FloatArray = H @ symmetric.blocks(P, rows) @ H.transpose(0, 2, 1) + self.R
         return S
+
+
+def squared_distances(P: FloatArray, measurements: LinearisedMeasurements) -> FloatArray:
+    """Squared Mahalanobis distance of each innovation on its own; (M,)."""
+    return gating.squared_distances(measurements.innovation, measurements.innovation_covariances(P))
 
 
 def of_camera(measured: LinearMeasurement) -> LinearisedMeasurements:

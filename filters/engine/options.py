@@ -7,7 +7,7 @@ from difflib import get_close_matches
 from typing import TypeVar
 
 from filters.camera import StereoCamera
-from filters.engine import linearisation, unscented
+from filters.engine import unscented
 from filters.engine.joint_state import JointState
 from filters.engine.kalman import LinearisedMeasurements
 from filters.landmarks.euclidean import Euclidean
@@ -32,7 +32,8 @@ MEASUREMENTS: Mapping[str, MeasurementModel] = {
 }
 
 Linearise = Callable[[StereoCamera, JointState, IntArray, Stage, JointState | None], LinearisedMeasurements]
-LINEARISATIONS: Mapping[str, Linearise] = {"extended": linearisation.linearise, "unscented": unscented.linearise}
+LINEARISATIONS: Mapping[str, Linearise | None] = {"extended": None, "unscented": unscented.linearise}
+"""None: by Jacobians, as the filter's arithmetic has them."""
 
 T = TypeVar("T")
 

@@ -1,0 +1,79 @@
+"""`Arithmetic` by the kernels: the arrays they want, out of the engine's data, and back. Importing this imports Numba."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from filters.camera import StereoCamera
+from filters.engine import kernels, linearisation
+from filters.engine.arithmetic import Arithmetic
+from filters.engine.joint_state import JointState
+from filters.engine.kalman import Correction, LinearisedMeasurements
+from filters.landmarks.euclidean import Euclidean
+from filters.landmarks.inverse_depth import InverseDepth
+from filters.landmarks.shared_anchor import SharedAnchorInverseDepth
+from filters.measurements.model import Stage
+from filters.validation import BoolArray, FloatArray, IntArray
+
+CHUNK = 25
+"""Landmarks, see `kalman.CHUNK`."""
+_KNOWN = (InverseDepth, SharedAnchorInverseDepth, Euclidean)
+"""Parametrisations the kernels know; NumPy does the others."""
+
+
+def in_front(state: JointState, index: IntArray) -> BoolArray:
+    """`linearisation.in_front`."""
+    if type(state.model) not in _KNOWN:
+        return linearisation.in_front(state, index)
+    forward: BoolArray = kernels.in_front(
+        state.camera.position, state.camera.R_wc, state.blocks, state.anchor_block, state.parameter_block, index
+    )
+    return forward
+
+
+def linearise(
+    camera: StereoCamera, state: JointState, index: IntArray, stage: Stage, point: JointState | None = None
+) -> LinearisedMeasurements:
+    """`linearisation.linearise`."""
+    if type(state.model) not in _KNOWN:
+        return linearisation.linearise(camera, state, index, stage, point)
+    at = state if point is None else point
+    predicted, by_camera, by_map, map_rows = kernels.linearise(
+        (camera.fx, camera.fy, camera.cx, camera.cy, camera.disparity_constant),
+        at.camera.position,
+        at.camera.R_wc,
+        at.blocks,
+        at.anchor_block,
+        at.parameter_block,
+        index,
+        6 if at.model.anchored else 3,
+        stage.T,
+    )
+    if point is not None:
+        predicted = linearisation.project(camera, state, index)[0] @ stage.T.T
+    return LinearisedMeasurements(stage.z - predicted, by_camera, by_map, map_rows, stage.R)
+
+
+def squared_distances(P: FloatArray, measurements: LinearisedMeasurements) -> FloatArray:
+    """`kalman.squared_distances`."""
+    distances: FloatArray = kernels.squared_distances(P, *_arrays(measurements))
+    return distances
+
+
+def update(P: FloatArray, measurements: LinearisedMeasurements) -> Correction:
+    """`kalman.update`."""
+    delta, nis, used = kernels.correct(P, *_arrays(measurements), CHUNK)
+    return Correction(delta, nis, int(used.sum()) * measurements.innovation.shape[1], used)
+
+
+def _arrays(measurements: LinearisedMeasurements) -> tuple[FloatArray, FloatArray, FloatArray, IntArray, FloatArray]:
+    return (
+        np.ascontiguousarray(measurements.innovation),
+        np.ascontiguousarray(measurements.by_camera),
+        np.ascontiguousarray(measurements.by_map),
+        measurements.map_rows,
+        measurements.R,
+    )
+
+
+COMPILED = Arithmetic(in_front, linearise, squared_distances, update, kernels.transform_leading)

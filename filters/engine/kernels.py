@@ -1,0 +1,398 @@
+"""The loops of a frame for Numba: what NumPy can only do with copies of rows of P and dozens of small calls.
+
+Each function says the same as the NumPy code it stands for (named in its docstring) and is tested against it. All have
+fixed signatures, so that they are compiled when this module is imported, or read from Numba's cache on disk, and never
+later. Import it through `filters.compilation`.
+
+Landmarks and camera occupy blocks of three rows, and only the lower triangle of P (column-major) is read.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+from numba import njit, types
+from numba.core import cgutils
+from numba.extending import get_cython_function_address, intrinsic
+
+from filters.validation import BoolArray, FloatArray, IntArray
+
+_ROUTINES = (
+    get_cython_function_address("scipy.linalg.cython_lapack", "dpotrf"),
+    get_cython_function_address("scipy.linalg.cython_blas", "dtrsm"),
+    get_cython_function_address("scipy.linalg.cython_blas", "dgemv"),
+    get_cython_function_address("scipy.linalg.cython_blas", "dsyrk"),
+)
+"""Where this process has scipy's BLAS and LAPACK: arguments of the kernels, so that these can be cached on disk."""
+
+
+def _read(ndim: int, layout: str = "C", dtype: types.Type = types.float64) -> types.Type:
+    """An array that is only read."""
+    return types.Array(dtype, ndim, layout, readonly=True)
+
+
+_P = types.Array(types.float64, 2, "F")
+_VECTOR, _MATRIX, _MATRICES = _read(1), _read(2), _read(3)
+_ANY_MATRIX, _ANY_MATRICES = _read(2, "A"), _read(3, "A")
+_INDEX, _ROWS = _read(1, dtype=types.int64), _read(2, dtype=types.int64)
+_CAMERA = types.UniTuple(types.float64, 5)
+_ADDRESSES = types.UniTuple(types.intp, len(_ROUTINES))
+_OPTIONS: dict[str, Any] = {"cache": True, "error_model": "numpy"}
+_MEASURED = (_MATRIX, _MATRICES, _MATRICES, _ROWS, _ANY_MATRICES)
+
+
+# ---- calls of BLAS and LAPACK ----
+
+
+@intrinsic  # type: ignore[misc]
+def _call(typing_context: Any, address: Any, arguments: Any) -> Any:
+    """Call the Fortran subroutine at `address` with pointers to its arguments."""
+
+    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        pointers = cgutils.unpack_tuple(builder, values[1])
+        routine = ir.FunctionType(ir.VoidType(), [pointer.type for pointer in pointers]).as_pointer()
+        builder.call(builder.inttoptr(values[0], routine), pointers)
+        return context.get_dummy_value()
+
+    return types.void(address, arguments), generate
+
+
+@njit(inline="always")
+def _at(array: Any) -> int:
+    """Address of an array's first number."""
+    return np.intp(array.ctypes.data)
+
+
+# ---- linearisation ----
+
+
+@njit(error_model="numpy")
+def _ray(theta: float, phi: float, ray: FloatArray) -> None:
+    """`inverse_depth.ray_direction` and its Jacobian by theta and phi, one after the other in `ray` (9,)."""
+    sin_theta, cos_theta, sin_phi, cos_phi = math.sin(theta), math.cos(theta), math.sin(phi), math.cos(phi)
+    ray[0], ray[1], ray[2] = cos_phi * sin_theta, -sin_phi, cos_phi * cos_theta
+    ray[3], ray[4], ray[5] = cos_phi * cos_theta, 0.0, -cos_phi * sin_theta
+    ray[6], ray[7], ray[8] = -sin_phi * sin_theta, -cos_phi, -sin_phi * cos_theta
+
+
+@njit(error_model="numpy")
+def _seen(
+    position: FloatArray, blocks: FloatArray, anchor: int, parameter: int, ray: FloatArray, seen: FloatArray
+) -> None:
+    """`LandmarkModel.homogeneous` of one landmark, and its anchor relative to the camera, in `seen` (7,)."""
+    if anchor < 0:  # Euclidean
+        for i in range(3):
+            seen[i] = blocks[parameter, i] - position[i]
+        seen[3] = 1.0
+        return
+    rho = blocks[parameter, 2]
+    _ray(blocks[parameter, 0], blocks[parameter, 1], ray)
+    for i in range(3):
+        seen[4 + i] = blocks[anchor, i] - position[i]
+        seen[i] = rho * seen[4 + i] + ray[i]
+    seen[3] = rho
+
+
+@njit(types.boolean[::1](_VECTOR, _MATRIX, _MATRIX, _INDEX, _INDEX, _INDEX), **_OPTIONS)
+def in_front(
+    position: FloatArray, R_wc: FloatArray, blocks: FloatArray, anchors: IntArray, parameters: IntArray, index: IntArray
+) -> BoolArray:
+    """`linearisation.in_front`."""
+    forward = np.empty(len(index), np.bool_)
+    ray, seen = np.empty(9), np.empty(7)
+    for m in range(len(index)):
+        _seen(position, blocks, anchors[index[m]], parameters[index[m]], ray, seen)
+        forward[m] = seen[0] * R_wc[0, 2] + seen[1] * R_wc[1, 2] + seen[2] * R_wc[2, 2] > 0.0
+    return forward
+
+
+@njit(
+    types.Tuple((types.float64[:, ::1], types.float64[:, :, ::1], types.float64[:, :, ::1], types.int64[:, ::1]))(
+        _CAMERA, _VECTOR, _MATRIX, _MATRIX, _INDEX, _INDEX, _INDEX, types.int64, _ANY_MATRIX
+    ),
+    **_OPTIONS,
+)
+def linearise(
+    camera: tuple[float, float, float, float, float],
+    position: FloatArray,
+    R_wc: FloatArray,
+    blocks: FloatArray,
+    anchors: IntArray,
+    parameters: IntArray,
+    index: IntArray,
+    width: int,
+    T: FloatArray,
+) -> tuple[FloatArray, FloatArray, FloatArray, IntArray]:
+    """`linearisation.linearise`: predicted z (M, k), H by camera (M, k, 6) and map (M, k, w), rows of the map (M, w)."""
+    fx, fy, cx, cy, disparity_constant = camera
+    count, size = len(index), len(T)
+    predicted = np.empty((count, size))
+    by_camera = np.empty((count, size, 6))
+    by_map = np.empty((count, size, width))
+    rows = np.empty((count, width), np.int64)
+    ray, seen, h, uvd, g = np.empty(9), np.empty(7), np.empty(3), np.empty(3), np.empty(3)
+    for m in range(count):
+        anchor, parameter = anchors[index[m]], parameters[index[m]]
+        _seen(position, blocks, anchor, parameter, ray, seen)
+        for i in range(3):
+            h[i] = seen[0] * R_wc[0, i] + seen[1] * R_wc[1, i] + seen[2] * R_wc[2, i]
+            rows[m, width - 3 + i] = 12 + 3 * parameter + i
+            if anchor >= 0:
+                rows[m, i] = 12 + 3 * anchor + i
+        rho, inverse_z = seen[3], 1.0 / h[2]
+        uvd[0] = fx * h[0] * inverse_z + cx
+        uvd[1] = fy * h[1] * inverse_z + cy
+        uvd[2] = disparity_constant * rho * inverse_z
+        for a in range(size):
+            predicted[m, a] = T[a, 0] * uvd[0] + T[a, 1] * uvd[1] + T[a, 2] * uvd[2]
+            # z by direction in the camera frame (g_c) and in the world (g), and by scale
+            by_scale = T[a, 2] * disparity_constant * inverse_z
+            g0, g1 = T[a, 0] * fx * inverse_z, T[a, 1] * fy * inverse_z
+            g2 = -(g0 * h[0] + g1 * h[1] + by_scale * rho) * inverse_z
+            for i in range(3):
+                g[i] = R_wc[i, 0] * g0 + R_wc[i, 1] * g1 + R_wc[i, 2] * g2
+            # g_c^T [h]x = (g_c x h)^T
+            by_camera[m, a, 3] = g1 * h[2] - g2 * h[1]
+            by_camera[m, a, 4] = g2 * h[0] - g0 * h[2]
+            by_camera[m, a, 5] = g0 * h[1] - g1 * h[0]
+            for i in range(3):
+                by_camera[m, a, i] = -g[i] if anchor < 0 else -rho * g[i]
+                by_map[m, a, i] = -by_camera[m, a, i]
+            if anchor >= 0:
+                by_map[m, a, 3] = g[0] * ray[3] + g[1] * ray[4] + g[2] * ray[5]
+                by_map[m, a, 4] = g[0] * ray[6] + g[1] * ray[7] + g[2] * ray[8]
+                by_map[m, a, 5] = g[0] * seen[4] + g[1] * seen[5] + g[2] * seen[6] + by_scale
+    return predicted, by_camera, by_map, rows
+
+
+# ---- gate ----
+
+
+@njit(types.float64[::1](_P, *_MEASURED), **_OPTIONS)
+def squared_distances(
+    P: FloatArray, innovation: FloatArray, by_camera: FloatArray, by_map: FloatArray, map_rows: IntArray, R: FloatArray
+) -> FloatArray:
+    """`kalman.squared_distances`: nu^T S^-1 nu of each measurement on its own, by S = L D L^T; (M,)."""
+    count, size, width = by_map.shape
+    camera = by_camera.shape[2]
+    total = camera + width
+    rows, H = np.arange(total), np.empty((size, total))
+    HP, S, solved = np.empty((size, total)), np.empty((size, size)), np.empty(size)
+    distances = np.zeros(count)
+    for m in range(count):
+        rows[camera:] = map_rows[m]
+        H[:, :camera], H[:, camera:] = by_camera[m], by_map[m]
+        HP[:] = 0.0
+        for c in range(total):
+            for d in range(c):
+                p = P[max(rows[c], rows[d]), min(rows[c], rows[d])]
+                for a in range(size):
+                    HP[a, c] += H[a, d] * p
+                    HP[a, d] += H[a, c] * p
+            p = P[rows[c], rows[c]]
+            for a in range(size):
+                HP[a, c] += H[a, c] * p
+        for a in range(size):
+            for b in range(a + 1):
+                S[a, b] = R[m, a, b]
+                for c in range(total):
+                    S[a, b] += HP[a, c] * H[b, c]
+        for a in range(size):
+            solved[a] = innovation[m, a]
+            for b in range(a):
+                solved[a] -= S[a, b] / S[b, b] * solved[b]
+                for c in range(a, size):
+                    S[c, a] -= S[c, b] * S[a, b] / S[b, b]
+            distances[m] += solved[a] ** 2 / S[a, a]
+    return distances
+
+
+# ---- update ----
+
+
+@njit(error_model="numpy")
+def _take_block(P: FloatArray, first: int, block: FloatArray) -> None:
+    """Rows first to first + 2 of the symmetric P, in `block` (3, n or more)."""
+    for j in range(first):
+        block[0, j], block[1, j], block[2, j] = P[first, j], P[first + 1, j], P[first + 2, j]
+    for i in range(3):
+        for j in range(first, first + i):
+            block[i, j] = P[first + i, j]
+        for j in range(first + i, len(P)):
+            block[i, j] = P[j, first + i]
+
+
+@njit(error_model="numpy")
+def _add_product(target: FloatArray, H: FloatArray, block: FloatArray, columns: int) -> None:
+    """target += H block on the first columns; (k, n or more), (k, 3), (3, n or more)."""
+    for row in range(len(H)):
+        a, b, c = H[row, 0], H[row, 1], H[row, 2]
+        for j in range(columns):
+            target[row, j] += a * block[0, j] + b * block[1, j] + c * block[2, j]
+
+
+@njit(error_model="numpy")
+def _take(
+    routines: tuple[int, ...],
+    letters: IntArray,
+    sizes: IntArray,
+    signs: FloatArray,
+    P: FloatArray,
+    delta: FloatArray,
+    HP: FloatArray,
+    S: FloatArray,
+    innovation: FloatArray,
+    by_camera: FloatArray,
+    by_map: FloatArray,
+    map_rows: IntArray,
+    R: FloatArray,
+    first: int,
+    last: int,
+) -> float:
+    """Correct P and delta with the measurements first to last - 1; the NIS, or -1 where S has no Cholesky factor.
+
+    HP has a last column for the innovation, so that one triangular solve does for both. BLAS, which is column-major,
+    sees HP transposed and the lower triangle of S. The small arrays are arguments because BLAS wants addresses.
+    """
+    n, camera = len(P), by_camera.shape[2]
+    size, width = by_map.shape[1:]
+    rows = (last - first) * size
+    HP[:rows] = 0.0
+    block = np.empty((3, n))
+    for offset in range(0, camera, 3):
+        _take_block(P, offset, block)
+        for m in range(first, last):
+            top = (m - first) * size
+            _add_product(HP[top : top + size], by_camera[m, :, offset : offset + 3], block, n)
+    for offset in range(0, width, 3):
+        held = -1
+        for m in range(first, last):
+            if map_rows[m, offset] != held:  # neighbours often share an anchor
+                held = map_rows[m, offset]
+                _take_block(P, held, block)
+            top = (m - first) * size
+            _add_product(HP[top : top + size], by_map[m, :, offset : offset + 3], block, n)
+
+    columns = np.empty((camera + width, rows))
+    for row in range(rows):
+        for c in range(camera):
+            columns[c, row] = HP[row, c]
+    for m in range(first, last):
+        top = (m - first) * size
+        for row in range(top, rows):
+            for c in range(width):
+                columns[camera + c, row] = HP[row, map_rows[m, c]]
+        for a in range(size):
+            explained = 0.0
+            S[top + a, top:rows] = 0.0
+            for b in range(size):
+                S[top + a, top + b] = R[m, b, a]
+            for c in range(camera + width):
+                h = by_camera[m, a, c] if c < camera else by_map[m, a, c - camera]
+                explained += h * delta[c if c < camera else map_rows[m, c - camera]]
+                for row in range(top, rows):
+                    S[top + a, row] += h * columns[c, row]
+            HP[top + a, n] = innovation[m, a] - explained
+
+    sizes[0], sizes[1], sizes[2], sizes[3], sizes[4] = rows, n, n + 1, S.shape[1], 1
+    lower = _at(letters)
+    right, plain, turned = lower + 1, lower + 2, lower + 3
+    k = _at(sizes)
+    states, stride, room, one, info = k + 4, k + 8, k + 12, k + 16, k + 20
+    plus = _at(signs)
+    minus, covariance, solved, factor = plus + 8, _at(P), _at(HP), _at(S)
+    _call(routines[0], (lower, k, factor, room, info))
+    if sizes[5] != 0 or not math.isfinite(S[rows - 1, rows - 1]):
+        return -1.0
+    # HP <- L^-1 HP, delta += HP^T nu, P -= HP^T HP
+    _call(routines[1], (right, lower, turned, plain, stride, k, plus, factor, room, solved, stride))
+    _call(routines[2], (plain, states, k, plus, solved, stride, solved + 8 * n, stride, plus, _at(delta), one))
+    _call(routines[3], (lower, plain, states, k, minus, solved, stride, plus, covariance, states))
+    nis = 0.0
+    for row in range(rows):
+        nis += HP[row, n] ** 2
+    return nis
+
+
+@njit(
+    types.Tuple((types.float64[::1], types.float64, types.boolean[::1]))(_ADDRESSES, _P, *_MEASURED, types.int64),
+    **_OPTIONS,
+)
+def _correct(
+    routines: tuple[int, ...],
+    P: FloatArray,
+    innovation: FloatArray,
+    by_camera: FloatArray,
+    by_map: FloatArray,
+    map_rows: IntArray,
+    R: FloatArray,
+    chunk: int,
+) -> tuple[FloatArray, float, BoolArray]:
+    """`kalman.update`, P in place: delta (n,), the NIS, and which measurements were used (M,)."""
+    count, size = innovation.shape
+    delta, nis, used = np.zeros(len(P)), 0.0, np.zeros(count, np.bool_)
+    chunks = -(-count // chunk)
+    most = min(count, chunk) * size
+    HP, S = np.empty((most, len(P) + 1)), np.empty((most, most))
+    letters, sizes = np.array((76, 82, 78, 84), np.uint8), np.zeros(6, np.int32)  # L, R, N, T
+    signs = np.array((1.0, -1.0))
+    for i in range(chunks):
+        first, last = count * i // chunks, count * (i + 1) // chunks
+        gained = _take(
+            routines, letters, sizes, signs, P, delta, HP, S, innovation, by_camera, by_map, map_rows, R, first, last
+        )
+        if gained >= 0.0:
+            used[first:last] = True
+            nis += gained
+        elif last - first > 1:
+            for m in range(first, last):
+                gained = _take(
+                    routines, letters, sizes, signs, P, delta, HP, S, innovation, by_camera, by_map, map_rows, R, m, m + 1
+                )
+                if gained >= 0.0:
+                    used[m] = True
+                    nis += gained
+    return delta, nis, used
+
+
+def correct(P: FloatArray, *measured: Any) -> tuple[FloatArray, float, BoolArray]:
+    """`kalman.update`: delta (n,), the NIS, and which measurements were used (M,)."""
+    corrected: tuple[FloatArray, float, BoolArray] = _correct(_ROUTINES, P, *measured)
+    return corrected
+
+
+# ---- the camera's part of P ----
+
+
+@njit(types.void(_P, _MATRIX, _MATRIX), **_OPTIONS)
+def transform_leading(P: FloatArray, F: FloatArray, added: FloatArray) -> None:
+    """`symmetric.transform_leading`."""
+    n, camera = len(P), len(F)
+    old, half = np.empty((camera, camera)), np.zeros((camera, camera))
+    for i in range(camera):
+        for j in range(i + 1):
+            old[i, j] = old[j, i] = P[i, j]
+    for i in range(camera):
+        for k in range(camera):
+            if F[i, k] != 0.0:
+                for j in range(camera):
+                    half[i, j] += F[i, k] * old[k, j]
+    for i in range(camera):
+        for j in range(i + 1):
+            total = 0.5 * (added[i, j] + added[j, i])
+            for k in range(camera):
+                total += half[i, k] * F[j, k]
+            P[i, j] = total
+    cross = np.empty((camera, n - camera))
+    for k in range(camera):
+        cross[k] = P[camera:, k]
+    for i in range(camera):
+        P[camera:, i] = 0.0
+        for k in range(camera):
+            f = F[i, k]
+            if f != 0.0:
+                for j in range(n - camera):
+                    P[camera + j, i] += f * cross[k, j]
