@@ -7,27 +7,35 @@ from dataclasses import dataclass
 
 from filters.camera import StereoCamera
 from filters.engine import kalman, linearisation, symmetric
+from filters.engine.fates import FateArray
 from filters.engine.joint_state import JointState
 from filters.engine.kalman import Correction, LinearisedMeasurements
 from filters.measurements.model import Stage
-from filters.validation import BoolArray, FloatArray, IntArray
+from filters.validation import FloatArray, IntArray
+
+
+CorrectStage = Callable[[StereoCamera, JointState, IntArray, Stage, float, FateArray], "Correction | None"]
 
 
 @dataclass(frozen=True)
 class Arithmetic:
-    """How the steps are computed; each field is a function with the contract of its NumPy version in `NUMPY`."""
+    """How the steps are computed.
 
-    in_front: Callable[[JointState, IntArray], BoolArray]
+    Attributes
+    ----------
+    linearise, squared_distances, update, transform_leading : function
+        With the contract of the NumPy ones in `NUMPY`.
+    correct_stage : function, optional
+        (camera, state, index (M,), stage, gate limit, fates (M,)) -> Correction: linearise, gate and update in one go,
+        for the measurements whose fate so far is USED; writes their new fates, updates P in place, moves nothing.
+        None, or its result None: step by step.
+    """
+
     linearise: Callable[[StereoCamera, JointState, IntArray, Stage, JointState | None], LinearisedMeasurements]
     squared_distances: Callable[[FloatArray, LinearisedMeasurements], FloatArray]
     update: Callable[[FloatArray, LinearisedMeasurements], Correction]
     transform_leading: Callable[[FloatArray, FloatArray, FloatArray], None]
+    correct_stage: CorrectStage | None = None
 
 
-NUMPY = Arithmetic(
-    linearisation.in_front,
-    linearisation.linearise,
-    kalman.squared_distances,
-    kalman.update,
-    symmetric.transform_leading,
-)
+NUMPY = Arithmetic(linearisation.linearise, kalman.squared_distances, kalman.update, symmetric.transform_leading)

@@ -2,33 +2,26 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from filters.camera import StereoCamera
 from filters.engine import kernels, linearisation
 from filters.engine.arithmetic import Arithmetic
+from filters.engine.fates import USED, FateArray
 from filters.engine.joint_state import JointState
 from filters.engine.kalman import Correction, LinearisedMeasurements
 from filters.landmarks.euclidean import Euclidean
 from filters.landmarks.inverse_depth import InverseDepth
 from filters.landmarks.shared_anchor import SharedAnchorInverseDepth
 from filters.measurements.model import Stage
-from filters.validation import BoolArray, FloatArray, IntArray
+from filters.validation import FloatArray, IntArray
 
-CHUNK = 25
+CHUNK = 13
 """Landmarks, see `kalman.CHUNK`."""
 _KNOWN = (InverseDepth, SharedAnchorInverseDepth, Euclidean)
 """Parametrisations the kernels know; NumPy does the others."""
-
-
-def in_front(state: JointState, index: IntArray) -> BoolArray:
-    """`linearisation.in_front`."""
-    if type(state.model) not in _KNOWN:
-        return linearisation.in_front(state, index)
-    forward: BoolArray = kernels.in_front(
-        state.camera.position, state.camera.R_wc, state.blocks, state.anchor_block, state.parameter_block, index
-    )
-    return forward
 
 
 def linearise(
@@ -38,17 +31,7 @@ def linearise(
     if type(state.model) not in _KNOWN:
         return linearisation.linearise(camera, state, index, stage, point)
     at = state if point is None else point
-    predicted, by_camera, by_map, map_rows = kernels.linearise(
-        (camera.fx, camera.fy, camera.cx, camera.cy, camera.disparity_constant),
-        at.camera.position,
-        at.camera.R_wc,
-        at.blocks,
-        at.anchor_block,
-        at.parameter_block,
-        index,
-        6 if at.model.anchored else 3,
-        stage.T,
-    )
+    predicted, by_camera, by_map, map_rows, _ = kernels.linearise(*_seen(camera, at), index, stage.T)
     if point is not None:
         predicted = linearisation.project(camera, state, index)[0] @ stage.T.T
     return LinearisedMeasurements(stage.z - predicted, by_camera, by_map, map_rows, stage.R)
@@ -66,6 +49,30 @@ def update(P: FloatArray, measurements: LinearisedMeasurements) -> Correction:
     return Correction(delta, nis, int(used.sum()) * measurements.innovation.shape[1], used)
 
 
+def correct_stage(
+    camera: StereoCamera, state: JointState, index: IntArray, stage: Stage, limit: float, fates: FateArray
+) -> Correction | None:
+    """The plain stage in one call, see `Arithmetic`."""
+    if type(state.model) not in _KNOWN:
+        return None
+    delta, nis, dof = kernels.correct_stage(
+        state.P, *_seen(camera, state), index, stage.T, stage.z, stage.R, limit, CHUNK, fates
+    )
+    return Correction(delta, nis, dof, fates == USED)
+
+
+def _seen(camera: StereoCamera, state: JointState) -> tuple[Any, ...]:
+    return (
+        (camera.fx, camera.fy, camera.cx, camera.cy, camera.disparity_constant),
+        state.camera.position,
+        state.camera.R_wc,
+        state.blocks,
+        state.anchor_block,
+        state.parameter_block,
+        6 if state.model.anchored else 3,
+    )
+
+
 def _arrays(measurements: LinearisedMeasurements) -> tuple[FloatArray, FloatArray, FloatArray, IntArray, FloatArray]:
     return (
         np.ascontiguousarray(measurements.innovation),
@@ -76,4 +83,4 @@ def _arrays(measurements: LinearisedMeasurements) -> tuple[FloatArray, FloatArra
     )
 
 
-COMPILED = Arithmetic(in_front, linearise, squared_distances, update, kernels.transform_leading)
+COMPILED = Arithmetic(linearise, squared_distances, update, kernels.transform_leading, correct_stage)

@@ -16,9 +16,10 @@ from filters.compilation import arithmetic
 from filters.engine import gating, kalman, symmetric
 from filters.engine.consensus import largest_agreement
 from filters.engine.error_definition import ERRORS
+from filters.engine.fates import BEHIND, FAILED, GATED, USED, FateArray
 from filters.engine.heavy_tails import reweighted
 from filters.engine.joint_state import JointState, world_rotation_of_camera
-from filters.engine.linearisation import linearise, project
+from filters.engine.linearisation import in_front, linearise, project
 from filters.engine.options import LANDMARKS, LINEARISATIONS, MEASUREMENTS, choice
 from filters.interface import (
     BodyVelocity,
@@ -135,6 +136,10 @@ class StereoEKF(StereoFilter):
         self._consensus = consensus
         self._tail_dof = None if tail_dof is None else positive("tail_dof", tail_dof)
         self._iterations = iterations
+        # Nothing happens between linearisation, gate and update.
+        self._is_plain = (
+            update == "extended" and error != "first-estimates" and iterations == 1 and not consensus and tail_dof is None
+        )
         self._drop_unseen = drop_unseen
         self._min_disparity = min_disparity
         self.reset()
@@ -270,32 +275,40 @@ class StereoEKF(StereoFilter):
         """
         if len(index) == 0:
             return UpdateReport()
-        R = self._noise_of(len(observation), observation.R)
-        stages = self._measurement.stages(observation, R)
-        used = np.ones(len(index), dtype=bool)
-        behind, gated, failed = np.zeros((3, len(index)), dtype=bool)
+        stages = self._measurement.stages(observation, self._noise_of(len(observation), observation.R))
+        gate = self._gate and self._gate ** (1 / len(stages))
+        fates = np.zeros(len(index), dtype=np.uint8)
         nis, dof = 0.0, 0
         for stage in stages:
-            forward = self._arithmetic.in_front(self._state, index)
-            behind |= used & ~forward
-            used &= forward
-            candidates = used.copy()
-            used[:] = False
-            gate = self._gate and self._gate ** (1 / len(stages))
-            for where, measurements in self._passes(stage, index, candidates, gate):
-                correction = self._apply(measurements, _select(stage, where), index[where])
-                used[where] = correction.used
-                failed[where] = ~correction.used
-                nis, dof = nis + correction.nis, dof + correction.dof
-            gated |= candidates & ~used & ~failed
-        return UpdateReport(
-            updated=observation.ids[used],
-            gated=observation.ids[gated],
-            behind_camera=observation.ids[behind],
-            failed=observation.ids[failed],
-            nis=nis,
-            nis_dof=dof,
-        )
+            gained, rows = self._correct_stage(stage, index, gate, fates)
+            nis, dof = nis + gained, dof + rows
+        if not fates.any():
+            return UpdateReport(updated=observation.ids, nis=nis, nis_dof=dof)
+        updated, behind, gated, failed = (observation.ids[fates == fate] for fate in (USED, BEHIND, GATED, FAILED))
+        return UpdateReport(updated, gated=gated, behind_camera=behind, failed=failed, nis=nis, nis_dof=dof)
+
+    def _correct_stage(
+        self, stage: Stage, index: IntArray, gate: float | None, fates: FateArray
+    ) -> tuple[float, int]:
+        """Correct with the measurements whose fate so far is USED, and write their fates; the NIS and its dof."""
+        at_once = self._arithmetic.correct_stage
+        if at_once is not None and self._is_plain:
+            limit = np.inf if gate is None else gating.gate_limit(gate, stage.z.shape[1])
+            correction = at_once(self.camera, self._state, index, stage, limit, fates)
+            if correction is not None:
+                self._retract(correction.delta)
+                return correction.nis, correction.dof
+        candidates = fates == USED
+        forward = in_front(self._state, index)
+        fates[candidates & ~forward] = BEHIND
+        candidates &= forward
+        fates[candidates] = GATED
+        nis, dof = 0.0, 0
+        for where, measurements in self._passes(stage, index, candidates, gate):
+            correction = self._apply(measurements, _select(stage, where), index[where])
+            fates[where] = np.where(correction.used, USED, FAILED)
+            nis, dof = nis + correction.nis, dof + correction.dof
+        return nis, dof
 
     def _passes(
         self, stage: Stage, index: IntArray, candidates: BoolArray, gate: float | None

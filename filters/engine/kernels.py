@@ -18,6 +18,7 @@ from numba import njit, types
 from numba.core import cgutils
 from numba.extending import get_cython_function_address, intrinsic
 
+from filters.engine.fates import BEHIND, FAILED, GATED, USED
 from filters.validation import BoolArray, FloatArray, IntArray
 
 _ROUTINES = (
@@ -40,7 +41,9 @@ _ANY_MATRIX, _ANY_MATRICES = _read(2, "A"), _read(3, "A")
 _INDEX, _ROWS = _read(1, dtype=types.int64), _read(2, dtype=types.int64)
 _CAMERA = types.UniTuple(types.float64, 5)
 _ADDRESSES = types.UniTuple(types.intp, len(_ROUTINES))
-_OPTIONS: dict[str, Any] = {"cache": True, "error_model": "numpy"}
+_FLOATS: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract"}}  # IEEE, with fused multiply-add
+_OPTIONS: dict[str, Any] = {"cache": True, **_FLOATS}
+_SEEN = (_CAMERA, _VECTOR, _MATRIX, _MATRIX, _INDEX, _INDEX, types.int64, _INDEX)
 _MEASURED = (_MATRIX, _MATRICES, _MATRICES, _ROWS, _ANY_MATRICES)
 
 
@@ -69,7 +72,7 @@ def _at(array: Any) -> int:
 # ---- linearisation ----
 
 
-@njit(error_model="numpy")
+@njit(**_FLOATS)
 def _ray(theta: float, phi: float, ray: FloatArray) -> None:
     """`inverse_depth.ray_direction` and its Jacobian by theta and phi, one after the other in `ray` (9,)."""
     sin_theta, cos_theta, sin_phi, cos_phi = math.sin(theta), math.cos(theta), math.sin(phi), math.cos(phi)
@@ -78,7 +81,7 @@ def _ray(theta: float, phi: float, ray: FloatArray) -> None:
     ray[6], ray[7], ray[8] = -sin_phi * sin_theta, -cos_phi, -sin_phi * cos_theta
 
 
-@njit(error_model="numpy")
+@njit(**_FLOATS)
 def _seen(
     position: FloatArray, blocks: FloatArray, anchor: int, parameter: int, ray: FloatArray, seen: FloatArray
 ) -> None:
@@ -96,23 +99,16 @@ def _seen(
     seen[3] = rho
 
 
-@njit(types.boolean[::1](_VECTOR, _MATRIX, _MATRIX, _INDEX, _INDEX, _INDEX), **_OPTIONS)
-def in_front(
-    position: FloatArray, R_wc: FloatArray, blocks: FloatArray, anchors: IntArray, parameters: IntArray, index: IntArray
-) -> BoolArray:
-    """`linearisation.in_front`."""
-    forward = np.empty(len(index), np.bool_)
-    ray, seen = np.empty(9), np.empty(7)
-    for m in range(len(index)):
-        _seen(position, blocks, anchors[index[m]], parameters[index[m]], ray, seen)
-        forward[m] = seen[0] * R_wc[0, 2] + seen[1] * R_wc[1, 2] + seen[2] * R_wc[2, 2] > 0.0
-    return forward
-
-
 @njit(
-    types.Tuple((types.float64[:, ::1], types.float64[:, :, ::1], types.float64[:, :, ::1], types.int64[:, ::1]))(
-        _CAMERA, _VECTOR, _MATRIX, _MATRIX, _INDEX, _INDEX, _INDEX, types.int64, _ANY_MATRIX
-    ),
+    types.Tuple(
+        (
+            types.float64[:, ::1],
+            types.float64[:, :, ::1],
+            types.float64[:, :, ::1],
+            types.int64[:, ::1],
+            types.boolean[::1],
+        )
+    )(*_SEEN, _ANY_MATRIX),
     **_OPTIONS,
 )
 def linearise(
@@ -122,17 +118,20 @@ def linearise(
     blocks: FloatArray,
     anchors: IntArray,
     parameters: IntArray,
-    index: IntArray,
     width: int,
+    index: IntArray,
     T: FloatArray,
-) -> tuple[FloatArray, FloatArray, FloatArray, IntArray]:
-    """`linearisation.linearise`: predicted z (M, k), H by camera (M, k, 6) and map (M, k, w), rows of the map (M, w)."""
+) -> tuple[FloatArray, FloatArray, FloatArray, IntArray, BoolArray]:
+    """`linearisation.linearise` and `in_front`.
+
+    Returns predicted z (M, k), H by camera (M, k, 6) and by map (M, k, w), rows of the map (M, w), ahead (M,).
+    """
     fx, fy, cx, cy, disparity_constant = camera
     count, size = len(index), len(T)
     predicted = np.empty((count, size))
     by_camera = np.empty((count, size, 6))
     by_map = np.empty((count, size, width))
-    rows = np.empty((count, width), np.int64)
+    rows, ahead = np.empty((count, width), np.int64), np.empty(count, np.bool_)
     ray, seen, h, uvd, g = np.empty(9), np.empty(7), np.empty(3), np.empty(3), np.empty(3)
     for m in range(count):
         anchor, parameter = anchors[index[m]], parameters[index[m]]
@@ -143,6 +142,7 @@ def linearise(
             if anchor >= 0:
                 rows[m, i] = 12 + 3 * anchor + i
         rho, inverse_z = seen[3], 1.0 / h[2]
+        ahead[m] = h[2] > 0.0
         uvd[0] = fx * h[0] * inverse_z + cx
         uvd[1] = fy * h[1] * inverse_z + cy
         uvd[2] = disparity_constant * rho * inverse_z
@@ -165,7 +165,7 @@ def linearise(
                 by_map[m, a, 3] = g[0] * ray[3] + g[1] * ray[4] + g[2] * ray[5]
                 by_map[m, a, 4] = g[0] * ray[6] + g[1] * ray[7] + g[2] * ray[8]
                 by_map[m, a, 5] = g[0] * seen[4] + g[1] * seen[5] + g[2] * seen[6] + by_scale
-    return predicted, by_camera, by_map, rows
+    return predicted, by_camera, by_map, rows, ahead
 
 
 # ---- gate ----
@@ -179,27 +179,30 @@ def squared_distances(
     count, size, width = by_map.shape
     camera = by_camera.shape[2]
     total = camera + width
-    rows, H = np.arange(total), np.empty((size, total))
-    HP, S, solved = np.empty((size, total)), np.empty((size, size)), np.empty(size)
+    rows, covariance = np.arange(total), np.empty((total, total))
+    H, HP, S, solved = np.empty((size, total)), np.empty(total), np.empty((size, size)), np.empty(size)
     distances = np.zeros(count)
+    for i in range(camera):
+        for j in range(i + 1):
+            covariance[i, j] = covariance[j, i] = P[i, j]
     for m in range(count):
         rows[camera:] = map_rows[m]
-        H[:, :camera], H[:, camera:] = by_camera[m], by_map[m]
-        HP[:] = 0.0
-        for c in range(total):
-            for d in range(c):
-                p = P[max(rows[c], rows[d]), min(rows[c], rows[d])]
-                for a in range(size):
-                    HP[a, c] += H[a, d] * p
-                    HP[a, d] += H[a, c] * p
-            p = P[rows[c], rows[c]]
-            for a in range(size):
-                HP[a, c] += H[a, c] * p
+        for i in range(camera, total):
+            for j in range(i + 1):
+                covariance[i, j] = covariance[j, i] = P[max(rows[i], rows[j]), min(rows[i], rows[j])]
         for a in range(size):
+            for c in range(camera):
+                H[a, c] = by_camera[m, a, c]
+            for c in range(width):
+                H[a, camera + c] = by_map[m, a, c]
+            HP[:] = 0.0
+            for i in range(total):
+                for j in range(total):
+                    HP[j] += H[a, i] * covariance[i, j]
             for b in range(a + 1):
                 S[a, b] = R[m, a, b]
                 for c in range(total):
-                    S[a, b] += HP[a, c] * H[b, c]
+                    S[a, b] += HP[c] * H[b, c]
         for a in range(size):
             solved[a] = innovation[m, a]
             for b in range(a):
@@ -213,7 +216,7 @@ def squared_distances(
 # ---- update ----
 
 
-@njit(error_model="numpy")
+@njit(**_FLOATS)
 def _take_block(P: FloatArray, first: int, block: FloatArray) -> None:
     """Rows first to first + 2 of the symmetric P, in `block` (3, n or more)."""
     for j in range(first):
@@ -225,16 +228,20 @@ def _take_block(P: FloatArray, first: int, block: FloatArray) -> None:
             block[i, j] = P[j, first + i]
 
 
-@njit(error_model="numpy")
-def _add_product(target: FloatArray, H: FloatArray, block: FloatArray, columns: int) -> None:
-    """target += H block on the first columns; (k, n or more), (k, 3), (3, n or more)."""
+@njit(**_FLOATS)
+def _add_product(target: FloatArray, H: FloatArray, block: FloatArray, columns: int, add: bool) -> None:
+    """target = H block, or target += H block, on the first columns; (k, n or more), (k, 3), (3, n or more)."""
     for row in range(len(H)):
         a, b, c = H[row, 0], H[row, 1], H[row, 2]
-        for j in range(columns):
-            target[row, j] += a * block[0, j] + b * block[1, j] + c * block[2, j]
+        if add:
+            for j in range(columns):
+                target[row, j] += a * block[0, j] + b * block[1, j] + c * block[2, j]
+        else:
+            for j in range(columns):
+                target[row, j] = a * block[0, j] + b * block[1, j] + c * block[2, j]
 
 
-@njit(error_model="numpy")
+@njit(**_FLOATS)
 def _take(
     routines: tuple[int, ...],
     letters: IntArray,
@@ -260,13 +267,12 @@ def _take(
     n, camera = len(P), by_camera.shape[2]
     size, width = by_map.shape[1:]
     rows = (last - first) * size
-    HP[:rows] = 0.0
     block = np.empty((3, n))
     for offset in range(0, camera, 3):
         _take_block(P, offset, block)
         for m in range(first, last):
             top = (m - first) * size
-            _add_product(HP[top : top + size], by_camera[m, :, offset : offset + 3], block, n)
+            _add_product(HP[top : top + size], by_camera[m, :, offset : offset + 3], block, n, offset > 0)
     for offset in range(0, width, 3):
         held = -1
         for m in range(first, last):
@@ -274,27 +280,31 @@ def _take(
                 held = map_rows[m, offset]
                 _take_block(P, held, block)
             top = (m - first) * size
-            _add_product(HP[top : top + size], by_map[m, :, offset : offset + 3], block, n)
+            _add_product(HP[top : top + size], by_map[m, :, offset : offset + 3], block, n, True)
 
-    columns = np.empty((camera + width, rows))
+    shared, own = np.empty((camera, rows)), np.empty((width, rows))
     for row in range(rows):
         for c in range(camera):
-            columns[c, row] = HP[row, c]
+            shared[c, row] = HP[row, c]
     for m in range(first, last):
         top = (m - first) * size
         for row in range(top, rows):
             for c in range(width):
-                columns[camera + c, row] = HP[row, map_rows[m, c]]
+                own[c, row] = HP[row, map_rows[m, c]]
+        target = S[top : top + size, top:rows]
+        for offset in range(0, camera, 3):
+            block_of_shared = shared[offset : offset + 3, top:]
+            _add_product(target, by_camera[m, :, offset : offset + 3], block_of_shared, rows - top, offset > 0)
+        for offset in range(0, width, 3):
+            _add_product(target, by_map[m, :, offset : offset + 3], own[offset : offset + 3, top:], rows - top, True)
         for a in range(size):
-            explained = 0.0
-            S[top + a, top:rows] = 0.0
             for b in range(size):
-                S[top + a, top + b] = R[m, b, a]
-            for c in range(camera + width):
-                h = by_camera[m, a, c] if c < camera else by_map[m, a, c - camera]
-                explained += h * delta[c if c < camera else map_rows[m, c - camera]]
-                for row in range(top, rows):
-                    S[top + a, row] += h * columns[c, row]
+                S[top + a, top + b] += R[m, b, a]
+            explained = 0.0
+            for c in range(camera):
+                explained += by_camera[m, a, c] * delta[c]
+            for c in range(width):
+                explained += by_map[m, a, c] * delta[map_rows[m, c]]
             HP[top + a, n] = innovation[m, a] - explained
 
     sizes[0], sizes[1], sizes[2], sizes[3], sizes[4] = rows, n, n + 1, S.shape[1], 1
@@ -361,6 +371,98 @@ def _correct(
 def correct(P: FloatArray, *measured: Any) -> tuple[FloatArray, float, BoolArray]:
     """`kalman.update`: delta (n,), the NIS, and which measurements were used (M,)."""
     corrected: tuple[FloatArray, float, BoolArray] = _correct(_ROUTINES, P, *measured)
+    return corrected
+
+
+@njit(**_FLOATS)
+def _keep(
+    chosen: BoolArray,
+    place: IntArray,
+    innovation: FloatArray,
+    by_camera: FloatArray,
+    by_map: FloatArray,
+    map_rows: IntArray,
+    R: FloatArray,
+) -> int:
+    """Move the chosen measurements to the front, in place; their number."""
+    kept = 0
+    for m in range(len(chosen)):
+        if chosen[m]:
+            if kept < m:
+                place[kept], innovation[kept], by_camera[kept] = place[m], innovation[m], by_camera[m]
+                by_map[kept], map_rows[kept], R[kept] = by_map[m], map_rows[m], R[m]
+            kept += 1
+    return kept
+
+
+@njit(
+    types.Tuple((types.float64[::1], types.float64, types.int64))(
+        _ADDRESSES,
+        _P,
+        *_SEEN,
+        _ANY_MATRIX,
+        _ANY_MATRIX,
+        _ANY_MATRICES,
+        types.float64,
+        types.int64,
+        types.uint8[::1],
+    ),
+    **_OPTIONS,
+)
+def _stage(
+    routines: tuple[int, ...],
+    P: FloatArray,
+    camera: tuple[float, float, float, float, float],
+    position: FloatArray,
+    R_wc: FloatArray,
+    blocks: FloatArray,
+    anchors: IntArray,
+    parameters: IntArray,
+    width: int,
+    index: IntArray,
+    T: FloatArray,
+    z: FloatArray,
+    noise: FloatArray,
+    limit: float,
+    chunk: int,
+    fates: IntArray,
+) -> tuple[FloatArray, float, int]:
+    """`StereoEKF._correct_stage` without its options: linearise, gate, update; delta, the NIS and its dof."""
+    place = np.flatnonzero(fates == USED)
+    innovation, by_camera, by_map, map_rows, chosen = linearise(
+        camera, position, R_wc, blocks, anchors, parameters, width, index[place], T
+    )
+    R = np.empty((len(place), len(T), len(T)))
+    for i in range(len(place)):
+        innovation[i] = z[place[i]] - innovation[i]
+        R[i] = noise[place[i]]
+        if not chosen[i]:
+            fates[place[i]] = BEHIND
+    count = _keep(chosen, place, innovation, by_camera, by_map, map_rows, R)
+    if limit < np.inf:
+        distances = squared_distances(
+            P, innovation[:count], by_camera[:count], by_map[:count], map_rows[:count], R[:count]
+        )
+        for i in range(count):
+            chosen[i] = distances[i] <= limit
+            if not chosen[i]:
+                fates[place[i]] = GATED
+        count = _keep(chosen[:count], place, innovation, by_camera, by_map, map_rows, R)
+    delta, nis, used = _correct(
+        routines, P, innovation[:count], by_camera[:count], by_map[:count], map_rows[:count], R[:count], chunk
+    )
+    dof = 0
+    for i in range(count):
+        if used[i]:
+            dof += len(T)
+        else:
+            fates[place[i]] = FAILED
+    return delta, nis, dof
+
+
+def correct_stage(P: FloatArray, *stage: Any) -> tuple[FloatArray, float, int]:
+    """`StereoEKF._correct_stage` without its options; delta (n,), the NIS and its degrees of freedom."""
+    corrected: tuple[FloatArray, float, int] = _stage(_ROUTINES, P, *stage)
     return corrected
 
 
