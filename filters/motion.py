@@ -115,21 +115,18 @@ class ConstantVelocity:
     def predict(self, state: CameraState, dt: float, odometry: BodyVelocity | None) -> MotionPrediction:
         """Eq. 6 at zero noise, with F and G of Eq. 12; noise n = (V, Omega)."""
         turn = state.angular_velocity * dt
+        by_quaternion = rotations.exp_quaternion(turn)
         moved = CameraState(
             state.position + state.linear_velocity * dt,
-            rotations.multiply(state.orientation, rotations.exp_quaternion(turn)),
+            rotations.multiply(state.orientation, by_quaternion),
             state.linear_velocity,
             state.angular_velocity,
         )
-        by_turn = rotations.right_jacobian(turn) * dt
         F = _EYE.copy()
-        F[POSITION, LINEAR] = dt * _EYE[:3, :3]
-        F[ROTATION, ROTATION] = rotations.exp(-turn)
-        F[ROTATION, ANGULAR] = by_turn
-        G = np.zeros((CAMERA_SIZE, 6))
-        G[:6, :3] = F[:6, LINEAR]
-        G[:6, 3:] = F[:6, ANGULAR]
-        G[6:] = _EYE[:6, :6]
+        F.flat[6:36:13] = dt
+        F[ROTATION, ROTATION] = rotations.matrix(by_quaternion).T
+        F[ROTATION, ANGULAR] = rotations.right_jacobian(turn) * dt
+        G = F[:, 6:]  # the impulses act on the velocities before the step
         Q = np.zeros((6, 6))
         Q.flat[:15:7], Q.flat[21::7] = (self.sigma_acceleration * dt) ** 2, (self.sigma_angular_acceleration * dt) ** 2
         return MotionPrediction(moved, F, G, Q)

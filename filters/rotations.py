@@ -1,7 +1,8 @@
 """SO(3): quaternions (xyzw), rotation vectors and their Jacobians.
 
 A perturbation always acts on the right, in the camera frame: R(q) Exp(delta), where R_wc = R(q). A filter turns a
-single camera some ten times a frame, so the closed forms are written out here; the logarithm is scipy's.
+single camera some ten times a frame, so the closed forms are written out here, in plain numbers (functions named
+`..._of`), which is also what Numba compiles; the logarithm is scipy's.
 """
 
 from __future__ import annotations
@@ -13,6 +14,9 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from filters.validation import FloatArray
+
+Four = tuple[float, float, float, float]
+Nine = tuple[float, float, float, float, float, float, float, float, float]
 
 
 def skew(vector: ArrayLike) -> FloatArray:
@@ -27,14 +31,7 @@ def skew(vector: ArrayLike) -> FloatArray:
 
 def matrix(quaternion: ArrayLike) -> FloatArray:
     """Rotation matrix of a unit quaternion xyzw; (4,) -> (3, 3)."""
-    x, y, z, w = _numbers(quaternion)
-    return np.array(
-        [
-            [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)],
-            [2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)],
-            [2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)],
-        ]
-    )
+    return np.array(matrix_of(*_numbers(quaternion))).reshape(3, 3)
 
 
 def exp(rotation_vector: ArrayLike) -> FloatArray:
@@ -49,24 +46,12 @@ def log(rotation_matrix: ArrayLike) -> FloatArray:
 
 def exp_quaternion(rotation_vector: ArrayLike) -> FloatArray:
     """The quaternion q(phi) of Eq. 6; (3,) rad -> (4,) xyzw."""
-    x, y, z = _numbers(rotation_vector)
-    half = 0.5 * math.hypot(x, y, z)
-    # sin(half) / angle; its series below 1e-4 rad is exact to rounding.
-    ratio = 0.5 * math.sin(half) / half if half > 1e-4 else 0.5 - half * half / 12.0
-    return np.array([ratio * x, ratio * y, ratio * z, math.cos(half)])
+    return np.array(quaternion_of(*_numbers(rotation_vector)))
 
 
 def multiply(left: ArrayLike, right: ArrayLike) -> FloatArray:
     """Quaternion product left x right, normalised; (4,), (4,) xyzw -> (4,)."""
-    x, y, z, w = _numbers(left)
-    a, b, c, d = _numbers(right)
-    product = (
-        w * a + x * d + y * c - z * b,
-        w * b - x * c + y * d + z * a,
-        w * c + x * b - y * a + z * d,
-        w * d - x * a - y * b - z * c,
-    )
-    return np.array(product) / math.hypot(*product)
+    return np.array(product_of(*_numbers(left), *_numbers(right)))
 
 
 def between(q_from: ArrayLike, q_to: ArrayLike) -> FloatArray:
@@ -76,11 +61,48 @@ def between(q_from: ArrayLike, q_to: ArrayLike) -> FloatArray:
 
 
 def right_jacobian(rotation_vector: ArrayLike) -> FloatArray:
-    """J_r(phi) of Exp(phi + d) = Exp(phi) Exp(J_r d) + O(d^2); (3,) -> (3, 3).
+    """J_r(phi) of Exp(phi + d) = Exp(phi) Exp(J_r d) + O(d^2); (3,) -> (3, 3)."""
+    return np.array(right_jacobian_of(*_numbers(rotation_vector))).reshape(3, 3)
+
+
+def _numbers(array: ArrayLike) -> list[float]:
+    """Python floats: single rotations are a dozen products, which NumPy would take ten times as long for."""
+    numbers: list[float] = np.asarray(array, dtype=np.float64).tolist()
+    return numbers
+
+
+def matrix_of(x: float, y: float, z: float, w: float) -> Nine:
+    """`matrix`, row by row."""
+    return (
+        *(1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)),
+        *(2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)),
+        *(2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)),
+    )
+
+
+def quaternion_of(x: float, y: float, z: float) -> Four:
+    """`exp_quaternion`."""
+    half = 0.5 * math.sqrt(x * x + y * y + z * z)
+    # sin(half) / angle; its series below 1e-4 rad is exact to rounding.
+    ratio = 0.5 * math.sin(half) / half if half > 1e-4 else 0.5 - half * half / 12.0
+    return ratio * x, ratio * y, ratio * z, math.cos(half)
+
+
+def product_of(x: float, y: float, z: float, w: float, a: float, b: float, c: float, d: float) -> Four:
+    """`multiply`."""
+    i = w * a + x * d + y * c - z * b
+    j = w * b - x * c + y * d + z * a
+    k = w * c + x * b - y * a + z * d
+    r = w * d - x * a - y * b - z * c
+    scale = 1.0 / math.sqrt(i * i + j * j + k * k + r * r)
+    return i * scale, j * scale, k * scale, r * scale
+
+
+def right_jacobian_of(x: float, y: float, z: float) -> Nine:
+    """`right_jacobian`, row by row.
 
     The two coefficients are even functions of the angle; below 1e-4 rad their series is exact to rounding.
     """
-    x, y, z = _numbers(rotation_vector)
     square = x * x + y * y + z * z
     if square < 1e-8:
         first, second = 0.5 - square / 24.0, 1.0 / 6.0 - square / 120.0
@@ -90,16 +112,8 @@ def right_jacobian(rotation_vector: ArrayLike) -> FloatArray:
     # I - first [phi]x + second [phi]x^2, with [phi]x^2 = phi phi^T - |phi|^2 I
     on_axis = 1.0 - second * square
     xy, xz, yz = second * x * y, second * x * z, second * y * z
-    return np.array(
-        [
-            [on_axis + second * x * x, xy + first * z, xz - first * y],
-            [xy - first * z, on_axis + second * y * y, yz + first * x],
-            [xz + first * y, yz - first * x, on_axis + second * z * z],
-        ]
+    return (
+        *(on_axis + second * x * x, xy + first * z, xz - first * y),
+        *(xy - first * z, on_axis + second * y * y, yz + first * x),
+        *(xz + first * y, yz - first * x, on_axis + second * z * z),
     )
-
-
-def _numbers(array: ArrayLike) -> list[float]:
-    """Python floats: single rotations are a dozen products, which NumPy would take ten times as long for."""
-    numbers: list[float] = np.asarray(array, dtype=np.float64).tolist()
-    return numbers

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,13 +10,16 @@ import numpy as np
 from filters.camera import StereoCamera
 from filters.engine import kernels, linearisation
 from filters.engine.arithmetic import Arithmetic
+from filters.engine.error_definition import StandardError
 from filters.engine.fates import USED, FateArray
 from filters.engine.joint_state import JointState
 from filters.engine.kalman import Correction, LinearisedMeasurements
+from filters.engine.retraction import AdditiveQuaternion
 from filters.landmarks.euclidean import Euclidean
 from filters.landmarks.inverse_depth import InverseDepth
 from filters.landmarks.shared_anchor import SharedAnchorInverseDepth
 from filters.measurements.model import Stage
+from filters.motion import CameraState, ConstantVelocity, MotionModel
 from filters.validation import FloatArray, IntArray
 
 CHUNK = 13
@@ -83,4 +87,40 @@ def _arrays(measurements: LinearisedMeasurements) -> tuple[FloatArray, FloatArra
     )
 
 
-COMPILED = Arithmetic(linearise, squared_distances, update, kernels.transform_leading, correct_stage)
+def predict(state: JointState, motion: MotionModel, dt: float) -> CameraState | None:
+    """P moved by the constant-velocity model in one call, and the camera it leads to."""
+    if not isinstance(motion, ConstantVelocity):
+        return None
+    camera = state.camera
+    position, orientation = kernels.predict(
+        state.P,
+        camera.position,
+        camera.orientation,
+        camera.linear_velocity,
+        camera.angular_velocity,
+        dt,
+        (motion.sigma_acceleration * dt) ** 2,
+        (motion.sigma_angular_acceleration * dt) ** 2,
+    )
+    return CameraState(position, orientation, camera.linear_velocity, camera.angular_velocity)
+
+
+def retract(state: JointState, error: StandardError, delta: FloatArray) -> JointState | None:
+    """The state corrected by delta, with P carried along, in one call."""
+    if type(error) is not StandardError:
+        return None
+    camera = state.camera
+    x, blocks = kernels.retract(
+        state.P,
+        camera.position,
+        camera.orientation,
+        camera.linear_velocity,
+        camera.angular_velocity,
+        state.blocks,
+        delta,
+        isinstance(error.retraction, AdditiveQuaternion),
+    )
+    return replace(state, camera=CameraState(x[:3], x[3:7], x[7:10], x[10:]), blocks=blocks)
+
+
+COMPILED = Arithmetic(linearise, squared_distances, update, kernels.transform_leading, correct_stage, predict, retract)

@@ -32,7 +32,7 @@ from filters.interface import (
     VelocityBelief,
 )
 from filters.measurements.model import Stage
-from filters.motion import CAMERA_SIZE, POSE_SIZE, ConstantVelocity, MotionModel
+from filters.motion import CAMERA_SIZE, POSE_SIZE, CameraState, ConstantVelocity, MotionModel
 from filters.noise import StereoNoise
 from filters.start import start_belief
 from filters.validation import (
@@ -161,19 +161,13 @@ class StereoEKF(StereoFilter):
         dt = positive("dt", dt)
         if odometry is not None and not isinstance(odometry, BodyVelocity):
             raise ValueError(f"odometry must be a BodyVelocity or None, got {odometry!r}")
-        predicted = self._motion.predict(self._state.camera, dt, odometry)
-        F = predicted.F
-        if self._error.constrains:
-            F = self._error.constrained(
-                F,
-                world_rotation_of_camera(predicted.state),
-                world_rotation_of_camera(self._state.predicted),
-                self._state.predicted.R_wc,
-            )
-        self._state.transform_camera(F, predicted.G @ predicted.Q @ predicted.G.T)
-        self._state.camera = self._state.predicted = predicted.state
+        at_once = self._arithmetic.predict
+        moved = None if at_once is None or self._error.constrains else at_once(self._state, self._motion, dt)
+        if moved is None:
+            moved = self._predict_step_by_step(dt, odometry)
+        self._state.camera = self._state.predicted = moved
         if odometry is not None:
-            measured = self._motion.odometry_measurement(predicted.state, dt, odometry)
+            measured = self._motion.odometry_measurement(moved, dt, odometry)
             if measured is not None:
                 correction = self._arithmetic.update(self._state.P, kalman.of_camera(measured))
                 self._retract(correction.delta)
@@ -256,13 +250,29 @@ class StereoEKF(StereoFilter):
         """Which of `ids` are in the map, and where those are."""
         if len(self._state) == 0:
             return np.zeros(len(ids), dtype=bool), np.zeros(0, dtype=np.int64)
+        if np.array_equal(ids, self._state.ids):
+            return np.ones(len(ids), dtype=bool), np.arange(len(ids))
         order = np.argsort(self._state.ids)
         candidate = order.take(np.searchsorted(self._state.ids, ids, sorter=order), mode="clip")
         known = self._state.ids[candidate] == ids
         return known, candidate[known]
 
     def _noise_of(self, count: int, R: FloatArray | None = None) -> FloatArray:
-        return np.broadcast_to(self.noise.R, (count, 3, 3)) if R is None else R
+        return self.noise.R[None].repeat(count, axis=0) if R is None else R
+
+    def _predict_step_by_step(self, dt: float, odometry: BodyVelocity | None) -> CameraState:
+        """Move P, and return the camera it leads to."""
+        predicted = self._motion.predict(self._state.camera, dt, odometry)
+        F = predicted.F
+        if self._error.constrains:
+            F = self._error.constrained(
+                F,
+                world_rotation_of_camera(predicted.state),
+                world_rotation_of_camera(self._state.predicted),
+                self._state.predicted.R_wc,
+            )
+        self._state.transform_camera(F, predicted.G @ predicted.Q @ predicted.G.T)
+        return predicted.state
 
     def _linearise(self, state: JointState, index: IntArray, stage: Stage) -> kalman.LinearisedMeasurements:
         return self._linearised_by(self.camera, state, index, stage, self._error.linearisation_point(state))
@@ -358,8 +368,11 @@ class StereoEKF(StereoFilter):
 
     def _retract(self, delta: FloatArray) -> None:
         """Move the state by the correction (Eq. 17) and carry P along."""
-        moved = self._error.moved(self._state, delta)
-        moved.shear_by_rotation(self._error.transport(self._state, moved, delta))
+        at_once = self._arithmetic.retract
+        moved = None if at_once is None else at_once(self._state, self._error, delta)
+        if moved is None:
+            moved = self._error.moved(self._state, delta)
+            moved.shear_by_rotation(self._error.transport(self._state, moved, delta))
         self._state = moved
 
     def _initialise(self, observation: StereoObservation) -> tuple[IntArray, IntArray]:

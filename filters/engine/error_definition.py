@@ -38,14 +38,14 @@ class StandardError:
     """Whether `constrained` changes anything."""
 
     def __init__(self, retraction: Retraction) -> None:
-        self._retraction = retraction
+        self.retraction = retraction
 
     def moved(self, state: JointState, delta: FloatArray) -> JointState:
         """The state corrected by delta (Eq. 17); P is shared, not yet carried along."""
         camera = state.camera
         corrected = CameraState(
             camera.position + delta[POSITION],
-            self._retraction.retract(camera.orientation, delta[ROTATION]),
+            self.retraction.retract(camera.orientation, delta[ROTATION]),
             camera.linear_velocity + delta[LINEAR],
             camera.angular_velocity + delta[ANGULAR],
         )
@@ -60,7 +60,7 @@ class StandardError:
             Rows beyond the camera are zero where they are not given.
         """
         W = np.zeros((CAMERA_SIZE, 3))
-        W[ROTATION] = self._retraction.transport(delta[ROTATION])
+        W[ROTATION] = self.retraction.transport(delta[ROTATION])
         W[ROTATION] -= _EYE
         return W
 
@@ -86,7 +86,7 @@ class StandardError:
         self, camera: CameraState, P_pose: FloatArray, position: FloatArray, orientation: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Error (6,) of the pose against a true one, and the covariance (6, 6) claimed for it."""
-        rotation = self._retraction.local(camera.orientation, orientation)
+        rotation = self.retraction.local(camera.orientation, orientation)
         return np.concatenate([position - camera.position, rotation]), P_pose
 
 
@@ -128,7 +128,7 @@ class RightInvariant(StandardError):
         spread = rotations.right_jacobian(-theta)
         corrected = CameraState(
             turn @ camera.position + spread @ xi[POSITION],
-            self._retraction.retract(camera.orientation, delta[ROTATION]),
+            self.retraction.retract(camera.orientation, delta[ROTATION]),
             turn @ camera.linear_velocity + spread @ xi[LINEAR],
             camera.angular_velocity + delta[ANGULAR],
         )

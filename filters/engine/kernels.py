@@ -18,7 +18,10 @@ from numba import njit, types
 from numba.core import cgutils
 from numba.extending import get_cython_function_address, intrinsic
 
+from filters import rotations
 from filters.engine.fates import BEHIND, FAILED, GATED, USED
+from filters.engine.retraction import additive_transport_of
+from filters.motion import ANGULAR, CAMERA_SIZE, LINEAR, ROTATION
 from filters.validation import BoolArray, FloatArray, IntArray
 
 _ROUTINES = (
@@ -466,7 +469,18 @@ def correct_stage(P: FloatArray, *stage: Any) -> tuple[FloatArray, float, int]:
     return corrected
 
 
-# ---- the camera's part of P ----
+# ---- the camera ----
+
+_matrix_of, _quaternion_of = njit(**_FLOATS)(rotations.matrix_of), njit(**_FLOATS)(rotations.quaternion_of)
+_product_of, _right_jacobian_of = njit(**_FLOATS)(rotations.product_of), njit(**_FLOATS)(rotations.right_jacobian_of)
+_additive_transport_of = njit(**_FLOATS)(additive_transport_of)
+
+
+@njit(**_FLOATS)
+def _fill(target: FloatArray, nine: tuple[float, ...], scale: float) -> None:
+    """target (3, 3) = scale times nine numbers, row by row."""
+    for i, number in enumerate(nine):
+        target[i // 3, i % 3] = scale * number
 
 
 @njit(types.void(_P, _MATRIX, _MATRIX), **_OPTIONS)
@@ -484,17 +498,83 @@ def transform_leading(P: FloatArray, F: FloatArray, added: FloatArray) -> None:
                     half[i, j] += F[i, k] * old[k, j]
     for i in range(camera):
         for j in range(i + 1):
-            total = 0.5 * (added[i, j] + added[j, i])
+            P[i, j] = 0.5 * (added[i, j] + added[j, i])
             for k in range(camera):
-                total += half[i, k] * F[j, k]
-            P[i, j] = total
+                P[i, j] += half[i, k] * F[j, k]
     cross = np.empty((camera, n - camera))
     for k in range(camera):
         cross[k] = P[camera:, k]
     for i in range(camera):
-        P[camera:, i] = 0.0
+        changed = False
         for k in range(camera):
-            f = F[i, k]
-            if f != 0.0:
-                for j in range(n - camera):
-                    P[camera + j, i] += f * cross[k, j]
+            changed = changed or F[i, k] != (1.0 if i == k else 0.0)
+        if changed:
+            P[camera:, i] = 0.0
+            for k in range(camera):
+                if F[i, k] != 0.0:
+                    for j in range(n - camera):
+                        P[camera + j, i] += F[i, k] * cross[k, j]
+
+
+@njit(
+    types.Tuple((types.float64[::1], types.float64[::1]))(
+        _P, _VECTOR, _VECTOR, _VECTOR, _VECTOR, types.float64, types.float64, types.float64
+    ),
+    **_OPTIONS,
+)
+def predict(
+    P: FloatArray,
+    position: FloatArray,
+    orientation: FloatArray,
+    linear: FloatArray,
+    angular: FloatArray,
+    dt: float,
+    linear_variance: float,
+    angular_variance: float,
+) -> tuple[FloatArray, FloatArray]:
+    """`ConstantVelocity.predict` and what follows of it for P; the new position and orientation."""
+    turn = _quaternion_of(angular[0] * dt, angular[1] * dt, angular[2] * dt)
+    moved = _product_of(orientation[0], orientation[1], orientation[2], orientation[3], *turn)
+    F = np.eye(CAMERA_SIZE)
+    _fill(F[ROTATION, ROTATION].T, _matrix_of(*turn), 1.0)
+    _fill(F[ROTATION, ANGULAR], _right_jacobian_of(angular[0] * dt, angular[1] * dt, angular[2] * dt), dt)
+    for i in range(3):
+        F[i, 6 + i] = dt
+        P[6 + i, 6 + i] += linear_variance
+        P[9 + i, 9 + i] += angular_variance
+    transform_leading(P, F, np.zeros((CAMERA_SIZE, CAMERA_SIZE)))
+    return position + dt * linear, np.array(moved)
+
+
+@njit(
+    types.Tuple((types.float64[::1], types.float64[:, ::1]))(
+        _P, _VECTOR, _VECTOR, _VECTOR, _VECTOR, _MATRIX, _VECTOR, types.boolean
+    ),
+    **_OPTIONS,
+)
+def retract(
+    P: FloatArray,
+    position: FloatArray,
+    orientation: FloatArray,
+    linear: FloatArray,
+    angular: FloatArray,
+    blocks: FloatArray,
+    delta: FloatArray,
+    additive: bool,
+) -> tuple[FloatArray, FloatArray]:
+    """`StandardError.moved` and `transport`: the new camera (position, orientation, velocities) and blocks."""
+    x, y, z = delta[3], delta[4], delta[5]
+    M = np.eye(CAMERA_SIZE)
+    if additive:
+        turn = (0.5 * x, 0.5 * y, 0.5 * z, 1.0)
+        _fill(M[ROTATION, ROTATION], _additive_transport_of(x, y, z), 1.0)
+    else:
+        turn = _quaternion_of(x, y, z)
+        _fill(M[ROTATION, ROTATION], _right_jacobian_of(x, y, z), 1.0)
+    transform_leading(P, M, np.zeros((CAMERA_SIZE, CAMERA_SIZE)))
+    camera = np.empty(13)
+    camera[:3] = position + delta[:3]
+    camera[3:7] = np.array(_product_of(orientation[0], orientation[1], orientation[2], orientation[3], *turn))
+    camera[7:10] = linear + delta[LINEAR]
+    camera[10:] = angular + delta[ANGULAR]
+    return camera, blocks + delta[CAMERA_SIZE:].reshape(-1, 3)

@@ -49,9 +49,15 @@ class AdditiveQuaternion:
 
     def transport(self, delta: FloatArray) -> FloatArray:
         """(I - [delta]x / 2) / (1 + |delta|^2 / 4)."""
-        x, y, z = (0.5 * delta).tolist()
-        jacobian: FloatArray = np.array([[1.0, z, -y], [-z, 1.0, x], [y, -x, 1.0]]) / (1.0 + x * x + y * y + z * z)
-        return jacobian
+        return np.array(additive_transport_of(*delta.tolist())).reshape(3, 3)
+
+
+def additive_transport_of(x: float, y: float, z: float) -> rotations.Nine:
+    """`AdditiveQuaternion.transport`, row by row."""
+    a, b, c = 0.5 * x, 0.5 * y, 0.5 * z
+    diagonal = 1.0 / (1.0 + a * a + b * b + c * c)
+    a, b, c = a * diagonal, b * diagonal, c * diagonal
+    return diagonal, c, -b, -c, diagonal, a, b, -a, diagonal
 
 
 class RotationVector:
