@@ -22,7 +22,7 @@ from filters.measurements.model import Stage
 from filters.motion import CameraState, ConstantVelocity, MotionModel
 from filters.validation import FloatArray, IntArray
 
-CHUNK = 13
+CHUNK = 12
 """Landmarks, see `kalman.CHUNK`."""
 _KNOWN = (InverseDepth, SharedAnchorInverseDepth, Euclidean)
 """Parametrisations the kernels know; NumPy does the others."""

@@ -179,13 +179,14 @@ class StereoEKF(StereoFilter):
         # One order for everything below, so that the result cannot depend on the order of the measurements.
         observation = observation.ordered()
         known, index = self._locate(observation.ids)
-        report = self._correct(observation if known.all() else observation.select(known), index)
+        all_known = len(index) == len(observation)
+        report = self._correct(observation if all_known else observation.select(known), index)
         if self._drop_unseen and len(index) < len(self._state):
             gone = np.ones(len(self._state), dtype=bool)
             gone[index] = False
             report = replace(report, dropped=self._state.ids[gone])
             self._state.remove(gone)
-        if not known.all():
+        if not all_known:
             initialised, rejected = self._initialise(observation.select(~known))
             report = replace(report, initialised=initialised, rejected=rejected)
         return report
@@ -250,7 +251,7 @@ class StereoEKF(StereoFilter):
         """Which of `ids` are in the map, and where those are."""
         if len(self._state) == 0:
             return np.zeros(len(ids), dtype=bool), np.zeros(0, dtype=np.int64)
-        if np.array_equal(ids, self._state.ids):
+        if len(ids) == len(self._state) and (ids == self._state.ids).all():
             return np.ones(len(ids), dtype=bool), np.arange(len(ids))
         order = np.argsort(self._state.ids)
         candidate = order.take(np.searchsorted(self._state.ids, ids, sorter=order), mode="clip")
@@ -292,7 +293,7 @@ class StereoEKF(StereoFilter):
         for stage in stages:
             gained, rows = self._correct_stage(stage, index, gate, fates)
             nis, dof = nis + gained, dof + rows
-        if not fates.any():
+        if dof == sum(stage.z.size for stage in stages):
             return UpdateReport(updated=observation.ids, nis=nis, nis_dof=dof)
         updated, behind, gated, failed = (observation.ids[fates == fate] for fate in (USED, BEHIND, GATED, FAILED))
         return UpdateReport(updated, gated=gated, behind_camera=behind, failed=failed, nis=nis, nis_dof=dof)
