@@ -2,6 +2,10 @@
 
 The error state is the 12 numbers of the camera followed by blocks of three: landmark parameters and anchors.
 Only the lower triangle of P is valid. Each operation checks nothing: the filter has done so.
+
+A landmark that leaves only empties its blocks: their values, and their rows and columns of P, become zero, which every
+other operation leaves as they are. New landmarks move into empty blocks, so that coming and going costs in proportion
+to who comes and goes, not to the size of P; only when too many blocks stand empty does P become smaller.
 """
 
 from __future__ import annotations
@@ -18,9 +22,10 @@ from filters.landmarks.parametrisation import LandmarkModel, NewLandmarks
 from filters.motion import CAMERA_SIZE, LINEAR, POSE_SIZE, POSITION, ROTATION, CameraState
 from filters.validation import BoolArray, FloatArray, IntArray
 
-_CAMERA = np.arange(CAMERA_SIZE)
+_CAMERA, _POSE = np.arange(CAMERA_SIZE), np.arange(POSE_SIZE)
 _EYE = np.eye(CAMERA_SIZE)
 _NOTHING = np.zeros((CAMERA_SIZE, CAMERA_SIZE))
+_EMPTY_SHARE = 1 / 8  # of the blocks: where carrying empty rows through every update costs more than leaving them out
 _FIRST_BLOCK = np.arange(CAMERA_SIZE, CAMERA_SIZE + 3)
 
 
@@ -63,11 +68,13 @@ class JointState:
     predicted : CameraState
         The camera as it was predicted last, before any correction.
     blocks, first_blocks : (B, 3)
-        Values of the map blocks, now and when they entered; block b is at rows 12 + 3 b of P.
+        Values of the map blocks, now and when they entered; block b is at rows 12 + 3 b of P. Empty ones are zero.
     ids : (N,) int64
         Landmark identities, in the order in which they entered.
     parameter_block, anchor_block : (N,) int64
         Blocks of each landmark; the anchor block is -1 where there is none.
+    empty_blocks : (E,) int64
+        Blocks without a landmark or anchor, ascending.
     transform_leading : function
         How P is transformed with the camera, see `symmetric.transform_leading`.
     """
@@ -81,6 +88,7 @@ class JointState:
     ids: IntArray = field(default_factory=_no_landmarks)
     parameter_block: IntArray = field(default_factory=_no_landmarks)
     anchor_block: IntArray = field(default_factory=_no_landmarks)
+    empty_blocks: IntArray = field(default_factory=_no_landmarks)
     transform_leading: TransformLeading = symmetric.transform_leading
 
     @classmethod
@@ -154,7 +162,7 @@ class JointState:
         Eq. 25 as printed leaves out the correlation of the new landmark with the old map, which it inherits
         from the pose it was seen from; J P for the rows of the pose gives all of it.
         """
-        count, old, first_block = len(ids), len(self.P), len(self.blocks)
+        count = len(ids)
         anchors = 0 if not self.model.anchored else 1 if self.model.shares_anchors else count
         blocks = np.empty((anchors + count, 3))
         blocks[:anchors] = self.camera.position
@@ -168,38 +176,66 @@ class JointState:
             effect = -rotations.skew(blocks)
             effect[anchors:] = self.model.world_rotation(blocks[:anchors] if anchors else None, new.parameters)
             J = adjust(J, effect.reshape(-1, 3))
-        cross = J @ symmetric.rows(self.P, np.arange(POSE_SIZE))
-
-        P = np.zeros((old + len(J), old + len(J)), order="F")
-        P[:old, :old] = self.P
-        P[old:, :old] = cross
-        P[old:, old:] = cross[:, :POSE_SIZE] @ J.T
-        own = old + 3 * (anchors + np.arange(count))[:, None] + np.arange(3)
-        P[own[:, :, None], own[:, None, :]] += new.by_measurement @ R @ new.by_measurement.transpose(0, 2, 1)
-
-        parameter_block = first_block + anchors + np.arange(count)
-        anchor_block = np.full(count, -1) if anchors == 0 else first_block + np.arange(count) % anchors
-        self.P = P
-        self.blocks = np.vstack([self.blocks, blocks])
-        self.first_blocks = np.vstack([self.first_blocks, blocks])
+        taken = self._take_blocks(len(blocks))
+        anchor_block, parameter_block = taken[:anchors], taken[anchors:]
+        rows = _rows_of(taken)
+        cross = J @ symmetric.rows(self.P, _POSE)
+        self.P[:, rows] = cross.T
+        self.P[rows] = cross
+        self.P[rows[:, None], rows] = cross[:, :POSE_SIZE] @ J.T
+        own = rows[3 * anchors :].reshape(count, 3)
+        self.P[own[:, :, None], own[:, None, :]] += new.by_measurement @ R @ new.by_measurement.transpose(0, 2, 1)
+        self.blocks[taken] = self.first_blocks[taken] = blocks
         self.ids = np.concatenate([self.ids, ids])
         self.parameter_block = np.concatenate([self.parameter_block, parameter_block])
-        self.anchor_block = np.concatenate([self.anchor_block, anchor_block])
+        by_landmark = anchor_block[np.arange(count) % anchors] if anchors else np.full(count, -1)
+        self.anchor_block = np.concatenate([self.anchor_block, by_landmark])
 
     def remove(self, gone: BoolArray) -> None:
         """Take the landmarks marked in `gone` (N,) out of the map, and the anchors nobody uses any more."""
         if not gone.any():
             return
         stays = ~gone
-        used = np.zeros(len(self.blocks), dtype=bool)
-        used[self.parameter_block[stays]] = True
-        used[self.anchor_block[stays & (self.anchor_block >= 0)]] = True
-        renumbered = np.cumsum(used) - 1
-        kept_rows = CAMERA_SIZE + 3 * np.flatnonzero(used)[:, None] + np.arange(3)
-        self.P = symmetric.keep(self.P, np.concatenate([_CAMERA, kept_rows.ravel()]))
-        self.blocks = self.blocks[used]
-        self.first_blocks = self.first_blocks[used]
         self.ids = self.ids[stays]
-        self.parameter_block = renumbered[self.parameter_block[stays]]
-        anchor = self.anchor_block[stays]
-        self.anchor_block = np.where(anchor < 0, -1, renumbered[anchor])
+        self.parameter_block, self.anchor_block = self.parameter_block[stays], self.anchor_block[stays]
+        empty = np.ones(len(self.blocks), dtype=bool)
+        empty[self.parameter_block] = False
+        empty[self.anchor_block[self.anchor_block >= 0]] = False
+        left = empty.copy()
+        left[self.empty_blocks] = False
+        self.empty_blocks = np.flatnonzero(empty)
+        if len(self.empty_blocks) > _EMPTY_SHARE * len(self.blocks):
+            self._keep_blocks(np.flatnonzero(~empty))
+            return
+        left_blocks = np.flatnonzero(left)
+        rows = _rows_of(left_blocks)
+        self.P[rows] = self.P[:, rows] = 0.0
+        self.blocks[left_blocks] = self.first_blocks[left_blocks] = 0.0
+
+    def _take_blocks(self, count: int) -> IntArray:
+        """Numbers of `count` empty blocks, made where there are too few."""
+        missing = count - len(self.empty_blocks)
+        if missing > 0:
+            old, size = len(self.P), len(self.blocks)
+            P = np.zeros((old + 3 * missing, old + 3 * missing), order="F")
+            P[:old, :old] = self.P
+            self.P = P
+            self.blocks = np.vstack([self.blocks, np.zeros((missing, 3))])
+            self.first_blocks = np.vstack([self.first_blocks, np.zeros((missing, 3))])
+            self.empty_blocks = np.concatenate([self.empty_blocks, np.arange(size, size + missing)])
+        taken, self.empty_blocks = self.empty_blocks[:count], self.empty_blocks[count:]
+        return taken
+
+    def _keep_blocks(self, kept: IntArray) -> None:
+        """Leave out all blocks but the ascending `kept`."""
+        number = np.full(len(self.blocks) + 1, -1)  # the last one, for -1: no anchor
+        number[kept] = np.arange(len(kept))
+        self.P = symmetric.keep(self.P, np.concatenate([_CAMERA, _rows_of(kept)]))
+        self.blocks, self.first_blocks = self.blocks[kept], self.first_blocks[kept]
+        self.parameter_block, self.anchor_block = number[self.parameter_block], number[self.anchor_block]
+        self.empty_blocks = _no_landmarks()
+
+
+def _rows_of(blocks: IntArray) -> IntArray:
+    """Rows of P of blocks; (B,) -> (3 B,)."""
+    return (3 * blocks[:, None] + _FIRST_BLOCK).ravel()
