@@ -382,16 +382,18 @@ class StereoEKF(StereoFilter):
         possible = self._landmark.can_initialise(self.camera, camera.R_wc, observation.uvd)
         if self._min_disparity is not None:
             possible &= observation.uvd[:, 2] >= self._min_disparity
-        accepted = observation.select(possible)
+        accepted = observation if possible.all() else observation.select(possible)
         if len(accepted):
             new = self._landmark.initialise(self.camera, camera.position, camera.R_wc, accepted.uvd)
             R = self._noise_of(len(accepted), accepted.R)
-            source = world_rotation_of_camera(self._state.predicted)[:POSE_SIZE]
-            R_predicted = self._state.predicted.R_wc
-            self._state.augment(
-                accepted.ids, new, R, lambda J, image: self._error.constrained(J, image, source, R_predicted)
-            )
+            self._state.augment(accepted.ids, new, R, self._constrained if self._error.constrains else None)
         return accepted.ids, observation.ids[~possible]
+
+
+    def _constrained(self, J: FloatArray, image: FloatArray) -> FloatArray:
+        """J of new blocks by the pose, as the error definition wants it."""
+        source = world_rotation_of_camera(self._state.predicted)[:POSE_SIZE]
+        return self._error.constrained(J, image, source, self._state.predicted.R_wc)
 
 
 def _select(stage: Stage, mask: BoolArray) -> Stage:

@@ -22,7 +22,7 @@ from filters.landmarks.parametrisation import LandmarkModel, NewLandmarks
 from filters.motion import CAMERA_SIZE, LINEAR, POSE_SIZE, POSITION, ROTATION, CameraState
 from filters.validation import BoolArray, FloatArray, IntArray
 
-_CAMERA, _POSE = np.arange(CAMERA_SIZE), np.arange(POSE_SIZE)
+_CAMERA = np.arange(CAMERA_SIZE)
 _EYE = np.eye(CAMERA_SIZE)
 _NOTHING = np.zeros((CAMERA_SIZE, CAMERA_SIZE))
 _EMPTY_SHARE = 1 / 8  # of the blocks: where carrying empty rows through every update costs more than leaving them out
@@ -168,7 +168,7 @@ class JointState:
         blocks[:anchors] = self.camera.position
         blocks[anchors:] = new.parameters
         by_pose = np.zeros((anchors + count, 3, POSE_SIZE))
-        by_pose[:anchors, :, :3] = np.eye(3)
+        by_pose[:anchors, :, :3] = _EYE[:3, :3]
         by_pose[anchors:, :, :3] = new.by_position
         by_pose[anchors:, :, 3:] = new.by_rotation
         J = by_pose.reshape(-1, POSE_SIZE)
@@ -179,10 +179,10 @@ class JointState:
         taken = self._take_blocks(len(blocks))
         anchor_block, parameter_block = taken[:anchors], taken[anchors:]
         rows = _rows_of(taken)
-        cross = J @ symmetric.rows(self.P, _POSE)
-        self.P[:, rows] = cross.T
+        cross = J @ symmetric.leading_rows(self.P, POSE_SIZE)
+        cross[:, rows] = cross[:, :POSE_SIZE] @ J.T
         self.P[rows] = cross
-        self.P[rows[:, None], rows] = cross[:, :POSE_SIZE] @ J.T
+        self.P[:, rows] = cross.T
         own = rows[3 * anchors :].reshape(count, 3)
         self.P[own[:, :, None], own[:, None, :]] += new.by_measurement @ R @ new.by_measurement.transpose(0, 2, 1)
         self.blocks[taken] = self.first_blocks[taken] = blocks

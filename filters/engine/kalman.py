@@ -159,7 +159,7 @@ def _times_covariance(part: LinearisedMeasurements, P: FloatArray) -> FloatArray
     """H P, (M k, n), row-major."""
     count, size, width = part.by_map.shape
     camera = part.by_camera.shape[2]
-    HP = part.by_camera.reshape(count * size, camera) @ symmetric.rows(P, np.arange(camera))
+    HP = part.by_camera.reshape(count * size, camera) @ symmetric.leading_rows(P, camera)
     if width:
         own = symmetric.rows(P, part.map_rows.ravel()).reshape(count, width, -1)
         HP += (part.by_map @ own).reshape(count * size, -1)

@@ -14,6 +14,13 @@ def rows(P: FloatArray, index: IntArray) -> FloatArray:
     return taken
 
 
+def leading_rows(P: FloatArray, count: int) -> FloatArray:
+    """The first `count` full rows; (n, n) -> (count, n)."""
+    taken: FloatArray = P[:, :count].T.copy()
+    taken[:, :count] = full(P[:count, :count])
+    return taken
+
+
 def blocks(P: FloatArray, index: IntArray) -> FloatArray:
     """Symmetric sub-matrices P[index_i, index_i]; (n, n), (M, k) -> (M, k, k)."""
     first, second = index[:, :, None], index[:, None, :]
