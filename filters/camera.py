@@ -91,14 +91,11 @@ class StereoCamera:
         s = np.asarray(scales, dtype=np.float64)
         with np.errstate(divide="ignore", invalid="ignore"):
             inverse_z = 1.0 / h[..., 2]
-            return np.stack(
-                [
-                    self.fx * h[..., 0] * inverse_z + self.cx,
-                    self.fy * h[..., 1] * inverse_z + self.cy,
-                    self.disparity_constant * s * inverse_z,
-                ],
-                axis=-1,
-            )
+            uvd = np.empty(h.shape)
+            uvd[..., 0] = self.fx * h[..., 0] * inverse_z + self.cx
+            uvd[..., 1] = self.fy * h[..., 1] * inverse_z + self.cy
+            uvd[..., 2] = self.disparity_constant * s * inverse_z
+        return uvd
 
     def backproject(self, uvd: ArrayLike) -> FloatArray:
         """Points seen at (u, v, d), Eq. 21.
@@ -127,9 +124,10 @@ class StereoCamera:
     def ray(self, uvd: ArrayLike) -> FloatArray:
         """Direction of the pixel, scaled to z = 1; (..., 2 or 3) px -> (..., 3)."""
         z = np.asarray(uvd, dtype=np.float64)
-        return np.stack(
-            [(z[..., 0] - self.cx) / self.fx, (z[..., 1] - self.cy) / self.fy, np.ones(z.shape[:-1])], axis=-1
-        )
+        ray = np.ones((*z.shape[:-1], 3))
+        ray[..., 0] = (z[..., 0] - self.cx) / self.fx
+        ray[..., 1] = (z[..., 1] - self.cy) / self.fy
+        return ray
 
     def project_jacobian(self, points_c: ArrayLike) -> FloatArray:
         """d(u, v, d) / d(point); (..., 3) m -> (..., 3, 3) px/m."""

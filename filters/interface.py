@@ -109,8 +109,12 @@ class BodyVelocity:
         object.__setattr__(self, "covariance", covariance)
 
 
+_NO_IDS: IntArray = np.zeros(0, dtype=np.int64)
+_NO_IDS.flags.writeable = False
+
+
 def _no_ids() -> IntArray:
-    return np.zeros(0, dtype=np.int64)
+    return _NO_IDS
 
 
 @dataclass(frozen=True, eq=False)

@@ -115,18 +115,19 @@ class ConstantVelocity:
     def predict(self, state: CameraState, dt: float, odometry: BodyVelocity | None) -> MotionPrediction:
         """Eq. 6 at zero noise, with F and G of Eq. 12; noise n = (V, Omega)."""
         turn = state.angular_velocity * dt
+        by_quaternion = rotations.exp_quaternion(turn)
         moved = CameraState(
             state.position + state.linear_velocity * dt,
-            rotations.multiply(state.orientation, rotations.exp_quaternion(turn)),
+            rotations.multiply(state.orientation, by_quaternion),
             state.linear_velocity,
             state.angular_velocity,
         )
         F = np.empty((*turn.shape[:-1], CAMERA_SIZE, CAMERA_SIZE))
         F[...] = _EYE
         F[..., POSITION, LINEAR] = dt * _EYE[:3, :3]
-        F[..., ROTATION, ROTATION] = rotations.exp(-turn)
+        F[..., ROTATION, ROTATION] = rotations.matrix(by_quaternion).swapaxes(-1, -2)
         F[..., ROTATION, ANGULAR] = rotations.right_jacobian(turn) * dt
-        G = F[..., LINEAR.start :].copy()
+        G = F[..., LINEAR.start :]  # the impulses act on the velocities before the step
         Q = np.zeros((6, 6))
         Q.flat[:15:7], Q.flat[21::7] = (self.sigma_acceleration * dt) ** 2, (self.sigma_angular_acceleration * dt) ** 2
         return MotionPrediction(moved, F, G, Q)

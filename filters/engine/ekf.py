@@ -13,9 +13,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from filters.camera import StereoCamera
+from filters.compilation import arithmetic
 from filters.engine import gating, kalman, selection, symmetric
 from filters.engine.consensus import largest_agreement
 from filters.engine.error_definition import ERRORS
+from filters.engine.fates import BEHIND, FAILED, GATED, USED, FateArray
 from filters.engine.heavy_tails import reweighted
 from filters.engine.joint_state import JointState, world_rotation_of_camera
 from filters.engine.linearisation import in_front, linearise, project
@@ -33,7 +35,7 @@ from filters.interface import (
 from filters.landmarks.hybrid import Hybrid
 from filters.landmarks.parametrisation import LandmarkModel
 from filters.measurements.model import MeasurementModel, Stage
-from filters.motion import CAMERA_SIZE, POSE_SIZE, ConstantVelocity, MotionModel
+from filters.motion import CAMERA_SIZE, POSE_SIZE, CameraState, ConstantVelocity, MotionModel
 from filters.noise import StereoNoise
 from filters.start import start_belief
 from filters.validation import (
@@ -82,6 +84,8 @@ class StereoEKF(StereoFilter):
         A landmark is not started from a smaller disparity, px. None: whatever the parametrisation can do.
     max_landmarks : int, optional
         Of the landmarks in view, keep at most so many: those that say most about the pose. None: all.
+    compiled : bool
+        Machine code for the hot loops, see `filters.compilation`: same estimates, in a fraction of the time.
 
     Raises
     ------
@@ -106,6 +110,7 @@ class StereoEKF(StereoFilter):
         drop_unseen: bool = True,
         min_disparity: float | None = None,
         max_landmarks: int | None = None,
+        compiled: bool = False,
     ) -> None:
         if not isinstance(camera, StereoCamera):
             raise ValueError(f"camera must be a StereoCamera, got {camera!r}")
@@ -135,13 +140,24 @@ class StereoEKF(StereoFilter):
         self._landmark = choice("landmark", landmark, LANDMARKS, LandmarkModel)
         self._measurement = choice("measurement", measurement, MEASUREMENTS, MeasurementModel)
         self._error = choice("error", error, ERRORS)
-        self._linearised_by = choice("update", update, LINEARISATIONS)
+        self._arithmetic = arithmetic(compiled)
+        self._linearised_by = choice("update", update, LINEARISATIONS) or self._arithmetic.linearise
         self._consensus = consensus
         self._tail_dof = None if tail_dof is None else positive("tail_dof", tail_dof)
         self._iterations = iterations
+        # Nothing happens between linearisation, gate and update.
+        self._is_plain = (
+            update == "extended"
+            and error != "first-estimates"
+            and iterations == 1
+            and not consensus
+            and tail_dof is None
+        )
         self._drop_unseen = drop_unseen
         self._min_disparity = min_disparity
         self._max_landmarks = max_landmarks
+        # A frame without landmarks that come or go leaves the map as it is.
+        self._is_steady = max_landmarks is None and not isinstance(self._landmark, Hybrid)
         self.reset()
 
     def reset(
@@ -154,28 +170,22 @@ class StereoEKF(StereoFilter):
     ) -> None:
         """Start again with an empty map; see `StereoFilter.reset`."""
         camera, P = start_belief(position, orientation, linear_velocity, angular_velocity, covariance)
-        self._state = JointState.without_map(camera, P, self._landmark)
+        self._state = JointState.without_map(camera, P, self._landmark, self._arithmetic.transform_leading)
 
     def predict(self, dt: float, odometry: BodyVelocity | None = None) -> None:
         """Move the belief forward (Eq. 6, 11, 12), then fuse what odometry adds."""
         dt = positive("dt", dt)
         if odometry is not None and not isinstance(odometry, BodyVelocity):
             raise ValueError(f"odometry must be a BodyVelocity or None, got {odometry!r}")
-        predicted = self._motion.predict(self._state.camera, dt, odometry)
-        F = predicted.F
-        if self._error.constrains:
-            F = self._error.constrained(
-                F,
-                world_rotation_of_camera(predicted.state),
-                world_rotation_of_camera(self._state.predicted),
-                self._state.predicted.R_wc,
-            )
-        self._state.transform_camera(F, predicted.G @ predicted.Q @ predicted.G.T)
-        self._state.camera = self._state.predicted = predicted.state
+        at_once = self._arithmetic.predict
+        moved = None if at_once is None or self._error.constrains else at_once(self._state, self._motion, dt)
+        if moved is None:
+            moved = self._predict_step_by_step(dt, odometry)
+        self._state.camera = self._state.predicted = moved
         if odometry is not None:
-            measured = self._motion.odometry_measurement(predicted.state, dt, odometry)
+            measured = self._motion.odometry_measurement(moved, dt, odometry)
             if measured is not None:
-                correction = kalman.update(self._state.P, kalman.of_camera(measured))
+                correction = self._arithmetic.update(self._state.P, kalman.of_camera(measured))
                 self._retract(correction.delta)
 
     def update(self, observation: StereoObservation) -> UpdateReport:
@@ -185,9 +195,12 @@ class StereoEKF(StereoFilter):
         # One order for everything below, so that the result cannot depend on the order of the measurements.
         observation = observation.ordered()
         known, index = self._locate(observation.ids)
-        report = self._correct(observation if known.all() else observation.select(known), index)
+        all_known = len(index) == len(observation)
+        report = self._correct(observation if all_known else observation.select(known), index)
+        if all_known and self._is_steady and (len(index) == len(self._state) or not self._drop_unseen):
+            return report
         unknown = observation.select(~known)
-        new = unknown.select(self._can_initialise(unknown)) if len(unknown) else unknown
+        new = unknown if all_known else unknown.select(self._can_initialise(unknown))
         gone = np.full(len(self._state), self._drop_unseen)
         gone[index] = False
         if self._max_landmarks is not None and len(index) + len(new) > self._max_landmarks:
@@ -272,6 +285,7 @@ class StereoEKF(StereoFilter):
             measurement=self._measurement,
             error=self._error,
             linearise=self._linearised_by,
+            max_landmarks=self._max_landmarks,
             consensus=self._consensus,
             tail_dof=self._tail_dof,
             iterations=self._iterations,
@@ -289,13 +303,29 @@ class StereoEKF(StereoFilter):
         """Which of `ids` are in the map, and where those are."""
         if len(self._state) == 0:
             return np.zeros(len(ids), dtype=bool), np.zeros(0, dtype=np.int64)
+        if len(ids) == len(self._state) and (ids == self._state.ids).all():
+            return np.ones(len(ids), dtype=bool), np.arange(len(ids))
         order = np.argsort(self._state.ids)
         candidate = order.take(np.searchsorted(self._state.ids, ids, sorter=order), mode="clip")
         known = self._state.ids[candidate] == ids
         return known, candidate[known]
 
     def _noise_of(self, count: int, R: FloatArray | None = None) -> FloatArray:
-        return np.broadcast_to(self.noise.R, (count, 3, 3)) if R is None else R
+        return self.noise.R[None].repeat(count, axis=0) if R is None else R
+
+    def _predict_step_by_step(self, dt: float, odometry: BodyVelocity | None) -> CameraState:
+        """Move P, and return the camera it leads to."""
+        predicted = self._motion.predict(self._state.camera, dt, odometry)
+        F = predicted.F
+        if self._error.constrains:
+            F = self._error.constrained(
+                F,
+                world_rotation_of_camera(predicted.state),
+                world_rotation_of_camera(self._state.predicted),
+                self._state.predicted.R_wc,
+            )
+        self._state.transform_camera(F, predicted.G @ predicted.Q @ predicted.G.T)
+        return predicted.state
 
     def _linearise(self, state: JointState, index: IntArray, stage: Stage) -> kalman.LinearisedMeasurements:
         return self._linearised_by(self.camera, state, index, stage, self._error.linearisation_point(state))
@@ -308,32 +338,38 @@ class StereoEKF(StereoFilter):
         """
         if len(index) == 0:
             return UpdateReport()
-        R = self._noise_of(len(observation), observation.R)
-        stages = self._measurement.stages(observation, R)
-        used = np.ones(len(index), dtype=bool)
-        behind, gated, failed = np.zeros((3, len(index)), dtype=bool)
+        stages = self._measurement.stages(observation, self._noise_of(len(observation), observation.R))
+        gate = self._gate and self._gate ** (1 / len(stages))
+        fates = np.zeros(len(index), dtype=np.uint8)
         nis, dof = 0.0, 0
         for stage in stages:
-            forward = in_front(self._state, index)
-            behind |= used & ~forward
-            used &= forward
-            candidates = used.copy()
-            used[:] = False
-            gate = self._gate and self._gate ** (1 / len(stages))
-            for where, measurements in self._passes(stage, index, candidates, gate):
-                correction = self._apply(measurements, _select(stage, where), index[where])
-                used[where] = correction.used
-                failed[where] = ~correction.used
-                nis, dof = nis + correction.nis, dof + correction.dof
-            gated |= candidates & ~used & ~failed
-        return UpdateReport(
-            updated=observation.ids[used],
-            gated=observation.ids[gated],
-            behind_camera=observation.ids[behind],
-            failed=observation.ids[failed],
-            nis=nis,
-            nis_dof=dof,
-        )
+            gained, rows = self._correct_stage(stage, index, gate, fates)
+            nis, dof = nis + gained, dof + rows
+        if dof == sum(stage.z.size for stage in stages):
+            return UpdateReport(updated=observation.ids, nis=nis, nis_dof=dof)
+        updated, behind, gated, failed = (observation.ids[fates == fate] for fate in (USED, BEHIND, GATED, FAILED))
+        return UpdateReport(updated, gated=gated, behind_camera=behind, failed=failed, nis=nis, nis_dof=dof)
+
+    def _correct_stage(self, stage: Stage, index: IntArray, gate: float | None, fates: FateArray) -> tuple[float, int]:
+        """Correct with the measurements whose fate so far is USED, and write their fates; the NIS and its dof."""
+        at_once = self._arithmetic.correct_stage
+        if at_once is not None and self._is_plain:
+            limit = np.inf if gate is None else gating.gate_limit(gate, stage.z.shape[1])
+            correction = at_once(self.camera, self._state, index, stage, limit, fates)
+            if correction is not None:
+                self._retract(correction.delta)
+                return correction.nis, correction.dof
+        candidates = fates == USED
+        forward = in_front(self._state, index)
+        fates[candidates & ~forward] = BEHIND
+        candidates &= forward
+        fates[candidates] = GATED
+        nis, dof = 0.0, 0
+        for where, measurements in self._passes(stage, index, candidates, gate):
+            correction = self._apply(measurements, _select(stage, where), index[where])
+            fates[where] = np.where(correction.used, USED, FAILED)
+            nis, dof = nis + correction.nis, dof + correction.dof
+        return nis, dof
 
     def _passes(
         self, stage: Stage, index: IntArray, candidates: BoolArray, gate: float | None
@@ -358,8 +394,7 @@ class StereoEKF(StereoFilter):
     ) -> tuple[BoolArray, kalman.LinearisedMeasurements]:
         """Which of the candidates (M,) pass the gate at the current state, and those linearised."""
         measurements = self._linearise(self._state, index[candidates], _select(stage, candidates))
-        S = measurements.innovation_covariances(self._state.P)
-        passed = gating.passes(measurements.innovation, S, limit)
+        passed = self._arithmetic.squared_distances(self._state.P, measurements) <= limit
         if passed.all():
             return candidates, measurements
         believable = candidates.copy()
@@ -373,19 +408,22 @@ class StereoEKF(StereoFilter):
             stage = replace(stage, R=measurements.R)
         prior = self._state
         for _ in range(self._iterations - 1):
-            delta = kalman.update(prior.P.copy(order="F"), measurements).delta
+            delta = self._arithmetic.update(prior.P.copy(order="F"), measurements).delta
             moved = self._error.moved(prior, delta)
             measurements = self._linearise(moved, index, stage).by_earlier_errors(
                 self._error.transport(prior, moved, delta), delta
             )
-        correction = kalman.update(prior.P, measurements)
+        correction = self._arithmetic.update(prior.P, measurements)
         self._retract(correction.delta)
         return correction
 
     def _retract(self, delta: FloatArray) -> None:
         """Move the state by the correction (Eq. 17) and carry P along."""
-        moved = self._error.moved(self._state, delta)
-        moved.shear_by_rotation(self._error.transport(self._state, moved, delta))
+        at_once = self._arithmetic.retract
+        moved = None if at_once is None else at_once(self._state, self._error, delta)
+        if moved is None:
+            moved = self._error.moved(self._state, delta)
+            moved.shear_by_rotation(self._error.transport(self._state, moved, delta))
         self._state = moved
 
     def _convert(self) -> None:
@@ -418,16 +456,15 @@ class StereoEKF(StereoFilter):
         """Add new landmarks from the updated pose (Eq. 19-25)."""
         if len(observation) == 0:
             return
-        camera, predicted = self._state.camera, self._state.predicted
+        camera = self._state.camera
         new = self._landmark.initialise(self.camera, camera.position, camera.R_wc, observation.uvd)
         R = self._noise_of(len(observation), observation.R)
-        if not self._error.constrains:
-            self._state.augment(observation.ids, new, R)
-            return
-        source = world_rotation_of_camera(predicted)[:POSE_SIZE]
-        self._state.augment(
-            observation.ids, new, R, lambda J, image: self._error.constrained(J, image, source, predicted.R_wc)
-        )
+        self._state.augment(observation.ids, new, R, self._constrained if self._error.constrains else None)
+
+    def _constrained(self, J: FloatArray, image: FloatArray) -> FloatArray:
+        """J of new blocks by the pose, as the error definition wants it."""
+        source = world_rotation_of_camera(self._state.predicted)[:POSE_SIZE]
+        return self._error.constrained(J, image, source, self._state.predicted.R_wc)
 
 
 def _select(stage: Stage, mask: BoolArray) -> Stage:

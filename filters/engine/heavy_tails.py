@@ -11,8 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from filters.engine.gating import squared_distances
-from filters.engine.kalman import LinearisedMeasurements
+from filters.engine.kalman import LinearisedMeasurements, squared_distances
 from filters.validation import FloatArray
 
 
@@ -32,6 +31,6 @@ def reweighted(
     """
     if len(measurements) == 0:
         return measurements
-    distances = squared_distances(measurements.innovation, measurements.innovation_covariances(P))
+    distances = squared_distances(P, measurements)
     weights = (degrees_of_freedom + measurements.innovation.shape[1]) / (degrees_of_freedom + distances)
     return replace(measurements, R=measurements.R / np.minimum(weights, 1.0)[:, None, None])

@@ -2,6 +2,10 @@
 
 The error state is the 12 numbers of the camera followed by blocks of three: landmark parameters and anchors.
 Only the lower triangle of P is valid. Each operation checks nothing: the filter has done so.
+
+A landmark that leaves only empties its blocks: their values, and their rows and columns of P, become zero, which every
+other operation leaves as they are. New landmarks move into empty blocks, so that coming and going costs in proportion
+to who comes and goes, not to the size of P; only when too many blocks stand empty does P become smaller.
 """
 
 from __future__ import annotations
@@ -20,12 +24,16 @@ from filters.validation import BoolArray, FloatArray, IntArray
 
 _CAMERA = np.arange(CAMERA_SIZE)
 _EYE = np.eye(CAMERA_SIZE)
+_NOTHING = np.zeros((CAMERA_SIZE, CAMERA_SIZE))
+_EMPTY_SHARE = 1 / 8  # of the blocks: where carrying empty rows through every update costs more than leaving them out
 _FIRST_BLOCK = np.arange(CAMERA_SIZE, CAMERA_SIZE + 3)
-_LOWER = np.tril(np.ones((CAMERA_SIZE, CAMERA_SIZE), dtype=bool))
 
 
 Adjust = Callable[[FloatArray, FloatArray], FloatArray]
 """(J of new blocks by the pose (m, 6), effect of a rotation of the world on them (m, 3)) -> J to be used."""
+
+
+TransformLeading = Callable[[FloatArray, FloatArray, FloatArray], None]
 
 
 def _no_landmarks() -> IntArray:
@@ -60,11 +68,15 @@ class JointState:
     predicted : CameraState
         The camera as it was predicted last, before any correction.
     blocks, first_blocks : (B, 3)
-        Values of the map blocks, now and when they entered; block b is at rows 12 + 3 b of P.
+        Values of the map blocks, now and when they entered; block b is at rows 12 + 3 b of P. Empty ones are zero.
     ids : (N,) int64
         Landmark identities, in the order in which they entered.
     parameter_block, anchor_block : (N,) int64
         Blocks of each landmark; the anchor block is -1 where there is none.
+    empty_blocks : (E,) int64
+        Blocks without a landmark or anchor, ascending.
+    transform_leading : function
+        How P is transformed with the camera, see `symmetric.transform_leading`.
     """
 
     camera: CameraState
@@ -76,11 +88,19 @@ class JointState:
     ids: IntArray = field(default_factory=_no_landmarks)
     parameter_block: IntArray = field(default_factory=_no_landmarks)
     anchor_block: IntArray = field(default_factory=_no_landmarks)
+    empty_blocks: IntArray = field(default_factory=_no_landmarks)
+    transform_leading: TransformLeading = symmetric.transform_leading
 
     @classmethod
-    def without_map(cls, camera: CameraState, P: FloatArray, model: LandmarkModel) -> JointState:
+    def without_map(
+        cls,
+        camera: CameraState,
+        P: FloatArray,
+        model: LandmarkModel,
+        transform_leading: TransformLeading = symmetric.transform_leading,
+    ) -> JointState:
         """A camera with its covariance (12, 12), and nothing seen yet."""
-        return cls(camera, np.array(P, order="F"), model, predicted=camera)
+        return cls(camera, np.array(P, order="F"), model, predicted=camera, transform_leading=transform_leading)
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -88,7 +108,7 @@ class JointState:
     @property
     def blocks_in_use(self) -> int:
         """Landmarks and anchors."""
-        return len(self.blocks)
+        return len(self.blocks) - len(self.empty_blocks)
 
     def parameters(self, index: IntArray | slice = slice(None)) -> FloatArray:
         """Parameters of the landmarks at `index`, (M, 3)."""
@@ -117,13 +137,7 @@ class JointState:
 
     def transform_camera(self, F: FloatArray, added: FloatArray | None = None) -> None:
         """P <- blockdiag(F, I) P blockdiag(F, I)^T, plus `added` on the camera block (Eq. 12)."""
-        camera = self.P[:CAMERA_SIZE, :CAMERA_SIZE]
-        moved = F @ np.where(_LOWER, camera, camera.T) @ F.T
-        if added is not None:
-            moved += added
-        self.P[:CAMERA_SIZE, :CAMERA_SIZE] = 0.5 * (moved + moved.T)
-        cross = self.P[CAMERA_SIZE:, :CAMERA_SIZE].T
-        cross[...] = F @ cross
+        self.transform_leading(self.P, F, _NOTHING if added is None else added)
 
     def world_rotation(self) -> FloatArray:
         """Gamma: effect of a rotation of the world about its origin on the error state; (n, 3)."""
@@ -162,16 +176,16 @@ class JointState:
         Eq. 25 as printed leaves out the correlation of the new landmark with the old map, which it inherits
         from the pose it was seen from; J P for the rows of the pose gives all of it.
         """
-        count, old, first_block = len(ids), len(self.P), len(self.blocks)
+        count = len(ids)
         anchors = int(new.anchored.sum())
-        which_anchor = np.where(new.anchored, np.cumsum(new.anchored) - 1, -1)
+        which_anchor = np.cumsum(new.anchored) - 1
         if self.model.shares_anchors:
-            anchors, which_anchor = min(anchors, 1), np.minimum(which_anchor, 0)
+            anchors, which_anchor = min(anchors, 1), np.zeros_like(which_anchor)
         blocks = np.empty((anchors + count, 3))
         blocks[:anchors] = self.camera.position
         blocks[anchors:] = new.parameters
         by_pose = np.zeros((anchors + count, 3, POSE_SIZE))
-        by_pose[:anchors, :, :3] = np.eye(3)
+        by_pose[:anchors, :, :3] = _EYE[:3, :3]
         by_pose[anchors:, :, :3] = new.by_position
         by_pose[anchors:, :, 3:] = new.by_rotation
         J = by_pose.reshape(-1, POSE_SIZE)
@@ -180,23 +194,21 @@ class JointState:
             here = np.where(new.anchored[:, None], self.camera.position, np.nan)
             effect[anchors:] = self.model.world_rotation(here, new.parameters)
             J = adjust(J, effect.reshape(-1, 3))
-        cross = J @ symmetric.rows(self.P, np.arange(POSE_SIZE))
-
-        P = np.zeros((old + len(J), old + len(J)), order="F")
-        P[:old, :old] = self.P
-        P[old:, :old] = cross
-        P[old:, old:] = cross[:, :POSE_SIZE] @ J.T
-        own = old + 3 * (anchors + np.arange(count))[:, None] + np.arange(3)
-        P[own[:, :, None], own[:, None, :]] += new.by_measurement @ R @ new.by_measurement.transpose(0, 2, 1)
-
-        parameter_block = first_block + anchors + np.arange(count)
-        anchor_block = np.where(new.anchored, first_block + which_anchor, -1)
-        self.P = P
-        self.blocks = np.vstack([self.blocks, blocks])
-        self.first_blocks = np.vstack([self.first_blocks, blocks])
+        taken = self._take_blocks(len(blocks))
+        anchor_block, parameter_block = taken[:anchors], taken[anchors:]
+        rows = _rows_of(taken)
+        cross = J @ symmetric.leading_rows(self.P, POSE_SIZE)
+        cross[:, rows] = cross[:, :POSE_SIZE] @ J.T
+        self.P[rows] = cross
+        self.P[:, rows] = cross.T
+        own = rows[3 * anchors :].reshape(count, 3)
+        self.P[own[:, :, None], own[:, None, :]] += new.by_measurement @ R @ new.by_measurement.transpose(0, 2, 1)
+        self.blocks[taken] = self.first_blocks[taken] = blocks
         self.ids = np.concatenate([self.ids, ids])
         self.parameter_block = np.concatenate([self.parameter_block, parameter_block])
-        self.anchor_block = np.concatenate([self.anchor_block, anchor_block])
+        by_landmark = np.full(count, -1)
+        by_landmark[new.anchored] = anchor_block[which_anchor[new.anchored]]
+        self.anchor_block = np.concatenate([self.anchor_block, by_landmark])
 
     def remove(self, gone: BoolArray) -> None:
         """Take the landmarks marked in `gone` (N,) out of the map, and the anchors nobody uses any more."""
@@ -204,9 +216,8 @@ class JointState:
             return
         stays = ~gone
         self.ids = self.ids[stays]
-        self.parameter_block = self.parameter_block[stays]
-        self.anchor_block = self.anchor_block[stays]
-        self._drop_unused_blocks()
+        self.parameter_block, self.anchor_block = self.parameter_block[stays], self.anchor_block[stays]
+        self._leave_empty_what_nobody_uses()
 
     def become_points(self, index: IntArray, at: JointState) -> None:
         """Turn the inverse-depth landmarks at `index` into XYZ (Eq. 4), with Jacobians taken at the state `at`."""
@@ -223,18 +234,47 @@ class JointState:
         self.blocks[own] = self.model.points(self.anchors(index), self.parameters(index)).positions
         self.first_blocks[own] = points.positions
         self.anchor_block[index] = -1
-        self._drop_unused_blocks()
+        self._leave_empty_what_nobody_uses()
 
-    def _drop_unused_blocks(self) -> None:
-        used = np.zeros(len(self.blocks), dtype=bool)
-        used[self.parameter_block] = True
-        used[self.anchor_block[self.anchor_block >= 0]] = True
-        if used.all():
+    def _leave_empty_what_nobody_uses(self) -> None:
+        empty = np.ones(len(self.blocks), dtype=bool)
+        empty[self.parameter_block] = False
+        empty[self.anchor_block[self.anchor_block >= 0]] = False
+        left = empty.copy()
+        left[self.empty_blocks] = False
+        self.empty_blocks = np.flatnonzero(empty)
+        if len(self.empty_blocks) > _EMPTY_SHARE * len(self.blocks):
+            self._keep_blocks(np.flatnonzero(~empty))
             return
-        renumbered = np.cumsum(used) - 1
-        kept_rows = CAMERA_SIZE + 3 * np.flatnonzero(used)[:, None] + np.arange(3)
-        self.P = symmetric.keep(self.P, np.concatenate([_CAMERA, kept_rows.ravel()]))
-        self.blocks = self.blocks[used]
-        self.first_blocks = self.first_blocks[used]
-        self.parameter_block = renumbered[self.parameter_block]
-        self.anchor_block = np.where(self.anchor_block < 0, -1, renumbered[self.anchor_block])
+        left_blocks = np.flatnonzero(left)
+        rows = _rows_of(left_blocks)
+        self.P[rows] = self.P[:, rows] = 0.0
+        self.blocks[left_blocks] = self.first_blocks[left_blocks] = 0.0
+
+    def _take_blocks(self, count: int) -> IntArray:
+        """Numbers of `count` empty blocks, made where there are too few."""
+        missing = count - len(self.empty_blocks)
+        if missing > 0:
+            old, size = len(self.P), len(self.blocks)
+            P = np.zeros((old + 3 * missing, old + 3 * missing), order="F")
+            P[:old, :old] = self.P
+            self.P = P
+            self.blocks = np.vstack([self.blocks, np.zeros((missing, 3))])
+            self.first_blocks = np.vstack([self.first_blocks, np.zeros((missing, 3))])
+            self.empty_blocks = np.concatenate([self.empty_blocks, np.arange(size, size + missing)])
+        taken, self.empty_blocks = self.empty_blocks[:count], self.empty_blocks[count:]
+        return taken
+
+    def _keep_blocks(self, kept: IntArray) -> None:
+        """Leave out all blocks but the ascending `kept`."""
+        number = np.full(len(self.blocks) + 1, -1)  # the last one, for -1: no anchor
+        number[kept] = np.arange(len(kept))
+        self.P = symmetric.keep(self.P, np.concatenate([_CAMERA, _rows_of(kept)]))
+        self.blocks, self.first_blocks = self.blocks[kept], self.first_blocks[kept]
+        self.parameter_block, self.anchor_block = number[self.parameter_block], number[self.anchor_block]
+        self.empty_blocks = _no_landmarks()
+
+
+def _rows_of(blocks: IntArray) -> IntArray:
+    """Rows of P of blocks; (B,) -> (3 B,)."""
+    return (3 * blocks[:, None] + _FIRST_BLOCK).ravel()

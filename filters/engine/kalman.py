@@ -15,7 +15,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.linalg import blas, lapack
 
-from filters.engine import symmetric
+from filters.engine import gating, symmetric
 from filters.motion import CAMERA_SIZE, ROTATION, LinearMeasurement
 from filters.validation import BoolArray, FloatArray, IntArray
 
@@ -86,6 +86,11 @@ class LinearisedMeasurements:
         return S
 
 
+def squared_distances(P: FloatArray, measurements: LinearisedMeasurements) -> FloatArray:
+    """Squared Mahalanobis distance of each innovation on its own; (M,)."""
+    return gating.squared_distances(measurements.innovation, measurements.innovation_covariances(P))
+
+
 def of_camera(measured: LinearMeasurement) -> LinearisedMeasurements:
     """A measurement of the camera state alone, as one measurement without a landmark."""
     nothing = np.zeros((1, len(measured.innovation), 0))
@@ -154,7 +159,7 @@ def times_covariance(part: LinearisedMeasurements, P: FloatArray) -> FloatArray:
     """H P, (M k, n), row-major."""
     count, size, width = part.by_map.shape
     camera = part.by_camera.shape[2]
-    HP = part.by_camera.reshape(count * size, camera) @ symmetric.rows(P, np.arange(camera))
+    HP = part.by_camera.reshape(count * size, camera) @ symmetric.leading_rows(P, camera)
     if width:
         own = symmetric.rows(P, part.map_rows.ravel()).reshape(count, width, len(P))
         HP += (part.by_map @ own).reshape(HP.shape)

@@ -8,7 +8,7 @@ from difflib import get_close_matches
 from typing import TypeVar, cast
 
 from filters.camera import StereoCamera
-from filters.engine import linearisation, unscented
+from filters.engine import unscented
 from filters.engine.error_definition import StandardError
 from filters.engine.joint_state import JointState
 from filters.engine.kalman import LinearisedMeasurements
@@ -37,7 +37,8 @@ MEASUREMENTS: Mapping[str, MeasurementModel] = {
 }
 
 Linearise = Callable[[StereoCamera, JointState, IntArray, Stage, JointState | None], LinearisedMeasurements]
-LINEARISATIONS: Mapping[str, Linearise] = {"extended": linearisation.linearise, "unscented": unscented.linearise}
+LINEARISATIONS: Mapping[str, Linearise | None] = {"extended": None, "unscented": unscented.linearise}
+"""None: by Jacobians, as the filter's arithmetic has them."""
 
 
 @dataclass(frozen=True)
@@ -55,6 +56,7 @@ class Parts:
     iterations: int
     drop_unseen: bool
     min_disparity: float | None
+    max_landmarks: int | None
 
 
 T = TypeVar("T")

@@ -51,10 +51,20 @@ class AdditiveQuaternion:
 
     def transport(self, delta: FloatArray) -> FloatArray:
         """(I - [delta]x / 2) / (1 + |delta|^2 / 4)."""
+        if delta.ndim == 1:
+            return np.array(additive_transport_of(*delta.tolist())).reshape(3, 3)
         half = 0.5 * delta
         square = np.einsum("...i,...i->...", half, half)[..., None, None]
         jacobian: FloatArray = (_EYE - rotations.skew(half)) / (1.0 + square)
         return jacobian
+
+
+def additive_transport_of(x: float, y: float, z: float) -> rotations.Nine:
+    """`AdditiveQuaternion.transport`, row by row."""
+    a, b, c = 0.5 * x, 0.5 * y, 0.5 * z
+    diagonal = 1.0 / (1.0 + a * a + b * b + c * c)
+    a, b, c = a * diagonal, b * diagonal, c * diagonal
+    return diagonal, c, -b, -c, diagonal, a, b, -a, diagonal
 
 
 class RotationVector:

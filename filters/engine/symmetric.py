@@ -14,6 +14,13 @@ def rows(P: FloatArray, index: IntArray) -> FloatArray:
     return taken
 
 
+def leading_rows(P: FloatArray, count: int) -> FloatArray:
+    """The first `count` full rows; (n, n) -> (count, n)."""
+    taken: FloatArray = P[:, :count].T.copy()
+    taken[:, :count] = full(P[:count, :count])
+    return taken
+
+
 def blocks(P: FloatArray, index: IntArray) -> FloatArray:
     """Symmetric sub-matrices P[index_i, index_i]; (n, n), (M, k) -> (M, k, k)."""
     first, second = index[:, :, None], index[:, None, :]
@@ -28,5 +35,15 @@ def keep(P: FloatArray, index: IntArray) -> FloatArray:
 
 def full(P: FloatArray) -> FloatArray:
     """The whole matrix, both triangles."""
-    lower = np.tril(P)
-    return lower + np.tril(P, -1).T
+    index = np.arange(len(P))
+    return np.where(index[:, None] >= index, P, P.T)
+
+
+def transform_leading(P: FloatArray, F: FloatArray, added: FloatArray) -> None:
+    """P <- blockdiag(F, I) P blockdiag(F, I)^T, plus `added` on the leading block; in place, F and added (c, c)."""
+    size = len(F)
+    leading = P[:size, :size]
+    moved = F @ full(leading) @ F.T + added
+    P[:size, :size] = 0.5 * (moved + moved.T)
+    cross = P[size:, :size].T
+    cross[...] = F @ cross

@@ -15,32 +15,38 @@ from filters.camera import StereoCamera
 from filters.landmarks.parametrisation import InverseDistances, NewLandmarks, Points, ScaledPoints
 from filters.validation import BoolArray, FloatArray
 
-# Sine of the angle to the vertical below which azimuth is undefined in double precision.
+# Tangent of the angle to the vertical below which azimuth is undefined in double precision.
 _VERTICAL = 1e-6
 
 
 def ray_direction(angles: FloatArray) -> FloatArray:
     """m(theta, phi) of Eq. 5; (M, 2) rad -> (M, 3), unit, in W."""
     theta, phi = angles[:, 0], angles[:, 1]
-    return np.stack([np.cos(phi) * np.sin(theta), -np.sin(phi), np.cos(phi) * np.cos(theta)], axis=1)
+    across = np.cos(phi)
+    m = np.empty((len(angles), 3))
+    m[:, 0], m[:, 1], m[:, 2] = across * np.sin(theta), -np.sin(phi), across * np.cos(theta)
+    return m
 
 
 def ray_direction_jacobian(angles: FloatArray) -> FloatArray:
     """d m / d (theta, phi); (M, 2) -> (M, 3, 2)."""
     theta, phi = angles[:, 0], angles[:, 1]
+    sin_theta, cos_theta, sin_phi, cos_phi = np.sin(theta), np.cos(theta), np.sin(phi), np.cos(phi)
     jacobian = np.zeros((len(angles), 3, 2))
-    jacobian[:, 0, 0] = np.cos(phi) * np.cos(theta)
-    jacobian[:, 2, 0] = -np.cos(phi) * np.sin(theta)
-    jacobian[:, 0, 1] = -np.sin(phi) * np.sin(theta)
-    jacobian[:, 1, 1] = -np.cos(phi)
-    jacobian[:, 2, 1] = -np.sin(phi) * np.cos(theta)
+    jacobian[:, 0, 0] = cos_phi * cos_theta
+    jacobian[:, 2, 0] = -cos_phi * sin_theta
+    jacobian[:, 0, 1] = -sin_phi * sin_theta
+    jacobian[:, 1, 1] = -cos_phi
+    jacobian[:, 2, 1] = -sin_phi * cos_theta
     return jacobian
 
 
 def angles_of(h_w: FloatArray) -> FloatArray:
     """(theta, phi) of directions (Eq. 24); (M, 3) -> (M, 2) rad."""
     x, y, z = h_w.T
-    return np.stack([np.arctan2(x, z), np.arctan2(-y, np.hypot(x, z))], axis=1)
+    angles = np.empty((len(h_w), 2))
+    angles[:, 0], angles[:, 1] = np.arctan2(x, z), np.arctan2(-y, np.hypot(x, z))
+    return angles
 
 
 def angles_jacobian(h_w: FloatArray) -> FloatArray:
@@ -68,16 +74,17 @@ class InverseDepth:
     def can_initialise(self, camera: StereoCamera, R_wc: FloatArray, uvd: FloatArray) -> BoolArray:
         """All but rays along the vertical of W, where the azimuth (Eq. 24) is undefined."""
         h_w = rotations.turned(R_wc, camera.ray(uvd))
-        possible: BoolArray = np.hypot(h_w[:, 0], h_w[:, 2]) > _VERTICAL * np.linalg.norm(h_w, axis=1)
+        possible: BoolArray = np.hypot(h_w[:, 0], h_w[:, 2]) > _VERTICAL * np.abs(h_w[:, 1])
         return possible
 
     def initialise(self, camera: StereoCamera, position: FloatArray, R_wc: FloatArray, uvd: FloatArray) -> NewLandmarks:
         """theta, phi and rho of new landmarks (Eq. 21-24); the anchor is the camera position (Eq. 20)."""
         h_c = camera.ray(uvd)
         h_w = rotations.turned(R_wc, h_c)
-        length = np.linalg.norm(h_c, axis=1)
+        length = np.sqrt((h_c * h_c).sum(axis=1))
         rho_per_d = 1.0 / (camera.disparity_constant * length)
-        parameters = np.column_stack([angles_of(h_w), uvd[:, 2] * rho_per_d])
+        parameters = np.empty((len(uvd), 3))
+        parameters[:, :2], parameters[:, 2] = angles_of(h_w), uvd[:, 2] * rho_per_d
         angles_by_h_c = angles_jacobian(h_w) @ R_wc
 
         by_rotation = np.zeros((len(uvd), 3, 3))

@@ -320,4 +320,6 @@ def _refuse_what_needs_one_by_one(parts: Parts) -> None:
     for wanted, given in supported.items():
         if not given:
             name = wanted.partition("=")[0]
-            raise ValueError(f"{name} must be {wanted.partition('=')[2]} for trials in lock-step: use StereoEKF one by one")
+            raise ValueError(
+                f"{name} must be {wanted.partition('=')[2]} for trials in lock-step: use StereoEKF one by one"
+            )

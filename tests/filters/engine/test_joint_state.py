@@ -78,10 +78,17 @@ def assert_same(state: JointState, ledger: Ledger) -> None:
         if anchors is not None:
             missing = ledger.anchor_of[i] == i
             np.testing.assert_array_equal(anchors[row], np.nan if missing else ledger.values[ledger.anchor_of[i]])
-    # Nothing is kept that nobody uses, and nothing is missing.
-    blocks = len({*names})
-    assert len(state.P) == 12 + 3 * blocks
-    assert state.blocks.shape == (blocks, 3)
+    # Every block is used or empty; empty ones are zero, and not too many.
+    used = {*state.parameter_block.tolist(), *state.anchor_block[state.anchor_block >= 0].tolist()}
+    empty = state.empty_blocks.tolist()
+    assert len(used) == len({*names})
+    assert sorted([*used, *empty]) == list(range(len(state.blocks)))
+    assert len(empty) <= len(state.blocks) / 8
+    assert len(state.P) == 12 + 3 * len(state.blocks)
+    assert not state.blocks[empty].any()
+    assert not state.first_blocks[empty].any()
+    empty_rows = (12 + 3 * state.empty_blocks[:, None] + np.arange(3)).ravel()
+    assert not P[empty_rows].any()
     assert state.P.flags.f_contiguous
 
 

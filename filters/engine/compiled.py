@@ -1,0 +1,126 @@
+"""`Arithmetic` by the kernels: the arrays they want, out of the engine's data, and back. Importing this imports Numba."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from filters.camera import StereoCamera
+from filters.engine import kernels, linearisation
+from filters.engine.arithmetic import Arithmetic
+from filters.engine.error_definition import StandardError
+from filters.engine.fates import USED, FateArray
+from filters.engine.joint_state import JointState
+from filters.engine.kalman import Correction, LinearisedMeasurements
+from filters.engine.retraction import AdditiveQuaternion
+from filters.landmarks.euclidean import Euclidean
+from filters.landmarks.inverse_depth import InverseDepth
+from filters.landmarks.shared_anchor import SharedAnchorInverseDepth
+from filters.measurements.model import Stage
+from filters.motion import CameraState, ConstantVelocity, MotionModel
+from filters.validation import FloatArray, IntArray
+
+CHUNK = 12
+"""Landmarks, see `kalman.CHUNK`."""
+_KNOWN = (InverseDepth, SharedAnchorInverseDepth, Euclidean)
+"""Parametrisations the kernels know; NumPy does the others."""
+
+
+def linearise(
+    camera: StereoCamera, state: JointState, index: IntArray, stage: Stage, point: JointState | None = None
+) -> LinearisedMeasurements:
+    """`linearisation.linearise`."""
+    if type(state.model) not in _KNOWN:
+        return linearisation.linearise(camera, state, index, stage, point)
+    at = state if point is None else point
+    predicted, by_camera, by_map, map_rows, _ = kernels.linearise(*_seen(camera, at), index, stage.T)
+    if point is not None:
+        predicted = linearisation.project(camera, state, index)[0] @ stage.T.T
+    return LinearisedMeasurements(stage.z - predicted, by_camera, by_map, map_rows, stage.R)
+
+
+def squared_distances(P: FloatArray, measurements: LinearisedMeasurements) -> FloatArray:
+    """`kalman.squared_distances`."""
+    distances: FloatArray = kernels.squared_distances(P, *_arrays(measurements))
+    return distances
+
+
+def update(P: FloatArray, measurements: LinearisedMeasurements) -> Correction:
+    """`kalman.update`."""
+    delta, nis, used = kernels.correct(P, *_arrays(measurements), CHUNK)
+    return Correction(delta, nis, int(used.sum()) * measurements.innovation.shape[1], used)
+
+
+def correct_stage(
+    camera: StereoCamera, state: JointState, index: IntArray, stage: Stage, limit: float, fates: FateArray
+) -> Correction | None:
+    """The plain stage in one call, see `Arithmetic`."""
+    if type(state.model) not in _KNOWN:
+        return None
+    delta, nis, dof = kernels.correct_stage(
+        state.P, *_seen(camera, state), index, stage.T, stage.z, stage.R, limit, CHUNK, fates
+    )
+    return Correction(delta, nis, dof, fates == USED)
+
+
+def _seen(camera: StereoCamera, state: JointState) -> tuple[Any, ...]:
+    return (
+        (camera.fx, camera.fy, camera.cx, camera.cy, camera.disparity_constant),
+        state.camera.position,
+        state.camera.R_wc,
+        state.blocks,
+        state.anchor_block,
+        state.parameter_block,
+        6 if state.model.anchored else 3,
+    )
+
+
+def _arrays(measurements: LinearisedMeasurements) -> tuple[FloatArray, FloatArray, FloatArray, IntArray, FloatArray]:
+    return (
+        np.ascontiguousarray(measurements.innovation),
+        np.ascontiguousarray(measurements.by_camera),
+        np.ascontiguousarray(measurements.by_map),
+        measurements.map_rows,
+        measurements.R,
+    )
+
+
+def predict(state: JointState, motion: MotionModel, dt: float) -> CameraState | None:
+    """P moved by the constant-velocity model in one call, and the camera it leads to."""
+    if not isinstance(motion, ConstantVelocity):
+        return None
+    camera = state.camera
+    position, orientation = kernels.predict(
+        state.P,
+        camera.position,
+        camera.orientation,
+        camera.linear_velocity,
+        camera.angular_velocity,
+        dt,
+        (motion.sigma_acceleration * dt) ** 2,
+        (motion.sigma_angular_acceleration * dt) ** 2,
+    )
+    return CameraState(position, orientation, camera.linear_velocity, camera.angular_velocity)
+
+
+def retract(state: JointState, error: StandardError, delta: FloatArray) -> JointState | None:
+    """The state corrected by delta, with P carried along, in one call."""
+    if type(error) is not StandardError:
+        return None
+    camera = state.camera
+    x, blocks = kernels.retract(
+        state.P,
+        camera.position,
+        camera.orientation,
+        camera.linear_velocity,
+        camera.angular_velocity,
+        state.blocks,
+        delta,
+        isinstance(error.retraction, AdditiveQuaternion),
+    )
+    return replace(state, camera=CameraState(x[:3], x[3:7], x[7:10], x[10:]), blocks=blocks)
+
+
+COMPILED = Arithmetic(linearise, squared_distances, update, kernels.transform_leading, correct_stage, predict, retract)
