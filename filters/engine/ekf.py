@@ -6,6 +6,7 @@ The named filters are choices of these parts; this module only says in which ord
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -201,6 +202,17 @@ class StereoEKF(StereoFilter):
     def forget(self, ids: Sequence[int] | IntArray) -> None:
         """Marginalise landmarks out; ids not in the map are ignored."""
         self._state.remove(np.isin(self._state.ids, unique_ids("ids", np.asarray(ids))))
+
+    @property
+    def state(self) -> JointState:
+        """The joint state itself, for filters built on this one."""
+        return self._state
+
+    def with_state(self, state: JointState) -> StereoEKF:
+        """The same filter with another state: what it says of landmarks that are kept elsewhere."""
+        other = copy(self)
+        other._state = state
+        return other
 
     @property
     def pose(self) -> PoseBelief:

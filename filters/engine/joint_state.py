@@ -65,6 +65,8 @@ class JointState:
         Landmark identities, in the order in which they entered.
     parameter_block, anchor_block : (N,) int64
         Blocks of each landmark; the anchor block is -1 where there is none.
+    held : (H,) int64
+        Blocks that stay whether or not a landmark uses them, in the order in which they were held.
     """
 
     camera: CameraState
@@ -76,6 +78,7 @@ class JointState:
     ids: IntArray = field(default_factory=_no_landmarks)
     parameter_block: IntArray = field(default_factory=_no_landmarks)
     anchor_block: IntArray = field(default_factory=_no_landmarks)
+    held: IntArray = field(default_factory=_no_landmarks)
 
     @classmethod
     def without_map(cls, camera: CameraState, P: FloatArray, model: LandmarkModel) -> JointState:
@@ -185,15 +188,70 @@ class JointState:
         if not gone.any():
             return
         stays = ~gone
+        self.ids = self.ids[stays]
+        self.parameter_block = self.parameter_block[stays]
+        self.anchor_block = self.anchor_block[stays]
+        self._drop_unused_blocks()
+
+    def _drop_unused_blocks(self) -> None:
         used = np.zeros(len(self.blocks), dtype=bool)
-        used[self.parameter_block[stays]] = True
-        used[self.anchor_block[stays & (self.anchor_block >= 0)]] = True
+        used[self.parameter_block] = True
+        used[self.anchor_block[self.anchor_block >= 0]] = True
+        used[self.held] = True
+        if used.all():
+            return
         renumbered = np.cumsum(used) - 1
         kept_rows = CAMERA_SIZE + 3 * np.flatnonzero(used)[:, None] + np.arange(3)
         self.P = symmetric.keep(self.P, np.concatenate([_CAMERA, kept_rows.ravel()]))
         self.blocks = self.blocks[used]
         self.first_blocks = self.first_blocks[used]
-        self.ids = self.ids[stays]
-        self.parameter_block = renumbered[self.parameter_block[stays]]
-        anchor = self.anchor_block[stays]
-        self.anchor_block = np.where(anchor < 0, -1, renumbered[anchor])
+        self.parameter_block = renumbered[self.parameter_block]
+        self.anchor_block = np.where(self.anchor_block < 0, -1, renumbered[self.anchor_block])
+        self.held = renumbered[self.held]
+
+    def block_rows(self, blocks: IntArray) -> IntArray:
+        """Rows of P that belong to map blocks, in their order; (M,) -> (3 M,)."""
+        return (3 * blocks[:, None] + _FIRST_BLOCK).ravel()
+
+    def append(self, values: FloatArray, first: FloatArray, cross: FloatArray, own: FloatArray) -> IntArray:
+        """Add M blocks that belong to no landmark yet, and hold them.
+
+        Parameters
+        ----------
+        values, first : (M, 3)
+            Now, and when they were first estimated.
+        cross, own : (3 M, n), (3 M, 3 M)
+            Their covariance with all rows of P as it is, and among themselves.
+
+        Returns
+        -------
+        (M,) int64
+            The new blocks.
+        """
+        old, new = len(self.P), np.arange(len(self.blocks), len(self.blocks) + len(values))
+        P = np.zeros((old + len(own), old + len(own)), order="F")
+        P[:old, :old] = self.P
+        P[old:, :old] = cross
+        P[old:, old:] = own
+        self.P = P
+        self.blocks = np.vstack([self.blocks, values])
+        self.first_blocks = np.vstack([self.first_blocks, first])
+        self.held = np.concatenate([self.held, new])
+        return new
+
+    def hold_camera(self) -> IntArray:
+        """Keep the camera's present error, 12 numbers that are zero now, as four held blocks; returns those."""
+        cross = symmetric.rows(self.P, _CAMERA)
+        nothing = np.zeros((CAMERA_SIZE // 3, 3))
+        return self.append(nothing, nothing, cross, cross[:, :CAMERA_SIZE])
+
+    def adopt(self, ids: IntArray, parameter_block: IntArray, anchor_block: IntArray) -> None:
+        """Make landmarks of blocks that are here already; (M,) each, anchor block -1 where there is none."""
+        self.ids = np.concatenate([self.ids, ids])
+        self.parameter_block = np.concatenate([self.parameter_block, parameter_block])
+        self.anchor_block = np.concatenate([self.anchor_block, anchor_block])
+
+    def rest(self, gone: BoolArray, held: IntArray) -> None:
+        """Marginalise the landmarks marked in `gone` (N,), and from now on hold only the blocks `held`."""
+        self.held = held
+        self.remove(gone)
