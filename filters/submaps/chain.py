@@ -48,23 +48,22 @@ class SubmapChain:
         They are independent of all that follows given the camera of now and the landmarks that stay.
         """
         stays = ~gone
-        clone = active.hold_camera()
+        shared_before, clone = active.held, active.hold_camera()
         used = _blocks_of(active.parameter_block, active.anchor_block)
-        common = np.concatenate([clone, _blocks_of(active.parameter_block[stays], active.anchor_block[stays])])
-        own = np.setdiff1d(np.concatenate([used, active.held]), common)
-        blocks = np.concatenate([own, common])
+        needed = _blocks_of(active.parameter_block[stays], active.anchor_block[stays])
+        blocks, common = np.union1d(used, active.held), np.union1d(needed, clone)
+        own = np.setdiff1d(blocks, common, assume_unique=True)
+        scale = units(active.P)
+        gain, covariance = regression(active.P, scale, active.block_rows(own), active.block_rows(common))
         numbers = np.full(len(active.blocks) + 1, -1)  # the last entry is that of the block -1: none
         numbers[blocks] = np.arange(len(blocks))
-        P = symmetric.blocks(active.P, active.block_rows(blocks)[None])[0]
-        scale = units(P)
-        gain, covariance = regression(P, scale, np.arange(3 * len(own)), np.arange(3 * len(own), len(P)))
         if self._submaps:
-            self._links.append(numbers[active.held[: -len(clone)]])
+            self._links.append(numbers[shared_before])
         self._submaps.append(
             Submap(
                 active.blocks[blocks],
                 active.first_blocks[blocks],
-                scale.reshape(-1, 3),
+                scale[active.block_rows(blocks)].reshape(-1, 3),
                 numbers[own],
                 numbers[common],
                 gain,

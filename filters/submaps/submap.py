@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import lapack, solve_triangular
+from scipy.linalg import blas, lapack
 
 from filters.engine import symmetric
 from filters.engine.joint_state import JointState
@@ -112,8 +112,8 @@ class Submap:
             Which they are.
         """
         here = np.zeros((len(handed.gain), 3 * len(self.values)))
-        here[:, _rows(link)] = handed.gain
-        by_own, by_common = here[:, _rows(self.own)], here[:, _rows(self.common)]
+        here[:, block_rows(link)] = handed.gain
+        by_own, by_common = here[:, block_rows(self.own)], here[:, block_rows(self.common)]
         cross = by_own @ self.covariance
         covariance = np.block([[self.covariance, cross.T], [cross, cross @ by_own.T + handed.covariance]])
         new = np.arange(len(self.values), len(self.values) + len(handed.values))
@@ -140,7 +140,7 @@ class Submap:
         """
         shared = np.isin(self.own, blocks)
         order = self.own[shared]
-        leaving, staying = _rows(np.flatnonzero(shared)), _rows(np.flatnonzero(~shared))
+        leaving, staying = block_rows(np.flatnonzero(shared)), block_rows(np.flatnonzero(~shared))
         by_shared, covariance = regression(self.covariance, self.scale[self.own].ravel(), staying, leaving)
         relation = Relation(
             self.values[order],
@@ -176,8 +176,8 @@ class Submap:
         blocks = self.values.copy()
         blocks[self.own] += (self.gain @ shift).reshape(-1, 3)
         blocks[self.common] = later.blocks[link]
-        rows = np.concatenate([np.arange(CAMERA_SIZE), CAMERA_SIZE + _rows(self.common)])
-        own_rows = CAMERA_SIZE + _rows(self.own)
+        rows = np.concatenate([np.arange(CAMERA_SIZE), CAMERA_SIZE + block_rows(self.common)])
+        own_rows = CAMERA_SIZE + block_rows(self.own)
         P = np.empty((CAMERA_SIZE + 3 * len(self.values),) * 2, order="F")
         P[np.ix_(rows, rows)] = P_known
         P[np.ix_(own_rows, rows)] = cross
@@ -205,11 +205,11 @@ def regression(P: FloatArray, scale: FloatArray, own: IntArray, common: IntArray
     Parameters
     ----------
     P : (n, n)
-        Joint covariance.
+        Joint covariance, lower triangle.
     scale : (n,)
         Standard deviations beside which `NEGLIGIBLE` is to be judged.
     own, common : (a,), (c,) int64
-        Rows of P.
+        Rows of P, ascending.
 
     Returns
     -------
@@ -218,18 +218,19 @@ def regression(P: FloatArray, scale: FloatArray, own: IntArray, common: IntArray
     covariance : (a, a) ndarray
         P_aa - P_ac P_cc^-1 P_ca.
     """
-    gain = np.zeros((len(own), len(common)))
-    unit_common, unit_own = scale[common], scale[own]
-    among = np.asfortranarray(P[np.ix_(common, common)] / np.outer(unit_common, unit_common))
-    factor, pivots, rank, _ = lapack.dpstrf(among, tol=NEGLIGIBLE, lower=1, overwrite_a=1)
+    unit_own, unit_common = 1.0 / scale[own], 1.0 / scale[common]
+    among = symmetric.keep(P, common) * unit_common[:, None] * unit_common
+    factor, pivots, rank, _ = lapack.dpstrf(np.asfortranarray(among), tol=NEGLIGIBLE, lower=1, overwrite_a=1)
     telling, L = pivots[:rank] - 1, factor[:rank, :rank]
-    cross = P[np.ix_(common[telling], own)] / np.outer(unit_common[telling], unit_own)
-    X = solve_triangular(L, cross, lower=True)
-    gain[:, telling] = solve_triangular(L, X, lower=True, trans="T").T * (unit_own[:, None] / unit_common[telling])
-    covariance = P[np.ix_(own, own)] / np.outer(unit_own, unit_own) - X.T @ X
+    mine = symmetric.rows(P, own) * unit_own[:, None]
+    cross = np.asfortranarray(mine[:, common[telling]] * unit_common[telling])
+    whitened = blas.dtrsm(1.0, L, cross, side=1, lower=1, trans_a=1, overwrite_b=1)
+    covariance = mine[:, own] * unit_own - whitened @ whitened.T
     known = covariance.diagonal() <= NEGLIGIBLE
     covariance[known] = covariance[:, known] = 0.0
-    return gain, covariance * np.outer(unit_own, unit_own)
+    gain = np.zeros((len(own), len(common)))
+    gain[:, telling] = blas.dtrsm(1.0, L, whitened, side=1, lower=1, overwrite_b=1)
+    return gain * unit_common / unit_own[:, None], covariance / unit_own[:, None] / unit_own
 
 
 def units(P: FloatArray) -> FloatArray:
@@ -239,5 +240,6 @@ def units(P: FloatArray) -> FloatArray:
     return scale
 
 
-def _rows(blocks: IntArray) -> IntArray:
+def block_rows(blocks: IntArray) -> IntArray:
+    """Rows of blocks in their order, where there is no camera before them; (M,) -> (3 M,)."""
     return (3 * blocks[:, None] + np.arange(3)).ravel()

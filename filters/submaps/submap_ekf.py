@@ -66,7 +66,7 @@ class SubmapEKF(StereoFilter):
         camera: StereoCamera,
         noise: StereoNoise,
         *,
-        max_unseen: int = 40,
+        max_unseen: int = 20,
         patience: int = 2,
         landmark: str = "shared-anchor",
         **options: Any,
@@ -171,6 +171,27 @@ class SubmapEKF(StereoFilter):
     def submaps(self) -> int:
         """Number of submaps at rest."""
         return len(self._chain)
+
+    @property
+    def awake(self) -> IntArray:
+        """Landmarks of the active map, ascending; all others are at rest."""
+        return np.sort(self._active.state.ids)
+
+    @property
+    def size(self) -> int:
+        """Number of landmarks in the map, cheaper to ask than `landmarks`."""
+        return len(self._active.state) + len(self._chain.ids)
+
+    @property
+    def state_rows(self) -> int:
+        """Rows of the active state, which decide what a frame costs."""
+        return len(self._active.state.P)
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of the covariances, bytes: of the active map and of all submaps."""
+        at_rest = sum(submap.gain.nbytes + submap.covariance.nbytes for submap in self._chain.submaps)
+        return self._active.state.P.nbytes + at_rest
 
     def _views(self) -> Iterator[StereoEKF]:
         """The submaps at rest, newest first, each as a filter that knows its landmarks and the present camera."""
