@@ -23,6 +23,7 @@ from filters.noise import StereoNoise
 from filters.registry import available_filters, make_filter
 from filters.right_invariant import RightInvariantEKF
 from filters.shared_anchor_stereo import SharedAnchorEKF
+from filters.submaps.submap_ekf import SubmapEKF
 from filters.unscented_stereo import UnscentedStereoFilter
 
 __all__ = [
@@ -45,6 +46,7 @@ __all__ = [
     "StereoFilter",
     "StereoNoise",
     "StereoObservation",
+    "SubmapEKF",
     "UnscentedStereoFilter",
     "UpdateReport",
     "VelocityBelief",

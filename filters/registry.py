@@ -27,6 +27,7 @@ from filters.monocular import MonocularEKF
 from filters.noise import StereoNoise
 from filters.right_invariant import RightInvariantEKF
 from filters.shared_anchor_stereo import SharedAnchorEKF
+from filters.submaps.submap_ekf import SubmapEKF
 from filters.unscented_stereo import UnscentedStereoFilter
 
 ENTRY_POINT_GROUP = "stereo_slam.filters"
@@ -43,6 +44,7 @@ _OWN: dict[str, FilterFactory] = {
     "right-invariant": RightInvariantEKF,
     "unscented": UnscentedStereoFilter,
     "monocular": MonocularEKF,
+    "submaps": SubmapEKF,
 }
 
 

@@ -236,6 +236,17 @@ class StereoEKF(StereoFilter):
         return CAMERA_SIZE + 3 * self._state.blocks_in_use
 
     @property
+    def state(self) -> JointState:
+        """The joint state itself, for filters built on this one."""
+        return self._state
+
+    def with_state(self, state: JointState) -> StereoEKF:
+        """The same filter with another state: what it says of landmarks that are kept elsewhere."""
+        other = copy(self)
+        other._state = state
+        return other
+
+    @property
     def pose(self) -> PoseBelief:
         """Pose of the left camera."""
         camera = self._state.camera
@@ -292,12 +303,6 @@ class StereoEKF(StereoFilter):
             drop_unseen=self._drop_unseen,
             min_disparity=self._min_disparity,
         )
-
-    def believing(self, state: JointState) -> StereoEKF:
-        """A filter of the same parts that believes `state`."""
-        other = copy(self)
-        other._state = state
-        return other
 
     def _locate(self, ids: IntArray) -> tuple[BoolArray, IntArray]:
         """Which of `ids` are in the map, and where those are."""

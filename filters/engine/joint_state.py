@@ -77,6 +77,8 @@ class JointState:
         Blocks without a landmark or anchor, ascending.
     transform_leading : function
         How P is transformed with the camera, see `symmetric.transform_leading`.
+    held : (H,) int64
+        Blocks that stay whether or not a landmark uses them, in the order in which they were held.
     """
 
     camera: CameraState
@@ -90,6 +92,7 @@ class JointState:
     anchor_block: IntArray = field(default_factory=_no_landmarks)
     empty_blocks: IntArray = field(default_factory=_no_landmarks)
     transform_leading: TransformLeading = symmetric.transform_leading
+    held: IntArray = field(default_factory=_no_landmarks)
 
     @classmethod
     def without_map(
@@ -212,12 +215,8 @@ class JointState:
 
     def remove(self, gone: BoolArray) -> None:
         """Take the landmarks marked in `gone` (N,) out of the map, and the anchors nobody uses any more."""
-        if not gone.any():
-            return
-        stays = ~gone
-        self.ids = self.ids[stays]
-        self.parameter_block, self.anchor_block = self.parameter_block[stays], self.anchor_block[stays]
-        self._leave_empty_what_nobody_uses()
+        if gone.any():
+            self.rest(gone, self.held)
 
     def become_points(self, index: IntArray, at: JointState) -> None:
         """Turn the inverse-depth landmarks at `index` into XYZ (Eq. 4), with Jacobians taken at the state `at`."""
@@ -240,6 +239,7 @@ class JointState:
         empty = np.ones(len(self.blocks), dtype=bool)
         empty[self.parameter_block] = False
         empty[self.anchor_block[self.anchor_block >= 0]] = False
+        empty[self.held] = False
         left = empty.copy()
         left[self.empty_blocks] = False
         self.empty_blocks = np.flatnonzero(empty)
@@ -272,7 +272,57 @@ class JointState:
         self.P = symmetric.keep(self.P, np.concatenate([_CAMERA, _rows_of(kept)]))
         self.blocks, self.first_blocks = self.blocks[kept], self.first_blocks[kept]
         self.parameter_block, self.anchor_block = number[self.parameter_block], number[self.anchor_block]
+        self.held = number[self.held]
         self.empty_blocks = _no_landmarks()
+
+    def block_rows(self, blocks: IntArray) -> IntArray:
+        """Rows of P that belong to map blocks, in their order; (M,) -> (3 M,)."""
+        return _rows_of(blocks)
+
+    def append(self, values: FloatArray, first: FloatArray, cross: FloatArray, own: FloatArray) -> IntArray:
+        """Add M blocks that belong to no landmark yet, and hold them.
+
+        Parameters
+        ----------
+        values, first : (M, 3)
+            Now, and when they were first estimated.
+        cross, own : (3 M, n), (3 M, 3 M)
+            Their covariance with all rows of P as it is, and among themselves.
+
+        Returns
+        -------
+        (M,) int64
+            The new blocks.
+        """
+        new = self._take_blocks(len(values))
+        rows, old = _rows_of(new), cross.shape[1]
+        whole = np.zeros((len(rows), len(self.P)))
+        whole[:, :old] = cross
+        whole[:, rows] = own
+        self.P[rows], self.P[:, rows] = whole, whole.T
+        self.blocks[new], self.first_blocks[new] = values, first
+        self.held = np.concatenate([self.held, new])
+        return new
+
+    def hold_camera(self) -> IntArray:
+        """Keep the camera's present error, 12 numbers that are zero now, as four held blocks; returns those."""
+        cross = symmetric.rows(self.P, _CAMERA)
+        nothing = np.zeros((CAMERA_SIZE // 3, 3))
+        return self.append(nothing, nothing, cross, cross[:, :CAMERA_SIZE])
+
+    def adopt(self, ids: IntArray, parameter_block: IntArray, anchor_block: IntArray) -> None:
+        """Make landmarks of blocks that are here already; (M,) each, anchor block -1 where there is none."""
+        self.ids = np.concatenate([self.ids, ids])
+        self.parameter_block = np.concatenate([self.parameter_block, parameter_block])
+        self.anchor_block = np.concatenate([self.anchor_block, anchor_block])
+
+    def rest(self, gone: BoolArray, held: IntArray) -> None:
+        """Marginalise the landmarks marked in `gone` (N,), and from now on hold only the blocks `held`."""
+        self.held = held
+        stays = ~gone
+        self.ids = self.ids[stays]
+        self.parameter_block, self.anchor_block = self.parameter_block[stays], self.anchor_block[stays]
+        self._leave_empty_what_nobody_uses()
 
 
 def _rows_of(blocks: IntArray) -> IntArray:

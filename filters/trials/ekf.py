@@ -199,7 +199,7 @@ class StereoEKFTrials:
 
     def trial(self, number: int) -> StereoEKF:
         """One trial as a filter of its own: pose, map and forecast, and it can go on from here alone."""
-        return self._one.believing(self._states.single(number))
+        return self._one.with_state(self._states.single(number))
 
     def _for_each_trial(self, name: str, value: ArrayLike | None, ndim: int) -> Sequence[ArrayLike]:
         if value is None or np.ndim(value) == ndim:

@@ -1,0 +1,245 @@
+"""A submap at rest: what is known of its own blocks, given those it has in common with the next one.
+
+The error state is linear Gaussian and future measurements touch the blocks at rest only through the common ones. So
+p(own | common) is fixed for good: own = values + gain (common - values) + N(0, covariance). Whatever is learnt of the
+common blocks later is carried over by the gain, exactly. (Pinies and Tardos 2008, back-propagation: K = P_AC P_C^-1,
+P_A + K (P_C' - P_C) K^T; kept here as gain and P_A - K P_C K^T, which needs no P_C and cannot lose definiteness.)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import blas, lapack
+
+from filters.engine import symmetric
+from filters.engine.joint_state import JointState
+from filters.motion import CAMERA_SIZE
+from filters.validation import BoolArray, FloatArray, IntArray
+
+NEGLIGIBLE = 1e-12
+"""Share of its variance below which a number counts as known from the others: what is left is rounding."""
+
+
+@dataclass(frozen=True, eq=False)
+class Relation:
+    """Blocks as a linear function of the common blocks, plus noise: how they are handed on to the next submap.
+
+    Attributes
+    ----------
+    values, first : (E, 3)
+        Where the common blocks are at `reference`; and as first estimated.
+    scale : (E, 3)
+        Standard deviations before anything was known of the common blocks.
+    reference : (c, 3)
+        Of the common blocks.
+    gain : (3 E, 3 c)
+        By the common blocks.
+    covariance : (3 E, 3 E)
+        Of the noise.
+    """
+
+    values: FloatArray
+    first: FloatArray
+    scale: FloatArray
+    reference: FloatArray
+    gain: FloatArray
+    covariance: FloatArray
+
+    def at(self, common: FloatArray) -> FloatArray:
+        """Values where the common blocks are `common` (c, 3)."""
+        shifted: FloatArray = self.values + (self.gain @ (common - self.reference).ravel()).reshape(-1, 3)
+        return shifted
+
+
+@dataclass(frozen=True, eq=False)
+class Submap:
+    """p(own blocks | common blocks), and the landmarks at rest in it.
+
+    Attributes
+    ----------
+    values, first : (B, 3)
+        Blocks as they were when the submap came to rest, and as first estimated.
+    scale : (B, 3)
+        Standard deviations when the submap came to rest: what is tiny beside them is rounding.
+    own, common : (a,), (c,) int64
+        The blocks that are only here or shared with earlier submaps, and those in common with the next.
+    gain : (3 a, 3 c)
+        Of the own blocks by the common ones.
+    covariance : (3 a, 3 a)
+        Of the own blocks, given the common ones.
+    ids, parameter_block, anchor_block : (N,) int64
+        Landmarks at rest here, and their blocks; the anchor block is -1 where there is none.
+    """
+
+    values: FloatArray
+    first: FloatArray
+    scale: FloatArray
+    own: IntArray
+    common: IntArray
+    gain: FloatArray
+    covariance: FloatArray
+    ids: IntArray
+    parameter_block: IntArray
+    anchor_block: IntArray
+
+    def without(self, gone: BoolArray) -> Submap:
+        """The same blocks with fewer landmarks at rest; (N,)."""
+        stays = ~gone
+        return replace(
+            self,
+            ids=self.ids[stays],
+            parameter_block=self.parameter_block[stays],
+            anchor_block=self.anchor_block[stays],
+        )
+
+    def receive(self, handed: Relation, link: IntArray) -> tuple[Submap, IntArray]:
+        """Take blocks from the previous submap as own ones.
+
+        Parameters
+        ----------
+        handed : Relation
+            In terms of the common blocks of the previous submap.
+        link : (c,) int64
+            Which blocks of this one those are.
+
+        Returns
+        -------
+        Submap
+            With the new blocks.
+        (E,) int64
+            Which they are.
+        """
+        here = np.zeros((len(handed.gain), 3 * len(self.values)))
+        here[:, block_rows(link)] = handed.gain
+        by_own, by_common = here[:, block_rows(self.own)], here[:, block_rows(self.common)]
+        cross = by_own @ self.covariance
+        covariance = np.block([[self.covariance, cross.T], [cross, cross @ by_own.T + handed.covariance]])
+        new = np.arange(len(self.values), len(self.values) + len(handed.values))
+        received = replace(
+            self,
+            values=np.vstack([self.values, handed.at(self.values[link])]),
+            first=np.vstack([self.first, handed.first]),
+            scale=np.vstack([self.scale, handed.scale]),
+            own=np.concatenate([self.own, new]),
+            gain=np.vstack([self.gain, by_own @ self.gain + by_common]),
+            covariance=covariance,
+        )
+        return received, new
+
+    def share(self, blocks: IntArray) -> tuple[Submap, Relation]:
+        """Make own blocks common ones: p(own | common) = p(stay | shared, common) p(shared | common).
+
+        Returns
+        -------
+        Submap
+            Its common blocks are the old ones, then `blocks`.
+        Relation
+            The blocks in terms of the old common ones, for the next submap.
+        """
+        shared = np.isin(self.own, blocks)
+        order = self.own[shared]
+        leaving, staying = block_rows(np.flatnonzero(shared)), block_rows(np.flatnonzero(~shared))
+        by_shared, covariance = regression(self.covariance, self.scale[self.own].ravel(), staying, leaving)
+        relation = Relation(
+            self.values[order],
+            self.first[order],
+            self.scale[order],
+            self.values[self.common],
+            self.gain[leaving],
+            self.covariance[np.ix_(leaving, leaving)],
+        )
+        remaining = replace(
+            self,
+            own=self.own[~shared],
+            common=np.concatenate([self.common, order]),
+            gain=np.hstack([self.gain[staying] - by_shared @ self.gain[leaving], by_shared]),
+            covariance=covariance,
+        )
+        return remaining, relation
+
+    def seen_from(self, later: JointState, link: IntArray) -> JointState:
+        """The camera and the blocks of this submap, given all that is known in the next one.
+
+        Parameters
+        ----------
+        later : JointState
+            Camera and blocks of the next submap.
+        link : (c,) int64
+            Which blocks of the next submap the common ones are.
+        """
+        known = np.concatenate([np.arange(CAMERA_SIZE), later.block_rows(link)])
+        P_known = symmetric.blocks(later.P, known[None])[0]
+        cross = self.gain @ P_known[CAMERA_SIZE:]
+        shift = (later.blocks[link] - self.values[self.common]).ravel()
+        blocks = self.values.copy()
+        blocks[self.own] += (self.gain @ shift).reshape(-1, 3)
+        blocks[self.common] = later.blocks[link]
+        rows = np.concatenate([np.arange(CAMERA_SIZE), CAMERA_SIZE + block_rows(self.common)])
+        own_rows = CAMERA_SIZE + block_rows(self.own)
+        P = np.empty((CAMERA_SIZE + 3 * len(self.values),) * 2, order="F")
+        P[np.ix_(rows, rows)] = P_known
+        P[np.ix_(own_rows, rows)] = cross
+        P[np.ix_(rows, own_rows)] = cross.T
+        P[np.ix_(own_rows, own_rows)] = self.covariance + cross[:, CAMERA_SIZE:] @ self.gain.T
+        return JointState(
+            later.camera,
+            P,
+            later.model,
+            later.predicted,
+            blocks,
+            self.first,
+            self.ids,
+            self.parameter_block,
+            self.anchor_block,
+        )
+
+
+def regression(P: FloatArray, scale: FloatArray, own: IntArray, common: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Gain and covariance of the rows `own` given the rows `common` of a Gaussian.
+
+    Common rows may depend on each other (an anchor is a copy of a camera position): the pivoted Cholesky factor takes
+    rows in the order of what they add, and leaves out those that add nothing.
+
+    Parameters
+    ----------
+    P : (n, n)
+        Joint covariance, lower triangle.
+    scale : (n,)
+        Standard deviations beside which `NEGLIGIBLE` is to be judged.
+    own, common : (a,), (c,) int64
+        Rows of P, ascending.
+
+    Returns
+    -------
+    gain : (a, c) ndarray
+        P_ac P_cc^-1.
+    covariance : (a, a) ndarray
+        P_aa - P_ac P_cc^-1 P_ca.
+    """
+    unit_own, unit_common = 1.0 / scale[own], 1.0 / scale[common]
+    among = symmetric.keep(P, common) * unit_common[:, None] * unit_common
+    factor, pivots, rank, _ = lapack.dpstrf(np.asfortranarray(among), tol=NEGLIGIBLE, lower=1, overwrite_a=1)
+    telling, L = pivots[:rank] - 1, factor[:rank, :rank]
+    mine = symmetric.rows(P, own) * unit_own[:, None]
+    cross = np.asfortranarray(mine[:, common[telling]] * unit_common[telling])
+    whitened = blas.dtrsm(1.0, L, cross, side=1, lower=1, trans_a=1, overwrite_b=1)
+    covariance = mine[:, own] * unit_own - whitened @ whitened.T
+    known = covariance.diagonal() <= NEGLIGIBLE
+    covariance[known] = covariance[:, known] = 0.0
+    gain = np.zeros((len(own), len(common)))
+    gain[:, telling] = blas.dtrsm(1.0, L, whitened, side=1, lower=1, overwrite_b=1)
+    return gain * unit_common / unit_own[:, None], covariance / unit_own[:, None] / unit_own
+
+
+def units(P: FloatArray) -> FloatArray:
+    """Standard deviations of all rows, 1 where there is no variance; (n, n) -> (n,)."""
+    variances = P.diagonal()
+    scale: FloatArray = np.sqrt(np.where(variances > 0.0, variances, 1.0))
+    return scale
+
+
+def block_rows(blocks: IntArray) -> IntArray:
+    """Rows of blocks in their order, where there is no camera before them; (M,) -> (3 M,)."""
+    return (3 * blocks[:, None] + np.arange(3)).ravel()

@@ -1,0 +1,198 @@
+"""`SubmapEKF`: a `StereoEKF` as active map, and behind it a chain of submaps at rest."""
+
+from __future__ import annotations
+
+import inspect
+from collections import deque
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from filters.camera import StereoCamera
+from filters.engine.ekf import StereoEKF
+from filters.interface import (
+    BodyVelocity,
+    Forecast,
+    LandmarkBelief,
+    PoseBelief,
+    StereoFilter,
+    StereoObservation,
+    UpdateReport,
+    VelocityBelief,
+)
+from filters.noise import StereoNoise
+from filters.submaps.chain import SubmapChain
+from filters.validation import FloatArray, IntArray, unique_ids
+
+_SUPPORTED = {
+    "landmark": ("inverse-depth", "shared-anchor", "euclidean"),
+    "error": ("quaternion", "so3", "first-estimates"),
+    "drop_unseen": (False,),
+}
+
+
+class SubmapEKF(StereoFilter):
+    """Keeps every landmark at a bounded cost a frame: submaps at rest behind a shared-anchor EKF.
+
+    The estimates are those of `StereoEKF(..., drop_unseen=False)`: landmarks out of view are independent of all that
+    follows given the camera and the landmarks in view at the moment they came to rest.
+
+    Parameters
+    ----------
+    camera : StereoCamera
+        The rig.
+    noise : StereoNoise
+        R of (u, v, d) for measurements that bring none of their own.
+    max_unseen : int
+        Landmarks out of view that the active map carries along before they come to rest. Few make frames cheap and
+        submaps many.
+    patience : int
+        Updates without a measurement after which a landmark counts as out of view.
+    landmark : {"shared-anchor", "inverse-depth", "euclidean"}
+        Parametrisation of landmarks.
+    **options
+        Any of `StereoEKF`, but no `drop_unseen` and no right-invariant errors.
+
+    Raises
+    ------
+    ValueError
+        An option is unknown, or has an unknown or impossible value.
+    """
+
+    def __init__(
+        self,
+        camera: StereoCamera,
+        noise: StereoNoise,
+        *,
+        max_unseen: int = 20,
+        patience: int = 2,
+        landmark: str = "shared-anchor",
+        **options: Any,
+    ) -> None:
+        for name, value in (("max_unseen", max_unseen), ("patience", patience)):
+            if type(value) is not int or value < 1:
+                raise ValueError(f"{name} must be an integer >= 1, got {value!r}")
+        chosen = {"landmark": landmark, "drop_unseen": False, **options}
+        known = inspect.signature(StereoEKF).parameters
+        for name, value in chosen.items():
+            if name not in known:
+                raise ValueError(f"option {name!r} is not one of SubmapEKF: see StereoEKF, max_unseen and patience")
+            if name in _SUPPORTED and value not in _SUPPORTED[name]:
+                possible = ", ".join(map(repr, _SUPPORTED[name]))
+                raise ValueError(f"{name} must be one of {possible} with submaps, got {value!r}")
+        self.camera = camera
+        self.noise = noise
+        self._max_unseen = max_unseen
+        self._active = StereoEKF(camera, noise, **chosen)
+        self._chain = SubmapChain()
+        self._recent: deque[IntArray] = deque(maxlen=patience)
+
+    def reset(
+        self,
+        position: ArrayLike = (0.0, 0.0, 0.0),
+        orientation: ArrayLike = (0.0, 0.0, 0.0, 1.0),
+        linear_velocity: ArrayLike = (0.0, 0.0, 0.0),
+        angular_velocity: ArrayLike = (0.0, 0.0, 0.0),
+        covariance: ArrayLike | None = None,
+    ) -> None:
+        """Start again with an empty map; see `StereoFilter.reset`."""
+        self._active.reset(position, orientation, linear_velocity, angular_velocity, covariance)
+        self._chain = SubmapChain()
+        self._recent.clear()
+
+    def predict(self, dt: float, odometry: BodyVelocity | None = None) -> None:
+        """Move the belief forward (Eq. 6, 11, 12), then fuse what odometry adds."""
+        self._active.predict(dt, odometry)
+
+    def update(self, observation: StereoObservation) -> UpdateReport:
+        """Landmarks at rest that are seen again are brought back first, those long unseen come to rest last."""
+        if not isinstance(observation, StereoObservation):
+            raise ValueError(f"observation must be a StereoObservation, got {type(observation).__name__}")
+        again = observation.ids[self._chain.at_rest(observation.ids)]
+        if len(again):
+            self._chain.bring(self._active.state, again)
+        report = self._active.update(observation)
+        self._recent.append(observation.ids)
+        unseen = ~np.isin(self._active.state.ids, np.concatenate(self._recent))
+        if unseen.sum() > self._max_unseen:
+            self._chain.rest(self._active.state, unseen)
+        return report
+
+    def forecast(self, ids: Sequence[int] | IntArray | None = None) -> Forecast:
+        """Predicted (u, v, d) and S of landmarks, at rest or not, at the current pose."""
+        if ids is None:
+            wanted = np.sort(np.concatenate([self._active.state.ids, self._chain.ids]))
+        else:
+            wanted = unique_ids("ids", np.asarray(ids))
+        awake = wanted[~self._chain.at_rest(wanted)]
+        parts = [self._active.forecast(awake)]
+        missing = len(wanted) - len(awake)
+        for view in self._views() if missing else ():
+            here = np.intersect1d(wanted, view.state.ids)
+            if len(here):
+                parts.append(view.forecast(here))
+                missing -= len(here)
+            if missing == 0:
+                break
+        told = np.concatenate([part.ids for part in parts])
+        order = np.argsort(told)[np.argsort(np.argsort(wanted))]
+        return Forecast(*(np.concatenate([vars(part)[name] for part in parts])[order] for name in vars(parts[0])))
+
+    def forget(self, ids: Sequence[int] | IntArray) -> None:
+        """Marginalise landmarks out; ids not in the map are ignored."""
+        gone = unique_ids("ids", np.asarray(ids))
+        self._active.forget(gone)
+        self._chain.forget(gone)
+
+    @property
+    def pose(self) -> PoseBelief:
+        """Pose of the left camera."""
+        return self._active.pose
+
+    @property
+    def velocity(self) -> VelocityBelief:
+        """Velocity of the left camera."""
+        return self._active.velocity
+
+    @property
+    def landmarks(self) -> LandmarkBelief:
+        """The whole map, in ascending order of ids; corrections are carried back to all submaps, so ask sparingly."""
+        parts = [self._active.landmarks, *(view.landmarks for view in self._views())]
+        order = np.argsort(np.concatenate([part.ids for part in parts]))
+        return LandmarkBelief(*(np.concatenate([vars(part)[name] for part in parts])[order] for name in vars(parts[0])))
+
+    def pose_error(self, position: ArrayLike, orientation: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Error of the pose in this filter's error definition; see `StereoFilter.pose_error`."""
+        return self._active.pose_error(position, orientation)
+
+    @property
+    def submaps(self) -> int:
+        """Number of submaps at rest."""
+        return len(self._chain)
+
+    @property
+    def awake(self) -> IntArray:
+        """Landmarks of the active map, ascending; all others are at rest."""
+        return np.sort(self._active.state.ids)
+
+    @property
+    def size(self) -> int:
+        """Number of landmarks in the map, cheaper to ask than `landmarks`."""
+        return len(self._active.state) + len(self._chain.ids)
+
+    @property
+    def state_rows(self) -> int:
+        """Rows of the active state, which decide what a frame costs."""
+        return len(self._active.state.P)
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of the covariances, bytes: of the active map and of all submaps."""
+        at_rest = sum(submap.gain.nbytes + submap.covariance.nbytes for submap in self._chain.submaps)
+        return self._active.state.P.nbytes + at_rest
+
+    def _views(self) -> Iterator[StereoEKF]:
+        """The submaps at rest, newest first, each as a filter that knows its landmarks and the present camera."""
+        return (self._active.with_state(state) for state in self._chain.seen_from(self._active.state))
