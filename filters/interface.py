@@ -74,6 +74,10 @@ class StereoObservation:
             unique_ids("ids", part.ids)
         return part
 
+    def covariances(self, noise: StereoNoise) -> FloatArray:
+        """R of each measurement: its own, or that of `noise`; (M, 3, 3) px^2."""
+        return noise.R[None].repeat(len(self), axis=0) if self.R is None else self.R
+
     def ordered(self) -> StereoObservation:
         """The measurements in ascending order of ids."""
         return self if (self.ids[1:] > self.ids[:-1]).all() else self.select(np.argsort(self.ids))

@@ -32,7 +32,7 @@ def skew(vector: ArrayLike) -> FloatArray:
 def matrix(quaternion: ArrayLike) -> FloatArray:
     """Rotation matrix of a unit quaternion xyzw; (..., 4) -> (..., 3, 3)."""
     if np.ndim(quaternion) > 1:
-        return Rotation.from_quat(quaternion).as_matrix()
+        return np.asarray(Rotation.from_quat(quaternion).as_matrix())
     return np.array(matrix_of(*_numbers(quaternion))).reshape(3, 3)
 
 
@@ -49,14 +49,14 @@ def log(rotation_matrix: ArrayLike) -> FloatArray:
 def exp_quaternion(rotation_vector: ArrayLike) -> FloatArray:
     """The quaternion q(phi) of Eq. 6; (..., 3) rad -> (..., 4) xyzw."""
     if np.ndim(rotation_vector) > 1:
-        return Rotation.from_rotvec(rotation_vector).as_quat()
+        return np.asarray(Rotation.from_rotvec(rotation_vector).as_quat())
     return np.array(quaternion_of(*_numbers(rotation_vector)))
 
 
 def multiply(left: ArrayLike, right: ArrayLike) -> FloatArray:
     """Quaternion product left x right, normalised; (..., 4), (..., 4) xyzw -> (..., 4)."""
     if np.ndim(left) > 1 or np.ndim(right) > 1:
-        return (Rotation.from_quat(left) * Rotation.from_quat(right)).as_quat()
+        return np.asarray((Rotation.from_quat(left) * Rotation.from_quat(right)).as_quat())
     return np.array(product_of(*_numbers(left), *_numbers(right)))
 
 

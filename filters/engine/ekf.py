@@ -13,15 +13,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from filters.camera import StereoCamera
-from filters.compilation import arithmetic
-from filters.engine import gating, kalman, selection, symmetric
+from filters.engine import gating, kalman, symmetric
 from filters.engine.consensus import largest_agreement
-from filters.engine.error_definition import ERRORS
 from filters.engine.fates import BEHIND, FAILED, GATED, USED, FateArray
 from filters.engine.heavy_tails import reweighted
 from filters.engine.joint_state import JointState, world_rotation_of_camera
 from filters.engine.linearisation import in_front, linearise, project
-from filters.engine.options import LANDMARKS, LINEARISATIONS, MEASUREMENTS, Parts, choice
+from filters.engine.map_policy import MapPolicy
+from filters.engine.options import checked_parts
 from filters.interface import (
     BodyVelocity,
     Forecast,
@@ -32,10 +31,9 @@ from filters.interface import (
     UpdateReport,
     VelocityBelief,
 )
-from filters.landmarks.hybrid import Hybrid
 from filters.landmarks.parametrisation import LandmarkModel
 from filters.measurements.model import MeasurementModel, Stage
-from filters.motion import CAMERA_SIZE, POSE_SIZE, CameraState, ConstantVelocity, MotionModel
+from filters.motion import CAMERA_SIZE, CameraState, MotionModel
 from filters.noise import StereoNoise
 from filters.start import start_belief
 from filters.validation import (
@@ -116,48 +114,24 @@ class StereoEKF(StereoFilter):
             raise ValueError(f"camera must be a StereoCamera, got {camera!r}")
         if not isinstance(noise, StereoNoise):
             raise ValueError(f"noise must be a StereoNoise, got {noise!r}: see StereoNoise.independent_pixels")
-        if gate is not None and not (isinstance(gate, float | int) and 0.0 < gate < 1.0):
-            raise ValueError(f"gate must be a probability between 0 and 1, or None for no gate, got {gate!r}")
-        if type(iterations) is not int or iterations < 1:
-            raise ValueError(f"iterations must be an integer >= 1, got {iterations!r}")
-        for name, value in (("drop_unseen", drop_unseen), ("consensus", consensus)):
-            if not isinstance(value, bool):
-                raise ValueError(f"{name} must be True or False, got {value!r}")
-        if consensus and gate is None:
-            raise ValueError("gate must be a probability with consensus=True, got None: it is the limit of agreement")
-        if update == "unscented" and error == "first-estimates":
-            raise ValueError('error must not be "first-estimates" with update="unscented", which has no Jacobians')
-        if min_disparity is not None and not (isinstance(min_disparity, float | int) and np.isfinite(min_disparity)):
-            raise ValueError(f"min_disparity must be a finite number of px, or None, got {min_disparity!r}")
-        if max_landmarks is not None and (type(max_landmarks) is not int or max_landmarks < 1):
-            raise ValueError(f"max_landmarks must be an integer >= 1, or None for no limit, got {max_landmarks!r}")
-        if motion is not None and not isinstance(motion, MotionModel):
-            raise ValueError(f"motion must be a motion model such as ConstantVelocity(3.0, 0.6), got {motion!r}")
         self.camera = camera
         self.noise = noise
-        self._motion: MotionModel = ConstantVelocity() if motion is None else motion
-        self._gate = gate
-        self._landmark = choice("landmark", landmark, LANDMARKS, LandmarkModel)
-        self._measurement = choice("measurement", measurement, MEASUREMENTS, MeasurementModel)
-        self._error = choice("error", error, ERRORS)
-        self._arithmetic = arithmetic(compiled)
-        self._linearised_by = choice("update", update, LINEARISATIONS) or self._arithmetic.linearise
-        self._consensus = consensus
-        self._tail_dof = None if tail_dof is None else positive("tail_dof", tail_dof)
-        self._iterations = iterations
-        # Nothing happens between linearisation, gate and update.
-        self._is_plain = (
-            update == "extended"
-            and error != "first-estimates"
-            and iterations == 1
-            and not consensus
-            and tail_dof is None
+        self.parts = checked_parts(
+            motion=motion,
+            gate=gate,
+            landmark=landmark,
+            measurement=measurement,
+            error=error,
+            update=update,
+            consensus=consensus,
+            tail_dof=tail_dof,
+            iterations=iterations,
+            drop_unseen=drop_unseen,
+            min_disparity=min_disparity,
+            max_landmarks=max_landmarks,
+            compiled=compiled,
         )
-        self._drop_unseen = drop_unseen
-        self._min_disparity = min_disparity
-        self._max_landmarks = max_landmarks
-        # A frame without landmarks that come or go leaves the map as it is.
-        self._is_steady = max_landmarks is None and not isinstance(self._landmark, Hybrid)
+        self._policy = MapPolicy(camera, noise, self.parts)
         self.reset()
 
     def reset(
@@ -170,22 +144,22 @@ class StereoEKF(StereoFilter):
     ) -> None:
         """Start again with an empty map; see `StereoFilter.reset`."""
         camera, P = start_belief(position, orientation, linear_velocity, angular_velocity, covariance)
-        self._state = JointState.without_map(camera, P, self._landmark, self._arithmetic.transform_leading)
+        self._state = JointState.without_map(camera, P, self.parts.landmark, self.parts.arithmetic.transform_leading)
 
     def predict(self, dt: float, odometry: BodyVelocity | None = None) -> None:
         """Move the belief forward (Eq. 6, 11, 12), then fuse what odometry adds."""
         dt = positive("dt", dt)
         if odometry is not None and not isinstance(odometry, BodyVelocity):
             raise ValueError(f"odometry must be a BodyVelocity or None, got {odometry!r}")
-        at_once = self._arithmetic.predict
-        moved = None if at_once is None or self._error.constrains else at_once(self._state, self._motion, dt)
+        at_once = self.parts.arithmetic.predict
+        moved = None if at_once is None or self.parts.error.constrains else at_once(self._state, self.parts.motion, dt)
         if moved is None:
             moved = self._predict_step_by_step(dt, odometry)
         self._state.camera = self._state.predicted = moved
         if odometry is not None:
-            measured = self._motion.odometry_measurement(moved, dt, odometry)
+            measured = self.parts.motion.odometry_measurement(moved, dt, odometry)
             if measured is not None:
-                correction = self._arithmetic.update(self._state.P, kalman.of_camera(measured))
+                correction = self.parts.arithmetic.update(self._state.P, kalman.of_camera(measured))
                 self._retract(correction.delta)
 
     def update(self, observation: StereoObservation) -> UpdateReport:
@@ -197,22 +171,11 @@ class StereoEKF(StereoFilter):
         known, index = self._locate(observation.ids)
         all_known = len(index) == len(observation)
         report = self._correct(observation if all_known else observation.select(known), index)
-        if all_known and self._is_steady and (len(index) == len(self._state) or not self._drop_unseen):
+        if all_known and self.parts.is_steady and (len(index) == len(self._state) or not self.parts.drop_unseen):
             return report
-        unknown = observation.select(~known)
-        new = unknown if all_known else unknown.select(self._can_initialise(unknown))
-        gone = np.full(len(self._state), self._drop_unseen)
-        gone[index] = False
-        if self._max_landmarks is not None and len(index) + len(new) > self._max_landmarks:
-            stays, enters = self._choose(observation.select(known), index, new)
-            gone[index] = ~stays
-            new = new.select(enters)
-        dropped = self._state.ids[gone]
-        self._state.remove(gone)
-        self._convert()
-        self._initialise(new)
-        rejected = unknown.ids[~np.isin(unknown.ids, new.ids)] if len(new) < len(unknown) else unknown.ids[:0]
-        return replace(report, dropped=dropped, initialised=new.ids, rejected=rejected)
+        measured = observation if all_known else observation.select(known)
+        change = self._policy.renew(self._state, measured, index, observation.select(~known))
+        return replace(report, **vars(change))
 
     def forecast(self, ids: Sequence[int] | IntArray | None = None) -> Forecast:
         """Predicted (u, v, d) and S of landmarks at the current pose."""
@@ -222,7 +185,9 @@ class StereoEKF(StereoFilter):
         if not known.all():
             raise ValueError(f"ids must be in the map, not there: {wanted[~known][:5].tolist()}: see landmarks.ids")
         uvd, in_front = project(self.camera, state, index)
-        linearised = linearise(self.camera, state, index, Stage(uvd, np.eye(3), self._noise_of(len(index))))
+        linearised = linearise(
+            self.camera, state, index, Stage(uvd, np.eye(3), self.noise.R[None].repeat(len(index), axis=0))
+        )
         S = linearised.innovation_covariances(state.P)
         return Forecast(wanted, uvd, S, in_front & self.camera.in_view(uvd))
 
@@ -267,11 +232,11 @@ class StereoEKF(StereoFilter):
         """The map, in ascending order of ids."""
         state, index = self._state, np.argsort(self._state.ids)
         parameters, anchors = state.parameters(index), state.anchors(index)
-        points = self._landmark.points(anchors, parameters)
+        points = self.parts.landmark.points(anchors, parameters)
         P_map = symmetric.blocks(state.P, state.map_rows(index))
         with np.errstate(invalid="ignore", over="ignore"):
             covariances = points.by_map @ P_map @ points.by_map.transpose(0, 2, 1)
-        inverse = self._landmark.inverse_distances(state.camera.position, anchors, parameters)
+        inverse = self.parts.landmark.inverse_distances(state.camera.position, anchors, parameters)
         own_rows = CAMERA_SIZE + 3 * state.parameter_block[index, None] + np.arange(3)
         position_rows = np.broadcast_to(np.arange(3), own_rows.shape)
         P_own = symmetric.blocks(state.P, np.concatenate([position_rows, own_rows], axis=1))
@@ -284,25 +249,7 @@ class StereoEKF(StereoFilter):
         true_position = finite_array("position", position, (3,))
         true_orientation = unit_quaternion("orientation", orientation)
         camera = self._state.camera
-        return self._error.pose_error(camera, self.pose.covariance, true_position, true_orientation)
-
-    @property
-    def parts(self) -> Parts:
-        """What this filter is composed of."""
-        return Parts(
-            motion=self._motion,
-            gate=self._gate,
-            landmark=self._landmark,
-            measurement=self._measurement,
-            error=self._error,
-            linearise=self._linearised_by,
-            max_landmarks=self._max_landmarks,
-            consensus=self._consensus,
-            tail_dof=self._tail_dof,
-            iterations=self._iterations,
-            drop_unseen=self._drop_unseen,
-            min_disparity=self._min_disparity,
-        )
+        return self.parts.error.pose_error(camera, self.pose.covariance, true_position, true_orientation)
 
     def _locate(self, ids: IntArray) -> tuple[BoolArray, IntArray]:
         """Which of `ids` are in the map, and where those are."""
@@ -315,15 +262,12 @@ class StereoEKF(StereoFilter):
         known = self._state.ids[candidate] == ids
         return known, candidate[known]
 
-    def _noise_of(self, count: int, R: FloatArray | None = None) -> FloatArray:
-        return self.noise.R[None].repeat(count, axis=0) if R is None else R
-
     def _predict_step_by_step(self, dt: float, odometry: BodyVelocity | None) -> CameraState:
         """Move P, and return the camera it leads to."""
-        predicted = self._motion.predict(self._state.camera, dt, odometry)
+        predicted = self.parts.motion.predict(self._state.camera, dt, odometry)
         F = predicted.F
-        if self._error.constrains:
-            F = self._error.constrained(
+        if self.parts.error.constrains:
+            F = self.parts.error.constrained(
                 F,
                 world_rotation_of_camera(predicted.state),
                 world_rotation_of_camera(self._state.predicted),
@@ -333,7 +277,7 @@ class StereoEKF(StereoFilter):
         return predicted.state
 
     def _linearise(self, state: JointState, index: IntArray, stage: Stage) -> kalman.LinearisedMeasurements:
-        return self._linearised_by(self.camera, state, index, stage, self._error.linearisation_point(state))
+        return self.parts.linearise(self.camera, state, index, stage, self.parts.error.linearisation_point(state))
 
     def _correct(self, observation: StereoObservation, index: IntArray) -> UpdateReport:
         """Stage by stage: leave out what is behind the camera or not believable, correct with the rest.
@@ -343,8 +287,8 @@ class StereoEKF(StereoFilter):
         """
         if len(index) == 0:
             return UpdateReport()
-        stages = self._measurement.stages(observation, self._noise_of(len(observation), observation.R))
-        gate = self._gate and self._gate ** (1 / len(stages))
+        stages = self.parts.measurement.stages(observation, observation.covariances(self.noise))
+        gate = self.parts.gate and self.parts.gate ** (1 / len(stages))
         fates = np.zeros(len(index), dtype=np.uint8)
         nis, dof = 0.0, 0
         for stage in stages:
@@ -357,8 +301,8 @@ class StereoEKF(StereoFilter):
 
     def _correct_stage(self, stage: Stage, index: IntArray, gate: float | None, fates: FateArray) -> tuple[float, int]:
         """Correct with the measurements whose fate so far is USED, and write their fates; the NIS and its dof."""
-        at_once = self._arithmetic.correct_stage
-        if at_once is not None and self._is_plain:
+        at_once = self.parts.arithmetic.correct_stage
+        if at_once is not None and self.parts.is_plain:
             limit = np.inf if gate is None else gating.gate_limit(gate, stage.z.shape[1])
             correction = at_once(self.camera, self._state, index, stage, limit, fates)
             if correction is not None:
@@ -385,7 +329,7 @@ class StereoEKF(StereoFilter):
             return
         limit = gating.gate_limit(gate, stage.z.shape[1])
         believable, measurements = self._believable(stage, index, candidates, limit)
-        if not self._consensus:
+        if not self.parts.consensus:
             yield believable, measurements
             return
         core = believable.copy()
@@ -399,7 +343,7 @@ class StereoEKF(StereoFilter):
     ) -> tuple[BoolArray, kalman.LinearisedMeasurements]:
         """Which of the candidates (M,) pass the gate at the current state, and those linearised."""
         measurements = self._linearise(self._state, index[candidates], _select(stage, candidates))
-        passed = self._arithmetic.squared_distances(self._state.P, measurements) <= limit
+        passed = self.parts.arithmetic.squared_distances(self._state.P, measurements) <= limit
         if passed.all():
             return candidates, measurements
         believable = candidates.copy()
@@ -408,68 +352,28 @@ class StereoEKF(StereoFilter):
 
     def _apply(self, measurements: kalman.LinearisedMeasurements, stage: Stage, index: IntArray) -> kalman.Correction:
         """One pass of the update, or Gauss-Newton passes with the prior held."""
-        if self._tail_dof is not None:
-            measurements = reweighted(self._state.P, measurements, self._tail_dof)
+        if self.parts.tail_dof is not None:
+            measurements = reweighted(self._state.P, measurements, self.parts.tail_dof)
             stage = replace(stage, R=measurements.R)
         prior = self._state
-        for _ in range(self._iterations - 1):
-            delta = self._arithmetic.update(prior.P.copy(order="F"), measurements).delta
-            moved = self._error.moved(prior, delta)
+        for _ in range(self.parts.iterations - 1):
+            delta = self.parts.arithmetic.update(prior.P.copy(order="F"), measurements).delta
+            moved = self.parts.error.moved(prior, delta)
             measurements = self._linearise(moved, index, stage).by_earlier_errors(
-                self._error.transport(prior, moved, delta), delta
+                self.parts.error.transport(prior, moved, delta), delta
             )
-        correction = self._arithmetic.update(prior.P, measurements)
+        correction = self.parts.arithmetic.update(prior.P, measurements)
         self._retract(correction.delta)
         return correction
 
     def _retract(self, delta: FloatArray) -> None:
         """Move the state by the correction (Eq. 17) and carry P along."""
-        at_once = self._arithmetic.retract
-        moved = None if at_once is None else at_once(self._state, self._error, delta)
+        at_once = self.parts.arithmetic.retract
+        moved = None if at_once is None else at_once(self._state, self.parts.error, delta)
         if moved is None:
-            moved = self._error.moved(self._state, delta)
-            moved.shear_by_rotation(self._error.transport(self._state, moved, delta))
+            moved = self.parts.error.moved(self._state, delta)
+            moved.shear_by_rotation(self.parts.error.transport(self._state, moved, delta))
         self._state = moved
-
-    def _convert(self) -> None:
-        """Hybrid landmarks that are practically Gaussian in XYZ become XYZ."""
-        if not isinstance(self._landmark, Hybrid):
-            return
-        state = self._state
-        anchors, parameters = state.anchors(), state.parameters()
-        assert anchors is not None
-        rho_rows = CAMERA_SIZE + 3 * state.parameter_block + 2
-        linear = self._landmark.become_points(state.camera.position, anchors, parameters, state.P[rho_rows, rho_rows])
-        state.become_points(np.flatnonzero(linear), self._error.linearisation_point(state) or state)
-
-    def _can_initialise(self, observation: StereoObservation) -> BoolArray:
-        """Which measurements a landmark can start from."""
-        possible = self._landmark.can_initialise(self.camera, self._state.camera.R_wc, observation.uvd)
-        if self._min_disparity is not None:
-            possible &= observation.uvd[:, 2] >= self._min_disparity
-        return possible
-
-    def _choose(self, known: StereoObservation, index: IntArray, new: StereoObservation) -> tuple[BoolArray, BoolArray]:
-        """Which known landmarks stay and which new ones enter: the `max_landmarks` that say most about the pose."""
-        assert self._max_landmarks is not None
-        R, new_R = self._noise_of(len(known), known.R), self._noise_of(len(new), new.R)
-        candidates = selection.next_measurements(self.camera, self._state, index, R, new.uvd, new_R)
-        kept = selection.most_informative(candidates, self._max_landmarks)
-        return kept[: len(index)], kept[len(index) :]
-
-    def _initialise(self, observation: StereoObservation) -> None:
-        """Add new landmarks from the updated pose (Eq. 19-25)."""
-        if len(observation) == 0:
-            return
-        camera = self._state.camera
-        new = self._landmark.initialise(self.camera, camera.position, camera.R_wc, observation.uvd)
-        R = self._noise_of(len(observation), observation.R)
-        self._state.augment(observation.ids, new, R, self._constrained if self._error.constrains else None)
-
-    def _constrained(self, J: FloatArray, image: FloatArray) -> FloatArray:
-        """J of new blocks by the pose, as the error definition wants it."""
-        source = world_rotation_of_camera(self._state.predicted)[:POSE_SIZE]
-        return self._error.constrained(J, image, source, self._state.predicted.R_wc)
 
 
 def _select(stage: Stage, mask: BoolArray) -> Stage:

@@ -46,6 +46,8 @@ class StandardError:
 
     constrains = False
     """Whether `constrained` changes anything."""
+    linearises_at_the_state = True
+    """Whether `linearisation_point` is always None."""
 
     def __init__(self, retraction: Retraction) -> None:
         self.retraction = retraction
@@ -98,6 +100,7 @@ class FirstEstimates(StandardError):
     """SO(3) errors with first-estimates Jacobians."""
 
     constrains = True
+    linearises_at_the_state = False
 
     def __init__(self) -> None:
         super().__init__(RETRACTIONS["so3"])

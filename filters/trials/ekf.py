@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from filters import rotations
-from filters.engine import gating, linearisation
+from filters.engine import gating, unscented
 from filters.engine.ekf import StereoEKF
 from filters.engine.error_definition import StandardError, moved_camera
 from filters.engine.kalman import LinearisedMeasurements
@@ -308,7 +308,7 @@ def _chosen(camera: CameraState, trial: IntArray) -> CameraState:
 def _refuse_what_needs_one_by_one(parts: Parts) -> None:
     """Raise a `ValueError` for the first option that has no vectorised form."""
     supported = {
-        'update="extended"': parts.linearise is linearisation.linearise,
+        'update="extended"': parts.linearise is not unscented.linearise,
         "consensus=False": not parts.consensus,
         "tail_dof=None": parts.tail_dof is None,
         "iterations=1": parts.iterations == 1,

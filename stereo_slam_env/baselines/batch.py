@@ -153,7 +153,7 @@ class BatchSmoother(CameraFilter):
 
     def _measurements(self, observation: StereoObservation) -> tuple[FloatArray, FloatArray]:
         """(u, v, d) and R, with v the mean of both eyes' rows where the right one was measured too."""
-        uvd, R = observation.uvd, self._noise_of(observation)
+        uvd, R = observation.uvd, observation.covariances(self.noise)
         if observation.v_right is None or not self._right_row:
             return uvd, R
         averaged = uvd.copy()

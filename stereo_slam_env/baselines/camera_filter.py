@@ -119,10 +119,6 @@ class CameraFilter(StereoFilter):
     def _use(self, observation: StereoObservation) -> UpdateReport:
         """Use the frame, whose ids ascend."""
 
-    def _noise_of(self, observation: StereoObservation) -> FloatArray:
-        """R of each measurement, (M, 3, 3)."""
-        return np.broadcast_to(self.noise.R, (len(observation), 3, 3)) if observation.R is None else observation.R
-
     def forecast(self, ids: Sequence[int] | IntArray | None = None) -> Forecast:
         """Nothing to forecast: there is no map."""
         wanted = unique_ids("ids", np.asarray([] if ids is None else ids))

@@ -134,7 +134,7 @@ class FrameToFrame(CameraFilter):
 
     def _use(self, observation: StereoObservation) -> UpdateReport:
         """Measure the step from the reference frame; the frame becomes the next reference if it can be one."""
-        R = self._noise_of(observation)
+        R = observation.covariances(self.noise)
         cross = np.zeros((len(observation), 12, 3))
         known = used = np.zeros(0, dtype=np.int64)
         nis, nis_dof, gated = 0.0, 0, known

@@ -375,7 +375,7 @@ def _seen_state(stereo_filter: StereoEKF, s: Situation) -> JointState:
     stereo_filter.update(StereoObservation(np.arange(half), s.uvd[:half]))
     state = stereo_filter._state
     state.camera = s.camera
-    stereo_filter._initialise(StereoObservation(np.arange(half, COUNT), s.uvd[half:]))
+    stereo_filter._policy.start(stereo_filter._state, StereoObservation(np.arange(half, COUNT), s.uvd[half:]))
     state.camera = replace(s.camera, position=s.camera.position + 0.5 * s.anchor_offset[1])
     return state
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -84,7 +85,7 @@ def test_the_right_row_adds_exactly_its_information() -> None:
         pass
     without.predict(DT)
     with_row = copy.deepcopy(without)
-    with_row._measurement = make(measurement="stacked")._measurement
+    with_row.parts = make(measurement="stacked").parts
     seen = frames[3].observation
     seen = seen.select(np.isin(seen.ids, without.landmarks.ids))
     known, index = without._locate(np.sort(seen.ids))
@@ -188,7 +189,7 @@ def test_iterating_converges_to_the_map_estimate(landmark: str, error: str) -> N
 
     def moved(x: np.ndarray) -> StereoEKF:
         other = copy.copy(prior)
-        other._state = prior._error.moved(prior._state, root @ x)
+        other._state = prior.parts.error.moved(prior._state, root @ x)
         return other
 
     def residuals(x: np.ndarray) -> np.ndarray:
@@ -200,7 +201,7 @@ def test_iterating_converges_to_the_map_estimate(landmark: str, error: str) -> N
     optimum = least_squares(residuals, start_at, jac="3-point", xtol=1e-15, ftol=1e-15, gtol=1e-10)
     best = moved(optimum.x)
     once, converged = copy.deepcopy(prior), copy.deepcopy(prior)
-    once._iterations = 1
+    once.parts = replace(once.parts, iterations=1)
     once.update(seen)
     converged.update(seen)
     np.testing.assert_allclose(converged.pose.position, best.pose.position, rtol=0, atol=1e-6)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -38,7 +39,7 @@ def test_the_gate_passes_consistent_measurements_at_its_nominal_rate(
     uvd = rng.uniform([200.0, 60.0, 15.0], [1200.0, 330.0, 60.0], (count, 3))
     stereo_filter = make(landmark=landmark, measurement=measurement, update=update, gate=probability)
     stereo_filter.reset(linear_velocity=(0.0, 0.0, SPEED), covariance=np.diag(np.repeat(1e-10, 12)))
-    stereo_filter._motion = ConstantVelocity(1e-3, 1e-4)
+    stereo_filter.parts = replace(stereo_filter.parts, motion=ConstantVelocity(1e-3, 1e-4))
     stereo_filter.update(StereoObservation(np.arange(count), uvd))
     stereo_filter.predict(DT)
     P = symmetric.full(stereo_filter._state.P)
@@ -47,7 +48,7 @@ def test_the_gate_passes_consistent_measurements_at_its_nominal_rate(
     passed = 0
     for _ in range(draws):
         truth = copy.deepcopy(stereo_filter)
-        truth._state = truth._error.moved(truth._state, root @ rng.standard_normal(len(P)))
+        truth._state = truth.parts.error.moved(truth._state, root @ rng.standard_normal(len(P)))
         exact = truth.forecast().uvd
         z = exact + rng.multivariate_normal(np.zeros(3), INDEPENDENT_PIXELS.R, count)
         row = exact[:, 1] + rng.standard_normal(count) if v_right else None

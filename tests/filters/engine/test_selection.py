@@ -50,7 +50,7 @@ def test_what_is_foreseen_is_what_happens(landmark: str) -> None:
     known = np.arange(5)
     foreseen = pose_covariance(candidates(slam, known, new), np.ones(5 + len(new), dtype=bool))
     ids = slam._state.ids[known]
-    slam._initialise(new)
+    slam._policy.start(slam._state, new)
     step = np.zeros((12, 12))
     step[:6, :6] = selection.STEP
     slam._state.transform_camera(np.eye(12), step)

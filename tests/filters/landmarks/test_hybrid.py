@@ -96,7 +96,7 @@ def test_changing_over_keeps_the_belief_to_first_order(error: str) -> None:
     before, pose, forecast, S = hybrid.landmarks, hybrid.pose, hybrid.forecast(), innovation_covariances(hybrid)
     chosen = np.arange(0, len(before.ids), 2)
     state = hybrid._state
-    at = hybrid._error.linearisation_point(state) or state
+    at = hybrid.parts.error.linearisation_point(state) or state
     state.become_points(chosen, at)
     after = hybrid.landmarks
     assert are_points(hybrid).sum() == len(chosen)
