@@ -1,4 +1,4 @@
-"""The factors of `batch`: full smoothing of all poses and landmarks with GTSAM, incrementally (iSAM2) and as a whole.
+"""The factors of `batch`: full smoothing of all poses and landmarks with GTSAM.
 
 GTSAM's error of a pose is (rotation, translation), both in the camera frame; ours is (position in W, rotation on the
 right). `_tangent` is the change between the two and the only place that knows it.
@@ -6,8 +6,8 @@ right). `_tangent` is the change between the two and the only place that knows i
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
 from types import ModuleType
 from typing import Any
 
@@ -16,19 +16,16 @@ from scipy.linalg import solve_triangular
 
 from filters import rotations
 from filters.camera import StereoCamera
-from filters.motion import POSE_SIZE, POSITION, ROTATION, CameraState, MotionPrediction
-from filters.validation import FloatArray, IntArray
+from filters.interface import BodyVelocity
+from filters.motion import POSE_SIZE, POSITION, ROTATION, CameraState, MotionModel
+from filters.validation import BoolArray, FloatArray, IntArray
 
-# How far a landmark may lie from where it starts: as a multiple of its first distance in iSAM2, m in the final solve.
-# It decides nothing, and keeps a point whose depth is not told by its views from running away.
-INCREMENTAL_SPREAD = 10.0
-FINAL_SPREAD = 1000.0
+# How far a landmark may lie from where it starts, m: it decides nothing, and keeps a point whose depth is not told by
+# its views from running away.
+SPREAD = 1000.0
 # A motion model may claim to know a velocity exactly (m/s, rad/s); a factor cannot.
 SMALLEST_VELOCITY_SIGMA = 1e-6
 SMALLEST_POSE_SIGMA = 1e-9
-# iSAM2 relinearises poses (rad, m) and landmarks (m) that moved by more than this, every so many updates. Ten times
-# coarser, its last pose is twice as far off; this fine, it is that of the final solve.
-RELINEARISE_POSE, RELINEARISE_LANDMARK, RELINEARISE_EVERY = 0.001, 0.1, 10
 # Rows of (u_left, u_right, v) from (u, v, d), the order of GTSAM's stereo factor.
 STEREO_ROWS = np.array([[1.0, 0.0, 0.0], [1.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 
@@ -50,17 +47,32 @@ def load_gtsam() -> ModuleType:
 
 
 @dataclass(frozen=True, eq=False)
-class Move:
-    """One prediction: from `before` by `predictions`, the last of which says where to start (`after`)."""
+class Sightings:
+    """Measurements of landmarks, flat.
 
-    before: CameraState
-    dt: float
-    predictions: tuple[MotionPrediction, ...]
+    Attributes
+    ----------
+    pose : (M,) int64
+        Numbers of the poses they were taken from.
+    ids : (M,) int64
+        Landmarks.
+    uvd, R : (M, 3), (M, 3, 3)
+        Measurements and their covariances, px.
+    """
 
-    @property
-    def after(self) -> CameraState:
-        """Predicted state."""
-        return self.predictions[-1].state
+    pose: IntArray
+    ids: IntArray
+    uvd: FloatArray
+    R: FloatArray
+
+    @classmethod
+    def joined(cls, parts: Sequence[Sightings]) -> Sightings:
+        """All of them, in order."""
+        return cls(*(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(cls)))
+
+    def select(self, index: BoolArray) -> Sightings:
+        """Those at `index`."""
+        return Sightings(self.pose[index], self.ids[index], self.uvd[index], self.R[index])
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,21 +99,31 @@ class Smoothed:
 
 
 class SmoothingGraph:
-    """Factors, iSAM2's estimate of all variables, and their numbers of rows."""
+    """Factors and the best values so far of all poses and landmarks.
 
-    def __init__(self, camera: StereoCamera, start: CameraState, P: FloatArray) -> None:
+    Parameters
+    ----------
+    camera : StereoCamera
+        The rig.
+    start : CameraState
+        Of pose 0.
+    P : (12, 12)
+        Its covariance; how pose and velocity correlate at the start is not used.
+    tail_dof : float, optional
+        Measurements count by Cauchy's loss of this width squared, in standard deviations. None: by their square.
+    """
+
+    def __init__(self, camera: StereoCamera, start: CameraState, P: FloatArray, tail_dof: float | None = None) -> None:
         self._gtsam = load_gtsam()
-        self._camera = camera
         self._calibration = self._gtsam.Cal3_S2Stereo(camera.fx, camera.fy, 0.0, camera.cx, camera.cy, camera.baseline)
-        self._isam = self._gtsam.ISAM2(self._parameters())
+        self._tail_dof = tail_dof
         self._factors = self._gtsam.NonlinearFactorGraph()
         self._values = self._gtsam.Values()
-        self._moves: list[Move] = []
+        self._start = start
         self._start_velocity_covariance = P[POSE_SIZE:, POSE_SIZE:]
-        self._measured = self._gtsam.NonlinearFactorGraph()
+        self._time_steps: list[float] = []
+        self._keys: dict[int, int] = {}
         self._rows = 0
-        self._starts: dict[int, FloatArray] = {}
-        self._views: list[tuple[int, int]] = []
         T = _tangent(start)
         inverse = np.linalg.inv(T)
         covariance = inverse @ P[:POSE_SIZE, :POSE_SIZE] @ inverse.T + SMALLEST_POSE_SIGMA**2 * np.eye(POSE_SIZE)
@@ -114,142 +136,141 @@ class SmoothingGraph:
         """GTSAM's own copies; factors are immutable and shared."""
         twin = object.__new__(SmoothingGraph)
         twin.__dict__.update(self.__dict__)
-        twin._isam = self._gtsam.ISAM2(self._isam)
         twin._factors = self._factors.clone()
         twin._values = self._gtsam.Values(self._values)
-        twin._moves = list(self._moves)
-        twin._starts = dict(self._starts)
-        twin._views = list(self._views)
-        twin._measured = self._measured.clone()
+        twin._time_steps = list(self._time_steps)
+        twin._keys = dict(self._keys)
         return twin
 
     @property
     def last(self) -> int:
         """Number of the current pose."""
-        return len(self._moves)
-
-    def add_move(self, move: Move) -> None:
-        """A new pose, tied to the two before it by what the motion models say of its velocity.
-
-        With v_k = (r_k - r_k-1) / dt and w_k = Log(R_k-1^T R_k) / dt, Eq. 6 is a statement about three poses:
-        (v_k, w_k) = f(x_k-1, v_k-1, w_k-1) + noise. It is linear but for rotations of the size of a correction, so
-        it is linearised once.
-        """
-        k = len(self._moves) + 1
-        new = _velocity_jacobian(move.before, move.after, move.dt)
-        for prediction in move.predictions:
-            F = prediction.F[POSE_SIZE:]
-            covariance = (prediction.G @ prediction.Q @ prediction.G.T)[POSE_SIZE:, POSE_SIZE:]
-            before, earlier = new[:, :6] - F[:, :6], None
-            if self._moves:
-                previous = self._moves[-1]
-                old = _velocity_jacobian(previous.before, move.before, previous.dt)
-                before, earlier = before - F[:, 6:] @ old[:, 6:], -F[:, 6:] @ old[:, :6]
-            else:
-                covariance = covariance + F[:, 6:] @ self._start_velocity_covariance @ F[:, 6:].T
-            covariance = covariance + SMALLEST_VELOCITY_SIGMA**2 * np.eye(6)
-            residual = _velocity(move.after) - _velocity(prediction.state)
-            blocks = [(k, new[:, 6:], move.after), (k - 1, before, move.before)]
-            if earlier is not None:
-                blocks.append((k - 2, earlier, self._moves[-1].before))
-            self._add_linear(blocks, residual, covariance)
-        self._values.insert(self._pose_key(k), self._pose_of(move.after))
-        self._moves.append(move)
-
-    def add_landmarks(self, points: FloatArray, distances: FloatArray) -> IntArray:
-        """New landmarks that start at (M, 3) m in W, (M,) m from the camera; returns their keys."""
-        first = len(self._starts)
-        keys = [int(self._gtsam.symbol("l", first + i)) for i in range(len(points))]
-        for key, point, distance in zip(keys, points, distances.tolist(), strict=True):
-            self._values.insert(key, point)
-            self._factors.add(self._near(key, point, INCREMENTAL_SPREAD * distance))
-            self._starts[key] = point
-        return np.array(keys, dtype=np.int64)
-
-    def add_sightings(self, poses: IntArray, keys: IntArray, uvd: FloatArray, R: FloatArray) -> None:
-        """Measurements (M, 3) px of landmarks from the poses of those numbers, with R (M, 3, 3) px^2."""
-        measured = uvd @ STEREO_ROWS.T
-        covariances = STEREO_ROWS @ R @ STEREO_ROWS.T
-        for k, key, (u_left, u_right, v), S in zip(
-            poses.tolist(), keys.tolist(), measured.tolist(), covariances, strict=True
-        ):
-            point, model = self._gtsam.StereoPoint2(u_left, u_right, v), self._gtsam.noiseModel.Gaussian.Covariance(S)
-            pose = self._pose_key(k)
-            self._measure(self._gtsam.GenericStereoFactor3D(point, model, pose, key, self._calibration), 3)
-            self._views.append((pose, key))
-
-    def solve(self) -> None:
-        """Take in what was added since the last call."""
-        self._isam.update(self._factors, self._values)
-        self._factors, self._values = self._gtsam.NonlinearFactorGraph(), self._gtsam.Values()
+        return len(self._time_steps)
 
     def state(self) -> CameraState:
         """The current pose, with the velocity of the last move."""
-        pose = self._isam.calculateEstimatePose3(self._pose_key(self.last))
-        position, orientation = _split(pose)
-        if not self._moves:
-            return CameraState(position, orientation, np.zeros(3), np.zeros(3))
-        before, dt = self._isam.calculateEstimatePose3(self._pose_key(self.last - 1)), self._moves[-1].dt
+        return self._state_at(self.last)
+
+    def add_move(
+        self,
+        dt: float,
+        odometry: BodyVelocity | None,
+        models: Sequence[MotionModel],
+        R: FloatArray,
+        t: FloatArray,
+    ) -> None:
+        """A new pose, tied to the two before it by what the motion models say of its velocity.
+
+        It starts at (R, t) in the camera before it. With v_k = (r_k - r_k-1) / dt and w_k = Log(R_k-1^T R_k) / dt,
+        Eq. 6 is a statement about three poses: (v_k, w_k) = f(x_k-1, v_k-1, w_k-1) + noise. It is linear but for
+        rotations of the size of a correction, so it is linearised once.
+        """
+        before = self.state()
+        turn = rotations.log(R)
+        after = CameraState(
+            before.position + before.R_wc @ t,
+            rotations.multiply(before.orientation, rotations.exp_quaternion(turn)),
+            before.R_wc @ t / dt,
+            turn / dt,
+        )
+        k = self.last + 1
+        new = _velocity_jacobian(before, after, dt)
+        for model in models:
+            prediction = model.predict(before, dt, odometry)
+            F = prediction.F[POSE_SIZE:]
+            covariance = (prediction.G @ prediction.Q @ prediction.G.T)[POSE_SIZE:, POSE_SIZE:]
+            blocks = [(k, new[:, 6:], after)]
+            if k > 1:
+                earlier = self._state_at(k - 2)
+                old = _velocity_jacobian(earlier, before, self._time_steps[-1])
+                blocks.append((k - 1, new[:, :6] - F[:, :6] - F[:, 6:] @ old[:, 6:], before))
+                blocks.append((k - 2, -F[:, 6:] @ old[:, :6], earlier))
+            else:
+                blocks.append((0, new[:, :6] - F[:, :6], before))
+                covariance = covariance + F[:, 6:] @ self._start_velocity_covariance @ F[:, 6:].T
+            covariance = covariance + SMALLEST_VELOCITY_SIGMA**2 * np.eye(6)
+            self._add_linear(blocks, _velocity(after) - _velocity(prediction.state), covariance)
+        self._values.insert(self._pose_key(k), self._pose_of(after))
+        self._time_steps.append(dt)
+
+    def add_sightings(self, seen: Sightings, located: Mapping[int, tuple[int, FloatArray]]) -> Sightings:
+        """Measurements of landmarks that are in the graph, or can enter it.
+
+        Parameters
+        ----------
+        seen : Sightings
+            What is new.
+        located : mapping
+            Of landmarks whose depth is known: the number of a pose, and where it sees them, (3,) m.
+
+        Returns
+        -------
+        Sightings
+            Those that have to wait: the landmark has no depth yet, or would lie behind a camera that saw it.
+        """
+        cameras = np.array([self._values.atPose3(self._pose_key(k)).matrix() for k in range(self.last + 1)])
+        waits = np.zeros(len(seen.ids), dtype=bool)
+        order = np.argsort(seen.ids, kind="stable")
+        values, first = np.unique(seen.ids[order], return_index=True)
+        for i, rows in zip(values.tolist(), np.split(order, first)[1:], strict=True):
+            if i not in self._keys:
+                if i not in located:
+                    waits[rows] = True
+                    continue
+                where, p_c = located[i]
+                point = cameras[where, :3, :3] @ p_c + cameras[where, :3, 3]
+                views = cameras[seen.pose[rows]]
+                if (np.einsum("mi,mi->m", point - views[:, :3, 3], views[:, :3, 2]) <= 0.0).any():
+                    waits[rows] = True
+                    continue
+                self._add_landmark(i, point)
+            for row in rows.tolist():
+                self._add_sighting(self._keys[i], int(seen.pose[row]), seen.uvd[row], seen.R[row])
+        return seen.select(waits)
+
+    def solve(self) -> None:
+        """Levenberg-Marquardt on everything, from the best values so far."""
+        self._values = self._gtsam.LevenbergMarquardtOptimizer(self._factors, self._values).optimize()
+
+    def smoothed(self) -> Smoothed:
+        """What the last solution gave."""
+        trajectory = [_split(self._values.atPose3(self._pose_key(k))) for k in range(self.last + 1)]
+        positions, orientations = (np.array(part) for part in zip(*trajectory, strict=True))
+        dof = self._rows - 6 * len(trajectory) - 3 * len(self._keys)
+        return Smoothed(positions, orientations, 2.0 * float(self._factors.error(self._values)), dof)
+
+    def _state_at(self, k: int) -> CameraState:
+        """Pose `k` with the velocity of the move to it; that of the start has the one it was given."""
+        if k == 0:
+            start = self._start
+            position, orientation = _split(self._values.atPose3(self._pose_key(0)))
+            return CameraState(position, orientation, start.linear_velocity, start.angular_velocity)
+        before, pose = (self._values.atPose3(self._pose_key(n)) for n in (k - 1, k))
+        dt = self._time_steps[k - 1]
         turn = rotations.log(before.rotation().matrix().T @ pose.rotation().matrix())
+        position, orientation = _split(pose)
         return CameraState(position, orientation, (position - before.translation()) / dt, turn / dt)
 
-    def points(self, keys: IntArray) -> FloatArray:
-        """Estimated positions of landmarks, (M, 3) m in W."""
-        found = [self._isam.calculateEstimatePoint3(key) for key in keys.tolist()]
-        return np.array(found).reshape(-1, 3)
+    def _add_landmark(self, i: int, point: FloatArray) -> None:
+        key = self._keys[i] = int(self._gtsam.symbol("l", len(self._keys)))
+        self._values.insert(key, point)
+        near = self._gtsam.noiseModel.Isotropic.Sigma(3, SPREAD)
+        self._factors.add(self._gtsam.PriorFactorPoint3(key, point, near))
 
-    def covariance(self, keys: IntArray) -> FloatArray:
-        """Joint covariance (12 + 3 M) of the camera and of landmarks; without a move, of the pose alone (6 + 3 M)."""
-        numbers = [self.last] if not self._moves else [self.last - 1, self.last]
-        pose_keys = [self._pose_key(k) for k in numbers]
-        joint = np.asarray(self._isam.jointMarginalCovariance([*pose_keys, *keys.tolist()]).fullMatrix())
-        poses = [_split(self._isam.calculateEstimatePose3(key)) for key in pose_keys]
-        states = [CameraState(r, q, np.zeros(3), np.zeros(3)) for r, q in poses]
-        J = np.zeros((6 * len(states), 6 * len(states)))
-        J[:6, -6:] = _tangent(states[-1])
-        if self._moves:
-            by_poses = _velocity_jacobian(states[0], states[1], self._moves[-1].dt)
-            J[6:, :6], J[6:, 6:] = by_poses[:, :6] @ _tangent(states[0]), by_poses[:, 6:] @ _tangent(states[1])
-        whole = np.eye(len(joint))
-        whole[: len(J), : len(J)] = J
-        covariance: FloatArray = whole @ joint @ whole.T
-        return 0.5 * (covariance + covariance.T)
-
-    def smooth(self) -> Smoothed:
-        """Levenberg-Marquardt on everything, from iSAM2's poses and landmarks.
-
-        A landmark that iSAM2 has thrown behind a camera that saw it would stay there, a false minimum: it starts again
-        from where it was first put. The steps here are damped, so that none is thrown again.
-        """
-        factors, values = self._measured.clone(), self._isam.calculateBestEstimate()
-        behind = {key for pose, key in self._views if values.atPose3(pose).transformTo(values.atPoint3(key))[2] <= 0.0}
-        for key in sorted(behind):
-            values.update(key, self._starts[key])
-        for key in self._starts:
-            factors.add(self._near(key, values.atPoint3(key), FINAL_SPREAD))
-        values = self._gtsam.LevenbergMarquardtOptimizer(factors, values).optimize()
-        trajectory = [_split(values.atPose3(self._pose_key(k))) for k in range(self.last + 1)]
-        positions, orientations = (np.array(part) for part in zip(*trajectory, strict=True))
-        dof = self._rows - 6 * len(trajectory) - 3 * len(self._starts)
-        return Smoothed(positions, orientations, 2.0 * float(factors.error(values)), dof)
+    def _add_sighting(self, key: int, pose: int, uvd: FloatArray, R: FloatArray) -> None:
+        u_left, u_right, v = (STEREO_ROWS @ uvd).tolist()
+        model = self._gtsam.noiseModel.Gaussian.Covariance(STEREO_ROWS @ R @ STEREO_ROWS.T)
+        if self._tail_dof is not None:
+            loss = self._gtsam.noiseModel.mEstimator.Cauchy.Create(self._tail_dof**0.5)
+            model = self._gtsam.noiseModel.Robust.Create(loss, model)
+        point = self._gtsam.StereoPoint2(u_left, u_right, v)
+        factor = self._gtsam.GenericStereoFactor3D(point, model, self._pose_key(pose), key, self._calibration)
+        self._measure(factor, 3)
 
     def _measure(self, factor: Any, rows: int) -> None:
-        """Add a factor that is a fact, and not only a help for iSAM2."""
+        """Add a factor that is a fact, and not only a help for the solver."""
         self._factors.add(factor)
-        self._measured.add(factor)
         self._rows += rows
-
-    def _near(self, key: int, point: FloatArray, spread: float) -> Any:
-        return self._gtsam.PriorFactorPoint3(key, point, self._gtsam.noiseModel.Isotropic.Sigma(3, spread))
-
-    def _parameters(self) -> Any:
-        parameters = self._gtsam.ISAM2Params()
-        parameters.relinearizeSkip = RELINEARISE_EVERY
-        thresholds = self._gtsam.ISAM2ThresholdMap()
-        thresholds.insert(("x", np.full(6, RELINEARISE_POSE)))
-        thresholds.insert(("l", np.full(3, RELINEARISE_LANDMARK)))
-        parameters.setRelinearizeThreshold(thresholds)
-        return parameters
 
     def _pose_key(self, k: int) -> int:
         return int(self._gtsam.symbol("x", k))

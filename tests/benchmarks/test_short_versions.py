@@ -1,0 +1,81 @@
+"""The long benchmarks in short: they run, and what they show holds in the small already."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from stereo_slam_env.benchmark.summary import summarise
+
+BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
+
+
+def script(name: str) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(f"benchmark_{name}", BENCHMARKS / f"{name}.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # dataclasses look their module up
+    spec.loader.exec_module(module)
+    return module
+
+
+soak = script("covariance_soak")
+
+
+@pytest.mark.parametrize("case", soak.CASES, ids=str)
+def test_the_covariance_stays_a_covariance(case: soak.Case, monkeypatch: pytest.MonkeyPatch) -> None:
+    """300 updates and five blind stretches; the benchmark has 100,000."""
+    monkeypatch.setattr(soak, "LOOK_EVERY", 50)
+    health, error, _ = soak.soak(case, 300)
+    # Six numbers for each landmark repeat their anchor: singular by construction, on either side of zero.
+    assert health.smallest_eigenvalue > (-1e-12 if case.landmark == "inverse-depth" else 1e-12)
+    assert health.smallest_variance > 0
+    assert health.asymmetry <= 1e-12
+    assert health.failed == 0
+    assert error < 0.2
+
+
+def test_consensus_keeps_a_filter_consistent_under_heavy_tails_and_wrong_associations() -> None:
+    """2 drives of 30 frames; the gate alone is overconfident several times over."""
+    heavy_tails = script("heavy_tails")
+    labels = ["gate", "consensus", "defended"]
+    by_seed = [heavy_tails.run_seed(seed, 30, heavy_tails.ASSUMED_SIGMA, labels) for seed in range(2)]
+    figures = {label: summarise([runs[number] for runs in by_seed]) for number, label in enumerate(labels)}
+    for label in ("consensus", "defended"):
+        assert figures[label].diverged == 0
+        assert figures[label].pose_anees / 6 < 1.5
+    assert figures["gate"].pose_anees / 6 > 3.0
+
+
+def test_the_pixel_errors_are_the_mixture_that_was_measured() -> None:
+    heavy_tails = script("heavy_tails")
+    drawn = np.abs(heavy_tails.pixel_errors(np.random.default_rng(0), (100_000,)))
+    # Beyond 2 px there is only the uniform part: 4 % over 20 px.
+    assert np.mean(drawn > 2.0) == pytest.approx(0.04 * 0.9, abs=0.003)
+    assert np.median(drawn) == pytest.approx(0.09, abs=0.01)
+
+
+def test_a_bootstrap_interval_knows_a_ratio_of_one_and_a_half() -> None:
+    against_batch = script("against_batch")
+    errors = np.random.default_rng(0).standard_normal((60, 3))
+    ratio, low, high = against_batch.interval(1.5 * errors, errors)
+    assert [ratio, low, high] == pytest.approx([1.5, 1.5, 1.5])
+    other = np.random.default_rng(1).standard_normal((60, 3))
+    ratio, low, high = against_batch.interval(errors, other)
+    assert low < 1.0 < high
+    assert low < ratio < high
+
+
+def test_a_filter_ends_where_smoothing_ends() -> None:
+    pytest.importorskip("gtsam", reason='needs pip install "stereo-slam-env[gtsam]"')
+    against_batch = script("against_batch")
+    found = against_batch.run_seed(0, 60, False, ["shared-anchor"])
+    assert found["batch"].chi2 == pytest.approx(1.0, abs=0.05)
+    assert np.linalg.norm(found["batch"].end - found["shared-anchor"].end) < 0.05
+    assert found["batch"].ate < found["shared-anchor"].ate
