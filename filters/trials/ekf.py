@@ -130,7 +130,7 @@ class StereoEKFTrials:
             assert seen is not None
             nothing, no_rows = np.zeros((*seen.innovation.shape, 0)), np.zeros((len(seen.H), 0), dtype=np.int64)
             of_camera = LinearisedMeasurements(seen.innovation, seen.H, nothing, no_rows, seen.R)
-            self._retract(lockstep.update(states.P, measured.trial, of_camera, None, self._work).delta)
+            self._retract(lockstep.update(states.P, CAMERA_SIZE, measured.trial, of_camera, None, self._work).delta)
 
     def update(self, observations: Sequence[StereoObservation]) -> TrialReports:
         """Use a frame of every trial: known ids correct the state, unseen ones leave, new ones enter.
@@ -243,7 +243,7 @@ class StereoEKFTrials:
             candidates = np.flatnonzero(outcome == UPDATED)
             limit = gating.gate_limit(gate, stage.z.shape[1]) if gate is not None else None
             part = linear if len(candidates) == len(seen) else linear[candidates]
-            correction = lockstep.update(self._states.P, seen.trial[candidates], part, limit, self._work)
+            correction = lockstep.update(self._states.P, self._states.head, seen.trial[candidates], part, limit, self._work)
             self._retract(correction.delta)
             outcome[candidates[~correction.passed]] = GATED
             outcome[candidates[correction.passed & ~correction.used]] = FAILED
@@ -259,14 +259,14 @@ class StereoEKFTrials:
         h_c = rotations.turned(R_wc.swapaxes(1, 2), seen.homogeneous[:, :3])
         by_pose, by_map = measurement_jacobians(self.camera, R_wc, seen, h_c, stage.T)
         predicted = self.camera.project_scaled(h_c, seen.homogeneous[:, 3]) @ stage.T.T
-        rows = states.map_rows(place)
+        rows = states.map_rows(trial, place)
         return h_c[:, 2] > 0, LinearisedMeasurements(stage.z - predicted, by_pose, by_map, rows, stage.R)
 
     def _retract(self, delta: FloatArray) -> None:
         """Move the states by their corrections (Eq. 17) and carry P along."""
         states, retraction = self._states, self._parts.error.retraction
         states.camera = moved_camera(states.camera, delta, retraction)
-        states.numbers += delta[:, CAMERA_SIZE:].reshape(states.numbers.shape)
+        states.add(delta)
         carried = np.zeros((self._trials, CAMERA_SIZE, CAMERA_SIZE))
         carried[...] = np.eye(CAMERA_SIZE)
         carried[:, ROTATION, ROTATION] = retraction.transport(delta[:, ROTATION])
