@@ -22,6 +22,8 @@ from filters.noise import StereoNoise
 from filters.registry import available_filters, make_filter
 from filters.right_invariant import RightInvariantEKF
 from filters.shared_anchor_stereo import SharedAnchorEKF
+from filters.trials.ekf import StereoEKFTrials
+from filters.trials.series import TrialSeries, run_trials
 from filters.unscented_stereo import UnscentedStereoFilter
 
 __all__ = [
@@ -40,9 +42,11 @@ __all__ = [
     "SharedAnchorEKF",
     "StereoCamera",
     "StereoEKF",
+    "StereoEKFTrials",
     "StereoFilter",
     "StereoNoise",
     "StereoObservation",
+    "TrialSeries",
     "UnscentedStereoFilter",
     "UpdateReport",
     "VelocityBelief",
@@ -50,4 +54,5 @@ __all__ = [
     "available_filters",
     "check_filter",
     "make_filter",
+    "run_trials",
 ]

@@ -94,6 +94,8 @@ def right_jacobian(rotation_vector: ArrayLike) -> FloatArray:
     """
     x, y, z = _numbers(rotation_vector)
     square = x * x + y * y + z * z
+    first: Any
+    second: Any
     if not isinstance(square, float):
         small = square < 1e-8
         safe = np.where(small, 1.0, square)

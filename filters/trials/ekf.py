@@ -6,11 +6,12 @@ trial's belief is what `StereoEKF` would have on its own, to rounding.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from inspect import signature
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from filters import rotations
 from filters.engine import gating, linearisation
@@ -39,6 +40,8 @@ from filters.trials.observations import (
     TrialReports,
 )
 from filters.validation import BoolArray, FloatArray, IntArray, positive
+
+_RESET_ARGUMENTS = tuple(signature(start_belief).parameters)
 
 
 class StereoEKFTrials:
@@ -74,42 +77,34 @@ class StereoEKFTrials:
     def __len__(self) -> int:
         return self._trials
 
-    def reset(
-        self,
-        position: ArrayLike = (0.0, 0.0, 0.0),
-        orientation: ArrayLike = (0.0, 0.0, 0.0, 1.0),
-        linear_velocity: ArrayLike = (0.0, 0.0, 0.0),
-        angular_velocity: ArrayLike = (0.0, 0.0, 0.0),
-        covariance: ArrayLike | None = None,
-    ) -> None:
+    def reset(self, starts: Sequence[Mapping[str, Any]] | None = None) -> None:
         """Start all trials again with empty maps.
 
         Parameters
         ----------
-        position, orientation, linear_velocity, angular_velocity, covariance
-            As of `StereoFilter.reset`; one for all trials, or one for each with a leading dimension of B.
+        starts : B mappings, optional
+            Arguments of `StereoFilter.reset` for each trial, by their names; None: its defaults.
 
         Raises
         ------
         ValueError
-            A wrong shape, or a value that `StereoFilter.reset` refuses.
+            Not one mapping for each trial, an unknown argument, or a value that `StereoFilter.reset` refuses.
         """
-        given = {
-            "position": (position, 1),
-            "orientation": (orientation, 1),
-            "linear_velocity": (linear_velocity, 1),
-            "angular_velocity": (angular_velocity, 1),
-            "covariance": (covariance, 2),
-        }
-        each = {name: self._for_each_trial(name, value, ndim) for name, (value, ndim) in given.items()}
-        starts = [start_belief(*(values[b] for values in each.values())) for b in range(self._trials)]
-        cameras = CameraState(
-            np.array([camera.position for camera, _ in starts]),
-            np.array([camera.orientation for camera, _ in starts]),
-            np.array([camera.linear_velocity for camera, _ in starts]),
-            np.array([camera.angular_velocity for camera, _ in starts]),
+        starts = [{}] * self._trials if starts is None else starts
+        if len(starts) != self._trials:
+            raise ValueError(f"starts must be one for each of {self._trials} trials, got {len(starts)}")
+        unknown = sorted({name for start in starts for name in start} - set(_RESET_ARGUMENTS))
+        if unknown:
+            raise ValueError(f"starts must name arguments of reset ({', '.join(_RESET_ARGUMENTS)}), got {unknown[0]!r}")
+        beliefs = [start_belief(**start) for start in starts]
+        cameras = [camera for camera, _ in beliefs]
+        camera = CameraState(
+            np.array([camera.position for camera in cameras]),
+            np.array([camera.orientation for camera in cameras]),
+            np.array([camera.linear_velocity for camera in cameras]),
+            np.array([camera.angular_velocity for camera in cameras]),
         )
-        self._states = JointStates.without_maps(cameras, np.array([P for _, P in starts]), self._parts.landmark)
+        self._states = JointStates.without_maps(camera, np.array([P for _, P in beliefs]), self._parts.landmark)
 
     def predict(self, dt: float, odometry: Sequence[BodyVelocity | None] | None = None) -> None:
         """Move the beliefs forward by `dt` seconds (Eq. 6, 11, 12); odometry, if any, is one for each trial, or None.
@@ -201,15 +196,6 @@ class StereoEKFTrials:
         """One trial as a filter of its own: pose, map and forecast, and it can go on from here alone."""
         return self._one.believing(self._states.single(number))
 
-    def _for_each_trial(self, name: str, value: ArrayLike | None, ndim: int) -> Sequence[ArrayLike]:
-        if value is None or np.ndim(value) == ndim:
-            return [value] * self._trials  # type: ignore[list-item]
-        if np.ndim(value) != ndim + 1 or len(value) != self._trials:  # type: ignore[arg-type]
-            raise ValueError(
-                f"{name} must be one for all trials, or {self._trials} of them: got shape {np.shape(value)}"
-            )
-        return value  # type: ignore[return-value]
-
     def _stacked(self, odometry: Sequence[BodyVelocity | None] | None) -> _Odometry | None:
         """The odometry of those trials that have some."""
         if odometry is None:
@@ -243,7 +229,9 @@ class StereoEKFTrials:
             candidates = np.flatnonzero(outcome == UPDATED)
             limit = gating.gate_limit(gate, stage.z.shape[1]) if gate is not None else None
             part = linear if len(candidates) == len(seen) else linear[candidates]
-            correction = lockstep.update(self._states.P, self._states.head, seen.trial[candidates], part, limit, self._work)
+            correction = lockstep.update(
+                self._states.P, self._states.head, seen.trial[candidates], part, limit, self._work
+            )
             self._retract(correction.delta)
             outcome[candidates[~correction.passed]] = GATED
             outcome[candidates[correction.passed & ~correction.used]] = FAILED
@@ -320,4 +308,6 @@ def _refuse_what_needs_one_by_one(parts: Parts) -> None:
     for wanted, given in supported.items():
         if not given:
             name = wanted.partition("=")[0]
-            raise ValueError(f"{name} must be {wanted.partition('=')[2]} for trials in lock-step: use StereoEKF one by one")
+            raise ValueError(
+                f"{name} must be {wanted.partition('=')[2]} for trials in lock-step: use StereoEKF one by one"
+            )

@@ -3,9 +3,10 @@
 As in `filters.engine.joint_state` the error state of a trial is the 12 numbers of the camera and blocks of three. Here
 every trial has the same number of them, used or idle, in a fixed order: camera, shared anchors, landmarks. An anchor
 that is not shared stands before the parameters of its landmark: that makes a larger state than shared ones and needs
-less looking up, so it is faster where landmarks enter one by one. P is kept whole, both triangles, row-major. A landmark
-that leaves takes nothing with it: its numbers stay in the joint state as a marginal nobody looks at, which changes
-nothing for the others, until a new landmark is written over it.
+less looking up, so it is faster where landmarks enter one by one. P is kept whole, both triangles, row-major.
+
+A landmark that leaves takes nothing with it: its numbers stay in the joint state as a marginal nobody looks at, which
+changes nothing for the others, until a new landmark is written over it.
 """
 
 from __future__ import annotations
@@ -69,7 +70,7 @@ class JointStates:
     @property
     def head(self) -> int:
         """Rows of camera and shared anchors; the landmarks' own are behind them."""
-        return CAMERA_SIZE + 3 * self.anchors.shape[1]
+        return CAMERA_SIZE + 3 * int(self.anchors.shape[1])
 
     def locate(self, trial: IntArray, ids: IntArray) -> tuple[BoolArray, IntArray]:
         """Which landmarks (N,) are in the maps of their trials, and the place of each that is."""
@@ -210,7 +211,9 @@ class JointStates:
         old = [camera, _rows(CAMERA_SIZE, 3, kept_anchors), _rows(self.head, width, kept)]
         moved_to = np.zeros(self.anchors.shape[:2], dtype=np.int64)
         moved_to[trials, kept_anchors] = np.arange(kept_anchors.shape[1])
-        anchor_of = np.take_along_axis(moved_to, self.anchor_of, axis=1) if self.model.shares_anchors else self.anchor_of
+        anchor_of = (
+            np.take_along_axis(moved_to, self.anchor_of, axis=1) if self.model.shares_anchors else self.anchor_of
+        )
 
         def rearranged(values: Any, index: IntArray, places: int) -> Any:
             made = np.zeros((len(self), places, *values.shape[2:]), dtype=values.dtype)

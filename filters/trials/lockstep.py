@@ -178,7 +178,7 @@ class _Seats:
 
 def _fill_with_HP(HP: FloatArray, P: FloatArray, by_head: FloatArray, by_own: FloatArray, seats: _Seats) -> None:
     """HP <- H P, (B, M k, n)."""
-    trials, rows, n = HP.shape
+    trials, _, n = HP.shape
     head = by_head.shape[2]
     if by_own.shape[3] == 0:
         np.matmul(by_head, P[:, :head], out=HP)
@@ -213,12 +213,12 @@ def _leave_out(S: FloatArray, HP: FloatArray, nu: FloatArray, trial: IntArray, r
 def _cholesky(S: FloatArray) -> tuple[FloatArray, BoolArray]:
     """Lower factors, and the trials that have none; (B, m, m) -> (B, m, m), (B,)."""
     try:
-        L = np.linalg.cholesky(S)
+        L: FloatArray = np.linalg.cholesky(S)
     except np.linalg.LinAlgError:
         definite = np.array([_is_definite(s) for s in S])
-        L = np.linalg.cholesky(np.where(definite[:, None, None], S, np.eye(S.shape[1])))
-        return L, ~definite
-    return L, ~np.isfinite(L[:, -1:, -1:]).all(axis=(1, 2))
+        return np.linalg.cholesky(np.where(definite[:, None, None], S, np.eye(S.shape[1]))), ~definite
+    has_none: BoolArray = ~np.isfinite(L[:, -1, -1])
+    return L, has_none
 
 
 def _is_definite(S: FloatArray) -> bool:
