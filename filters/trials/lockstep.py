@@ -213,7 +213,7 @@ def _leave_out(S: FloatArray, HP: FloatArray, nu: FloatArray, trial: IntArray, r
 def _cholesky(S: FloatArray) -> tuple[FloatArray, BoolArray]:
     """Lower factors, and the trials that have none; (B, m, m) -> (B, m, m), (B,)."""
     try:
-        L: FloatArray = np.linalg.cholesky(S)
+        L = np.asarray(np.linalg.cholesky(S), dtype=np.float64)
     except np.linalg.LinAlgError:
         definite = np.array([_is_definite(s) for s in S])
         return np.linalg.cholesky(np.where(definite[:, None, None], S, np.eye(S.shape[1]))), ~definite
