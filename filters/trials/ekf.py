@@ -177,6 +177,12 @@ class StereoEKFTrials:
         P = states.P[:, POSE_SIZE:CAMERA_SIZE, POSE_SIZE:CAMERA_SIZE].copy()
         return VelocityBelief(states.camera.linear_velocity.copy(), states.camera.angular_velocity.copy(), P)
 
+    @property
+    def map_sizes(self) -> IntArray:
+        """Number of landmarks in the map of each trial, (B,)."""
+        sizes: IntArray = self._states.taken.sum(axis=1)
+        return sizes
+
     def pose_error(self, position: FloatArray, orientation: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Errors of the poses in the filter's own error definition, as of `StereoFilter.pose_error`.
 

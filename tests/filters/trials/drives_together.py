@@ -29,7 +29,7 @@ def starts(trials: int) -> list[dict[str, Any]]:
     return [
         {
             "position": rng.normal(0.0, 0.1, 3),
-            "linear_velocity": (0.0, 0.0, SPEED) + rng.normal(0.0, 0.3, 3),
+            "linear_velocity": rng.normal((0.0, 0.0, SPEED), 0.3),
             "covariance": START_COVARIANCE * rng.uniform(1.0, 2.0),
         }
         for _ in range(trials)
@@ -42,7 +42,7 @@ def noisy_odometry(trials: int, frames: int, seed: int = 3) -> list[list[BodyVel
     covariance = np.diag(np.repeat([0.1, 0.01], 3) ** 2)
 
     def of_a_step() -> BodyVelocity | None:
-        linear, angular = (0.0, 0.0, SPEED) + rng.normal(0.0, 0.1, 3), rng.normal(0.0, 0.01, 3)
+        linear, angular = rng.normal((0.0, 0.0, SPEED), 0.1), rng.normal(0.0, 0.01, 3)
         return BodyVelocity(linear, angular, covariance) if rng.uniform() < 0.7 else None
 
     return [[of_a_step() for _ in range(frames)] for _ in range(trials)]
