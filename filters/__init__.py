@@ -24,6 +24,8 @@ from filters.registry import available_filters, make_filter
 from filters.right_invariant import RightInvariantEKF
 from filters.shared_anchor_stereo import SharedAnchorEKF
 from filters.submaps.submap_ekf import SubmapEKF
+from filters.trials.ekf import StereoEKFTrials
+from filters.trials.series import TrialSeries, run_trials
 from filters.unscented_stereo import UnscentedStereoFilter
 
 __all__ = [
@@ -43,10 +45,12 @@ __all__ = [
     "SharedAnchorEKF",
     "StereoCamera",
     "StereoEKF",
+    "StereoEKFTrials",
     "StereoFilter",
     "StereoNoise",
     "StereoObservation",
     "SubmapEKF",
+    "TrialSeries",
     "UnscentedStereoFilter",
     "UpdateReport",
     "VelocityBelief",
@@ -54,4 +58,5 @@ __all__ = [
     "available_filters",
     "check_filter",
     "make_filter",
+    "run_trials",
 ]

@@ -15,11 +15,11 @@ BROAD_ANGULAR_VELOCITY = 0.5
 
 
 def start_belief(
-    position: ArrayLike,
-    orientation: ArrayLike,
-    linear_velocity: ArrayLike,
-    angular_velocity: ArrayLike,
-    covariance: ArrayLike | None,
+    position: ArrayLike = (0.0, 0.0, 0.0),
+    orientation: ArrayLike = (0.0, 0.0, 0.0, 1.0),
+    linear_velocity: ArrayLike = (0.0, 0.0, 0.0),
+    angular_velocity: ArrayLike = (0.0, 0.0, 0.0),
+    covariance: ArrayLike | None = None,
 ) -> tuple[CameraState, FloatArray]:
     """The arguments of `StereoFilter.reset` as a camera state and its covariance (12, 12).
 

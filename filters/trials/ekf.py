@@ -6,11 +6,12 @@ trial's belief is what `StereoEKF` would have on its own, to rounding.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from inspect import signature
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from filters import rotations
 from filters.engine import gating, unscented
@@ -39,6 +40,8 @@ from filters.trials.observations import (
     TrialReports,
 )
 from filters.validation import BoolArray, FloatArray, IntArray, positive
+
+_RESET_ARGUMENTS = tuple(signature(start_belief).parameters)
 
 
 class StereoEKFTrials:
@@ -74,42 +77,34 @@ class StereoEKFTrials:
     def __len__(self) -> int:
         return self._trials
 
-    def reset(
-        self,
-        position: ArrayLike = (0.0, 0.0, 0.0),
-        orientation: ArrayLike = (0.0, 0.0, 0.0, 1.0),
-        linear_velocity: ArrayLike = (0.0, 0.0, 0.0),
-        angular_velocity: ArrayLike = (0.0, 0.0, 0.0),
-        covariance: ArrayLike | None = None,
-    ) -> None:
+    def reset(self, starts: Sequence[Mapping[str, Any]] | None = None) -> None:
         """Start all trials again with empty maps.
 
         Parameters
         ----------
-        position, orientation, linear_velocity, angular_velocity, covariance
-            As of `StereoFilter.reset`; one for all trials, or one for each with a leading dimension of B.
+        starts : B mappings, optional
+            Arguments of `StereoFilter.reset` for each trial, by their names; None: its defaults.
 
         Raises
         ------
         ValueError
-            A wrong shape, or a value that `StereoFilter.reset` refuses.
+            Not one mapping for each trial, an unknown argument, or a value that `StereoFilter.reset` refuses.
         """
-        given = {
-            "position": (position, 1),
-            "orientation": (orientation, 1),
-            "linear_velocity": (linear_velocity, 1),
-            "angular_velocity": (angular_velocity, 1),
-            "covariance": (covariance, 2),
-        }
-        each = {name: self._for_each_trial(name, value, ndim) for name, (value, ndim) in given.items()}
-        starts = [start_belief(*(values[b] for values in each.values())) for b in range(self._trials)]
-        cameras = CameraState(
-            np.array([camera.position for camera, _ in starts]),
-            np.array([camera.orientation for camera, _ in starts]),
-            np.array([camera.linear_velocity for camera, _ in starts]),
-            np.array([camera.angular_velocity for camera, _ in starts]),
+        starts = [{}] * self._trials if starts is None else starts
+        if len(starts) != self._trials:
+            raise ValueError(f"starts must be one for each of {self._trials} trials, got {len(starts)}")
+        unknown = sorted({name for start in starts for name in start} - set(_RESET_ARGUMENTS))
+        if unknown:
+            raise ValueError(f"starts must name arguments of reset ({', '.join(_RESET_ARGUMENTS)}), got {unknown[0]!r}")
+        beliefs = [start_belief(**start) for start in starts]
+        cameras = [camera for camera, _ in beliefs]
+        camera = CameraState(
+            np.array([camera.position for camera in cameras]),
+            np.array([camera.orientation for camera in cameras]),
+            np.array([camera.linear_velocity for camera in cameras]),
+            np.array([camera.angular_velocity for camera in cameras]),
         )
-        self._states = JointStates.without_maps(cameras, np.array([P for _, P in starts]), self._parts.landmark)
+        self._states = JointStates.without_maps(camera, np.array([P for _, P in beliefs]), self._parts.landmark)
 
     def predict(self, dt: float, odometry: Sequence[BodyVelocity | None] | None = None) -> None:
         """Move the beliefs forward by `dt` seconds (Eq. 6, 11, 12); odometry, if any, is one for each trial, or None.
@@ -130,7 +125,7 @@ class StereoEKFTrials:
             assert seen is not None
             nothing, no_rows = np.zeros((*seen.innovation.shape, 0)), np.zeros((len(seen.H), 0), dtype=np.int64)
             of_camera = LinearisedMeasurements(seen.innovation, seen.H, nothing, no_rows, seen.R)
-            self._retract(lockstep.update(states.P, measured.trial, of_camera, None, self._work).delta)
+            self._retract(lockstep.update(states.P, CAMERA_SIZE, measured.trial, of_camera, None, self._work).delta)
 
     def update(self, observations: Sequence[StereoObservation]) -> TrialReports:
         """Use a frame of every trial: known ids correct the state, unseen ones leave, new ones enter.
@@ -182,6 +177,12 @@ class StereoEKFTrials:
         P = states.P[:, POSE_SIZE:CAMERA_SIZE, POSE_SIZE:CAMERA_SIZE].copy()
         return VelocityBelief(states.camera.linear_velocity.copy(), states.camera.angular_velocity.copy(), P)
 
+    @property
+    def map_sizes(self) -> IntArray:
+        """Number of landmarks in the map of each trial, (B,)."""
+        sizes: IntArray = self._states.taken.sum(axis=1)
+        return sizes
+
     def pose_error(self, position: FloatArray, orientation: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Errors of the poses in the filter's own error definition, as of `StereoFilter.pose_error`.
 
@@ -200,15 +201,6 @@ class StereoEKFTrials:
     def trial(self, number: int) -> StereoEKF:
         """One trial as a filter of its own: pose, map and forecast, and it can go on from here alone."""
         return self._one.with_state(self._states.single(number))
-
-    def _for_each_trial(self, name: str, value: ArrayLike | None, ndim: int) -> Sequence[ArrayLike]:
-        if value is None or np.ndim(value) == ndim:
-            return [value] * self._trials  # type: ignore[list-item]
-        if np.ndim(value) != ndim + 1 or len(value) != self._trials:  # type: ignore[arg-type]
-            raise ValueError(
-                f"{name} must be one for all trials, or {self._trials} of them: got shape {np.shape(value)}"
-            )
-        return value  # type: ignore[return-value]
 
     def _stacked(self, odometry: Sequence[BodyVelocity | None] | None) -> _Odometry | None:
         """The odometry of those trials that have some."""
@@ -243,7 +235,9 @@ class StereoEKFTrials:
             candidates = np.flatnonzero(outcome == UPDATED)
             limit = gating.gate_limit(gate, stage.z.shape[1]) if gate is not None else None
             part = linear if len(candidates) == len(seen) else linear[candidates]
-            correction = lockstep.update(self._states.P, seen.trial[candidates], part, limit, self._work)
+            correction = lockstep.update(
+                self._states.P, self._states.head, seen.trial[candidates], part, limit, self._work
+            )
             self._retract(correction.delta)
             outcome[candidates[~correction.passed]] = GATED
             outcome[candidates[correction.passed & ~correction.used]] = FAILED
@@ -259,14 +253,14 @@ class StereoEKFTrials:
         h_c = rotations.turned(R_wc.swapaxes(1, 2), seen.homogeneous[:, :3])
         by_pose, by_map = measurement_jacobians(self.camera, R_wc, seen, h_c, stage.T)
         predicted = self.camera.project_scaled(h_c, seen.homogeneous[:, 3]) @ stage.T.T
-        rows = states.map_rows(place)
+        rows = states.map_rows(trial, place)
         return h_c[:, 2] > 0, LinearisedMeasurements(stage.z - predicted, by_pose, by_map, rows, stage.R)
 
     def _retract(self, delta: FloatArray) -> None:
         """Move the states by their corrections (Eq. 17) and carry P along."""
         states, retraction = self._states, self._parts.error.retraction
         states.camera = moved_camera(states.camera, delta, retraction)
-        states.numbers += delta[:, CAMERA_SIZE:].reshape(states.numbers.shape)
+        states.add(delta)
         carried = np.zeros((self._trials, CAMERA_SIZE, CAMERA_SIZE))
         carried[...] = np.eye(CAMERA_SIZE)
         carried[:, ROTATION, ROTATION] = retraction.transport(delta[:, ROTATION])

@@ -58,14 +58,21 @@ class Corrections:
 
 
 def update(
-    P: FloatArray, trial: IntArray, measurements: LinearisedMeasurements, limit: float | None, work: Workspace
+    P: FloatArray,
+    head: int,
+    trial: IntArray,
+    measurements: LinearisedMeasurements,
+    limit: float | None,
+    work: Workspace,
 ) -> Corrections:
     """Gate, then correct every trial with its measurements (Eq. 13-18); P (B, n, n) is updated in place.
 
     Parameters
     ----------
     P : (B, n, n)
-        Covariances, both triangles: 12 rows of the camera, then w of each landmark.
+        Covariances, both triangles.
+    head : int
+        Rows of camera and shared anchors; behind them are the landmarks' own, equally many each.
     trial : (N,) int64
         Trial of each measurement, ascending.
     measurements : LinearisedMeasurements
@@ -80,13 +87,13 @@ def update(
     passed = np.ones(count, dtype=bool)
     if count == 0:
         return Corrections(np.zeros((trials, n)), np.zeros(trials), np.zeros(trials, dtype=np.int64), passed, passed)
-    seats = _Seats(trial, measurements.map_rows, P)
-    by_camera, by_map = seats.filled(measurements.by_camera), seats.filled(measurements.by_map)
+    seats = _Seats(trial, measurements.map_rows, P.shape, head)
+    by_head, by_own = seats.jacobians(measurements)
     HP = work.array("HP", trials, seats.most * size, n)
-    _fill_with_HP(HP, P, by_camera, by_map, seats)
+    _fill_with_HP(HP, P, by_head, by_own, seats)
     nu = seats.filled(measurements.innovation).reshape(trials, -1, 1)
     S = work.array("S", trials, seats.most * size, seats.most * size)
-    _fill_with_HPHt(S, HP, by_camera, by_map, seats)
+    _fill_with_HPHt(S, HP, by_head, by_own, seats)
     every = np.arange(seats.most)
     blocks = S.reshape(trials, seats.most, size, seats.most, size)
     blocks[:, every, :, every, :] += seats.filled(measurements.R, np.eye(size)).swapaxes(0, 1)
@@ -125,19 +132,23 @@ class _Seats:
         Seats a trial, M.
     """
 
-    def __init__(self, trial: IntArray, map_rows: IntArray, P: FloatArray) -> None:
-        self.trials, width = len(P), map_rows.shape[1]
-        self.trial = trial
+    def __init__(self, trial: IntArray, map_rows: IntArray, shape: tuple[int, ...], head: int) -> None:
+        self.trials, n = shape[:2]
+        self.trial, self.head, self._map_rows = trial, head, map_rows
+        # Shared anchors come first in map_rows, and are in the head.
+        self._shared = 3 if map_rows.shape[1] and head > CAMERA_SIZE else 0
+        width = map_rows.shape[1] - self._shared
         counts = np.bincount(trial, minlength=self.trials)
         self.most = int(counts.max())
+        self.number: IntArray = np.arange(len(trial)) - (np.cumsum(counts) - counts)[trial]
         self._gathered: IntArray | None = None
-        if width and self.most >= LITTLE * (P.shape[1] - CAMERA_SIZE) / width:
-            self.most = (P.shape[1] - CAMERA_SIZE) // width
-            self.number: IntArray = (map_rows[:, 0] - CAMERA_SIZE) // width
+        if width == 0:
             return
-        self.number = np.arange(len(trial)) - (np.cumsum(counts) - counts)[trial]
-        if width:
-            self._gathered = self.filled((map_rows[:, 0] - CAMERA_SIZE) // width)
+        place, places = (map_rows[:, self._shared] - head) // width, (n - head) // width
+        if self.most >= LITTLE * places:
+            self.most, self.number = places, place
+        else:
+            self._gathered = self.filled(place)
 
     def filled(self, values: Any, empty: Any = 0) -> Any:
         """(N, ...) -> (B, M, ...), `empty` on seats without a measurement."""
@@ -147,35 +158,46 @@ class _Seats:
         seated[self.trial, self.number] = values
         return seated
 
+    def jacobians(self, measurements: LinearisedMeasurements) -> tuple[FloatArray, FloatArray]:
+        """H by camera and shared anchors, dense, (B, M k, c), and by the landmark's own numbers, (B, M, k, w)."""
+        by_camera, by_map = measurements.by_camera, measurements.by_map
+        size, camera = by_camera.shape[1:]
+        by_own = self.filled(by_map[:, :, self._shared :])
+        if not self._shared:
+            return self.filled(by_camera).reshape(self.trials, -1, camera), by_own
+        by_head = np.zeros((self.trials, self.most, size, self.head))
+        by_head[self.trial, self.number, :, :camera] = by_camera
+        seat, anchor_rows = (self.trial[:, None], self.number[:, None]), self._map_rows[:, : self._shared]
+        by_head[(*seat, slice(None), anchor_rows)] = by_map[:, :, : self._shared].swapaxes(1, 2)
+        return by_head.reshape(self.trials, -1, self.head), by_own
+
     def of_landmarks(self, values: FloatArray) -> FloatArray:
         """What belongs to the landmark on each seat; (B, L, ...) -> (B, M, ...)."""
         return values if self._gathered is None else values[np.arange(self.trials)[:, None], self._gathered]
 
 
-def _fill_with_HP(HP: FloatArray, P: FloatArray, by_camera: FloatArray, by_map: FloatArray, seats: _Seats) -> None:
+def _fill_with_HP(HP: FloatArray, P: FloatArray, by_head: FloatArray, by_own: FloatArray, seats: _Seats) -> None:
     """HP <- H P, (B, M k, n)."""
-    trials, rows, n = HP.shape
-    width = by_map.shape[3]
-    from_camera = by_camera.reshape(trials, rows, -1), P[:, : by_camera.shape[3]]
-    if width == 0:
-        np.matmul(*from_camera, out=HP)
+    trials, _, n = HP.shape
+    head = by_head.shape[2]
+    if by_own.shape[3] == 0:
+        np.matmul(by_head, P[:, :head], out=HP)
         return
-    own = seats.of_landmarks(P[:, CAMERA_SIZE:].reshape(trials, -1, width, n))
-    np.matmul(by_map, own, out=HP.reshape(trials, seats.most, -1, n))
-    HP += np.matmul(*from_camera)
+    own = seats.of_landmarks(P[:, seats.head :].reshape(trials, -1, by_own.shape[3], n))
+    np.matmul(by_own, own, out=HP.reshape(trials, seats.most, -1, n))
+    HP += by_head @ P[:, :head]
 
 
-def _fill_with_HPHt(S: FloatArray, HP: FloatArray, by_camera: FloatArray, by_map: FloatArray, seats: _Seats) -> None:
+def _fill_with_HPHt(S: FloatArray, HP: FloatArray, by_head: FloatArray, by_own: FloatArray, seats: _Seats) -> None:
     """S <- H P H^T, (B, M k, M k)."""
     trials, rows, _ = HP.shape
-    width = by_map.shape[3]
-    from_camera = HP[:, :, : by_camera.shape[3]], by_camera.reshape(trials, rows, -1).swapaxes(1, 2)
-    if width == 0:
-        np.matmul(*from_camera, out=S)
+    head = by_head.shape[2]
+    if by_own.shape[3] == 0:
+        np.matmul(HP[:, :, :head], by_head.swapaxes(1, 2), out=S)
         return
-    own = seats.of_landmarks(HP[:, :, CAMERA_SIZE:].reshape(trials, rows, -1, width).swapaxes(1, 2))
-    np.matmul(own, by_map.swapaxes(2, 3), out=S.reshape(trials, rows, seats.most, -1).swapaxes(1, 2))
-    S += np.matmul(*from_camera)
+    own = seats.of_landmarks(HP[:, :, seats.head :].reshape(trials, rows, -1, by_own.shape[3]).swapaxes(1, 2))
+    np.matmul(own, by_own.swapaxes(2, 3), out=S.reshape(trials, rows, seats.most, -1).swapaxes(1, 2))
+    S += HP[:, :, :head] @ by_head.swapaxes(1, 2)
 
 
 def _leave_out(S: FloatArray, HP: FloatArray, nu: FloatArray, trial: IntArray, rows: IntArray) -> None:
@@ -191,12 +213,12 @@ def _leave_out(S: FloatArray, HP: FloatArray, nu: FloatArray, trial: IntArray, r
 def _cholesky(S: FloatArray) -> tuple[FloatArray, BoolArray]:
     """Lower factors, and the trials that have none; (B, m, m) -> (B, m, m), (B,)."""
     try:
-        L = np.linalg.cholesky(S)
+        L = np.asarray(np.linalg.cholesky(S), dtype=np.float64)
     except np.linalg.LinAlgError:
         definite = np.array([_is_definite(s) for s in S])
-        L = np.linalg.cholesky(np.where(definite[:, None, None], S, np.eye(S.shape[1])))
-        return L, ~definite
-    return L, ~np.isfinite(L[:, -1:, -1:]).all(axis=(1, 2))
+        return np.linalg.cholesky(np.where(definite[:, None, None], S, np.eye(S.shape[1]))), ~definite
+    has_none: BoolArray = ~np.isfinite(L[:, -1, -1])
+    return L, has_none
 
 
 def _is_definite(S: FloatArray) -> bool:

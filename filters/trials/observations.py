@@ -68,7 +68,7 @@ class Sightings:
             np.concatenate([observation.ids for observation in seeing]),
             np.concatenate([observation.uvd for observation in seeing]),
             noise,
-            np.concatenate([observation.v_right for observation in seeing]) if with_v else None,  # type: ignore[misc]
+            np.concatenate([observation.v_right for observation in seeing]) if with_v else None,
         )
         same_trial = sightings.trial[1:] == sightings.trial[:-1]
         if (same_trial & (sightings.ids[1:] < sightings.ids[:-1])).any():

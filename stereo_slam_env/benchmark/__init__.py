@@ -11,6 +11,7 @@ from stereo_slam_env.benchmark.results import FilterRun, FilterSummary, Landmark
 from stereo_slam_env.benchmark.runner import run_filter
 from stereo_slam_env.benchmark.scenario import FilterChoice, Scenario, load_scenario
 from stereo_slam_env.benchmark.summary import summarise, summarise_all
+from stereo_slam_env.benchmark.trials import run_filter_together
 
 run = run_benchmark
 
@@ -27,6 +28,7 @@ __all__ = [
     "run",
     "run_benchmark",
     "run_filter",
+    "run_filter_together",
     "summarise",
     "summarise_all",
 ]

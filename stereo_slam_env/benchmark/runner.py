@@ -10,7 +10,16 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from filters import ConstantVelocity, StereoFilter, StereoNoise, UpdateReport, VelocityDriven, make_filter
+from filters import (
+    ConstantVelocity,
+    PoseBelief,
+    StereoFilter,
+    StereoNoise,
+    UpdateReport,
+    VelocityBelief,
+    VelocityDriven,
+    make_filter,
+)
 from filters.camera import StereoCamera
 from filters.validation import FloatArray, IntArray
 from stereo_slam_env.benchmark.consistency import nees
@@ -76,7 +85,7 @@ def run_filter(
     """
     if len(recording) == 0:
         raise ValueError(f"recording {recording.name!r} has no frames")
-    log = _Log(recording)
+    log = RunLog(recording)
     used: dict[str, Any] = dict(options or {})
     frame_number = -1
     with threadpool_limits(limits=1):
@@ -104,8 +113,7 @@ def run_filter(
                     progress(frame_number + 1, len(recording))
             failure = None
         except Exception as error:  # a stranger's filter may raise anything; the comparison goes on without it
-            where = f"frame {frame_number}" if frame_number >= 0 else "start"
-            failure = f"{where}: {type(error).__name__}: {_one_line(error)}"
+            failure = failure_line(frame_number, error)
             _log.info("%s on %s failed at %s", label or filter_name, recording.name, failure)
     return log.result(label or filter_name, used, seed, failure)
 
@@ -151,7 +159,7 @@ def _arguments(options: Mapping[str, Any]) -> dict[str, Any]:
     return arguments
 
 
-class _Log:
+class RunLog:
     """The arrays of a `FilterRun`, filled frame by frame."""
 
     def __init__(self, recording: Recording) -> None:
@@ -180,9 +188,26 @@ class _Log:
         self._traces = TraceRecorder(recording)
 
     def add(self, k: int, frame: Frame, estimator: StereoFilter, report: UpdateReport, milliseconds: float) -> None:
-        """Note the belief after frame `k`; raises where it is not finite."""
-        series, camera = self._series, self._recording.camera
-        pose, velocity = estimator.pose, estimator.velocity
+        """Note what an estimator believes after frame `k`; raises ArithmeticError where that is not finite."""
+        counts = {name: len(getattr(report, name)) for name in EVENTS}
+        counts["failed_factorisations"] = report.failed_factorisations
+        self.add_belief(k, estimator.pose, estimator.velocity, report.nis, report.nis_dof, counts, milliseconds)
+        if frame.truth is not None:
+            self.add_pose_error(k, *estimator.pose_error(frame.truth.position, frame.truth.orientation))
+        self.add_map(k, frame, estimator)
+
+    def add_belief(
+        self,
+        k: int,
+        pose: PoseBelief,
+        velocity: VelocityBelief,
+        nis: float,
+        nis_dof: int,
+        counts: Mapping[str, int],
+        milliseconds: float,
+    ) -> None:
+        """Note pose and velocity, and what became of the measurements; raises ArithmeticError where not finite."""
+        series = self._series
         belief = {
             "positions": pose.position,
             "orientations": pose.orientation,
@@ -197,18 +222,22 @@ class _Log:
         for name, value in belief.items():
             series[name][k] = value
         series["milliseconds"][k] = milliseconds
-        series["nis"][k], self._nis_dof[k] = report.nis, report.nis_dof
-        if frame.truth is not None:
-            error, covariance = estimator.pose_error(frame.truth.position, frame.truth.orientation)
-            series["pose_errors"][k] = error
-            series["pose_nees"][k] = nees(error[None], covariance[None])[0]
+        series["nis"][k], self._nis_dof[k] = nis, nis_dof
+        for name, count in counts.items():
+            self._counts[name][k] = count
+
+    def add_pose_error(self, k: int, error: FloatArray, covariance: FloatArray) -> None:
+        """Note the pose error (6,) with the covariance (6, 6) claimed for it."""
+        self._series["pose_errors"][k] = error
+        self._series["pose_nees"][k] = nees(error[None], covariance[None])[0]
+
+    def add_map(self, k: int, frame: Frame, estimator: StereoFilter) -> None:
+        """Score the map and follow the traced landmarks."""
+        series, camera = self._series, self._recording.camera
         view = view_map(estimator, frame.truth, self._recording.landmarks)
         series["landmark_nees"][k] = mean_nees(view, camera)
         series["landmark_rmse"][k] = position_rmse(view, camera)
         self._traces.add(k, view, frame.observation)
-        for name in EVENTS:
-            self._counts[name][k] = len(getattr(report, name))
-        self._counts["failed_factorisations"][k] = report.failed_factorisations
         self._counts["map_size"][k] = len(view.ids)
 
     def result(self, label: str, options: Mapping[str, Any], seed: int | None, failure: str | None) -> FilterRun:
@@ -234,6 +263,8 @@ class _Log:
         )
 
 
-def _one_line(error: Exception) -> str:
+def failure_line(frame_number: int, error: Exception) -> str:
+    """One line on what a filter raised, and in which frame (negative: before the first)."""
+    where = f"frame {frame_number}" if frame_number >= 0 else "start"
     text = str(error).strip()
-    return text.splitlines()[0] if text else "no message"
+    return f"{where}: {type(error).__name__}: {text.splitlines()[0] if text else 'no message'}"
