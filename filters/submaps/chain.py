@@ -90,13 +90,13 @@ class SubmapChain:
         brought, parameter_block, anchor_block = np.zeros((3, 0), dtype=np.int64)
         for number in range(int(homes.min()), len(self._submaps)):
             submap = self._submaps[number]
-            leaving = np.isin(submap.ids, ids)
-            brought = np.concatenate([brought, submap.ids[leaving]])
-            parameter_block = np.concatenate([parameter_block, submap.parameter_block[leaving]])
-            anchor_block = np.concatenate([anchor_block, submap.anchor_block[leaving]])
-            submap = submap.without(leaving)
-            needed = _blocks_of(parameter_block, anchor_block)
-            new = needed[np.isin(needed, submap.own)]
+            if (homes == number).any():
+                leaving = np.isin(submap.ids, ids)
+                brought = np.concatenate([brought, submap.ids[leaving]])
+                parameter_block = np.concatenate([parameter_block, submap.parameter_block[leaving]])
+                anchor_block = np.concatenate([anchor_block, submap.anchor_block[leaving]])
+                submap = submap.without(leaving)
+            new = submap.own_among(_blocks_of(parameter_block, anchor_block))
             if len(new):
                 submap, handed = submap.share(new)
                 self._hand_on(active, number, handed)

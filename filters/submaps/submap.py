@@ -138,7 +138,7 @@ class Submap:
         Relation
             The blocks in terms of the old common ones, for the next submap.
         """
-        shared = np.isin(self.own, blocks)
+        shared = self._among(blocks)[self.own]
         leaving, staying = block_rows(np.flatnonzero(shared)), block_rows(np.flatnonzero(~shared))
         by_shared, covariance = regression(self.covariance, self.scale[self.own].ravel(), staying, leaving)
         remaining = replace(
@@ -180,9 +180,19 @@ class Submap:
 
     def thinned(self, needed: IntArray) -> Submap:
         """Without the own blocks that are not `needed`: marginalised out."""
-        stays = np.isin(self.own, needed)
+        stays = self._among(needed)[self.own]
         rows = block_rows(np.flatnonzero(stays))
         return replace(self, own=self.own[stays], gain=self.gain[rows], covariance=self.covariance[np.ix_(rows, rows)])
+
+    def own_among(self, blocks: IntArray) -> IntArray:
+        """Those of `blocks` that are own ones."""
+        return blocks[self._among(self.own)[blocks]]
+
+    def _among(self, blocks: IntArray) -> BoolArray:
+        """Of all blocks, whether they are among `blocks`; (B,)."""
+        marked = np.zeros(len(self.values), dtype=bool)
+        marked[blocks] = True
+        return marked
 
     def _relation(self, which: BoolArray) -> Relation:
         """The own blocks marked in `which` (a,), by the common ones."""
@@ -207,7 +217,7 @@ class Submap:
             Which blocks of the next submap the common ones are.
         """
         known = np.concatenate([np.arange(CAMERA_SIZE), later.block_rows(link)])
-        P_known = symmetric.blocks(later.P, known[None])[0]
+        P_known = symmetric.rows(later.P, known)[:, known]
         cross = self.gain @ P_known[CAMERA_SIZE:]
         shift = (later.blocks[link] - self.values[self.common]).ravel()
         blocks = self.values.copy()

@@ -216,7 +216,7 @@ def test_the_active_state_stays_small_while_the_map_grows() -> None:
         for slam in (in_view, ours):
             slam.predict(DT)
             slam.update(StereoObservation(ids, uvd))
-        rows.append(ours.state_rows)
+        rows.append(ours.state_size)
         reference.append(len(in_view.state.P))
     assert len(ours.landmarks.ids) == 60 + 3 * 119
     # The camera's clone (12), up to 12 + 2 x 3 landmarks out of view with their anchors.
