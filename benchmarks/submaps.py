@@ -111,7 +111,7 @@ class Frame:
 
 
 def circle(seed: int, laps: float, points: int) -> list[Frame]:
-    """Round a circle to the right, past a cloud of points; motion as the filters assume it, kept on the circle."""
+    """Round a circle to the right, past a cloud of points; shaken as much as the filters assume."""
     rng = np.random.default_rng(seed)
     along = rng.uniform(0.0, 2 * np.pi, points)
     beside = RADIUS + rng.choice([-1.0, 1.0], points) * rng.uniform(2.0, 5.0, points)
@@ -122,8 +122,8 @@ def circle(seed: int, laps: float, points: int) -> list[Frame]:
         position = RADIUS * np.array([1.0 - np.cos(turned), 0.0, np.sin(turned)])
         heading = Rotation.from_rotvec([0.0, turned, 0.0])
         if frame:
-            position += 0.03 * rng.standard_normal(3)
-            heading = heading * Rotation.from_rotvec(0.006 * rng.standard_normal(3))
+            position += 0.012 * rng.standard_normal(3)
+            heading = heading * Rotation.from_rotvec(0.0024 * rng.standard_normal(3))
         p_c = heading.inv().apply(cloud - position)
         uvd = CAMERA.project(np.where(p_c[:, 2:] > 0.1, p_c, (0.0, 0.0, 1.0)))
         seen = (p_c[:, 2] > 2.0) & (p_c[:, 2] < 14.0) & CAMERA.in_view(uvd)

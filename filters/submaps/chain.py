@@ -90,13 +90,13 @@ class SubmapChain:
         brought, parameter_block, anchor_block = np.zeros((3, 0), dtype=np.int64)
         for number in range(int(homes.min()), len(self._submaps)):
             submap = self._submaps[number]
-            leaving = np.isin(submap.ids, ids)
-            brought = np.concatenate([brought, submap.ids[leaving]])
-            parameter_block = np.concatenate([parameter_block, submap.parameter_block[leaving]])
-            anchor_block = np.concatenate([anchor_block, submap.anchor_block[leaving]])
-            submap = submap.without(leaving)
-            needed = _blocks_of(parameter_block, anchor_block)
-            new = needed[np.isin(needed, submap.own)]
+            if (homes == number).any():
+                leaving = np.isin(submap.ids, ids)
+                brought = np.concatenate([brought, submap.ids[leaving]])
+                parameter_block = np.concatenate([parameter_block, submap.parameter_block[leaving]])
+                anchor_block = np.concatenate([anchor_block, submap.anchor_block[leaving]])
+                submap = submap.without(leaving)
+            new = submap.own_among(_blocks_of(parameter_block, anchor_block))
             if len(new):
                 submap, handed = submap.share(new)
                 self._hand_on(active, number, handed)
@@ -107,6 +107,7 @@ class SubmapChain:
             parameter_block, anchor_block = numbers[parameter_block], numbers[anchor_block]
         active.adopt(brought, parameter_block, anchor_block)
         self._unsettle(ids)
+        self._fold()
 
     def seen_from(self, active: JointState) -> Iterator[JointState]:
         """The submaps, newest first, each with the present camera and with all that is known now."""
@@ -122,6 +123,29 @@ class SubmapChain:
             submap = self._submaps[number]
             self._submaps[number] = submap.without(np.isin(submap.ids, gone))
         self._unsettle(gone)
+        self._fold()
+
+    def _fold(self) -> None:
+        """Join submaps without a landmark at rest with those before them, so that laps do not lengthen the chain."""
+        for number in reversed(range(len(self._submaps))):
+            submap = self._submaps[number]
+            if len(submap.ids):
+                continue
+            place = max(number - 1, 0)
+            if number > 0:
+                submap, numbers = submap.absorb(self._submaps[place], self._links[place])
+                self._submaps[place : number + 1] = [submap]
+                if place > 0:
+                    self._links[place - 1] = numbers[self._links[place - 1]]
+            else:
+                del self._submaps[0]
+            del self._links[place : place + 1]
+            self._homes[self._homes >= number] -= 1
+            if place < len(self._submaps):
+                submap = self._submaps[place]
+                before = self._links[place - 1] if place > 0 else np.zeros(0, dtype=np.int64)
+                needed = np.concatenate([_blocks_of(submap.parameter_block, submap.anchor_block), before])
+                self._submaps[place] = submap.thinned(needed)
 
     def _link(self, active: JointState, number: int) -> IntArray:
         return active.held if number == len(self._submaps) - 1 else self._links[number]

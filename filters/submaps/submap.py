@@ -138,26 +138,73 @@ class Submap:
         Relation
             The blocks in terms of the old common ones, for the next submap.
         """
-        shared = np.isin(self.own, blocks)
-        order = self.own[shared]
+        shared = self._among(blocks)[self.own]
         leaving, staying = block_rows(np.flatnonzero(shared)), block_rows(np.flatnonzero(~shared))
         by_shared, covariance = regression(self.covariance, self.scale[self.own].ravel(), staying, leaving)
-        relation = Relation(
-            self.values[order],
-            self.first[order],
-            self.scale[order],
-            self.values[self.common],
-            self.gain[leaving],
-            self.covariance[np.ix_(leaving, leaving)],
-        )
         remaining = replace(
             self,
             own=self.own[~shared],
-            common=np.concatenate([self.common, order]),
+            common=np.concatenate([self.common, self.own[shared]]),
             gain=np.hstack([self.gain[staying] - by_shared @ self.gain[leaving], by_shared]),
             covariance=covariance,
         )
-        return remaining, relation
+        return remaining, self._relation(shared)
+
+    def absorb(self, earlier: Submap, link: IntArray) -> tuple[Submap, IntArray]:
+        """This submap and the previous one as one: p(own, own of the earlier | common).
+
+        Parameters
+        ----------
+        earlier : Submap
+            The previous one.
+        link : (c,) int64
+            Which blocks of this one its common blocks are.
+
+        Returns
+        -------
+        Submap
+            With the landmarks of both.
+        (B + 1,) int64
+            What the blocks of the earlier one are in it; the last entry is -1, for the block -1.
+        """
+        merged, new = self.receive(earlier._relation(np.ones(len(earlier.own), dtype=bool)), link)
+        numbers = np.full(len(earlier.values) + 1, -1)
+        numbers[earlier.common], numbers[earlier.own] = link, new
+        merged = replace(
+            merged,
+            ids=np.concatenate([self.ids, earlier.ids]),
+            parameter_block=np.concatenate([self.parameter_block, numbers[earlier.parameter_block]]),
+            anchor_block=np.concatenate([self.anchor_block, numbers[earlier.anchor_block]]),
+        )
+        return merged, numbers
+
+    def thinned(self, needed: IntArray) -> Submap:
+        """Without the own blocks that are not `needed`: marginalised out."""
+        stays = self._among(needed)[self.own]
+        rows = block_rows(np.flatnonzero(stays))
+        return replace(self, own=self.own[stays], gain=self.gain[rows], covariance=self.covariance[np.ix_(rows, rows)])
+
+    def own_among(self, blocks: IntArray) -> IntArray:
+        """Those of `blocks` that are own ones."""
+        return blocks[self._among(self.own)[blocks]]
+
+    def _among(self, blocks: IntArray) -> BoolArray:
+        """Of all blocks, whether they are among `blocks`; (B,)."""
+        marked = np.zeros(len(self.values), dtype=bool)
+        marked[blocks] = True
+        return marked
+
+    def _relation(self, which: BoolArray) -> Relation:
+        """The own blocks marked in `which` (a,), by the common ones."""
+        blocks, rows = self.own[which], block_rows(np.flatnonzero(which))
+        return Relation(
+            self.values[blocks],
+            self.first[blocks],
+            self.scale[blocks],
+            self.values[self.common],
+            self.gain[rows],
+            self.covariance[np.ix_(rows, rows)],
+        )
 
     def seen_from(self, later: JointState, link: IntArray) -> JointState:
         """The camera and the blocks of this submap, given all that is known in the next one.
@@ -170,7 +217,7 @@ class Submap:
             Which blocks of the next submap the common ones are.
         """
         known = np.concatenate([np.arange(CAMERA_SIZE), later.block_rows(link)])
-        P_known = symmetric.blocks(later.P, known[None])[0]
+        P_known = symmetric.rows(later.P, known)[:, known]
         cross = self.gain @ P_known[CAMERA_SIZE:]
         shift = (later.blocks[link] - self.values[self.common]).ravel()
         blocks = self.values.copy()

@@ -183,8 +183,8 @@ class SubmapEKF(StereoFilter):
         return len(self._active.state) + len(self._chain.ids)
 
     @property
-    def state_rows(self) -> int:
-        """Rows of the active state, which decide what a frame costs."""
+    def state_size(self) -> int:
+        """Rows of the active error state, which decide what a frame costs."""
         return len(self._active.state.P)
 
     @property

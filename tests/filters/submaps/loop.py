@@ -26,8 +26,8 @@ def loop(seed: int, laps: float, *, points: int = 80, noise_scale: float = 1.0, 
         position = RADIUS * np.array([1.0 - np.cos(turned), 0.0, np.sin(turned)])
         heading = Rotation.from_rotvec([0.0, turned, 0.0])
         if frame:
-            position += 0.03 * rng.standard_normal(3)
-            heading = heading * Rotation.from_rotvec(0.006 * rng.standard_normal(3))
+            position += 0.012 * rng.standard_normal(3)
+            heading = heading * Rotation.from_rotvec(0.0024 * rng.standard_normal(3))
         p_c = heading.inv().apply(cloud - position)
         exact = CAMERA.project(np.where(p_c[:, 2:] > 0.1, p_c, (0.0, 0.0, 1.0)))
         seen = (p_c[:, 2] > 2.0) & (p_c[:, 2] < 14.0) & CAMERA.in_view(exact) & (rng.uniform(size=points) >= missed)

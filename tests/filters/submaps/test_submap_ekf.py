@@ -19,6 +19,7 @@ from filters import (
     make_filter,
 )
 from filters.conformance import CHECKS
+from filters.engine.joint_state import JointState
 from filters.submaps.submap_ekf import SubmapEKF
 
 from ..drives import CAMERA, DT, INDEPENDENT_PIXELS
@@ -115,8 +116,6 @@ def test_without_the_camera_of_the_moment_landmarks_at_rest_would_not_be_indepen
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """The comparison has teeth: leave the camera out of what submaps have in common, and it fails."""
-    from filters.engine.joint_state import JointState
-
     monkeypatch.setattr(JointState, "hold_camera", lambda state: np.zeros(0, dtype=np.int64))
     full, ours = pair(gate=None)
     for number, frame in enumerate(loop(0, 1.1)):
@@ -217,7 +216,7 @@ def test_the_active_state_stays_small_while_the_map_grows() -> None:
         for slam in (in_view, ours):
             slam.predict(DT)
             slam.update(StereoObservation(ids, uvd))
-        rows.append(ours.state_rows)
+        rows.append(ours.state_size)
         reference.append(len(in_view.state.P))
     assert len(ours.landmarks.ids) == 60 + 3 * 119
     # The camera's clone (12), up to 12 + 2 x 3 landmarks out of view with their anchors.
