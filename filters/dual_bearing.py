@@ -10,14 +10,17 @@ from filters.noise import StereoNoise
 
 
 class DualBearingEKF(StereoEKF):
-    """Inverse-depth EKF that updates with the left, then the right bearing."""
+    """Inverse-depth EKF that updates with the left, then the right bearing.
+
+    Landmarks are stored with shared anchors, as in `InverseDepthStereoEKF`.
+    """
 
     def __init__(
         self,
         camera: StereoCamera,
         noise: StereoNoise,
         *,
-        landmark: str = "inverse-depth",
+        landmark: str = "shared-anchor",
         measurement: str = "sequential",
         **options: Any,
     ) -> None:

@@ -15,7 +15,6 @@ from filters.measurements.model import Stage
 from filters.motion import CameraState, MotionModel
 from filters.validation import FloatArray, IntArray
 
-
 CorrectStage = Callable[[StereoCamera, JointState, IntArray, Stage, float, FateArray], "Correction | None"]
 
 

@@ -138,7 +138,11 @@ class StereoEKF(StereoFilter):
         self._iterations = iterations
         # Nothing happens between linearisation, gate and update.
         self._is_plain = (
-            update == "extended" and error != "first-estimates" and iterations == 1 and not consensus and tail_dof is None
+            update == "extended"
+            and error != "first-estimates"
+            and iterations == 1
+            and not consensus
+            and tail_dof is None
         )
         self._drop_unseen = drop_unseen
         self._min_disparity = min_disparity
@@ -298,9 +302,7 @@ class StereoEKF(StereoFilter):
         updated, behind, gated, failed = (observation.ids[fates == fate] for fate in (USED, BEHIND, GATED, FAILED))
         return UpdateReport(updated, gated=gated, behind_camera=behind, failed=failed, nis=nis, nis_dof=dof)
 
-    def _correct_stage(
-        self, stage: Stage, index: IntArray, gate: float | None, fates: FateArray
-    ) -> tuple[float, int]:
+    def _correct_stage(self, stage: Stage, index: IntArray, gate: float | None, fates: FateArray) -> tuple[float, int]:
         """Correct with the measurements whose fate so far is USED, and write their fates; the NIS and its dof."""
         at_once = self._arithmetic.correct_stage
         if at_once is not None and self._is_plain:
@@ -388,7 +390,6 @@ class StereoEKF(StereoFilter):
             R = self._noise_of(len(accepted), accepted.R)
             self._state.augment(accepted.ids, new, R, self._constrained if self._error.constrains else None)
         return accepted.ids, observation.ids[~possible]
-
 
     def _constrained(self, J: FloatArray, image: FloatArray) -> FloatArray:
         """J of new blocks by the pose, as the error definition wants it."""
