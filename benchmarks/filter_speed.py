@@ -4,13 +4,14 @@
     python benchmarks/filter_speed.py --sizes 100
     python benchmarks/filter_speed.py --json speed.json
 
-The yardstick is Cholesky + triangular solve + symmetric rank-k update of the whole frame's measurement in one batch, by
-scipy's BLAS and LAPACK, at the sizes of the shared-anchor state. Everything is measured in turns, some frames of each
-at a time, in one process with one BLAS thread, so the ratios hold on a noisy machine; the milliseconds are this
-machine's. "Compiled" is `compiled=True` (left out without Numba), the rest is NumPy. "6-D, one batch" is the plain form
-of the paper's filter, without chunks. filterpy's EKF gets H for nothing, at the sizes of the shared-anchor and of the
-six-dimensional state: it has no shared anchors, so the latter is the same problem as a user would write it. "Turnover" is the share of a frame that goes into landmarks leaving and entering the map, 3 % of them a frame as on the
-reference drive: frames with and without it, in turns on the same map. `rival_speed.py` drives, and has iSAM2.
+The yardstick is Cholesky + triangular solve + symmetric rank-k update of the whole frame's measurement in one batch,
+by scipy's BLAS and LAPACK, at the sizes of the shared-anchor state. Everything is measured in turns, some frames of
+each at a time, in one process with one BLAS thread, so the ratios hold on a noisy machine; the milliseconds are this
+machine's. "Compiled" is `compiled=True` (left out without Numba), the rest is NumPy. "6-D, one batch" is the plain
+form of the paper's filter, without chunks. filterpy's EKF gets H for nothing, at the sizes of the shared-anchor and
+of the six-dimensional state: it has no shared anchors, so the latter is the same problem as a user would write it.
+"Turnover" is the share of a frame that goes into landmarks leaving and entering the map, 3 % of them a frame as on
+the reference drive: frames with and without it, in turns on the same map. `rival_speed.py` drives, and has iSAM2.
 """
 
 from __future__ import annotations

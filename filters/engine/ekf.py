@@ -32,7 +32,7 @@ from filters.interface import (
     VelocityBelief,
 )
 from filters.measurements.model import Stage
-from filters.motion import CAMERA_SIZE, POSE_SIZE, CameraState, ConstantVelocity, MotionModel
+from filters.motion import CAMERA_SIZE, CameraState, ConstantVelocity, MotionModel
 from filters.noise import StereoNoise
 from filters.start import start_belief
 from filters.validation import (
@@ -255,11 +255,12 @@ class StereoEKF(StereoFilter):
         """Which of `ids` are in the map, and where those are."""
         if len(self._state) == 0:
             return np.zeros(len(ids), dtype=bool), np.zeros(0, dtype=np.int64)
-        if len(ids) == len(self._state) and (ids == self._state.ids).all():
+        there = self._state.ids
+        if len(ids) == len(there) and (ids == there).all():
             return np.ones(len(ids), dtype=bool), np.arange(len(ids))
-        order = np.argsort(self._state.ids)
-        candidate = order.take(np.searchsorted(self._state.ids, ids, sorter=order), mode="clip")
-        known = self._state.ids[candidate] == ids
+        order = np.argsort(there)
+        candidate = order.take(np.searchsorted(there, ids, sorter=order), mode="clip")
+        known = there[candidate] == ids
         return known, candidate[known]
 
     def _noise_of(self, count: int, R: FloatArray | None = None) -> FloatArray:
@@ -270,12 +271,7 @@ class StereoEKF(StereoFilter):
         predicted = self._motion.predict(self._state.camera, dt, odometry)
         F = predicted.F
         if self._error.constrains:
-            F = self._error.constrained(
-                F,
-                world_rotation_of_camera(predicted.state),
-                world_rotation_of_camera(self._state.predicted),
-                self._state.predicted.R_wc,
-            )
+            F = self._constrained(F, world_rotation_of_camera(predicted.state))
         self._state.transform_camera(F, predicted.G @ predicted.Q @ predicted.G.T)
         return predicted.state
 
@@ -392,8 +388,8 @@ class StereoEKF(StereoFilter):
         return accepted.ids, observation.ids[~possible]
 
     def _constrained(self, J: FloatArray, image: FloatArray) -> FloatArray:
-        """J of new blocks by the pose, as the error definition wants it."""
-        source = world_rotation_of_camera(self._state.predicted)[:POSE_SIZE]
+        """J (m, k) by the first k numbers of the predicted camera, as the error definition wants it."""
+        source = world_rotation_of_camera(self._state.predicted)[: J.shape[1]]
         return self._error.constrained(J, image, source, self._state.predicted.R_wc)
 
 
