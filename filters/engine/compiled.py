@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,7 +10,7 @@ from filters.camera import StereoCamera
 from filters.engine import linearisation
 from filters.engine.arithmetic import Arithmetic
 from filters.engine.error_definition import StandardError
-from filters.engine.fates import USED, FateArray
+from filters.engine.fates import FateArray
 from filters.engine.joint_state import JointState
 from filters.engine.kalman import Correction, LinearisedMeasurements
 from filters.engine.kernels import camera as kernel_camera
@@ -60,14 +59,14 @@ def update(P: FloatArray, measurements: LinearisedMeasurements) -> Correction:
 
 def correct_stage(
     camera: StereoCamera, state: JointState, index: IntArray, stage: Stage, limit: float, fates: FateArray
-) -> Correction | None:
+) -> tuple[FloatArray, float, int] | None:
     """The plain stage in one call, see `Arithmetic`."""
     if type(state.model) not in _KNOWN:
         return None
     delta, nis, dof = kernel_stage.correct_stage(
         state.P, *_seen(camera, state), index, stage.T, stage.z, stage.R, limit, _chunk(stage.z), fates
     )
-    return Correction(delta, nis, dof, fates == USED)
+    return delta, nis, dof
 
 
 def _chunk(z: FloatArray) -> int:
@@ -80,7 +79,7 @@ def _seen(camera: StereoCamera, state: JointState) -> tuple[Any, ...]:
     return (
         (camera.fx, camera.fy, camera.cx, camera.cy, camera.disparity_constant),
         state.camera.position,
-        state.camera.R_wc,
+        state.camera.orientation,
         state.blocks,
         state.anchor_block,
         state.parameter_block,
@@ -116,10 +115,10 @@ def predict(state: JointState, motion: MotionModel, dt: float) -> CameraState | 
     return CameraState(pose[:3], pose[3:], camera.linear_velocity, camera.angular_velocity)
 
 
-def retract(state: JointState, error: StandardError, delta: FloatArray) -> JointState | None:
-    """The state corrected by delta, with P carried along, in one call."""
+def retract(state: JointState, error: StandardError, delta: FloatArray) -> bool:
+    """The state corrected by delta in place, P carried along, in one call; whether there is such a call."""
     if type(error) is not StandardError:
-        return None
+        return False
     camera = state.camera
     x, blocks = kernel_camera.retract(
         state.P,
@@ -131,7 +130,8 @@ def retract(state: JointState, error: StandardError, delta: FloatArray) -> Joint
         delta,
         isinstance(error.retraction, AdditiveQuaternion),
     )
-    return replace(state, camera=CameraState(x[:3], x[3:7], x[7:10], x[10:]), blocks=blocks)
+    state.camera, state.blocks = CameraState(x[:3], x[3:7], x[7:10], x[10:]), blocks
+    return True
 
 
 COMPILED = Arithmetic(

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from filters.camera import StereoCamera
-from filters.compilation import arithmetic
 from filters.engine import gating, kalman, symmetric
+from filters.engine.arithmetic import arithmetic
 from filters.engine.consensus import largest_agreement
 from filters.engine.error_definition import ERRORS
 from filters.engine.fates import BEHIND, FAILED, GATED, USED, FateArray
@@ -293,7 +293,7 @@ class StereoEKF(StereoFilter):
         for stage in stages:
             gained, rows = self._correct_stage(stage, index, gate, fates)
             nis, dof = nis + gained, dof + rows
-        if dof == sum(stage.z.size for stage in stages):
+        if not np.count_nonzero(fates):
             return UpdateReport(updated=observation.ids, nis=nis, nis_dof=dof)
         updated, behind, gated, failed = (observation.ids[fates == fate] for fate in (USED, BEHIND, GATED, FAILED))
         return UpdateReport(updated, gated=gated, behind_camera=behind, failed=failed, nis=nis, nis_dof=dof)
@@ -303,10 +303,11 @@ class StereoEKF(StereoFilter):
         at_once = self._arithmetic.correct_stage
         if at_once is not None and self._is_plain:
             limit = np.inf if gate is None else gating.gate_limit(gate, stage.z.shape[1])
-            correction = at_once(self.camera, self._state, index, stage, limit, fates)
-            if correction is not None:
-                self._retract(correction.delta)
-                return correction.nis, correction.dof
+            corrected = at_once(self.camera, self._state, index, stage, limit, fates)
+            if corrected is not None:
+                delta, nis, dof = corrected
+                self._retract(delta)
+                return nis, dof
         candidates = fates == USED
         forward = in_front(self._state, index)
         fates[candidates & ~forward] = BEHIND
@@ -368,10 +369,10 @@ class StereoEKF(StereoFilter):
     def _retract(self, delta: FloatArray) -> None:
         """Move the state by the correction (Eq. 17) and carry P along."""
         at_once = self._arithmetic.retract
-        moved = None if at_once is None else at_once(self._state, self._error, delta)
-        if moved is None:
-            moved = self._error.moved(self._state, delta)
-            moved.shear_by_rotation(self._error.transport(self._state, moved, delta))
+        if at_once is not None and at_once(self._state, self._error, delta):
+            return
+        moved = self._error.moved(self._state, delta)
+        moved.shear_by_rotation(self._error.transport(self._state, moved, delta))
         self._state = moved
 
     def _initialise(self, observation: StereoObservation) -> tuple[IntArray, IntArray]:

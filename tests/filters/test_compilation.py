@@ -7,9 +7,10 @@ import sys
 
 import pytest
 
-from filters import compilation, make_filter
+from filters import make_filter
 from filters.conformance import REFERENCE_CAMERA, REFERENCE_NOISE
-from filters.engine.arithmetic import NUMPY
+from filters.engine import arithmetic as arithmetic_module
+from filters.engine.arithmetic import NUMPY, arithmetic
 
 
 def test_filters_do_not_import_numba_unless_asked_to() -> None:
@@ -22,12 +23,12 @@ def test_filters_do_not_import_numba_unless_asked_to() -> None:
 
 
 def test_the_default_is_numpy() -> None:
-    assert compilation.arithmetic(compiled=False) is NUMPY
+    assert arithmetic(compiled=False) is NUMPY
     assert make_filter("inverse-depth", camera=REFERENCE_CAMERA, noise=REFERENCE_NOISE)._arithmetic is NUMPY
 
 
 def test_without_numba_a_compiled_filter_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(compilation, "find_spec", lambda name: None)
+    monkeypatch.setattr(arithmetic_module, "find_spec", lambda name: None)
     with pytest.raises(ValueError, match="compiled must be False without Numba: pip install"):
         make_filter("inverse-depth", camera=REFERENCE_CAMERA, noise=REFERENCE_NOISE, compiled=True)
 

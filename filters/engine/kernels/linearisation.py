@@ -7,8 +7,11 @@ import math
 import numpy as np
 from numba import njit, types
 
+from filters import rotations
 from filters.engine.kernels.signatures import ANY_MATRIX, FIXED, FLOATS, SEEN
 from filters.validation import BoolArray, FloatArray, IntArray
+
+_matrix_of = njit(**FLOATS)(rotations.matrix_of)
 
 
 @njit(**FLOATS)
@@ -53,7 +56,7 @@ def _seen(
 def linearise(
     camera: tuple[float, float, float, float, float],
     position: FloatArray,
-    R_wc: FloatArray,
+    orientation: FloatArray,
     blocks: FloatArray,
     anchors: IntArray,
     parameters: IntArray,
@@ -67,6 +70,7 @@ def linearise(
     """
     fx, fy, cx, cy, disparity_constant = camera
     count, size = len(index), len(T)
+    R_wc = np.array(_matrix_of(orientation[0], orientation[1], orientation[2], orientation[3])).reshape(3, 3)
     predicted = np.empty((count, size))
     by_camera = np.empty((count, size, 6))
     by_map = np.empty((count, size, width))

@@ -17,8 +17,8 @@ VECTOR, MATRIX, MATRICES = read(1), read(2), read(3)
 ANY_MATRIX, ANY_MATRICES = read(2, "A"), read(3, "A")
 INDEX, ROWS = read(1, dtype=types.int64), read(2, dtype=types.int64)
 INTRINSICS = types.UniTuple(types.float64, 5)
-SEEN = (INTRINSICS, VECTOR, MATRIX, MATRIX, INDEX, INDEX, types.int64, INDEX)
-"""Camera, position, R_wc, blocks, anchor and parameter block of each landmark, width of its rows, landmarks seen."""
+SEEN = (INTRINSICS, VECTOR, VECTOR, MATRIX, INDEX, INDEX, types.int64, INDEX)
+"""Camera, its pose, blocks, anchor and parameter block of each landmark, width of its rows, landmarks seen."""
 MEASURED = (MATRIX, MATRICES, MATRICES, ROWS, ANY_MATRICES)
 """The fields of `kalman.LinearisedMeasurements`."""
 

@@ -66,7 +66,7 @@ def _stage(
     P: FloatArray,
     camera: tuple[float, float, float, float, float],
     position: FloatArray,
-    R_wc: FloatArray,
+    orientation: FloatArray,
     blocks: FloatArray,
     anchors: IntArray,
     parameters: IntArray,
@@ -87,7 +87,7 @@ def _stage(
             place[count], seen[count] = i, index[i]
             count += 1
     innovation, by_camera, by_map, map_rows, chosen = linearise(
-        camera, position, R_wc, blocks, anchors, parameters, width, seen[:count], T
+        camera, position, orientation, blocks, anchors, parameters, width, seen[:count], T
     )
     R = np.empty((count, len(T), len(T)))
     for i in range(count):
