@@ -1,42 +1,27 @@
-"""Optional machine code for the hot loops: Numba, extra `fast`.
+"""Compile the machine code of filters made with `compiled=True` (Numba, extra `fast`), once on a machine.
 
-Filters made with `compiled=True` run it, and compute the same numbers (to 1e-10). Numba compiles once on a machine and
-keeps the result on disk; it takes half a minute, best spent beforehand::
+::
 
     python -m filters.compilation
 
-Afterwards the first such filter of a process takes about two seconds to make, for the import of Numba and its cache.
-Nothing is ever compiled once a filter exists, and filters without `compiled=True` do not even import Numba.
+takes about half a minute, and Numba keeps the result on disk. Afterwards the first such filter of a process takes a
+second or two to make, for the import of Numba and what it has kept; without this step the first one ever takes the
+half minute. Nothing is ever compiled once a filter exists, and filters without `compiled=True` do not import Numba.
 """
 
 from __future__ import annotations
 
-from importlib.util import find_spec
-
-from filters.engine.arithmetic import NUMPY, Arithmetic
+from filters.engine.arithmetic import arithmetic
 
 
-def arithmetic(compiled: bool) -> Arithmetic:
-    """The steps of a frame, compiled or by NumPy.
+def compile_kernels() -> None:
+    """Compile what is not yet in the cache on disk.
 
     Raises
     ------
     ValueError
-        `compiled` is not a boolean, or is True where Numba is not installed.
+        Numba is not installed.
     """
-    if not isinstance(compiled, bool):
-        raise ValueError(f"compiled must be True or False, got {compiled!r}")
-    if not compiled:
-        return NUMPY
-    if find_spec("numba") is None:
-        raise ValueError("compiled must be False without Numba: pip install 'stereo-slam-env[fast]'")
-    from filters.engine.compiled import COMPILED
-
-    return COMPILED
-
-
-def compile_kernels() -> None:
-    """Compile what is not yet in the cache on disk."""
     arithmetic(compiled=True)
 
 

@@ -14,6 +14,7 @@ class DualBearingEKF(StereoEKF):
     """Inverse-depth EKF that updates with the left, then the right bearing.
 
     `copied_row_variance` is that of `LeftThenRight`: how to take the left row for a right one that is not measured.
+    Landmarks are stored with shared anchors, as in `InverseDepthStereoEKF`.
     """
 
     def __init__(
@@ -21,7 +22,7 @@ class DualBearingEKF(StereoEKF):
         camera: StereoCamera,
         noise: StereoNoise,
         *,
-        landmark: str = "inverse-depth",
+        landmark: str = "shared-anchor",
         copied_row_variance: float | None = None,
         **options: Any,
     ) -> None:

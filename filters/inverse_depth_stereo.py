@@ -10,14 +10,18 @@ from filters.noise import StereoNoise
 
 
 class InverseDepthStereoEKF(StereoEKF):
-    """Inverse-depth stereo EKF with joint (u, v, d) updates (the paper's)."""
+    """Inverse-depth stereo EKF with joint (u, v, d) updates (the paper's).
+
+    Landmarks are stored with shared anchors, which gives the paper's estimates in half the numbers;
+    `landmark="inverse-depth"` stores the paper's six each.
+    """
 
     def __init__(
         self,
         camera: StereoCamera,
         noise: StereoNoise,
         *,
-        landmark: str = "inverse-depth",
+        landmark: str = "shared-anchor",
         measurement: str = "joint",
         **options: Any,
     ) -> None:

@@ -52,6 +52,8 @@ def test_the_packages_are_found():
 @pytest.mark.parametrize("path", modules_of("filters"), ids=name_of)
 def test_filters_know_only_numpy_and_scipy(path):
     allowed = {*sys.stdlib_module_names, "filters", "numpy", "scipy", "filterpy", "threadpoolctl"}
+    if name_of(path).startswith("filters/engine/kernels/"):  # imported on demand only
+        allowed |= {"numba", "llvmlite"}
     assert {name.split(".")[0] for name in imports(path)} <= allowed
 
 

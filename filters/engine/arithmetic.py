@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib.util import find_spec
 
 from filters.camera import StereoCamera
 from filters.engine import kalman, linearisation, symmetric
@@ -15,7 +16,9 @@ from filters.measurements.model import Stage
 from filters.motion import CameraState, MotionModel
 from filters.validation import FloatArray, IntArray
 
-CorrectStage = Callable[[StereoCamera, JointState, IntArray, Stage, float, FateArray], "Correction | None"]
+CorrectStage = Callable[
+    [StereoCamera, JointState, IntArray, Stage, float, FateArray], tuple[FloatArray, float, int] | None
+]
 
 
 @dataclass(frozen=True)
@@ -27,15 +30,15 @@ class Arithmetic:
     linearise, squared_distances, update, transform_leading : function
         With the contract of the NumPy ones in `NUMPY`.
     correct_stage : function, optional
-        (camera, state, index (M,), stage, gate limit, fates (M,)) -> Correction: linearise, gate and update in one go,
-        for the measurements whose fate so far is USED; writes their new fates, updates P in place, moves nothing.
+        (camera, state, index (M,), stage, gate limit, fates (M,)) -> delta, NIS and its dof: linearise, gate and update
+        P in one go, for the measurements whose fate so far is USED; writes their new fates, does not move the state.
     predict : function, optional
         (state, motion, dt) -> CameraState: the prediction of P in place, and the camera it leads to.
     retract : function, optional
-        (state, error, delta) -> JointState: the state corrected by delta, with P carried along.
+        (state, error, delta) -> True: the state corrected by delta in place, with P carried along.
 
-    The optional ones do several steps in one call where there is such a call; if they are None or return None, the
-    filter goes step by step.
+    The optional ones do several steps in one call where there is such a call. If they are None, or give None or False,
+    the filter goes step by step.
     """
 
     linearise: Callable[[StereoCamera, JointState, IntArray, Stage, JointState | None], LinearisedMeasurements]
@@ -44,7 +47,26 @@ class Arithmetic:
     transform_leading: Callable[[FloatArray, FloatArray, FloatArray], None]
     correct_stage: CorrectStage | None = None
     predict: Callable[[JointState, MotionModel, float], CameraState | None] | None = None
-    retract: Callable[[JointState, StandardError, FloatArray], JointState | None] | None = None
+    retract: Callable[[JointState, StandardError, FloatArray], bool] | None = None
 
 
 NUMPY = Arithmetic(linearisation.linearise, kalman.squared_distances, kalman.update, symmetric.transform_leading)
+
+
+def arithmetic(compiled: bool) -> Arithmetic:
+    """The steps of a frame, compiled or by NumPy.
+
+    Raises
+    ------
+    ValueError
+        `compiled` is not a boolean, or is True where Numba is not installed.
+    """
+    if not isinstance(compiled, bool):
+        raise ValueError(f"compiled must be True or False, got {compiled!r}")
+    if not compiled:
+        return NUMPY
+    if find_spec("numba") is None:
+        raise ValueError("compiled must be False without Numba: pip install 'stereo-slam-env[fast]'")
+    from filters.engine.compiled import COMPILED
+
+    return COMPILED

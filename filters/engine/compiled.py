@@ -1,19 +1,23 @@
-"""`Arithmetic` by the kernels: the arrays they want, out of the engine's data, and back. Importing this imports Numba."""
+"""`Arithmetic` by the kernels: the arrays they want out of the engine's data, and back. Importing it imports Numba."""
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from filters.camera import StereoCamera
-from filters.engine import kernels, linearisation
+from filters.engine import linearisation
 from filters.engine.arithmetic import Arithmetic
 from filters.engine.error_definition import StandardError
-from filters.engine.fates import USED, FateArray
+from filters.engine.fates import FateArray
 from filters.engine.joint_state import JointState
 from filters.engine.kalman import Correction, LinearisedMeasurements
+from filters.engine.kernels import camera as kernel_camera
+from filters.engine.kernels import gating as kernel_gating
+from filters.engine.kernels import kalman as kernel_kalman
+from filters.engine.kernels import linearisation as kernel_linearisation
+from filters.engine.kernels import stage as kernel_stage
 from filters.engine.retraction import AdditiveQuaternion
 from filters.landmarks.euclidean import Euclidean
 from filters.landmarks.inverse_depth import InverseDepth
@@ -22,8 +26,8 @@ from filters.measurements.model import Stage
 from filters.motion import CameraState, ConstantVelocity, MotionModel
 from filters.validation import FloatArray, IntArray
 
-CHUNK = 12
-"""Landmarks, see `kalman.CHUNK`."""
+CHUNK_ROWS = 36
+"""See `kalman.CHUNK_ROWS`; here a pass costs less."""
 _KNOWN = (InverseDepth, SharedAnchorInverseDepth, Euclidean)
 """Parametrisations the kernels know; NumPy does the others."""
 
@@ -35,7 +39,7 @@ def linearise(
     if type(state.model) not in _KNOWN:
         return linearisation.linearise(camera, state, index, stage, point)
     at = state if point is None else point
-    predicted, by_camera, by_map, map_rows, _ = kernels.linearise(*_seen(camera, at), index, stage.T)
+    predicted, by_camera, by_map, map_rows, _ = kernel_linearisation.linearise(*_seen(camera, at), index, stage.T)
     if point is not None:
         predicted = linearisation.project(camera, state, index)[0] @ stage.T.T
     return LinearisedMeasurements(stage.z - predicted, by_camera, by_map, map_rows, stage.R)
@@ -43,33 +47,39 @@ def linearise(
 
 def squared_distances(P: FloatArray, measurements: LinearisedMeasurements) -> FloatArray:
     """`kalman.squared_distances`."""
-    distances: FloatArray = kernels.squared_distances(P, *_arrays(measurements))
+    distances: FloatArray = kernel_gating.squared_distances(P, *_arrays(measurements))
     return distances
 
 
 def update(P: FloatArray, measurements: LinearisedMeasurements) -> Correction:
     """`kalman.update`."""
-    delta, nis, used = kernels.correct(P, *_arrays(measurements), CHUNK)
+    delta, nis, used = kernel_kalman.correct(P, *_arrays(measurements), _chunk(measurements.innovation))
     return Correction(delta, nis, int(used.sum()) * measurements.innovation.shape[1], used)
 
 
 def correct_stage(
     camera: StereoCamera, state: JointState, index: IntArray, stage: Stage, limit: float, fates: FateArray
-) -> Correction | None:
+) -> tuple[FloatArray, float, int] | None:
     """The plain stage in one call, see `Arithmetic`."""
     if type(state.model) not in _KNOWN:
         return None
-    delta, nis, dof = kernels.correct_stage(
-        state.P, *_seen(camera, state), index, stage.T, stage.z, stage.R, limit, CHUNK, fates
+    delta, nis, dof = kernel_stage.correct_stage(
+        state.P, *_seen(camera, state), index, stage.T, stage.z, stage.R, limit, _chunk(stage.z), fates
     )
-    return Correction(delta, nis, dof, fates == USED)
+    return delta, nis, dof
+
+
+def _chunk(z: FloatArray) -> int:
+    """Measurements at a time."""
+    rows: int = z.shape[1]
+    return max(1, CHUNK_ROWS // rows)
 
 
 def _seen(camera: StereoCamera, state: JointState) -> tuple[Any, ...]:
     return (
         (camera.fx, camera.fy, camera.cx, camera.cy, camera.disparity_constant),
         state.camera.position,
-        state.camera.R_wc,
+        state.camera.orientation,
         state.blocks,
         state.anchor_block,
         state.parameter_block,
@@ -92,7 +102,7 @@ def predict(state: JointState, motion: MotionModel, dt: float) -> CameraState | 
     if not isinstance(motion, ConstantVelocity):
         return None
     camera = state.camera
-    position, orientation = kernels.predict(
+    pose = kernel_camera.predict(
         state.P,
         camera.position,
         camera.orientation,
@@ -102,15 +112,15 @@ def predict(state: JointState, motion: MotionModel, dt: float) -> CameraState | 
         (motion.sigma_acceleration * dt) ** 2,
         (motion.sigma_angular_acceleration * dt) ** 2,
     )
-    return CameraState(position, orientation, camera.linear_velocity, camera.angular_velocity)
+    return CameraState(pose[:3], pose[3:], camera.linear_velocity, camera.angular_velocity)
 
 
-def retract(state: JointState, error: StandardError, delta: FloatArray) -> JointState | None:
-    """The state corrected by delta, with P carried along, in one call."""
+def retract(state: JointState, error: StandardError, delta: FloatArray) -> bool:
+    """The state corrected by delta in place, P carried along, in one call; whether there is such a call."""
     if type(error) is not StandardError:
-        return None
+        return False
     camera = state.camera
-    x, blocks = kernels.retract(
+    x, blocks = kernel_camera.retract(
         state.P,
         camera.position,
         camera.orientation,
@@ -120,7 +130,10 @@ def retract(state: JointState, error: StandardError, delta: FloatArray) -> Joint
         delta,
         isinstance(error.retraction, AdditiveQuaternion),
     )
-    return replace(state, camera=CameraState(x[:3], x[3:7], x[7:10], x[10:]), blocks=blocks)
+    state.camera, state.blocks = CameraState(x[:3], x[3:7], x[7:10], x[10:]), blocks
+    return True
 
 
-COMPILED = Arithmetic(linearise, squared_distances, update, kernels.transform_leading, correct_stage, predict, retract)
+COMPILED = Arithmetic(
+    linearise, squared_distances, update, kernel_camera.transform_leading, correct_stage, predict, retract
+)

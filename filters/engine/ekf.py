@@ -255,11 +255,12 @@ class StereoEKF(StereoFilter):
         """Which of `ids` are in the map, and where those are."""
         if len(self._state) == 0:
             return np.zeros(len(ids), dtype=bool), np.zeros(0, dtype=np.int64)
-        if len(ids) == len(self._state) and (ids == self._state.ids).all():
+        there = self._state.ids
+        if len(ids) == len(there) and (ids == there).all():
             return np.ones(len(ids), dtype=bool), np.arange(len(ids))
-        order = np.argsort(self._state.ids)
-        candidate = order.take(np.searchsorted(self._state.ids, ids, sorter=order), mode="clip")
-        known = self._state.ids[candidate] == ids
+        order = np.argsort(there)
+        candidate = order.take(np.searchsorted(there, ids, sorter=order), mode="clip")
+        known = there[candidate] == ids
         return known, candidate[known]
 
     def _predict_step_by_step(self, dt: float, odometry: BodyVelocity | None) -> CameraState:
@@ -267,12 +268,7 @@ class StereoEKF(StereoFilter):
         predicted = self.parts.motion.predict(self._state.camera, dt, odometry)
         F = predicted.F
         if self.parts.error.constrains:
-            F = self.parts.error.constrained(
-                F,
-                world_rotation_of_camera(predicted.state),
-                world_rotation_of_camera(self._state.predicted),
-                self._state.predicted.R_wc,
-            )
+            F = self.parts.error.constrained(F, world_rotation_of_camera(predicted.state), self._state)
         self._state.transform_camera(F, predicted.G @ predicted.Q @ predicted.G.T)
         return predicted.state
 
@@ -294,7 +290,7 @@ class StereoEKF(StereoFilter):
         for stage in stages:
             gained, rows = self._correct_stage(stage, index, gate, fates)
             nis, dof = nis + gained, dof + rows
-        if dof == sum(stage.z.size for stage in stages):
+        if not np.count_nonzero(fates):
             return UpdateReport(updated=observation.ids, nis=nis, nis_dof=dof)
         updated, behind, gated, failed = (observation.ids[fates == fate] for fate in (USED, BEHIND, GATED, FAILED))
         return UpdateReport(updated, gated=gated, behind_camera=behind, failed=failed, nis=nis, nis_dof=dof)
@@ -304,10 +300,11 @@ class StereoEKF(StereoFilter):
         at_once = self.parts.arithmetic.correct_stage
         if at_once is not None and self.parts.is_plain:
             limit = np.inf if gate is None else gating.gate_limit(gate, stage.z.shape[1])
-            correction = at_once(self.camera, self._state, index, stage, limit, fates)
-            if correction is not None:
-                self._retract(correction.delta)
-                return correction.nis, correction.dof
+            corrected = at_once(self.camera, self._state, index, stage, limit, fates)
+            if corrected is not None:
+                delta, nis, dof = corrected
+                self._retract(delta)
+                return nis, dof
         candidates = fates == USED
         forward = in_front(self._state, index)
         fates[candidates & ~forward] = BEHIND
@@ -369,10 +366,10 @@ class StereoEKF(StereoFilter):
     def _retract(self, delta: FloatArray) -> None:
         """Move the state by the correction (Eq. 17) and carry P along."""
         at_once = self.parts.arithmetic.retract
-        moved = None if at_once is None else at_once(self._state, self.parts.error, delta)
-        if moved is None:
-            moved = self.parts.error.moved(self._state, delta)
-            moved.shear_by_rotation(self.parts.error.transport(self._state, moved, delta))
+        if at_once is not None and at_once(self._state, self.parts.error, delta):
+            return
+        moved = self.parts.error.moved(self._state, delta)
+        moved.shear_by_rotation(self.parts.error.transport(self._state, moved, delta))
         self._state = moved
 
 

@@ -23,7 +23,7 @@ from dataclasses import replace
 import numpy as np
 
 from filters import rotations
-from filters.engine.joint_state import JointState
+from filters.engine.joint_state import JointState, world_rotation_of_camera
 from filters.engine.retraction import RETRACTIONS, Retraction
 from filters.motion import ANGULAR, CAMERA_SIZE, LINEAR, POSITION, ROTATION, CameraState
 from filters.validation import FloatArray
@@ -74,17 +74,17 @@ class StandardError:
         """Where H is evaluated; None: at the state itself."""
         return None
 
-    def constrained(self, J: FloatArray, image: FloatArray, source: FloatArray, R_wc: FloatArray) -> FloatArray:
-        """A Jacobian J (m, k) of something with respect to the camera, made to take `source` to `image`.
+    def constrained(self, J: FloatArray, image: FloatArray, state: JointState) -> FloatArray:
+        """A Jacobian by the camera, made to take the effect of a rotation of the world there to that on something.
 
         Parameters
         ----------
         J : (m, k)
-            k >= 6 columns of the camera.
-        image, source : (m, 3), (k, 3)
-            Effect of a rotation of the world on both sides.
-        R_wc : (3, 3)
-            Rotation matrix of the orientation at which `source` was evaluated.
+            By the first k >= 6 numbers of the predicted camera.
+        image : (m, 3)
+            Effect of a rotation of the world on what J is the Jacobian of.
+        state : JointState
+            Has the predicted camera.
         """
         return J
 
@@ -113,10 +113,11 @@ class FirstEstimates(StandardError):
         """Predicted pose, first estimates of the landmarks."""
         return state.at_first_estimates()
 
-    def constrained(self, J: FloatArray, image: FloatArray, source: FloatArray, R_wc: FloatArray) -> FloatArray:
-        """J with its rotation columns changed by (image - J source) R_wc."""
+    def constrained(self, J: FloatArray, image: FloatArray, state: JointState) -> FloatArray:
+        """J with its rotation columns changed by (image - J source) R_wc, source the effect on the camera."""
+        source = world_rotation_of_camera(state.predicted)[: J.shape[1]]
         adjusted = J.copy()
-        adjusted[:, ROTATION] += (image - J @ source) @ R_wc
+        adjusted[:, ROTATION] += (image - J @ source) @ state.predicted.R_wc
         return adjusted
 
 

@@ -19,7 +19,7 @@ from filters.engine import gating, symmetric
 from filters.motion import CAMERA_SIZE, ROTATION, LinearMeasurement
 from filters.validation import BoolArray, FloatArray, IntArray
 
-CHUNK = 25  # landmarks: where the cost of the small factorisations meets that of passing over P again
+CHUNK_ROWS = 75  # where the cost of the small factorisations meets that of passing over P again
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,14 +118,15 @@ class Correction:
     used: BoolArray
 
 
-def update(P: FloatArray, measurements: LinearisedMeasurements, chunk: int = CHUNK) -> Correction:
-    """Correct with all measurements (Eq. 13-18); P (lower triangle, column-major) is updated in place.
+def update(P: FloatArray, measurements: LinearisedMeasurements, chunk: int | None = None) -> Correction:
+    """Correct with all measurements (Eq. 13-18), `chunk` at a time; P (lower triangle, column-major) changes in place.
 
     A chunk whose S has no Cholesky factor is taken apart, and the measurements that have none are left out.
     """
     delta = np.zeros(len(P))
     used = np.zeros(len(measurements), dtype=bool)
     nis, dof = 0.0, 0
+    chunk = chunk or max(1, CHUNK_ROWS // measurements.innovation.shape[1])
     chunks = -(-len(measurements) // chunk)
     edges = [len(measurements) * i // chunks for i in range(chunks + 1)] if chunks else []
     pending = [slice(*ends) for ends in pairwise(edges)][::-1]

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from filters.camera import StereoCamera
 from filters.engine import selection
-from filters.engine.joint_state import JointState, world_rotation_of_camera
+from filters.engine.joint_state import JointState
 from filters.engine.options import Parts
 from filters.interface import StereoObservation
 from filters.landmarks.hybrid import Hybrid
-from filters.motion import CAMERA_SIZE, POSE_SIZE
+from filters.motion import CAMERA_SIZE
 from filters.noise import StereoNoise
-from filters.validation import BoolArray, FloatArray, IntArray
+from filters.validation import BoolArray, IntArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,14 +83,8 @@ class MapPolicy:
         if len(observation) == 0:
             return
         new = self.parts.landmark.initialise(self.camera, state.camera.position, state.camera.R_wc, observation.uvd)
-        error, predicted = self.parts.error, state.predicted
-
-        def constrained(J: FloatArray, image: FloatArray) -> FloatArray:
-            source = world_rotation_of_camera(predicted)[:POSE_SIZE]
-            return error.constrained(J, image, source, predicted.R_wc)
-
-        R = observation.covariances(self.noise)
-        state.augment(observation.ids, new, R, constrained if error.constrains else None)
+        adjust = partial(self.parts.error.constrained, state=state) if self.parts.error.constrains else None
+        state.augment(observation.ids, new, observation.covariances(self.noise), adjust)
 
     def _can_start(self, state: JointState, observation: StereoObservation) -> BoolArray:
         """Which measurements a landmark can start from."""

@@ -10,9 +10,8 @@ from functools import cached_property
 from typing import TypeVar, cast
 
 from filters.camera import StereoCamera
-from filters.compilation import arithmetic
 from filters.engine import unscented
-from filters.engine.arithmetic import Arithmetic
+from filters.engine.arithmetic import Arithmetic, arithmetic
 from filters.engine.error_definition import ERRORS, StandardError
 from filters.engine.joint_state import JointState
 from filters.engine.kalman import LinearisedMeasurements

@@ -74,7 +74,8 @@ class InverseDepth:
     def can_initialise(self, camera: StereoCamera, R_wc: FloatArray, uvd: FloatArray) -> BoolArray:
         """All but rays along the vertical of W, where the azimuth (Eq. 24) is undefined."""
         h_w = rotations.turned(R_wc, camera.ray(uvd))
-        possible: BoolArray = np.hypot(h_w[:, 0], h_w[:, 2]) > _VERTICAL * np.abs(h_w[:, 1])
+        squares = h_w * h_w
+        possible: BoolArray = squares[:, 0] + squares[:, 2] > _VERTICAL**2 * squares[:, 1]
         return possible
 
     def initialise(self, camera: StereoCamera, position: FloatArray, R_wc: FloatArray, uvd: FloatArray) -> NewLandmarks:
