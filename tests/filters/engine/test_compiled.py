@@ -21,7 +21,7 @@ from filters.engine.kernels import linearisation as kernel_linearisation
 from filters.engine.options import LANDMARKS, MEASUREMENTS
 from filters.measurements.model import Stage
 
-from ..drives import CAMERA, DT, SPEED, Frame, drive
+from ..drives import CAMERA, DT, INDEPENDENT_PIXELS, SPEED, Frame, drive
 from .beliefs import assert_same_belief, make
 
 ERRORS = ("quaternion", "so3", "first-estimates", "right-invariant")
@@ -104,7 +104,7 @@ def linearised() -> tuple[StereoEKF, kalman.LinearisedMeasurements]:
     reports_over(stereo_filter, frames, None)
     index = np.arange(len(stereo_filter._state))
     uvd, _ = linearisation.project(CAMERA, stereo_filter._state, index)
-    stage = Stage(uvd + 0.5, np.eye(3), stereo_filter._noise_of(len(index)))
+    stage = Stage(uvd + 0.5, np.eye(3), INDEPENDENT_PIXELS.R[None].repeat(len(index), axis=0))
     return stereo_filter, linearisation.linearise(CAMERA, stereo_filter._state, index, stage)
 
 
