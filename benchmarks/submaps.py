@@ -6,7 +6,7 @@
 
 `cost` drives along a street; two filters get the same measurements, some frames of each in turns, in one process with
 one BLAS thread: a shared-anchor filter that keeps only the 100 landmarks in view, and submaps that keep everything. The
-ratio of their times is what counts; the milliseconds are this machine's. It is given as the map grows, as median (the
+ratio of their processor times is what counts; the milliseconds are this machine's. It is given as the map grows, as median (the
 usual frame) and as mean (with the frames in which landmarks come to rest).
 
 `loops` drives round a circle of 15 m radius twice, so that the second lap sees the first one's landmarks again, with
