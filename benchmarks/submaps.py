@@ -1,13 +1,13 @@
 """Large maps by submaps: what a frame costs while the map grows, and whether the estimates stay consistent.
 
-    python benchmarks/submaps.py cost                      # 5,000 landmarks in the map, 100 in view; five minutes
+    python benchmarks/submaps.py cost                      # 5,000 landmarks in the map, 100 in view; a minute
     python benchmarks/submaps.py cost --landmarks 1000
     python benchmarks/submaps.py loops --seeds 20          # NEES on two laps of a circle, against the full filter
 
 `cost` drives along a street; two filters get the same measurements, some frames of each in turns, in one process with
 one BLAS thread: a shared-anchor filter that keeps only the 100 landmarks in view, and submaps that keep everything. The
-ratio of their times is what counts; the milliseconds are this machine's. It is given as the map grows, as median (the
-usual frame) and as mean (with the frames in which landmarks come to rest).
+ratio of their processor times is what counts; the milliseconds are this machine's. It is given as the map grows, as
+median (the usual frame) and as mean (with the frames in which landmarks come to rest).
 
 `loops` drives round a circle of 15 m radius twice, so that the second lap sees the first one's landmarks again, with
 the full filter (`drop_unseen=False`) and with submaps on the same measurements: pose NEES/6 over all frames and seeds,

@@ -125,7 +125,7 @@ def test_without_the_camera_of_the_moment_landmarks_at_rest_would_not_be_indepen
         full.update(frame.observation)
         ours.update(frame.observation)
     with pytest.raises(AssertionError):
-        assert_same_poses(full, ours, 1e-3)
+        assert_same_maps(full, ours, 1e-3)
 
 
 def test_missed_detections_empty_frames_and_odometry_change_nothing_of_it() -> None:
