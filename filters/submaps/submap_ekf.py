@@ -185,7 +185,7 @@ class SubmapEKF(StereoFilter):
     @property
     def state_size(self) -> int:
         """Rows of the active error state, which decide what a frame costs."""
-        return len(self._active.state.P)
+        return self._active.state_size
 
     @property
     def nbytes(self) -> int:

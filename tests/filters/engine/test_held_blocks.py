@@ -22,7 +22,9 @@ def state() -> JointState:
     for first in (10, 20):
         J = [rng.standard_normal((3, 3, 3)) for _ in range(3)]
         state.augment(
-            first + np.arange(3), NewLandmarks(rng.standard_normal((3, 3)), *J), np.tile(np.eye(3), (3, 1, 1))
+            first + np.arange(3),
+            NewLandmarks(rng.standard_normal((3, 3)), *J, np.ones(3, dtype=bool)),
+            np.tile(np.eye(3), (3, 1, 1)),
         )
     return state
 
