@@ -80,7 +80,7 @@ def update(
     limit : float, optional
         Squared Mahalanobis distance up to which a measurement is believed (Eq. 15); None: all are.
     work : Workspace
-        Of this size of problem.
+        Keeps the large arrays for the next frame.
     """
     trials, n = P.shape[:2]
     count, size = measurements.innovation.shape
@@ -130,6 +130,8 @@ class _Seats:
         Trial of each measurement, and its seat.
     most : int
         Seats a trial, M.
+    head : int
+        Rows of camera and shared anchors, as of `update`.
     """
 
     def __init__(self, trial: IntArray, map_rows: IntArray, shape: tuple[int, ...], head: int) -> None:

@@ -20,7 +20,9 @@ from stereo_slam_env.world.routes import FRAME_PERIOD, ROUTES, Route, RouteDrive
 START_SIGMAS = np.repeat([1e-6, 1e-6, 0.5, 0.05], 3)
 
 
-def long_drive(seed: int, noise: str = "pixels", sigma: float = 1.0, frames: int = 800) -> Recording:
+def long_drive(
+    seed: int, noise: str = "pixels", sigma: float = 1.0, frames: int = 800, landmarks: int = 90
+) -> Recording:
     """800 frames, about 350 m, one wide turn to the left and one to the right (the paper's 4.4).
 
     Parameters
@@ -33,25 +35,31 @@ def long_drive(seed: int, noise: str = "pixels", sigma: float = 1.0, frames: int
         Standard deviation of each, px.
     frames : int
         Length.
+    landmarks : int
+        Most landmarks in one frame; refilled when fewer than 65 of 90 are left.
 
     Raises
     ------
     ValueError
-        No such noise, or more frames than the route has.
+        No such noise, more frames than the route has, or no landmarks.
     """
-    return _drive("long-drive", ROUTES["town"](), seed, noise, sigma, frames)
+    return _drive("long-drive", ROUTES["town"](), seed, noise, sigma, frames, landmarks)
 
 
-def short_turn(seed: int, noise: str = "pixels", sigma: float = 1.0, frames: int = 12) -> Recording:
+def short_turn(
+    seed: int, noise: str = "pixels", sigma: float = 1.0, frames: int = 12, landmarks: int = 90
+) -> Recording:
     """12 frames into a right turn (the paper's 4.3); arguments as for `long_drive`."""
-    return _drive("short-turn", ROUTES["right-turn"](), seed, noise, sigma, frames)
+    return _drive("short-turn", ROUTES["right-turn"](), seed, noise, sigma, frames, landmarks)
 
 
-def _drive(name: str, route: Route, seed: int, noise: str, sigma: float, frames: int) -> Recording:
+def _drive(name: str, route: Route, seed: int, noise: str, sigma: float, frames: int, most: int) -> Recording:
     if noise not in NOISE_MODELS:
         raise ValueError(f"noise must be one of {', '.join(NOISE_MODELS)}, got {noise!r}")
     if not 2 <= frames <= route.frames:
         raise ValueError(f"frames must be between 2 and {route.frames} on this route, got {frames!r}")
+    if type(most) is not int or most < 1:
+        raise ValueError(f"landmarks must be an integer >= 1, got {most!r}")
     cloud_rng, drive_rng, sensor_rng, start_rng = np.random.default_rng(seed).spawn(4)
     positions = _points_along(route, cloud_rng)
     landmarks = LandmarkTruth(np.arange(len(positions)), positions)
@@ -62,7 +70,7 @@ def _drive(name: str, route: Route, seed: int, noise: str, sigma: float, frames:
         pixel_noise,
         landmarks,
         lambda pose, points: np.ones(len(points), dtype=bool),
-        TrackingPolicy(),
+        TrackingPolicy(max_landmarks=most, refill_below=round(most * 65 / 90)),
         sensor_rng,
     )
     driver = RouteDriver(route, 1.0, drive_rng)
@@ -73,7 +81,14 @@ def _drive(name: str, route: Route, seed: int, noise: str, sigma: float, frames:
         velocity = driver.drive(pose, np.zeros(2))
         pose = advance(pose, velocity, FRAME_PERIOD)
         taken.append(Frame(k * FRAME_PERIOD, sensor.observe(pose), truth=pose, truth_velocity=velocity))
-    source = {"problem": name, "seed": seed, "noise": noise, "sigma": sigma, "frames": frames}
+    source = {
+        "problem": name,
+        "seed": seed,
+        "noise": noise,
+        "sigma": sigma,
+        "frames": frames,
+        "landmarks": most,
+    }
     return Recording(name, camera, tuple(taken), pixel_noise.stereo_noise, start, landmarks, source)
 
 

@@ -56,3 +56,26 @@ def test_between_takes_one_to_the_other_by_the_short_way(sign: float) -> None:
         dq = rotations.between(p, sign * q)
         assert dq[3] >= 0
         np.testing.assert_allclose(rotations.matrix(rotations.multiply(p, dq)), rotations.matrix(q), atol=1e-14)
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_many_rotations_at_once_are_each_of_them(size: float) -> None:
+    phi = vectors(size)
+    q = rotations.exp_quaternion(phi)
+    other = Rotation.random(len(phi), rng=np.random.default_rng(3)).as_quat()
+    for many, single in (
+        (q, [rotations.exp_quaternion(p) for p in phi]),
+        (rotations.matrix(q), [rotations.matrix(p) for p in q]),
+        (rotations.exp(phi), [rotations.exp(p) for p in phi]),
+        (rotations.right_jacobian(phi), [rotations.right_jacobian(p) for p in phi]),
+        (rotations.multiply(q, other), [rotations.multiply(*pair) for pair in zip(q, other, strict=True)]),
+        (rotations.between(other, q), [rotations.between(*pair) for pair in zip(other, q, strict=True)]),
+    ):
+        np.testing.assert_allclose(many, single, rtol=1e-14, atol=1e-15)
+
+
+def test_a_rotation_for_all_vectors_or_one_for_each() -> None:
+    v = np.random.default_rng(4).standard_normal((5, 3))
+    turns = Rotation.random(5, rng=np.random.default_rng(5))
+    np.testing.assert_allclose(rotations.turned(turns.as_matrix(), v), turns.apply(v), atol=1e-14)
+    np.testing.assert_allclose(rotations.turned(turns[0].as_matrix(), v), turns[0].apply(v), atol=1e-14)

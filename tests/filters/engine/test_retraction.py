@@ -64,3 +64,15 @@ def test_the_papers_transport_is_the_normalisation_jacobian() -> None:
     after = rotation_tangent(raw / np.linalg.norm(raw))
     expected = np.linalg.pinv(after) @ normalise @ rotation_tangent(q)
     np.testing.assert_allclose(RETRACTIONS["quaternion"].transport(delta), expected, atol=1e-14)
+
+
+@every
+def test_many_orientations_at_once_are_each_of_them(name: str) -> None:
+    error = RETRACTIONS[name]
+    q = np.array([random_orientation(seed) for seed in range(5)])
+    delta = np.random.default_rng(0).standard_normal((5, 3)) * [[1e-9], [1e-4], [0.1], [1.0], [0.0]]
+    moved = error.retract(q, delta)
+    pairs = list(zip(q, delta, strict=True))
+    np.testing.assert_allclose(moved, [error.retract(*pair) for pair in pairs], atol=1e-15)
+    np.testing.assert_allclose(error.local(q, moved), delta, rtol=1e-9, atol=1e-15)
+    np.testing.assert_allclose(error.transport(delta), [error.transport(d) for d in delta], atol=1e-15)
