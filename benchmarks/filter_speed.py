@@ -6,12 +6,13 @@
 
 The yardstick is Cholesky + triangular solve + symmetric rank-k update of the whole frame's measurement in one batch,
 by scipy's BLAS and LAPACK, at the sizes of the shared-anchor state. Everything is measured in turns, some frames of
-each at a time, in one process with one BLAS thread, so the ratios hold on a noisy machine; the milliseconds are this
-machine's, the 20 % quantile. "Compiled" is `compiled=True` (left out without Numba), the rest is NumPy. "6-D, one batch" is the plain
-form of the paper's filter, without chunks. filterpy's EKF gets H for nothing, at the sizes of the shared-anchor and
-of the six-dimensional state: it has no shared anchors, so the latter is the same problem as a user would write it.
-"Turnover" is the share of a frame that goes into landmarks leaving and entering the map, 3 % of them a frame as on
-the reference drive: frames with and without it, in turns on the same map. `rival_speed.py` drives, and has iSAM2.
+each at a time, in one process with one BLAS thread, so the ratios hold on a noisy machine; times are this machine's
+processor time, 20 % quantile. "Compiled" is `compiled=True` (left out without Numba), the rest is NumPy. "6-D, one
+batch" is the plain form of the paper's filter, without chunks. filterpy's EKF gets H for nothing, at the sizes of the
+shared-anchor and of the six-dimensional state: it has no shared anchors, so the latter is the same problem as a user
+would write it. "Turnover" is the share of a frame that goes into landmarks leaving and entering the map, 3 % of them
+a frame as on the reference drive: frames with and without it, in turns on the same map. `rival_speed.py` drives, and
+has iSAM2.
 """
 
 from __future__ import annotations
@@ -90,16 +91,16 @@ class Drive:
         """Time of predict + update, s."""
         self.frame += 1
         observation = self.observe(len(self.points))
-        began = time.perf_counter()
+        began = time.process_time()
         self.slam.predict(DT)
         report = self.slam.update(observation)
-        elapsed = time.perf_counter() - began
+        elapsed = time.process_time() - began
         assert len(report.updated) + len(report.initialised) > 0.9 * len(self.points)
         return elapsed
 
 
 def undisturbed(times: list[float]) -> float:
-    """The 20 % quantile: other processes on the machine only ever add, and may be there half of the time."""
+    """The 20 % quantile: other processes on the machine take their share of its caches most of the time."""
     return float(np.quantile(times, 0.2))
 
 
@@ -127,11 +128,11 @@ def yardstick(n: int) -> Callable[[], float]:
 
     def step() -> float:
         s, hp = S.copy(order="F"), HP.copy(order="F")
-        began = time.perf_counter()
+        began = time.process_time()
         factor, _ = lapack.dpotrf(s, lower=1, overwrite_a=1)
         solved = blas.dtrsm(1.0, factor, hp, lower=1, overwrite_b=1)
         blas.dsyrk(-1.0, solved, beta=1.0, c=P, trans=1, lower=1, overwrite_c=1)
-        return time.perf_counter() - began
+        return time.process_time() - began
 
     return step
 
@@ -145,10 +146,10 @@ def filterpy_step(rows: int, states: int) -> Callable[[], float]:
     z = rng.standard_normal((rows, 1))
 
     def step() -> float:
-        began = time.perf_counter()
+        began = time.process_time()
         ekf.predict()
         ekf.update(z, lambda x: H, lambda x: H @ x)
-        return time.perf_counter() - began
+        return time.process_time() - began
 
     return step
 
