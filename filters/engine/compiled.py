@@ -57,6 +57,11 @@ def update(P: FloatArray, measurements: LinearisedMeasurements) -> Correction:
     return Correction(delta, nis, int(used.sum()) * measurements.innovation.shape[1], used)
 
 
+def transform_leading(P: FloatArray, F: FloatArray, added: FloatArray) -> None:
+    """`symmetric.transform_leading`; a function of its own, so that filters can be pickled."""
+    kernel_camera.transform_leading(P, F, added)
+
+
 def correct_stage(
     camera: StereoCamera, state: JointState, index: IntArray, stage: Stage, limit: float, fates: FateArray
 ) -> tuple[FloatArray, float, int] | None:
@@ -134,6 +139,4 @@ def retract(state: JointState, error: StandardError, delta: FloatArray) -> bool:
     return True
 
 
-COMPILED = Arithmetic(
-    linearise, squared_distances, update, kernel_camera.transform_leading, correct_stage, predict, retract
-)
+COMPILED = Arithmetic(linearise, squared_distances, update, transform_leading, correct_stage, predict, retract)

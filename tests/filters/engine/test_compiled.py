@@ -5,6 +5,8 @@ Where nothing is in Numba's cache yet, it takes half a minute to compile first.
 
 from __future__ import annotations
 
+import copy
+import pickle
 from dataclasses import replace
 from itertools import product
 
@@ -128,6 +130,17 @@ def test_nothing_to_correct_with_changes_nothing() -> None:
     assert not correction.delta.any()
     assert correction.nis == correction.dof == 0
     np.testing.assert_array_equal(P, stereo_filter._state.P)
+
+
+def test_compiled_filters_can_be_copied_and_sent_to_other_processes() -> None:
+    frames = drive(7, 6)
+    original = make(landmark="shared-anchor", compiled=True)
+    reports_over(original, frames[:3], None)
+    twins = [copy.deepcopy(original), pickle.loads(pickle.dumps(original))]
+    reports_over(original, frames[3:], None)
+    for twin in twins:
+        reports_over(twin, frames[3:], None)
+        assert_same_belief(twin, original, 1e-14)
 
 
 def test_a_filter_that_exists_never_compiles() -> None:
