@@ -15,12 +15,14 @@ from filters.engine.joint_state import JointState
 from filters.engine.kalman import Correction, LinearisedMeasurements
 from filters.engine.kernels import camera as kernel_camera
 from filters.engine.kernels import gating as kernel_gating
+from filters.engine.kernels import inverse_depth as kernel_inverse_depth
 from filters.engine.kernels import kalman as kernel_kalman
 from filters.engine.kernels import linearisation as kernel_linearisation
 from filters.engine.kernels import stage as kernel_stage
 from filters.engine.retraction import AdditiveQuaternion
 from filters.landmarks.euclidean import Euclidean
 from filters.landmarks.inverse_depth import InverseDepth
+from filters.landmarks.parametrisation import LandmarkModel, NewLandmarks
 from filters.landmarks.shared_anchor import SharedAnchorInverseDepth
 from filters.measurements.model import Stage
 from filters.motion import CameraState, ConstantVelocity, MotionModel
@@ -74,6 +76,20 @@ def correct_stage(
     return delta, nis, dof
 
 
+def initialise(model: LandmarkModel, camera: StereoCamera, state: CameraState, uvd: FloatArray) -> NewLandmarks | None:
+    """`InverseDepth.initialise`."""
+    if type(model) not in (InverseDepth, SharedAnchorInverseDepth):
+        return None
+    parameters, by_rotation, by_measurement = kernel_inverse_depth.initialise(
+        _intrinsics(camera), state.orientation, uvd
+    )
+    return NewLandmarks(parameters, np.zeros_like(by_rotation), by_rotation, by_measurement)
+
+
+def _intrinsics(camera: StereoCamera) -> tuple[float, float, float, float, float]:
+    return camera.fx, camera.fy, camera.cx, camera.cy, camera.disparity_constant
+
+
 def _chunk(z: FloatArray) -> int:
     """Measurements at a time."""
     rows: int = z.shape[1]
@@ -82,7 +98,7 @@ def _chunk(z: FloatArray) -> int:
 
 def _seen(camera: StereoCamera, state: JointState) -> tuple[Any, ...]:
     return (
-        (camera.fx, camera.fy, camera.cx, camera.cy, camera.disparity_constant),
+        _intrinsics(camera),
         state.camera.position,
         state.camera.orientation,
         state.blocks,
@@ -139,4 +155,6 @@ def retract(state: JointState, error: StandardError, delta: FloatArray) -> bool:
     return True
 
 
-COMPILED = Arithmetic(linearise, squared_distances, update, transform_leading, correct_stage, predict, retract)
+COMPILED = Arithmetic(
+    linearise, squared_distances, update, transform_leading, correct_stage, predict, retract, initialise
+)

@@ -383,7 +383,9 @@ class StereoEKF(StereoFilter):
             possible &= observation.uvd[:, 2] >= self._min_disparity
         accepted = observation if possible.all() else observation.select(possible)
         if len(accepted):
-            new = self._landmark.initialise(self.camera, camera.position, camera.R_wc, accepted.uvd)
+            at_once = self._arithmetic.initialise
+            new = at_once and at_once(self._landmark, self.camera, camera, accepted.uvd)
+            new = new or self._landmark.initialise(self.camera, camera.position, camera.R_wc, accepted.uvd)
             R = self._noise_of(len(accepted), accepted.R)
             self._state.augment(accepted.ids, new, R, self._constrained if self._error.constrains else None)
         return accepted.ids, observation.ids[~possible]
