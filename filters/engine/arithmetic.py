@@ -12,6 +12,7 @@ from filters.engine.error_definition import StandardError
 from filters.engine.fates import FateArray
 from filters.engine.joint_state import JointState
 from filters.engine.kalman import Correction, LinearisedMeasurements
+from filters.landmarks.parametrisation import LandmarkModel, NewLandmarks
 from filters.measurements.model import Stage
 from filters.motion import CameraState, MotionModel
 from filters.validation import FloatArray, IntArray
@@ -36,6 +37,8 @@ class Arithmetic:
         (state, motion, dt) -> CameraState: the prediction of P in place, and the camera it leads to.
     retract : function, optional
         (state, error, delta) -> True: the state corrected by delta in place, with P carried along.
+    initialise : function, optional
+        (model, camera, camera state, uvd (M, 3)) -> NewLandmarks.
 
     The optional ones do several steps in one call where there is such a call. If they are None, or give None or False,
     the filter goes step by step.
@@ -48,6 +51,7 @@ class Arithmetic:
     correct_stage: CorrectStage | None = None
     predict: Callable[[JointState, MotionModel, float], CameraState | None] | None = None
     retract: Callable[[JointState, StandardError, FloatArray], bool] | None = None
+    initialise: Callable[[LandmarkModel, StereoCamera, CameraState, FloatArray], NewLandmarks | None] | None = None
 
 
 NUMPY = Arithmetic(linearisation.linearise, kalman.squared_distances, kalman.update, symmetric.transform_leading)

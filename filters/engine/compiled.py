@@ -15,12 +15,14 @@ from filters.engine.joint_state import JointState
 from filters.engine.kalman import Correction, LinearisedMeasurements
 from filters.engine.kernels import camera as kernel_camera
 from filters.engine.kernels import gating as kernel_gating
+from filters.engine.kernels import inverse_depth as kernel_inverse_depth
 from filters.engine.kernels import kalman as kernel_kalman
 from filters.engine.kernels import linearisation as kernel_linearisation
 from filters.engine.kernels import stage as kernel_stage
 from filters.engine.retraction import AdditiveQuaternion
 from filters.landmarks.euclidean import Euclidean
 from filters.landmarks.inverse_depth import InverseDepth
+from filters.landmarks.parametrisation import LandmarkModel, NewLandmarks
 from filters.landmarks.shared_anchor import SharedAnchorInverseDepth
 from filters.measurements.model import Stage
 from filters.motion import CameraState, ConstantVelocity, MotionModel
@@ -57,6 +59,11 @@ def update(P: FloatArray, measurements: LinearisedMeasurements) -> Correction:
     return Correction(delta, nis, int(used.sum()) * measurements.innovation.shape[1], used)
 
 
+def transform_leading(P: FloatArray, F: FloatArray, added: FloatArray) -> None:
+    """`symmetric.transform_leading`; a function of its own, so that filters can be pickled."""
+    kernel_camera.transform_leading(P, F, added)
+
+
 def correct_stage(
     camera: StereoCamera, state: JointState, index: IntArray, stage: Stage, limit: float, fates: FateArray
 ) -> tuple[FloatArray, float, int] | None:
@@ -69,6 +76,21 @@ def correct_stage(
     return delta, nis, dof
 
 
+def initialise(model: LandmarkModel, camera: StereoCamera, state: CameraState, uvd: FloatArray) -> NewLandmarks | None:
+    """`InverseDepth.initialise`."""
+    if type(model) not in (InverseDepth, SharedAnchorInverseDepth):
+        return None
+    parameters, by_rotation, by_measurement = kernel_inverse_depth.initialise(
+        _intrinsics(camera), state.orientation, uvd
+    )
+    anchored = np.ones(len(uvd), dtype=bool)
+    return NewLandmarks(parameters, np.zeros_like(by_rotation), by_rotation, by_measurement, anchored)
+
+
+def _intrinsics(camera: StereoCamera) -> tuple[float, float, float, float, float]:
+    return camera.fx, camera.fy, camera.cx, camera.cy, camera.disparity_constant
+
+
 def _chunk(z: FloatArray) -> int:
     """Measurements at a time."""
     rows: int = z.shape[1]
@@ -77,7 +99,7 @@ def _chunk(z: FloatArray) -> int:
 
 def _seen(camera: StereoCamera, state: JointState) -> tuple[Any, ...]:
     return (
-        (camera.fx, camera.fy, camera.cx, camera.cy, camera.disparity_constant),
+        _intrinsics(camera),
         state.camera.position,
         state.camera.orientation,
         state.blocks,
@@ -135,5 +157,5 @@ def retract(state: JointState, error: StandardError, delta: FloatArray) -> bool:
 
 
 COMPILED = Arithmetic(
-    linearise, squared_distances, update, kernel_camera.transform_leading, correct_stage, predict, retract
+    linearise, squared_distances, update, transform_leading, correct_stage, predict, retract, initialise
 )

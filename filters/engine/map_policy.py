@@ -82,7 +82,9 @@ class MapPolicy:
         """Add landmarks from the corrected pose (Eq. 19-25)."""
         if len(observation) == 0:
             return
-        new = self.parts.landmark.initialise(self.camera, state.camera.position, state.camera.R_wc, observation.uvd)
+        landmark, pose, at_once = self.parts.landmark, state.camera, self.parts.arithmetic.initialise
+        new = at_once and at_once(landmark, self.camera, pose, observation.uvd)
+        new = new or landmark.initialise(self.camera, pose.position, pose.R_wc, observation.uvd)
         adjust = partial(self.parts.error.constrained, state=state) if self.parts.error.constrains else None
         state.augment(observation.ids, new, observation.covariances(self.noise), adjust)
 

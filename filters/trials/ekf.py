@@ -308,6 +308,7 @@ def _refuse_what_needs_one_by_one(parts: Parts) -> None:
         "iterations=1": parts.iterations == 1,
         'error="quaternion" or "so3"': type(parts.error) is StandardError,
         "motion=ConstantVelocity(...)": type(parts.motion) is ConstantVelocity,
+        "max_landmarks=None": parts.max_landmarks is None,
         'landmark="inverse-depth", "shared-anchor" or "euclidean"': type(parts.landmark)
         in (InverseDepth, SharedAnchorInverseDepth, Euclidean),
     }

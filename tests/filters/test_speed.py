@@ -14,11 +14,14 @@ from filters.conformance import REFERENCE_CAMERA, REFERENCE_NOISE
 LANDMARKS, BUDGET_MS = 100, 25.0
 
 
+@pytest.mark.parametrize("compiled", [False, True], ids=["numpy", "compiled"])
 @pytest.mark.parametrize("name", ["inverse-depth", "dual-bearing", "euclidean"])
-def test_a_frame_with_100_landmarks_takes_at_most_25_ms(name: str) -> None:
+def test_a_frame_with_100_landmarks_takes_at_most_25_ms(name: str, compiled: bool) -> None:
+    if compiled:
+        pytest.importorskip("numba", reason="Numba is not installed: pip install 'stereo-slam-env[fast]'")
     rng = np.random.default_rng(0)
     uvd = rng.uniform((400, 100, 5), (900, 300, 40), (LANDMARKS, 3))
-    slam = make_filter(name, camera=REFERENCE_CAMERA, noise=REFERENCE_NOISE)
+    slam = make_filter(name, camera=REFERENCE_CAMERA, noise=REFERENCE_NOISE, compiled=compiled)
     slam.update(StereoObservation(np.arange(LANDMARKS), uvd))
     times = []
     with threadpool_limits(1):

@@ -5,6 +5,8 @@ Where nothing is in Numba's cache yet, it takes half a minute to compile first.
 
 from __future__ import annotations
 
+import copy
+import pickle
 from dataclasses import replace
 from itertools import product
 
@@ -15,7 +17,7 @@ pytest.importorskip("numba", reason="Numba is not installed: pip install 'stereo
 
 from filters import BodyVelocity, StereoEKF, UpdateReport, VelocityDriven
 from filters.engine import compiled, kalman, linearisation, symmetric
-from filters.engine.kernels import camera, gating, stage
+from filters.engine.kernels import camera, gating, inverse_depth, stage
 from filters.engine.kernels import kalman as kernel_kalman
 from filters.engine.kernels import linearisation as kernel_linearisation
 from filters.engine.options import LANDMARKS, MEASUREMENTS
@@ -130,11 +132,22 @@ def test_nothing_to_correct_with_changes_nothing() -> None:
     np.testing.assert_array_equal(P, stereo_filter._state.P)
 
 
+def test_compiled_filters_can_be_copied_and_sent_to_other_processes() -> None:
+    frames = drive(7, 6)
+    original = make(landmark="shared-anchor", compiled=True)
+    reports_over(original, frames[:3], None)
+    twins = [copy.deepcopy(original), pickle.loads(pickle.dumps(original))]
+    reports_over(original, frames[3:], None)
+    for twin in twins:
+        reports_over(twin, frames[3:], None)
+        assert_same_belief(twin, original, 1e-14)
+
+
 def test_a_filter_that_exists_never_compiles() -> None:
-    modules = (camera, gating, stage, kernel_kalman, kernel_linearisation)
+    modules = (camera, gating, inverse_depth, stage, kernel_kalman, kernel_linearisation)
     functions = [f for module in modules for f in vars(module).values() if hasattr(f, "nopython_signatures")]
     before = [len(f.nopython_signatures) for f in functions]
-    assert sum(before) >= 7
+    assert sum(before) >= 8
     assert_both_ways_agree(drive(6, 6, v_right=True), measurement="sequential", error="right-invariant", tail_dof=4.0)
     assert_both_ways_agree(drive(6, 6), landmark="euclidean", consensus=True)
     assert [len(f.nopython_signatures) for f in functions] == before

@@ -184,6 +184,8 @@ def test_a_named_filter_is_run_with_its_choices():
         ({"error": "first-estimates"}, "error"),
         ({"error": "right-invariant"}, "error"),
         ({"motion": VelocityDriven()}, "motion"),
+        ({"max_landmarks": 10}, "max_landmarks"),
+        ({"landmark": "hybrid"}, "landmark"),
     ],
 )
 def test_an_option_that_works_only_one_by_one_is_refused_by_name(options, name):
@@ -194,9 +196,10 @@ def test_an_option_that_works_only_one_by_one_is_refused_by_name(options, name):
 def test_no_option_of_the_filter_is_silently_ignored():
     """A new option of `StereoEKF` must be decided on here: supported in lock-step, or refused."""
     supported = {"motion", "gate", "landmark", "measurement", "error", "drop_unseen", "min_disparity"}
-    refused = {"update", "consensus", "tail_dof", "iterations"}
+    refused = {"update", "consensus", "tail_dof", "iterations", "max_landmarks"}
+    without_effect_on_results = {"compiled"}
     options = set(inspect.signature(StereoEKF.__init__).parameters) - {"self", "camera", "noise"}
-    assert options == supported | refused
+    assert options == supported | refused | without_effect_on_results
 
 
 class TestBadInputIsRefusedAndChangesNothing:
