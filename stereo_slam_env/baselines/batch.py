@@ -47,8 +47,9 @@ class BatchSmoother(CameraFilter):
     camera, noise, motion
         See `CameraFilter`; odometry, where given, is a further factor beside `motion`.
     gate, consensus, tail_dof
-        Defences of the guide, see `StereoEKF`: what it does not believe is not used here either. With `tail_dof` the
-        factors count by Cauchy's loss, with Student's weight dof / (dof + d^2), d now that of the whole track.
+        Defences of the guide, see `StereoEKF`: what it does not believe is not used here either, and the track goes on
+        as a new landmark. With `tail_dof` the factors count by Cauchy's loss, with Student's weight dof / (dof + d^2),
+        d now that of the whole track.
     right_row : bool
         Whether a row measured in the right image (`v_right`) is used, as a second measurement of v.
     growth : float
@@ -98,7 +99,9 @@ class BatchSmoother(CameraFilter):
         self._steps: list[_Step] = []
         self._known_to_graph = start.R_wc, start.position  # the guide's pose at the last pose of the graph
         self._sightings: list[Sightings] = []
-        self._located: dict[int, tuple[int, FloatArray]] = {}  # pose number and p_c there
+        self._tracks: dict[int, int] = {}  # number of the current track of each id
+        self._started = 0
+        self._located: dict[int, tuple[int, FloatArray]] = {}  # by track: pose number and p_c there
         self._next_solution = 1.0
 
     def smooth(self) -> Smoothed:
@@ -121,14 +124,24 @@ class BatchSmoother(CameraFilter):
         self._add_steps()
         uvd, R = self._measurements(observation)
         believed = np.isin(observation.ids, np.concatenate([report.updated, report.initialised]))
-        now = np.full(int(believed.sum()), self._graph.last)
-        self._sightings.append(Sightings(now, observation.ids[believed], uvd[believed], R[believed]))
+        for lost in observation.ids[~believed].tolist():
+            self._tracks.pop(lost, None)
+        tracks = np.array([self._track_of(i) for i in observation.ids[believed].tolist()], dtype=np.int64)
+        now = np.full(len(tracks), self._graph.last)
+        self._sightings.append(Sightings(now, tracks, uvd[believed], R[believed]))
         self._locate()
         if believed.any() and self._graph.last >= self._next_solution:
             self._solve()
             self._next_solution = self._graph.last * (1.0 + self._growth)
         self._follow_guide()
         return report
+
+    def _track_of(self, i: int) -> int:
+        """Number of the track of a landmark; a new one where it has none."""
+        if i not in self._tracks:
+            self._tracks[i] = self._started
+            self._started += 1
+        return self._tracks[i]
 
     def _add_steps(self) -> None:
         """Poses for the steps since the last frame, started where the guide has moved."""
@@ -145,8 +158,9 @@ class BatchSmoother(CameraFilter):
         known = found.inverse_distance >= SIGMAS_TO_ENTER * np.sqrt(found.inverse_distance_variance)
         R, position = self._pose_of_guide()
         p_c = (found.positions[known] - position) @ R
-        here = self._graph.last
-        self._located |= {i: (here, p) for i, p in zip(found.ids[known].tolist(), p_c, strict=True) if p[2] > 0.0}
+        for i, seen in zip(found.ids[known].tolist(), p_c, strict=True):
+            if i in self._tracks and seen[2] > 0.0:
+                self._located[self._tracks[i]] = self._graph.last, seen
 
     def _solve(self) -> None:
         """Give the graph what it can use, solve it, and move the guide's world to its last pose."""
@@ -194,6 +208,8 @@ class BatchSmoother(CameraFilter):
     def forget(self, ids: Sequence[int] | IntArray) -> None:
         """Let the guide forget them; what they have told the graph stays."""
         self._guide.forget(ids)
+        for i in np.asarray(ids).tolist():
+            self._tracks.pop(i, None)
 
     def forecast(self, ids: Sequence[int] | IntArray | None = None) -> Forecast:
         """The guide's forecast: it does not depend on where the world is."""

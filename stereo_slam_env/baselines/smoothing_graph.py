@@ -54,14 +54,14 @@ class Sightings:
     ----------
     pose : (M,) int64
         Numbers of the poses they were taken from.
-    ids : (M,) int64
-        Landmarks.
+    track : (M,) int64
+        Numbers of the tracks they belong to; a track is a landmark.
     uvd, R : (M, 3), (M, 3, 3)
         Measurements and their covariances, px.
     """
 
     pose: IntArray
-    ids: IntArray
+    track: IntArray
     uvd: FloatArray
     R: FloatArray
 
@@ -72,7 +72,7 @@ class Sightings:
 
     def select(self, index: BoolArray) -> Sightings:
         """Those at `index`."""
-        return Sightings(self.pose[index], self.ids[index], self.uvd[index], self.R[index])
+        return Sightings(self.pose[index], self.track[index], self.uvd[index], self.R[index])
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,7 +201,7 @@ class SmoothingGraph:
         seen : Sightings
             What is new.
         located : mapping
-            Of landmarks whose depth is known: the number of a pose, and where it sees them, (3,) m.
+            Of tracks whose depth is known: the number of a pose, and where it sees them, (3,) m.
 
         Returns
         -------
@@ -209,9 +209,9 @@ class SmoothingGraph:
             Those that have to wait: the landmark has no depth yet, or would lie behind a camera that saw it.
         """
         cameras = np.array([self._values.atPose3(self._pose_key(k)).matrix() for k in range(self.last + 1)])
-        waits = np.zeros(len(seen.ids), dtype=bool)
-        order = np.argsort(seen.ids, kind="stable")
-        values, first = np.unique(seen.ids[order], return_index=True)
+        waits = np.zeros(len(seen.track), dtype=bool)
+        order = np.argsort(seen.track, kind="stable")
+        values, first = np.unique(seen.track[order], return_index=True)
         for i, rows in zip(values.tolist(), np.split(order, first)[1:], strict=True):
             if i not in self._keys:
                 if i not in located:
