@@ -103,15 +103,15 @@ def test_a_map_that_grows_and_shrinks_equals_filterpy_with_every_landmark_ever_s
     """
     rng = np.random.default_rng(24)
     state = JointState.without_map(_camera(), lower(random_covariance(rng, CAMERA_SIZE)), Euclidean())
-    x = np.zeros(CAMERA_SIZE)
-    reference = kalman_filter(x, symmetric.full(state.P))
+    x_camera = np.zeros(CAMERA_SIZE)  # the map's values are the state's blocks
+    reference = kalman_filter(x_camera, symmetric.full(state.P))
     everyone: list[int] = []
     for frame in range(30):
         F = np.eye(CAMERA_SIZE) + 0.1 * rng.standard_normal((CAMERA_SIZE, CAMERA_SIZE))
         Q = 0.1 * random_covariance(rng, CAMERA_SIZE)
         _predict(reference, F, Q)
         state.transform_camera(F, Q)
-        x[:CAMERA_SIZE] = F @ x[:CAMERA_SIZE]
+        x_camera = F @ x_camera
 
         seen = rng.choice(len(state), min(len(state), 6), replace=False)
         if len(seen):
@@ -120,29 +120,33 @@ def test_a_map_that_grows_and_shrinks_equals_filterpy_with_every_landmark_ever_s
             in_full = CAMERA_SIZE + 3 * places[:, None] + np.arange(3)
             z, H, R = dense(replace(measurements, map_rows=in_full), len(reference.x))
             reference.update(z, R=R, H=H)
+            x = np.concatenate([x_camera, state.blocks.ravel()])
             relative = replace(measurements, innovation=measurements.innovation - measurements.times(x))
-            x = x + kalman.update(state.P, relative, chunk=2).delta
+            delta = kalman.update(state.P, relative, chunk=2).delta
+            x_camera = x_camera + delta[:CAMERA_SIZE]
+            state.blocks = state.blocks + delta[CAMERA_SIZE:].reshape(-1, 3)
 
-        gone = rng.uniform(size=len(state)) < 0.2
-        stays = np.concatenate([np.ones(CAMERA_SIZE, dtype=bool), np.repeat(~gone, 3)])
-        state.remove(gone)
-        x = x[stays]
+        state.remove(rng.uniform(size=len(state)) < 0.2)
 
         new = int(rng.integers(0, 4))
         ids = list(range(10 * frame, 10 * frame + new))
         by_pose, by_noise = rng.standard_normal((new, 3, POSE_SIZE)), rng.standard_normal((new, 3, 3))
         R = np.tile(np.diag([0.5, 1.0, 2.0]), (new, 1, 1))
-        started = NewLandmarks(np.zeros((new, 3)), by_pose[:, :, :3], by_pose[:, :, 3:], by_noise)
+        without_anchor = np.zeros(new, dtype=bool)
+        started = NewLandmarks(
+            by_pose @ x_camera[:POSE_SIZE], by_pose[:, :, :3], by_pose[:, :, 3:], by_noise, without_anchor
+        )
         if new:
             state.augment(np.array(ids), started, R)
-            x = np.concatenate([x, (by_pose.reshape(-1, POSE_SIZE) @ x[:POSE_SIZE])])
             _grow(reference, by_pose.reshape(-1, POSE_SIZE), by_noise @ R @ by_noise.transpose(0, 2, 1))
             everyone += ids
 
         places = np.array([everyone.index(i) for i in state.ids.tolist()], dtype=np.int64)
         kept = np.concatenate([np.arange(CAMERA_SIZE), (CAMERA_SIZE + 3 * places[:, None] + np.arange(3)).ravel()])
         marginal = kalman_filter(reference.x[kept], reference.P[np.ix_(kept, kept)])
-        assert_same(x, symmetric.full(state.P), marginal, 1e-7)
+        rows = np.concatenate([np.arange(CAMERA_SIZE), state.map_rows(np.arange(len(state))).ravel()])
+        x = np.concatenate([x_camera, state.blocks.ravel()])
+        assert_same(x[rows], symmetric.full(state.P)[np.ix_(rows, rows)], marginal, 1e-7)
     assert len(everyone) > 30
     assert 3 < len(state) < len(everyone)
 
