@@ -44,10 +44,10 @@ def test_the_covariance_stays_a_covariance(case: soak.Case, monkeypatch: pytest.
 def test_consensus_keeps_a_filter_consistent_under_heavy_tails_and_wrong_associations() -> None:
     """2 drives of 30 frames; the gate alone is overconfident several times over."""
     heavy_tails = script("heavy_tails")
-    labels = ["gate", "consensus", "defended"]
+    labels = ["gate", "consensus", "consensus + re-weighting"]
     by_seed = [heavy_tails.run_seed(seed, 30, heavy_tails.ASSUMED_SIGMA, labels) for seed in range(2)]
     figures = {label: summarise([runs[number] for runs in by_seed]) for number, label in enumerate(labels)}
-    for label in ("consensus", "defended"):
+    for label in labels[1:]:
         assert figures[label].diverged == 0
         assert figures[label].pose_anees / 6 < 1.5
     assert figures["gate"].pose_anees / 6 > 3.0
