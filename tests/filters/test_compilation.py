@@ -24,7 +24,7 @@ def test_filters_do_not_import_numba_unless_asked_to() -> None:
 
 def test_the_default_is_numpy() -> None:
     assert arithmetic(compiled=False) is NUMPY
-    assert make_filter("inverse-depth", camera=REFERENCE_CAMERA, noise=REFERENCE_NOISE)._arithmetic is NUMPY
+    assert make_filter("inverse-depth", camera=REFERENCE_CAMERA, noise=REFERENCE_NOISE).parts.arithmetic is NUMPY
 
 
 def test_without_numba_a_compiled_filter_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
