@@ -11,7 +11,10 @@ from filters.noise import StereoNoise
 
 
 class HybridEKF(StereoEKF):
-    """Stereo EKF whose landmarks change from inverse depth to XYZ; options beyond `StereoEKF` are those of `Hybrid`."""
+    """Inverse-depth stereo EKF whose landmarks become XYZ once that is Gaussian enough.
+
+    `linearity_limit` and `near_disparity` are those of `Hybrid`.
+    """
 
     def __init__(
         self,
