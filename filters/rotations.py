@@ -2,7 +2,7 @@
 
 A perturbation always acts on the right, in the camera frame: R(q) Exp(delta), where R_wc = R(q). A filter turns a
 single camera some ten times a frame, so for one rotation the closed forms are written out here, in plain numbers
-(functions named `..._of`), which is also what Numba compiles; for many at once, and for logarithms, there is scipy.
+(functions named `..._of`), which is also what Numba compiles. Where one of many is NaN, so is its result alone.
 """
 
 from __future__ import annotations
@@ -31,9 +31,10 @@ def skew(vector: ArrayLike) -> FloatArray:
 
 def matrix(quaternion: ArrayLike) -> FloatArray:
     """Rotation matrix of a unit quaternion xyzw; (..., 4) -> (..., 3, 3)."""
-    if np.ndim(quaternion) > 1:
-        return np.asarray(Rotation.from_quat(quaternion).as_matrix())
-    return np.array(matrix_of(*_numbers(quaternion))).reshape(3, 3)
+    if np.ndim(quaternion) == 1:
+        return np.array(matrix_of(*_numbers(quaternion))).reshape(3, 3)
+    q = np.asarray(quaternion, dtype=np.float64)
+    return np.stack(matrix_of(*np.moveaxis(q, -1, 0)), axis=-1).reshape(*q.shape[:-1], 3, 3)
 
 
 def exp(rotation_vector: ArrayLike) -> FloatArray:
@@ -55,9 +56,14 @@ def exp_quaternion(rotation_vector: ArrayLike) -> FloatArray:
 
 def multiply(left: ArrayLike, right: ArrayLike) -> FloatArray:
     """Quaternion product left x right, normalised; (..., 4), (..., 4) xyzw -> (..., 4)."""
-    if np.ndim(left) > 1 or np.ndim(right) > 1:
-        return np.asarray((Rotation.from_quat(left) * Rotation.from_quat(right)).as_quat())
-    return np.array(product_of(*_numbers(left), *_numbers(right)))
+    if np.ndim(left) == np.ndim(right) == 1:
+        return np.array(product_of(*_numbers(left), *_numbers(right)))
+    p, q = np.asarray(left, dtype=np.float64), np.asarray(right, dtype=np.float64)
+    vector = p[..., 3:] * q[..., :3] + q[..., 3:] * p[..., :3] + np.cross(p[..., :3], q[..., :3])
+    scalar = p[..., 3:] * q[..., 3:] - np.sum(p[..., :3] * q[..., :3], axis=-1, keepdims=True)
+    product = np.concatenate([vector, scalar], axis=-1)
+    normalised: FloatArray = product / np.linalg.norm(product, axis=-1, keepdims=True)
+    return normalised
 
 
 def between(q_from: ArrayLike, q_to: ArrayLike) -> FloatArray:

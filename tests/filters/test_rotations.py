@@ -79,3 +79,13 @@ def test_a_rotation_for_all_vectors_or_one_for_each() -> None:
     turns = Rotation.random(5, rng=np.random.default_rng(5))
     np.testing.assert_allclose(rotations.turned(turns.as_matrix(), v), turns.apply(v), atol=1e-14)
     np.testing.assert_allclose(rotations.turned(turns[0].as_matrix(), v), turns[0].apply(v), atol=1e-14)
+
+
+def test_one_rotation_of_many_that_is_not_a_number_leaves_the_others_alone() -> None:
+    rng = np.random.default_rng(9)
+    phi = rng.normal(size=(3, 3))
+    phi[1] = np.nan
+    q = rotations.exp_quaternion(phi)
+    for values in (q, rotations.multiply(q, q), rotations.between(q, q), rotations.matrix(q), rotations.exp(phi)):
+        assert np.isnan(values[1]).all()
+        assert np.isfinite(values[[0, 2]]).all()
