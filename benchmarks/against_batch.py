@@ -59,9 +59,9 @@ def outcome(positions: np.ndarray, recording: Recording, chi2: float = float("na
 
 
 def run_batch(recording: Recording, right_row: bool) -> Outcome:
-    """All frames, solved once."""
+    """All frames, solved now and then and at the end."""
     start = recording.start
-    smoother = BatchSmoother(recording.camera, recording.noise, gate=None, right_row=right_row, growth=np.inf)
+    smoother = BatchSmoother(recording.camera, recording.noise, gate=None, right_row=right_row)
     smoother.reset(start.position, start.orientation, start.linear_velocity, start.angular_velocity, start.covariance)
     last = None
     with threadpool_limits(1):

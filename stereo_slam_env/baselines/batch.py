@@ -53,7 +53,8 @@ class BatchSmoother(CameraFilter):
     right_row : bool
         Whether a row measured in the right image (`v_right`) is used, as a second measurement of v.
     growth : float
-        Share by which the drive grows from one solution to the next; infinity leaves it to `smooth()`.
+        Share by which the drive grows from one solution to the next; infinity leaves it to `smooth()`, which on a long
+        drive may then end in a false minimum (see `Smoothed.degrees_of_freedom`).
 
     Raises
     ------
