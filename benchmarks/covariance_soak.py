@@ -85,7 +85,8 @@ class Health:
 
     def look(self, stereo_filter: StereoEKF) -> None:
         """At the whole covariance."""
-        P = symmetric.full(stereo_filter._state.P)
+        rows = stereo_filter.state.rows_in_use
+        P = symmetric.full(stereo_filter.state.P)[np.ix_(rows, rows)]
         eigenvalues = np.abs(np.linalg.eigvalsh(P))
         self.largest_condition = max(self.largest_condition, eigenvalues.max() / eigenvalues.min())
         sigmas = np.sqrt(np.diag(P))
@@ -156,8 +157,9 @@ def soak(case: Case, updates: int) -> tuple[Health, float, float]:
         stereo_filter.predict(DT)
         report = stereo_filter.update(observation)
         spent += time.perf_counter() - began
+        state = stereo_filter.state
         health.failed += report.failed_factorisations
-        health.smallest_variance = min(health.smallest_variance, float(np.diagonal(stereo_filter._state.P).min()))
+        health.smallest_variance = min(health.smallest_variance, float(np.diagonal(state.P)[state.rows_in_use].min()))
         moves = 0 if len(report.initialised) else moves + 1
         if (k % LOOK_EVERY == 0 or k < 20) and moves >= MOVES_TO_PART:
             health.look(stereo_filter)

@@ -113,6 +113,12 @@ class JointState:
         """Landmarks and anchors."""
         return len(self.blocks) - len(self.empty_blocks)
 
+    @property
+    def rows_in_use(self) -> IntArray:
+        """Rows of P of the camera, landmarks and anchors: all but those of empty blocks, which are zero."""
+        used = np.delete(np.arange(len(self.blocks)), self.empty_blocks)
+        return np.concatenate([_CAMERA, _rows_of(used)])
+
     def parameters(self, index: IntArray | slice = slice(None)) -> FloatArray:
         """Parameters of the landmarks at `index`, (M, 3)."""
         taken: FloatArray = self.blocks[self.parameter_block[index]]

@@ -190,3 +190,13 @@ def test_landmarks_of_one_frame_share_an_anchor_until_the_last_of_them_leaves() 
     state.remove(state.ids == 1)
     assert len(state.blocks) == 2
     assert state.ids.tolist() == [3]
+
+
+def test_rows_in_use_are_those_of_the_camera_and_of_every_landmark_and_anchor() -> None:
+    rng = np.random.default_rng(8)
+    state = JointState.without_map(camera_at(np.zeros(3)), np.asfortranarray(np.eye(12)), LANDMARKS["inverse-depth"])
+    state.augment(np.arange(20), random_new(rng, 20, state.model), random_noise(rng, 20))
+    state.remove(state.ids == 7)
+    assert len(state.empty_blocks) == 2
+    expected = np.concatenate([np.arange(12), state.map_rows(np.arange(19)).ravel()])
+    np.testing.assert_array_equal(state.rows_in_use, np.sort(expected))
