@@ -13,7 +13,7 @@ import numpy as np
 from filters import rotations
 from filters.camera import StereoCamera
 from filters.interface import StereoFilter
-from filters.validation import FloatArray, IntArray
+from filters.validation import BoolArray, FloatArray, IntArray
 from stereo_slam_env.benchmark.consistency import nees
 from stereo_slam_env.recording import LandmarkTruth, Pose
 
@@ -55,19 +55,21 @@ def view_map(estimator: StereoFilter, pose: Pose | None, landmarks: LandmarkTrut
 
 
 def mean_nees(view: MapView, camera: StereoCamera) -> float:
-    """Mean NEES of the landmarks in (u, v, d) space, 3 degrees of freedom each; NaN without truth."""
-    in_front = view.true_points[:, 2] > 0
-    errors = camera.project(view.true_points[in_front]) - view.uvd[in_front]
-    return _mean(nees(errors, view.covariance[in_front]))
+    """Mean NEES of the landmarks in view, in (u, v, d) space, 3 degrees of freedom each; NaN without truth."""
+    scored = _in_view(view, camera)
+    errors = camera.project(view.true_points[scored]) - view.uvd[scored]
+    return _mean(nees(errors, view.covariance[scored]))
 
 
 def position_rmse(view: MapView, camera: StereoCamera) -> float:
     """Root mean square error of landmark positions relative to the camera, m; NaN without truth.
 
-    Over landmarks truly within `SCORED_RANGE` and estimated in front of the camera.
+    Over landmarks truly in view and within `SCORED_RANGE`, and estimated in front of the camera.
     """
     distance = np.linalg.norm(view.true_points, axis=1)
-    scored = (distance <= SCORED_RANGE) & (view.uvd[:, 2] > 0) & np.isfinite(view.uvd).all(axis=1)
+    scored = (
+        _in_view(view, camera) & (distance <= SCORED_RANGE) & (view.uvd[:, 2] > 0) & np.isfinite(view.uvd).all(axis=1)
+    )
     errors = camera.backproject(view.uvd[scored]) - view.true_points[scored]
     return float(np.sqrt(_mean(np.sum(errors**2, axis=1))))
 
@@ -77,6 +79,12 @@ def depths(view: MapView, camera: StereoCamera) -> tuple[FloatArray, FloatArray]
     d = np.where(view.uvd[:, 2] > 0, view.uvd[:, 2], np.nan)
     depth = camera.disparity_constant / d
     return depth, depth / d * np.sqrt(np.maximum(view.covariance[:, 2, 2], 0.0))
+
+
+def _in_view(view: MapView, camera: StereoCamera) -> BoolArray:
+    """Landmarks truly in both images: those any filter has, whether or not it keeps what it has passed."""
+    inside: BoolArray = (view.true_points[:, 2] > 0) & camera.in_view(camera.project(view.true_points))
+    return inside
 
 
 def _mean(values: FloatArray) -> float:

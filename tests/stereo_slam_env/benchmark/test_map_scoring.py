@@ -50,3 +50,11 @@ def test_depth_and_its_spread_follow_from_the_disparity():
     depth, sigma = depths(view([[0.0] * 3] * 2, [[600.0, 180.0, 10.0], [600.0, 180.0, -1.0]], spread=0.5), CAMERA)
     np.testing.assert_allclose(depth, [35.0, np.nan])
     np.testing.assert_allclose(sigma, [35.0 * 0.05, np.nan])
+
+
+def test_a_kept_landmark_out_of_view_is_not_scored():
+    """Beside the camera a pixel of error is nothing like Gaussian, and filters that drop it are not judged by it."""
+    seen, passed = [0.0, 0.0, 20.0], [30.0, 0.0, 1.0]
+    uvd = CAMERA.project([seen, passed]) + np.array([[1.0, 0.0, 0.0], [500.0, 0.0, 0.0]])
+    assert mean_nees(view([seen, passed], uvd), CAMERA) == mean_nees(view([seen], uvd[:1]), CAMERA)
+    assert position_rmse(view([seen, passed], uvd), CAMERA) == position_rmse(view([seen], uvd[:1]), CAMERA)
