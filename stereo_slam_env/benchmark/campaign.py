@@ -99,7 +99,7 @@ def write_report_of(run: RunDirectory, runs: Sequence[FilterRun], summaries: Seq
     """Write the report of a finished run into its directory."""
     from stereo_slam_env.benchmark.report import write_report  # Matplotlib, only where it is needed
 
-    return write_report(run.out, run.scenario.name, runs, summaries, run.settings())
+    return write_report(run.out, f"Comparison: {run.scenario.name}", runs, summaries, run.settings())
 
 
 def check_filters(scenario: Scenario) -> None:
