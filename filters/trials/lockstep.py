@@ -18,6 +18,7 @@ from filters.engine.kalman import LinearisedMeasurements
 from filters.motion import CAMERA_SIZE
 from filters.validation import BoolArray, FloatArray, IntArray
 
+GROUP = 8  # trials whose matrices are worked on together
 LITTLE = 0.7  # share of the places of a map below which only the measured ones are worked on
 
 
@@ -82,6 +83,24 @@ def update(
     work : Workspace
         Keeps the large arrays for the next frame.
     """
+    groups = []
+    for first in range(0, len(P), GROUP):
+        mine = slice(*np.searchsorted(trial, [first, first + GROUP]))
+        covariances = P[first : first + GROUP]
+        groups.append(_update_group(covariances, head, trial[mine] - first, measurements[mine], limit, work))
+    parts = (np.concatenate(part) for part in zip(*(vars(group).values() for group in groups), strict=True))
+    return Corrections(*parts)
+
+
+def _update_group(
+    P: FloatArray,
+    head: int,
+    trial: IntArray,
+    measurements: LinearisedMeasurements,
+    limit: float | None,
+    work: Workspace,
+) -> Corrections:
+    """`update` of so few trials that their matrices stay in the processor's cache."""
     trials, n = P.shape[:2]
     count, size = measurements.innovation.shape
     passed = np.ones(count, dtype=bool)
