@@ -9,7 +9,6 @@ sub-state (as Li and Aouf did for a stereo rig), for all landmarks at once, and 
 from __future__ import annotations
 
 import numpy as np
-from filterpy.kalman import MerweScaledSigmaPoints
 from scipy.spatial.transform import Rotation
 
 from filters.camera import StereoCamera
@@ -36,6 +35,9 @@ def linearise(
     ValueError
         `point` is given: there is no Jacobian that could be taken elsewhere.
     """
+    # Half of the time that `import filters` would take, for those who never ask for this.
+    from filterpy.kalman import MerweScaledSigmaPoints
+
     if point is not None:
         raise ValueError("point must be None: sigma points are drawn around the state itself")
     map_rows = state.map_rows(index)
