@@ -156,7 +156,8 @@ def filterpy_step(rows: int, states: int) -> Callable[[], float]:
 
 def one_batch_update(slam: StereoEKF, landmarks: int) -> None:
     """Make a filter factorise the whole frame's measurement in one batch."""
-    slam._arithmetic = replace(slam._arithmetic, update=partial(kalman.update, chunk=landmarks))
+    at_once = replace(slam.parts.arithmetic, update=partial(kalman.update, chunk=landmarks))
+    slam.parts = replace(slam.parts, arithmetic=at_once)
 
 
 def measure(n: int, repeats: int) -> dict[str, float]:
