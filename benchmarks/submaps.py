@@ -195,7 +195,7 @@ def main() -> None:
     parser.add_argument("--landmarks", type=int, default=5000)
     parser.add_argument("--points", type=int, default=150)
     parser.add_argument("--seeds", type=int, default=20)
-    parser.add_argument("--max-unseen", type=int, default=20)
+    parser.add_argument("--max-unseen", type=int, default=16)
     arguments = parser.parse_args()
     with threadpool_limits(1):
         if arguments.what == "cost":

@@ -66,7 +66,7 @@ class SubmapEKF(StereoFilter):
         camera: StereoCamera,
         noise: StereoNoise,
         *,
-        max_unseen: int = 20,
+        max_unseen: int = 16,
         patience: int = 2,
         landmark: str = "shared-anchor",
         **options: Any,
