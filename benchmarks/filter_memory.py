@@ -64,7 +64,7 @@ def main() -> None:
                 assert len(slam.landmarks.ids) == len(slam.forecast().ids)
             if frame % every == 0:
                 gc.collect()
-                kept, size = len(gc.get_objects()), len(slam._state.P)
+                kept, size = len(gc.get_objects()), len(slam.state.P)
                 landmarks = len(slam.landmarks.ids)
                 table.add_row(f"{frame:,}", f"{resident_megabytes():.1f}", f"{kept:,}", str(size), str(landmarks))
     Console(width=120).print(table)

@@ -247,6 +247,14 @@ class LandmarkBelief:
     inverse_distance_variance: FloatArray
 
 
+def check_rig(camera: StereoCamera, noise: StereoNoise) -> None:
+    """Raise a `ValueError` if these are not what every filter is made with."""
+    if not isinstance(camera, StereoCamera):
+        raise ValueError(f"camera must be a StereoCamera, got {camera!r}")
+    if not isinstance(noise, StereoNoise):
+        raise ValueError(f"noise must be a StereoNoise, got {noise!r}: see StereoNoise.independent_pixels")
+
+
 class StereoFilter(ABC):
     """A stereo SLAM filter. Implement these members and any bench, environment or test here can run it.
 

@@ -185,3 +185,16 @@ class VelocityDriven:
     def odometry_measurement(self, state: CameraState, dt: float, odometry: BodyVelocity) -> LinearMeasurement | None:
         """Nothing: the prediction has used the odometry."""
         return None
+
+
+def motion_model(value: MotionModel | None) -> MotionModel:
+    """Return `value`, or `ConstantVelocity()` for None.
+
+    Raises
+    ------
+    ValueError
+        It is no motion model.
+    """
+    if value is not None and not isinstance(value, MotionModel):
+        raise ValueError(f"motion must be a motion model such as ConstantVelocity(3.0, 0.6), got {value!r}")
+    return ConstantVelocity() if value is None else value

@@ -59,6 +59,13 @@ def positive(name: str, value: Any, *, allow_zero: bool = False) -> float:
     return number
 
 
+def gate_probability(value: Any) -> float | None:
+    """Return the probability of a gate, between 0 and 1, or None for no gate."""
+    if value is not None and not (isinstance(value, float | int) and 0.0 < value < 1.0):
+        raise ValueError(f"gate must be a probability between 0 and 1, or None for no gate, got {value!r}")
+    return value
+
+
 def covariance_matrix(
     name: str, value: ArrayLike, size: int, *, batch: int | None = None, definite: bool = False
 ) -> FloatArray:

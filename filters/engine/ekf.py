@@ -30,6 +30,7 @@ from filters.interface import (
     StereoObservation,
     UpdateReport,
     VelocityBelief,
+    check_rig,
 )
 from filters.landmarks.parametrisation import LandmarkModel
 from filters.measurements.model import MeasurementModel, Stage
@@ -110,10 +111,7 @@ class StereoEKF(StereoFilter):
         max_landmarks: int | None = None,
         compiled: bool = False,
     ) -> None:
-        if not isinstance(camera, StereoCamera):
-            raise ValueError(f"camera must be a StereoCamera, got {camera!r}")
-        if not isinstance(noise, StereoNoise):
-            raise ValueError(f"noise must be a StereoNoise, got {noise!r}: see StereoNoise.independent_pixels")
+        check_rig(camera, noise)
         self.camera = camera
         self.noise = noise
         self.parts = checked_parts(
@@ -170,10 +168,10 @@ class StereoEKF(StereoFilter):
         observation = observation.ordered()
         known, index = self._locate(observation.ids)
         all_known = len(index) == len(observation)
-        report = self._correct(observation if all_known else observation.select(known), index)
+        measured = observation if all_known else observation.select(known)
+        report = self._correct(measured, index)
         if all_known and self.parts.is_steady and (len(index) == len(self._state) or not self.parts.drop_unseen):
             return report
-        measured = observation if all_known else observation.select(known)
         change = self._policy.renew(self._state, measured, index, observation.select(~known))
         return replace(report, **vars(change))
 
@@ -198,7 +196,7 @@ class StereoEKF(StereoFilter):
     @property
     def state_size(self) -> int:
         """Numbers in the error state: 12 of the camera, and three for every landmark and every anchor."""
-        return CAMERA_SIZE + 3 * self._state.blocks_in_use
+        return len(self._state.rows_in_use)
 
     @property
     def state(self) -> JointState:

@@ -109,15 +109,10 @@ class JointState:
         return len(self.ids)
 
     @property
-    def blocks_in_use(self) -> int:
-        """Landmarks and anchors."""
-        return len(self.blocks) - len(self.empty_blocks)
-
-    @property
     def rows_in_use(self) -> IntArray:
         """Rows of P of the camera, landmarks and anchors: all but those of empty blocks, which are zero."""
         used = np.delete(np.arange(len(self.blocks)), self.empty_blocks)
-        return np.concatenate([_CAMERA, _rows_of(used)])
+        return np.concatenate([_CAMERA, self.block_rows(used)])
 
     def parameters(self, index: IntArray | slice = slice(None)) -> FloatArray:
         """Parameters of the landmarks at `index`, (M, 3)."""
@@ -205,11 +200,10 @@ class JointState:
             J = adjust(J, effect.reshape(-1, 3))
         taken = self._take_blocks(len(blocks))
         anchor_block, parameter_block = taken[:anchors], taken[anchors:]
-        rows = _rows_of(taken)
+        rows = self.block_rows(taken)
         cross = J @ symmetric.leading_rows(self.P, POSE_SIZE)
         cross[:, rows] = cross[:, :POSE_SIZE] @ J.T
-        self.P[rows] = cross
-        self.P[:, rows] = cross.T
+        symmetric.put_rows(self.P, rows, cross)
         own = rows[3 * anchors :].reshape(count, 3)
         self.P[own[:, :, None], own[:, None, :]] += new.by_measurement @ R @ new.by_measurement.transpose(0, 2, 1)
         self.blocks[taken] = self.first_blocks[taken] = blocks
@@ -235,7 +229,7 @@ class JointState:
         own_rows = rows[:, 3:].ravel()
         crossed = J @ moved[:, rows].transpose(1, 2, 0)
         moved[:, own_rows] = crossed.reshape(-1, len(moved)).T
-        self.P[own_rows], self.P[:, own_rows] = moved, moved.T
+        symmetric.put_rows(self.P, own_rows, moved)
         self.blocks[own] = self.model.points(self.anchors(index), self.parameters(index)).positions
         self.first_blocks[own] = points.positions
         self.anchor_block[index] = -1
@@ -253,7 +247,7 @@ class JointState:
             self._keep_blocks(np.flatnonzero(~empty))
             return
         left_blocks = np.flatnonzero(left)
-        rows = _rows_of(left_blocks)
+        rows = self.block_rows(left_blocks)
         self.P[rows] = self.P[:, rows] = 0.0
         self.blocks[left_blocks] = self.first_blocks[left_blocks] = 0.0
 
@@ -275,15 +269,16 @@ class JointState:
         """Leave out all blocks but the ascending `kept`."""
         number = np.full(len(self.blocks) + 1, -1)  # the last one, for -1: no anchor
         number[kept] = np.arange(len(kept))
-        self.P = symmetric.keep(self.P, np.concatenate([_CAMERA, _rows_of(kept)]))
+        self.P = symmetric.keep(self.P, np.concatenate([_CAMERA, self.block_rows(kept)]))
         self.blocks, self.first_blocks = self.blocks[kept], self.first_blocks[kept]
         self.parameter_block, self.anchor_block = number[self.parameter_block], number[self.anchor_block]
         self.held = number[self.held]
         self.empty_blocks = _no_landmarks()
 
-    def block_rows(self, blocks: IntArray) -> IntArray:
+    @staticmethod
+    def block_rows(blocks: IntArray) -> IntArray:
         """Rows of P that belong to map blocks, in their order; (M,) -> (3 M,)."""
-        return _rows_of(blocks)
+        return (3 * blocks[:, None] + _FIRST_BLOCK).ravel()
 
     def append(self, values: FloatArray, first: FloatArray, cross: FloatArray, own: FloatArray) -> IntArray:
         """Add M blocks that belong to no landmark yet, and hold them.
@@ -301,11 +296,11 @@ class JointState:
             The new blocks.
         """
         new = self._take_blocks(len(values))
-        rows, old = _rows_of(new), cross.shape[1]
+        rows, old = self.block_rows(new), cross.shape[1]
         whole = np.zeros((len(rows), len(self.P)))
         whole[:, :old] = cross
         whole[:, rows] = own
-        self.P[rows], self.P[:, rows] = whole, whole.T
+        symmetric.put_rows(self.P, rows, whole)
         self.blocks[new], self.first_blocks[new] = values, first
         self.held = np.concatenate([self.held, new])
         return new
@@ -329,8 +324,3 @@ class JointState:
         self.ids = self.ids[stays]
         self.parameter_block, self.anchor_block = self.parameter_block[stays], self.anchor_block[stays]
         self._leave_empty_what_nobody_uses()
-
-
-def _rows_of(blocks: IntArray) -> IntArray:
-    """Rows of P of blocks; (B,) -> (3 B,)."""
-    return (3 * blocks[:, None] + _FIRST_BLOCK).ravel()

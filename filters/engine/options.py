@@ -23,8 +23,8 @@ from filters.landmarks.shared_anchor import SharedAnchorInverseDepth
 from filters.measurements.bearing import LeftOnly, LeftThenRight, Stacked
 from filters.measurements.model import MeasurementModel, Stage
 from filters.measurements.range_bearing import RangeBearing
-from filters.motion import ConstantVelocity, MotionModel
-from filters.validation import IntArray, positive
+from filters.motion import MotionModel, motion_model
+from filters.validation import IntArray, gate_probability, positive
 
 LANDMARKS: Mapping[str, LandmarkModel] = {
     "inverse-depth": InverseDepth(),
@@ -97,8 +97,7 @@ def checked_parts(
     ValueError
         An option has an unknown or impossible value; the message names it.
     """
-    if gate is not None and not (isinstance(gate, float | int) and 0.0 < gate < 1.0):
-        raise ValueError(f"gate must be a probability between 0 and 1, or None for no gate, got {gate!r}")
+    gate = gate_probability(gate)
     if type(iterations) is not int or iterations < 1:
         raise ValueError(f"iterations must be an integer >= 1, got {iterations!r}")
     for name, value in (("drop_unseen", drop_unseen), ("consensus", consensus)):
@@ -112,11 +111,10 @@ def checked_parts(
         raise ValueError(f"min_disparity must be a finite number of px, or None, got {min_disparity!r}")
     if max_landmarks is not None and (type(max_landmarks) is not int or max_landmarks < 1):
         raise ValueError(f"max_landmarks must be an integer >= 1, or None for no limit, got {max_landmarks!r}")
-    if motion is not None and not isinstance(motion, MotionModel):
-        raise ValueError(f"motion must be a motion model such as ConstantVelocity(3.0, 0.6), got {motion!r}")
+    motion = motion_model(motion)
     chosen = arithmetic(compiled)
     return Parts(
-        motion=ConstantVelocity() if motion is None else motion,
+        motion=motion,
         gate=gate,
         landmark=choice("landmark", landmark, LANDMARKS, LandmarkModel),
         measurement=choice("measurement", measurement, MEASUREMENTS, MeasurementModel),

@@ -14,6 +14,11 @@ def rows(P: FloatArray, index: IntArray) -> FloatArray:
     return taken
 
 
+def put_rows(P: FloatArray, index: IntArray, values: FloatArray) -> None:
+    """Set full rows `index` of the symmetric matrix; (n, n), (k,), (k, n)."""
+    P[index], P[:, index] = values, values.T
+
+
 def leading_rows(P: FloatArray, count: int) -> FloatArray:
     """The first `count` full rows; (n, n) -> (count, n)."""
     taken: FloatArray = P[:, :count].T.copy()

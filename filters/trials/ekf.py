@@ -17,6 +17,7 @@ from filters import rotations
 from filters.engine import gating, unscented
 from filters.engine.ekf import StereoEKF
 from filters.engine.error_definition import StandardError, moved_camera
+from filters.engine.fates import BEHIND, FAILED, GATED, USED
 from filters.engine.kalman import LinearisedMeasurements
 from filters.engine.linearisation import measurement_jacobians
 from filters.engine.options import Parts
@@ -29,16 +30,7 @@ from filters.motion import CAMERA_SIZE, POSE_SIZE, ROTATION, CameraState, Consta
 from filters.start import start_belief
 from filters.trials import lockstep
 from filters.trials.joint_states import JointStates
-from filters.trials.observations import (
-    BEHIND_CAMERA,
-    FAILED,
-    GATED,
-    INITIALISED,
-    REJECTED,
-    UPDATED,
-    Sightings,
-    TrialReports,
-)
+from filters.trials.observations import INITIALISED, REJECTED, Sightings, TrialReports
 from filters.validation import BoolArray, FloatArray, IntArray, positive
 
 _RESET_ARGUMENTS = tuple(signature(start_belief).parameters)
@@ -147,7 +139,7 @@ class StereoEKFTrials:
         """
         if len(observations) != self._trials:
             raise ValueError(f"observations must be one for each of {self._trials} trials, got {len(observations)}")
-        sightings = Sightings.of(observations, self.noise.R)
+        sightings = Sightings.of(observations, self.noise)
         states = self._states
         known, place = states.locate(sightings.trial, sightings.ids)
         seen, place = sightings[known], place[known]
@@ -223,7 +215,7 @@ class StereoEKFTrials:
 
     def _correct(self, seen: Sightings, place: IntArray) -> tuple[IntArray, FloatArray, IntArray]:
         """Stage by stage as in `StereoEKF`; returns the outcome of each measurement (N,), NIS and its dof (B,)."""
-        outcome = np.full(len(seen), UPDATED)
+        outcome = np.full(len(seen), USED)
         nis, dof = np.zeros(self._trials), np.zeros(self._trials, dtype=np.int64)
         if len(seen) == 0:
             return outcome, nis, dof
@@ -231,8 +223,8 @@ class StereoEKFTrials:
         gate = self._parts.gate and self._parts.gate ** (1 / len(stages))
         for stage in stages:
             forward, linear = self._linearise(seen.trial, place, stage)
-            outcome[(outcome == UPDATED) & ~forward] = BEHIND_CAMERA
-            candidates = np.flatnonzero(outcome == UPDATED)
+            outcome[(outcome == USED) & ~forward] = BEHIND
+            candidates = np.flatnonzero(outcome == USED)
             limit = gating.gate_limit(gate, stage.z.shape[1]) if gate is not None else None
             part = linear if len(candidates) == len(seen) else linear[candidates]
             correction = lockstep.update(

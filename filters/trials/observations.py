@@ -7,12 +7,21 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from filters.engine.fates import BEHIND, FAILED, GATED, USED
 from filters.interface import StereoObservation, UpdateReport
+from filters.noise import StereoNoise
 from filters.validation import BoolArray, FloatArray, IntArray
 
-UPDATED, GATED, BEHIND_CAMERA, FAILED, INITIALISED, REJECTED = range(6)
-OUTCOMES = ("updated", "gated", "behind_camera", "failed", "initialised", "rejected")
-"""What can become of a measurement; the fields of `UpdateReport`, by their number."""
+INITIALISED, REJECTED = FAILED + 1, FAILED + 2
+OUTCOMES = {
+    USED: "updated",
+    BEHIND: "behind_camera",
+    GATED: "gated",
+    FAILED: "failed",
+    INITIALISED: "initialised",
+    REJECTED: "rejected",
+}
+"""What can become of a measurement, of a known landmark or a new one: the fields of `UpdateReport`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,8 +47,8 @@ class Sightings:
     v_right: FloatArray | None
 
     @classmethod
-    def of(cls, observations: Sequence[StereoObservation], R: FloatArray) -> Sightings:
-        """The observations of a frame, one for each trial; R (3, 3) where an observation brings none.
+    def of(cls, observations: Sequence[StereoObservation], noise: StereoNoise) -> Sightings:
+        """The observations of a frame, one for each trial; `noise` where an observation brings no R.
 
         Raises
         ------
@@ -59,15 +68,11 @@ class Sightings:
                 f"v_right must be measured in all trials of a frame or in none, got it in {with_v} of {len(seeing)}: "
                 "leave it out, or run the trials one by one"
             )
-        if all(observation.R is None for observation in seeing):
-            noise = np.broadcast_to(R, (int(sizes.sum()), 3, 3))
-        else:
-            noise = np.concatenate([np.broadcast_to(R, (len(o), 3, 3)) if o.R is None else o.R for o in seeing])
         sightings = cls(
             np.repeat(np.arange(len(sizes)), sizes),
             np.concatenate([observation.ids for observation in seeing]),
             np.concatenate([observation.uvd for observation in seeing]),
-            noise,
+            np.concatenate([observation.covariances(noise) for observation in seeing]),
             np.concatenate([observation.v_right for observation in seeing]) if with_v else None,
         )
         same_trial = sightings.trial[1:] == sightings.trial[:-1]
@@ -117,7 +122,7 @@ class TrialReports:
 
     def __getitem__(self, trial: int) -> UpdateReport:
         own = self.trial == trial
-        fields = {name: self.ids[own & (self.outcome == number)] for number, name in enumerate(OUTCOMES)}
+        fields = {name: self.ids[own & (self.outcome == number)] for number, name in OUTCOMES.items()}
         dropped = np.sort(self.dropped_ids[self.dropped_trial == trial])
         return UpdateReport(**fields, dropped=dropped, nis=float(self.nis[trial]), nis_dof=int(self.nis_dof[trial]))
 
@@ -125,7 +130,6 @@ class TrialReports:
         """How many landmarks of each trial met with each outcome, "dropped" among them; name -> (B,)."""
         trials = len(self)
         counted = {
-            name: np.bincount(self.trial[self.outcome == number], minlength=trials)
-            for number, name in enumerate(OUTCOMES)
+            name: np.bincount(self.trial[self.outcome == number], minlength=trials) for number, name in OUTCOMES.items()
         }
         return {**counted, "dropped": np.bincount(self.dropped_trial, minlength=trials)}

@@ -20,8 +20,9 @@ from filters.interface import (
     StereoObservation,
     UpdateReport,
     VelocityBelief,
+    check_rig,
 )
-from filters.motion import POSE_SIZE, CameraState, ConstantVelocity, MotionModel, VelocityDriven
+from filters.motion import POSE_SIZE, CameraState, MotionModel, VelocityDriven, motion_model
 from filters.noise import StereoNoise
 from filters.start import start_belief
 from filters.validation import (
@@ -75,15 +76,10 @@ class CameraFilter(StereoFilter):
     """
 
     def __init__(self, camera: StereoCamera, noise: StereoNoise, *, motion: MotionModel | None = None) -> None:
-        if not isinstance(camera, StereoCamera):
-            raise ValueError(f"camera must be a StereoCamera, got {camera!r}")
-        if not isinstance(noise, StereoNoise):
-            raise ValueError(f"noise must be a StereoNoise, got {noise!r}: see StereoNoise.independent_pixels")
-        if motion is not None and not isinstance(motion, MotionModel):
-            raise ValueError(f"motion must be a motion model such as ConstantVelocity(3.0, 0.6), got {motion!r}")
+        check_rig(camera, noise)
         self.camera = camera
         self.noise = noise
-        self._motion: MotionModel = ConstantVelocity() if motion is None else motion
+        self._motion = motion_model(motion)
         self.reset()
 
     def reset(
@@ -113,7 +109,7 @@ class CameraFilter(StereoFilter):
         if not isinstance(observation, StereoObservation):
             raise ValueError(f"observation must be a StereoObservation, got {type(observation).__name__}")
         # One order for everything below, so that the result cannot depend on the order of the measurements.
-        return self._use(observation.select(np.argsort(observation.ids)))
+        return self._use(observation.ordered())
 
     @abstractmethod
     def _use(self, observation: StereoObservation) -> UpdateReport:

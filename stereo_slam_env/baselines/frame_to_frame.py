@@ -14,7 +14,7 @@ from filters.camera import StereoCamera
 from filters.interface import BodyVelocity, StereoObservation, UpdateReport
 from filters.motion import ANGULAR, LINEAR, POSE_SIZE, POSITION, ROTATION, CameraState, MotionModel
 from filters.noise import StereoNoise
-from filters.validation import FloatArray, IntArray, positive, unique_ids
+from filters.validation import FloatArray, IntArray, gate_probability, positive, unique_ids
 from stereo_slam_env.baselines.camera_filter import CameraBelief, CameraFilter, symmetrised
 from stereo_slam_env.baselines.stereo_step import (
     Pairs,
@@ -93,13 +93,11 @@ class FrameToFrame(CameraFilter):
         min_points: int = 6,
         min_disparity: float = 1.0,
     ) -> None:
-        if gate is not None and not (isinstance(gate, float | int) and 0.0 < gate < 1.0):
-            raise ValueError(f"gate must be a probability between 0 and 1, or None for no gate, got {gate!r}")
         if refinement not in REFINEMENTS:
             raise ValueError(f"refinement must be one of {', '.join(REFINEMENTS)}, got {refinement!r}")
         if type(min_points) is not int or min_points < 6:
             raise ValueError(f"min_points must be an integer >= 6, got {min_points!r}")
-        self._gate = gate
+        self._gate = gate_probability(gate)
         self._refinement = refinement
         self._min_points = min_points
         self._min_disparity = positive("min_disparity", min_disparity)
