@@ -194,8 +194,9 @@ class StereoDriveEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
             raise ValueError(f"reset takes no options, got {', '.join(map(repr, options))}")
         street_rng, motion_rng, landmark_rng, self._odometry_rng, start_rng = self.np_random.spawn(5)
         scene = build_street(self._route, street_rng)
-        draws = self.options.render_images or self.render_mode is not None
-        self._world.build(scene, self._car.size, draw=draws)
+        self._world.build(scene, self._car.size)
+        if self.options.render_images or self.render_mode is not None:
+            self._renderer.build(scene)
         landmarks = LandmarkTruth(scene.landmark_ids, self._world_frame.to_world(scene.landmark_points))
         self._sensor = LandmarkSensor(
             self.camera, self._noise, landmarks, self._visible, self.options.tracking, landmark_rng

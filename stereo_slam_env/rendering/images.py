@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from filters.validation import FloatArray
 from stereo_slam_env.recording import Pose
+from stereo_slam_env.world.scene import Scene
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,5 +33,11 @@ class StereoImages:
 class StereoRenderer(Protocol):
     """A back end that draws both eyes."""
 
-    def render_pair(self, pose: Pose) -> StereoImages:
-        """Draw what the rig sees from `pose` (left camera in W)."""
+    def build(self, scene: Scene) -> None:
+        """Replace whatever was drawn by `scene`."""
+
+    def render_pair(self, pose: Pose, time: float = 0.0) -> StereoImages:
+        """Draw what the rig sees from `pose` (left camera in W) when moving bodies are where they are at `time` s."""
+
+    def close(self) -> None:
+        """Free what the back end holds; may be called twice."""

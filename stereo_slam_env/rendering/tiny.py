@@ -14,6 +14,7 @@ from stereo_slam_env.rendering import pinhole
 from stereo_slam_env.rendering.images import StereoImages
 from stereo_slam_env.world.frames import WorldFrame
 from stereo_slam_env.world.physics import PhysicsWorld
+from stereo_slam_env.world.scene import Scene
 
 NEAR, FAR = 0.5, 300.0
 _SUN = (0.35, 0.55, 0.9)
@@ -31,7 +32,7 @@ class TinyRenderer:
     Parameters
     ----------
     world : PhysicsWorld
-        Built with `draw=True`.
+        Built; `build` adds what is drawn.
     camera : StereoCamera
         The rig.
     frame : WorldFrame
@@ -46,7 +47,14 @@ class TinyRenderer:
         self._fine = pinhole.supersampled(camera, supersample)
         self._projection = pinhole.projection_matrix(self._fine, NEAR, FAR, pinhole.TINY_OFFSET)
 
-    def render_pair(self, pose: Pose) -> StereoImages:
+    def build(self, scene: Scene) -> None:
+        """Make `scene`, which the world was built from, visible."""
+        self._world.dress(scene)
+
+    def close(self) -> None:
+        """Nothing: the world is its owner's to close."""
+
+    def render_pair(self, pose: Pose, time: float = 0.0) -> StereoImages:
         """Draw what the rig sees from `pose` (left camera in W).
 
         Returns

@@ -61,8 +61,8 @@ class PhysicsWorld:
         self._drawn = False
         self._stop: weakref.finalize[[int, Path], PhysicsWorld] | None = None
 
-    def build(self, scene: Scene, ego_size: tuple[float, float, float], *, draw: bool) -> None:
-        """Replace whatever is there by `scene` and the body of the driving car.
+    def build(self, scene: Scene, ego_size: tuple[float, float, float]) -> None:
+        """Replace whatever is there by the solids of `scene` and the body of the driving car.
 
         Parameters
         ----------
@@ -70,8 +70,6 @@ class PhysicsWorld:
             What to build.
         ego_size : tuple
             Length, width, height of the car's body, m.
-        draw : bool
-            Whether `camera_image` will be wanted; without it building is faster.
         """
         if self._client is None:
             self._client = pybullet.connect(pybullet.DIRECT)
@@ -79,11 +77,14 @@ class PhysicsWorld:
             self._stop = weakref.finalize(self, _stop_engine, self._client, self._directory)
         pybullet.resetSimulation(physicsClientId=self._client)
         pybullet.setPhysicsEngineParameter(enableFileCaching=0, physicsClientId=self._client)
-        self._drawn = draw
+        self._drawn = False
         self._add_solids(scene.solids)
         self._ego = self._add_ego(ego_size)
-        if draw:
-            self._add_visuals(scene)
+
+    def dress(self, scene: Scene) -> None:
+        """Add what `camera_image` draws to the built `scene`; without pictures that can be spared."""
+        self._add_visuals(scene)
+        self._drawn = True
 
     def visible(self, eyes: FloatArray, points: FloatArray) -> BoolArray:
         """Which points are seen from every eye: nothing but the driving car is in between.
@@ -147,7 +148,7 @@ class PhysicsWorld:
             The world was built without pictures.
         """
         if not self._drawn:
-            raise RuntimeError("the scene was built without pictures: build it with draw=True")
+            raise RuntimeError("the scene was built without pictures: call dress first")
         _, _, rgba, depth, _ = pybullet.getCameraImage(
             width,
             height,

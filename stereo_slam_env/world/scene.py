@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from filters.validation import FloatArray, IntArray
 
 Vector = tuple[float, float, float]
@@ -88,8 +90,62 @@ class Ground:
 
 
 @dataclass(frozen=True, eq=False)
+class MovingBody:
+    """A rigid thing that moves on the ground: its parts in its own frame, and where that frame is over time.
+
+    Attributes
+    ----------
+    kind : str
+        What it is: "car", "pedestrian".
+    parts : tuple of Box, Cylinder or Sphere
+        In the frame of the body: x forward, y left, z up, origin on the ground.
+    times : (K,)
+        s, increasing.
+    positions : (K, 3)
+        Origin of the body in S, m.
+    yaws : (K,)
+        About z, rad, without jumps.
+    """
+
+    kind: str
+    parts: tuple[Primitive, ...]
+    times: FloatArray
+    positions: FloatArray
+    yaws: FloatArray
+
+    def pose_at(self, time: float) -> tuple[FloatArray, float]:
+        """Position (3,) in S and yaw at `time` s: linear in between, at rest before and after."""
+        position = np.array([np.interp(time, self.times, self.positions[:, i]) for i in range(3)])
+        return position, float(np.interp(time, self.times, self.yaws))
+
+
+@dataclass(frozen=True)
+class Look:
+    """Light and air, the same for every renderer.
+
+    Attributes
+    ----------
+    sun : (3,) tuple
+        Direction towards the sun in S.
+    ambient, diffuse : float
+        Shares of the light: brightness is ambient + diffuse * max(0, normal . sun).
+    horizon, zenith : (3,) tuple
+        Colour of the sky (and of the haze: the horizon's), RGB in 0..255.
+    haze_range : float
+        Distance after which 1/e of the contrast is left, m.
+    """
+
+    sun: Vector = (0.35, 0.55, 0.9)
+    ambient: float = 0.72
+    diffuse: float = 0.45
+    horizon: Vector = (219.0, 228.0, 236.0)
+    zenith: Vector = (112.0, 160.0, 212.0)
+    haze_range: float = 260.0
+
+
+@dataclass(frozen=True, eq=False)
 class Scene:
-    """A static scene and the landmarks on its surfaces.
+    """A scene and the landmarks on its surfaces.
 
     Attributes
     ----------
@@ -103,6 +159,10 @@ class Scene:
         Ascending.
     landmark_points : (N, 3)
         On visible surfaces, m.
+    moving : tuple of MovingBody
+        What moves; it carries no landmarks.
+    look : Look
+        Light and air.
     """
 
     ground: Ground
@@ -110,8 +170,10 @@ class Scene:
     ribbons: tuple[Ribbon, ...]
     landmark_ids: IntArray
     landmark_points: FloatArray
+    moving: tuple[MovingBody, ...] = ()
+    look: Look = Look()
 
     @property
     def solids(self) -> tuple[Primitive, ...]:
-        """The primitives that block rays and cars."""
+        """The standing primitives that block rays and cars."""
         return tuple(p for p in self.primitives if p.solid)

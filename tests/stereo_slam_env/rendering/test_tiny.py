@@ -21,7 +21,9 @@ def world():
     nothing = np.zeros(0, dtype=np.int64), np.zeros((0, 3))
     ground = Ground((-400.3, -400.3), (400.3, 400.3), Material((0.3, 0.6, 0.3)))
     world = PhysicsWorld()
-    world.build(Scene(ground, (WALL,), (), *nothing), (4.0, 1.8, 1.0), draw=True)
+    scene = Scene(ground, (WALL,), (), *nothing)
+    world.build(scene, (4.0, 1.8, 1.0))
+    world.dress(scene)
     yield world
     world.close()
 

@@ -1,0 +1,1 @@
+"""The vision front end: from stereo images to (u, v, d) with ids."""
