@@ -11,8 +11,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
+from scipy.stats import chi2
 
 from filters import rotations
 from filters.camera import StereoCamera
@@ -20,6 +22,10 @@ from filters.validation import BoolArray, FloatArray, IntArray
 
 MAX_ITERATIONS = 10
 CONVERGED = 1e-9  # m and rad
+RANSAC_SEED = 0
+RANSAC_ROUNDS = 200
+RANSAC_CONFIDENCE = 0.999
+RANSAC_GATE = 0.99  # probability with which the pixel of an inlier lies within RANSAC's radius
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,6 +184,54 @@ def left_pixel_step(camera: StereoCamera, pairs: Pairs, step: Step) -> StepEstim
     S = _innovation_covariances(pairs, predicted.by_first)
     covariance = np.einsum("mij,mjk,mlk->il", gain, S, gain, optimize=True)
     return StepEstimate(step, gain, predicted.by_first, covariance)
+
+
+def perspective_n_point(
+    camera: StereoCamera, pairs: Pairs, min_points: int, *, polished: bool = False
+) -> tuple[Step, IntArray] | None:
+    """OpenCV's PnP with RANSAC: points of the first frame, pixels of the second; needs no idea of the step.
+
+    Parameters
+    ----------
+    camera : StereoCamera
+        The rig.
+    pairs : Pairs
+        All disparities positive.
+    min_points : int
+        Inliers without which there is no step.
+    polished : bool
+        Whether `cv2.solvePnPRefineLM` refines the step on the inliers.
+
+    Returns
+    -------
+    step : Step
+    inliers : (K,) int64
+        Ascending positions in `pairs`; None for both where there is no step.
+    """
+    K = np.array([[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]])
+    points, pixels = camera.backproject(pairs.first), np.ascontiguousarray(pairs.second[:, :2])
+    # The error of a pixel in this frame and, through the point, that of about the same size in the previous one.
+    variance = 2.0 * np.median(pairs.R_second[:, [0, 1], [0, 1]].max(axis=1))
+    radius = float(np.sqrt(chi2.ppf(RANSAC_GATE, 2) * variance))
+    cv2.setRNGSeed(RANSAC_SEED)
+    found, turn, shift, inliers = cv2.solvePnPRansac(
+        points,
+        pixels,
+        K,
+        None,
+        iterationsCount=RANSAC_ROUNDS,
+        reprojectionError=radius,
+        confidence=RANSAC_CONFIDENCE,
+    )
+    if not found or inliers is None or len(inliers) < min_points:
+        return None
+    chosen = np.sort(inliers.reshape(-1)).astype(np.int64)
+    if polished:
+        turn, shift = cv2.solvePnPRefineLM(points[chosen], pixels[chosen], K, None, turn, shift)
+    if not (np.isfinite(turn).all() and np.isfinite(shift).all()):
+        return None
+    R = rotations.exp(np.asarray(turn, dtype=np.float64).reshape(3)).T  # OpenCV takes points into the camera
+    return Step(R, -R @ np.asarray(shift, dtype=np.float64).reshape(3)), chosen
 
 
 def _innovation_covariances(pairs: Pairs, by_first: FloatArray) -> FloatArray:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from scipy.stats import chi2
 
@@ -22,14 +21,11 @@ from stereo_slam_env.stereo_step import (
     StepEstimate,
     left_pixel_step,
     most_likely_step,
+    perspective_n_point,
     squared_distances,
 )
 
 REFINEMENTS = ("stereo", "opencv")
-RANSAC_SEED = 0
-RANSAC_ROUNDS = 200
-RANSAC_CONFIDENCE = 0.999
-RANSAC_GATE = 0.99  # probability with which the pixel of an inlier lies within RANSAC's radius
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,7 +169,9 @@ class FrameToFrame(CameraFilter):
         usable = np.flatnonzero(pairs.first[:, 2] >= self._min_disparity)
         if len(usable) < self._min_points:
             return None
-        found = self._perspective_n_point(pairs.select(usable))
+        found = perspective_n_point(
+            self.camera, pairs.select(usable), self._min_points, polished=self._refinement == "opencv"
+        )
         if found is None:
             return None
         step, inliers = found[0], usable[found[1]]
@@ -190,34 +188,6 @@ class FrameToFrame(CameraFilter):
                     return None
                 estimate = most_likely_step(self.camera, pairs.select(inliers), estimate.step)
         return None if estimate is None else (estimate, inliers)
-
-    def _perspective_n_point(self, pairs: Pairs) -> tuple[Step, IntArray] | None:
-        """OpenCV's step and its inliers."""
-        camera = self.camera
-        K = np.array([[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]])
-        points, pixels = camera.backproject(pairs.first), np.ascontiguousarray(pairs.second[:, :2])
-        # The error of a pixel in this frame and, through the point, that of about the same size in the previous one.
-        variance = 2.0 * np.median(pairs.R_second[:, [0, 1], [0, 1]].max(axis=1))
-        radius = float(np.sqrt(chi2.ppf(RANSAC_GATE, 2) * variance))
-        cv2.setRNGSeed(RANSAC_SEED)
-        found, turn, shift, inliers = cv2.solvePnPRansac(
-            points,
-            pixels,
-            K,
-            None,
-            iterationsCount=RANSAC_ROUNDS,
-            reprojectionError=radius,
-            confidence=RANSAC_CONFIDENCE,
-        )
-        if not found or inliers is None or len(inliers) < self._min_points:
-            return None
-        chosen = np.sort(inliers.reshape(-1)).astype(np.int64)
-        if self._refinement == "opencv":
-            turn, shift = cv2.solvePnPRefineLM(points[chosen], pixels[chosen], K, None, turn, shift)
-        if not (np.isfinite(turn).all() and np.isfinite(shift).all()):
-            return None
-        R = rotations.exp(np.asarray(turn, dtype=np.float64).reshape(3)).T  # OpenCV takes points into the camera
-        return Step(R, -R @ np.asarray(shift, dtype=np.float64).reshape(3)), chosen
 
 
 def _chained(
