@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import logging
 import time
 from collections.abc import Callable, Mapping
@@ -15,6 +16,7 @@ from filters import (
     PoseBelief,
     StereoFilter,
     StereoNoise,
+    StereoObservation,
     UpdateReport,
     VelocityBelief,
     VelocityDriven,
@@ -30,6 +32,7 @@ from stereo_slam_env.recording import Frame, Recording
 
 EVENTS = ("updated", "initialised", "dropped", "gated", "rejected", "behind_camera")
 COUNTS = (*EVENTS, "failed_factorisations", "map_size")
+Observe = Callable[[int, StereoFilter], StereoObservation]
 
 _log = logging.getLogger(__name__)
 
@@ -44,6 +47,7 @@ def run_filter(
     noise: StereoNoise | None = None,
     use_odometry: bool = True,
     seed: int | None = None,
+    observe: Observe | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> FilterRun:
     """Feed a recording to a filter.
@@ -70,6 +74,9 @@ def run_filter(
         Whether `predict` is given the odometry of the recording.
     seed : int, optional
         Of the recording, for the result.
+    observe : callable, optional
+        What measures instead of the recording: called after `predict` with the number of the frame and the filter,
+        whose `forecast` may guide it, returns a `StereoObservation`. It is not timed.
     progress : callable, optional
         Called with (frames done, frames) after each frame.
 
@@ -106,8 +113,12 @@ def run_filter(
                 began = time.perf_counter()
                 if dt is not None:
                     estimator.predict(dt, frame.odometry if use_odometry else None)
-                report = estimator.update(frame.observation)
                 elapsed = time.perf_counter() - began
+                if observe is not None:
+                    frame = dataclasses.replace(frame, observation=observe(frame_number, estimator))
+                began = time.perf_counter()
+                report = estimator.update(frame.observation)
+                elapsed += time.perf_counter() - began
                 log.add(frame_number, frame, estimator, report, 1000.0 * elapsed)
                 if progress is not None:
                     progress(frame_number + 1, len(recording))

@@ -16,19 +16,23 @@ from filters.interface import BodyVelocity
 from filters.noise import StereoNoise
 from filters.validation import BoolArray, FloatArray, finite_array
 from stereo_slam_env.envs.options import DriveOptions
+from stereo_slam_env.frontend.recorder import TYPICAL_NOISE
 from stereo_slam_env.recording import Frame, LandmarkTruth, Pose, Start, Velocity
-from stereo_slam_env.rendering.images import StereoImages
+from stereo_slam_env.rendering.backends import make_renderer
+from stereo_slam_env.rendering.camera_effects import CameraEffects
+from stereo_slam_env.rendering.images import StereoImages, StereoRenderer
 from stereo_slam_env.rendering.overlay import annotated_pair
-from stereo_slam_env.rendering.tiny import TinyRenderer
+from stereo_slam_env.sensing.image_sensor import ImageSensor
 from stereo_slam_env.sensing.landmark_sensor import LandmarkSensor
 from stereo_slam_env.sensing.odometry import OdometrySensor
-from stereo_slam_env.sensing.padding import NO_LANDMARK, padded, padded_v_right
+from stereo_slam_env.sensing.padding import NO_LANDMARK, padded, padded_extras
 from stereo_slam_env.sensing.pixel_noise import NOISE_MODELS
 from stereo_slam_env.sensing.rigs import CAMERA_HEIGHT, RIGS
 from stereo_slam_env.world.frames import R_SW, WorldFrame
 from stereo_slam_env.world.physics import PhysicsWorld
-from stereo_slam_env.world.routes import FRAME_PERIOD, ROUTES, Driver, RouteDriver, advance
-from stereo_slam_env.world.street import build_street
+from stereo_slam_env.world.routes import FRAME_PERIOD, Driver, Route, RouteDriver, advance, named_route
+from stereo_slam_env.world.scene import Scene
+from stereo_slam_env.world.surroundings import build_scene
 from stereo_slam_env.world.vehicle import AgentDriver, Car
 
 _PROGRESS_WEIGHT, _VISIBILITY_WEIGHT, _COLLISION_WEIGHT = 0.1, 0.02, -10.0
@@ -148,14 +152,15 @@ class StereoDriveEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
         self.action_space = spaces.Box(-1.0, 1.0, (2,), np.float32)
 
         self._noise = NOISE_MODELS[self.options.noise](self.options.sigma)
-        self._route = ROUTES[self.options.route]()
+        self._route = named_route(self.options.route)
         self._car = Car()
         self._world_frame = WorldFrame(CAMERA_HEIGHT)
         self._world = PhysicsWorld()
         self._odometry = OdometrySensor(self.options.odometry_sigma_linear, self.options.odometry_sigma_angular)
-        self._renderer = TinyRenderer(self._world, self.camera, self._world_frame, self.options.supersample)
+        self._renderer: StereoRenderer | None = None
+        self._effects: CameraEffects | None = None
         self._driver: Driver
-        self._sensor: LandmarkSensor
+        self._sensor: LandmarkSensor | ImageSensor
         self._pose: Pose
         self._frame: Frame | None = None
         self._start = Start()
@@ -164,8 +169,13 @@ class StereoDriveEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
 
     @property
     def noise(self) -> StereoNoise:
-        """Covariance of the measurements."""
-        return self._noise.stereo_noise
+        """Covariance to assume of a measurement that does not come with its own."""
+        return TYPICAL_NOISE if self.options.sensor == "images" else self._noise.stereo_noise
+
+    @property
+    def route(self) -> Route:
+        """The nominal drive."""
+        return self._route
 
     @property
     def frame(self) -> Frame:
@@ -180,7 +190,7 @@ class StereoDriveEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
         return self._start
 
     def landmark_truth(self) -> LandmarkTruth:
-        """All landmarks of the street, in W."""
+        """All landmarks of the scene, in W; with the sensor "images" those found so far."""
         if self._frame is None:
             raise RuntimeError("there are no landmarks yet: reset the environment first")
         return self._sensor.landmarks
@@ -192,15 +202,26 @@ class StereoDriveEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
         super().reset(seed=seed)
         if options:
             raise ValueError(f"reset takes no options, got {', '.join(map(repr, options))}")
-        street_rng, motion_rng, landmark_rng, self._odometry_rng, start_rng = self.np_random.spawn(5)
-        scene = build_street(self._route, street_rng)
-        self._world.build(scene, self._car.size)
-        if self.options.render_images or self.render_mode is not None:
-            self._renderer.build(scene)
-        landmarks = LandmarkTruth(scene.landmark_ids, self._world_frame.to_world(scene.landmark_points))
-        self._sensor = LandmarkSensor(
-            self.camera, self._noise, landmarks, self._visible, self.options.tracking, landmark_rng
+        scene_rng, motion_rng, landmark_rng, self._odometry_rng, start_rng, camera_rng = self.np_random.spawn(6)
+        scene = build_scene(
+            self.options.surroundings,
+            self._route,
+            scene_rng,
+            moving_cars=self.options.moving_cars,
+            pedestrians=self.options.pedestrians,
+            randomise=self.options.randomise,
         )
+        self._world.build(scene, self._car.size)
+        self._effects = CameraEffects.random(camera_rng) if self.options.randomise else None
+        if self.options.draws or self.render_mode is not None:
+            self._build_renderer(scene)
+        if self.options.sensor == "images":
+            self._sensor = ImageSensor(self.camera, self._rendered, self.options.front_end)
+        else:
+            landmarks = LandmarkTruth(scene.landmark_ids, self._world_frame.to_world(scene.landmark_points))
+            self._sensor = LandmarkSensor(
+                self.camera, self._noise, landmarks, self._visible, self.options.tracking, landmark_rng
+            )
         if self.options.policy == "route":
             self._driver = RouteDriver(self._route, self.options.perturbation, motion_rng)
         else:
@@ -254,6 +275,9 @@ class StereoDriveEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
 
     def close(self) -> None:
         """Stop the physics engine; may be called at any time, also twice."""
+        if self._renderer is not None:
+            self._renderer.close()
+        self._renderer = None
         self._world.close()
         self._over = True
 
@@ -270,17 +294,35 @@ class StereoDriveEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
 
     def _sense(self, velocity: Velocity, odometry: BodyVelocity | None) -> None:
         self._images = None
+        self._world.set_time(self._time)
         self._frame = Frame(
-            timestamp=self._step_count * FRAME_PERIOD,
+            timestamp=self._time,
             observation=self._sensor.observe(self._pose),
             odometry=odometry,
             truth=self._pose,
             truth_velocity=velocity,
         )
 
+    @property
+    def _time(self) -> float:
+        return self._step_count * FRAME_PERIOD
+
+    def _build_renderer(self, scene: Scene) -> None:
+        if self._renderer is None:
+            self._renderer = make_renderer(
+                self.options.renderer,
+                camera=self.camera,
+                frame=self._world_frame,
+                world=self._world,
+                supersample=self.options.supersample,
+            )
+        self._renderer.build(scene)
+
     def _rendered(self) -> StereoImages:
         if self._images is None:
-            self._images = self._renderer.render_pair(self._pose)
+            assert self._renderer is not None
+            clean = self._renderer.render_pair(self._pose, self._time)
+            self._images = clean if self._effects is None else self._effects.applied(clean, self._step_count)
         return self._images
 
     def _observation(self, odometry: BodyVelocity) -> Observation:
@@ -308,14 +350,16 @@ class StereoDriveEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
             "reward_progress": _PROGRESS_WEIGHT * progress,
             "reward_visibility": _VISIBILITY_WEIGHT * share,
             "reward_collision": _COLLISION_WEIGHT if failed else 0.0,
-            **padded_v_right(frame.observation, self.options.max_landmarks),
+            **padded_extras(frame.observation, self.options.max_landmarks),
         }
 
     def _make_observation_space(self) -> spaces.Dict:
         camera, rows = self.camera, self.options.max_landmarks
         noise = 10.0 * self.options.sigma  # no error is ever that large, so the bounds hold without clipping
-        nearest = camera.disparity_constant / self.options.tracking.nearest
-        high = np.array([camera.width, camera.height, nearest]) + noise
+        largest = camera.disparity_constant / self.options.tracking.nearest
+        if self.options.sensor == "images":
+            largest = camera.width
+        high = np.array([camera.width, camera.height, largest]) + noise
         low = np.full(3, -noise)
         velocity = _MAX_VELOCITY.astype(np.float32)
         shapes: dict[str, spaces.Space[Any]] = {

@@ -8,12 +8,15 @@ from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 from filters.validation import positive
+from stereo_slam_env.frontend.settings import TrackerSettings
+from stereo_slam_env.rendering.backends import RENDERERS
 from stereo_slam_env.sensing.landmark_sensor import TrackingPolicy
 from stereo_slam_env.sensing.pixel_noise import NOISE_MODELS
 from stereo_slam_env.sensing.rigs import RIGS
-from stereo_slam_env.world.routes import ROUTES
+from stereo_slam_env.world.routes import named_route
+from stereo_slam_env.world.surroundings import SURROUNDINGS
 
-SENSORS = ("landmarks",)
+SENSORS = ("landmarks", "images")
 POLICIES = ("route", "agent")
 
 
@@ -28,9 +31,14 @@ class DriveOptions:
     """
 
     route: str = "town"
+    surroundings: str = "street"
+    moving_cars: int = 0
+    pedestrians: int = 0
+    randomise: bool = False
     policy: str = "agent"
     rig: str = "reference"
     sensor: str = "landmarks"
+    renderer: str = "tiny"
     render_images: bool = False
     noise: str = "pixels"
     sigma: float = 1.0
@@ -43,7 +51,12 @@ class DriveOptions:
     supersample: int = 1
 
     def __post_init__(self) -> None:
-        _one_of("route", self.route, ROUTES)
+        named_route(self.route)
+        _one_of("surroundings", self.surroundings, SURROUNDINGS)
+        _one_of("renderer", self.renderer, RENDERERS)
+        _one_of("randomise", self.randomise, (True, False))
+        _whole("moving_cars", self.moving_cars, 0, 100)
+        _whole("pedestrians", self.pedestrians, 0, 100)
         _one_of("policy", self.policy, POLICIES)
         _one_of("rig", self.rig, RIGS)
         _one_of("sensor", self.sensor, SENSORS)
@@ -71,11 +84,24 @@ class DriveOptions:
 
     @property
     def tracking(self) -> TrackingPolicy:
-        """How landmarks are tracked."""
+        """How the sensor "landmarks" tracks."""
         refill = self.refill_below
         if refill is None:
             refill = round(self.max_landmarks * TrackingPolicy.refill_below / TrackingPolicy.max_landmarks)
         return TrackingPolicy(max_landmarks=self.max_landmarks, refill_below=refill, revisit=self.revisit)
+
+    @property
+    def front_end(self) -> TrackerSettings:
+        """How the sensor "images" tracks."""
+        refill = self.refill_below
+        if refill is None:
+            refill = round(self.max_landmarks * TrackerSettings.refill_below / TrackerSettings.max_landmarks)
+        return TrackerSettings(max_landmarks=self.max_landmarks, refill_below=refill)
+
+    @property
+    def draws(self) -> bool:
+        """Whether frames are rendered even without `render()`."""
+        return self.render_images or self.sensor == "images"
 
     def as_dict(self) -> dict[str, Any]:
         """The keyword arguments that make the same environment."""

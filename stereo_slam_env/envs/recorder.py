@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from stereo_slam_env.envs.drive import StereoDriveEnv
+from stereo_slam_env.envs.options import DriveOptions
 from stereo_slam_env.recording import Recording
+from stereo_slam_env.rendering.backends import renderer_identity
 
 
 def record(
@@ -61,22 +64,36 @@ def record(
         if frames is not None and len(collected) < frames:
             raise ValueError(f"frames must be at most {len(collected)} on route {env.options.route!r}, got {frames}")
         return Recording(
-            name=f"{env.options.route}-{env.options.noise}-{seed}",
+            name=_name(env.options, seed),
             camera=env.camera,
             frames=tuple(collected),
             noise=env.noise,
             start=env.start,
             landmarks=env.landmark_truth(),
-            source={
-                "environment": "StereoSlam/Drive-v0",
-                "arguments": env.options.as_dict(),
-                "seed": seed,
-                "frames": len(collected),
-                "versions": {name: _version(name) for name in ("stereo-slam-env", "numpy", "pybullet", "gymnasium")},
-            },
+            source={**described(env, seed), "frames": len(collected)},
         )
     finally:
         env.close()
+
+
+def _name(options: DriveOptions, seed: int) -> str:
+    seen_by = options.renderer if options.sensor == "images" else options.noise
+    return f"{Path(options.route).stem}-{seen_by}-{seed}"
+
+
+def described(env: StereoDriveEnv, seed: int) -> dict[str, Any]:
+    """Everything needed to make the same episode again; JSON-able.
+
+    The back end that draws is part of it: pictures of different ones are different measurements.
+    """
+    drawn = {"renderer": renderer_identity(env.options.renderer)} if env.options.draws else {}
+    return {
+        "environment": "StereoSlam/Drive-v0",
+        "arguments": env.options.as_dict(),
+        "seed": seed,
+        **drawn,
+        "versions": {name: _version(name) for name in ("stereo-slam-env", "numpy", "pybullet", "gymnasium")},
+    }
 
 
 def _version(package: str) -> str:

@@ -61,13 +61,16 @@ class TrackedPair:
         The measurements for the filter, ids ascending, each with its own R.
     search : Search
         How the landmarks of earlier pairs were followed.
+    corners : StereoObservation
+        New corners of this pair; those that stand still will be given to the filter after their probation.
     initialised : (K,) int64
-        Ids in `observation` that are new.
+        Ids in `observation` that are new to the filter.
     dropped : (L,) int64
         Ids that will not come again: out of view, missed too often, or moving.
     """
 
     observation: StereoObservation
     search: Search
+    corners: StereoObservation
     initialised: IntArray
     dropped: IntArray

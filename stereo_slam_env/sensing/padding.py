@@ -27,12 +27,18 @@ def padded(observation: StereoObservation, rows: int) -> dict[str, NDArray[Any]]
     return {"uvd": uvd, "ids": ids, "mask": mask}
 
 
-def padded_v_right(observation: StereoObservation, rows: int) -> dict[str, Any]:
-    """`v_right` as (rows,) float64, 0 where there is none, and whether it was measured: `v_right_measured`."""
-    v_right = np.zeros(rows)
-    if observation.v_right is not None:
-        v_right[: len(observation)] = observation.v_right
-    return {"v_right": v_right, "v_right_measured": observation.v_right is not None}
+def padded_extras(observation: StereoObservation, rows: int) -> dict[str, Any]:
+    """What not every sensor measures, 0 where there is none, and whether it was measured.
+
+    `v_right` (rows,) float64 px and `v_right_measured`; the covariances `R` (rows, 3, 3) float64 px^2 and `R_measured`.
+    """
+    extras: dict[str, Any] = {}
+    for name, values, shape in (("v_right", observation.v_right, ()), ("R", observation.R, (3, 3))):
+        extras[name] = np.zeros((rows, *shape))
+        if values is not None:
+            extras[name][: len(observation)] = values
+        extras[f"{name}_measured"] = values is not None
+    return extras
 
 
 def stereo_observation(observation: Mapping[str, Any], info: Mapping[str, Any] | None = None) -> StereoObservation:
@@ -43,14 +49,15 @@ def stereo_observation(observation: Mapping[str, Any], info: Mapping[str, Any] |
     observation : mapping
         From `reset` or `step`: `uvd`, `ids` and `mask`.
     info : mapping, optional
-        From the same call; its `v_right` is used where it was measured.
+        From the same call; its `v_right` and `R` are used where they were measured.
 
     Returns
     -------
     StereoObservation
     """
     seen = np.asarray(observation["mask"]).astype(bool)
-    v_right = None
-    if info is not None and info["v_right_measured"]:
-        v_right = np.asarray(info["v_right"], dtype=np.float64)[seen]
-    return StereoObservation(observation["ids"][seen], observation["uvd"][seen], v_right)
+    measured: dict[str, Any] = {}
+    for name in ("v_right", "R"):
+        if info is not None and info[f"{name}_measured"]:
+            measured[name] = np.asarray(info[name], dtype=np.float64)[seen]
+    return StereoObservation(observation["ids"][seen], observation["uvd"][seen], **measured)

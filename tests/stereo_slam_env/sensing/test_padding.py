@@ -5,7 +5,7 @@ import pytest
 
 from filters.interface import StereoObservation
 from stereo_slam_env import stereo_observation
-from stereo_slam_env.sensing.padding import padded, padded_v_right
+from stereo_slam_env.sensing.padding import padded, padded_extras
 
 UVD = [[10.0, 20.0, 3.0], [11.5, 21.0, -0.5]]
 
@@ -13,7 +13,7 @@ UVD = [[10.0, 20.0, 3.0], [11.5, 21.0, -0.5]]
 @pytest.mark.parametrize("v_right", [None, [20.5, 21.5]])
 def test_there_and_back(v_right):
     original = StereoObservation([3, 8], UVD, v_right)
-    arrays, info = padded(original, 5), padded_v_right(original, 5)
+    arrays, info = padded(original, 5), padded_extras(original, 5)
     back = stereo_observation(arrays, info)
     np.testing.assert_array_equal(back.ids, [3, 8])
     np.testing.assert_allclose(back.uvd, UVD, rtol=1e-6)
@@ -22,6 +22,15 @@ def test_there_and_back(v_right):
         assert back.v_right is None
     else:
         np.testing.assert_array_equal(back.v_right, v_right)
+
+
+def test_the_covariances_go_there_and_back():
+    R = np.stack([np.diag([0.1, 0.2, 0.3]), np.diag([0.4, 0.5, 0.6])])
+    original = StereoObservation([3, 8], UVD, R=R)
+    info = padded_extras(original, 5)
+    assert info["R"].shape == (5, 3, 3)
+    assert (info["R"][2:] == 0).all()
+    np.testing.assert_array_equal(stereo_observation(padded(original, 5), info).R, R)
 
 
 def test_without_info_there_is_no_right_row():

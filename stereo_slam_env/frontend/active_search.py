@@ -1,0 +1,73 @@
+"""Active search as in the paper: one filter's own forecast says where to look in the images."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+
+import numpy as np
+
+from filters.interface import StereoFilter, StereoObservation
+from stereo_slam_env.frontend.recorder import TYPICAL_NOISE
+from stereo_slam_env.frontend.settings import TrackerSettings
+from stereo_slam_env.frontend.tracked import TrackedPair
+from stereo_slam_env.frontend.tracker import StereoTracker
+from stereo_slam_env.image_sequence import ImageSequence, StereoPair
+from stereo_slam_env.recording import Frame, Recording
+
+_NOTHING = StereoObservation([], np.zeros((0, 3)))
+
+
+class ActiveSearch:
+    """Measures for one run of one filter: the images, and a front end that the filter guides.
+
+    Two filters get different measurements this way; for identical ones see `frontend.recorder`.
+
+    Parameters
+    ----------
+    sequence : ImageSequence
+        The images.
+    settings : TrackerSettings, optional
+        Of the front end.
+    """
+
+    def __init__(self, sequence: ImageSequence, settings: TrackerSettings | None = None) -> None:
+        self._sequence = sequence
+        self._settings = TrackerSettings() if settings is None else settings
+        self._tracker = StereoTracker(sequence.camera, self._settings)
+        self._pairs: Iterator[StereoPair] = iter(())
+        self._number = -1
+        self._time = 0.0
+        self.pair: StereoPair | None = None
+        """The last pair looked at."""
+        self.tracked: TrackedPair | None = None
+        """What was found in it."""
+
+    def recording(self, frames: tuple[Frame, ...]) -> Recording:
+        """The drive with the times, truth and odometry of `frames` and nothing measured yet."""
+        empty = tuple(dataclasses.replace(frame, observation=_NOTHING) for frame in frames)
+        source = {**self._sequence.source, "search": "forecast", "front_end": dataclasses.asdict(self._settings)}
+        sequence = self._sequence
+        return Recording(sequence.name, sequence.camera, empty, TYPICAL_NOISE, sequence.start, source=source)
+
+    def observe(self, number: int, estimator: StereoFilter) -> StereoObservation:
+        """Search pair `number` where `estimator`, already predicted, expects its landmarks; 0 starts again.
+
+        Raises
+        ------
+        ValueError
+            `number` does not follow the last one, or the sequence has ended.
+        """
+        if number == 0:
+            self._tracker.reset()
+            self._pairs, self._number = self._sequence.pairs(), -1
+        if number != self._number + 1:
+            raise ValueError(f"number must be 0 or {self._number + 1}, the next pair, got {number}")
+        pair = next(self._pairs, None)
+        if pair is None:
+            raise ValueError(f"number must be less than {number}: the sequence has no more pairs")
+        forecast = estimator.forecast() if number else None
+        dt = pair.timestamp - self._time if number else None
+        self.tracked = self._tracker.track(pair.left, pair.right, dt, forecast)
+        self.pair, self._number, self._time = pair, number, pair.timestamp
+        return self.tracked.observation

@@ -1,0 +1,83 @@
+"""What can be set of the front end."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from filters.validation import gate_probability, positive
+
+
+@dataclass(frozen=True)
+class TrackerSettings:
+    """How landmarks are found, followed and given up.
+
+    Attributes
+    ----------
+    max_landmarks : int
+        Most landmarks given to the filter in one pair.
+    refill_below : int
+        New ones are looked for when fewer than this are left.
+    nearest : float
+        Least depth of a new landmark, m.
+    min_disparity : float
+        Least disparity of a new landmark, px.
+    min_score : float
+        Least normalised correlation of a match, 0 to 1.
+    uniqueness : float
+        Most that the second best peak may have of the best one's correlation.
+    search_gate : float
+        Probability with which a landmark lies inside the ellipse that is searched.
+    max_radius : float
+        Half axis of the largest ellipse that is searched, px; where a forecast is less certain, the front end's own
+        is taken.
+    gate : float
+        Probability with which a standing landmark passes the test against the motion of the scene.
+    probation : int
+        Pairs in which a new landmark must pass that test before the filter gets it.
+    max_misses : int
+        Pairs in a row without a match after which a landmark is dropped.
+    margin : int
+        Distance to the edge of both images, px.
+    sigma_acceleration, sigma_angular_acceleration : float
+        By how much the motion may change between pairs, m/s^2 and rad/s^2 (as `filters.ConstantVelocity`).
+    sigma_floor : float
+        No pixel coordinate is believed to better than this, px.
+    """
+
+    max_landmarks: int = 100
+    refill_below: int = 85
+    nearest: float = 2.5
+    min_disparity: float = 1.0
+    min_score: float = 0.8
+    uniqueness: float = 0.92
+    search_gate: float = 0.99
+    max_radius: float = 24.0
+    gate: float = 0.999
+    probation: int = 2
+    max_misses: int = 2
+    margin: int = 8
+    sigma_acceleration: float = 3.0
+    sigma_angular_acceleration: float = 0.6
+    sigma_floor: float = 0.1
+
+    def __post_init__(self) -> None:
+        for name, low in (
+            ("max_landmarks", 1),
+            ("refill_below", 0),
+            ("probation", 0),
+            ("max_misses", 0),
+            ("margin", 8),
+        ):
+            value = getattr(self, name)
+            if type(value) is not int or value < low:
+                raise ValueError(f"{name} must be a whole number >= {low}, got {value!r}")
+        if self.refill_below > self.max_landmarks:
+            raise ValueError(
+                f"refill_below must be at most max_landmarks = {self.max_landmarks}, got {self.refill_below}"
+            )
+        for name in ("nearest", "min_disparity", "max_radius", "sigma_acceleration", "sigma_angular_acceleration",
+                     "sigma_floor"):  # fmt: skip
+            positive(name, getattr(self, name))
+        for name in ("min_score", "uniqueness", "search_gate", "gate"):
+            if gate_probability(getattr(self, name)) is None:
+                raise ValueError(f"{name} must be between 0 and 1, got None")

@@ -1,0 +1,60 @@
+"""The image sensor: looks at what the cameras see, and lets the front end measure landmarks in it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from filters.camera import StereoCamera
+from filters.interface import StereoObservation
+from filters.validation import FloatArray, IntArray
+from stereo_slam_env.frontend.settings import TrackerSettings
+from stereo_slam_env.frontend.tracked import TrackedPair
+from stereo_slam_env.frontend.tracker import StereoTracker
+from stereo_slam_env.recording import LandmarkTruth, Pose
+from stereo_slam_env.rendering.camera_effects import grey
+from stereo_slam_env.rendering.images import StereoImages
+from stereo_slam_env.rendering.truth import landmark_points
+from stereo_slam_env.world.routes import FRAME_PERIOD
+
+
+class ImageSensor:
+    """Measures landmarks in rendered pairs.
+
+    Parameters
+    ----------
+    camera : StereoCamera
+        The rig.
+    take_pair : callable
+        Returns what the rig sees now.
+    settings : TrackerSettings
+        Of the front end.
+    """
+
+    def __init__(
+        self, camera: StereoCamera, take_pair: Callable[[], StereoImages], settings: TrackerSettings
+    ) -> None:
+        self.camera = camera
+        self._take_pair = take_pair
+        self._tracker = StereoTracker(camera, settings)
+        self._ids: list[IntArray] = [np.zeros(0, dtype=np.int64)]
+        self._points: list[FloatArray] = [np.zeros((0, 3))]
+        self.tracked: TrackedPair | None = None
+        """What the front end found in the last pair."""
+
+    def observe(self, pose: Pose) -> StereoObservation:
+        """Follow the landmarks to the pair taken now, from `pose`, one frame after the previous one."""
+        images = self._take_pair()
+        self.tracked = self._tracker.track(grey(images.left), grey(images.right), FRAME_PERIOD)
+        corners = self.tracked.corners
+        points_w = landmark_points(self.camera, pose, images.depth, corners.uvd[:, :2])
+        known = np.isfinite(points_w).all(axis=1)
+        self._ids.append(corners.ids[known])
+        self._points.append(points_w[known])
+        return self.tracked.observation
+
+    @property
+    def landmarks(self) -> LandmarkTruth:
+        """Where the corners found so far truly are, as far as the render tells: not at the edges of things."""
+        return LandmarkTruth(np.concatenate(self._ids), np.concatenate(self._points))
