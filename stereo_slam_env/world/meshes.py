@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, singledispatch
 
@@ -10,15 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from filters.validation import FloatArray
-from stereo_slam_env.world.scene import Box, Cylinder, Ground, Material, Ribbon, Scene, Sphere
+from stereo_slam_env.world.scene import Box, Cylinder, Ground, Material, MovingBody, Primitive, Ribbon, Scene, Sphere
 
 _GROUND_CELL = 47.3
 _SEGMENTS = 12
+Drawn = Ground | Ribbon | Primitive
 
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """Triangles in S.
+    """Triangles in S, or in the frame of a moving body.
 
     Attributes
     ----------
@@ -37,9 +39,18 @@ class Mesh:
 
 
 def scene_meshes(scene: Scene) -> dict[Material, Mesh]:
-    """One mesh for each material of the scene."""
+    """One mesh in S for each material of what stands still in the scene."""
+    return _by_material((scene.ground, *scene.ribbons, *scene.primitives))
+
+
+def body_meshes(body: MovingBody) -> dict[Material, Mesh]:
+    """One mesh in the frame of the body for each of its materials; `body.pose_at(time)` tells where that is."""
+    return _by_material(body.parts)
+
+
+def _by_material(shapes: Sequence[Drawn]) -> dict[Material, Mesh]:
     parts: defaultdict[Material, list[Mesh]] = defaultdict(list)
-    for shape in (scene.ground, *scene.ribbons, *scene.primitives):
+    for shape in shapes:
         parts[shape.material].append(mesh(shape))
     return {material: _merged(meshes) for material, meshes in parts.items()}
 
