@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, singledispatch
 
@@ -10,15 +11,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from filters.validation import FloatArray
-from stereo_slam_env.world.scene import Box, Cylinder, Ground, Material, Ribbon, Scene, Sphere
+from stereo_slam_env.world.scene import Box, Cylinder, Ground, Material, MovingBody, Primitive, Ribbon, Scene, Sphere
 
 _GROUND_CELL = 47.3
 _SEGMENTS = 12
+_MATERIAL = "look"
+Drawn = Ground | Ribbon | Primitive
 
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """Triangles in S.
+    """Triangles in S, or in the frame of a moving body.
 
     Attributes
     ----------
@@ -37,9 +40,18 @@ class Mesh:
 
 
 def scene_meshes(scene: Scene) -> dict[Material, Mesh]:
-    """One mesh for each material of the scene."""
+    """One mesh in S for each material of what stands still in the scene."""
+    return _by_material((scene.ground, *scene.ribbons, *scene.primitives))
+
+
+def body_meshes(body: MovingBody) -> dict[Material, Mesh]:
+    """One mesh in the frame of the body for each of its materials; `body.pose_at(time)` tells where that is."""
+    return _by_material(body.parts)
+
+
+def _by_material(shapes: Sequence[Drawn]) -> dict[Material, Mesh]:
     parts: defaultdict[Material, list[Mesh]] = defaultdict(list)
-    for shape in (scene.ground, *scene.ribbons, *scene.primitives):
+    for shape in shapes:
         parts[shape.material].append(mesh(shape))
     return {material: _merged(meshes) for material, meshes in parts.items()}
 
@@ -157,8 +169,8 @@ def _ground(shape: Ground) -> Mesh:
     return Mesh(vertices, normals, uvs, _grid_triangles(cells[1] + 1, cells[0] + 1))
 
 
-def obj_text(shape: Mesh) -> str:
-    """The mesh as a Wavefront OBJ file."""
+def obj_text(shape: Mesh, library: str | None = None) -> str:
+    """The mesh as a Wavefront OBJ file, with the material of the MTL file `library` if there is one."""
     corners = np.repeat(shape.triangles + 1, 3, axis=1)  # the same index for vertex, texture and normal
     parts = [
         ("v %.4f %.4f %.4f\n", shape.vertices),
@@ -166,7 +178,13 @@ def obj_text(shape: Mesh) -> str:
         ("vn %.3f %.3f %.3f\n", shape.normals),
         ("f %d/%d/%d %d/%d/%d %d/%d/%d\n", corners),
     ]
-    return "".join((line * len(rows)) % tuple(rows.ravel().tolist()) for line, rows in parts)
+    head = "" if library is None else f"mtllib {library}\nusemtl {_MATERIAL}\n"
+    return head + "".join((line * len(rows)) % tuple(rows.ravel().tolist()) for line, rows in parts)
+
+
+def mtl_text(picture: str) -> str:
+    """A Wavefront MTL file with one material, which shows `picture` (path relative to the file)."""
+    return f"newmtl {_MATERIAL}\nmap_Kd {picture}\n"
 
 
 def _grid_triangles(rows: int, columns: int) -> NDArray[np.int64]:

@@ -26,11 +26,14 @@ class Material:
         Name in `world.textures.TEXTURES`; None for a plain colour.
     tile : (2,) tuple
         Size of one repeat of the texture, m (along, up).
+    variant : int
+        Which version of the texture, from 0 to `world.textures.VARIANTS` - 1.
     """
 
     color: Vector
     texture: str | None = None
     tile: tuple[float, float] = (1.0, 1.0)
+    variant: int = 0
 
 
 @dataclass(frozen=True)
