@@ -50,5 +50,5 @@ $(VENV)/.installed: pyproject.toml | $(BIN)/python
 	@touch $@
 
 $(VENV)/.installed-dev: pyproject.toml | $(BIN)/python
-	@$(PIP) --editable '.[dev,gtsam,evo,fast]'
+	@$(PIP) --editable '.[dev,gtsam,evo,fast,gl]'
 	@touch $@ $(VENV)/.installed
