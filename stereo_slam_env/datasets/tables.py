@@ -11,7 +11,9 @@ from scipy.spatial.transform import Rotation
 from filters.validation import FloatArray
 
 
-def read_table(path: Path, columns: int, *, delimiter: str | None = None, header_lines: int = 0) -> FloatArray:
+def read_table(
+    path: Path, columns: int, *, delimiter: str | None = None, header_lines: int = 0, finite: bool = True
+) -> FloatArray:
     """Read a numeric table.
 
     Parameters
@@ -24,6 +26,8 @@ def read_table(path: Path, columns: int, *, delimiter: str | None = None, header
         None for white space.
     header_lines : int
         Lines to skip.
+    finite : bool
+        Whether NaN and infinity are refused.
 
     Returns
     -------
@@ -32,7 +36,7 @@ def read_table(path: Path, columns: int, *, delimiter: str | None = None, header
     Raises
     ------
     ValueError
-        Not a table of that width, empty, or with NaN or infinity: the message names the file and the row.
+        Not a table of that width, empty, or, where `finite`, with NaN or infinity: the message names file and row.
     """
     try:
         table = np.loadtxt(path, dtype=np.float64, delimiter=delimiter, skiprows=header_lines, ndmin=2)
@@ -42,7 +46,8 @@ def read_table(path: Path, columns: int, *, delimiter: str | None = None, header
         raise ValueError(f"{path} is empty: {columns} numbers a row were expected")
     if table.shape[1] != columns:
         raise ValueError(f"{path} has {table.shape[1]} columns where {columns} were expected")
-    require_finite_rows(path, table)
+    if finite:
+        require_finite_rows(path, table)
     return table
 
 

@@ -1,0 +1,112 @@
+"""Readers of stereo image recordings. Each yields an `ImageSequence`, as rendered drives are.
+
+To add a layout: a module with `NAME`, `FILES`, `recognises(path)` and `open_sequence(path, **options)`, listed in
+`IMAGE_READERS`. An entry of `FILES` names what tells a folder of this layout; `a|b` is either, `*` stands for anything.
+"""
+
+from __future__ import annotations
+
+import difflib
+import inspect
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from stereo_slam_env.datasets.images import kitti06_stereo51, kitti_odometry
+from stereo_slam_env.datasets.images.broken import BrokenPair
+from stereo_slam_env.datasets.images.sequence import RecordedSequence
+
+IMAGE_READERS: tuple[ModuleType, ...] = (kitti06_stereo51, kitti_odometry)
+_DEPTH = 2
+"""How many levels below the given folder recordings are looked for."""
+
+__all__ = ["IMAGE_READERS", "BrokenPair", "RecordedSequence", "known_image_layouts", "open_image_sequence", "reader_of"]
+
+
+def known_image_layouts() -> dict[str, str]:
+    """What `open_image_sequence` takes: name -> the files that tell a folder of this layout."""
+    return {reader.NAME: "folder with " + ", ".join(reader.FILES) for reader in IMAGE_READERS}
+
+
+def reader_of(path: str | Path) -> ModuleType | None:
+    """The reader whose layout the folder has, if any."""
+    folder = Path(path)
+    if not folder.is_dir():
+        return None
+    return next((reader for reader in IMAGE_READERS if reader.recognises(folder)), None)
+
+
+def open_image_sequence(path: str | Path, **options: Any) -> RecordedSequence:
+    """Open a recording of stereo images; the layout is recognised by the files in the folder.
+
+    Parameters
+    ----------
+    path : str or Path
+        A folder of a known layout, or one that holds exactly one such folder, up to two levels down.
+    **options
+        Options of the reader, see its `open_sequence`. All readers have `first`, `last` (frame numbers, both included)
+        and `on_broken` ("raise", or "skip" to leave broken pairs out and count them in `skipped`).
+
+    Raises
+    ------
+    ValueError
+        No such folder, no known layout, an unknown option, or something is missing or damaged: one line that names it.
+    """
+    folder = Path(path)
+    if not folder.is_dir():
+        what = "is a file, not a folder" if folder.exists() else "does not exist"
+        raise ValueError(f"{folder} {what}: give a folder of a known layout ({_layouts()})")
+    reader = reader_of(folder)
+    if reader is None:
+        inside = _recordings_inside(folder)
+        if len(inside) > 1:
+            names = ", ".join(str(found.relative_to(folder)) for found in inside)
+            raise ValueError(f"{folder} holds {len(inside)} recordings, give one of them: {names}")
+        if not inside:
+            raise ValueError(f"{folder} has no known layout: {_nearest(folder)}known are {_layouts()}")
+        folder = inside[0]
+        reader = reader_of(folder)
+    assert reader is not None
+    _check_options(reader, options)
+    sequence: RecordedSequence = reader.open_sequence(folder, **options)
+    return sequence
+
+
+def _recordings_inside(folder: Path) -> list[Path]:
+    level, found = [folder], []
+    for _ in range(_DEPTH):
+        level = [child for parent in level for child in sorted(parent.iterdir()) if child.is_dir()]
+        found += [child for child in level if reader_of(child)]
+    return found
+
+
+def _check_options(reader: ModuleType, options: dict[str, Any]) -> None:
+    parameters = inspect.signature(reader.open_sequence).parameters
+    known = [name for name, p in parameters.items() if p.kind is inspect.Parameter.KEYWORD_ONLY]
+    for option in options:
+        if option not in known:
+            near = difflib.get_close_matches(option, known, n=1)
+            hint = f", did you mean {near[0]}?" if near else ""
+            raise ValueError(f"the reader {reader.NAME} has no option {option!r}{hint} Known: {', '.join(known)}")
+
+
+def _layouts() -> str:
+    return "; ".join(f"{name}: {what}" for name, what in known_image_layouts().items())
+
+
+def _nearest(folder: Path) -> str:
+    """Say what is missing when the folder has a part of a layout."""
+    present = {reader: [name for name in reader.FILES if _holds(folder, name)] for reader in IMAGE_READERS}
+    reader = max(IMAGE_READERS, key=lambda reader: len(present[reader]) / len(reader.FILES))
+    if not present[reader]:
+        return ""
+    missing = [name for name in reader.FILES if name not in present[reader]]
+    return f"for {reader.NAME} it lacks {', '.join(missing)}; "
+
+
+def _holds(folder: Path, names: str) -> bool:
+    for name in names.split("|"):
+        parent = folder.parent if name.startswith("../") else folder
+        if any(parent.glob(name.removeprefix("../"))):
+            return True
+    return False

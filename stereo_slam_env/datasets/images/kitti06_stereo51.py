@@ -1,0 +1,101 @@
+"""The first 51 stereo pairs of KITTI odometry 06, with velocities of the INS.
+
+Layout: `image_l/NNNNNN.png`, `image_r/NNNNNN.png`; `calib.txt` with two rows, the 3x4 projection matrices of left and
+right; `poses.txt`, T_world_cam of the left camera; `odometry_oxts.csv` (t_s, vx, vy, vz, wx, wy, wz in the IMU frame: x
+forward, y left, z up). Row k of the velocities has the time of frame k and describes the step from frame k - 1 to k.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stereo_slam_env.datasets.images.broken import Faults, OnBroken
+from stereo_slam_env.datasets.images.calibration import rectified_rig
+from stereo_slam_env.datasets.images.frames import Eye, Times, Truth, poses_of_rows, usable_pairs
+from stereo_slam_env.datasets.images.image_files import image_size, numbered_images
+from stereo_slam_env.datasets.images.odometry import noisy_camera_velocities
+from stereo_slam_env.datasets.images.sequence import RecordedSequence
+from stereo_slam_env.datasets.tables import read_table
+
+NAME = "kitti06_stereo51"
+FILES = ("image_l", "image_r", "calib.txt", "poses.txt", "odometry_oxts.csv")
+R_CI = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+P_I = np.array([1.1, -0.3, 0.7])
+"""How the camera sits in the IMU frame (m), to some centimetres and a degree: far below the noise of the odometry."""
+
+
+def recognises(path: Path) -> bool:
+    """Whether the folder has this layout."""
+    return all((path / name).exists() for name in FILES)
+
+
+def open_sequence(
+    path: Path,
+    *,
+    first: int | None = None,
+    last: int | None = None,
+    on_broken: OnBroken = "raise",
+    sigma_linear: float = 0.5,
+    sigma_angular: float = 0.05,
+    odometry_seed: int = 0,
+) -> RecordedSequence:
+    """Open the folder.
+
+    Parameters
+    ----------
+    path : Path
+        Folder with the files named in `FILES`.
+    first, last : int, optional
+        Frame numbers to start and to end with, both included.
+    on_broken : {"raise", "skip"}
+        What to do about a pair that cannot be used.
+    sigma_linear, sigma_angular : float
+        White noise that is added to the velocities, m/s and rad/s per axis.
+    odometry_seed : int
+        Of that noise.
+
+    Raises
+    ------
+    ValueError
+        Something is missing, damaged or contradictory: one line that names the file.
+    """
+    faults = Faults(on_broken)
+    left, right = (Eye(folder := path / name, numbered_images(folder)) for name in FILES[:2])
+    calibration, velocities = path / "calib.txt", path / "odometry_oxts.csv"
+    projections = read_table(calibration, 12)
+    if len(projections) != 2:
+        raise ValueError(f"{calibration} has {len(projections)} rows where 2 projection matrices were expected")
+    table = read_table(velocities, 7, delimiter=",", header_lines=1, finite=False)
+    frames_stored = max([*left.files, *right.files], default=-1) + 1
+    times = Times(velocities, table[:frames_stored, 0])  # one row more than frames
+    truth = Truth(path / "poses.txt", poses_of_rows(read_table(path / "poses.txt", 12, finite=False)))
+    odometry = noisy_camera_velocities(
+        np.nan_to_num(table[:, 1:4]),
+        np.nan_to_num(table[:, 4:7]),
+        R_CI,
+        P_I,
+        sigma_linear=sigma_linear,
+        sigma_angular=sigma_angular,
+        seed=odometry_seed,
+    )
+    steps = [step if np.isfinite(row).all() else None for step, row in zip(odometry, table, strict=True)]
+    frames = usable_pairs((left, right), times, faults, truth=truth, odometry=steps, first=first, last=last)
+    rig = rectified_rig(
+        calibration, projections[0].reshape(3, 4), projections[1].reshape(3, 4), image_size(frames[0].left)
+    )
+    source: dict[str, Any] = {
+        "reader": NAME,
+        "path": str(path),
+        "first": frames[0].number,
+        "last": frames[-1].number,
+        "on_broken": on_broken,
+        "truth": "KITTI ground truth (GPS/INS)",
+        "odometry": "INS velocities with white noise added",
+        "sigma_linear_m_s": float(sigma_linear),
+        "sigma_angular_rad_s": float(sigma_angular),
+        "odometry_seed": int(odometry_seed),
+    }
+    return RecordedSequence(NAME, rig.camera, frames, faults, source)

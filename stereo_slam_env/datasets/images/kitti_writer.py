@@ -1,0 +1,138 @@
+"""Any image sequence as a KITTI odometry sequence, so that other people's SLAM systems can be run on it."""
+
+from __future__ import annotations
+
+import json
+import logging
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from filters import rotations
+from filters.camera import StereoCamera
+from filters.validation import FloatArray
+from stereo_slam_env.datasets.images.kitti_odometry import poses_file
+from stereo_slam_env.image_sequence import GreyImage, ImageSequence, StereoPair
+from stereo_slam_env.recording import Pose
+
+PARTIAL = ".partial"
+"""Ending of the folder of a sequence that is not yet complete."""
+
+log = logging.getLogger(__name__)
+
+
+def write_kitti_sequence(
+    sequence: ImageSequence,
+    out: str | Path,
+    name: str = "00",
+    *,
+    on_pair: Callable[[int, int], None] | None = None,
+) -> Path:
+    """Write `out/sequences/NAME` (images, calibration, times) and `out/poses/NAME.txt`.
+
+    Everything is written into `out/sequences/NAME.partial` and renamed at the end: a folder without that ending is
+    complete. True poses are written where every pair has one. Odometry has no place in this layout and is left out.
+    `source.json`, which is no part of it, says where the images come from.
+
+    Parameters
+    ----------
+    sequence : ImageSequence
+        What to write; it is read once.
+    out : str or Path
+        Folder for `sequences` and `poses`; other sequences in it stay.
+    name : str
+        Name of the sequence, two digits in the benchmark.
+    on_pair : callable, optional
+        Called after every pair with the number written and the number expected.
+
+    Returns
+    -------
+    Path
+        `out/sequences/NAME`.
+
+    Raises
+    ------
+    ValueError
+        The sequence is there already, or a part of it from a writing that was interrupted; the name is no file name; an
+        image is not of the camera's size; there are no pairs.
+    """
+    if not name or Path(name).name != name or name.startswith("."):
+        raise ValueError(f"name must be a plain folder name such as '00', got {name!r}")
+    final = Path(out) / "sequences" / name
+    partial, poses = final.with_name(name + PARTIAL), poses_file(final)
+    _require_free(final, partial, poses)
+    for eye in (0, 1):
+        (partial / f"image_{eye}").mkdir(parents=True)
+    times: list[float] = []
+    truth: list[Pose | None] = []
+    for number, pair in enumerate(sequence.pairs()):
+        _write_images(partial, number, pair, sequence.camera)
+        times.append(pair.timestamp)
+        truth.append(pair.truth)
+        if on_pair is not None:
+            on_pair(number + 1, len(sequence))
+    if not times:
+        raise ValueError(f"sequence {sequence.name!r} has no pairs: nothing was written but the empty {partial}")
+    (partial / "calib.txt").write_text(_calibration(sequence.camera))
+    (partial / "times.txt").write_text("".join(f"{time:.17g}\n" for time in times))
+    (partial / "source.json").write_text(json.dumps({"name": sequence.name, **sequence.source}, indent=2) + "\n")
+    known = [pose for pose in truth if pose is not None]
+    if len(known) == len(truth):
+        poses.parent.mkdir(exist_ok=True)
+        poses.write_text(_pose_rows(known))
+    elif known:
+        log.warning("%s not written: %d of %d pairs have no true pose", poses, len(truth) - len(known), len(truth))
+    if final.exists():
+        final.rmdir()
+    partial.rename(final)
+    return final
+
+
+def _require_free(final: Path, partial: Path, poses: Path) -> None:
+    if partial.exists():
+        raise ValueError(f"{partial} was left by a writing that was interrupted: remove it, then write again")
+    if final.exists() and (not final.is_dir() or any(final.iterdir())):
+        raise ValueError(f"{final} is not empty: choose another name or folder, or remove it")
+    if poses.exists():
+        raise ValueError(f"{poses} is there already: choose another name or folder, or remove it")
+
+
+def _write_images(folder: Path, number: int, pair: StereoPair, camera: StereoCamera) -> None:
+    for eye, image in enumerate((pair.left, pair.right)):
+        path = folder / f"image_{eye}" / f"{number:06d}.png"
+        if image.dtype != np.uint8 or image.shape != (camera.height, camera.width):
+            raise ValueError(
+                f"pair {number} cannot be written to {path}: its images must be uint8 of shape "
+                f"{(camera.height, camera.width)}, got {image.dtype} of shape {image.shape}"
+            )
+        path.write_bytes(_png(image))
+
+
+def _png(image: GreyImage) -> bytes:
+    done, data = cv2.imencode(".png", image)
+    if not done:
+        raise ValueError("OpenCV could not encode an image as PNG: install opencv-python-headless with PNG support")
+    return bytes(data)
+
+
+def _calibration(camera: StereoCamera) -> str:
+    """P0 to P3; the colour cameras of the benchmark, 2 and 3, sit where the grey ones are."""
+
+    def projection(offset: float) -> FloatArray:
+        return np.array(
+            [[camera.fx, 0.0, camera.cx, offset], [0.0, camera.fy, camera.cy, 0.0], [0.0, 0.0, 1.0, 0.0]]
+        )
+
+    eyes = (projection(0.0), projection(-camera.disparity_constant))
+    return "".join(f"P{n}: {_row(eyes[n % 2].ravel())}\n" for n in range(4))
+
+
+def _pose_rows(poses: Sequence[Pose]) -> str:
+    rows = (np.column_stack([rotations.matrix(pose.orientation), pose.position]) for pose in poses)
+    return "".join(f"{_row(row.ravel())}\n" for row in rows)
+
+
+def _row(numbers: FloatArray) -> str:
+    return " ".join(f"{number:.17g}" for number in numbers)
