@@ -1,0 +1,351 @@
+"""Finding patches in an image by zero-mean normalised cross-correlation, to a fraction of a pixel.
+
+`best_peaks` correlates every template with a window of its own, all windows of a size at once, by the fast Fourier
+transform. `refine` then maximises the correlation over positions between the pixels. `search` is active search: the
+candidates of a landmark are the pixels of its innovation ellipse.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import fft
+
+from filters.validation import BoolArray, FloatArray, IntArray, finite_array
+from stereo_slam_env.frontend.patches import PATCH, Image, Patches, cut_patches, windows_at
+
+Candidates = Callable[[IntArray, IntArray, IntArray], BoolArray]
+"""(index (n,), u (n, w), v (n, h)) -> (n, h, w): which pixels the landmarks `index` may be found at."""
+
+_RADIUS = PATCH // 2
+_PIXELS = PATCH * PATCH
+_FLAT = 1.0
+"""Standard deviation below which a patch is noise, not texture: it correlates with nothing, grey levels."""
+_LENGTHS = np.array([15, 21, 27, 35, 45, 60, 80, 108, 144, 192, 256, 324, 432, 576, 768, 1024, 1350, 1800, 2400])
+"""Sides of the windows: quick to transform, so that a small region does not pay for a large one."""
+_ITERATIONS = 3
+_SIGMA_FLOOR = 0.03
+"""What interpolation and warping leave even without noise, px."""
+_NEIGHBOURHOOD = 2
+"""A second peak nearer than this belongs to the first, px."""
+
+
+@dataclass(frozen=True, eq=False)
+class Peaks:
+    """The best candidate pixel of each template.
+
+    Attributes
+    ----------
+    pixel : (N, 2) int64
+        (u, v); meaningless where `score` is -1.
+    score : (N,)
+        Correlation there, raised to the top of the parabolas through its neighbours; -1 where there was no candidate.
+    second : (N,)
+        The same of the best other local maximum among the candidates; -1 where there is none.
+    offset : (N, 2)
+        From the pixel to the top of the parabolas, px, within 0.5.
+    rising : (N,) bool
+        The correlation is larger right beside the pixel, where there are no candidates.
+    """
+
+    pixel: IntArray
+    score: FloatArray
+    second: FloatArray
+    offset: FloatArray
+    rising: BoolArray
+
+
+@dataclass(frozen=True, eq=False)
+class Refined:
+    """Positions between the pixels.
+
+    Attributes
+    ----------
+    position : (N, 2)
+        (u, v), px.
+    score : (N,)
+        Correlation there.
+    covariance : (N, 2, 2)
+        Of the position, px^2.
+    """
+
+    position: FloatArray
+    score: FloatArray
+    covariance: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class SearchResult:
+    """Where templates were found.
+
+    Attributes
+    ----------
+    position : (N, 2)
+        (u, v), px; NaN where there was no candidate inside the image.
+    score : (N,)
+        Correlation there; -1 where there was no candidate.
+    second : (N,)
+        Best correlation of another peak inside the ellipse, near `score` if the match is not unique; -1 without one.
+    on_border : (N,) bool
+        The correlation still rises where the ellipse ends: the landmark may be outside it.
+    covariance : (N, 2, 2)
+        Of the position, px^2; NaN where there was no candidate.
+    """
+
+    position: FloatArray
+    score: FloatArray
+    second: FloatArray
+    on_border: BoolArray
+    covariance: FloatArray
+
+
+def search(
+    image: Image,
+    templates: Patches,
+    centers: ArrayLike,
+    S: ArrayLike,
+    *,
+    gate: float = 3.0,
+    max_radius: float = 40.0,
+) -> SearchResult:
+    """Find templates inside their innovation ellipses.
+
+    Parameters
+    ----------
+    image : (H, W) uint8
+        Grey image.
+    templates : (N, 11, 11) float32
+        How the surroundings of the landmarks should look.
+    centers : (N, 2) array_like
+        Expected (u, v), px.
+    S : (N, 2, 2) array_like
+        Innovation covariance, px^2.
+    gate : float
+        Radius of the ellipse in standard deviations: candidates x have (x - c)^T S^-1 (x - c) <= gate^2, with half a
+        pixel's diagonal added, so that there is always one.
+    max_radius : float
+        No candidate is further away than this in u or v, px.
+
+    Returns
+    -------
+    SearchResult
+
+    Raises
+    ------
+    ValueError
+        Wrong shapes, NaN or infinity.
+    """
+    c = finite_array("centers", centers, (len(templates), 2))
+    covariance = finite_array("S", S, (len(templates), 2, 2))
+    reach = covariance + (np.sqrt(0.5) / gate) ** 2 * np.eye(2)
+    precision = np.linalg.inv(reach)
+    extent = np.minimum(gate * np.sqrt(np.diagonal(reach, axis1=1, axis2=2)), max_radius)
+
+    def inside(index: IntArray, u: IntArray, v: IntArray) -> BoolArray:
+        du, dv = u - c[index, :1], v - c[index, 1:]
+        P = precision[index]
+        squared = (P[:, 0, 0, None] * du**2)[:, None, :] + (P[:, 1, 1, None] * dv**2)[:, :, None]
+        squared += (2.0 * P[:, 0, 1, None] * dv)[:, :, None] * du[:, None, :]
+        near_u, near_v = np.abs(du) <= extent[index, :1], np.abs(dv) <= extent[index, 1:]
+        allowed: BoolArray = (squared <= gate**2) & near_u[:, None, :] & near_v[:, :, None]
+        return allowed
+
+    peaks = best_peaks(image, templates, np.ceil(c - extent), np.floor(c + extent), inside)
+    found = peaks.score > -1.0
+    position, score = np.full(c.shape, np.nan), np.full(len(c), -1.0)
+    spread = np.full((len(c), 2, 2), np.nan)
+    refined = refine(image, templates[found], peaks.pixel[found], peaks.offset[found])
+    position[found], score[found], spread[found] = refined.position, refined.score, refined.covariance
+    away = position - c
+    with np.errstate(invalid="ignore"):
+        outside = np.einsum("ni,nij,nj->n", away, precision, away) > gate**2
+    return SearchResult(position, score, peaks.second, peaks.rising | outside, spread)
+
+
+def best_peaks(
+    image: Image, templates: Patches, low: FloatArray, high: FloatArray, candidates: Candidates | None = None
+) -> Peaks:
+    """The best pixel of each template in a box, or in a part of it.
+
+    Parameters
+    ----------
+    image : (H, W) uint8
+        Grey image. Only pixels with the whole patch inside are candidates.
+    templates : (N, 11, 11) float32
+        What to look for.
+    low, high : (N, 2)
+        First and last (u, v) of the box, whole px.
+    candidates : callable, optional
+        Which pixels count; None: all in the box.
+
+    Returns
+    -------
+    Peaks
+    """
+    n, bounds = len(templates), (image.shape[1] - 1 - _RADIUS, image.shape[0] - 1 - _RADIUS)
+    first = np.maximum(low, _RADIUS).astype(np.int64)
+    last = np.minimum(high, bounds).astype(np.int64)
+    peaks = Peaks(np.zeros((n, 2), dtype=np.int64), np.full(n, -1.0), np.full(n, -1.0), np.zeros((n, 2)),
+                  np.zeros(n, dtype=np.bool_))  # fmt: skip
+    needed = last - first + PATCH + 2  # candidates, a ring of one around them, and their patches
+    kinds = np.minimum(np.searchsorted(_LENGTHS, needed), len(_LENGTHS) - 1)
+    possible = np.flatnonzero((last >= first).all(axis=1))
+    for kind in np.unique(kinds[possible], axis=0):
+        index = possible[(kinds[possible] == kind).all(axis=1)]
+        width, height = np.minimum(_LENGTHS[kind], (image.shape[1], image.shape[0])).tolist()
+        origin = np.clip(first[index] - _RADIUS - 1, 0, (image.shape[1] - width, image.shape[0] - height))
+        scores = correlation_maps(windows_at(image, origin, height, width), templates[index])
+        u = origin[:, :1] + _RADIUS + np.arange(scores.shape[2])
+        v = origin[:, 1:] + _RADIUS + np.arange(scores.shape[1])
+        allowed = ((u >= first[index, :1]) & (u <= last[index, :1]))[:, None, :] & (
+            (v >= first[index, 1:]) & (v <= last[index, 1:])
+        )[:, :, None]
+        if candidates is not None:
+            allowed &= candidates(index, u, v)
+        _note_peaks(peaks, index, scores, allowed, origin + _RADIUS)
+    return peaks
+
+
+def correlation_maps(windows: Image, templates: Patches) -> Patches:
+    """Zero-mean normalised cross-correlation of each template with its window, at every position inside.
+
+    Parameters
+    ----------
+    windows : (n, H, W) uint8
+        H and W at least 11.
+    templates : (n, 11, 11) float32
+
+    Returns
+    -------
+    (n, H - 10, W - 10) float32
+        In -1..1; [i, y, x] compares the patch whose first pixel is window[y, x].
+    """
+    n, height, width = windows.shape
+    template = templates - templates.mean(axis=(1, 2), keepdims=True)
+    # The template has no mean, so shifting the grey values changes nothing but the rounding.
+    spectrum = fft.rfft2(windows - np.float32(128.0))
+    spectrum *= np.conj(fft.rfft2(template, (height, width)))
+    product = fft.irfft2(spectrum, (height, width))[:, : height - PATCH + 1, : width - PATCH + 1]
+    stacked = np.ascontiguousarray(windows).reshape(n * height, width)
+    box, corner = (PATCH, PATCH), (0, 0)
+    sums = cv2.boxFilter(stacked, cv2.CV_32F, box, anchor=corner, normalize=False)
+    squares = cv2.sqrBoxFilter(stacked, cv2.CV_32F, box, anchor=corner, normalize=False)
+    energy = squares.reshape(windows.shape)[:, : product.shape[1], : product.shape[2]].astype(np.float64)
+    energy -= sums.reshape(windows.shape)[:, : product.shape[1], : product.shape[2]].astype(np.float64) ** 2 / _PIXELS
+    flat = _PIXELS * _FLAT**2
+    own = np.maximum(np.einsum("nij,nij->n", template, template), flat)
+    return np.asarray(product / np.sqrt(np.maximum(energy, flat) * own[:, None, None]), dtype=np.float32)
+
+
+def _note_peaks(peaks: Peaks, index: IntArray, scores: Patches, allowed: BoolArray, origin: IntArray) -> None:
+    """Write the peaks of one group of score maps (n, h, w) into the rows `index`."""
+    n, h, w = scores.shape
+    padded = np.full((n, h + 2, w + 2), -1.0, dtype=np.float32)
+    padded[:, 1:-1, 1:-1] = scores
+    beside = np.maximum(np.maximum(padded[:, :, :-2], padded[:, :, 2:]), padded[:, :, 1:-1])
+    around = np.maximum(np.maximum(beside[:, :-2], beside[:, 2:]), beside[:, 1:-1])
+    each = np.arange(n)
+    eligible = np.where(allowed, scores, -np.inf).reshape(n, -1)
+    best = eligible.argmax(axis=1)
+    y, x = np.divmod(best, w)
+    found = eligible[each, best] > -np.inf
+    rows, columns = np.arange(h), np.arange(w)
+    near = (np.abs(rows - y[:, None]) <= _NEIGHBOURHOOD)[:, :, None]
+    near = near & (np.abs(columns - x[:, None]) <= _NEIGHBOURHOOD)[:, None, :]
+    others = np.where(allowed & (scores >= around) & ~near, scores, -np.inf).reshape(n, -1)
+    other = others.argmax(axis=1)
+    top, offset = _parabola_top(padded, y + 1, x + 1)
+    second, _ = _parabola_top(padded, *(np.array(np.divmod(other, w)) + 1))
+    peaks.pixel[index] = np.stack([x, y], axis=1) + origin
+    peaks.score[index] = np.where(found, top, -1.0)
+    peaks.second[index] = np.where(others[each, other] > -np.inf, second, -1.0)
+    peaks.offset[index] = offset
+    peaks.rising[index] = found & (scores[each, y, x] < around[each, y, x])
+
+
+def _parabola_top(padded: Patches, y: IntArray, x: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Height (n,) and place (n, 2) of the tops of the parabolas along u and v through a pixel of each map."""
+    each = np.arange(len(padded))
+    middle = padded[each, y, x].astype(np.float64)
+    before = np.stack([padded[each, y, x - 1], padded[each, y - 1, x]], axis=1).astype(np.float64)
+    after = np.stack([padded[each, y, x + 1], padded[each, y + 1, x]], axis=1).astype(np.float64)
+    bend = 2.0 * middle[:, None] - before - after
+    slope = 0.5 * (after - before)
+    peaked = (bend > 1e-6) & (np.abs(slope) <= 0.5 * bend)
+    offset = np.where(peaked, slope / np.where(peaked, bend, 1.0), 0.0)
+    return np.minimum(middle + 0.5 * (slope * offset).sum(axis=1), 1.0), offset
+
+
+def refine(
+    image: Image, templates: Patches, pixel: IntArray, offset: FloatArray, *, row: FloatArray | None = None,
+    row_sigma: float = np.inf,
+) -> Refined:  # fmt: skip
+    """Maximise the correlation over positions between the pixels (Lucas-Kanade with gain and offset, Gauss-Newton).
+
+    A patch i(p) and a template t, both brought to zero mean and unit length, have correlation t . i(p). With g the
+    derivative of i by p, orthogonal to i, least squares of t on i and g gives the step (g g^T)^-1 g t / (t . i). Equal
+    white noise in both has 2 (1 - t . i) / pixels as the variance of a difference, hence the covariance of p:
+    2 (1 - t . i) / pixels (g g^T)^-1, where g is that of the signal alone. Where the steps leave the pixel by more than
+    one, the top of the parabola is kept.
+
+    Parameters
+    ----------
+    image : (H, W) uint8
+        Grey image.
+    templates : (N, 11, 11) float32
+        What was found.
+    pixel, offset : (N, 2)
+        Best pixel and where the parabolas have their top, from `best_peaks`.
+    row : (N,), optional
+        Expected v, px, known to `row_sigma`.
+    row_sigma : float
+        px; 0 keeps the position on the row.
+
+    Returns
+    -------
+    Refined
+    """
+    n = len(templates)
+    t = _normalised(templates)[0]
+    start = pixel + offset
+    position = start.copy()
+    for iteration in range(_ITERATIONS + 1):
+        patch = cut_patches(image, position, PATCH + 2)
+        i, length = _normalised(patch[:, 1:-1, 1:-1])
+        g = np.empty((n, 2, _PIXELS), dtype=np.float32)
+        g[:, 0] = (0.5 * (patch[:, 1:-1, 2:] - patch[:, 1:-1, :-2])).reshape(n, -1)
+        g[:, 1] = (0.5 * (patch[:, 2:, 1:-1] - patch[:, :-2, 1:-1])).reshape(n, -1)
+        g -= g.mean(axis=2, keepdims=True)
+        g /= length[:, None, None]
+        g -= (g @ i[:, :, None]) * i[:, None, :]
+        score = np.einsum("nk,nk->n", t, i).astype(np.float64)
+        variance = 2.0 * (1.0 - np.minimum(score, 1.0)) / _PIXELS
+        G = (g @ g.transpose(0, 2, 1)).astype(np.float64) + 1e-12 * np.eye(2)
+        b = (g @ t[:, :, None])[:, :, 0] / np.maximum(score, 0.1)[:, None]
+        if row is not None:
+            weight = np.minimum((variance + 1e-9) / max(row_sigma, 1e-6) ** 2, 1e9)
+            G[:, 1, 1] += weight
+            b[:, 1] += weight * (row - position[:, 1])
+        if iteration == _ITERATIONS:
+            break
+        step = np.linalg.solve(G, b[:, :, None])[:, :, 0]
+        position += np.clip(step, -1.0, 1.0)
+        lost = np.abs(position - pixel).max(axis=1, initial=0.0) > 1.0
+        position[lost] = start[lost]
+    # Central differences pass on half of the noise: what they measure of it is no texture.
+    smallest = np.linalg.eigvalsh(G)[:, 0]
+    noise = np.minimum(0.5 * (1.0 - score), 0.8 * smallest)
+    covariance = variance[:, None, None] * np.linalg.inv(G - noise[:, None, None] * np.eye(2))
+    return Refined(position, score, covariance + _SIGMA_FLOOR**2 * np.eye(2))
+
+
+def _normalised(patches: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Patches (N, 121) with zero mean and unit length, and the length they had."""
+    flat = patches.reshape(len(patches), -1)
+    flat = flat - flat.mean(axis=1, keepdims=True)
+    length = np.maximum(np.sqrt(np.einsum("nk,nk->n", flat, flat)), np.float32(_FLAT * PATCH))
+    return flat / length[:, None], length

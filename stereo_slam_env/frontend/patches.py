@@ -1,0 +1,191 @@
+"""Square patches of an image: cut at sub-pixel positions, and warped to how they should look from another place.
+
+Integer (u, v) is the centre of a pixel. Patches are (N, size, size) float32 grey values, rows first.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import ArrayLike, NDArray
+
+from filters.camera import StereoCamera
+from filters.validation import FloatArray, finite_array
+
+Image = NDArray[np.uint8]
+Patches = NDArray[np.float32]
+
+PATCH = 11
+"""Side of the patch that is compared (the paper's), px."""
+SUPPORT = 23
+"""Side of the patch that is stored: what a warp reaches for lies beyond the 11 x 11, px."""
+
+_SHRINKS = 1.15
+"""From this scale on a warp averages, so that fine texture does not alias."""
+_STACKED = 1000
+"""Patches in one call of `cv2.remap`, whose images end at 32767 rows."""
+
+
+def cut_patches(image: Image, centers: ArrayLike, size: int = SUPPORT) -> Patches:
+    """Patches centred on sub-pixel positions, by Catmull-Rom interpolation.
+
+    All pixels of a patch share the fraction of its centre, so the interpolation is one weighted sum of shifted windows
+    along each axis: exact where `cv2.remap` rounds positions to 1/32 px (OpenCV 4), and without the shift of up to
+    0.05 px that its INTER_CUBIC (which does not reproduce a ramp) would bring.
+
+    Parameters
+    ----------
+    image : (H, W) uint8
+        Grey image; pixels beyond its border repeat those on it.
+    centers : (N, 2) array_like
+        (u, v), px.
+    size : int
+        Odd side, px.
+
+    Returns
+    -------
+    (N, size, size) float32
+
+    Raises
+    ------
+    ValueError
+        `centers` is not (N, 2) or not finite.
+    """
+    at = finite_array("centers", centers, ("N", 2))
+    base = np.floor(at).astype(np.int64)
+    weights = _catmull_rom(at - base)
+    origin = base - (size // 2 + 1)
+    windows = windows_at(image, origin, size + 3, size + 3).astype(np.float32)
+    rows = sum_of_shifted(windows, weights[:, 1], axis=1)
+    return sum_of_shifted(rows, weights[:, 0], axis=2)
+
+
+def windows_at(image: Image, origin: NDArray[np.int64], height: int, width: int) -> Image:
+    """Windows of an image with their first pixel at `origin` (N, 2) (u, v); beyond the border it is repeated.
+
+    Returns
+    -------
+    (N, height, width) uint8
+    """
+    pad_low = max(0, -int(origin.min(initial=0)))
+    beyond = origin - (image.shape[1] - width, image.shape[0] - height)
+    pad_high = max(0, int(beyond.max(initial=0)))
+    if pad_low or pad_high:
+        limit = 2 * (height + width)  # further out every window is constant, or nearly so
+        pad_low, pad_high = min(pad_low, limit), min(pad_high, limit)
+        image = np.pad(image, ((pad_low, pad_high), (pad_low, pad_high)), mode="edge")
+        last = (image.shape[1] - width, image.shape[0] - height)
+        origin = np.clip(origin + pad_low, 0, last)
+    windows: Image = sliding_window_view(image, (height, width))[origin[:, 1], origin[:, 0]]
+    return windows
+
+
+def sum_of_shifted(windows: Patches, weights: Patches, axis: int) -> Patches:
+    """Weighted sum of the windows shifted by 0, 1, ... along `axis`; (N, K) weights shorten it by K - 1."""
+    windows = np.moveaxis(windows, axis, 1)
+    length = windows.shape[1] - weights.shape[1] + 1
+    total = windows[:, :length] * weights[:, 0, None, None]
+    for k in range(1, weights.shape[1]):
+        total += windows[:, k : k + length] * weights[:, k, None, None]
+    return np.moveaxis(total, 1, axis)
+
+
+def _catmull_rom(f: FloatArray) -> Patches:
+    """Weights of the four neighbours at -1, 0, 1, 2 for fractions in [0, 1); (...) -> (..., 4)."""
+    weights = (
+        ((2.0 - f) * f - 1.0) * f,
+        (3.0 * f - 5.0) * f * f + 2.0,
+        ((4.0 - 3.0 * f) * f + 1.0) * f,
+        (f - 1.0) * f * f,
+    )
+    return (0.5 * np.stack(weights, axis=-1)).astype(np.float32)
+
+
+def warped_patches(patches: Patches, affine: ArrayLike, size: int = PATCH) -> Patches:
+    """Stored patches as they should look now.
+
+    Bilinear; the centre stays the centre, so the interpolation has no preferred side. Where the patch shrinks (one
+    step in the current image spans more than 1.15 px of the stored one), every value is the average of 2 x 2 samples a
+    half step apart: enough against aliasing up to twice the size. Samples beyond the stored patch repeat its border.
+
+    Parameters
+    ----------
+    patches : (N, s, s) float32
+        From `cut_patches`.
+    affine : (N, 2, 2) array_like
+        Offset in the current image -> offset in the stored one, px; see `local_affine`.
+    size : int
+        Odd side of the result, px.
+
+    Returns
+    -------
+    (N, size, size) float32
+
+    Raises
+    ------
+    ValueError
+        `affine` has the wrong shape or is not finite.
+    """
+    A = finite_array("affine", affine, ("N", 2, 2))
+    if len(A) != len(patches):
+        raise ValueError(f"affine must have one matrix per patch: {len(patches)} patches, {len(A)} matrices")
+    shrinks = np.linalg.norm(A, ord=2, axis=(1, 2)) > _SHRINKS if len(A) else np.zeros(0, dtype=bool)
+    warped = np.empty((len(A), size, size), dtype=np.float32)
+    warped[~shrinks] = _resampled(patches[~shrinks], A[~shrinks], size, 1.0)
+    fine = _resampled(patches[shrinks], A[shrinks], 2 * size, 0.5)
+    warped[shrinks] = fine.reshape(-1, size, 2, size, 2).mean(axis=(2, 4))
+    return warped
+
+
+def _resampled(patches: Patches, affine: FloatArray, size: int, step: float) -> Patches:
+    """`size` x `size` samples of each patch, `step` px apart in the current image and centred."""
+    side = patches.shape[1]
+    offsets = step * (np.arange(size) - 0.5 * (size - 1))
+    grid = np.stack(np.meshgrid(offsets, offsets), axis=-1).reshape(-1, 2)
+    at = np.clip(grid @ affine.transpose(0, 2, 1) + side // 2, 0, side - 1).astype(np.float32)
+    parts = [np.zeros((0, size * size), dtype=np.float32)]
+    for first in range(0, len(patches), _STACKED):
+        some = slice(first, first + _STACKED)
+        stacked = np.ascontiguousarray(patches[some]).reshape(-1, side)
+        top = side * np.arange(len(at[some]), dtype=np.float32)[:, None]
+        rows = np.ascontiguousarray(at[some, :, 1] + top)
+        parts.append(np.asarray(cv2.remap(stacked, np.ascontiguousarray(at[some, :, 0]), rows, cv2.INTER_LINEAR)))
+    return np.concatenate(parts).reshape(-1, size, size)
+
+
+def local_affine(camera: StereoCamera, uvd_then: ArrayLike, R: ArrayLike, t: ArrayLike) -> FloatArray:
+    """How the surroundings of landmarks have changed their look between two views.
+
+    The surroundings are taken for a plane through the landmark, parallel to the image in which the patch was cut. Such
+    a plane n . p = z with n = (0, 0, 1) induces the homography R + t n^T / z of the rays; this is the inverse of its
+    derivative at the landmark, in pixels. 1/z = d / (f b), so a landmark at infinity (d = 0) is nothing special.
+
+    Parameters
+    ----------
+    camera : StereoCamera
+        Of both views.
+    uvd_then : (N, 3) array_like
+        Landmark in the view of the patch, px.
+    R : (3, 3) or (N, 3, 3) array_like
+        Rotation from the camera then to the camera now: p_now = R p_then + t.
+    t : (3,) or (N, 3) array_like
+        Position of the camera then in the camera frame now, m.
+
+    Returns
+    -------
+    (N, 2, 2) ndarray
+        Offset from the landmark in the image now -> offset in the image then, px. Not finite where the plane is seen
+        edge-on, without meaning where the landmark is behind the camera.
+    """
+    uvd = np.asarray(uvd_then, dtype=np.float64)
+    R_now_then = np.broadcast_to(np.asarray(R, dtype=np.float64), (len(uvd), 3, 3))
+    w = uvd[:, 2] / camera.disparity_constant
+    h = np.einsum("nij,nj->ni", R_now_then, camera.ray(uvd)) + w[:, None] * np.asarray(t, dtype=np.float64)
+    to_pixel = camera.project_jacobian(h)[:, :2]
+    by_pixel = R_now_then[:, :, :2] / (camera.fx, camera.fy)  # t n^T / z acts on the third component only
+    forward = to_pixel @ by_pixel
+    (a, b), (c, d) = forward.transpose(1, 2, 0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        inverse: FloatArray = np.stack([d, -b, -c, a], axis=-1).reshape(-1, 2, 2) / (a * d - b * c)[:, None, None]
+    return inverse

@@ -1,0 +1,121 @@
+"""Disparities: patches of the left image found along the rows of the right one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from filters.validation import BoolArray, FloatArray, finite_array
+from stereo_slam_env.frontend.correlation import best_peaks, refine
+from stereo_slam_env.frontend.patches import PATCH, Image, cut_patches
+
+_RETURNS_WITHIN = 1.0
+"""How far a match back from the right image may end from where it began, px."""
+
+
+@dataclass(frozen=True, eq=False)
+class RowMatch:
+    """What was found along the rows.
+
+    Attributes
+    ----------
+    disparity : (N,)
+        u_left - u_right, px; NaN where there was nothing to compare with.
+    score : (N,)
+        Correlation; -1 where there was nothing to compare with.
+    accepted : (N,) bool
+        Good enough, unique, inside the range, and found again from the right.
+    variance : (N,)
+        Of the disparity, px^2; NaN where there was nothing to compare with.
+    v_right : (N,)
+        Row in the right image, px; NaN where there was nothing to compare with.
+    """
+
+    disparity: FloatArray
+    score: FloatArray
+    accepted: BoolArray
+    variance: FloatArray
+    v_right: FloatArray
+
+
+def match_rows(
+    left: Image,
+    right: Image,
+    uv: ArrayLike,
+    disparity_low: ArrayLike,
+    disparity_high: ArrayLike,
+    *,
+    rows: int = 1,
+    min_score: float = 0.8,
+    ratio: float = 0.9,
+    left_right_check: bool = True,
+) -> RowMatch:
+    """Find the surroundings of left pixels in the right image.
+
+    Parameters
+    ----------
+    left, right : (H, W) uint8
+        Rectified grey images.
+    uv : (N, 2) array_like
+        Positions in the left image, px.
+    disparity_low, disparity_high : (N,) array_like
+        Range of disparities, px.
+    rows : int
+        How far the right image's rows may be off, px: searched on either side, and three standard deviations when the
+        position is refined. On a slanted edge the row decides on the disparity, so it is not left free.
+    min_score : float
+        Least correlation.
+    ratio : float
+        The second best peak must stay below this share of the best.
+    left_right_check : bool
+        Match back from the right image over the same range; it must return to within 1 px.
+
+    Returns
+    -------
+    RowMatch
+
+    Raises
+    ------
+    ValueError
+        Wrong shapes, NaN or infinity, or images of different size.
+    """
+    if left.shape != right.shape:
+        raise ValueError(f"right must have the size of left: {right.shape} and {left.shape}")
+    at = finite_array("uv", uv, ("N", 2))
+    n = len(at)
+    low = finite_array("disparity_low", disparity_low, (n,))
+    high = finite_array("disparity_high", disparity_high, (n,))
+    templates = cut_patches(left, at, PATCH)
+    nearest = np.rint(at[:, 1])
+    first = np.stack([np.rint(at[:, 0] - high), nearest - rows], axis=1)
+    last = np.stack([np.rint(at[:, 0] - low), nearest + rows], axis=1)
+    peaks = best_peaks(right, templates, first, last)
+
+    position, score, variance = np.full((n, 2), np.nan), np.full(n, -1.0), np.full(n, np.nan)
+    found = peaks.score > -1.0
+    refined = refine(right, templates[found], peaks.pixel[found], peaks.offset[found], row=at[found, 1],
+                     row_sigma=rows / 3.0)  # fmt: skip
+    position[found], score[found], variance[found] = refined.position, refined.score, refined.covariance[:, 0, 0]
+    disparity = at[:, 0] - position[:, 0]
+    with np.errstate(invalid="ignore"):
+        accepted = (score >= min_score) & (peaks.second < ratio * peaks.score) & ~peaks.rising
+        accepted &= (disparity >= low - 1.0) & (disparity <= high + 1.0)
+    if left_right_check and accepted.any():
+        accepted[accepted] = _returns(
+            left, right, at[accepted], position[accepted], low[accepted], high[accepted], rows
+        )
+    return RowMatch(disparity, score, accepted, variance, position[:, 1])
+
+
+def _returns(
+    left: Image, right: Image, uv: FloatArray, in_right: FloatArray, low: FloatArray, high: FloatArray, rows: int
+) -> BoolArray:
+    """Whether the patches around `in_right` are found in the left image where they came from, (N,)."""
+    nearest = np.rint(in_right[:, 1])
+    first = np.stack([np.rint(in_right[:, 0] + low), nearest - rows], axis=1)
+    last = np.stack([np.rint(in_right[:, 0] + high), nearest + rows], axis=1)
+    back = best_peaks(left, cut_patches(right, in_right, PATCH), first, last)
+    returned: BoolArray = np.abs(back.pixel[:, 0] + back.offset[:, 0] - uv[:, 0]) <= _RETURNS_WITHIN
+    return returned & (back.score > -1.0)
