@@ -17,7 +17,6 @@ from filters.validation import FloatArray, IntArray, gate_probability, positive,
 from stereo_slam_env.baselines.camera_filter import CameraBelief, CameraFilter, symmetrised
 from stereo_slam_env.stereo_step import (
     Pairs,
-    Step,
     StepEstimate,
     left_pixel_step,
     most_likely_step,

@@ -93,9 +93,7 @@ def noise_by_range(errors: MeasurementErrors, ranges: Sequence[float] = RANGES) 
         sigma = _MAD_TO_SIGMA * np.median(np.abs(error - bias), axis=0)
         outliers = (np.abs(error) > OUTLIER).mean(axis=0)
         claimed = np.median(np.sqrt(np.einsum("nii->ni", errors.R[inside])), axis=0)
-        rows.append(
-            NoiseOfRange(low, high, int(inside.sum()), *(_triple(x) for x in (bias, sigma, outliers, claimed)))
-        )
+        rows.append(NoiseOfRange(low, high, int(inside.sum()), *(_triple(x) for x in (bias, sigma, outliers, claimed))))
     return tuple(rows)
 
 

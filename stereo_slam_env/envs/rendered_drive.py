@@ -34,9 +34,7 @@ class RenderedDrive:
         An argument is not allowed.
     """
 
-    def __init__(
-        self, env_kwargs: Mapping[str, Any] | None = None, seed: int = 0, frames: int | None = None
-    ) -> None:
+    def __init__(self, env_kwargs: Mapping[str, Any] | None = None, seed: int = 0, frames: int | None = None) -> None:
         self._kwargs = {**(env_kwargs or {}), "policy": "route", "sensor": "landmarks", "max_landmarks": 1}
         self._seed = seed
         env = StereoDriveEnv(**self._kwargs)

@@ -13,6 +13,7 @@ from filters.interface import Forecast, StereoObservation
 from filters.validation import BoolArray, FloatArray, IntArray, positive
 from stereo_slam_env.frontend.correlation import search
 from stereo_slam_env.frontend.detection import detect_corners
+from stereo_slam_env.frontend.disparity_offset import DisparityOffset
 from stereo_slam_env.frontend.ego_motion import MIN_POINTS, RobustStep, chained, continued, predicted, robust_step
 from stereo_slam_env.frontend.moving import STRIKES, beside_moving, moving_together
 from stereo_slam_env.frontend.patches import cut_patches, local_affine, warped_patches
@@ -90,6 +91,9 @@ class StereoTracker:
         self._steps: list[Step] = []  # newest first
         self._dt = 0.0
         self._left: GreyImage | None = None
+        self.disparity_offset = DisparityOffset(self.camera)
+        """What is added to every measured disparity: the residual of the rectification, learnt on the way."""
+        self._pairs_since_offset = 0
 
     def track(
         self, left: GreyImage, right: GreyImage, dt: float | None = None, forecast: Forecast | None = None
@@ -151,6 +155,7 @@ class StereoTracker:
         motion = self._motion(tracks, found, step)
         self._moved(motion.step if motion is not None else step or _REST, dt)
         tracks, outcome = self._judged(tracks, found, motion)
+        tracks = self._rectified(tracks)
         kept = self._kept(tracks, outcome)
         carried = self._carried(tracks, found, dt)
         result = Search(tracks.ids, expected.uvd, expected.S, found.uvd, outcome)
@@ -222,7 +227,7 @@ class StereoTracker:
         ok = np.flatnonzero(rows.accepted)
         if len(ok) < MIN_POINTS:
             return None
-        now = np.column_stack([uv[ok], rows.disparity[ok]])
+        now = np.column_stack([uv[ok], rows.disparity[ok] + self.disparity_offset.value])
         pairs = Pairs(before[ok], now, tracks.R[seen[ok]], np.tile(np.diag([0.25, 0.25, 0.25]), (len(ok), 1, 1)))
         found = robust_step(self.camera, pairs, None)
         return None if found is None else found.step
@@ -251,14 +256,14 @@ class StereoTracker:
         hit = np.flatnonzero(good)
         at = wanted[hit]
         reach = 1.0 + np.sqrt(chi2.ppf(settings.search_gate, 1) * expected.S[at, 2, 2])
-        middle = expected.uvd[at, 2]
+        middle = expected.uvd[at, 2] - self.disparity_offset.value
         rows = match_rows(
             left, right, result.position[hit], middle - reach, middle + reach,
             min_score=settings.min_score, ratio=settings.uniqueness, left_right_check=False,
         )  # fmt: skip
         ok = np.flatnonzero(rows.accepted)
         at, hit = at[ok], hit[ok]
-        uvd[at] = np.column_stack([result.position[hit], rows.disparity[ok]])
+        uvd[at] = np.column_stack([result.position[hit], rows.disparity[ok] + self.disparity_offset.value])
         R[at] = self._noise(result.covariance[hit], rows.variance[ok])
         outcome[at] = Outcome.MATCHED
         return _Found(uvd, R, outcome)
@@ -327,6 +332,31 @@ class StereoTracker:
         )
         return tracks, outcome
 
+    def _rectified(self, tracks: Tracks) -> Tracks:
+        """Learn the disparity offset from the whole memory, each measurement once."""
+        self._pairs_since_offset += 1
+        if self._pairs_since_offset < MEMORY - 1 or len(self._steps) < MEMORY - 1:
+            return tracks
+        both = np.flatnonzero(np.isfinite(tracks.measured[:, [0, -1], 0]).all(axis=1) & ~tracks.moving)
+        if len(both) < MIN_POINTS:
+            return tracks
+        over = _REST
+        for step in self._steps:
+            over = chained(step, over)
+        measured, R = tracks.measured[both], tracks.measured_R[both]
+        pairs = Pairs(measured[:, -1], measured[:, 0], R[:, -1], R[:, 0])
+        found = robust_step(self.camera, pairs, over)
+        if found is None:
+            return tracks
+        self._pairs_since_offset = 0
+        change = np.array([0.0, 0.0, self.disparity_offset.update(pairs.select(found.inliers), found.step)])
+        return replace(
+            tracks,
+            first_uvd=tracks.first_uvd + change,
+            uvd=tracks.uvd + change,
+            measured=tracks.measured + change,
+        )
+
     def _kept(self, tracks: Tracks, outcome: IntArray) -> BoolArray:
         gone = (outcome == Outcome.OUT_OF_VIEW) | (tracks.misses > self.settings.max_misses)
         gone |= ~tracks.moving & (tracks.strikes >= _GIVE_UP_STRIKES)
@@ -362,7 +392,7 @@ class StereoTracker:
             left, right, corners, np.full(len(corners), settings.min_disparity), high,
             min_score=settings.min_score, ratio=settings.uniqueness, left_right_check=True,
         )  # fmt: skip
-        uvd = np.column_stack([corners, rows.disparity])
+        uvd = np.column_stack([corners, rows.disparity + self.disparity_offset.value])
         good = rows.accepted & ~beside_moving(camera, uvd, tracks.uvd[tracks.moving])
         uvd = uvd[good]
         R = self._noise(np.zeros((len(uvd), 2, 2)), rows.variance[good])  # the corner itself is the landmark

@@ -32,9 +32,7 @@ class ImageSensor:
         Of the front end.
     """
 
-    def __init__(
-        self, camera: StereoCamera, take_pair: Callable[[], StereoImages], settings: TrackerSettings
-    ) -> None:
+    def __init__(self, camera: StereoCamera, take_pair: Callable[[], StereoImages], settings: TrackerSettings) -> None:
         self.camera = camera
         self._take_pair = take_pair
         self._tracker = StereoTracker(camera, settings)

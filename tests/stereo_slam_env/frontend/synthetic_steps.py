@@ -33,6 +33,8 @@ class Cloud:
             p_before[: self.moved] = [-3.0, 0.5, 15.0] + rng.uniform(-0.7, 0.7, (self.moved, 3))
         p_now = (p_before - STEP.t) @ STEP.R
         p_now[: self.moved] += self.shift
-        first, second = (CAMERA.project(p) + self.sigma * rng.standard_normal((self.count, 3)) for p in (p_before, p_now))
+        first, second = (
+            CAMERA.project(p) + self.sigma * rng.standard_normal((self.count, 3)) for p in (p_before, p_now)
+        )
         R = np.tile(self.sigma**2 * np.eye(3), (self.count, 1, 1))
         return Pairs(first, second, R, R)

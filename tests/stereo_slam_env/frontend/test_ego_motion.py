@@ -6,6 +6,7 @@ import pytest
 from filters import rotations
 from stereo_slam_env.frontend.ego_motion import chained, continued, predicted, robust_step
 from stereo_slam_env.stereo_step import Step, squared_distances
+
 from .synthetic_steps import CAMERA, STEP, Cloud
 
 REST = Step(np.eye(3), np.zeros(3))

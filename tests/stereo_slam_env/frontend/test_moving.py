@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from stereo_slam_env.frontend.moving import beside_moving, moving_together
+
 from .synthetic_steps import CAMERA, STEP, Cloud
 
 
