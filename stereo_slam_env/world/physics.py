@@ -123,7 +123,14 @@ class PhysicsWorld:
         return any(contact[8] <= 0.0 for contact in contacts)
 
     def camera_image(
-        self, view: FloatArray, projection: FloatArray, width: int, height: int, light: Sequence[float]
+        self,
+        view: FloatArray,
+        projection: FloatArray,
+        width: int,
+        height: int,
+        light: Sequence[float],
+        ambient: float = 0.72,
+        diffuse: float = 0.45,
     ) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
         """Draw with TinyRenderer.
 
@@ -135,6 +142,8 @@ class PhysicsWorld:
             px.
         light : (3,)
             Direction towards the sun.
+        ambient, diffuse : float
+            Shares of the light.
 
         Returns
         -------
@@ -156,8 +165,8 @@ class PhysicsWorld:
             projectionMatrix=projection.flatten(order="F").tolist(),
             lightDirection=list(light),
             lightColor=[1.0, 1.0, 1.0],
-            lightAmbientCoeff=0.72,
-            lightDiffuseCoeff=0.45,
+            lightAmbientCoeff=ambient,
+            lightDiffuseCoeff=diffuse,
             lightSpecularCoeff=0.0,
             shadow=0,
             flags=pybullet.ER_NO_SEGMENTATION_MASK,
@@ -165,8 +174,8 @@ class PhysicsWorld:
             physicsClientId=self._connected,
         )
         # A PyBullet built without NumPy returns tuples; the reshape serves both.
-        rgb = np.reshape(np.asarray(rgba, dtype=np.uint8), (height, width, 4))[..., :3]
-        return np.ascontiguousarray(rgb), np.reshape(np.asarray(depth, dtype=np.float32), (height, width))
+        rgb = cv2.cvtColor(np.reshape(np.asarray(rgba, dtype=np.uint8), (height, width, 4)), cv2.COLOR_RGBA2RGB)
+        return np.asarray(rgb, dtype=np.uint8), np.reshape(np.asarray(depth, dtype=np.float32), (height, width))
 
     def close(self) -> None:
         """Stop the engine."""
