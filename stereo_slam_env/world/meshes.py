@@ -15,6 +15,7 @@ from stereo_slam_env.world.scene import Box, Cylinder, Ground, Material, MovingB
 
 _GROUND_CELL = 47.3
 _SEGMENTS = 12
+_MATERIAL = "look"
 Drawn = Ground | Ribbon | Primitive
 
 
@@ -168,8 +169,8 @@ def _ground(shape: Ground) -> Mesh:
     return Mesh(vertices, normals, uvs, _grid_triangles(cells[1] + 1, cells[0] + 1))
 
 
-def obj_text(shape: Mesh) -> str:
-    """The mesh as a Wavefront OBJ file."""
+def obj_text(shape: Mesh, library: str | None = None) -> str:
+    """The mesh as a Wavefront OBJ file, with the material of the MTL file `library` if there is one."""
     corners = np.repeat(shape.triangles + 1, 3, axis=1)  # the same index for vertex, texture and normal
     parts = [
         ("v %.4f %.4f %.4f\n", shape.vertices),
@@ -177,7 +178,13 @@ def obj_text(shape: Mesh) -> str:
         ("vn %.3f %.3f %.3f\n", shape.normals),
         ("f %d/%d/%d %d/%d/%d %d/%d/%d\n", corners),
     ]
-    return "".join((line * len(rows)) % tuple(rows.ravel().tolist()) for line, rows in parts)
+    head = "" if library is None else f"mtllib {library}\nusemtl {_MATERIAL}\n"
+    return head + "".join((line * len(rows)) % tuple(rows.ravel().tolist()) for line, rows in parts)
+
+
+def mtl_text(picture: str) -> str:
+    """A Wavefront MTL file with one material, which shows `picture` (path relative to the file)."""
+    return f"newmtl {_MATERIAL}\nmap_Kd {picture}\n"
 
 
 def _grid_triangles(rows: int, columns: int) -> NDArray[np.int64]:

@@ -6,8 +6,10 @@ import os
 import shutil
 import tempfile
 import weakref
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import cache
+from multiprocessing.util import Finalize
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +19,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from filters.validation import BoolArray, FloatArray
-from stereo_slam_env.world.meshes import obj_text, scene_meshes
-from stereo_slam_env.world.scene import Box, Cylinder, Primitive, Scene
+from stereo_slam_env.world.meshes import Mesh, body_meshes, mtl_text, obj_text, scene_meshes
+from stereo_slam_env.world.scene import Box, Cylinder, Look, Material, MovingBody, Primitive, Scene
 from stereo_slam_env.world.textures import texture
 
 
@@ -58,11 +60,13 @@ class PhysicsWorld:
     def __init__(self) -> None:
         self._client: int | None = None
         self._ego = -1
+        self._time = 0.0
         self._drawn = False
-        self._stop: weakref.finalize[[int, Path], PhysicsWorld] | None = None
+        self._moving: list[tuple[MovingBody, list[int]]] = []
+        self._stop: weakref.finalize[[int], PhysicsWorld] | None = None
 
     def build(self, scene: Scene, ego_size: tuple[float, float, float]) -> None:
-        """Replace whatever is there by the solids of `scene` and the body of the driving car.
+        """Replace whatever is there by the solids of `scene` at time 0 and the body of the driving car.
 
         Parameters
         ----------
@@ -73,18 +77,31 @@ class PhysicsWorld:
         """
         if self._client is None:
             self._client = pybullet.connect(pybullet.DIRECT)
-            self._directory = Path(tempfile.mkdtemp(prefix="stereo-slam-"))
-            self._stop = weakref.finalize(self, _stop_engine, self._client, self._directory)
+            self._stop = weakref.finalize(self, pybullet.disconnect, self._client)
         pybullet.resetSimulation(physicsClientId=self._client)
         pybullet.setPhysicsEngineParameter(enableFileCaching=0, physicsClientId=self._client)
         self._drawn = False
         self._add_solids(scene.solids)
+        self._moving = [(body, self._bodies(p for p in body.parts if p.solid)) for body in scene.moving]
         self._ego = self._add_ego(ego_size)
+        self.set_time(0.0)
 
     def dress(self, scene: Scene) -> None:
         """Add what `camera_image` draws to the built `scene`; without pictures that can be spared."""
-        self._add_visuals(scene)
+        self._draw(scene_meshes(scene))
+        for body, parts in self._moving:
+            parts += self._draw(body_meshes(body))
+        self.set_time(self._time)
         self._drawn = True
+
+    def set_time(self, time: float) -> None:
+        """Move what moves to where it is at `time`, s."""
+        self._time = time
+        for body, parts in self._moving:
+            position, yaw = body.pose_at(time)
+            place, turn = position.tolist(), [0.0, 0.0, np.sin(0.5 * yaw), np.cos(0.5 * yaw)]
+            for part in parts:
+                pybullet.resetBasePositionAndOrientation(part, place, turn, physicsClientId=self._connected)
 
     def visible(self, eyes: FloatArray, points: FloatArray) -> BoolArray:
         """Which points are seen from every eye: nothing but the driving car is in between.
@@ -129,8 +146,8 @@ class PhysicsWorld:
         width: int,
         height: int,
         light: Sequence[float],
-        ambient: float = 0.72,
-        diffuse: float = 0.45,
+        ambient: float = Look.ambient,
+        diffuse: float = Look.diffuse,
     ) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
         """Draw with TinyRenderer.
 
@@ -143,7 +160,7 @@ class PhysicsWorld:
         light : (3,)
             Direction towards the sun.
         ambient, diffuse : float
-            Shares of the light.
+            Shares of the light, see `Look`.
 
         Returns
         -------
@@ -191,14 +208,21 @@ class PhysicsWorld:
 
     def _add_solids(self, solids: Sequence[Primitive]) -> None:
         client = self._connected
-        hidden = self._hidden_visual()
         ground = pybullet.createCollisionShape(pybullet.GEOM_PLANE, physicsClientId=client)
-        pybullet.createMultiBody(0, ground, hidden, physicsClientId=client)
-        for first in range(0, len(solids), _SHAPES_PER_BODY):
-            group = [_collision_shape(solid) for solid in solids[first : first + _SHAPES_PER_BODY]]
+        pybullet.createMultiBody(0, ground, self._hidden_visual(), physicsClientId=client)
+        self._bodies(solids)
+
+    def _bodies(self, solids: Iterable[Primitive]) -> list[int]:
+        """Collision bodies of some solids, all with their origin where that of the solids is."""
+        client, hidden = self._connected, self._hidden_visual()
+        shapes = [_collision_shape(solid) for solid in solids]
+        bodies = []
+        for first in range(0, len(shapes), _SHAPES_PER_BODY):
+            group = shapes[first : first + _SHAPES_PER_BODY]
             columns = {key: [shape[key] for shape in group] for key in group[0]}
             body = pybullet.createCollisionShapeArray(**columns, physicsClientId=client)
-            pybullet.createMultiBody(0, body, hidden, physicsClientId=client)
+            bodies.append(int(pybullet.createMultiBody(0, body, hidden, physicsClientId=client)))
+        return bodies
 
     def _hidden_visual(self) -> int:
         """A speck below everything: without a visual, TinyRenderer would draw the collision shape."""
@@ -222,38 +246,43 @@ class PhysicsWorld:
         pybullet.setCollisionFilterGroupMask(ego, -1, _EGO_GROUP, _NOT_EGO, physicsClientId=client)
         return ego
 
-    def _add_visuals(self, scene: Scene) -> None:
-        client = self._connected
-        loaded: dict[str, int] = {}
-        # Meshes go through files because PyBullet leaks every vertex that is passed as a Python object.
-        mesh_file = self._directory / "mesh.obj"
-        for material, mesh in scene_meshes(scene).items():
-            mesh_file.write_text(obj_text(mesh), encoding="ascii")
+    def _draw(self, meshes: Mapping[Material, Mesh]) -> list[int]:
+        """Visual bodies of some meshes, one for each material."""
+        client, folder = self._connected, _exchange_folder(os.getpid())
+        file = folder / f"{client}.obj"
+        bodies = []
+        for material, mesh in meshes.items():
+            # Meshes go through files because PyBullet leaks every vertex that is passed as a Python object.
+            file.write_text(obj_text(mesh, _library(folder, material)), encoding="ascii")
             visual = pybullet.createVisualShape(
-                pybullet.GEOM_MESH,
-                fileName=str(mesh_file),
-                rgbaColor=[*material.color, 1.0],
-                physicsClientId=client,
+                pybullet.GEOM_MESH, fileName=str(file), rgbaColor=[*material.color, 1.0], physicsClientId=client
             )
-            body = pybullet.createMultiBody(0, -1, visual, physicsClientId=client)
-            if material.texture is not None:
-                if material.texture not in loaded:
-                    path = str(self._texture_file(material.texture))
-                    loaded[material.texture] = pybullet.loadTexture(path, physicsClientId=client)
-                pybullet.changeVisualShape(body, -1, textureUniqueId=loaded[material.texture], physicsClientId=client)
-
-    def _texture_file(self, name: str) -> Path:
-        """PyBullet takes textures from files only; the same file again costs no memory."""
-        path = self._directory / f"{name}.png"
-        if not path.exists():
-            cv2.imwrite(str(path), cv2.cvtColor(texture(name), cv2.COLOR_RGB2BGR))
-        return path
+            # With caching a picture is decoded once; ending it forgets the mesh, since the next has the same name.
+            pybullet.setPhysicsEngineParameter(enableFileCaching=1, physicsClientId=client)
+            bodies.append(int(pybullet.createMultiBody(0, -1, visual, physicsClientId=client)))
+            pybullet.setPhysicsEngineParameter(enableFileCaching=0, physicsClientId=client)
+        return bodies
 
 
-def _stop_engine(client: int, directory: Path) -> None:
-    """Also runs when a world is garbage-collected, so it must not refer to the world."""
-    pybullet.disconnect(physicsClientId=client)
-    shutil.rmtree(directory, ignore_errors=True)
+@cache
+def _exchange_folder(process: int) -> Path:
+    """Where PyBullet finds meshes and pictures: one folder a process, since it keeps a picture under its path."""
+    folder = Path(tempfile.mkdtemp(prefix=f"stereo-slam-{process}-"))
+    Finalize(None, shutil.rmtree, (folder, True), exitpriority=0)
+    return folder
+
+
+def _library(folder: Path, material: Material) -> str | None:
+    """Name of the material library that shows the texture of `material`."""
+    if material.texture is None:
+        return None
+    name = f"{material.texture}-{material.variant}"
+    library = folder / f"{name}.mtl"
+    if not library.exists():
+        pixels = texture(material.texture, material.variant)
+        cv2.imwrite(str(folder / f"{name}.png"), cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR))
+        library.write_text(mtl_text(f"{name}.png"), encoding="ascii")
+    return library.name
 
 
 def _collision_shape(shape: Primitive) -> dict[str, Any]:
