@@ -7,7 +7,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
+from numpy.typing import DTypeLike, NDArray
 
 from filters.camera import StereoCamera
 from filters.validation import FloatArray
@@ -17,8 +19,13 @@ OPENGL_OFFSET = (0.5, 0.5)
 TINY_OFFSET = (0.0, 1.0)
 """TinyRenderer samples at the corners and then flips the rows."""
 
+NEAR, FAR = 0.5, 300.0
+"""Clipping distances of every back end, m."""
+
 _NOTHING = 1.0 - 2.0**-22
 """TinyRenderer clears to the float32 just below 1."""
+_SAME_SURFACE = 0.05
+"""Neighbours whose inverse depths differ by less than this share are taken to be on one surface."""
 
 
 def view_matrix(position: FloatArray, R_sc: FloatArray) -> FloatArray:
@@ -70,11 +77,14 @@ def projection_matrix(camera: StereoCamera, near: float, far: float, offset: tup
     )
 
 
-def metric_depth(buffer: FloatArray, near: float, far: float) -> FloatArray:
-    """Depth z in m from an OpenGL depth buffer in 0..1; infinity where nothing was drawn."""
-    buffer = np.asarray(buffer, dtype=np.float64)
-    z: FloatArray = far * near / (far - (far - near) * buffer)
-    return np.where(buffer < _NOTHING, z, np.inf)
+def metric_depth(buffer: NDArray[np.floating], near: float, far: float, dtype: DTypeLike = np.float64) -> FloatArray:
+    """Depth z in m from an OpenGL depth buffer in 0..1, in `dtype`; infinity where nothing was drawn."""
+    slope = 1.0 / near - 1.0 / far
+    inverse = np.multiply(buffer, np.array(-slope, dtype=dtype), dtype=dtype)
+    inverse += np.array(1.0 / near, dtype=dtype)
+    cv2.threshold(inverse, 1.0 / near - slope * _NOTHING, 0.0, cv2.THRESH_TOZERO, dst=inverse)
+    with np.errstate(divide="ignore"):
+        return np.divide(np.array(1.0, dtype=dtype), inverse, out=inverse)
 
 
 def supersampled(camera: StereoCamera, factor: int) -> StereoCamera:
@@ -88,3 +98,25 @@ def supersampled(camera: StereoCamera, factor: int) -> StereoCamera:
         width=camera.width * factor,
         height=camera.height * factor,
     )
+
+
+def averaged(image: NDArray[np.uint8], factor: int) -> NDArray[np.uint8]:
+    """The image of a camera from that of its `supersampled` one; (H f, W f, 3) -> (H, W, 3)."""
+    if factor == 1:
+        return image
+    size = (image.shape[1] // factor, image.shape[0] // factor)
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+
+
+def centre_depth(depth: FloatArray, factor: int) -> FloatArray:
+    """Depth at the pixel centres of a camera from that of its `supersampled` one; (H f, W f) -> (H, W)."""
+    middle = factor // 2
+    here = np.ascontiguousarray(depth[middle::factor, middle::factor])
+    if factor % 2:
+        return here
+    # No sample is in the centre: on a plane the mean of 1/z of the four around it is exact.
+    rows, columns = slice(middle - 1, None, factor), slice(middle - 1, None, factor)
+    corners = 1.0 / np.stack([here, depth[rows, middle::factor], depth[middle::factor, columns], depth[rows, columns]])
+    inverse = corners.mean(axis=0)
+    on_surface = np.ptp(corners, axis=0) < _SAME_SURFACE * inverse
+    return np.where(on_surface, 1.0 / np.where(on_surface, inverse, 1.0), here)

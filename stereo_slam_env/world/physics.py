@@ -191,8 +191,8 @@ class PhysicsWorld:
             physicsClientId=self._connected,
         )
         # A PyBullet built without NumPy returns tuples; the reshape serves both.
-        rgb = np.reshape(np.asarray(rgba, dtype=np.uint8), (height, width, 4))[..., :3]
-        return np.ascontiguousarray(rgb), np.reshape(np.asarray(depth, dtype=np.float32), (height, width))
+        rgb = cv2.cvtColor(np.reshape(np.asarray(rgba, dtype=np.uint8), (height, width, 4)), cv2.COLOR_RGBA2RGB)
+        return np.asarray(rgb, dtype=np.uint8), np.reshape(np.asarray(depth, dtype=np.float32), (height, width))
 
     def close(self) -> None:
         """Stop the engine."""
