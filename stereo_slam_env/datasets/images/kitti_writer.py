@@ -121,9 +121,7 @@ def _calibration(camera: StereoCamera) -> str:
     """P0 to P3; the colour cameras of the benchmark, 2 and 3, sit where the grey ones are."""
 
     def projection(offset: float) -> FloatArray:
-        return np.array(
-            [[camera.fx, 0.0, camera.cx, offset], [0.0, camera.fy, camera.cy, 0.0], [0.0, 0.0, 1.0, 0.0]]
-        )
+        return np.array([[camera.fx, 0.0, camera.cx, offset], [0.0, camera.fy, camera.cy, 0.0], [0.0, 0.0, 1.0, 0.0]])
 
     eyes = (projection(0.0), projection(-camera.disparity_constant))
     return "".join(f"P{n}: {_row(eyes[n % 2].ravel())}\n" for n in range(4))
