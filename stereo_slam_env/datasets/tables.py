@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from filters.validation import FloatArray
+from filters.validation import BoolArray, FloatArray
 
 
 def read_table(
@@ -93,9 +93,14 @@ def split_poses(matrices: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 def require_finite_rows(path: Path, table: FloatArray) -> None:
     """Raise a `ValueError` naming the first row of `table` that holds NaN or infinity."""
-    bad = np.flatnonzero(~np.isfinite(table).all(axis=1))
+    bad = np.flatnonzero(~finite_rows(table))
     if bad.size:
         raise ValueError(f"{path} has NaN or infinity in {bad.size} rows, the first is row {bad[0]}: remove them")
+
+
+def finite_rows(table: FloatArray) -> BoolArray:
+    """Which rows of (K, columns) hold neither NaN nor infinity."""
+    return np.asarray(np.isfinite(table).all(axis=1), dtype=np.bool_)
 
 
 def first_line(error: BaseException) -> str:

@@ -12,11 +12,11 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from stereo_slam_env.datasets.images import kitti06_stereo51, kitti_odometry
+from stereo_slam_env.datasets.images import euroc, karlsruhe, kitti06_stereo51, kitti_odometry, kitti_raw
 from stereo_slam_env.datasets.images.broken import BrokenPair
 from stereo_slam_env.datasets.images.sequence import RecordedSequence
 
-IMAGE_READERS: tuple[ModuleType, ...] = (kitti06_stereo51, kitti_odometry)
+IMAGE_READERS: tuple[ModuleType, ...] = (kitti06_stereo51, kitti_odometry, kitti_raw, karlsruhe, euroc)
 _DEPTH = 2
 """How many levels below the given folder recordings are looked for."""
 

@@ -113,9 +113,14 @@ def rectified_rig(path: Path, P_left: FloatArray, P_right: FloatArray, size: tup
         raise ValueError(f"{path}: the left projection matrix is not [fx 0 cx; 0 fy cy; 0 0 1 | ...]: not rectified")
     if not (np.abs(P_right[:, :3] - K) <= _SAME_K * scale).all():
         raise ValueError(f"{path}: both eyes must have the same focal lengths and principal point: not rectified")
-    t_left, t_right = (np.linalg.solve(K, P[:, 3]) for P in (P_left, P_right))
-    baseline = float(t_left[0] - t_right[0])
+    left, right = eye_position(P_left), eye_position(P_right)
+    baseline = float(right[0] - left[0])
     if baseline <= 0:
         raise ValueError(f"{path}: the baseline is {baseline:.6g} m, it must be > 0: are left and right swapped?")
     fx, fy, cx, cy = (float(K[at]) for at in ((0, 0), (1, 1), (0, 2), (1, 2)))
-    return RectifiedRig(StereoCamera(fx, fy, cx, cy, baseline, *size), np.asarray(-t_left, dtype=np.float64))
+    return RectifiedRig(StereoCamera(fx, fy, cx, cy, baseline, *size), left)
+
+
+def eye_position(P: FloatArray) -> FloatArray:
+    """Where the camera of P = K [I | t] is in the one that P refers to, m: -t."""
+    return np.asarray(-np.linalg.solve(P[:, :3], P[:, 3]), dtype=np.float64)

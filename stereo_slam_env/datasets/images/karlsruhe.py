@@ -1,0 +1,179 @@
+"""The layout of the Karlsruhe stereo sequences (A. Geiger, 2009 and 2010).
+
+A folder such as `2009_09_08_drive_0010` with `I1_NNNNNN.png` (left) and `I2_NNNNNN.png` (right), rectified, and
+`insdata.txt`: one line a frame of ten numbers from the GPS/IMU unit: time (s), latitude, longitude (deg), altitude, x,
+y, z (m, z up), roll, pitch, yaw (rad). The calibration is `2009_09_08_calib.txt`, in the folder or beside it, with
+lines `P1_roi:` and `P2_roi:` of twelve numbers: the 3x4 projection matrices of the images as they are stored (`P1:` and
+`P2:` there are those before the images were cut to their region of interest).
+
+This was put together from public programs that read these sequences; the sequences themselves were not at hand. Not
+confirmed, and dealt with so:
+
+- where yaw counts from and which way: that reading is taken that agrees with the direction in which the positions move;
+  if none does, or the car does not move, there is no truth;
+- where the unit sits on the car: it is taken to be at the left camera and aligned with it. The true position is wrong
+  by up to that distance times the turn, and the orientation by the camera's tilt;
+- the accuracy: GPS without corrections. This is a weak truth, of metres; it tells gross errors from good tracks.
+"""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from filters.validation import FloatArray, positive
+from stereo_slam_env.datasets.images import oxts
+from stereo_slam_env.datasets.images.broken import Faults, OnBroken
+from stereo_slam_env.datasets.images.calibration import entry, read_entries, rectified_rig
+from stereo_slam_env.datasets.images.frames import Eye, Times, Truth, usable_pairs
+from stereo_slam_env.datasets.images.image_files import image_size, numbered_images
+from stereo_slam_env.datasets.images.sequence import RecordedSequence
+from stereo_slam_env.datasets.tables import finite_rows, read_table
+from stereo_slam_env.recording import Pose
+
+NAME = "karlsruhe"
+FILES = ("I1_*", "I2_*", "*calib.txt|../*calib.txt", "insdata.txt")
+INS_COLUMNS = 10
+POSITION, ATTITUDE = slice(4, 7), slice(7, 10)
+R_UNIT_CAMERA = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+"""Takes camera vectors (x right, y down, z forward) to the unit's frame (x forward, y left, z up)."""
+
+_YAW = {
+    "from east, counter-clockwise": (1.0, 0.0),
+    "from east, clockwise": (-1.0, 0.0),
+    "from north, counter-clockwise": (1.0, 0.5 * np.pi),
+    "from north, clockwise": (-1.0, 0.5 * np.pi),
+}
+"""Reading of yaw -> (sign, offset) that turn it into an angle from x, counter-clockwise."""
+_MOVES = 0.3
+"""m between two frames; below, the direction of motion says nothing."""
+_AGREES = np.deg2rad(15.0)
+
+log = logging.getLogger(__name__)
+
+
+def recognises(path: Path) -> bool:
+    """Whether the folder is one sequence of this layout."""
+    return any(path.glob("I1_*")) and any(path.glob("I2_*")) and bool(_calibrations(path))
+
+
+def open_sequence(
+    path: Path,
+    *,
+    first: int | None = None,
+    last: int | None = None,
+    on_broken: OnBroken = "raise",
+    use_truth: bool = True,
+    rate_hz: float = 10.0,
+) -> RecordedSequence:
+    """Open the folder of a sequence.
+
+    Parameters
+    ----------
+    path : Path
+        For example `2009_09_08_drive_0010`.
+    first, last : int, optional
+        Frame numbers to start and to end with, both included (the paper's right turn is 61 to 72 of drive 0010).
+    on_broken : {"raise", "skip"}
+        What to do about a pair that cannot be used.
+    use_truth : bool
+        Whether to take the poses of the GPS/IMU unit as (weak) truth.
+    rate_hz : float
+        Frame rate to assume where there is no `insdata.txt`, which holds the times.
+
+    Raises
+    ------
+    ValueError
+        Something is missing, damaged or contradictory: one line that names the file.
+    """
+    path = path.resolve()
+    faults = Faults(on_broken)
+    left, right = (Eye(path, numbered_images(path, prefix)) for prefix in ("I1_", "I2_"))
+    calibration = _calibration(path)
+    entries = read_entries(calibration)
+    P_left, P_right = (entry(calibration, entries, name, (3, 4)) for name in ("P1_roi", "P2_roi"))
+    ins, truth = path / "insdata.txt", None
+    reading: str | None = None
+    if ins.is_file():
+        table = read_table(ins, INS_COLUMNS, finite=False)
+        times = Times(ins, table[:, 0] - table[np.isfinite(table[:, 0]), 0][:1].sum())
+        reading = reading_of_yaw(table) if use_truth else None
+        if reading is not None:
+            truth = Truth(ins, camera_poses(table, reading))
+        elif use_truth:
+            log.warning("%s: yaw fits no direction of motion, the sequence has no truth", ins)
+    else:
+        count = max([*left.files, *right.files], default=-1) + 1
+        times = Times(ins, np.arange(count) / positive("rate_hz", rate_hz))
+    frames = usable_pairs((left, right), times, faults, truth=truth, first=first, last=last)
+    rig = rectified_rig(calibration, P_left, P_right, image_size(frames[0].left))
+    source: dict[str, Any] = {
+        "reader": NAME,
+        "path": str(path),
+        "calibration": str(calibration),
+        "first": frames[0].number,
+        "last": frames[-1].number,
+        "on_broken": on_broken,
+        "truth": None if truth is None else f"weak: GPS/IMU at the place of the camera, yaw {reading}",
+        "times": "insdata.txt" if ins.is_file() else f"assumed {rate_hz:g} Hz",
+    }
+    return RecordedSequence(f"{NAME}_{path.name}", rig.camera, frames, faults, source)
+
+
+def reading_of_yaw(table: FloatArray) -> str | None:
+    """The key of `_YAW` that agrees best with the course made good; None where none does or nothing moves.
+
+    Parameters
+    ----------
+    table : (K, 10)
+        Rows of `insdata.txt`.
+    """
+    good = table[finite_rows(table)]
+    steps = np.diff(good[:, POSITION], axis=0)[:, :2]
+    moving = np.linalg.norm(steps, axis=1) > _MOVES
+    if not moving.any():
+        return None
+    course = np.arctan2(steps[moving, 1], steps[moving, 0])
+    # Yaw half-way between the frames, for the chord points that way in a turn.
+    yaw = np.unwrap(good[:, ATTITUDE][:, 2])
+    halfway = (0.5 * (yaw[1:] + yaw[:-1]))[moving]
+    misfit = {
+        name: float(np.median(np.abs(_wrapped(sign * halfway + offset - course))))
+        for name, (sign, offset) in _YAW.items()
+    }
+    best = min(misfit, key=misfit.__getitem__)
+    return best if misfit[best] < _AGREES else None
+
+
+def camera_poses(table: FloatArray, reading: str) -> list[Pose | None]:
+    """Poses of the left camera in the frame of x, y, z; None where a row is not finite."""
+    good = finite_rows(table)
+    roll, pitch, yaw = np.where(good[:, None], table[:, ATTITUDE], 0.0).T
+    sign, offset = _YAW[reading]
+    orientations = (oxts.attitudes(roll, pitch, sign * yaw + offset) * Rotation.from_matrix(R_UNIT_CAMERA)).as_quat()
+    positions = table[:, POSITION]
+    return [Pose(r.copy(), q) if ok else None for r, q, ok in zip(positions, orientations, good, strict=True)]
+
+
+def _wrapped(angle: FloatArray) -> FloatArray:
+    return (angle + np.pi) % (2 * np.pi) - np.pi
+
+
+def _calibrations(path: Path) -> list[Path]:
+    """Files that can be the calibration of this sequence, best first."""
+    path = path.resolve()
+    date = "_".join(path.name.split("_")[:3])
+    beside = [path.parent / f"{path.name}_calib.txt", path.parent / f"{date}_calib.txt", path.parent / "calib.txt"]
+    return [*sorted(path.glob("*calib.txt")), *(candidate for candidate in beside if candidate.is_file())]
+
+
+def _calibration(path: Path) -> Path:
+    found = _calibrations(path)
+    if not found:
+        date = "_".join(path.name.split("_")[:3])
+        raise ValueError(f"{path} has no calibration: put {date}_calib.txt into it or beside it")
+    return found[0]

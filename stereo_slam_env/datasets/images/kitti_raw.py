@@ -1,0 +1,229 @@
+"""The layout of the KITTI raw data (rectified and synchronised drives).
+
+`DATE/calib_cam_to_cam.txt`, `calib_imu_to_velo.txt` and `calib_velo_to_cam.txt` beside the drive, and in
+`DATE/DATE_drive_NNNN_sync/` the folders `image_00`, `image_01` (grey, left and right) or `image_02`, `image_03`
+(colour), each with `timestamps.txt` and `data/NNNNNNNNNN.png`, and `oxts` with `timestamps.txt`, `dataformat.txt` and
+`data/NNNNNNNNNN.txt`: one line of 30 numbers a frame from the GPS/IMU unit.
+
+Truth is the pose of that unit, carried over to the left camera by the calibration (that of the odometry benchmark was
+made in the same way). Its velocities are given along forward, left and up of the level surface and are turned into the
+unit's frame by roll and pitch. Row k is taken for the step from frame k - 1 to k, which suits the ground truth best.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from filters.interface import BodyVelocity
+from filters.validation import FloatArray
+from stereo_slam_env.datasets.images import oxts
+from stereo_slam_env.datasets.images.broken import Faults, OnBroken
+from stereo_slam_env.datasets.images.calibration import entry, eye_position, read_entries, rectified_rig
+from stereo_slam_env.datasets.images.frames import Eye, Times, Truth, usable_pairs
+from stereo_slam_env.datasets.images.image_files import image_size, numbered_images
+from stereo_slam_env.datasets.images.odometry import noisy_camera_velocities
+from stereo_slam_env.datasets.images.sequence import RecordedSequence
+from stereo_slam_env.datasets.tables import finite_rows, first_line
+from stereo_slam_env.recording import Pose
+
+NAME = "kitti_raw"
+CAMERAS = {"grey": ("00", "01"), "colour": ("02", "03")}
+CALIBRATION = "calib_cam_to_cam.txt"
+EXTRINSICS = ("calib_imu_to_velo.txt", "calib_velo_to_cam.txt")
+FILES = (
+    f"../{CALIBRATION}",
+    "image_00/data|image_02/data",
+    "image_01/data|image_03/data",
+    "image_00/timestamps.txt|image_02/timestamps.txt",
+)
+OXTS_NUMBERS = 30
+LAT, LON, ALT, ROLL, PITCH, YAW = range(6)
+LEVEL_VELOCITY, BODY_RATES = slice(8, 11), slice(17, 20)
+"""Columns vf, vl, vu (m/s) and wx, wy, wz (rad/s)."""
+
+
+def recognises(path: Path) -> bool:
+    """Whether the folder is one drive of this layout."""
+    return (path.parent / CALIBRATION).is_file() and any(_has(path, cameras) for cameras in CAMERAS)
+
+
+def open_sequence(
+    path: Path,
+    *,
+    first: int | None = None,
+    last: int | None = None,
+    on_broken: OnBroken = "raise",
+    cameras: str | None = None,
+    sigma_linear: float = 0.5,
+    sigma_angular: float = 0.05,
+    odometry_seed: int = 0,
+) -> RecordedSequence:
+    """Open `DATE/DATE_drive_NNNN_sync`.
+
+    Parameters
+    ----------
+    path : Path
+        The folder of the drive.
+    first, last : int, optional
+        Frame numbers to start and to end with, both included.
+    on_broken : {"raise", "skip"}
+        What to do about a pair that cannot be used.
+    cameras : {"grey", "colour"}, optional
+        Which pair of cameras; None takes grey where present.
+    sigma_linear, sigma_angular : float
+        White noise that is added to the velocities of the GPS/IMU unit, m/s and rad/s per axis.
+    odometry_seed : int
+        Of that noise.
+
+    Raises
+    ------
+    ValueError
+        Something is missing, damaged or contradictory: one line that names the file.
+    """
+    path = path.resolve()
+    faults = Faults(on_broken)
+    chosen = _chosen(path, cameras)
+    left_number, right_number = CAMERAS[chosen]
+    left, right = (
+        Eye(folder := path / f"image_{n}" / "data", numbered_images(folder)) for n in (left_number, right_number)
+    )
+    calibration = path.parent / CALIBRATION
+    entries = read_entries(calibration)
+    P_left, P_right = (entry(calibration, entries, f"P_rect_{n}", (3, 4)) for n in (left_number, right_number))
+    times = read_timestamps(path / f"image_{left_number}" / "timestamps.txt")
+    truth, odometry = None, []
+    if known := _has_oxts(path):
+        packets = _read_packets(path / "oxts" / "data", len(times.seconds))
+        T_ci = _imu_to_reference_camera(path.parent, calibration, entries)
+        truth = Truth(path / "oxts" / "data", _reference_camera_poses(packets, T_ci))
+        noise = sigma_linear, sigma_angular, odometry_seed
+        odometry = _odometry(packets, T_ci, eye_position(P_left), *noise)
+    frames = usable_pairs((left, right), times, faults, truth=truth, odometry=odometry, first=first, last=last)
+    rig = rectified_rig(calibration, P_left, P_right, image_size(frames[0].left))
+    source: dict[str, Any] = {
+        "reader": NAME,
+        "path": str(path),
+        "cameras": chosen,
+        "first": frames[0].number,
+        "last": frames[-1].number,
+        "on_broken": on_broken,
+        "truth": "GPS/IMU unit, moved to the left camera" if known else None,
+        "odometry": "velocities of the GPS/IMU unit with white noise added" if known else None,
+        "sigma_linear_m_s": float(sigma_linear),
+        "sigma_angular_rad_s": float(sigma_angular),
+        "odometry_seed": int(odometry_seed),
+    }
+    return RecordedSequence(path.name, rig.camera, rig.of_left(frames), faults, source)
+
+
+def read_timestamps(path: Path) -> Times:
+    """Lines `2011-09-26 13:02:25.964389445` as s since the first one; NaN where a line is no time.
+
+    Raises
+    ------
+    ValueError
+        The file is missing or holds no time.
+    """
+    try:
+        lines = path.read_text(encoding="ascii").splitlines()
+    except FileNotFoundError:
+        raise ValueError(f"{path} is missing: copy it from the recording") from None
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{path} is no text: copy it again ({first_line(error)})") from error
+    while lines and not lines[-1].strip():
+        lines.pop()
+    stamps = np.array([_stamp(line) for line in lines], dtype="datetime64[ns]")
+    good = stamps[~np.isnat(stamps)]
+    if good.size == 0:
+        raise ValueError(f"{path} holds no time such as '2011-09-26 13:02:25.964389445': copy it again")
+    nanoseconds = (stamps - good[0]) / np.timedelta64(1, "ns")
+    return Times(path, 1e-9 * nanoseconds)
+
+
+def _stamp(line: str) -> np.datetime64:
+    try:
+        return np.datetime64(line.strip(), "ns")
+    except ValueError:
+        return np.datetime64("NaT", "ns")
+
+
+def _has(path: Path, cameras: str) -> bool:
+    return all((path / f"image_{n}" / "data").is_dir() for n in CAMERAS[cameras])
+
+
+def _has_oxts(path: Path) -> bool:
+    return (path / "oxts" / "data").is_dir() and all((path.parent / name).is_file() for name in EXTRINSICS)
+
+
+def _chosen(path: Path, cameras: str | None) -> str:
+    if cameras is None:
+        return "grey" if _has(path, "grey") else "colour"
+    if cameras not in CAMERAS:
+        raise ValueError(f"cameras must be one of {', '.join(CAMERAS)}, got {cameras!r}")
+    return cameras
+
+
+def _read_packets(folder: Path, count: int) -> FloatArray:
+    """One row of 30 numbers a frame; NaN where the file is missing or damaged."""
+    packets = np.full((count, OXTS_NUMBERS), np.nan)
+    for k in range(count):
+        try:
+            numbers = [float(word) for word in (folder / f"{k:010d}.txt").read_text(encoding="ascii").split()]
+        except (OSError, ValueError):
+            continue
+        if len(numbers) == OXTS_NUMBERS:
+            packets[k] = numbers
+    return packets
+
+
+def _imu_to_reference_camera(folder: Path, calibration: Path, entries: Mapping[str, FloatArray]) -> FloatArray:
+    """T (4, 4) that takes points from the IMU frame to the rectified frame of camera 00."""
+    T = np.eye(4)
+    for name in EXTRINSICS:
+        path = folder / name
+        found = read_entries(path)
+        step = np.eye(4)
+        step[:3, :3], step[:3, 3] = entry(path, found, "R", (3, 3)), entry(path, found, "T", (3,))
+        T = step @ T
+    rectify = np.eye(4)
+    rectify[:3, :3] = entry(calibration, entries, "R_rect_00", (3, 3))
+    return np.asarray(rectify @ T, dtype=np.float64)
+
+
+def _reference_camera_poses(packets: FloatArray, T_ci: FloatArray) -> list[Pose | None]:
+    good = finite_rows(packets[:, :6])
+    usable = np.where(good[:, None], packets[:, :6], 0.0)
+    positions = oxts.mercator_positions(*np.where(good[:, None], packets[:, :3], np.nan).T)
+    R_wi = oxts.attitudes(usable[:, ROLL], usable[:, PITCH], usable[:, YAW])
+    R_ci, t_ci = T_ci[:3, :3], T_ci[:3, 3]
+    camera_positions = positions + R_wi.apply(-R_ci.T @ t_ci)
+    orientations = (R_wi * Rotation.from_matrix(R_ci.T)).as_quat()
+    return [Pose(r, q) if ok else None for r, q, ok in zip(camera_positions, orientations, good, strict=True)]
+
+
+def _odometry(
+    packets: FloatArray,
+    T_ci: FloatArray,
+    left_in_reference: FloatArray,
+    sigma_linear: float,
+    sigma_angular: float,
+    seed: int,
+) -> list[BodyVelocity | None]:
+    good = finite_rows(packets[:, :20])
+    usable = np.where(good[:, None], packets[:, :20], 0.0)
+    R_ci = T_ci[:3, :3]
+    steps = noisy_camera_velocities(
+        oxts.levelled_to_body(usable[:, LEVEL_VELOCITY], usable[:, ROLL], usable[:, PITCH]),
+        usable[:, BODY_RATES],
+        R_ci,
+        R_ci.T @ (left_in_reference - T_ci[:3, 3]),
+        sigma_linear=sigma_linear,
+        sigma_angular=sigma_angular,
+        seed=seed,
+    )
+    return [step if ok else None for step, ok in zip(steps, good, strict=True)]
