@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -82,7 +83,7 @@ def measurement_errors(recording: Recording) -> MeasurementErrors:
 
 def noise_by_range(errors: MeasurementErrors, ranges: Sequence[float] = RANGES) -> tuple[NoiseOfRange, ...]:
     """Bias, spread and outliers in each range that has measurements, then over all of them."""
-    bins = [*zip(ranges[:-1], ranges[1:], strict=True), (ranges[0], ranges[-1])]
+    bins = [*pairwise(ranges), (ranges[0], ranges[-1])]
     rows = []
     for low, high in bins:
         inside = (errors.depth >= low) & (errors.depth < high)

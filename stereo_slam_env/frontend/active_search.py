@@ -2,20 +2,13 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterator
 
-import numpy as np
-
 from filters.interface import StereoFilter, StereoObservation
-from stereo_slam_env.frontend.recorder import TYPICAL_NOISE
 from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.frontend.tracked import TrackedPair
 from stereo_slam_env.frontend.tracker import StereoTracker
 from stereo_slam_env.image_sequence import ImageSequence, StereoPair
-from stereo_slam_env.recording import Frame, Recording
-
-_NOTHING = StereoObservation([], np.zeros((0, 3)))
 
 
 class ActiveSearch:
@@ -42,13 +35,6 @@ class ActiveSearch:
         """The last pair looked at."""
         self.tracked: TrackedPair | None = None
         """What was found in it."""
-
-    def recording(self, frames: tuple[Frame, ...]) -> Recording:
-        """The drive with the times, truth and odometry of `frames` and nothing measured yet."""
-        empty = tuple(dataclasses.replace(frame, observation=_NOTHING) for frame in frames)
-        source = {**self._sequence.source, "search": "forecast", "front_end": dataclasses.asdict(self._settings)}
-        sequence = self._sequence
-        return Recording(sequence.name, sequence.camera, empty, TYPICAL_NOISE, sequence.start, source=source)
 
     def observe(self, number: int, estimator: StereoFilter) -> StereoObservation:
         """Search pair `number` where `estimator`, already predicted, expects its landmarks; 0 starts again.

@@ -5,14 +5,21 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable
 
+import numpy as np
+
+from filters import rotations
 from filters.noise import StereoNoise
 from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.frontend.tracker import StereoTracker
 from stereo_slam_env.image_sequence import ImageSequence
-from stereo_slam_env.recording import Frame, Recording
+from stereo_slam_env.recording import Frame, Recording, Start
+from stereo_slam_env.stereo_step import Step
 
 TYPICAL_NOISE = StereoNoise.diagonal(0.3, 0.3, 0.3)
 """What a filter is told beforehand; every measurement then comes with a covariance of its own."""
+
+_START_SIGMAS = np.repeat([1e-6, 1e-6, 0.5, 0.05], 3)
+"""Of position, rotation, linear and angular velocity at the start: m, rad, m/s, rad/s."""
 
 
 def record_tracks(
@@ -40,9 +47,12 @@ def record_tracks(
     settings = TrackerSettings() if settings is None else settings
     tracker = StereoTracker(sequence.camera, settings)
     frames: list[Frame] = []
+    start = sequence.start
     for number, pair in enumerate(sequence.pairs()):
         dt = pair.timestamp - frames[-1].timestamp if frames else None
         observation = tracker.track(pair.left, pair.right, dt).observation
+        if number == 1 and start.covariance is None and tracker.last_step is not None:
+            start = _moving_start(start, *tracker.last_step)
         frames.append(Frame(pair.timestamp, observation, pair.odometry, pair.truth))
         if progress is not None:
             progress(number + 1, len(sequence))
@@ -51,6 +61,17 @@ def record_tracks(
         sequence.camera,
         tuple(frames),
         TYPICAL_NOISE,
-        sequence.start,
+        start,
         source={**sequence.source, "front_end": dataclasses.asdict(settings)},
+    )
+
+
+def _moving_start(start: Start, step: Step, dt: float) -> Start:
+    """The start with the velocity that the first two pairs show; a filter from rest would have to guess 10 m/s."""
+    R_wc = rotations.matrix(start.orientation)
+    return dataclasses.replace(
+        start,
+        linear_velocity=R_wc @ step.t / dt,
+        angular_velocity=rotations.log(step.R) / dt,
+        covariance=np.diag(_START_SIGMAS**2),
     )

@@ -7,6 +7,18 @@ from dataclasses import dataclass
 from filters.validation import gate_probability, positive
 
 
+_POSITIVE = (
+    "nearest",
+    "min_disparity",
+    "max_radius",
+    "min_distance",
+    "sigma_acceleration",
+    "sigma_angular_acceleration",
+    "sigma_floor",
+    "sigma_shape",
+)
+
+
 @dataclass(frozen=True)
 class TrackerSettings:
     """How landmarks are found, followed and given up.
@@ -38,10 +50,15 @@ class TrackerSettings:
         Pairs in a row without a match after which a landmark is dropped.
     margin : int
         Distance to the edge of both images, px.
+    min_distance : float
+        Between a new landmark and any other in the left image, px.
     sigma_acceleration, sigma_angular_acceleration : float
         By how much the motion may change between pairs, m/s^2 and rad/s^2 (as `filters.ConstantVelocity`).
     sigma_floor : float
         No pixel coordinate is believed to better than this, px.
+    sigma_shape : float
+        How far a patch that is not the plane it is taken for shifts, px per px of disparity since it was first seen.
+        Measured on rendered streets (`stereo-slam scenes noise`).
     """
 
     max_landmarks: int = 100
@@ -56,9 +73,11 @@ class TrackerSettings:
     probation: int = 2
     max_misses: int = 2
     margin: int = 8
+    min_distance: float = 10.0
     sigma_acceleration: float = 3.0
     sigma_angular_acceleration: float = 0.6
-    sigma_floor: float = 0.1
+    sigma_floor: float = 0.12
+    sigma_shape: float = 0.03
 
     def __post_init__(self) -> None:
         for name, low in (
@@ -75,8 +94,7 @@ class TrackerSettings:
             raise ValueError(
                 f"refill_below must be at most max_landmarks = {self.max_landmarks}, got {self.refill_below}"
             )
-        for name in ("nearest", "min_disparity", "max_radius", "sigma_acceleration", "sigma_angular_acceleration",
-                     "sigma_floor"):  # fmt: skip
+        for name in _POSITIVE:
             positive(name, getattr(self, name))
         for name in ("min_score", "uniqueness", "search_gate", "gate"):
             if gate_probability(getattr(self, name)) is None:

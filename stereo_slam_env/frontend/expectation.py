@@ -1,0 +1,116 @@
+"""Where the landmarks are expected in the next pair, and how surely."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2
+
+from filters.camera import StereoCamera
+from filters.interface import Forecast
+from filters.validation import BoolArray, FloatArray, IntArray
+from stereo_slam_env.frontend.ego_motion import MIN_POINTS, predicted, robust_step
+from stereo_slam_env.frontend.settings import TrackerSettings
+from stereo_slam_env.frontend.tracks import Tracks
+from stereo_slam_env.stereo_step import Pairs, Step
+
+
+@dataclass(frozen=True, eq=False)
+class Expectation:
+    """Of N tracks.
+
+    Attributes
+    ----------
+    uvd : (N, 3)
+        Expected (u, v, d), px.
+    S : (N, 3, 3)
+        Covariance of measured minus expected, px^2.
+    in_view : (N,) bool
+        In front of the camera and inside both images.
+    step : Step
+        The motion of the camera that goes with it.
+    """
+
+    uvd: FloatArray
+    S: FloatArray
+    in_view: BoolArray
+    step: Step
+
+    def merged(self, other: Expectation, rows: BoolArray) -> Expectation:
+        """This one, with `rows` (N,) from the other."""
+        return Expectation(
+            np.where(rows[:, None], other.uvd, self.uvd),
+            np.where(rows[:, None, None], other.S, self.S),
+            np.where(rows, other.in_view, self.in_view),
+            other.step,
+        )
+
+
+def constant_velocity_covariance(settings: TrackerSettings, dt: float) -> FloatArray:
+    """Covariance (6, 6) of a step that is expected to be like the one before: t (m), then rotation (rad)."""
+    sigmas = np.repeat([settings.sigma_acceleration, settings.sigma_angular_acceleration], 3) * dt**2
+    return np.diag(sigmas**2)
+
+
+def by_motion(
+    camera: StereoCamera, tracks: Tracks, step: Step, step_covariance: FloatArray, last: Step | None, margin: float
+) -> Expectation:
+    """Where standing landmarks come to by the motion of the camera, and moving ones by going on as before.
+
+    Parameters
+    ----------
+    camera : StereoCamera
+        The rig.
+    tracks : Tracks
+        With the memory moved on: nothing measured yet in this pair.
+    step, step_covariance : Step, (6, 6)
+        Motion since the previous pair, and covariance of its error.
+    last : Step or None
+        Motion between the two previous pairs.
+    margin : float
+        Of the view, px.
+    """
+    uvd, covariance, in_front = predicted(camera, tracks.uvd, tracks.R, step, step_covariance)
+    twice = tracks.moving & np.isfinite(tracks.measured[:, 1:3]).all(axis=(1, 2))
+    if last is not None and twice.any():
+        stayed, _, _ = predicted(camera, tracks.measured[twice, 2], tracks.measured_R[twice, 2], last, np.zeros((6, 6)))
+        uvd[twice] += tracks.measured[twice, 1] - stayed
+    return Expectation(uvd, covariance + tracks.R, in_front & camera.in_view(uvd, margin), step)
+
+
+def by_forecast(
+    camera: StereoCamera, tracks: Tracks, expected: Expectation, forecast: Forecast, settings: TrackerSettings
+) -> Expectation:
+    """The filter's word for the landmarks it has, where it is sure enough to search there."""
+    i, j = _common(tracks, forecast)
+    sure = searchable(forecast.S[j], settings) & ~tracks.moving[i]
+    i, j = i[sure], j[sure]
+    uvd, S, in_view = expected.uvd.copy(), expected.S.copy(), expected.in_view.copy()
+    uvd[i], S[i] = forecast.uvd[j], forecast.S[j]
+    in_view[i] = forecast.in_view[j] & camera.in_view(uvd[i], settings.margin)
+    return Expectation(uvd, S, in_view, expected.step)
+
+
+def step_of_forecast(
+    camera: StereoCamera, tracks: Tracks, forecast: Forecast, settings: TrackerSettings
+) -> Step | None:
+    """The motion of the camera that a forecast means: from where the landmarks were to where they are expected."""
+    i, j = _common(tracks, forecast)
+    sure = searchable(forecast.S[j], settings) & (tracks.misses[i] == 0)
+    i, j = i[sure], j[sure]
+    if len(i) < MIN_POINTS:
+        return None
+    found = robust_step(camera, Pairs(tracks.uvd[i], forecast.uvd[j], tracks.R[i], forecast.S[j]), None)
+    return None if found is None else found.step
+
+
+def searchable(S: FloatArray, settings: TrackerSettings) -> BoolArray:
+    """Whether the ellipses in the left image are small enough to be searched; (N, 3, 3) -> (N,)."""
+    largest = np.linalg.eigvalsh(S[:, :2, :2])[:, 1]
+    return np.asarray(chi2.ppf(settings.search_gate, 2) * largest <= settings.max_radius**2)
+
+
+def _common(tracks: Tracks, forecast: Forecast) -> tuple[IntArray, IntArray]:
+    _, i, j = np.intersect1d(tracks.ids, forecast.ids, assume_unique=True, return_indices=True)
+    return i, j

@@ -1,0 +1,154 @@
+"""Find expected landmarks in a pair: correlate inside the ellipse on the left, then along the row on the right."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2
+
+from filters.camera import StereoCamera
+from filters.validation import BoolArray, FloatArray, IntArray
+from stereo_slam_env.frontend.correlation import search
+from stereo_slam_env.frontend.detection import detect_corners
+from stereo_slam_env.frontend.expectation import Expectation
+from stereo_slam_env.frontend.patches import local_affine, warped_patches
+from stereo_slam_env.frontend.settings import TrackerSettings
+from stereo_slam_env.frontend.stereo_matching import match_rows
+from stereo_slam_env.frontend.tracked import Outcome
+from stereo_slam_env.frontend.tracks import Tracks
+from stereo_slam_env.image_sequence import GreyImage
+
+_ROW_SLACK = 1.0
+"""Added to the range of disparities that is searched, px."""
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """What was found of N landmarks: uvd (N, 3) px (NaN: nothing), R (N, 3, 3) px^2, an `Outcome` each (N,)."""
+
+    uvd: FloatArray
+    R: FloatArray
+    outcome: IntArray
+
+    @property
+    def matched(self) -> BoolArray:
+        """Found in both images; (N,)."""
+        return np.asarray(self.outcome == Outcome.MATCHED)
+
+    def merged(self, other: Found, rows: BoolArray) -> Found:
+        """This one, with `rows` (N,) from the other."""
+        return Found(
+            np.where(rows[:, None], other.uvd, self.uvd),
+            np.where(rows[:, None, None], other.R, self.R),
+            np.where(rows, other.outcome, self.outcome),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class PairFinder:
+    """Looks into one pair.
+
+    Attributes
+    ----------
+    camera : StereoCamera
+        The rig.
+    settings : TrackerSettings
+        Of the front end.
+    left, right : (H, W) uint8
+        The pair.
+    disparity_offset : float
+        Added to what is measured along the row, px.
+    """
+
+    camera: StereoCamera
+    settings: TrackerSettings
+    left: GreyImage
+    right: GreyImage
+    disparity_offset: float
+
+    def find(
+        self, tracks: Tracks, expected: Expectation, R_vn: FloatArray, position_v: FloatArray, which: BoolArray
+    ) -> Found:
+        """Look for the tracks `which` (N,) from the expected camera pose R_vn, position_v in the front end's world."""
+        count, settings = len(tracks), self.settings
+        uvd, R = np.full((count, 3), np.nan), np.full((count, 3, 3), np.nan)
+        outcome = np.full(count, int(Outcome.OUT_OF_VIEW), dtype=np.int64)
+        wanted = np.flatnonzero(expected.in_view & which)
+        if len(wanted) == 0:
+            return Found(uvd, R, outcome)
+        sought = tracks.select(wanted)
+        R_now_then = R_vn.T @ sought.first_R
+        t_now_then = (sought.first_position - position_v) @ R_vn
+        templates = warped_patches(sought.patches, local_affine(self.camera, sought.first_uvd, R_now_then, t_now_then))
+        result = search(
+            self.left,
+            templates,
+            expected.uvd[wanted, :2],
+            expected.S[wanted, :2, :2],
+            gate=settings.search_gate,
+            max_radius=settings.max_radius,
+        )
+        good = (result.score >= settings.min_score) & (result.second <= settings.uniqueness * result.score)
+        good &= ~result.on_border & self.inside(result.position)
+        outcome[wanted] = np.where(good, Outcome.NO_DISPARITY, Outcome.NO_MATCH)
+        hit = np.flatnonzero(good)
+        at = wanted[hit]
+        reach = _ROW_SLACK + np.sqrt(chi2.ppf(settings.search_gate, 1) * expected.S[at, 2, 2])
+        disparity, variance, accepted = self.disparities(
+            result.position[hit], expected.uvd[at, 2] - reach, expected.uvd[at, 2] + reach
+        )
+        hit, at = hit[accepted], at[accepted]
+        uvd[at] = np.column_stack([result.position[hit], disparity[accepted]])
+        nearer = uvd[at, 2] - sought.first_uvd[hit, 2]
+        R[at] = self._noise(result.covariance[hit], variance[accepted], nearer)
+        outcome[at] = Outcome.MATCHED
+        return Found(uvd, R, outcome)
+
+    def corners(self, wanted: int, occupied: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """New corners away from `occupied` (K, 2), with a disparity: (u, v, d) (M, 3) px and R (M, 3, 3) px^2."""
+        settings = self.settings
+        uv = detect_corners(self.left, wanted, occupied, margin=settings.margin, min_distance=settings.min_distance)
+        low = np.full(len(uv), settings.min_disparity)
+        high = np.full(len(uv), self.camera.disparity_constant / settings.nearest)
+        disparity, variance, accepted = self.disparities(uv, low, high, left_right_check=True)
+        uvd = np.column_stack([uv, disparity])[accepted]
+        exact = np.zeros((len(uvd), 2, 2))  # the corner itself is the landmark
+        return uvd, self._noise(exact, variance[accepted], np.zeros(len(uvd)))
+
+    def disparities(
+        self, uv: FloatArray, low: FloatArray, high: FloatArray, *, left_right_check: bool = False
+    ) -> tuple[FloatArray, FloatArray, BoolArray]:
+        """Disparities of left pixels (M, 2) in low..high (M,), their variances, and which matches are accepted."""
+        if len(uv) == 0:
+            return np.zeros(0), np.zeros(0), np.zeros(0, dtype=bool)
+        rows = match_rows(
+            self.left,
+            self.right,
+            uv,
+            low - self.disparity_offset,
+            high - self.disparity_offset,
+            min_score=self.settings.min_score,
+            ratio=self.settings.uniqueness,
+            left_right_check=left_right_check,
+        )
+        return rows.disparity + self.disparity_offset, rows.variance, rows.accepted
+
+    def inside(self, uv: FloatArray) -> BoolArray:
+        """Which pixels (M, 2) are off the edge of the left image by the margin."""
+        margin = self.settings.margin
+        high = [self.camera.width - 1 - margin, self.camera.height - 1 - margin]
+        return np.asarray(((uv >= margin) & (uv <= high)).all(axis=1))
+
+    def _noise(self, covariance_uv: FloatArray, variance_d: FloatArray, nearer: FloatArray) -> FloatArray:
+        """R of each measurement: what was found in the left image is independent of the match along the row.
+
+        The patch is warped as if it were a plane that faced the camera when first seen; the nearer it has come since
+        (px of disparity), the more of its true shape shows.
+        """
+        floor = self.settings.sigma_floor**2
+        shape = (self.settings.sigma_shape * nearer) ** 2
+        R = np.zeros((len(variance_d), 3, 3))
+        R[:, :2, :2] = covariance_uv + (floor + shape)[:, None, None] * np.eye(2)
+        R[:, 2, 2] = variance_d + floor
+        return R
