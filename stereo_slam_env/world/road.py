@@ -132,8 +132,17 @@ class Road:
 def road_along(route: Route) -> Road:
     """The road whose right-hand lane is driven by `route`."""
     lane = route.positions[:, [2, 0]] * [1.0, -1.0]
-    moved = np.unique(np.floor(route.arc_length / _LEAST_STEP), return_index=True)[1]
-    return Road(lane[moved], LEAD_IN, LEAD_OUT)
+    return Road(lane[_moved(route)], LEAD_IN, LEAD_OUT)
+
+
+def stations_of(route: Route, road: Road) -> FloatArray:
+    """Where the camera nominally is on the road along its route at each frame, m; (K,)."""
+    return np.interp(route.arc_length, route.arc_length[_moved(route)], road.lane_stations)
+
+
+def _moved(route: Route) -> IntArray:
+    """Frames that are not in the place of the one before."""
+    return np.asarray(np.unique(np.floor(route.arc_length / _LEAST_STEP), return_index=True)[1])
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from stereo_slam_env.world.surface_points import facing_points
 HALF_WIDTH = 5.75
 """Two lanes of 3.5 m between two parking strips of 2.25 m."""
 PAVEMENT = 3.0
-WALKWAY = 7.6
+WALKWAY = 8.2
 """Where pedestrians walk: between the trees and lamps at the kerb and the houses, m from the centreline."""
 _KERB = HALF_WIDTH + PAVEMENT
 _STRIPS = (
