@@ -29,6 +29,8 @@ _ROOM = 0.25
 _LEADING, _STOPPING, _CROSSING = 0.4, 0.3, 0.35
 """Shares of cars that drive ahead in the lane of the ego car, of oncoming ones that stop for a while, and of
 pedestrians that cross the road."""
+_AHEAD, _BEHIND = 150.0, 40.0
+"""How far along the road from the ego car bodies are there at all, m."""
 _OUT_OF_SIGHT = -200.0
 """Height at which a body waits before it comes and after it has gone, m."""
 _TIGHT = 0.8
@@ -119,9 +121,13 @@ class _Cast:
             yaws = yaws + way.turn
             if obstacles is not None and obstacles.block(points[::5], radius):
                 continue
+            ahead = way.stations - self._ego
             here = (way.stations > 3.0) & (way.stations < self._road.length - 3.0)
+            here &= (ahead > -_BEHIND) & (ahead < _AHEAD)
+            if not here.any():
+                continue
             circles = _circles(np.where(here[:, None], points, np.nan), yaws, centers)
-            if any(_touch(circles, others, radius + reach + _ROOM) for others, reach in self._taken):
+            if any(_touch(circles[here], others[here], radius + reach + _ROOM) for others, reach in self._taken):
                 continue
             self._taken.append((circles, radius))
             positions = np.column_stack([points, np.where(here, 0.0, _OUT_OF_SIGHT)])
@@ -132,7 +138,7 @@ class _Cast:
     def leading(self, length: float, rng: np.random.Generator) -> _Way:
         """Ahead in the lane of the ego car: sometimes nearer, sometimes further."""
         nearest = 6.0 + 0.5 * length
-        mean, change = nearest + float(rng.gamma(1.5, 9.0)) + 4.0, float(rng.uniform(1.5, 4.0))
+        mean, change = nearest + float(rng.gamma(1.5, 6.0)) + 3.0, float(rng.uniform(1.5, 4.0))
         phase = 2 * np.pi * (self._times / float(rng.uniform(12.0, 25.0)) + float(rng.random()))
         gap = np.maximum(mean + change * np.sin(phase), nearest)
         stations = np.maximum.accumulate(self._ego + gap)
@@ -183,5 +189,5 @@ def _circles(points: FloatArray, yaws: FloatArray, centers: FloatArray) -> Float
 
 def _touch(one: FloatArray, other: FloatArray, limit: float) -> bool:
     """Whether circles (K, C, 2) and (K, D, 2) ever come within `limit` m of each other; NaN is nowhere."""
-    apart = np.linalg.norm(one[:, :, None] - other[:, None], axis=-1)
-    return bool((apart < limit).any())
+    apart = one[:, :, None] - other[:, None]
+    return bool((np.einsum("kcdi,kcdi->kcd", apart, apart) < limit**2).any())
