@@ -67,6 +67,15 @@ def new_context() -> Any:
         ) from error
 
 
+def device() -> dict[str, str]:
+    """`version` of OpenGL and the `device` that draws."""
+    context = new_context()
+    try:
+        return {"version": str(context.info["GL_VERSION"]), "device": str(context.info["GL_RENDERER"])}
+    finally:
+        context.release()
+
+
 class MeshBuffer:
     """A draw list on the card."""
 
