@@ -49,22 +49,22 @@ class Air:
         self._columns = np.arange(camera.width, dtype=np.float32)
         self._rows = np.arange(camera.height, dtype=np.float32)
 
-    def over(self, rgb: NDArray[np.uint8], depth: NDArray[np.float32], R_sc: FloatArray) -> NDArray[np.uint8]:
+    def over(self, rgb: NDArray[np.uint8], depth: NDArray[np.floating], R_sc: FloatArray) -> NDArray[np.uint8]:
         """Blend a picture into the haze with distance, and put the sky where nothing was drawn.
 
         Parameters
         ----------
         rgb : (H, W, 3) uint8
             What was drawn.
-        depth : (H, W) float32
+        depth : (H, W)
             m; infinity where there is nothing.
         R_sc : (3, 3)
             Takes camera vectors into the scene.
         """
-        clear = np.multiply(depth, np.float32(-1.0 / self._haze_range))
+        clear = np.multiply(depth, np.float32(-1.0 / self._haze_range), dtype=np.float32)
         cv2.exp(clear, dst=clear)
         seen = cv2.blendLinear(rgb, self._horizon, clear, 1.0 - clear)
-        nothing = cv2.compare(clear, 0.0, cv2.CMP_EQ)
+        nothing = np.isinf(depth).view(np.uint8)
         rows = np.flatnonzero(cv2.reduce(nothing, 1, cv2.REDUCE_MAX))
         if len(rows):
             band = slice(int(rows[0]), int(rows[-1]) + 1)

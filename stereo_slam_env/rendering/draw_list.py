@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,6 +43,11 @@ class DrawList:
     centers: FloatArray
     half_sizes: FloatArray
 
+    @cached_property
+    def radius(self) -> float:
+        """Of a ball around the origin with everything in it, m."""
+        return float(np.linalg.norm(self.vertices["position"], axis=1).max())
+
     def front_to_back(self, view: ViewVolume) -> NDArray[np.uint32]:
         """Triangles of the chunks that reach into `view`, the nearest chunks first; (K, 3)."""
         seen = np.flatnonzero(view.touches(self.centers, self.half_sizes))
@@ -72,9 +78,9 @@ class ViewVolume:
         return cls(normals, offsets_c + normals @ eye, eye)
 
     def touches(self, centers: FloatArray, half_sizes: FloatArray) -> BoolArray:
-        """Which upright boxes (N, 3) may reach into it; (N,)."""
+        """Which upright boxes (..., 3) may reach into it; (...)."""
         reach = centers @ self.normals.T + half_sizes @ np.abs(self.normals.T)
-        return np.asarray((reach >= self.offsets).all(axis=1))
+        return np.asarray((reach >= self.offsets).all(axis=-1))
 
     def distance(self, points: FloatArray) -> FloatArray:
         """From the left eye to points (N, 3); (N,) m."""

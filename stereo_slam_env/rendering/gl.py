@@ -1,33 +1,36 @@
-"""Stereo images by OpenGL, on the graphics card or by Mesa on the CPU: fast, without a display. Needs moderngl."""
+"""Stereo images by OpenGL, on a graphics card or by Mesa on the CPU: fast, without a display. Needs moderngl."""
 
 from __future__ import annotations
 
-import os
-from collections.abc import Iterable
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
-import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from filters import rotations
 from filters.camera import StereoCamera
 from filters.validation import FloatArray
 from stereo_slam_env.recording import Pose
 from stereo_slam_env.rendering import gl_shaders, pinhole
-from stereo_slam_env.rendering.draw_list import VERTEX_FORMAT, DrawList, ViewVolume, draw_list
+from stereo_slam_env.rendering.air import sky_slope
+from stereo_slam_env.rendering.draw_list import ViewVolume, draw_list
+from stereo_slam_env.rendering.gl_resources import FrameBuffer, MeshBuffer, TextureArray, check_process, new_context
 from stereo_slam_env.rendering.images import StereoImages
+from stereo_slam_env.rendering.pinhole import FAR, NEAR
 from stereo_slam_env.world.frames import WorldFrame
 from stereo_slam_env.world.meshes import body_meshes, scene_meshes
-from stereo_slam_env.world.scene import Look, Material, MovingBody, Scene
-from stereo_slam_env.world.textures import Image, texture
+from stereo_slam_env.world.scene import Look, MovingBody, Scene
 
-NEAR, FAR = 0.5, 300.0
-ZENITH_SLOPE = 0.45
+Placed = tuple[MeshBuffer, FloatArray, FloatArray]
+"""A mesh with R_sb of its frame, and the origin of that minus the left camera, in S."""
 
 
 class GLRenderer:
     """Draws scenes with OpenGL, both eyes in one frame buffer.
+
+    Several can live in one process. One that was made before a fork works in the child, too, unless the environment
+    says `LP_NUM_THREADS` other than 0.
 
     Parameters
     ----------
@@ -35,8 +38,10 @@ class GLRenderer:
         The rig.
     frame : WorldFrame
         Where W sits in the scene.
+    supersample : int
+        Draw this many times finer and average: smoother texture and edges, for the square of the time.
     samples : int
-        Samples a pixel for smooth edges, 1 or 4; the depth stays that of the pixel centres.
+        Samples a pixel at the edges of things, at most what the driver can (4 in Mesa on the CPU).
 
     Raises
     ------
@@ -44,251 +49,144 @@ class GLRenderer:
         moderngl is not installed.
     RuntimeError
         There is no EGL.
+    ValueError
+        The driver cannot take so many samples.
     """
 
-    def __init__(self, camera: StereoCamera, frame: WorldFrame, samples: int = 1) -> None:
+    def __init__(self, camera: StereoCamera, frame: WorldFrame, supersample: int = 1, samples: int = 1) -> None:
         self.camera = camera
         self._frame = frame
-        self._context: Any = _new_context()
+        self._fine = pinhole.supersampled(camera, supersample)
+        self._context: Any = new_context()
+        most = int(self._context.max_samples)
+        if not 1 <= samples <= most:
+            self._context.release()
+            raise ValueError(f"samples must be from 1 to {most} with this driver, got {samples!r}")
         with self._context as context:
-            self._textures = _TextureArray(context)
-            self._target = _Target(context, camera.width, camera.height, samples)
-            self._surfaces = context.program(gl_shaders.SURFACE_VERTEX, gl_shaders.SURFACE_FRAGMENT)
+            self._frame_buffer = FrameBuffer(context, camera, supersample, samples)
+            self._textures = TextureArray(context)
+            self._surface = context.program(gl_shaders.SURFACE_VERTEX, gl_shaders.SURFACE_FRAGMENT)
             self._sky = context.program(gl_shaders.SKY_VERTEX, gl_shaders.SKY_FRAGMENT)
-            self._sky_array = context.vertex_array(self._sky, [])
-            projection = pinhole.projection_matrix(camera, NEAR, FAR, pinhole.OPENGL_OFFSET)
-            upside_down = np.diag([1.0, -1.0, 1.0, 1.0]) @ projection @ np.diag([1.0, -1.0, -1.0, 1.0])
-            self._surfaces["projection"].write(_columns(upside_down))
-        self._standing: _Drawable | None = None
-        self._moving: list[tuple[MovingBody, _Drawable]] = []
+            self._everywhere = context.vertex_array(self._sky, [])
+            self._surface["projection"].write(_single(_projection(camera)))
+        self._standing: MeshBuffer | None = None
+        self._moving: list[tuple[MovingBody, MeshBuffer]] = []
 
     def build(self, scene: Scene) -> None:
         """Replace whatever was drawn by `scene`."""
-        with self._context as context:
-            self._forget()
-            meshes = scene_meshes(scene)
-            bodies = [body_meshes(body) for body in scene.moving]
-            self._textures.load(material for group in (meshes, *bodies) for material in group)
-            self._standing = _Drawable(context, self._surfaces, draw_list(meshes, self._textures.layer))
-            self._moving = [
-                (body, _Drawable(context, self._surfaces, draw_list(group, self._textures.layer)))
-                for body, group in zip(scene.moving, bodies, strict=True)
+        standing = scene_meshes(scene)
+        moving = [body_meshes(body) for body in scene.moving]
+        with self._current() as context:
+            self._release_meshes()
+            self._textures.load(material for meshes in (standing, *moving) for material in meshes)
+            buffers = [
+                MeshBuffer(context, self._surface, draw_list(meshes, self._textures.layer))
+                for meshes in (standing, *moving)
             ]
+            self._standing, self._moving = buffers[0], list(zip(scene.moving, buffers[1:], strict=True))
             self._set_look(scene.look)
 
     def render_pair(self, pose: Pose, time: float = 0.0) -> StereoImages:
-        """Draw what the rig sees from `pose` (left camera in W) when moving bodies are where they are at `time` s."""
+        """Draw what the rig sees from `pose` (left camera in W) when moving bodies are where they are at `time` s.
+
+        Returns
+        -------
+        StereoImages
+            The depth is that of the pixel centres, whatever the samples.
+
+        Raises
+        ------
+        RuntimeError
+            There is no scene yet, or the renderer is closed.
+        """
+        if self._standing is None:
+            raise RuntimeError("there is nothing to draw: call build(scene) first")
         eye = self._frame.to_scene(pose.position)
         R_sc = self._frame.rotation_to_scene(rotations.matrix(pose.orientation))
         view = ViewVolume.of(self.camera, eye, R_sc, NEAR, FAR)
-        with self._context as context:
-            self._surfaces["R_cs"].write(_columns(R_sc.T))
-            context.front_face = "cw"  # of the upside-down picture
+        with self._current() as context:
+            self._standing.select(view)
+            things = [(self._standing, np.eye(3), -eye), *self._moving_in(view, time)]
             context.enable_only(context.DEPTH_TEST | context.CULL_FACE)
-            context.depth_func = "<="
-            self._target.clear()
+            context.depth_func, context.front_face = "<=", "cw"  # clockwise because the picture is upside down
             self._textures.use()
-            assert self._standing is not None
-            standing = self._standing.upload(view)
-            self._place(np.eye(3), -eye)
-            for eye_index in (0, 1):
-                self._target.look_with(eye_index)
-                self._surfaces["eye"].value = eye_index * self.camera.baseline
-                self._standing.draw(standing)
-            for body, drawable in self._moving:
-                self._draw_body(body, drawable, time, eye)
-            for eye_index in (0, 1):
-                self._draw_sky(eye_index, R_sc)
-            return self._target.read()
-
-    def _draw_body(self, body: MovingBody, drawable: _Drawable, time: float, eye: FloatArray) -> None:
-        position, yaw = body.pose_at(time)
-        cos, sin = np.cos(yaw), np.sin(yaw)
-        self._place(np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]]), position - eye)
-        count = drawable.upload(None)
-        for eye_index in (0, 1):
-            self._target.look_with(eye_index)
-            self._surfaces["eye"].value = eye_index * self.camera.baseline
-            drawable.draw(count)
-
-    def _place(self, R_sb: FloatArray, offset: FloatArray) -> None:
-        coarse = offset.astype(np.float32)
-        self._surfaces["R_sb"].write(_columns(R_sb))
-        self._surfaces["from_camera"].write(coarse.tobytes())
-        self._surfaces["remainder"].write((offset - coarse).astype(np.float32).tobytes())
-
-    def _draw_sky(self, eye_index: int, R_sc: FloatArray) -> None:
-        camera = self.camera
-        up = R_sc[2] / ZENITH_SLOPE
-        across, down = up[0] / camera.fx, up[1] / camera.fy
-        row = eye_index * camera.height
-        constant = up[2] - across * (camera.cx + 0.5) - down * (camera.cy + 0.5 + row)
-        self._sky["up"].value = (across, down, constant)
-        self._target.look_with(eye_index)
-        self._sky_array.render(vertices=3)
-
-    def _set_look(self, look: Look) -> None:
-        sun = np.array(look.sun) / np.linalg.norm(look.sun)
-        horizon = tuple(value / 255.0 for value in look.horizon)
-        self._surfaces["sun"].value = tuple(sun)
-        self._surfaces["light"].value = (look.ambient, look.diffuse)
-        self._surfaces["haze"].value = 1.0 / look.haze_range
-        self._surfaces["horizon"].value = self._sky["horizon"].value = horizon
-        self._sky["zenith"].value = tuple(value / 255.0 for value in look.zenith)
-
-    def _forget(self) -> None:
-        for drawable in [self._standing, *(drawable for _, drawable in self._moving)]:
-            if drawable is not None:
-                drawable.release()
-        self._standing, self._moving = None, []
+            self._surface["R_cs"].write(_single(R_sc.T))
+            self._frame_buffer.clear()
+            for index in (0, 1):
+                self._frame_buffer.draw_eye(index)
+                self._draw_surfaces(things, index)
+                self._draw_sky(R_sc, index)
+            if self._frame_buffer.separate_depth:
+                self._frame_buffer.draw_depth()
+                self._draw_surfaces(things, 0)
+            return self._frame_buffer.read()
 
     def close(self) -> None:
-        """Free the context; may be called twice."""
+        """Free the context and what is in it; may be called twice."""
         if self._context is None:
             return
-        with self._context:
-            self._forget()
-            self._target.release()
-            self._textures.release()
-            self._sky_array.release()
-            self._sky.release()
-            self._surfaces.release()
+        with self._current():
+            self._release_meshes()
+            for thing in (self._frame_buffer, self._textures, self._everywhere, self._sky, self._surface):
+                thing.release()
         self._context.release()
         self._context = None
 
+    @contextmanager
+    def _current(self) -> Iterator[Any]:
+        """Make the context of this renderer current, and afterwards again the one that was."""
+        if self._context is None:
+            raise RuntimeError("the renderer is closed: make a new one")
+        check_process()
+        with self._context as context:
+            yield context
 
-def _columns(matrix: FloatArray) -> bytes:
+    def _moving_in(self, view: ViewVolume, time: float) -> list[Placed]:
+        placed: list[Placed] = []
+        for body, mesh in self._moving:
+            position, yaw = body.pose_at(time)
+            if view.touches(position, np.full(3, mesh.content.radius)):
+                cos, sin = np.cos(yaw), np.sin(yaw)
+                R_sb = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+                placed.append((mesh, R_sb, position - view.eye))
+        return placed
+
+    def _draw_surfaces(self, things: Sequence[Placed], eye_index: int) -> None:
+        self._surface["eye"].value = eye_index * self.camera.baseline
+        for mesh, R_sb, from_camera in things:
+            coarse = from_camera.astype(np.float32)
+            self._surface["R_sb"].write(_single(R_sb))
+            self._surface["from_camera"].write(coarse)
+            self._surface["remainder"].write((from_camera - coarse).astype(np.float32))
+            mesh.draw()
+
+    def _draw_sky(self, R_sc: FloatArray, eye_index: int) -> None:
+        a, b, c = sky_slope(self._fine, R_sc)
+        top = eye_index * self._fine.height
+        self._sky["slope"].value = (a, b, c - 0.5 * a - (0.5 + top) * b)
+        self._everywhere.render(vertices=3)
+
+    def _set_look(self, look: Look) -> None:
+        horizon, zenith = (tuple(value / 255.0 for value in color) for color in (look.horizon, look.zenith))
+        self._surface["sun"].value = tuple(np.array(look.sun) / np.linalg.norm(look.sun))
+        self._surface["light"].value = (look.ambient, look.diffuse)
+        self._surface["haze"].value = 1.0 / look.haze_range
+        self._surface["horizon"].value = self._sky["horizon"].value = horizon
+        self._sky["zenith"].value = zenith
+
+    def _release_meshes(self) -> None:
+        for mesh in [self._standing, *(mesh for _, mesh in self._moving)]:
+            if mesh is not None:
+                mesh.release()
+        self._standing, self._moving = None, []
+
+
+def _projection(camera: StereoCamera) -> FloatArray:
+    """From the camera frame to clip coordinates, with row 0 of the image at the bottom; (4, 4)."""
+    opengl = pinhole.projection_matrix(camera, NEAR, FAR, pinhole.OPENGL_OFFSET)
+    return np.diag([1.0, -1.0, 1.0, 1.0]) @ opengl @ np.diag([1.0, -1.0, -1.0, 1.0])
+
+
+def _single(matrix: FloatArray) -> bytes:
+    """In single precision, columns first."""
     return matrix.astype(np.float32).tobytes(order="F")
-
-
-def _new_context() -> Any:
-    try:
-        import moderngl
-    except ImportError as error:
-        raise ImportError('renderer "gl" needs moderngl: pip install "stereo-slam-env[gl]"') from error
-    # One thread: parallelism comes from whole runs, and threads of Mesa would not survive a fork.
-    os.environ.setdefault("LP_NUM_THREADS", "0")
-    try:
-        context = moderngl.create_context(standalone=True, backend="egl", require=330)
-    except Exception as error:
-        raise RuntimeError(
-            f'renderer "gl" found no EGL ({error}): install libegl1 and libgl1-mesa-dri, or use renderer="tiny"'
-        ) from error
-    context.gc_mode = None
-    return context
-
-
-class _Drawable:
-    """A draw list on the card."""
-
-    def __init__(self, context: Any, program: Any, content: DrawList) -> None:
-        self._content = content
-        self._vertices = context.buffer(content.vertices.tobytes())
-        self._indices = context.buffer(content.triangles.tobytes(), dynamic=True)
-        attributes = ("position", "normal", "texel", "color")
-        self._array = context.vertex_array(
-            program, [(self._vertices, VERTEX_FORMAT, *attributes)], index_buffer=self._indices
-        )
-
-    def upload(self, view: ViewVolume | None) -> int:
-        if view is None:
-            return int(self._content.triangles.size)
-        triangles = self._content.front_to_back(view)
-        self._indices.orphan()
-        if triangles.size:
-            self._indices.write(triangles)
-        return int(triangles.size)
-
-    def draw(self, count: int) -> None:
-        if count:
-            self._array.render(vertices=count)
-
-    def release(self) -> None:
-        for thing in (self._array, self._indices, self._vertices):
-            thing.release()
-
-
-class _TextureArray:
-    """The textures in use, all brought to the size of the largest, in one array: everything is one draw call."""
-
-    _PLAIN = ("", 0)
-
-    def __init__(self, context: Any) -> None:
-        self._context = context
-        self._array: Any = None
-        self._layers: dict[tuple[str, int], int] = {}
-
-    def layer(self, material: Material) -> int:
-        return self._layers[self._key(material)]
-
-    def load(self, materials: Iterable[Material]) -> None:
-        wanted = {self._key(material) for material in materials} | {self._PLAIN}
-        if wanted <= self._layers.keys():
-            return
-        keys = sorted(wanted | self._layers.keys())
-        images = [np.full((1, 1, 3), 255, np.uint8) if key == self._PLAIN else texture(*key) for key in keys]
-        size = max(max(image.shape[:2]) for image in images)
-        self.release()
-        pixels = np.stack([_rgba(_enlarged(image, size)) for image in images])
-        self._array = self._context.texture_array((size, size, len(keys)), 4, pixels)
-        self._array.build_mipmaps()
-        self._array.filter = (self._context.LINEAR_MIPMAP_LINEAR, self._context.LINEAR)
-        self._array.repeat_x = self._array.repeat_y = True
-        self._layers = {key: i for i, key in enumerate(keys)}
-
-    def use(self) -> None:
-        self._array.use(0)
-
-    def release(self) -> None:
-        if self._array is not None:
-            self._array.release()
-        self._array = None
-
-    def _key(self, material: Material) -> tuple[str, int]:
-        return self._PLAIN if material.texture is None else (material.texture, material.variant)
-
-
-def _rgba(image: Image) -> Image:
-    return np.asarray(cv2.cvtColor(image[::-1], cv2.COLOR_RGB2RGBA), dtype=np.uint8)
-
-
-def _enlarged(image: Image, size: int) -> Image:
-    """Interpolated as the card would, across the seams of the repeats as well."""
-    if image.shape[:2] == (size, size):
-        return image
-    wrapped = np.pad(image, ((1, 1), (1, 1), (0, 0)), mode="wrap")
-    height, width = image.shape[:2]
-    rows = (np.arange(size, dtype=np.float32) + 0.5) * (height / size) + 0.5
-    columns = (np.arange(size, dtype=np.float32) + 0.5) * (width / size) + 0.5
-    return np.asarray(cv2.remap(wrapped, *np.meshgrid(columns, rows), cv2.INTER_LINEAR), dtype=np.uint8)
-
-
-class _Target:
-    """The frame buffer: the left eye above the right one."""
-
-    def __init__(self, context: Any, width: int, height: int, samples: int) -> None:
-        self._context, self._size = context, (width, height)
-        size = (width, 2 * height)
-        self._parts = [context.renderbuffer(size, 4), context.depth_renderbuffer(size)]
-        self._buffer = context.framebuffer([self._parts[0]], self._parts[1])
-
-    def clear(self) -> None:
-        self._buffer.use()
-        self._buffer.clear(depth=1.0)
-
-    def look_with(self, eye_index: int) -> None:
-        width, height = self._size
-        self._buffer.viewport = (0, eye_index * height, width, height)
-
-    def read(self) -> StereoImages:
-        width, height = self._size
-        rgba: NDArray[np.uint8] = np.empty((2 * height, width, 4), dtype=np.uint8)
-        self._buffer.read_into(rgba, (0, 0, width, 2 * height), components=4)
-        buffer: NDArray[np.float32] = np.empty((height, width), dtype=np.float32)
-        self._buffer.read_into(buffer, (0, 0, width, height), components=1, attachment=-1, dtype="f4")
-        rgb = np.asarray(cv2.cvtColor(rgba, cv2.COLOR_RGBA2RGB), dtype=np.uint8)
-        return StereoImages(rgb[:height], rgb[height:], pinhole.metric_depth(buffer, NEAR, FAR))
-
-    def release(self) -> None:
-        for thing in (self._buffer, *self._parts):
-            thing.release()

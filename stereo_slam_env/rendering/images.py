@@ -5,12 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from filters.validation import FloatArray
 from stereo_slam_env.recording import Pose
 from stereo_slam_env.world.scene import Scene
+
+Image = NDArray[np.uint8]
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,8 +28,8 @@ class StereoImages:
         Depth z of the left image, m; infinity where there is nothing.
     """
 
-    left: NDArray[np.uint8]
-    right: NDArray[np.uint8]
+    left: Image
+    right: Image
     depth: FloatArray
 
 
@@ -41,3 +44,10 @@ class StereoRenderer(Protocol):
 
     def close(self) -> None:
         """Free what the back end holds; may be called twice."""
+
+
+def grey(image: Image) -> Image:
+    """The brightness of an RGB image, what a vision front end works on; (H, W, 3) or (H, W) -> (H, W) uint8."""
+    if image.ndim == 2:
+        return image
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), dtype=np.uint8)

@@ -6,6 +6,7 @@ Pixels: integer (u, v) is the centre of a pixel, u = fx x/z + cx, v = fy y/z + c
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -77,14 +78,15 @@ def projection_matrix(camera: StereoCamera, near: float, far: float, offset: tup
     )
 
 
-def metric_depth(buffer: NDArray[np.floating], near: float, far: float, dtype: DTypeLike = np.float64) -> FloatArray:
+def metric_depth(buffer: NDArray[np.floating], near: float, far: float, dtype: DTypeLike = np.float64) -> NDArray[Any]:
     """Depth z in m from an OpenGL depth buffer in 0..1, in `dtype`; infinity where nothing was drawn."""
     slope = 1.0 / near - 1.0 / far
-    inverse = np.multiply(buffer, np.array(-slope, dtype=dtype), dtype=dtype)
+    inverse: NDArray[Any] = np.multiply(buffer, np.array(-slope, dtype=dtype), dtype=dtype)
     inverse += np.array(1.0 / near, dtype=dtype)
     cv2.threshold(inverse, 1.0 / near - slope * _NOTHING, 0.0, cv2.THRESH_TOZERO, dst=inverse)
     with np.errstate(divide="ignore"):
-        return np.divide(np.array(1.0, dtype=dtype), inverse, out=inverse)
+        np.divide(np.array(1.0, dtype=dtype), inverse, out=inverse)
+    return inverse
 
 
 def supersampled(camera: StereoCamera, factor: int) -> StereoCamera:

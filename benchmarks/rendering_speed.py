@@ -1,0 +1,166 @@
+"""Cost of a stereo pair from each back end, beside PyBullet's bare call.
+
+    OPENBLAS_NUM_THREADS=1 taskset -c 0 python benchmarks/rendering_speed.py
+    OPENBLAS_NUM_THREADS=1 taskset -c 0 python benchmarks/rendering_speed.py --sizes 320x240 --bodies 300
+
+A street of textured boxes: houses, poles, parked cars and clutter, as many as asked for. Measured in turns, in one
+process: two bare `getCameraImage` calls with the same matrices and flags, `TinyRenderer.render_pair` and
+`GLRenderer.render_pair` (without and with four samples a pixel). Everything is on one core: `taskset` for the process,
+and Mesa's renderer without threads (LP_NUM_THREADS=0, the default of the back end). Times are processor time, 20 %
+quantile; ratios are those of times of the same turn, median, because the machine's speed changes from turn to turn.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pybullet
+from rich.console import Console
+from rich.table import Table
+
+from filters import rotations
+from filters.camera import StereoCamera
+from stereo_slam_env.recording import Pose
+from stereo_slam_env.rendering import pinhole
+from stereo_slam_env.rendering.gl import GLRenderer
+from stereo_slam_env.rendering.tiny import TinyRenderer
+from stereo_slam_env.world.frames import WorldFrame
+from stereo_slam_env.world.physics import PhysicsWorld
+from stereo_slam_env.world.scene import Box, Ground, Material, Scene
+
+FRAME = WorldFrame(1.65)
+LENGTH = 150.0
+POSES = 3
+BARE, TINY, GL, GL_SAMPLES = "two bare calls", "tiny", "gl", "gl, 4 samples"
+
+
+def street_of_boxes(bodies: int, seed: int = 0) -> Scene:
+    """A street along x: a fifth of the boxes are houses, the others poles, cars and clutter between them."""
+    rng = np.random.default_rng(seed)
+    kinds = rng.choice(4, size=bodies, p=[0.2, 0.25, 0.25, 0.3])
+    return Scene(
+        Ground((-20.3, -80.3), (LENGTH + 150.3, 80.3), Material((1.0, 1.0, 1.0), "asphalt", (7.0, 7.0))),
+        tuple(_box(rng, kind) for kind in kinds),
+        (),
+        np.zeros(0, dtype=np.int64),
+        np.zeros((0, 3)),
+    )
+
+
+def _box(rng: np.random.Generator, kind: int) -> Box:
+    along, side = float(rng.uniform(4.0, LENGTH)), float(rng.choice([-1.0, 1.0]))
+    color = tuple(rng.uniform(0.5, 1.0, 3).tolist())
+    if kind == 0:
+        size = (float(rng.uniform(8.0, 16.0)), 10.0, float(rng.uniform(6.0, 14.0)))
+        facade = Material(color, str(rng.choice(["plaster", "brick", "office", "balcony"])), (6.4, 6.4))
+        return Box((along, side * float(rng.uniform(14.0, 30.0)), 0.5 * size[2]), size, 0.0, facade)
+    if kind == 1:
+        return Box((along, side * float(rng.uniform(5.5, 8.0)), 3.0), (0.2, 0.2, 6.0), 0.0, Material(color, "bark"))
+    if kind == 2:
+        return Box((along, side * 4.2, 0.75), (4.2, 1.8, 1.5), 0.0, Material(color, "roof", (2.0, 2.0)))
+    size = tuple(rng.uniform(0.3, 1.5, 3).tolist())
+    place = (along, side * float(rng.uniform(5.0, 9.0)), 0.5 * size[2])
+    return Box(place, size, float(rng.uniform(0.0, np.pi)), Material(color, "brick", (1.0, 1.0)))
+
+
+def bare_calls(world: PhysicsWorld, camera: StereoCamera, pose: Pose) -> Callable[[], None]:
+    """What `TinyRenderer` cannot do without: its two calls of PyBullet."""
+    R_wc = rotations.matrix(pose.orientation)
+    eyes = (pose.position, pose.position + camera.baseline * R_wc[:, 0])
+    views = [pinhole.view_matrix(FRAME.to_scene(eye), FRAME.rotation_to_scene(R_wc)) for eye in eyes]
+    projection = pinhole.projection_matrix(camera, pinhole.NEAR, pinhole.FAR, pinhole.TINY_OFFSET)
+
+    def draw() -> None:
+        for view in views:
+            pybullet.getCameraImage(
+                camera.width,
+                camera.height,
+                viewMatrix=view.flatten(order="F").tolist(),
+                projectionMatrix=projection.flatten(order="F").tolist(),
+                lightDirection=[0.35, 0.55, 0.9],
+                lightColor=[1.0, 1.0, 1.0],
+                lightAmbientCoeff=0.72,
+                lightDiffuseCoeff=0.45,
+                lightSpecularCoeff=0.0,
+                shadow=0,
+                flags=pybullet.ER_NO_SEGMENTATION_MASK,
+                renderer=pybullet.ER_TINY_RENDERER,
+                physicsClientId=world._connected,
+            )
+
+    return draw
+
+
+def camera_of(size: str) -> StereoCamera:
+    """The reference rig, or one of the same field of view with another size."""
+    width, height = (int(number) for number in size.split("x"))
+    focal = 721.5 * width / 1344
+    return StereoCamera(focal, focal, 0.5 * width + 3.5, 0.5 * height - 2.5, 0.571, width, height)
+
+
+def measure(size: str, bodies: int, turns: int) -> dict[str, list[float]]:
+    """Processor time of each in each turn, s."""
+    camera, scene = camera_of(size), street_of_boxes(bodies)
+    world = PhysicsWorld()
+    world.build(scene, (4.0, 1.8, 1.0))
+    tiny = TinyRenderer(world, camera, FRAME)
+    plain, smooth = GLRenderer(camera, FRAME), GLRenderer(camera, FRAME, samples=4)
+    for renderer in (tiny, plain, smooth):
+        renderer.build(scene)
+    times: dict[str, list[float]] = {BARE: [], TINY: [], GL: [], GL_SAMPLES: []}
+    for turn in range(turns * POSES):
+        pose = Pose(np.array([0.0, 0.0, 12.0 * (turn % POSES)]), np.array([0.0, 0.0, 0.0, 1.0]))
+        bare = bare_calls(world, camera, pose)
+        contestants: list[tuple[str, Callable[[], object], int]] = [
+            (BARE, bare, 1),
+            (TINY, lambda pose=pose: tiny.render_pair(pose), 1),  # type: ignore[misc]
+            (GL, lambda pose=pose: plain.render_pair(pose), 4),  # type: ignore[misc]
+            (GL_SAMPLES, lambda pose=pose: smooth.render_pair(pose), 2),  # type: ignore[misc]
+        ]
+        for name, draw, repeats in contestants if turn % 2 else contestants[::-1]:
+            began = time.process_time()
+            for _ in range(repeats):
+                draw()
+            times[name].append((time.process_time() - began) / repeats)
+    for thing in (tiny, plain, smooth, world):
+        thing.close()
+    return times
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--sizes", nargs="+", default=["1344x391", "320x240"], help="WIDTHxHEIGHT, px")
+    parser.add_argument("--bodies", type=int, nargs="+", default=[50, 300, 1000])
+    parser.add_argument("--turns", type=int, default=5, help="measurements at each of three places")
+    parser.add_argument("--json", type=Path, help="write the figures here, too")
+    arguments = parser.parse_args()
+    cv2.setNumThreads(1)
+    table = Table(title=f"ms of a stereo pair on {len(os.sched_getaffinity(0))} core(s)")
+    for column in ("size", "bodies", BARE, TINY, GL, GL_SAMPLES, "tiny / bare", "pairs/s of gl / tiny"):
+        table.add_column(column, justify="right")
+    rows = []
+    for size in arguments.sizes:
+        for bodies in arguments.bodies:
+            times = {name: np.array(t) for name, t in measure(size, bodies, arguments.turns).items()}
+            milliseconds = {name: 1e3 * float(np.quantile(t, 0.2)) for name, t in times.items()}
+            overhead = float(np.median(times[TINY] / times[BARE]))
+            gain = float(np.median(times[TINY] / times[GL]))
+            rows.append({"size": size, "bodies": bodies, "milliseconds": milliseconds,
+                         "tiny_to_bare": overhead, "gl_to_tiny": gain})  # fmt: skip
+            cells = [f"{milliseconds[name]:.1f}" for name in (BARE, TINY, GL, GL_SAMPLES)]
+            table.add_row(size, str(bodies), *cells, f"{overhead:.3f}", f"{gain:.1f}")
+    Console(width=120).print(table)
+    if arguments.json:
+        arguments.json.write_text(json.dumps(rows, indent=2) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,87 @@
+"""The renderers by name."""
+
+from __future__ import annotations
+
+from functools import cache
+from importlib import metadata
+
+from filters.camera import StereoCamera
+from stereo_slam_env.rendering.images import StereoRenderer
+from stereo_slam_env.rendering.tiny import TinyRenderer
+from stereo_slam_env.world.frames import WorldFrame
+from stereo_slam_env.world.physics import PhysicsWorld
+
+RENDERERS = {
+    "tiny": "PyBullet's own, on the CPU: everywhere, the same bits every time, slow",
+    "gl": "OpenGL without a display: fast; needs EGL and the extra gl",
+}
+"""Names and what they stand for."""
+
+
+def make_renderer(
+    name: str,
+    *,
+    camera: StereoCamera,
+    frame: WorldFrame,
+    world: PhysicsWorld,
+    supersample: int = 1,
+    samples: int = 1,
+) -> StereoRenderer:
+    """A back end that draws both eyes.
+
+    Parameters
+    ----------
+    name : str
+        One of `RENDERERS`.
+    camera : StereoCamera
+        The rig.
+    frame : WorldFrame
+        Where W sits in the scene.
+    world : PhysicsWorld
+        What "tiny" draws: build it with the scene before the renderer. "gl" does not touch it.
+    supersample : int
+        Draw this many times finer and average.
+    samples : int
+        Samples a pixel at the edges of things, only "gl".
+
+    Raises
+    ------
+    ValueError
+        There is no such renderer, or it cannot do what is asked for.
+    ImportError, RuntimeError
+        What "gl" needs is missing; the text says what to install.
+    """
+    if name not in RENDERERS:
+        raise ValueError(f"renderer must be one of {', '.join(RENDERERS)}, got {name!r}")
+    if not isinstance(supersample, int) or supersample < 1:
+        raise ValueError(f"supersample must be a whole number from 1, got {supersample!r}")
+    if name == "tiny":
+        if samples != 1:
+            raise ValueError(f'samples must be 1 with renderer "tiny", got {samples!r}: use supersample')
+        return TinyRenderer(world, camera, frame, supersample)
+    from stereo_slam_env.rendering.gl import GLRenderer  # moderngl is optional
+
+    return GLRenderer(camera, frame, supersample, samples)
+
+
+@cache
+def renderer_identity(name: str) -> dict[str, str]:
+    """What made the pictures, for the identity of a scenario: results with different ones are not to be compared.
+
+    Returns
+    -------
+    dict
+        `name`, `version` and `device`.
+
+    Raises
+    ------
+    ValueError, ImportError, RuntimeError
+        As `make_renderer`.
+    """
+    if name not in RENDERERS:
+        raise ValueError(f"renderer must be one of {', '.join(RENDERERS)}, got {name!r}")
+    if name == "tiny":
+        return {"name": name, "version": f"PyBullet {metadata.version('pybullet')}", "device": "CPU"}
+    from stereo_slam_env.rendering.gl_resources import device
+
+    return {"name": name, **device()}

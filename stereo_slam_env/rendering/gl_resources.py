@@ -1,0 +1,232 @@
+"""What the GL back end keeps on the card: a context, textures, meshes and a frame buffer."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from functools import cache
+from importlib import import_module
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from filters.camera import StereoCamera
+from stereo_slam_env.rendering import pinhole
+from stereo_slam_env.rendering.draw_list import VERTEX_FORMAT, DrawList, ViewVolume
+from stereo_slam_env.rendering.images import StereoImages
+from stereo_slam_env.world.scene import Material
+from stereo_slam_env.world.textures import Image, texture
+
+
+@cache
+def _first_process() -> int:
+    """The process that first used OpenGL, also in those that are forked from it."""
+    return os.getpid()
+
+
+def check_process() -> None:
+    """Raise where drawing would hang: threads of Mesa do not survive a fork.
+
+    Raises
+    ------
+    RuntimeError
+        This process is a fork of one that had used OpenGL with threads.
+    """
+    if _first_process() != os.getpid() and os.environ.get("LP_NUM_THREADS") != "0":
+        raise RuntimeError(
+            'renderer "gl" was used before this process was forked: set LP_NUM_THREADS=0, '
+            'or start processes with the method "spawn"'
+        )
+
+
+def new_context() -> Any:
+    """A context of moderngl without a window.
+
+    Raises
+    ------
+    ImportError
+        moderngl is not installed.
+    RuntimeError
+        There is no EGL, or see `check_process`.
+    """
+    try:
+        moderngl: Any = import_module("moderngl")
+    except ImportError as error:
+        raise ImportError('renderer "gl" needs moderngl: pip install "stereo-slam-env[gl]"') from error
+    # Mesa on the CPU without threads: they would not survive a fork, and parallelism comes from whole runs.
+    os.environ.setdefault("LP_NUM_THREADS", "0")
+    check_process()
+    try:
+        return moderngl.create_context(standalone=True, backend="egl", require=330)
+    except Exception as error:  # whatever the platform raises
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise RuntimeError(
+            f'renderer "gl" found no EGL ({reason}): apt install libegl1 libgl1-mesa-dri, or use renderer="tiny"'
+        ) from error
+
+
+def device() -> dict[str, str]:
+    """`version` of OpenGL and the `device` that draws."""
+    context = new_context()
+    try:
+        return {"version": str(context.info["GL_VERSION"]), "device": str(context.info["GL_RENDERER"])}
+    finally:
+        context.release()
+
+
+class MeshBuffer:
+    """A draw list on the card."""
+
+    def __init__(self, context: Any, program: Any, content: DrawList) -> None:
+        self.content = content
+        self._vertices = context.buffer(content.vertices.tobytes())
+        self._indices = context.buffer(content.triangles.tobytes(), dynamic=True)
+        layout = (self._vertices, VERTEX_FORMAT, *(content.vertices.dtype.names or ()))
+        self._array = context.vertex_array(program, [layout], index_buffer=self._indices)
+        self._count = content.triangles.size
+
+    def select(self, view: ViewVolume) -> None:
+        """From now on, draw what may be seen in `view` only."""
+        triangles = self.content.front_to_back(view)
+        self._count = triangles.size
+        self._indices.orphan()
+        if self._count:
+            self._indices.write(triangles)
+
+    def draw(self) -> None:
+        """Draw with the program as it is set."""
+        if self._count:
+            self._array.render(vertices=self._count)
+
+    def release(self) -> None:
+        """Free the memory."""
+        for thing in (self._array, self._indices, self._vertices):
+            thing.release()
+
+
+class TextureArray:
+    """The textures in use, all brought to the size of the largest, in one array: a scene is one draw call."""
+
+    _PLAIN = ("", 0)
+
+    def __init__(self, context: Any) -> None:
+        self._context = context
+        self._array: Any = None
+        self._layers: dict[tuple[str, int], int] = {}
+
+    def layer(self, material: Material) -> int:
+        """Where the texture of a loaded material is."""
+        return self._layers[self._key(material)]
+
+    def load(self, materials: Iterable[Material]) -> None:
+        """Make sure that the textures of `materials` are there; those from before stay."""
+        wanted = {self._key(material) for material in materials} | {self._PLAIN}
+        if wanted <= self._layers.keys():
+            return
+        keys = sorted(wanted | self._layers.keys())
+        images = [np.full((1, 1, 3), 255, np.uint8) if key == self._PLAIN else texture(*key) for key in keys]
+        size = max(max(image.shape[:2]) for image in images)
+        pixels = np.stack([_rgba(_enlarged(image, size)) for image in images])
+        self.release()
+        self._array = self._context.texture_array((size, size, len(keys)), 4, pixels)
+        self._array.build_mipmaps()
+        # Never with anisotropic filtering: on the CPU it takes several times longer than all the rest.
+        self._array.filter = (self._context.LINEAR_MIPMAP_LINEAR, self._context.LINEAR)
+        self._layers = {key: i for i, key in enumerate(keys)}
+
+    def use(self) -> None:
+        """Put it where the shaders look for it."""
+        self._array.use(0)
+
+    def release(self) -> None:
+        """Free the memory."""
+        if self._array is not None:
+            self._array.release()
+        self._array, self._layers = None, {}
+
+    def _key(self, material: Material) -> tuple[str, int]:
+        return self._PLAIN if material.texture is None else (material.texture, material.variant)
+
+
+def _rgba(image: Image) -> Image:
+    """With the bottom row first, as OpenGL wants it."""
+    return np.asarray(cv2.cvtColor(image[::-1], cv2.COLOR_RGB2RGBA), dtype=np.uint8)
+
+
+def _enlarged(image: Image, size: int) -> Image:
+    """Interpolated as the card would do it, across the seam between two repeats as well."""
+    height, width = image.shape[:2]
+    if (height, width) == (size, size):
+        return image
+    wrapped = np.pad(image, ((1, 1), (1, 1), (0, 0)), mode="wrap")
+    middle = np.arange(size, dtype=np.float32) + np.float32(0.5)
+    columns, rows = np.meshgrid(middle * (width / size) + 0.5, middle * (height / size) + 0.5)
+    return np.asarray(cv2.remap(wrapped, columns, rows, cv2.INTER_LINEAR), dtype=np.uint8)
+
+
+class FrameBuffer:
+    """Where both eyes are drawn, the left one above the right one.
+
+    Parameters
+    ----------
+    context : moderngl.Context
+        Current.
+    camera : StereoCamera
+        Size of the images that come out.
+    supersample : int
+        Drawn so many times finer and averaged.
+    samples : int
+        Samples a pixel of what is drawn.
+    """
+
+    def __init__(self, context: Any, camera: StereoCamera, supersample: int, samples: int) -> None:
+        self._context, self._factor = context, supersample
+        self._size = (camera.width, camera.height)
+        self._fine = (camera.width * supersample, camera.height * supersample)
+        both = (self._fine[0], 2 * self._fine[1])
+        many = samples if samples > 1 else 0
+        self._parts = [context.renderbuffer(both, 4, samples=many), context.depth_renderbuffer(both, samples=many)]
+        self._drawn = self._resolved = self._centres = context.framebuffer(self._parts[:1], self._parts[1])
+        self.separate_depth = samples > 1 or supersample > 1
+        """Whether depth has to be drawn apart, because the pixel centres are not what is drawn."""
+        if samples > 1:
+            self._parts.append(context.renderbuffer(both, 4))
+            self._resolved = context.framebuffer(self._parts[-1:])
+        if self.separate_depth:
+            self._parts.append(context.depth_renderbuffer(self._size))
+            self._centres = context.framebuffer([], self._parts[-1])
+
+    def clear(self) -> None:
+        """Nothing anywhere."""
+        for buffer in {self._drawn, self._centres}:
+            buffer.clear(depth=1.0)
+
+    def draw_eye(self, index: int) -> None:
+        """From now on, draw the left (0) or the right (1) eye."""
+        self._drawn.use()
+        self._drawn.viewport = (0, index * self._fine[1], *self._fine)
+
+    def draw_depth(self) -> None:
+        """From now on, draw the depth of the left eye."""
+        self._centres.use()
+        self._centres.viewport = (0, 0, *self._size)
+
+    def read(self) -> StereoImages:
+        """What was drawn."""
+        if self._resolved is not self._drawn:
+            self._context.copy_framebuffer(self._resolved, self._drawn)
+        width, height = self._fine
+        rgba: NDArray[np.uint8] = np.empty((2 * height, width, 4), dtype=np.uint8)
+        self._resolved.read_into(rgba, (0, 0, width, 2 * height), components=4)
+        rgb = pinhole.averaged(np.asarray(cv2.cvtColor(rgba, cv2.COLOR_RGBA2RGB), dtype=np.uint8), self._factor)
+        width, height = self._size
+        buffer: NDArray[np.float32] = np.empty((height, width), dtype=np.float32)
+        self._centres.read_into(buffer, (0, 0, width, height), components=1, attachment=-1, dtype="f4")
+        return StereoImages(rgb[:height], rgb[height:], pinhole.metric_depth(buffer, pinhole.NEAR, pinhole.FAR))
+
+    def release(self) -> None:
+        """Free the memory."""
+        for thing in {self._drawn, self._resolved, self._centres, *self._parts}:
+            thing.release()
