@@ -155,7 +155,7 @@ def _require_images(number: int, eyes: tuple[Eye, Eye], times: Times) -> None:
             raise BrokenPair(
                 f"{name} image missing",
                 f"{eye.folder} has no image of frame {number} ({counts}, {len(times.seconds)} times in "
-                f"{times.path.name}): copy it again, or skip broken pairs",
+                f"{times.path.name}): copy it again, choose others with first and last, or skip broken pairs",
             )
 
 
