@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from scipy import fft
 
 from filters.validation import BoolArray, FloatArray, IntArray, finite_array
-from stereo_slam_env.frontend.patches import PATCH, Image, Patches, cut_stack, windows_at
+from stereo_slam_env.frontend.patches import PATCH, Image, Patches, shifted, stack_around, windows_at
 
 Candidates = Callable[[IntArray, IntArray, IntArray], BoolArray]
 """(index (n,), u (n, w), v (n, h)) -> (n, h, w): which pixels the landmarks `index` may be found at."""
@@ -25,9 +25,11 @@ _RADIUS = PATCH // 2
 _PIXELS = PATCH * PATCH
 _FLAT = 1.0
 """Standard deviation below which a patch is noise, not texture: it correlates with nothing, grey levels."""
-_LENGTHS = np.array([15, 20, 32, 48, 72, 108, 160, 240, 300, 432, 640, 960, 1440, 2160])
+_LENGTHS = np.array([15, 24, 36, 54, 80, 120, 180, 270, 400, 600, 900, 1350, 2160])
 """Sides of the windows: quick to transform, so that a small region does not pay for a large one."""
-_ITERATIONS = 3
+_BLOCK = 1 << 16
+"""Pixels in the windows of one block: they stay in the processor's cache."""
+_ITERATIONS = 2
 _NOISE_GAIN = (0.5 * (PATCH - 2) + 2.0 * 2) / PATCH
 """Energy of the differences of white noise, over its own: 1/2 for central ones, 2 for those at both ends of a row."""
 _SIGMA_FLOOR = 0.03
@@ -144,16 +146,17 @@ def search(
     c = finite_array("centers", centers, (len(templates), 2))
     covariance = finite_array("S", S, (len(templates), 2, 2))
     reach = covariance + (np.sqrt(0.5) / gate) ** 2 * np.eye(2)
-    precision = np.linalg.inv(reach)
+    # d^T S^-1 d <= gate^2 as |B d| <= 1, with B upper triangular
+    whiten = np.linalg.inv(gate * np.linalg.cholesky(reach[:, ::-1, ::-1])[:, ::-1, ::-1])
     extent = np.minimum(gate * np.sqrt(np.diagonal(reach, axis1=1, axis2=2)), max_radius)
 
     def inside(index: IntArray, u: IntArray, v: IntArray) -> BoolArray:
-        du, dv = u - c[index, :1], v - c[index, 1:]
-        P = precision[index]
-        squared = (P[:, 0, 0, None] * du**2)[:, None, :] + (P[:, 1, 1, None] * dv**2)[:, :, None]
-        squared += (2.0 * P[:, 0, 1, None] * dv)[:, :, None] * du[:, None, :]
-        near_u, near_v = np.abs(du) <= extent[index, :1], np.abs(dv) <= extent[index, 1:]
-        allowed: BoolArray = (squared <= gate**2) & near_u[:, None, :] & near_v[:, :, None]
+        (a, b), (_, d) = whiten[index].transpose(1, 2, 0).astype(np.float32)[..., None]
+        du, dv = (u - c[index, :1]).astype(np.float32), (v - c[index, 1:]).astype(np.float32)
+        squared = (b * dv)[:, :, None] + (a * du)[:, None, :]
+        squared *= squared
+        squared += ((d * dv) ** 2)[:, :, None]
+        allowed: BoolArray = squared <= 1.0
         return allowed
 
     peaks = best_peaks(image, templates, np.ceil(c - extent), np.floor(c + extent), inside)
@@ -164,7 +167,7 @@ def search(
     position[found], score[found], spread[found] = refined.position, refined.score, refined.covariance
     away = position - c
     with np.errstate(invalid="ignore"):
-        outside = np.einsum("ni,nij,nj->n", away, precision, away) > gate**2
+        outside = (np.einsum("nij,nj->ni", whiten, away) ** 2).sum(axis=1) > 1.0
     return SearchResult(position, score, peaks.second, peaks.rising | outside, spread)
 
 
@@ -197,18 +200,21 @@ def best_peaks(
     kinds = np.minimum(np.searchsorted(_LENGTHS, needed), len(_LENGTHS) - 1)
     possible = np.flatnonzero((last >= first).all(axis=1))
     for kind in np.unique(kinds[possible], axis=0):
-        index = possible[(kinds[possible] == kind).all(axis=1)]
+        members = possible[(kinds[possible] == kind).all(axis=1)]
         width, height = np.minimum(_LENGTHS[kind], (image.shape[1], image.shape[0])).tolist()
-        origin = np.clip(first[index] - _RADIUS - 1, 0, (image.shape[1] - width, image.shape[0] - height))
-        scores = correlation_maps(windows_at(image, origin, height, width), templates[index])
-        u = origin[:, :1] + _RADIUS + np.arange(scores.shape[2])
-        v = origin[:, 1:] + _RADIUS + np.arange(scores.shape[1])
-        allowed = ((u >= first[index, :1]) & (u <= last[index, :1]))[:, None, :] & (
-            (v >= first[index, 1:]) & (v <= last[index, 1:])
-        )[:, :, None]
-        if candidates is not None:
-            allowed &= candidates(index, u, v)
-        _note_peaks(peaks, index, scores, allowed, origin + _RADIUS)
+        count = max(1, _BLOCK // (width * height))
+        for begin in range(0, len(members), count):
+            index = members[begin : begin + count]
+            origin = np.clip(first[index] - _RADIUS - 1, 0, (image.shape[1] - width, image.shape[0] - height))
+            scores = correlation_maps(windows_at(image, origin, height, width), templates[index])
+            u = origin[:, :1] + _RADIUS + np.arange(scores.shape[2])
+            v = origin[:, 1:] + _RADIUS + np.arange(scores.shape[1])
+            in_columns = (u >= first[index, :1]) & (u <= last[index, :1])
+            in_rows = (v >= first[index, 1:]) & (v <= last[index, 1:])
+            allowed = in_columns[:, None, :] & in_rows[:, :, None]
+            if candidates is not None:
+                allowed &= candidates(index, u, v)
+            _note_peaks(peaks, index, scores, allowed, origin + _RADIUS)
     return peaks
 
 
@@ -234,9 +240,9 @@ def correlation_maps(windows: Image, templates: Patches) -> Patches:
     product = fft.irfft2(spectrum, (height, width))
     stacked = values.reshape(n * height, width)  # a box that ends at a pixel stays inside the window of that pixel
     box, last = (PATCH, PATCH), (PATCH - 1, PATCH - 1)
-    sums = cv2.boxFilter(stacked, cv2.CV_32F, box, anchor=last, normalize=False)
-    energy = cv2.sqrBoxFilter(stacked, cv2.CV_32F, box, anchor=last, normalize=False)
-    sums *= sums
+    sums = np.asarray(cv2.boxFilter(stacked, cv2.CV_32F, box, anchor=last, normalize=False), dtype=np.float32)
+    energy = np.asarray(cv2.sqrBoxFilter(stacked, cv2.CV_32F, box, anchor=last, normalize=False), dtype=np.float32)
+    np.multiply(sums, sums, out=sums)
     sums *= np.float32(1.0 / _PIXELS)
     energy -= sums
     flat = np.float32(_PIXELS * _FLAT**2)
@@ -264,7 +270,8 @@ def _note_peaks(peaks: Peaks, index: IntArray, scores: Patches, allowed: BoolArr
     peaks.score[index] = np.where(found, top, -1.0)
     peaks.offset[index] = offset
     peaks.rising[index] = found & (padded[each, y + 1, x + 1] < around[each, y + 1, x + 1])
-    which, others_y, others_x = np.nonzero(allowed & (scores == around[:, 1:-1, 1:-1]))
+    tops = np.flatnonzero(allowed & (scores == around[:, 1:-1, 1:-1]))
+    which, others_y, others_x = np.unravel_index(tops, scores.shape)
     apart = np.maximum(np.abs(others_y - y[which]), np.abs(others_x - x[which])) > _NEIGHBOURHOOD
     which, others_y, others_x = which[apart], others_y[apart], others_x[apart]
     second = np.full(n, -1.0)
@@ -326,13 +333,12 @@ def refine(
     """
     stack = np.ascontiguousarray(templates.transpose(1, 2, 0))
     t, length = _normalised(stack)
-    g_v, g_u = (_derivative(d, t, length) for d in np.gradient(stack, axis=(0, 1)))
+    g_u, g_v = (_derivative(np.gradient(stack, axis=axis), t, length) for axis in (1, 0))
     texture = np.array([[_dot(g_u, g_u), _dot(g_u, g_v)], [_dot(g_v, g_u), _dot(g_v, g_v)]])
     texture[[0, 1], [0, 1]] += 1e-9
-    start = pixel + offset
-    position = start.copy()
+    around, away = stack_around(image, pixel, PATCH + 4), offset.copy()
     for iteration in range(_ITERATIONS + 1):
-        i, _ = _normalised(cut_stack(image, position, PATCH))
+        i, _ = _normalised(shifted(around, away))
         score = _dot(t, i)
         variance = 2.0 * (1.0 - np.minimum(score, 1.0)) / _PIXELS
         weight = (variance + 1e-9) / max(row_sigma, 1e-6) ** 2
@@ -342,11 +348,10 @@ def refine(
         G = texture.copy()
         if row is not None:
             G[1, 1] += weight
-            slope[1] += weight * (position[:, 1] - row)
-        step = np.einsum("ijn,jn->ni", _inverse(G), slope)
-        position -= np.clip(step, -1.0, 1.0)
-        lost = np.abs(position - pixel).max(axis=1, initial=0.0) > 1.0
-        position[lost] = start[lost]
+            slope[1] += weight * (pixel[:, 1] + away[:, 1] - row)
+        away = away - np.einsum("ijn,jn->ni", _inverse(G), slope)
+        lost = np.abs(away).max(axis=1, initial=0.0) > 1.0
+        away[lost] = offset[lost]
     signal = _without_noise(texture, 1.0 - score)
     if row is not None:
         signal[1, 1] += weight
@@ -354,7 +359,7 @@ def refine(
     # The noise of g makes the steps noisier, too: texture where there was only the signal.
     gain = _inverse(signal)
     covariance = (variance * np.einsum("ijn,jkn,kln->iln", gain, texture, gain)).transpose(2, 0, 1)
-    return Refined(position, score, covariance + _SIGMA_FLOOR**2 * np.eye(2))
+    return Refined(pixel + away, score, covariance + _SIGMA_FLOOR**2 * np.eye(2))
 
 
 def _normalised(stack: Patches) -> tuple[Patches, Patches]:
