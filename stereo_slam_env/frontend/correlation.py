@@ -34,6 +34,8 @@ _NOISE_GAIN = (0.5 * (PATCH - 2) + 2.0 * 2) / PATCH
 """Energy of the differences of white noise, over its own: 1/2 for central ones, 2 for those at both ends of a row."""
 _SIGMA_FLOOR = 0.03
 """What interpolation and warping leave even without noise, px."""
+_RIVAL = 0.5
+"""A second peak lower than this is not looked at."""
 _NEIGHBOURHOOD = 2
 """A second peak nearer than this belongs to the first, px."""
 
@@ -49,7 +51,7 @@ class Peaks:
     score : (N,)
         Correlation there, raised to the top of the parabolas through its neighbours; -1 where there was no candidate.
     second : (N,)
-        The same of the best other local maximum among the candidates; -1 where there is none.
+        The same of the best other local maximum among the candidates; -1 where there is none above 1/2.
     offset : (N, 2)
         From the pixel to the top of the parabolas, px, within 0.5.
     rising : (N,) bool
@@ -93,7 +95,7 @@ class SearchResult:
     score : (N,)
         Correlation there; -1 where there was no candidate.
     second : (N,)
-        Best correlation of another peak inside the ellipse, near `score` if the match is not unique; -1 without one.
+        Best correlation of another peak inside the ellipse, near `score` if the match is not unique; -1 if none is above 1/2.
     on_border : (N,) bool
         The correlation still rises where the ellipse ends: the landmark may be outside it.
     covariance : (N, 2, 2)
@@ -270,7 +272,7 @@ def _note_peaks(peaks: Peaks, index: IntArray, scores: Patches, allowed: BoolArr
     peaks.score[index] = np.where(found, top, -1.0)
     peaks.offset[index] = offset
     peaks.rising[index] = found & (padded[each, y + 1, x + 1] < around[each, y + 1, x + 1])
-    tops = np.flatnonzero(allowed & (scores == around[:, 1:-1, 1:-1]))
+    tops = np.flatnonzero((eligible > _RIVAL).reshape(scores.shape) & (scores == around[:, 1:-1, 1:-1]))
     which, others_y, others_x = np.unravel_index(tops, scores.shape)
     apart = np.maximum(np.abs(others_y - y[which]), np.abs(others_x - x[which])) > _NEIGHBOURHOOD
     which, others_y, others_x = which[apart], others_y[apart], others_x[apart]
