@@ -12,11 +12,11 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import fft
 
 from filters.validation import BoolArray, FloatArray, IntArray, finite_array
-from stereo_slam_env.frontend.patches import PATCH, Image, Patches, cut_patches, windows_at
+from stereo_slam_env.frontend.patches import PATCH, Image, Patches, shifted, stack_around, windows_at
 
 Candidates = Callable[[IntArray, IntArray, IntArray], BoolArray]
 """(index (n,), u (n, w), v (n, h)) -> (n, h, w): which pixels the landmarks `index` may be found at."""
@@ -25,11 +25,17 @@ _RADIUS = PATCH // 2
 _PIXELS = PATCH * PATCH
 _FLAT = 1.0
 """Standard deviation below which a patch is noise, not texture: it correlates with nothing, grey levels."""
-_LENGTHS = np.array([15, 21, 27, 35, 45, 60, 80, 108, 144, 192, 256, 324, 432, 576, 768, 1024, 1350, 1800, 2400])
+_LENGTHS = np.array([15, 24, 36, 54, 80, 120, 180, 270, 400, 600, 900, 1350, 2160])
 """Sides of the windows: quick to transform, so that a small region does not pay for a large one."""
-_ITERATIONS = 3
+_BLOCK = 1 << 16
+"""Pixels in the windows of one block: they stay in the processor's cache."""
+_ITERATIONS = 2
+_NOISE_GAIN = (0.5 * (PATCH - 2) + 2.0 * 2) / PATCH
+"""Energy of the differences of white noise, over its own: 1/2 for central ones, 2 for those at both ends of a row."""
 _SIGMA_FLOOR = 0.03
 """What interpolation and warping leave even without noise, px."""
+_RIVAL = 0.5
+"""A second peak lower than this is not looked at."""
 _NEIGHBOURHOOD = 2
 """A second peak nearer than this belongs to the first, px."""
 
@@ -45,7 +51,7 @@ class Peaks:
     score : (N,)
         Correlation there, raised to the top of the parabolas through its neighbours; -1 where there was no candidate.
     second : (N,)
-        The same of the best other local maximum among the candidates; -1 where there is none.
+        The same of the best other local maximum among the candidates; -1 where there is none above 1/2.
     offset : (N, 2)
         From the pixel to the top of the parabolas, px, within 0.5.
     rising : (N,) bool
@@ -89,7 +95,7 @@ class SearchResult:
     score : (N,)
         Correlation there; -1 where there was no candidate.
     second : (N,)
-        Best correlation of another peak inside the ellipse, near `score` if the match is not unique; -1 without one.
+        Best correlation of another peak inside the ellipse, near `score` if the match is not unique; -1 if none is above 1/2.
     on_border : (N,) bool
         The correlation still rises where the ellipse ends: the landmark may be outside it.
     covariance : (N, 2, 2)
@@ -142,16 +148,17 @@ def search(
     c = finite_array("centers", centers, (len(templates), 2))
     covariance = finite_array("S", S, (len(templates), 2, 2))
     reach = covariance + (np.sqrt(0.5) / gate) ** 2 * np.eye(2)
-    precision = np.linalg.inv(reach)
+    # d^T S^-1 d <= gate^2 as |B d| <= 1, with B upper triangular
+    whiten = np.linalg.inv(gate * np.linalg.cholesky(reach[:, ::-1, ::-1])[:, ::-1, ::-1])
     extent = np.minimum(gate * np.sqrt(np.diagonal(reach, axis1=1, axis2=2)), max_radius)
 
     def inside(index: IntArray, u: IntArray, v: IntArray) -> BoolArray:
-        du, dv = u - c[index, :1], v - c[index, 1:]
-        P = precision[index]
-        squared = (P[:, 0, 0, None] * du**2)[:, None, :] + (P[:, 1, 1, None] * dv**2)[:, :, None]
-        squared += (2.0 * P[:, 0, 1, None] * dv)[:, :, None] * du[:, None, :]
-        near_u, near_v = np.abs(du) <= extent[index, :1], np.abs(dv) <= extent[index, 1:]
-        allowed: BoolArray = (squared <= gate**2) & near_u[:, None, :] & near_v[:, :, None]
+        (a, b), (_, d) = whiten[index].transpose(1, 2, 0).astype(np.float32)[..., None]
+        du, dv = (u - c[index, :1]).astype(np.float32), (v - c[index, 1:]).astype(np.float32)
+        squared = (b * dv)[:, :, None] + (a * du)[:, None, :]
+        squared *= squared
+        squared += ((d * dv) ** 2)[:, :, None]
+        allowed: BoolArray = squared <= 1.0
         return allowed
 
     peaks = best_peaks(image, templates, np.ceil(c - extent), np.floor(c + extent), inside)
@@ -162,7 +169,7 @@ def search(
     position[found], score[found], spread[found] = refined.position, refined.score, refined.covariance
     away = position - c
     with np.errstate(invalid="ignore"):
-        outside = np.einsum("ni,nij,nj->n", away, precision, away) > gate**2
+        outside = (np.einsum("nij,nj->ni", whiten, away) ** 2).sum(axis=1) > 1.0
     return SearchResult(position, score, peaks.second, peaks.rising | outside, spread)
 
 
@@ -195,18 +202,21 @@ def best_peaks(
     kinds = np.minimum(np.searchsorted(_LENGTHS, needed), len(_LENGTHS) - 1)
     possible = np.flatnonzero((last >= first).all(axis=1))
     for kind in np.unique(kinds[possible], axis=0):
-        index = possible[(kinds[possible] == kind).all(axis=1)]
+        members = possible[(kinds[possible] == kind).all(axis=1)]
         width, height = np.minimum(_LENGTHS[kind], (image.shape[1], image.shape[0])).tolist()
-        origin = np.clip(first[index] - _RADIUS - 1, 0, (image.shape[1] - width, image.shape[0] - height))
-        scores = correlation_maps(windows_at(image, origin, height, width), templates[index])
-        u = origin[:, :1] + _RADIUS + np.arange(scores.shape[2])
-        v = origin[:, 1:] + _RADIUS + np.arange(scores.shape[1])
-        allowed = ((u >= first[index, :1]) & (u <= last[index, :1]))[:, None, :] & (
-            (v >= first[index, 1:]) & (v <= last[index, 1:])
-        )[:, :, None]
-        if candidates is not None:
-            allowed &= candidates(index, u, v)
-        _note_peaks(peaks, index, scores, allowed, origin + _RADIUS)
+        count = max(1, _BLOCK // (width * height))
+        for begin in range(0, len(members), count):
+            index = members[begin : begin + count]
+            origin = np.clip(first[index] - _RADIUS - 1, 0, (image.shape[1] - width, image.shape[0] - height))
+            scores = correlation_maps(windows_at(image, origin, height, width), templates[index])
+            u = origin[:, :1] + _RADIUS + np.arange(scores.shape[2])
+            v = origin[:, 1:] + _RADIUS + np.arange(scores.shape[1])
+            in_columns = (u >= first[index, :1]) & (u <= last[index, :1])
+            in_rows = (v >= first[index, 1:]) & (v <= last[index, 1:])
+            allowed = in_columns[:, None, :] & in_rows[:, :, None]
+            if candidates is not None:
+                allowed &= candidates(index, u, v)
+            _note_peaks(peaks, index, scores, allowed, origin + _RADIUS)
     return peaks
 
 
@@ -226,19 +236,24 @@ def correlation_maps(windows: Image, templates: Patches) -> Patches:
     """
     n, height, width = windows.shape
     template = templates - templates.mean(axis=(1, 2), keepdims=True)
-    # The template has no mean, so shifting the grey values changes nothing but the rounding.
-    spectrum = fft.rfft2(windows - np.float32(128.0))
-    spectrum *= np.conj(fft.rfft2(template, (height, width)))
-    product = fft.irfft2(spectrum, (height, width))[:, : height - PATCH + 1, : width - PATCH + 1]
-    stacked = np.ascontiguousarray(windows).reshape(n * height, width)
-    box, corner = (PATCH, PATCH), (0, 0)
-    sums = cv2.boxFilter(stacked, cv2.CV_32F, box, anchor=corner, normalize=False)
-    squares = cv2.sqrBoxFilter(stacked, cv2.CV_32F, box, anchor=corner, normalize=False)
-    energy = squares.reshape(windows.shape)[:, : product.shape[1], : product.shape[2]].astype(np.float64)
-    energy -= sums.reshape(windows.shape)[:, : product.shape[1], : product.shape[2]].astype(np.float64) ** 2 / _PIXELS
-    flat = _PIXELS * _FLAT**2
+    values = windows - np.float32(128.0)  # the template has no mean: this changes nothing but the rounding
+    spectrum = fft.rfft2(values)
+    spectrum *= fft.rfft2(template[:, ::-1, ::-1], (height, width))
+    product = fft.irfft2(spectrum, (height, width))
+    stacked = values.reshape(n * height, width)  # a box that ends at a pixel stays inside the window of that pixel
+    box, last = (PATCH, PATCH), (PATCH - 1, PATCH - 1)
+    sums = np.asarray(cv2.boxFilter(stacked, cv2.CV_32F, box, anchor=last, normalize=False), dtype=np.float32)
+    energy = np.asarray(cv2.sqrBoxFilter(stacked, cv2.CV_32F, box, anchor=last, normalize=False), dtype=np.float32)
+    np.multiply(sums, sums, out=sums)
+    sums *= np.float32(1.0 / _PIXELS)
+    energy -= sums
+    flat = np.float32(_PIXELS * _FLAT**2)
     own = np.maximum(np.einsum("nij,nij->n", template, template), flat)
-    return np.asarray(product / np.sqrt(np.maximum(energy, flat) * own[:, None, None]), dtype=np.float32)
+    root = np.maximum(energy, flat, out=energy).reshape(product.shape)
+    root *= own[:, None, None]
+    product /= np.sqrt(root, out=root)
+    scores: Patches = product[:, PATCH - 1 :, PATCH - 1 :]
+    return scores
 
 
 def _note_peaks(peaks: Peaks, index: IntArray, scores: Patches, allowed: BoolArray, origin: IntArray) -> None:
@@ -246,33 +261,35 @@ def _note_peaks(peaks: Peaks, index: IntArray, scores: Patches, allowed: BoolArr
     n, h, w = scores.shape
     padded = np.full((n, h + 2, w + 2), -1.0, dtype=np.float32)
     padded[:, 1:-1, 1:-1] = scores
-    beside = np.maximum(np.maximum(padded[:, :, :-2], padded[:, :, 2:]), padded[:, :, 1:-1])
-    around = np.maximum(np.maximum(beside[:, :-2], beside[:, 2:]), beside[:, 1:-1])
+    around = cv2.dilate(padded.reshape(-1, w + 2), np.ones((3, 3), dtype=np.uint8)).reshape(padded.shape)
     each = np.arange(n)
     eligible = np.where(allowed, scores, -np.inf).reshape(n, -1)
     best = eligible.argmax(axis=1)
     y, x = np.divmod(best, w)
     found = eligible[each, best] > -np.inf
-    rows, columns = np.arange(h), np.arange(w)
-    near = (np.abs(rows - y[:, None]) <= _NEIGHBOURHOOD)[:, :, None]
-    near = near & (np.abs(columns - x[:, None]) <= _NEIGHBOURHOOD)[:, None, :]
-    others = np.where(allowed & (scores >= around) & ~near, scores, -np.inf).reshape(n, -1)
-    other = others.argmax(axis=1)
-    top, offset = _parabola_top(padded, y + 1, x + 1)
-    second, _ = _parabola_top(padded, *(np.array(np.divmod(other, w)) + 1))
+    top, offset = _parabola_top(padded, each, y, x)
     peaks.pixel[index] = np.stack([x, y], axis=1) + origin
     peaks.score[index] = np.where(found, top, -1.0)
-    peaks.second[index] = np.where(others[each, other] > -np.inf, second, -1.0)
     peaks.offset[index] = offset
-    peaks.rising[index] = found & (scores[each, y, x] < around[each, y, x])
+    peaks.rising[index] = found & (padded[each, y + 1, x + 1] < around[each, y + 1, x + 1])
+    tops = np.flatnonzero((eligible > _RIVAL).reshape(scores.shape) & (scores == around[:, 1:-1, 1:-1]))
+    which, others_y, others_x = np.unravel_index(tops, scores.shape)
+    apart = np.maximum(np.abs(others_y - y[which]), np.abs(others_x - x[which])) > _NEIGHBOURHOOD
+    which, others_y, others_x = which[apart], others_y[apart], others_x[apart]
+    second = np.full(n, -1.0)
+    np.maximum.at(second, which, _parabola_top(padded, which, others_y, others_x)[0])
+    peaks.second[index] = second
 
 
-def _parabola_top(padded: Patches, y: IntArray, x: IntArray) -> tuple[FloatArray, FloatArray]:
-    """Height (n,) and place (n, 2) of the tops of the parabolas along u and v through a pixel of each map."""
-    each = np.arange(len(padded))
-    middle = padded[each, y, x].astype(np.float64)
-    before = np.stack([padded[each, y, x - 1], padded[each, y - 1, x]], axis=1).astype(np.float64)
-    after = np.stack([padded[each, y, x + 1], padded[each, y + 1, x]], axis=1).astype(np.float64)
+def _parabola_top(padded: Patches, which: IntArray, y: IntArray, x: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Height (K,) and place (K, 2) of the tops of the parabolas along u and v through pixels (y, x) of maps `which`.
+
+    The maps (n, h + 2, w + 2) have a border of one.
+    """
+    size = padded.shape[2]
+    at = (which * padded.shape[1] + y + 1) * size + x + 1
+    middle, left, right, above, below = padded.ravel()[at + np.array([[0], [-1], [1], [-size], [size]])].astype(float)
+    before, after = np.stack([left, above], axis=1), np.stack([right, below], axis=1)
     bend = 2.0 * middle[:, None] - before - after
     slope = 0.5 * (after - before)
     peaked = (bend > 1e-6) & (np.abs(slope) <= 0.5 * bend)
@@ -281,16 +298,23 @@ def _parabola_top(padded: Patches, y: IntArray, x: IntArray) -> tuple[FloatArray
 
 
 def refine(
-    image: Image, templates: Patches, pixel: IntArray, offset: FloatArray, *, row: FloatArray | None = None,
+    image: Image,
+    templates: Patches,
+    pixel: IntArray,
+    offset: FloatArray,
+    *,
+    row: FloatArray | None = None,
     row_sigma: float = np.inf,
-) -> Refined:  # fmt: skip
-    """Maximise the correlation over positions between the pixels (Lucas-Kanade with gain and offset, Gauss-Newton).
+) -> Refined:
+    """Maximise the correlation over positions between the pixels (Lucas-Kanade, inverse compositional).
 
-    A patch i(p) and a template t, both brought to zero mean and unit length, have correlation t . i(p). With g the
-    derivative of i by p, orthogonal to i, least squares of t on i and g gives the step (g g^T)^-1 g t / (t . i). Equal
-    white noise in both has 2 (1 - t . i) / pixels as the variance of a difference, hence the covariance of p:
-    2 (1 - t . i) / pixels (g g^T)^-1, where g is that of the signal alone. Where the steps leave the pixel by more than
-    one, the top of the parabola is kept.
+    A template t and a patch i(p), both brought to zero mean and unit length, have correlation t . i(p). With g the
+    derivative of t by a shift, orthogonal to t, a patch taken a little off the best position is t + g (p - p_best), up
+    to gain: Gauss-Newton steps are -(g g^T)^-1 g i / (t . i). The noise of t is not correlated with its own central
+    differences, so the steps end without bias. Equal white noise in both patches makes 2 (1 - t . i) / 121 the
+    variance of a difference, hence 2 (1 - t . i) / 121 (g g^T)^-1 the covariance of p, where g is the derivative of the
+    texture without the noise. Where the steps lead away from the pixel by more than one, the top of the parabola is
+    kept.
 
     Parameters
     ----------
@@ -309,43 +333,69 @@ def refine(
     -------
     Refined
     """
-    n = len(templates)
-    t = _normalised(templates)[0]
-    start = pixel + offset
-    position = start.copy()
+    stack = np.ascontiguousarray(templates.transpose(1, 2, 0))
+    t, length = _normalised(stack)
+    g_u, g_v = (_derivative(np.gradient(stack, axis=axis), t, length) for axis in (1, 0))
+    texture = np.array([[_dot(g_u, g_u), _dot(g_u, g_v)], [_dot(g_v, g_u), _dot(g_v, g_v)]])
+    texture[[0, 1], [0, 1]] += 1e-9
+    around, away = stack_around(image, pixel, PATCH + 4), offset.copy()
     for iteration in range(_ITERATIONS + 1):
-        patch = cut_patches(image, position, PATCH + 2)
-        i, length = _normalised(patch[:, 1:-1, 1:-1])
-        g = np.empty((n, 2, _PIXELS), dtype=np.float32)
-        g[:, 0] = (0.5 * (patch[:, 1:-1, 2:] - patch[:, 1:-1, :-2])).reshape(n, -1)
-        g[:, 1] = (0.5 * (patch[:, 2:, 1:-1] - patch[:, :-2, 1:-1])).reshape(n, -1)
-        g -= g.mean(axis=2, keepdims=True)
-        g /= length[:, None, None]
-        g -= (g @ i[:, :, None]) * i[:, None, :]
-        score = np.einsum("nk,nk->n", t, i).astype(np.float64)
+        i, _ = _normalised(shifted(around, away))
+        score = _dot(t, i)
         variance = 2.0 * (1.0 - np.minimum(score, 1.0)) / _PIXELS
-        G = (g @ g.transpose(0, 2, 1)).astype(np.float64) + 1e-12 * np.eye(2)
-        b = (g @ t[:, :, None])[:, :, 0] / np.maximum(score, 0.1)[:, None]
-        if row is not None:
-            weight = np.minimum((variance + 1e-9) / max(row_sigma, 1e-6) ** 2, 1e9)
-            G[:, 1, 1] += weight
-            b[:, 1] += weight * (row - position[:, 1])
+        weight = (variance + 1e-9) / max(row_sigma, 1e-6) ** 2
         if iteration == _ITERATIONS:
             break
-        step = np.linalg.solve(G, b[:, :, None])[:, :, 0]
-        position += np.clip(step, -1.0, 1.0)
-        lost = np.abs(position - pixel).max(axis=1, initial=0.0) > 1.0
-        position[lost] = start[lost]
-    # Central differences pass on half of the noise: what they measure of it is no texture.
-    smallest = np.linalg.eigvalsh(G)[:, 0]
-    noise = np.minimum(0.5 * (1.0 - score), 0.8 * smallest)
-    covariance = variance[:, None, None] * np.linalg.inv(G - noise[:, None, None] * np.eye(2))
-    return Refined(position, score, covariance + _SIGMA_FLOOR**2 * np.eye(2))
+        slope = np.array([_dot(g_u, i), _dot(g_v, i)]) / np.maximum(score, 0.1)
+        G = texture.copy()
+        if row is not None:
+            G[1, 1] += weight
+            slope[1] += weight * (pixel[:, 1] + away[:, 1] - row)
+        away = away - np.einsum("ijn,jn->ni", _inverse(G), slope)
+        lost = np.abs(away).max(axis=1, initial=0.0) > 1.0
+        away[lost] = offset[lost]
+    signal = _without_noise(texture, 1.0 - score)
+    if row is not None:
+        signal[1, 1] += weight
+        texture[1, 1] += weight
+    # The noise of g makes the steps noisier, too: texture where there was only the signal.
+    gain = _inverse(signal)
+    covariance = (variance * np.einsum("ijn,jkn,kln->iln", gain, texture, gain)).transpose(2, 0, 1)
+    return Refined(pixel + away, score, covariance + _SIGMA_FLOOR**2 * np.eye(2))
 
 
-def _normalised(patches: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Patches (N, 121) with zero mean and unit length, and the length they had."""
-    flat = patches.reshape(len(patches), -1)
-    flat = flat - flat.mean(axis=1, keepdims=True)
-    length = np.maximum(np.sqrt(np.einsum("nk,nk->n", flat, flat)), np.float32(_FLAT * PATCH))
-    return flat / length[:, None], length
+def _normalised(stack: Patches) -> tuple[Patches, Patches]:
+    """Patches (11, 11, N) as columns (121, N) with zero mean and unit length, and the length they had (N,)."""
+    columns = stack.reshape(_PIXELS, -1)
+    columns = columns - columns.mean(axis=0)
+    length = np.maximum(np.sqrt((columns * columns).sum(axis=0)), np.float32(_FLAT * PATCH))
+    return columns / length, length
+
+
+def _derivative(gradient: Patches, t: Patches, length: Patches) -> Patches:
+    """Derivative of the normalised patches `t` (121, N), from that of the patches (11, 11, N)."""
+    g = gradient.reshape(_PIXELS, -1) / length
+    g -= g.mean(axis=0)
+    g -= (g * t).sum(axis=0) * t
+    return g
+
+
+def _without_noise(texture: FloatArray, noise: FloatArray) -> FloatArray:
+    """Gradient matrices (2, 2, N) less what noise of energy `noise` (N,) has added, but at least a fifth of them."""
+    half_trace, half_gap = 0.5 * (texture[0, 0] + texture[1, 1]), 0.5 * (texture[0, 0] - texture[1, 1])
+    smallest = half_trace - np.sqrt(half_gap**2 + texture[0, 1] ** 2)
+    signal = texture.copy()
+    signal[[0, 1], [0, 1]] -= np.clip(_NOISE_GAIN * noise, 0.0, 0.8 * np.maximum(smallest, 0.0))
+    return signal
+
+
+def _dot(a: Patches, b: Patches) -> FloatArray:
+    product: FloatArray = (a * b).sum(axis=0).astype(np.float64)
+    return product
+
+
+def _inverse(G: FloatArray) -> FloatArray:
+    """Inverses of symmetric matrices (2, 2, N)."""
+    adjugate = np.array([[G[1, 1], -G[0, 1]], [-G[0, 1], G[0, 0]]])
+    inverse: FloatArray = adjugate / (G[0, 0] * G[1, 1] - G[0, 1] ** 2)
+    return inverse

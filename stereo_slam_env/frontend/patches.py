@@ -11,7 +11,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike, NDArray
 
 from filters.camera import StereoCamera
-from filters.validation import FloatArray, finite_array
+from filters.validation import FloatArray, IntArray, finite_array
 
 Image = NDArray[np.uint8]
 Patches = NDArray[np.float32]
@@ -29,10 +29,6 @@ _STACKED = 1000
 
 def cut_patches(image: Image, centers: ArrayLike, size: int = SUPPORT) -> Patches:
     """Patches centred on sub-pixel positions, by Catmull-Rom interpolation.
-
-    All pixels of a patch share the fraction of its centre, so the interpolation is one weighted sum of shifted windows
-    along each axis: exact where `cv2.remap` rounds positions to 1/32 px (OpenCV 4), and without the shift of up to
-    0.05 px that its INTER_CUBIC (which does not reproduce a ramp) would bring.
 
     Parameters
     ----------
@@ -53,15 +49,53 @@ def cut_patches(image: Image, centers: ArrayLike, size: int = SUPPORT) -> Patche
         `centers` is not (N, 2) or not finite.
     """
     at = finite_array("centers", centers, ("N", 2))
-    base = np.floor(at).astype(np.int64)
-    weights = _catmull_rom(at - base)
-    origin = base - (size // 2 + 1)
-    windows = windows_at(image, origin, size + 3, size + 3).astype(np.float32)
-    rows = sum_of_shifted(windows, weights[:, 1], axis=1)
-    return sum_of_shifted(rows, weights[:, 0], axis=2)
+    return np.ascontiguousarray(cut_stack(image, at, size).transpose(2, 0, 1))
 
 
-def windows_at(image: Image, origin: NDArray[np.int64], height: int, width: int) -> Image:
+def cut_stack(image: Image, centers: FloatArray, size: int) -> Patches:
+    """`cut_patches` with the patches along the last axis, (size, size, N): quick to do arithmetic on."""
+    pixel = np.rint(centers).astype(np.int64)
+    return shifted(stack_around(image, pixel, size + 4), centers - pixel)
+
+
+def stack_around(image: Image, pixel: IntArray, size: int) -> Patches:
+    """Odd squares of pixels around `pixel` (N, 2); (size, size, N)."""
+    windows = windows_at(image, pixel - size // 2, size, size)
+    return np.ascontiguousarray(windows.transpose(1, 2, 0)).astype(np.float32)
+
+
+def shifted(stack: Patches, offset: FloatArray) -> Patches:
+    """Interpolate patches around points off the centre of larger ones.
+
+    All pixels of a patch share the fraction of its centre, so the interpolation (Catmull-Rom) is one weighted sum of
+    five windows along each axis. `cv2.remap` rounds positions to 1/32 px (OpenCV 4), and its INTER_CUBIC does not
+    reproduce a ramp: it shifts patches by up to 0.05 px.
+
+    Parameters
+    ----------
+    stack : (size + 4, size + 4, N) float32
+        From `stack_around`.
+    offset : (N, 2)
+        (u, v) from the centre, px, within 1.
+
+    Returns
+    -------
+    (size, size, N) float32
+    """
+    size = len(stack) - 4
+    x = np.abs(offset.T - np.arange(-2, 3)[:, None, None])
+    near, far = (1.5 * x - 2.5) * x * x + 1.0, np.maximum(2.0 - x, 0.0) ** 2 * (1.0 - x) * 0.5
+    weights = np.where(x <= 1.0, near, far).astype(np.float32)
+    rows = stack[:size] * weights[0, 1]
+    for k in range(1, 5):
+        rows += stack[k : k + size] * weights[k, 1]
+    patches: Patches = rows[:, :size] * weights[0, 0]
+    for k in range(1, 5):
+        patches += rows[:, k : k + size] * weights[k, 0]
+    return patches
+
+
+def windows_at(image: Image, origin: IntArray, height: int, width: int) -> Image:
     """Windows of an image with their first pixel at `origin` (N, 2) (u, v); beyond the border it is repeated.
 
     Returns
@@ -79,27 +113,6 @@ def windows_at(image: Image, origin: NDArray[np.int64], height: int, width: int)
         origin = np.clip(origin + pad_low, 0, last)
     windows: Image = sliding_window_view(image, (height, width))[origin[:, 1], origin[:, 0]]
     return windows
-
-
-def sum_of_shifted(windows: Patches, weights: Patches, axis: int) -> Patches:
-    """Weighted sum of the windows shifted by 0, 1, ... along `axis`; (N, K) weights shorten it by K - 1."""
-    windows = np.moveaxis(windows, axis, 1)
-    length = windows.shape[1] - weights.shape[1] + 1
-    total = windows[:, :length] * weights[:, 0, None, None]
-    for k in range(1, weights.shape[1]):
-        total += windows[:, k : k + length] * weights[:, k, None, None]
-    return np.moveaxis(total, 1, axis)
-
-
-def _catmull_rom(f: FloatArray) -> Patches:
-    """Weights of the four neighbours at -1, 0, 1, 2 for fractions in [0, 1); (...) -> (..., 4)."""
-    weights = (
-        ((2.0 - f) * f - 1.0) * f,
-        (3.0 * f - 5.0) * f * f + 2.0,
-        ((4.0 - 3.0 * f) * f + 1.0) * f,
-        (f - 1.0) * f * f,
-    )
-    return (0.5 * np.stack(weights, axis=-1)).astype(np.float32)
 
 
 def warped_patches(patches: Patches, affine: ArrayLike, size: int = PATCH) -> Patches:
@@ -130,7 +143,9 @@ def warped_patches(patches: Patches, affine: ArrayLike, size: int = PATCH) -> Pa
     A = finite_array("affine", affine, ("N", 2, 2))
     if len(A) != len(patches):
         raise ValueError(f"affine must have one matrix per patch: {len(patches)} patches, {len(A)} matrices")
-    shrinks = np.linalg.norm(A, ord=2, axis=(1, 2)) > _SHRINKS if len(A) else np.zeros(0, dtype=bool)
+    squares, determinant = np.einsum("nij,nij->n", A, A), A[:, 0, 0] * A[:, 1, 1] - A[:, 0, 1] * A[:, 1, 0]
+    longest_squared = 0.5 * (squares + np.sqrt(np.maximum(squares**2 - 4.0 * determinant**2, 0.0)))
+    shrinks = longest_squared > _SHRINKS**2
     warped = np.empty((len(A), size, size), dtype=np.float32)
     warped[~shrinks] = _resampled(patches[~shrinks], A[~shrinks], size, 1.0)
     fine = _resampled(patches[shrinks], A[shrinks], 2 * size, 0.5)
