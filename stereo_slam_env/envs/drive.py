@@ -30,7 +30,8 @@ from stereo_slam_env.sensing.pixel_noise import NOISE_MODELS
 from stereo_slam_env.sensing.rigs import CAMERA_HEIGHT, RIGS
 from stereo_slam_env.world.frames import R_SW, WorldFrame
 from stereo_slam_env.world.physics import PhysicsWorld
-from stereo_slam_env.world.routes import FRAME_PERIOD, Driver, Route, RouteDriver, advance, named_route
+from stereo_slam_env.world.route_files import named_route
+from stereo_slam_env.world.routes import FRAME_PERIOD, Driver, Route, RouteDriver, advance
 from stereo_slam_env.world.scene import Scene
 from stereo_slam_env.world.surroundings import build_scene
 from stereo_slam_env.world.vehicle import AgentDriver, Car
@@ -322,7 +323,7 @@ class StereoDriveEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
         if self._images is None:
             assert self._renderer is not None
             clean = self._renderer.render_pair(self._pose, self._time)
-            self._images = clean if self._effects is None else self._effects.applied(clean, self._step_count)
+            self._images = clean if self._effects is None else self._effects.apply(clean, self._step_count)
         return self._images
 
     def _observation(self, odometry: BodyVelocity) -> Observation:

@@ -13,7 +13,7 @@ from stereo_slam_env.envs.drive import StereoDriveEnv
 from stereo_slam_env.envs.recorder import described
 from stereo_slam_env.image_sequence import StereoPair
 from stereo_slam_env.recording import Start
-from stereo_slam_env.rendering.camera_effects import grey
+from stereo_slam_env.rendering.images import grey
 
 
 class RenderedDrive:

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 from filters.validation import gate_probability, positive
 
-
 _POSITIVE = (
     "nearest",
     "min_disparity",

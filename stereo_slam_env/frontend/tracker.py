@@ -9,7 +9,7 @@ import numpy as np
 
 from filters.camera import StereoCamera
 from filters.interface import Forecast, StereoObservation
-from filters.validation import BoolArray, IntArray, positive
+from filters.validation import BoolArray, FloatArray, IntArray, positive
 from stereo_slam_env.frontend.consistency import judged
 from stereo_slam_env.frontend.disparity_offset import DisparityOffset
 from stereo_slam_env.frontend.ego_motion import MIN_POINTS, RobustStep, chained, continued, predicted, robust_step
@@ -161,18 +161,19 @@ class StereoTracker:
             return expected
         return by_forecast(self.camera, tracks, expected, forecast, self.settings)
 
-    def _by_motion(self, tracks: Tracks, step: Step, step_covariance: np.ndarray) -> Expectation:
+    def _by_motion(self, tracks: Tracks, step: Step, step_covariance: FloatArray) -> Expectation:
         last = self._steps[0] if self._steps else None
         return by_motion(self.camera, tracks, step, step_covariance, last, self.settings.margin)
 
     def _flow_step(self, finder: PairFinder, tracks: Tracks) -> Step | None:
         """The motion from optical flow, for pairs that no motion so far explains."""
         seen = np.flatnonzero((tracks.misses == 0) & ~tracks.moving)
-        if len(seen) < MIN_POINTS:
+        if len(seen) < MIN_POINTS or self._left is None:
             return None
         before = tracks.uvd[seen]
+        start = before[:, None, :2].astype(np.float32)
         uv, status, _ = cv2.calcOpticalFlowPyrLK(
-            self._left, finder.left, before[:, None, :2].astype(np.float32), None, winSize=(21, 21), maxLevel=4
+            self._left, finder.left, start, np.empty_like(start), winSize=(21, 21), maxLevel=4
         )
         uv = np.asarray(uv, dtype=np.float64)[:, 0]
         tracked = (np.asarray(status)[:, 0] > 0) & finder.inside(uv)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from filters.validation import BoolArray, FloatArray, IntArray
+from stereo_slam_env.frontend.patches import Patches
 
 MEMORY = 4
 """Measurements kept of each landmark: of this pair and of the three before."""
@@ -45,7 +46,7 @@ class Tracks:
     """
 
     ids: IntArray
-    patches: FloatArray
+    patches: Patches
     first_uvd: FloatArray
     first_R: FloatArray
     first_position: FloatArray
@@ -78,7 +79,7 @@ class Tracks:
 
 
 def new_tracks(
-    ids: IntArray, patches: FloatArray, uvd: FloatArray, R: FloatArray, R_vc: FloatArray, position_v: FloatArray
+    ids: IntArray, patches: Patches, uvd: FloatArray, R: FloatArray, R_vc: FloatArray, position_v: FloatArray
 ) -> Tracks:
     """Landmarks measured for the first time, from one camera pose."""
     count = len(ids)

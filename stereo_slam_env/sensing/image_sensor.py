@@ -13,9 +13,8 @@ from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.frontend.tracked import TrackedPair
 from stereo_slam_env.frontend.tracker import StereoTracker
 from stereo_slam_env.recording import LandmarkTruth, Pose
-from stereo_slam_env.rendering.camera_effects import grey
-from stereo_slam_env.rendering.images import StereoImages
-from stereo_slam_env.rendering.truth import landmark_points
+from stereo_slam_env.rendering.images import StereoImages, grey
+from stereo_slam_env.rendering.truth import points_at
 from stereo_slam_env.world.routes import FRAME_PERIOD
 
 
@@ -46,7 +45,7 @@ class ImageSensor:
         images = self._take_pair()
         self.tracked = self._tracker.track(grey(images.left), grey(images.right), FRAME_PERIOD)
         corners = self.tracked.corners
-        points_w = landmark_points(self.camera, pose, images.depth, corners.uvd[:, :2])
+        points_w = points_at(self.camera, pose, images.depth, corners.uvd[:, :2])
         known = np.isfinite(points_w).all(axis=1)
         self._ids.append(corners.ids[known])
         self._points.append(points_w[known])

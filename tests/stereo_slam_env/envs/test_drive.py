@@ -150,7 +150,10 @@ def test_memory_is_flat_over_resets(make):
 @pytest.mark.parametrize(
     ("kwargs", "message"),
     [
-        ({"route": "moon"}, r"route must be one of 'straight', 'right-turn', 'town', got 'moon'"),
+        (
+            {"route": "moon"},
+            r"route must be one of 'straight', 'right-turn', 'town', 'loop' or a KITTI pose file, got 'moon'",
+        ),
         ({"rig": "imax"}, r"rig must be one of 'reference', 'vga', 'qvga', got 'imax'"),
         ({"noise": "cauchy"}, r"noise must be one of 'pixels', 'uvd', got 'cauchy'"),
         ({"policy": "me"}, r"policy must be one of 'route', 'agent', got 'me'"),

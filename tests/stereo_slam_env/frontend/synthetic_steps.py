@@ -30,7 +30,7 @@ class Cloud:
         ])  # fmt: skip
         p_before = CAMERA.backproject(uvd)
         if self.moved:  # a car: points within 1.5 m of each other, 15 m ahead
-            p_before[: self.moved] = [-3.0, 0.5, 15.0] + rng.uniform(-0.7, 0.7, (self.moved, 3))
+            p_before[: self.moved] = np.array([-3.0, 0.5, 15.0]) + rng.uniform(-0.7, 0.7, (self.moved, 3))
         p_now = (p_before - STEP.t) @ STEP.R
         p_now[: self.moved] += self.shift
         first, second = (
