@@ -17,8 +17,9 @@ from filters.noise import StereoNoise
 from stereo_slam_env.benchmark.results import FilterRun, FilterSummary
 from stereo_slam_env.benchmark.runner import make_with_common_options, run_filter
 from stereo_slam_env.benchmark.scenario import FilterChoice, Scenario, filter_choice
-from stereo_slam_env.benchmark.sources import make_recording, stream_digest
+from stereo_slam_env.benchmark.sources import make_recording, make_sequence, stream_digest, takes_images
 from stereo_slam_env.benchmark.store import RunDirectory, open_run
+from stereo_slam_env.frontend.active_search import ActiveSearch
 
 Progress = Callable[[float, int], None]
 WATCH_SECONDS = 0.5
@@ -135,7 +136,8 @@ def _run_missing(run: RunDirectory, jobs: int, progress: Progress | None) -> Non
             progress(done + trials, total)
 
     tell(0)
-    tasks = _tasks(todo, jobs)
+    # Images are looked at once a seed, whoever is idle meanwhile.
+    tasks = _tasks(todo, 1 if takes_images(run.scenario) else jobs)
     if min(jobs, len(tasks)) > 1:
         import joblib
 
@@ -202,6 +204,7 @@ def _run_trials(
         "assumed_R": noise.R.tolist(),
         "source": dict(recording.source),
     }
+    guided = takes_images(scenario) and scenario.search == "forecast"
     for number, choice in enumerate(choices):
 
         def within(frames: int, total: int, number: int = number) -> None:
@@ -217,6 +220,7 @@ def _run_trials(
             noise=noise,
             use_odometry=scenario.use_odometry,
             seed=seed,
+            observe=ActiveSearch(*make_sequence(scenario, seed)).observe if guided else None,
             progress=within,
         )
         run.save_trial(result, choice, description)

@@ -22,6 +22,9 @@ KINDS: Mapping[str, str] = {
 }
 
 
+SEARCHES = ("flow", "forecast")
+
+
 @dataclass(frozen=True)
 class FilterChoice:
     """One competitor: a filter by name, its options, and the label it has in tables and files.
@@ -81,6 +84,9 @@ class Scenario:
         Probability per landmark of the chi-square gate; None: no gate.
     consensus : bool
         Whether filters that can test the frame as a whole (one-point RANSAC) do so; needs a gate.
+    search : {"flow", "forecast"}
+        How landmarks are followed in images: "flow", without a filter, so that all get the same measurements; or
+        "forecast", guided by each filter's own forecast, as the paper does.
     motion : mapping
         Standard deviations sigma_acceleration (m/s^2) and sigma_angular_acceleration (rad/s^2) the filters assume.
     divergence_percent : float
@@ -102,6 +108,7 @@ class Scenario:
     noise: Mapping[str, Any] | None = None
     gate: float | None = 0.99
     consensus: bool = False
+    search: str = "flow"
     motion: Mapping[str, float] = field(
         default_factory=lambda: {"sigma_acceleration": 3.0, "sigma_angular_acceleration": 0.6}
     )
@@ -127,6 +134,8 @@ class Scenario:
             raise ValueError(f"consensus must be true or false, got {self.consensus!r}")
         if self.consensus and self.gate is None:
             raise ValueError("consensus needs a gate: give a probability, or do without consensus")
+        if self.search not in SEARCHES:
+            raise ValueError(f"search must be one of {', '.join(SEARCHES)}, got {self.search!r}")
         positive("divergence_percent", self.divergence_percent)
         _known_keys("motion", self.motion, ("sigma_acceleration", "sigma_angular_acceleration"))
         for key, value in self.motion.items():

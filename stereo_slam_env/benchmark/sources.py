@@ -5,13 +5,18 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import importlib
+import json
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
 from stereo_slam_env.benchmark.scenario import Scenario
-from stereo_slam_env.datasets import read_recording
+from stereo_slam_env.datasets import front_end_settings, holds_images, read_recording
+from stereo_slam_env.datasets.images import open_image_sequence
+from stereo_slam_env.frontend.settings import TrackerSettings
+from stereo_slam_env.image_sequence import ImageSequence
 from stereo_slam_env.recording import Recording
 
 
@@ -24,7 +29,9 @@ def make_recording(scenario: Scenario, seed: int | None) -> Recording:
         The source refuses its options or yields no frames: the message names what is wrong.
     """
     options = dict(scenario.options)
-    if scenario.kind == "street":
+    if takes_images(scenario):
+        recording = _seen(scenario.kind, json.dumps(options, sort_keys=True), seed, scenario.frames)
+    elif scenario.kind == "street":
         recording = _street(options, seed, scenario.frames)
     elif scenario.kind == "reference":
         recording = _reference(options, seed, scenario.frames)
@@ -39,6 +46,42 @@ def make_recording(scenario: Scenario, seed: int | None) -> Recording:
     if len(recording) == 0:
         raise ValueError(f"recording {recording.name!r} has no frames")
     return recording
+
+
+def takes_images(scenario: Scenario) -> bool:
+    """Whether the measurements come from images through the front end."""
+    if scenario.kind == "street":
+        return scenario.options.get("sensor") == "images"
+    return scenario.kind == "dataset" and holds_images(str(scenario.options.get("path", "")))
+
+
+def make_sequence(scenario: Scenario, seed: int | None) -> tuple[ImageSequence, TrackerSettings]:
+    """The images of a scenario that has them, and the settings of the front end for them.
+
+    Raises
+    ------
+    ValueError
+        The scenario has no images, or its options are refused.
+    """
+    options = dict(scenario.options)
+    if not takes_images(scenario):
+        raise ValueError(f"scenario {scenario.name!r} has no images: give sensor='images' or a recording of images")
+    if scenario.kind == "street":
+        from stereo_slam_env.envs.options import DriveOptions
+        from stereo_slam_env.envs.rendered_drive import RenderedDrive
+
+        return RenderedDrive(options, seed or 0, scenario.frames), DriveOptions.checked(options).front_end
+    settings = front_end_settings(options.pop("front_end", {}))
+    return open_image_sequence(options.pop("path"), **options), settings
+
+
+@lru_cache(maxsize=1)
+def _seen(kind: str, options: str, seed: int | None, frames: int | None) -> Recording:
+    """Tracks through images; kept, because looking takes far longer than filtering."""
+    given = json.loads(options)
+    if kind == "street":
+        return _street(given, seed, frames)
+    return read_recording(given.pop("path"), **given)
 
 
 def stream_digest(recording: Recording) -> str:

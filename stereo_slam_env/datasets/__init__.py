@@ -1,27 +1,33 @@
 """Readers of real recordings. Each yields the same `Recording` that the environment yields.
 
-To add a layout: a module with `NAME`, `FILES`, `recognises(path)` and `read(path, **options)`, listed in `READERS`.
+To add a layout: a module with `NAME`, `FILES`, `recognises(path)` and `read(path, **options)`, listed in `READERS`;
+for one of images see `datasets.images`, whose sequences go through the front end.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import difflib
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 from stereo_slam_env.datasets import gtsam_examples, kitti00_stereo_tracks, kitti07_tracks
+from stereo_slam_env.datasets.images import known_image_layouts, open_image_sequence, reader_of
+from stereo_slam_env.frontend.recorder import record_tracks
+from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.recording import Recording
 
 READERS = (kitti07_tracks, kitti00_stereo_tracks)
 
-__all__ = ["READERS", "known_layouts", "read_recording"]
+__all__ = ["READERS", "front_end_settings", "holds_images", "known_layouts", "read_recording"]
 
 
 def known_layouts() -> dict[str, str]:
     """What `read_recording` takes: name -> the files that tell a folder of this layout, or what to write."""
     layouts = {reader.NAME: "folder with " + ", ".join(reader.FILES) for reader in READERS}
+    layouts |= known_image_layouts()
     for name in gtsam_examples.EXAMPLES:
         layouts[f"{gtsam_examples.PREFIX}:{name}"] = "example data of the gtsam wheel, no folder needed"
     return layouts
@@ -35,7 +41,8 @@ def read_recording(path: str | Path, **options: Any) -> Recording:
     path : str or Path
         A folder, or `gtsam` / `gtsam:NAME` for the example data of the gtsam wheel.
     **options
-        Options of the reader, see its `read`.
+        Options of the reader, see its `read`; for images those of `open_image_sequence`, and `front_end`, a mapping
+        with fields of `TrackerSettings`.
 
     Raises
     ------
@@ -58,7 +65,36 @@ def read_recording(path: str | Path, **options: Any) -> Recording:
             _check_options(reader.read, options)
             read: Callable[..., Recording] = reader.read
             return read(folder, **options)
-    raise ValueError(f"{folder} has no known layout: {_nearest(folder)}known are {_layouts()}")
+    if not holds_images(folder):
+        raise ValueError(f"{folder} has no known layout: {_nearest(folder)}known are {_layouts()}")
+    settings = front_end_settings(options.pop("front_end", {}))
+    return record_tracks(open_image_sequence(folder, **options), settings)
+
+
+def holds_images(path: str | Path) -> bool:
+    """Whether the folder is a recording of images, or one of tracks (or none at all)."""
+    folder = Path(path)
+    if not folder.is_dir() or any(reader.recognises(folder) for reader in READERS):
+        return False
+    inside = [folder, *folder.glob("*/"), *folder.glob("*/*/")]
+    return any(reader_of(place) is not None for place in inside)
+
+
+def front_end_settings(fields: Mapping[str, Any]) -> TrackerSettings:
+    """Settings of the front end from their JSON form.
+
+    Raises
+    ------
+    ValueError
+        An unknown field, or an impossible value.
+    """
+    known = [field.name for field in dataclasses.fields(TrackerSettings)]
+    for name in fields:
+        if name not in known:
+            near = difflib.get_close_matches(name, known, n=1)
+            hint = f", did you mean {near[0]}?" if near else ""
+            raise ValueError(f"the front end has no setting {name!r}{hint} Known: {', '.join(known)}")
+    return TrackerSettings(**fields)
 
 
 def _check_options(read: Callable[..., Recording], options: dict[str, Any]) -> None:
