@@ -1,0 +1,242 @@
+"""The picture of active search: where the front end looked, what it found and what it turned down."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from filters.validation import FloatArray
+from stereo_slam_env.frontend.tracked import Outcome, Search, TrackedPair
+from stereo_slam_env.image_sequence import GreyImage
+from stereo_slam_env.rendering.drawing import (
+    FONT,
+    INK,
+    PAPER,
+    SUBPIXEL,
+    Color,
+    Image,
+    both_views,
+    caption_bar,
+    disparity_colors,
+    label,
+    line_scale,
+)
+
+SIGMAS = 3.0
+"""Size of the ellipses."""
+_SMALLEST_WIDTH = 640
+"""Smaller images are enlarged for the picture."""
+_LARGEST_AXIS = 2000.0  # px; OpenCV's fixed-point ellipses do not take more
+_FARTHEST = 1e5  # px; its fixed-point numbers are 32 bit
+_FOUND: Color = (120, 235, 205)
+_TO_RIGHT = np.array([[1.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+"""(u, v, d) to the pixel of the right image."""
+
+Draw = Callable[[Image, FloatArray, Color, float], None]
+
+
+class _Mark(NamedTuple):
+    words: str
+    color: Color
+    draw: Draw
+
+
+def search_picture(
+    left: GreyImage, right: GreyImage, tracked: TrackedPair, caption: Sequence[str] = (), *, zoom: int | None = None
+) -> Image:
+    """Both views with the search ellipses (3 sigma) and what became of each search.
+
+    Dots are matches, warm colours near and cold ones far. Crosses are searches that failed, coloured by the reason.
+    Landmarks on moving bodies have a ring; new ones a square, and in the left view a line to where the right eye sees
+    them, which is as long as the disparity.
+
+    Parameters
+    ----------
+    left, right : (H, W) uint8
+        The images.
+    tracked : TrackedPair
+        What the front end made of them.
+    caption : sequence of str
+        Short texts for the bar at the top.
+    zoom : int, optional
+        Enlarge the views so many times; None makes them at least 640 px wide.
+
+    Returns
+    -------
+    (H', W', 3) uint8
+        RGB. Wide images one above the other, others side by side; a legend with counts below.
+    """
+    factor = zoom or max(1, round(_SMALLEST_WIDTH / left.shape[1]))
+    canvases = tuple(_canvas(image, factor) for image in (left, right))
+    for eye, canvas in enumerate(canvases):
+        _draw_searches(canvas, tracked.search, eye, factor)
+        _draw_measurements(canvas, tracked, eye, factor)
+        label(canvas, ("left", "right")[eye])
+    views = both_views(*canvases)
+    width = views.shape[1]
+    bars = [caption_bar(width, caption), views, _legend(width, tracked, _mark_size(canvases[0].shape[1]))]
+    return np.concatenate(bars)
+
+
+def _canvas(image: GreyImage, factor: int) -> Image:
+    """A little darker than the image, so that marks stand out."""
+    enlarged = cv2.resize(image, None, fx=factor, fy=factor, interpolation=cv2.INTER_LINEAR) if factor > 1 else image
+    dim = cv2.convertScaleAbs(enlarged, alpha=0.82)
+    return np.asarray(cv2.cvtColor(dim, cv2.COLOR_GRAY2RGB), dtype=np.uint8)
+
+
+def _mark_size(width: int) -> float:
+    return max(0.8, line_scale(width))
+
+
+def _on_canvas(pixels: FloatArray, factor: int) -> FloatArray:
+    """Integer coordinates are pixel centres, before and after enlarging."""
+    return (pixels + 0.5) * factor - 0.5
+
+
+def _pixels(uvd: FloatArray, eye: int) -> FloatArray:
+    return uvd[:, :2] if eye == 0 else uvd @ _TO_RIGHT.T
+
+
+def _draw_searches(canvas: Image, search: Search, eye: int, factor: int) -> None:
+    size = _mark_size(canvas.shape[1])
+    project = np.eye(3)[:2] if eye == 0 else _TO_RIGHT
+    axes, angles = _ellipses(project @ search.S @ project.T)
+    expected = _on_canvas(_pixels(search.predicted, eye), factor)
+    # Something that was found in the left image alone has no place in the right one.
+    found = _on_canvas(_pixels(search.found, eye), factor)
+    places = np.where(np.isfinite(found), found, expected)
+    for i in np.flatnonzero(np.isfinite(expected).all(axis=1) & np.isfinite(axes).all(axis=1)):
+        mark = _MARKS.get(Outcome(int(search.outcome[i])))
+        color = _FOUND if mark is None else mark.color
+        _ellipse(canvas, expected[i], axes[i] * factor, float(angles[i]), color)
+        if mark is not None:
+            mark.draw(canvas, places[i], mark.color, size)
+
+
+def _draw_measurements(canvas: Image, tracked: TrackedPair, eye: int, factor: int) -> None:
+    size = _mark_size(canvas.shape[1])
+    uvd = tracked.observation.uvd
+    pixels = _pixels(uvd, eye)
+    if eye == 1 and tracked.observation.v_right is not None:
+        pixels = np.column_stack([pixels[:, 0], tracked.observation.v_right])
+    centers = _on_canvas(pixels, factor)
+    colors = disparity_colors(uvd[:, 2])
+    new = np.isin(tracked.observation.ids, tracked.initialised)
+    for i in np.argsort(uvd[:, 2]):  # near ones on top
+        color = _rgb(colors[i])
+        if new[i]:
+            if eye == 0:
+                _disparity_line(canvas, centers[i], float(uvd[i, 2]) * factor, color)
+            _square(canvas, centers[i], color, size)
+        else:
+            _dot(canvas, centers[i], color, size)
+
+
+def _ellipses(covariances: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Half axes (N, 2), px, and angles of the first one (N,), deg, of the `SIGMAS` ellipses of (N, 2, 2)."""
+    finite = np.asarray(np.isfinite(covariances).all(axis=(1, 2)))
+    values, vectors = np.linalg.eigh(np.where(finite[:, None, None], covariances, 0.0))
+    axes = SIGMAS * np.sqrt(np.maximum(values, 0.0))
+    angles = np.rad2deg(np.arctan2(vectors[:, 1, 0], vectors[:, 0, 0]))
+    return np.where(finite[:, None], axes, np.nan), angles
+
+
+def _ellipse(canvas: Image, center: FloatArray, axes: FloatArray, angle: float, color: Color) -> None:
+    if (np.abs(center) > _LARGEST_AXIS * 4).any():
+        return
+    at = _fixed(center)
+    long, short = _fixed(np.clip(axes, 1.0, _LARGEST_AXIS))
+    for thickness, ink in ((3, INK), (1, color)):
+        cv2.ellipse(canvas, at, (long, short), angle, 0.0, 360.0, ink, thickness, cv2.LINE_AA, SUBPIXEL)
+
+
+def _dot(canvas: Image, center: FloatArray, color: Color, size: float) -> None:
+    for radius, ink in ((4.6 * size + 0.8, INK), (3.6 * size + 0.4, color)):
+        cv2.circle(canvas, _fixed(center), _length(radius), ink, -1, cv2.LINE_AA, SUBPIXEL)
+
+
+def _square(canvas: Image, center: FloatArray, color: Color, size: float) -> None:
+    half = 3.8 * size + 0.6
+    for thickness, ink in ((4, INK), (2, color)):
+        cv2.rectangle(canvas, _fixed(center - half), _fixed(center + half), ink, thickness, cv2.LINE_AA, SUBPIXEL)
+
+
+def _disparity_line(canvas: Image, center: FloatArray, length: float, color: Color) -> None:
+    end = center - [length, 0.0]
+    for thickness, ink in ((3, INK), (1, color)):
+        cv2.line(canvas, _fixed(center), _fixed(end), ink, thickness, cv2.LINE_AA, SUBPIXEL)
+
+
+def _saltire(canvas: Image, center: FloatArray, color: Color, size: float) -> None:
+    _strokes(canvas, center, color, 3.8 * size + 0.6, ((1.0, 1.0), (1.0, -1.0)))
+
+
+def _plus(canvas: Image, center: FloatArray, color: Color, size: float) -> None:
+    _strokes(canvas, center, color, 4.6 * size + 0.6, ((1.0, 0.0), (0.0, 1.0)))
+
+
+def _ring(canvas: Image, center: FloatArray, color: Color, size: float) -> None:
+    for thickness, ink in ((5, INK), (2, color)):
+        cv2.circle(canvas, _fixed(center), _length(6.2 * size + 1.0), ink, thickness, cv2.LINE_AA, SUBPIXEL)
+
+
+def _strokes(
+    canvas: Image, center: FloatArray, color: Color, reach: float, directions: Sequence[tuple[float, float]]
+) -> None:
+    for thickness, ink in ((4, INK), (2, color)):
+        for direction in directions:
+            step = reach * np.array(direction)
+            cv2.line(canvas, _fixed(center - step), _fixed(center + step), ink, thickness, cv2.LINE_AA, SUBPIXEL)
+
+
+_MATCHED = _Mark("matched", (120, 230, 90), _dot)
+_NEW = _Mark("new", (255, 255, 255), _square)
+_MARKS = {
+    Outcome.NO_MATCH: _Mark("no match", (255, 214, 80), _saltire),
+    Outcome.NO_DISPARITY: _Mark("no disparity", (255, 150, 60), _plus),
+    Outcome.INCONSISTENT: _Mark("inconsistent", (255, 90, 90), _saltire),
+    Outcome.MOVING: _Mark("moving", (255, 105, 230), _ring),
+    Outcome.OUT_OF_VIEW: _Mark("out of view", (170, 176, 184), _plus),
+}
+
+
+def _legend(width: int, tracked: TrackedPair, size: float) -> Image:
+    """Symbols, words and counts, always in the same places, in as many rows as they need."""
+    outcome = tracked.search.outcome
+    new = int(np.isin(tracked.observation.ids, tracked.initialised).sum())
+    entries = [(_MATCHED, len(tracked.observation.ids) - new), (_NEW, new)]
+    entries += [(mark, int((outcome == kind).sum())) for kind, mark in _MARKS.items()]
+    text, row, gap = 0.5 * size, int(28 * size), int(20 * size)
+    places, x, rows = [], gap, 1
+    for mark, count in entries:
+        (w, _), _ = cv2.getTextSize(f"{mark.words} 888", FONT, text, 1)
+        needed = gap + w + gap
+        if x + needed > width and x > gap:
+            x, rows = gap, rows + 1
+        places.append((mark, f"{mark.words} {count}", x, rows))
+        x += needed
+    bar = np.full((rows * row + int(6 * size), width, 3), INK, dtype=np.uint8)
+    for mark, words, x, line in places:
+        middle = (line - 0.5) * row + 3 * size
+        mark.draw(bar, np.array([x, middle]), mark.color, size)
+        at = (x + int(0.7 * gap), int(middle + 5 * size))
+        cv2.putText(bar, words, at, FONT, text, PAPER, 1, cv2.LINE_AA)
+    return bar
+
+
+def _fixed(pixel: FloatArray) -> tuple[int, int]:
+    u, v = (_length(min(max(float(x), -_FARTHEST), _FARTHEST)) for x in pixel)
+    return u, v
+
+
+def _length(pixels: float) -> int:
+    return round(pixels * (1 << SUBPIXEL))
+
+
+def _rgb(color: Sequence[int] | Image) -> Color:
+    red, green, blue = (int(value) for value in color)
+    return red, green, blue
