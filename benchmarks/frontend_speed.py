@@ -1,7 +1,7 @@
 """Cost of the image-level half of the front end: corners, initial disparities, and following landmarks.
 
     python benchmarks/frontend_speed.py                      # a synthetic pair of 1344 x 391, half a minute
-    python benchmarks/frontend_speed.py --images DIR         # pairs from DIR/image_l and DIR/image_r (or image_0, image_1)
+    python benchmarks/frontend_speed.py --images DIR         # the first pair of DIR/image_l and image_r (image_0, _1)
     python benchmarks/frontend_speed.py --json speed.json
 
 Following is what happens in every frame: the stored patches are warped to how they should look, searched for inside

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from scipy import fft
 
 from filters.validation import BoolArray, FloatArray, IntArray, finite_array
-from stereo_slam_env.frontend.patches import PATCH, Image, Patches, shifted, stack_around, windows_at
+from stereo_slam_env.frontend.patches import PATCH, Image, Patches, cut_stack, windows_at
 
 Candidates = Callable[[IntArray, IntArray, IntArray], BoolArray]
 """(index (n,), u (n, w), v (n, h)) -> (n, h, w): which pixels the landmarks `index` may be found at."""
@@ -32,6 +32,8 @@ _BLOCK = 1 << 16
 _ITERATIONS = 2
 _NOISE_GAIN = (0.5 * (PATCH - 2) + 2.0 * 2) / PATCH
 """Energy of the differences of white noise, over its own: 1/2 for central ones, 2 for those at both ends of a row."""
+_STAYS_WITHIN = 1.5
+"""Further from the best pixel than this the steps have gone astray, px."""
 _SIGMA_FLOOR = 0.03
 """What interpolation and warping leave even without noise, px."""
 _RIVAL = 0.5
@@ -77,11 +79,14 @@ class Refined:
         Correlation there.
     covariance : (N, 2, 2)
         Of the position, px^2.
+    converged : (N,) bool
+        The correlation has its maximum near the pixel; where not, the position is the top of the parabolas.
     """
 
     position: FloatArray
     score: FloatArray
     covariance: FloatArray
+    converged: BoolArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,9 +100,10 @@ class SearchResult:
     score : (N,)
         Correlation there; -1 where there was no candidate.
     second : (N,)
-        Best correlation of another peak inside the ellipse, near `score` if the match is not unique; -1 if none is above 1/2.
+        Best correlation of another peak inside the ellipse, near `score` if the match is not unique; -1 if none is
+        above 1/2.
     on_border : (N,) bool
-        The correlation still rises where the ellipse ends: the landmark may be outside it.
+        The correlation is still rising where the ellipse ends: the landmark may be outside it.
     covariance : (N, 2, 2)
         Of the position, px^2; NaN where there was no candidate.
     """
@@ -170,7 +176,8 @@ def search(
     away = position - c
     with np.errstate(invalid="ignore"):
         outside = (np.einsum("nij,nj->ni", whiten, away) ** 2).sum(axis=1) > 1.0
-    return SearchResult(position, score, peaks.second, peaks.rising | outside, spread)
+    outside[found] |= peaks.rising[found] & ~refined.converged
+    return SearchResult(position, score, peaks.second, outside, spread)
 
 
 def best_peaks(
@@ -297,24 +304,15 @@ def _parabola_top(padded: Patches, which: IntArray, y: IntArray, x: IntArray) ->
     return np.minimum(middle + 0.5 * (slope * offset).sum(axis=1), 1.0), offset
 
 
-def refine(
-    image: Image,
-    templates: Patches,
-    pixel: IntArray,
-    offset: FloatArray,
-    *,
-    row: FloatArray | None = None,
-    row_sigma: float = np.inf,
-) -> Refined:
+def refine(image: Image, templates: Patches, pixel: IntArray, offset: FloatArray) -> Refined:
     """Maximise the correlation over positions between the pixels (Lucas-Kanade, inverse compositional).
 
     A template t and a patch i(p), both brought to zero mean and unit length, have correlation t . i(p). With g the
     derivative of t by a shift, orthogonal to t, a patch taken a little off the best position is t + g (p - p_best), up
     to gain: Gauss-Newton steps are -(g g^T)^-1 g i / (t . i). The noise of t is not correlated with its own central
     differences, so the steps end without bias. Equal white noise in both patches makes 2 (1 - t . i) / 121 the
-    variance of a difference, hence 2 (1 - t . i) / 121 (g g^T)^-1 the covariance of p, where g is the derivative of the
-    texture without the noise. Where the steps lead away from the pixel by more than one, the top of the parabola is
-    kept.
+    variance of a difference, hence 2 (1 - t . i) / 121 (g g^T)^-1 the covariance of p while noise has little part in g.
+    Where the steps lead away from the pixel, the top of the parabolas is kept.
 
     Parameters
     ----------
@@ -324,10 +322,6 @@ def refine(
         What was found.
     pixel, offset : (N, 2)
         Best pixel and where the parabolas have their top, from `best_peaks`.
-    row : (N,), optional
-        Expected v, px, known to `row_sigma`.
-    row_sigma : float
-        px; 0 keeps the position on the row.
 
     Returns
     -------
@@ -338,30 +332,21 @@ def refine(
     g_u, g_v = (_derivative(np.gradient(stack, axis=axis), t, length) for axis in (1, 0))
     texture = np.array([[_dot(g_u, g_u), _dot(g_u, g_v)], [_dot(g_v, g_u), _dot(g_v, g_v)]])
     texture[[0, 1], [0, 1]] += 1e-9
-    around, away = stack_around(image, pixel, PATCH + 4), offset.copy()
-    for iteration in range(_ITERATIONS + 1):
-        i, _ = _normalised(shifted(around, away))
-        score = _dot(t, i)
-        variance = 2.0 * (1.0 - np.minimum(score, 1.0)) / _PIXELS
-        weight = (variance + 1e-9) / max(row_sigma, 1e-6) ** 2
-        if iteration == _ITERATIONS:
-            break
-        slope = np.array([_dot(g_u, i), _dot(g_v, i)]) / np.maximum(score, 0.1)
-        G = texture.copy()
-        if row is not None:
-            G[1, 1] += weight
-            slope[1] += weight * (pixel[:, 1] + away[:, 1] - row)
-        away = away - np.einsum("ijn,jn->ni", _inverse(G), slope)
-        lost = np.abs(away).max(axis=1, initial=0.0) > 1.0
-        away[lost] = offset[lost]
-    signal = _without_noise(texture, 1.0 - score)
-    if row is not None:
-        signal[1, 1] += weight
-        texture[1, 1] += weight
-    # The noise of g makes the steps noisier, too: texture where there was only the signal.
-    gain = _inverse(signal)
+    away, stays = offset.copy(), np.ones(len(pixel), dtype=np.bool_)
+    inverse = _inverse(texture)
+    for _ in range(_ITERATIONS):
+        i, _ = _normalised(cut_stack(image, pixel + away, PATCH))
+        slope = np.array([_dot(g_u, i), _dot(g_v, i)]) / np.maximum(_dot(t, i), 0.1)
+        away = away - np.einsum("ijn,jn->ni", inverse, slope)
+        stays &= (np.abs(away) <= _STAYS_WITHIN).all(axis=1)
+        away[~stays] = offset[~stays]
+    i, _ = _normalised(cut_stack(image, pixel + away, PATCH))
+    score = _dot(t, i)
+    variance = 2.0 * (1.0 - np.minimum(score, 1.0)) / _PIXELS
+    # The noise in g does not help to find the place, but it adds to the noise of g i.
+    gain = _inverse(_without_noise(texture, 1.0 - score))
     covariance = (variance * np.einsum("ijn,jkn,kln->iln", gain, texture, gain)).transpose(2, 0, 1)
-    return Refined(pixel + away, score, covariance + _SIGMA_FLOOR**2 * np.eye(2))
+    return Refined(pixel + away, score, covariance + _SIGMA_FLOOR**2 * np.eye(2), stays)
 
 
 def _normalised(stack: Patches) -> tuple[Patches, Patches]:

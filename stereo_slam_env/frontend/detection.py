@@ -27,7 +27,7 @@ def detect_corners(
     margin: int = 12,
     min_distance: float = 12.0,
     mask: BoolArray | None = None,
-    min_gradient: float = 3.0,
+    min_gradient: float = 1.5,
 ) -> FloatArray:
     """Shi-Tomasi corners where there are few landmarks yet.
 

@@ -53,46 +53,34 @@ def cut_patches(image: Image, centers: ArrayLike, size: int = SUPPORT) -> Patche
 
 
 def cut_stack(image: Image, centers: FloatArray, size: int) -> Patches:
-    """`cut_patches` with the patches along the last axis, (size, size, N): quick to do arithmetic on."""
-    pixel = np.rint(centers).astype(np.int64)
-    return shifted(stack_around(image, pixel, size + 4), centers - pixel)
+    """`cut_patches` with the patches along the last axis, (size, size, N): quick to do arithmetic on.
 
-
-def stack_around(image: Image, pixel: IntArray, size: int) -> Patches:
-    """Odd squares of pixels around `pixel` (N, 2); (size, size, N)."""
-    windows = windows_at(image, pixel - size // 2, size, size)
-    return np.ascontiguousarray(windows.transpose(1, 2, 0)).astype(np.float32)
-
-
-def shifted(stack: Patches, offset: FloatArray) -> Patches:
-    """Interpolate patches around points off the centre of larger ones.
-
-    All pixels of a patch share the fraction of its centre, so the interpolation (Catmull-Rom) is one weighted sum of
-    five windows along each axis. `cv2.remap` rounds positions to 1/32 px (OpenCV 4), and its INTER_CUBIC does not
-    reproduce a ramp: it shifts patches by up to 0.05 px.
-
-    Parameters
-    ----------
-    stack : (size + 4, size + 4, N) float32
-        From `stack_around`.
-    offset : (N, 2)
-        (u, v) from the centre, px, within 1.
-
-    Returns
-    -------
-    (size, size, N) float32
+    All pixels of a patch share the fraction of its centre, so the interpolation is one weighted sum of four windows
+    along each axis. `cv2.remap` rounds positions to 1/32 px (OpenCV 4), and its INTER_CUBIC does not reproduce a ramp:
+    it shifts patches by up to 0.05 px.
     """
-    size = len(stack) - 4
-    x = np.abs(offset.T - np.arange(-2, 3)[:, None, None])
-    near, far = (1.5 * x - 2.5) * x * x + 1.0, np.maximum(2.0 - x, 0.0) ** 2 * (1.0 - x) * 0.5
-    weights = np.where(x <= 1.0, near, far).astype(np.float32)
+    base = np.floor(centers).astype(np.int64)
+    windows = windows_at(image, base - (size // 2 + 1), size + 3, size + 3)
+    stack = np.ascontiguousarray(windows.transpose(1, 2, 0)).astype(np.float32)
+    weights = _catmull_rom((centers - base).T)
     rows = stack[:size] * weights[0, 1]
-    for k in range(1, 5):
+    for k in (1, 2, 3):
         rows += stack[k : k + size] * weights[k, 1]
     patches: Patches = rows[:, :size] * weights[0, 0]
-    for k in range(1, 5):
+    for k in (1, 2, 3):
         patches += rows[:, k : k + size] * weights[k, 0]
     return patches
+
+
+def _catmull_rom(f: FloatArray) -> Patches:
+    """Weights of the four neighbours at -1, 0, 1, 2 for fractions in [0, 1); (...) -> (4, ...)."""
+    weights = (
+        ((2.0 - f) * f - 1.0) * f,
+        (3.0 * f - 5.0) * f * f + 2.0,
+        ((4.0 - 3.0 * f) * f + 1.0) * f,
+        (f - 1.0) * f * f,
+    )
+    return np.asarray(0.5 * np.stack(weights), dtype=np.float32)
 
 
 def windows_at(image: Image, origin: IntArray, height: int, width: int) -> Image:

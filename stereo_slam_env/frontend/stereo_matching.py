@@ -11,6 +11,8 @@ from filters.validation import BoolArray, FloatArray, finite_array
 from stereo_slam_env.frontend.correlation import best_peaks, refine
 from stereo_slam_env.frontend.patches import PATCH, Image, cut_patches
 
+_ROW_SIGMAS = 3.0
+"""Standard deviations of the rows' offset within the tolerance."""
 _RETURNS_WITHIN = 1.0
 """How far a match back from the right image may end from where it began, px."""
 
@@ -63,8 +65,7 @@ def match_rows(
     disparity_low, disparity_high : (N,) array_like
         Range of disparities, px.
     rows : int
-        How far the right image's rows may be off, px: searched on either side, and three standard deviations when the
-        position is refined. On a slanted edge the row decides on the disparity, so it is not left free.
+        How far the right image's rows may be off, px: searched on either side, and taken for three standard deviations.
     min_score : float
         Least correlation.
     ratio : float
@@ -95,13 +96,18 @@ def match_rows(
 
     position, score, variance = np.full((n, 2), np.nan), np.full(n, -1.0), np.full(n, np.nan)
     found = peaks.score > -1.0
-    refined = refine(right, templates[found], peaks.pixel[found], peaks.offset[found], row=at[found, 1],
-                     row_sigma=rows / 3.0)  # fmt: skip
-    position[found], score[found], variance[found] = refined.position, refined.score, refined.covariance[:, 0, 0]
+    refined = refine(right, templates[found], peaks.pixel[found], peaks.offset[found])
+    # On a slanted edge the row decides on the disparity: the expected one is a measurement of it.
+    P = refined.covariance
+    gain = P[:, :, 1] / (P[:, 1, 1] + (rows / _ROW_SIGMAS) ** 2)[:, None]
+    position[found] = refined.position + gain * (at[found, 1] - refined.position[:, 1])[:, None]
+    variance[found] = P[:, 0, 0] - gain[:, 0] * P[:, 0, 1]
+    score[found] = refined.score
     disparity = at[:, 0] - position[:, 0]
     with np.errstate(invalid="ignore"):
-        accepted = (score >= min_score) & (peaks.second < ratio * peaks.score) & ~peaks.rising
-        accepted &= (disparity >= low - 1.0) & (disparity <= high + 1.0)
+        accepted = (score >= min_score) & (peaks.second < ratio * peaks.score)
+        accepted &= (disparity >= low - 0.5) & (disparity <= high + 0.5)
+    accepted[found] &= refined.converged | ~peaks.rising[found]
     if left_right_check and accepted.any():
         accepted[accepted] = _returns(
             left, right, at[accepted], position[accepted], low[accepted], high[accepted], rows

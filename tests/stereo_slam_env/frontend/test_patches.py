@@ -1,0 +1,105 @@
+"""Patches: cut where asked, warped as the plane through the landmark would. About 1 s."""
+
+import numpy as np
+import pytest
+
+from filters import rotations
+from filters.conformance import REFERENCE_CAMERA as CAMERA
+from stereo_slam_env.frontend.patches import PATCH, SUPPORT, cut_patches, local_affine, warped_patches
+
+from .textures import Waves, spread_points
+
+WAVES = Waves(0, shortest=7.0)
+
+
+def offsets(size):
+    reach = np.arange(size) - size // 2
+    return np.stack(np.meshgrid(reach, reach), axis=-1).astype(float)
+
+
+def test_a_patch_is_centred_between_the_pixels():
+    image = WAVES.image(300, 200)
+    centers = spread_points(np.random.default_rng(0), 50, 300, 200)
+    patches = cut_patches(image, centers)
+    truth = WAVES.at(centers[:, None, None] + offsets(SUPPORT))
+    assert patches.shape == (50, SUPPORT, SUPPORT)
+    assert patches.dtype == np.float32
+    assert np.sqrt(np.mean((patches - truth) ** 2)) < 1.0  # rounding to 8 bits leaves 0.3
+    assert abs((patches - truth).mean()) < 0.02
+
+
+def test_whole_pixels_are_copied_and_the_border_is_repeated():
+    image = WAVES.image(100, 80)
+    inside, corner = cut_patches(image, [(40.0, 30.0), (0.0, 79.0)], 5)
+    np.testing.assert_array_equal(inside, image[28:33, 38:43])
+    np.testing.assert_array_equal(corner[2:, :3], image[79, 0])
+    np.testing.assert_array_equal(corner[:3, 2:], image[77:80, 0:3])
+    far = cut_patches(image, [(-1000.0, 40.0), (50.0, 5000.0)], 5)
+    np.testing.assert_array_equal(far[0], np.repeat(far[0][:, :1], 5, axis=1))
+    assert cut_patches(image, np.zeros((0, 2))).shape == (0, SUPPORT, SUPPORT)
+
+
+@pytest.mark.parametrize("scale", [0.7, 1.0, 1.4])
+def test_a_warped_patch_is_the_texture_seen_through_the_affine_map(scale):
+    rng = np.random.default_rng(1)
+    waves = Waves(0, shortest=12.0)
+    centers = spread_points(rng, 40, 300, 200)
+    affine = scale * np.eye(2) + rng.uniform(-0.1, 0.1, (40, 2, 2))
+    warped = warped_patches(cut_patches(waves.image(300, 200), centers), affine)
+    seen = waves.at(centers[:, None, None] + np.einsum("nij,rcj->nrci", affine, offsets(PATCH)))
+    assert warped.shape == (40, PATCH, PATCH)
+    contrast = seen - seen.mean(axis=(1, 2), keepdims=True)
+    assert np.sqrt(np.mean((warped - seen) ** 2) / np.mean(contrast**2)) < 0.08
+
+
+def test_no_change_of_view_leaves_the_middle_as_it_is():
+    patches = cut_patches(WAVES.image(300, 200), spread_points(np.random.default_rng(2), 1500, 300, 200))
+    same = warped_patches(patches, np.tile(np.eye(2), (1500, 1, 1)))
+    edge = (SUPPORT - PATCH) // 2
+    np.testing.assert_allclose(same, patches[:, edge:-edge, edge:-edge], atol=1e-3)
+
+
+def test_shrinking_does_not_alias():
+    fine = np.indices((100, 100)).sum(axis=0) % 2 * 100 + 50  # a chess board of single pixels
+    shrunk = warped_patches(cut_patches(fine.astype(np.uint8), [(50.0, 50.0)]), [2.0 * np.eye(2)])
+    assert np.ptp(shrunk) < 5
+    np.testing.assert_allclose(shrunk, 100, atol=3)
+
+
+def plane_points(uvd, pixels):
+    """Where the rays of `pixels` (N, K, 2) meet the fronto-parallel planes through the landmarks."""
+    depth = CAMERA.disparity_constant / uvd[:, 2]
+    return CAMERA.ray(pixels) * depth[:, None, None]
+
+
+def test_the_affine_map_is_the_derivative_of_the_plane_s_image():
+    rng = np.random.default_rng(3)
+    uvd = rng.uniform((300, 100, 4), (1000, 300, 60), (30, 3))
+    R = np.array([rotations.exp(phi) for phi in rng.uniform(-0.2, 0.2, (30, 3))])
+    t = rng.uniform(-1.0, 1.0, (30, 3))
+    step = 1e-4 * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
+    now = plane_points(uvd, uvd[:, None, :2] + step) @ R.transpose(0, 2, 1) + t[:, None]
+    pixels = CAMERA.project(now)[..., :2]
+    forward = np.stack([pixels[:, 0] - pixels[:, 1], pixels[:, 2] - pixels[:, 3]], axis=2) / 2e-4
+    np.testing.assert_allclose(local_affine(CAMERA, uvd, R, t), np.linalg.inv(forward), atol=1e-5)
+
+
+def test_one_step_serves_for_all_and_infinity_is_nothing_special():
+    uvd = np.array([[600.0, 200.0, 20.0], [700.0, 150.0, 0.0]])
+    R, t = rotations.exp([0.0, 0.1, 0.0]), np.array([0.0, 0.0, -5.0])
+    each = local_affine(CAMERA, uvd, np.stack([R, R]), np.stack([t, t]))
+    np.testing.assert_array_equal(local_affine(CAMERA, uvd, R, t), each)
+    np.testing.assert_allclose(each[1], local_affine(CAMERA, uvd[1:], R, np.zeros(3))[0])
+    near, far = np.linalg.det(each)
+    assert near < 0.7 < 0.9 < far  # five metres nearer, only the near one has grown
+
+
+def test_bad_input_is_named():
+    image = WAVES.image(60, 60)
+    with pytest.raises(ValueError, match="centers"):
+        cut_patches(image, [[np.nan, 3.0]])
+    patches = cut_patches(image, [[30.0, 30.0]])
+    with pytest.raises(ValueError, match="affine"):
+        warped_patches(patches, np.full((1, 2, 2), np.inf))
+    with pytest.raises(ValueError, match="one matrix per patch"):
+        warped_patches(patches, np.tile(np.eye(2), (2, 1, 1)))
