@@ -6,16 +6,16 @@ import dataclasses
 import datetime
 import shlex
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-if TYPE_CHECKING:
-    from rich.console import Console
+from stereo_slam_env import cli_scenes
+from stereo_slam_env.cli_parts import console, help_without_command, one_line_errors, refuse
 
+if TYPE_CHECKING:
     from stereo_slam_env.benchmark import Scenario
 
 INTERRUPTED = 130
@@ -27,9 +27,8 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 filters_app = typer.Typer(help="The filters: ours and installed third-party ones.")
-scenes_app = typer.Typer(help="The routes through the simulated street.")
 app.add_typer(filters_app, name="filters")
-app.add_typer(scenes_app, name="scenes")
+app.add_typer(cli_scenes.app, name="scenes")
 
 FiltersOption = Annotated[str | None, typer.Option("--filters", help="Names, separated by commas.", metavar="A,B")]
 FramesOption = Annotated[int | None, typer.Option("--frames", help="Cut after so many frames.", min=2)]
@@ -42,6 +41,20 @@ SigmaOption = Annotated[
     typer.Option(
         "--sigma-px", "--sigma", help="Pixel noise the filters assume, px.", show_default="what the recording says"
     ),
+]
+SearchOption = Annotated[
+    str | None,
+    typer.Option(
+        "--search",
+        help="In images: 'flow', the same tracks for all, or 'forecast', guided by each filter (the paper's way).",
+        show_default="flow",
+    ),
+]
+RecordOption = Annotated[
+    Path | None, typer.Option("--record", help="Write the search in the images to a film, OUT.mp4.", metavar="OUT.mp4")
+]
+LiveOption = Annotated[
+    int | None, typer.Option("--live", help="Show the search in a browser at this port, 0: any.", metavar="PORT")
 ]
 GateOption = Annotated[
     str | None, typer.Option("--gate", help="Gate, a probability per landmark, or 'none'.", show_default="0.99")
@@ -74,7 +87,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         explain = getattr(error, "format_message", None)
         if explain is None:
             raise
-        return _refuse(explain())
+        return refuse(explain())
     return code if isinstance(code, int) else 0
 
 
@@ -92,14 +105,12 @@ def _start(
         except PackageNotFoundError:
             typer.echo("stereo-slam (not installed, run from source)")
         raise typer.Exit()
-    _help_without_command(context)
+    help_without_command(context)
 
 
 @filters_app.callback(invoke_without_command=True)
-@scenes_app.callback(invoke_without_command=True)
-def _help_without_command(context: typer.Context) -> None:
-    if context.invoked_subcommand is None:
-        typer.echo(context.get_help())
+def _filters(context: typer.Context) -> None:
+    help_without_command(context)
 
 
 @app.command()
@@ -118,9 +129,19 @@ def bench(
     odometry: Annotated[
         bool | None, typer.Option("--odometry/--no-odometry", help="Give the filters the odometry.")
     ] = None,
+    sensor: Annotated[
+        str,
+        typer.Option("--sensor", help="'landmarks': geometry and noise; 'images': rendered pictures."),
+    ] = "landmarks",
+    renderer: Annotated[
+        str, typer.Option("--renderer", help="Who draws the images: 'tiny', everywhere, or 'gl', fast.")
+    ] = "tiny",
+    search: SearchOption = None,
+    record: RecordOption = None,
+    live: LiveOption = None,
 ) -> None:
     """Compare filters in the simulated world: scenario x filters x seeds, one report."""
-    with _one_line_errors():
+    with one_line_errors():
         from stereo_slam_env.benchmark import load_scenario
         from stereo_slam_env.benchmark import preset as preset_named
 
@@ -131,7 +152,17 @@ def bench(
             chosen = dataclasses.replace(chosen, seeds=tuple(range(seeds)))
         if odometry is not None:
             chosen = dataclasses.replace(chosen, use_odometry=odometry)
-        _run(_adjusted(chosen, filters, frames, sigma_px, gate), out, jobs)
+        if sensor not in ("landmarks", "images"):
+            raise ValueError(f"--sensor must be 'landmarks' or 'images', got {sensor!r}")
+        if sensor == "images":
+            from stereo_slam_env.benchmark.presets import with_images
+            from stereo_slam_env.rendering.backends import renderer_identity
+
+            renderer_identity(renderer)
+            chosen = with_images(chosen, renderer)
+        chosen = _adjusted(chosen, filters, frames, sigma_px, gate, search)
+        _watch(chosen, record, live)
+        _run(chosen, out, jobs)
 
 
 @app.command()
@@ -150,9 +181,12 @@ def replay(
     ] = None,
     frames: FramesOption = None,
     jobs: JobsOption = 2,
+    search: SearchOption = None,
+    record: RecordOption = None,
+    live: LiveOption = None,
 ) -> None:
-    """Run filters over a real drive."""
-    with _one_line_errors():
+    """Run filters over a real drive, of tracks or of images."""
+    with one_line_errors():
         from stereo_slam_env.benchmark import Scenario
         from stereo_slam_env.benchmark.sources import make_recording
         from stereo_slam_env.console import show_recording
@@ -160,21 +194,22 @@ def replay(
         where = path if path.partition(":")[0] == "gtsam" else str(Path(path).resolve())
         scenario = Scenario(f"replay-{Path(path).name.replace(':', '-')}", "dataset", {"path": where})
         scenario = dataclasses.replace(scenario, use_odometry=odometry)
-        scenario = _adjusted(scenario, filters, frames, sigma_px, gate)
+        scenario = _adjusted(scenario, filters, frames, sigma_px, gate, search)
         joint = scenario.gate is not None if consensus is None else consensus
         scenario = dataclasses.replace(scenario, consensus=joint)
         recording = make_recording(scenario, None)
-        show_recording(_console(), recording)
+        show_recording(console(), recording)
         # What is stored must be what happened.
         if not any(frame.odometry is not None for frame in recording.frames):
             scenario = dataclasses.replace(scenario, use_odometry=False)
+        _watch(scenario, record, live)
         _run(scenario, out, jobs)
 
 
 @app.command()
 def report(directory: Annotated[Path, typer.Argument(help="Directory of a finished run.")]) -> None:
     """Write the tables and the report of a finished run again, without running anything."""
-    with _one_line_errors():
+    with one_line_errors():
         from stereo_slam_env.benchmark.campaign import write_report_of
         from stereo_slam_env.benchmark.store import read_run
         from stereo_slam_env.console import show_results
@@ -182,7 +217,7 @@ def report(directory: Annotated[Path, typer.Argument(help="Directory of a finish
         run = read_run(directory)
         runs, summaries = run.write_results()
         page = write_report_of(run, runs, summaries)
-        show_results(_console(), summaries)
+        show_results(console(), summaries)
         _show_place(page)
 
 
@@ -200,7 +235,7 @@ def list_filters() -> None:
 @filters_app.command("check")
 def check(name: Annotated[str, typer.Argument(help="Name of a filter.")]) -> None:
     """Check that a filter keeps the contract; exit code 1 if it does not."""
-    with _one_line_errors():
+    with one_line_errors():
         from filters import make_filter
         from filters.conformance import REFERENCE_CAMERA, REFERENCE_NOISE, check_filter
 
@@ -213,54 +248,13 @@ def check(name: Annotated[str, typer.Argument(help="Name of a filter.")]) -> Non
         raise typer.Exit(1)
 
 
-@scenes_app.command("list")
-def list_scenes() -> None:
-    """Names of the routes, and the ready-made scenarios of `bench`."""
-    from stereo_slam_env.benchmark import PRESETS
-    from stereo_slam_env.world.routes import ROUTES
-
-    typer.echo("routes:")
-    for name, make in ROUTES.items():
-        route = make()
-        typer.echo(f"  {name:<16} {route.frames} frames, {route.length:.0f} m")
-    typer.echo("presets of bench:")
-    for name, (description, _) in PRESETS.items():
-        typer.echo(f"  {name:<16} {description}")
-
-
-@scenes_app.command("render")
-def render_scene(
-    name: Annotated[str, typer.Argument(help="Name of a route, see 'scenes list'.")],
-    out: Annotated[Path, typer.Option("--out", help="PNG file to write.")],
-    seed: Annotated[int, typer.Option("--seed", help="Of the street.", min=0)] = 0,
-    frame: Annotated[int, typer.Option("--frame", help="Drive so many frames first.", min=0)] = 0,
-) -> None:
-    """Draw what both eyes see, with the observed landmarks."""
-    with _one_line_errors():
-        import cv2
-        import gymnasium as gym
-        import numpy as np
-
-        if out.suffix.lower() != ".png":
-            raise ValueError(f"--out must be a file name ending in .png, got {str(out)!r}")
-        env: Any = gym.make("StereoSlam/Drive-v0", route=name, policy="route", render_mode="rgb_array")
-        try:
-            env.reset(seed=seed)
-            for k in range(frame):
-                _, _, terminated, truncated, _ = env.step(np.zeros(2, dtype=np.float32))
-                if terminated or truncated:
-                    raise ValueError(f"--frame must be less than {k + 1} on route {name}, got {frame}")
-            image = env.render()
-        finally:
-            env.close()
-        out.parent.mkdir(parents=True, exist_ok=True)
-        if not cv2.imwrite(str(out), image[..., ::-1]):
-            raise OSError(f"{out} cannot be written")
-        typer.echo(str(out.resolve()))
-
-
 def _adjusted(
-    scenario: Scenario, filters: str | None, frames: int | None, sigma_px: float | None, gate: str | None
+    scenario: Scenario,
+    filters: str | None,
+    frames: int | None,
+    sigma_px: float | None,
+    gate: str | None,
+    search: str | None,
 ) -> Scenario:
     """The scenario with the options of the command line in place of its own."""
     from stereo_slam_env.benchmark.scenario import filter_choice
@@ -276,6 +270,8 @@ def _adjusted(
         changes["noise"] = {"independent_pixels": sigma_px}
     if gate is not None:
         changes["gate"] = _gate(gate)
+    if search is not None:
+        changes["search"] = search
     return dataclasses.replace(scenario, **changes)
 
 
@@ -288,6 +284,19 @@ def _gate(text: str) -> float | None:
         raise ValueError(f"--gate must be a probability between 0 and 1, or 'none', got {text!r}") from None
 
 
+def _watch(scenario: Scenario, record: Path | None, live: int | None) -> None:
+    """Run the front end once for the eyes."""
+    if record is None and live is None:
+        return
+    from stereo_slam_env.benchmark.watch import watch_search
+    from stereo_slam_env.viewer.search_film import search_film
+
+    with search_film(scenario.name, record, live, on_live=lambda url: typer.echo(f"live view: {url}")) as watch:
+        watch_search(scenario, watch)
+    if record is not None:
+        typer.echo(f"film: {record.resolve()}")
+
+
 def _run(scenario: Scenario, out: Path | None, jobs: int) -> None:
     """Run, show the table, and say where everything is; when interrupted, say how to go on."""
     from stereo_slam_env.benchmark.campaign import check_filters, run_benchmark
@@ -296,39 +305,19 @@ def _run(scenario: Scenario, out: Path | None, jobs: int) -> None:
     stamp = datetime.datetime.now().strftime("%Y%m%d-%H%M%S")
     directory = Path("runs") / f"{scenario.name}-{stamp}" if out is None else out
     check_filters(scenario)
-    show_settings(_console(), scenario)
+    show_settings(console(), scenario)
     try:
-        with progress_bar(_console(stderr=True)) as progress:
+        with progress_bar(console(stderr=True)) as progress:
             result = run_benchmark(scenario, directory, jobs=jobs, progress=progress)
     except KeyboardInterrupt:
         raise _Interrupted(directory) from None
-    show_results(_console(), result.summaries)
+    show_results(console(), result.summaries)
     _show_place(result.report or result.out)
 
 
 def _show_place(page: Path) -> None:
     typer.echo(f"tables and time series: {page.parent.resolve()}")
     typer.echo(f"report: {page.resolve()}")
-
-
-def _console(*, stderr: bool = False) -> Console:
-    from rich.console import Console
-
-    return Console(stderr=stderr)
-
-
-def _refuse(message: str) -> int:
-    typer.echo("error: " + " ".join(message.split()), err=True)
-    return 2
-
-
-@contextmanager
-def _one_line_errors() -> Iterator[None]:
-    """Wrong input is the user's business, not a crash: one line on stderr, exit code 2."""
-    try:
-        yield
-    except (ValueError, OSError, ImportError) as error:
-        raise typer.Exit(_refuse(str(error))) from error
 
 
 if __name__ == "__main__":

@@ -14,6 +14,7 @@ from rich.table import Table
 from stereo_slam_env.benchmark.campaign import Progress as ProgressCallback
 from stereo_slam_env.benchmark.results import FilterSummary
 from stereo_slam_env.benchmark.scenario import Scenario
+from stereo_slam_env.benchmark.sensor_noise import OUTLIER, NoiseOfRange
 from stereo_slam_env.recording import Recording
 
 NOTHING = "–"
@@ -57,24 +58,46 @@ def show_recording(console: Console, recording: Recording) -> None:
         console.print(f"[dim]{name:>14}[/dim]  {value}", highlight=False, soft_wrap=True)
 
 
+def show_noise(console: Console, name: str, rows: Sequence[NoiseOfRange]) -> None:
+    """Print the errors of measurements by range."""
+    table = Table(title=f"errors of the measurements of {name}, px (u / v / d)", title_justify="left")
+    for heading in ("depth [m]", "count", "bias", "sigma (MAD)", "claimed sigma", f"beyond {OUTLIER:g} px"):
+        table.add_column(heading, justify="right")
+
+    def triple(values: Sequence[float], form: str) -> str:
+        return " / ".join(format(value, form) for value in values)
+
+    for row in rows:
+        depths = "all" if row is rows[-1] else f"{row.low:g} - {row.high:g}"
+        table.add_row(
+            depths,
+            str(row.count),
+            triple(row.bias, "+.3f"),
+            triple(row.sigma, ".3f"),
+            triple(row.claimed, ".3f"),
+            triple(row.outliers, ".1%"),
+        )
+    console.print(table)
+
+
 @contextmanager
-def progress_bar(console: Console) -> Iterator[ProgressCallback]:
-    """A bar with the time left, to be used as `progress=`."""
+def progress_bar(console: Console, what: str = "trials") -> Iterator[ProgressCallback]:
+    """A bar with the time left, to be used as `progress=`; `what` are counted."""
     columns = (
         TextColumn("running"),
         BarColumn(),
-        TextColumn("{task.fields[trials]}"),
+        TextColumn("{task.fields[count]}"),
         TimeElapsedColumn(),
         TextColumn("left"),
         TimeRemainingColumn(),
     )
     bar = Progress(*columns, console=console)
-    task = bar.add_task("running", total=None, trials="")
+    task = bar.add_task("running", total=None, count="")
 
     def tell(done: float, total: int) -> None:
         if not bar.live.is_started:  # not before there is something to tell: wrong input is refused before that
             bar.start()
-        bar.update(task, completed=done, total=total, trials=f"{math.floor(done)} of {total} trials")
+        bar.update(task, completed=done, total=total, count=f"{math.floor(done)} of {total} {what}")
 
     try:
         yield tell

@@ -119,7 +119,7 @@ def check_filters(scenario: Scenario) -> None:
 
 def _try_to_make(scenario: Scenario, choice: FilterChoice, camera: StereoCamera, noise: StereoNoise) -> None:
     try:
-        make_with_common_options(choice.name, camera, noise, choice.options, _common_options(scenario))
+        make_with_common_options(choice.name, camera, noise, choice.options, scenario.common_options)
     except ValueError:
         raise
     except Exception as error:  # a third-party constructor may raise anything; the run will record it
@@ -216,7 +216,7 @@ def _run_trials(
             choice.name,
             choice.options,
             label=choice.label,
-            common_options=_common_options(scenario),
+            common_options=scenario.common_options,
             noise=noise,
             use_odometry=scenario.use_odometry,
             seed=seed,
@@ -224,8 +224,3 @@ def _run_trials(
             progress=within,
         )
         run.save_trial(result, choice, description)
-
-
-def _common_options(scenario: Scenario) -> dict[str, Any]:
-    common: dict[str, Any] = {"gate": scenario.gate, "motion": dict(scenario.motion)}
-    return {**common, "consensus": True} if scenario.consensus else common

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import difflib
 from collections.abc import Mapping
 from typing import Any
@@ -45,6 +46,28 @@ PRESETS: Mapping[str, tuple[str, Scenario]] = {
         ),
     )
 }
+
+
+def with_images(scenario: Scenario, renderer: str) -> Scenario:
+    """A scenario of the simulated world, measured in rendered images instead of by geometry.
+
+    The front end says how good each measurement is, and makes mistakes: filters take its word and use a gate.
+
+    Raises
+    ------
+    ValueError
+        The scenario is not of kind "street".
+    """
+    if scenario.kind != "street":
+        raise ValueError(f"--sensor images needs a scenario of kind 'street', {scenario.name!r} is a {scenario.kind!r}")
+    return dataclasses.replace(
+        scenario,
+        name=f"{scenario.name}-{renderer}-images",
+        options={**scenario.options, "sensor": "images", "renderer": renderer},
+        noise=None,
+        gate=0.99,
+        consensus=True,
+    )
 
 
 def preset(name: str) -> Scenario:

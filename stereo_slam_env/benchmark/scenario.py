@@ -157,6 +157,12 @@ class Scenario:
             return StereoNoise.diagonal(*finite_array("noise.diagonal", self.noise["diagonal"], (3,)).tolist())
         return StereoNoise.independent_pixels(self.noise["independent_pixels"])
 
+    @property
+    def common_options(self) -> dict[str, Any]:
+        """Options that every filter gets, if it knows them."""
+        common: dict[str, Any] = {"gate": self.gate, "motion": dict(self.motion)}
+        return {**common, "consensus": True} if self.consensus else common
+
     def as_dict(self) -> dict[str, Any]:
         """JSON-able form; `from_dict` reads it."""
         return {

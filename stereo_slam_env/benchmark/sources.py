@@ -15,6 +15,7 @@ import numpy as np
 from stereo_slam_env.benchmark.scenario import Scenario
 from stereo_slam_env.datasets import front_end_settings, holds_images, read_recording
 from stereo_slam_env.datasets.images import open_image_sequence
+from stereo_slam_env.frontend.recorder import record_tracks
 from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.image_sequence import ImageSequence
 from stereo_slam_env.recording import Recording
@@ -81,7 +82,8 @@ def _seen(kind: str, options: str, seed: int | None, frames: int | None) -> Reco
     given = json.loads(options)
     if kind == "street":
         return _street(given, seed, frames)
-    return read_recording(given.pop("path"), **given)
+    settings = front_end_settings(given.pop("front_end", {}))
+    return record_tracks(open_image_sequence(given.pop("path"), **given), settings, frames=frames)
 
 
 def stream_digest(recording: Recording) -> str:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from filters.interface import StereoFilter, StereoObservation
+from stereo_slam_env.frontend.recorder import Watch
 from stereo_slam_env.frontend.settings import TrackerSettings
-from stereo_slam_env.frontend.tracked import TrackedPair
 from stereo_slam_env.frontend.tracker import StereoTracker
 from stereo_slam_env.image_sequence import ImageSequence, StereoPair
 
@@ -22,19 +22,20 @@ class ActiveSearch:
         The images.
     settings : TrackerSettings, optional
         Of the front end.
+    watch : callable, optional
+        Called with each pair and what was found in it.
     """
 
-    def __init__(self, sequence: ImageSequence, settings: TrackerSettings | None = None) -> None:
+    def __init__(
+        self, sequence: ImageSequence, settings: TrackerSettings | None = None, watch: Watch | None = None
+    ) -> None:
         self._sequence = sequence
         self._settings = TrackerSettings() if settings is None else settings
         self._tracker = StereoTracker(sequence.camera, self._settings)
         self._pairs: Iterator[StereoPair] = iter(())
         self._number = -1
         self._time = 0.0
-        self.pair: StereoPair | None = None
-        """The last pair looked at."""
-        self.tracked: TrackedPair | None = None
-        """What was found in it."""
+        self._watch = watch
 
     def observe(self, number: int, estimator: StereoFilter) -> StereoObservation:
         """Search pair `number` where `estimator`, already predicted, expects its landmarks; 0 starts again.
@@ -54,6 +55,8 @@ class ActiveSearch:
             raise ValueError(f"number must be less than {number}: the sequence has no more pairs")
         forecast = estimator.forecast() if number else None
         dt = pair.timestamp - self._time if number else None
-        self.tracked = self._tracker.track(pair.left, pair.right, dt, forecast)
-        self.pair, self._number, self._time = pair, number, pair.timestamp
-        return self.tracked.observation
+        tracked = self._tracker.track(pair.left, pair.right, dt, forecast)
+        self._number, self._time = number, pair.timestamp
+        if self._watch is not None:
+            self._watch(pair, tracked)
+        return tracked.observation

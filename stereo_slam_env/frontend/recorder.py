@@ -4,20 +4,23 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
+from itertools import islice
 
 import numpy as np
 
 from filters import rotations
 from filters.noise import StereoNoise
 from stereo_slam_env.frontend.settings import TrackerSettings
+from stereo_slam_env.frontend.tracked import TrackedPair
 from stereo_slam_env.frontend.tracker import StereoTracker
-from stereo_slam_env.image_sequence import ImageSequence
+from stereo_slam_env.image_sequence import ImageSequence, StereoPair
 from stereo_slam_env.recording import Frame, Recording, Start
 from stereo_slam_env.stereo_step import Step
 
 TYPICAL_NOISE = StereoNoise.diagonal(0.3, 0.3, 0.3)
 """What a filter is told beforehand; every measurement then comes with a covariance of its own."""
 
+Watch = Callable[[StereoPair, TrackedPair], None]
 _START_SIGMAS = np.repeat([1e-6, 1e-6, 0.5, 0.05], 3)
 """Of position, rotation, linear and angular velocity at the start: m, rad, m/s, rad/s."""
 
@@ -26,6 +29,8 @@ def record_tracks(
     sequence: ImageSequence,
     settings: TrackerSettings | None = None,
     *,
+    frames: int | None = None,
+    watch: Watch | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Recording:
     """Follow landmarks through a sequence without a filter.
@@ -36,6 +41,10 @@ def record_tracks(
         The images.
     settings : TrackerSettings, optional
         Of the front end.
+    frames : int, optional
+        Stop after so many pairs.
+    watch : callable, optional
+        Called with each pair and what was found in it.
     progress : callable, optional
         Called with (pairs done, pairs) after each.
 
@@ -46,20 +55,23 @@ def record_tracks(
     """
     settings = TrackerSettings() if settings is None else settings
     tracker = StereoTracker(sequence.camera, settings)
-    frames: list[Frame] = []
+    taken: list[Frame] = []
+    wanted = len(sequence) if frames is None else min(frames, len(sequence))
     start = sequence.start
-    for number, pair in enumerate(sequence.pairs()):
-        dt = pair.timestamp - frames[-1].timestamp if frames else None
-        observation = tracker.track(pair.left, pair.right, dt).observation
+    for number, pair in enumerate(islice(sequence.pairs(), wanted)):
+        dt = pair.timestamp - taken[-1].timestamp if taken else None
+        tracked = tracker.track(pair.left, pair.right, dt)
+        if watch is not None:
+            watch(pair, tracked)
         if number == 1 and start.covariance is None and tracker.last_step is not None:
             start = _moving_start(start, *tracker.last_step)
-        frames.append(Frame(pair.timestamp, observation, pair.odometry, pair.truth))
+        taken.append(Frame(pair.timestamp, tracked.observation, pair.odometry, pair.truth))
         if progress is not None:
-            progress(number + 1, len(sequence))
+            progress(number + 1, wanted)
     return Recording(
         sequence.name,
         sequence.camera,
-        tuple(frames),
+        tuple(taken),
         TYPICAL_NOISE,
         start,
         source={**sequence.source, "front_end": dataclasses.asdict(settings)},

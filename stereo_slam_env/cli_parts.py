@@ -1,0 +1,40 @@
+"""What the commands share: the console, one-line errors, help."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+import typer
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+
+def console(*, stderr: bool = False) -> Console:
+    """Where tables and progress go."""
+    from rich.console import Console
+
+    return Console(stderr=stderr)
+
+
+def refuse(message: str) -> int:
+    """Say what is wrong in one line on stderr; returns the exit code."""
+    typer.echo("error: " + " ".join(message.split()), err=True)
+    return 2
+
+
+@contextmanager
+def one_line_errors() -> Iterator[None]:
+    """Wrong input is the user's business, not a crash: one line on stderr, exit code 2."""
+    try:
+        yield
+    except (ValueError, OSError, ImportError) as error:
+        raise typer.Exit(refuse(str(error))) from error
+
+
+def help_without_command(context: typer.Context) -> None:
+    """The help of a group of commands that is called without one."""
+    if context.invoked_subcommand is None:
+        typer.echo(context.get_help())
