@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from functools import partial
+from collections.abc import Callable
 from itertools import pairwise
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from filters.validation import BoolArray, FloatArray
 from stereo_slam_env.world.props import LAMP, STEEL, Placed
@@ -24,6 +25,10 @@ _CHORD, _LONGEST, _SHORTEST = 0.03, 12.0, 1.0
 """How far a piece of wall may be off the bend that it follows, and how long it is, m."""
 _STRAIGHT = 0.03
 """Where the road bends more (1/m), nothing is mounted on the walls."""
+_GAPS, _DOOR_SHARE = (5.0, 14.0), 0.7
+"""Between two things on a wall, m; the rest are signs."""
+_END = 20.0
+"""What is further along the road than this from its end is not the end, m."""
 _PER_DETAIL = 6
 """Landmarks."""
 _WALL = Material((0.93, 0.92, 0.88), "concrete", (23.0, 23.0))
@@ -33,6 +38,8 @@ _SKIRTING = Material((0.42, 0.44, 0.48))
 _FRAME = Material((0.30, 0.33, 0.38))
 _DOORS = ((0.50, 0.60, 0.72), (0.70, 0.50, 0.42), (0.62, 0.66, 0.60))
 _DIM = Look(haze_range=3000.0)
+_Free = Callable[[FloatArray], BoolArray]
+"""Which points (N, 2) are on no road."""
 
 
 def build_corridor(route: Route, rng: np.random.Generator) -> Scene:
@@ -52,18 +59,22 @@ def build_corridor(route: Route, rng: np.random.Generator) -> Scene:
     """
     road = road_along(route)
     network = RoadNetwork([road])
+
+    def free(points: FloatArray) -> BoolArray:
+        return network.distance(points) >= CLEARANCE
+
     shell: list[Primitive] = []
     details: list[Primitive] = []
     for piece in road.stretches():
         for side in (1.0, -1.0):
-            shell += _wall(road, piece, side, network)
-            for gaps, make in (((7.0, 17.0), partial(_door, rng=rng)), ((14.0, 40.0), partial(_notice, rng=rng))):
-                for at in _mounts(road, piece, side, gaps, network, rng):
-                    details += make(at)
+            edge = road.edge(np.array(_joints(road, piece)), side * HALF_WIDTH)
+            shell += [slab for start, end in pairwise(edge) for slab in _wall(start, end, side, free)]
+            for at in _mounts(road, piece, side, network, rng):
+                details += _door(at, rng) if rng.random() < _DOOR_SHARE else _notice(at, rng)
         shell += _ceiling(road, piece)
         for station in np.arange(road.stations[piece.start] + 6.0, road.stations[piece.stop - 1], 14.0).tolist():
             details += _lamp(Placed(*road.place(station, 0.0)))
-    shell += [*_end(road, 0), *_end(road, len(road.points) - 1)]
+    shell += [*_end(road, 0, 1.0), *_end(road, len(road.points) - 1, -1.0)]
     points = facing_points(details, _PER_DETAIL * len(details), 3.3, network.nearest, rng)
     return Scene(
         network.ground(60.0, _FLOOR),
@@ -85,24 +96,23 @@ def _joints(road: Road, piece: slice) -> list[int]:
     return joints
 
 
-def _wall(road: Road, piece: slice, side: float, network: RoadNetwork) -> list[Primitive]:
-    """One side of a piece of road: slabs with a skirting, none on any road."""
-    edge = road.edge(np.array(_joints(road, piece)), side * HALF_WIDTH)
-    slabs: list[Primitive] = []
-    for start, end in pairwise(edge):
-        along = end - start
-        length = float(np.hypot(*along))
-        if length < 0.05 or not _free(np.linspace(start, end, 13), network, CLEARANCE).all():
-            continue
-        at = Placed(0.5 * (start + end), float(np.arctan2(along[1], along[0])))
-        y = side * 0.5 * _THICKNESS
-        slabs.append(at.box((0, y, 0), (length + 0.02, _THICKNESS, _HEIGHT), _WALL))
-        slabs.append(at.box((0, y, 0), (length + 0.02, _THICKNESS + 0.04, 0.14), _SKIRTING, solid=False))
-    return slabs
-
-
-def _free(points: FloatArray, network: RoadNetwork, clearance: float) -> BoolArray:
-    return network.distance(points) >= clearance
+def _wall(start: FloatArray, end: FloatArray, outwards: float, free: _Free) -> list[Primitive]:
+    """Slabs with a skirting from `start` to `end`, to the left (`outwards` 1) or right (-1) of that line."""
+    along = end - start
+    length = float(np.hypot(*along))
+    if length < 0.05:
+        return []
+    if not free(np.linspace(start, end, 13)).all():
+        if length <= 1.5 * _SHORTEST:
+            return []
+        cuts = np.linspace(start, end, int(np.ceil(length / _SHORTEST)) + 1)
+        return [slab for a, b in pairwise(cuts) for slab in _wall(a, b, outwards, free)]
+    at = Placed(0.5 * (start + end), float(np.arctan2(along[1], along[0])))
+    y = outwards * 0.5 * _THICKNESS
+    return [
+        at.box((0, y, 0), (length + 0.02, _THICKNESS, _HEIGHT), _WALL),
+        at.box((0, y, 0), (length + 0.02, _THICKNESS + 0.04, 0.14), _SKIRTING, solid=False),
+    ]
 
 
 def _ceiling(road: Road, piece: slice) -> list[Primitive]:
@@ -118,26 +128,26 @@ def _ceiling(road: Road, piece: slice) -> list[Primitive]:
     return slabs
 
 
-def _end(road: Road, index: int) -> list[Primitive]:
-    """A wall across the end of the road, unless another stretch of it passes there."""
-    away = np.linalg.norm(road.points - road.points[index], axis=1)
-    if (away[np.abs(road.stations - road.stations[index]) > 20.0] < 2 * HALF_WIDTH).any():
-        return []
-    at = Placed(*road.place(float(road.stations[index]), 0.0))
-    return [at.box((0, 0, 0), (_THICKNESS, 2 * (HALF_WIDTH + _THICKNESS), _HEIGHT), _WALL)]
+def _end(road: Road, index: int, outwards: float) -> list[Primitive]:
+    """A wall across the end of the road, except where another stretch of it passes."""
+    others = cKDTree(road.points[np.abs(road.stations - road.stations[index]) > _END])
+
+    def free(points: FloatArray) -> BoolArray:
+        return np.asarray(others.query(points)[0] >= CLEARANCE)
+
+    left, right = (road.place(float(road.stations[index]), sign * (HALF_WIDTH + _THICKNESS))[0] for sign in (1, -1))
+    return _wall(right, left, outwards, free)
 
 
-def _mounts(
-    road: Road, piece: slice, side: float, gaps: tuple[float, float], network: RoadNetwork, rng: np.random.Generator
-) -> list[Placed]:
+def _mounts(road: Road, piece: slice, side: float, network: RoadNetwork, rng: np.random.Generator) -> list[Placed]:
     """Places on a wall, at its surface, with local x along it and local y into it."""
-    places, station = [], float(road.stations[piece.start] + rng.uniform(2.0, gaps[1]))
+    places, station = [], float(road.stations[piece.start] + rng.uniform(2.0, _GAPS[1]))
     while station < road.stations[piece.stop - 1] - 2.0:
         xy, yaw = road.place(station, side * (HALF_WIDTH - 0.04))
         straight = np.abs(np.interp(station, road.stations, road.bends)) < _STRAIGHT
-        if straight and _free(xy[None], network, HALF_WIDTH - 0.2)[0]:
+        if straight and network.distance(xy) >= HALF_WIDTH - 0.2:
             places.append(Placed(xy, yaw if side > 0 else yaw + np.pi))
-        station += float(rng.uniform(*gaps))
+        station += float(rng.uniform(*_GAPS))
     return places
 
 
