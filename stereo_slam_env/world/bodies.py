@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from stereo_slam_env.world.props import GLASS, LAMP, PAINTS, RUBBER, SHADE, STEEL, TAIL, Placed
+from stereo_slam_env.world.props import LAMP, PAINTS, RUBBER, STEEL, TAIL, Placed
 from stereo_slam_env.world.scene import Box, Material, Primitive, Sphere, Vector
 from stereo_slam_env.world.textures import VARIANTS
 
@@ -68,9 +68,9 @@ def _car(rng: np.random.Generator) -> list[Primitive]:
     paint, variant = Material(_chosen(PAINTS, rng)), _variant(rng)
     body, cabin = (4.2 * long, 1.76, 0.62), (2.35 * long, 1.56, 0.48 * tall)
     return [
-        _HERE.box((0, 0, 0.03), (4.3 * long, 1.7, 0.02), SHADE, solid=False),
+        _HERE.box((0, 0, 0.03), (4.3 * long, 1.7, 0.02), RUBBER, solid=False),
         _HERE.box((0, 0, 0.25), body, paint),
-        _HERE.box((-0.2, 0, 0.87), cabin, GLASS),
+        _HERE.box((-0.2, 0, 0.87), cabin, paint),
         _HERE.box((-0.2, 0, 0.87 + cabin[2]), (2.15 * long, 1.52, 0.08), paint),
         *_sides(0.0, 0.25, body, _picture(paint, "car-side", (body[0], body[2]), variant)),
         *_ends(0.0, 0.25, body, _picture(paint, "car-end", (body[1], body[2]), variant)),
@@ -85,7 +85,7 @@ def _van(rng: np.random.Generator) -> list[Primitive]:
     paint, variant = Material(_chosen(((0.95, 0.95, 0.93), (0.95, 0.85, 0.35), (0.75, 0.82, 0.9)), rng)), _variant(rng)
     body, nose = (3.9, 1.9, 1.75), (1.2, 1.85, 0.85)
     return [
-        _HERE.box((0, 0, 0.03), (5.0, 1.8, 0.02), SHADE, solid=False),
+        _HERE.box((0, 0, 0.03), (5.0, 1.8, 0.02), RUBBER, solid=False),
         _HERE.box((-0.6, 0, 0.35), body, paint),
         _HERE.box((1.95, 0, 0.35), nose, paint),
         *_sides(-0.6, 0.35, body, _picture(paint, "livery", (body[0], body[2]), variant)),
@@ -101,7 +101,7 @@ def _lorry(rng: np.random.Generator) -> list[Primitive]:
     paint, variant = Material(_chosen(PAINTS, rng)), _variant(rng)
     cargo, cab = (5.4, 2.35, 2.2), (1.7, 2.2, 1.85)
     return [
-        _HERE.box((0, 0, 0.03), (7.4, 2.2, 0.02), SHADE, solid=False),
+        _HERE.box((0, 0, 0.03), (7.4, 2.2, 0.02), RUBBER, solid=False),
         _HERE.box((-1.0, 0, 0.95), cargo, _WHITE),
         _HERE.box((-1.0, 0, 0.55), (5.4, 1.0, 0.4), STEEL),
         _HERE.box((2.75, 0, 0.45), cab, paint),

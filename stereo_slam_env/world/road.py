@@ -25,7 +25,7 @@ _SPACING = 0.5
 _LEAST_STEP = 0.25
 _FOLD = 0.2
 """m: how far the inner edge of a bend may lie beyond its centre."""
-_SAME_PLACE, _OTHER_PASS = 1.2, 30.0
+_SAME_PLACE, _OTHER_PASS = 0.9, 30.0
 """A stretch this near to another of its road, but that far from it along the road, is the same street again, m."""
 _SAME_DIRECTION = 0.3
 _LIFTS = 0.011

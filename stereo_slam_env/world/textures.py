@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 
 from stereo_slam_env.world.body_textures import BODY_PAINTERS
 from stereo_slam_env.world.painting import Painter
+from stereo_slam_env.world.plain_textures import PLAIN_PAINTERS
 from stereo_slam_env.world.street_textures import STREET_PAINTERS
 
 Image = NDArray[np.uint8]
-_PAINTERS: dict[str, Painter] = STREET_PAINTERS | BODY_PAINTERS
+_PAINTERS: dict[str, Painter] = STREET_PAINTERS | BODY_PAINTERS | PLAIN_PAINTERS
 TEXTURES: tuple[str, ...] = tuple(_PAINTERS)
 """Names a `Material` may use."""
 
