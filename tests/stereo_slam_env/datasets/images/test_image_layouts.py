@@ -132,9 +132,13 @@ def test_raw_odometry_takes_the_camera_along_the_true_path(tmp_path):
 
 
 def test_raw_without_gps_has_neither_truth_nor_odometry(tmp_path):
-    pair = list(open_image_sequence(kitti_raw(tmp_path, oxts=False)).pairs())[-1]
-    assert pair.truth is None
-    assert pair.odometry is None
+    for sequence in (
+        open_image_sequence(kitti_raw(tmp_path / "a", oxts=False)),
+        open_image_sequence(kitti_raw(tmp_path / "b"), use_oxts=False),
+    ):
+        pair = list(sequence.pairs())[-1]
+        assert pair.truth is None
+        assert pair.odometry is None
 
 
 def test_raw_colour_cameras_share_the_truth_of_their_own_place(tmp_path):
