@@ -193,6 +193,21 @@ def test_karlsruhe_without_gps_runs_at_ten_hertz(tmp_path):
     assert pairs[0].truth is None
 
 
+def test_karlsruhe_times_in_another_unit_are_refused_and_can_be_replaced(tmp_path):
+    folder = karlsruhe(tmp_path)
+    rows = np.loadtxt(folder / "insdata.txt")
+    rows[:, 0] *= 1e6
+    np.savetxt(folder / "insdata.txt", rows)
+    with pytest.raises(
+        ValueError, match=r"insdata\.txt: times are 100000 apart, which are no seconds: give rate_hz=10"
+    ):
+        open_image_sequence(folder, first=60)
+    sequence = open_image_sequence(folder, first=60, rate_hz=5)
+    np.testing.assert_allclose(np.diff([pair.timestamp for pair in sequence.pairs()]), 0.2)
+    assert sequence.source["times"] == "assumed 5 Hz"
+    assert "yaw from east" in sequence.source["truth"]
+
+
 def test_the_one_recording_inside_a_folder_stands_for_it(tmp_path):
     kitti_odometry(tmp_path)
     assert open_image_sequence(tmp_path).name == "kitti_odometry_07"
