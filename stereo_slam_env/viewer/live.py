@@ -38,7 +38,9 @@ const view = document.getElementById("view"), state = document.getElementById("s
 const timer = setInterval(() => {
   if (view.naturalWidth) { state.textContent = view.naturalWidth + " x " + view.naturalHeight; clearInterval(timer); }
 }, 200);
-view.onerror = () => { clearInterval(timer); state.textContent = "the run has ended"; };
+const alive = setInterval(() => fetch("/").catch(() => {
+  clearInterval(timer); clearInterval(alive); state.textContent = "the run has ended";
+}), 2000);
 </script></body></html>
 """
 

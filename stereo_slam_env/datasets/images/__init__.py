@@ -75,9 +75,16 @@ def open_image_sequence(path: str | Path, **options: Any) -> RecordedSequence:
 def _recordings_inside(folder: Path) -> list[Path]:
     level, found = [folder], []
     for _ in range(_DEPTH):
-        level = [child for parent in level for child in sorted(parent.iterdir()) if child.is_dir()]
+        level = [child for parent in level for child in _folders_in(parent)]
         found += [child for child in level if reader_of(child)]
     return found
+
+
+def _folders_in(folder: Path) -> list[Path]:
+    try:
+        return sorted(child for child in folder.iterdir() if child.is_dir())
+    except OSError:  # not ours to read
+        return []
 
 
 def _check_options(reader: ModuleType, options: dict[str, Any]) -> None:

@@ -7,6 +7,7 @@ for. So the size is read from the header first, and the file is walked through t
 from __future__ import annotations
 
 import re
+import stat
 import zlib
 from pathlib import Path
 
@@ -18,6 +19,9 @@ from stereo_slam_env.image_sequence import GreyImage
 
 MAX_PIXELS = 40_000_000
 """Larger images are refused before they are decoded."""
+
+MAX_BYTES = 256_000_000
+"""Larger files are refused before they are read."""
 
 _PNG = b"\x89PNG\r\n\x1a\n"
 _JPEG = b"\xff\xd8"
@@ -88,6 +92,11 @@ def image_size(path: Path) -> tuple[int, int]:
 
 def _content(path: Path) -> bytes:
     try:
+        found = path.stat()
+        if not stat.S_ISREG(found.st_mode):
+            raise _damaged(path, "it is no file")
+        if found.st_size > MAX_BYTES:
+            raise BrokenPair("image too large", f"{path} has {found.st_size} bytes: more than {MAX_BYTES} are refused")
         data = path.read_bytes()
     except FileNotFoundError:
         raise BrokenPair("image missing", f"{path} is missing: copy it again, or skip broken pairs") from None

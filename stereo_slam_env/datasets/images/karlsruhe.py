@@ -9,6 +9,7 @@ lines `P1_roi:` and `P2_roi:` of twelve numbers: the 3x4 projection matrices of 
 This was put together from public programs that read these sequences; the sequences themselves were not at hand. Not
 confirmed, and dealt with so:
 
+- the unit of time: it is taken to be s, and times that are then too close or too far apart are refused;
 - where yaw counts from and which way: that reading is taken that agrees with the direction in which the positions move;
   if none does, or the car does not move, there is no truth;
 - where the unit sits on the car: it is taken to be at the left camera and aligned with it. The true position is wrong
@@ -39,6 +40,8 @@ NAME = "karlsruhe"
 FILES = ("I1_*", "I2_*", "*calib.txt|../*calib.txt", "insdata.txt")
 INS_COLUMNS = 10
 POSITION, ATTITUDE = slice(4, 7), slice(7, 10)
+DEFAULT_RATE_HZ = 10.0
+_LIKELY_STEP = (0.02, 1.0)  # s
 R_UNIT_CAMERA = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """Takes camera vectors (x right, y down, z forward) to the unit's frame (x forward, y left, z up)."""
 
@@ -68,7 +71,7 @@ def open_sequence(
     last: int | None = None,
     on_broken: OnBroken = "raise",
     use_truth: bool = True,
-    rate_hz: float = 10.0,
+    rate_hz: float | None = None,
 ) -> RecordedSequence:
     """Open the folder of a sequence.
 
@@ -82,8 +85,8 @@ def open_sequence(
         What to do about a pair that cannot be used.
     use_truth : bool
         Whether to take the poses of the GPS/IMU unit as (weak) truth.
-    rate_hz : float
-        Frame rate to assume where there is no `insdata.txt`, which holds the times.
+    rate_hz : float, optional
+        Frame rate to take instead of the times in `insdata.txt`; None takes those, and 10 Hz where there are none.
 
     Raises
     ------
@@ -96,19 +99,20 @@ def open_sequence(
     calibration = _calibration(path)
     entries = read_entries(calibration)
     P_left, P_right = (entry(calibration, entries, name, (3, 4)) for name in ("P1_roi", "P2_roi"))
-    ins, truth = path / "insdata.txt", None
-    reading: str | None = None
-    if ins.is_file():
-        table = read_table(ins, INS_COLUMNS, finite=False)
-        times = Times(ins, table[:, 0] - table[np.isfinite(table[:, 0]), 0][:1].sum())
-        reading = reading_of_yaw(table) if use_truth else None
-        if reading is not None:
-            truth = Truth(ins, camera_poses(table, reading))
-        elif use_truth:
-            log.warning("%s: yaw fits no direction of motion, the sequence has no truth", ins)
+    ins = path / "insdata.txt"
+    table = read_table(ins, INS_COLUMNS, finite=False) if ins.is_file() else None
+    if table is not None and rate_hz is None:
+        times = _stored_times(ins, table)
     else:
+        rate_hz = positive("rate_hz", DEFAULT_RATE_HZ if rate_hz is None else rate_hz)
         count = max([*left.files, *right.files], default=-1) + 1
-        times = Times(ins, np.arange(count) / positive("rate_hz", rate_hz))
+        times = Times(ins, np.arange(count) / rate_hz)
+    reading = reading_of_yaw(table) if use_truth and table is not None else None
+    truth = None
+    if table is not None and reading is not None:
+        truth = Truth(ins, camera_poses(table, reading))
+    elif use_truth and table is not None:
+        log.warning("%s: yaw fits no direction of motion, the sequence has no truth", ins)
     frames = usable_pairs((left, right), times, faults, truth=truth, first=first, last=last)
     rig = rectified_rig(calibration, P_left, P_right, image_size(frames[0].left))
     source: dict[str, Any] = {
@@ -119,7 +123,7 @@ def open_sequence(
         "last": frames[-1].number,
         "on_broken": on_broken,
         "truth": None if truth is None else f"weak: GPS/IMU at the place of the camera, yaw {reading}",
-        "times": "insdata.txt" if ins.is_file() else f"assumed {rate_hz:g} Hz",
+        "times": "insdata.txt" if rate_hz is None else f"assumed {rate_hz:g} Hz",
     }
     return RecordedSequence(f"{NAME}_{path.name}", rig.camera, frames, faults, source)
 
@@ -157,6 +161,15 @@ def camera_poses(table: FloatArray, reading: str) -> list[Pose | None]:
     orientations = (oxts.attitudes(roll, pitch, sign * yaw + offset) * Rotation.from_matrix(R_UNIT_CAMERA)).as_quat()
     positions = table[:, POSITION]
     return [Pose(r.copy(), q) if ok else None for r, q, ok in zip(positions, orientations, good, strict=True)]
+
+
+def _stored_times(path: Path, table: FloatArray) -> Times:
+    """From the first one on, s."""
+    finite = table[np.isfinite(table[:, 0]), 0]
+    step = float(np.median(np.diff(finite))) if finite.size > 1 else _LIKELY_STEP[0]
+    if not _LIKELY_STEP[0] <= step <= _LIKELY_STEP[1]:
+        raise ValueError(f"{path}: times are {step:.6g} apart, which are no seconds: give rate_hz=10 instead of them")
+    return Times(path, table[:, 0] - (finite[0] if finite.size else 0.0))
 
 
 def _wrapped(angle: FloatArray) -> FloatArray:

@@ -59,6 +59,7 @@ def open_sequence(
     last: int | None = None,
     on_broken: OnBroken = "raise",
     cameras: str | None = None,
+    use_oxts: bool = True,
     sigma_linear: float = 0.5,
     sigma_angular: float = 0.05,
     odometry_seed: int = 0,
@@ -75,6 +76,8 @@ def open_sequence(
         What to do about a pair that cannot be used.
     cameras : {"grey", "colour"}, optional
         Which pair of cameras; None takes grey where present.
+    use_oxts : bool
+        Whether to take truth and odometry from the GPS/IMU unit, where there is one.
     sigma_linear, sigma_angular : float
         White noise that is added to the velocities of the GPS/IMU unit, m/s and rad/s per axis.
     odometry_seed : int
@@ -97,7 +100,7 @@ def open_sequence(
     P_left, P_right = (entry(calibration, entries, f"P_rect_{n}", (3, 4)) for n in (left_number, right_number))
     times = read_timestamps(path / f"image_{left_number}" / "timestamps.txt")
     truth, odometry = None, []
-    if known := _has_oxts(path):
+    if known := use_oxts and _has_oxts(path):
         packets = _read_packets(path / "oxts" / "data", len(times.seconds))
         T_ci = _imu_to_reference_camera(path.parent, calibration, entries)
         truth = Truth(path / "oxts" / "data", _reference_camera_poses(packets, T_ci))

@@ -76,7 +76,7 @@ def write_kitti_sequence(
     if not times:
         raise ValueError(f"sequence {sequence.name!r} has no pairs: nothing was written but the empty {partial}")
     (partial / "calib.txt").write_text(_calibration(sequence.camera))
-    (partial / "times.txt").write_text("".join(f"{time:.17g}\n" for time in times))
+    (partial / "times.txt").write_text("".join(f"{float(time)!r}\n" for time in times))
     (partial / "source.json").write_text(json.dumps({"name": sequence.name, **sequence.source}, indent=2) + "\n")
     known = [pose for pose in truth if pose is not None]
     if len(known) == len(truth):
@@ -133,4 +133,4 @@ def _pose_rows(poses: Sequence[Pose]) -> str:
 
 
 def _row(numbers: FloatArray) -> str:
-    return " ".join(f"{number:.17g}" for number in numbers)
+    return " ".join(f"{float(number)!r}" for number in numbers)

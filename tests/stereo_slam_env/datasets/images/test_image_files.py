@@ -1,9 +1,12 @@
 """Images that a decoder would return although they are damaged (0.2 s)."""
 
+import os
+
 import cv2
 import numpy as np
 import pytest
 
+from stereo_slam_env.datasets.images import image_files
 from stereo_slam_env.datasets.images.broken import BrokenPair
 from stereo_slam_env.datasets.images.image_files import image_size, numbered_images, read_grey
 
@@ -85,6 +88,16 @@ def test_other_faults_are_named(tmp_path, picture):
     write_png(path, picture[:100])
     with pytest.raises(BrokenPair, match="is 160x100 where 160x120 was expected"):
         read_grey(path, (160, 120))
+
+
+def test_what_is_no_file_or_a_giant_one_is_not_even_read(tmp_path, picture, monkeypatch):
+    os.mkfifo(tmp_path / "pipe.png")
+    with pytest.raises(BrokenPair, match=r"pipe\.png is damaged, it is no file"):
+        read_grey(tmp_path / "pipe.png")
+    write_png(tmp_path / "a.png", picture)
+    monkeypatch.setattr(image_files, "MAX_BYTES", 100)
+    with pytest.raises(BrokenPair, match=r"a\.png has \d+ bytes: more than 100 are refused"):
+        read_grey(tmp_path / "a.png")
 
 
 def test_images_are_found_by_their_number(tmp_path, picture):

@@ -132,9 +132,13 @@ def test_raw_odometry_takes_the_camera_along_the_true_path(tmp_path):
 
 
 def test_raw_without_gps_has_neither_truth_nor_odometry(tmp_path):
-    pair = list(open_image_sequence(kitti_raw(tmp_path, oxts=False)).pairs())[-1]
-    assert pair.truth is None
-    assert pair.odometry is None
+    for sequence in (
+        open_image_sequence(kitti_raw(tmp_path / "a", oxts=False)),
+        open_image_sequence(kitti_raw(tmp_path / "b"), use_oxts=False),
+    ):
+        pair = list(sequence.pairs())[-1]
+        assert pair.truth is None
+        assert pair.odometry is None
 
 
 def test_raw_colour_cameras_share_the_truth_of_their_own_place(tmp_path):
@@ -187,6 +191,21 @@ def test_karlsruhe_without_gps_runs_at_ten_hertz(tmp_path):
     pairs = list(open_image_sequence(folder).pairs())
     np.testing.assert_allclose([pair.timestamp for pair in pairs], 0.1 * np.arange(FRAMES))
     assert pairs[0].truth is None
+
+
+def test_karlsruhe_times_in_another_unit_are_refused_and_can_be_replaced(tmp_path):
+    folder = karlsruhe(tmp_path)
+    rows = np.loadtxt(folder / "insdata.txt")
+    rows[:, 0] *= 1e6
+    np.savetxt(folder / "insdata.txt", rows)
+    with pytest.raises(
+        ValueError, match=r"insdata\.txt: times are 100000 apart, which are no seconds: give rate_hz=10"
+    ):
+        open_image_sequence(folder, first=60)
+    sequence = open_image_sequence(folder, first=60, rate_hz=5)
+    np.testing.assert_allclose(np.diff([pair.timestamp for pair in sequence.pairs()]), 0.2)
+    assert sequence.source["times"] == "assumed 5 Hz"
+    assert "yaw from east" in sequence.source["truth"]
 
 
 def test_the_one_recording_inside_a_folder_stands_for_it(tmp_path):
