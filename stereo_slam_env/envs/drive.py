@@ -29,6 +29,7 @@ from stereo_slam_env.sensing.padding import NO_LANDMARK, padded, padded_extras
 from stereo_slam_env.sensing.pixel_noise import NOISE_MODELS
 from stereo_slam_env.sensing.rigs import CAMERA_HEIGHT, RIGS
 from stereo_slam_env.world.frames import R_SW, WorldFrame
+from stereo_slam_env.world.moving_points import MovingPoints
 from stereo_slam_env.world.physics import PhysicsWorld
 from stereo_slam_env.world.route_files import named_route
 from stereo_slam_env.world.routes import FRAME_PERIOD, Driver, Route, RouteDriver, advance
@@ -213,11 +214,12 @@ class StereoDriveEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
             randomise=self.options.randomise,
         )
         self._world.build(scene, self._car.size)
+        self._moving_points = MovingPoints(scene.moving)
         self._effects = CameraEffects.random(camera_rng) if self.options.randomise else None
         if self.options.draws or self.render_mode is not None:
             self._build_renderer(scene)
         if self.options.sensor == "images":
-            self._sensor = ImageSensor(self.camera, self._rendered, self.options.front_end)
+            self._sensor = ImageSensor(self.camera, self._rendered, self.options.front_end, self._moves)
         else:
             landmarks = LandmarkTruth(scene.landmark_ids, self._world_frame.to_world(scene.landmark_points))
             self._sensor = LandmarkSensor(
@@ -286,6 +288,9 @@ class StereoDriveEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
         right = pose.position + self.camera.baseline * rotations.matrix(pose.orientation)[:, 0]
         eyes = self._world_frame.to_scene(np.stack([pose.position, right]))
         return self._world.visible(eyes, self._world_frame.to_scene(points_w))
+
+    def _moves(self, points_w: FloatArray) -> BoolArray:
+        return self._moving_points.on_body(self._world_frame.to_scene(points_w), self._time)
 
     def _collides(self) -> bool:
         R_wc = rotations.matrix(self._pose.orientation)
