@@ -57,15 +57,12 @@ class PairFinder:
         Of the front end.
     left, right : (H, W) uint8
         The pair.
-    disparity_offset : float
-        Added to what is measured along the row, px.
     """
 
     camera: StereoCamera
     settings: TrackerSettings
     left: GreyImage
     right: GreyImage
-    disparity_offset: float
 
     def find(
         self, tracks: Tracks, expected: Expectation, R_vn: FloatArray, position_v: FloatArray, which: BoolArray
@@ -122,17 +119,18 @@ class PairFinder:
         """Disparities of left pixels (M, 2) in low..high (M,), their variances, and which matches are accepted."""
         if len(uv) == 0:
             return np.zeros(0), np.zeros(0), np.zeros(0, dtype=bool)
+        offset = self.settings.disparity_offset
         rows = match_rows(
             self.left,
             self.right,
             uv,
-            low - self.disparity_offset,
-            high - self.disparity_offset,
+            low - offset,
+            high - offset,
             min_score=self.settings.min_score,
             ratio=self.settings.uniqueness,
             left_right_check=left_right_check,
         )
-        return rows.disparity + self.disparity_offset, rows.variance, rows.accepted
+        return rows.disparity + offset, rows.variance, rows.accepted
 
     def inside(self, uv: FloatArray) -> BoolArray:
         """Which pixels (M, 2) are off the edge of the left image by the margin."""

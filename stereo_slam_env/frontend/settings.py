@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from filters.validation import gate_probability, positive
+from filters.validation import finite_array, gate_probability, positive
 
 _POSITIVE = (
     "nearest",
@@ -53,6 +53,8 @@ class TrackerSettings:
         Between a new landmark and any other in the left image, px.
     sigma_acceleration, sigma_angular_acceleration : float
         By how much the motion may change between pairs, m/s^2 and rad/s^2 (as `filters.ConstantVelocity`).
+    disparity_offset : float
+        Added to every measured disparity, px: what the rectification left, see `frontend.calibration`.
     sigma_floor : float
         No pixel coordinate is believed to better than this, px.
     sigma_shape : float
@@ -75,6 +77,7 @@ class TrackerSettings:
     min_distance: float = 10.0
     sigma_acceleration: float = 3.0
     sigma_angular_acceleration: float = 0.6
+    disparity_offset: float = 0.0
     sigma_floor: float = 0.12
     sigma_shape: float = 0.03
 
@@ -93,6 +96,7 @@ class TrackerSettings:
             raise ValueError(
                 f"refill_below must be at most max_landmarks = {self.max_landmarks}, got {self.refill_below}"
             )
+        finite_array("disparity_offset", self.disparity_offset, ())
         for name in _POSITIVE:
             positive(name, getattr(self, name))
         for name in ("min_score", "uniqueness", "search_gate", "gate"):

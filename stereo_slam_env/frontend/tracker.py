@@ -11,7 +11,6 @@ from filters.camera import StereoCamera
 from filters.interface import Forecast, StereoObservation
 from filters.validation import BoolArray, FloatArray, IntArray, positive
 from stereo_slam_env.frontend.consistency import judged
-from stereo_slam_env.frontend.disparity_offset import DisparityOffset
 from stereo_slam_env.frontend.ego_motion import MIN_POINTS, RobustStep, chained, continued, predicted, robust_step
 from stereo_slam_env.frontend.expectation import (
     Expectation,
@@ -38,6 +37,8 @@ _CARRIED = np.diag(np.repeat([0.02, 0.002], 3) ** 2)
 """The same for the motion that a missed landmark is carried over by."""
 _LOST_SHARE = 0.3
 """With fewer of the expected landmarks found, the expectation was wrong: optical flow gives another one."""
+_JUDGED = 3
+"""So many pairs back a measurement is compared with the motion: slow bodies need some time to be told."""
 _GIVE_UP_STRIKES = 4
 _SPARE = 1.4
 """Landmarks followed for each one that the filter may have: some are on probation."""
@@ -69,20 +70,29 @@ class StereoTracker:
         """Forget everything; ids begin at 0 again."""
         none, nowhere = np.zeros(0, dtype=np.int64), np.zeros((0, 3))
         patches = np.zeros((0, SUPPORT, SUPPORT), dtype=np.float32)
-        self._tracks = new_tracks(none, patches, nowhere, np.zeros((0, 3, 3)), np.eye(3), np.zeros(3))
-        self._next_id = 0
         self._R_vc, self._position_v = np.eye(3), np.zeros(3)
+        self._tracks = new_tracks(none, patches, nowhere, np.zeros((0, 3, 3)), self._R_vc, self._position_v)
+        self._next_id = 0
         self._steps: list[Step] = []  # newest first
         self._dt = 0.0
         self._left: GreyImage | None = None
-        self.disparity_offset = DisparityOffset(self.camera)
-        """What is added to every measured disparity: the residual of the rectification, learnt on the way."""
-        self._pairs_since_offset = 0
 
     @property
     def last_step(self) -> tuple[Step, float] | None:
         """Motion of the camera between the last two pairs, and the time between them, s; None before."""
         return (self._steps[0], self._dt) if self._steps else None
+
+    def longest_pairs(self) -> tuple[Pairs, Step] | None:
+        """Standing landmarks measured now and `MEMORY` - 1 pairs ago, and the motion in between; None before."""
+        tracks = self._tracks
+        both = np.isfinite(tracks.measured[:, [0, -1], 0]).all(axis=1) & ~tracks.moving
+        if len(self._steps) < MEMORY - 1:
+            return None
+        over = _REST
+        for step in self._steps:
+            over = chained(step, over)
+        measured, R = tracks.measured[both], tracks.measured_R[both]
+        return Pairs(measured[:, -1], measured[:, 0], R[:, -1], R[:, 0]), over
 
     def track(
         self, left: GreyImage, right: GreyImage, dt: float | None = None, forecast: Forecast | None = None
@@ -109,7 +119,7 @@ class StereoTracker:
         """
         self._check(left, right)
         first = self._left is None
-        finder = PairFinder(self.camera, self.settings, left, right, self.disparity_offset.value)
+        finder = PairFinder(self.camera, self.settings, left, right)
         if first:
             followed, searched, dropped = self._tracks, _nothing_searched(), np.zeros(0, dtype=np.int64)
         elif dt is None:
@@ -138,9 +148,9 @@ class StereoTracker:
                 again = self._by_motion(tracks, flow, constant_velocity_covariance(self.settings, dt))
                 expected, found, motion = self._searched(finder, tracks, again)
         self._moved(expected.step if motion is None else motion.step, dt)
-        tracks, outcome = judged(self.camera, tracks, found, [] if motion is None else self._steps, self.settings.gate)
+        tracks, outcome = judged(self.camera, tracks, found, [] if motion is None else self._steps[:_JUDGED], self.settings.gate)
         searched = Search(tracks.ids, expected.uvd, expected.S, found.uvd, outcome)
-        tracks = self._rectified(self._carried(tracks, found))
+        tracks = self._carried(tracks, found)
         kept = self._kept(tracks, outcome)
         gone = tracks.released & (~kept | tracks.moving) & ~self._tracks.moving
         return tracks.select(kept), searched, tracks.ids[gone]
@@ -234,29 +244,6 @@ class StereoTracker:
             R=np.where(matched[:, None, None], found.R, R),
         )
 
-    def _rectified(self, tracks: Tracks) -> Tracks:
-        """Learn the disparity offset from the whole memory, each measurement once."""
-        self._pairs_since_offset += 1
-        both = np.isfinite(tracks.measured[:, [0, -1], 0]).all(axis=1) & ~tracks.moving
-        if min(self._pairs_since_offset, len(self._steps)) < MEMORY - 1 or both.sum() < MIN_POINTS:
-            return tracks
-        over = _REST
-        for step in self._steps:
-            over = chained(step, over)
-        measured, R = tracks.measured[both], tracks.measured_R[both]
-        pairs = Pairs(measured[:, -1], measured[:, 0], R[:, -1], R[:, 0])
-        found = robust_step(self.camera, pairs, over)
-        if found is None:
-            return tracks
-        self._pairs_since_offset = 0
-        change = np.array([0.0, 0.0, self.disparity_offset.update(pairs.select(found.inliers), found.step)])
-        return replace(
-            tracks,
-            first_uvd=tracks.first_uvd + change,
-            uvd=tracks.uvd + change,
-            measured=tracks.measured + change,
-        )
-
     def _kept(self, tracks: Tracks, outcome: IntArray) -> BoolArray:
         standing = ~tracks.moving
         gone = (outcome == Outcome.OUT_OF_VIEW) | (tracks.misses > self.settings.max_misses)
@@ -274,7 +261,8 @@ class StereoTracker:
         uvd, R = uvd[clear], R[clear]
         ids = self._next_id + np.arange(len(uvd), dtype=np.int64)
         self._next_id += len(uvd)
-        return new_tracks(ids, cut_patches(finder.left, uvd[:, :2]), uvd, R, self._R_vc, self._position_v)
+        patches = cut_patches(finder.left, uvd[:, :2])
+        return new_tracks(ids, patches, uvd, R, self._R_vc, self._position_v)
 
     def _release(self, tracks: Tracks, *, first: bool) -> tuple[StereoObservation, Tracks, IntArray]:
         """What the filter gets: found in this pair, standing, and past probation (in the first pair: all)."""

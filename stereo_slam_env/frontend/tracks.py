@@ -9,8 +9,8 @@ import numpy as np
 from filters.validation import BoolArray, FloatArray, IntArray
 from stereo_slam_env.frontend.patches import Patches
 
-MEMORY = 4
-"""Measurements kept of each landmark: of this pair and of the three before."""
+MEMORY = 6
+"""Measurements kept of each landmark: of this pair and of the five before."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +79,12 @@ class Tracks:
 
 
 def new_tracks(
-    ids: IntArray, patches: Patches, uvd: FloatArray, R: FloatArray, R_vc: FloatArray, position_v: FloatArray
+    ids: IntArray,
+    patches: Patches,
+    uvd: FloatArray,
+    R: FloatArray,
+    R_vc: FloatArray,
+    position_v: FloatArray,
 ) -> Tracks:
     """Landmarks measured for the first time, from one camera pose."""
     count = len(ids)
