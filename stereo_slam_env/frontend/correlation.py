@@ -32,6 +32,8 @@ _BLOCK = 1 << 16
 _ITERATIONS = 2
 _NOISE_GAIN = (0.5 * (PATCH - 2) + 2.0 * 2) / PATCH
 """Energy of the differences of white noise, over its own: 1/2 for central ones, 2 for those at both ends of a row."""
+_FAR = 1e9
+"""Outside of any ellipse, px."""
 _STAYS_WITHIN = 1.5
 """Further from the best pixel than this the steps have gone astray, px."""
 _SIGMA_FLOOR = 0.03
@@ -149,18 +151,23 @@ def search(
     Raises
     ------
     ValueError
-        Wrong shapes, NaN or infinity.
+        Wrong shapes, NaN or infinity, an S that is not positive semi-definite.
     """
     c = finite_array("centers", centers, (len(templates), 2))
     covariance = finite_array("S", S, (len(templates), 2, 2))
     reach = covariance + (np.sqrt(0.5) / gate) ** 2 * np.eye(2)
-    # d^T S^-1 d <= gate^2 as |B d| <= 1, with B upper triangular
-    whiten = np.linalg.inv(gate * np.linalg.cholesky(reach[:, ::-1, ::-1])[:, ::-1, ::-1])
+    try:  # d^T S^-1 d <= gate^2 as |B d| <= 1, with B upper triangular
+        whiten = np.linalg.inv(gate * np.linalg.cholesky(reach[:, ::-1, ::-1])[:, ::-1, ::-1])
+    except np.linalg.LinAlgError as error:
+        raise ValueError("S must be positive semi-definite: a landmark has an impossible ellipse") from error
     extent = np.minimum(gate * np.sqrt(np.diagonal(reach, axis1=1, axis2=2)), max_radius)
+
+    def within(difference: FloatArray, limit: FloatArray) -> Patches:
+        return np.where(np.abs(difference) <= limit, difference, _FAR).astype(np.float32)
 
     def inside(index: IntArray, u: IntArray, v: IntArray) -> BoolArray:
         (a, b), (_, d) = whiten[index].transpose(1, 2, 0).astype(np.float32)[..., None]
-        du, dv = (u - c[index, :1]).astype(np.float32), (v - c[index, 1:]).astype(np.float32)
+        du, dv = (within(u - c[index, :1], extent[index, :1]), within(v - c[index, 1:], extent[index, 1:]))
         squared = (b * dv)[:, :, None] + (a * du)[:, None, :]
         squared *= squared
         squared += ((d * dv) ** 2)[:, :, None]
@@ -194,7 +201,7 @@ def best_peaks(
     low, high : (N, 2)
         First and last (u, v) of the box, whole px.
     candidates : callable, optional
-        Which pixels count; None: all in the box.
+        Which pixels count, none of them outside the box; None: all in the box.
 
     Returns
     -------
@@ -218,11 +225,12 @@ def best_peaks(
             scores = correlation_maps(windows_at(image, origin, height, width), templates[index])
             u = origin[:, :1] + _RADIUS + np.arange(scores.shape[2])
             v = origin[:, 1:] + _RADIUS + np.arange(scores.shape[1])
-            in_columns = (u >= first[index, :1]) & (u <= last[index, :1])
-            in_rows = (v >= first[index, 1:]) & (v <= last[index, 1:])
-            allowed = in_columns[:, None, :] & in_rows[:, :, None]
-            if candidates is not None:
-                allowed &= candidates(index, u, v)
+            if candidates is None:
+                in_columns = (u >= first[index, :1]) & (u <= last[index, :1])
+                in_rows = (v >= first[index, 1:]) & (v <= last[index, 1:])
+                allowed = in_columns[:, None, :] & in_rows[:, :, None]
+            else:
+                allowed = candidates(index, u, v)
             _note_peaks(peaks, index, scores, allowed, origin + _RADIUS)
     return peaks
 
