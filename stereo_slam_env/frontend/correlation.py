@@ -7,7 +7,7 @@ candidates of a landmark are the pixels of its innovation ellipse.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import cv2
@@ -25,10 +25,10 @@ _RADIUS = PATCH // 2
 _PIXELS = PATCH * PATCH
 _FLAT = 1.0
 """Standard deviation below which a patch is noise, not texture: it correlates with nothing, grey levels."""
-_LENGTHS = np.array([15, 24, 36, 54, 80, 120, 180, 270, 400, 600, 900, 1350, 2160])
-"""Sides of the windows: quick to transform, so that a small region does not pay for a large one."""
-_BLOCK = 1 << 16
+_BLOCK = 1 << 17
 """Pixels in the windows of one block: they stay in the processor's cache."""
+_SIMILAR = 1.5
+"""Windows in a block differ by no more than this in their number of pixels."""
 _ITERATIONS = 2
 _NOISE_GAIN = (0.5 * (PATCH - 2) + 2.0 * 2) / PATCH
 """Energy of the differences of white noise, over its own: 1/2 for central ones, 2 for those at both ends of a row."""
@@ -207,32 +207,45 @@ def best_peaks(
     -------
     Peaks
     """
-    n, bounds = len(templates), (image.shape[1] - 1 - _RADIUS, image.shape[0] - 1 - _RADIUS)
+    n, size = len(templates), np.array([image.shape[1], image.shape[0]])
     first = np.maximum(low, _RADIUS).astype(np.int64)
-    last = np.minimum(high, bounds).astype(np.int64)
-    peaks = Peaks(np.zeros((n, 2), dtype=np.int64), np.full(n, -1.0), np.full(n, -1.0), np.zeros((n, 2)),
-                  np.zeros(n, dtype=np.bool_))  # fmt: skip
-    needed = last - first + PATCH + 2  # candidates, a ring of one around them, and their patches
-    kinds = np.minimum(np.searchsorted(_LENGTHS, needed), len(_LENGTHS) - 1)
-    possible = np.flatnonzero((last >= first).all(axis=1))
-    for kind in np.unique(kinds[possible], axis=0):
-        members = possible[(kinds[possible] == kind).all(axis=1)]
-        width, height = np.minimum(_LENGTHS[kind], (image.shape[1], image.shape[0])).tolist()
-        count = max(1, _BLOCK // (width * height))
-        for begin in range(0, len(members), count):
-            index = members[begin : begin + count]
-            origin = np.clip(first[index] - _RADIUS - 1, 0, (image.shape[1] - width, image.shape[0] - height))
-            scores = correlation_maps(windows_at(image, origin, height, width), templates[index])
-            u = origin[:, :1] + _RADIUS + np.arange(scores.shape[2])
-            v = origin[:, 1:] + _RADIUS + np.arange(scores.shape[1])
-            if candidates is None:
-                in_columns = (u >= first[index, :1]) & (u <= last[index, :1])
-                in_rows = (v >= first[index, 1:]) & (v <= last[index, 1:])
-                allowed = in_columns[:, None, :] & in_rows[:, :, None]
-            else:
-                allowed = candidates(index, u, v)
-            _note_peaks(peaks, index, scores, allowed, origin + _RADIUS)
+    last = np.minimum(high, size - 1 - _RADIUS).astype(np.int64)
+    peaks = Peaks(
+        np.zeros((n, 2), dtype=np.int64),
+        np.full(n, -1.0),
+        np.full(n, -1.0),
+        np.zeros((n, 2)),
+        np.zeros(n, dtype=np.bool_),
+    )
+    needed = np.minimum(last - first + PATCH + 2, size)  # candidates, a ring of one around them, and their patches
+    for index in _blocks(needed, np.flatnonzero((last >= first).all(axis=1))):
+        largest = needed[index].max(axis=0).tolist()
+        width, height = np.minimum([fft.next_fast_len(length, real=True) for length in largest], size).tolist()
+        origin = np.clip(first[index] - _RADIUS - 1, 0, size - (width, height))
+        scores = correlation_maps(windows_at(image, origin, height, width), templates[index])
+        u = origin[:, :1] + _RADIUS + np.arange(scores.shape[2])
+        v = origin[:, 1:] + _RADIUS + np.arange(scores.shape[1])
+        if candidates is None:
+            in_columns = (u >= first[index, :1]) & (u <= last[index, :1])
+            in_rows = (v >= first[index, 1:]) & (v <= last[index, 1:])
+            allowed = in_columns[:, None, :] & in_rows[:, :, None]
+        else:
+            allowed = candidates(index, u, v)
+        _note_peaks(peaks, index, scores, allowed, origin + _RADIUS)
     return peaks
+
+
+def _blocks(sizes: IntArray, members: IntArray) -> Iterator[IntArray]:
+    """Split `members` into groups with windows of similar `sizes` (N, 2): small ones do not pay for large ones."""
+    areas = sizes[members].prod(axis=1)
+    order = np.argsort(areas, kind="stable")
+    members, areas = members[order], areas[order]
+    begin = 0
+    while begin < len(members):
+        similar = int(np.searchsorted(areas, _SIMILAR * areas[begin], side="right"))
+        end = min(similar, begin + max(1, _BLOCK // int(areas[begin])))
+        yield members[begin:end]
+        begin = end
 
 
 def correlation_maps(windows: Image, templates: Patches) -> Patches:
@@ -282,18 +295,20 @@ def _note_peaks(peaks: Peaks, index: IntArray, scores: Patches, allowed: BoolArr
     best = eligible.argmax(axis=1)
     y, x = np.divmod(best, w)
     found = eligible[each, best] > -np.inf
-    top, offset = _parabola_top(padded, each, y, x)
-    peaks.pixel[index] = np.stack([x, y], axis=1) + origin
-    peaks.score[index] = np.where(found, top, -1.0)
-    peaks.offset[index] = offset
-    peaks.rising[index] = found & (padded[each, y + 1, x + 1] < around[each, y + 1, x + 1])
     tops = np.flatnonzero((eligible > _RIVAL).reshape(scores.shape) & (scores == around[:, 1:-1, 1:-1]))
     which, others_y, others_x = np.unravel_index(tops, scores.shape)
     apart = np.maximum(np.abs(others_y - y[which]), np.abs(others_x - x[which])) > _NEIGHBOURHOOD
-    which, others_y, others_x = which[apart], others_y[apart], others_x[apart]
+    rivals = which[apart]
+    top, offset = _parabola_top(
+        padded, np.append(each, rivals), np.append(y, others_y[apart]), np.append(x, others_x[apart])
+    )
     second = np.full(n, -1.0)
-    np.maximum.at(second, which, _parabola_top(padded, which, others_y, others_x)[0])
+    np.maximum.at(second, rivals, top[n:])
+    peaks.pixel[index] = np.stack([x, y], axis=1) + origin
+    peaks.score[index] = np.where(found, top[:n], -1.0)
     peaks.second[index] = second
+    peaks.offset[index] = offset[:n]
+    peaks.rising[index] = found & (padded[each, y + 1, x + 1] < around[each, y + 1, x + 1])
 
 
 def _parabola_top(padded: Patches, which: IntArray, y: IntArray, x: IntArray) -> tuple[FloatArray, FloatArray]:
