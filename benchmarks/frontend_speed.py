@@ -6,8 +6,9 @@
 
 Following is what happens in every frame: the stored patches are warped to how they should look, searched for inside
 ellipses of three standard deviations (2 to 3 px each), and matched along the rows within 10 px of the expected
-disparity. Everything runs in turns in one process on one core; times are this machine's processor time, ms. The
-yardstick is an OpenCV call on the same image: ratios to it hold on a busy machine, too.
+disparity (which need not be confirmed from the right image again). Everything runs in turns in one process on one
+core; times are this machine's processor time, ms. The yardstick is an OpenCV call on the same image: ratios to it hold
+on a busy machine, too.
 """
 
 from __future__ import annotations
@@ -81,7 +82,8 @@ def stages(left: Image, right: Image, landmarks: int, corners: int) -> dict[str,
 
     def follow() -> object:
         found = search(left, warped_patches(stored, affine), expected, S)
-        return found, match_rows(left, right, np.where(np.isfinite(found.position), found.position, uv), low, high)
+        at = np.where(np.isfinite(found.position), found.position, uv)
+        return found, match_rows(left, right, at, low, high, left_right_check=False)
 
     return {
         "yardstick: cv2.goodFeaturesToTrack": lambda: cv2.goodFeaturesToTrack(left, 1000, 0.01, 8),
@@ -95,7 +97,10 @@ def stages(left: Image, right: Image, landmarks: int, corners: int) -> dict[str,
         f"search {n} ellipses, {WIDE_SIGMA:.0f} px": lambda: search(
             left, templates, expected, np.tile(wide_S, (n, 1, 1))
         ),
-        f"{n} landmarks along rows, {2 * HALF_RANGE:.0f} px, checked": lambda: match_rows(left, right, uv, low, high),
+        f"{n} landmarks along rows, {2 * HALF_RANGE:.0f} px": lambda: match_rows(
+            left, right, uv, low, high, left_right_check=False
+        ),
+        f"{n} landmarks along rows, checked": lambda: match_rows(left, right, uv, low, high),
         f"follow {n} landmarks: warp, search, rows": follow,
     }
 

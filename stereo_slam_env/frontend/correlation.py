@@ -266,7 +266,9 @@ def correlation_maps(windows: Image, templates: Patches) -> Patches:
     template = templates - templates.mean(axis=(1, 2), keepdims=True)
     values = windows - np.float32(128.0)  # the template has no mean: this changes nothing but the rounding
     spectrum = fft.rfft2(values)
-    spectrum *= fft.rfft2(template[:, ::-1, ::-1], (height, width))
+    spectrum *= fft.fft(
+        fft.rfft(template[:, ::-1, ::-1], width, axis=2), height, axis=1
+    )  # rfft2, but for the empty rows
     product = fft.irfft2(spectrum, (height, width))
     stacked = values.reshape(n * height, width)  # a box that ends at a pixel stays inside the window of that pixel
     box, last = (PATCH, PATCH), (PATCH - 1, PATCH - 1)
