@@ -1,13 +1,12 @@
-"""Finding patches in an image by zero-mean normalised cross-correlation, to a fraction of a pixel.
+"""Finding patches in an image by zero-mean normalised cross-correlation.
 
-`best_peaks` correlates every template with a window of its own, all windows of a size at once, by the fast Fourier
-transform. `refine` then maximises the correlation over positions between the pixels. `search` is active search: the
-candidates of a landmark are the pixels of its innovation ellipse.
+`best_peaks` correlates every template with a window of its own, windows of similar size together, by the fast Fourier
+transform. `search` is active search: the candidates of a landmark are the pixels of its innovation ellipse.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import cv2
@@ -16,26 +15,20 @@ from numpy.typing import ArrayLike
 from scipy import fft
 
 from filters.validation import BoolArray, FloatArray, IntArray, finite_array
-from stereo_slam_env.frontend.patches import PATCH, Image, Patches, cut_stack, windows_at
+from stereo_slam_env.frontend.patches import FLAT, PATCH, Image, Patches, windows_at
+from stereo_slam_env.frontend.refinement import refine
 
 Candidates = Callable[[IntArray, IntArray, IntArray], BoolArray]
 """(index (n,), u (n, w), v (n, h)) -> (n, h, w): which pixels the landmarks `index` may be found at."""
 
 _RADIUS = PATCH // 2
 _PIXELS = PATCH * PATCH
-_FLAT = 1.0
-"""Standard deviation below which a patch is noise, not texture: it correlates with nothing, grey levels."""
-_LENGTHS = np.array([15, 24, 36, 54, 80, 120, 180, 270, 400, 600, 900, 1350, 2160])
-"""Sides of the windows: quick to transform, so that a small region does not pay for a large one."""
-_BLOCK = 1 << 16
+_BLOCK = 1 << 17
 """Pixels in the windows of one block: they stay in the processor's cache."""
-_ITERATIONS = 2
-_NOISE_GAIN = (0.5 * (PATCH - 2) + 2.0 * 2) / PATCH
-"""Energy of the differences of white noise, over its own: 1/2 for central ones, 2 for those at both ends of a row."""
-_STAYS_WITHIN = 1.5
-"""Further from the best pixel than this the steps have gone astray, px."""
-_SIGMA_FLOOR = 0.03
-"""What interpolation and warping leave even without noise, px."""
+_SIMILAR = 1.5
+"""Windows in a block differ by no more than this in their number of pixels."""
+_FAR = 1e9
+"""Outside of any ellipse, px."""
 _RIVAL = 0.5
 """A second peak lower than this is not looked at."""
 _NEIGHBOURHOOD = 2
@@ -65,28 +58,6 @@ class Peaks:
     second: FloatArray
     offset: FloatArray
     rising: BoolArray
-
-
-@dataclass(frozen=True, eq=False)
-class Refined:
-    """Positions between the pixels.
-
-    Attributes
-    ----------
-    position : (N, 2)
-        (u, v), px.
-    score : (N,)
-        Correlation there.
-    covariance : (N, 2, 2)
-        Of the position, px^2.
-    converged : (N,) bool
-        The correlation has its maximum near the pixel; where not, the position is the top of the parabolas.
-    """
-
-    position: FloatArray
-    score: FloatArray
-    covariance: FloatArray
-    converged: BoolArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,18 +120,23 @@ def search(
     Raises
     ------
     ValueError
-        Wrong shapes, NaN or infinity.
+        Wrong shapes, NaN or infinity, an S that is not positive semi-definite.
     """
     c = finite_array("centers", centers, (len(templates), 2))
     covariance = finite_array("S", S, (len(templates), 2, 2))
     reach = covariance + (np.sqrt(0.5) / gate) ** 2 * np.eye(2)
-    # d^T S^-1 d <= gate^2 as |B d| <= 1, with B upper triangular
-    whiten = np.linalg.inv(gate * np.linalg.cholesky(reach[:, ::-1, ::-1])[:, ::-1, ::-1])
+    try:  # d^T S^-1 d <= gate^2 as |B d| <= 1, with B upper triangular
+        whiten = np.linalg.inv(gate * np.linalg.cholesky(reach[:, ::-1, ::-1])[:, ::-1, ::-1])
+    except np.linalg.LinAlgError as error:
+        raise ValueError("S must be positive semi-definite: a landmark has an impossible ellipse") from error
     extent = np.minimum(gate * np.sqrt(np.diagonal(reach, axis1=1, axis2=2)), max_radius)
+
+    def within(difference: FloatArray, limit: FloatArray) -> Patches:
+        return np.where(np.abs(difference) <= limit, difference, _FAR).astype(np.float32)
 
     def inside(index: IntArray, u: IntArray, v: IntArray) -> BoolArray:
         (a, b), (_, d) = whiten[index].transpose(1, 2, 0).astype(np.float32)[..., None]
-        du, dv = (u - c[index, :1]).astype(np.float32), (v - c[index, 1:]).astype(np.float32)
+        du, dv = (within(u - c[index, :1], extent[index, :1]), within(v - c[index, 1:], extent[index, 1:]))
         squared = (b * dv)[:, :, None] + (a * du)[:, None, :]
         squared *= squared
         squared += ((d * dv) ** 2)[:, :, None]
@@ -194,37 +170,51 @@ def best_peaks(
     low, high : (N, 2)
         First and last (u, v) of the box, whole px.
     candidates : callable, optional
-        Which pixels count; None: all in the box.
+        Which pixels count, none of them outside the box; None: all in the box.
 
     Returns
     -------
     Peaks
     """
-    n, bounds = len(templates), (image.shape[1] - 1 - _RADIUS, image.shape[0] - 1 - _RADIUS)
+    n, size = len(templates), np.array([image.shape[1], image.shape[0]])
     first = np.maximum(low, _RADIUS).astype(np.int64)
-    last = np.minimum(high, bounds).astype(np.int64)
-    peaks = Peaks(np.zeros((n, 2), dtype=np.int64), np.full(n, -1.0), np.full(n, -1.0), np.zeros((n, 2)),
-                  np.zeros(n, dtype=np.bool_))  # fmt: skip
-    needed = last - first + PATCH + 2  # candidates, a ring of one around them, and their patches
-    kinds = np.minimum(np.searchsorted(_LENGTHS, needed), len(_LENGTHS) - 1)
-    possible = np.flatnonzero((last >= first).all(axis=1))
-    for kind in np.unique(kinds[possible], axis=0):
-        members = possible[(kinds[possible] == kind).all(axis=1)]
-        width, height = np.minimum(_LENGTHS[kind], (image.shape[1], image.shape[0])).tolist()
-        count = max(1, _BLOCK // (width * height))
-        for begin in range(0, len(members), count):
-            index = members[begin : begin + count]
-            origin = np.clip(first[index] - _RADIUS - 1, 0, (image.shape[1] - width, image.shape[0] - height))
-            scores = correlation_maps(windows_at(image, origin, height, width), templates[index])
-            u = origin[:, :1] + _RADIUS + np.arange(scores.shape[2])
-            v = origin[:, 1:] + _RADIUS + np.arange(scores.shape[1])
+    last = np.minimum(high, size - 1 - _RADIUS).astype(np.int64)
+    peaks = Peaks(
+        np.zeros((n, 2), dtype=np.int64),
+        np.full(n, -1.0),
+        np.full(n, -1.0),
+        np.zeros((n, 2)),
+        np.zeros(n, dtype=np.bool_),
+    )
+    needed = np.minimum(last - first + PATCH + 2, size)  # candidates, a ring of one around them, and their patches
+    for index in _blocks(needed, np.flatnonzero((last >= first).all(axis=1))):
+        largest = needed[index].max(axis=0).tolist()
+        width, height = np.minimum([fft.next_fast_len(length, real=True) for length in largest], size).tolist()
+        origin = np.clip(first[index] - _RADIUS - 1, 0, size - (width, height))
+        scores = correlation_maps(windows_at(image, origin, height, width), templates[index])
+        u = origin[:, :1] + _RADIUS + np.arange(scores.shape[2])
+        v = origin[:, 1:] + _RADIUS + np.arange(scores.shape[1])
+        if candidates is None:
             in_columns = (u >= first[index, :1]) & (u <= last[index, :1])
             in_rows = (v >= first[index, 1:]) & (v <= last[index, 1:])
             allowed = in_columns[:, None, :] & in_rows[:, :, None]
-            if candidates is not None:
-                allowed &= candidates(index, u, v)
-            _note_peaks(peaks, index, scores, allowed, origin + _RADIUS)
+        else:
+            allowed = candidates(index, u, v)
+        _note_peaks(peaks, index, scores, allowed, origin + _RADIUS)
     return peaks
+
+
+def _blocks(sizes: IntArray, members: IntArray) -> Iterator[IntArray]:
+    """Split `members` into groups with windows of similar `sizes` (N, 2): small ones do not pay for large ones."""
+    areas = sizes[members].prod(axis=1)
+    order = np.argsort(areas, kind="stable")
+    members, areas = members[order], areas[order]
+    begin = 0
+    while begin < len(members):
+        similar = int(np.searchsorted(areas, _SIMILAR * areas[begin], side="right"))
+        end = min(similar, begin + max(1, _BLOCK // int(areas[begin])))
+        yield members[begin:end]
+        begin = end
 
 
 def correlation_maps(windows: Image, templates: Patches) -> Patches:
@@ -245,7 +235,9 @@ def correlation_maps(windows: Image, templates: Patches) -> Patches:
     template = templates - templates.mean(axis=(1, 2), keepdims=True)
     values = windows - np.float32(128.0)  # the template has no mean: this changes nothing but the rounding
     spectrum = fft.rfft2(values)
-    spectrum *= fft.rfft2(template[:, ::-1, ::-1], (height, width))
+    spectrum *= fft.fft(
+        fft.rfft(template[:, ::-1, ::-1], width, axis=2), height, axis=1
+    )  # rfft2, but for the empty rows
     product = fft.irfft2(spectrum, (height, width))
     stacked = values.reshape(n * height, width)  # a box that ends at a pixel stays inside the window of that pixel
     box, last = (PATCH, PATCH), (PATCH - 1, PATCH - 1)
@@ -254,7 +246,7 @@ def correlation_maps(windows: Image, templates: Patches) -> Patches:
     np.multiply(sums, sums, out=sums)
     sums *= np.float32(1.0 / _PIXELS)
     energy -= sums
-    flat = np.float32(_PIXELS * _FLAT**2)
+    flat = np.float32(_PIXELS * FLAT**2)
     own = np.maximum(np.einsum("nij,nij->n", template, template), flat)
     root = np.maximum(energy, flat, out=energy).reshape(product.shape)
     root *= own[:, None, None]
@@ -274,18 +266,20 @@ def _note_peaks(peaks: Peaks, index: IntArray, scores: Patches, allowed: BoolArr
     best = eligible.argmax(axis=1)
     y, x = np.divmod(best, w)
     found = eligible[each, best] > -np.inf
-    top, offset = _parabola_top(padded, each, y, x)
-    peaks.pixel[index] = np.stack([x, y], axis=1) + origin
-    peaks.score[index] = np.where(found, top, -1.0)
-    peaks.offset[index] = offset
-    peaks.rising[index] = found & (padded[each, y + 1, x + 1] < around[each, y + 1, x + 1])
     tops = np.flatnonzero((eligible > _RIVAL).reshape(scores.shape) & (scores == around[:, 1:-1, 1:-1]))
     which, others_y, others_x = np.unravel_index(tops, scores.shape)
     apart = np.maximum(np.abs(others_y - y[which]), np.abs(others_x - x[which])) > _NEIGHBOURHOOD
-    which, others_y, others_x = which[apart], others_y[apart], others_x[apart]
+    rivals = which[apart]
+    top, offset = _parabola_top(
+        padded, np.append(each, rivals), np.append(y, others_y[apart]), np.append(x, others_x[apart])
+    )
     second = np.full(n, -1.0)
-    np.maximum.at(second, which, _parabola_top(padded, which, others_y, others_x)[0])
+    np.maximum.at(second, rivals, top[n:])
+    peaks.pixel[index] = np.stack([x, y], axis=1) + origin
+    peaks.score[index] = np.where(found, top[:n], -1.0)
     peaks.second[index] = second
+    peaks.offset[index] = offset[:n]
+    peaks.rising[index] = found & (padded[each, y + 1, x + 1] < around[each, y + 1, x + 1])
 
 
 def _parabola_top(padded: Patches, which: IntArray, y: IntArray, x: IntArray) -> tuple[FloatArray, FloatArray]:
@@ -302,85 +296,3 @@ def _parabola_top(padded: Patches, which: IntArray, y: IntArray, x: IntArray) ->
     peaked = (bend > 1e-6) & (np.abs(slope) <= 0.5 * bend)
     offset = np.where(peaked, slope / np.where(peaked, bend, 1.0), 0.0)
     return np.minimum(middle + 0.5 * (slope * offset).sum(axis=1), 1.0), offset
-
-
-def refine(image: Image, templates: Patches, pixel: IntArray, offset: FloatArray) -> Refined:
-    """Maximise the correlation over positions between the pixels (Lucas-Kanade, inverse compositional).
-
-    A template t and a patch i(p), both brought to zero mean and unit length, have correlation t . i(p). With g the
-    derivative of t by a shift, orthogonal to t, a patch taken a little off the best position is t + g (p - p_best), up
-    to gain: Gauss-Newton steps are -(g g^T)^-1 g i / (t . i). The noise of t is not correlated with its own central
-    differences, so the steps end without bias. Equal white noise in both patches makes 2 (1 - t . i) / 121 the
-    variance of a difference, hence 2 (1 - t . i) / 121 (g g^T)^-1 the covariance of p while noise has little part in g.
-    Where the steps lead away from the pixel, the top of the parabolas is kept.
-
-    Parameters
-    ----------
-    image : (H, W) uint8
-        Grey image.
-    templates : (N, 11, 11) float32
-        What was found.
-    pixel, offset : (N, 2)
-        Best pixel and where the parabolas have their top, from `best_peaks`.
-
-    Returns
-    -------
-    Refined
-    """
-    stack = np.ascontiguousarray(templates.transpose(1, 2, 0))
-    t, length = _normalised(stack)
-    g_u, g_v = (_derivative(np.gradient(stack, axis=axis), t, length) for axis in (1, 0))
-    texture = np.array([[_dot(g_u, g_u), _dot(g_u, g_v)], [_dot(g_v, g_u), _dot(g_v, g_v)]])
-    texture[[0, 1], [0, 1]] += 1e-9
-    away, stays = offset.copy(), np.ones(len(pixel), dtype=np.bool_)
-    inverse = _inverse(texture)
-    for _ in range(_ITERATIONS):
-        i, _ = _normalised(cut_stack(image, pixel + away, PATCH))
-        slope = np.array([_dot(g_u, i), _dot(g_v, i)]) / np.maximum(_dot(t, i), 0.1)
-        away = away - np.einsum("ijn,jn->ni", inverse, slope)
-        stays &= (np.abs(away) <= _STAYS_WITHIN).all(axis=1)
-        away[~stays] = offset[~stays]
-    i, _ = _normalised(cut_stack(image, pixel + away, PATCH))
-    score = _dot(t, i)
-    variance = 2.0 * (1.0 - np.minimum(score, 1.0)) / _PIXELS
-    # The noise in g does not help to find the place, but it adds to the noise of g i.
-    gain = _inverse(_without_noise(texture, 1.0 - score))
-    covariance = (variance * np.einsum("ijn,jkn,kln->iln", gain, texture, gain)).transpose(2, 0, 1)
-    return Refined(pixel + away, score, covariance + _SIGMA_FLOOR**2 * np.eye(2), stays)
-
-
-def _normalised(stack: Patches) -> tuple[Patches, Patches]:
-    """Patches (11, 11, N) as columns (121, N) with zero mean and unit length, and the length they had (N,)."""
-    columns = stack.reshape(_PIXELS, -1)
-    columns = columns - columns.mean(axis=0)
-    length = np.maximum(np.sqrt((columns * columns).sum(axis=0)), np.float32(_FLAT * PATCH))
-    return columns / length, length
-
-
-def _derivative(gradient: Patches, t: Patches, length: Patches) -> Patches:
-    """Derivative of the normalised patches `t` (121, N), from that of the patches (11, 11, N)."""
-    g = gradient.reshape(_PIXELS, -1) / length
-    g -= g.mean(axis=0)
-    g -= (g * t).sum(axis=0) * t
-    return g
-
-
-def _without_noise(texture: FloatArray, noise: FloatArray) -> FloatArray:
-    """Gradient matrices (2, 2, N) less what noise of energy `noise` (N,) has added, but at least a fifth of them."""
-    half_trace, half_gap = 0.5 * (texture[0, 0] + texture[1, 1]), 0.5 * (texture[0, 0] - texture[1, 1])
-    smallest = half_trace - np.sqrt(half_gap**2 + texture[0, 1] ** 2)
-    signal = texture.copy()
-    signal[[0, 1], [0, 1]] -= np.clip(_NOISE_GAIN * noise, 0.0, 0.8 * np.maximum(smallest, 0.0))
-    return signal
-
-
-def _dot(a: Patches, b: Patches) -> FloatArray:
-    product: FloatArray = (a * b).sum(axis=0).astype(np.float64)
-    return product
-
-
-def _inverse(G: FloatArray) -> FloatArray:
-    """Inverses of symmetric matrices (2, 2, N)."""
-    adjugate = np.array([[G[1, 1], -G[0, 1]], [-G[0, 1], G[0, 0]]])
-    inverse: FloatArray = adjugate / (G[0, 0] * G[1, 1] - G[0, 1] ** 2)
-    return inverse

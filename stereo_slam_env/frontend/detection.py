@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from filters.validation import BoolArray, FloatArray, IntArray, finite_array
 from stereo_slam_env.frontend.patches import Image
@@ -65,24 +65,23 @@ def detect_corners(
     if wanted <= 0 or min(height, width) <= 2 * max(margin, _REFINE + 2):
         return np.zeros((0, 2))
     strength = _strength(image)
-    free = _free(strength.shape, image.shape, taken, max(margin, _REFINE + 2), min_distance, mask)
-    strength = np.where(free, strength, 0.0)
-    side = 2 * int(np.ceil(0.5 * min_distance)) - 1
-    peak = (strength == cv2.dilate(strength, np.ones((max(side, 3),) * 2, dtype=np.uint8))) & (
-        strength > min_gradient**2
-    )
-    v, u = np.nonzero(peak)
+    strength[~_free(strength.shape, image.shape, taken, max(margin, _REFINE + 2), min_distance, mask)] = 0.0
+    side = max(3, 2 * int(np.ceil(0.5 * min_distance)) - 1)
+    highest = np.asarray(cv2.dilate(strength, np.ones((side, side), dtype=np.uint8)))
+    peaks = np.flatnonzero((strength == highest) & (strength > min_gradient**2))
+    v, u = np.unravel_index(peaks, strength.shape)
     found, value = np.stack([2.0 * u, 2.0 * v], axis=1), strength[v, u]
     order = _emptiest_first(found, value, taken, cell, width, height)[: wanted + wanted // 4]
     corners = _refined(image, found[order])
     return corners[_apart(corners, taken, min_distance)][:wanted]
 
 
-def _strength(image: Image) -> FloatArray:
+def _strength(image: Image) -> NDArray[np.float32]:
     """Smaller eigenvalue of the mean gradient matrix, (grey levels / px of the full image)^2, at half the size."""
-    half = cv2.pyrDown(image)
+    strength = np.asarray(cv2.cornerMinEigenVal(cv2.pyrDown(image), _BLOCK), dtype=np.float32)
     # cornerMinEigenVal has gradients of 2 / 255 grey levels per pixel, and a pixel here is two of the image.
-    return np.asarray(cv2.cornerMinEigenVal(half, _BLOCK), dtype=np.float64) * (255.0 / 2.0 / 2.0) ** 2
+    strength *= np.float32((255.0 / 2.0 / 2.0) ** 2)
+    return strength
 
 
 def _free(
@@ -110,7 +109,7 @@ def _free(
 
 
 def _emptiest_first(
-    found: FloatArray, value: FloatArray, taken: FloatArray, cell: int, width: int, height: int
+    found: FloatArray, value: NDArray[np.float32], taken: FloatArray, cell: int, width: int, height: int
 ) -> IntArray:
     """Order of the corners: by how many are in the cell before them, then by strength."""
     columns, rows = -(-width // cell), -(-height // cell)
@@ -142,7 +141,7 @@ def _refined(image: Image, found: FloatArray) -> FloatArray:
 def _apart(corners: FloatArray, taken: FloatArray, min_distance: float) -> BoolArray:
     """Those that are near neither a landmark nor a better corner."""
     points = np.concatenate([taken, corners])
-    squared = ((corners[:, None] - points[None]) ** 2).sum(axis=2)
+    squared = sum((corners[:, axis, None] - points[:, axis]) ** 2 for axis in (0, 1))
     before = np.arange(len(points)) < len(taken) + np.arange(len(corners))[:, None]
     apart: BoolArray = ~((squared < min_distance**2) & before).any(axis=1)
     return apart

@@ -20,6 +20,8 @@ PATCH = 11
 """Side of the patch that is compared (the paper's), px."""
 SUPPORT = 23
 """Side of the patch that is stored: what a warp reaches for lies beyond the 11 x 11, px."""
+FLAT = 1.0
+"""Standard deviation below which a patch is noise, not texture: it correlates with nothing, grey levels."""
 
 _SHRINKS = 1.15
 """From this scale on a warp averages, so that fine texture does not alias."""

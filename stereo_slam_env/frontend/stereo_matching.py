@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from filters.validation import BoolArray, FloatArray, finite_array
-from stereo_slam_env.frontend.correlation import best_peaks, refine
+from stereo_slam_env.frontend.correlation import best_peaks
 from stereo_slam_env.frontend.patches import PATCH, Image, cut_patches
+from stereo_slam_env.frontend.refinement import refine
 
 _ROW_SIGMAS = 3.0
 """Standard deviations of the rows' offset within the tolerance."""

@@ -168,3 +168,5 @@ def test_no_landmarks_and_bad_input():
         search(image, patch, [[np.nan, 3.0]], circles(1, 2.0))
     with pytest.raises(ValueError, match="S must"):
         search(image, patch, [[50.0, 50.0]], np.eye(2))
+    with pytest.raises(ValueError, match="positive semi-definite"):
+        search(image, patch, [[50.0, 50.0]], [np.diag([4.0, -4.0])])
