@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 
 from stereo_slam_env.benchmark.scenario import Scenario
-from stereo_slam_env.datasets import front_end_settings, holds_images, read_recording
-from stereo_slam_env.datasets.images import open_image_sequence
+from stereo_slam_env.datasets import holds_images, open_for_front_end, read_recording
 from stereo_slam_env.frontend.recorder import record_tracks
 from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.image_sequence import ImageSequence
@@ -72,8 +71,7 @@ def make_sequence(scenario: Scenario, seed: int | None) -> tuple[ImageSequence, 
         from stereo_slam_env.envs.rendered_drive import RenderedDrive
 
         return RenderedDrive(options, seed or 0, scenario.frames), DriveOptions.checked(options).front_end
-    settings = front_end_settings(options.pop("front_end", {}))
-    return open_image_sequence(options.pop("path"), **options), settings
+    return open_for_front_end(**options)
 
 
 @lru_cache(maxsize=1)
@@ -82,8 +80,7 @@ def _seen(kind: str, options: str, seed: int | None, frames: int | None) -> Reco
     given = json.loads(options)
     if kind == "street":
         return _street(given, seed, frames)
-    settings = front_end_settings(given.pop("front_end", {}))
-    return record_tracks(open_image_sequence(given.pop("path"), **given), settings, frames=frames)
+    return record_tracks(*open_for_front_end(**given), frames=frames)
 
 
 def stream_digest(recording: Recording) -> str:

@@ -15,13 +15,15 @@ from typing import Any
 
 from stereo_slam_env.datasets import gtsam_examples, kitti00_stereo_tracks, kitti07_tracks
 from stereo_slam_env.datasets.images import known_image_layouts, open_image_sequence, reader_of
+from stereo_slam_env.frontend.calibration import calibrated
 from stereo_slam_env.frontend.recorder import record_tracks
 from stereo_slam_env.frontend.settings import TrackerSettings
+from stereo_slam_env.image_sequence import ImageSequence
 from stereo_slam_env.recording import Recording
 
 READERS = (kitti07_tracks, kitti00_stereo_tracks)
 
-__all__ = ["READERS", "front_end_settings", "holds_images", "known_layouts", "read_recording"]
+__all__ = ["READERS", "holds_images", "known_layouts", "open_for_front_end", "read_recording"]
 
 
 def known_layouts() -> dict[str, str]:
@@ -67,8 +69,24 @@ def read_recording(path: str | Path, **options: Any) -> Recording:
             return read(folder, **options)
     if not holds_images(folder):
         raise ValueError(f"{folder} has no known layout: {_nearest(folder)}known are {_layouts()}")
-    settings = front_end_settings(options.pop("front_end", {}))
-    return record_tracks(open_image_sequence(folder, **options), settings)
+    return record_tracks(*open_for_front_end(folder, **options))
+
+
+def open_for_front_end(path: str | Path, **options: Any) -> tuple[ImageSequence, TrackerSettings]:
+    """A recording of images, and how the front end is to look at it.
+
+    Parameters
+    ----------
+    path : str or Path
+        Folder of a layout of images.
+    **options
+        Options of the reader, and `front_end`, a mapping with fields of `TrackerSettings`. Where that does not say
+        `disparity_offset`, the first pairs are looked at to find what the rectification left.
+    """
+    given = options.pop("front_end", {})
+    settings = front_end_settings(given)
+    sequence = open_image_sequence(path, **options)
+    return sequence, settings if "disparity_offset" in given else calibrated(sequence, settings)
 
 
 def holds_images(path: str | Path) -> bool:

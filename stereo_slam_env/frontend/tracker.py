@@ -148,7 +148,9 @@ class StereoTracker:
                 again = self._by_motion(tracks, flow, constant_velocity_covariance(self.settings, dt))
                 expected, found, motion = self._searched(finder, tracks, again)
         self._moved(expected.step if motion is None else motion.step, dt)
-        tracks, outcome = judged(self.camera, tracks, found, [] if motion is None else self._steps[:_JUDGED], self.settings.gate)
+        tracks, outcome = judged(
+            self.camera, tracks, found, [] if motion is None else self._steps[:_JUDGED], self.settings.gate
+        )
         searched = Search(tracks.ids, expected.uvd, expected.S, found.uvd, outcome)
         tracks = self._carried(tracks, found)
         kept = self._kept(tracks, outcome)
