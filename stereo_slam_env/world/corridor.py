@@ -23,7 +23,7 @@ CLEARANCE = 3.2
 _THICKNESS = 0.3
 _CHORD, _LONGEST, _SHORTEST = 0.03, 12.0, 1.0
 """How far a piece of wall may be off the bend that it follows, and how long it is, m."""
-_STRAIGHT = 0.03
+_TIGHT = 0.25
 """Where the road bends more (1/m), nothing is mounted on the walls."""
 _GAPS, _DOOR_SHARE = (5.0, 14.0), 0.7
 """Between two things on a wall, m; the rest are signs."""
@@ -144,7 +144,7 @@ def _mounts(road: Road, piece: slice, side: float, network: RoadNetwork, rng: np
     places, station = [], float(road.stations[piece.start] + rng.uniform(2.0, _GAPS[1]))
     while station < road.stations[piece.stop - 1] - 2.0:
         xy, yaw = road.place(station, side * (HALF_WIDTH - 0.04))
-        straight = np.abs(np.interp(station, road.stations, road.bends)) < _STRAIGHT
+        straight = np.abs(np.interp(station, road.stations, road.bends)) < _TIGHT
         if straight and network.distance(xy) >= HALF_WIDTH - 0.2:
             places.append(Placed(xy, yaw if side > 0 else yaw + np.pi))
         station += float(rng.uniform(*_GAPS))

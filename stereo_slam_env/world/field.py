@@ -20,7 +20,7 @@ NEAREST, FARTHEST = 65.0, 250.0
 """How far things stand from the nearest centreline, m."""
 _AREA = 900.0
 """m^2 for each try to put something."""
-_PER_THING = 20
+_PER_THING = 60
 """Landmarks."""
 _ROOM = 3.0
 _HILLS = 0.04
