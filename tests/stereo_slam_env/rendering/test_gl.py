@@ -113,9 +113,12 @@ def test_memory_stays_flat_over_many_scenes_and_many_renderers():
                 renderer.render_pair(AHEAD)
 
     def renderers(count):
-        for _ in range(count):
-            with drawing("gl", SCENE, CAMERA) as renderer:
-                renderer.render_pair(AHEAD)
+        for i in range(count):
+            renderer = new_renderer()
+            renderer.build(SCENE)
+            renderer.render_pair(AHEAD)
+            if i % 2:
+                renderer.close()  # the others are dropped
 
     for cycles, count in ((scenes, 60), (renderers, 30)):
         cycles(8)
@@ -183,7 +186,7 @@ def test_drawing_needs_a_scene_and_an_open_renderer():
     renderer.build(SCENE)
     renderer.close()
     renderer.close()
-    with pytest.raises(RuntimeError, match=r"nothing to draw|closed"):
+    with pytest.raises(RuntimeError, match="closed"):
         renderer.render_pair(AHEAD)
     with pytest.raises(RuntimeError, match="closed"):
         renderer.build(SCENE)
