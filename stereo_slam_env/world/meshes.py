@@ -15,6 +15,8 @@ from stereo_slam_env.world.scene import Box, Cylinder, Ground, Material, MovingB
 
 _GROUND_CELL = 47.3
 _SEGMENTS = 12
+_LARGE = 10.0
+"""A ball of this radius has finer segments, m."""
 _MATERIAL = "look"
 Drawn = Ground | Ribbon | Primitive
 
@@ -88,7 +90,7 @@ def _cylinder(shape: Cylinder) -> Mesh:
 
 @mesh.register
 def _sphere(shape: Sphere) -> Mesh:
-    unit = _unit_sphere()
+    unit = _unit_sphere(_SEGMENTS if shape.radius < _LARGE else 4 * _SEGMENTS)
     uvs = unit.uvs * shape.radius / shape.material.tile
     return Mesh(shape.radius * unit.vertices + shape.center, unit.normals, uvs, unit.triangles)
 
@@ -134,14 +136,14 @@ def _unit_cylinder() -> Mesh:
 
 
 @cache
-def _unit_sphere() -> Mesh:
+def _unit_sphere(segments: int) -> Mesh:
     """Radius 1 around the origin."""
-    rows = _SEGMENTS // 2 + 1
-    polar, angle = np.meshgrid(np.linspace(np.pi, 0.0, rows), np.linspace(0.0, 2 * np.pi, _SEGMENTS + 1), indexing="ij")
+    rows = segments // 2 + 1
+    polar, angle = np.meshgrid(np.linspace(np.pi, 0.0, rows), np.linspace(0.0, 2 * np.pi, segments + 1), indexing="ij")
     points = np.stack([np.sin(polar) * np.cos(angle), np.sin(polar) * np.sin(angle), np.cos(polar)], axis=-1)
     normals = points.reshape(-1, 3)
     uvs = np.stack([angle, np.pi - polar], axis=-1).reshape(-1, 2)
-    return Mesh(normals, normals, uvs, _grid_triangles(rows, _SEGMENTS + 1))
+    return Mesh(normals, normals, uvs, _grid_triangles(rows, segments + 1))
 
 
 @mesh.register

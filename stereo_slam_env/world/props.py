@@ -27,7 +27,7 @@ _WALLS: tuple[tuple[str, Vector], ...] = (
 )
 _SHOPS: tuple[Vector, ...] = ((1.0, 0.96, 0.90), (0.92, 0.86, 0.80), (0.84, 0.88, 0.92))
 _ROOFS: tuple[Vector, ...] = ((0.50, 0.36, 0.32), (0.40, 0.40, 0.43))
-_PAINTS: tuple[Vector, ...] = (
+PAINTS: tuple[Vector, ...] = (
     (0.72, 0.12, 0.12),
     (0.14, 0.28, 0.56),
     (0.86, 0.87, 0.88),
@@ -35,12 +35,12 @@ _PAINTS: tuple[Vector, ...] = (
     (0.90, 0.68, 0.16),
     (0.16, 0.42, 0.34),
 )
-_GLASS = Material((0.16, 0.20, 0.25))
-_RUBBER = Material((0.09, 0.09, 0.10))
-_LAMP = Material((0.96, 0.94, 0.84))
-_TAIL = Material((0.75, 0.10, 0.08))
-_STEEL = Material((0.42, 0.45, 0.48))
-_SHADE = Material((0.20, 0.20, 0.21))
+GLASS = Material((0.16, 0.20, 0.25))
+RUBBER = Material((0.09, 0.09, 0.10))
+LAMP = Material((0.96, 0.94, 0.84))
+TAIL = Material((0.75, 0.10, 0.08))
+STEEL = Material((0.42, 0.45, 0.48))
+SHADE = Material((0.20, 0.20, 0.21))
 _SIGN = Material((0.14, 0.34, 0.70))
 _BARK = Material((0.9, 0.9, 0.9), "bark", (1.2, 2.0))
 _LEAVES = (
@@ -108,27 +108,27 @@ def tower(at: Placed, length: float, depth: float, floors: int, rng: np.random.G
 
 def car(at: Placed, rng: np.random.Generator) -> list[Primitive]:
     """A parked car, front along local x."""
-    paint = Material(_PAINTS[rng.integers(len(_PAINTS))])
+    paint = Material(PAINTS[rng.integers(len(PAINTS))])
     long, tall = float(rng.uniform(0.95, 1.12)), float(rng.uniform(0.95, 1.15))
     wheels: list[Primitive] = [
-        at.rod((x * long, y - 0.1, 0.33), (x * long, y + 0.1, 0.33), 0.33, _RUBBER, solid=False)
+        at.rod((x * long, y - 0.1, 0.33), (x * long, y + 0.1, 0.33), 0.33, RUBBER, solid=False)
         for x in (-1.3, 1.35)
         for y in (-0.82, 0.82)
     ]
     hubs: list[Primitive] = [
-        at.rod((x * long, y - 0.02, 0.33), (x * long, y + 0.02, 0.33), 0.19, _STEEL, solid=False)
+        at.rod((x * long, y - 0.02, 0.33), (x * long, y + 0.02, 0.33), 0.19, STEEL, solid=False)
         for x in (-1.3, 1.35)
         for y in (-0.92, 0.92)
     ]
     lights: list[Primitive] = [
         at.box((x * long, y, 0.62), (0.08, 0.36, 0.15), material, solid=False)
-        for x, material in ((2.1, _LAMP), (-2.1, _TAIL))
+        for x, material in ((2.1, LAMP), (-2.1, TAIL))
         for y in (-0.6, 0.6)
     ]
     return [
-        at.box((0, 0, 0.03), (4.3 * long, 1.7, 0.02), _SHADE, solid=False),
+        at.box((0, 0, 0.03), (4.3 * long, 1.7, 0.02), SHADE, solid=False),
         at.box((0, 0, 0.25), (4.2 * long, 1.76, 0.62), paint),
-        at.box((-0.2, 0, 0.87), (2.35 * long, 1.56, 0.44 * tall), _GLASS),
+        at.box((-0.2, 0, 0.87), (2.35 * long, 1.56, 0.44 * tall), GLASS),
         at.box((-0.2, 0, 0.87 + 0.44 * tall), (2.15 * long, 1.52, 0.08), paint),
         *(at.box((x * long, y, 0.87), (0.1, 0.06, 0.46 * tall), paint, solid=False)
           for x in (-1.32, -0.2, 0.88) for y in (-0.76, 0.76)),
@@ -141,17 +141,17 @@ def car(at: Placed, rng: np.random.Generator) -> list[Primitive]:
 def street_lamp(at: Placed) -> list[Primitive]:
     """A lamp post; its arm points along local x, over the road."""
     return [
-        at.rod((0, 0, 0), (0, 0, 0.9), 0.13, _STEEL),
-        at.rod((0, 0, 0.9), (0, 0, 6.2), 0.08, _STEEL),
-        at.rod((0, 0, 6.15), (1.5, 0, 6.4), 0.05, _STEEL, solid=False),
-        at.box((1.7, 0, 6.32), (0.8, 0.26, 0.14), _LAMP, solid=False),
+        at.rod((0, 0, 0), (0, 0, 0.9), 0.13, STEEL),
+        at.rod((0, 0, 0.9), (0, 0, 6.2), 0.08, STEEL),
+        at.rod((0, 0, 6.15), (1.5, 0, 6.4), 0.05, STEEL, solid=False),
+        at.box((1.7, 0, 6.32), (0.8, 0.26, 0.14), LAMP, solid=False),
     ]
 
 
 def traffic_sign(at: Placed) -> list[Primitive]:
     """A blue sign on a post, facing local x."""
     return [
-        at.rod((0, 0, 0), (0, 0, 2.9), 0.05, _STEEL),
+        at.rod((0, 0, 0), (0, 0, 2.9), 0.05, STEEL),
         at.box((0.05, 0, 2.1), (0.04, 0.7, 0.7), Material((0.92, 0.92, 0.92))),
         at.box((0.075, 0, 2.16), (0.02, 0.58, 0.58), _SIGN, solid=False),
     ]
@@ -175,4 +175,4 @@ def tree(at: Placed, rng: np.random.Generator) -> list[Primitive]:
 def litter_bin(at: Placed) -> list[Primitive]:
     """A litter bin."""
     return [at.rod((0, 0, 0), (0, 0, 0.95), 0.28, Material((0.20, 0.36, 0.28))),
-            at.rod((0, 0, 0.95), (0, 0, 1.02), 0.31, _STEEL)]  # fmt: skip
+            at.rod((0, 0, 0.95), (0, 0, 1.02), 0.31, STEEL)]  # fmt: skip

@@ -2,23 +2,34 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.ndimage import gaussian_filter1d
 from scipy.spatial import cKDTree
 
-from filters.validation import FloatArray
-from stereo_slam_env.world.scene import Material, Ribbon
+from filters.validation import BoolArray, FloatArray, IntArray
+from stereo_slam_env.world.routes import Route
+from stereo_slam_env.world.scene import Ground, Material, Ribbon
 
-HALF_WIDTH = 5.75
-"""Two lanes of 3.5 m between two parking strips of 2.25 m."""
-PAVEMENT = 3.0
 LANE_OFFSET = 1.75
 """A car in its (right-hand) lane is this far right of the centreline, m."""
+LEAD_IN, LEAD_OUT = 31.0, 130.0
+"""How far the road along a route goes on before its start and after its end, m."""
+ASPHALT_HEIGHT = 0.03
+"""Drawn height of the road above the plane z = 0, m."""
 _SPACING = 0.5
-_ASPHALT = Material((0.92, 0.92, 0.95), "asphalt", (2 * HALF_WIDTH, 7.9))
-_PAVING = Material((1.0, 0.97, 0.92), "paving", (2 * (HALF_WIDTH + PAVEMENT), 3.1))
+_LEAST_STEP = 0.25
+_FOLD = 0.2
+"""m: how far the inner edge of a bend may lie beyond its centre."""
+_SAME_PLACE, _OTHER_PASS = 0.9, 30.0
+"""A stretch this near to another of its road, but that far from it along the road, is the same street again, m."""
+_SAME_DIRECTION = 0.3
+_LIFTS = 0.011
+"""m between the lowest and the highest piece of paving."""
 
 
 class Road:
@@ -38,10 +49,12 @@ class Road:
         tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
         path = np.concatenate([path[:1] - before * tangents[:1], path, path[-1:] + after * tangents[-1:]])
         tangents = np.concatenate([tangents[:1], tangents, tangents[-1:]])
-        middle = path + LANE_OFFSET * _left(tangents)
+        middle = path + LANE_OFFSET * left_of(tangents)
         arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(middle, axis=0), axis=1))])
         self.stations = np.arange(0.0, arc[-1], _SPACING)
         self.points = np.stack([np.interp(self.stations, arc, middle[:, i]) for i in range(2)], axis=1)
+        self.lane_stations: FloatArray = arc[1:-1]
+        """Station of each point of the lane; (K,)."""
 
     @property
     def length(self) -> float:
@@ -55,33 +68,105 @@ class Road:
         unit: FloatArray = gradient / np.linalg.norm(gradient, axis=1, keepdims=True)
         return unit
 
+    @cached_property
+    def yaws(self) -> FloatArray:
+        """Directions of travel at the points, rad, without jumps; (K,)."""
+        return np.unwrap(np.arctan2(self.tangents[:, 1], self.tangents[:, 0]))
+
+    @cached_property
+    def bends(self) -> FloatArray:
+        """Curvature at the points over a few metres, 1/m, positive to the left; (K,)."""
+        return np.asarray(gaussian_filter1d(np.gradient(self.yaws, _SPACING), 3.0, mode="nearest"))
+
     def place(self, station: float, left: float) -> tuple[FloatArray, float]:
         """The point `station` m along the road and `left` m to its left, and the yaw of the road there."""
         index = int(np.clip(round(station / _SPACING), 0, len(self.points) - 1))
         tangent = self.tangents[index]
-        point = self.points[index] + left * _left(tangent)
+        point = self.points[index] + left * left_of(tangent)
         return point, float(np.arctan2(tangent[1], tangent[0]))
 
-    def ribbons(self, lift: float) -> list[Ribbon]:
-        """Asphalt over a wider pavement, `lift` m above the usual heights so that crossing roads do not coincide."""
-        # Off the lattice: TinyRenderer drops a triangle with a vertex exactly in the camera plane.
-        every = np.append(np.arange(0, len(self.points) - 1, 3), len(self.points) - 1)
-        middle, side = self.points[every] + 0.0137, _left(self.tangents[every])
+    def along(self, stations: FloatArray, left: FloatArray | float) -> tuple[FloatArray, FloatArray]:
+        """Points (N, 2) `left` m to the left of the centreline and yaws (N,) at `stations` (N,), in between too."""
+        yaws = np.interp(stations, self.stations, self.yaws)
+        middle = np.stack([np.interp(stations, self.stations, self.points[:, i]) for i in range(2)], axis=1)
+        side = np.stack([-np.sin(yaws), np.cos(yaws)], axis=1)
+        return middle + np.broadcast_to(left, len(middle))[:, None] * side, yaws
 
-        def ribbon(half_width: float, height: float, material: Material) -> Ribbon:
-            left, right = (
-                np.column_stack([middle + sign * half_width * side, np.full(len(middle), height)]) for sign in (1, -1)
+    def edge(self, index: IntArray, left: float) -> FloatArray:
+        """The points `left` m to the left of the points `index`, but not beyond the centre of a bend; (N, 2)."""
+        bend = self.bends[index]
+        most = np.where(bend * left > 0.0, 1.0 / np.maximum(np.abs(bend), 1e-6) + _FOLD, np.inf)
+        offset = np.copysign(np.minimum(abs(left), most), left)
+        edge: FloatArray = self.points[index] + offset[:, None] * left_of(self.tangents[index])
+        return edge
+
+    def stretches(self, others: Sequence[Road] = ()) -> list[slice]:
+        """The road without what lies on `others` or where it has been before: slices of the points."""
+        fresh = np.ones(len(self.points), dtype=bool)
+        for other in others:
+            fresh &= ~self._repeats(other, -np.inf)
+        fresh &= ~self._repeats(self, _OTHER_PASS)
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], fresh, [False]]).astype(int))).reshape(-1, 2)
+        return [slice(max(a - 1, 0), min(b + 1, len(fresh))) for a, b in edges if b - a > 1]
+
+    def _repeats(self, other: Road, gap: float) -> BoolArray:
+        """Which points lie along `other`, on what is more than `gap` m before them."""
+        repeated = np.zeros(len(self.points), dtype=bool)
+        near = other.tree.query_ball_point(self.points, _SAME_PLACE)
+        rows = np.repeat(np.arange(len(near)), [len(found) for found in near])
+        if rows.size:
+            found = np.concatenate([indices for indices in near if indices]).astype(int)
+            across = (
+                self.tangents[rows, 0] * other.tangents[found, 1] - self.tangents[rows, 1] * other.tangents[found, 0]
             )
-            return Ribbon(left, right, material)
+            again = (self.stations[rows] - other.stations[found] > gap) & (np.abs(across) < _SAME_DIRECTION)
+            repeated[rows[again]] = True
+        return repeated
 
-        return [
-            ribbon(HALF_WIDTH, ASPHALT_HEIGHT + lift, _ASPHALT),
-            ribbon(HALF_WIDTH + PAVEMENT, 0.4 * ASPHALT_HEIGHT + lift, _PAVING),
-        ]
+    @cached_property
+    def tree(self) -> cKDTree:
+        """Of the points."""
+        return cKDTree(self.points)
 
 
-ASPHALT_HEIGHT = 0.03
-"""Drawn height of the road above the plane z = 0, m."""
+def road_along(route: Route) -> Road:
+    """The road whose right-hand lane is driven by `route`."""
+    lane = route.positions[:, [2, 0]] * [1.0, -1.0]
+    return Road(lane[_moved(route)], LEAD_IN, LEAD_OUT)
+
+
+def stations_of(route: Route, road: Road) -> FloatArray:
+    """Where the camera nominally is on the road along its route at each frame, m; (K,)."""
+    return np.interp(route.arc_length, route.arc_length[_moved(route)], road.lane_stations)
+
+
+def _moved(route: Route) -> IntArray:
+    """Frames that are not in the place of the one before."""
+    return np.asarray(np.unique(np.floor(route.arc_length / _LEAST_STEP), return_index=True)[1])
+
+
+@dataclass(frozen=True)
+class Strip:
+    """What a road is paved with, from the middle outwards: half width and height, m."""
+
+    half_width: float
+    height: float
+    material: Material
+
+
+def paved(roads: Sequence[Road], strips: Sequence[Strip]) -> tuple[Ribbon, ...]:
+    """Ribbons along roads; where they would coincide, the first one stays, and crossing ones differ in height."""
+    pieces = [(road, piece) for i, road in enumerate(roads) for piece in road.stretches(roads[:i])]
+    step = min(0.004, _LIFTS / max(len(pieces) - 1, 1))
+    ribbons = []
+    for i, (road, piece) in enumerate(pieces):
+        every = np.append(np.arange(piece.start, piece.stop - 1, 3), piece.stop - 1)
+        for strip in strips:
+            height = np.full((len(every), 1), strip.height - step * i)
+            # Off the lattice: TinyRenderer drops a triangle with a vertex exactly in the camera plane.
+            left, right = (np.hstack([road.edge(every, sign * strip.half_width) + 0.0137, height]) for sign in (1, -1))
+            ribbons.append(Ribbon(left, right, strip.material))
+    return tuple(ribbons)
 
 
 class RoadNetwork:
@@ -106,6 +191,12 @@ class RoadNetwork:
         found: FloatArray = self.points[self._tree.query(xy)[1]]
         return found
 
+    def ground(self, reach: float, material: Material) -> Ground:
+        """Ground that goes on for `reach` m around all roads."""
+        low, high = self.points.min(axis=0) - reach, self.points.max(axis=0) + reach
+        return Ground((float(low[0]), float(low[1])), (float(high[0]), float(high[1])), material)
 
-def _left(tangents: FloatArray) -> FloatArray:
+
+def left_of(tangents: FloatArray) -> FloatArray:
+    """Unit vectors 90 degrees to the left; (..., 2) -> (..., 2)."""
     return np.stack([-tangents[..., 1], tangents[..., 0]], axis=-1)

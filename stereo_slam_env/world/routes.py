@@ -15,6 +15,7 @@ from stereo_slam_env.recording import Pose, Velocity
 
 FRAME_PERIOD = 0.1
 """Seconds between two frames of every rig."""
+_REACH = 30.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,16 +25,19 @@ class Route:
     Attributes
     ----------
     name : str
-        Key in `ROUTES`.
+        Key in `ROUTES`, or path of a pose file: what `route_files.named_route` takes.
     speeds : (K - 1,)
         Speed of each step, m/s.
     yaw_rates : (K - 1,)
         About the camera's y axis (down), rad/s: positive turns right.
+    straight_below : float
+        Yaw rate up to which it counts as driving straight ahead, rad/s.
     """
 
     name: str
     speeds: FloatArray
     yaw_rates: FloatArray
+    straight_below: float = 1e-3
 
     @property
     def frames(self) -> int:
@@ -67,9 +71,33 @@ class Route:
         """Whole distance, m."""
         return float(self.arc_length[-1])
 
-    def nearest(self, position: FloatArray) -> int:
-        """Index of the frame whose nominal position is nearest to `position` (3,) in W."""
-        return int(np.argmin(((self.positions - position) ** 2).sum(axis=1)))
+    @property
+    def duration(self) -> float:
+        """Of the whole drive, s."""
+        return len(self.speeds) * FRAME_PERIOD
+
+    def turns(self, least: float) -> list[tuple[int, int]]:
+        """First and last frame of every turn by more than `least` rad."""
+        turning = np.abs(self.yaw_rates) > self.straight_below
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], turning, [False]]).astype(int))).reshape(-1, 2)
+        turned = np.abs(self.headings[edges[:, 1]] - self.headings[edges[:, 0]])
+        return [(int(first), int(last)) for first, last in edges[turned > least]]
+
+    def nearest(self, position: FloatArray, around: int | None = None) -> int:
+        """Index of the frame whose nominal position is nearest to `position` (3,) in W.
+
+        Parameters
+        ----------
+        position : (3,)
+            m in W.
+        around : int, optional
+            Consider only frames less than 30 m along the route from this one: which pass it is where a route
+            crosses or retraces itself.
+        """
+        away = ((self.positions - position) ** 2).sum(axis=1)
+        if around is not None:
+            away[np.abs(self.arc_length - self.arc_length[around]) > _REACH] = np.inf
+        return int(np.argmin(away))
 
 
 def pulse(time: FloatArray, start: float, end: float, ramp: float) -> FloatArray:
@@ -105,7 +133,24 @@ def town() -> Route:
     return Route("town", speeds, yaw_rates)
 
 
-ROUTES: dict[str, Callable[[], Route]] = {"straight": straight, "right-turn": right_turn, "town": town}
+def loop() -> Route:
+    """790 frames: round a block by four right turns, through the start pose at frame 740, 24 m further."""
+    turn, ramp, sides = 6.0, 1.2, (14.0, 11.0)
+    starts = 0.5 * sides[0] + np.cumsum([0.0, *(turn + side for side in (sides[1], sides[0], sides[1]))])
+    time = _step_times(790)
+    speeds, yaw_rates = np.full_like(time, 4.9), np.zeros_like(time)
+    for start in starts:
+        speeds -= 1.9 * pulse(time, start - 2.0, start + turn + 2.0, 2.0)
+        yaw_rates += (np.pi / 2) / (turn - ramp) * pulse(time, start, start + turn, ramp)
+    return Route("loop", speeds, yaw_rates)
+
+
+ROUTES: dict[str, Callable[[], Route]] = {
+    "straight": straight,
+    "right-turn": right_turn,
+    "town": town,
+    "loop": loop,
+}
 
 
 class Driver(Protocol):

@@ -2,29 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import partial
 
 import numpy as np
 
 from filters.validation import FloatArray
 from stereo_slam_env.world import props
-from stereo_slam_env.world.props import Placed
-from stereo_slam_env.world.road import ASPHALT_HEIGHT, HALF_WIDTH, PAVEMENT, Road, RoadNetwork
+from stereo_slam_env.world.layout import Layout, Make
+from stereo_slam_env.world.road import ASPHALT_HEIGHT, Road, RoadNetwork, Strip, paved, road_along
 from stereo_slam_env.world.routes import Route
-from stereo_slam_env.world.scene import Ground, Material, Primitive, Scene
-from stereo_slam_env.world.surface_points import sample_surface, sampling_weight
+from stereo_slam_env.world.scene import Material, Primitive, Scene
+from stereo_slam_env.world.surface_points import facing_points
 
+HALF_WIDTH = 5.75
+"""Two lanes of 3.5 m between two parking strips of 2.25 m."""
+PAVEMENT = 3.0
+WALKWAY = 8.2
+"""Where pedestrians walk: between the trees and lamps at the kerb and the houses, m from the centreline."""
+_KERB = HALF_WIDTH + PAVEMENT
+_STRIPS = (
+    Strip(HALF_WIDTH, ASPHALT_HEIGHT, Material((0.92, 0.92, 0.95), "asphalt", (2 * HALF_WIDTH, 7.9))),
+    Strip(_KERB, 0.4 * ASPHALT_HEIGHT, Material((1.0, 0.97, 0.92), "paving", (2 * _KERB, 3.1))),
+)
 _NEAR_PER_METRE = 4.0
 _BACKGROUND_PER_METRE = 1.0
 _ROAD_SHARE = 0.12
 """Share of the near landmarks that lie on the road."""
-_LEAD_IN, _LEAD_OUT, _SPUR = 31.0, 130.0, 120.0
-_KERB = HALF_WIDTH + PAVEMENT
+_SPUR = 120.0
 _GRASS = Material((1.0, 1.0, 1.0), "grass", (7.3, 7.3))
-Make = Callable[[Placed], list[Primitive]]
-"""Builds a thing at a place."""
 
 
 def build_street(route: Route, rng: np.random.Generator) -> Scene:
@@ -43,52 +48,47 @@ def build_street(route: Route, rng: np.random.Generator) -> Scene:
     Scene
         In S, with its landmarks.
     """
-    lane = route.positions[:, [2, 0]] * [1.0, -1.0]
-    roads = [Road(lane, _LEAD_IN, _LEAD_OUT), *_side_streets(route, lane)]
+    roads = [road_along(route), *_side_streets(route)]
     network = RoadNetwork(roads)
-    layout = _Layout(network, rng)
+    street = _Street(network, rng)
     for road in roads:
         for side in (1.0, -1.0):
-            layout.line_with_houses(road, side)
-    houses = len(layout.primitives)
+            street.line_with_houses(road, side)
+    houses = len(street.primitives)
     for road in roads:
         for side in (1.0, -1.0):
-            layout.line_with_towers(road, side)
-    background = layout.primitives[houses:]
+            street.line_with_towers(road, side)
+    towers = len(street.primitives)
     for road in roads:
         for side in (1.0, -1.0):
-            layout.furnish(road, side)
-    near = layout.primitives[:houses] + layout.primitives[houses + len(background) :]
-
-    points = _landmarks(near, background, roads, network, rng)
-    reach = 320.0
-    low, high = network.points.min(axis=0) - reach, network.points.max(axis=0) + reach
-    ground = Ground((float(low[0]), float(low[1])), (float(high[0]), float(high[1])), _GRASS)
-    ribbons = [ribbon for i, road in enumerate(roads) for ribbon in road.ribbons(-0.004 * i)]
-    return Scene(ground, tuple(layout.primitives), tuple(ribbons), np.arange(len(points), dtype=np.int64), points)
+            street.furnish(road, side)
+    built = street.primitives
+    points = _landmarks(built[:houses] + built[towers:], built[houses:towers], roads, network, rng)
+    ground = network.ground(320.0, _GRASS)
+    return Scene(ground, tuple(built), paved(roads, _STRIPS), np.arange(len(points), dtype=np.int64), points)
 
 
-def _side_streets(route: Route, lane: FloatArray) -> list[Road]:
+def _side_streets(route: Route) -> list[Road]:
     """The old direction at every turn of more than 45 degrees, as a road of its own."""
-    turning = np.abs(route.yaw_rates) > 1e-3
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], turning, [False]]).astype(int)))
+    lane = route.positions[:, [2, 0]] * [1.0, -1.0]
     streets = []
-    for first, last in edges.reshape(-1, 2):
-        if abs(route.headings[last] - route.headings[first]) > np.pi / 4:
-            heading = route.headings[first]
-            direction = np.array([np.cos(heading), -np.sin(heading)])
-            start = lane[first] + 14.0 * direction
-            streets.append(Road(start + np.array([[0.0], [1.0], [2.0]]) * direction, 0.0, _SPUR))
+    for first, _ in route.turns(np.pi / 4):
+        heading = route.headings[first]
+        direction = np.array([np.cos(heading), -np.sin(heading)])
+        start = lane[first] + 14.0 * direction
+        streets.append(Road(start + np.array([[0.0], [1.0], [2.0]]) * direction, 0.0, _SPUR))
     return streets
 
 
-class _Layout:
-    """Puts things where there is room: off the roads and clear of each other."""
+class _Street:
+    """Lines roads with what stands in a street."""
 
     def __init__(self, network: RoadNetwork, rng: np.random.Generator) -> None:
-        self._network, self._rng = network, rng
-        self.primitives: list[Primitive] = []
-        self._footprints: list[_Footprint] = []
+        self._layout, self._rng = Layout(network), rng
+
+    @property
+    def primitives(self) -> list[Primitive]:
+        return self._layout.primitives
 
     def line_with_houses(self, road: Road, side: float) -> None:
         station = float(self._rng.uniform(0.0, 4.0))
@@ -119,7 +119,7 @@ class _Layout:
             if self._rng.random() < 0.6:
                 xy, yaw = road.place(station, parking)
                 parked = partial(props.car, rng=self._rng)
-                self._claim(xy, yaw + with_traffic, (4.9, 1.9), 0.1, HALF_WIDTH - 2.1, parked)
+                self._layout.claim(xy, yaw + with_traffic, (4.9, 1.9), 0.1, HALF_WIDTH - 2.1, parked)
             station += float(self._rng.uniform(6.0, 9.0))
         kinds: tuple[tuple[Make, float, float], ...] = (  # what, its turn to the road, its share
             (props.street_lamp, inwards, 0.34),
@@ -131,7 +131,7 @@ class _Layout:
         while station < road.length:
             make, turn, _ = kinds[self._rng.choice(len(kinds), p=[share for _, _, share in kinds])]
             xy, yaw = road.place(station, pavement)
-            self._claim(xy, yaw + turn, (0.6, 0.6), 0.1, HALF_WIDTH + 0.2, make)
+            self._layout.claim(xy, yaw + turn, (0.6, 0.6), 0.1, HALF_WIDTH + 0.2, make)
             station += float(self._rng.uniform(5.0, 8.0))
 
     def _build(
@@ -139,65 +139,7 @@ class _Layout:
     ) -> bool:
         """Try a house that starts at `station`, with its front `front` m to the left of the centreline."""
         xy, yaw = road.place(station + 0.5 * size[0], front + np.copysign(0.5 * size[1], front))
-        return self._claim(xy, yaw, size, room, _KERB - 0.1, make)
-
-    def _claim(
-        self,
-        xy: FloatArray,
-        yaw: float,
-        size: tuple[float, float],
-        room: float,
-        clearance: float,
-        make: Make,
-    ) -> bool:
-        """Build if the footprint is `clearance` m off every centreline and free; return whether it was."""
-        wanted = _Footprint(xy, yaw, size)
-        cover = wanted.grid()
-        if self._network.distance(cover).min() < clearance:
-            return False
-        for other in self._nearby(wanted, room):
-            if other.contains(cover, room) or wanted.contains(other.xy[None], room):
-                return False
-        self._footprints.append(wanted)
-        self.primitives += make(Placed(xy, yaw))
-        return True
-
-    def _nearby(self, wanted: _Footprint, room: float) -> list[_Footprint]:
-        """The footprints whose circles come within `room` of the circle of the wanted one."""
-        circles = np.array([(*f.xy, f.radius) for f in self._footprints]).reshape(-1, 3)
-        away = np.hypot(circles[:, 0] - wanted.xy[0], circles[:, 1] - wanted.xy[1])
-        return [self._footprints[i] for i in np.flatnonzero(away < circles[:, 2] + wanted.radius + 2 * room)]
-
-
-@dataclass(frozen=True, eq=False)
-class _Footprint:
-    """A rectangle on the ground: centre (2,), yaw, size (length, width)."""
-
-    xy: FloatArray
-    yaw: float
-    size: tuple[float, float]
-
-    @cached_property
-    def radius(self) -> float:
-        """Of the circle around it, m."""
-        return 0.5 * float(np.hypot(*self.size))
-
-    @cached_property
-    def _axes(self) -> FloatArray:
-        cos, sin = np.cos(self.yaw), np.sin(self.yaw)
-        return np.array([[cos, sin], [-sin, cos]])
-
-    def grid(self) -> FloatArray:
-        """Points that cover the rectangle, about 1.5 m apart; (N, 2)."""
-        steps = [s * np.linspace(-0.5, 0.5, max(3, int(s / 1.5))) for s in self.size]
-        local = np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1).reshape(-1, 2)
-        covering: FloatArray = local @ self._axes + self.xy
-        return covering
-
-    def contains(self, points: FloatArray, room: float) -> bool:
-        """Whether any point lies in the rectangle grown by `room` m."""
-        local = (points - self.xy) @ self._axes.T
-        return bool((np.abs(local) < 0.5 * np.array(self.size) + room).all(axis=1).any())
+        return self._layout.claim(xy, yaw, size, room, _KERB - 0.1, make)
 
 
 def _landmarks(
@@ -212,8 +154,8 @@ def _landmarks(
     count_near, count_far = int(_NEAR_PER_METRE * length), int(_BACKGROUND_PER_METRE * length)
     count_road = int(_ROAD_SHARE * count_near)
     parts = [
-        _facing_points([p for p in near if p.solid], count_near - count_road, 9.0, network, rng),
-        _facing_points([p for p in background if p.solid], count_far, 25.0, network, rng),
+        facing_points([p for p in near if p.solid], count_near - count_road, 9.0, network.nearest, rng),
+        facing_points([p for p in background if p.solid], count_far, 25.0, network.nearest, rng),
     ]
     on_road = network.points[rng.integers(len(network.points), size=count_road)]
     on_road = on_road + rng.uniform(-3.0, 3.0, (count_road, 2))
@@ -221,21 +163,3 @@ def _landmarks(
     points = np.concatenate(parts)
     order: FloatArray = points[rng.permutation(len(points))]
     return order
-
-
-def _facing_points(
-    shapes: list[Primitive], count: int, highest: float, network: RoadNetwork, rng: np.random.Generator
-) -> FloatArray:
-    """`count` points on `shapes`, below `highest` m, that face the nearest road."""
-    if not shapes:
-        return np.zeros((0, 3))
-    weights = np.array([sampling_weight(shape) for shape in shapes])
-    counts = np.ceil(6 * count * weights / weights.sum()).astype(int)
-    samples = [sample_surface(shape, n, rng) for shape, n in zip(shapes, counts, strict=True)]
-    points, normals = (np.concatenate(column) for column in zip(*samples, strict=True))
-    toward = network.nearest(points[:, :2]) - points[:, :2]
-    facing = (normals[:, :2] * toward).sum(axis=1) > 0.2 * np.linalg.norm(toward, axis=1)
-    facing &= (points[:, 2] > 0.15) & (points[:, 2] < highest)
-    candidates = points[facing]
-    chosen: FloatArray = candidates[rng.permutation(len(candidates))[:count]]
-    return chosen

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+
 import numpy as np
 
 from filters.validation import FloatArray
@@ -21,6 +23,28 @@ def sample_surface(shape: Primitive, count: int, rng: np.random.Generator) -> tu
     if isinstance(shape, Cylinder):
         return _sample_cylinder(shape, count, rng)
     return _sample_sphere(shape.radius, shape.center, count, rng)
+
+
+def facing_points(
+    shapes: Sequence[Primitive],
+    count: int,
+    highest: float,
+    nearest: Callable[[FloatArray], FloatArray],
+    rng: np.random.Generator,
+) -> FloatArray:
+    """`count` points (fewer on few shapes) below `highest` m that face the road; `nearest` gives its nearest points."""
+    if not shapes:
+        return np.zeros((0, 3))
+    weights = np.array([sampling_weight(shape) for shape in shapes])
+    counts = np.ceil(6 * count * weights / weights.sum()).astype(int)
+    samples = [sample_surface(shape, n, rng) for shape, n in zip(shapes, counts, strict=True)]
+    points, normals = (np.concatenate(column) for column in zip(*samples, strict=True))
+    toward = nearest(points[:, :2]) - points[:, :2]
+    facing = (normals[:, :2] * toward).sum(axis=1) > 0.2 * np.linalg.norm(toward, axis=1)
+    facing &= (points[:, 2] > 0.15) & (points[:, 2] < highest)
+    candidates = points[facing]
+    chosen: FloatArray = candidates[rng.permutation(len(candidates))[:count]]
+    return chosen
 
 
 def sampling_weight(shape: Primitive) -> float:

@@ -56,6 +56,7 @@ class AgentDriver:
         self.steering = 0.0
         self.finished = False
         """Whether the last point of the route is the nearest one."""
+        self._nearest = 0
         self._heading = 0.0
 
     def start(self) -> tuple[Pose, Velocity]:
@@ -85,7 +86,8 @@ class AgentDriver:
         old, middle, new = self._heading, self._heading + 0.5 * turn, self._heading + turn
         moved = chord * _direction(middle) + car.camera_forward * (_direction(new) - _direction(old))
         self._heading = new
-        self.finished = self.route.nearest(pose.position + moved) == self.route.frames - 1
+        self._nearest = self.route.nearest(pose.position + moved, around=self._nearest)
+        self.finished = self._nearest == self.route.frames - 1
         return Velocity(moved / dt, np.array([0.0, turn / dt, 0.0]))
 
 

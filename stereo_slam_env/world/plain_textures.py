@@ -1,0 +1,91 @@
+"""Painters of the open field and of the corridor, where there is little to see."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from filters.validation import FloatArray
+from stereo_slam_env.world.painting import Painter, grain, grey, noise, tinted
+
+
+def _meadow(rng: np.random.Generator) -> FloatArray:
+    """Grass with hardly any contrast, in large smooth patches."""
+    return tinted((0.46, 0.56, 0.30), 1.0 + noise(rng, 256, 64, 0.025) + noise(rng, 256, 16, 0.006))
+
+
+def _track(rng: np.random.Generator) -> FloatArray:
+    """A lane of fine gravel, smooth from a car."""
+    return tinted((0.62, 0.59, 0.53), 1.0 + noise(rng, 256, 64, 0.02) + noise(rng, 256, 16, 0.006))
+
+
+def _woods(rng: np.random.Generator) -> FloatArray:
+    """The crowns of a forest from afar."""
+    shade = noise(rng, 256, 4, 0.10) + noise(rng, 256, 8, 0.12) + noise(rng, 256, 32, 0.10)
+    return tinted((0.45, 0.60, 0.34), np.clip(0.8 + shade, 0.25, 1.15))
+
+
+def _planks(rng: np.random.Generator) -> FloatArray:
+    """The wall of a barn: boards, a gate, two hatches."""
+    image = grain(rng, 256, 0.86, 0.03) * np.repeat(rng.uniform(0.75, 1.1, 32), 8)[None, :, None]
+    image[:, ::8] *= 0.55
+    image[120:, 84:172] *= 0.45
+    image[124:, 90:126] *= 1.5
+    image[124:, 130:166] *= 1.5
+    for hatch in (28, 204):
+        image[70:100, hatch : hatch + 26] = 0.16
+        image[66:70, hatch - 3 : hatch + 29] = 0.95
+    return image
+
+
+def _panels(rng: np.random.Generator) -> FloatArray:
+    """Sheets of painted metal with seams and rust."""
+    image = grain(rng, 128, 0.9, 0.02)
+    image *= np.kron(rng.uniform(0.8, 1.1, (4, 4)), np.ones((32, 32)))[..., None]
+    image[::32] = image[:, ::32] = 0.4
+    streaks: FloatArray = np.asarray(cv2.GaussianBlur(rng.standard_normal((128, 128)), (3, 31), 0))
+    image *= np.clip(1.0 - 1.2 * np.abs(streaks), 0.5, 1.0)[..., None] * np.array([1.0, 0.97, 0.93])
+    return image
+
+
+def _concrete(rng: np.random.Generator) -> FloatArray:
+    """Smooth wall, nearly uniform."""
+    return grey(0.80 + noise(rng, 256, 64, 0.008))
+
+
+def _door(rng: np.random.Generator) -> FloatArray:
+    """A steel door with a handle, a small window and a number."""
+    image = grain(rng, 128, 0.85, 0.01)[:, :64]
+    image[20:46, 20:44] = 0.25
+    image[20:46, 31:33] = 0.8
+    image[68:72, 46:58] = 0.15
+    image[104:120, 8:56] *= 0.8
+    ink = np.zeros((128, 64), dtype=np.uint8)
+    cv2.putText(ink, str(int(rng.integers(10, 99))), (16, 64), cv2.FONT_HERSHEY_SIMPLEX, 0.5, 255, 1)
+    image[ink > 127] = 0.1
+    return image
+
+
+def _notice(rng: np.random.Generator) -> FloatArray:
+    """A sign: an arrow and two lines of print on a coloured ground."""
+    grounds = np.array([[0.1, 0.45, 0.25], [0.15, 0.3, 0.65], [0.75, 0.6, 0.1]])
+    image: FloatArray = np.ones((64, 128, 3)) * grounds[rng.integers(3)]
+    image[:3] = image[-3:] = image[:, :3] = image[:, -3:] = 0.95
+    ink = np.zeros((64, 128), dtype=np.uint8)
+    cv2.arrowedLine(ink, (40, 32), (12, 32), 255, 5, tipLength=0.5)
+    cv2.putText(ink, f"EXIT {int(rng.integers(1, 9))}", (50, 28), cv2.FONT_HERSHEY_SIMPLEX, 0.55, 255, 2)
+    cv2.putText(ink, f"{int(rng.integers(20, 400))} m", (50, 52), cv2.FONT_HERSHEY_SIMPLEX, 0.5, 255, 1)
+    image[ink > 127] = 0.95
+    return image
+
+
+PLAIN_PAINTERS: dict[str, Painter] = {
+    "meadow": _meadow,
+    "track": _track,
+    "woods": _woods,
+    "planks": _planks,
+    "panels": _panels,
+    "concrete": _concrete,
+    "door": _door,
+    "notice": _notice,
+}

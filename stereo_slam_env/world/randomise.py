@@ -1,0 +1,77 @@
+"""The same layout in another light: colours, textures, sun, sky and air drawn at random."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TypeVar
+
+import numpy as np
+
+from stereo_slam_env.world.scene import Look, Material, MovingBody, Primitive, Scene, Vector
+from stereo_slam_env.world.textures import VARIANTS
+
+_SKIES: tuple[tuple[Vector, Vector], ...] = (  # horizon, zenith
+    ((219.0, 228.0, 236.0), (112.0, 160.0, 212.0)),
+    ((206.0, 210.0, 214.0), (168.0, 176.0, 186.0)),
+    ((236.0, 214.0, 190.0), (120.0, 140.0, 190.0)),
+    ((190.0, 196.0, 204.0), (92.0, 110.0, 140.0)),
+)
+"""Fair, overcast, evening, before rain."""
+_TINT, _SHADE = 0.08, 0.18
+"""How much the colours and the brightness of materials vary."""
+_Shape = TypeVar("_Shape", bound=Primitive)
+
+
+def with_other_look(scene: Scene, rng: np.random.Generator) -> Scene:
+    """The scene with other textures, colours, light and air; shapes and landmarks stay.
+
+    Parameters
+    ----------
+    scene : Scene
+        Any.
+    rng : numpy.random.Generator
+        Source of the look. Equal materials stay equal.
+    """
+    look_rng, paint_rng = rng.spawn(2)
+    painted: dict[Material, Material] = {}
+
+    def paint(material: Material) -> Material:
+        if material not in painted:
+            painted[material] = _repainted(material, paint_rng)
+        return painted[material]
+
+    def part(shape: _Shape) -> _Shape:
+        return replace(shape, material=paint(shape.material))
+
+    def body(moving: MovingBody) -> MovingBody:
+        return replace(moving, parts=tuple(part(p) for p in moving.parts))
+
+    return replace(
+        scene,
+        ground=replace(scene.ground, material=paint(scene.ground.material)),
+        ribbons=tuple(replace(ribbon, material=paint(ribbon.material)) for ribbon in scene.ribbons),
+        primitives=tuple(part(p) for p in scene.primitives),
+        moving=tuple(body(moving) for moving in scene.moving),
+        look=_relit(scene.look, look_rng),
+    )
+
+
+def _repainted(material: Material, rng: np.random.Generator) -> Material:
+    factors = rng.normal(1.0, _SHADE) + rng.normal(0.0, _TINT, 3)
+    red, green, blue = np.clip(np.array(material.color) * factors, 0.03, 1.0).tolist()
+    variant = int(rng.integers(VARIANTS))
+    return replace(material, color=(red, green, blue), variant=variant if material.texture is not None else 0)
+
+
+def _relit(look: Look, rng: np.random.Generator) -> Look:
+    azimuth, height = rng.uniform(0.0, 2 * np.pi), np.radians(rng.uniform(20.0, 70.0))
+    sun = (np.cos(height) * np.cos(azimuth), np.cos(height) * np.sin(azimuth), np.sin(height))
+    horizon, zenith = _SKIES[rng.integers(len(_SKIES))]
+    return Look(
+        sun=(float(sun[0]), float(sun[1]), float(sun[2])),
+        ambient=float(rng.uniform(0.50, 0.80)),
+        diffuse=float(rng.uniform(0.15, 0.50)),
+        horizon=horizon,
+        zenith=zenith,
+        haze_range=look.haze_range * float(np.exp(rng.uniform(np.log(0.5), np.log(2.3)))),
+    )

@@ -1,0 +1,193 @@
+"""Cars and pedestrians that move while the ego car drives by, timed so that it sees them."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from filters.validation import FloatArray
+from stereo_slam_env.world import bodies
+from stereo_slam_env.world.obstacles import Obstacles
+from stereo_slam_env.world.road import LANE_OFFSET, Road, stations_of
+from stereo_slam_env.world.routes import FRAME_PERIOD, Route, pulse
+from stereo_slam_env.world.scene import MovingBody, Primitive
+
+_LOG = logging.getLogger(__name__)
+_AFTER = 20.0
+"""Bodies go on for so long after the nominal drive, s."""
+_ATTEMPTS = 40
+"""How often a way is drawn for a body before it is left out."""
+_EGO_CIRCLES, _EGO_RADIUS = np.array([-1.85, -0.25, 1.35]), 1.15
+"""Circles around the ego car: centres along its body from the camera, m."""
+_SWAY = 0.5
+"""Room around the ego car beyond that: a scripted drive sways, m."""
+_ROOM = 0.25
+_LEADING, _STOPPING, _CROSSING = 0.4, 0.3, 0.35
+"""Shares of cars that drive ahead in the lane of the ego car, of oncoming ones that stop for a while, and of
+pedestrians that cross the road."""
+_AHEAD, _BEHIND = 150.0, 40.0
+"""How far along the road from the ego car bodies are there at all, m."""
+_OUT_OF_SIGHT = -200.0
+"""Height at which a body waits before it comes and after it has gone, m."""
+_TIGHT = 0.8
+
+
+@dataclass(frozen=True, eq=False)
+class _Way:
+    """Where on the road a body is at each time (K,): station, offset to the left, turn to the road (rad)."""
+
+    stations: FloatArray
+    left: FloatArray
+    turn: FloatArray
+
+
+def traffic(
+    route: Route,
+    road: Road,
+    solids: tuple[Primitive, ...],
+    walkway: float,
+    rng: np.random.Generator,
+    *,
+    cars: int,
+    pedestrians: int,
+) -> tuple[MovingBody, ...]:
+    """Bodies that move around the nominal drive, come into its view, and never touch it or each other.
+
+    Cars drive ahead in the same lane with a changing gap, or come along the other lane; some of these stop for a
+    while. Pedestrians walk along the road or cross it ahead of the ego car. More cars than there is room for are
+    left out, which is logged.
+
+    Parameters
+    ----------
+    route : Route
+        The nominal drive.
+    road : Road
+        The road along it, see `road_along`.
+    solids : tuple of Box, Cylinder or Sphere
+        What stands in the way of pedestrians; lanes are free.
+    walkway : float
+        Where pedestrians walk, m to either side of the centreline.
+    rng : numpy.random.Generator
+        Source of everything; the first bodies stay the same when more are asked for.
+    cars, pedestrians : int
+        How many.
+    """
+    car_rng, walker_rng = rng.spawn(2)
+    cast = _Cast(route, road)
+    for own in car_rng.spawn(cars):
+        parts = bodies.vehicle(own)
+        long = bodies.length_of(parts)
+        draw = partial(cast.leading, long, own) if own.random() < _LEADING else partial(cast.oncoming, own)
+        cast.add("car", parts, 0.5 * long, 1.35, draw)
+    obstacles = Obstacles(solids)
+    for own in walker_rng.spawn(pedestrians):
+        walk = cast.crossing if own.random() < _CROSSING else cast.walking
+        cast.add("pedestrian", bodies.pedestrian(own), 0.0, 0.35, partial(walk, walkway, own), obstacles)
+    return tuple(cast.bodies)
+
+
+class _Cast:
+    """The bodies so far and where they are, so that the next one keeps clear of them and of the ego car."""
+
+    def __init__(self, route: Route, road: Road) -> None:
+        self._road, self._duration = road, route.duration
+        self._times = np.arange(0.0, route.duration + _AFTER, FRAME_PERIOD)
+        frames = np.minimum(np.arange(len(self._times)), route.frames - 1)
+        over = np.maximum(self._times - route.duration, 0.0)
+        self._ego = stations_of(route, road)[frames] + max(float(route.speeds[-1]), 1.0) * over
+        lane = route.positions[:, [2, 0]] * [1.0, -1.0]
+        self._taken = [(_circles(lane[frames], -route.headings[frames], _EGO_CIRCLES), _EGO_RADIUS + _SWAY)]
+        self.bodies: list[MovingBody] = []
+
+    def add(
+        self,
+        kind: str,
+        parts: tuple[Primitive, ...],
+        half_length: float,
+        radius: float,
+        draw: Callable[[], _Way],
+        obstacles: Obstacles | None = None,
+    ) -> None:
+        """Take the first of the drawn ways that is free for circles of `radius` along the body."""
+        count = max(1, int(np.ceil(half_length)))
+        centers = np.linspace(-1.0, 1.0, count) * max(half_length - 0.8, 0.0) if count > 1 else np.zeros(1)
+        for _ in range(_ATTEMPTS):
+            way = draw()
+            points, yaws = self._road.along(way.stations, way.left)
+            yaws = yaws + way.turn
+            if obstacles is not None and obstacles.block(points[::5], radius):
+                continue
+            ahead = way.stations - self._ego
+            here = (way.stations > 3.0) & (way.stations < self._road.length - 3.0)
+            here &= (ahead > -_BEHIND) & (ahead < _AHEAD)
+            if not here.any():
+                continue
+            circles = _circles(np.where(here[:, None], points, np.nan), yaws, centers)
+            if any(_touch(circles[here], others[here], radius + reach + _ROOM) for others, reach in self._taken):
+                continue
+            self._taken.append((circles, radius))
+            positions = np.column_stack([points, np.where(here, 0.0, _OUT_OF_SIGHT)])
+            self.bodies.append(MovingBody(kind, parts, self._times, positions, yaws))
+            return
+        _LOG.info("no room for another %s on this route", kind)
+
+    def leading(self, length: float, rng: np.random.Generator) -> _Way:
+        """Ahead in the lane of the ego car: sometimes nearer, sometimes further."""
+        nearest = 6.0 + 0.5 * length
+        mean, change = nearest + float(rng.gamma(1.5, 6.0)) + 3.0, float(rng.uniform(1.5, 4.0))
+        phase = 2 * np.pi * (self._times / float(rng.uniform(12.0, 25.0)) + float(rng.random()))
+        gap = np.maximum(mean + change * np.sin(phase), nearest)
+        stations = np.maximum.accumulate(self._ego + gap)
+        return _Way(stations, np.full_like(stations, -LANE_OFFSET), np.zeros_like(stations))
+
+    def oncoming(self, rng: np.random.Generator) -> _Way:
+        """Along the other lane: meets the ego car at some time of its drive."""
+        met = float(rng.uniform(0.5, self._duration + 2.0))
+        speed = np.full_like(self._times, float(rng.uniform(2.5, 7.0)))
+        if rng.random() < _STOPPING:
+            stop = met - float(rng.uniform(0.0, 8.0))
+            speed *= 1.0 - pulse(self._times, stop - 3.0, stop + float(rng.uniform(3.0, 7.0)), 2.0)
+        driven = np.concatenate([[0.0], np.cumsum(speed[:-1] * FRAME_PERIOD)])
+        start = float(np.interp(met, self._times, self._ego) + np.interp(met, self._times, driven))
+        return _Way(start - driven, np.full_like(driven, LANE_OFFSET), np.full_like(driven, np.pi))
+
+    def walking(self, walkway: float, rng: np.random.Generator) -> _Way:
+        """Along the road on either side, while the ego car comes and passes."""
+        met = float(rng.uniform(1.0, self._duration + 6.0))
+        side, ahead = float(rng.choice([-1.0, 1.0])), float(rng.choice([-1.0, 1.0]))
+        walked = np.clip(self._times - met, -15.0, 5.0) * float(rng.uniform(0.9, 1.7))
+        stations = float(np.interp(met, self._times, self._ego)) + ahead * walked
+        turn = 0.0 if ahead > 0 else np.pi
+        return _Way(stations, self._outside(stations, side * walkway), np.full_like(stations, turn))
+
+    def crossing(self, walkway: float, rng: np.random.Generator) -> _Way:
+        """Over the road, done some seconds before the ego car comes."""
+        met = float(rng.uniform(8.0, self._duration + 15.0))
+        side, pace = float(rng.choice([-1.0, 1.0])), float(rng.uniform(1.3, 1.8))
+        arrived = met - float(rng.uniform(2.5, 7.0))
+        left = side * np.clip(walkway - pace * (arrived - self._times), -walkway, walkway)
+        stations = np.full_like(left, float(np.interp(met, self._times, self._ego)))
+        return _Way(stations, left, np.full_like(left, side * np.pi / 2))
+
+    def _outside(self, stations: FloatArray, left: float) -> FloatArray:
+        """`left`, but towards the road where a bend leaves no room."""
+        bends = np.interp(stations, self._road.stations, self._road.bends)
+        limit = np.where(bends * left > 0.0, _TIGHT / np.maximum(np.abs(bends), 1e-6), np.inf)
+        return np.copysign(np.minimum(abs(left), limit), left)
+
+
+def _circles(points: FloatArray, yaws: FloatArray, centers: FloatArray) -> FloatArray:
+    """Centres of circles along bodies at (K, 2) with yaws (K,): (K, C, 2)."""
+    along = np.stack([np.cos(yaws), np.sin(yaws)], axis=1)
+    circles: FloatArray = points[:, None] + centers[:, None] * along[:, None]
+    return circles
+
+
+def _touch(one: FloatArray, other: FloatArray, limit: float) -> bool:
+    """Whether circles (K, C, 2) and (K, D, 2) ever come within `limit` m of each other; NaN is nowhere."""
+    apart = one[:, :, None] - other[:, None]
+    return bool((np.einsum("kcdi,kcdi->kcd", apart, apart) < limit**2).any())
