@@ -16,7 +16,8 @@ import argparse
 import json
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -30,6 +31,7 @@ from filters.camera import StereoCamera
 from stereo_slam_env.recording import Pose
 from stereo_slam_env.rendering import pinhole
 from stereo_slam_env.rendering.gl import GLRenderer
+from stereo_slam_env.rendering.images import StereoRenderer
 from stereo_slam_env.rendering.tiny import TinyRenderer
 from stereo_slam_env.world.frames import WorldFrame
 from stereo_slam_env.world.physics import PhysicsWorld
@@ -38,7 +40,9 @@ from stereo_slam_env.world.scene import Box, Ground, Material, Scene
 FRAME = WorldFrame(1.65)
 LENGTH = 150.0
 POSES = 3
-BARE, TINY, GL, GL_SAMPLES = "two bare calls", "tiny", "gl", "gl, 4 samples"
+BARE, TINY, GL, GL_SAMPLES = EVERYTHING = ("two bare calls", "tiny", "gl", "gl, 4 samples")
+REPEATS = {BARE: 1, TINY: 1, GL: 4, GL_SAMPLES: 2}
+"""Pairs in a row in one turn: what is quick is measured more often."""
 
 
 def street_of_boxes(bodies: int, seed: int = 0) -> Scene:
@@ -70,7 +74,7 @@ def _box(rng: np.random.Generator, kind: int) -> Box:
     return Box(place, size, float(rng.uniform(0.0, np.pi)), Material(color, "brick", (1.0, 1.0)))
 
 
-def bare_calls(world: PhysicsWorld, camera: StereoCamera, pose: Pose) -> Callable[[], None]:
+def bare_calls(world: PhysicsWorld, camera: StereoCamera, pose: Pose) -> Callable[[], object]:
     """What `TinyRenderer` cannot do without: its two calls of PyBullet."""
     R_wc = rotations.matrix(pose.orientation)
     eyes = (pose.position, pose.position + camera.baseline * R_wc[:, 0])
@@ -105,31 +109,29 @@ def camera_of(size: str) -> StereoCamera:
     return StereoCamera(focal, focal, 0.5 * width + 3.5, 0.5 * height - 2.5, 0.571, width, height)
 
 
-def measure(size: str, bodies: int, turns: int) -> dict[str, list[float]]:
+def measure(size: str, bodies: int, turns: int, names: Sequence[str] = EVERYTHING) -> dict[str, list[float]]:
     """Processor time of each in each turn, s."""
     camera, scene = camera_of(size), street_of_boxes(bodies)
     world = PhysicsWorld()
     world.build(scene, (4.0, 1.8, 1.0))
-    tiny = TinyRenderer(world, camera, FRAME)
-    plain, smooth = GLRenderer(camera, FRAME), GLRenderer(camera, FRAME, samples=4)
-    for renderer in (tiny, plain, smooth):
+    renderers: dict[str, StereoRenderer] = {TINY: TinyRenderer(world, camera, FRAME)}
+    if GL in names:
+        renderers[GL] = GLRenderer(camera, FRAME)
+    if GL_SAMPLES in names:
+        renderers[GL_SAMPLES] = GLRenderer(camera, FRAME, samples=4)
+    for renderer in renderers.values():
         renderer.build(scene)
-    times: dict[str, list[float]] = {BARE: [], TINY: [], GL: [], GL_SAMPLES: []}
+    times: dict[str, list[float]] = {name: [] for name in names}
     for turn in range(turns * POSES):
         pose = Pose(np.array([0.0, 0.0, 12.0 * (turn % POSES)]), np.array([0.0, 0.0, 0.0, 1.0]))
-        bare = bare_calls(world, camera, pose)
-        contestants: list[tuple[str, Callable[[], object], int]] = [
-            (BARE, bare, 1),
-            (TINY, lambda pose=pose: tiny.render_pair(pose), 1),  # type: ignore[misc]
-            (GL, lambda pose=pose: plain.render_pair(pose), 4),  # type: ignore[misc]
-            (GL_SAMPLES, lambda pose=pose: smooth.render_pair(pose), 2),  # type: ignore[misc]
-        ]
-        for name, draw, repeats in contestants if turn % 2 else contestants[::-1]:
+        draw = {name: partial(renderer.render_pair, pose) for name, renderer in renderers.items()}
+        draw[BARE] = bare_calls(world, camera, pose)
+        for name in names if turn % 2 else names[::-1]:
             began = time.process_time()
-            for _ in range(repeats):
-                draw()
-            times[name].append((time.process_time() - began) / repeats)
-    for thing in (tiny, plain, smooth, world):
+            for _ in range(REPEATS[name]):
+                draw[name]()
+            times[name].append((time.process_time() - began) / REPEATS[name])
+    for thing in (*renderers.values(), world):
         thing.close()
     return times
 
@@ -144,7 +146,7 @@ def main() -> None:
     arguments = parser.parse_args()
     cv2.setNumThreads(1)
     table = Table(title=f"ms of a stereo pair on {len(os.sched_getaffinity(0))} core(s)")
-    for column in ("size", "bodies", BARE, TINY, GL, GL_SAMPLES, "tiny / bare", "pairs/s of gl / tiny"):
+    for column in ("size", "bodies", *EVERYTHING, "tiny / bare", "pairs/s of gl / tiny"):
         table.add_column(column, justify="right")
     rows = []
     for size in arguments.sizes:
@@ -155,7 +157,7 @@ def main() -> None:
             gain = float(np.median(times[TINY] / times[GL]))
             rows.append({"size": size, "bodies": bodies, "milliseconds": milliseconds,
                          "tiny_to_bare": overhead, "gl_to_tiny": gain})  # fmt: skip
-            cells = [f"{milliseconds[name]:.1f}" for name in (BARE, TINY, GL, GL_SAMPLES)]
+            cells = [f"{milliseconds[name]:.1f}" for name in EVERYTHING]
             table.add_row(size, str(bodies), *cells, f"{overhead:.3f}", f"{gain:.1f}")
     Console(width=120).print(table)
     if arguments.json:

@@ -64,11 +64,11 @@ class Air:
         clear = np.multiply(depth, np.float32(-1.0 / self._haze_range), dtype=np.float32)
         cv2.exp(clear, dst=clear)
         seen = cv2.blendLinear(rgb, self._horizon, clear, 1.0 - clear)
-        nothing = np.isinf(depth).view(np.uint8)
-        rows = np.flatnonzero(cv2.reduce(nothing, 1, cv2.REDUCE_MAX))
+        nothing = np.isinf(depth)
+        rows = np.flatnonzero(nothing.any(axis=1))
         if len(rows):
             band = slice(int(rows[0]), int(rows[-1]) + 1)
-            cv2.copyTo(self._sky(R_sc, band), nothing[band], seen[band])
+            cv2.copyTo(self._sky(R_sc, band), nothing[band].view(np.uint8), seen[band])
         return np.asarray(seen, dtype=np.uint8)
 
     def _sky(self, R_sc: FloatArray, band: slice) -> NDArray[np.uint8]:

@@ -17,7 +17,7 @@ from stereo_slam_env.world.scene import Material
 VERTEX = np.dtype([("position", "f4", 3), ("normal", "f4", 3), ("texel", "f4", 3), ("color", "u1", 4)])
 VERTEX_FORMAT = "3f 3f 3f 3f1 1x1"
 """`VERTEX` in the notation of moderngl."""
-_CELL = 12.0
+_CELL = 6.0
 """m: triangles with their middles in the same square of the ground make a chunk."""
 
 

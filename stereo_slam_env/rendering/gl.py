@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import weakref
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
@@ -58,9 +59,10 @@ class GLRenderer:
         self._frame = frame
         self._fine = pinhole.supersampled(camera, supersample)
         self._context: Any = new_context()
+        self._free = weakref.finalize(self, self._context.release)
         most = int(self._context.max_samples)
         if not 1 <= samples <= most:
-            self._context.release()
+            self.close()
             raise ValueError(f"samples must be from 1 to {most} with this driver, got {samples!r}")
         with self._context as context:
             self._frame_buffer = FrameBuffer(context, camera, supersample, samples)
@@ -99,12 +101,12 @@ class GLRenderer:
         RuntimeError
             There is no scene yet, or the renderer is closed.
         """
-        if self._standing is None:
-            raise RuntimeError("there is nothing to draw: call build(scene) first")
         eye = self._frame.to_scene(pose.position)
         R_sc = self._frame.rotation_to_scene(rotations.matrix(pose.orientation))
         view = ViewVolume.of(self.camera, eye, R_sc, NEAR, FAR)
         with self._current() as context:
+            if self._standing is None:
+                raise RuntimeError("there is nothing to draw: call build(scene) first")
             self._standing.select(view)
             things = [(self._standing, np.eye(3), -eye), *self._moving_in(view, time)]
             context.enable_only(context.DEPTH_TEST | context.CULL_FACE)
@@ -122,20 +124,13 @@ class GLRenderer:
             return self._frame_buffer.read()
 
     def close(self) -> None:
-        """Free the context and what is in it; may be called twice."""
-        if self._context is None:
-            return
-        with self._current():
-            self._release_meshes()
-            for thing in (self._frame_buffer, self._textures, self._everywhere, self._sky, self._surface):
-                thing.release()
-        self._context.release()
-        self._context = None
+        """Free the context and with it all that is in it; may be called twice. Also happens to one that is dropped."""
+        self._free()
 
     @contextmanager
     def _current(self) -> Iterator[Any]:
         """Make the context of this renderer current, and afterwards again the one that was."""
-        if self._context is None:
+        if not self._free.alive:
             raise RuntimeError("the renderer is closed: make a new one")
         check_process()
         with self._context as context:

@@ -225,8 +225,3 @@ class FrameBuffer:
         buffer: NDArray[np.float32] = np.empty((height, width), dtype=np.float32)
         self._centres.read_into(buffer, (0, 0, width, height), components=1, attachment=-1, dtype="f4")
         return StereoImages(rgb[:height], rgb[height:], pinhole.metric_depth(buffer, pinhole.NEAR, pinhole.FAR))
-
-    def release(self) -> None:
-        """Free the memory."""
-        for thing in {self._drawn, self._resolved, self._centres, *self._parts}:
-            thing.release()

@@ -79,3 +79,10 @@ def test_a_filter_ends_where_smoothing_ends() -> None:
     assert found["batch"].chi2 == pytest.approx(1.0, abs=0.05)
     assert np.linalg.norm(found["batch"].end - found["shared-anchor"].end) < 0.05
     assert found["batch"].ate < found["shared-anchor"].ate
+
+
+def test_sky_and_haze_cost_little_beside_the_bare_calls() -> None:
+    """The median of 15 ratios; the benchmark has every size."""
+    speed = script("rendering_speed")
+    times = speed.measure("320x240", 50, 5, names=[speed.BARE, speed.TINY])
+    assert np.median(np.divide(times[speed.TINY], times[speed.BARE])) < 1.25

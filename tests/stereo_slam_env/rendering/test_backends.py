@@ -1,0 +1,47 @@
+"""Renderers by name, and what identifies them."""
+
+import json
+
+import pytest
+
+from stereo_slam_env.rendering.backends import RENDERERS, make_renderer, renderer_identity
+from stereo_slam_env.world.physics import PhysicsWorld
+
+from .planes import CAMERA, FRAME, both_back_ends, skip_where_missing
+
+
+def make(name, **options):
+    return make_renderer(name, camera=CAMERA, frame=FRAME, world=PhysicsWorld(), **options)
+
+
+@both_back_ends
+def test_the_identity_says_what_drew(name):
+    skip_where_missing(name)
+    identity = renderer_identity(name)
+    assert identity["name"] == name
+    assert all(identity[key] for key in ("version", "device"))
+    assert json.loads(json.dumps(identity)) == identity
+
+
+def test_every_renderer_is_described():
+    assert set(RENDERERS) == {"tiny", "gl"}
+    assert all(RENDERERS.values())
+
+
+@pytest.mark.parametrize("ask", [make, renderer_identity])
+def test_an_unknown_renderer_is_refused_by_name(ask):
+    with pytest.raises(ValueError, match="renderer must be one of tiny, gl, got 'vulkan'"):
+        ask("vulkan")
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"supersample": 0}, "supersample must be a whole number from 1, got 0"),
+        ({"supersample": 1.5}, "supersample must be a whole number from 1, got 1.5"),
+        ({"samples": 4}, 'samples must be 1 with renderer "tiny", got 4'),
+    ],
+)
+def test_what_a_renderer_cannot_do_is_refused(options, message):
+    with pytest.raises(ValueError, match=message):
+        make("tiny", **options)
