@@ -12,9 +12,7 @@ from filters import rotations
 from filters.interface import StereoObservation
 from filters.validation import FloatArray
 from stereo_slam_env.recording import Pose
-from stereo_slam_env.rendering.images import StereoImages
-
-Image = NDArray[np.uint8]
+from stereo_slam_env.rendering.images import Image, StereoImages
 
 _INK, _PAPER = (28, 32, 38), (245, 246, 248)
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
