@@ -10,31 +10,25 @@ from gymnasium import spaces
 from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
-from filters import rotations
 from filters.camera import StereoCamera
 from filters.interface import BodyVelocity
 from filters.noise import StereoNoise
-from filters.validation import BoolArray, FloatArray, finite_array
+from filters.validation import IntArray, finite_array
 from stereo_slam_env.envs.options import DriveOptions
+from stereo_slam_env.envs.stage import Stage
 from stereo_slam_env.frontend.recorder import TYPICAL_NOISE
+from stereo_slam_env.frontend.tracked import TrackedPair
 from stereo_slam_env.recording import Frame, LandmarkTruth, Pose, Start, Velocity
-from stereo_slam_env.rendering.backends import make_renderer
-from stereo_slam_env.rendering.camera_effects import CameraEffects
-from stereo_slam_env.rendering.images import StereoImages, StereoRenderer
+from stereo_slam_env.rendering.images import StereoImages
 from stereo_slam_env.rendering.overlay import annotated_pair
 from stereo_slam_env.sensing.image_sensor import ImageSensor
 from stereo_slam_env.sensing.landmark_sensor import LandmarkSensor
 from stereo_slam_env.sensing.odometry import OdometrySensor
 from stereo_slam_env.sensing.padding import NO_LANDMARK, padded, padded_extras
 from stereo_slam_env.sensing.pixel_noise import NOISE_MODELS
-from stereo_slam_env.sensing.rigs import CAMERA_HEIGHT, RIGS
-from stereo_slam_env.world.frames import R_SW, WorldFrame
-from stereo_slam_env.world.moving_points import MovingPoints
-from stereo_slam_env.world.physics import PhysicsWorld
+from stereo_slam_env.sensing.rigs import RIGS
 from stereo_slam_env.world.route_files import named_route
 from stereo_slam_env.world.routes import FRAME_PERIOD, Driver, Route, RouteDriver, advance
-from stereo_slam_env.world.scene import Scene
-from stereo_slam_env.world.surroundings import build_scene
 from stereo_slam_env.world.vehicle import AgentDriver, Car
 
 _PROGRESS_WEIGHT, _VISIBILITY_WEIGHT, _COLLISION_WEIGHT = 0.1, 0.02, -10.0
@@ -53,10 +47,12 @@ class StereoDriveEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
 
     ## Description
 
-    A procedural street (houses, parked cars, lamps, trees, signs) is built along a route, differently for each
-    seed. A car drives along it, scripted or by the agent, and a stereo camera on its roof measures landmarks on the
-    surfaces of the street: left pixel `u`, `v` and disparity `d`, with noise, 10 times a second. A landmark is
-    measured while both eyes see it; walls, cars and trees hide what is behind them. Ground truth is in `info`, in
+    A procedural scene (a street by default: houses, parked cars, lamps, trees, signs) is built along a route,
+    differently for each seed. A car drives along it, scripted or by the agent, and a stereo camera on its roof measures
+    landmarks: left pixel `u`, `v` and disparity `d`, with noise, 10 times a second. With `sensor="landmarks"` they are
+    given points on the surfaces, measured while both eyes see them; walls, cars and trees hide what is behind them.
+    With `sensor="images"` both views are rendered and a vision front end finds and follows corners in them; each
+    measurement then comes with a covariance of its own. Ground truth is in `info`, in
     the frame W: the left camera at reset (x right, y down, z forward). The true motion obeys Eq. 6 exactly:
     r' = r + v dt, q' = q x q(omega dt).
 
@@ -92,7 +88,8 @@ class StereoDriveEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
     Scalars and arrays of fixed shape, the same keys from `reset` and `step`: `truth_position` (3,) and
     `truth_orientation` (4,) xyzw of the left camera in W; `truth_linear_velocity` (3,) in W and
     `truth_angular_velocity` (3,) in the camera frame, over the last step; `time` s; `distance` driven, m;
-    `collision`; `v_right` (N,), the row in the right image, and `v_right_measured`; and the terms of the reward.
+    `collision`; `v_right` (N,), the row in the right image, and `v_right_measured`; `R` (N, 3, 3), covariances of
+    (u, v, d) in px^2, and `R_measured`; and the terms of the reward.
 
     ## Rewards
 
@@ -117,12 +114,17 @@ class StereoDriveEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
 
     | Argument | Default | Meaning |
     |----------|---------|---------|
-    | `route` | `"town"` | `"town"` (800 frames, 350 m, two wide turns), `"right-turn"` (80), `"straight"` (200) |
+    | `route` | `"town"` | `"town"` (800 frames, 350 m, two wide turns), `"right-turn"` (80), `"straight"` (200), `"loop"` (790), or a KITTI pose file |
+    | `surroundings` | `"street"` | `"street"`; `"field"`: open, far features only; `"corridor"`: low texture |
+    | `moving_cars` | `0` | most cars that drive |
+    | `pedestrians` | `0` | most people that walk |
+    | `randomise` | `False` | textures, colours, light, air and cameras (exposure, noise, blur) by the seed too |
     | `policy` | `"agent"` | `"agent"`: the action drives; `"route"`: a script does |
     | `rig` | `"reference"` | `"reference"` 1344x391, f = 721.5 px; `"vga"` 640x480; `"qvga"` 320x240 |
-    | `sensor` | `"landmarks"` | projection, occlusion and noise |
+    | `sensor` | `"landmarks"` | `"landmarks"`: projection, occlusion and noise; `"images"`: rendered, front end |
+    | `renderer` | `"tiny"` | who draws: `"tiny"`, everywhere; `"gl"`, fast, needs the extra gl and EGL |
     | `render_images` | `False` | add the rendered views to the observation (slow) |
-    | `noise` | `"pixels"` | `"pixels"`: u, v of both eyes independent; `"uvd"`: u, v, d independent |
+    | `noise` | `"pixels"` | of landmarks: `"pixels"`: u, v of both eyes independent; `"uvd"`: u, v, d independent |
     | `sigma` | `1.0` | standard deviation of the noise, px |
     | `max_landmarks` | `90` | most landmarks in one frame, N |
     | `refill_below` | `None` | take up new landmarks when fewer are left; None: 72 % of `max_landmarks` |
@@ -133,8 +135,8 @@ class StereoDriveEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
     | `supersample` | `1` | draw images this many times finer and average |
     | `render_mode` | `None` | `"rgb_array"`: both views with the observed landmarks |
 
-    Randomness comes from separate streams for street, motion, landmarks, odometry and start: the same seed gives the
-    same street and drive whatever the sensor. `copy.deepcopy` and pickle make a fresh environment, not a snapshot.
+    Randomness comes from separate streams for scene, motion, landmarks, odometry, start and cameras: the same seed
+    gives the same scene and drive whatever the sensor. `copy.deepcopy` and pickle make a fresh environment, not a snapshot.
 
     ## Version History
 
@@ -156,17 +158,13 @@ class StereoDriveEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
         self._noise = NOISE_MODELS[self.options.noise](self.options.sigma)
         self._route = named_route(self.options.route)
         self._car = Car()
-        self._world_frame = WorldFrame(CAMERA_HEIGHT)
-        self._world = PhysicsWorld()
+        self._stage = Stage(self.options, self._route, self.camera, self._car)
         self._odometry = OdometrySensor(self.options.odometry_sigma_linear, self.options.odometry_sigma_angular)
-        self._renderer: StereoRenderer | None = None
-        self._effects: CameraEffects | None = None
         self._driver: Driver
         self._sensor: LandmarkSensor | ImageSensor
         self._pose: Pose
         self._frame: Frame | None = None
         self._start = Start()
-        self._images: StereoImages | None = None
         self._over = True
 
     @property
@@ -197,6 +195,18 @@ class StereoDriveEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
             raise RuntimeError("there are no landmarks yet: reset the environment first")
         return self._sensor.landmarks
 
+    @property
+    def tracked(self) -> TrackedPair:
+        """What the front end found in the current frame, with the sensor "images"."""
+        tracked = self._image_sensor.tracked
+        assert tracked is not None
+        return tracked
+
+    @property
+    def moving_ids(self) -> IntArray:
+        """Ids that the front end gave to corners of moving bodies so far, with the sensor "images"; ascending."""
+        return self._image_sensor.moving_ids
+
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
@@ -205,25 +215,17 @@ class StereoDriveEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
         if options:
             raise ValueError(f"reset takes no options, got {', '.join(map(repr, options))}")
         scene_rng, motion_rng, landmark_rng, self._odometry_rng, start_rng, camera_rng = self.np_random.spawn(6)
-        scene = build_scene(
-            self.options.surroundings,
-            self._route,
-            scene_rng,
-            moving_cars=self.options.moving_cars,
-            pedestrians=self.options.pedestrians,
-            randomise=self.options.randomise,
-        )
-        self._world.build(scene, self._car.size)
-        self._moving_points = MovingPoints(scene.moving)
-        self._effects = CameraEffects.random(camera_rng) if self.options.randomise else None
-        if self.options.draws or self.render_mode is not None:
-            self._build_renderer(scene)
+        self._stage.build(scene_rng, camera_rng, draws=self.options.draws or self.render_mode is not None)
         if self.options.sensor == "images":
-            self._sensor = ImageSensor(self.camera, self._rendered, self.options.front_end, self._moves)
+            self._sensor = ImageSensor(self.camera, self._rendered, self.options.front_end, self._stage.on_moving_body)
         else:
-            landmarks = LandmarkTruth(scene.landmark_ids, self._world_frame.to_world(scene.landmark_points))
             self._sensor = LandmarkSensor(
-                self.camera, self._noise, landmarks, self._visible, self.options.tracking, landmark_rng
+                self.camera,
+                self._noise,
+                self._stage.landmarks,
+                self._stage.visible,
+                self.options.tracking,
+                landmark_rng,
             )
         if self.options.policy == "route":
             self._driver = RouteDriver(self._route, self.options.perturbation, motion_rng)
@@ -252,7 +254,7 @@ class StereoDriveEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
         nearest = self._route.nearest(self._pose.position)
         progress = float(self._route.arc_length[nearest]) - self._progress
         self._progress += progress
-        collision = self._collides()
+        collision = self._stage.collides(self._pose)
         away = float(np.linalg.norm(self._route.positions[nearest] - self._pose.position)) > _ARENA
         info = self._info(collision=collision, progress=progress, failed=collision or away)
         reward = info["reward_progress"] + info["reward_visibility"] + info["reward_collision"]
@@ -278,58 +280,27 @@ class StereoDriveEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
 
     def close(self) -> None:
         """Stop the physics engine; may be called at any time, also twice."""
-        if self._renderer is not None:
-            self._renderer.close()
-        self._renderer = None
-        self._world.close()
+        self._stage.close()
         self._over = True
 
-    def _visible(self, pose: Pose, points_w: FloatArray) -> BoolArray:
-        right = pose.position + self.camera.baseline * rotations.matrix(pose.orientation)[:, 0]
-        eyes = self._world_frame.to_scene(np.stack([pose.position, right]))
-        return self._world.visible(eyes, self._world_frame.to_scene(points_w))
-
-    def _moves(self, points_w: FloatArray) -> BoolArray:
-        return self._moving_points.on_body(self._world_frame.to_scene(points_w), self._time)
-
-    def _collides(self) -> bool:
-        R_wc = rotations.matrix(self._pose.orientation)
-        body = self._pose.position + R_wc @ np.array(self._car.body_c)
-        R_sb = self._world_frame.rotation_to_scene(R_wc) @ R_SW.T
-        return self._world.ego_collides(self._world_frame.to_scene(body), R_sb)
+    @property
+    def _image_sensor(self) -> ImageSensor:
+        if self._frame is None or not isinstance(self._sensor, ImageSensor):
+            raise RuntimeError("nothing is seen in images: use sensor='images' and reset the environment first")
+        return self._sensor
 
     def _sense(self, velocity: Velocity, odometry: BodyVelocity | None) -> None:
-        self._images = None
-        self._world.set_time(self._time)
+        self._stage.set_frame(self._step_count)
         self._frame = Frame(
-            timestamp=self._time,
+            timestamp=self._step_count * FRAME_PERIOD,
             observation=self._sensor.observe(self._pose),
             odometry=odometry,
             truth=self._pose,
             truth_velocity=velocity,
         )
 
-    @property
-    def _time(self) -> float:
-        return self._step_count * FRAME_PERIOD
-
-    def _build_renderer(self, scene: Scene) -> None:
-        if self._renderer is None:
-            self._renderer = make_renderer(
-                self.options.renderer,
-                camera=self.camera,
-                frame=self._world_frame,
-                world=self._world,
-                supersample=self.options.supersample,
-            )
-        self._renderer.build(scene)
-
     def _rendered(self) -> StereoImages:
-        if self._images is None:
-            assert self._renderer is not None
-            clean = self._renderer.render_pair(self._pose, self._time)
-            self._images = clean if self._effects is None else self._effects.apply(clean, self._step_count)
-        return self._images
+        return self._stage.images(self._pose)
 
     def _observation(self, odometry: BodyVelocity) -> Observation:
         observation = padded(self.frame.observation, self.options.max_landmarks)
