@@ -30,12 +30,13 @@ def swaying_poses(route, seed):
 
 
 def collisions(scene, poses):
-    """Frames in which the car touches something."""
+    """Frames in which the car touches something; every other frame is tried."""
     world, car = PhysicsWorld(), Car()
     try:
         world.build(scene, car.size)
         hit = []
-        for frame, pose in enumerate(poses):
+        for frame in range(0, len(poses), 2):
+            pose = poses[frame]
             world.set_time(frame * FRAME_PERIOD)
             R_wc = rotations.matrix(pose.orientation)
             middle = FRAME.to_scene(pose.position + R_wc @ np.array(car.body_c))

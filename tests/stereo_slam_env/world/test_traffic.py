@@ -44,15 +44,21 @@ def in_view(body, route):
     return np.array(seen)
 
 
+def test_the_drive_hits_nobody(route, street):
+    assert collisions(street, nominal_poses(route)) == []
+
+
 @pytest.mark.parametrize("surroundings", SURROUNDINGS)
-def test_the_drive_hits_nobody(surroundings, route):
-    assert collisions(busy(surroundings, route), nominal_poses(route)) == []
+def test_the_drive_hits_nobody_in_any_surroundings(surroundings):
+    route = ROUTES["right-turn"]()
+    scene = busy(surroundings, route)
+    assert len(scene.moving) > 10
+    assert collisions(scene, nominal_poses(route)) == []
 
 
 def test_nor_does_a_drive_that_sways():
     route = ROUTES["town"]()
-    for seed in range(3):
-        assert collisions(busy("street", route, cars=30, seed=seed), swaying_poses(route, seed)) == []
+    assert collisions(busy("street", route, cars=30), swaying_poses(route, 0)) == []
 
 
 def test_as_many_as_asked_for_come_into_view(route, street):
@@ -60,7 +66,7 @@ def test_as_many_as_asked_for_come_into_view(route, street):
     assert kinds.count("car") >= 12
     assert kinds.count("pedestrian") >= 8
     for body in street.moving:
-        assert in_view(body, route).sum() * FRAME_PERIOD > 1.0
+        assert in_view(body, route).sum() * FRAME_PERIOD > 1.9
     everything = np.array([in_view(body, route) for body in street.moving])
     assert everything.any(axis=0).mean() > 0.9
     assert np.median(everything.sum(axis=1)) * FRAME_PERIOD > 5.0
@@ -72,11 +78,9 @@ def test_cars_keep_to_their_lanes(route, street):
         there = car.positions[:, 2] == 0.0
         away = np.linalg.norm(car.positions[there][::10, None, :2] - road.points, axis=2).min(axis=1)
         assert away.max() < LANE_OFFSET + 0.1
-        steps = np.diff(car.positions[there], axis=0)[np.diff(np.flatnonzero(there)) == 1]
-        forward = np.stack([np.cos(car.yaws), np.sin(car.yaws)], axis=1)[there][:-1][
-            np.diff(np.flatnonzero(there)) == 1
-        ]
-        ahead = (steps[:, :2] * forward).sum(axis=1)
+        driving = there[1:] & there[:-1]
+        forward = np.stack([np.cos(car.yaws), np.sin(car.yaws)], axis=1)[:-1]
+        ahead = (np.diff(car.positions[:, :2], axis=0) * forward).sum(axis=1)[driving]
         assert ahead.min() > -1e-3
         assert ahead.max() < 15.0 * FRAME_PERIOD
         assert np.abs(np.diff(car.yaws)).max() < 0.3
@@ -131,8 +135,8 @@ def test_asking_for_more_keeps_the_first_ones():
 
 def test_a_full_road_takes_no_more(caplog):
     with caplog.at_level("INFO"):
-        crowd = busy("street", ROUTES["right-turn"](), cars=60, pedestrians=0).moving
-    assert 5 < len(crowd) < 60
+        crowd = busy("street", ROUTES["right-turn"](), cars=40, pedestrians=0).moving
+    assert 5 < len(crowd) < 40
     assert "no room for another car" in caplog.text
 
 
