@@ -9,7 +9,7 @@ from functools import partial
 
 import numpy as np
 
-from filters.validation import FloatArray
+from filters.validation import BoolArray, FloatArray
 from stereo_slam_env.world import bodies
 from stereo_slam_env.world.obstacles import Obstacles
 from stereo_slam_env.world.road import LANE_OFFSET, Road, stations_of
@@ -19,7 +19,7 @@ from stereo_slam_env.world.scene import MovingBody, Primitive
 _LOG = logging.getLogger(__name__)
 _AFTER = 20.0
 """Bodies go on for so long after the nominal drive, s."""
-_ATTEMPTS = 40
+_ATTEMPTS = 80
 """How often a way is drawn for a body before it is left out."""
 _EGO_CIRCLES, _EGO_RADIUS = np.array([-1.85, -0.25, 1.35]), 1.15
 """Circles around the ego car: centres along its body from the camera, m."""
@@ -31,6 +31,8 @@ _LEADING, _STOPPING, _CROSSING = 0.4, 0.3, 0.35
 pedestrians that cross the road."""
 _AHEAD, _BEHIND = 150.0, 40.0
 """How far along the road from the ego car bodies are there at all, m."""
+_IN_VIEW, _LEAST_SEEN = (80.0, float(np.cos(np.radians(40.0)))), 2.0
+"""A body is in view up to so far ahead and so far aside (cosine), and must be for so long, m and s."""
 _OUT_OF_SIGHT = -200.0
 """Height at which a body waits before it comes and after it has gone, m."""
 _TIGHT = 0.8
@@ -99,8 +101,9 @@ class _Cast:
         frames = np.minimum(np.arange(len(self._times)), route.frames - 1)
         over = np.maximum(self._times - route.duration, 0.0)
         self._ego = stations_of(route, road)[frames] + max(float(route.speeds[-1]), 1.0) * over
-        lane = route.positions[:, [2, 0]] * [1.0, -1.0]
-        self._taken = [(_circles(lane[frames], -route.headings[frames], _EGO_CIRCLES), _EGO_RADIUS + _SWAY)]
+        self._eyes = (route.positions[:, [2, 0]] * [1.0, -1.0])[frames]
+        self._gaze = -route.headings[frames]
+        self._taken = [(_circles(self._eyes, self._gaze, _EGO_CIRCLES), _EGO_RADIUS + _SWAY)]
         self.bodies: list[MovingBody] = []
 
     def add(
@@ -124,7 +127,7 @@ class _Cast:
             ahead = way.stations - self._ego
             here = (way.stations > 3.0) & (way.stations < self._road.length - 3.0)
             here &= (ahead > -_BEHIND) & (ahead < _AHEAD)
-            if not here.any():
+            if self._seen(points, here) < _LEAST_SEEN:
                 continue
             circles = _circles(np.where(here[:, None], points, np.nan), yaws, centers)
             if any(_touch(circles[here], others[here], radius + reach + _ROOM) for others, reach in self._taken):
@@ -134,6 +137,15 @@ class _Cast:
             self.bodies.append(MovingBody(kind, parts, self._times, positions, yaws))
             return
         _LOG.info("no room for another %s on this route", kind)
+
+    def _seen(self, points: FloatArray, here: BoolArray) -> float:
+        """For how long a body at `points` (K, 2) is in front of the camera while the drive lasts, s."""
+        away = points - self._eyes
+        distance = np.linalg.norm(away, axis=1)
+        ahead = away[:, 0] * np.cos(self._gaze) + away[:, 1] * np.sin(self._gaze)
+        farthest, aside = _IN_VIEW
+        seen = here & (distance < farthest) & (ahead > aside * distance) & (self._times < self._duration)
+        return float(seen.sum()) * FRAME_PERIOD
 
     def leading(self, length: float, rng: np.random.Generator) -> _Way:
         """Ahead in the lane of the ego car: sometimes nearer, sometimes further."""
@@ -159,8 +171,12 @@ class _Cast:
         """Along the road on either side, while the ego car comes and passes."""
         met = float(rng.uniform(1.0, self._duration + 6.0))
         side, ahead = float(rng.choice([-1.0, 1.0])), float(rng.choice([-1.0, 1.0]))
-        walked = np.clip(self._times - met, -15.0, 5.0) * float(rng.uniform(0.9, 1.7))
-        stations = float(np.interp(met, self._times, self._ego)) + ahead * walked
+        walked = ahead * np.clip(self._times - met, -15.0, 5.0) * float(rng.uniform(0.9, 1.7))
+        # In a bend the way along the pavement is longer or shorter than that along the centreline.
+        near = float(np.interp(met, self._times, self._ego)) + np.arange(-60.0, 60.5, 0.5)
+        pavement = self._road.along(near, self._outside(near, side * walkway))[0]
+        length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(pavement, axis=0), axis=1))])
+        stations = np.interp(walked, length - length[len(length) // 2], near)
         turn = 0.0 if ahead > 0 else np.pi
         return _Way(stations, self._outside(stations, side * walkway), np.full_like(stations, turn))
 

@@ -1,10 +1,17 @@
 """Rays, collisions and life cycle of the physics engine."""
 
+import resource
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+from stereo_slam_env.rendering import pinhole
+from stereo_slam_env.sensing.rigs import RIGS
+from stereo_slam_env.world.frames import R_SW
 from stereo_slam_env.world.physics import PhysicsWorld
-from stereo_slam_env.world.scene import Box, Cylinder, Ground, Material, Scene, Sphere
+from stereo_slam_env.world.scene import Box, Cylinder, Ground, Material, MovingBody, Scene, Sphere
 
 GREY = Material((0.5, 0.5, 0.5))
 EGO = (4.0, 1.8, 1.0)
@@ -95,3 +102,115 @@ def test_pictures_need_a_drawn_world(world):
     world.build(scene_of(WALL), EGO)
     with pytest.raises(RuntimeError, match="call dress"):
         world.camera_image(np.eye(4), np.eye(4), 8, 8, (0, 0, 1))
+
+
+# --- what moves -------------------------------------------------------------------------------------------------------
+
+RED = Material((1.0, 0.0, 0.0))
+CAR = MovingBody(
+    "car",
+    (Box((0.0, 0.0, 0.8), (4.0, 2.0, 1.6), 0.0, RED), Box((0.0, 0.0, 1.65), (1.0, 1.0, 0.1), 0.0, RED, solid=False)),
+    np.array([0.0, 10.0]),
+    np.array([[12.0, 0.0, 0.0], [112.0, 0.0, 0.0]]),
+    np.array([0.0, 0.0]),
+)
+"""Drives ahead from 12 m with 10 m/s."""
+
+
+def with_car(*solids):
+    return replace(scene_of(*solids), moving=(CAR,))
+
+
+def test_rays_meet_a_moving_car_where_it_is_at_that_time(world):
+    world.build(with_car(), EGO)
+    eye, points = np.array([[0.0, 0.0, 1.0]]), np.array([[9.9, 0.0, 1.0], [30.0, 0.0, 1.1], [60.0, 0.0, 1.1]])
+    assert world.visible(eye, points).tolist() == [True, False, False]
+    for time, seen in ((1.5, [True, False, False]), (3.5, [True, True, False]), (6.0, [True, True, True])):
+        world.set_time(time)
+        assert world.visible(eye, points).tolist() == seen
+    world.set_time(0.0)
+    assert world.visible(eye, points).tolist() == [True, False, False]
+
+
+def test_the_ego_car_collides_with_a_moving_car_where_it_is(world):
+    world.build(with_car(WALL), EGO)
+    level = np.eye(3)
+    for time in (1.0, 4.0, 2.0):
+        world.set_time(time)
+        middle = 12.0 + 10.0 * time
+        assert world.ego_collides(np.array([middle - 3.9, 0.0, 0.8]), level)
+        assert not world.ego_collides(np.array([middle - 4.2, 0.0, 0.8]), level)
+
+
+def red_depth(world):
+    """Median depth z of what is red straight ahead, m, and how many pixels it covers."""
+    camera = RIGS["qvga"]
+    projection = pinhole.projection_matrix(camera, 0.5, 300.0, pinhole.TINY_OFFSET)
+    view = pinhole.view_matrix(np.array([0.0, 0.0, 1.65]), R_SW)
+    rgb, buffer = world.camera_image(view, projection, camera.width, camera.height, (0.3, 0.4, 0.9))
+    red = (rgb[..., 0] > 60) & (rgb[..., 1] < 20)
+    return float(np.median(pinhole.metric_depth(buffer, 0.5, 300.0)[red])), int(red.sum())
+
+
+def test_a_moving_car_is_drawn_where_it_is(world):
+    scene = with_car()
+    world.build(scene, EGO)
+    world.set_time(1.0)
+    world.dress(scene)
+    sizes = []
+    for time in (1.0, 3.0):
+        world.set_time(time)
+        depth, size = red_depth(world)
+        sizes.append(size)
+        assert depth == pytest.approx(12.0 + 10.0 * time - 2.0, abs=0.01)
+    assert sizes[0] > 3 * sizes[1]
+
+
+def test_textures_tint_and_variants_are_drawn(world):
+    def picture(material):
+        scene = scene_of(Box((10.0, 0.0, 2.0), (0.2, 14.0, 4.0), 0.0, material))
+        world.build(scene, EGO)
+        world.dress(scene)
+        view = pinhole.view_matrix(np.array([0.0, 0.0, 1.65]), R_SW)
+        projection = pinhole.projection_matrix(RIGS["qvga"], 0.5, 300.0, pinhole.TINY_OFFSET)
+        return world.camera_image(view, projection, 320, 240, (-0.5, 0.0, 0.9))[0][90:140].astype(float)
+
+    plain, red, other = (
+        picture(Material(color, "brick", (4.0, 4.0), variant))
+        for color, variant in (((1.0, 1.0, 1.0), 0), ((1.0, 0.3, 0.3), 0), ((1.0, 1.0, 1.0), 1))
+    )
+    assert plain.std() > 20
+    np.testing.assert_allclose(red[..., 0], plain[..., 0], atol=1)
+    np.testing.assert_allclose(red[..., 1], 0.3 * plain[..., 1], atol=2)
+    assert np.abs(other - plain).mean() > 3
+
+
+def test_memory_is_flat_over_dressed_worlds():
+    """Each cycle writes and reads meshes of everything; a leak of them would be 0.5 MB a cycle."""
+    textured = replace(WALL, material=Material((1.0, 1.0, 1.0), "office", (4.0, 4.0)))
+    many = tuple(replace(BALL, center=(10.0 + k, 5.0, 2.0)) for k in range(40))
+    scene = with_car(textured, *many)
+    one = PhysicsWorld()
+
+    def cycle(world):
+        world.build(scene, EGO)
+        world.dress(scene)
+        world.set_time(1.0)
+
+    for _ in range(20):
+        cycle(one)
+    before = resident()
+    for _ in range(100):
+        cycle(one)
+    for _ in range(10):
+        cycle(one)
+        one.close()
+    assert resident() - before < 4.0
+
+
+def resident():
+    """Memory of this process, MB."""
+    statm = Path("/proc/self/statm")
+    if not statm.exists():
+        pytest.skip("needs /proc")
+    return int(statm.read_text().split()[1]) * resource.getpagesize() / 2**20

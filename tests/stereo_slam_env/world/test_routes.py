@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from filters import rotations
-from stereo_slam_env.world.routes import FRAME_PERIOD, ROUTES, RouteDriver, advance, right_turn, straight, town
+from stereo_slam_env.world.routes import FRAME_PERIOD, ROUTES, RouteDriver, advance, loop, right_turn, straight, town
+from stereo_slam_env.world.vehicle import AgentDriver, Car
 
 
 def test_town_is_the_reference_drive():
@@ -65,3 +66,32 @@ def test_perturbations_are_there_and_stay_bounded():
         assert np.std(offsets, axis=0).min() > 0.02
         assert np.std(tilts, axis=0).min() > 0.002
         assert np.std(speeds) == pytest.approx(0.15, rel=0.5)
+
+
+def test_the_loop_closes_and_goes_on_along_its_first_metres():
+    route = loop()
+    closed = 740
+    assert np.degrees(route.headings[closed]) == pytest.approx(360.0, abs=0.1)
+    np.testing.assert_allclose(route.positions[closed], 0.0, atol=0.01)
+    again = route.positions[closed:]
+    np.testing.assert_allclose(again, route.positions[: len(again)], atol=0.01)
+    assert np.linalg.norm(again[-1]) > 15
+    turns = route.turns(np.pi / 4)
+    assert len(turns) == 4
+    for first, last in turns:
+        assert np.degrees(route.headings[last] - route.headings[first]) == pytest.approx(90.0, abs=0.1)
+
+
+def test_where_a_route_repeats_itself_the_nearest_frame_is_that_of_the_same_pass():
+    route = loop()
+    there = route.positions[10]
+    assert route.nearest(there, around=5) == 10
+    assert route.nearest(there, around=735) == pytest.approx(750, abs=1)
+
+
+def test_an_agent_at_the_start_of_the_loop_has_not_finished():
+    driver = AgentDriver(Car(), loop())
+    pose, _ = driver.start()
+    for _ in range(45):
+        pose = advance(pose, driver.drive(pose, np.zeros(2)), FRAME_PERIOD)
+        assert not driver.finished

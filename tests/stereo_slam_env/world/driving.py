@@ -1,0 +1,47 @@
+"""Drive the ego car through a scene and count what it hits."""
+
+import numpy as np
+
+from filters import rotations
+from stereo_slam_env.recording import Pose
+from stereo_slam_env.world.frames import R_SW, WorldFrame
+from stereo_slam_env.world.physics import PhysicsWorld
+from stereo_slam_env.world.routes import FRAME_PERIOD, RouteDriver, advance
+from stereo_slam_env.world.vehicle import Car
+
+FRAME = WorldFrame(1.65)
+
+
+def nominal_poses(route):
+    return [
+        Pose(p, rotations.exp_quaternion([0.0, yaw, 0.0]))
+        for p, yaw in zip(route.positions, route.headings, strict=True)
+    ]
+
+
+def swaying_poses(route, seed):
+    driver = RouteDriver(route, 1.0, np.random.default_rng(seed))
+    pose, _ = driver.start()
+    poses = [pose]
+    while not driver.finished:
+        pose = advance(pose, driver.drive(pose, np.zeros(2)), FRAME_PERIOD)
+        poses.append(pose)
+    return poses
+
+
+def collisions(scene, poses):
+    """Frames in which the car touches something; every other frame is tried."""
+    world, car = PhysicsWorld(), Car()
+    try:
+        world.build(scene, car.size)
+        hit = []
+        for frame in range(0, len(poses), 2):
+            pose = poses[frame]
+            world.set_time(frame * FRAME_PERIOD)
+            R_wc = rotations.matrix(pose.orientation)
+            middle = FRAME.to_scene(pose.position + R_wc @ np.array(car.body_c))
+            if world.ego_collides(middle, FRAME.rotation_to_scene(R_wc) @ R_SW.T):
+                hit.append(frame)
+        return hit
+    finally:
+        world.close()
