@@ -114,7 +114,7 @@ class StereoDriveEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
 
     | Argument | Default | Meaning |
     |----------|---------|---------|
-    | `route` | `"town"` | `"town"` (800 frames, 350 m, two wide turns), `"right-turn"` (80), `"straight"` (200), `"loop"` (790), or a KITTI pose file |
+    | `route` | `"town"` | `"town"` (350 m, two wide turns), `"right-turn"`, `"straight"`, `"loop"`, or a KITTI pose file |
     | `surroundings` | `"street"` | `"street"`; `"field"`: open, far features only; `"corridor"`: low texture |
     | `moving_cars` | `0` | most cars that drive |
     | `pedestrians` | `0` | most people that walk |
@@ -136,7 +136,8 @@ class StereoDriveEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
     | `render_mode` | `None` | `"rgb_array"`: both views with the observed landmarks |
 
     Randomness comes from separate streams for scene, motion, landmarks, odometry, start and cameras: the same seed
-    gives the same scene and drive whatever the sensor. `copy.deepcopy` and pickle make a fresh environment, not a snapshot.
+    gives the same scene and drive whatever the sensor. `copy.deepcopy` and pickle make a fresh environment, not a
+    snapshot.
 
     ## Version History
 

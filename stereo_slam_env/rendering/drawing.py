@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from filters.validation import FloatArray
+from stereo_slam_env.rendering.images import Image
 
-Image = NDArray[np.uint8]
 Color = tuple[int, int, int]
 
 INK: Color = (28, 32, 38)

@@ -12,11 +12,9 @@ from filters import rotations
 from filters.interface import StereoObservation
 from filters.validation import FloatArray
 from stereo_slam_env.recording import Pose
-<<<<<<< HEAD
 from stereo_slam_env.rendering.drawing import (
     INK,
     SUBPIXEL,
-    Image,
     both_views,
     caption_bar,
     disparity_colors,
@@ -25,16 +23,7 @@ from stereo_slam_env.rendering.drawing import (
     line_scale,
     shade,
 )
-from stereo_slam_env.rendering.images import StereoImages
-=======
 from stereo_slam_env.rendering.images import Image, StereoImages
-
-_INK, _PAPER = (28, 32, 38), (245, 246, 248)
-_FONT = cv2.FONT_HERSHEY_SIMPLEX
-_NEAR_DISPARITY, _FAR_DISPARITY = 60.0, 4.0
-_SUBPIXEL = 4
-"""Fractional bits of the coordinates that OpenCV draws at."""
->>>>>>> render
 
 
 def annotated_pair(
