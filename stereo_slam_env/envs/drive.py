@@ -114,7 +114,7 @@ class StereoDriveEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
 
     | Argument | Default | Meaning |
     |----------|---------|---------|
-    | `route` | `"town"` | `"town"` (350 m, two wide turns), `"right-turn"`, `"straight"`, `"loop"`, or a KITTI pose file |
+    | `route` | `"town"` | `"town"` (350 m, two turns), `"right-turn"`, `"straight"`, `"loop"`, or a KITTI pose file |
     | `surroundings` | `"street"` | `"street"`; `"field"`: open, far features only; `"corridor"`: low texture |
     | `moving_cars` | `0` | most cars that drive |
     | `pedestrians` | `0` | most people that walk |

@@ -17,13 +17,13 @@ from stereo_slam_env.rendering.drawing import (
     PAPER,
     SUBPIXEL,
     Color,
-    Image,
     both_views,
     caption_bar,
     disparity_colors,
     label,
     line_scale,
 )
+from stereo_slam_env.rendering.images import Image
 
 SIGMAS = 3.0
 """Size of the ellipses."""
