@@ -1,0 +1,31 @@
+"""From rendered images to a trajectory: a drive, the front end, and a filter that says where to look.
+
+Run it: python examples/track_images.py
+"""
+
+import numpy as np
+
+from filters import make_filter
+from stereo_slam_env.envs.rendered_drive import RenderedDrive
+from stereo_slam_env.frontend.recorder import TYPICAL_NOISE
+from stereo_slam_env.frontend.tracker import StereoTracker
+
+drive = RenderedDrive({"route": "right-turn", "rig": "qvga"}, seed=0, frames=40)
+tracker = StereoTracker(drive.camera)
+slam = make_filter("inverse-depth", camera=drive.camera, noise=TYPICAL_NOISE, gate=0.99, consensus=True)
+start = drive.start
+slam.reset(start.position, start.orientation, start.linear_velocity, start.angular_velocity, start.covariance)
+
+before = None
+for pair in drive.pairs():
+    if before is None:
+        tracked = tracker.track(pair.left, pair.right)
+    else:
+        dt = pair.timestamp - before
+        slam.predict(dt)
+        tracked = tracker.track(pair.left, pair.right, dt, slam.forecast())
+    slam.update(tracked.observation)
+    before = pair.timestamp
+
+error = np.linalg.norm(slam.pose.position - pair.truth.position)
+print(f"{len(tracked.observation)} landmarks in the last pair; {error:.2f} m off after {len(drive)} pairs")
