@@ -23,7 +23,7 @@ from stereo_slam_env.stereo_step import (
 MIN_POINTS = 8
 _ROUNDS = 10
 _MEDIAN_FACTOR = 4.0  # the median of chi-square with 3 degrees of freedom is 2.4: a pair beyond 9.5 is none of ours
-_TRUSTED_SHARE = 0.5  # with fewer inliers the start was wrong, or most of the picture moves
+_TRUSTED_SHARE = 0.85  # with fewer inliers the start may have been wrong, or near to the motion of a slow body
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +50,7 @@ class RobustStep:
 def robust_step(camera: StereoCamera, pairs: Pairs, start: Step | None, *, gate: float = 0.99) -> RobustStep | None:
     """The most likely step of the largest consistent part of `pairs`.
 
-    From `start` the gate closes in with the median distance; where that leaves less than half of the pairs, or there
+    From `start` the gate closes in with the median distance; where that leaves less than 85 % of the pairs, or there
     is no start, PnP with RANSAC gives another one, and the larger consensus wins.
 
     Parameters
@@ -69,6 +69,8 @@ def robust_step(camera: StereoCamera, pairs: Pairs, start: Step | None, *, gate:
     RobustStep or None
         None where fewer than `MIN_POINTS` pairs agree.
     """
+    if len(pairs) < MIN_POINTS:
+        return None
     found = None if start is None else _closing_in(camera, pairs, start, gate)
     if found is None or found.inliers.sum() < _TRUSTED_SHARE * len(pairs):
         near = np.flatnonzero(pairs.first[:, 2] > 1.0)

@@ -83,7 +83,7 @@ class PairFinder:
             templates,
             expected.uvd[wanted, :2],
             expected.S[wanted, :2, :2],
-            gate=settings.search_gate,
+            gate=float(np.sqrt(chi2.ppf(settings.search_gate, 2))),
             max_radius=settings.max_radius,
         )
         good = (result.score >= settings.min_score) & (result.second <= settings.uniqueness * result.score)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from filters.validation import finite_array, gate_probability, positive
+from filters.validation import finite_array, positive
 
 _POSITIVE = (
     "nearest",
@@ -46,7 +46,7 @@ class TrackerSettings:
     probation : int
         Pairs in which a new landmark must pass that test before the filter gets it.
     max_misses : int
-        Pairs in a row without a match after which a landmark is dropped.
+        Most pairs in a row without a match: a landmark that is missed in one more is dropped.
     margin : int
         Distance to the edge of both images, px.
     min_distance : float
@@ -100,5 +100,6 @@ class TrackerSettings:
         for name in _POSITIVE:
             positive(name, getattr(self, name))
         for name in ("min_score", "uniqueness", "search_gate", "gate"):
-            if gate_probability(getattr(self, name)) is None:
-                raise ValueError(f"{name} must be between 0 and 1, got None")
+            value = getattr(self, name)
+            if not (isinstance(value, float | int) and 0.0 < value < 1.0):
+                raise ValueError(f"{name} must be between 0 and 1, got {value!r}")
