@@ -1,6 +1,6 @@
-"""Cost of the image-level half of the front end: corners, initial disparities, and following landmarks.
+"""Cost of the front end: corners, initial disparities, following landmarks, and the tracker as a whole.
 
-    python benchmarks/frontend_speed.py                      # a synthetic pair of 1344 x 391, half a minute
+    python benchmarks/frontend_speed.py                      # synthetic pairs of 1344 x 391, half a minute
     python benchmarks/frontend_speed.py --images DIR         # the first pair of DIR/image_l and image_r (image_0, _1)
     python benchmarks/frontend_speed.py --json speed.json
 
@@ -9,6 +9,9 @@ ellipses of three standard deviations (2 to 3 px each), and matched along the ro
 disparity (which need not be confirmed from the right image again). Everything runs in turns in one process on one
 core; times are this machine's processor time, ms. The yardstick is an OpenCV call on the same image: ratios to it hold
 on a busy machine, too.
+
+The second table is of `StereoTracker.track` on a slow drive past three walls, in pairs that need no new corners (as
+most do), by what it does; and of whole pairs: these, and those in which new corners are looked for.
 """
 
 from __future__ import annotations
@@ -16,8 +19,10 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
+from unittest.mock import patch
 
 import cv2
 import numpy as np
@@ -25,9 +30,12 @@ from rich.console import Console
 from rich.table import Table
 from threadpoolctl import threadpool_limits
 
+from filters.camera import StereoCamera
+from stereo_slam_env.frontend import finding, tracker
 from stereo_slam_env.frontend.correlation import search
 from stereo_slam_env.frontend.detection import detect_corners
 from stereo_slam_env.frontend.patches import Image, cut_patches, warped_patches
+from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.frontend.stereo_matching import match_rows
 
 WIDTH, HEIGHT = 1344, 391
@@ -36,6 +44,17 @@ WIDE_SIGMA = 10.0  # of a landmark about which little is known, px
 HALF_RANGE = 10.0  # of the disparity of a landmark that is followed, px
 WIDE = (0.5, 250.0)  # disparities of new corners, px
 QUANTILES = (0.2, 0.5, 0.9)
+CAMERA = StereoCamera(721.5, 721.5, 672.0, 195.5, 0.571, WIDTH, HEIGHT)
+WALLS = (40.0, 12.0, 7.0)  # depth of each third of the image, m
+SLOW = np.array([0.01, 0.0, 0.03])  # of the camera in each pair, m
+STAGES: dict[str, tuple[tuple[Any, str], ...]] = {
+    "expectation": ((tracker.StereoTracker, "_expected"), (tracker.StereoTracker, "_by_motion")),
+    "warp": ((finding, "local_affine"), (finding, "warped_patches")),
+    "search": ((finding, "search"),),
+    "rows": ((finding, "match_rows"),),
+    "motion": ((tracker.StereoTracker, "_motion"),),
+    "judging": ((tracker, "judged"),),
+}
 
 
 def synthetic_pair(seed: int, disparity: float = 30.0) -> tuple[Image, Image]:
@@ -105,6 +124,86 @@ def stages(left: Image, right: Image, landmarks: int, corners: int) -> dict[str,
     }
 
 
+def slow_drive(pairs: int, seed: int) -> Iterator[tuple[Image, Image]]:
+    """Pairs of a camera that moves by `SLOW` past three walls, one above the other."""
+    rng = np.random.default_rng(seed)
+    size, border = (WIDTH, HEIGHT), 400
+    wide = (WIDTH + 2 * border, HEIGHT + 2 * border)
+    textures = []
+    for _ in WALLS:
+        texture = np.zeros((wide[1], wide[0]))
+        for sigma in (1.5, 3.0, 8.0, 30.0):
+            layer = cv2.GaussianBlur(rng.standard_normal(texture.shape), (0, 0), sigma)
+            texture += layer / layer.std()
+        textures.append((128 + 25 * texture).astype(np.float32))
+    rows = np.arange(HEIGHT)[:, None] * len(WALLS) // HEIGHT
+    for number in range(pairs):
+        eyes = []
+        for eye in (0.0, CAMERA.baseline):
+            image = np.zeros((HEIGHT, WIDTH), dtype=np.float32)
+            for index, (depth, texture) in enumerate(zip(WALLS, textures, strict=True)):
+                x, _, z = number * SLOW + (eye, 0.0, 0.0)
+                scale = depth / (depth - z)
+                u = CAMERA.cx - scale * (CAMERA.cx + border) - CAMERA.fx * x / (depth - z)
+                v = CAMERA.cy - scale * (CAMERA.cy + border)
+                layer = cv2.warpAffine(texture, np.array([[scale, 0.0, u], [0.0, scale, v]]), size)
+                image = np.where(rows == index, layer, image)
+            eyes.append(np.clip(np.rint(image + rng.normal(0, 2, image.shape)), 0, 255).astype(np.uint8))
+        yield eyes[0], eyes[1]
+
+
+def tracked_drive(pairs: int, landmarks: int) -> dict[str, list[float]]:
+    """Processor time of each stage of `track` in each pair that needs no new corners, s, and of whole pairs."""
+    # The tracker follows more landmarks than the filter may have: about `landmarks` are followed.
+    given = round(1.07 * landmarks / tracker._SPARE)
+    settings = TrackerSettings(max_landmarks=given, refill_below=round(0.9 * given))
+    following = tracker.StereoTracker(CAMERA, settings)
+    spent = dict.fromkeys(STAGES, 0.0)
+    running: list[str] = []
+
+    def timed(stage: str, call: Callable[..., Any]) -> Callable[..., Any]:
+        def wrapper(*args: Any, **kwargs: Any) -> Any:
+            if running:  # inside another stage, whose time it is
+                return call(*args, **kwargs)
+            running.append(stage)
+            began = time.process_time()
+            try:
+                return call(*args, **kwargs)
+            finally:
+                spent[stage] += time.process_time() - began
+                running.pop()
+
+        return wrapper
+
+    patches = [
+        patch.object(owner, name, timed(stage, getattr(owner, name)))
+        for stage, places in STAGES.items()
+        for owner, name in places
+    ]
+    whole, first, refilled = "whole pair, no new corners", "first pair", "whole pair, new corners"
+    times: dict[str, list[float]] = {stage: [] for stage in (*STAGES, "rest", whole, refilled, first)}
+    counts = []
+    for change in patches:
+        change.start()
+    try:
+        for number, (left, right) in enumerate(slow_drive(pairs, 0)):
+            spent.update(dict.fromkeys(STAGES, 0.0))
+            began = time.process_time()
+            result = following.track(left, right, 0.1)
+            total = time.process_time() - began
+            if number == 0 or len(result.corners):
+                times[refilled if number else first].append(total)
+                continue
+            counts.append(len(result.search.ids))
+            for stage, value in {**spent, "rest": total - sum(spent.values()), whole: total}.items():
+                times[stage].append(value)
+    finally:
+        for change in patches:
+            change.stop()
+    followed = f", {np.mean(counts):.0f} followed" if counts else ""
+    return {(name + followed if name == whole else name): values for name, values in times.items() if values}
+
+
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -112,6 +211,7 @@ def main() -> None:
     parser.add_argument("--landmarks", type=int, default=100)
     parser.add_argument("--corners", type=int, default=150)
     parser.add_argument("--repeats", type=int, default=60)
+    parser.add_argument("--pairs", type=int, default=60, help="of the slow drive")
     parser.add_argument("--json", type=Path, help="write the figures here, too")
     arguments = parser.parse_args()
     cv2.setNumThreads(1)
@@ -124,18 +224,27 @@ def main() -> None:
                 began = time.process_time()
                 call()
                 times[name].append(time.process_time() - began)
+        drive = tracked_drive(arguments.pairs, arguments.landmarks)
+    yardstick = float(np.quantile(next(iter(times.values())), QUANTILES[0]))
+    quantiles = {}
+    for title, part in (("Parts", times), ("StereoTracker.track", drive)):
+        quantiles |= shown(title, part, yardstick)
+    if arguments.json:
+        arguments.json.write_text(json.dumps({"quantiles": QUANTILES, "milliseconds": quantiles}, indent=2) + "\n")
+
+
+def shown(title: str, times: dict[str, list[float]], yardstick: float) -> dict[str, list[float]]:
+    """Print a table of the times, s, and return their quantiles, ms."""
     quantiles = {name: [1e3 * float(q) for q in np.quantile(t, QUANTILES)] for name, t in times.items()}
-    table = Table(title=f"{WIDTH} x {HEIGHT}, one core, ms of processor time")
+    table = Table(title=f"{title}: {WIDTH} x {HEIGHT}, one core, ms of processor time")
     table.add_column("stage")
-    yardstick = next(iter(quantiles.values()))[0]
     for q in QUANTILES:
         table.add_column(f"{100 * q:.0f} %", justify="right")
     table.add_column("to yardstick", justify="right")
     for name, values in quantiles.items():
-        table.add_row(name, *(f"{value:.2f}" for value in values), f"{values[0] / yardstick:.2f}")
+        table.add_row(name, *(f"{value:.2f}" for value in values), f"{1e-3 * values[0] / yardstick:.2f}")
     Console(width=100).print(table)
-    if arguments.json:
-        arguments.json.write_text(json.dumps({"quantiles": QUANTILES, "milliseconds": quantiles}, indent=2) + "\n")
+    return quantiles
 
 
 if __name__ == "__main__":

@@ -64,18 +64,30 @@ class Transfer:
 
 def transfer(camera: StereoCamera, uvd: FloatArray, step: Step) -> Transfer:
     """Predict the second frame's measurements from the first's, (M, 3) px."""
-    w = uvd[:, 2] / camera.disparity_constant
-    h = (camera.ray(uvd) - w[:, None] * step.t) @ step.R
-    J = camera.project_scaled_jacobian(h, w)
+    w, h, J, predicted = _carried(camera, uvd, step)
     by_step = np.empty((len(uvd), 3, 6))
     by_step[:, :, :3] = -w[:, None, None] * (J[:, :, :3] @ step.R.T)
     by_step[:, :, 3:] = J[:, :, :3] @ rotations.skew(h)
+    return Transfer(predicted, by_step, _by_first(camera, J, step), h[:, 2] > 0)
+
+
+def _carried(
+    camera: StereoCamera, uvd: FloatArray, step: Step
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Scales (M,), directions in the second camera (M, 3), derivatives by both (M, 3, 4), and (u, v, d) there."""
+    w = uvd[:, 2] / camera.disparity_constant
+    h = (camera.ray(uvd) - w[:, None] * step.t) @ step.R
+    return w, h, camera.project_scaled_jacobian(h, w), camera.project_scaled(h, w)
+
+
+def _by_first(camera: StereoCamera, J: FloatArray, step: Step) -> FloatArray:
+    """Derivatives (M, 3, 3) by the measurement in the first frame."""
     by_uvd = np.zeros((4, 3))
     by_uvd[:3, 0] = step.R[0] / camera.fx
     by_uvd[:3, 1] = step.R[1] / camera.fy
     by_uvd[:3, 2] = -step.R.T @ step.t / camera.disparity_constant
     by_uvd[3, 2] = 1.0 / camera.disparity_constant
-    return Transfer(camera.project_scaled(h, w), by_step, J @ by_uvd, h[:, 2] > 0)
+    return np.asarray(J @ by_uvd)
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,18 +137,31 @@ class StepEstimate:
 
 def squared_distances(camera: StereoCamera, pairs: Pairs, step: Step) -> FloatArray:
     """Squared Mahalanobis distance of each pair from the step, chi-square with 3; infinite behind the camera."""
-    predicted = transfer(camera, pairs.first, step)
-    S = _innovation_covariances(pairs, predicted.by_first)
-    nu = pairs.second - predicted.uvd
+    _, h, J, predicted = _carried(camera, pairs.first, step)
+    S = _innovation_covariances(pairs, _by_first(camera, J, step))
+    nu = pairs.second - predicted
     distances = np.einsum("mi,mi->m", nu, _solved(S, nu))
-    return np.where(predicted.in_front & np.isfinite(distances), distances, np.inf)
+    return np.where((h[:, 2] > 0) & np.isfinite(distances), distances, np.inf)
 
 
-def most_likely_step(camera: StereoCamera, pairs: Pairs, start: Step) -> StepEstimate | None:
+def most_likely_step(
+    camera: StereoCamera, pairs: Pairs, start: Step, *, converged: float = CONVERGED
+) -> StepEstimate | None:
     """The step of greatest likelihood, with the noise of both frames (Gauss-Newton on the step and the pairs).
 
     The true measurements of the first frame are unknowns too, eliminated pair by pair. Jacobians are taken at their
     estimates: at the noisy measurements themselves the step would be biased, and the bias of every step adds up.
+
+    Parameters
+    ----------
+    camera : StereoCamera
+        The rig.
+    pairs : Pairs
+        All of the same motion.
+    start : Step
+        About that motion.
+    converged : float
+        It ends with a correction smaller than this, m and rad.
 
     Returns
     -------
@@ -160,7 +185,7 @@ def most_likely_step(camera: StereoCamera, pairs: Pairs, start: Step) -> StepEst
         residuals = nu - H @ delta
         true_first = pairs.first + _times(pairs.R_first, _times(A.transpose(0, 2, 1), _solved(S, residuals)))
         step = step.moved(delta)
-        if np.abs(delta).max() < CONVERGED:
+        if np.abs(delta).max() < converged:
             break
     covariance = cho_solve(factor, np.eye(6))
     nis = float(np.einsum("mi,mi->", residuals, _solved(S, residuals)))

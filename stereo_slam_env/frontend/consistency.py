@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.stats import chi2
 
 from filters.camera import StereoCamera
+from filters.engine.gating import gate_limit
 from filters.validation import IntArray
 from stereo_slam_env.frontend.ego_motion import chained
 from stereo_slam_env.frontend.finding import Found
@@ -50,7 +50,7 @@ def judged(
     measured[:, 0], measured_R[:, 0] = found.uvd, found.R
     matched = found.matched
     unlike, together = np.zeros(len(tracks), dtype=bool), np.zeros(len(tracks), dtype=bool)
-    limit = float(chi2.ppf(gate, 3))
+    limit = gate_limit(gate, 3)
     over: Step | None = None
     for back, step in enumerate(steps, start=1):
         over = step if over is None else chained(step, over)

@@ -25,7 +25,7 @@ _RADIUS = PATCH // 2
 _PIXELS = PATCH * PATCH
 _BLOCK = 1 << 17
 """Pixels in the windows of one block: they stay in the processor's cache."""
-_SIMILAR = 1.5
+_SIMILAR = 2.5
 """Windows in a block differ by no more than this in their number of pixels."""
 _FAR = 1e9
 """Outside of any ellipse, px."""

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
 
 from filters import rotations
 from filters.camera import StereoCamera
+from filters.engine.gating import gate_limit
 from filters.validation import BoolArray, FloatArray
 from stereo_slam_env.stereo_step import (
     Pairs,
@@ -22,6 +22,7 @@ from stereo_slam_env.stereo_step import (
 
 MIN_POINTS = 8
 _ROUNDS = 10
+_CONVERGED = 1e-5  # m and rad: a thousandth of a pixel at most
 _MEDIAN_FACTOR = 4.0  # the median of chi-square with 3 degrees of freedom is 2.4: a pair beyond 9.5 is none of ours
 _TRUSTED_SHARE = 0.85  # with fewer inliers the start may have been wrong, or near to the motion of a slow body
 
@@ -82,11 +83,11 @@ def robust_step(camera: StereoCamera, pairs: Pairs, start: Step | None, *, gate:
 
 
 def _closing_in(camera: StereoCamera, pairs: Pairs, step: Step, gate: float) -> RobustStep | None:
-    limit = float(chi2.ppf(gate, 3))
+    limit = gate_limit(gate, 3)
     chosen: BoolArray | None = None
     estimate: StepEstimate | None = None
+    distances = squared_distances(camera, pairs, step)
     for _ in range(_ROUNDS):
-        distances = squared_distances(camera, pairs, step)
         inliers = distances <= max(limit, _MEDIAN_FACTOR * float(np.median(distances)))
         inliers &= np.isfinite(distances)
         if inliers.sum() < MIN_POINTS:
@@ -94,12 +95,13 @@ def _closing_in(camera: StereoCamera, pairs: Pairs, step: Step, gate: float) -> 
         if chosen is not None and np.array_equal(chosen, inliers):
             break
         chosen = inliers
-        estimate = most_likely_step(camera, pairs.select(chosen), step)
+        estimate = most_likely_step(camera, pairs.select(chosen), step, converged=_CONVERGED)
         if estimate is None:
             return None
         step = estimate.step
+        distances = squared_distances(camera, pairs, step)
     assert estimate is not None
-    return RobustStep(estimate, squared_distances(camera, pairs, step) <= limit)
+    return RobustStep(estimate, distances <= limit)
 
 
 def continued(step: Step, ratio: float) -> Step:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
 
 from filters.camera import StereoCamera
+from filters.engine.gating import gate_limit
 from filters.interface import Forecast
 from filters.validation import BoolArray, FloatArray, IntArray
 from stereo_slam_env.frontend.ego_motion import MIN_POINTS, predicted, robust_step
@@ -108,7 +108,7 @@ def step_of_forecast(
 def searchable(S: FloatArray, settings: TrackerSettings) -> BoolArray:
     """Whether the ellipses in the left image are small enough to be searched; (N, 3, 3) -> (N,)."""
     largest = np.linalg.eigvalsh(S[:, :2, :2])[:, 1]
-    return np.asarray(chi2.ppf(settings.search_gate, 2) * largest <= settings.max_radius**2)
+    return np.asarray(gate_limit(settings.search_gate, 2) * largest <= settings.max_radius**2)
 
 
 def _common(tracks: Tracks, forecast: Forecast) -> tuple[IntArray, IntArray]:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
 
 from filters.camera import StereoCamera
+from filters.engine.gating import gate_limit
 from filters.validation import BoolArray, FloatArray, IntArray
 from stereo_slam_env.frontend.correlation import search
 from stereo_slam_env.frontend.detection import detect_corners
@@ -83,7 +83,7 @@ class PairFinder:
             templates,
             expected.uvd[wanted, :2],
             expected.S[wanted, :2, :2],
-            gate=float(np.sqrt(chi2.ppf(settings.search_gate, 2))),
+            gate=float(np.sqrt(gate_limit(settings.search_gate, 2))),
             max_radius=settings.max_radius,
         )
         good = (result.score >= settings.min_score) & (result.second <= settings.uniqueness * result.score)
@@ -91,7 +91,7 @@ class PairFinder:
         outcome[wanted] = np.where(good, Outcome.NO_DISPARITY, Outcome.NO_MATCH)
         hit = np.flatnonzero(good)
         at = wanted[hit]
-        reach = _ROW_SLACK + np.sqrt(chi2.ppf(settings.search_gate, 1) * expected.S[at, 2, 2])
+        reach = _ROW_SLACK + np.sqrt(gate_limit(settings.search_gate, 1) * expected.S[at, 2, 2])
         disparity, variance, accepted = self.disparities(
             result.position[hit], expected.uvd[at, 2] - reach, expected.uvd[at, 2] + reach
         )

@@ -69,6 +69,8 @@ class Tracks:
 
     def joined(self, other: Tracks) -> Tracks:
         """These, then the others."""
+        if len(other) == 0:
+            return self
         return Tracks(*(np.concatenate([getattr(self, f.name), getattr(other, f.name)]) for f in fields(self)))
 
     def next_pair(self) -> Tracks:
