@@ -6,7 +6,8 @@ import dataclasses
 import datetime
 import shlex
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -130,12 +131,19 @@ def bench(
         bool | None, typer.Option("--odometry/--no-odometry", help="Give the filters the odometry.")
     ] = None,
     sensor: Annotated[
-        str,
-        typer.Option("--sensor", help="'landmarks': geometry and noise; 'images': rendered pictures."),
-    ] = "landmarks",
+        str | None,
+        typer.Option(
+            "--sensor",
+            help="'landmarks': geometry and noise; 'images': rendered pictures.",
+            show_default="what the scenario says",
+        ),
+    ] = None,
     renderer: Annotated[
-        str, typer.Option("--renderer", help="Who draws the images: 'tiny', everywhere, or 'gl', fast.")
-    ] = "tiny",
+        str | None,
+        typer.Option(
+            "--renderer", help="Who draws the images: 'tiny', everywhere, or 'gl', fast.", show_default="tiny"
+        ),
+    ] = None,
     search: SearchOption = None,
     record: RecordOption = None,
     live: LiveOption = None,
@@ -152,17 +160,11 @@ def bench(
             chosen = dataclasses.replace(chosen, seeds=tuple(range(seeds)))
         if odometry is not None:
             chosen = dataclasses.replace(chosen, use_odometry=odometry)
-        if sensor not in ("landmarks", "images"):
-            raise ValueError(f"--sensor must be 'landmarks' or 'images', got {sensor!r}")
-        if sensor == "images":
-            from stereo_slam_env.benchmark.presets import with_images
-            from stereo_slam_env.rendering.backends import renderer_identity
-
-            renderer_identity(renderer)
-            chosen = with_images(chosen, renderer)
-        chosen = _adjusted(chosen, filters, frames, sigma_px, gate, search)
-        _watch(chosen, record, live)
-        _run(chosen, out, jobs)
+        chosen = _adjusted(_sensed(chosen, sensor, renderer), filters, frames, sigma_px, gate, search)
+        directory = _ready(chosen, out)
+        with _film(chosen.name, record, live) as show:
+            show(chosen)
+        _run(chosen, directory, jobs)
 
 
 @app.command()
@@ -189,21 +191,25 @@ def replay(
     with one_line_errors():
         from stereo_slam_env.benchmark import Scenario
         from stereo_slam_env.benchmark.sources import make_recording
-        from stereo_slam_env.console import show_recording
+        from stereo_slam_env.console import progress_bar, show_recording
 
         where = path if path.partition(":")[0] == "gtsam" else str(Path(path).resolve())
-        scenario = Scenario(f"replay-{Path(path).name.replace(':', '-')}", "dataset", {"path": where})
+        scenario = Scenario(f"replay-{Path(where).name.replace(':', '-')}", "dataset", {"path": where})
         scenario = dataclasses.replace(scenario, use_odometry=odometry)
         scenario = _adjusted(scenario, filters, frames, sigma_px, gate, search)
         joint = scenario.gate is not None if consensus is None else consensus
         scenario = dataclasses.replace(scenario, consensus=joint)
-        recording = make_recording(scenario, None)
-        show_recording(console(), recording)
-        # What is stored must be what happened.
-        if not any(frame.odometry is not None for frame in recording.frames):
-            scenario = dataclasses.replace(scenario, use_odometry=False)
-        _watch(scenario, record, live)
-        _run(scenario, out, jobs)
+        _check(scenario)
+        with _film(scenario.name, record, live) as show:
+            with progress_bar(console(stderr=True), "pairs") as progress:
+                recording = make_recording(scenario, None, progress)
+            show_recording(console(), recording)
+            # What is stored must be what happened.
+            if not any(frame.odometry is not None for frame in recording.frames):
+                scenario = dataclasses.replace(scenario, use_odometry=False)
+            directory = _ready(scenario, out)
+            show(scenario)
+        _run(scenario, directory, jobs)
 
 
 @app.command()
@@ -270,6 +276,7 @@ def _adjusted(
         changes["noise"] = {"independent_pixels": sigma_px}
     if gate is not None:
         changes["gate"] = _gate(gate)
+        changes["consensus"] = scenario.consensus and changes["gate"] is not None
     if search is not None:
         changes["search"] = search
     return dataclasses.replace(scenario, **changes)
@@ -284,27 +291,70 @@ def _gate(text: str) -> float | None:
         raise ValueError(f"--gate must be a probability between 0 and 1, or 'none', got {text!r}") from None
 
 
-def _watch(scenario: Scenario, record: Path | None, live: int | None) -> None:
-    """Run the front end once for the eyes."""
+def _sensed(scenario: Scenario, sensor: str | None, renderer: str | None) -> Scenario:
+    """The scenario with the sensor of the command line."""
+    from stereo_slam_env.benchmark.presets import with_images
+    from stereo_slam_env.benchmark.sources import takes_images
+
+    if sensor not in (None, "landmarks", "images"):
+        raise ValueError(f"--sensor must be 'landmarks' or 'images', got {sensor!r}")
+    seen = takes_images(scenario)
+    if sensor == "images" and not seen:
+        return with_images(scenario, renderer or "tiny")
+    changes: dict[str, Any] = {}
+    if sensor == "landmarks" and seen:
+        seen, changes["sensor"] = False, sensor
+    if renderer is not None:
+        if not seen:
+            raise ValueError("--renderer needs --sensor images: nothing is drawn for landmarks")
+        changes["renderer"] = renderer
+    return dataclasses.replace(scenario, options={**scenario.options, **changes})
+
+
+def _check(scenario: Scenario) -> None:
+    """Refuse what cannot be run before any work is done."""
+    from stereo_slam_env.benchmark.campaign import check_filters
+    from stereo_slam_env.benchmark.sources import check_source
+
+    check_filters(scenario)
+    check_source(scenario)
+
+
+def _ready(scenario: Scenario, out: Path | None) -> Path:
+    """The run directory, once it is known that the scenario can be run into it."""
+    from stereo_slam_env.benchmark.store import prepared_run
+
+    _check(scenario)
+    stamp = datetime.datetime.now().strftime("%Y%m%d-%H%M%S")
+    return prepared_run(Path("runs") / f"{scenario.name}-{stamp}" if out is None else out, scenario).out
+
+
+@contextmanager
+def _film(title: str, record: Path | None, live: int | None) -> Iterator[Callable[[Scenario], None]]:
+    """What shows the search in the images of a scenario, if that was asked for; a wrong file or port is known first."""
     if record is None and live is None:
+        yield lambda scenario: None
         return
     from stereo_slam_env.benchmark.watch import watch_search
+    from stereo_slam_env.console import progress_bar
     from stereo_slam_env.viewer.search_film import search_film
 
-    with search_film(scenario.name, record, live, on_live=lambda url: typer.echo(f"live view: {url}")) as watch:
-        watch_search(scenario, watch)
+    with search_film(title, record, live, on_live=lambda url: typer.echo(f"live view: {url}")) as watch:
+
+        def show(scenario: Scenario) -> None:
+            with progress_bar(console(stderr=True), "pairs") as progress:
+                watch_search(scenario, watch, progress)
+
+        yield show
     if record is not None:
         typer.echo(f"film: {record.resolve()}")
 
 
-def _run(scenario: Scenario, out: Path | None, jobs: int) -> None:
+def _run(scenario: Scenario, directory: Path, jobs: int) -> None:
     """Run, show the table, and say where everything is; when interrupted, say how to go on."""
-    from stereo_slam_env.benchmark.campaign import check_filters, run_benchmark
+    from stereo_slam_env.benchmark.campaign import run_benchmark
     from stereo_slam_env.console import progress_bar, show_results, show_settings
 
-    stamp = datetime.datetime.now().strftime("%Y%m%d-%H%M%S")
-    directory = Path("runs") / f"{scenario.name}-{stamp}" if out is None else out
-    check_filters(scenario)
     show_settings(console(), scenario)
     try:
         with progress_bar(console(stderr=True)) as progress:

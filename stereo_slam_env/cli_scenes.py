@@ -146,6 +146,10 @@ def scene_noise(
 def _arguments(
     route: str, surroundings: str, renderer: str, rig: str, moving_cars: int, pedestrians: int, randomise: bool
 ) -> dict[str, Any]:
+    """Keyword arguments of the environment; a renderer that cannot draw here is refused."""
+    from stereo_slam_env.benchmark.sources import require_renderer
+
+    require_renderer(renderer)
     return {
         "route": route,
         "surroundings": surroundings,

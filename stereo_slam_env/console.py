@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 
+import numpy as np
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
@@ -15,6 +18,8 @@ from stereo_slam_env.benchmark.campaign import Progress as ProgressCallback
 from stereo_slam_env.benchmark.results import FilterSummary
 from stereo_slam_env.benchmark.scenario import Scenario
 from stereo_slam_env.benchmark.sensor_noise import OUTLIER, NoiseOfRange
+from stereo_slam_env.benchmark.sources import takes_images
+from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.recording import Recording
 
 NOTHING = "–"
@@ -22,7 +27,10 @@ NOTHING = "–"
 
 def show_settings(console: Console, scenario: Scenario) -> None:
     """Print what the filters will assume: nothing of it is hidden in the code."""
-    noise = "as the recording says" if scenario.noise is None else f"{json.dumps(dict(scenario.noise))} px"
+    sees = takes_images(scenario)
+    noise = "as each measurement says" if sees else "as the recording says"
+    if scenario.noise is not None:
+        noise = f"{json.dumps(dict(scenario.noise))} px"
     motion = scenario.motion
     lines = {
         "scenario": f"{scenario.name} ({scenario.kind} {json.dumps(dict(scenario.options))})",
@@ -37,6 +45,8 @@ def show_settings(console: Console, scenario: Scenario) -> None:
             for choice in scenario.filters
         ),
     }
+    if sees:
+        lines["search"] = {"flow": "the same for all filters", "forecast": "guided by each filter"}[scenario.search]
     if scenario.kind != "dataset":
         lines["seeds"] = f"{len(scenario.seeds)} ({_ranges(scenario.seeds)})"
     for name, value in lines.items():
@@ -48,36 +58,53 @@ def show_recording(console: Console, recording: Recording) -> None:
     frames = recording.frames
     observed = sum(len(frame.observation) for frame in frames)
     with_truth = sum(frame.truth is not None for frame in frames)
+    noise = f"R = {json.dumps(recording.noise.R.round(6).tolist())} px² of (u, v, d)"
+    if any(frame.observation.R is not None for frame in frames):
+        sigmas = np.sqrt(
+            np.concatenate([np.einsum("nii->ni", f.observation.covariances(recording.noise)) for f in frames])
+        )
+        median = " / ".join(f"{sigma:.2f}" for sigma in np.median(sigmas, axis=0))
+        noise = f"an R for each measurement, its median sigma {median} px of u / v / d"
+    source = dict(recording.source)
+    front_end = source.pop("front_end", None)
     lines = {
         "recording": f"{recording.name}: {len(frames)} frames, {frames[-1].timestamp - frames[0].timestamp:.1f} s, "
         f"{observed / len(frames):.0f} landmarks a frame, {with_truth} frames with truth",
-        "its noise": f"R = {json.dumps(recording.noise.R.round(6).tolist())} px² of (u, v, d)",
-        "read as": ", ".join(f"{key} = {value}" for key, value in recording.source.items()),
+        "its noise": noise,
+        "read as": _listed(source),
     }
+    if front_end is not None:
+        usual = dataclasses.asdict(TrackerSettings())
+        changed = {key: value for key, value in front_end.items() if value != usual[key]}
+        lines["front end"] = _listed(changed) if changed else "default settings"
     for name, value in lines.items():
         console.print(f"[dim]{name:>14}[/dim]  {value}", highlight=False, soft_wrap=True)
 
 
 def show_noise(console: Console, name: str, rows: Sequence[NoiseOfRange]) -> None:
-    """Print the errors of measurements by range."""
-    table = Table(title=f"errors of the measurements of {name}, px (u / v / d)", title_justify="left")
-    for heading in ("depth [m]", "count", "bias", "sigma (MAD)", "claimed sigma", f"beyond {OUTLIER:g} px"):
-        table.add_column(heading, justify="right")
-
-    def triple(values: Sequence[float], form: str) -> str:
-        return " / ".join(format(value, form) for value in values)
-
+    """Print the errors of measurements, a block a range, a line a coordinate."""
+    console.print(f"errors of the measurements of {name}, px", highlight=False)
+    if not rows:
+        console.print("none of them has a known truth")
+        return
+    table = Table(box=SIMPLE_HEAD, pad_edge=False)
+    table.add_column("depth, m")
+    for heading in ("count", "", "bias", "sigma (MAD)", "claimed sigma", f"beyond {OUTLIER:g} px"):
+        table.add_column(heading, justify="right", no_wrap=True)
     for row in rows:
-        depths = "all" if row is rows[-1] else f"{row.low:g} - {row.high:g}"
-        table.add_row(
-            depths,
-            str(row.count),
-            triple(row.bias, "+.3f"),
-            triple(row.sigma, ".3f"),
-            triple(row.claimed, ".3f"),
-            triple(row.outliers, ".1%"),
-        )
-    console.print(table)
+        depths = f"{row.low:g}–{row.high:g}" if math.isfinite(row.high) else f"{row.low:g} and more"
+        about = ("all" if row is rows[-1] else depths, str(row.count))
+        for axis, coordinate in enumerate("uvd"):
+            table.add_row(
+                *(about if axis == 0 else ("", "")),
+                coordinate,
+                f"{row.bias[axis]:+.3f}",
+                f"{row.sigma[axis]:.3f}",
+                f"{row.claimed[axis]:.3f}",
+                f"{row.outliers[axis]:.1%}",
+                end_section=axis == 2,
+            )
+    console.print(table, highlight=False)
 
 
 @contextmanager
@@ -147,6 +174,10 @@ def _number(value: float | None, digits: int, scale: float = 1.0) -> str:
         return NOTHING
     scaled = value * scale
     return f"{scaled:.{digits}f}" if abs(scaled) < 1e4 else f"{scaled:.1e}"
+
+
+def _listed(entries: Mapping[str, object]) -> str:
+    return ", ".join(f"{key} = {value}" for key, value in entries.items())
 
 
 def _ranges(seeds: Sequence[int]) -> str:

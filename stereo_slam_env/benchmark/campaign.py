@@ -17,7 +17,14 @@ from filters.noise import StereoNoise
 from stereo_slam_env.benchmark.results import FilterRun, FilterSummary
 from stereo_slam_env.benchmark.runner import make_with_common_options, run_filter
 from stereo_slam_env.benchmark.scenario import FilterChoice, Scenario, filter_choice
-from stereo_slam_env.benchmark.sources import make_recording, make_sequence, stream_digest, takes_images
+from stereo_slam_env.benchmark.sources import (
+    check_source,
+    make_recording,
+    make_sequence,
+    stream_digest,
+    takes_images,
+    without_measurements,
+)
 from stereo_slam_env.benchmark.store import RunDirectory, open_run
 from stereo_slam_env.frontend.active_search import ActiveSearch
 
@@ -77,7 +84,7 @@ def run_benchmark(
     Raises
     ------
     ValueError
-        Unknown filter or option, impossible settings, or `out` holds another run.
+        Unknown filter or option, impossible settings, a source that cannot be used, or `out` holds another run.
     """
     if jobs < 1:
         raise ValueError(f"jobs must be >= 1, got {jobs!r}")
@@ -87,6 +94,7 @@ def run_benchmark(
     if seeds is not None:
         scenario = dataclasses.replace(scenario, seeds=tuple(seeds))
     check_filters(scenario)
+    check_source(scenario)
     run = open_run(Path(out), scenario)
     _run_missing(run, jobs, progress)
     runs, summaries = run.write_results()
@@ -204,7 +212,9 @@ def _run_trials(
         "assumed_R": noise.R.tolist(),
         "source": dict(recording.source),
     }
-    guided = takes_images(scenario) and scenario.search == "forecast"
+    guided = scenario.search == "forecast"
+    if guided:
+        recording = without_measurements(recording)
     for number, choice in enumerate(choices):
 
         def within(frames: int, total: int, number: int = number) -> None:

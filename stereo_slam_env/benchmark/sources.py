@@ -7,11 +7,13 @@ import hashlib
 import importlib
 import json
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
+from filters.interface import StereoObservation
 from stereo_slam_env.benchmark.scenario import Scenario
 from stereo_slam_env.datasets import holds_images, open_for_front_end, read_recording
 from stereo_slam_env.frontend.recorder import record_tracks
@@ -19,9 +21,13 @@ from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.image_sequence import ImageSequence
 from stereo_slam_env.recording import Recording
 
+Progress = Callable[[int, int], None]
 
-def make_recording(scenario: Scenario, seed: int | None) -> Recording:
+
+def make_recording(scenario: Scenario, seed: int | None, progress: Progress | None = None) -> Recording:
     """The measurement stream of `scenario` for `seed` (None for a real recording).
+
+    Where it comes from images, `progress` is called with (pairs done, pairs) after each.
 
     Raises
     ------
@@ -30,7 +36,8 @@ def make_recording(scenario: Scenario, seed: int | None) -> Recording:
     """
     options = dict(scenario.options)
     if takes_images(scenario):
-        recording = _seen(scenario.kind, json.dumps(options, sort_keys=True), seed, scenario.frames)
+        given = json.dumps(options, sort_keys=True)
+        recording = _seen(_Look(scenario.kind, given, seed, scenario.frames, progress))
     elif scenario.kind == "street":
         recording = _street(options, seed, scenario.frames)
     elif scenario.kind == "reference":
@@ -71,16 +78,68 @@ def make_sequence(scenario: Scenario, seed: int | None) -> tuple[ImageSequence, 
         from stereo_slam_env.envs.rendered_drive import RenderedDrive
 
         return RenderedDrive(options, seed or 0, scenario.frames), DriveOptions.checked(options).front_end
-    return open_for_front_end(**options)
+    return _opened(json.dumps(options, sort_keys=True))
+
+
+def check_source(scenario: Scenario) -> None:
+    """Raise a `ValueError` for a source that cannot be used as the scenario says, before any work is done."""
+    sees = takes_images(scenario)
+    if scenario.search == "forecast" and not sees:
+        raise ValueError(f"search 'forecast' needs images: scenario {scenario.name!r} has none")
+    if scenario.noise is not None and sees:
+        raise ValueError(
+            f"scenario {scenario.name!r} must not assume a noise (--sigma-px): in images each measurement comes with "
+            f"its own covariance"
+        )
+    if scenario.kind != "street":
+        return
+    from stereo_slam_env.envs.options import DriveOptions
+
+    options = DriveOptions.checked(scenario.options)
+    if options.draws:
+        require_renderer(options.renderer)
+
+
+def require_renderer(name: str) -> None:
+    """Raise a `ValueError`, in one line, if nothing can be drawn with that renderer here."""
+    from stereo_slam_env.rendering.backends import renderer_identity
+
+    try:
+        renderer_identity(name)
+    except (ImportError, RuntimeError) as error:
+        raise ValueError(str(error)) from error
+
+
+def without_measurements(recording: Recording) -> Recording:
+    """The drive as filters know it that measure for themselves; ids of landmarks are theirs then, so truth has none."""
+    none = StereoObservation(np.zeros(0, dtype=np.int64), np.zeros((0, 3)))
+    frames = tuple(dataclasses.replace(frame, observation=none) for frame in recording.frames)
+    return dataclasses.replace(recording, frames=frames, landmarks=None)
+
+
+@dataclass(frozen=True)
+class _Look:
+    """What is looked at; who is told about it makes no difference."""
+
+    kind: str
+    options: str
+    seed: int | None
+    frames: int | None
+    progress: Progress | None = field(compare=False)
 
 
 @lru_cache(maxsize=1)
-def _seen(kind: str, options: str, seed: int | None, frames: int | None) -> Recording:
+def _seen(look: _Look) -> Recording:
     """Tracks through images; kept, because looking takes far longer than filtering."""
-    given = json.loads(options)
-    if kind == "street":
-        return _street(given, seed, frames)
-    return record_tracks(*open_for_front_end(**given), frames=frames)
+    if look.kind == "street":
+        return _street(json.loads(look.options), look.seed, look.frames, look.progress)
+    return record_tracks(*_opened(look.options), frames=look.frames, progress=look.progress)
+
+
+@lru_cache(maxsize=1)
+def _opened(options: str) -> tuple[ImageSequence, TrackerSettings]:
+    """A recording of images; kept, because its calibration is looked for."""
+    return open_for_front_end(**json.loads(options))
 
 
 def stream_digest(recording: Recording) -> str:
@@ -104,10 +163,16 @@ def stream_digest(recording: Recording) -> str:
     return digest.hexdigest()
 
 
-def _street(options: dict[str, Any], seed: int | None, frames: int | None) -> Recording:
+def _street(
+    options: dict[str, Any], seed: int | None, frames: int | None, progress: Progress | None = None
+) -> Recording:
     from stereo_slam_env.envs.recorder import record  # PyBullet and Gymnasium, only where they are needed
 
-    return record(options, seed=seed or 0, frames=frames)
+    def tell(done: int, wanted: int | None) -> None:
+        if progress is not None:
+            progress(done, wanted or done)
+
+    return record(options, seed=seed or 0, frames=frames, progress=tell)
 
 
 def _reference(options: dict[str, Any], seed: int | None, frames: int | None) -> Recording:

@@ -95,7 +95,8 @@ class RunDirectory:
         Raises
         ------
         ValueError
-            A trial is missing or damaged, or filters were not given the identical recording.
+            A trial is missing or damaged, filters were not given the identical recording, or images were drawn by
+            different renderers.
         """
         runs, recordings = [], []
         for seed in self.seeds:
@@ -113,7 +114,17 @@ class RunDirectory:
                     )
                 runs.append(run)
             recordings.append({"seed": seed, **(described or {})})
+        self._refuse_several_renderers(recordings)
         return runs, recordings
+
+    def _refuse_several_renderers(self, recordings: list[dict[str, Any]]) -> None:
+        """The same renderer of another version or device draws other pictures, too."""
+        drawn = {json.dumps(about.get("source", {}).get("renderer"), sort_keys=True) for about in recordings}
+        if len(drawn) > 1:
+            raise ValueError(
+                f"{self.out}: its recordings were drawn by different renderers, {' and '.join(sorted(drawn))}, and are "
+                f"not to be compared: choose another output directory"
+            )
 
     def write_results(self) -> tuple[list[FilterRun], tuple[FilterSummary, ...]]:
         """Write `summary.json` and `summary.csv` from the finished trials, and return what they say."""
@@ -140,6 +151,19 @@ def open_run(out: Path, scenario: Scenario) -> RunDirectory:
     ValueError
         `out` is a file, or holds something else.
     """
+    run = prepared_run(out, scenario)
+    _write_json(out / "settings.json", run.settings())
+    return run
+
+
+def prepared_run(out: Path, scenario: Scenario) -> RunDirectory:
+    """What `open_run` would return, with nothing written yet: to know before long work that `out` can be used.
+
+    Raises
+    ------
+    ValueError
+        As `open_run`.
+    """
     if out.exists() and not out.is_dir():
         raise ValueError(f"output {out} is a file: give a directory")
     settings = out / "settings.json"
@@ -149,7 +173,6 @@ def open_run(out: Path, scenario: Scenario) -> RunDirectory:
         _refuse_other_settings(out, read_run(out).scenario.as_dict(), scenario.as_dict())
     run = RunDirectory(out, scenario)
     run.missing()
-    _write_json(settings, run.settings())
     return run
 
 
@@ -193,12 +216,17 @@ def code_digest() -> str:
 
 def _refuse_other_settings(out: Path, before: Mapping[str, Any], now: Mapping[str, Any]) -> None:
     """More seeds or filters may join a run; everything else must stay as it was."""
-    for key in before.keys() - {"filters", "seeds", "divergence_percent"}:
-        if before[key] != now[key]:
-            raise ValueError(
-                f"output {out} holds a run with {key} = {json.dumps(before[key])}, now it is {json.dumps(now[key])}: "
-                f"choose another output directory"
-            )
+    for key in sorted(before.keys() - {"filters", "seeds", "divergence_percent"}, key=lambda key: (key == "name", key)):
+        was, is_now = before[key], now[key]
+        if was == is_now:
+            continue
+        if isinstance(was, Mapping) and isinstance(is_now, Mapping):  # name the entry, not the lot
+            entry = min(entry for entry in {**was, **is_now} if was.get(entry) != is_now.get(entry))
+            key, was, is_now = f"{key}.{entry}", was.get(entry), is_now.get(entry)
+        raise ValueError(
+            f"output {out} holds a run with {key} = {json.dumps(was)}, now it is {json.dumps(is_now)}: "
+            f"choose another output directory"
+        )
 
 
 def _seed_name(seed: int | None) -> str:

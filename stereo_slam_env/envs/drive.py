@@ -34,6 +34,8 @@ from stereo_slam_env.world.vehicle import AgentDriver, Car
 _PROGRESS_WEIGHT, _VISIBILITY_WEIGHT, _COLLISION_WEIGHT = 0.1, 0.02, -10.0
 _ARENA = 60.0
 """m from the route: what is farther away has left the arena."""
+_IMAGE_SLACK = 10.0
+"""px beyond the image that what is measured in it never is; disparities come out below 0 by less."""
 _MAX_VELOCITY = np.repeat([50.0, 10.0], 3)
 """Bounds of the odometry in the observation, m/s and rad/s."""
 _START_SIGMAS = np.repeat([1e-6, 1e-6, 0.5, 0.05], 3)
@@ -333,12 +335,13 @@ class StereoDriveEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
 
     def _make_observation_space(self) -> spaces.Dict:
         camera, rows = self.camera, self.options.max_landmarks
-        noise = 10.0 * self.options.sigma  # no error is ever that large, so the bounds hold without clipping
-        largest = camera.disparity_constant / self.options.tracking.nearest
         if self.options.sensor == "images":
-            largest = camera.width
-        high = np.array([camera.width, camera.height, largest]) + noise
-        low = np.full(3, -noise)
+            largest, slack = float(camera.width), _IMAGE_SLACK
+        else:
+            largest = camera.disparity_constant / self.options.tracking.nearest
+            slack = 10.0 * self.options.sigma  # no error is ever that large, so the bounds hold without clipping
+        high = np.array([camera.width, camera.height, largest]) + slack
+        low = np.full(3, -slack)
         velocity = _MAX_VELOCITY.astype(np.float32)
         shapes: dict[str, spaces.Space[Any]] = {
             "uvd": spaces.Box(np.tile(low, (rows, 1)).astype(np.float32), np.tile(high, (rows, 1)).astype(np.float32)),

@@ -52,6 +52,8 @@ def record(
         raise ValueError(f"frames must be at least 1, got {frames!r}")
     env = StereoDriveEnv(**kwargs)
     try:
+        if frames is not None and frames > env.route.frames:  # known before the drive, which may take minutes
+            raise ValueError(_too_many(frames, env.route.frames, env.options))
         env.reset(seed=seed)
         collected = [env.frame]
         idle = np.zeros(2, dtype=np.float32)
@@ -62,7 +64,7 @@ def record(
             if progress is not None:
                 progress(len(collected), frames)
         if frames is not None and len(collected) < frames:
-            raise ValueError(f"frames must be at most {len(collected)} on route {env.options.route!r}, got {frames}")
+            raise ValueError(_too_many(frames, len(collected), env.options))
         return Recording(
             name=_name(env.options, seed),
             camera=env.camera,
@@ -74,6 +76,10 @@ def record(
         )
     finally:
         env.close()
+
+
+def _too_many(frames: int, most: int, options: DriveOptions) -> str:
+    return f"frames must be at most {most} on route {options.route!r}, got {frames}"
 
 
 def _name(options: DriveOptions, seed: int) -> str:

@@ -35,7 +35,8 @@ class RenderedDrive:
     """
 
     def __init__(self, env_kwargs: Mapping[str, Any] | None = None, seed: int = 0, frames: int | None = None) -> None:
-        self._kwargs = {**(env_kwargs or {}), "policy": "route", "sensor": "landmarks", "max_landmarks": 1}
+        self._kwargs = {**(env_kwargs or {}), "policy": "route", "sensor": "landmarks"}
+        self._kwargs |= {"max_landmarks": 1, "refill_below": None, "render_images": False}  # nobody asks for landmarks
         self._seed = seed
         env = StereoDriveEnv(**self._kwargs)
         try:
@@ -48,7 +49,8 @@ class RenderedDrive:
         self._count = frames or self._count
         self.camera: StereoCamera = env.camera
         self.name = f"{options.surroundings}-{Path(options.route).stem}-{seed}"
-        drawing = StereoDriveEnv(**self._kwargs, render_images=True)
+        self._kwargs["render_images"] = True
+        drawing = StereoDriveEnv(**self._kwargs)
         self.source: Mapping[str, Any] = {**described(drawing, seed), "frames": self._count}
 
     @property
@@ -61,7 +63,7 @@ class RenderedDrive:
 
     def pairs(self) -> Iterator[StereoPair]:
         """Drive and look."""
-        env = StereoDriveEnv(**self._kwargs, render_images=True)
+        env = StereoDriveEnv(**self._kwargs)
         idle = np.zeros(2, dtype=np.float32)
         try:
             observation, _ = env.reset(seed=self._seed)
