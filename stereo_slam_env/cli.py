@@ -186,6 +186,9 @@ def replay(
     search: SearchOption = None,
     record: RecordOption = None,
     live: LiveOption = None,
+    skip_broken: Annotated[
+        bool, typer.Option("--skip-broken", help="Leave out pairs with missing or damaged images, and count them.")
+    ] = False,
 ) -> None:
     """Run filters over a real drive, of tracks or of images."""
     with one_line_errors():
@@ -194,7 +197,8 @@ def replay(
         from stereo_slam_env.console import progress_bar, show_recording
 
         where = path if path.partition(":")[0] == "gtsam" else str(Path(path).resolve())
-        scenario = Scenario(f"replay-{Path(where).name.replace(':', '-')}", "dataset", {"path": where})
+        options = {"path": where, "on_broken": "skip"} if skip_broken else {"path": where}
+        scenario = Scenario(f"replay-{Path(where).name.replace(':', '-')}", "dataset", options)
         scenario = dataclasses.replace(scenario, use_odometry=odometry)
         scenario = _adjusted(scenario, filters, frames, sigma_px, gate, search)
         joint = scenario.gate is not None if consensus is None else consensus

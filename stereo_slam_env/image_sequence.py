@@ -59,6 +59,10 @@ class ImageSequence(Protocol):
     def source(self) -> Mapping[str, Any]:
         """Where the images come from; JSON-able."""
 
+    @property
+    def skipped(self) -> Mapping[str, int]:
+        """Why pairs were left out, and how many; known after they have been iterated over."""
+
     def __len__(self) -> int:
         """Number of pairs."""
 

@@ -17,6 +17,7 @@ from filters.noise import StereoNoise
 from stereo_slam_env.benchmark.results import FilterRun, FilterSummary
 from stereo_slam_env.benchmark.runner import make_with_common_options, run_filter
 from stereo_slam_env.benchmark.scenario import FilterChoice, Scenario, filter_choice
+from stereo_slam_env.benchmark.sensor_noise import noise_of_images
 from stereo_slam_env.benchmark.sources import (
     check_source,
     make_recording,
@@ -212,6 +213,9 @@ def _run_trials(
         "assumed_R": noise.R.tolist(),
         "source": dict(recording.source),
     }
+    measured = noise_of_images(recording)
+    if measured is not None:
+        description["sensor_noise"] = measured
     guided = scenario.search == "forecast"
     if guided:
         recording = without_measurements(recording)

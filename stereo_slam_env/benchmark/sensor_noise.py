@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -96,6 +98,18 @@ def noise_by_range(errors: MeasurementErrors, ranges: Sequence[float] = RANGES) 
         claimed = np.median(np.sqrt(np.einsum("nii->ni", errors.R[inside])), axis=0)
         rows.append(NoiseOfRange(low, high, int(inside.sum()), *(_triple(x) for x in (bias, sigma, outliers, claimed))))
     return tuple(rows)
+
+
+def noise_of_images(recording: Recording) -> list[dict[str, Any]] | None:
+    """`noise_by_range` of a recording whose measurements come from rendered images, JSON-able; None of any other.
+
+    The open end of the last range is null.
+    """
+    from_images = any(frame.observation.R is not None for frame in recording.frames)
+    if recording.landmarks is None or not from_images:
+        return None
+    rows = [dataclasses.asdict(row) for row in noise_by_range(measurement_errors(recording))]
+    return [{**row, "high": row["high"] if np.isfinite(row["high"]) else None} for row in rows]
 
 
 def _triple(values: FloatArray) -> tuple[float, float, float]:

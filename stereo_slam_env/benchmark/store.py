@@ -11,7 +11,8 @@ Layout::
 
     {"version": 1, "scenario": str,
      "recordings": [{"seed": int | null, "name": str, "frames": int, "stream_sha256": str, "assumed_R": 3x3,
-                     "source": {...}}],
+                     "source": {...},
+                     "sensor_noise": [...]}],   # rendered images only: errors by range, see `sensor_noise`
      "filters": {<label>: {every field of `FilterSummary` but filter_name}}}
 
 A figure that does not apply is null; NaN and infinity never appear.

@@ -58,6 +58,11 @@ class RenderedDrive:
         """What filters are told at the start."""
         return self._start
 
+    @property
+    def skipped(self) -> Mapping[str, int]:
+        """Nothing: what is drawn is whole."""
+        return {}
+
     def __len__(self) -> int:
         return self._count
 

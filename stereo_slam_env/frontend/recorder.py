@@ -74,7 +74,11 @@ def record_tracks(
         tuple(taken),
         TYPICAL_NOISE,
         start,
-        source={**sequence.source, "front_end": dataclasses.asdict(settings)},
+        source={
+            **sequence.source,
+            "front_end": dataclasses.asdict(settings),
+            **({"skipped": dict(sequence.skipped)} if sequence.skipped else {}),
+        },
     )
 
 
