@@ -236,7 +236,7 @@ class StereoDriveEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
             self._driver = AgentDriver(self._car, self._route)
         self._pose, velocity = self._driver.start()
         self._start = _start_belief(velocity, start_rng)
-        self._step_count, self._distance, self._progress, self._over = 0, 0.0, 0.0, False
+        self._step_count, self._distance, self._nearest, self._over = 0, 0.0, 0, False
         odometry = self._odometry.measure(self._pose, velocity, FRAME_PERIOD, self._odometry_rng)
         self._sense(velocity, None)
         return self._observation(odometry), self._info(collision=False, progress=0.0, failed=False)
@@ -254,9 +254,9 @@ class StereoDriveEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
         odometry = self._odometry.measure(before, velocity, FRAME_PERIOD, self._odometry_rng)
         self._sense(velocity, odometry)
 
-        nearest = self._route.nearest(self._pose.position)
-        progress = float(self._route.arc_length[nearest]) - self._progress
-        self._progress += progress
+        nearest = self._route.nearest(self._pose.position, around=self._nearest)
+        progress = float(self._route.arc_length[nearest] - self._route.arc_length[self._nearest])
+        self._nearest = nearest
         collision = self._stage.collides(self._pose)
         away = float(np.linalg.norm(self._route.positions[nearest] - self._pose.position)) > _ARENA
         info = self._info(collision=collision, progress=progress, failed=collision or away)

@@ -399,3 +399,16 @@ def test_rgb_array_shows_both_views_with_the_landmarks(make):
     assert drawn[v[inside], u[inside]].mean() > 0.95
     assert 0.01 < drawn.mean() < 0.35
     np.testing.assert_array_equal(picture, env.render())
+
+
+def test_a_loop_is_driven_to_its_end_and_every_metre_counts_once(make):
+    env = make(route="loop", rig="qvga", max_landmarks=5)
+    env.reset(seed=0)
+    rewards, over, steps = [], False, 0
+    while not over:
+        _, _, over, _, info = env.step(IDLE)
+        rewards.append(info["reward_progress"])
+        steps += 1
+    assert steps == env.route.frames - 1
+    assert sum(rewards) == pytest.approx(0.1 * env.route.length, rel=1e-6)
+    assert max(np.abs(rewards)) < 0.1
