@@ -196,3 +196,23 @@ def local_affine(camera: StereoCamera, uvd_then: ArrayLike, R: ArrayLike, t: Arr
     with np.errstate(divide="ignore", invalid="ignore"):
         inverse: FloatArray = np.stack([d, -b, -c, a], axis=-1).reshape(-1, 2, 2) / (a * d - b * c)[:, None, None]
     return inverse
+
+
+def parallax(camera: StereoCamera, uvd_then: ArrayLike, R: ArrayLike, t: ArrayLike) -> FloatArray:
+    """How far depth has moved landmarks in the image between two views: derivative of (u, v) by the logarithm of 1/z.
+
+    Parameters
+    ----------
+    camera, uvd_then, R, t
+        As in `local_affine`.
+
+    Returns
+    -------
+    (N, 2) ndarray
+        px; without meaning where the landmark is behind the camera.
+    """
+    uvd = np.asarray(uvd_then, dtype=np.float64)
+    shift = uvd[:, 2:] / camera.disparity_constant * np.asarray(t, dtype=np.float64)
+    h = np.einsum("nij,nj->ni", np.broadcast_to(np.asarray(R, dtype=np.float64), (len(uvd), 3, 3)), camera.ray(uvd))
+    moved: FloatArray = np.einsum("nij,nj->ni", camera.project_jacobian(h + shift)[:, :2], shift)
+    return moved

@@ -14,7 +14,7 @@ _POSITIVE = (
     "sigma_acceleration",
     "sigma_angular_acceleration",
     "sigma_floor",
-    "sigma_shape",
+    "sigma_relief",
 )
 
 
@@ -56,10 +56,11 @@ class TrackerSettings:
     disparity_offset : float
         Added to every measured disparity, px: what the rectification left, see `frontend.calibration`.
     sigma_floor : float
-        No pixel coordinate is believed to better than this, px.
-    sigma_shape : float
-        How far a patch that is not the plane it is taken for shifts, px per px of disparity since it was first seen.
-        Measured on rendered streets (`stereo-slam scenes noise`).
+        No pixel coordinate is believed to better than this, px. Enough for images of a camera or of `gl`; the
+        environment takes more for the renderer `tiny`, whose textures are not filtered.
+    sigma_relief : float
+        How far a patch is from the plane that it is taken for, m along the ray: the more its landmark has moved by
+        parallax, in time or between the eyes, the more that displaces a match.
     """
 
     max_landmarks: int = 100
@@ -78,8 +79,8 @@ class TrackerSettings:
     sigma_acceleration: float = 3.0
     sigma_angular_acceleration: float = 0.6
     disparity_offset: float = 0.0
-    sigma_floor: float = 0.12
-    sigma_shape: float = 0.03
+    sigma_floor: float = 0.05
+    sigma_relief: float = 0.04
 
     def __post_init__(self) -> None:
         for name, low in (

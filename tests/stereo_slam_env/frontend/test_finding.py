@@ -90,12 +90,22 @@ def test_a_landmark_in_the_left_image_only_has_no_disparity(finder, tracks):
     assert (result.outcome == Outcome.NO_DISPARITY).mean() > 0.9
 
 
-def test_a_landmark_that_comes_nearer_is_believed_less(finder, tracks):
-    near = dataclasses.replace(tracks, first_uvd=tracks.first_uvd - np.array([0.0, 0.0, 4.0]))
-    same, nearer = found(finder, tracks, expected_at(tracks)), found(finder, near, expected_at(tracks))
-    both = same.matched & nearer.matched
+def test_what_parallax_has_moved_is_believed_less(finder, tracks):
+    """First seen from half a metre further left: relief then moves a match along u and, less so, along the row."""
+    elsewhere = dataclasses.replace(tracks, first_position=tracks.first_position - np.array([0.5, 0.0, 0.0]))
+    same, moved = found(finder, tracks, expected_at(tracks)), found(finder, elsewhere, expected_at(tracks))
+    both = same.matched & moved.matched
     assert both.sum() > 20
-    assert (nearer.R[both][:, 0, 0] > same.R[both][:, 0, 0]).all()
+    more = (moved.R - same.R)[both]
+    assert (more[:, 0, 0] > 0).all()
+    assert np.abs(more[:, 1, 1]).max() < 1e-3
+    assert (np.abs(more[:, 0, 2]) > 0).all()
+
+
+def test_near_disparities_are_believed_less(finder):
+    uvd, R = finder.corners(60, np.zeros((0, 2)))
+    relief = SETTINGS.sigma_relief * uvd[:, 2] ** 2 / CAMERA.disparity_constant
+    assert (R[:, 2, 2] >= SETTINGS.sigma_floor**2 + relief**2).all()
 
 
 def test_the_offset_of_the_rig_is_added_to_every_disparity(finder, tracks):

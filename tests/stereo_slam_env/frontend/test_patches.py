@@ -5,7 +5,7 @@ import pytest
 
 from filters import rotations
 from filters.conformance import REFERENCE_CAMERA as CAMERA
-from stereo_slam_env.frontend.patches import PATCH, SUPPORT, cut_patches, local_affine, warped_patches
+from stereo_slam_env.frontend.patches import PATCH, SUPPORT, cut_patches, local_affine, parallax, warped_patches
 
 from .textures import Waves, spread_points
 
@@ -92,6 +92,19 @@ def test_one_step_serves_for_all_and_infinity_is_nothing_special():
     np.testing.assert_allclose(each[1], local_affine(CAMERA, uvd[1:], R, np.zeros(3))[0])
     near, far = np.linalg.det(each)
     assert near < 0.7 < 0.9 < far  # five metres nearer, only the near one has grown
+
+
+def test_parallax_is_what_a_little_more_depth_would_change():
+    uvd = np.array([[600.0, 200.0, 20.0], [900.0, 150.0, 6.0], [700.0, 150.0, 0.0]])
+    R, t = rotations.exp([0.0, 0.1, 0.02]), np.array([0.4, 0.1, -3.0])
+    share = 1e-6
+    w = uvd[:, 2] / CAMERA.disparity_constant
+
+    def seen(inverse_depth):
+        return CAMERA.project_scaled(CAMERA.ray(uvd) @ R.T + inverse_depth[:, None] * t, inverse_depth)[:, :2]
+
+    numeric = (seen(w * (1 + share)) - seen(w * (1 - share))) / (2 * share)
+    np.testing.assert_allclose(parallax(CAMERA, uvd, R, t), numeric, atol=1e-4)
 
 
 def test_bad_input_is_named():
