@@ -18,7 +18,7 @@ from filters import rotations
 from stereo_slam_env.benchmark.runner import run_filter
 from stereo_slam_env.envs.drive import StereoDriveEnv
 from stereo_slam_env.envs.recorder import record
-from stereo_slam_env.rendering import backends, gl_resources
+from stereo_slam_env.rendering import gl
 
 from ..rendering.planes import skip_where_missing
 
@@ -26,6 +26,8 @@ ROOT = Path(__file__).resolve().parents[3]
 ID = "StereoSlam/Drive-v0"
 DRIVE = {"route": "right-turn", "rig": "qvga", "policy": "route"}
 IMAGES = {**DRIVE, "sensor": "images"}
+QUICK = {**IMAGES, "surroundings": "corridor"}
+"""Little to draw and little to see: for what does not depend on it."""
 IDLE = np.zeros(2, dtype=np.float32)
 
 
@@ -60,7 +62,7 @@ def poses(results):
 
 
 def test_check_env_passes_without_a_warning():
-    env = gym.make(ID, disable_env_checker=True, **IMAGES).unwrapped
+    env = gym.make(ID, disable_env_checker=True, **QUICK).unwrapped
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         check_env(env, skip_render_check=True)
@@ -99,9 +101,9 @@ def test_same_seed_same_bits_also_in_another_process():
 
 
 def test_an_episode_does_not_depend_on_the_one_before_and_pickle_makes_a_fresh_environment(make):
-    env = make()
+    env = make(**QUICK)
     first = rollout(env, 5, 2)
-    rollout(env, 9, 1)
+    rollout(env, 9, 0)
     assert data_equivalence(first, rollout(env, 5, 2), exact=True)
     clone = pickle.loads(pickle.dumps(env))
     try:
@@ -111,14 +113,14 @@ def test_an_episode_does_not_depend_on_the_one_before_and_pickle_makes_a_fresh_e
 
 
 def test_vector_environments_give_the_same_bits(make):
-    vector = gym.make_vec(ID, num_envs=2, vectorization_mode="sync", **IMAGES)
+    vector = gym.make_vec(ID, num_envs=2, vectorization_mode="sync", **QUICK)
     try:
         vector.reset(seed=[11, 12])
         observation, _, _, _, info = vector.step(np.zeros((2, 2), dtype=np.float32))
     finally:
         vector.close()
     for index, seed in enumerate([11, 12]):
-        alone = rollout(make(), seed, 1)[-1]
+        alone = rollout(make(**QUICK), seed, 1)[-1]
         for key, value in alone[0].items():
             np.testing.assert_array_equal(observation[key][index], value)
         for key, value in alone[-1].items():
@@ -126,8 +128,8 @@ def test_vector_environments_give_the_same_bits(make):
 
 
 def test_close_unused_and_twice(make):
-    make().close()
-    env = make()
+    make(**QUICK).close()
+    env = make(**QUICK)
     env.reset(seed=0)
     env.close()
     env.close()
@@ -173,7 +175,7 @@ def test_the_landmark_truth_grows_and_never_changes(make):
     env.reset(seed=1)
     before = env.landmark_truth()
     counts = [len(before.ids)]
-    for _ in range(10):
+    for _ in range(5):
         env.step(IDLE)
         now = env.landmark_truth()
         np.testing.assert_array_equal(now.ids[: counts[-1]], before.ids)
@@ -181,22 +183,17 @@ def test_the_landmark_truth_grows_and_never_changes(make):
         counts.append(len(now.ids))
         before = now
     assert counts[-1] > counts[0] > 10
-    rollout(env, 2, 0)
-    assert len(env.landmark_truth().ids) < counts[-1]
 
 
 def test_corners_on_bodies_that_move_are_told_apart_from_landmarks(make):
     env = make(route="straight", moving_cars=12, pedestrians=12)
-    moving = []
-    for seed in range(3):
-        rollout(env, seed, 6)
-        assert not np.isin(env.moving_ids, env.landmark_truth().ids).any()
-        assert (np.diff(env.moving_ids) > 0).all()
-        moving.append(len(env.moving_ids))
-    assert max(moving) > 0
-    env = make()
-    rollout(env, 0, 2)
-    assert len(env.moving_ids) == 0
+    rollout(env, 1, 3)
+    assert len(env.moving_ids) > 1
+    assert (np.diff(env.moving_ids) > 0).all()
+    assert not np.isin(env.moving_ids, env.landmark_truth().ids).any()
+    still = make(**QUICK)
+    still.reset(seed=0)
+    assert len(still.moving_ids) == 0
 
 
 def test_only_images_have_a_front_end_to_look_at(make):
@@ -205,7 +202,7 @@ def test_only_images_have_a_front_end_to_look_at(make):
     for look in (lambda: env.tracked, lambda: env.moving_ids):
         with pytest.raises(RuntimeError, match="use sensor='images'"):
             look()
-    env = make()
+    env = make(**QUICK)
     env.reset(seed=0)
     np.testing.assert_array_equal(env.tracked.observation.ids, env.frame.observation.ids)
 
@@ -260,15 +257,22 @@ def test_gl_sees_the_same_drive_with_other_bits(make):
     assert data_equivalence(fast, rollout(make(renderer="gl"), 3, 2), exact=True)
 
 
-@pytest.mark.parametrize("missing", [ImportError("needs moderngl: pip install it"), RuntimeError("there is no EGL")])
-def test_a_missing_gl_gets_one_clear_line(make, monkeypatch, missing):
-    def refuse(*_, **__):
-        raise missing
+@pytest.mark.parametrize(
+    ("missing", "line"),
+    [
+        (ImportError, 'renderer "gl" needs moderngl: pip install'),
+        (RuntimeError, "there is no EGL"),
+    ],
+)
+def test_a_missing_gl_gets_one_clear_line(make, monkeypatch, missing, line):
+    def no_egl(*_):
+        raise RuntimeError(line)
 
-    monkeypatch.setattr(gl_resources, "new_context", refuse)
-    monkeypatch.setattr(gl_resources, "device", refuse)
-    monkeypatch.setattr(backends, "renderer_identity", backends.renderer_identity.__wrapped__)
+    if missing is ImportError:
+        monkeypatch.setitem(sys.modules, "moderngl", None)
+    else:
+        monkeypatch.setattr(gl, "new_context", no_egl)
     env = make(renderer="gl")
-    with pytest.raises(type(missing), match=str(missing)) as error:
+    with pytest.raises(missing, match=line) as error:
         env.reset(seed=0)
     assert "\n" not in str(error.value)
