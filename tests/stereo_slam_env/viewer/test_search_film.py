@@ -36,9 +36,13 @@ def test_the_latest_picture_is_served_and_the_address_told(tmp_path):
 
 
 def test_no_film_is_left_by_what_breaks_off(tmp_path):
-    with pytest.raises(KeyboardInterrupt), search_film("small", tmp_path / "film.mp4") as watch:
-        show(watch)
-        raise KeyboardInterrupt
+    def breaks_off():
+        with search_film("small", tmp_path / "film.mp4") as watch:
+            show(watch)
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        breaks_off()
     assert list(tmp_path.iterdir()) == []
 
 
