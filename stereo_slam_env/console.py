@@ -60,10 +60,8 @@ def show_recording(console: Console, recording: Recording) -> None:
     with_truth = sum(frame.truth is not None for frame in frames)
     noise = f"R = {json.dumps(recording.noise.R.round(6).tolist())} px² of (u, v, d)"
     if any(frame.observation.R is not None for frame in frames):
-        sigmas = np.sqrt(
-            np.concatenate([np.einsum("nii->ni", f.observation.covariances(recording.noise)) for f in frames])
-        )
-        median = " / ".join(f"{sigma:.2f}" for sigma in np.median(sigmas, axis=0))
+        R = np.concatenate([frame.observation.covariances(recording.noise) for frame in frames])
+        median = " / ".join(f"{sigma:.2f}" for sigma in np.median(np.sqrt(np.einsum("nii->ni", R)), axis=0))
         noise = f"an R for each measurement, its median sigma {median} px of u / v / d"
     source = dict(recording.source)
     front_end = source.pop("front_end", None)

@@ -15,6 +15,13 @@ def test_a_scenario_survives_json():
     assert Scenario.from_dict(json.loads(json.dumps(scenario.as_dict()))) == scenario
 
 
+def test_the_search_in_images_survives_json_and_older_files_have_none():
+    data = Scenario("s", search="forecast").as_dict()
+    assert Scenario.from_dict(json.loads(json.dumps(data))).search == "forecast"
+    del data["search"]
+    assert Scenario.from_dict(data) == Scenario("s", search="flow")
+
+
 def test_the_euclidean_filter_has_its_guard_as_a_visible_option():
     assert filter_choice("euclidean").options == {"min_disparity": 5.0}
     assert filter_choice("somebody-elses") == FilterChoice("somebody-elses", "somebody-elses")
@@ -58,6 +65,8 @@ def test_the_assumed_noise_is_that_of_the_recording_unless_said_otherwise():
         ({"name": "s", "filters": [{"name": "euclidean", "option": {}}]}, "did you mean 'options'"),
         ({"name": "s", "filters": [{"name": "euclidean", "label": "../x"}]}, "label must be letters"),
         ({"name": "s", "options": {"x": float("nan")}}, "must consist of JSON values"),
+        ({"name": "s", "search": "forecas"}, "search must be one of flow, forecast, got 'forecas'"),
+        ({"name": "s", "search": None}, "search must be one of flow, forecast, got None"),
         ({"name": "s", "divergence_percent": 0}, "divergence_percent must be"),
     ],
 )

@@ -1,0 +1,89 @@
+"""A scripted drive as images, and through a folder back again. About 8 s."""
+
+import json
+
+import numpy as np
+import pytest
+
+from stereo_slam_env.datasets import read_recording
+from stereo_slam_env.datasets.images.kitti_writer import write_kitti_sequence
+from stereo_slam_env.envs.drive import StereoDriveEnv
+from stereo_slam_env.envs.rendered_drive import RenderedDrive
+from stereo_slam_env.frontend.recorder import record_tracks
+from stereo_slam_env.rendering.backends import renderer_identity
+from stereo_slam_env.rendering.images import grey
+
+DRIVE = {"route": "right-turn", "rig": "qvga"}
+FRAMES = 6
+
+
+@pytest.fixture(scope="module")
+def drive():
+    return RenderedDrive(DRIVE, seed=2, frames=FRAMES)
+
+
+@pytest.fixture(scope="module")
+def pairs(drive):
+    return list(drive.pairs())
+
+
+def test_it_is_what_the_environment_sees(drive, pairs):
+    env = StereoDriveEnv(**DRIVE, policy="route", render_images=True)
+    try:
+        observation, _ = env.reset(seed=2)
+        np.testing.assert_array_equal(drive.start.linear_velocity, env.start.linear_velocity)
+        np.testing.assert_array_equal(drive.start.covariance, env.start.covariance)
+        assert drive.camera == env.camera
+        for pair in pairs:
+            np.testing.assert_array_equal(pair.left, grey(observation["left"]))
+            np.testing.assert_array_equal(pair.right, grey(observation["right"]))
+            assert pair.timestamp == env.frame.timestamp
+            np.testing.assert_array_equal(pair.truth.position, env.frame.truth.position)
+            if pair.odometry is not None:
+                np.testing.assert_array_equal(pair.odometry.linear, env.frame.odometry.linear)
+            observation = env.step(np.zeros(2, dtype=np.float32))[0]
+    finally:
+        env.close()
+
+
+def test_it_can_be_read_again(drive, pairs):
+    assert len(drive) == len(pairs) == FRAMES
+    for one, two in zip(pairs, drive.pairs(), strict=True):
+        np.testing.assert_array_equal(one.left, two.left)
+        np.testing.assert_array_equal(one.right, two.right)
+
+
+def test_the_source_says_how_to_make_it_again_and_who_drew_it(drive):
+    source = json.loads(json.dumps(drive.source))
+    assert source["renderer"] == renderer_identity("tiny")
+    assert (source["seed"], source["frames"]) == (2, FRAMES)
+    again = RenderedDrive(source["arguments"], source["seed"], 2)
+    np.testing.assert_array_equal(next(again.pairs()).left, next(drive.pairs()).left)
+
+
+def test_without_a_limit_it_is_the_whole_route():
+    assert len(RenderedDrive(DRIVE)) == 80
+
+
+@pytest.mark.parametrize("frames", [0, 81])
+def test_frames_beyond_the_route_are_refused(frames):
+    with pytest.raises(ValueError, match=rf"frames must be from 1 to 80 on route 'right-turn', got {frames}"):
+        RenderedDrive(DRIVE, frames=frames)
+
+
+def test_settings_of_the_sensor_do_no_harm():
+    """The arguments of an environment that tracks landmarks are those of its drive, too."""
+    drive = RenderedDrive({**DRIVE, "sensor": "images", "refill_below": 50, "render_images": True}, seed=2, frames=1)
+    assert len(list(drive.pairs())) == 1
+
+
+def test_through_a_kitti_folder_the_tracks_stay_the_same(drive, tmp_path):
+    """A perfect rig is left alone by the calibration, so not even the last bit changes."""
+    write_kitti_sequence(drive, tmp_path, "00")
+    direct, replayed = record_tracks(drive), read_recording(tmp_path)
+    assert replayed.source["front_end"]["disparity_offset"] == 0.0
+    assert len(replayed) == FRAMES
+    for one, two in zip(direct.frames, replayed.frames, strict=True):
+        np.testing.assert_array_equal(one.observation.ids, two.observation.ids)
+        np.testing.assert_allclose(one.observation.uvd, two.observation.uvd, atol=1e-9)
+        np.testing.assert_allclose(one.truth.position, two.truth.position, atol=1e-9)
