@@ -13,23 +13,23 @@ import logging
 from itertools import islice
 
 import numpy as np
-from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 from filters.camera import StereoCamera
-from filters.validation import FloatArray
 from stereo_slam_env.frontend.ego_motion import robust_step
 from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.frontend.tracker import StereoTracker
 from stereo_slam_env.frontend.tracks import MEMORY
 from stereo_slam_env.image_sequence import ImageSequence
-from stereo_slam_env.stereo_step import Pairs, Step, transfer
+from stereo_slam_env.stereo_step import Pairs, Step, most_likely_step
 
 PRIOR_SIGMA = 0.25
 """What a careful calibration leaves, px."""
 CALIBRATION_PAIRS = 60
 """Pairs of a sequence that are looked at."""
-_NOT_NOISE = 9.0
-"""Squared ratio of the value to its standard deviation below which nothing is corrected."""
+_PROBE = 0.1
+"""Step of the differences by which the likelihood is followed, px."""
+_SIGNIFICANT = 3.0
+"""A value of fewer standard deviations may be noise: nothing is corrected then, and a perfect rig is left alone."""
 
 _log = logging.getLogger(__name__)
 
@@ -59,8 +59,8 @@ def calibrated(
     for number, pair in enumerate(islice(sequence.pairs(), pairs)):
         tracker.track(pair.left, pair.right, pair.timestamp - before if number else None)
         before = pair.timestamp
-        if number % (MEMORY - 1) == 0 and (far_apart := tracker.longest_pairs()) is not None:
-            offset.learn(*far_apart)
+        if (far_apart := tracker.longest_pairs()) is not None:
+            offset.learn(*far_apart, shared=MEMORY - 1)
     _log.info("%s: disparity offset %.3f +- %.3f px", sequence.name, offset.value, offset.sigma)
     return dataclasses.replace(settings, disparity_offset=settings.disparity_offset + offset.correction)
 
@@ -82,47 +82,45 @@ class DisparityOffset:
 
     @property
     def correction(self) -> float:
-        """What to add to disparities: the part of `value` that noise alone would not bring about, px.
-
-        The less the value stands out of its own uncertainty, the more it is drawn to 0: a perfect rig is left alone.
-        """
-        significance = self.value**2 * self._information
-        return self.value * max(0.0, 1.0 - _NOT_NOISE / max(significance, _NOT_NOISE))
+        """What to add to disparities: `value` where noise alone would hardly bring it about, else 0; px."""
+        return self.value if abs(self.value) > _SIGNIFICANT * self.sigma else 0.0
 
     @property
     def sigma(self) -> float:
         """Standard deviation of the estimate, px."""
         return float(self._information**-0.5)
 
-    def learn(self, pairs: Pairs, step: Step) -> None:
+    def learn(self, pairs: Pairs, step: Step, *, shared: int = 1) -> None:
         """Learn from a step and the pairs that agree with it.
 
         Parameters
         ----------
         pairs : Pairs
-            Measurements as they came; none may come twice.
+            Measurements as they came.
         step : Step
             About the motion between them.
+        shared : int
+            So many calls look at overlapping parts of the drive: each counts for one part in so many.
         """
-        shift = np.array([0.0, 0.0, self.value])
-        pairs = dataclasses.replace(pairs, first=pairs.first + shift, second=pairs.second + shift)
-        found = robust_step(self._camera, pairs, step)
+        found = robust_step(self._camera, self._shifted(pairs, self.value), step)
         if found is None:
             return
-        pairs, step = pairs.select(found.inliers), found.step
-        predicted = transfer(self._camera, pairs.first, step)
-        A = predicted.by_first
-        S = pairs.R_second + A @ pairs.R_first @ A.transpose(0, 2, 1)
-        nu = pairs.second - predicted.uvd
-        # Adding x to all disparities moves the measurement by x e_d and the prediction by A e_d x.
-        by_offset = A[:, :, 2] - np.array([0.0, 0.0, 1.0])
-        H = np.concatenate([predicted.by_step, by_offset[:, :, None]], axis=2)
-        weighted = np.linalg.solve(S, H)
-        normal: FloatArray = np.einsum("mij,mik->jk", H, weighted)
-        normal[6, 6] += self._information
-        try:
-            factor = cho_factor(normal)
-        except LinAlgError:
+        fitting = pairs.select(found.inliers)
+        # Minus twice the log-likelihood of the pairs, with the step that suits them best, for three offsets.
+        misfits = []
+        for offset in (self.value - _PROBE, self.value, self.value + _PROBE):
+            estimate = most_likely_step(self._camera, self._shifted(fitting, offset), found.step)
+            if estimate is None:
+                return
+            misfits.append(estimate.nis)
+        below, here, above = misfits
+        information = 0.5 * (above - 2.0 * here + below) / _PROBE**2 / shared
+        if information <= 0.0:
             return
-        self.value += float(cho_solve(factor, np.einsum("mij,mi->j", weighted, nu))[6])
-        self._information = float(1.0 / cho_solve(factor, np.eye(7)[6])[6])
+        self._information += information
+        self.value -= 0.5 * (above - below) / (2.0 * _PROBE) / shared / self._information
+
+    @staticmethod
+    def _shifted(pairs: Pairs, offset: float) -> Pairs:
+        shift = np.array([0.0, 0.0, offset])
+        return dataclasses.replace(pairs, first=pairs.first + shift, second=pairs.second + shift)

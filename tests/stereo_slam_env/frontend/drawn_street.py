@@ -76,6 +76,7 @@ class DrawnStreet:
     camera = CAMERA
     start = Start()
     source = {"drawn": True}  # noqa: RUF012 - as of every sequence: a mapping
+    skipped = {}  # noqa: RUF012
 
     def __post_init__(self):
         rng = np.random.default_rng(self.seed)

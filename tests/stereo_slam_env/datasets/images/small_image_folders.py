@@ -44,7 +44,7 @@ def true_poses() -> list[Pose]:
 class Drive:
     """The rendered drive as an `ImageSequence`."""
 
-    name, camera, start, source = "small", CAMERA, Start(), {"made": "for tests"}
+    name, camera, start, source, skipped = "small", CAMERA, Start(), {"made": "for tests"}, {}
 
     def __init__(self, pairs: list[StereoPair]) -> None:
         self._pairs = pairs
