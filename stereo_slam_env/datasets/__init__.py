@@ -7,14 +7,13 @@ for one of images see `datasets.images`, whose sequences go through the front en
 from __future__ import annotations
 
 import dataclasses
-import difflib
-import inspect
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 from stereo_slam_env.datasets import gtsam_examples, kitti00_stereo_tracks, kitti07_tracks
 from stereo_slam_env.datasets.images import known_image_layouts, open_image_sequence, reader_of
+from stereo_slam_env.datasets.known_options import keyword_options, require_known
 from stereo_slam_env.frontend.calibration import calibrated
 from stereo_slam_env.frontend.recorder import record_tracks
 from stereo_slam_env.frontend.settings import TrackerSettings
@@ -56,7 +55,7 @@ def read_recording(path: str | Path, **options: Any) -> Recording:
     text = str(path)
     prefix, _, name = text.partition(":")
     if prefix == gtsam_examples.PREFIX and not Path(text).exists():
-        _check_options(gtsam_examples.read, options)
+        require_known("the reader has no option", options, keyword_options(gtsam_examples.read))
         return gtsam_examples.read(name or "kitti00", **options)
     folder = Path(path)
     if not folder.is_dir():
@@ -64,7 +63,7 @@ def read_recording(path: str | Path, **options: Any) -> Recording:
         raise ValueError(f"{folder} {what}: give a folder of a known layout ({_layouts()})")
     for reader in READERS:
         if reader.recognises(folder):
-            _check_options(reader.read, options)
+            require_known("the reader has no option", options, keyword_options(reader.read))
             read: Callable[..., Recording] = reader.read
             return read(folder, **options)
     if not holds_images(folder):
@@ -107,21 +106,8 @@ def front_end_settings(fields: Mapping[str, Any]) -> TrackerSettings:
         An unknown field, or an impossible value.
     """
     known = [field.name for field in dataclasses.fields(TrackerSettings)]
-    for name in fields:
-        if name not in known:
-            near = difflib.get_close_matches(name, known, n=1)
-            hint = f", did you mean {near[0]}?" if near else ""
-            raise ValueError(f"the front end has no setting {name!r}{hint} Known: {', '.join(known)}")
+    require_known("the front end has no setting", fields, known)
     return TrackerSettings(**fields)
-
-
-def _check_options(read: Callable[..., Recording], options: dict[str, Any]) -> None:
-    known = [n for n, p in inspect.signature(read).parameters.items() if p.kind is inspect.Parameter.KEYWORD_ONLY]
-    for option in options:
-        if option not in known:
-            near = difflib.get_close_matches(option, known, n=1)
-            hint = f", did you mean {near[0]}?" if near else ""
-            raise ValueError(f"the reader has no option {option!r}{hint} Known: {', '.join(known)}")
 
 
 def _layouts() -> str:

@@ -6,8 +6,6 @@ To add a layout: a module with `NAME`, `FILES`, `recognises(path)` and `open_seq
 
 from __future__ import annotations
 
-import difflib
-import inspect
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -15,6 +13,7 @@ from typing import Any
 from stereo_slam_env.datasets.images import euroc, karlsruhe, kitti06_stereo51, kitti_odometry, kitti_raw
 from stereo_slam_env.datasets.images.broken import BrokenPair
 from stereo_slam_env.datasets.images.sequence import RecordedSequence
+from stereo_slam_env.datasets.known_options import keyword_options, require_known
 
 IMAGE_READERS: tuple[ModuleType, ...] = (kitti06_stereo51, kitti_odometry, kitti_raw, karlsruhe, euroc)
 _DEPTH = 2
@@ -67,7 +66,7 @@ def open_image_sequence(path: str | Path, **options: Any) -> RecordedSequence:
         folder = inside[0]
         reader = reader_of(folder)
     assert reader is not None
-    _check_options(reader, options)
+    require_known(f"the reader {reader.NAME} has no option", options, keyword_options(reader.open_sequence))
     sequence: RecordedSequence = reader.open_sequence(folder, **options)
     return sequence
 
@@ -85,16 +84,6 @@ def _folders_in(folder: Path) -> list[Path]:
         return sorted(child for child in folder.iterdir() if child.is_dir())
     except OSError:  # not ours to read
         return []
-
-
-def _check_options(reader: ModuleType, options: dict[str, Any]) -> None:
-    parameters = inspect.signature(reader.open_sequence).parameters
-    known = [name for name, p in parameters.items() if p.kind is inspect.Parameter.KEYWORD_ONLY]
-    for option in options:
-        if option not in known:
-            near = difflib.get_close_matches(option, known, n=1)
-            hint = f", did you mean {near[0]}?" if near else ""
-            raise ValueError(f"the reader {reader.NAME} has no option {option!r}{hint} Known: {', '.join(known)}")
 
 
 def _layouts() -> str:
