@@ -25,7 +25,9 @@ def tracked(searches=(), measured=(), initialised=()):
         np.array(outcome, dtype=np.int64),
     )
     observation = StereoObservation([i for i, _ in measured], np.array([uvd for _, uvd in measured]).reshape(-1, 3))
-    return TrackedPair(observation, search, np.array(initialised, dtype=np.int64), np.zeros(0, dtype=np.int64))
+    none = np.zeros(0, dtype=np.int64)
+    corners = StereoObservation(none, np.zeros((0, 3)))
+    return TrackedPair(observation, search, corners, np.array(initialised, dtype=np.int64), none)
 
 
 def changes(pair, **options):
