@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from filters import rotations
 from filters.camera import StereoCamera
 from filters.interface import BodyVelocity, StereoObservation
 from filters.noise import StereoNoise
@@ -31,6 +32,11 @@ class Pose:
 
     position: FloatArray
     orientation: FloatArray
+
+    def to_camera(self, points_w: FloatArray) -> FloatArray:
+        """Points of W in the camera frame; (..., 3) m -> (..., 3) m."""
+        points_c: FloatArray = (points_w - self.position) @ rotations.matrix(self.orientation)
+        return points_c
 
 
 @dataclass(frozen=True, eq=False)

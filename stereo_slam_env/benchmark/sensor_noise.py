@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from filters import rotations
 from filters.validation import FloatArray
 from stereo_slam_env.recording import Recording
 
@@ -76,7 +75,7 @@ def measurement_errors(recording: Recording) -> MeasurementErrors:
             continue
         seen = frame.observation
         _, i, j = np.intersect1d(seen.ids, truth.ids, assume_unique=True, return_indices=True)
-        p_c = (truth.positions[j] - frame.truth.position) @ rotations.matrix(frame.truth.orientation)
+        p_c = frame.truth.to_camera(truth.positions[j])
         depths.append(p_c[:, 2])
         errors.append(seen.uvd[i] - recording.camera.project(p_c))
         claimed.append(seen.covariances(recording.noise)[i])

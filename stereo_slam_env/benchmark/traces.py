@@ -6,7 +6,6 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from filters import rotations
 from filters.interface import StereoObservation
 from stereo_slam_env.benchmark.map_scoring import MapView, depths
 from stereo_slam_env.benchmark.results import LandmarkTrace
@@ -48,7 +47,7 @@ def _noise_free(frame: Frame, recording: Recording) -> StereoObservation:
     if frame.truth is None or landmarks is None or not np.isin(seen.ids, landmarks.ids).all():
         return seen
     points_w = landmarks.positions[np.searchsorted(landmarks.ids, seen.ids)]
-    points_c = (points_w - frame.truth.position) @ rotations.matrix(frame.truth.orientation)
+    points_c = frame.truth.to_camera(points_w)
     return StereoObservation(seen.ids, recording.camera.project(points_c))
 
 

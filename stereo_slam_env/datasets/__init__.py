@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from stereo_slam_env.datasets import gtsam_examples, kitti00_stereo_tracks, kitti07_tracks
-from stereo_slam_env.datasets.images import known_image_layouts, open_image_sequence, reader_of
+from stereo_slam_env.datasets.images import known_image_layouts, open_image_sequence, recordings_in
 from stereo_slam_env.datasets.known_options import keyword_options, require_known
 from stereo_slam_env.frontend.calibration import calibrated
 from stereo_slam_env.frontend.recorder import record_tracks
@@ -93,8 +93,7 @@ def holds_images(path: str | Path) -> bool:
     folder = Path(path)
     if not folder.is_dir() or any(reader.recognises(folder) for reader in READERS):
         return False
-    inside = [folder, *folder.glob("*/"), *folder.glob("*/*/")]
-    return any(reader_of(place) is not None for place in inside)
+    return bool(recordings_in(folder))
 
 
 def front_end_settings(fields: Mapping[str, Any]) -> TrackerSettings:

@@ -15,6 +15,9 @@ from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.frontend.tracks import Tracks
 from stereo_slam_env.stereo_step import Pairs, Step
 
+Rows = tuple[IntArray, IntArray]
+"""Positions of the same landmarks in the tracks and in a forecast."""
+
 
 @dataclass(frozen=True, eq=False)
 class Expectation:
@@ -80,25 +83,23 @@ def by_motion(
 
 
 def by_forecast(
-    camera: StereoCamera, tracks: Tracks, expected: Expectation, forecast: Forecast, settings: TrackerSettings
+    camera: StereoCamera, tracks: Tracks, expected: Expectation, forecast: Forecast, rows: Rows, margin: float
 ) -> Expectation:
-    """The filter's word for the landmarks it has, where it is sure enough to search there."""
-    i, j = _common(tracks, forecast)
-    sure = searchable(forecast.S[j], settings) & ~tracks.moving[i]
-    i, j = i[sure], j[sure]
+    """The filter's word for the landmarks of `rows`, see `sure_rows`, in place of what else is `expected`."""
+    i, j = rows
+    standing = ~tracks.moving[i]
+    i, j = i[standing], j[standing]
     uvd, S, in_view = expected.uvd.copy(), expected.S.copy(), expected.in_view.copy()
     uvd[i], S[i] = forecast.uvd[j], forecast.S[j]
-    in_view[i] = forecast.in_view[j] & camera.in_view(uvd[i], settings.margin)
+    in_view[i] = forecast.in_view[j] & camera.in_view(uvd[i], margin)
     return Expectation(uvd, S, in_view, expected.step)
 
 
-def step_of_forecast(
-    camera: StereoCamera, tracks: Tracks, forecast: Forecast, settings: TrackerSettings
-) -> Step | None:
+def step_of_forecast(camera: StereoCamera, tracks: Tracks, forecast: Forecast, rows: Rows) -> Step | None:
     """The motion of the camera that a forecast means: from where the landmarks were to where they are expected."""
-    i, j = _common(tracks, forecast)
-    sure = searchable(forecast.S[j], settings) & (tracks.misses[i] == 0)
-    i, j = i[sure], j[sure]
+    i, j = rows
+    seen = tracks.misses[i] == 0
+    i, j = i[seen], j[seen]
     if len(i) < MIN_POINTS:
         return None
     found = robust_step(camera, Pairs(tracks.uvd[i], forecast.uvd[j], tracks.R[i], forecast.S[j]), None)
@@ -111,6 +112,8 @@ def searchable(S: FloatArray, settings: TrackerSettings) -> BoolArray:
     return np.asarray(gate_limit(settings.search_gate, 2) * largest <= settings.max_radius**2)
 
 
-def _common(tracks: Tracks, forecast: Forecast) -> tuple[IntArray, IntArray]:
+def sure_rows(tracks: Tracks, forecast: Forecast, settings: TrackerSettings) -> Rows:
+    """Rows of the same landmarks in the tracks and in the forecast, where that is sure enough to search there."""
     _, i, j = np.intersect1d(tracks.ids, forecast.ids, assume_unique=True, return_indices=True)
-    return i, j
+    sure = searchable(forecast.S[j], settings)
+    return i[sure], j[sure]

@@ -18,6 +18,7 @@ from stereo_slam_env.frontend.expectation import (
     by_motion,
     constant_velocity_covariance,
     step_of_forecast,
+    sure_rows,
 )
 from stereo_slam_env.frontend.finding import Found, PairFinder
 from stereo_slam_env.frontend.moving import STRIKES, beside_moving
@@ -163,7 +164,8 @@ class StereoTracker:
         """By the filter's forecast, else by constant velocity, else by optical flow."""
         step = None
         if forecast is not None:
-            step = step_of_forecast(self.camera, tracks, forecast, self.settings)
+            rows = sure_rows(tracks, forecast, self.settings)
+            step = step_of_forecast(self.camera, tracks, forecast, rows)
         if step is None and self._steps:
             step = continued(self._steps[0], dt / self._dt)
         if step is None:
@@ -171,7 +173,7 @@ class StereoTracker:
         expected = self._by_motion(tracks, step, constant_velocity_covariance(self.settings, dt))
         if forecast is None:
             return expected
-        return by_forecast(self.camera, tracks, expected, forecast, self.settings)
+        return by_forecast(self.camera, tracks, expected, forecast, rows, self.settings.margin)
 
     def _by_motion(self, tracks: Tracks, step: Step, step_covariance: FloatArray) -> Expectation:
         last = self._steps[0] if self._steps else None

@@ -105,5 +105,5 @@ def measurements_of(camera: StereoCamera, pose: Pose, points_w: FloatArray) -> F
     (N, 3) ndarray
         (u, v, d) in px; NaN for points behind the camera.
     """
-    points_c = (points_w - pose.position) @ rotations.matrix(pose.orientation)
+    points_c = pose.to_camera(points_w)
     return np.where(points_c[:, 2:] > 0, camera.project(points_c), np.nan)

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from filters import rotations
 from filters.camera import StereoCamera
 from filters.interface import StereoObservation
 from filters.validation import BoolArray, FloatArray, IntArray
@@ -100,8 +99,7 @@ class LandmarkSensor:
 
     def project(self, pose: Pose) -> FloatArray:
         """True (u, v, d) of every landmark, visible or not; (N, 3) px."""
-        p_c = (self.landmarks.positions - pose.position) @ rotations.matrix(pose.orientation)
-        return self.camera.project(p_c)
+        return self.camera.project(pose.to_camera(self.landmarks.positions))
 
     def _in_view(self, uvd: FloatArray) -> BoolArray:
         constant = self.camera.disparity_constant

@@ -19,7 +19,15 @@ IMAGE_READERS: tuple[ModuleType, ...] = (kitti06_stereo51, kitti_odometry, kitti
 _DEPTH = 2
 """How many levels below the given folder recordings are looked for."""
 
-__all__ = ["IMAGE_READERS", "BrokenPair", "RecordedSequence", "known_image_layouts", "open_image_sequence", "reader_of"]
+__all__ = [
+    "IMAGE_READERS",
+    "BrokenPair",
+    "RecordedSequence",
+    "known_image_layouts",
+    "open_image_sequence",
+    "reader_of",
+    "recordings_in",
+]
 
 
 def known_image_layouts() -> dict[str, str]:
@@ -55,23 +63,25 @@ def open_image_sequence(path: str | Path, **options: Any) -> RecordedSequence:
     if not folder.is_dir():
         what = "is a file, not a folder" if folder.exists() else "does not exist"
         raise ValueError(f"{folder} {what}: give a folder of a known layout ({_layouts()})")
+    inside = recordings_in(folder)
+    if len(inside) > 1:
+        names = ", ".join(str(found.relative_to(folder)) for found in inside)
+        raise ValueError(f"{folder} holds {len(inside)} recordings, give one of them: {names}")
+    if not inside:
+        raise ValueError(f"{folder} has no known layout: {_nearest(folder)}known are {_layouts()}")
+    folder = inside[0]
     reader = reader_of(folder)
-    if reader is None:
-        inside = _recordings_inside(folder)
-        if len(inside) > 1:
-            names = ", ".join(str(found.relative_to(folder)) for found in inside)
-            raise ValueError(f"{folder} holds {len(inside)} recordings, give one of them: {names}")
-        if not inside:
-            raise ValueError(f"{folder} has no known layout: {_nearest(folder)}known are {_layouts()}")
-        folder = inside[0]
-        reader = reader_of(folder)
     assert reader is not None
     require_known(f"the reader {reader.NAME} has no option", options, keyword_options(reader.open_sequence))
     sequence: RecordedSequence = reader.open_sequence(folder, **options)
     return sequence
 
 
-def _recordings_inside(folder: Path) -> list[Path]:
+def recordings_in(path: str | Path) -> list[Path]:
+    """The folder itself if it has a known layout, else those up to two levels below it that have one."""
+    folder = Path(path)
+    if reader_of(folder) is not None:
+        return [folder]
     level, found = [folder], []
     for _ in range(_DEPTH):
         level = [child for parent in level for child in _folders_in(parent)]

@@ -8,6 +8,7 @@ a row.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,17 +16,17 @@ from stereo_slam_env.datasets.images.broken import Faults, OnBroken
 from stereo_slam_env.datasets.images.calibration import entry, read_entries, rectified_rig
 from stereo_slam_env.datasets.images.frames import Eye, Times, Truth, poses_of_rows, usable_pairs
 from stereo_slam_env.datasets.images.image_files import image_size, numbered_images
+from stereo_slam_env.datasets.images.kitti_cameras import CAMERAS, chosen_cameras, has_cameras
 from stereo_slam_env.datasets.images.sequence import RecordedSequence
 from stereo_slam_env.datasets.tables import read_table
 
 NAME = "kitti_odometry"
 FILES = ("calib.txt", "times.txt", "image_0|image_2", "image_1|image_3")
-CAMERAS = {"grey": (0, 1), "colour": (2, 3)}
 
 
 def recognises(path: Path) -> bool:
     """Whether the folder is one sequence of this layout."""
-    has_pair = any((path / f"image_{a}").is_dir() and (path / f"image_{b}").is_dir() for a, b in CAMERAS.values())
+    has_pair = any(has_cameras(_folder_of(path), cameras) for cameras in CAMERAS)
     return has_pair and all((path / name).is_file() for name in FILES[:2])
 
 
@@ -65,8 +66,9 @@ def open_sequence(
     """
     path = path.resolve()
     faults = Faults(on_broken)
-    numbers = CAMERAS[_chosen(path, cameras)]
-    left, right = (Eye(folder := path / f"image_{n}", numbered_images(folder)) for n in numbers)
+    chosen = chosen_cameras(_folder_of(path), cameras)
+    numbers = CAMERAS[chosen]
+    left, right = (Eye(folder := _folder_of(path)(n), numbered_images(folder)) for n in numbers)
     calibration = path / "calib.txt"
     entries = read_entries(calibration)
     P_left, P_right = (entry(calibration, entries, f"P{n}", (3, 4)) for n in numbers)
@@ -80,7 +82,7 @@ def open_sequence(
     source: dict[str, Any] = {
         "reader": NAME,
         "path": str(path),
-        "cameras": _chosen(path, cameras),
+        "cameras": chosen,
         "first": frames[0].number,
         "last": frames[-1].number,
         "on_broken": on_broken,
@@ -89,11 +91,5 @@ def open_sequence(
     return RecordedSequence(f"{NAME}_{path.name}", rig.camera, rig.of_left(frames), faults, source)
 
 
-def _chosen(path: Path, cameras: str | None) -> str:
-    if cameras is None:
-        left, right = CAMERAS["grey"]
-        both = (path / f"image_{left}").is_dir() and (path / f"image_{right}").is_dir()
-        return "grey" if both else "colour"
-    if cameras not in CAMERAS:
-        raise ValueError(f"cameras must be one of {', '.join(CAMERAS)}, got {cameras!r}")
-    return cameras
+def _folder_of(path: Path) -> Callable[[int], Path]:
+    return lambda number: path / f"image_{number}"

@@ -12,7 +12,7 @@ unit's frame by roll and pitch. Row k is taken for the step from frame k - 1 to 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -26,13 +26,13 @@ from stereo_slam_env.datasets.images.broken import Faults, OnBroken
 from stereo_slam_env.datasets.images.calibration import entry, eye_position, read_entries, rectified_rig
 from stereo_slam_env.datasets.images.frames import Eye, Times, Truth, usable_pairs
 from stereo_slam_env.datasets.images.image_files import image_size, numbered_images
+from stereo_slam_env.datasets.images.kitti_cameras import CAMERAS, chosen_cameras, has_cameras
 from stereo_slam_env.datasets.images.odometry import noisy_camera_velocities
 from stereo_slam_env.datasets.images.sequence import RecordedSequence
 from stereo_slam_env.datasets.tables import finite_rows, first_line
 from stereo_slam_env.recording import Pose
 
 NAME = "kitti_raw"
-CAMERAS = {"grey": ("00", "01"), "colour": ("02", "03")}
 CALIBRATION = "calib_cam_to_cam.txt"
 EXTRINSICS = ("calib_imu_to_velo.txt", "calib_velo_to_cam.txt")
 FILES = (
@@ -49,7 +49,7 @@ LEVEL_VELOCITY, BODY_RATES = slice(8, 11), slice(17, 20)
 
 def recognises(path: Path) -> bool:
     """Whether the folder is one drive of this layout."""
-    return (path.parent / CALIBRATION).is_file() and any(_has(path, cameras) for cameras in CAMERAS)
+    return (path.parent / CALIBRATION).is_file() and any(has_cameras(_folder_of(path), cameras) for cameras in CAMERAS)
 
 
 def open_sequence(
@@ -90,15 +90,13 @@ def open_sequence(
     """
     path = path.resolve()
     faults = Faults(on_broken)
-    chosen = _chosen(path, cameras)
-    left_number, right_number = CAMERAS[chosen]
-    left, right = (
-        Eye(folder := path / f"image_{n}" / "data", numbered_images(folder)) for n in (left_number, right_number)
-    )
+    chosen = chosen_cameras(_folder_of(path), cameras)
+    numbers = CAMERAS[chosen]
+    left, right = (Eye(folder := _folder_of(path)(n), numbered_images(folder)) for n in numbers)
     calibration = path.parent / CALIBRATION
     entries = read_entries(calibration)
-    P_left, P_right = (entry(calibration, entries, f"P_rect_{n}", (3, 4)) for n in (left_number, right_number))
-    times = read_timestamps(path / f"image_{left_number}" / "timestamps.txt")
+    P_left, P_right = (entry(calibration, entries, f"P_rect_{n:02d}", (3, 4)) for n in numbers)
+    times = read_timestamps(left.folder.parent / "timestamps.txt")
     truth, odometry = None, []
     if known := use_oxts and _has_oxts(path):
         packets = _read_packets(path / "oxts" / "data", len(times.seconds))
@@ -155,20 +153,12 @@ def _stamp(line: str) -> np.datetime64:
         return np.datetime64("NaT", "ns")
 
 
-def _has(path: Path, cameras: str) -> bool:
-    return all((path / f"image_{n}" / "data").is_dir() for n in CAMERAS[cameras])
+def _folder_of(path: Path) -> Callable[[int], Path]:
+    return lambda number: path / f"image_{number:02d}" / "data"
 
 
 def _has_oxts(path: Path) -> bool:
     return (path / "oxts" / "data").is_dir() and all((path.parent / name).is_file() for name in EXTRINSICS)
-
-
-def _chosen(path: Path, cameras: str | None) -> str:
-    if cameras is None:
-        return "grey" if _has(path, "grey") else "colour"
-    if cameras not in CAMERAS:
-        raise ValueError(f"cameras must be one of {', '.join(CAMERAS)}, got {cameras!r}")
-    return cameras
 
 
 def _read_packets(folder: Path, count: int) -> FloatArray:

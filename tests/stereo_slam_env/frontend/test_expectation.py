@@ -12,6 +12,7 @@ from stereo_slam_env.frontend.expectation import (
     constant_velocity_covariance,
     searchable,
     step_of_forecast,
+    sure_rows,
 )
 from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.frontend.tracks import new_tracks
@@ -81,7 +82,7 @@ def test_the_filters_word_goes_first_where_it_is_sure(tracks, pairs):
     own = by_motion(CAMERA, tracks, STEP, np.zeros((6, 6)), None, 8)
     told = forecast_of(tracks, own.uvd[:20] + 0.7)
     told.S[:5] *= 1e6
-    expected = by_forecast(CAMERA, tracks, own, told, SETTINGS)
+    expected = by_forecast(CAMERA, tracks, own, told, sure_rows(tracks, told, SETTINGS), SETTINGS.margin)
     assert np.array_equal(expected.uvd[:5], own.uvd[:5])
     assert np.array_equal(expected.uvd[5:20], told.uvd[5:])
     assert np.array_equal(expected.S[5:20], told.S[5:])
@@ -91,15 +92,18 @@ def test_the_filters_word_goes_first_where_it_is_sure(tracks, pairs):
 def test_a_forecast_of_landmarks_nobody_follows_is_left_aside(tracks):
     own = by_motion(CAMERA, tracks, STEP, np.zeros((6, 6)), None, 8)
     strangers = Forecast(np.array([1, 2]), np.zeros((2, 3)), np.tile(np.eye(3), (2, 1, 1)), np.ones(2, dtype=bool))
-    assert np.array_equal(by_forecast(CAMERA, tracks, own, strangers, SETTINGS).uvd, own.uvd)
-    assert step_of_forecast(CAMERA, tracks, strangers, SETTINGS) is None
+    rows = sure_rows(tracks, strangers, SETTINGS)
+    assert np.array_equal(by_forecast(CAMERA, tracks, own, strangers, rows, SETTINGS.margin).uvd, own.uvd)
+    assert step_of_forecast(CAMERA, tracks, strangers, rows) is None
 
 
 def test_the_motion_that_a_forecast_means(tracks, pairs):
-    step = step_of_forecast(CAMERA, tracks, forecast_of(tracks, pairs.second, variance=0.01), SETTINGS)
+    sure = forecast_of(tracks, pairs.second, variance=0.01)
+    step = step_of_forecast(CAMERA, tracks, sure, sure_rows(tracks, sure, SETTINGS))
     assert step.t == pytest.approx(STEP.t, abs=0.02)
     assert rotations.log(step.R) == pytest.approx(rotations.log(STEP.R), abs=1e-3)
-    assert step_of_forecast(CAMERA, tracks, forecast_of(tracks, pairs.second, variance=1e6), SETTINGS) is None
+    unsure = forecast_of(tracks, pairs.second, variance=1e6)
+    assert step_of_forecast(CAMERA, tracks, unsure, sure_rows(tracks, unsure, SETTINGS)) is None
 
 
 def test_an_ellipse_is_searchable_up_to_the_largest_half_axis():
