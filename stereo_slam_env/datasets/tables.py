@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 import zipfile
 from pathlib import Path
 
@@ -39,7 +40,9 @@ def read_table(
         Not a table of that width, empty, or, where `finite`, with NaN or infinity: the message names file and row.
     """
     try:
-        table = np.loadtxt(path, dtype=np.float64, delimiter=delimiter, skiprows=header_lines, ndmin=2)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # of an empty file: the error below says it
+            table = np.loadtxt(path, dtype=np.float64, delimiter=delimiter, skiprows=header_lines, ndmin=2)
     except (ValueError, UnicodeDecodeError) as error:
         raise ValueError(f"{path} is not a table of {columns} numbers a row: {first_line(error)}") from error
     if table.size == 0:

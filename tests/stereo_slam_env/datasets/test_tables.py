@@ -21,7 +21,7 @@ def test_a_table_is_read_as_it_is(tmp_path):
         ("1 2 3\n4 x 6\n", r"t\.txt is not a table of 3 numbers a row"),
     ],
 )
-@pytest.mark.filterwarnings("ignore:loadtxt")
+@pytest.mark.filterwarnings("error")
 def test_a_wrong_table_is_named(tmp_path, text, complaint):
     (tmp_path / "t.txt").write_text(text)
     with pytest.raises(ValueError, match=complaint) as caught:
