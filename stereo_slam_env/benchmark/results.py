@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from filters.validation import FloatArray, IntArray
@@ -118,6 +118,102 @@ class FilterRun:
 
 
 @dataclass(frozen=True)
+class SegmentError:
+    """Relative error over segments of one length, as KITTI measures it.
+
+    Attributes
+    ----------
+    length_m : float
+        Length of the segments along the true path.
+    segments : int
+        How many there were, over all runs.
+    translation_percent, rotation_deg_per_100m : float
+        Means over the segments.
+    """
+
+    length_m: float
+    segments: int
+    translation_percent: float
+    rotation_deg_per_100m: float
+
+
+@dataclass(frozen=True)
+class RangeError:
+    """Landmarks of one range of true distance from the camera, over frames and runs.
+
+    Attributes
+    ----------
+    low_m, high_m : float
+        The range; high_m is infinity for the last one.
+    count : int
+        Landmarks x frames.
+    rmse_m : float
+        Position error relative to the camera; infinite estimates (d <= 0) are left out and counted as `negative_depth`.
+    depth_bias_m, depth_bias_sigma_m : float
+        Mean of estimated minus true depth, and its standard error over runs (Sibley's bias).
+    anees : float
+        Mean NEES in (u, v, d), 3 is ideal.
+    """
+
+    low_m: float
+    high_m: float
+    count: int
+    rmse_m: float
+    depth_bias_m: float
+    depth_bias_sigma_m: float
+    anees: float
+
+
+@dataclass(frozen=True)
+class DepthConvergence:
+    """Depth of the landmarks that began near or far, by number of frames since they entered the map.
+
+    Attributes
+    ----------
+    label : str
+        "near" or "far".
+    low_m, high_m : float
+        True depth at first sight.
+    frames : tuple of int
+        Frames since then, 0 at first sight.
+    count : tuple of int
+        Landmarks still there.
+    sigma_m, rmse_m : tuple of float
+        Root mean square of the claimed standard deviation of depth, and of its true error.
+    """
+
+    label: str
+    low_m: float
+    high_m: float
+    frames: tuple[int, ...]
+    count: tuple[int, ...]
+    sigma_m: tuple[float, ...]
+    rmse_m: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class ConsistencyFigure:
+    """A mean NEES or NIS against what a consistent filter has.
+
+    Attributes
+    ----------
+    mean : float
+        Over frames and runs; `dof` is ideal.
+    dof : float
+        Degrees of freedom of one value.
+    band : pair of float
+        Two-sided 95 % chi-square band of the mean over this number of runs (of innovations, for NIS).
+    inside_percent : float
+        Share of the frames whose mean over runs lies inside the band of that frame.
+    """
+
+    mean: float
+    dof: float
+    band: tuple[float, float]
+    inside_percent: float
+
+
+@dataclass(frozen=True)
 class FilterSummary:
     """The figures of one filter over all its runs: one row of the result table, one entry of `summary.json`.
 
@@ -158,6 +254,30 @@ class FilterSummary:
         Runs that failed, returned non-finite numbers, or ended farther from the truth than the divergence limit.
     failures : tuple of str
         One line for each run that raised.
+    bound_position_m, bound_rotation_deg : float
+        Posterior Cramer-Rao bound of the position and the rotation RMSE on these recordings, see `benchmark.limits`.
+    efficiency_percent : float
+        `bound_position_m` over `position_rmse_m`: 100 leaves nothing to gain.
+    efficiency_by_run : tuple of float
+        The same of each run; NaN where not known.
+    consistency : mapping of str to ConsistencyFigure
+        "pose", "position", "rotation", "landmark", "nis"; what is not known is left out.
+    rpe : tuple of SegmentError
+        By segment length, ascending.
+    rpe_translation_percent, rpe_rotation_deg_per_100m : float
+        Means over the segments of all lengths: KITTI's t_rel and r_rel.
+    landmark_by_range : tuple of RangeError
+        Ascending.
+    depth_convergence : tuple of DepthConvergence
+        Near, then far.
+    negative_depth : int
+        Landmarks x frames with an estimate of d <= 0.
+    ms_predict, ms_update : float
+        Medians of the two calls.
+    state_size : float
+        Median dimension of the error state.
+    memory_mb : float
+        Largest growth of a trial's resident memory.
     """
 
     filter_name: str
@@ -183,3 +303,18 @@ class FilterSummary:
     failed_factorisations: int
     diverged: int
     failures: tuple[str, ...]
+    bound_position_m: float | None = None
+    bound_rotation_deg: float | None = None
+    efficiency_percent: float | None = None
+    efficiency_by_run: tuple[float, ...] = ()
+    consistency: Mapping[str, ConsistencyFigure] = field(default_factory=dict)
+    rpe: tuple[SegmentError, ...] = ()
+    rpe_translation_percent: float | None = None
+    rpe_rotation_deg_per_100m: float | None = None
+    landmark_by_range: tuple[RangeError, ...] = ()
+    depth_convergence: tuple[DepthConvergence, ...] = ()
+    negative_depth: int = 0
+    ms_predict: float | None = None
+    ms_update: float | None = None
+    state_size: float | None = None
+    memory_mb: float | None = None
