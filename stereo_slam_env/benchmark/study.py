@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 from stereo_slam_env.benchmark.scenario import Scenario
@@ -46,6 +46,47 @@ class Study:
     name: str
     cells: tuple[Cell, ...]
     factorial: Mapping[str, tuple[Any, ...]] | None = None
+
+    @classmethod
+    def of(cls, scenario: Scenario) -> Study:
+        """A study of one scenario."""
+        return cls(scenario.name, (Cell(scenario.name, {}, scenario),))
+
+    def only_scenario(self) -> Scenario:
+        """The scenario of a study of one cell.
+
+        Raises
+        ------
+        ValueError
+            There are several.
+        """
+        if len(self.cells) != 1:
+            raise ValueError(f"{self.name!r} is a grid of {len(self.cells)} scenarios, not one")
+        return self.cells[0].scenario
+
+    def with_scenarios(self, change: Callable[[Scenario], Scenario]) -> Study:
+        """The same study with every scenario changed."""
+        return replace(self, cells=tuple(replace(cell, scenario=change(cell.scenario)) for cell in self.cells))
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON-able form; `from_dict` reads it."""
+        return {
+            "name": self.name,
+            "cells": [
+                {"name": cell.name, "factors": dict(cell.factors), "scenario": cell.scenario.as_dict()}
+                for cell in self.cells
+            ],
+            "factorial": None if self.factorial is None else {key: list(v) for key, v in self.factorial.items()},
+        }
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Study:
+        """A study from its JSON form."""
+        cells = (Cell(c["name"], c["factors"], Scenario.from_dict(c["scenario"])) for c in data["cells"])
+        crossed = data["factorial"]
+        return cls(
+            data["name"], tuple(cells), None if crossed is None else {key: tuple(v) for key, v in crossed.items()}
+        )
 
 
 def factorial_label(levels: Mapping[str, Any]) -> str:
