@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import os
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 
+from stereo_slam_env.atomic_files import write_atomically
 from stereo_slam_env.benchmark.results import FilterRun, LandmarkTrace
 
 FORMAT = 1
@@ -72,15 +72,3 @@ def load_run(path: Path) -> tuple[FilterRun, dict[str, Any]]:
             raise
         reason = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
         raise ValueError(f"{path} is damaged ({reason}): delete it and run the same command again") from error
-
-
-def write_atomically(path: Path, write: Callable[[IO[bytes]], Any]) -> None:
-    """Write a file so that a reader, or an interruption, never meets half of it."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        with unfinished.open("wb") as stream:
-            write(stream)
-        unfinished.replace(path)
-    finally:
-        unfinished.unlink(missing_ok=True)

@@ -35,8 +35,9 @@ from typing import Any
 import numpy as np
 
 from filters.validation import FloatArray
+from stereo_slam_env.atomic_files import write_atomically
 from stereo_slam_env.benchmark.results import FilterRun, FilterSummary
-from stereo_slam_env.benchmark.run_archive import load_run, save_run, write_atomically
+from stereo_slam_env.benchmark.run_archive import load_run, save_run
 from stereo_slam_env.benchmark.scenario import FilterChoice, Scenario
 from stereo_slam_env.benchmark.summary import summarise_all
 

@@ -159,7 +159,7 @@ def test_settings_of_the_front_end_are_options_of_a_recording(folder):
     sequence, settings = make_sequence(of(folder, options={"path": str(folder), "front_end": {"max_misses": 1}}), None)
     assert len(sequence) == FRAMES
     assert settings == TrackerSettings(max_misses=1)
-    with pytest.raises(ValueError, match="no setting 'max_mises', did you mean max_misses"):
+    with pytest.raises(ValueError, match="no setting 'max_mises', did you mean 'max_misses'"):
         make_sequence(of(folder, options={"path": str(folder), "front_end": {"max_mises": 1}}), None)
 
 
