@@ -8,11 +8,12 @@ name, camera and source.
 from __future__ import annotations
 
 import dataclasses
+import io
 import json
 import zipfile
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,6 +55,18 @@ def save_recording(path: str | Path, recording: Recording) -> None:
     path = Path(path)
     if path.suffix != ".npz":
         raise ValueError(f"path of a recording must end in .npz, got {path}")
+    content = packed_recording(recording)
+    write_atomically(path, lambda stream: stream.write(content))
+
+
+def packed_recording(recording: Recording) -> bytes:
+    """What `save_recording` writes.
+
+    Raises
+    ------
+    ValueError
+        The source of the recording is not JSON-able.
+    """
     camera = {name: _plain(value) for name, value in dataclasses.asdict(recording.camera).items()}
     about = {"format": FORMAT, "name": recording.name, "camera": camera, "source": dict(recording.source)}
     try:
@@ -61,7 +74,20 @@ def save_recording(path: str | Path, recording: Recording) -> None:
     except (TypeError, ValueError) as error:
         raise ValueError(f"recording.source must consist of JSON values: {error}") from error
     arrays: dict[str, Any] = {"about": np.array(header), **_arrays_of(recording)}
-    write_atomically(path, lambda stream: np.savez(stream, **arrays))
+    stream = io.BytesIO()
+    np.savez(stream, **arrays)
+    return stream.getvalue()
+
+
+def unpacked_recording(content: bytes) -> Recording:
+    """The recording of `packed_recording`.
+
+    Raises
+    ------
+    ValueError
+        See `load_recording`.
+    """
+    return _read(io.BytesIO(content), "the recording")
 
 
 def load_recording(path: str | Path) -> Recording:
@@ -82,8 +108,12 @@ def load_recording(path: str | Path) -> Recording:
     ValueError
         The file is missing, damaged, no recording, or of a format that this version does not know: one line.
     """
+    return _read(path, path)
+
+
+def _read(source: str | Path | IO[bytes], path: str | Path) -> Recording:
     try:
-        with np.load(path, allow_pickle=False) as archive:
+        with np.load(source, allow_pickle=False) as archive:
             arrays: Arrays = {name: archive[name] for name in archive.files}
     except FileNotFoundError as error:
         raise ValueError(f"{path} does not exist: give a recording made by save_recording") from error

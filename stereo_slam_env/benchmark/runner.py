@@ -274,6 +274,13 @@ class RunLog:
         )
 
 
+def failed_run(
+    recording: Recording, label: str, options: Mapping[str, Any], seed: int | None, failure: str
+) -> FilterRun:
+    """The result of a filter that gave none; `failure` is one line."""
+    return RunLog(recording).result(label, options, seed, failure)
+
+
 def failure_line(frame_number: int, error: Exception) -> str:
     """One line on what a filter raised, and in which frame (negative: before the first)."""
     where = f"frame {frame_number}" if frame_number >= 0 else "start"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import json
 import re
 from collections.abc import Mapping
@@ -129,7 +128,7 @@ class Scenario:
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
-            raise ValueError(f"kind must be one of {', '.join(KINDS)}, got {self.kind!r}{_hint(self.kind, KINDS)}")
+            raise ValueError(f"kind must be one of {', '.join(KINDS)}, got {self.kind!r}{did_you_mean(self.kind, KINDS)}")
         object.__setattr__(self, "filters", tuple(self.filters))
         object.__setattr__(self, "seeds", tuple(int(seed) for seed in self.seeds))
         labels = [choice.label for choice in self.filters]
@@ -153,7 +152,7 @@ class Scenario:
         object.__setattr__(self, "metrics", tuple(self.metrics))
         for metric in self.metrics:
             if metric not in METRICS:
-                raise ValueError(f"metrics must be of {', '.join(METRICS)}, got {metric!r}{_hint(metric, METRICS)}")
+                raise ValueError(f"metrics must be of {', '.join(METRICS)}, got {metric!r}{did_you_mean(metric, METRICS)}")
         if not all(isinstance(corruption, Mapping) for corruption in self.corruptions):
             raise ValueError(f"corruptions must be tables with a kind, got {list(self.corruptions)!r}")
         positive("divergence_percent", self.divergence_percent)
@@ -230,9 +229,4 @@ def require_keys(what: str, data: Mapping[str, Any], known: tuple[str, ...]) -> 
         raise ValueError(f"{what} must be a table, got {data!r}")
     for key in data:
         if key not in known:
-            raise ValueError(f"{what} has no key {key!r}{_hint(key, known)}; known: {', '.join(known)}")
-
-
-def _hint(word: str, possible: Any) -> str:
-    near = difflib.get_close_matches(word, list(possible), n=1)
-    return f", did you mean {near[0]!r}?" if near else ""
+            raise ValueError(f"{what} has no key {key!r}{did_you_mean(key, known)}; known: {', '.join(known)}")

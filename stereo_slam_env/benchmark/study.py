@@ -52,6 +52,11 @@ class Study:
         """A study of one scenario."""
         return cls(scenario.name, (Cell(scenario.name, {}, scenario),))
 
+    @property
+    def is_grid(self) -> bool:
+        """Whether there are cells to be told apart."""
+        return bool(self.cells[0].factors) or len(self.cells) > 1
+
     def only_scenario(self) -> Scenario:
         """The scenario of a study of one cell.
 

@@ -108,7 +108,7 @@ def _make(task: RecordingTask, tell: Tell) -> MadeRecording:
 def run_trial(task: TrialTask, progress: Tell | None = None) -> DoneTrial:
     """Run a filter, or compute a bound, in a process of its own; whatever goes wrong there is a result, too."""
     if task.choice is None:
-        return DoneTrial(task.cell, task.seed, None, _packed_bound(_bound_or_none(task)))
+        return DoneTrial(task.cell, task.seed, None, _packed_bound(_bound_or_none(task), task.provenance))
     try:
         run = run_isolated(
             partial(_filtered, task, task.choice), silence_limit=task.scenario.frame_time_limit, progress=progress
@@ -158,7 +158,8 @@ def _bounded(task: TrialTask, tell: Tell) -> Bound | None:
         )
 
 
-def _packed_bound(bound: Bound | None) -> bytes:
+def _packed_bound(bound: Bound | None, provenance: Mapping[str, Any]) -> bytes:
     stream = io.BytesIO()
-    np.savez_compressed(stream, pose=np.zeros((0, 6, 6)) if bound is None else bound.pose)
+    pose = np.zeros((0, 6, 6)) if bound is None else bound.pose
+    np.savez_compressed(stream, pose=pose, code=np.array(provenance["code"]))
     return stream.getvalue()
