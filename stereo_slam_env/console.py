@@ -11,6 +11,7 @@ from contextlib import contextmanager
 import numpy as np
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
@@ -19,6 +20,8 @@ from stereo_slam_env.benchmark.results import FilterSummary
 from stereo_slam_env.benchmark.scenario import Scenario
 from stereo_slam_env.benchmark.sensor_noise import OUTLIER, NoiseOfRange
 from stereo_slam_env.benchmark.sources import takes_images
+from stereo_slam_env.benchmark.study import Study
+from stereo_slam_env.benchmark.study_store import CellResult
 from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.recording import Recording
 
@@ -51,6 +54,20 @@ def show_settings(console: Console, scenario: Scenario) -> None:
         lines["seeds"] = f"{len(scenario.seeds)} ({_ranges(scenario.seeds)})"
     for name, value in lines.items():
         console.print(f"[dim]{name:>14}[/dim]  {value}", highlight=False, soft_wrap=True)
+
+
+def show_study(console: Console, study: Study) -> None:
+    """Print what is going to be run."""
+    first = study.cells[0]
+    if not study.is_grid:
+        show_settings(console, first.scenario)
+        return
+    console.print(f"[dim]{'study':>14}[/dim]  {study.name}: {len(study.cells)} scenarios", highlight=False)
+    for factor in first.factors:
+        levels = dict.fromkeys(str(cell.factors.get(factor)) for cell in study.cells)
+        console.print(f"[dim]{factor:>14}[/dim]  {', '.join(levels)}", highlight=False, soft_wrap=True)
+    console.print(f"[dim]{'':>14}[/dim]  the first of them:", highlight=False)
+    show_settings(console, first.scenario)
 
 
 def show_recording(console: Console, recording: Recording) -> None:
@@ -144,6 +161,14 @@ def show_results(console: Console, summaries: Sequence[FilterSummary]) -> None:
     for summary in summaries:
         for failure in summary.failures:
             console.print(f"[red]{summary.filter_name} failed[/red]: {failure}", highlight=False, soft_wrap=True)
+
+
+def show_cells(console: Console, results: Sequence[CellResult]) -> None:
+    """Print the table of every cell."""
+    for result in results:
+        if result.cell.factors:
+            console.print(f"\n[bold]{escape(result.cell.name)}[/bold]", highlight=False)
+        show_results(console, result.summaries)
 
 
 def _rows(summaries: Sequence[FilterSummary]) -> dict[str, list[str]]:

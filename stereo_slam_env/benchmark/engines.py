@@ -98,8 +98,10 @@ def _ray(jobs: int, address: str | None) -> Iterator[None]:
     ours = not ray.is_initialized()
     if ours:
         try:
-            where: dict[str, Any] = {"num_cpus": jobs, "include_dashboard": False} if address is None else {}
-            ray.init(address="local" if address is None else address, log_to_driver=False, logging_level="error", **where)
+            if address is None:
+                ray.init("local", num_cpus=jobs, include_dashboard=False, log_to_driver=False)
+            else:
+                ray.init(address, log_to_driver=False)
         except (ConnectionError, OSError) as error:
             raise ValueError(f"no Ray cluster answers at {address}: {error}") from error
     register_ray()

@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
-from typing import NoReturn, TypeVar
+from typing import NoReturn, TypeVar, cast
 
 Result = TypeVar("Result")
 Tell = Callable[[int, int], None]
@@ -62,7 +62,7 @@ def run_isolated(
         _answer(there, work)
     there.close()
     try:
-        return _listen(here, child, silence_limit, progress)
+        return cast(Result, _listen(here, child, silence_limit, progress))
     finally:
         here.close()
         _end(child)

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-import difflib
 from collections.abc import Mapping
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
 
+from filters.suggestions import did_you_mean
 from stereo_slam_env.benchmark.scenario import Scenario
 from stereo_slam_env.benchmark.scenario_file import description_of, load_study
 from stereo_slam_env.benchmark.study import Study
@@ -33,9 +33,7 @@ def preset_file(name: str) -> Path:
         No such preset: the message says which there are.
     """
     if name not in presets():
-        near = difflib.get_close_matches(name, presets(), n=1)
-        hint = f", did you mean {near[0]!r}?" if near else ""
-        raise ValueError(f"preset must be one of {', '.join(presets())}, got {name!r}{hint}")
+        raise ValueError(f"preset must be one of {', '.join(presets())}, got {name!r}{did_you_mean(name, presets())}")
     return _FOLDER / f"{name}.toml"
 
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from filters.noise import StereoNoise
+from filters.suggestions import did_you_mean
 from filters.validation import finite_array, positive
 
 KINDS: Mapping[str, str] = {
@@ -128,7 +129,8 @@ class Scenario:
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
-            raise ValueError(f"kind must be one of {', '.join(KINDS)}, got {self.kind!r}{did_you_mean(self.kind, KINDS)}")
+            hint = did_you_mean(self.kind, KINDS)
+            raise ValueError(f"kind must be one of {', '.join(KINDS)}, got {self.kind!r}{hint}")
         object.__setattr__(self, "filters", tuple(self.filters))
         object.__setattr__(self, "seeds", tuple(int(seed) for seed in self.seeds))
         labels = [choice.label for choice in self.filters]
@@ -152,7 +154,8 @@ class Scenario:
         object.__setattr__(self, "metrics", tuple(self.metrics))
         for metric in self.metrics:
             if metric not in METRICS:
-                raise ValueError(f"metrics must be of {', '.join(METRICS)}, got {metric!r}{did_you_mean(metric, METRICS)}")
+                hint = did_you_mean(metric, METRICS)
+                raise ValueError(f"metrics must be of {', '.join(METRICS)}, got {metric!r}{hint}")
         if not all(isinstance(corruption, Mapping) for corruption in self.corruptions):
             raise ValueError(f"corruptions must be tables with a kind, got {list(self.corruptions)!r}")
         positive("divergence_percent", self.divergence_percent)

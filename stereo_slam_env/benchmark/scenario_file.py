@@ -204,8 +204,9 @@ def _merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, An
     merged = copy.deepcopy(dict(base))
     for key, value in changes.items():
         before = merged.get(key)
-        tables = isinstance(before, Mapping) and isinstance(value, Mapping) and key != "noise"  # which has one key
-        merged[key] = _merged(before, value) if tables else copy.copy(value)
+        if isinstance(before, Mapping) and isinstance(value, Mapping) and key != "noise":  # which has one key
+            value = _merged(before, value)
+        merged[key] = copy.copy(value)
     return merged
 
 

@@ -1,5 +1,6 @@
-"""The pieces of work a benchmark consists of: a recording, a trial, a bound. Bytes in, bytes out, so that any process
-of any machine can do them, and the store only has to write what comes back.
+"""The pieces of work a benchmark consists of: a recording, a trial, a bound.
+
+Bytes in, bytes out, so that any process of any machine can do them, and the store only has to write what comes back.
 """
 
 from __future__ import annotations
@@ -24,7 +25,6 @@ from stereo_slam_env.benchmark.scenario import FilterChoice, Scenario
 from stereo_slam_env.benchmark.sensor_noise import noise_of_images
 from stereo_slam_env.benchmark.sources import make_recording, make_sequence, stream_digest, without_measurements
 from stereo_slam_env.frontend.active_search import ActiveSearch
-from stereo_slam_env.recording import Recording
 from stereo_slam_env.recording_archive import packed_recording, unpacked_recording
 
 _log = logging.getLogger(__name__)
@@ -153,9 +153,7 @@ def _bound_or_none(task: TrialTask) -> Bound | None:
 def _bounded(task: TrialTask, tell: Tell) -> Bound | None:
     recording, scenario = unpacked_recording(task.recording), task.scenario
     with threadpool_limits(limits=1):
-        return cramer_rao_bound(
-            recording, ConstantVelocity(**scenario.motion), use_odometry=scenario.use_odometry
-        )
+        return cramer_rao_bound(recording, ConstantVelocity(**scenario.motion), use_odometry=scenario.use_odometry)
 
 
 def _packed_bound(bound: Bound | None, provenance: Mapping[str, Any]) -> bytes:

@@ -9,7 +9,7 @@ from typing import Literal
 from stereo_slam_env.benchmark.limits import Bound
 from stereo_slam_env.benchmark.results import FilterRun
 
-Kind = Literal["text", "integer", "real"]
+Kind = Literal["text", "integer", "real", "any"]
 
 
 @dataclass(frozen=True)
@@ -22,7 +22,7 @@ class Column:
         "" where there is none.
     meaning : str
         What it is, and when it is null.
-    kind : {"text", "integer", "real"}
+    kind : {"text", "integer", "real", "any"}
         Of its values.
     """
 

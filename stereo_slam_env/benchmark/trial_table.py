@@ -25,12 +25,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from stereo_slam_env.benchmark.scenario import FilterChoice
-from stereo_slam_env.benchmark.trial_metrics import COLUMNS, trial_figures
+from stereo_slam_env.benchmark.trial_metrics import COLUMNS, Column, trial_figures
 
 if TYPE_CHECKING:
     from stereo_slam_env.benchmark.study_store import CellResult
 
 SCHEMA = 1
+_TYPES = {"text": "TEXT", "integer": "INTEGER", "real": "REAL", "any": ""}
 
 
 def write_trial_table(path: Path, results: Sequence[CellResult]) -> None:
@@ -46,21 +47,22 @@ def write_trial_table(path: Path, results: Sequence[CellResult]) -> None:
     rows = [row for result in results for row in _rows(path.parent, result)]
     factors = list(dict.fromkeys(factor for result in results for factor in result.cell.factors))
     about = {
-        "cell": ("", "cell of the grid, or name of the scenario"),
-        **{factor: ("", "factor of the grid") for factor in factors},
+        "cell": Column("", "cell of the grid, or name of the scenario", "text"),
+        **{factor: Column("", "factor of the grid", "any") for factor in factors},
         **COLUMNS,
-        "options": ("JSON", "options the filter was made with"),
-        "series": ("", "time series of the trial (npz), relative to this file"),
+        "options": Column("", "options the filter was made with, as JSON", "text"),
+        "series": Column("", "time series of the trial (npz), relative to this file", "text"),
     }
     unfinished = path.with_name(f".{path.name}.{os.getpid()}.part")
     unfinished.unlink(missing_ok=True)
     try:
         with closing(sqlite3.connect(unfinished)) as database, database:
-            names = ", ".join(_quoted(name) for name in about)
+            declared = ", ".join(f"{_quoted(name)} {_TYPES[column.kind]}" for name, column in about.items())
             database.execute(f"PRAGMA user_version = {SCHEMA}")
-            database.execute(f"CREATE TABLE trials ({names})")
+            database.execute(f"CREATE TABLE trials ({declared})")
             database.execute("CREATE TABLE columns (name TEXT PRIMARY KEY, unit TEXT, meaning TEXT)")
-            database.executemany("INSERT INTO columns VALUES (?, ?, ?)", [(name, *about[name]) for name in about])
+            meanings = [(name, column.unit, column.meaning) for name, column in about.items()]
+            database.executemany("INSERT INTO columns VALUES (?, ?, ?)", meanings)
             places = ", ".join("?" for _ in about)
             database.executemany(f"INSERT INTO trials VALUES ({places})", [[row.get(n) for n in about] for row in rows])
         unfinished.replace(path)
