@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import logging
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -17,6 +19,8 @@ ENGINES = {
     "ray": "a Ray cluster, or one on this machine; needs the extra ray",
     "dask": "a Dask cluster, or one on this machine; needs the extra dask",
 }
+TASKS_IN_A_ROUND = 4
+SECONDS_TO_ANSWER = 15
 
 
 @dataclass(frozen=True)
@@ -74,12 +78,19 @@ class Engine:
         with ExitStack() as stack:
             stack.enter_context(_BACKENDS[self.name](self.jobs, self.address))
 
-            def run(function: Callable[[Task], Result], tasks: Iterable[Task]) -> Iterator[Result]:
-                workers = joblib.Parallel(n_jobs=self.jobs, batch_size=1, return_as="generator_unordered")
-                results: Iterator[Result] = workers(joblib.delayed(function)(task) for task in tasks)
-                return results
+            yield self._in_rounds if self.name == "ray" else self._as_ready
 
-            yield run
+    def _as_ready(self, function: Callable[[Task], Result], tasks: Iterable[Task]) -> Iterator[Result]:
+        workers = joblib.Parallel(n_jobs=self.jobs, batch_size=1, return_as="generator_unordered")
+        results: Iterator[Result] = workers(joblib.delayed(function)(task) for task in tasks)
+        return results
+
+    def _in_rounds(self, function: Callable[[Task], Result], tasks: Iterable[Task]) -> Iterator[Result]:
+        """For joblib's back ends that only return when all is done: so that little is lost in an interruption."""
+        waiting = iter(tasks)
+        while round_of_tasks := list(itertools.islice(waiting, TASKS_IN_A_ROUND * self.jobs)):
+            workers = joblib.Parallel(n_jobs=self.jobs, batch_size=1)
+            yield from workers(joblib.delayed(function)(task) for task in round_of_tasks)
 
 
 @contextmanager
@@ -95,13 +106,13 @@ def _ray(jobs: int, address: str | None) -> Iterator[None]:
         from ray.util.joblib import register_ray
     except ImportError as error:
         raise ImportError("engine ray is not installed: pip install 'stereo-slam-env[ray]'") from error
-    ours = not ray.is_initialized()
+    ours, quietly = not ray.is_initialized(), {"log_to_driver": False, "logging_level": logging.ERROR}
     if ours:
         try:
             if address is None:
-                ray.init("local", num_cpus=jobs, include_dashboard=False, log_to_driver=False)
+                ray.init("local", num_cpus=jobs, include_dashboard=False, **quietly)
             else:
-                ray.init(address, log_to_driver=False)
+                ray.init(address, **quietly)
         except (ConnectionError, OSError) as error:
             raise ValueError(f"no Ray cluster answers at {address}: {error}") from error
     register_ray()
@@ -116,18 +127,21 @@ def _ray(jobs: int, address: str | None) -> Iterator[None]:
 @contextmanager
 def _dask(jobs: int, address: str | None) -> Iterator[None]:
     try:
+        import dask
+
+        dask.config.set({"logging.distributed": "error"})  # read by what follows, here and in the workers
         from dask.distributed import Client, LocalCluster
     except ImportError as error:
         raise ImportError("engine dask is not installed: pip install 'stereo-slam-env[dask]'") from error
     with ExitStack() as stack:
         if address is None:
             cluster: Any = stack.enter_context(
-                LocalCluster(n_workers=jobs, threads_per_worker=1, dashboard_address=None, silence_logs=True)
+                LocalCluster(n_workers=jobs, threads_per_worker=1, dashboard_address=":0")
             )
         else:
             cluster = address
         try:
-            stack.enter_context(Client(cluster, timeout=30))
+            stack.enter_context(Client(cluster, timeout=SECONDS_TO_ANSWER))
         except OSError as error:
             raise ValueError(f"no Dask scheduler answers at {address}: {error}") from error
         with joblib.parallel_config(backend="dask"):

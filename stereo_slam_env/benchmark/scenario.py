@@ -7,6 +7,7 @@ import json
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from numbers import Integral
 from typing import Any
 
 from filters.noise import StereoNoise
@@ -20,6 +21,7 @@ KINDS: Mapping[str, str] = {
     "factory": 'any callable; options: call ("package.module:function", called with seed=) and its arguments',
 }
 
+_MOTION: Mapping[str, float] = {"sigma_acceleration": 3.0, "sigma_angular_acceleration": 0.6}
 SEARCHES = ("flow", "forecast")
 
 METRICS: Mapping[str, str] = {
@@ -119,9 +121,7 @@ class Scenario:
     gate: float | None = 0.99
     consensus: bool = False
     search: str = "flow"
-    motion: Mapping[str, float] = field(
-        default_factory=lambda: {"sigma_acceleration": 3.0, "sigma_angular_acceleration": 0.6}
-    )
+    motion: Mapping[str, float] = field(default_factory=lambda: _MOTION)
     corruptions: tuple[Mapping[str, Any], ...] = ()
     metrics: tuple[str, ...] = tuple(METRICS)
     divergence_percent: float = 10.0
@@ -132,6 +132,10 @@ class Scenario:
             hint = did_you_mean(self.kind, KINDS)
             raise ValueError(f"kind must be one of {', '.join(KINDS)}, got {self.kind!r}{hint}")
         object.__setattr__(self, "filters", tuple(self.filters))
+        if not isinstance(self.options, Mapping):
+            raise ValueError(f"options must be a table, got {self.options!r}")
+        if not all(isinstance(seed, Integral) for seed in self.seeds):
+            raise ValueError(f"seeds must be whole numbers, got {self.seeds!r}")
         object.__setattr__(self, "seeds", tuple(int(seed) for seed in self.seeds))
         labels = [choice.label for choice in self.filters]
         if not labels:
@@ -160,9 +164,10 @@ class Scenario:
             raise ValueError(f"corruptions must be tables with a kind, got {list(self.corruptions)!r}")
         positive("divergence_percent", self.divergence_percent)
         positive("frame_time_limit", self.frame_time_limit)
-        require_keys("motion", self.motion, ("sigma_acceleration", "sigma_angular_acceleration"))
+        require_keys("motion", self.motion, tuple(_MOTION))
         for key, value in self.motion.items():
             positive(f"motion.{key}", value, allow_zero=True)
+        object.__setattr__(self, "motion", {**_MOTION, **self.motion})
         self.assumed_noise(StereoNoise.independent_pixels(1.0))
         try:
             json.dumps(self.as_dict(), allow_nan=False)

@@ -119,9 +119,6 @@ def study_from(tables: Mapping[str, Any], *, data: str | Path | None = None) -> 
             cells.append(Cell(values["name"], factors, Scenario.from_dict(_plain(here))))
     if not cells:
         raise ValueError(f"none of the recordings of {name} is in {data}: {_DATA} must be a folder that holds them")
-    repeated = {cell.name for cell in cells if sum(other.name == cell.name for other in cells) > 1}
-    if repeated:
-        raise ValueError(f"cells must have different names, got {sorted(repeated)[0]!r} twice")
     return Study(name, tuple(cells), factorial)
 
 

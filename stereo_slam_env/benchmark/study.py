@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 from stereo_slam_env.benchmark.scenario import Scenario
+
+_NAME = r"[A-Za-z0-9][A-Za-z0-9._+-]*"
 
 
 @dataclass(frozen=True)
@@ -41,11 +44,26 @@ class Study:
     factorial : mapping of str to tuple, optional
         Options of the filter whose levels were crossed, e.g. {"landmark": ("inverse-depth", "euclidean")}: the labels
         of the filters of every cell are those of `factorial_label`.
+
+    Raises
+    ------
+    ValueError
+        No cells, or their names cannot be those of folders.
     """
 
     name: str
     cells: tuple[Cell, ...]
     factorial: Mapping[str, tuple[Any, ...]] | None = None
+
+    def __post_init__(self) -> None:
+        if not self.cells:
+            raise ValueError("cells must be at least one")
+        names = [cell.name for cell in self.cells]
+        for name in names if self.is_grid else ():
+            if not re.fullmatch(_NAME, name):
+                raise ValueError(f"name of a cell must be letters, digits, '.', '_', '+' or '-', got {name!r}")
+            if names.count(name) > 1:
+                raise ValueError(f"cells must have different names, got {name!r} twice")
 
     @classmethod
     def of(cls, scenario: Scenario) -> Study:
