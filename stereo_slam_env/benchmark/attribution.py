@@ -1,8 +1,8 @@
 """Which choice makes the difference? Effects of the options of a filter, from runs of their combinations.
 
-Every response is a logarithm (of an error, of NEES by its degrees of freedom, of time), so that effects are factors. The
-model is additive in the logarithms: seed (a block: a hard recording is hard for all) + main effects + interactions of
-two factors, in sum-to-zero coding, by least squares.
+Every response is a logarithm (of an error, of NEES by its degrees of freedom, of time), so that effects are factors.
+The model is additive in the logarithms: seed (a block: a hard recording is hard for all) + main effects + interactions
+of two factors, in sum-to-zero coding, by least squares.
 """
 
 from __future__ import annotations
