@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from filters.validation import FloatArray
+from filters.validation import BoolArray, FloatArray
 from stereo_slam_env.benchmark.results import FilterRun, FilterSummary
 from stereo_slam_env.benchmark.statistics import Difference, difference_of, paired_difference, unpaired_difference
 from stereo_slam_env.benchmark.summary import POSE_DOF, summarise
@@ -116,7 +116,7 @@ class RunFigures:
         """Of these recordings, in this order; NaN where not known."""
         return np.array([measure.of(self.summaries[key]) for key in keys])
 
-    def diverged(self, keys: Iterable[RunKey]) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+    def diverged(self, keys: Iterable[RunKey]) -> BoolArray:
         """Whether each run diverged or failed."""
         return np.array([self.summaries[key].diverged > 0 for key in keys], dtype=bool)
 
