@@ -1,6 +1,7 @@
 """From a Matplotlib figure to the same chart in Plotly: hover, zoom, series that can be switched off.
 
-A figure is drawn once, with Matplotlib. What it shows is read off its artists here, so that no figure is described twice.
+A figure is drawn once, with Matplotlib. What it shows is read off its artists here, so that none is described twice.
+
 The label of an artist is the name of its series: it is what hovering says, and all artists of that name are switched
 together. A label with an underscore in front ("_euclidean") belongs to the series but says nothing (bounds, single
 runs); an artist without a label is background. A unit in brackets at the end of a label or title, "time (s)", is
@@ -22,7 +23,7 @@ from matplotlib.figure import Figure
 from matplotlib.text import Annotation, Text
 from matplotlib.ticker import FixedLocator, NullLocator
 
-from stereo_slam_env.viewer.interactive_artists import SCALE, hexadecimal, traces_of
+from stereo_slam_env.viewer.interactive_artists import SCALE, Units, hexadecimal, traces_of
 from stereo_slam_env.viewer.style import style_context
 
 Spec = dict[str, Any]
@@ -67,8 +68,7 @@ def plotly_figure(figure: Figure) -> Spec:
         for number, ax in enumerate(figure.axes, start=1):
             suffix = "" if number == 1 else str(number)
             _check(ax)
-            units = _unit(ax.get_xlabel()), _unit(ax.get_ylabel()) or _unit(ax.get_title(loc="left"))
-            for trace in traces_of(ax, units):
+            for trace in traces_of(ax, _units(ax)):
                 data.append(trace | {"xaxis": f"x{suffix}", "yaxis": f"y{suffix}"})
                 if "name" in trace and trace.get("hoverinfo") != "skip":
                     colours.setdefault(trace["name"], trace["meta"])
@@ -89,6 +89,12 @@ def _check(ax: Axes) -> None:
     for axis in (ax.xaxis, ax.yaxis):
         if axis.get_scale() not in ("linear", "log"):
             raise ValueError(f"figure must have linear or log axes to be interactive, got {axis.get_scale()!r}")
+
+
+def _units(ax: Axes) -> Units:
+    x, y = _unit(ax.get_xlabel()), _unit(ax.get_ylabel()) or _unit(ax.get_title(loc="left"))
+    named = [isinstance(axis.get_major_locator(), FixedLocator) for axis in (ax.xaxis, ax.yaxis)]
+    return None if named[0] else x, None if named[1] else y
 
 
 def _unit(label: str) -> str:
@@ -150,13 +156,13 @@ def _axis(axis: Axis, limits: tuple[float, float], domain: tuple[float, float]) 
     if isinstance(locator, NullLocator):
         spec |= {"tickmode": "array", "tickvals": []}
     elif isinstance(locator, FixedLocator):
-        places = np.asarray(locator.locs, dtype=np.float64)
+        places = [float(place) for place in locator()]
         texts = axis.get_major_formatter().format_ticks(places)
         colours = {label.get_text(): hexadecimal(label.get_color()) for label in labels}
         spec |= {"tickmode": "array", "tickvals": [float(f"{place:.6g}") for place in places]}
         spec["ticktext"] = [_coloured(text, colours.get(text)) for text in texts]
     elif log:
-        spec |= {"tickformat": "~g", "dtick": "D2" if abs(ends[1] - ends[0]) < 2.5 else 1}
+        spec["tickformat"] = "~g"
     else:
         spec["nticks"] = max(len(axis.get_majorticklocs()) + 1, 4)
     return spec
@@ -190,7 +196,7 @@ def _text(text: Text, ax: Axes, suffix: str) -> Spec:
     refs = {"xref": f"x{suffix}", "yref": f"y{suffix}"}
     coordinates = text.xycoords if isinstance(text, Annotation) else None
     if isinstance(text, Annotation) and coordinates in ("data", "axes fraction"):
-        shift = text.get_position() if text.anncoords == "offset points" else (0.0, 0.0)
+        shift = tuple(map(float, text.xyann)) if text.anncoords == "offset points" else (0.0, 0.0)
         (x, y), on_data = text.xy, coordinates == "data"
         if text.arrow_patch is not None:
             colour = hexadecimal(text.arrow_patch.get_edgecolor())

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from html import escape
 from typing import Any
 
 import numpy as np
-from matplotlib import rc_context
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.collections import Collection, LineCollection, PathCollection, PolyCollection
 from matplotlib.colors import to_hex, to_rgba
 from matplotlib.container import BarContainer, ErrorbarContainer
+from matplotlib.contour import ContourSet
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.path import Path
@@ -27,6 +27,9 @@ PAGE_PIXELS = 1080
 """Width of a figure of `WIDTH_INCHES` in the page."""
 SCALE = PAGE_PIXELS / (72 * WIDTH_INCHES)
 """Pixels of the page in a point of the figure."""
+Units = tuple[str | None, str | None]
+"""Of x and y: "" where there is none, None where the axis has names instead of values."""
+
 MAX_MARKERS = 3000
 """A browser draws no more in comfort; clouds are thinned evenly."""
 
@@ -39,15 +42,15 @@ _SYMBOLS = {
 }  # fmt: skip
 
 
-def traces_of(ax: Axes, units: tuple[str, str]) -> list[Trace]:
+def traces_of(ax: Axes, units: Units) -> list[Trace]:
     """Describe everything that is drawn in the axes.
 
     Parameters
     ----------
     ax : Axes
         After a draw, so that limits and colours are settled.
-    units : pair of str
-        Of x and y; may be empty.
+    units : pair
+        Of x and y.
 
     Returns
     -------
@@ -86,14 +89,14 @@ def hexadecimal(colour: Any, alpha: float | None = None) -> str:
     return to_hex(rgba, keep_alpha=rgba[3] < 1)
 
 
-def _traces(artist: Artist, ax: Axes, units: tuple[str, str]) -> Iterator[Trace]:
+def _traces(artist: Artist, ax: Axes, units: Units) -> Iterator[Trace]:
     if isinstance(artist, Line2D):
         yield _line(artist, ax, units)
     elif isinstance(artist, LineCollection):
         yield from _segments(artist, ax, units)
     elif isinstance(artist, PathCollection):
         yield from _markers(artist, ax, units)
-    elif isinstance(artist, PolyCollection) or type(artist).__name__.endswith("ContourSet"):
+    elif isinstance(artist, (PolyCollection, ContourSet)):
         yield from _areas(artist, ax, units)
     elif isinstance(artist, Patch):
         yield from _patch(artist, ax, units)
@@ -101,18 +104,22 @@ def _traces(artist: Artist, ax: Axes, units: tuple[str, str]) -> Iterator[Trace]
         raise ValueError(f"figure must not hold a {type(artist).__name__} to be interactive")
 
 
-def _common(label: str, colour: str, units: tuple[str, str]) -> Trace:
+def _common(label: str, colour: str, units: Units) -> Trace:
     """What hovering says, and which series the trace belongs to (see `interactive`)."""
     silent = not label or label.startswith("_")
     name = label.removeprefix("_")
     trace: Trace = {"name": name, "meta": colour[:7]} if name else {"meta": colour[:7]}
     if silent:
         return trace | {"hoverinfo": "skip"}
-    x, y = (f" {escape(unit)}" if unit else "" for unit in units)
-    return trace | {"hovertemplate": f"%{{y:.4~g}}{y}<br>at %{{x:.4~g}}{x}<extra>{escape(name)}</extra>"}
+    said = [_value(axis, unit) for axis, unit in zip("yx", units[::-1], strict=True) if unit is not None]
+    return trace | {"hovertemplate": f"{'<br>at '.join(said)}<extra>{escape(name)}</extra>"}
 
 
-def _line(line: Line2D, ax: Axes, units: tuple[str, str]) -> Trace:
+def _value(variable: str, unit: str | None) -> str:
+    return f"%{{{variable}:.4~g}}" + (f" {escape(unit)}" if unit else "")
+
+
+def _line(line: Line2D, ax: Axes, units: Units) -> Trace:
     xy = _in_data(np.ma.filled(np.ma.asarray(line.get_xydata(), dtype=np.float64), np.nan), line.get_transform(), ax)
     colour = hexadecimal(line.get_color(), line.get_alpha())
     with_line, symbol = line.get_linestyle() not in ("None", " ", ""), _SYMBOLS.get(str(line.get_marker()))
@@ -138,23 +145,23 @@ def _marker(symbol: str, points: float, colour: Any, alpha: float | None) -> Tra
     return {"symbol": symbol, "size": size, "color": hexadecimal(colour, alpha), "opacity": 1}
 
 
-def _segments(lines: LineCollection, ax: Axes, units: tuple[str, str]) -> Iterator[Trace]:
+def _segments(lines: LineCollection, ax: Axes, units: Units) -> Iterator[Trace]:
     gap = np.full((1, 2), np.nan)
     pieces = [np.vstack([_in_data(np.asarray(s), lines.get_transform(), ax), gap]) for s in lines.get_segments()]
     if pieces:
-        colour = hexadecimal(lines.get_edgecolors()[0])
+        colour = hexadecimal(lines.get_color()[0])
         trace = _scatter(np.vstack(pieces), "lines", _common(str(lines.get_label()), colour, units))
-        yield trace | {"line": {"color": colour, "width": round(SCALE * lines.get_linewidths()[0], 2)}}
+        yield trace | {"line": {"color": colour, "width": round(SCALE * _first(lines.get_linewidth()), 2)}}
 
 
-def _markers(cloud: PathCollection, ax: Axes, units: tuple[str, str]) -> Iterator[Trace]:
+def _markers(cloud: PathCollection, ax: Axes, units: Units) -> Iterator[Trace]:
     xy = _in_data(
         np.ma.filled(np.ma.asarray(cloud.get_offsets(), np.float64), np.nan), cloud.get_offset_transform(), ax
     )
     if not len(xy):
         return
     step = -(-len(xy) // MAX_MARKERS)
-    faces, edges = cloud.get_facecolors(), cloud.get_edgecolors()
+    faces, edges = cloud.get_facecolor(), cloud.get_edgecolor()
     hollow = not len(faces)
     colours = [hexadecimal(colour) for colour in (edges if hollow else faces)]
     sizes = SCALE * np.sqrt(cloud.get_sizes())
@@ -163,14 +170,14 @@ def _markers(cloud: PathCollection, ax: Axes, units: tuple[str, str]) -> Iterato
         "color": colours[::step] if len(colours) == len(xy) > 1 else colours[0],
         "size": np.round(sizes[::step], 2).tolist() if len(sizes) == len(xy) > 1 else round(float(sizes[0]), 2),
         "opacity": 1,
-        "line": {"width": round(SCALE * float(cloud.get_linewidths()[0]), 2) if hollow else 0},
+        "line": {"width": round(SCALE * _first(cloud.get_linewidth()), 2) if hollow else 0},
     }
     trace = _scatter(xy[::step], "markers", _common(str(cloud.get_label()), colours[0], units))
     yield trace | {"marker": marker}
 
 
-def _areas(areas: Collection, ax: Axes, units: tuple[str, str]) -> Iterator[Trace]:
-    faces, edges, widths = areas.get_facecolors(), areas.get_edgecolors(), areas.get_linewidths()
+def _areas(areas: Collection, ax: Axes, units: Units) -> Iterator[Trace]:
+    faces, edges, widths = areas.get_facecolor(), areas.get_edgecolor(), np.atleast_1d(areas.get_linewidth())
     for i, path in enumerate(areas.get_paths()):
         face = faces[i % len(faces)] if len(faces) else "none"
         edge = edges[i % len(edges)] if len(edges) else "none"
@@ -179,7 +186,7 @@ def _areas(areas: Collection, ax: Axes, units: tuple[str, str]) -> Iterator[Trac
             yield trace
 
 
-def _patch(patch: Patch, ax: Axes, units: tuple[str, str]) -> Iterator[Trace]:
+def _patch(patch: Patch, ax: Axes, units: Units) -> Iterator[Trace]:
     face = patch.get_facecolor() if patch.get_fill() else "none"
     transform, width, label = patch.get_transform(), patch.get_linewidth(), str(patch.get_label())
     if trace := _polygon(patch.get_path(), transform, ax, face, patch.get_edgecolor(), width, label, units):
@@ -187,10 +194,10 @@ def _patch(patch: Patch, ax: Axes, units: tuple[str, str]) -> Iterator[Trace]:
 
 
 def _polygon(
-    path: Path, transform: Transform, ax: Axes, face: Any, edge: Any, width: float, label: str, units: tuple[str, str]
+    path: Path, transform: Transform, ax: Axes, face: Any, edge: Any, width: float, label: str, units: Units
 ) -> Trace | None:
     gap = np.full((1, 2), np.nan)
-    pieces = [np.vstack([_simplified(p, transform, ax), gap]) for p in path.to_polygons(closed_only=False) if len(p)]
+    pieces = [np.vstack([outline, gap]) for outline in _outlines(path, transform, ax)]
     if not pieces:
         return None
     outlined = width > 0 and to_rgba(edge)[3] > 0
@@ -204,7 +211,7 @@ def _polygon(
     return trace | {"line": {"color": colour, "width": round(SCALE * width, 2)}} if outlined else trace
 
 
-def _bars(bars: BarContainer, label: str, units: tuple[str, str]) -> Iterator[Trace]:
+def _bars(bars: BarContainer, label: str, units: Units) -> Iterator[Trace]:
     if not bars.patches:
         return
     boxes = np.array([(p.get_x(), p.get_y(), p.get_width(), p.get_height()) for p in bars.patches])
@@ -214,9 +221,7 @@ def _bars(bars: BarContainer, label: str, units: tuple[str, str]) -> Iterator[Tr
     along, across = (0, 1) if lying else (1, 0)
     value, place = ("x", "y") if lying else ("y", "x")
     if "hovertemplate" in trace:
-        unit = units[along]
-        shown = f"%{{{value}:.4~g}}" + (f" {escape(unit)}" if unit else "")
-        trace["hovertemplate"] = f"{shown}<extra>{escape(label)}</extra>"
+        trace["hovertemplate"] = f"{_value(value, units[along])}<extra>{escape(label)}</extra>"
     yield trace | {
         "orientation": "h" if lying else "v",
         place: _numbers(boxes[:, across] + 0.5 * boxes[:, 2 + across]),
@@ -226,7 +231,7 @@ def _bars(bars: BarContainer, label: str, units: tuple[str, str]) -> Iterator[Tr
     }
 
 
-def _error_bars(bars: ErrorbarContainer, ax: Axes, label: str, units: tuple[str, str]) -> Iterator[Trace]:
+def _error_bars(bars: ErrorbarContainer, ax: Axes, label: str, units: Units) -> Iterator[Trace]:
     line, _, spans = bars.lines
     if line is None:
         for span in spans:
@@ -249,15 +254,15 @@ def _error_bars(bars: ErrorbarContainer, ax: Axes, label: str, units: tuple[str,
             "symmetric": False,
             "array": _numbers(ends.max(axis=1) - xy[:, column]),
             "arrayminus": _numbers(xy[:, column] - ends.min(axis=1)),
-            "color": hexadecimal(span.get_edgecolors()[0]),
-            "thickness": round(SCALE * float(span.get_linewidths()[0]), 2),
+            "color": hexadecimal(span.get_color()[0]),
+            "thickness": round(SCALE * _first(span.get_linewidth()), 2),
             "width": 0,
         }
         if "hovertemplate" in trace:
-            unit = f" {escape(units[column])}" if units[column] else ""
             trace["customdata"] = [_numbers(pair) for pair in np.sort(ends, axis=1)]
-            value = f"%{{{name}:.4~g}}{unit}, %{{customdata[0]:.4~g}} to %{{customdata[1]:.4~g}}"
-            trace["hovertemplate"] = f"{value}<extra>{escape(label)}</extra>"
+            interval = "%{customdata[0]:.4~g} to %{customdata[1]:.4~g}"
+            said = f"{_value(name, units[column])}<br>{interval}"
+            trace["hovertemplate"] = f"{said}<extra>{escape(label.removeprefix('_'))}</extra>"
     yield trace
 
 
@@ -271,6 +276,10 @@ def _scatter(xy: FloatArray, mode: str, common: Trace) -> Trace:
 def _numbers(values: Iterable[float]) -> list[float | None]:
     """Five significant digits; a gap where a value is not finite."""
     return [float(f"{value:.5g}") if np.isfinite(value) else None for value in values]
+
+
+def _first(values: float | Sequence[float]) -> float:
+    return float(np.atleast_1d(values)[0])
 
 
 def _in_data(xy: FloatArray, transform: Transform, ax: Axes) -> FloatArray:
@@ -307,9 +316,8 @@ def _thinned(xy: FloatArray, ax: Axes) -> FloatArray:
     return xy[sorted(keep)]
 
 
-def _simplified(xy: FloatArray, transform: Transform, ax: Axes) -> FloatArray:
-    """The outline as the screen needs it: points on a straight line within a fraction of a pixel are left out."""
-    with rc_context({"path.simplify": True, "path.simplify_threshold": 0.2}):
-        path = Path(xy).cleaned(transform=transform, simplify=len(xy) >= 128)
-    points = path.vertices[path.codes <= Path.LINETO] if path.codes is not None else path.vertices
-    return np.asarray(ax.transData.inverted().transform(points), dtype=np.float64)
+def _outlines(path: Path, transform: Transform, ax: Axes) -> list[FloatArray]:
+    """Polygons of a path in data coordinates, without points that the screen would not show."""
+    polygons = path.to_polygons(transform=transform, closed_only=False)
+    back = ax.transData.inverted()
+    return [np.asarray(back.transform(np.asarray(p, np.float64)), np.float64) for p in polygons]

@@ -96,10 +96,7 @@ def table(columns: Sequence[Column], rows: Sequence[Sequence[Cell | str]], *, wi
         if len(row) != len(columns):
             raise ValueError(f"rows must have {len(columns)} cells each, got one with {len(row)}")
     heads = "".join(_head(column) for column in columns)
-    body = "".join(
-        f"<tr>{''.join(_cell(cell, column, first=i == 0) for i, (cell, column) in enumerate(zip(row, columns)))}</tr>"
-        for row in rows
-    )
+    body = "".join(f"<tr>{_row(columns, row)}</tr>" for row in rows)
     kind = "sortable wide" if wide else "sortable"
     return (
         f'<div class="scroll"><table class="{kind}"><thead><tr>{heads}</tr></thead><tbody>{body}</tbody></table></div>'
@@ -112,12 +109,16 @@ def _head(column: Column) -> str:
     return f'<th scope="col"{kind}{title}>{escape(column.heading)}<small>{escape(column.unit) or "&nbsp;"}</small></th>'
 
 
+def _row(columns: Sequence[Column], row: Sequence[Cell | str]) -> str:
+    return "".join(_cell(cell, column, first=i == 0) for i, (cell, column) in enumerate(zip(row, columns, strict=True)))
+
+
 def _cell(cell: Cell | str, column: Column, *, first: bool) -> str:
     cell = Cell(cell) if isinstance(cell, str) else cell
     content = escape(cell.text)
     if cell.link:
         content = f'<a href="{escape(cell.link)}">{content}</a>'
-    kinds = [kind for kind in ("" if column.kind == "number" else column.kind, cell.tone) if kind]
+    kinds: list[str] = [kind for kind in ("" if column.kind == "number" else column.kind, cell.tone) if kind]
     style = ""
     if cell.dot:
         kinds.append("filter")
