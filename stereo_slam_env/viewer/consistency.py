@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from filters.validation import FloatArray
 from stereo_slam_env.benchmark.consistency import mean_band
-from stereo_slam_env.benchmark.results import FilterRun, LandmarkTrace
+from stereo_slam_env.benchmark.results import FilterRun, FilterSummary, LandmarkTrace
 from stereo_slam_env.viewer import series
 from stereo_slam_env.viewer.style import (
     BAND,
@@ -18,6 +18,7 @@ from stereo_slam_env.viewer.style import (
     MUTED,
     WIDTH_INCHES,
     EndLabel,
+    colour_key,
     filter_colours,
     label_ends,
     nested_widths,
@@ -283,3 +284,63 @@ def _draw_sigma(ax: Axes, traces: dict[str, LandmarkTrace], colours: dict[str, s
     ax.set_yscale("log")
     plain_log_axis(ax)
     label_ends(ax, labels)
+
+
+_QUANTITIES = {
+    "pose": "pose NEES",
+    "position": "position NEES",
+    "rotation": "rotation NEES",
+    "landmark": "landmark NEES",
+    "nis": "NIS",
+}
+
+
+@styled
+def plot_consistency(summaries: Sequence[FilterSummary]) -> Figure:
+    """Mean NEES and NIS by their degrees of freedom against their bands, and how much of the time they are inside.
+
+    Parameters
+    ----------
+    summaries : sequence of FilterSummary
+        With `consistency`.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    colours = filter_colours(s.filter_name for s in summaries)
+    rows = [key for key in _QUANTITIES if any(key in s.consistency for s in summaries)]
+    figure = Figure(figsize=(WIDTH_INCHES, 1.0 + 0.2 * len(rows) * max(len(summaries), 2)))
+    height = figure.get_figheight()
+    figure.subplots_adjust(left=0.12, right=0.87, top=1 - 0.36 / height, bottom=0.5 / height, wspace=0.08)
+    mean, inside = figure.subplots(1, 2, width_ratios=(2.2, 1), sharey=True)
+    step = 0.7 / max(len(summaries), 1)
+    peaks: dict[str, float] = {}
+    for i, s in enumerate(summaries):
+        places = [row - 0.35 + (i + 0.5) * step for row, key in enumerate(rows) if key in s.consistency]
+        found = [s.consistency[key] for key in rows if key in s.consistency]
+        for place, figures in zip(places, found, strict=True):
+            low, high = (bound / figures.dof for bound in figures.band)
+            mean.fill_betweenx([place - 0.5 * step, place + 0.5 * step], low, high, color=BAND, linewidth=0, zorder=0)
+        style = {"s": 30, "color": colours[s.filter_name], "linewidths": 0, "label": s.filter_name}
+        means = np.array([figures.mean / figures.dof for figures in found])
+        peaks[s.filter_name] = series.peak(means)
+        mean.scatter(means, places, **style)
+        inside.scatter([figures.inside_percent for figures in found], places, **style)
+    limit = shared_limit(peaks, spread=30.0)
+    mean.axvline(1, color=MUTED, linewidth=0.8, linestyle=(0, (4, 3)), zorder=0)
+    mean.set_xscale("log")
+    low, high = mean.get_xlim()
+    mean.set_xlim(low, min(high, 1.3 * max(limit.upper, 1.2)))
+    plain_log_axis(mean, "x")
+    note_beyond(mean, limit, colours)
+    mean.set(title="Mean / degrees of freedom, 95 % band in grey", xlabel="1 is ideal; above: overconfident")
+    mean.set_yticks(range(len(rows)), [_QUANTITIES[key] for key in rows])
+    mean.set_ylim(len(rows) - 0.5, -0.5)
+    inside.axvline(95, color=MUTED, linewidth=0.8, linestyle=(0, (4, 3)), zorder=0)
+    inside.set(title="Frames inside their band (%)", xlabel="95 if frames were independent (%)", xlim=(-3, 103))
+    inside.tick_params(labelleft=False)
+    for ax in (mean, inside):
+        ax.grid(visible=False, axis="y")
+    colour_key(inside, {s.filter_name: colours[s.filter_name] for s in summaries})
+    return figure

@@ -25,10 +25,19 @@ def save_png(figure: Figure, path: Path) -> None:
         figure.savefig(path, format="png", dpi=PNG_DPI, facecolor="white")
 
 
-def save_svg(figure: Figure, path: Path) -> None:
-    """Write the figure on white, with its texts as text."""
+def svg_of(figure: Figure) -> str:
+    """Draw the figure as an SVG document, with its texts as text, on no background."""
+    buffer = io.StringIO()
     with style_context():
-        figure.savefig(path, format="svg", facecolor="white", metadata={"Date": None})
+        figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
+    return buffer.getvalue()
+
+
+def on_white(svg: str) -> str:
+    """The SVG document with a white sheet below everything."""
+    start = svg.index("<svg")
+    end = svg.index(">", start) + 1
+    return f'{svg[:end]}\n <rect width="100%" height="100%" fill="#ffffff"/>{svg[end:]}'
 
 
 def in_page_colours(text: str) -> str:
@@ -38,13 +47,13 @@ def in_page_colours(text: str) -> str:
     return text
 
 
-def inline_svg(figure: Figure, name: str, description: str) -> str:
-    """Turn the figure into an `<svg>` element that takes colours and font from the page around it.
+def inline_svg(svg: str, name: str, description: str) -> str:
+    """Turn an SVG document into an `<svg>` element that takes colours and font from the page around it.
 
     Parameters
     ----------
-    figure : matplotlib.figure.Figure
-        Drawn with the colours of `style`.
+    svg : str
+        From `svg_of`, drawn with the colours of `style`.
     name : str
         Prefix of the ids inside, unique in the page.
     description : str
@@ -55,11 +64,7 @@ def inline_svg(figure: Figure, name: str, description: str) -> str:
     str
         Markup without any reference to the outside.
     """
-    buffer = io.StringIO()
-    with style_context():
-        figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
-    markup = buffer.getvalue()
-    markup = markup[markup.index("<svg") :]
+    markup = svg[svg.index("<svg") :]
     markup = re.sub(r"<metadata>.*?</metadata>", "", markup, flags=re.DOTALL)
     used = set(re.findall(r'(?:xlink:href="|url\()#(\w+)', markup))
     markup = re.sub(r' id="([^"]*)"', lambda m: f' id="{name}-{m[1]}"' if m[1] in used else "", markup)

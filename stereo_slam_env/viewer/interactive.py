@@ -196,8 +196,8 @@ def _text(text: Text, ax: Axes, suffix: str) -> Spec:
     refs = {"xref": f"x{suffix}", "yref": f"y{suffix}"}
     coordinates = text.xycoords if isinstance(text, Annotation) else None
     if isinstance(text, Annotation) and coordinates in ("data", "axes fraction"):
-        shift = tuple(map(float, text.xyann)) if text.anncoords == "offset points" else (0.0, 0.0)
-        (x, y), on_data = text.xy, coordinates == "data"
+        shift = [float(v) for v in text.xyann] if text.anncoords == "offset points" else [0.0, 0.0]
+        (x, y), on_data = map(float, text.xy), coordinates == "data"
         if text.arrow_patch is not None:
             colour = hexadecimal(text.arrow_patch.get_edgecolor())
             note |= {"showarrow": True, "ax": SCALE * shift[0], "ay": -SCALE * shift[1], "arrowcolor": colour}

@@ -12,7 +12,7 @@ from string import Template
 
 from matplotlib.figure import Figure
 
-from stereo_slam_env.viewer.figures import in_page_colours, inline_svg, save_png, save_svg
+from stereo_slam_env.viewer.figures import in_page_colours, inline_svg, on_white, save_png, svg_of
 from stereo_slam_env.viewer.interactive import plotly_figure
 from stereo_slam_env.viewer.style import WIDTH_INCHES
 
@@ -70,8 +70,9 @@ def figure_block(figure: Figure, name: str, description: str, folder: Path) -> s
     """
     folder.mkdir(parents=True, exist_ok=True)
     save_png(figure, folder / f"{name}.png")
-    save_svg(figure, folder / f"{name}.svg")
-    drawing = inline_svg(figure, name, description)
+    svg = svg_of(figure)
+    (folder / f"{name}.svg").write_text(on_white(svg), encoding="utf-8")
+    drawing = inline_svg(svg, name, description)
     share = min(figure.get_figwidth() / WIDTH_INCHES, 1.0)
     place = escape(f"{folder.name}/{name}", quote=True)
     links = f'<a href="{place}.png" download>PNG</a><a href="{place}.svg" download>SVG</a>'

@@ -5,7 +5,7 @@ Consistency figures (3-sigma bounds, NEES, NIS, depth) are in `consistency`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -23,15 +23,13 @@ from stereo_slam_env.viewer.style import (
     colour_key,
     filter_colours,
     label_ends,
+    name_rows,
     nested_widths,
     note_beyond,
     plain_log_axis,
     shared_limit,
     styled,
 )
-
-Series = Callable[[FilterRun], FloatArray]
-"""A per-frame quantity of a run, (K,)."""
 
 MAX_THIN_LINES = 12
 """Single runs drawn behind a median: more would only darken the picture."""
@@ -94,6 +92,7 @@ def plot_error_by_run(runs: Sequence[FilterRun]) -> Figure:
     colours = filter_colours(groups)
     names = list(groups)
     failed = {name: sum(run.failure is not None for run in groups[name]) for name in names}
+    notes = {name: f"({count} failed)" for name, count in failed.items() if count}
     rmse = {(run.filter_name, run.recording_name, run.seed): series.position_rmse(run) for run in runs}
     figure = Figure(figsize=(WIDTH_INCHES, 0.9 + 0.42 * len(names)))
     ax = figure.add_axes((0.15, 0.5 / figure.get_figheight(), 0.82, 1 - 0.6 / figure.get_figheight()))
@@ -112,10 +111,7 @@ def plot_error_by_run(runs: Sequence[FilterRun]) -> Figure:
     else:
         ax.set_xlim(left=0)
     ax.set(xlabel="position RMSE of each run (m)", ylim=(len(names) - 0.5, -0.5))
-    ax.set_yticks(range(len(names)), [f"{name} ({failed[name]} failed)" if failed[name] else name for name in names])
-    for tick, name in zip(ax.get_yticklabels(), names, strict=True):
-        tick.set_color(colours[name])
-    ax.grid(visible=False, axis="y")
+    name_rows(ax, names, colours, notes)
     return figure
 
 
@@ -134,7 +130,7 @@ def plot_velocity(runs: Sequence[FilterRun]) -> Figure:
         Three panels: Vx, Vz, yaw.
     """
     shown = series.first_recording(runs)
-    rows: tuple[tuple[str, str, Callable[[FilterRun], FloatArray], Callable[[FilterRun], FloatArray]], ...] = (
+    rows: tuple[tuple[str, str, series.Quantity, series.Quantity], ...] = (
         ("Velocity to the right, Vx (m/s)", "m/s", lambda r: r.linear_velocities[:, 0], _true_v(0)),
         ("Velocity forward, Vz (m/s)", "m/s", lambda r: r.linear_velocities[:, 2], _true_v(2)),
         (
@@ -266,8 +262,8 @@ def _draw_error_over_distance(ax: Axes, runs: Sequence[FilterRun]) -> None:
 def _draw_over_time(
     ax: Axes,
     runs: Sequence[FilterRun],
-    estimate: Series,
-    true: Series,
+    estimate: series.Quantity,
+    true: series.Quantity,
     unit: str,
 ) -> None:
     """Estimates of all filters over the truth, with the truth (or the estimates) setting the scale."""
@@ -295,7 +291,7 @@ def _excess(values: FloatArray, low: float, high: float, margin: float) -> float
     return series.peak(finite) if finite.size and outside.mean() > 0.02 else 0.0
 
 
-def _true_v(axis: int) -> Series:
+def _true_v(axis: int) -> series.Quantity:
     return lambda run: run.true_linear_velocities[:, axis]
 
 
