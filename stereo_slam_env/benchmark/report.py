@@ -5,20 +5,25 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
-from importlib.resources import files
 from pathlib import Path
-from string import Template
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
+from stereo_slam_env.benchmark import report_tables as tables
+from stereo_slam_env.benchmark.report_overview import overview
 from stereo_slam_env.benchmark.results import FilterRun, FilterSummary
-from stereo_slam_env.benchmark.verdict import Consistency, Verdict, consistency, judge
+from stereo_slam_env.benchmark.verdict import judge
+from stereo_slam_env.viewer import accuracy, cost, map_figures, plots, series
 from stereo_slam_env.viewer import consistency as honesty
-from stereo_slam_env.viewer import plots, series
-from stereo_slam_env.viewer.figures import CSS_VARIABLES, inline_svg, save_png
-from stereo_slam_env.viewer.style import filter_colours
+from stereo_slam_env.viewer.accuracy import Bounds
+from stereo_slam_env.viewer.page import figure_block, page
+
+FIGURES = "figures"
+"""Folder of the figures, beside the page."""
+
+_DATA_FILES = (".json", ".csv", ".parquet", ".toml")
 
 
 def write_report(
@@ -27,8 +32,10 @@ def write_report(
     runs: Sequence[FilterRun],
     summaries: Sequence[FilterSummary],
     settings: Mapping[str, Any],
+    *,
+    bounds: Bounds | None = None,
 ) -> Path:
-    """Write `out/report.html`, and each of its figures as `out/figures/<name>.png`.
+    """Write `out/report.html`, and each of its figures as `out/figures/<name>.png` and `.svg`.
 
     Parameters
     ----------
@@ -42,6 +49,8 @@ def write_report(
         One for each filter, of the same runs.
     settings : mapping
         What was asked for (scenario, noise, gate, seeds, versions); JSON-able, may be nested.
+    bounds : mapping of (recording_name, seed) to Bound, optional
+        Theoretical limits, drawn below the errors over time.
 
     Returns
     -------
@@ -55,28 +64,48 @@ def write_report(
     """
     if not runs or not summaries:
         raise ValueError("runs and summaries must not be empty: there is nothing to report")
-    folder = out / "figures"
-    folder.mkdir(parents=True, exist_ok=True)
-    for stale in folder.glob("*.png"):
-        stale.unlink()
-    verdict = judge(runs, summaries)
-    page = Template(files(__package__).joinpath("report.html").read_text(encoding="utf-8"))
-    html = page.substitute(
-        title=escape(title),
-        subtitle=escape(_subtitle(runs)),
-        headline=escape(verdict.headline),
-        cards="\n".join(_cards(summaries, verdict)),
-        table=_table(summaries),
-        table_note=escape(_table_note(summaries)),
-        sections="\n".join([*(_section(section, folder) for section in _sections(runs)), _failures(summaries)]),
-        settings=_settings(settings),
-    )
+    folder = clean_figures(out)
+    body = [
+        overview(summaries, judge(runs, summaries)),
+        f'<p class="quiet">{escape(_note(summaries))}</p>',
+        *(_section(section, folder) for section in _sections(runs, summaries, bounds or {})),
+        _failures(summaries),
+        f"<section><h2>Settings</h2>{settings_list(settings)}</section>",
+        data_links(out),
+    ]
     path = out / "report.html"
-    path.write_text(html, encoding="utf-8")
+    path.write_text(page(title=title, subtitle=_subtitle(runs), body="\n".join(body)), encoding="utf-8")
     return path
 
 
-# ---- first screen ---------------------------------------------------------------------------------------------------
+def clean_figures(out: Path) -> Path:
+    """The folder of the figures, without those of an earlier report."""
+    folder = out / FIGURES
+    folder.mkdir(parents=True, exist_ok=True)
+    for stale in (*folder.glob("*.png"), *folder.glob("*.svg")):
+        stale.unlink()
+    return folder
+
+
+def data_links(out: Path) -> str:
+    """A line of links to the tables and settings beside the page; "" where there are none."""
+    names = sorted(file.name for file in out.iterdir() if file.suffix in _DATA_FILES)
+    links = " · ".join(f'<a href="{escape(name)}">{escape(name)}</a>' for name in names)
+    return (
+        f'<section class="screen"><h2>Data</h2><p class="quiet">Beside this page: {links}</p></section>'
+        if links
+        else ""
+    )
+
+
+def _note(summaries: Sequence[FilterSummary]) -> str:
+    note = "Click a heading to sort by it."
+    if any(s.frames_in_band_percent is not None for s in summaries):
+        note += (
+            " NEES is correlated in time, so even a consistent filter has fewer than 95 % of its frames in the band:"
+            " do not rank filters by it between about 88 and 96 %."
+        )
+    return note
 
 
 def _subtitle(runs: Sequence[FilterRun]) -> str:
@@ -91,166 +120,123 @@ def _subtitle(runs: Sequence[FilterRun]) -> str:
     return " · ".join(parts)
 
 
-def _cards(summaries: Sequence[FilterSummary], verdict: Verdict) -> list[str]:
-    colours = filter_colours(s.filter_name for s in summaries)
-    quickest = min((s.ms_per_frame for s in summaries if s.ms_per_frame), default=None)
-
-    def card(question: str, measure: str, row: Callable[[FilterSummary], tuple[str, str, str]]) -> str:
-        lines = []
-        for summary in summaries:
-            value, tone, remark = row(summary)
-            name = _filter_cell(summary.filter_name, colours)
-            lines.append(f'<tr>{name}<td>{value}</td><td class="{tone}">{escape(remark)}</td></tr>')
-        body = "".join(lines)
-        return f'<div class="card"><h3>{question} <span>{measure}</span></h3><table>{body}</table></div>'
-
-    def accuracy(s: FilterSummary) -> tuple[str, str, str]:
-        value = _short(s.position_rmse_m, " m")
-        if s.diverged:
-            return value, "bad", f"diverged {s.diverged}/{s.runs}"
-        if s.filter_name == verdict.best:
-            alone = all(c.shown for c in verdict.comparisons.values())
-            return value, "good" if alone else "none", "best" if alone else "smallest"
-        comparison = verdict.comparisons.get(s.filter_name)
-        if comparison is None or not np.isfinite(comparison.excess_percent):
-            return value, "none", "–"
-        if not comparison.shown:
-            return value, "none", "gap not shown"
-        return value, "bad", f"{comparison.excess_percent:+,.0f} %"
-
-    def honest(s: FilterSummary) -> tuple[str, str, str]:
-        state = consistency(s)
-        tones = {
-            Consistency.CONSISTENT: "good",
-            Consistency.OVERCONFIDENT: "bad",
-            Consistency.CAUTIOUS: "fair",
-            Consistency.UNKNOWN: "none",
-        }
-        return _short(s.pose_anees), tones[state], state.value
-
-    def cost(s: FilterSummary) -> tuple[str, str, str]:
-        if s.ms_per_frame is None or not quickest:
-            return "–", "none", ""
-        ratio = s.ms_per_frame / quickest
-        return f"{s.ms_per_frame:.2f} ms", "none", "quickest" if ratio == 1 else f"{ratio:.2f} ×"
-
-    bands = {s.pose_anees_band for s in summaries if s.pose_anees_band is not None}
-    band = "–".join(f"{bound:.2f}" for bound in next(iter(bands))) if len(bands) == 1 else "of each"
-    return [
-        card("How accurate?", "position RMSE", accuracy),
-        card("How honest?", f"pose NEES, band {band}" if bands else "pose NEES", honest),
-        card("How fast?", "median time per frame", cost),
-    ]
-
-
-@dataclass(frozen=True)
-class _Column:
-    heading: str
-    unit: str
-    explanation: str
-    value: Callable[[FilterSummary], float | None]
-    form: str
-
-
-_COLUMNS = (
-    _Column("Position", "RMSE, m", "without alignment", lambda s: s.position_rmse_m, ".3f"),
-    _Column("Rotation", "RMSE, °", "angle of the rotation error", lambda s: s.rotation_rmse_deg, ".3f"),
-    _Column("ATE", "rigid, m", "after rigid alignment, median over runs", lambda s: s.ate_rigid_m, ".3f"),
-    _Column("Drift", "end, %", "final error over distance, mean", lambda s: s.end_drift_percent, ".3f"),
-    _Column("Pose NEES", "ideal 6", "mean over frames and runs", lambda s: s.pose_anees, ".2f"),
-    _Column("In band", "% frames", "NEES averaged over runs", lambda s: s.frames_in_band_percent, ".0f"),
-    _Column("NIS", "ideal 1", "normalised innovation squared per degree of freedom", lambda s: s.nis, ".2f"),
-    _Column("Map NEES", "ideal 3", "landmarks in (u, v, d)", lambda s: s.landmark_anees, ".2f"),
-    _Column("Map error", "m", "landmarks relative to the camera", lambda s: s.landmark_rmse_m, ".2f"),
-    _Column("Time", "ms/frame", "median of predict + update", lambda s: s.ms_per_frame, ".2f"),
-    _Column("Gated", "%", "known measurements refused", lambda s: s.gated_percent, ".1f"),
-    _Column("Diverged", "runs", "failed, not finite, or far from the truth", lambda s: float(s.diverged), ".0f"),
-)
-
-
-def _table(summaries: Sequence[FilterSummary]) -> str:
-    colours = filter_colours(s.filter_name for s in summaries)
-    shown = [c for c in _COLUMNS if any(_finite(c.value(s)) for s in summaries)]
-    heads = ["<th><button>Filter<small>&nbsp;</small></button></th>"] + [
-        f'<th title="{escape(c.explanation)}"><button>{c.heading}<small>{c.unit}</small></button></th>' for c in shown
-    ]
-    rows = []
-    for summary in summaries:
-        cells = [_filter_cell(summary.filter_name, colours)]
-        for column in shown:
-            cells.append(_cell(column, column.value(summary), summary))
-        rows.append(f"<tr>{''.join(cells)}</tr>")
-    return f'<table class="results"><thead><tr>{"".join(heads)}</tr></thead><tbody>{"".join(rows)}</tbody></table>'
-
-
-def _cell(column: _Column, value: float | None, summary: FilterSummary) -> str:
-    if value is None or not np.isfinite(value):
-        return '<td class="none" data-value="">–</td>'
-    text = format(value, column.form) if abs(value) < 10_000 else f"{value:.1e}"
-    if column.heading == "Diverged":
-        tone = ' class="bad"' if value else ""
-        return f'<td{tone} data-value="{value}">{text}/{summary.runs}</td>'
-    return f'<td data-value="{value!r}">{text}</td>'
-
-
-def _table_note(summaries: Sequence[FilterSummary]) -> str:
-    note = "Click a column to sort by it."
-    if any(s.frames_in_band_percent is not None for s in summaries):
-        note += (
-            " NEES is correlated in time, so even a consistent filter has fewer than 95 % of its frames in the band:"
-            " do not rank filters by it between about 88 and 96 %."
-        )
-    return note
-
-
-# ---- figures --------------------------------------------------------------------------------------------------------
+# ---- sections -------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class _Section:
-    name: str
+    """Heading, a sentence on how to read it, a table, and figures by name with their captions."""
+
     heading: str
-    guide: str
-    figures: Mapping[str, Figure]
+    guide: str = ""
+    table: str = ""
+    figures: Mapping[str, tuple[Callable[[], Figure], str]] | None = None
 
 
-def _sections(runs: Sequence[FilterRun]) -> list[_Section]:
-    first = series.first_recording(runs)
+def _sections(runs: Sequence[FilterRun], summaries: Sequence[FilterSummary], bounds: Bounds) -> list[_Section]:
     with_truth = any(series.scored(run).any() for run in runs)
-    several = len({(run.recording_name, run.seed) for run in runs}) > 1
-    of_first = f"Shown: {first[0].recording_name}" + (f", seed {first[0].seed}." if first[0].seed is not None else ".")
-    sections = []
-    if with_truth and several:
-        guide = "A line joins the filters' errors on the same recording: look at its direction, not at the spread."
-        sections.append(_Section("runs", "Run by run", guide, {"error_by_run": plots.plot_error_by_run(runs)}))
-    guide = f"{of_first} " + ("Errors: all runs, single ones thin; no alignment." if with_truth else "")
-    sections.append(_Section("path", "Trajectory", guide, {"trajectory": plots.plot_trajectory(runs)}))
+    first = series.first_recording(runs)
+    shown = f"{first[0].recording_name}" + (f", seed {first[0].seed}" if first[0].seed is not None else "")
+    sections = [_accuracy(runs, summaries, shown, with_truth)] if with_truth else [_trajectory(runs, shown)]
+    sections += _limits(runs, summaries, bounds)
+    sections.append(_consistency(runs, summaries, with_truth))
     if with_truth:
-        nees = {"nees": honesty.plot_nees(runs)} if any(np.isfinite(r.pose_nees).any() for r in runs) else {}
-        guide = "Above the band a filter is overconfident, below it too cautious. The scale is logarithmic."
-        sections.append(_Section("nees", "Consistency", guide, nees | {"nis": honesty.plot_nis(runs)}))
         limits = honesty.error_limits(first)
-        bounds = {f"error_{i}": honesty.plot_error_bounds(run, limits) for i, run in enumerate(first)}
-        guide = f"{of_first} Position in the world, rotation in the camera frame; equal scales for all filters."
-        sections.append(_Section("errors", "Errors and their 3σ bounds", guide, bounds))
-    else:
-        guide = "Above the band a filter is overconfident, below it too cautious."
-        sections.append(_Section("nis", "Consistency", guide, {"nis": honesty.plot_nis(runs)}))
-    if any(run.traces for run in runs):
-        guide = "Dots: depth from the frame's own disparity. A narrow band that misses the truth is false confidence."
-        sections.append(_Section("depth", "Depth convergence", guide, {"depth": honesty.plot_depth(runs)}))
-    sections.append(_Section("speed", "Velocity and heading", of_first, {"velocity": plots.plot_velocity(runs)}))
-    guide = "Predict and update, median over runs. Compare filters within a report, not across machines."
-    sections.append(_Section("cost", "Cost", guide, {"time_per_frame": plots.plot_time_per_frame(runs)}))
+        bounded = {
+            f"error_{i}": (_later(honesty.plot_error_bounds, run, limits), f"{run.filter_name} on {shown}.")
+            for i, run in enumerate(first)
+        }
+        guide = "Position in the world, rotation in the camera frame; equal scales for all filters."
+        sections.append(_Section("Errors and their 3σ bounds", guide, figures=bounded))
+    sections += _map(runs, summaries)
+    caption = f"Velocity in the world and heading on {shown}."
+    sections.append(
+        _Section("Velocity and heading", figures={"velocity": (_later(plots.plot_velocity, runs), caption)})
+    )
+    sections.append(_cost(runs, summaries))
     return sections
 
 
+def _accuracy(runs: Sequence[FilterRun], summaries: Sequence[FilterSummary], shown: str, with_truth: bool) -> _Section:
+    figures = {}
+    if len({(run.recording_name, run.seed) for run in runs}) > 1:
+        caption = "A line joins the filters' errors on the same recording: look at its direction, not at the spread."
+        figures["error_by_run"] = (_later(plots.plot_error_by_run, runs), caption)
+    caption = f"Path on {shown}; errors of all runs, single ones thin, without alignment."
+    figures["trajectory"] = (_later(plots.plot_trajectory, runs), caption)
+    if any(s.rpe for s in summaries):
+        caption = "Relative error over segments of the path, averaged over segments and runs."
+        figures["relative_error"] = (_later(accuracy.plot_segment_errors, summaries), caption)
+    return _Section("Accuracy", "", tables.accuracy_table(summaries), figures)
+
+
+def _trajectory(runs: Sequence[FilterRun], shown: str) -> _Section:
+    figures = {"trajectory": (_later(plots.plot_trajectory, runs), f"Path on {shown}.")}
+    return _Section("Trajectory", "There is no ground truth to hold it against.", figures=figures)
+
+
+def _limits(runs: Sequence[FilterRun], summaries: Sequence[FilterSummary], bounds: Bounds) -> list[_Section]:
+    figures = {}
+    if any((run.recording_name, run.seed) in bounds for run in runs):
+        caption = "Root mean square over the runs with a bound, and the posterior Cramér–Rao bound below it."
+        figures["error_and_limit"] = (_later(accuracy.plot_error_against_bound, runs, bounds), caption)
+    if any(s.efficiency_percent is not None for s in summaries):
+        caption = "Bound over RMSE of each run; a single lucky run may exceed 100 %. The stroke is that of all runs."
+        figures["efficiency"] = (_later(accuracy.plot_efficiency, summaries), caption)
+    guide = "No unbiased filter can be better than the posterior Cramér–Rao bound along the true trajectory."
+    return [_Section("Distance from the limit", guide, figures=figures)] if figures else []
+
+
+def _consistency(runs: Sequence[FilterRun], summaries: Sequence[FilterSummary], with_truth: bool) -> _Section:
+    figures = {}
+    if any(s.consistency for s in summaries):
+        caption = "Means by their degrees of freedom in their 95 % bands, and the share of the frames inside."
+        figures["consistency"] = (_later(honesty.plot_consistency, summaries), caption)
+    if with_truth and any(np.isfinite(run.pose_nees).any() for run in runs):
+        figures["nees"] = (_later(honesty.plot_nees, runs), "Pose NEES along the drive; the scale is logarithmic.")
+    caption = "Innovations along the drive, pooled over runs and short stretches of time."
+    figures["nis"] = (_later(honesty.plot_nis, runs), caption)
+    guide = "Above the band a filter is overconfident, below it too cautious."
+    return _Section("Consistency", guide, tables.consistency_table(summaries), figures)
+
+
+def _map(runs: Sequence[FilterRun], summaries: Sequence[FilterSummary]) -> list[_Section]:
+    figures = {}
+    if any(s.landmark_by_range for s in summaries):
+        caption = "By true distance: error relative to the camera, mean depth error (Sibley's bias), NEES in (u, v, d)."
+        figures["landmarks"] = (_later(map_figures.plot_landmark_errors, summaries), caption)
+    if any(s.depth_convergence for s in summaries):
+        caption = "All landmarks of that depth at first sight: the σ a filter claims should follow its true error."
+        figures["convergence"] = (_later(map_figures.plot_depth_convergence, summaries), caption)
+    if any(run.traces for run in runs):
+        caption = (
+            "Two landmarks. Dots: the frame's own disparity. A narrow band that misses the truth is false confidence."
+        )
+        figures["depth"] = (_later(honesty.plot_depth, runs), caption)
+    return [_Section("Map and depth", figures=figures)] if figures else []
+
+
+def _cost(runs: Sequence[FilterRun], summaries: Sequence[FilterSummary]) -> _Section:
+    figures = {}
+    if any(s.ms_per_frame is not None for s in summaries):
+        figures["cost"] = (_later(cost.plot_cost, summaries), "Medians over frames and runs.")
+    caption = "Predict and update, median over runs, along the drive and by the size of the map."
+    figures["time_per_frame"] = (_later(plots.plot_time_per_frame, runs), caption)
+    guide = "Compare filters within a report, not across machines."
+    return _Section("Cost and events", guide, tables.cost_table(summaries), figures)
+
+
+def _later(plot: Callable[..., Figure], *arguments: Any) -> Callable[[], Figure]:
+    return lambda: plot(*arguments)
+
+
 def _section(section: _Section, folder: Path) -> str:
-    parts = [f"<section><h2>{section.heading}</h2>", f'<p class="quiet">{escape(section.guide)}</p>']
-    for name, figure in section.figures.items():
-        save_png(figure, folder / f"{name}.png")
-        markup = inline_svg(figure, name, escape(f"{section.heading}: {name.replace('_', ' ')}"))
-        parts.append(f'<figure><div class="scroll">{markup}</div></figure>')
+    parts = [f"<section><h2>{section.heading}</h2>"]
+    if section.guide:
+        parts.append(f'<p class="quiet">{escape(section.guide)}</p>')
+    parts.append(section.table)
+    for name, (plot, caption) in (section.figures or {}).items():
+        parts.append(figure_block(plot(), name, caption, folder))
     return "\n".join([*parts, "</section>"])
 
 
@@ -264,14 +250,15 @@ def _failures(summaries: Sequence[FilterSummary]) -> str:
     return f'<section><h2>Failures</h2><ul class="failures">{"".join(lines)}</ul></section>'
 
 
-def _settings(settings: Mapping[str, Any]) -> str:
+def settings_list(settings: Mapping[str, Any]) -> str:
+    """Nested settings as a list of names and values."""
     entries = "".join(f"<dt>{escape(str(key))}</dt><dd>{_setting(value)}</dd>" for key, value in settings.items())
     return f'<dl class="settings">{entries}</dl>'
 
 
 def _setting(value: Any) -> str:
     if isinstance(value, Mapping):
-        return _settings(value) if value else "none"
+        return settings_list(value) if value else "none"
     if isinstance(value, (list, tuple)):
         if value and all(isinstance(item, Mapping) for item in value):
             return "<br>".join(escape(_in_one_line(item)) for item in value)
@@ -282,19 +269,3 @@ def _setting(value: Any) -> str:
 def _in_one_line(value: Mapping[str, Any]) -> str:
     parts = (f"{key} {_in_one_line(v) if isinstance(v, Mapping) else v}" for key, v in value.items())
     return ", ".join(parts) or "none"
-
-
-def _filter_cell(name: str, colours: Mapping[str, str]) -> str:
-    variable = CSS_VARIABLES[colours[name]]
-    label = escape(name)
-    return f'<td class="filter" style="--colour: var({variable})" data-value="{label}">{label}</td>'
-
-
-def _finite(value: float | None) -> bool:
-    return value is not None and bool(np.isfinite(value))
-
-
-def _short(value: float | None, unit: str = "") -> str:
-    if value is None or not np.isfinite(value):
-        return "–"
-    return f"{value:.3g}{unit}" if abs(value) < 10_000 else f"{value:.1e}{unit}"

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from filters.validation import FloatArray
 from stereo_slam_env.benchmark.consistency import mean_band
-from stereo_slam_env.benchmark.results import FilterRun, LandmarkTrace
+from stereo_slam_env.benchmark.results import FilterRun, FilterSummary, LandmarkTrace
 from stereo_slam_env.viewer import series
 from stereo_slam_env.viewer.style import (
     BAND,
@@ -18,6 +18,7 @@ from stereo_slam_env.viewer.style import (
     MUTED,
     WIDTH_INCHES,
     EndLabel,
+    colour_key,
     filter_colours,
     label_ends,
     nested_widths,
@@ -83,8 +84,8 @@ def plot_error_bounds(run: FilterRun, limits: FloatArray | None = None) -> Figur
         known = np.isfinite(e)
         ax.fill_between(time, -bound, bound, color=colour, alpha=0.13, linewidth=0)
         for side in (-bound, bound):
-            ax.plot(time, side, color=colour, alpha=0.45, linewidth=0.7)
-        ax.plot(time[known], e[known], color=colour, linewidth=1.1)
+            ax.plot(time, side, color=colour, alpha=0.45, linewidth=0.7, label="3σ")
+        ax.plot(time[known], e[known], color=colour, linewidth=1.1, label="error")
         half = 1.12 * scale * limits[axis]
         ax.set(title=f"{title} ({unit})", ylim=(-half, half), xlim=(0, time[-1]))
         inside = known & np.isfinite(bound) & (bound > 0)
@@ -222,14 +223,14 @@ def _draw_against_band(
     low, high = band
     colours = filter_colours(curves)
     known = np.isfinite(low)
-    ax.fill_between(time[known], low[known], high[known], color=BAND, linewidth=0, zorder=0)
+    ax.fill_between(time[known], low[known], high[known], color=BAND, linewidth=0, zorder=0, label="_95 % band")
     ax.plot(time, ideal, color=MUTED, linewidth=0.8, linestyle=(0, (4, 3)), zorder=1)
     ax.set_yscale("log")
     limit = shared_limit({name: series.peak(curve) for name, curve in curves.items()}, spread=100.0)
     labels = []
     for name, curve in curves.items():
         shown = np.isfinite(curve) & (curve > 0)
-        ax.plot(time[shown], curve[shown], color=colours[name], linewidth=1.2)
+        ax.plot(time[shown], curve[shown], color=colours[name], linewidth=1.2, label=name)
         labels.append(EndLabel(name, series.last_known(curve), colours[name]))
     floor = min((float(np.percentile(c[c > 0], 1)) for c in curves.values() if (c > 0).any()), default=0.1)
     bottom = max(min(floor, float(low[known].min(initial=np.inf))), 0.02 * float(ideal[0]))
@@ -247,16 +248,18 @@ def _draw_depth(ax: Axes, traces: dict[str, LandmarkTrace], colours: dict[str, s
     longest = max(traces.values(), key=lambda trace: len(trace.frames))
     age = longest.frames - longest.frames[0]
     raw = np.isfinite(longest.measured_depth)
-    ax.scatter(age[raw], longest.measured_depth[raw], s=9, color=MUTED, alpha=0.8, linewidths=0, zorder=1)
+    ax.scatter(age[raw], longest.measured_depth[raw], s=9, color=MUTED, alpha=0.8, linewidths=0, zorder=1, label="raw")
     anchors = [longest.measured_depth[raw], longest.true_depth[np.isfinite(longest.true_depth)]]
     labels = []
     if anchors[1].size:
-        ax.plot(age, longest.true_depth, color=INK, alpha=0.18, linewidth=nested_widths(len(traces))[0] + 5, zorder=0)
+        width = nested_widths(len(traces))[0] + 5
+        ax.plot(age, longest.true_depth, color=INK, alpha=0.18, linewidth=width, zorder=0, label="truth")
         labels.append(EndLabel("truth", series.last_known(longest.true_depth), MUTED))
     for (name, trace), width in zip(traces.items(), nested_widths(len(traces)), strict=True):
         x = trace.frames - longest.frames[0]
-        ax.fill_between(x, trace.depth - trace.sigma, trace.depth + trace.sigma, color=colours[name], alpha=0.12, lw=0)
-        ax.plot(x, trace.depth, color=colours[name], linewidth=width)
+        low, high = trace.depth - trace.sigma, trace.depth + trace.sigma
+        ax.fill_between(x, low, high, color=colours[name], alpha=0.12, linewidth=0, label=f"_{name}")
+        ax.plot(x, trace.depth, color=colours[name], linewidth=width, label=name)
         labels.append(EndLabel(name, series.last_known(trace.depth), colours[name]))
     around = np.concatenate([*anchors, *(trace.depth[np.isfinite(trace.depth)] for trace in traces.values())])
     if around.size:
@@ -276,8 +279,68 @@ def _draw_sigma(ax: Axes, traces: dict[str, LandmarkTrace], colours: dict[str, s
     first = min(int(trace.frames[0]) for trace in traces.values())
     labels = []
     for (name, trace), width in zip(traces.items(), nested_widths(len(traces)), strict=True):
-        ax.plot(trace.frames - first, trace.sigma, color=colours[name], linewidth=width)
+        ax.plot(trace.frames - first, trace.sigma, color=colours[name], linewidth=width, label=name)
         labels.append(EndLabel(name, series.last_known(trace.sigma), colours[name]))
     ax.set_yscale("log")
     plain_log_axis(ax)
     label_ends(ax, labels)
+
+
+_QUANTITIES = {
+    "pose": "pose NEES",
+    "position": "position NEES",
+    "rotation": "rotation NEES",
+    "landmark": "landmark NEES",
+    "nis": "NIS",
+}
+
+
+@styled
+def plot_consistency(summaries: Sequence[FilterSummary]) -> Figure:
+    """Mean NEES and NIS by their degrees of freedom against their bands, and how much of the time they are inside.
+
+    Parameters
+    ----------
+    summaries : sequence of FilterSummary
+        With `consistency`.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    colours = filter_colours(s.filter_name for s in summaries)
+    rows = [key for key in _QUANTITIES if any(key in s.consistency for s in summaries)]
+    figure = Figure(figsize=(WIDTH_INCHES, 1.0 + 0.2 * len(rows) * max(len(summaries), 2)))
+    height = figure.get_figheight()
+    figure.subplots_adjust(left=0.12, right=0.87, top=1 - 0.36 / height, bottom=0.5 / height, wspace=0.08)
+    mean, inside = figure.subplots(1, 2, width_ratios=(2.2, 1), sharey=True)
+    step = 0.7 / max(len(summaries), 1)
+    peaks: dict[str, float] = {}
+    for i, s in enumerate(summaries):
+        places = [row - 0.35 + (i + 0.5) * step for row, key in enumerate(rows) if key in s.consistency]
+        found = [s.consistency[key] for key in rows if key in s.consistency]
+        for place, figures in zip(places, found, strict=True):
+            low, high = (bound / figures.dof for bound in figures.band)
+            mean.fill_betweenx([place - 0.5 * step, place + 0.5 * step], low, high, color=BAND, linewidth=0, zorder=0)
+        style = {"s": 30, "color": colours[s.filter_name], "linewidths": 0, "label": s.filter_name}
+        means = np.array([figures.mean / figures.dof for figures in found])
+        peaks[s.filter_name] = series.peak(means)
+        mean.scatter(means, places, **style)
+        inside.scatter([figures.inside_percent for figures in found], places, **style)
+    limit = shared_limit(peaks, spread=30.0)
+    mean.axvline(1, color=MUTED, linewidth=0.8, linestyle=(0, (4, 3)), zorder=0)
+    mean.set_xscale("log")
+    low, high = mean.get_xlim()
+    mean.set_xlim(low, min(high, 1.3 * max(limit.upper, 1.2)))
+    plain_log_axis(mean, "x")
+    note_beyond(mean, limit, colours)
+    mean.set(title="Mean / degrees of freedom, 95 % band in grey", xlabel="1 is ideal; above: overconfident")
+    mean.set_yticks(range(len(rows)), [_QUANTITIES[key] for key in rows])
+    mean.set_ylim(len(rows) - 0.5, -0.5)
+    inside.axvline(95, color=MUTED, linewidth=0.8, linestyle=(0, (4, 3)), zorder=0)
+    inside.set(title="Frames inside their band (%)", xlabel="95 if frames were independent (%)", xlim=(-3, 103))
+    inside.tick_params(labelleft=False)
+    for ax in (mean, inside):
+        ax.grid(visible=False, axis="y")
+    colour_key(inside, {s.filter_name: colours[s.filter_name] for s in summaries})
+    return figure

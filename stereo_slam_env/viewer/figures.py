@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import re
+from html import escape
 from pathlib import Path
 
 from matplotlib.figure import Figure
@@ -24,28 +25,46 @@ def save_png(figure: Figure, path: Path) -> None:
         figure.savefig(path, format="png", dpi=PNG_DPI, facecolor="white")
 
 
-def inline_svg(figure: Figure, name: str, description: str) -> str:
-    """Turn the figure into an `<svg>` element that takes colours and font from the page around it.
+def svg_of(figure: Figure) -> str:
+    """Draw the figure as an SVG document, with its texts as text, on no background."""
+    buffer = io.StringIO()
+    with style_context():
+        figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
+    return buffer.getvalue()
+
+
+def on_white(svg: str) -> str:
+    """The SVG document with a white sheet below everything."""
+    start = svg.index("<svg")
+    end = svg.index(">", start) + 1
+    return f'{svg[:end]}\n <rect width="100%" height="100%" fill="#ffffff"/>{svg[end:]}'
+
+
+def in_page_colours(text: str) -> str:
+    """Let the CSS variables of the page take the place of the drawing colours."""
+    for colour, variable in CSS_VARIABLES.items():
+        text = text.replace(colour, f"var({variable})")
+    return text
+
+
+def inline_svg(svg: str, name: str, description: str) -> str:
+    """Turn an SVG document into an `<svg>` element that takes colours and font from the page around it.
 
     Parameters
     ----------
-    figure : matplotlib.figure.Figure
-        Drawn with the colours of `style`.
+    svg : str
+        From `svg_of`, drawn with the colours of `style`.
     name : str
         Prefix of the ids inside, unique in the page.
     description : str
-        What a screen reader says.
+        What a screen reader says, plain text.
 
     Returns
     -------
     str
         Markup without any reference to the outside.
     """
-    buffer = io.StringIO()
-    with style_context():
-        figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
-    markup = buffer.getvalue()
-    markup = markup[markup.index("<svg") :]
+    markup = svg[svg.index("<svg") :]
     markup = re.sub(r"<metadata>.*?</metadata>", "", markup, flags=re.DOTALL)
     used = set(re.findall(r'(?:xlink:href="|url\()#(\w+)', markup))
     markup = re.sub(r' id="([^"]*)"', lambda m: f' id="{name}-{m[1]}"' if m[1] in used else "", markup)
@@ -53,8 +72,5 @@ def inline_svg(figure: Figure, name: str, description: str) -> str:
     markup = re.sub(r"url\(#(\w+)\)", rf"url(#{name}-\1)", markup)
     view_box = re.search(r'viewBox="[^"]*"', markup)
     assert view_box is not None
-    head = f'<svg role="img" aria-label="{description}" {view_box[0]}>'
-    markup = re.sub(r"^<svg[^>]*>", head, markup)
-    for colour, variable in CSS_VARIABLES.items():
-        markup = markup.replace(colour, f"var({variable})")
-    return markup
+    head = f'<svg role="img" aria-label="{escape(description)}" {view_box[0]}>'
+    return in_page_colours(re.sub(r"^<svg[^>]*>", lambda _: head, markup))

@@ -5,7 +5,7 @@ Consistency figures (3-sigma bounds, NEES, NIS, depth) are in `consistency`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -23,15 +23,13 @@ from stereo_slam_env.viewer.style import (
     colour_key,
     filter_colours,
     label_ends,
+    name_rows,
     nested_widths,
     note_beyond,
     plain_log_axis,
     shared_limit,
     styled,
 )
-
-Series = Callable[[FilterRun], FloatArray]
-"""A per-frame quantity of a run, (K,)."""
 
 MAX_THIN_LINES = 12
 """Single runs drawn behind a median: more would only darken the picture."""
@@ -61,12 +59,11 @@ def plot_trajectory(runs: Sequence[FilterRun]) -> Figure:
     truth = shown[0].true_positions
     known = np.isfinite(truth).all(axis=1)
     if known.any():
-        top_view.plot(
-            truth[known, across], truth[known, up], color=INK, alpha=0.18, linewidth=nested_widths(len(shown))[0] + 5
-        )
+        width = nested_widths(len(shown))[0] + 5
+        top_view.plot(truth[known, across], truth[known, up], color=INK, alpha=0.18, linewidth=width, label="_truth")
     for run, width in zip(shown, nested_widths(len(shown)), strict=True):
         x, y = run.positions[:, across], run.positions[:, up]
-        top_view.plot(x, y, color=colours[run.filter_name], linewidth=width)
+        top_view.plot(x, y, color=colours[run.filter_name], linewidth=width, label=run.filter_name)
     _frame_track(top_view, reference, across, up)
     axis_names = {0: "x, right (m)", 2: "z, forward (m)"}
     title = "Seen from above, truth in grey" if known.any() else "Seen from above"
@@ -95,6 +92,7 @@ def plot_error_by_run(runs: Sequence[FilterRun]) -> Figure:
     colours = filter_colours(groups)
     names = list(groups)
     failed = {name: sum(run.failure is not None for run in groups[name]) for name in names}
+    notes = {name: f"({count} failed)" for name, count in failed.items() if count}
     rmse = {(run.filter_name, run.recording_name, run.seed): series.position_rmse(run) for run in runs}
     figure = Figure(figsize=(WIDTH_INCHES, 0.9 + 0.42 * len(names)))
     ax = figure.add_axes((0.15, 0.5 / figure.get_figheight(), 0.82, 1 - 0.6 / figure.get_figheight()))
@@ -103,7 +101,9 @@ def plot_error_by_run(runs: Sequence[FilterRun]) -> Figure:
         ax.plot(joined, range(len(names)), color=MUTED, alpha=0.35, linewidth=0.8, zorder=1)
     for row, name in enumerate(names):
         values = [value for (owner, *_), value in rmse.items() if owner == name]
-        ax.scatter(values, [row] * len(values), s=26, color=colours[name], alpha=0.85, linewidths=0, zorder=2)
+        ax.scatter(
+            values, [row] * len(values), s=26, color=colours[name], alpha=0.85, linewidths=0, zorder=2, label=name
+        )
     finite = np.array([value for value in rmse.values() if np.isfinite(value) and value > 0])
     if finite.size and finite.max() > 10 * finite.min():
         ax.set_xscale("log")
@@ -111,10 +111,7 @@ def plot_error_by_run(runs: Sequence[FilterRun]) -> Figure:
     else:
         ax.set_xlim(left=0)
     ax.set(xlabel="position RMSE of each run (m)", ylim=(len(names) - 0.5, -0.5))
-    ax.set_yticks(range(len(names)), [f"{name} ({failed[name]} failed)" if failed[name] else name for name in names])
-    for tick, name in zip(ax.get_yticklabels(), names, strict=True):
-        tick.set_color(colours[name])
-    ax.grid(visible=False, axis="y")
+    name_rows(ax, names, colours, notes)
     return figure
 
 
@@ -133,7 +130,7 @@ def plot_velocity(runs: Sequence[FilterRun]) -> Figure:
         Three panels: Vx, Vz, yaw.
     """
     shown = series.first_recording(runs)
-    rows: tuple[tuple[str, str, Callable[[FilterRun], FloatArray], Callable[[FilterRun], FloatArray]], ...] = (
+    rows: tuple[tuple[str, str, series.Quantity, series.Quantity], ...] = (
         ("Velocity to the right, Vx (m/s)", "m/s", lambda r: r.linear_velocities[:, 0], _true_v(0)),
         ("Velocity forward, Vz (m/s)", "m/s", lambda r: r.linear_velocities[:, 2], _true_v(2)),
         (
@@ -177,9 +174,9 @@ def plot_time_per_frame(runs: Sequence[FilterRun]) -> Figure:
     labels, top = [], {}
     for name, group in groups.items():
         times = series.column_median(series.stack(group, lambda run: run.milliseconds))
-        over_time.plot(series.elapsed(max(group, key=len)), times, color=colours[name], linewidth=1)
+        over_time.plot(series.elapsed(max(group, key=len)), times, color=colours[name], linewidth=1, label=name)
         sizes, typical = _by_map_size(group)
-        over_size.plot(sizes, typical, color=colours[name], marker="o", markersize=3.2)
+        over_size.plot(sizes, typical, color=colours[name], marker="o", markersize=3.2, label=name)
         labels.append(EndLabel(name, series.last_known(typical), colours[name]))
         # One slow frame (a garbage collection, a busy machine) must not set the scale.
         top[name] = float(np.nanpercentile(times, 99)) if np.isfinite(times).any() else np.nan
@@ -250,9 +247,10 @@ def _draw_error_over_distance(ax: Axes, runs: Sequence[FilterRun]) -> None:
     for name, (distances, errors, median) in curves.items():
         for single in errors[:MAX_THIN_LINES] if len(errors) > 1 else ():
             shown = np.isfinite(single) & np.isfinite(distances)
-            ax.plot(distances[shown], single[shown], color=colours[name], alpha=0.2, linewidth=0.7)
+            x, y = distances[shown], single[shown]
+            ax.plot(x, y, color=colours[name], alpha=0.2, linewidth=0.7, label=f"_{name}")
         shown = np.isfinite(median) & np.isfinite(distances)
-        ax.plot(distances[shown], median[shown], color=colours[name], linewidth=1.8)
+        ax.plot(distances[shown], median[shown], color=colours[name], linewidth=1.8, label=name)
         labels.append(EndLabel(name, series.last_known(median), colours[name]))
     count = max(len(group) for group in groups.values())
     ax.set_title(f"Position error (m), median of {count}" if count > 1 else "Position error (m)")
@@ -264,8 +262,8 @@ def _draw_error_over_distance(ax: Axes, runs: Sequence[FilterRun]) -> None:
 def _draw_over_time(
     ax: Axes,
     runs: Sequence[FilterRun],
-    estimate: Series,
-    true: Series,
+    estimate: series.Quantity,
+    true: series.Quantity,
     unit: str,
 ) -> None:
     """Estimates of all filters over the truth, with the truth (or the estimates) setting the scale."""
@@ -273,9 +271,10 @@ def _draw_over_time(
     time, truth = series.elapsed(runs[0]), true(runs[0])
     known = np.isfinite(truth)
     if known.any():
-        ax.plot(time[known], truth[known], color=INK, alpha=0.18, linewidth=5)
+        ax.plot(time[known], truth[known], color=INK, alpha=0.18, linewidth=5, label="truth")
     for run in runs:
-        ax.plot(series.elapsed(run), estimate(run), color=colours[run.filter_name], linewidth=1, alpha=0.85)
+        colour, name = colours[run.filter_name], run.filter_name
+        ax.plot(series.elapsed(run), estimate(run), color=colour, linewidth=1, alpha=0.85, label=name)
     if known.any():
         low, high = float(truth[known].min()), float(truth[known].max())
         margin = 0.15 * (high - low) + 0.5
@@ -292,7 +291,7 @@ def _excess(values: FloatArray, low: float, high: float, margin: float) -> float
     return series.peak(finite) if finite.size and outside.mean() > 0.02 else 0.0
 
 
-def _true_v(axis: int) -> Series:
+def _true_v(axis: int) -> series.Quantity:
     return lambda run: run.true_linear_velocities[:, axis]
 
 

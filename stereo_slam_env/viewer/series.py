@@ -11,6 +11,9 @@ from filters.validation import BoolArray, FloatArray
 from stereo_slam_env.benchmark.results import FilterRun
 from stereo_slam_env.benchmark.summary import summarise
 
+Quantity = Callable[[FilterRun], FloatArray]
+"""A per-frame quantity of a run, (K,)."""
+
 
 def by_filter(runs: Sequence[FilterRun]) -> dict[str, list[FilterRun]]:
     """Group the runs by filter, both in order of appearance."""
@@ -83,9 +86,7 @@ def heading(orientations: FloatArray) -> FloatArray:
     return yaw
 
 
-def stack(
-    runs: Sequence[FilterRun], quantity: Callable[[FilterRun], FloatArray], frames: int | None = None
-) -> FloatArray:
+def stack(runs: Sequence[FilterRun], quantity: Quantity, frames: int | None = None) -> FloatArray:
     """Make an (N, K) table of a per-frame quantity; runs shorter than `frames` end in NaN."""
     table = np.full((len(runs), frames or max(len(run) for run in runs)), np.nan)
     for row, run in zip(table, runs, strict=True):

@@ -188,6 +188,17 @@ def colour_key(ax: Axes, colours: Mapping[str, str], gap_points: float = 12.5) -
         _write_in_margin(ax, name, 1 - (row + 0.5) * gap_points / _height_points(ax), colour)
 
 
+def name_rows(
+    ax: Axes, names: Sequence[str], colours: Mapping[str, str], notes: Mapping[str, str] | None = None
+) -> None:
+    """Write the names of filters at y = 0, 1, ..., each in its colour, with a note behind it if there is one."""
+    texts = [f"{name} {notes[name]}" if notes and name in notes else name for name in names]
+    ax.set_yticks(range(len(names)), texts)
+    for tick, name in zip(ax.get_yticklabels(), names, strict=True):
+        tick.set_color(colours[name])
+    ax.grid(visible=False, axis="y")
+
+
 def _height_points(ax: Axes) -> float:
     figure = ax.get_figure(root=True)
     assert figure is not None

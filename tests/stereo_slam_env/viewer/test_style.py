@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from stereo_slam_env.viewer.figures import inline_svg
+from stereo_slam_env.viewer.figures import inline_svg, svg_of
 from stereo_slam_env.viewer.style import (
     PALETTE,
     EndLabel,
@@ -73,10 +73,10 @@ def test_inline_svg_takes_its_colours_from_the_page_and_points_nowhere():
         figure.subplots().plot([0, 1], [0, 1], color=PALETTE[0])
         return figure
 
-    markup = inline_svg(plot(), "line", "a line")
+    markup = inline_svg(svg_of(plot()), "line", "a line")
     assert markup.startswith("<svg role=")
     assert "var(--series-0)" in markup
     assert PALETTE[0] not in markup
     assert "http" not in markup
     assert 'id="line-' in markup
-    assert inline_svg(plot(), "line", "a line") == markup
+    assert inline_svg(svg_of(plot()), "line", "a line") == markup
