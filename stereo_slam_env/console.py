@@ -16,6 +16,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 from rich.table import Table
 
 from stereo_slam_env.benchmark.campaign import Progress as ProgressCallback
+from stereo_slam_env.benchmark.comparison import COLUMNS, RunComparison
 from stereo_slam_env.benchmark.results import FilterSummary
 from stereo_slam_env.benchmark.scenario import Scenario
 from stereo_slam_env.benchmark.sensor_noise import OUTLIER, NoiseOfRange
@@ -160,7 +161,7 @@ def show_results(console: Console, summaries: Sequence[FilterSummary]) -> None:
     console.print(table, highlight=False)
     for summary in summaries:
         for failure in summary.failures:
-            console.print(f"[red]{summary.filter_name} failed[/red]: {failure}", highlight=False, soft_wrap=True)
+            console.print(f"[red]{escape(summary.filter_name)} failed[/red]: {escape(failure)}", highlight=False, soft_wrap=True)
 
 
 def show_cells(console: Console, results: Sequence[CellResult]) -> None:
@@ -169,6 +170,19 @@ def show_cells(console: Console, results: Sequence[CellResult]) -> None:
         if result.cell.factors:
             console.print(f"\n[bold]{escape(result.cell.name)}[/bold]", highlight=False)
         show_results(console, result.summaries)
+
+
+def show_comparison(console: Console, comparison: RunComparison) -> None:
+    """Print what changed between two runs, what did not, and what to bear in mind."""
+    console.print(comparison.headline, highlight=False, soft_wrap=True)
+    for warning in comparison.warnings:
+        console.print(f"[yellow]note[/yellow]: {escape(warning)}", highlight=False, soft_wrap=True)
+    table = Table(box=SIMPLE_HEAD, pad_edge=False)
+    for heading in COLUMNS:
+        table.add_column(heading, justify="right" if heading in ("before", "after") else "left")
+    for row in comparison.as_rows():
+        table.add_row(*map(escape, row))
+    console.print(table, highlight=False)
 
 
 def _rows(summaries: Sequence[FilterSummary]) -> dict[str, list[str]]:

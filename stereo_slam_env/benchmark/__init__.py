@@ -7,6 +7,7 @@
 """
 
 from stereo_slam_env.benchmark.campaign import BenchmarkResult, run_benchmark
+from stereo_slam_env.benchmark.comparison import RunComparison, compare
 from stereo_slam_env.benchmark.presets import preset, preset_study, presets
 from stereo_slam_env.benchmark.results import FilterRun, FilterSummary, LandmarkTrace
 from stereo_slam_env.benchmark.runner import run_filter
@@ -25,8 +26,10 @@ __all__ = [
     "FilterRun",
     "FilterSummary",
     "LandmarkTrace",
+    "RunComparison",
     "Scenario",
     "Study",
+    "compare",
     "load_study",
     "preset",
     "preset_study",
