@@ -161,7 +161,9 @@ def show_results(console: Console, summaries: Sequence[FilterSummary]) -> None:
     console.print(table, highlight=False)
     for summary in summaries:
         for failure in summary.failures:
-            console.print(f"[red]{escape(summary.filter_name)} failed[/red]: {escape(failure)}", highlight=False, soft_wrap=True)
+            console.print(
+                f"[red]{escape(summary.filter_name)} failed[/red]: {escape(failure)}", highlight=False, soft_wrap=True
+            )
 
 
 def show_cells(console: Console, results: Sequence[CellResult]) -> None:
