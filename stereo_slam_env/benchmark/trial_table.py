@@ -2,8 +2,8 @@
 
 `trials.sqlite` has the tables
 
-- `trials`: `study`, `cell`, one column a factor of the grid (named as in the scenario file, e.g. `options.sigma`), the
-  columns of `trial_metrics.COLUMNS`, `options` (JSON), and `series`, the path of the time series (npz) relative to the
+- `trials`: `study`, `cell`, one column a factor of the grid (`factor.` and its name in the scenario file, e.g.
+  `factor.options.sigma`), the columns of `trial_metrics.COLUMNS`, `options` (JSON), and `series`, the path of the time series (npz) relative to the
   file itself;
 - `columns`: `name`, `unit` and `meaning` of every column of `trials`.
 
@@ -45,7 +45,7 @@ def write_trial_table(path: Path, results: Sequence[CellResult]) -> None:
         The cells.
     """
     rows = [row for result in results for row in _rows(path.parent, result)]
-    factors = list(dict.fromkeys(factor for result in results for factor in result.cell.factors))
+    factors = list(dict.fromkeys(name for result in results for name in _factors(result)))
     about = {
         "cell": Column("", "cell of the grid, or name of the scenario", "text"),
         **{factor: Column("", "factor of the grid", "any") for factor in factors},
@@ -84,13 +84,17 @@ def _rows(root: Path, result: CellResult) -> list[dict[str, Any]]:
         rows.append(
             {
                 "cell": result.cell.name,
-                **result.cell.factors,
+                **_factors(result),
                 **_storable(figures),
                 "options": json.dumps(dict(run.options)),
                 "series": series.relative_to(root).as_posix(),
             }
         )
     return rows
+
+
+def _factors(result: CellResult) -> dict[str, Any]:
+    return {f"factor.{name}": level for name, level in result.cell.factors.items()}
 
 
 def _storable(figures: Mapping[str, Any]) -> dict[str, Any]:
