@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from stereo_slam_env.benchmark.landmark_statistics import AGES, LandmarkStatistics
 from stereo_slam_env.benchmark.limits import Bound
 from stereo_slam_env.benchmark.results import (
     ConsistencyFigure,
@@ -50,12 +51,14 @@ def make_runs(
     return [_run(behaviour, seed, frames, truth) for seed in seeds for behaviour in behaviours]
 
 
-def make_bounds(runs: Sequence[FilterRun], share: float = 0.6) -> dict[tuple[str, int | None], Bound]:
-    """Make a bound for every recording: that share of the error of a made-up filter of 0.10 m."""
-    frames = max(len(run) for run in runs)
-    sigma = share * np.array([0.1, 0.06, 0.08, 4e-4, 5e-4, 3e-4]) * np.sqrt(np.arange(frames) / frames)[:, None]
-    pose = sigma[:, :, None] ** 2 * np.eye(6)
-    return {(run.recording_name, run.seed): Bound(pose) for run in runs}
+def make_bounds(runs: Sequence[FilterRun], share: float = 0.9) -> dict[tuple[str, int | None], Bound]:
+    """Make bounds of the recordings of runs: so much of the position error of the first run on each, in every frame."""
+    bounds: dict[tuple[str, int | None], Bound] = {}
+    for run in runs:
+        squared = np.nanmean(np.sum((run.positions - run.true_positions)[1:] ** 2, axis=1))
+        pose = np.tile(np.diag(np.repeat([share**2 * squared / 3, 1e-6], 3)), (len(run), 1, 1))
+        bounds.setdefault((run.recording_name, run.seed), Bound(pose))
+    return bounds
 
 
 def with_every_figure(summary: FilterSummary, bound_m: float = 0.06) -> FilterSummary:
@@ -132,13 +135,15 @@ def _run(behaviour: Behaviour, seed: int | None, frames: int, truth: str) -> Fil
     scored[0] &= truth != "none"
     nees = np.where(scored, (errors**2 / claimed**2).sum(axis=1), np.nan)
     dof = np.where(np.arange(frames) == 0, 0, 180)
-    quiet = ("initialised", "dropped", "gated", "rejected", "behind_camera", "failed_factorisations")
+    quiet = ("initialised", "dropped", "gated", "rejected", "behind_camera", "failed_factorisations", "negative_depth")
     counts = {name: np.zeros(frames, dtype=np.int64) for name in quiet}
     counts |= {"updated": dof // 3, "map_size": np.clip(rng.poisson(65, frames), 30, 95)}
 
     def known(values: np.ndarray) -> np.ndarray:
         return np.where(scored[:, None], values, np.nan)
 
+    milliseconds = rng.gamma(40, behaviour.milliseconds / 40, frames)
+    claimed_rotation_square = (errors[:, 3:] ** 2 / claimed[:, 3:] ** 2).sum(axis=1)
     return FilterRun(
         filter_name=behaviour.name,
         recording_name="drive" if seed is None else f"drive-{seed}",
@@ -161,12 +166,38 @@ def _run(behaviour: Behaviour, seed: int | None, frames: int, truth: str) -> Fil
         landmark_rmse=np.where(scored, 0.9, np.nan),
         nis=np.where(dof > 0, rng.chisquare(180, frames) * behaviour.overconfidence, 0.0),
         nis_dof=dof,
-        milliseconds=rng.gamma(40, behaviour.milliseconds / 40, frames),
+        milliseconds=milliseconds,
         counts=counts,
         traces=tuple(
             _trace(number, label, depth, behaviour, rng, truth)
             for number, label, depth in ((7, "near", 20.0), (31, "far", 75.0))
         ),
+        position_nees=nees - claimed_rotation_square,
+        rotation_nees=np.where(np.isfinite(nees), claimed_rotation_square, np.nan),
+        predict_milliseconds=0.1 * milliseconds,
+        update_milliseconds=0.9 * milliseconds,
+        state_size=12.0 + 3.0 * counts["map_size"],
+        memory_mb=behaviour.milliseconds,
+        landmark_statistics=LandmarkStatistics() if truth == "none" else _statistics(behaviour, seed, frames),
+    )
+
+
+def _statistics(behaviour: Behaviour, seed: int | None, frames: int) -> LandmarkStatistics:
+    """Make errors that grow with the square of the distance; the overconfident owns up to less, and sees too near."""
+    difficulty = 1.0 + 0.1 * np.random.default_rng(seed).standard_normal()
+    count = frames * np.array([2.0, 10.0, 20.0, 15.0, 5.0])
+    sigma = difficulty * np.array([6.0, 15.0, 30.0, 60.0, 100.0]) ** 2 / 4000.0
+    age_count = np.stack([np.linspace(400.0, 20.0, AGES), np.linspace(300.0, 200.0, AGES)])
+    square = np.array([[20.0], [75.0]]) ** 4 / 412.0**2 / np.arange(1, AGES + 1)
+    return LandmarkStatistics(
+        nees_count=count,
+        nees=3.0 * count,
+        position_count=count,
+        squared_error=sigma**2 * count,
+        depth_error=-0.1 * (behaviour.overconfidence - 1.0) * sigma * count,
+        age_count=age_count,
+        depth_variance=square * age_count / behaviour.overconfidence**2,
+        squared_depth_error=square * difficulty**2 * age_count,
     )
 
 
