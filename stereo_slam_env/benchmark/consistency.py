@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import chi2
 
-from filters.validation import FloatArray
+from filters.validation import FloatArray, IntArray
 
 
 def nees(errors: FloatArray, covariances: FloatArray) -> FloatArray:
@@ -61,9 +61,14 @@ def mean_band(dof: float, runs: int, probability: float = 0.95) -> tuple[float, 
         raise ValueError(f"runs must be >= 1, got {runs!r}")
     if not 0.0 < probability < 1.0:
         raise ValueError(f"probability must be between 0 and 1, got {probability!r}")
-    tail = 0.5 * (1.0 - probability)
-    low, high = chi2.ppf([tail, 1.0 - tail], runs * dof) / runs
+    low, high = mean_bands(dof, np.array(runs), probability)
     return float(low), float(high)
+
+
+def mean_bands(dof: float, runs: IntArray | FloatArray, probability: float = 0.95) -> tuple[FloatArray, FloatArray]:
+    """`mean_band` for many numbers of runs (K,) at once, unchecked: low and high (K,)."""
+    tail = 0.5 * (1.0 - probability)
+    return chi2.ppf(tail, runs * dof) / runs, chi2.ppf(1.0 - tail, runs * dof) / runs
 
 
 def share_inside(values: FloatArray, band: tuple[float, float]) -> float:

@@ -11,6 +11,9 @@ import numpy as np
 from filters.validation import FloatArray, IntArray
 from stereo_slam_env.benchmark.landmark_statistics import LandmarkStatistics
 
+EVENTS = ("updated", "initialised", "dropped", "gated", "rejected", "behind_camera")
+COUNTS = (*EVENTS, "failed_factorisations", "negative_depth", "map_size")
+
 
 @dataclass(frozen=True, eq=False)
 class LandmarkTrace:
@@ -86,8 +89,8 @@ class FilterRun:
     milliseconds : (K,)
         Predict + update.
     counts : mapping of str to (K,) int64
-        "updated", "initialised", "dropped", "gated", "rejected", "behind_camera", "failed_factorisations",
-        "negative_depth" (landmarks seen in the frame and estimated at d <= 0), "map_size".
+        Those of `COUNTS`: what became of the measurements (`EVENTS`, as in `UpdateReport`), failed factorisations,
+        landmarks seen in the frame and estimated at d <= 0, and the size of the map.
     traces : tuple of LandmarkTrace
         Depth histories of a near and a far landmark, the same ids for every filter of a recording.
     failure : str, optional

@@ -29,12 +29,10 @@ from stereo_slam_env.benchmark.consistency import nees
 from stereo_slam_env.benchmark.landmark_statistics import LandmarkScorer
 from stereo_slam_env.benchmark.map_scoring import mean_nees, position_rmse, score_map, view_map
 from stereo_slam_env.benchmark.memory import peak_memory_mb
-from stereo_slam_env.benchmark.results import FilterRun
+from stereo_slam_env.benchmark.results import COUNTS, EVENTS, FilterRun
 from stereo_slam_env.benchmark.traces import TraceRecorder
 from stereo_slam_env.recording import Frame, Recording
 
-EVENTS = ("updated", "initialised", "dropped", "gated", "rejected", "behind_camera")
-COUNTS = (*EVENTS, "failed_factorisations", "negative_depth", "map_size")
 Observe = Callable[[int, StereoFilter], StereoObservation]
 
 _log = logging.getLogger(__name__)

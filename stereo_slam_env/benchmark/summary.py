@@ -1,4 +1,4 @@
-"""From the runs of a filter to its row in the result table."""
+"""From the runs of a filter to its row in the result table: what `trial_metrics` says of each, put together."""
 
 from __future__ import annotations
 
@@ -6,14 +6,22 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from filters.validation import BoolArray, FloatArray
-from stereo_slam_env.benchmark import trajectory_metrics as metrics
-from stereo_slam_env.benchmark.consistency import mean_band, share_inside
+from filters.validation import FloatArray
+from stereo_slam_env.benchmark.consistency_figures import consistency_figures
 from stereo_slam_env.benchmark.limits import Bound
-from stereo_slam_env.benchmark.results import FilterRun, FilterSummary
-
-POSE_DOF = 6
-
+from stereo_slam_env.benchmark.map_figures import depth_convergence, range_errors
+from stereo_slam_env.benchmark.results import FilterRun, FilterSummary, SegmentError
+from stereo_slam_env.benchmark.trajectory_metrics import SegmentErrors, root_mean_square
+from stereo_slam_env.benchmark.trial_metrics import (
+    MEDIANS,
+    finite,
+    mean,
+    median,
+    number,
+    pooled,
+    segments,
+    trial_figures,
+)
 
 Bounds = Mapping[tuple[str, int | None], Bound]
 """Theoretical limits by (recording_name, seed)."""
@@ -25,7 +33,7 @@ def summarise(
     """Figures of one filter over its runs.
 
     The first frame only initialises and is not scored, nor are frames without truth. A run that failed counts as
-    diverged and has no part in the other figures; one that diverged with finite numbers has.
+    diverged and has no part in the other figures but the event counts; one that diverged with finite numbers has.
 
     Parameters
     ----------
@@ -33,6 +41,8 @@ def summarise(
         Of one filter, one a seed.
     divergence_percent : float
         A run diverged if it ends farther from the truth than this share of the distance travelled.
+    bounds : mapping, optional
+        Theoretical limits of the recordings, as far as they are known.
 
     Raises
     ------
@@ -44,44 +54,68 @@ def summarise(
     names = sorted({run.filter_name for run in runs})
     if len(names) > 1:
         raise ValueError(f"runs must be of one filter, got {', '.join(names)}")
-    complete = [run for run in runs if run.failure is None]
-    scored = [_scored(run) for run in complete]
-    with_truth = [(run, at) for run, at in zip(complete, scored, strict=True) if at.sum() >= 3]
-    drifts = [_end_drift(run, at) for run, at in with_truth]
-    rmse_by_run = [
-        metrics.ate_unaligned(run.positions[at], run.true_positions[at]) if enough else float("nan")
-        for run, at, enough in ((run, _scored(run), _scored(run).sum() >= 3 and run.failure is None) for run in runs)
+    limits = bounds or {}
+    trials = [
+        trial_figures(run, bound=limits.get((run.recording_name, run.seed)), divergence_percent=divergence_percent)
+        for run in runs
     ]
-    nees_by_frame = _mean_over_runs([run.pose_nees for run in complete])
-    band = mean_band(POSE_DOF, len(complete)) if complete else None
+
+    def column(name: str) -> FloatArray:
+        return np.array([np.nan if trial[name] is None else trial[name] for trial in trials], dtype=np.float64)
+
+    def root_mean_square_of(name: str) -> float | None:
+        known = finite(column(name))
+        return root_mean_square(known) if len(known) else None
+
+    def total(name: str) -> int:
+        return int(np.nansum(column(name)))
+
+    complete = [run for run in runs if run.failure is None]
+    medians = {name: number(median(pooled(complete, series))) for name, series in MEDIANS.items()}
+    consistency = consistency_figures(complete)
+    pose, nis, landmark = (consistency.get(what) for what in ("pose", "nis", "landmark"))
+    relative = _together([segments(run) for run in complete])
+    statistics = [run.landmark_statistics for run in complete]
+    known, gated = total("updated") + total("gated"), total("gated")
     return FilterSummary(
         filter_name=names[0],
         options=runs[0].options,
         runs=len(runs),
-        frames=int(sum(at.sum() for at in scored)),
-        position_rmse_m=_root_mean_square(rmse_by_run),
-        position_rmse_by_run=tuple(rmse_by_run),
-        rotation_rmse_deg=_root_mean_square([_rotation_rmse(run, at) for run, at in with_truth]),
-        ate_rigid_m=_median([metrics.ate_rigid(run.positions[at], run.true_positions[at]) for run, at in with_truth]),
-        end_drift_percent=_mean(drifts),
-        velocity_rmse_m_s=_root_mean_square([_velocity_rmse(run) for run in complete]),
-        pose_anees=_mean(nees_by_frame),
-        pose_anees_band=band if np.isfinite(nees_by_frame).any() else None,
-        frames_in_band_percent=_number(100.0 * share_inside(nees_by_frame, band)) if band else None,
-        nis=_nis(complete),
-        landmark_anees=_mean(_after_first(complete, "landmark_nees")),
-        landmark_rmse_m=_median(_after_first(complete, "landmark_rmse")),
-        ms_per_frame=_median(_after_first(complete, "milliseconds")),
-        gated_percent=_gated_percent(complete),
-        rejected=_total(runs, "rejected"),
-        behind_camera=_total(runs, "behind_camera"),
-        failed_factorisations=_total(runs, "failed_factorisations"),
-        diverged=len(runs) - len(complete) + sum(drift > divergence_percent for drift in drifts),
+        frames=total("frames"),
+        position_rmse_m=root_mean_square_of("position_rmse_m"),
+        position_rmse_by_run=tuple(column("position_rmse_m").tolist()),
+        rotation_rmse_deg=root_mean_square_of("rotation_rmse_deg"),
+        ate_rigid_m=number(median(finite(column("ate_rigid_m")))),
+        end_drift_percent=number(mean(finite(column("end_drift_percent")))),
+        velocity_rmse_m_s=root_mean_square_of("velocity_rmse_m_s"),
+        pose_anees=None if pose is None else pose.mean,
+        pose_anees_band=None if pose is None else pose.band,
+        frames_in_band_percent=None if pose is None else pose.inside_percent,
+        nis=None if nis is None else nis.mean,
+        landmark_anees=None if landmark is None else landmark.mean,
+        gated_percent=100.0 * gated / known if known else None,
+        rejected=total("rejected"),
+        behind_camera=total("behind_camera"),
+        failed_factorisations=total("failed_factorisations"),
+        diverged=total("diverged"),
         failures=tuple(
             run.failure if run.seed is None else f"seed {run.seed}, {run.failure}"
             for run in runs
             if run.failure is not None
         ),
+        bound_position_m=root_mean_square_of("bound_position_m"),
+        bound_rotation_deg=root_mean_square_of("bound_rotation_deg"),
+        efficiency_percent=_efficiency(column("bound_position_m"), column("position_rmse_m")),
+        efficiency_by_run=tuple(column("efficiency_percent").tolist()) if bounds else (),
+        consistency=consistency,
+        rpe=_by_length(relative),
+        rpe_translation_percent=number(mean(relative.translation_percent)),
+        rpe_rotation_deg_per_100m=number(mean(relative.rotation_deg_per_100m)),
+        landmark_by_range=range_errors(statistics),
+        depth_convergence=depth_convergence(statistics),
+        negative_depth=total("negative_depth"),
+        memory_mb=number(max(finite(column("memory_mb")), default=None)),
+        **medians,
     )
 
 
@@ -95,75 +129,32 @@ def summarise_all(
     return tuple(summarise(group, divergence_percent=divergence_percent, bounds=bounds) for group in by_filter.values())
 
 
-def _scored(run: FilterRun) -> BoolArray:
-    known = np.array(np.isfinite(run.positions).all(axis=1) & np.isfinite(run.true_positions).all(axis=1))
-    known[:1] = False
-    return known
+def _efficiency(bounds: FloatArray, errors: FloatArray) -> float | None:
+    """Root mean square bound over root mean square error, in percent, over the runs that have both."""
+    both = np.isfinite(bounds) & np.isfinite(errors)
+    squared = np.sum(np.square(errors[both]))
+    return float(100.0 * np.sqrt(np.sum(np.square(bounds[both])) / squared)) if squared > 0 else None
 
 
-def _end_drift(run: FilterRun, at: BoolArray) -> float:
-    try:
-        return metrics.end_drift_percent(run.positions[at], run.true_positions[at])
-    except ValueError:  # a vehicle that stands still has no drift in percent
-        return float("nan")
+def _together(parts: Sequence[SegmentErrors]) -> SegmentErrors:
+    """The segments of all runs."""
+    nothing = np.zeros(0)
+    return SegmentErrors(
+        *(
+            np.concatenate([nothing, *(getattr(part, name) for part in parts)])
+            for name in ("lengths", "translation_percent", "rotation_deg_per_100m")
+        )
+    )
 
 
-def _rotation_rmse(run: FilterRun, at: BoolArray) -> float:
-    angles = metrics.rotation_errors(run.orientations[at], run.true_orientations[at])
-    return float(np.rad2deg(metrics.root_mean_square(angles)))
-
-
-def _velocity_rmse(run: FilterRun) -> float:
-    errors = (run.linear_velocities - run.true_linear_velocities)[1:]
-    finite = errors[np.isfinite(errors).all(axis=1)]
-    return metrics.root_mean_square(finite) if len(finite) else float("nan")
-
-
-def _mean_over_runs(series: Sequence[FloatArray]) -> FloatArray:
-    """Mean over runs frame by frame; a frame counts only where every run has a value."""
-    if not series:
-        return np.full(0, np.nan)
-    length = min(len(values) for values in series)
-    return np.asarray(np.mean([values[1:length] for values in series], axis=0))
-
-
-def _after_first(runs: Sequence[FilterRun], name: str) -> FloatArray:
-    return np.concatenate([np.zeros(0), *(getattr(run, name)[1:] for run in runs)])
-
-
-def _nis(runs: Sequence[FilterRun]) -> float | None:
-    dof = sum(int(run.nis_dof.sum()) for run in runs)
-    return _number(sum(float(np.nansum(run.nis)) for run in runs) / dof) if dof else None
-
-
-def _gated_percent(runs: Sequence[FilterRun]) -> float | None:
-    gated, updated = _total(runs, "gated"), _total(runs, "updated")
-    return 100.0 * gated / (gated + updated) if gated + updated else None
-
-
-def _total(runs: Sequence[FilterRun], event: str) -> int:
-    return int(sum(run.counts[event].sum() for run in runs))
-
-
-def _finite(values: Sequence[float] | FloatArray) -> FloatArray:
-    array = np.asarray(values, dtype=np.float64)
-    return array[np.isfinite(array)]
-
-
-def _mean(values: Sequence[float] | FloatArray) -> float | None:
-    finite = _finite(values)
-    return float(finite.mean()) if finite.size else None
-
-
-def _median(values: Sequence[float] | FloatArray) -> float | None:
-    finite = _finite(values)
-    return float(np.median(finite)) if finite.size else None
-
-
-def _root_mean_square(values: Sequence[float] | FloatArray) -> float | None:
-    finite = _finite(values)
-    return metrics.root_mean_square(finite) if finite.size else None
-
-
-def _number(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
+def _by_length(relative: SegmentErrors) -> tuple[SegmentError, ...]:
+    """Means over the segments of each length, ascending."""
+    lengths, which, counts = np.unique(relative.lengths, return_inverse=True, return_counts=True)
+    translation, rotation = (
+        np.bincount(which, weights=values, minlength=len(lengths)) / counts
+        for values in (relative.translation_percent, relative.rotation_deg_per_100m)
+    )
+    return tuple(
+        SegmentError(*row)
+        for row in zip(lengths.tolist(), counts.tolist(), translation.tolist(), rotation.tolist(), strict=True)
+    )

@@ -5,10 +5,38 @@ Rows are paired: row k of both trajectories belongs to the same instant. Rows wi
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from filters.validation import FloatArray, finite_array
+from filters.validation import FloatArray, IntArray, finite_array
+
+KITTI_LENGTHS = tuple(100.0 * i for i in range(1, 9))  # m, of the KITTI odometry benchmark
+SHORT_LENGTHS = (5.0, 10.0, 25.0, 50.0, 100.0)  # m, for drives on which those say little or nothing
+SHORT_PATH = 200.0  # m
+SEGMENT_STEP = 10  # rows from the start of one segment to the next
+
+
+@dataclass(frozen=True, eq=False)
+class SegmentErrors:
+    """Relative error of S segments.
+
+    Attributes
+    ----------
+    lengths : (S,)
+        Nominal length, m.
+    translation_percent, rotation_deg_per_100m : (S,)
+        Of the motion over the segment, per length.
+    """
+
+    lengths: FloatArray
+    translation_percent: FloatArray
+    rotation_deg_per_100m: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.lengths)
 
 
 def align_rigid(estimate: FloatArray, reference: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -79,10 +107,108 @@ def rotation_errors(estimate: FloatArray, reference: FloatArray) -> FloatArray:
     return np.asarray((Rotation.from_quat(estimate).inv() * Rotation.from_quat(reference)).magnitude())
 
 
+def segment_lengths(path_m: float) -> tuple[float, ...]:
+    """Lengths of the segments of a path: KITTI's as far as they fit, or shorter ones up to half of a short path, m."""
+    if path_m >= SHORT_PATH:
+        return tuple(length for length in KITTI_LENGTHS if length < path_m)
+    return tuple(length for length in SHORT_LENGTHS if length <= 0.5 * path_m)
+
+
+def segment_pairs(
+    positions: FloatArray, lengths: Sequence[float], step: int = SEGMENT_STEP
+) -> tuple[FloatArray, IntArray, IntArray]:
+    """First and last rows of the segments of a path: from every `step`-th row to the first one beyond the length.
+
+    Source: KITTI odometry development kit (Geiger et al., CVPR 2012).
+
+    Parameters
+    ----------
+    positions : (K, 3)
+        The reference, m.
+    lengths : sequence of float
+        m.
+    step : int
+        Rows.
+
+    Returns
+    -------
+    lengths, first, last : (S,)
+        One entry a segment, by length.
+    """
+    distance = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(positions, axis=0), axis=1))])
+    starts = np.arange(0, len(positions), step)
+    length, first = (grid.ravel() for grid in np.meshgrid(np.asarray(lengths, dtype=float), starts, indexing="ij"))
+    last = np.searchsorted(distance, distance[first] + length, side="right")
+    inside = last < len(positions)
+    return length[inside], first[inside], last[inside]
+
+
+def relative_errors(
+    positions: FloatArray,
+    orientations: FloatArray,
+    true_positions: FloatArray,
+    true_orientations: FloatArray,
+    first: IntArray,
+    last: IntArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Error of the motion from row `first` to row `last`, as seen from the pose at `first`.
+
+    Parameters
+    ----------
+    positions, orientations : (K, 3), (K, 4)
+        Estimate, m and xyzw.
+    true_positions, true_orientations : (K, 3), (K, 4)
+        Reference.
+    first, last : (S,)
+        Rows.
+
+    Returns
+    -------
+    translation, rotation : (S,)
+        m and rad.
+    """
+    moved, turned = _motion(positions, orientations, first, last)
+    truly_moved, truly_turned = _motion(true_positions, true_orientations, first, last)
+    return np.linalg.norm(moved - truly_moved, axis=1), np.asarray((turned.inv() * truly_turned).magnitude())
+
+
+def segment_errors(
+    positions: FloatArray,
+    orientations: FloatArray,
+    true_positions: FloatArray,
+    true_orientations: FloatArray,
+    lengths: Sequence[float] | None = None,
+) -> SegmentErrors:
+    """Relative errors by segment length, as KITTI measures them; t_rel and r_rel are their means.
+
+    Parameters
+    ----------
+    positions, orientations, true_positions, true_orientations
+        As of `relative_errors`.
+    lengths : sequence of float, optional
+        m; None: `segment_lengths` of the reference.
+    """
+    if lengths is None:
+        lengths = segment_lengths(path_length(true_positions))
+    length, first, last = segment_pairs(true_positions, lengths)
+    if len(length) == 0:
+        return SegmentErrors(length, length, length)
+    translation, rotation = relative_errors(positions, orientations, true_positions, true_orientations, first, last)
+    return SegmentErrors(length, 100.0 * translation / length, 100.0 * np.rad2deg(rotation) / length)
+
+
 def root_mean_square(errors: FloatArray) -> float:
     """Root of the mean squared length of (K, n) vectors or (K,) numbers."""
     squared = np.square(errors)
     return float(np.sqrt(np.mean(squared.sum(axis=1) if squared.ndim == 2 else squared)))
+
+
+def _motion(
+    positions: FloatArray, orientations: FloatArray, first: IntArray, last: IntArray
+) -> tuple[FloatArray, Rotation]:
+    """Displacement in the frame at `first`, and rotation from there to `last`."""
+    start = Rotation.from_quat(orientations[first]).inv()
+    return start.apply(positions[last] - positions[first]), start * Rotation.from_quat(orientations[last])
 
 
 def _least_squares_motion(estimate: FloatArray, reference: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

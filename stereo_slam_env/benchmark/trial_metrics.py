@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+
+from filters.motion import POSITION, ROTATION
+from filters.validation import BoolArray, FloatArray, IntArray
+from stereo_slam_env.benchmark import trajectory_metrics as metrics
+from stereo_slam_env.benchmark.landmark_statistics import LandmarkStatistics
 from stereo_slam_env.benchmark.limits import Bound
-from stereo_slam_env.benchmark.results import FilterRun
+from stereo_slam_env.benchmark.results import COUNTS, FilterRun
+from stereo_slam_env.benchmark.trajectory_metrics import SegmentErrors
 
 Kind = Literal["text", "integer", "real"]
 
@@ -75,8 +82,152 @@ COLUMNS: Mapping[str, Column] = {
 }
 
 
+EVENT_COLUMNS = tuple(name for name in COLUMNS if name in COUNTS and name != "map_size")
+MEDIANS: Mapping[str, str] = {
+    "landmark_rmse_m": "landmark_rmse",
+    "ms_per_frame": "milliseconds",
+    "ms_predict": "predict_milliseconds",
+    "ms_update": "update_milliseconds",
+    "state_size": "state_size",
+}
+"""Columns that are the median over frames of a series of `FilterRun`."""
+
+FEWEST_FRAMES = 3  # an alignment needs so many
+
+
 def trial_figures(
     run: FilterRun, *, bound: Bound | None = None, divergence_percent: float = 10.0
 ) -> dict[str, float | int | str | None]:
-    """The figures of one run: the columns of `COLUMNS`, in that order; what does not apply is None."""
-    raise NotImplementedError
+    """The figures of one run: the columns of `COLUMNS`, in that order.
+
+    The first frame only initialises and is not scored, nor are frames without truth. What does not apply is None;
+    of a run that failed, that is all but its events.
+
+    Parameters
+    ----------
+    run : FilterRun
+        One trial.
+    bound : Bound, optional
+        Theoretical limit on its recording.
+    divergence_percent : float
+        The run diverged if it ends farther from the truth than this share of the distance travelled.
+
+    Raises
+    ------
+    ValueError
+        The bound is of another number of frames.
+    """
+    if bound is not None and len(bound.pose) != len(run):
+        raise ValueError(f"bound must have one entry a frame: {len(bound.pose)} entries, {len(run)} frames")
+    figures: dict[str, float | int | str | None] = dict.fromkeys(COLUMNS)
+    figures |= {"filter": run.filter_name, "recording": run.recording_name, "seed": run.seed, "failure": run.failure}
+    figures |= {event: int(run.counts[event].sum()) for event in EVENT_COLUMNS if event in run.counts}
+    figures |= {"frames": 0, "rpe_segments": 0, "nis_dof": 0, "diverged": 1}
+    if run.failure is not None:
+        return figures
+    at, relative = scored_frames(run), segments(run)
+    figures |= {"frames": int(at.sum()), "rpe_segments": len(relative), "nis_dof": int(run.nis_dof.sum())}
+    errors = _errors(run, at)
+    measured = {**errors, **_limits(bound, at, errors), **_consistency(run), **_costs(run)}
+    measured["rpe_translation_percent"] = mean(relative.translation_percent)
+    measured["rpe_rotation_deg_per_100m"] = mean(relative.rotation_deg_per_100m)
+    figures |= {name: number(value) for name, value in measured.items()}
+    figures["diverged"] = int(errors.get("end_drift_percent", 0.0) > divergence_percent)
+    return figures
+
+
+def scored_frames(run: FilterRun) -> BoolArray:
+    """Frames with a finite position and truth, but for the first; (K,)."""
+    known = np.array(np.isfinite(run.positions).all(axis=1) & np.isfinite(run.true_positions).all(axis=1))
+    known[:1] = False
+    return known
+
+
+def segments(run: FilterRun) -> SegmentErrors:
+    """Relative errors of a run over its scored frames."""
+    at = scored_frames(run)
+    return metrics.segment_errors(
+        run.positions[at], run.orientations[at], run.true_positions[at], run.true_orientations[at]
+    )
+
+
+def pooled(runs: Sequence[FilterRun], name: str) -> FloatArray:
+    """The finite values of a series of all runs, without their first frames."""
+    return finite(np.concatenate([np.zeros(0), *(getattr(run, name)[1:] for run in runs)]))
+
+
+def nis_per_dof(runs: Sequence[FilterRun]) -> float:
+    """NIS per degree of freedom over all innovations of all runs; NaN where there are none."""
+    dof = sum(int(run.nis_dof.sum()) for run in runs)
+    return sum(float(np.nansum(run.nis)) for run in runs) / dof if dof else float("nan")
+
+
+def landmark_anees(runs: Sequence[FilterRun]) -> float:
+    """Mean NEES over all landmarks, frames and runs; NaN without truth."""
+    total = LandmarkStatistics.total(run.landmark_statistics for run in runs)
+    count = total.nees_count.sum()
+    return float(total.nees.sum() / count) if count else float("nan")
+
+
+def finite(values: Iterable[float | None] | FloatArray) -> FloatArray:
+    """The values that are known and finite."""
+    array = np.array([np.nan if value is None else value for value in values], dtype=np.float64)
+    return array[np.isfinite(array)]
+
+
+def mean(values: FloatArray) -> float:
+    """Of finite values; NaN where there are none."""
+    return float(values.mean()) if len(values) else float("nan")
+
+
+def median(values: FloatArray | IntArray) -> float:
+    """Of finite values; NaN where there are none."""
+    return float(np.median(values)) if len(values) else float("nan")
+
+
+def number(value: float | None) -> float | None:
+    """The value, or None where it is not finite."""
+    return None if value is None or not np.isfinite(value) else float(value)
+
+
+def _errors(run: FilterRun, at: BoolArray) -> dict[str, float]:
+    velocity = run.linear_velocities[1:] - run.true_linear_velocities[1:]
+    velocity = velocity[np.isfinite(velocity).all(axis=1)]
+    figures = {"velocity_rmse_m_s": metrics.root_mean_square(velocity) if len(velocity) else float("nan")}
+    if at.sum() < FEWEST_FRAMES:
+        return figures
+    estimate, truth = run.positions[at], run.true_positions[at]
+    path, end = metrics.path_length(truth), float(np.linalg.norm(estimate[-1] - truth[-1]))
+    angles = metrics.rotation_errors(run.orientations[at], run.true_orientations[at])
+    return figures | {
+        "path_m": path,
+        "position_rmse_m": metrics.ate_unaligned(estimate, truth),
+        "rotation_rmse_deg": float(np.rad2deg(metrics.root_mean_square(angles))),
+        "ate_rigid_m": metrics.ate_rigid(estimate, truth),
+        "end_error_m": end,
+        "end_drift_percent": metrics.end_drift_percent(estimate, truth) if path > 0 else float("nan"),
+    }
+
+
+def _limits(bound: Bound | None, at: BoolArray, errors: Mapping[str, float]) -> dict[str, float]:
+    if bound is None or not at.any():
+        return {}
+    position, rotation = (
+        float(np.sqrt(np.mean(np.trace(bound.pose[at, part, part], axis1=1, axis2=2)))) for part in (POSITION, ROTATION)
+    )
+    error = errors.get("position_rmse_m", 0.0)
+    return {
+        "bound_position_m": position,
+        "bound_rotation_deg": float(np.rad2deg(rotation)),
+        "efficiency_percent": 100.0 * position / error if error > 0 else float("nan"),
+    }
+
+
+def _consistency(run: FilterRun) -> dict[str, float]:
+    anees = {f"{what}_anees": mean(pooled([run], f"{what}_nees")) for what in ("pose", "position", "rotation")}
+    return {**anees, "landmark_anees": landmark_anees([run]), "nis": nis_per_dof([run])}
+
+
+def _costs(run: FilterRun) -> dict[str, float]:
+    medians = {column: median(pooled([run], series)) for column, series in MEDIANS.items()}
+    return {**medians, "map_size": median(run.counts["map_size"][1:]), "memory_mb": run.memory_mb}

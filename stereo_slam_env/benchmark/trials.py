@@ -12,8 +12,8 @@ from threadpoolctl import threadpool_limits
 from filters import PoseBelief, StereoEKF, StereoEKFTrials, StereoNoise, VelocityBelief
 from filters.trials.series import TOGETHER
 from stereo_slam_env.benchmark.memory import peak_memory_mb
-from stereo_slam_env.benchmark.results import FilterRun
-from stereo_slam_env.benchmark.runner import EVENTS, RunLog, failure_line, make_with_common_options
+from stereo_slam_env.benchmark.results import EVENTS, FilterRun
+from stereo_slam_env.benchmark.runner import RunLog, failure_line, make_with_common_options
 from stereo_slam_env.recording import Recording
 
 

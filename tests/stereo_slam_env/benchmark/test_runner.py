@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from filters import StereoNoise, make_filter
-from stereo_slam_env.benchmark.runner import COUNTS, run_filter
+from stereo_slam_env.benchmark.results import COUNTS
+from stereo_slam_env.benchmark.runner import run_filter
 
 from ..third_party import third_party  # noqa: F401 (a fixture)
 from .small_recordings import CAMERA, DT, SPEED, small_recording
