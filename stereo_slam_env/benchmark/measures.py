@@ -13,7 +13,9 @@ import numpy as np
 from filters.validation import BoolArray, FloatArray
 from stereo_slam_env.benchmark.results import FilterRun, FilterSummary
 from stereo_slam_env.benchmark.statistics import Difference, difference_of, paired_difference, unpaired_difference
-from stereo_slam_env.benchmark.summary import POSE_DOF, summarise
+from stereo_slam_env.benchmark.summary import summarise
+
+POSE_DOF = 6
 
 RunKey = tuple[str, int | None]
 """What identifies a recording: its name and seed."""
