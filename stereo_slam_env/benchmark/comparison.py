@@ -18,12 +18,11 @@ import numpy as np
 from filters.validation import BoolArray, FloatArray
 from stereo_slam_env.benchmark.measures import MEASURES, TIME, Measure, RunFigures, RunKey, figures_of
 from stereo_slam_env.benchmark.results import FilterRun
+from stereo_slam_env.benchmark.shares import paired_share, unpaired_share
 from stereo_slam_env.benchmark.statistics import (
     Difference,
     Finding,
-    paired_share,
     pairs_needed,
-    unpaired_share,
 )
 from stereo_slam_env.benchmark.store import read_run
 from stereo_slam_env.benchmark.verdict import change_words

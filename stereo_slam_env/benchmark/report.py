@@ -14,14 +14,17 @@ from matplotlib.figure import Figure
 from stereo_slam_env.benchmark import report_tables as tables
 from stereo_slam_env.benchmark.report_overview import overview
 from stereo_slam_env.benchmark.results import FilterRun, FilterSummary
-from stereo_slam_env.benchmark.verdict import judge
+from stereo_slam_env.benchmark.summary import Bounds
+from stereo_slam_env.benchmark.verdict import Verdict, compare_all, judge
 from stereo_slam_env.viewer import accuracy, cost, map_figures, plots, series
 from stereo_slam_env.viewer import consistency as honesty
-from stereo_slam_env.viewer.accuracy import Bounds
 from stereo_slam_env.viewer.page import figure_block, page
 
 FIGURES = "figures"
 """Folder of the figures, beside the page."""
+
+MOST_PAIRED = 6
+"""With more filters than that, they are compared with the best one only."""
 
 _DATA_FILES = (".json", ".csv", ".parquet", ".toml")
 
@@ -65,10 +68,12 @@ def write_report(
     if not runs or not summaries:
         raise ValueError("runs and summaries must not be empty: there is nothing to report")
     folder = clean_figures(out)
+    verdict = judge(runs, summaries)
     body = [
-        overview(summaries, judge(runs, summaries)),
+        overview(summaries, verdict),
         f'<p class="quiet">{escape(_note(summaries))}</p>',
         *(_section(section, folder) for section in _sections(runs, summaries, bounds or {})),
+        _pairs(runs, summaries, verdict),
         _failures(summaries),
         f"<section><h2>Settings</h2>{settings_list(settings)}</section>",
         data_links(out),
@@ -238,6 +243,23 @@ def _section(section: _Section, folder: Path) -> str:
     for name, (plot, caption) in (section.figures or {}).items():
         parts.append(figure_block(plot(), name, caption, folder))
     return "\n".join([*parts, "</section>"])
+
+
+def _pairs(runs: Sequence[FilterRun], summaries: Sequence[FilterSummary], verdict: Verdict) -> str:
+    """Each filter against each other one; of many filters, each against the best one."""
+    if len(summaries) < 2:
+        return ""
+    baseline = verdict.best if len(summaries) > MOST_PAIRED else None
+    compared = compare_all(runs, summaries, baseline=baseline)
+    if not compared.cells:
+        return ""
+    guide = (
+        "The first filter by the second one, on the same recordings: difference in %, and its 95 % interval, corrected"
+        " for the number of pairs. A colour means that interval and signed-rank test both show the difference."
+    )
+    heading = f"Each against {baseline}" if baseline else "Each against each"
+    markup = tables.pair_table(compared)
+    return f'<section><h2>{escape(heading)}</h2><p class="quiet">{guide}</p>{markup}</section>'
 
 
 # ---- the rest -------------------------------------------------------------------------------------------------------

@@ -9,6 +9,7 @@ from html import escape
 import numpy as np
 
 from stereo_slam_env.benchmark.results import FilterSummary
+from stereo_slam_env.benchmark.statistics import Finding
 from stereo_slam_env.benchmark.verdict import Comparison, Consistency, Verdict, consistency
 from stereo_slam_env.viewer.figures import CSS_VARIABLES
 from stereo_slam_env.viewer.page_tables import UNKNOWN, Tone
@@ -135,9 +136,11 @@ def _difference(summary: FilterSummary, verdict: Verdict) -> _Answer | None:
 def _finding(comparison: Comparison) -> tuple[str, Tone]:
     if comparison.shown:
         return "worse", "bad"
+    if comparison.finding is Finding.BETTER:
+        return "better run by run", "fair"
     if comparison.interval_percent is None:
-        return f"{comparison.runs} run{'' if comparison.runs == 1 else 's'}, no difference shown", "none"
-    return "no difference shown", "none"
+        return f"{comparison.runs} run{'' if comparison.runs == 1 else 's'}, {Finding.NOT_SHOWN.value}", "none"
+    return Finding.NOT_SHOWN.value, "none"
 
 
 _WIDTH, _HEIGHT = 120, 12

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from stereo_slam_env.benchmark.results import ConsistencyFigure, FilterSummary
+from stereo_slam_env.benchmark.statistics import Finding, signed
+from stereo_slam_env.benchmark.verdict import PairVerdict, PairwiseTable
 from stereo_slam_env.viewer.page_tables import Cell, Column, Tone, filter_cell, number, table
 from stereo_slam_env.viewer.style import filter_colours
 
@@ -86,6 +88,45 @@ def consistency_table(summaries: Sequence[FilterSummary]) -> str:
             row += [_in_band(found), number(found.inside_percent if found else None, ".0f")]
         rows.append(row)
     return table(columns, rows, wide=True)
+
+
+def pair_table(compared: PairwiseTable) -> str:
+    """A row for each pair of filters, a column for each question."""
+    columns = [Column("Filter", kind="text"), Column("against", kind="text")]
+    for measure in compared.measures:
+        columns.append(Column(measure.words.capitalize(), "nearness to 1" if measure.ideal is not None else "%"))
+    colours = filter_colours(compared.filters)
+    pairs = list(dict.fromkeys((a, b) for _, a, b in compared.cells))
+    order = {name: i for i, name in enumerate(compared.filters)}
+    rows = []
+    for a, b in pairs:
+        if (b, a) in pairs and order[a] > order[b]:
+            continue
+        found = (compared.cell(measure, a, b) for measure in compared.measures)
+        rows.append([filter_cell(a, colours), filter_cell(b, colours), *map(pair_cell, found)])
+    return table(columns, rows, wide=True)
+
+
+_FINDING_TONES: dict[Finding, Tone] = {Finding.BETTER: "good", Finding.WORSE: "bad", Finding.NOT_SHOWN: "none"}
+
+
+def finding_tone(finding: Finding) -> Tone:
+    """How a finding is coloured."""
+    return _FINDING_TONES[finding]
+
+
+def pair_cell(verdict: PairVerdict | None) -> Cell:
+    """Difference and interval; of consistency, which is nearer to its ideal."""
+    if verdict is None:
+        return number(None)
+    difference, tone = verdict.difference, finding_tone(verdict.finding)
+    if verdict.measure.ideal is not None:
+        nearer = {Finding.BETTER: "nearer", Finding.WORSE: "farther"}.get(verdict.finding, Finding.NOT_SHOWN.value)
+        return Cell(nearer, difference.estimate, tone)
+    text = signed(difference.percent)
+    if difference.interval_percent is not None:
+        text += f" ({' to '.join(signed(end) for end in difference.interval_percent)})"
+    return Cell(text, difference.percent, tone)
 
 
 def _in_band(figure: ConsistencyFigure | None) -> Cell:

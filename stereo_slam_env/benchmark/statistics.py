@@ -15,12 +15,13 @@ import math
 from dataclasses import dataclass
 from enum import Enum
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.stats import binomtest, fisher_exact, mannwhitneyu, wilcoxon
+from scipy.stats import mannwhitneyu, wilcoxon
 
-from filters.validation import BoolArray, FloatArray
+from filters.validation import FloatArray
 
 CONFIDENCE = 0.95
 MIN_PAIRS = 6
@@ -140,10 +141,16 @@ class Difference:
             runs = f"{runs} are too few{also}, {self.needed} are needed"
         if self.interval is None:
             return runs
+        return f"{self.interval_words} at {100 * self.confidence:g} % confidence, {runs}"
+
+    @property
+    def interval_words(self) -> str:
+        """The interval alone: "+12 to +19 %"; empty where there is none."""
         ends = self.interval_percent if self.is_ratio else self.interval
-        unit = " %" if self.is_ratio else ""
-        low, high = (signed(end, 0 if self.is_ratio else 3) for end in ends or ())
-        return f"{low} to {high}{unit} at {100 * self.confidence:g} % confidence, {runs}"
+        if ends is None:
+            return ""
+        low, high = (signed(end, 0 if self.is_ratio else 3) for end in ends)
+        return f"{low} to {high}{' %' if self.is_ratio else ''}"
 
 
 def paired_difference(
@@ -190,30 +197,46 @@ def paired_difference(
     return difference_of(gaps[usable], comparisons=comparisons, confidence=confidence, seed=seed, is_ratio=is_ratio)
 
 
-def difference_of(
+def difference_of(gaps: FloatArray, **options: Any) -> Difference:
+    """The difference that independent gaps (n,) show, one a recording; options as `differences_of`."""
+    return differences_of(gaps[:, None], **options)[0]
+
+
+def differences_of(
     gaps: FloatArray,
     *,
     comparisons: int = 1,
     confidence: float = CONFIDENCE,
     seed: int = 0,
     is_ratio: bool = True,
-) -> Difference:
-    """The difference that independent gaps (n,), one a recording, show: log(a / b), or a - b."""
-    count = len(gaps)
-    interval = None
+) -> list[Difference]:
+    """The differences that m columns of gaps show.
+
+    Parameters
+    ----------
+    gaps : (n, m) ndarray
+        log(a / b), or a - b, one row a recording; finite.
+    comparisons, confidence, seed, is_ratio : int, float, int, bool
+        As `paired_difference`.
+    """
+    count, columns = gaps.shape
+    intervals: list[tuple[float, float] | None] = [None] * columns
     if count >= MIN_PAIRS:
-        low, high = mean_interval(gaps[:, None], level(comparisons, confidence), seed)
-        interval = float(low[0]), float(high[0])
-    return Difference(
-        count=count,
-        estimate=float(gaps.mean()) if count else float("nan"),
-        interval=interval,
-        p_value=min(1.0, comparisons * signed_rank_p(gaps)),
-        needed=pairs_needed(comparisons, confidence),
-        is_ratio=is_ratio,
-        comparisons=comparisons,
-        confidence=confidence,
-    )
+        low, high = mean_interval(gaps, level(comparisons, confidence), seed)
+        intervals = list(zip(low.tolist(), high.tolist(), strict=True))
+    return [
+        Difference(
+            count=count,
+            estimate=float(column.mean()) if count else float("nan"),
+            interval=interval,
+            p_value=min(1.0, comparisons * signed_rank_p(column)),
+            needed=pairs_needed(comparisons, confidence),
+            is_ratio=is_ratio,
+            comparisons=comparisons,
+            confidence=confidence,
+        )
+        for column, interval in zip(gaps.T, intervals, strict=True)
+    ]
 
 
 def unpaired_difference(
@@ -302,48 +325,6 @@ def level(comparisons: int, confidence: float = CONFIDENCE) -> float:
     return 1.0 - (1.0 - confidence) / comparisons
 
 
-@dataclass(frozen=True)
-class ShareDifference:
-    """How often something happened (a divergence) with one filter and not with the other.
-
-    Attributes
-    ----------
-    only_a, only_b : int
-        Recordings where it happened to one of them alone; where nothing is paired, all where it happened.
-    count : int
-        Recordings.
-    p_value : float
-        Two-sided, exact, corrected for the number of comparisons.
-    finding : Finding
-        About a; less often is better.
-    """
-
-    only_a: int
-    only_b: int
-    count: int
-    p_value: float
-    finding: Finding
-
-
-def paired_share(
-    a: BoolArray, b: BoolArray, *, comparisons: int = 1, confidence: float = CONFIDENCE
-) -> ShareDifference:
-    """McNemar's exact test, of the recordings where a and b disagree: is it one of them more often than the other."""
-    only_a, only_b = int(np.sum(a & ~b)), int(np.sum(b & ~a))
-    p_value = float(binomtest(only_a, only_a + only_b).pvalue) if only_a + only_b else 1.0
-    return _share(only_a, only_b, len(a), only_a - only_b, comparisons * p_value, confidence)
-
-
-def unpaired_share(
-    a: BoolArray, b: BoolArray, *, comparisons: int = 1, confidence: float = CONFIDENCE
-) -> ShareDifference:
-    """Fisher's exact test, for recordings that are not the same."""
-    in_a, in_b = int(a.sum()), int(b.sum())
-    p_value = float(fisher_exact([[in_a, len(a) - in_a], [in_b, len(b) - in_b]]).pvalue) if len(a) and len(b) else 1.0
-    more = in_a * len(b) - in_b * len(a)
-    return _share(in_a, in_b, min(len(a), len(b)), more, comparisons * p_value, confidence)
-
-
 def as_percent(log_ratio: float) -> float:
     """+100 for a logarithm of 2."""
     return float(100.0 * np.expm1(np.clip(log_ratio, -_LARGEST_LOG, _LARGEST_LOG)))
@@ -363,13 +344,6 @@ def larger(percent: float) -> str:
         if percent < 100.0
         else f"{1 + percent / 100:.3g} times as large"
     )
-
-
-def _share(in_a: int, in_b: int, count: int, more: int, p_value: float, confidence: float) -> ShareDifference:
-    finding = Finding.NOT_SHOWN
-    if p_value <= 1.0 - confidence and more:
-        finding = Finding.WORSE if more > 0 else Finding.BETTER
-    return ShareDifference(in_a, in_b, count, min(1.0, p_value), finding)
 
 
 def _check_level(comparisons: int, confidence: float) -> None:

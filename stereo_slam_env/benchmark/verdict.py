@@ -20,12 +20,11 @@ from stereo_slam_env.benchmark.measures import (
     figures_of,
 )
 from stereo_slam_env.benchmark.results import FilterRun, FilterSummary
+from stereo_slam_env.benchmark.shares import ShareDifference, paired_share
 from stereo_slam_env.benchmark.statistics import (
     Difference,
     Finding,
-    ShareDifference,
     larger,
-    paired_share,
     signed,
 )
 

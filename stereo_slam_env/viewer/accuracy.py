@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from filters.validation import FloatArray
 from stereo_slam_env.benchmark.limits import Bound
 from stereo_slam_env.benchmark.results import FilterRun, FilterSummary, SegmentError
+from stereo_slam_env.benchmark.summary import Bounds
 from stereo_slam_env.viewer import series
 from stereo_slam_env.viewer.style import (
     INK,
@@ -25,9 +26,6 @@ from stereo_slam_env.viewer.style import (
     shared_limit,
     styled,
 )
-
-Bounds = Mapping[tuple[str, int | None], Bound]
-"""Theoretical limits by (recording_name, seed)."""
 
 _SegmentValue = Callable[[SegmentError], float]
 

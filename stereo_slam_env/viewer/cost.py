@@ -57,8 +57,8 @@ def _draw_time(ax: Axes, summaries: Sequence[FilterSummary], colours: dict[str, 
         colour, predict = colours[s.filter_name], s.ms_predict or 0.0
         update = s.ms_update if s.ms_update is not None else s.ms_per_frame
         if predict:
-            ax.barh([row], [predict], height=0.5, color=colour, alpha=0.45, label=f"{s.filter_name}, predict")
-        ax.barh([row], [update], left=[predict], height=0.5, color=colour, label=f"{s.filter_name}, update")
+            ax.barh([row], [predict], height=0.5, color=colour, alpha=0.45, label=f"{s.filter_name} | predict")
+        ax.barh([row], [update], left=[predict], height=0.5, color=colour, label=f"{s.filter_name} | update")
         total = f"{short_number(s.ms_per_frame)} ms"
         ax.annotate(total, (predict + update, row), (5, 0), textcoords="offset points", va="center", color=MUTED)
     longest = max((s.ms_per_frame for s in summaries if s.ms_per_frame is not None), default=1.0)

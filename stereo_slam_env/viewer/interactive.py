@@ -3,9 +3,9 @@
 A figure is drawn once, with Matplotlib. What it shows is read off its artists here, so that none is described twice.
 
 The label of an artist is the name of its series: it is what hovering says, and all artists of that name are switched
-together. A label with an underscore in front ("_euclidean") belongs to the series but says nothing (bounds, single
-runs); an artist without a label is background. A unit in brackets at the end of a label or title, "time (s)", is
-shown with the values.
+together. A detail may follow the name ("euclidean | predict"). A label with an underscore in front ("_euclidean")
+belongs to the series but says nothing (bounds, single runs); an artist without a label is background. A unit in
+brackets at the end of a label or title, "time (s)", is shown with the values.
 """
 
 from __future__ import annotations
@@ -162,7 +162,9 @@ def _axis(axis: Axis, limits: tuple[float, float], domain: tuple[float, float]) 
         spec |= {"tickmode": "array", "tickvals": [float(f"{place:.6g}") for place in places]}
         spec["ticktext"] = [_coloured(text, colours.get(text)) for text in texts]
     elif log:
-        spec["tickformat"] = "~g"
+        decades = abs(float(ends[1] - ends[0]))
+        # Plotly labels 1, 2, 5, 10 where there are at least 0.3 decades for each of so many ticks, else all digits.
+        spec |= {"tickformat": "~g", "nticks": 5 if decades < 1 else int(np.clip(decades / 0.31, 3, 8))}
     else:
         spec["nticks"] = max(len(axis.get_majorticklocs()) + 1, 4)
     return spec
@@ -237,7 +239,7 @@ def _annotation(text: Text) -> Spec:
 
 
 def _font(text: Text) -> Mapping[str, Any]:
-    return {"size": round(SCALE * text.get_fontsize(), 1), "color": to_hex(text.get_color())}
+    return {"size": round(SCALE * float(text.get_fontsize()), 1), "color": to_hex(text.get_color())}
 
 
 def _markup(text: str, bold: bool = False) -> str:

@@ -30,6 +30,9 @@ SCALE = PAGE_PIXELS / (72 * WIDTH_INCHES)
 Units = tuple[str | None, str | None]
 """Of x and y: "" where there is none, None where the axis has names instead of values."""
 
+DETAIL = " | "
+"""Between the name of a series and what one of its artists adds to it."""
+
 MAX_MARKERS = 3000
 """A browser draws no more in comfort; clouds are thinned evenly."""
 
@@ -107,12 +110,12 @@ def _traces(artist: Artist, ax: Axes, units: Units) -> Iterator[Trace]:
 def _common(label: str, colour: str, units: Units) -> Trace:
     """What hovering says, and which series the trace belongs to (see `interactive`)."""
     silent = not label or label.startswith("_")
-    name = label.removeprefix("_")
+    name, *detail = label.removeprefix("_").split(DETAIL)
     trace: Trace = {"name": name, "meta": colour[:7]} if name else {"meta": colour[:7]}
     if silent:
         return trace | {"hoverinfo": "skip"}
     said = [_value(axis, unit) for axis, unit in zip("yx", units[::-1], strict=True) if unit is not None]
-    return trace | {"hovertemplate": f"{'<br>at '.join(said)}<extra>{escape(name)}</extra>"}
+    return trace | {"hovertemplate": f"{'<br>at '.join(said)}<extra>{escape(', '.join([name, *detail]))}</extra>"}
 
 
 def _value(variable: str, unit: str | None) -> str:
@@ -221,7 +224,7 @@ def _bars(bars: BarContainer, label: str, units: Units) -> Iterator[Trace]:
     along, across = (0, 1) if lying else (1, 0)
     value, place = ("x", "y") if lying else ("y", "x")
     if "hovertemplate" in trace:
-        trace["hovertemplate"] = f"{_value(value, units[along])}<extra>{escape(label)}</extra>"
+        trace["hovertemplate"] = f"{_value(value, units[along])}<extra>{escape(label.replace(DETAIL, ', '))}</extra>"
     yield trace | {
         "orientation": "h" if lying else "v",
         place: _numbers(boxes[:, across] + 0.5 * boxes[:, 2 + across]),
@@ -262,7 +265,7 @@ def _error_bars(bars: ErrorbarContainer, ax: Axes, label: str, units: Units) -> 
             trace["customdata"] = [_numbers(pair) for pair in np.sort(ends, axis=1)]
             interval = "%{customdata[0]:.4~g} to %{customdata[1]:.4~g}"
             said = f"{_value(name, units[column])}<br>{interval}"
-            trace["hovertemplate"] = f"{said}<extra>{escape(label.removeprefix('_'))}</extra>"
+            trace["hovertemplate"] = f"{said}<extra>{escape(label.replace(DETAIL, ', '))}</extra>"
     yield trace
 
 
@@ -318,6 +321,6 @@ def _thinned(xy: FloatArray, ax: Axes) -> FloatArray:
 
 def _outlines(path: Path, transform: Transform, ax: Axes) -> list[FloatArray]:
     """Polygons of a path in data coordinates, without points that the screen would not show."""
-    polygons = path.to_polygons(transform=transform, closed_only=False)
+    polygons = transform.transform_path(path).to_polygons(closed_only=False)
     back = ax.transData.inverted()
     return [np.asarray(back.transform(np.asarray(p, np.float64)), np.float64) for p in polygons]

@@ -47,9 +47,14 @@ def plot_landmark_errors(summaries: Sequence[FilterSummary]) -> Figure:
     _draw_by_range(nees, shown, colours, lambda e: (e.anees, np.nan))
     bias.axhline(0, color=MUTED, linewidth=0.8, linestyle=(0, (4, 3)), zorder=0)
     nees.axhline(3, color=MUTED, linewidth=0.8, linestyle=(0, (4, 3)), zorder=0)
-    for ax in (error, nees):
-        ax.set_yscale("log")
-        plain_log_axis(ax)
+    error.set_yscale("log")
+    plain_log_axis(error)
+    values = [e.anees for s in shown for e in s.landmark_by_range if np.isfinite(e.anees)]
+    if values and max(values) > 30 * min(values):
+        nees.set_yscale("log")
+        plain_log_axis(nees)
+    else:
+        nees.set_ylim(0, 1.15 * max([*values, 3.0]))
     error.set_title("Landmark RMSE (m)")
     bias.set_title("Depth bias ± standard error (m)")
     nees.set_title("Landmark NEES (3 is ideal)")
@@ -126,7 +131,7 @@ def _draw_by_range(
 def _draw_convergence(ax: Axes, name: str, convergence: DepthConvergence, colour: str) -> EndLabel:
     sigma, rmse = np.array(convergence.sigma_m), np.array(convergence.rmse_m)
     ax.plot(convergence.frames, sigma, color=colour, linewidth=1.5, label=name)
-    ax.plot(convergence.frames, rmse, color=colour, linewidth=1.1, linestyle="--", label=f"{name}, true error")
+    ax.plot(convergence.frames, rmse, color=colour, linewidth=1.1, linestyle="--", label=f"{name} | true error")
     return EndLabel(name, series.last_known(sigma), colour)
 
 

@@ -13,12 +13,10 @@ from stereo_slam_env.benchmark.statistics import (
     level,
     mean_interval,
     paired_difference,
-    paired_share,
     pairs_needed,
     signed,
     signed_rank_p,
     unpaired_difference,
-    unpaired_share,
 )
 
 DRAWS = {
@@ -130,17 +128,6 @@ def test_the_signed_rank_test_is_scipys_and_never_promises_more_than_the_runs_ca
     assert signed_rank_p(np.zeros(5)) == 1.0
 
 
-@pytest.mark.parametrize(
-    ("only_a", "only_b", "finding"),
-    [(6, 0, Finding.WORSE), (0, 8, Finding.BETTER), (5, 0, Finding.NOT_SHOWN), (8, 6, Finding.NOT_SHOWN)],
-)
-def test_divergences_are_compared_where_the_filters_disagree(only_a, only_b, finding):
-    a = np.repeat([True, False, True], [only_a, only_b, 20])
-    b = np.repeat([False, True, True], [only_a, only_b, 20])
-    assert paired_share(a, b).finding is finding
-    assert paired_share(b, a).finding is finding.reversed
-
-
 def test_without_common_recordings_pairs_are_not_made_up():
     rng = np.random.default_rng(8)
     a, b = np.exp(rng.normal(0.0, 0.5, 20)), np.exp(rng.normal(1.0, 0.5, 15))
@@ -149,8 +136,6 @@ def test_without_common_recordings_pairs_are_not_made_up():
     assert difference.interval[0] < -1.0 < difference.interval[1]
     assert "15 unpaired runs" in difference.evidence
     assert unpaired_difference(a[:3], b).interval is None
-    assert unpaired_share(np.ones(9, bool), np.zeros(9, bool)).finding is Finding.WORSE
-    assert unpaired_share(np.ones(0, bool), np.zeros(9, bool)).finding is Finding.NOT_SHOWN
 
 
 def test_the_unpaired_interval_keeps_its_promise():
