@@ -175,6 +175,11 @@ class StereoEKFTrials:
         sizes: IntArray = self._states.taken.sum(axis=1)
         return sizes
 
+    @property
+    def state_sizes(self) -> IntArray:
+        """Numbers in the error state of each trial, (B,); see `StereoEKF.state_size`."""
+        return self._states.sizes
+
     def pose_error(self, position: FloatArray, orientation: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Errors of the poses in the filter's own error definition, as of `StereoFilter.pose_error`.
 

@@ -72,6 +72,12 @@ class JointStates:
         """Rows of camera and shared anchors; the landmarks' own are behind them."""
         return CAMERA_SIZE + 3 * int(self.anchors.shape[1])
 
+    @property
+    def sizes(self) -> IntArray:
+        """Numbers in the error state of each trial, places in use only; (B,)."""
+        sizes: IntArray = self.own.shape[2] * self.taken.sum(axis=1) + 3 * self._anchors_in_use().sum(axis=1)
+        return CAMERA_SIZE + sizes
+
     def locate(self, trial: IntArray, ids: IntArray) -> tuple[BoolArray, IntArray]:
         """Which landmarks (N,) are in the maps of their trials, and the place of each that is."""
         same = (self.ids[trial] == ids[:, None]) & self.taken[trial]

@@ -54,24 +54,70 @@ def view_map(estimator: StereoFilter, pose: Pose | None, landmarks: LandmarkTrut
     return MapView(forecast.ids, forecast.uvd, forecast.S - estimator.noise.R, true_points)
 
 
-def mean_nees(view: MapView, camera: StereoCamera) -> float:
+@dataclass(frozen=True, eq=False)
+class MapScore:
+    """How wrong each landmark of a `MapView` is; NaN where it is not truly in both images.
+
+    Attributes
+    ----------
+    ids : (N,) int64
+        Landmarks.
+    in_view : (N,) bool
+        Truly in both images: what any filter has, whether or not it keeps what it has passed.
+    true_points, points : (N, 3)
+        True and estimated positions in the camera frame, m; estimated ones are NaN where d <= 0.
+    distance : (N,)
+        True distance from the camera, m.
+    nees : (N,)
+        In (u, v, d) space, 3 degrees of freedom.
+    disparity_error, disparity_variance : (N,)
+        True minus predicted d, px, and the variance claimed for it, px^2.
+    """
+
+    ids: IntArray
+    in_view: BoolArray
+    true_points: FloatArray
+    points: FloatArray
+    distance: FloatArray
+    nees: FloatArray
+    disparity_error: FloatArray
+    disparity_variance: FloatArray
+
+
+def score_map(view: MapView, camera: StereoCamera) -> MapScore:
+    """Compare the map with the truth."""
+    true_points = view.true_points
+    with np.errstate(invalid="ignore", divide="ignore"):
+        true_uvd = camera.project(true_points)
+        in_view = (true_points[:, 2] > 0) & camera.in_view(true_uvd)
+    errors = np.where(in_view[:, None], true_uvd - view.uvd, np.nan)
+    points = np.full_like(view.uvd, np.nan)
+    located = in_view & (view.uvd[:, 2] > 0) & np.isfinite(view.uvd).all(axis=1)
+    points[located] = camera.backproject(view.uvd[located])
+    return MapScore(
+        view.ids,
+        in_view,
+        true_points,
+        points,
+        np.linalg.norm(true_points, axis=1),
+        nees(errors, view.covariance),
+        errors[:, 2],
+        view.covariance[:, 2, 2],
+    )
+
+
+def mean_nees(score: MapScore) -> float:
     """Mean NEES of the landmarks in view, in (u, v, d) space, 3 degrees of freedom each; NaN without truth."""
-    scored = _in_view(view, camera)
-    errors = camera.project(view.true_points[scored]) - view.uvd[scored]
-    return _mean(nees(errors, view.covariance[scored]))
+    return _mean(score.nees)
 
 
-def position_rmse(view: MapView, camera: StereoCamera) -> float:
+def position_rmse(score: MapScore) -> float:
     """Root mean square error of landmark positions relative to the camera, m; NaN without truth.
 
     Over landmarks truly in view and within `SCORED_RANGE`, and estimated in front of the camera.
     """
-    distance = np.linalg.norm(view.true_points, axis=1)
-    scored = (
-        _in_view(view, camera) & (distance <= SCORED_RANGE) & (view.uvd[:, 2] > 0) & np.isfinite(view.uvd).all(axis=1)
-    )
-    errors = camera.backproject(view.uvd[scored]) - view.true_points[scored]
-    return float(np.sqrt(_mean(np.sum(errors**2, axis=1))))
+    errors = score.points - score.true_points
+    return float(np.sqrt(_mean(np.sum(errors**2, axis=1)[score.distance <= SCORED_RANGE])))
 
 
 def depths(view: MapView, camera: StereoCamera) -> tuple[FloatArray, FloatArray]:
@@ -79,12 +125,6 @@ def depths(view: MapView, camera: StereoCamera) -> tuple[FloatArray, FloatArray]
     d = np.where(view.uvd[:, 2] > 0, view.uvd[:, 2], np.nan)
     depth = camera.disparity_constant / d
     return depth, depth / d * np.sqrt(np.maximum(view.covariance[:, 2, 2], 0.0))
-
-
-def _in_view(view: MapView, camera: StereoCamera) -> BoolArray:
-    """Landmarks truly in both images: those any filter has, whether or not it keeps what it has passed."""
-    inside: BoolArray = (view.true_points[:, 2] > 0) & camera.in_view(camera.project(view.true_points))
-    return inside
 
 
 def _mean(values: FloatArray) -> float:

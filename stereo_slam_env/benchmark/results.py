@@ -6,7 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+
 from filters.validation import FloatArray, IntArray
+from stereo_slam_env.benchmark.landmark_statistics import LandmarkStatistics
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +39,10 @@ class LandmarkTrace:
     sigma: FloatArray
     true_depth: FloatArray
     measured_depth: FloatArray
+
+
+def _not_given() -> FloatArray:
+    return np.zeros(0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,11 +87,23 @@ class FilterRun:
         Predict + update.
     counts : mapping of str to (K,) int64
         "updated", "initialised", "dropped", "gated", "rejected", "behind_camera", "failed_factorisations",
-        "map_size".
+        "negative_depth" (landmarks seen in the frame and estimated at d <= 0), "map_size".
     traces : tuple of LandmarkTrace
         Depth histories of a near and a far landmark, the same ids for every filter of a recording.
     failure : str, optional
         One line when the filter raised or returned nonsense; arrays are NaN from there on.
+    position_nees, rotation_nees : (K,)
+        NEES of the two halves of `pose_errors` with their blocks of the covariance (3 degrees of freedom each).
+    predict_milliseconds, update_milliseconds : (K,)
+        The two parts of `milliseconds`.
+    state_size : (K,)
+        Dimension of the error state; NaN for filters without a `state_size`.
+    memory_mb : float
+        By how much the run raised the peak resident memory of its process, MB (2^20 bytes), the recording not
+        included. It is zero in a process that has needed more before, so compare trials that had a process of their
+        own; NaN where the system does not tell (Windows).
+    landmark_statistics : LandmarkStatistics
+        Errors of the map by distance and age.
     """
 
     filter_name: str
@@ -112,6 +131,18 @@ class FilterRun:
     counts: Mapping[str, IntArray]
     traces: tuple[LandmarkTrace, ...] = ()
     failure: str | None = None
+    position_nees: FloatArray = field(default_factory=_not_given)
+    rotation_nees: FloatArray = field(default_factory=_not_given)
+    predict_milliseconds: FloatArray = field(default_factory=_not_given)
+    update_milliseconds: FloatArray = field(default_factory=_not_given)
+    state_size: FloatArray = field(default_factory=_not_given)
+    memory_mb: float = float("nan")
+    landmark_statistics: LandmarkStatistics = field(default_factory=LandmarkStatistics)
+
+    def __post_init__(self) -> None:
+        for name in ("position_nees", "rotation_nees", "predict_milliseconds", "update_milliseconds", "state_size"):
+            if len(getattr(self, name)) == 0:  # not given: not known
+                object.__setattr__(self, name, np.full(len(self.timestamps), np.nan))
 
     def __len__(self) -> int:
         return len(self.timestamps)

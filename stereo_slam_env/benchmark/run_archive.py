@@ -12,11 +12,14 @@ from typing import IO, Any
 
 import numpy as np
 
+from stereo_slam_env.benchmark.landmark_statistics import SERIES as _LANDMARK_SERIES
+from stereo_slam_env.benchmark.landmark_statistics import LandmarkStatistics
 from stereo_slam_env.benchmark.results import FilterRun, LandmarkTrace
 
-FORMAT = 1
+FORMAT = 2
 _TEXT = ("filter_name", "recording_name", "options", "seed", "failure")
-_SERIES = tuple(f.name for f in dataclasses.fields(FilterRun) if f.name not in (*_TEXT, "counts", "traces"))
+_PARTS = ("counts", "traces", "memory_mb", "landmark_statistics")
+_SERIES = tuple(f.name for f in dataclasses.fields(FilterRun) if f.name not in (*_TEXT, *_PARTS))
 _TRACE_SERIES = ("frames", "depth", "sigma", "true_depth", "measured_depth")
 
 
@@ -36,6 +39,8 @@ def save_run(path: Path, run: FilterRun, provenance: Mapping[str, Any]) -> None:
     arrays |= {f"count.{name}": values for name, values in run.counts.items()}
     for i, trace in enumerate(run.traces):
         arrays |= {f"trace.{i}.{name}": getattr(trace, name) for name in _TRACE_SERIES}
+    arrays |= {f"landmarks.{name}": getattr(run.landmark_statistics, name) for name in _LANDMARK_SERIES}
+    arrays["memory_mb"] = np.array(run.memory_mb)
     about = {
         "format": FORMAT,
         "run": {name: getattr(run, name) for name in _TEXT} | {"options": dict(run.options)},
@@ -66,7 +71,15 @@ def load_run(path: Path) -> tuple[FilterRun, dict[str, Any]]:
             for i, (landmark_id, label) in enumerate(about["traces"])
         )
         series = {name: arrays[name] for name in _SERIES}
-        return FilterRun(**about["run"], **series, counts=counts, traces=traces), about["provenance"]
+        run = FilterRun(
+            **about["run"],
+            **series,
+            counts=counts,
+            traces=traces,
+            memory_mb=float(arrays["memory_mb"]),
+            landmark_statistics=LandmarkStatistics(*(arrays[f"landmarks.{name}"] for name in _LANDMARK_SERIES)),
+        )
+        return run, about["provenance"]
     except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
         if isinstance(error, FileNotFoundError):
             raise

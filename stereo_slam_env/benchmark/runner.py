@@ -23,15 +23,18 @@ from filters import (
     make_filter,
 )
 from filters.camera import StereoCamera
+from filters.motion import POSE_SIZE, POSITION, ROTATION
 from filters.validation import FloatArray, IntArray
 from stereo_slam_env.benchmark.consistency import nees
-from stereo_slam_env.benchmark.map_scoring import mean_nees, position_rmse, view_map
+from stereo_slam_env.benchmark.landmark_statistics import LandmarkScorer
+from stereo_slam_env.benchmark.map_scoring import mean_nees, position_rmse, score_map, view_map
+from stereo_slam_env.benchmark.memory import peak_memory_mb
 from stereo_slam_env.benchmark.results import FilterRun
 from stereo_slam_env.benchmark.traces import TraceRecorder
 from stereo_slam_env.recording import Frame, Recording
 
 EVENTS = ("updated", "initialised", "dropped", "gated", "rejected", "behind_camera")
-COUNTS = (*EVENTS, "failed_factorisations", "map_size")
+COUNTS = (*EVENTS, "failed_factorisations", "negative_depth", "map_size")
 Observe = Callable[[int, StereoFilter], StereoObservation]
 
 _log = logging.getLogger(__name__)
@@ -93,6 +96,7 @@ def run_filter(
     if len(recording) == 0:
         raise ValueError(f"recording {recording.name!r} has no frames")
     log = RunLog(recording)
+    memory = peak_memory_mb()
     used: dict[str, Any] = dict(options or {})
     frame_number = -1
     with threadpool_limits(limits=1):
@@ -113,20 +117,20 @@ def run_filter(
                 began = time.perf_counter()
                 if dt is not None:
                     estimator.predict(dt, frame.odometry if use_odometry else None)
-                elapsed = time.perf_counter() - began
+                predicting = time.perf_counter() - began
                 if observe is not None:
                     frame = dataclasses.replace(frame, observation=observe(frame_number, estimator))
                 began = time.perf_counter()
                 report = estimator.update(frame.observation)
-                elapsed += time.perf_counter() - began
-                log.add(frame_number, frame, estimator, report, 1000.0 * elapsed)
+                updating = time.perf_counter() - began
+                log.add(frame_number, frame, estimator, report, 1000.0 * predicting, 1000.0 * updating)
                 if progress is not None:
                     progress(frame_number + 1, len(recording))
             failure = None
         except Exception as error:  # a stranger's filter may raise anything; the comparison goes on without it
             failure = failure_line(frame_number, error)
             _log.info("%s on %s failed at %s", label or filter_name, recording.name, failure)
-    return log.result(label or filter_name, used, seed, failure)
+    return log.result(label or filter_name, used, seed, failure, peak_memory_mb() - memory)
 
 
 def make_with_common_options(
@@ -189,20 +193,35 @@ class RunLog:
             "velocity_covariances": unknown(6, 6),
             "pose_errors": unknown(6),
             "pose_nees": unknown(),
+            "position_nees": unknown(),
+            "rotation_nees": unknown(),
             "landmark_nees": unknown(),
             "landmark_rmse": unknown(),
             "nis": unknown(),
             "milliseconds": unknown(),
+            "predict_milliseconds": unknown(),
+            "update_milliseconds": unknown(),
+            "state_size": unknown(),
         }
         self._nis_dof: IntArray = np.zeros(count, dtype=np.int64)
         self._counts: dict[str, IntArray] = {name: np.zeros(count, dtype=np.int64) for name in COUNTS}
         self._traces = TraceRecorder(recording)
+        self._scorer = LandmarkScorer(recording.camera)
 
-    def add(self, k: int, frame: Frame, estimator: StereoFilter, report: UpdateReport, milliseconds: float) -> None:
+    def add(
+        self,
+        k: int,
+        frame: Frame,
+        estimator: StereoFilter,
+        report: UpdateReport,
+        predict_milliseconds: float,
+        update_milliseconds: float,
+    ) -> None:
         """Note what an estimator believes after frame `k`; raises ArithmeticError where that is not finite."""
         counts = {name: len(getattr(report, name)) for name in EVENTS}
         counts["failed_factorisations"] = report.failed_factorisations
-        self.add_belief(k, estimator.pose, estimator.velocity, report.nis, report.nis_dof, counts, milliseconds)
+        self.add_belief(k, estimator.pose, estimator.velocity, report.nis, report.nis_dof, counts)
+        self.add_cost(k, predict_milliseconds, update_milliseconds, getattr(estimator, "state_size", np.nan))
         if frame.truth is not None:
             self.add_pose_error(k, *estimator.pose_error(frame.truth.position, frame.truth.orientation))
         self.add_map(k, frame, estimator)
@@ -215,7 +234,6 @@ class RunLog:
         nis: float,
         nis_dof: int,
         counts: Mapping[str, int],
-        milliseconds: float,
     ) -> None:
         """Note pose and velocity, and what became of the measurements; raises ArithmeticError where not finite."""
         series = self._series
@@ -232,26 +250,43 @@ class RunLog:
                 raise ArithmeticError(f"the filter returned NaN or infinity in its {name.replace('_', ' ')}")
         for name, value in belief.items():
             series[name][k] = value
-        series["milliseconds"][k] = milliseconds
         series["nis"][k], self._nis_dof[k] = nis, nis_dof
         for name, count in counts.items():
             self._counts[name][k] = count
 
+    def add_cost(self, k: int, predict_milliseconds: float, update_milliseconds: float, state_size: float) -> None:
+        """Note what the frame took, and the dimension of the error state (NaN: the filter does not say)."""
+        series = self._series
+        series["predict_milliseconds"][k], series["update_milliseconds"][k] = predict_milliseconds, update_milliseconds
+        series["milliseconds"][k] = predict_milliseconds + update_milliseconds
+        series["state_size"][k] = state_size
+
     def add_pose_error(self, k: int, error: FloatArray, covariance: FloatArray) -> None:
         """Note the pose error (6,) with the covariance (6, 6) claimed for it."""
         self._series["pose_errors"][k] = error
-        self._series["pose_nees"][k] = nees(error[None], covariance[None])[0]
+        for name, part in (
+            ("pose_nees", slice(0, POSE_SIZE)),
+            ("position_nees", POSITION),
+            ("rotation_nees", ROTATION),
+        ):
+            self._series[name][k] = nees(error[None, part], covariance[None, part, part])[0]
 
     def add_map(self, k: int, frame: Frame, estimator: StereoFilter) -> None:
         """Score the map and follow the traced landmarks."""
         series, camera = self._series, self._recording.camera
         view = view_map(estimator, frame.truth, self._recording.landmarks)
-        series["landmark_nees"][k] = mean_nees(view, camera)
-        series["landmark_rmse"][k] = position_rmse(view, camera)
+        score = score_map(view, camera)
+        series["landmark_nees"][k] = mean_nees(score)
+        series["landmark_rmse"][k] = position_rmse(score)
+        self._scorer.add(score)
         self._traces.add(k, view, frame.observation)
+        behind = view.ids[view.uvd[:, 2] <= 0]
+        self._counts["negative_depth"][k] = int(np.isin(behind, frame.observation.ids).sum()) if len(behind) else 0
         self._counts["map_size"][k] = len(view.ids)
 
-    def result(self, label: str, options: Mapping[str, Any], seed: int | None, failure: str | None) -> FilterRun:
+    def result(
+        self, label: str, options: Mapping[str, Any], seed: int | None, failure: str | None, memory_mb: float
+    ) -> FilterRun:
         """The run so far."""
         frames = self._recording.frames
         nowhere, no_turn = np.full(3, np.nan), np.full(4, np.nan)
@@ -270,6 +305,8 @@ class RunLog:
             counts=self._counts,
             traces=self._traces.traces(),
             failure=failure,
+            memory_mb=memory_mb,
+            landmark_statistics=self._scorer.statistics,
             **self._series,
         )
 

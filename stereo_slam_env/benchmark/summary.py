@@ -2,19 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from filters.validation import BoolArray, FloatArray
 from stereo_slam_env.benchmark import trajectory_metrics as metrics
 from stereo_slam_env.benchmark.consistency import mean_band, share_inside
+from stereo_slam_env.benchmark.limits import Bound
 from stereo_slam_env.benchmark.results import FilterRun, FilterSummary
 
 POSE_DOF = 6
 
 
-def summarise(runs: Sequence[FilterRun], *, divergence_percent: float = 10.0) -> FilterSummary:
+Bounds = Mapping[tuple[str, int | None], Bound]
+"""Theoretical limits by (recording_name, seed)."""
+
+
+def summarise(
+    runs: Sequence[FilterRun], *, divergence_percent: float = 10.0, bounds: Bounds | None = None
+) -> FilterSummary:
     """Figures of one filter over its runs.
 
     The first frame only initialises and is not scored, nor are frames without truth. A run that failed counts as
@@ -78,12 +85,14 @@ def summarise(runs: Sequence[FilterRun], *, divergence_percent: float = 10.0) ->
     )
 
 
-def summarise_all(runs: Sequence[FilterRun], *, divergence_percent: float = 10.0) -> tuple[FilterSummary, ...]:
+def summarise_all(
+    runs: Sequence[FilterRun], *, divergence_percent: float = 10.0, bounds: Bounds | None = None
+) -> tuple[FilterSummary, ...]:
     """One summary a filter, in order of first appearance."""
     by_filter: dict[str, list[FilterRun]] = {}
     for run in runs:
         by_filter.setdefault(run.filter_name, []).append(run)
-    return tuple(summarise(group, divergence_percent=divergence_percent) for group in by_filter.values())
+    return tuple(summarise(group, divergence_percent=divergence_percent, bounds=bounds) for group in by_filter.values())
 
 
 def _scored(run: FilterRun) -> BoolArray:

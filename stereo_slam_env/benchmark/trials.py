@@ -11,6 +11,7 @@ from threadpoolctl import threadpool_limits
 
 from filters import PoseBelief, StereoEKF, StereoEKFTrials, StereoNoise, VelocityBelief
 from filters.trials.series import TOGETHER
+from stereo_slam_env.benchmark.memory import peak_memory_mb
 from stereo_slam_env.benchmark.results import FilterRun
 from stereo_slam_env.benchmark.runner import EVENTS, RunLog, failure_line, make_with_common_options
 from stereo_slam_env.recording import Recording
@@ -48,8 +49,8 @@ def run_filter_together(
     Returns
     -------
     list of FilterRun
-        Those of `run_filter`, to rounding; `milliseconds` are those of all trials at a time, shared equally. A trial
-        whose belief is not finite any more is a failed run, and the others go on.
+        Those of `run_filter`, to rounding; milliseconds and `memory_mb` are those of all trials at a time, shared
+        equally. A trial whose belief is not finite any more is a failed run, and the others go on.
 
     Raises
     ------
@@ -79,10 +80,12 @@ def run_filter_together(
     with threadpool_limits(limits=1):
         for begin in range(0, len(recordings), together):
             group = recordings[begin : begin + together]
+            memory = peak_memory_mb()
             logs, failures = _run(one, group, use_odometry, score_maps)
+            memory = (peak_memory_mb() - memory) / len(group)
             for number, (log, failure) in enumerate(zip(logs, failures, strict=True), start=begin):
                 seed = None if seeds is None else seeds[number]
-                runs.append(log.result(label or filter_name, used, seed, failure))
+                runs.append(log.result(label or filter_name, used, seed, failure, memory))
     return runs
 
 
@@ -102,10 +105,13 @@ def _run(
         began = time.perf_counter()
         if k:
             slam.predict(timestamps[k] - timestamps[k - 1], odometry)
+        predicted = time.perf_counter()
         reports = slam.update(observations)
-        milliseconds = 1000.0 * (time.perf_counter() - began) / len(recordings)
+        each = 1000.0 / len(recordings)
+        predicting, updating = each * (predicted - began), each * (time.perf_counter() - predicted)
 
         pose, velocity, sizes, counts = slam.pose, slam.velocity, slam.map_sizes, reports.counts()
+        state_sizes = slam.state_sizes
         counts = {name: counts[name] for name in EVENTS} | {
             "failed_factorisations": counts["failed"],
             "map_size": sizes,
@@ -123,8 +129,8 @@ def _run(
                     float(reports.nis[b]),
                     int(reports.nis_dof[b]),
                     {name: int(count[b]) for name, count in counts.items()},
-                    milliseconds,
                 )
+                log.add_cost(k, predicting, updating, float(state_sizes[b]))
                 if frame.truth is not None:
                     log.add_pose_error(k, errors[b], covariances[b])
                 if score_maps:

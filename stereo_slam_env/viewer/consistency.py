@@ -83,8 +83,8 @@ def plot_error_bounds(run: FilterRun, limits: FloatArray | None = None) -> Figur
         known = np.isfinite(e)
         ax.fill_between(time, -bound, bound, color=colour, alpha=0.13, linewidth=0)
         for side in (-bound, bound):
-            ax.plot(time, side, color=colour, alpha=0.45, linewidth=0.7)
-        ax.plot(time[known], e[known], color=colour, linewidth=1.1)
+            ax.plot(time, side, color=colour, alpha=0.45, linewidth=0.7, label="3σ")
+        ax.plot(time[known], e[known], color=colour, linewidth=1.1, label="error")
         half = 1.12 * scale * limits[axis]
         ax.set(title=f"{title} ({unit})", ylim=(-half, half), xlim=(0, time[-1]))
         inside = known & np.isfinite(bound) & (bound > 0)
@@ -222,14 +222,14 @@ def _draw_against_band(
     low, high = band
     colours = filter_colours(curves)
     known = np.isfinite(low)
-    ax.fill_between(time[known], low[known], high[known], color=BAND, linewidth=0, zorder=0)
+    ax.fill_between(time[known], low[known], high[known], color=BAND, linewidth=0, zorder=0, label="_95 % band")
     ax.plot(time, ideal, color=MUTED, linewidth=0.8, linestyle=(0, (4, 3)), zorder=1)
     ax.set_yscale("log")
     limit = shared_limit({name: series.peak(curve) for name, curve in curves.items()}, spread=100.0)
     labels = []
     for name, curve in curves.items():
         shown = np.isfinite(curve) & (curve > 0)
-        ax.plot(time[shown], curve[shown], color=colours[name], linewidth=1.2)
+        ax.plot(time[shown], curve[shown], color=colours[name], linewidth=1.2, label=name)
         labels.append(EndLabel(name, series.last_known(curve), colours[name]))
     floor = min((float(np.percentile(c[c > 0], 1)) for c in curves.values() if (c > 0).any()), default=0.1)
     bottom = max(min(floor, float(low[known].min(initial=np.inf))), 0.02 * float(ideal[0]))
@@ -247,16 +247,18 @@ def _draw_depth(ax: Axes, traces: dict[str, LandmarkTrace], colours: dict[str, s
     longest = max(traces.values(), key=lambda trace: len(trace.frames))
     age = longest.frames - longest.frames[0]
     raw = np.isfinite(longest.measured_depth)
-    ax.scatter(age[raw], longest.measured_depth[raw], s=9, color=MUTED, alpha=0.8, linewidths=0, zorder=1)
+    ax.scatter(age[raw], longest.measured_depth[raw], s=9, color=MUTED, alpha=0.8, linewidths=0, zorder=1, label="raw")
     anchors = [longest.measured_depth[raw], longest.true_depth[np.isfinite(longest.true_depth)]]
     labels = []
     if anchors[1].size:
-        ax.plot(age, longest.true_depth, color=INK, alpha=0.18, linewidth=nested_widths(len(traces))[0] + 5, zorder=0)
+        width = nested_widths(len(traces))[0] + 5
+        ax.plot(age, longest.true_depth, color=INK, alpha=0.18, linewidth=width, zorder=0, label="truth")
         labels.append(EndLabel("truth", series.last_known(longest.true_depth), MUTED))
     for (name, trace), width in zip(traces.items(), nested_widths(len(traces)), strict=True):
         x = trace.frames - longest.frames[0]
-        ax.fill_between(x, trace.depth - trace.sigma, trace.depth + trace.sigma, color=colours[name], alpha=0.12, lw=0)
-        ax.plot(x, trace.depth, color=colours[name], linewidth=width)
+        low, high = trace.depth - trace.sigma, trace.depth + trace.sigma
+        ax.fill_between(x, low, high, color=colours[name], alpha=0.12, linewidth=0, label=f"_{name}")
+        ax.plot(x, trace.depth, color=colours[name], linewidth=width, label=name)
         labels.append(EndLabel(name, series.last_known(trace.depth), colours[name]))
     around = np.concatenate([*anchors, *(trace.depth[np.isfinite(trace.depth)] for trace in traces.values())])
     if around.size:
@@ -276,7 +278,7 @@ def _draw_sigma(ax: Axes, traces: dict[str, LandmarkTrace], colours: dict[str, s
     first = min(int(trace.frames[0]) for trace in traces.values())
     labels = []
     for (name, trace), width in zip(traces.items(), nested_widths(len(traces)), strict=True):
-        ax.plot(trace.frames - first, trace.sigma, color=colours[name], linewidth=width)
+        ax.plot(trace.frames - first, trace.sigma, color=colours[name], linewidth=width, label=name)
         labels.append(EndLabel(name, series.last_known(trace.sigma), colours[name]))
     ax.set_yscale("log")
     plain_log_axis(ax)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import re
+from html import escape
 from pathlib import Path
 
 from matplotlib.figure import Figure
@@ -24,6 +25,19 @@ def save_png(figure: Figure, path: Path) -> None:
         figure.savefig(path, format="png", dpi=PNG_DPI, facecolor="white")
 
 
+def save_svg(figure: Figure, path: Path) -> None:
+    """Write the figure on white, with its texts as text."""
+    with style_context():
+        figure.savefig(path, format="svg", facecolor="white", metadata={"Date": None})
+
+
+def in_page_colours(text: str) -> str:
+    """Let the CSS variables of the page take the place of the drawing colours."""
+    for colour, variable in CSS_VARIABLES.items():
+        text = text.replace(colour, f"var({variable})")
+    return text
+
+
 def inline_svg(figure: Figure, name: str, description: str) -> str:
     """Turn the figure into an `<svg>` element that takes colours and font from the page around it.
 
@@ -34,7 +48,7 @@ def inline_svg(figure: Figure, name: str, description: str) -> str:
     name : str
         Prefix of the ids inside, unique in the page.
     description : str
-        What a screen reader says.
+        What a screen reader says, plain text.
 
     Returns
     -------
@@ -53,8 +67,5 @@ def inline_svg(figure: Figure, name: str, description: str) -> str:
     markup = re.sub(r"url\(#(\w+)\)", rf"url(#{name}-\1)", markup)
     view_box = re.search(r'viewBox="[^"]*"', markup)
     assert view_box is not None
-    head = f'<svg role="img" aria-label="{description}" {view_box[0]}>'
-    markup = re.sub(r"^<svg[^>]*>", head, markup)
-    for colour, variable in CSS_VARIABLES.items():
-        markup = markup.replace(colour, f"var({variable})")
-    return markup
+    head = f'<svg role="img" aria-label="{escape(description)}" {view_box[0]}>'
+    return in_page_colours(re.sub(r"^<svg[^>]*>", lambda _: head, markup))

@@ -61,12 +61,11 @@ def plot_trajectory(runs: Sequence[FilterRun]) -> Figure:
     truth = shown[0].true_positions
     known = np.isfinite(truth).all(axis=1)
     if known.any():
-        top_view.plot(
-            truth[known, across], truth[known, up], color=INK, alpha=0.18, linewidth=nested_widths(len(shown))[0] + 5
-        )
+        width = nested_widths(len(shown))[0] + 5
+        top_view.plot(truth[known, across], truth[known, up], color=INK, alpha=0.18, linewidth=width, label="_truth")
     for run, width in zip(shown, nested_widths(len(shown)), strict=True):
         x, y = run.positions[:, across], run.positions[:, up]
-        top_view.plot(x, y, color=colours[run.filter_name], linewidth=width)
+        top_view.plot(x, y, color=colours[run.filter_name], linewidth=width, label=run.filter_name)
     _frame_track(top_view, reference, across, up)
     axis_names = {0: "x, right (m)", 2: "z, forward (m)"}
     title = "Seen from above, truth in grey" if known.any() else "Seen from above"
@@ -103,7 +102,9 @@ def plot_error_by_run(runs: Sequence[FilterRun]) -> Figure:
         ax.plot(joined, range(len(names)), color=MUTED, alpha=0.35, linewidth=0.8, zorder=1)
     for row, name in enumerate(names):
         values = [value for (owner, *_), value in rmse.items() if owner == name]
-        ax.scatter(values, [row] * len(values), s=26, color=colours[name], alpha=0.85, linewidths=0, zorder=2)
+        ax.scatter(
+            values, [row] * len(values), s=26, color=colours[name], alpha=0.85, linewidths=0, zorder=2, label=name
+        )
     finite = np.array([value for value in rmse.values() if np.isfinite(value) and value > 0])
     if finite.size and finite.max() > 10 * finite.min():
         ax.set_xscale("log")
@@ -177,9 +178,9 @@ def plot_time_per_frame(runs: Sequence[FilterRun]) -> Figure:
     labels, top = [], {}
     for name, group in groups.items():
         times = series.column_median(series.stack(group, lambda run: run.milliseconds))
-        over_time.plot(series.elapsed(max(group, key=len)), times, color=colours[name], linewidth=1)
+        over_time.plot(series.elapsed(max(group, key=len)), times, color=colours[name], linewidth=1, label=name)
         sizes, typical = _by_map_size(group)
-        over_size.plot(sizes, typical, color=colours[name], marker="o", markersize=3.2)
+        over_size.plot(sizes, typical, color=colours[name], marker="o", markersize=3.2, label=name)
         labels.append(EndLabel(name, series.last_known(typical), colours[name]))
         # One slow frame (a garbage collection, a busy machine) must not set the scale.
         top[name] = float(np.nanpercentile(times, 99)) if np.isfinite(times).any() else np.nan
@@ -250,9 +251,10 @@ def _draw_error_over_distance(ax: Axes, runs: Sequence[FilterRun]) -> None:
     for name, (distances, errors, median) in curves.items():
         for single in errors[:MAX_THIN_LINES] if len(errors) > 1 else ():
             shown = np.isfinite(single) & np.isfinite(distances)
-            ax.plot(distances[shown], single[shown], color=colours[name], alpha=0.2, linewidth=0.7)
+            x, y = distances[shown], single[shown]
+            ax.plot(x, y, color=colours[name], alpha=0.2, linewidth=0.7, label=f"_{name}")
         shown = np.isfinite(median) & np.isfinite(distances)
-        ax.plot(distances[shown], median[shown], color=colours[name], linewidth=1.8)
+        ax.plot(distances[shown], median[shown], color=colours[name], linewidth=1.8, label=name)
         labels.append(EndLabel(name, series.last_known(median), colours[name]))
     count = max(len(group) for group in groups.values())
     ax.set_title(f"Position error (m), median of {count}" if count > 1 else "Position error (m)")
@@ -273,9 +275,10 @@ def _draw_over_time(
     time, truth = series.elapsed(runs[0]), true(runs[0])
     known = np.isfinite(truth)
     if known.any():
-        ax.plot(time[known], truth[known], color=INK, alpha=0.18, linewidth=5)
+        ax.plot(time[known], truth[known], color=INK, alpha=0.18, linewidth=5, label="truth")
     for run in runs:
-        ax.plot(series.elapsed(run), estimate(run), color=colours[run.filter_name], linewidth=1, alpha=0.85)
+        colour, name = colours[run.filter_name], run.filter_name
+        ax.plot(series.elapsed(run), estimate(run), color=colour, linewidth=1, alpha=0.85, label=name)
     if known.any():
         low, high = float(truth[known].min()), float(truth[known].max())
         margin = 0.15 * (high - low) + 0.5
