@@ -12,7 +12,7 @@ from functools import partial
 
 import numpy as np
 
-from filters.validation import FloatArray, IntArray
+from filters.validation import BoolArray, FloatArray, IntArray
 from stereo_slam_env.benchmark.reference_problem import short_turn
 from stereo_slam_env.paper.claims import Claim, Finding, Interval
 from stereo_slam_env.paper.depth_history import (
@@ -32,6 +32,8 @@ from stereo_slam_env.paper.settings import (
     COMMON_OPTIONS,
     COUPLED,
     DIAGONAL,
+    DUAL,
+    JOINT,
     NOISES,
     PaperSettings,
 )
@@ -40,8 +42,6 @@ from stereo_slam_env.sensing.rigs import RIGS
 CAMERA = RIGS["reference"]
 UPDATES = 10
 """The paper's number; there is one frame more, because the first only initialises."""
-JOINT, DUAL = "inverse-depth", "dual-bearing"
-"""The paper's filter, and its rival."""
 RANGES: Mapping[str, tuple[float, float]] = {"near": (15.0, 25.0), "far": (60.0, 90.0)}
 """True depth at first sight, m."""
 CASES = tuple((name, R) for name in (JOINT, DUAL) for R in ASSUMED)
@@ -96,7 +96,7 @@ def _one_drive(noise: str, seed: int) -> Arrays:
     recording = short_turn(seed, noise, frames=UPDATES + 1)
     ids = seen_throughout(recording)
     true = true_depths(recording, ids)
-    wanted = np.any([_within(true[:, 0], label) for label in RANGES], axis=0)
+    wanted = np.any([within(true[:, 0], label) for label in RANGES], axis=0)
     ids, true = ids[wanted], true[wanted]
     arrays: Arrays = {
         "drive": np.full(len(ids), seed),
@@ -165,7 +165,7 @@ def of_drives(
 ) -> FloatArray:
     """The mean of a quantity over the landmarks of that range, for each drive (S,); NaN where it has none."""
     values = quantity(depths, depths.filters[case])
-    used = _within(depths.true[:, 0], label) & np.isfinite(values)
+    used = within(depths.true[:, 0], label) & np.isfinite(values)
     drives, place = np.unique(depths.drive, return_inverse=True)
     with np.errstate(invalid="ignore"):
         mean: FloatArray = np.bincount(place[used], values[used], len(drives)) / np.bincount(
@@ -174,9 +174,17 @@ def of_drives(
     return mean
 
 
-def _within(true_depth: FloatArray, label: str) -> FloatArray:
+def within(true_depth: FloatArray, label: str) -> BoolArray:
+    """Which true depths at first sight (L,) are of that range."""
     low, high = RANGES[label]
     return (low <= true_depth) & (true_depth <= high)
+
+
+def example(depths: Depths, label: str) -> int:
+    """The landmark to show: on the first drive that has one of that range, the one nearest to its middle."""
+    there = np.flatnonzero(within(depths.true[:, 0], label))
+    there = there[depths.drive[there] == depths.drive[there].min()]
+    return int(there[np.argmin(np.abs(depths.true[there, 0] - np.mean(RANGES[label])))])
 
 
 def claims(results: Mapping[str, Arrays]) -> tuple[Claim, ...]:

@@ -18,11 +18,10 @@ from filters.validation import FloatArray
 from stereo_slam_env.paper.claims import Claim, Finding, Interval, Range
 from stereo_slam_env.paper.intervals import CONFIDENCE, share_interval
 from stereo_slam_env.paper.limits import NOT_REGION, REGION
-from stereo_slam_env.paper.settings import ASSUMED_NAMES, COUPLED, DIAGONAL, NOISES, PIXELS, UVD
+from stereo_slam_env.paper.settings import ASSUMED_NAMES, COUPLED, DIAGONAL, EUCLIDEAN, JOINT, NOISES, PIXELS, UVD
 from stereo_slam_env.sensing.rigs import RIGS
 
 CAMERA = RIGS["reference"]
-INVERSE_DEPTH, EUCLIDEAN = "inverse-depth", "euclidean"
 FIGURE_1, FIGURE_2 = 70.0, (15.0, 30.0, 45.0)
 """Depths of the paper's figures, m."""
 BEYOND = 150.0
@@ -68,8 +67,8 @@ def landmark(parametrisation: str, uvd: FloatArray, R: FloatArray) -> tuple[Floa
 
 def places(parametrisation: str, uvd: FloatArray) -> FloatArray:
     """Where measurements (N, 3) put the landmark, in the parameters; for XYZ the literal Eq. 21, also for d < 0."""
-    if parametrisation == INVERSE_DEPTH:
-        return LANDMARKS[INVERSE_DEPTH].initialise(CAMERA, np.zeros(3), np.eye(3), uvd).parameters
+    if parametrisation == JOINT:
+        return LANDMARKS[JOINT].initialise(CAMERA, np.zeros(3), np.eye(3), uvd).parameters
     points: FloatArray = CAMERA.ray(uvd) * (CAMERA.disparity_constant / uvd[:, 2])[:, None]
     return points
 
@@ -96,7 +95,7 @@ def fits(samples: int) -> dict[tuple[str, str, float, str], Fit]:
         for depth in DEPTHS:
             uvd = measurements(depth, noise, samples)
             for assumed, R in ASSUMED.items():
-                for parametrisation in (INVERSE_DEPTH, EUCLIDEAN):
+                for parametrisation in (JOINT, EUCLIDEAN):
                     found[noise, assumed, depth, parametrisation] = fit(parametrisation, depth, uvd, R.R)
     return found
 
@@ -116,7 +115,7 @@ def claims(samples: int) -> tuple[Claim, ...]:
     slack = 2.0 * np.sqrt(np.log(2.0 / (1.0 - CONFIDENCE)) / (2.0 * samples))
 
     def closer(noise: str, assumed: str, depth: float) -> Finding:
-        inverse_depth, euclidean = (found[noise, assumed, depth, name].distance for name in (INVERSE_DEPTH, EUCLIDEAN))
+        inverse_depth, euclidean = (found[noise, assumed, depth, name].distance for name in (JOINT, EUCLIDEAN))
         gain = euclidean - inverse_depth
         return Finding(_condition(noise, assumed, depth), Interval(gain, gain - slack, gain + slack), Range(low=0.0))
 
@@ -128,7 +127,7 @@ def claims(samples: int) -> tuple[Claim, ...]:
             "The red lines [inverse depth, 70 m] enclose the true uncertainty",
             f"{share}: {REGION}",
             "figure-1",
-            coverage(INVERSE_DEPTH, REGION, (FIGURE_1,)),
+            coverage(JOINT, REGION, (FIGURE_1,)),
         ),
         Claim(
             "region-70m-xyz",
@@ -145,7 +144,7 @@ def claims(samples: int) -> tuple[Claim, ...]:
             "uncertainty",
             f"{share}: {REGION}",
             "figure-2",
-            coverage(INVERSE_DEPTH, REGION, DEPTHS),
+            coverage(JOINT, REGION, DEPTHS),
         ),
         Claim(
             "histogram",

@@ -22,7 +22,13 @@ RIGHT = {UVD: DIAGONAL, PIXELS: COUPLED}
 """The R that describes a noise."""
 ASSUMED_NAMES: Mapping[str, str] = {DIAGONAL: "the paper's", COUPLED: "of independent pixels"}
 
-COMMON_OPTIONS: Mapping[str, object] = {"gate": None, "compiled": find_spec("numba") is not None}
+JOINT, DUAL, EUCLIDEAN = "inverse-depth", "dual-bearing", "euclidean"
+"""The paper's filter, its rival with one bearing update an eye, and the classic with points XYZ."""
+EUCLIDEAN_GUARD = 5.0
+"""px; the classic starts no landmark with less disparity, or it diverges on far points."""
+
+COMPILED = find_spec("numba") is not None
+COMMON_OPTIONS: Mapping[str, object] = {"gate": None, "compiled": COMPILED}
 """Of every filter here: nothing is gated, so nothing is hidden; compiled, where it can be, is the same but faster."""
 
 
@@ -65,5 +71,5 @@ class PaperSettings:
 
 
 FULL = PaperSettings()
-QUICK = PaperSettings(turn_seeds=20, drive_seeds=5, drive_frames=150, sizes=(25, 50, 100), repeats=8)
+QUICK = PaperSettings(turn_seeds=20, drive_seeds=6, drive_frames=150, sizes=(25, 50, 100), repeats=8)
 """To see that everything works, within a minute; most intervals are then too wide to show anything."""
