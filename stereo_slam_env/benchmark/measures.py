@@ -1,0 +1,154 @@
+"""What filters are compared by: each measure, of one run and of many, and how far a value is from the best possible.
+
+The figure of one run is that of a summary of this run alone, so that no formula is written twice.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from filters.validation import FloatArray
+from stereo_slam_env.benchmark.results import FilterRun, FilterSummary
+from stereo_slam_env.benchmark.statistics import Difference, difference_of, paired_difference, unpaired_difference
+from stereo_slam_env.benchmark.summary import POSE_DOF, summarise
+
+RunKey = tuple[str, int | None]
+"""What identifies a recording: its name and seed."""
+
+
+@dataclass(frozen=True)
+class Measure:
+    """A figure that filters are compared by.
+
+    Attributes
+    ----------
+    key : str
+        Name of the field of `FilterSummary`.
+    words : str
+        What it is called: "position error".
+    unit : str
+        For a value; may be empty.
+    scale : float
+        A value is the field times this.
+    ideal : float, optional
+        Of a measure of consistency, the value of a filter that knows how wrong it is; None: the smaller the better.
+    larger_is_better : bool
+        Whether it is an efficiency.
+    """
+
+    key: str
+    words: str
+    unit: str = ""
+    scale: float = 1.0
+    ideal: float | None = None
+    larger_is_better: bool = False
+
+    def of(self, summary: FilterSummary) -> float:
+        """The value in a summary; NaN where it is not known."""
+        value = getattr(summary, self.key)
+        return float("nan") if value is None else self.scale * float(value)
+
+    def over_runs(self, values: FloatArray) -> float:
+        """One value for many runs: their geometric mean, or, of consistency, their mean; NaN without any."""
+        finite = values[np.isfinite(values)]
+        if finite.size == 0:
+            return float("nan")
+        if self.ideal is not None or not (finite > 0.0).all():
+            return float(finite.mean())
+        return float(np.exp(np.log(finite).mean()))
+
+    def difference(self, a: FloatArray, b: FloatArray, *, paired: bool = True, comparisons: int = 1) -> Difference:
+        """How much worse a is than b, from the values of both in each run.
+
+        Of a measure of consistency: how much farther a's mean is from the ideal, as a factor.
+
+        Parameters
+        ----------
+        a, b : (n,) ndarray
+            Run by run; NaN where not known.
+        paired : bool
+            Whether a run of a and the same one of b had the same measurements.
+        comparisons : int
+            Made at once.
+        """
+        if not paired:
+            worse = (_badness_unpaired(a, self), _badness_unpaired(b, self))
+            return unpaired_difference(*worse, comparisons=comparisons)
+        if self.larger_is_better:
+            return paired_difference(b, a, comparisons=comparisons)
+        if self.ideal is None:
+            return paired_difference(a, b, comparisons=comparisons)
+        both = np.isfinite(a) & np.isfinite(b) & (a > 0.0) & (b > 0.0)
+        gaps = _deviation(a[both] / self.ideal) - _deviation(b[both] / self.ideal)
+        return difference_of(gaps, comparisons=comparisons)
+
+
+POSITION = Measure("position_rmse_m", "position error", "m")
+ROTATION = Measure("rotation_rmse_deg", "rotation error", "°")
+ATE = Measure("ate_rigid_m", "error after alignment", "m")
+LANDMARKS = Measure("landmark_rmse_m", "landmark error", "m")
+POSE_NEES = Measure("pose_anees", "pose NEES / 6", scale=1.0 / POSE_DOF, ideal=1.0)
+NIS = Measure("nis", "NIS / dof", ideal=1.0)
+EFFICIENCY = Measure("efficiency_percent", "efficiency", "%", larger_is_better=True)
+TIME = Measure("ms_per_frame", "time", "ms")
+
+MEASURES = (POSITION, ROTATION, ATE, LANDMARKS, POSE_NEES, NIS, EFFICIENCY, TIME)
+QUESTIONS = (POSITION, ROTATION, POSE_NEES, TIME)
+"""What filters of one run are compared by: how accurate, how honest, how fast."""
+
+
+@dataclass(frozen=True)
+class RunFigures:
+    """The measures of every run of a filter.
+
+    Attributes
+    ----------
+    summaries : mapping of RunKey to FilterSummary
+        Of each run alone.
+    """
+
+    summaries: Mapping[RunKey, FilterSummary]
+
+    def values(self, measure: Measure, keys: Iterable[RunKey]) -> FloatArray:
+        """Of these recordings, in this order; NaN where not known."""
+        return np.array([measure.of(self.summaries[key]) for key in keys])
+
+    def diverged(self, keys: Iterable[RunKey]) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+        """Whether each run diverged or failed."""
+        return np.array([self.summaries[key].diverged > 0 for key in keys], dtype=bool)
+
+
+def figures_of(runs: Sequence[FilterRun], *, divergence_percent: float = 10.0) -> dict[str, RunFigures]:
+    """The figures of every run, by label of the filter, in order of first appearance."""
+    found: dict[str, dict[RunKey, FilterSummary]] = {}
+    for run in runs:
+        alone = summarise([run], divergence_percent=divergence_percent)
+        found.setdefault(run.filter_name, {})[run.recording_name, run.seed] = alone
+    return {name: RunFigures(by_key) for name, by_key in found.items()}
+
+
+def common_keys(a: RunFigures, b: RunFigures) -> list[RunKey]:
+    """Recordings that both were run on, in the order of `a`."""
+    return [key for key in a.summaries if key in b.summaries]
+
+
+def _deviation(values: FloatArray) -> FloatArray:
+    """Share of each run in |log(mean)|, how far the mean is from 1: their mean is exactly that.
+
+    The logarithm of the mean, linear in each value (the delta method). |log| of each run instead would count the
+    scatter of single runs, which a consistent filter has, too.
+    """
+    mean = values.mean() if values.size else 1.0
+    return np.asarray(np.copysign(1.0, np.log(mean)) * (np.log(mean) + values / mean - 1.0))
+
+
+def _badness_unpaired(values: FloatArray, measure: Measure) -> FloatArray:
+    if measure.larger_is_better:
+        return np.asarray(1.0 / values)
+    if measure.ideal is None:
+        return values
+    known = values[np.isfinite(values) & (values > 0.0)]
+    return np.asarray(np.exp(_deviation(known / measure.ideal)))

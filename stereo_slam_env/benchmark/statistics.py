@@ -1,0 +1,404 @@
+"""Paired differences with intervals and tests: what the runs show, and what they do not.
+
+Errors of two filters differ by a factor rather than by an amount (a hard recording is hard for both), so what is
+averaged is the logarithm of their ratio on the same recording. Intervals are those of the symmetric studentised
+bootstrap (Hall, *The Bootstrap and Edgeworth Expansion*, 1992, section 3.5), chosen by measured coverage, see
+docs/statistics.md; the test is Wilcoxon's signed-rank test. A difference is shown when interval and test say so.
+
+Both are corrected for the number of comparisons after Bonferroni, here and nowhere else: an interval is taken at the
+confidence 1 - (1 - confidence) / comparisons, a p value is multiplied by comparisons.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import Enum
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.stats import binomtest, fisher_exact, mannwhitneyu, wilcoxon
+
+from filters.validation import BoolArray, FloatArray
+
+CONFIDENCE = 0.95
+MIN_PAIRS = 6
+"""Below this a signed-rank test cannot reach 5 %, and an interval says nothing."""
+RESAMPLES = 9999
+_EXACT_PAIRS = 50
+_LARGEST_LOG = 50.0
+
+
+class Finding(Enum):
+    """What a comparison shows about the first of two."""
+
+    BETTER = "better"
+    WORSE = "worse"
+    NOT_SHOWN = "no difference shown"
+
+    @property
+    def reversed(self) -> Finding:
+        """The same, said of the second."""
+        return {Finding.BETTER: Finding.WORSE, Finding.WORSE: Finding.BETTER}.get(self, self)
+
+
+@dataclass(frozen=True)
+class Difference:
+    """How much larger one quantity is than another one, and how sure that is. Smaller is better.
+
+    Attributes
+    ----------
+    count : int
+        Pairs, or the size of the smaller group where nothing is paired.
+    estimate : float
+        Mean of log(a / b), or of a - b; NaN without a pair.
+    interval : pair of float, optional
+        Confidence interval of it, corrected for the number of comparisons; None with fewer than `MIN_PAIRS`.
+    p_value : float
+        Two-sided, corrected for the number of comparisons.
+    needed : int
+        The smallest number of pairs with which the corrected test can say anything.
+    is_ratio : bool
+        Whether it is of logarithms.
+    paired : bool
+        Whether both were measured on the same recordings.
+    comparisons, confidence : int, float
+        What interval and p value are corrected for, and the confidence of all of them together.
+    """
+
+    count: int
+    estimate: float
+    interval: tuple[float, float] | None
+    p_value: float
+    needed: int
+    is_ratio: bool = True
+    paired: bool = True
+    comparisons: int = 1
+    confidence: float = CONFIDENCE
+
+    @property
+    def finding(self) -> Finding:
+        """Whether a is shown to be better (smaller) or worse than b: interval and test must agree."""
+        if self.interval is None or self.p_value > 1.0 - self.confidence:
+            return Finding.NOT_SHOWN
+        if self.interval[1] < 0.0:
+            return Finding.BETTER
+        return Finding.WORSE if self.interval[0] > 0.0 else Finding.NOT_SHOWN
+
+    @property
+    def shown(self) -> bool:
+        """Whether there is a difference at all."""
+        return self.finding is not Finding.NOT_SHOWN
+
+    @property
+    def too_few(self) -> bool:
+        """Whether no outcome whatever could have shown a difference with so few runs and so many comparisons."""
+        return self.count < self.needed
+
+    @property
+    def percent(self) -> float:
+        """By how much a is larger than b, % (geometric mean); of ratios only."""
+        return as_percent(self.estimate)
+
+    @property
+    def interval_percent(self) -> tuple[float, float] | None:
+        """`interval` in %; of ratios only."""
+        return None if self.interval is None else (as_percent(self.interval[0]), as_percent(self.interval[1]))
+
+    @property
+    def reversed(self) -> Difference:
+        """The same of b and a."""
+        interval = None if self.interval is None else (-self.interval[1], -self.interval[0])
+        return Difference(**{**self.__dict__, "estimate": -self.estimate, "interval": interval})
+
+    def not_worse_than(self, percent: float) -> bool:
+        """Whether the runs show that a is not larger than b by more than `percent`: the interval ends below it."""
+        return self.interval is not None and self.interval[1] < math.log1p(percent / 100.0)
+
+    def pairs_to_show(self, percent: float) -> int | None:
+        """Roughly how many pairs `not_worse_than` would need if the estimate is right; None if no number will do."""
+        room = math.log1p(percent / 100.0) - self.estimate
+        if self.interval is None or not room > 0.0:
+            return None
+        half = 0.5 * (self.interval[1] - self.interval[0])
+        return max(self.needed, math.ceil(self.count * (half / room) ** 2))
+
+    @property
+    def identical(self) -> bool:
+        """Whether no pair differs at all."""
+        return self.count > 0 and self.estimate == 0.0 and self.interval in (None, (0.0, 0.0)) and self.p_value == 1.0
+
+    @property
+    def evidence(self) -> str:
+        """Interval and number of runs, for brackets: "+12 to +19 % at 95 % confidence, 10 paired runs"."""
+        runs = f"{self.count} {'paired' if self.paired else 'unpaired'} run{'' if self.count == 1 else 's'}"
+        if self.identical:
+            return f"identical, {runs}"
+        if self.too_few:
+            also = f" for {self.comparisons} comparisons" if self.comparisons > 1 else ""
+            runs = f"{runs} are too few{also}, {self.needed} are needed"
+        if self.interval is None:
+            return runs
+        ends = self.interval_percent if self.is_ratio else self.interval
+        unit = " %" if self.is_ratio else ""
+        low, high = (signed(end, 0 if self.is_ratio else 3) for end in ends or ())
+        return f"{low} to {high}{unit} at {100 * self.confidence:g} % confidence, {runs}"
+
+
+def paired_difference(
+    a: ArrayLike,
+    b: ArrayLike,
+    *,
+    comparisons: int = 1,
+    confidence: float = CONFIDENCE,
+    seed: int = 0,
+    is_ratio: bool = True,
+) -> Difference:
+    """Compare two quantities that were measured on the same recordings.
+
+    Parameters
+    ----------
+    a, b : (n,) array_like
+        One value a recording. Pairs with a value that is not finite (or, of ratios, not positive) are left out; two
+        zeros are equal.
+    comparisons : int
+        Number of comparisons made at once.
+    confidence : float
+        Of all of them together.
+    seed : int
+        Of the bootstrap.
+    is_ratio : bool
+        Compare logarithms; False for values that may be zero or negative: compares a - b.
+
+    Raises
+    ------
+    ValueError
+        a and b are of different lengths, comparisons < 1, or confidence is not between 0 and 1.
+    """
+    first, second = (np.atleast_1d(np.asarray(values, dtype=np.float64)) for values in (a, b))
+    if first.shape != second.shape or first.ndim != 1:
+        raise ValueError(
+            f"a and b must be of the same length, one value a recording: got {first.shape}, {second.shape}"
+        )
+    _check_level(comparisons, confidence)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        gaps = np.where(first == second, 0.0, np.log(first / second)) if is_ratio else first - second
+        usable = np.isfinite(gaps) & np.isfinite(first) & np.isfinite(second)
+    if is_ratio:
+        usable &= (first >= 0.0) & (second >= 0.0)
+    return difference_of(gaps[usable], comparisons=comparisons, confidence=confidence, seed=seed, is_ratio=is_ratio)
+
+
+def difference_of(
+    gaps: FloatArray,
+    *,
+    comparisons: int = 1,
+    confidence: float = CONFIDENCE,
+    seed: int = 0,
+    is_ratio: bool = True,
+) -> Difference:
+    """The difference that independent gaps (n,), one a recording, show: log(a / b), or a - b."""
+    count = len(gaps)
+    interval = None
+    if count >= MIN_PAIRS:
+        low, high = mean_interval(gaps[:, None], level(comparisons, confidence), seed)
+        interval = float(low[0]), float(high[0])
+    return Difference(
+        count=count,
+        estimate=float(gaps.mean()) if count else float("nan"),
+        interval=interval,
+        p_value=min(1.0, comparisons * signed_rank_p(gaps)),
+        needed=pairs_needed(comparisons, confidence),
+        is_ratio=is_ratio,
+        comparisons=comparisons,
+        confidence=confidence,
+    )
+
+
+def unpaired_difference(
+    a: ArrayLike, b: ArrayLike, *, comparisons: int = 1, confidence: float = CONFIDENCE, seed: int = 0
+) -> Difference:
+    """Compare two positive quantities measured on different recordings: Welch's t by bootstrap, Mann-Whitney.
+
+    Parameters
+    ----------
+    a, b : (n,), (m,) array_like
+        Values that are not finite and positive are left out.
+    comparisons, confidence, seed : int, float, int
+        As `paired_difference`.
+    """
+    _check_level(comparisons, confidence)
+    groups = [np.asarray(values, dtype=np.float64) for values in (a, b)]
+    first, second = (np.log(values[np.isfinite(values) & (values > 0.0)]) for values in groups)
+    count = min(len(first), len(second))
+    interval, p_value = None, 1.0
+    estimate = float(first.mean() - second.mean()) if count else float("nan")
+    if count >= MIN_PAIRS:
+        (shift_a, spread_a), (shift_b, spread_b) = (
+            _resampled(x[:, None], seed + i) for i, x in ((0, first), (1, second))
+        )
+        studentised = _ratio(np.abs(shift_a - shift_b), np.sqrt(spread_a + spread_b))
+        error = math.sqrt(first.var(ddof=1) / len(first) + second.var(ddof=1) / len(second))
+        half = error * float(np.quantile(studentised, level(comparisons, confidence)))
+        interval = estimate - half, estimate + half
+        p_value = float(mannwhitneyu(first, second).pvalue)
+    return Difference(
+        count,
+        estimate,
+        interval,
+        min(1.0, comparisons * p_value),
+        needed=pairs_needed(comparisons, confidence),
+        paired=False,
+        comparisons=comparisons,
+        confidence=confidence,
+    )
+
+
+def mean_interval(values: FloatArray, confidence: float, seed: int = 0) -> tuple[FloatArray, FloatArray]:
+    """Interval of the mean of each column: the symmetric studentised bootstrap.
+
+    Rows are resampled; half the width is the standard error times the `confidence` quantile of |mean* - mean| / error*.
+
+    Parameters
+    ----------
+    values : (n, m) ndarray
+        n >= 2 independent rows.
+    confidence : float
+        Of each column by itself.
+    seed : int
+        Of the resamples, which are the same for all columns.
+
+    Returns
+    -------
+    low, high : (m,) ndarray
+    """
+    values = np.asarray(values, dtype=np.float64)
+    shift, spread = _resampled(values, seed)
+    quantile = np.quantile(_ratio(np.abs(shift), np.sqrt(spread)), confidence, axis=0)
+    mean = values.mean(axis=0)
+    half = quantile * values.std(axis=0, ddof=1) / math.sqrt(len(values))
+    return mean - half, mean + half
+
+
+def signed_rank_p(gaps: FloatArray) -> float:
+    """Two-sided p value of Wilcoxon's signed-rank test; gaps of exactly zero say nothing and are left out."""
+    moved = gaps[gaps != 0.0]
+    count = len(moved)
+    if count == 0:
+        return 1.0
+    exact = count <= _EXACT_PAIRS and len(np.unique(np.abs(moved))) == count
+    p_value = float(wilcoxon(moved, method="exact" if exact else "approx").pvalue)
+    return min(1.0, max(p_value, 2.0 ** (1 - count)))  # with ties the approximation would promise the impossible
+
+
+def pairs_needed(comparisons: int = 1, confidence: float = CONFIDENCE) -> int:
+    """Pairs without which the signed-rank test cannot reach significance: its smallest p value is 2^(1 - n)."""
+    return max(MIN_PAIRS, 1 + math.ceil(math.log2(comparisons / (1.0 - confidence)) - 1e-9))
+
+
+def level(comparisons: int, confidence: float = CONFIDENCE) -> float:
+    """Confidence of one interval such that all of them hold together with `confidence` (Bonferroni)."""
+    return 1.0 - (1.0 - confidence) / comparisons
+
+
+@dataclass(frozen=True)
+class ShareDifference:
+    """How often something happened (a divergence) with one filter and not with the other.
+
+    Attributes
+    ----------
+    only_a, only_b : int
+        Recordings where it happened to one of them alone; where nothing is paired, all where it happened.
+    count : int
+        Recordings.
+    p_value : float
+        Two-sided, exact, corrected for the number of comparisons.
+    finding : Finding
+        About a; less often is better.
+    """
+
+    only_a: int
+    only_b: int
+    count: int
+    p_value: float
+    finding: Finding
+
+
+def paired_share(
+    a: BoolArray, b: BoolArray, *, comparisons: int = 1, confidence: float = CONFIDENCE
+) -> ShareDifference:
+    """McNemar's exact test, of the recordings where a and b disagree: is it one of them more often than the other."""
+    only_a, only_b = int(np.sum(a & ~b)), int(np.sum(b & ~a))
+    p_value = float(binomtest(only_a, only_a + only_b).pvalue) if only_a + only_b else 1.0
+    return _share(only_a, only_b, len(a), only_a - only_b, comparisons * p_value, confidence)
+
+
+def unpaired_share(
+    a: BoolArray, b: BoolArray, *, comparisons: int = 1, confidence: float = CONFIDENCE
+) -> ShareDifference:
+    """Fisher's exact test, for recordings that are not the same."""
+    in_a, in_b = int(a.sum()), int(b.sum())
+    p_value = float(fisher_exact([[in_a, len(a) - in_a], [in_b, len(b) - in_b]]).pvalue) if len(a) and len(b) else 1.0
+    more = in_a * len(b) - in_b * len(a)
+    return _share(in_a, in_b, min(len(a), len(b)), more, comparisons * p_value, confidence)
+
+
+def as_percent(log_ratio: float) -> float:
+    """+100 for a logarithm of 2."""
+    return float(100.0 * np.expm1(np.clip(log_ratio, -_LARGEST_LOG, _LARGEST_LOG)))
+
+
+def signed(value: float, digits: int = 0) -> str:
+    """With its sign, as in print: "+1,200", "−3"."""
+    return f"{value:+,.{digits}f}".replace("-", "−")
+
+
+def larger(percent: float) -> str:
+    """In words: "20 % larger", "2.1 times as large", "4 % smaller"."""
+    if percent < 0.0:
+        return f"{-percent:.{0 if percent < -1 else 1}f} % smaller"
+    return (
+        f"{percent:.{0 if percent > 1 else 1}f} % larger"
+        if percent < 100.0
+        else f"{1 + percent / 100:.3g} times as large"
+    )
+
+
+def _share(in_a: int, in_b: int, count: int, more: int, p_value: float, confidence: float) -> ShareDifference:
+    finding = Finding.NOT_SHOWN
+    if p_value <= 1.0 - confidence and more:
+        finding = Finding.WORSE if more > 0 else Finding.BETTER
+    return ShareDifference(in_a, in_b, count, min(1.0, p_value), finding)
+
+
+def _check_level(comparisons: int, confidence: float) -> None:
+    if not comparisons >= 1:
+        raise ValueError(f"comparisons must be >= 1, got {comparisons!r}")
+    if not 0.0 < confidence < 1.0:
+        raise ValueError(f"confidence must be between 0 and 1, got {confidence!r}")
+
+
+@lru_cache(maxsize=8)
+def _resamples(count: int, seed: int) -> FloatArray:
+    """How often each of `count` rows is drawn, (RESAMPLES, count)."""
+    drawn = np.random.default_rng([seed, count]).multinomial(count, np.full(count, 1.0 / count), RESAMPLES)
+    weights = drawn.astype(np.float64)
+    weights.setflags(write=False)
+    return weights
+
+
+def _resampled(values: FloatArray, seed: int) -> tuple[FloatArray, FloatArray]:
+    """Shift of the mean and squared standard error of each resample, (RESAMPLES, m)."""
+    count = len(values)
+    weights = _resamples(count, seed)
+    centred = values - values.mean(axis=0)
+    shift = weights @ centred / count
+    variance = np.maximum(weights @ centred**2 / count - shift**2, 0.0) / (count - 1)
+    return shift, variance
+
+
+def _ratio(shift: FloatArray, error: FloatArray) -> FloatArray:
+    """|t| of each resample; one that drew a single row has no spread and says nothing."""
+    tiny = 1e-9 * error.max(axis=0, initial=0.0)
+    return np.divide(shift, error, out=np.zeros_like(shift), where=error > tiny)
