@@ -103,8 +103,8 @@ class Finding:
 
 
 @dataclass(frozen=True)
-class Claim:
-    """A sentence of the paper, and what was measured about it.
+class Sentence:
+    """Something the paper says that can be checked.
 
     Attributes
     ----------
@@ -112,21 +112,26 @@ class Claim:
         Short, unique.
     section : str
         Of the paper.
-    words : str
+    claim : str
         What the paper says.
     statement : str
-        What is measured, and when the claim counts as true.
+        What is measured, and when that counts as true.
     evidence : str
         Name of the figure that shows it, or empty.
-    findings : tuple of Finding
-        One a condition.
     """
 
     key: str
     section: str
-    words: str
+    claim: str
     statement: str
     evidence: str
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A sentence of the paper, and what was found about it: one finding a condition."""
+
+    sentence: Sentence
     findings: tuple[Finding, ...]
 
     @property
@@ -144,7 +149,7 @@ class Claim:
         """The verdict in words: under which condition it holds, and where nothing is shown."""
         verdict = self.verdict
         if verdict is not Verdict.HOLDS_ONLY_IF:
-            return verdict.value
+            return str(verdict.value)
         every = [finding.condition for finding in self.findings]
         holding = [finding.condition for finding in self.findings if finding.verdict is Verdict.HOLDS]
         open_ = sum(finding.verdict is Verdict.NOT_SHOWN for finding in self.findings)
@@ -180,4 +185,5 @@ def _terms(chosen: list[Mapping[str, str]], every: Sequence[Mapping[str, str]]) 
         for factor, named in levels.items()
         if len(named) > 1
     )
-    return min(splits, key=len)
+    fewest: list[str] = min(splits, key=len)
+    return fewest

@@ -67,9 +67,7 @@ def with_one_noise(recording: Recording, noise: StereoNoise | None) -> Recording
     return dataclasses.replace(recording, frames=frames, noise=noise)
 
 
-def follow_depths(
-    recording: Recording, filter_name: str, ids: IntArray, options: Mapping[str, Any]
-) -> DepthHistory:
+def follow_depths(recording: Recording, filter_name: str, ids: IntArray, options: Mapping[str, Any]) -> DepthHistory:
     """Run a filter over the recording and note the depths of landmarks that it has in its map throughout.
 
     Parameters

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,8 +13,9 @@ from scipy.stats import chi2, norm
 from filters.landmarks.inverse_depth import ray_direction
 from filters.validation import FloatArray
 from stereo_slam_env.benchmark.consistency import mean_band
+from stereo_slam_env.benchmark.statistics import CONFIDENCE
 from stereo_slam_env.paper import convergence, long_drive, speed
-from stereo_slam_env.paper.intervals import CONFIDENCE, ratio_interval
+from stereo_slam_env.paper.intervals import ratio_interval
 from stereo_slam_env.paper.landmark_uncertainty import (
     ASSUMED,
     CAMERA,
@@ -76,11 +78,11 @@ def figure_4(results: Mapping[str, Arrays]) -> Figure:
     """Claimed sigma of the depth against the number of updates, and the true error; left near, right far."""
 
     def draw(ax: Axes, depths: convergence.Depths, label: str) -> None:
-        used = convergence.within(depths.true[:, 0], label)
+        used = depths.label == label
         updates = np.arange(depths.true.shape[1])
         labels = []
         for (name, R), history in depths.filters.items():
-            z, sigma = (values[used] for values in convergence.depth(history))
+            z, sigma = (values[used] for values in depths.depth(history))
             claimed = np.sqrt(np.nanmean(sigma**2, axis=0))
             error = np.sqrt(np.nanmean((z - depths.true[used]) ** 2, axis=0))
             style = DRAWN_FOR[name][R]
@@ -117,7 +119,7 @@ def figure_5(results: Mapping[str, Arrays]) -> Figure:
         ax.axhline(mean, color=MUTED, linewidth=0.9, linestyle=":")
         labels = [EndLabel("truth", 0.0, MUTED), EndLabel("mean of raw", mean, MUTED)]
         for (name, R), history in depths.filters.items():
-            error = convergence.depth(history)[0][at] - depths.true[at]
+            error = depths.depth(history)[0][at] - depths.true[at]
             ax.plot(updates, error, DRAWN_FOR[name][R], color=COLOURS[name], label=f"{NAMES[name]}, R = {R} (m)")
             labels.append(EndLabel(f"{'ours' if name == JOINT else 'rival'}, {R}", float(error[-1]), COLOURS[name]))
         label_ends(ax, labels)
@@ -126,16 +128,37 @@ def figure_5(results: Mapping[str, Arrays]) -> Figure:
 
 
 @styled
-def figure_6(results: Mapping[str, Arrays], noise: str, R: str) -> Figure:
-    """Trajectory on the left; yaw, Vx and Vz over the frames on the right: our filter on the first drive."""
-    arrays = results[f"drive-{noise}-0000"]
-    said, true = (long_drive.one(arrays, case) for case in (f"{JOINT}.{R}", long_drive.TRUTH))
+def figure_karlsruhe(depths: convergence.Depths) -> Figure:
+    """Claimed sigma against the number of updates on real images; left near, right far."""
+    figure = Figure(figsize=(WIDTH_INCHES, 3.3))
+    figure.subplots_adjust(left=0.05, right=0.86, top=0.9, bottom=0.14, wspace=0.45)
+    for ax, label in zip(figure.subplots(1, 2), convergence.RANGES, strict=True):
+        used = depths.label == label
+        ax.set_title(f"{label.capitalize()}: claimed σ of the depth (m), median of {used.sum()} landmarks")
+        ax.set_xlabel("update")
+        if not used.any():
+            continue
+        labels = []
+        for number, ((name, R), history) in enumerate(depths.filters.items()):
+            sigma = np.nanmedian(depths.depth(history)[1][used], axis=0)
+            text = f"{'ours' if name == JOINT else 'rival'}, R = {R}"
+            ax.plot(np.arange(len(sigma)), sigma, "-" if number % 2 == 0 else "--", color=COLOURS[name], label=text)
+            labels.append(EndLabel(text, float(sigma[-1]), COLOURS[name]))
+        ax.set_yscale("log")
+        plain_log_axis(ax)
+        label_ends(ax, labels)
+    return figure
+
+
+@styled
+def figure_6(said: Mapping[str, FloatArray], true: Mapping[str, FloatArray]) -> Figure:
+    """Trajectory on the left; yaw, Vx and Vz over the frames on the right: what a filter says of a drive, and truth."""
     figure = Figure(figsize=(WIDTH_INCHES, 4.6))
     track = figure.add_axes((0.055, 0.105, 0.36, 0.83))
     rows = [figure.add_axes((0.5, 0.105 + 0.295 * (2 - row), 0.37, 0.225)) for row in range(3)]
     for series, colour, width, name in ((true, INK, 5.0, "truth"), (said, COLOURS[JOINT], 1.2, NAMES[JOINT])):
         alpha = 0.18 if name == "truth" else 1.0
-        drawn = {"color": colour, "linewidth": width, "alpha": alpha, "label": name}
+        drawn: dict[str, Any] = {"color": colour, "linewidth": width, "alpha": alpha, "label": name}
         x, _, z = series["positions"].T
         track.plot(x, z, **drawn)
         frames = np.arange(len(x))
@@ -159,7 +182,7 @@ def figure_nees(results: Mapping[str, Arrays]) -> Figure:
     figure.subplots_adjust(left=0.05, right=0.845, top=0.95, bottom=0.085, hspace=0.3)
     panels = figure.subplots(2, 1, sharex=True)
     for ax, (noise, name) in zip(panels, NOISES.items(), strict=True):
-        drives = [arrays for part, arrays in sorted(results.items()) if part.startswith(f"drive-{noise}-")]
+        drives = long_drive.drives(results, noise)
         low, high = mean_band(6, len(drives))
         ax.axhspan(low / 6, high / 6, color=BAND, linewidth=0, zorder=0)
         labels = [EndLabel("95 % band", float(np.sqrt(low * high)) / 6, MUTED)]
@@ -192,7 +215,9 @@ def figure_speed(results: Mapping[str, Arrays]) -> Figure:
         style = ("-", "--", "-.", ":")[number]
         for name in (JOINT, DUAL):
             medians = [float(np.median(measured[n][f"{form}.{name}"])) for n in measured]
-            times.plot(sizes, medians, style, color=COLOURS[name], marker="o", markersize=3, label=f"{form}, {name} (ms)")
+            times.plot(
+                sizes, medians, style, color=COLOURS[name], marker="o", markersize=3, label=f"{form}, {name} (ms)"
+            )
         found = [ratio_interval(measured[n][f"{form}.{JOINT}"], measured[n][f"{form}.{DUAL}"]) for n in measured]
         values = np.array([one.value for one in found])
         spread = np.array([[one.value - one.low, one.high - one.value] for one in found]).T
@@ -249,10 +274,11 @@ def _draw_histogram(ax: Axes, depth: float, uvd: FloatArray, R: FloatArray) -> N
         shares = shares[::-1] if name == JOINT else shares
         ax.step(edges, 100 * np.r_[shares[:1], shares], color=COLOURS[name], label=f"{NAMES[name]} (%)")
     ax.set_xlabel("Z, forward (m)")
-    colour_key_inside(ax, {"measured": MUTED, "claimed, inverse depth": COLOURS[JOINT], "claimed, XYZ": COLOURS[EUCLIDEAN]})
+    claimed = {"claimed, inverse depth": COLOURS[JOINT], "claimed, XYZ": COLOURS[EUCLIDEAN]}
+    _colour_key_inside(ax, {"measured": MUTED} | claimed)
 
 
-def colour_key_inside(ax: Axes, colours: Mapping[str, str]) -> None:
+def _colour_key_inside(ax: Axes, colours: Mapping[str, str]) -> None:
     """Names one below the other in the upper right corner."""
     for row, (name, colour) in enumerate(colours.items()):
         ax.text(0.98, 0.95 - 0.09 * row, name, transform=ax.transAxes, color=colour, ha="right", va="top")

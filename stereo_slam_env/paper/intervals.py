@@ -1,4 +1,4 @@
-"""95 % confidence intervals of what is measured."""
+"""95 % confidence intervals of what is measured, by the benchmark's statistics."""
 
 from __future__ import annotations
 
@@ -6,14 +6,11 @@ import math
 
 import numpy as np
 from scipy.stats import binomtest
-from scipy.stats import t as student
 
 from filters.validation import FloatArray
+from stereo_slam_env.benchmark import statistics
+from stereo_slam_env.benchmark.statistics import CONFIDENCE, MIN_PAIRS
 from stereo_slam_env.paper.claims import Interval
-
-CONFIDENCE = 0.95
-MIN_RUNS = 5
-"""With fewer independent runs there is no interval worth the name."""
 
 
 def share_interval(hits: int, trials: int) -> Interval:
@@ -23,13 +20,12 @@ def share_interval(hits: int, trials: int) -> Interval:
 
 
 def mean_interval(values: FloatArray) -> Interval:
-    """The mean of independent runs (Student); values that are not finite are left out."""
+    """The mean of independent runs; values that are not finite are left out."""
     finite = values[np.isfinite(values)]
-    if len(finite) < MIN_RUNS:
+    if len(finite) < MIN_PAIRS:
         return Interval(float(finite.mean()) if len(finite) else math.nan, math.nan, math.nan)
-    half = float(student.ppf(0.5 + 0.5 * CONFIDENCE, len(finite) - 1) * finite.std(ddof=1) / np.sqrt(len(finite)))
-    mean = float(finite.mean())
-    return Interval(mean, mean - half, mean + half)
+    low, high = statistics.mean_interval(finite[:, None], CONFIDENCE)
+    return Interval(float(finite.mean()), float(low[0]), float(high[0]))
 
 
 def rms_interval(values: FloatArray) -> Interval:
@@ -39,13 +35,13 @@ def rms_interval(values: FloatArray) -> Interval:
 
 
 def ratio_interval(ours: FloatArray, theirs: FloatArray) -> Interval:
-    """How many times theirs ours is: geometric mean of the ratios of paired runs.
+    """How many times theirs ours is: geometric mean over paired runs.
 
     Parameters
     ----------
     ours, theirs : (N,) array
         Positive quantities of the same recordings; pairs that are not are left out.
     """
-    with np.errstate(divide="ignore", invalid="ignore"):
-        logs = mean_interval(np.log(np.asarray(ours) / np.asarray(theirs)))
-    return Interval(*(math.exp(x) for x in (logs.value, logs.low, logs.high)))
+    difference = statistics.paired_difference(ours, theirs)
+    low, high = difference.interval or (math.nan, math.nan)
+    return Interval(*(math.exp(x) for x in (difference.estimate, low, high)))

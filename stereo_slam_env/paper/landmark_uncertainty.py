@@ -15,9 +15,10 @@ from scipy.stats import chi2, norm
 from filters import StereoNoise
 from filters.engine.options import LANDMARKS
 from filters.validation import FloatArray
+from stereo_slam_env.benchmark.statistics import CONFIDENCE
+from stereo_slam_env.paper import limits, sentences
 from stereo_slam_env.paper.claims import Claim, Finding, Interval, Range
-from stereo_slam_env.paper.intervals import CONFIDENCE, share_interval
-from stereo_slam_env.paper.limits import NOT_REGION, REGION
+from stereo_slam_env.paper.intervals import share_interval
 from stereo_slam_env.paper.settings import ASSUMED_NAMES, COUPLED, DIAGONAL, EUCLIDEAN, JOINT, NOISES, PIXELS, UVD
 from stereo_slam_env.sensing.rigs import RIGS
 
@@ -119,39 +120,12 @@ def claims(samples: int) -> tuple[Claim, ...]:
         gain = euclidean - inverse_depth
         return Finding(_condition(noise, assumed, depth), Interval(gain, gain - slack, gain + slack), Range(low=0.0))
 
-    share = f"share of {samples:,} points in the region for 95 %"
     return (
+        Claim(sentences.REGION_70M, coverage(JOINT, limits.REGION, (FIGURE_1,))),
+        Claim(sentences.REGION_70M_XYZ, coverage(EUCLIDEAN, limits.NOT_REGION, (FIGURE_1,))),
+        Claim(sentences.REGION_ANY, coverage(JOINT, limits.REGION, DEPTHS)),
         Claim(
-            "region-70m",
-            "4.1",
-            "The red lines [inverse depth, 70 m] enclose the true uncertainty",
-            f"{share}: {REGION}",
-            "figure-1",
-            coverage(JOINT, REGION, (FIGURE_1,)),
-        ),
-        Claim(
-            "region-70m-xyz",
-            "4.1",
-            "while blue lines [Euclidean XYZ, 70 m] do not",
-            f"{share}: {NOT_REGION}",
-            "figure-1",
-            coverage(EUCLIDEAN, NOT_REGION, (FIGURE_1,)),
-        ),
-        Claim(
-            "region-any-distance",
-            "4.1",
-            "For any distance close or far, the uncertainty region estimated by our model accurately bounds the true "
-            "uncertainty",
-            f"{share}: {REGION}",
-            "figure-2",
-            coverage(JOINT, REGION, DEPTHS),
-        ),
-        Claim(
-            "histogram",
-            "4.1",
-            "The red rectangles [inverse depth] have more closely covered the true gray rectangles distribution",
-            "Kolmogorov-Smirnov distance of the depths from those claimed, XYZ minus inverse depth: at least 0",
-            "figure-1",
+            sentences.HISTOGRAM,
             tuple(closer(noise, assumed, FIGURE_1) for noise in NOISES for assumed in ASSUMED),
         ),
     )

@@ -17,7 +17,7 @@ from stereo_slam_env.benchmark.trajectory_metrics import (
     path_length,
     root_mean_square,
 )
-from stereo_slam_env.paper import limits
+from stereo_slam_env.paper import limits, sentences
 from stereo_slam_env.paper.claims import Claim, Finding, Interval, Range
 from stereo_slam_env.paper.intervals import mean_interval, ratio_interval, rms_interval
 from stereo_slam_env.paper.parts import Arrays, Part
@@ -141,12 +141,16 @@ def landmark_nees(said: Mapping[str, FloatArray], true: Mapping[str, FloatArray]
     return float(np.nanmean(said["landmark_nees"]) / 3.0)
 
 
+def drives(results: Mapping[str, Arrays], noise: str) -> list[Arrays]:
+    """The drives of one noise, by seed."""
+    return [arrays for name, arrays in sorted(results.items()) if name.startswith(f"drive-{noise}-")]
+
+
 def of_drives(results: Mapping[str, Arrays], noise: str, case: tuple[str, str], quantity: Quantity) -> FloatArray:
     """A quantity of each drive, by seed, (S,); NaN where the filter failed."""
-    mine = [arrays for name, arrays in sorted(results.items()) if name.startswith(f"drive-{noise}-")]
     values = [
         quantity(said, one(arrays, TRUTH)) if np.isfinite(said["positions"]).all() else np.nan
-        for arrays in mine
+        for arrays in drives(results, noise)
         for said in [one(arrays, ".".join(case))]
     ]
     return np.array(values)
@@ -189,79 +193,13 @@ def claims(results: Mapping[str, Arrays]) -> tuple[Claim, ...]:
         for noise in NOISES
     )
     return (
-        Claim(
-            "trajectory",
-            "4.4",
-            "Our proposed model estimated trajectory is quite close to the 'groundtruth'",
-            f"RMS position error, m: {limits.POSITION_M} (what the paper grants its own ground truth)",
-            "figure-6",
-            of_ours(position_rmse, limits.POSITION_M),
-        ),
-        Claim(
-            "drift",
-            "abstract",
-            "We also found minor drift in the vehicle pose estimation even after extended periods",
-            f"position error at the end, % of the way: {limits.DRIFT_PERCENT}",
-            "figure-6",
-            of_ours(drift_percent, limits.DRIFT_PERCENT),
-        ),
-        Claim(
-            "yaw",
-            "4.4",
-            "The car pose [...] can be decently estimated quite well, close to the groundtruth",
-            f"RMS error of the yaw, degrees: {limits.YAW_DEG}",
-            "figure-6",
-            of_ours(yaw_rmse, limits.YAW_DEG),
-        ),
-        Claim(
-            "velocity",
-            "4.4",
-            "The car [...] velocity can be decently estimated quite well, close to the groundtruth",
-            f"RMS error of Vx and Vz, m/s: {limits.VELOCITY_M_S}",
-            "figure-6",
-            of_ours(velocity_rmse, limits.VELOCITY_M_S),
-        ),
-        Claim(
-            "scale",
-            "5",
-            "Even in large-scale outdoor environment, there is only a little 'scale drift'",
-            f"RMS difference of estimated and true length of the way, %: {limits.SCALE_PERCENT}",
-            "figure-6",
-            of_ours(scale_error_percent, limits.SCALE_PERCENT, rms_interval),
-        ),
-        Claim(
-            "consistent",
-            "4.1, 5",
-            "The proposed observation models [...] worked consistently under the strict requirement of EKF framework",
-            f"pose NEES / 6: {limits.CONSISTENT} (claimed sigma right to 10 %)",
-            "figure-nees",
-            of_ours(pose_nees, limits.CONSISTENT),
-        ),
-        Claim(
-            "landmark-noise",
-            "5",
-            "Our observation model together with inverse depth parameterization has kept true to the real noise "
-            "distribution of the landmark feature",
-            f"landmark NEES / 3 in (u, v, d): {limits.CONSISTENT} (claimed sigma right to 10 %)",
-            "figure-nees",
-            of_ours(landmark_nees, limits.CONSISTENT),
-        ),
-        Claim(
-            "range-helps",
-            "5",
-            "The additional range information has helped",
-            f"RMS position error, ours over that of the rival with two bearing updates: {limits.BETTER}",
-            "figure-6",
-            against_rival,
-        ),
-        Claim(
-            "xyz-inconsistent",
-            "1",
-            "[XYZ:] true distributions of faraway features are non-Gaussian, which makes the EKF filter estimation "
-            "inconsistent",
-            f"pose NEES / 6 of the XYZ filter (no landmark below {EUCLIDEAN_GUARD:g} px, with the right R): "
-            f"{limits.INCONSISTENT}",
-            "figure-nees",
-            of_xyz,
-        ),
+        Claim(sentences.TRAJECTORY, of_ours(position_rmse, limits.POSITION_M)),
+        Claim(sentences.DRIFT, of_ours(drift_percent, limits.DRIFT_PERCENT)),
+        Claim(sentences.YAW, of_ours(yaw_rmse, limits.YAW_DEG)),
+        Claim(sentences.VELOCITY, of_ours(velocity_rmse, limits.VELOCITY_M_S)),
+        Claim(sentences.SCALE, of_ours(scale_error_percent, limits.SCALE_PERCENT, rms_interval)),
+        Claim(sentences.CONSISTENT, of_ours(pose_nees, limits.CONSISTENT)),
+        Claim(sentences.LANDMARK_NOISE, of_ours(landmark_nees, limits.CONSISTENT)),
+        Claim(sentences.RANGE_HELPS, against_rival),
+        Claim(sentences.XYZ_INCONSISTENT, of_xyz),
     )

@@ -13,11 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from stereo_slam_env.benchmark.run_archive import write_atomically
+from stereo_slam_env.atomic_files import write_atomically
 from stereo_slam_env.benchmark.store import code_digest
 
 Arrays = dict[str, NDArray[Any]]
 Progress = Callable[[float, int], None]
+KEY = "made from"
+"""Entry of a file that says of which inputs and code it is."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,9 +91,8 @@ def run_parts(
 def _compute(part: Part, folder: Path, key: str) -> tuple[str, Arrays]:
     with threadpool_limits(limits=1):
         arrays = part.compute()
-    write_atomically(
-        folder / f"{part.name}.npz", lambda stream: np.savez_compressed(stream, __key__=np.array(key), **arrays)
-    )
+    named: dict[str, Any] = {KEY: np.array(key), **arrays}
+    write_atomically(folder / f"{part.name}.npz", lambda stream: np.savez_compressed(stream, **named))
     return part.name, arrays
 
 
@@ -99,8 +100,8 @@ def _kept(path: Path, key: str) -> Arrays | None:
     """What the file has, if it is of this key; a damaged one is computed again."""
     try:
         with np.load(path, allow_pickle=False) as archive:
-            if str(archive["__key__"]) != key:
+            if str(archive[KEY]) != key:
                 return None
-            return {name: archive[name] for name in archive.files if name != "__key__"}
+            return {name: archive[name] for name in archive.files if name != KEY}
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
         return None

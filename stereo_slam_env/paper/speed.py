@@ -16,6 +16,7 @@ import numpy as np
 from filters import StereoFilter, StereoNoise, StereoObservation, make_filter
 from filters.engine.options import MEASUREMENTS
 from filters.validation import FloatArray
+from stereo_slam_env.paper import sentences
 from stereo_slam_env.paper.claims import Claim, Finding, Interval, Range
 from stereo_slam_env.paper.intervals import ratio_interval
 from stereo_slam_env.paper.limits import BETTER
@@ -127,25 +128,8 @@ def claims(results: Mapping[str, Arrays]) -> tuple[Claim, ...]:
         name: len(MEASUREMENTS[model].stages(observation, NOISE.R[None]))
         for name, model in (("ours", "joint"), ("rival", "sequential"))
     }
-    return (
-        Claim(
-            "faster",
-            "5",
-            "Our new observation model is also computationally faster than the [...] binocular stereo-based approach",
-            f"time of predict + update, ours over the rival's: {BETTER}",
-            "figure-speed",
-            faster,
-        ),
-        Claim(
-            "one-update",
-            "5",
-            "We only have to do projection and update in the EKF framework once, in contrast to the binocular approach "
-            "which requires projection and update two times each",
-            "projections and updates a frame: 1 of ours, 2 of the rival",
-            "",
-            tuple(
-                Finding({"filter": name}, Interval(count, count, count), Range(wanted, wanted))
-                for (name, count), wanted in zip(updates.items(), (1, 2), strict=True)
-            ),
-        ),
+    counted = tuple(
+        Finding({"filter": name}, Interval(count, count, count), Range(wanted, wanted))
+        for (name, count), wanted in zip(updates.items(), (1, 2), strict=True)
     )
+    return (Claim(sentences.FASTER, faster), Claim(sentences.ONE_UPDATE, counted))
