@@ -4,21 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from stereo_slam_env.benchmark.landmark_statistics import AGES, LandmarkStatistics
 from stereo_slam_env.benchmark.limits import Bound
-from stereo_slam_env.benchmark.results import (
-    ConsistencyFigure,
-    DepthConvergence,
-    FilterRun,
-    FilterSummary,
-    LandmarkTrace,
-    RangeError,
-    SegmentError,
-)
+from stereo_slam_env.benchmark.results import FilterRun, LandmarkTrace
 
 
 @dataclass(frozen=True)
@@ -50,53 +42,14 @@ def make_runs(
     return [_run(behaviour, seed, frames, truth) for seed in seeds for behaviour in behaviours]
 
 
-def make_bounds(runs: Sequence[FilterRun], share: float = 0.6) -> dict[tuple[str, int | None], Bound]:
-    """Make a bound for every recording: that share of the error of a made-up filter of 0.10 m."""
-    frames = max(len(run) for run in runs)
-    sigma = share * np.array([0.1, 0.06, 0.08, 4e-4, 5e-4, 3e-4]) * np.sqrt(np.arange(frames) / frames)[:, None]
-    pose = sigma[:, :, None] ** 2 * np.eye(6)
-    return {(run.recording_name, run.seed): Bound(pose) for run in runs}
-
-
-def with_every_figure(summary: FilterSummary, bound_m: float = 0.06) -> FilterSummary:
-    """Fill what a summary of made-up runs lacks with numbers of the right size."""
-    rmse = summary.position_rmse_m or 0.1
-    scale = rmse / 0.1
-    edges = (0.0, 10.0, 20.0, 40.0, 80.0, np.inf)
-    ages = tuple(range(12))
-    bands = {"pose": 6.0, "position": 3.0, "rotation": 3.0, "landmark": 3.0, "nis": 1.0}
-    anees = (summary.pose_anees or 6.0) / 6.0
-    return replace(
-        summary,
-        bound_position_m=bound_m,
-        bound_rotation_deg=0.03,
-        efficiency_percent=100 * bound_m / rmse,
-        efficiency_by_run=tuple(100 * bound_m / error for error in summary.position_rmse_by_run),
-        consistency={
-            name: ConsistencyFigure(anees * dof, dof, (0.8 * dof, 1.25 * dof), 92.0 / anees)
-            for name, dof in bands.items()
-        },
-        rpe=tuple(SegmentError(m, 40, 0.4 * scale * (100 / m) ** 0.5, 0.2 * scale * 100 / m) for m in (25, 50, 100)),
-        rpe_translation_percent=0.5 * scale,
-        rpe_rotation_deg_per_100m=0.3 * scale,
-        landmark_by_range=tuple(
-            RangeError(low, high, 500, 0.002 * scale * (low + 5) ** 1.5, 1e-4 * (low + 5) ** 2, 2e-3 * (low + 5), 3.1)
-            for low, high in pairwise(edges)
-        ),
-        depth_convergence=tuple(
-            DepthConvergence(
-                label, low, high, ages, (200,) * 12,
-                sigma_m=tuple(depth**2 / 290 / (1 + age) ** 0.5 for age in ages),
-                rmse_m=tuple(1.1 * scale * depth**2 / 290 / (1 + age) ** 0.5 for age in ages),
-            )
-            for label, low, high, depth in (("near", 15.0, 25.0, 20.0), ("far", 60.0, 90.0, 75.0))
-        ),
-        negative_depth=3,
-        ms_predict=0.25 * (summary.ms_per_frame or 1.0),
-        ms_update=0.75 * (summary.ms_per_frame or 1.0),
-        state_size=412.0,
-        memory_mb=37.5,
-    )  # fmt: skip
+def make_bounds(runs: Sequence[FilterRun], share: float = 0.9) -> dict[tuple[str, int | None], Bound]:
+    """Make bounds of the recordings of runs: so much of the position error of the first run on each, in every frame."""
+    bounds: dict[tuple[str, int | None], Bound] = {}
+    for run in runs:
+        squared = np.nanmean(np.sum((run.positions - run.true_positions)[1:] ** 2, axis=1))
+        pose = np.tile(np.diag(np.repeat([share**2 * squared / 3, 1e-6], 3)), (len(run), 1, 1))
+        bounds.setdefault((run.recording_name, run.seed), Bound(pose))
+    return bounds
 
 
 def _drive(frames: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -132,13 +85,15 @@ def _run(behaviour: Behaviour, seed: int | None, frames: int, truth: str) -> Fil
     scored[0] &= truth != "none"
     nees = np.where(scored, (errors**2 / claimed**2).sum(axis=1), np.nan)
     dof = np.where(np.arange(frames) == 0, 0, 180)
-    quiet = ("initialised", "dropped", "gated", "rejected", "behind_camera", "failed_factorisations")
+    quiet = ("initialised", "dropped", "gated", "rejected", "behind_camera", "failed_factorisations", "negative_depth")
     counts = {name: np.zeros(frames, dtype=np.int64) for name in quiet}
     counts |= {"updated": dof // 3, "map_size": np.clip(rng.poisson(65, frames), 30, 95)}
 
     def known(values: np.ndarray) -> np.ndarray:
         return np.where(scored[:, None], values, np.nan)
 
+    milliseconds = rng.gamma(40, behaviour.milliseconds / 40, frames)
+    claimed_rotation_square = (errors[:, 3:] ** 2 / claimed[:, 3:] ** 2).sum(axis=1)
     return FilterRun(
         filter_name=behaviour.name,
         recording_name="drive" if seed is None else f"drive-{seed}",
@@ -161,12 +116,38 @@ def _run(behaviour: Behaviour, seed: int | None, frames: int, truth: str) -> Fil
         landmark_rmse=np.where(scored, 0.9, np.nan),
         nis=np.where(dof > 0, rng.chisquare(180, frames) * behaviour.overconfidence, 0.0),
         nis_dof=dof,
-        milliseconds=rng.gamma(40, behaviour.milliseconds / 40, frames),
+        milliseconds=milliseconds,
         counts=counts,
         traces=tuple(
             _trace(number, label, depth, behaviour, rng, truth)
             for number, label, depth in ((7, "near", 20.0), (31, "far", 75.0))
         ),
+        position_nees=nees - claimed_rotation_square,
+        rotation_nees=np.where(np.isfinite(nees), claimed_rotation_square, np.nan),
+        predict_milliseconds=0.1 * milliseconds,
+        update_milliseconds=0.9 * milliseconds,
+        state_size=12.0 + 3.0 * counts["map_size"],
+        memory_mb=behaviour.milliseconds,
+        landmark_statistics=LandmarkStatistics() if truth == "none" else _statistics(behaviour, seed, frames),
+    )
+
+
+def _statistics(behaviour: Behaviour, seed: int | None, frames: int) -> LandmarkStatistics:
+    """Make errors that grow with the square of the distance; the overconfident owns up to less, and sees too near."""
+    difficulty = 1.0 + 0.1 * np.random.default_rng(seed).standard_normal()
+    count = frames * np.array([2.0, 10.0, 20.0, 15.0, 5.0])
+    sigma = difficulty * np.array([6.0, 15.0, 30.0, 60.0, 100.0]) ** 2 / 4000.0
+    age_count = np.stack([np.linspace(400.0, 20.0, AGES), np.linspace(300.0, 200.0, AGES)])
+    square = np.array([[20.0], [75.0]]) ** 4 / 412.0**2 / np.arange(1, AGES + 1)
+    return LandmarkStatistics(
+        nees_count=count,
+        nees=3.0 * count,
+        position_count=count,
+        squared_error=sigma**2 * count,
+        depth_error=-0.1 * (behaviour.overconfidence - 1.0) * sigma * count,
+        age_count=age_count,
+        depth_variance=square * age_count / behaviour.overconfidence**2,
+        squared_depth_error=square * difficulty**2 * age_count,
     )
 
 
