@@ -46,9 +46,9 @@ $(BIN)/python:
 	@$(PYTHON) -m venv $(VENV)
 
 $(VENV)/.installed: pyproject.toml | $(BIN)/python
-	@$(PIP) --editable .
+	@$(PIP) --editable '.[report]'
 	@touch $@
 
 $(VENV)/.installed-dev: pyproject.toml | $(BIN)/python
-	@$(PIP) --editable '.[dev,gtsam,evo,fast,gl]'
+	@$(PIP) --editable '.[dev,gtsam,evo,fast,gl,report,ray,dask]'
 	@touch $@ $(VENV)/.installed

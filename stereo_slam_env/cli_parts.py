@@ -4,12 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import typer
 
 if TYPE_CHECKING:
     from rich.console import Console
+
+
+class Interrupted(Exception):
+    """Ctrl-C during a run."""
+
+    def __init__(self, directory: Path) -> None:
+        super().__init__(f"interrupted, results so far are in {directory}")
+        self.directory = directory
+        self.kept = len(list(directory.glob("**/trials/*/*.npz")))
 
 
 def console(*, stderr: bool = False) -> Console:
@@ -32,6 +42,12 @@ def one_line_errors() -> Iterator[None]:
         yield
     except (ValueError, OSError, ImportError) as error:
         raise typer.Exit(refuse(str(error))) from error
+
+
+def show_place(page: Path) -> None:
+    """Say where results are."""
+    typer.echo(f"tables and time series: {page.parent.resolve()}")
+    typer.echo(f"report: {page.resolve()}")
 
 
 def help_without_command(context: typer.Context) -> None:

@@ -32,7 +32,7 @@ def _start(context: typer.Context) -> None:
 @app.command("list")
 def list_scenes() -> None:
     """Routes, surroundings and renderers, and the ready-made scenarios of `bench`."""
-    from stereo_slam_env.benchmark import PRESETS
+    from stereo_slam_env.benchmark import presets
     from stereo_slam_env.rendering.backends import RENDERERS
     from stereo_slam_env.world.routes import ROUTES
     from stereo_slam_env.world.surroundings import SURROUNDINGS
@@ -42,7 +42,7 @@ def list_scenes() -> None:
         "routes (or a KITTI pose file)": {name: f"{r.frames} frames, {r.length:.0f} m" for name, r in routes.items()},
         "surroundings": {name: kind.description for name, kind in SURROUNDINGS.items()},
         "renderers": RENDERERS,
-        "presets of bench": {name: description for name, (description, _) in PRESETS.items()},
+        "presets of bench": dict(presets()),
     }
     for title, entries in lists.items():
         typer.echo(f"{title}:")

@@ -11,14 +11,18 @@ from contextlib import contextmanager
 import numpy as np
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
 from stereo_slam_env.benchmark.campaign import Progress as ProgressCallback
+from stereo_slam_env.benchmark.comparison import COLUMNS, RunComparison
 from stereo_slam_env.benchmark.results import FilterSummary
 from stereo_slam_env.benchmark.scenario import Scenario
 from stereo_slam_env.benchmark.sensor_noise import OUTLIER, NoiseOfRange
 from stereo_slam_env.benchmark.sources import takes_images
+from stereo_slam_env.benchmark.study import Study
+from stereo_slam_env.benchmark.study_store import CellResult
 from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.recording import Recording
 
@@ -51,6 +55,20 @@ def show_settings(console: Console, scenario: Scenario) -> None:
         lines["seeds"] = f"{len(scenario.seeds)} ({_ranges(scenario.seeds)})"
     for name, value in lines.items():
         console.print(f"[dim]{name:>14}[/dim]  {value}", highlight=False, soft_wrap=True)
+
+
+def show_study(console: Console, study: Study) -> None:
+    """Print what is going to be run."""
+    first = study.cells[0]
+    if not study.is_grid:
+        show_settings(console, first.scenario)
+        return
+    console.print(f"[dim]{'study':>14}[/dim]  {study.name}: {len(study.cells)} scenarios", highlight=False)
+    for factor in first.factors:
+        levels = dict.fromkeys(str(cell.factors.get(factor)) for cell in study.cells)
+        console.print(f"[dim]{factor:>14}[/dim]  {', '.join(levels)}", highlight=False, soft_wrap=True)
+    console.print(f"[dim]{'':>14}[/dim]  the first of them:", highlight=False)
+    show_settings(console, first.scenario)
 
 
 def show_recording(console: Console, recording: Recording) -> None:
@@ -143,7 +161,30 @@ def show_results(console: Console, summaries: Sequence[FilterSummary]) -> None:
     console.print(table, highlight=False)
     for summary in summaries:
         for failure in summary.failures:
-            console.print(f"[red]{summary.filter_name} failed[/red]: {failure}", highlight=False, soft_wrap=True)
+            console.print(
+                f"[red]{escape(summary.filter_name)} failed[/red]: {escape(failure)}", highlight=False, soft_wrap=True
+            )
+
+
+def show_cells(console: Console, results: Sequence[CellResult]) -> None:
+    """Print the table of every cell."""
+    for result in results:
+        if result.cell.factors:
+            console.print(f"\n[bold]{escape(result.cell.name)}[/bold]", highlight=False)
+        show_results(console, result.summaries)
+
+
+def show_comparison(console: Console, comparison: RunComparison) -> None:
+    """Print what changed between two runs, what did not, and what to bear in mind."""
+    console.print(comparison.headline, highlight=False, soft_wrap=True)
+    for warning in comparison.warnings:
+        console.print(f"[yellow]note[/yellow]: {escape(warning)}", highlight=False, soft_wrap=True)
+    table = Table(box=SIMPLE_HEAD, pad_edge=False)
+    for heading in COLUMNS:
+        table.add_column(heading, justify="right" if heading in ("before", "after") else "left")
+    for row in comparison.as_rows():
+        table.add_row(*map(escape, row))
+    console.print(table, highlight=False)
 
 
 def _rows(summaries: Sequence[FilterSummary]) -> dict[str, list[str]]:

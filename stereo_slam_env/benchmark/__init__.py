@@ -1,30 +1,39 @@
 """Filters head to head, on identical measurements.
 
->>> from stereo_slam_env.benchmark import preset, run
->>> result = run(preset("quick"), "runs/quick")        # doctest: +SKIP
+>>> from stereo_slam_env.benchmark import compare, run
+>>> result = run("quick", "runs/quick")                # doctest: +SKIP
 >>> result.summaries[0].ate_rigid_m                    # doctest: +SKIP
+>>> compare("runs/before", "runs/quick").changes       # doctest: +SKIP
 """
 
 from stereo_slam_env.benchmark.campaign import BenchmarkResult, run_benchmark
-from stereo_slam_env.benchmark.presets import PRESETS, preset
+from stereo_slam_env.benchmark.comparison import RunComparison, compare
+from stereo_slam_env.benchmark.presets import preset, preset_study, presets
 from stereo_slam_env.benchmark.results import FilterRun, FilterSummary, LandmarkTrace
 from stereo_slam_env.benchmark.runner import run_filter
-from stereo_slam_env.benchmark.scenario import FilterChoice, Scenario, load_scenario
+from stereo_slam_env.benchmark.scenario import FilterChoice, Scenario
+from stereo_slam_env.benchmark.scenario_file import load_study
+from stereo_slam_env.benchmark.study import Cell, Study
 from stereo_slam_env.benchmark.summary import summarise, summarise_all
 from stereo_slam_env.benchmark.trials import run_filter_together
 
 run = run_benchmark
 
 __all__ = [
-    "PRESETS",
     "BenchmarkResult",
+    "Cell",
     "FilterChoice",
     "FilterRun",
     "FilterSummary",
     "LandmarkTrace",
+    "RunComparison",
     "Scenario",
-    "load_scenario",
+    "Study",
+    "compare",
+    "load_study",
     "preset",
+    "preset_study",
+    "presets",
     "run",
     "run_benchmark",
     "run_filter",

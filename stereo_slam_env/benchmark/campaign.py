@@ -1,80 +1,105 @@
-"""Every filter on every seed: parallel, resumable, each trial on the identical recording."""
+"""Every filter on every seed of every scenario: parallel, resumable, each trial on the identical recording."""
 
 from __future__ import annotations
 
 import dataclasses
 import logging
-import threading
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TypeVar
 
 from filters import available_filters, make_filter
 from filters.camera import StereoCamera
 from filters.noise import StereoNoise
+from stereo_slam_env.benchmark.engines import Engine
+from stereo_slam_env.benchmark.presets import preset_study
 from stereo_slam_env.benchmark.results import FilterRun, FilterSummary
-from stereo_slam_env.benchmark.runner import make_with_common_options, run_filter
+from stereo_slam_env.benchmark.runner import make_with_common_options
 from stereo_slam_env.benchmark.scenario import FilterChoice, Scenario, filter_choice
-from stereo_slam_env.benchmark.sensor_noise import noise_of_images
-from stereo_slam_env.benchmark.sources import (
-    check_source,
-    make_recording,
-    make_sequence,
-    stream_digest,
-    takes_images,
-    without_measurements,
-)
-from stereo_slam_env.benchmark.store import RunDirectory, open_run
-from stereo_slam_env.frontend.active_search import ActiveSearch
+from stereo_slam_env.benchmark.scenario_file import load_study
+from stereo_slam_env.benchmark.sources import check_source
+from stereo_slam_env.benchmark.store import RunDirectory
+from stereo_slam_env.benchmark.study import Study
+from stereo_slam_env.benchmark.study_store import CellResult, StudyDirectory, open_study
+from stereo_slam_env.benchmark.tasks import RecordingTask, TrialTask, make, run_trial
 
 Progress = Callable[[float, int], None]
-WATCH_SECONDS = 0.5
+Task = TypeVar("Task")
+Result = TypeVar("Result")
 
 _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
 class BenchmarkResult:
-    """What a benchmark found and where it is: the directory, the runs, a summary of each filter, the report."""
+    """What a benchmark found and where it is.
+
+    Attributes
+    ----------
+    out : Path
+        The run directory.
+    cells : tuple of CellResult
+        One for each scenario.
+    report : Path, optional
+        The page, if it was written.
+    """
 
     out: Path
-    runs: tuple[FilterRun, ...]
-    summaries: tuple[FilterSummary, ...]
+    cells: tuple[CellResult, ...]
     report: Path | None
+
+    @property
+    def runs(self) -> tuple[FilterRun, ...]:
+        """The runs of all cells."""
+        return tuple(run for cell in self.cells for run in cell.runs)
+
+    @property
+    def summaries(self) -> tuple[FilterSummary, ...]:
+        """A summary of each filter; of a grid, cell by cell."""
+        return tuple(summary for cell in self.cells for summary in cell.summaries)
 
 
 def run_benchmark(
-    scenario: Scenario,
+    what: Study | Scenario | str | Path,
     out: str | Path,
     *,
     filters: Sequence[str | FilterChoice] | None = None,
     seeds: Sequence[int] | None = None,
     jobs: int = 2,
+    engine: str = "processes",
+    address: str | None = None,
+    data: str | Path | None = None,
     progress: Progress | None = None,
     report: bool = True,
 ) -> BenchmarkResult:
-    """Compare filters on the recordings of a scenario.
+    """Compare filters on the recordings of a scenario, or of many.
 
-    Each recording is made once a seed and given to every filter. Finished trials are kept in `out`: the same call
-    goes on where an interrupted one stopped.
+    Each recording is made once a seed and given to every filter. Every trial has a process of its own; what it
+    raises, a crash or a hang is its recorded result, and the others go on. Finished trials are kept in `out`: the same
+    call goes on where an interrupted one stopped.
 
     Parameters
     ----------
-    scenario : Scenario
-        What to run; see `stereo_slam_env.benchmark.presets`.
+    what : Study, Scenario, str or Path
+        What to run: a scenario, a grid of them, the name of a preset, or a scenario file.
     out : str or Path
-        Run directory, see `stereo_slam_env.benchmark.store`.
+        Run directory, see `stereo_slam_env.benchmark.study_store`.
     filters : sequence of str or FilterChoice, optional
         Instead of the scenario's.
     seeds : sequence of int, optional
         Instead of the scenario's.
     jobs : int
-        Processes; each uses one BLAS thread.
+        Trials at a time; each uses one core and one BLAS thread.
+    engine : {"processes", "ray", "dask"}
+        Where trials run, see `engines`.
+    address : str, optional
+        Scheduler of the cluster.
+    data : str or Path, optional
+        Folder of real recordings, for files that say `{data}`.
     progress : callable, optional
-        Called with (trials done, trials), perhaps from another thread; done has a fraction where trials run in this
-        process.
+        Called with (tasks done, tasks): recordings, bounds and trials; done has a fraction where they run one by one.
     report : bool
         Whether to write the report.
 
@@ -86,30 +111,46 @@ def run_benchmark(
     ------
     ValueError
         Unknown filter or option, impossible settings, a source that cannot be used, or `out` holds another run.
+    OSError
+        The disk is full or cannot be written; what is finished is kept.
     """
-    if jobs < 1:
-        raise ValueError(f"jobs must be >= 1, got {jobs!r}")
+    workers = Engine(engine, jobs, address)
+    study = as_study(what, data=data)
     if filters is not None:
         choices = tuple(filter_choice(f) if isinstance(f, str) else f for f in filters)
-        scenario = dataclasses.replace(scenario, filters=choices)
+        study = study.with_scenarios(partial(dataclasses.replace, filters=choices))
     if seeds is not None:
-        scenario = dataclasses.replace(scenario, seeds=tuple(seeds))
-    check_filters(scenario)
-    check_source(scenario)
-    run = open_run(Path(out), scenario)
-    _run_missing(run, jobs, progress)
-    runs, summaries = run.write_results()
-    page = None
-    if report:
-        page = write_report_of(run, runs, summaries)
-    return BenchmarkResult(run.out, tuple(runs), summaries, page)
+        study = study.with_scenarios(partial(dataclasses.replace, seeds=tuple(seeds)))
+    check_study(study)
+    directory = open_study(Path(out), study)
+    _run_missing(directory, workers, progress or (lambda done, total: None))
+    results = directory.write_results()
+    page = write_report_of(directory, results) if report else None
+    return BenchmarkResult(directory.out, tuple(results), page)
 
 
-def write_report_of(run: RunDirectory, runs: Sequence[FilterRun], summaries: Sequence[FilterSummary]) -> Path:
-    """Write the report of a finished run into its directory."""
-    from stereo_slam_env.benchmark.report import write_report  # Matplotlib, only where it is needed
+def as_study(what: Study | Scenario | str | Path, *, data: str | Path | None = None) -> Study:
+    """The study that is meant: given as it is, as one scenario, as the name of a preset or as a file.
 
-    return write_report(run.out, f"Comparison: {run.scenario.name}", runs, summaries, run.settings())
+    Raises
+    ------
+    ValueError
+        No such preset or file, or the file is wrong.
+    """
+    if isinstance(what, Study):
+        return what
+    if isinstance(what, Scenario):
+        return Study.of(what)
+    if isinstance(what, Path) or Path(what).suffix in (".toml", ".json"):
+        return load_study(what, data=data)
+    return preset_study(what, data=data)
+
+
+def check_study(study: Study) -> None:
+    """Raise a `ValueError` for what cannot be run, before any work is done."""
+    for cell in study.cells:
+        check_filters(cell.scenario)
+        check_source(cell.scenario)
 
 
 def check_filters(scenario: Scenario) -> None:
@@ -135,106 +176,72 @@ def _try_to_make(scenario: Scenario, choice: FilterChoice, camera: StereoCamera,
         _log.info("filter %s cannot be made: %s", choice.label, error)
 
 
-def _run_missing(run: RunDirectory, jobs: int, progress: Progress | None) -> None:
-    todo = run.missing()
-    total = len(run.seeds) * len(run.scenario.filters)
-    done = total - len(todo)
+def write_report_of(directory: StudyDirectory, results: Sequence[CellResult]) -> Path:
+    """Write the report of every cell, and of a grid the one over all of them; returns the page to open."""
+    from stereo_slam_env.benchmark.report import write_report  # Matplotlib, only where it is needed
 
-    def tell(trials: float) -> None:
-        if progress is not None:
-            progress(done + trials, total)
-
-    tell(0)
-    # Images are looked at once a seed, whoever is idle meanwhile.
-    tasks = _tasks(todo, 1 if takes_images(run.scenario) else jobs)
-    if min(jobs, len(tasks)) > 1:
-        import joblib
-
-        with joblib.parallel_config(backend="loky", inner_max_num_threads=1), _watching(run, todo, tell):
-            workers = joblib.Parallel(n_jobs=min(jobs, len(tasks)), batch_size=1)
-            workers(joblib.delayed(_run_trials)(run, seed, choices) for seed, choices in tasks)
-    else:
-        for seed, choices in tasks:
-            _run_trials(run, seed, choices, tell)
-            done += len(choices)
-    done = total
-    tell(0)
-
-
-@contextmanager
-def _watching(
-    run: RunDirectory, todo: Sequence[tuple[int | None, FilterChoice]], tell: Callable[[float], None]
-) -> Iterator[None]:
-    """Report trials of other processes as their files appear."""
-    paths = [run.trial_path(seed, choice) for seed, choice in todo]
-    for path in paths:  # what is there was made by other code
-        path.unlink(missing_ok=True)
-    over = threading.Event()
-
-    def watch() -> None:
-        while not over.wait(WATCH_SECONDS):
-            tell(sum(path.exists() for path in paths))
-
-    watcher = threading.Thread(target=watch, daemon=True)
-    watcher.start()
-    try:
-        yield
-    finally:
-        over.set()
-        watcher.join()
-
-
-def _tasks(
-    todo: Sequence[tuple[int | None, FilterChoice]], jobs: int
-) -> list[tuple[int | None, tuple[FilterChoice, ...]]]:
-    """A task a seed, so that the recording is made once; a task a trial where that would leave processes idle."""
-    by_seed: dict[int | None, list[FilterChoice]] = {}
-    for seed, choice in todo:
-        by_seed.setdefault(seed, []).append(choice)
-    if len(by_seed) < jobs:
-        return [(seed, (choice,)) for seed, choice in todo]
-    return [(seed, tuple(choices)) for seed, choices in by_seed.items()]
-
-
-def _run_trials(
-    run: RunDirectory,
-    seed: int | None,
-    choices: Sequence[FilterChoice],
-    progress: Callable[[float], None] | None = None,
-) -> None:
-    """Make the recording, run `choices` on it, keep each result as soon as it is there."""
-    scenario = run.scenario
-    recording = make_recording(scenario, seed)
-    noise = scenario.assumed_noise(recording.noise)
-    description: dict[str, Any] = {
-        "name": recording.name,
-        "frames": len(recording),
-        "stream_sha256": stream_digest(recording),
-        "assumed_R": noise.R.tolist(),
-        "source": dict(recording.source),
-    }
-    measured = noise_of_images(recording)
-    if measured is not None:
-        description["sensor_noise"] = measured
-    guided = scenario.search == "forecast"
-    if guided:
-        recording = without_measurements(recording)
-    for number, choice in enumerate(choices):
-
-        def within(frames: int, total: int, number: int = number) -> None:
-            if progress is not None:
-                progress(number + frames / total)
-
-        result = run_filter(
-            recording,
-            choice.name,
-            choice.options,
-            label=choice.label,
-            common_options=scenario.common_options,
-            noise=noise,
-            use_odometry=scenario.use_odometry,
-            seed=seed,
-            observe=ActiveSearch(*make_sequence(scenario, seed)).observe if guided else None,
-            progress=within,
+    pages = [
+        write_report(
+            result.directory.out,
+            f"Comparison: {result.cell.name}",
+            result.runs,
+            result.summaries,
+            result.directory.settings(),
+            bounds=result.bounds,
         )
-        run.save_trial(result, choice, description)
+        for result in results
+    ]
+    if not directory.study.is_grid and directory.study.factorial is None:
+        return pages[0]
+    from stereo_slam_env.benchmark.study_report import write_study_report
+
+    return write_study_report(directory.out, directory.study, {result.cell.name: result for result in results})
+
+
+def _run_missing(directory: StudyDirectory, engine: Engine, progress: Progress) -> None:
+    """Make what is missing and keep each result as soon as it is there."""
+    cells = [run for _, run in directory.cells]
+    missing = [(number, seed, choice) for number, run in enumerate(cells) for seed, choice in run.missing()]
+    to_record = _recordings_to_make(cells, [(number, seed) for number, seed, _ in missing])
+    wanted = sum(len(run.seeds) * (len(run.scenario.filters) + ("bound" in run.scenario.metrics)) for run in cells)
+    total = wanted + len(to_record)
+    done = wanted - len(missing)
+
+    def tell(part: float = 0.0) -> None:
+        progress(done + part, total)
+
+    def within(frames: int, of: int) -> None:
+        tell(frames / of)
+
+    def trials() -> Iterator[TrialTask]:
+        for number, seed, choice in missing:
+            run = cells[number]
+            recording = run.recording_path(seed).read_bytes()
+            yield TrialTask(number, run.scenario, seed, choice, recording, run.provenance(seed, choice))
+
+    tell()
+    if not missing:
+        return
+    with engine.started() as run_all:
+        told = within if engine.in_this_process else None
+        for made in run_all(partial(make, progress=told), [RecordingTask(cells[n].scenario, s) for n, s in to_record]):
+            by = next(n for n, s in to_record if s == made.task.seed and cells[n].scenario == made.task.scenario)
+            cells[by].save_recording(made.task.seed, made.content, made.description)
+            done += 1
+            tell()
+        for finished in run_all(partial(run_trial, progress=told), trials()):
+            cells[finished.cell].save_trial(finished.seed, finished.choice, finished.content)
+            done += 1
+            tell()
+
+
+def _recordings_to_make(
+    cells: Sequence[RunDirectory], needed: Iterable[tuple[int, int | None]]
+) -> list[tuple[int, int | None]]:
+    """Cell and seed of each recording that is not there yet, once for all cells that share it."""
+    todo: dict[Path, tuple[int, int | None]] = {}
+    for number, seed in needed:
+        run = cells[number]
+        if run.recording_path(seed) not in todo and not run.recording_is_made(seed):
+            todo[run.recording_path(seed)] = number, seed
+    return list(todo.values())

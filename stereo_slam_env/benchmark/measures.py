@@ -11,11 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from filters.validation import BoolArray, FloatArray
+from stereo_slam_env.benchmark.consistency_figures import DOF
 from stereo_slam_env.benchmark.results import FilterRun, FilterSummary
 from stereo_slam_env.benchmark.statistics import Difference, difference_of, paired_difference, unpaired_difference
 from stereo_slam_env.benchmark.summary import summarise
-
-POSE_DOF = 6
 
 RunKey = tuple[str, int | None]
 """What identifies a recording: its name and seed."""
@@ -92,7 +91,7 @@ POSITION = Measure("position_rmse_m", "position error", "m")
 ROTATION = Measure("rotation_rmse_deg", "rotation error", "°")
 ATE = Measure("ate_rigid_m", "error after alignment", "m")
 LANDMARKS = Measure("landmark_rmse_m", "landmark error", "m")
-POSE_NEES = Measure("pose_anees", "pose NEES / 6", scale=1.0 / POSE_DOF, ideal=1.0)
+POSE_NEES = Measure("pose_anees", "pose NEES / 6", scale=1.0 / DOF["pose"], ideal=1.0)
 NIS = Measure("nis", "NIS / dof", ideal=1.0)
 EFFICIENCY = Measure("efficiency_percent", "efficiency", "%", larger_is_better=True)
 TIME = Measure("ms_per_frame", "time", "ms")

@@ -1,51 +1,62 @@
-"""Ready-made scenarios of `stereo-slam bench`."""
+"""Ready-made scenarios of `stereo-slam bench`: the files in the folder `scenarios`, which are examples, too."""
 
 from __future__ import annotations
 
 import dataclasses
-import difflib
 from collections.abc import Mapping
-from typing import Any
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
 
+from filters.suggestions import did_you_mean
 from stereo_slam_env.benchmark.scenario import Scenario
+from stereo_slam_env.benchmark.scenario_file import description_of, load_study
+from stereo_slam_env.benchmark.study import Study
 
-# What the simulated sensor has. No gate: it has no outliers, and a gate cuts the tails off NEES and NIS.
-_SETUP: Mapping[str, Any] = {"noise": {"independent_pixels": 1.0}, "gate": None}
-
-
-def _seeds(count: int) -> tuple[int, ...]:
-    return tuple(range(count))
+_FOLDER = Path(str(files(__package__).joinpath("scenarios")))
+_FIRST = ("quick", "town", "turn", "straight", "reference-drive", "reference-turn")  # the others follow by name
 
 
-PRESETS: Mapping[str, tuple[str, Scenario]] = {
-    scenario.name: (description, scenario)
-    for description, scenario in (
-        (
-            "the first 40 s of the town with its first wide turn, 6 streets: a minute or two",
-            Scenario("quick", "street", {"route": "town"}, seeds=_seeds(6), frames=400, **_SETUP),
-        ),
-        (
-            "350 m with two wide turns, 50 streets (the paper's 4.4 in the street)",
-            Scenario("town", "street", {"route": "town"}, seeds=_seeds(50), **_SETUP),
-        ),
-        (
-            "8 s round a street corner, 50 streets",
-            Scenario("turn", "street", {"route": "right-turn"}, seeds=_seeds(50), **_SETUP),
-        ),
-        (
-            "20 s straight on, 50 streets",
-            Scenario("straight", "street", {"route": "straight"}, seeds=_seeds(50), **_SETUP),
-        ),
-        (
-            "pure geometry, the models hold exactly: 350 m with two wide turns, 50 drives (the paper's 4.4)",
-            Scenario("reference-drive", "reference", {"name": "long_drive"}, seeds=_seeds(50), **_SETUP),
-        ),
-        (
-            "pure geometry: 12 frames into a right turn, 50 drives (the paper's 4.3)",
-            Scenario("reference-turn", "reference", {"name": "short_turn"}, seeds=_seeds(50), **_SETUP),
-        ),
-    )
-}
+@cache
+def presets() -> Mapping[str, str]:
+    """Names and descriptions."""
+    found = {path.stem: description_of(path) for path in sorted(_FOLDER.glob("*.toml"))}
+    return {name: found[name] for name in (*_FIRST, *(name for name in found if name not in _FIRST))}
+
+
+def preset_file(name: str) -> Path:
+    """The scenario file of a preset.
+
+    Raises
+    ------
+    ValueError
+        No such preset: the message says which there are.
+    """
+    if name not in presets():
+        raise ValueError(f"preset must be one of {', '.join(presets())}, got {name!r}{did_you_mean(name, presets())}")
+    return _FOLDER / f"{name}.toml"
+
+
+def preset_study(name: str, *, data: str | Path | None = None) -> Study:
+    """A preset, whether of one scenario or of many; `data` is the folder of real recordings.
+
+    Raises
+    ------
+    ValueError
+        No such preset, or it needs `data`.
+    """
+    return load_study(preset_file(name), data=data)
+
+
+def preset(name: str) -> Scenario:
+    """A preset of one scenario.
+
+    Raises
+    ------
+    ValueError
+        No such preset, or it has several scenarios.
+    """
+    return preset_study(name).only_scenario()
 
 
 def with_images(scenario: Scenario, renderer: str) -> Scenario:
@@ -68,18 +79,3 @@ def with_images(scenario: Scenario, renderer: str) -> Scenario:
         gate=0.99,
         consensus=True,
     )
-
-
-def preset(name: str) -> Scenario:
-    """The preset of that name.
-
-    Raises
-    ------
-    ValueError
-        No such preset: the message says which there are.
-    """
-    if name not in PRESETS:
-        near = difflib.get_close_matches(name, PRESETS, n=1)
-        hint = f", did you mean {near[0]!r}?" if near else ""
-        raise ValueError(f"preset must be one of {', '.join(PRESETS)}, got {name!r}{hint}")
-    return PRESETS[name][1]

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
+import io
 import json
-import os
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 
+from stereo_slam_env.atomic_files import write_atomically
 from stereo_slam_env.benchmark.landmark_statistics import SERIES as _LANDMARK_SERIES
 from stereo_slam_env.benchmark.landmark_statistics import LandmarkStatistics
 from stereo_slam_env.benchmark.results import FilterRun, LandmarkTrace
@@ -20,6 +21,7 @@ FORMAT = 2
 _TEXT = ("filter_name", "recording_name", "options", "seed", "failure")
 _PARTS = ("counts", "traces", "memory_mb", "landmark_statistics")
 _SERIES = tuple(f.name for f in dataclasses.fields(FilterRun) if f.name not in (*_TEXT, *_PARTS))
+_DAMAGE = (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile)
 _TRACE_SERIES = ("frames", "depth", "sigma", "true_depth", "measured_depth")
 
 
@@ -35,6 +37,12 @@ def save_run(path: Path, run: FilterRun, provenance: Mapping[str, Any]) -> None:
     provenance : mapping
         JSON-able; `load_run` gives it back.
     """
+    content = packed_run(run, provenance)
+    write_atomically(path, lambda stream: stream.write(content))
+
+
+def packed_run(run: FilterRun, provenance: Mapping[str, Any]) -> bytes:
+    """What `save_run` writes."""
     arrays: dict[str, Any] = {name: getattr(run, name) for name in _SERIES}
     arrays |= {f"count.{name}": values for name, values in run.counts.items()}
     for i, trace in enumerate(run.traces):
@@ -48,7 +56,25 @@ def save_run(path: Path, run: FilterRun, provenance: Mapping[str, Any]) -> None:
         "provenance": dict(provenance),
     }
     arrays["about"] = np.array(json.dumps(about, allow_nan=False))
-    write_atomically(path, lambda stream: np.savez_compressed(stream, **arrays))
+    stream = io.BytesIO()
+    np.savez_compressed(stream, **arrays)
+    return stream.getvalue()
+
+
+def load_provenance(path: Path) -> dict[str, Any]:
+    """The provenance alone, without reading the series.
+
+    Raises
+    ------
+    ValueError
+        See `load_run`.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            provenance: dict[str, Any] = _checked(json.loads(str(archive["about"])))["provenance"]
+            return provenance
+    except _DAMAGE as error:
+        raise _damaged(path, error) from error
 
 
 def load_run(path: Path) -> tuple[FilterRun, dict[str, Any]]:
@@ -62,9 +88,7 @@ def load_run(path: Path) -> tuple[FilterRun, dict[str, Any]]:
     try:
         with np.load(path, allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in archive.files}
-        about = json.loads(str(arrays["about"]))
-        if about["format"] != FORMAT:
-            raise ValueError(f"format {about['format']}, this version reads {FORMAT}")
+        about = _checked(json.loads(str(arrays["about"])))
         counts = {name.removeprefix("count."): arrays[name] for name in arrays if name.startswith("count.")}
         traces = tuple(
             LandmarkTrace(landmark_id, label, *(arrays[f"trace.{i}.{name}"] for name in _TRACE_SERIES))
@@ -80,20 +104,18 @@ def load_run(path: Path) -> tuple[FilterRun, dict[str, Any]]:
             landmark_statistics=LandmarkStatistics(*(arrays[f"landmarks.{name}"] for name in _LANDMARK_SERIES)),
         )
         return run, about["provenance"]
-    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
-        if isinstance(error, FileNotFoundError):
-            raise
-        reason = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
-        raise ValueError(f"{path} is damaged ({reason}): delete it and run the same command again") from error
+    except _DAMAGE as error:
+        raise _damaged(path, error) from error
 
 
-def write_atomically(path: Path, write: Callable[[IO[bytes]], Any]) -> None:
-    """Write a file so that a reader, or an interruption, never meets half of it."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        with unfinished.open("wb") as stream:
-            write(stream)
-        unfinished.replace(path)
-    finally:
-        unfinished.unlink(missing_ok=True)
+def _checked(about: dict[str, Any]) -> dict[str, Any]:
+    if about["format"] != FORMAT:
+        raise ValueError(f"format {about['format']}, this version reads {FORMAT}")
+    return about
+
+
+def _damaged(path: Path, error: Exception) -> Exception:
+    if isinstance(error, FileNotFoundError):
+        return error
+    reason = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
+    return ValueError(f"{path} is damaged ({reason}): delete it and run the same command again")

@@ -47,6 +47,7 @@ def run_filter(
     common_options: Mapping[str, Any] | None = None,
     noise: StereoNoise | None = None,
     use_odometry: bool = True,
+    score_map: bool = True,
     seed: int | None = None,
     observe: Observe | None = None,
     progress: Callable[[int, int], None] | None = None,
@@ -73,6 +74,8 @@ def run_filter(
         Noise to assume; None: what the recording says.
     use_odometry : bool
         Whether `predict` is given the odometry of the recording.
+    score_map : bool
+        Whether the landmarks are judged, too, which costs about as much as a quick filter.
     seed : int, optional
         Of the recording, for the result.
     observe : callable, optional
@@ -122,6 +125,8 @@ def run_filter(
                 report = estimator.update(frame.observation)
                 updating = time.perf_counter() - began
                 log.add(frame_number, frame, estimator, report, 1000.0 * predicting, 1000.0 * updating)
+                if score_map:
+                    log.add_map(frame_number, frame, estimator)
                 if progress is not None:
                     progress(frame_number + 1, len(recording))
             failure = None
@@ -222,7 +227,6 @@ class RunLog:
         self.add_cost(k, predict_milliseconds, update_milliseconds, getattr(estimator, "state_size", np.nan))
         if frame.truth is not None:
             self.add_pose_error(k, *estimator.pose_error(frame.truth.position, frame.truth.orientation))
-        self.add_map(k, frame, estimator)
 
     def add_belief(
         self,
@@ -307,6 +311,13 @@ class RunLog:
             landmark_statistics=self._scorer.statistics,
             **self._series,
         )
+
+
+def failed_run(
+    recording: Recording, label: str, options: Mapping[str, Any], seed: int | None, failure: str
+) -> FilterRun:
+    """The result of a filter that gave none; `failure` is one line."""
+    return RunLog(recording).result(label, options, seed, failure, float("nan"))
 
 
 def failure_line(frame_number: int, error: Exception) -> str:

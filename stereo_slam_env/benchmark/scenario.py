@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import json
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
+from numbers import Integral
 from typing import Any
 
 from filters.noise import StereoNoise
+from filters.suggestions import did_you_mean
 from filters.validation import finite_array, positive
 
 KINDS: Mapping[str, str] = {
@@ -21,8 +21,14 @@ KINDS: Mapping[str, str] = {
     "factory": 'any callable; options: call ("package.module:function", called with seed=) and its arguments',
 }
 
-
+_MOTION: Mapping[str, float] = {"sigma_acceleration": 3.0, "sigma_angular_acceleration": 0.6}
 SEARCHES = ("flow", "forecast")
+
+METRICS: Mapping[str, str] = {
+    "map": "landmark errors, by range too, landmark NEES and depth convergence",
+    "bound": "the posterior Cramér-Rao bound, where truth is known",
+}
+"""What is measured beyond trajectory, consistency, events and cost."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +85,9 @@ class Scenario:
         Whether filters are given the odometry of the recording.
     noise : mapping, optional
         Noise the filters assume: {"independent_pixels": sigma} or {"diagonal": [sigma_u, sigma_v, sigma_d]}, px.
-        None: what the recording says.
+        None: what the recording says. The noise that is simulated is among `options`.
+    corruptions : tuple of mapping
+        What happens to the measurements on their way to the filters, in this order; see `sensing.corruptions`.
     gate : float, optional
         Probability per landmark of the chi-square gate; None: no gate.
     consensus : bool
@@ -89,8 +97,12 @@ class Scenario:
         "forecast", guided by each filter's own forecast, as the paper does.
     motion : mapping
         Standard deviations sigma_acceleration (m/s^2) and sigma_angular_acceleration (rad/s^2) the filters assume.
+    metrics : tuple of str
+        Keys of `METRICS`: what is measured beyond the usual.
     divergence_percent : float
         A run that ends farther from the truth than this share of the distance travelled counts as diverged.
+    frame_time_limit : float
+        A filter that needs longer for one frame is stopped and has failed, s.
 
     Raises
     ------
@@ -109,15 +121,21 @@ class Scenario:
     gate: float | None = 0.99
     consensus: bool = False
     search: str = "flow"
-    motion: Mapping[str, float] = field(
-        default_factory=lambda: {"sigma_acceleration": 3.0, "sigma_angular_acceleration": 0.6}
-    )
+    motion: Mapping[str, float] = field(default_factory=lambda: _MOTION)
+    corruptions: tuple[Mapping[str, Any], ...] = ()
+    metrics: tuple[str, ...] = tuple(METRICS)
     divergence_percent: float = 10.0
+    frame_time_limit: float = 60.0
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
-            raise ValueError(f"kind must be one of {', '.join(KINDS)}, got {self.kind!r}{_hint(self.kind, KINDS)}")
+            hint = did_you_mean(self.kind, KINDS)
+            raise ValueError(f"kind must be one of {', '.join(KINDS)}, got {self.kind!r}{hint}")
         object.__setattr__(self, "filters", tuple(self.filters))
+        if not isinstance(self.options, Mapping):
+            raise ValueError(f"options must be a table, got {self.options!r}")
+        if not all(isinstance(seed, Integral) for seed in self.seeds):
+            raise ValueError(f"seeds must be whole numbers, got {self.seeds!r}")
         object.__setattr__(self, "seeds", tuple(int(seed) for seed in self.seeds))
         labels = [choice.label for choice in self.filters]
         if not labels:
@@ -136,10 +154,20 @@ class Scenario:
             raise ValueError("consensus needs a gate: give a probability, or do without consensus")
         if self.search not in SEARCHES:
             raise ValueError(f"search must be one of {', '.join(SEARCHES)}, got {self.search!r}")
+        object.__setattr__(self, "corruptions", tuple(self.corruptions))
+        object.__setattr__(self, "metrics", tuple(self.metrics))
+        for metric in self.metrics:
+            if metric not in METRICS:
+                hint = did_you_mean(metric, METRICS)
+                raise ValueError(f"metrics must be of {', '.join(METRICS)}, got {metric!r}{hint}")
+        if not all(isinstance(corruption, Mapping) for corruption in self.corruptions):
+            raise ValueError(f"corruptions must be tables with a kind, got {list(self.corruptions)!r}")
         positive("divergence_percent", self.divergence_percent)
-        _known_keys("motion", self.motion, ("sigma_acceleration", "sigma_angular_acceleration"))
+        positive("frame_time_limit", self.frame_time_limit)
+        require_keys("motion", self.motion, tuple(_MOTION))
         for key, value in self.motion.items():
             positive(f"motion.{key}", value, allow_zero=True)
+        object.__setattr__(self, "motion", {**_MOTION, **self.motion})
         self.assumed_noise(StereoNoise.independent_pixels(1.0))
         try:
             json.dumps(self.as_dict(), allow_nan=False)
@@ -150,7 +178,7 @@ class Scenario:
         """The noise filters are told to assume."""
         if self.noise is None:
             return of_recording
-        _known_keys("noise", self.noise, ("independent_pixels", "diagonal"))
+        require_keys("noise", self.noise, ("independent_pixels", "diagonal"))
         if len(self.noise) != 1:
             raise ValueError("noise must have one key: independent_pixels or diagonal")
         if "diagonal" in self.noise:
@@ -170,6 +198,8 @@ class Scenario:
             "options": dict(self.options),
             "noise": None if self.noise is None else dict(self.noise),
             "motion": dict(self.motion),
+            "corruptions": [dict(corruption) for corruption in self.corruptions],
+            "metrics": list(self.metrics),
             "seeds": list(self.seeds),
             "filters": [{"label": c.label, "name": c.name, "options": dict(c.options)} for c in self.filters],
         }
@@ -183,7 +213,7 @@ class Scenario:
         ValueError
             An unknown or missing key: the message names it and what may have been meant.
         """
-        _known_keys("scenario", data, tuple(f.name for f in dataclasses.fields(cls)))
+        require_keys("scenario", data, tuple(f.name for f in dataclasses.fields(cls)))
         if "name" not in data:
             raise ValueError("scenario must have a name")
         values = dict(data)
@@ -192,43 +222,19 @@ class Scenario:
         return cls(**values)
 
 
-def load_scenario(path: str | Path) -> Scenario:
-    """Read a scenario from a JSON file.
-
-    Raises
-    ------
-    ValueError
-        The file is missing, no JSON, or has an unknown key.
-    """
-    try:
-        data = json.loads(Path(path).read_text(encoding="utf-8"))
-    except FileNotFoundError as error:
-        raise ValueError(f"scenario file {path} does not exist") from error
-    except (OSError, ValueError) as error:
-        raise ValueError(f"scenario file {path} cannot be read as JSON: {error}") from error
-    if not isinstance(data, dict):
-        raise ValueError(f"scenario file {path} must hold a JSON object")
-    try:
-        return Scenario.from_dict(data)
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"scenario file {path}: {error}") from error
-
-
 def _choice_from(entry: Any) -> FilterChoice:
     if isinstance(entry, str):
         return filter_choice(entry)
     if not isinstance(entry, Mapping) or "name" not in entry:
         raise ValueError(f"filters must be names or objects with a name, got {entry!r}")
-    _known_keys("filters", entry, ("label", "name", "options"))
+    require_keys("filters", entry, ("label", "name", "options"))
     return FilterChoice(entry.get("label", entry["name"]), entry["name"], entry.get("options", {}))
 
 
-def _known_keys(what: str, data: Mapping[str, Any], known: tuple[str, ...]) -> None:
+def require_keys(what: str, data: Mapping[str, Any], known: tuple[str, ...]) -> None:
+    """Raise a `ValueError` for the first key of `data` that is not `known`; `what` is the beginning of the message."""
+    if not isinstance(data, Mapping):
+        raise ValueError(f"{what} must be a table, got {data!r}")
     for key in data:
         if key not in known:
-            raise ValueError(f"{what} has no key {key!r}{_hint(key, known)}; known: {', '.join(known)}")
-
-
-def _hint(word: str, possible: Any) -> str:
-    near = difflib.get_close_matches(word, list(possible), n=1)
-    return f", did you mean {near[0]!r}?" if near else ""
+            raise ValueError(f"{what} has no key {key!r}{did_you_mean(key, known)}; known: {', '.join(known)}")

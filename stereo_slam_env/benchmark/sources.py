@@ -20,6 +20,7 @@ from stereo_slam_env.frontend.recorder import record_tracks
 from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.image_sequence import ImageSequence
 from stereo_slam_env.recording import Recording
+from stereo_slam_env.sensing.corruptions import check_corruptions, corrupted
 
 Progress = Callable[[int, int], None]
 
@@ -50,9 +51,17 @@ def make_recording(scenario: Scenario, seed: int | None, progress: Progress | No
         recording = _called(options, seed)
     if scenario.frames is not None:
         recording = dataclasses.replace(recording, frames=recording.frames[: scenario.frames])
+    if scenario.corruptions:
+        recording = corrupted(recording, scenario.corruptions, seed or 0)
     if len(recording) == 0:
         raise ValueError(f"recording {recording.name!r} has no frames")
     return recording
+
+
+def stream_key(scenario: Scenario) -> str:
+    """Equal for scenarios whose recordings of a seed are the same, a short name for files."""
+    about = [scenario.kind, dict(scenario.options), scenario.frames, [dict(entry) for entry in scenario.corruptions]]
+    return hashlib.sha256(json.dumps(about, sort_keys=True).encode()).hexdigest()[:10]
 
 
 def takes_images(scenario: Scenario) -> bool:
@@ -91,6 +100,7 @@ def check_source(scenario: Scenario) -> None:
             f"scenario {scenario.name!r} must not assume a noise (--sigma-px): in images each measurement comes with "
             f"its own covariance"
         )
+    check_corruptions(scenario.corruptions)
     if scenario.kind != "street":
         return
     from stereo_slam_env.envs.options import DriveOptions

@@ -1,15 +1,20 @@
-"""The run directory: inputs, results and everything needed to redo the report.
+"""The run directory of one scenario: inputs, results and everything needed to redo the report.
 
 Layout::
 
-    settings.json                     the exact inputs: scenario, versions
-    summary.json, summary.csv         the result table
-    trials/<seed>/<filter>.npz        time series of one filter on one recording
-    trajectories/<seed>/<filter>.tum  and truth.tum: `t x y z qx qy qz qw`, the format of the TUM RGB-D benchmark
+    settings.json                         the exact inputs: scenario, versions
+    summary.json, summary.csv             the result table
+    trials/<seed>/<filter>.npz            time series of one filter on one recording
+    bounds/<seed>.npz                     the Cramer-Rao bound: pose (K, 6, 6); empty where there is none
+    trajectories/<seed>/<filter>.tum      and truth.tum: `t x y z qx qy qz qw`, the format of the TUM RGB-D benchmark
+    trajectories/<seed>/<filter>.kitti    the same as rows of 3x4 matrices, the format of KITTI odometry
+    recordings/<stream>/<seed>.npz        what every filter was given, see `stereo_slam_env.recording_archive`
+    recordings/<stream>/<seed>.json       what there is to say of it
 
-`<seed>` is `seed-0007`, or `recording` for real data. `summary.json`, version 1::
+`<seed>` is `seed-0007`, or `recording` for real data. A grid has such a directory for each of its cells, and the
+recordings, which cells share, beside them (see `study_store`). `summary.json`, version 2::
 
-    {"version": 1, "scenario": str,
+    {"version": 2, "scenario": str,
      "recordings": [{"seed": int | null, "name": str, "frames": int, "stream_sha256": str, "assumed_R": 3x3,
                      "source": {...},
                      "sensor_noise": [...]}],   # rendered images only: errors by range, see `sensor_noise`
@@ -29,18 +34,26 @@ import json
 import math
 import platform
 from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from filters.validation import FloatArray
+from filters.noise import StereoNoise
+from stereo_slam_env.atomic_files import write_atomically
+from stereo_slam_env.benchmark.limits import Bound
 from stereo_slam_env.benchmark.results import FilterRun, FilterSummary
-from stereo_slam_env.benchmark.run_archive import load_run, save_run, write_atomically
+from stereo_slam_env.benchmark.run_archive import load_provenance, load_run
 from stereo_slam_env.benchmark.scenario import FilterChoice, Scenario
+from stereo_slam_env.benchmark.sources import stream_key
 from stereo_slam_env.benchmark.summary import summarise_all
+from stereo_slam_env.benchmark.trajectory_files import write_kitti, write_tum
 
-VERSION = 1
+VERSION = 2
+CELLS = "cells"
+STUDY = "study.json"
+MARKERS = ("settings.json", STUDY)
 _PACKAGES = ("stereo-slam-env", "numpy", "scipy", "gymnasium", "pybullet", "joblib")
 
 
@@ -50,6 +63,8 @@ class RunDirectory:
     def __init__(self, out: Path, scenario: Scenario) -> None:
         self.out = out
         self.scenario = scenario
+        shared = out.parent.parent if out.parent.name == CELLS else out
+        self.recordings = shared / "recordings" / stream_key(scenario)
 
     @property
     def seeds(self) -> tuple[int | None, ...]:
@@ -58,21 +73,32 @@ class RunDirectory:
 
     def trial_path(self, seed: int | None, choice: FilterChoice) -> Path:
         """Where the time series of one filter on one recording are."""
-        return self.out / "trials" / _seed_name(seed) / f"{choice.label}.npz"
+        return self.out / "trials" / seed_name(seed) / f"{choice.label}.npz"
 
-    def missing(self) -> list[tuple[int | None, FilterChoice]]:
-        """Trials still to be run, by seed, then filter: those not there, and those another version of the code made.
+    def bound_path(self, seed: int | None) -> Path:
+        """Where the bound for one recording is."""
+        return self.out / "bounds" / f"{seed_name(seed)}.npz"
+
+    def recording_path(self, seed: int | None) -> Path:
+        """Where the recording is."""
+        return self.recordings / f"{seed_name(seed)}.npz"
+
+    def missing(self) -> list[tuple[int | None, FilterChoice | None]]:
+        """What is still to be run, by seed, then filter; None instead of a filter: the bound.
+
+        That is what is not there, and what another version of the code made.
 
         Raises
         ------
         ValueError
             A finished trial is damaged, or was made with other options of the filter.
         """
-        todo, code = [], code_digest()
+        todo: list[tuple[int | None, FilterChoice | None]] = []
+        code = code_digest()
         for seed in self.seeds:
             for choice in self.scenario.filters:
                 path = self.trial_path(seed, choice)
-                provenance = load_run(path)[1] if path.exists() else None
+                provenance = load_provenance(path) if path.exists() else None
                 if provenance is None or provenance["code"] != code:
                     todo.append((seed, choice))
                 elif provenance["filter"] != dataclasses.asdict(choice):
@@ -80,15 +106,31 @@ class RunDirectory:
                         f"{path} was made with other options of that filter: give it another label, or choose "
                         f"another output directory"
                     )
+            if "bound" in self.scenario.metrics and self._code_of_bound(seed) != code:
+                todo.append((seed, None))
         return todo
 
-    def save_trial(self, run: FilterRun, choice: FilterChoice, recording: Mapping[str, Any]) -> None:
-        """Keep a finished trial and its trajectories."""
-        folder = self.out / "trajectories" / _seed_name(run.seed)
-        _write_tum(folder / f"{choice.label}.tum", run.timestamps, run.positions, run.orientations)
-        _write_tum(folder / "truth.tum", run.timestamps, run.true_positions, run.true_orientations)
-        provenance = {"filter": dataclasses.asdict(choice), "code": code_digest(), "recording": dict(recording)}
-        save_run(self.trial_path(run.seed, choice), run, provenance)
+    def recording_is_made(self, seed: int | None) -> bool:
+        """Whether the recording is there, made by this version of the code."""
+        about = self._about_recording(seed)
+        return about is not None and about["code"] == code_digest() and self.recording_path(seed).exists()
+
+    def save_recording(self, seed: int | None, content: bytes, description: Mapping[str, Any]) -> None:
+        """Keep a recording: bytes of `recording_archive`, and what there is to say of it."""
+        write_atomically(self.recording_path(seed), lambda stream: stream.write(content))
+        write_json(self.recording_path(seed).with_suffix(".json"), {"code": code_digest(), **description})
+
+    def provenance(self, seed: int | None, choice: FilterChoice | None) -> dict[str, Any]:
+        """What is kept with a trial: filter, version of the code, what it was given."""
+        about = dict(self._about_recording(seed) or {})
+        code, R = about.pop("code"), np.array(about.pop("R"))
+        about["assumed_R"] = self.scenario.assumed_noise(StereoNoise(R)).R.tolist()
+        return {"filter": choice and dataclasses.asdict(choice), "code": code, "recording": about}
+
+    def save_trial(self, seed: int | None, choice: FilterChoice | None, content: bytes) -> None:
+        """Keep a finished trial (bytes of `run_archive`), or a bound."""
+        path = self.bound_path(seed) if choice is None else self.trial_path(seed, choice)
+        write_atomically(path, lambda stream: stream.write(content))
 
     def load(self) -> tuple[list[FilterRun], list[dict[str, Any]]]:
         """All runs, by seed, then filter, and one description of each recording.
@@ -110,13 +152,45 @@ class RunDirectory:
                 described = described or provenance["recording"]
                 if provenance["recording"]["stream_sha256"] != described["stream_sha256"]:
                     raise ValueError(
-                        f"{path}: the filters of {_seed_name(seed)} were not given the same recording: "
+                        f"{path}: the filters of {seed_name(seed)} were not given the same recording: "
                         f"its source is not deterministic, or its files have changed; delete {path.parent}"
                     )
                 runs.append(run)
             recordings.append({"seed": seed, **(described or {})})
         self._refuse_several_renderers(recordings)
         return runs, recordings
+
+    def bounds(self) -> dict[tuple[str, int | None], Bound]:
+        """The bounds there are, by name and seed of the recording."""
+        found = {}
+        for seed in self.seeds:
+            about = self._about_recording(seed)
+            if about is None or self._code_of_bound(seed) is None:
+                continue
+            with np.load(self.bound_path(seed), allow_pickle=False) as archive:
+                if len(archive["pose"]):
+                    found[about["name"], seed] = Bound(archive["pose"])
+        return found
+
+    def _about_recording(self, seed: int | None) -> dict[str, Any] | None:
+        path = self.recording_path(seed).with_suffix(".json")
+        if not path.exists():
+            return None
+        try:
+            about: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        except (OSError, ValueError) as error:
+            raise ValueError(f"{path} is damaged ({error}): delete it and run the same command again") from error
+        return about
+
+    def _code_of_bound(self, seed: int | None) -> str | None:
+        path = self.bound_path(seed)
+        if not path.exists():
+            return None
+        try:
+            with np.load(path, allow_pickle=False) as archive:
+                return str(archive["code"])
+        except (OSError, ValueError, KeyError) as error:
+            raise ValueError(f"{path} is damaged ({error}): delete it and run the same command again") from error
 
     def _refuse_several_renderers(self, recordings: list[dict[str, Any]]) -> None:
         """The same renderer of another version or device draws other pictures, too."""
@@ -128,20 +202,28 @@ class RunDirectory:
             )
 
     def write_results(self) -> tuple[list[FilterRun], tuple[FilterSummary, ...]]:
-        """Write `summary.json` and `summary.csv` from the finished trials, and return what they say."""
+        """Write `summary.json`, `summary.csv` and the trajectories, and return what they say."""
         runs, recordings = self.load()
-        summaries = summarise_all(runs, divergence_percent=self.scenario.divergence_percent)
-        rows = {summary.filter_name: _as_row(summary) for summary in summaries}
-        _write_json(
+        summaries = summarise_all(runs, divergence_percent=self.scenario.divergence_percent, bounds=self.bounds())
+        rows = {summary.filter_name: summary_row(summary) for summary in summaries}
+        write_json(
             self.out / "summary.json",
             {"version": VERSION, "scenario": self.scenario.name, "recordings": recordings, "filters": rows},
         )
         _write_csv(self.out / "summary.csv", rows)
+        for run in runs:
+            folder = self.out / "trajectories" / seed_name(run.seed)
+            for name, positions, orientations in (
+                (run.filter_name, run.positions, run.orientations),
+                ("truth", run.true_positions, run.true_orientations),
+            ):
+                write_tum(folder / f"{name}.tum", run.timestamps, positions, orientations)
+                write_kitti(folder / f"{name}.kitti", positions, orientations)
         return runs, summaries
 
     def settings(self) -> dict[str, Any]:
         """What `settings.json` says."""
-        return json_settings(self.scenario)
+        return {"version": VERSION, "scenario": self.scenario.as_dict(), "versions": versions()}
 
 
 def open_run(out: Path, scenario: Scenario) -> RunDirectory:
@@ -153,7 +235,7 @@ def open_run(out: Path, scenario: Scenario) -> RunDirectory:
         `out` is a file, or holds something else.
     """
     run = prepared_run(out, scenario)
-    _write_json(out / "settings.json", run.settings())
+    write_json(out / "settings.json", run.settings())
     return run
 
 
@@ -165,16 +247,20 @@ def prepared_run(out: Path, scenario: Scenario) -> RunDirectory:
     ValueError
         As `open_run`.
     """
-    if out.exists() and not out.is_dir():
-        raise ValueError(f"output {out} is a file: give a directory")
-    settings = out / "settings.json"
-    if out.is_dir() and not settings.exists() and any(out.iterdir()):
-        raise ValueError(f"output {out} is not empty and holds no run: choose another directory")
-    if settings.exists():
+    refuse_foreign(out)
+    if (out / "settings.json").exists():
         _refuse_other_settings(out, read_run(out).scenario.as_dict(), scenario.as_dict())
     run = RunDirectory(out, scenario)
     run.missing()
     return run
+
+
+def refuse_foreign(out: Path) -> None:
+    """Raise a `ValueError` where `out` holds something that is no run."""
+    if out.exists() and not out.is_dir():
+        raise ValueError(f"output {out} is a file: give a directory")
+    if out.is_dir() and not any((out / name).exists() for name in MARKERS) and any(out.iterdir()):
+        raise ValueError(f"output {out} is not empty and holds no run: choose another directory")
 
 
 def read_run(out: Path) -> RunDirectory:
@@ -195,17 +281,18 @@ def read_run(out: Path) -> RunDirectory:
         raise ValueError(f"{path} is damaged: {error}") from error
 
 
-def json_settings(scenario: Scenario) -> dict[str, Any]:
-    """The exact inputs of a run: the scenario and the versions it is run with."""
-    versions = {"python": platform.python_version(), "platform": platform.platform(), "code": code_digest()}
+def versions() -> dict[str, str]:
+    """What a run is run with."""
+    found = {"python": platform.python_version(), "platform": platform.platform(), "code": code_digest()}
     for package in _PACKAGES:
         try:
-            versions[package] = importlib.metadata.version(package)
+            found[package] = importlib.metadata.version(package)
         except importlib.metadata.PackageNotFoundError:
-            versions[package] = "not installed"
-    return {"version": VERSION, "scenario": scenario.as_dict(), "versions": versions}
+            found[package] = "not installed"
+    return found
 
 
+@cache
 def code_digest() -> str:
     """SHA-256 of the source of both packages, so that results of different code are never mixed."""
     root = Path(__file__).resolve().parents[2]
@@ -217,7 +304,8 @@ def code_digest() -> str:
 
 def _refuse_other_settings(out: Path, before: Mapping[str, Any], now: Mapping[str, Any]) -> None:
     """More seeds or filters may join a run; everything else must stay as it was."""
-    for key in sorted(before.keys() - {"filters", "seeds", "divergence_percent"}, key=lambda key: (key == "name", key)):
+    may_change = {"filters", "seeds", "divergence_percent", "frame_time_limit"}
+    for key in sorted(before.keys() - may_change, key=lambda key: (key == "name", key)):
         was, is_now = before[key], now[key]
         if was == is_now:
             continue
@@ -230,28 +318,31 @@ def _refuse_other_settings(out: Path, before: Mapping[str, Any], now: Mapping[st
         )
 
 
-def _seed_name(seed: int | None) -> str:
+def seed_name(seed: int | None) -> str:
+    """Name of files of one recording."""
     return "recording" if seed is None else f"seed-{seed:04d}"
 
 
-def _as_row(summary: FilterSummary) -> dict[str, Any]:
-    row: dict[str, Any] = _without_nan(dataclasses.asdict(summary))
+def summary_row(summary: FilterSummary) -> dict[str, Any]:
+    """JSON-able form of a summary, without its name."""
+    row: dict[str, Any] = without_nan(dataclasses.asdict(summary))
     del row["filter_name"]
     return row
 
 
-def _without_nan(value: Any) -> Any:
+def without_nan(value: Any) -> Any:
     """JSON form: tuples become lists, NaN and infinity null."""
     if isinstance(value, Mapping):
-        return {key: _without_nan(entry) for key, entry in value.items()}
+        return {key: without_nan(entry) for key, entry in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_without_nan(entry) for entry in value]
+        return [without_nan(entry) for entry in value]
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
 
 
-def _write_json(path: Path, data: Mapping[str, Any]) -> None:
+def write_json(path: Path, data: Mapping[str, Any]) -> None:
+    """Write JSON that anybody can read, whole or not at all."""
     text = json.dumps(data, indent=2, allow_nan=False) + "\n"
     write_atomically(path, lambda stream: stream.write(text.encode()))
 
@@ -270,9 +361,3 @@ def _cell(value: Any) -> Any:
     if value is None:
         return ""
     return json.dumps(value) if isinstance(value, (list, dict)) else value
-
-
-def _write_tum(path: Path, timestamps: FloatArray, positions: FloatArray, orientations: FloatArray) -> None:
-    rows = np.column_stack([timestamps, positions, orientations])
-    known = rows[np.isfinite(rows).all(axis=1)]
-    write_atomically(path, lambda stream: np.savetxt(stream, known, fmt="%.9f"))

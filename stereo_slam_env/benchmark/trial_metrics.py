@@ -16,7 +16,7 @@ from stereo_slam_env.benchmark.limits import Bound
 from stereo_slam_env.benchmark.results import COUNTS, FilterRun
 from stereo_slam_env.benchmark.trajectory_metrics import SegmentErrors
 
-Kind = Literal["text", "integer", "real"]
+Kind = Literal["text", "integer", "real", "any"]
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class Column:
         "" where there is none.
     meaning : str
         What it is, and when it is null.
-    kind : {"text", "integer", "real"}
+    kind : {"text", "integer", "real", "any"}
         Of its values.
     """
 

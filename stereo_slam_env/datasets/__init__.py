@@ -19,6 +19,7 @@ from stereo_slam_env.frontend.recorder import record_tracks
 from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.image_sequence import ImageSequence
 from stereo_slam_env.recording import Recording
+from stereo_slam_env.recording_archive import load_recording
 
 READERS = (kitti07_tracks, kitti00_stereo_tracks)
 
@@ -31,6 +32,7 @@ def known_layouts() -> dict[str, str]:
     layouts |= known_image_layouts()
     for name in gtsam_examples.EXAMPLES:
         layouts[f"{gtsam_examples.PREFIX}:{name}"] = "example data of the gtsam wheel, no folder needed"
+    layouts["recording"] = "file NAME.npz written by save_recording"
     return layouts
 
 
@@ -40,7 +42,7 @@ def read_recording(path: str | Path, **options: Any) -> Recording:
     Parameters
     ----------
     path : str or Path
-        A folder, or `gtsam` / `gtsam:NAME` for the example data of the gtsam wheel.
+        A folder, or `gtsam` / `gtsam:NAME` for the example data of the gtsam wheel, or a file of `save_recording`.
     **options
         Options of the reader, see its `read`; for images those of `open_image_sequence`, and `front_end`, a mapping
         with fields of `TrackerSettings`.
@@ -58,6 +60,9 @@ def read_recording(path: str | Path, **options: Any) -> Recording:
         require_known("the reader has no option", options, keyword_options(gtsam_examples.read))
         return gtsam_examples.read(name or "kitti00", **options)
     folder = Path(path)
+    if folder.is_file() and folder.suffix == ".npz":
+        require_known("a recording in one file has no option", options, [])
+        return load_recording(folder)
     if not folder.is_dir():
         what = "is a file, not a folder" if folder.exists() else "does not exist"
         raise ValueError(f"{folder} {what}: give a folder of a known layout ({_layouts()})")

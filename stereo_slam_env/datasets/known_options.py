@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import difflib
 import inspect
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
+
+from filters.suggestions import did_you_mean
 
 
 def keyword_options(function: Callable[..., Any]) -> list[str]:
@@ -28,6 +29,4 @@ def require_known(subject: str, given: Iterable[str], known: Sequence[str]) -> N
     """
     for name in given:
         if name not in known:
-            near = difflib.get_close_matches(name, known, n=1)
-            hint = f", did you mean {near[0]}?" if near else ""
-            raise ValueError(f"{subject} {name!r}{hint} Known: {', '.join(known)}")
+            raise ValueError(f"{subject} {name!r}{did_you_mean(name, known)} Known: {', '.join(known) or 'none'}")

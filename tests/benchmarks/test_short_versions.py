@@ -86,3 +86,10 @@ def test_sky_and_haze_cost_little_beside_the_bare_calls() -> None:
     speed = script("rendering_speed")
     times = speed.measure("320x240", 50, 5, names=[speed.BARE, speed.TINY])
     assert np.median(np.divide(times[speed.TINY], times[speed.BARE])) < 1.25
+
+
+@pytest.mark.slow
+def test_kills_lose_nothing() -> None:
+    """Three kills; the benchmark has as many as one likes."""
+    tally = script("kill_anywhere").disturb(kills=3, jobs=1)
+    assert tally.kills == 3

@@ -1,7 +1,8 @@
 """Little third-party filters, laid out on the path as an installer would, with entry points.
 
 `odometry-only` integrates odometry and knows nothing of gates or motion models; `raises` fails in its third update;
-`returns-nan` loses its position in its third; `listens` writes down a digest of everything it is given.
+`returns-nan` loses its position in its third; `crashes` takes its process down in its third, `hangs` never returns from
+it; `listens` writes down a digest of everything it is given.
 """
 
 from __future__ import annotations
@@ -89,6 +90,24 @@ class ReturnsNaN(DeadReckoning):
         return super().update(observation)
 
 
+class Crashes(DeadReckoning):
+    """Takes its process down in the third update."""
+
+    def update(self, observation):
+        if self.updates == 2:
+            os._exit(7)
+        return super().update(observation)
+
+
+class Hangs(DeadReckoning):
+    """Never returns from its third update."""
+
+    def update(self, observation):
+        while self.updates == 2:
+            pass
+        return super().update(observation)
+
+
 class Listens(DeadReckoning):
     """Writes down a digest of what it is given."""
 
@@ -120,6 +139,8 @@ ENTRY_POINTS = {
     "odometry-only": "DeadReckoning",
     "raises": "Raises",
     "returns-nan": "ReturnsNaN",
+    "crashes": "Crashes",
+    "hangs": "Hangs",
     "listens": "Listens",
 }
 

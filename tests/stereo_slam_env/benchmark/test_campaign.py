@@ -1,6 +1,8 @@
 """Filters x seeds: identical streams, resumption, failures, third-party filters (10 s)."""
 
+import errno
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,10 +10,12 @@ import pytest
 
 from stereo_slam_env.benchmark import FilterChoice, Scenario, campaign, run
 from stereo_slam_env.benchmark.scenario import filter_choice
+from stereo_slam_env.benchmark.scenario_file import study_from
+from stereo_slam_env.benchmark.study_store import read_study
 
 from ..third_party import install, third_party  # noqa: F401 (a fixture)
 
-SHORT = Scenario("short", "reference", {"name": "short_turn"}, seeds=(0, 1), frames=5, gate=None)
+SHORT = Scenario("short", "reference", {"name": "short_turn"}, seeds=(0, 1), frames=5, gate=None, metrics=("map",))
 
 
 def test_all_filters_on_all_seeds(tmp_path):
@@ -50,22 +54,23 @@ def test_every_filter_hears_exactly_the_same(tmp_path):
 
 def test_an_interrupted_run_goes_on_where_it_stopped(tmp_path, monkeypatch):
     made = []
-    run_filter = campaign.run_filter
-
-    def counted(recording, name, *args, **options):
-        made.append((options["seed"], name))
-        return run_filter(recording, name, *args, **options)
-
-    monkeypatch.setattr(campaign, "run_filter", counted)
+    run_trial, make = campaign.run_trial, campaign.make
+    monkeypatch.setattr(campaign, "make", lambda task, **how: made.append(task.seed) or make(task, **how))
+    monkeypatch.setattr(
+        campaign,
+        "run_trial",
+        lambda task, **how: made.append((task.seed, task.choice.label)) or run_trial(task, **how),
+    )
 
     def stop_in_the_fifth_trial(done, total):
-        assert total == 6
-        if done > 4:
+        assert total == 2 + 6
+        if done > 2 + 4:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
         run(SHORT, tmp_path / "out", jobs=1, report=False, progress=stop_in_the_fifth_trial)
     assert len(list((tmp_path / "out").glob("trials/*/*.npz"))) == 4
+    assert made[:2] == [0, 1]
     made.clear()
     assert len(run(SHORT, tmp_path / "out", jobs=1, report=False).runs) == 6
     assert made == [(1, "dual-bearing"), (1, "euclidean")]
@@ -74,12 +79,45 @@ def test_an_interrupted_run_goes_on_where_it_stopped(tmp_path, monkeypatch):
     assert made == []
 
 
+def test_a_full_disk_loses_no_finished_trial(tmp_path, monkeypatch):
+    written = []
+    write = campaign.RunDirectory.save_trial
+
+    def until_full(self, *trial):
+        if len(written) == 3:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        written.append(trial)
+        write(self, *trial)
+
+    monkeypatch.setattr(campaign.RunDirectory, "save_trial", until_full)
+    with pytest.raises(OSError, match="No space left"):
+        run(SHORT, tmp_path / "out", jobs=1, report=False)
+    monkeypatch.undo()
+    kept = sorted((tmp_path / "out").glob("trials/*/*.npz"))
+    times = [path.stat().st_mtime_ns for path in kept]
+    assert len(kept) == 3
+    assert len(run(SHORT, tmp_path / "out", jobs=1, report=False).runs) == 6
+    assert [path.stat().st_mtime_ns for path in kept] == times
+
+
 def test_a_resumed_run_says_the_same_as_one_in_one_go(tmp_path):
     whole = run(SHORT, tmp_path / "whole", jobs=1, report=False)
     run(SHORT, tmp_path / "parts", filters=["dual-bearing"], seeds=[1], jobs=1, report=False)
     parts = run(SHORT, tmp_path / "parts", jobs=1, report=False)
     for a, b in zip(whole.runs, parts.runs, strict=True):
         np.testing.assert_array_equal(a.positions, b.positions)
+
+
+@pytest.mark.usefixtures("third_party")
+def test_filters_that_crash_or_hang_never_take_the_run_down(tmp_path):
+    filters = ["crashes", "hangs", "euclidean"]
+    scenario = replace(SHORT, frame_time_limit=1.0)
+    crashing, hanging, sound = run(
+        scenario, tmp_path / "out", filters=filters, seeds=[0], jobs=1, report=False
+    ).summaries
+    assert crashing.failures == ("seed 0, its process ended with code 7",)
+    assert hanging.failures == ("seed 0, no sign of life for 1 s",)
+    assert (crashing.diverged, hanging.diverged, sound.diverged) == (1, 1, 0)
 
 
 @pytest.mark.usefixtures("third_party")
@@ -134,7 +172,7 @@ def test_wrong_filters_are_refused_before_any_work(tmp_path, filters, complaint)
     assert not (tmp_path / "out").exists()
 
 
-def test_a_source_that_cannot_be_repeated_is_found_out(tmp_path, monkeypatch):
+def test_a_filter_that_joins_later_hears_what_the_others_heard(tmp_path, monkeypatch):
     call = Scenario("x", "factory", {"call": "unsteady_source:make"}, filters=(filter_choice("euclidean"),), seeds=(0,))
     (tmp_path / "unsteady_source.py").write_text(
         "import numpy as np\n"
@@ -143,9 +181,52 @@ def test_a_source_that_cannot_be_repeated_is_found_out(tmp_path, monkeypatch):
         "    return short_turn(int(np.random.default_rng().integers(1_000_000)), frames=4)\n"
     )
     monkeypatch.syspath_prepend(str(tmp_path))
-    run(call, tmp_path / "out", jobs=1, report=False)
-    with pytest.raises(ValueError, match="its source is not deterministic"):
-        run(call, tmp_path / "out", filters=["euclidean", "inverse-depth"], jobs=1, report=False)
+    (alone,) = run(call, tmp_path / "out", jobs=1, report=False).runs
+    again, later = run(call, tmp_path / "out", filters=["euclidean", "inverse-depth"], jobs=1, report=False).runs
+    np.testing.assert_array_equal(later.true_positions, alone.true_positions)
+    np.testing.assert_array_equal(again.positions, alone.positions)
+
+
+def test_a_stored_recording_replays_as_it_was(tmp_path):
+    first = run(SHORT, tmp_path / "out", seeds=[1], jobs=1, report=False)
+    (path,) = (tmp_path / "out").glob("recordings/*/*.npz")
+    again = Scenario("again", "dataset", {"path": str(path)}, filters=SHORT.filters, gate=None, metrics=("map",))
+    replayed = run(again, tmp_path / "again", jobs=1, report=False)
+    for a, b in zip(first.runs, replayed.runs, strict=True):
+        np.testing.assert_array_equal(a.positions, b.positions)
+
+
+def test_cells_that_differ_in_the_filters_share_their_recordings(tmp_path):
+    study = study_from(
+        {
+            **SHORT.as_dict(),
+            "seeds": [0],
+            "filters": ["inverse-depth"],
+            "grid": {"noise.independent_pixels": [0.5, 1.0], "options.sigma": [1.0, 2.0]},
+        }
+    )
+    result = run(study, tmp_path, jobs=1, report=False)
+    assert len(list(tmp_path.glob("recordings/*/*.npz"))) == 2
+    assert len({cell.summaries[0].position_rmse_m for cell in result.cells}) == 4
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert summary["cells"]["independent_pixels-0.5_sigma-2.0"]["factors"] == {
+        "noise.independent_pixels": 0.5,
+        "options.sigma": 2.0,
+    }
+    one = read_study(tmp_path / "cells" / "independent_pixels-0.5_sigma-2.0")
+    assert one.write_results()[0].summaries[0].position_rmse_m == result.cells[1].summaries[0].position_rmse_m
+
+
+def test_a_benchmark_is_named_by_its_preset_or_its_file(tmp_path):
+    (tmp_path / "mine.toml").write_text(
+        'name = "mine"\nkind = "reference"\nframes = 4\nseeds = 1\nfilters = ["euclidean"]\n'
+        'metrics = []\noptions = { name = "short_turn" }\n'
+    )
+    assert len(run(str(tmp_path / "mine.toml"), tmp_path / "out", jobs=1, report=False).runs) == 1
+    result = run("reference-turn", tmp_path / "preset", filters=["euclidean"], seeds=[3], jobs=1, report=False)
+    assert [r.seed for r in result.runs] == [3]
+    with pytest.raises(ValueError, match="did you mean 'reference-turn'"):
+        run("reference-tur", tmp_path / "x")
 
 
 def test_no_jobs_is_refused(tmp_path):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from stereo_slam_env.benchmark import campaign, run, sources
-from stereo_slam_env.benchmark.presets import PRESETS, with_images
+from stereo_slam_env.benchmark.presets import preset, with_images
 from stereo_slam_env.benchmark.report import write_report
 from stereo_slam_env.benchmark.runner import run_filter
 from stereo_slam_env.benchmark.scenario import Scenario, filter_choice
@@ -75,24 +75,24 @@ def test_scenarios_that_take_images_are_told_apart(folder, tmp_path):
     assert takes_images(STREET)
     assert takes_images(of(folder))
     assert not takes_images(of(tmp_path / "nowhere"))
-    assert not takes_images(PRESETS["quick"][1])
-    assert not takes_images(PRESETS["reference-turn"][1])
+    assert not takes_images(preset("quick"))
+    assert not takes_images(preset("reference-turn"))
 
 
 def test_a_scenario_of_the_simulated_world_can_be_measured_in_images():
-    seen = with_images(PRESETS["turn"][1], "gl")
+    seen = with_images(preset("turn"), "gl")
     assert (seen.options["sensor"], seen.options["renderer"], seen.options["route"]) == ("images", "gl", "right-turn")
     assert (seen.noise, seen.gate, seen.consensus) == (None, 0.99, True)
     assert seen.name == "turn-gl-images"
     with pytest.raises(ValueError, match="needs a scenario of kind 'street', 'reference-turn' is a 'reference'"):
-        with_images(PRESETS["reference-turn"][1], "tiny")
+        with_images(preset("reference-turn"), "tiny")
 
 
 @pytest.mark.parametrize(
     ("scenario", "complaint"),
     [
-        (replace(PRESETS["quick"][1], search="forecast"), "search 'forecast' needs images: scenario 'quick' has none"),
-        (replace(PRESETS["reference-turn"][1], search="forecast"), "scenario 'reference-turn' has none"),
+        (replace(preset("quick"), search="forecast"), "search 'forecast' needs images: scenario 'quick' has none"),
+        (replace(preset("reference-turn"), search="forecast"), "scenario 'reference-turn' has none"),
         (replace(STREET, noise={"independent_pixels": 1.0}), "each measurement comes with its own covariance"),
         (replace(STREET, options={**STREET.options, "renderer": "foo"}), "renderer must be one of 'tiny', 'gl'"),
         (replace(STREET, options={**STREET.options, "rout": "town"}), "did you mean 'route'"),
@@ -117,7 +117,7 @@ def test_a_renderer_that_is_missing_is_wrong_input(monkeypatch, missing):
 
 def test_without_images_there_is_no_sequence(tmp_path):
     with pytest.raises(ValueError, match="scenario 'quick' has no images: give sensor='images'"):
-        make_sequence(PRESETS["quick"][1], 0)
+        make_sequence(preset("quick"), 0)
     with pytest.raises(ValueError, match="does not exist"):
         make_recording(of(tmp_path / "nowhere"), None)
 
@@ -159,7 +159,7 @@ def test_settings_of_the_front_end_are_options_of_a_recording(folder):
     sequence, settings = make_sequence(of(folder, options={"path": str(folder), "front_end": {"max_misses": 1}}), None)
     assert len(sequence) == FRAMES
     assert settings == TrackerSettings(max_misses=1)
-    with pytest.raises(ValueError, match="no setting 'max_mises', did you mean max_misses"):
+    with pytest.raises(ValueError, match="no setting 'max_mises', did you mean 'max_misses'"):
         make_sequence(of(folder, options={"path": str(folder), "front_end": {"max_mises": 1}}), None)
 
 
@@ -253,7 +253,7 @@ def test_a_search_that_fails_is_not_passed_over(folder):
     with pytest.raises(ValueError, match="guided by inverse-depth failed: frame 0: OSError: the disk is full"):
         watch_search(of(folder, search="forecast"), break_down)
     with pytest.raises(ValueError, match="has no images"):
-        watch_search(PRESETS["quick"][1], break_down)
+        watch_search(preset("quick"), break_down)
 
 
 # --- keeping results apart -------------------------------------------------------------------------------------------

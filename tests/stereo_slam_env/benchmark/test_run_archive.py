@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from stereo_slam_env.benchmark import run_archive
-from stereo_slam_env.benchmark.run_archive import load_run, save_run, write_atomically
+from stereo_slam_env.benchmark.run_archive import load_run, save_run
 from stereo_slam_env.benchmark.runner import run_filter
 
 from .small_recordings import small_recording
@@ -63,17 +63,3 @@ def test_another_archive_is_not_taken_for_a_run(tmp_path):
     np.savez(tmp_path / "x.npz", a=np.zeros(3))
     with pytest.raises(ValueError, match=r"x\.npz is damaged"):
         load_run(tmp_path / "x.npz")
-
-
-def test_an_interrupted_write_leaves_the_old_file_and_nothing_else(tmp_path):
-    path = tmp_path / "file"
-    path.write_text("old")
-
-    def fails(stream):
-        stream.write(b"half")
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        write_atomically(path, fails)
-    assert path.read_text() == "old"
-    assert [p.name for p in tmp_path.iterdir()] == ["file"]

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from filters import StereoNoise
-from stereo_slam_env.benchmark.scenario import FilterChoice, Scenario, filter_choice, load_scenario
+from stereo_slam_env.benchmark.scenario import FilterChoice, Scenario, filter_choice
 
 
 def test_a_scenario_survives_json():
@@ -73,22 +73,3 @@ def test_the_assumed_noise_is_that_of_the_recording_unless_said_otherwise():
 def test_wrong_scenarios_are_refused_with_a_hint(data, complaint):
     with pytest.raises(ValueError, match=complaint):
         Scenario.from_dict(data)
-
-
-@pytest.mark.parametrize(
-    ("text", "complaint"),
-    [
-        ("{", "cannot be read as JSON"),
-        ("[1]", "must hold a JSON object"),
-        ('{"nam": 1}', r"s\.json: .*did you mean 'name'"),
-    ],
-)
-def test_a_wrong_file_is_named(tmp_path, text, complaint):
-    (tmp_path / "s.json").write_text(text)
-    with pytest.raises(ValueError, match=complaint):
-        load_scenario(tmp_path / "s.json")
-
-
-def test_a_missing_file_is_named(tmp_path):
-    with pytest.raises(ValueError, match=r"nothing\.json does not exist"):
-        load_scenario(tmp_path / "nothing.json")

@@ -7,15 +7,18 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
+from filters import rotations
 from stereo_slam_env.benchmark import store
 from stereo_slam_env.benchmark.results import FilterSummary
+from stereo_slam_env.benchmark.run_archive import packed_run
 from stereo_slam_env.benchmark.runner import run_filter
 from stereo_slam_env.benchmark.scenario import Scenario, filter_choice
 from stereo_slam_env.benchmark.sources import stream_digest
+from stereo_slam_env.recording_archive import packed_recording
 
 from .small_recordings import small_recording
 
-SCENARIO = Scenario("small", "reference", filters=(filter_choice("euclidean"),), seeds=(0, 1))
+SCENARIO = Scenario("small", "reference", filters=(filter_choice("euclidean"),), seeds=(0, 1), metrics=("map",))
 DESIGNED_KEYS = {
     "position_rmse_m",
     "ate_rigid_m",
@@ -34,9 +37,16 @@ def fill(out, scenario=SCENARIO, failure=None):
     directory = store.open_run(out, scenario)
     for seed, choice in directory.missing():
         recording = small_recording(seed)
+        about = {
+            "name": recording.name,
+            "frames": len(recording),
+            "stream_sha256": stream_digest(recording),
+            "R": recording.noise.R.tolist(),
+        }
+        directory.save_recording(seed, packed_recording(recording), about)
         run = run_filter(recording, choice.name, choice.options, seed=seed, label=choice.label)
-        about = {"name": recording.name, "frames": len(recording), "stream_sha256": stream_digest(recording)}
-        directory.save_trial(replace(run, failure=failure), choice, about)
+        content = packed_run(replace(run, failure=failure), directory.provenance(seed, choice))
+        directory.save_trial(seed, choice, content)
     directory.write_results()
     return directory
 
@@ -90,6 +100,13 @@ def test_trajectories_are_in_tum_format(finished):
     np.testing.assert_allclose(truth[:, 1:4], run.true_positions, atol=1e-9)
 
 
+def test_trajectories_are_in_kitti_format(finished):
+    run = finished.load()[0][0]
+    rows = np.loadtxt(finished.out / "trajectories" / "seed-0000" / "euclidean.kitti").reshape(-1, 3, 4)
+    np.testing.assert_allclose(rows[:, :, 3], run.positions, atol=1e-9)
+    np.testing.assert_allclose(rows[:, :, :3], rotations.matrix(run.orientations), atol=1e-9)
+
+
 def test_a_finished_run_is_read_back_from_its_directory(finished):
     again = store.read_run(finished.out)
     assert again.scenario == SCENARIO
@@ -136,7 +153,9 @@ def test_filters_that_were_not_given_the_same_stream_are_found_out(tmp_path):
     scenario = replace(SCENARIO, filters=(filter_choice("euclidean"), filter_choice("inverse-depth")), seeds=(0,))
     directory = fill(tmp_path / "out", scenario)
     run = directory.load()[0][1]
-    directory.save_trial(run, scenario.filters[1], {"name": "small", "frames": 15, "stream_sha256": "other"})
+    provenance = directory.provenance(0, scenario.filters[1])
+    provenance["recording"]["stream_sha256"] = "other"
+    directory.save_trial(0, scenario.filters[1], packed_run(run, provenance))
     with pytest.raises(ValueError, match="were not given the same recording"):
         directory.load()
 

@@ -36,5 +36,5 @@ def test_a_missing_folder_and_a_file_are_told_apart(tmp_path):
 
 
 def test_a_misspelt_option_is_named_with_what_was_meant(tmp_path):
-    with pytest.raises(ValueError, match="no option 'sigma_pix', did you mean sigma_px"):
+    with pytest.raises(ValueError, match="no option 'sigma_pix', did you mean 'sigma_px'"):
         read_recording(kitti07(tmp_path), sigma_pix=2.0)

@@ -232,7 +232,7 @@ def test_unknown_folders_options_and_paths_get_one_clear_line(tmp_path):
     with pytest.raises(ValueError, match="is a file, not a folder"):
         open_image_sequence(tmp_path / "file")
     folder = kitti_odometry(tmp_path)
-    with pytest.raises(ValueError, match="no option 'frist', did you mean first"):
+    with pytest.raises(ValueError, match="no option 'frist', did you mean 'first'"):
         open_image_sequence(folder, frist=3)
     (folder / "times.txt").unlink()
     with pytest.raises(ValueError, match=r"for kitti_odometry it lacks times\.txt"):

@@ -1,0 +1,73 @@
+"""How much faster is a benchmark on two cores than on one? And what does a process for each trial cost?
+
+    python benchmarks/runner_scaling.py                  # 3 min on two idle cores
+
+The same trials (pure geometry, 8 drives of 120 m, two filters and the bound) with one job and with two, in turns;
+wall-clock time of the whole run, tables included. The ratio is the median of the rounds. Below it, the time of an
+empty trial in a process of its own against one in this process. Target: 1.8 on two cores.
+"""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+import tempfile
+import time
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from stereo_slam_env.benchmark import Scenario, run
+from stereo_slam_env.benchmark.isolation import run_isolated
+from stereo_slam_env.benchmark.scenario import filter_choice
+
+FILTERS = (filter_choice("inverse-depth"), filter_choice("dual-bearing"))
+
+
+def seconds(scenario: Scenario, jobs: int) -> float:
+    """Wall-clock time of the run."""
+    with tempfile.TemporaryDirectory() as folder:
+        began = time.perf_counter()
+        run(scenario, Path(folder) / "out", jobs=jobs, report=False)
+        return time.perf_counter() - began
+
+
+def cost_of_a_process(repetitions: int = 20) -> float:
+    """Seconds that a process of its own adds to a trial."""
+    began = time.perf_counter()
+    for _ in range(repetitions):
+        run_isolated(lambda tell: None)
+    return (time.perf_counter() - began) / repetitions
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--frames", type=int, default=300)
+    parser.add_argument("--seeds", type=int, default=8)
+    parser.add_argument("--jobs", type=int, default=2)
+    arguments = parser.parse_args()
+    scenario = Scenario(
+        "scaling",
+        "reference",
+        {"name": "long_drive"},
+        filters=FILTERS,
+        seeds=tuple(range(arguments.seeds)),
+        frames=arguments.frames,
+        gate=None,
+    )
+    seconds(scenario, arguments.jobs)  # so that the processes of the pool are there, as in any longer run
+    rounds = [(seconds(scenario, 1), seconds(scenario, arguments.jobs)) for _ in range(arguments.rounds)]
+    table = Table("round", "1 job, s", f"{arguments.jobs} jobs, s", "ratio")
+    for number, (one, many) in enumerate(rounds):
+        table.add_row(str(number), f"{one:.1f}", f"{many:.1f}", f"{one / many:.2f}")
+    console = Console()
+    console.print(table)
+    console.print(f"median ratio {statistics.median(one / many for one, many in rounds):.2f}")
+    console.print(f"a process of its own costs {1000 * cost_of_a_process():.0f} ms a trial")
+
+
+if __name__ == "__main__":
+    main()

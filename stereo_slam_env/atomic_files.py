@@ -1,0 +1,28 @@
+"""Files that appear complete or not at all."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import IO, Any
+
+
+def write_atomically(path: Path, write: Callable[[IO[bytes]], Any]) -> None:
+    """Write a file so that a reader, or an interruption, never meets half of it.
+
+    Parameters
+    ----------
+    path : Path
+        The file; its folder is made.
+    write : callable
+        Called with the open stream.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    unfinished = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        with unfinished.open("wb") as stream:
+            write(stream)
+        unfinished.replace(path)
+    finally:
+        unfinished.unlink(missing_ok=True)

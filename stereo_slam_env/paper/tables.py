@@ -1,0 +1,99 @@
+"""What was measured, in absolute numbers: the tables behind the verdicts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from filters.validation import FloatArray
+from stereo_slam_env.benchmark.consistency import mean_band, share_inside
+from stereo_slam_env.paper import convergence, landmark_uncertainty, long_drive, speed
+from stereo_slam_env.paper.parts import Arrays
+from stereo_slam_env.paper.settings import ASSUMED_NAMES, DUAL, EUCLIDEAN, JOINT, NOISES
+
+Row = Sequence[str | float]
+NAMES: Mapping[str, str] = {JOINT: "inverse depth (the paper's)", DUAL: "two bearing updates", EUCLIDEAN: "XYZ"}
+
+
+def uncertainty_table(samples: int) -> tuple[Sequence[str], list[Row]]:
+    """Section 4.1: coverage and distance of both parametrisations."""
+    found = landmark_uncertainty.fits(samples)
+    heads = ("noise", "R", "depth, m", "in 95 %: inverse depth", "XYZ", "KS: inverse depth", "XYZ")
+    rows: list[Row] = []
+    for noise, assumed, depth in dict.fromkeys(key[:3] for key in found):
+        ours, xyz = (found[noise, assumed, depth, name] for name in (JOINT, EUCLIDEAN))
+        numbers = (ours.coverage.value, xyz.coverage.value, ours.distance, xyz.distance)
+        rows.append((NOISES[noise], ASSUMED_NAMES[assumed], depth, *numbers))
+    return heads, rows
+
+
+def convergence_table(results: Mapping[str, Arrays]) -> tuple[Sequence[str], list[Row]]:
+    """Section 4.3: after the last update."""
+    heads = (
+        "noise",
+        "filter",
+        "R",
+        "landmark",
+        "number",
+        "claimed σ, m",
+        "RMS error, m",
+        "NEES of depth",
+        "of 1/depth",
+    )
+    rows: list[Row] = []
+    for noise in NOISES:
+        depths = convergence.gathered(results, noise)
+        for (name, R), history in depths.filters.items():
+            z, sigma = (values[:, -1] for values in depths.depth(history))
+            error = z - depths.true[:, -1]
+            nees = convergence.nees(depths, history)
+            for label in convergence.RANGES:
+                at = depths.label == label
+                numbers = (
+                    _rms(sigma[at]),
+                    _rms(error[at]),
+                    float(np.nanmean((error[at] / sigma[at]) ** 2)),
+                    float(np.nanmean(nees[at])),
+                )
+                rows.append((NOISES[noise], NAMES[name], ASSUMED_NAMES[R], label, float(at.sum()), *numbers))
+    return heads, rows
+
+
+def drive_table(results: Mapping[str, Arrays]) -> tuple[Sequence[str], list[Row]]:
+    """Section 4.4: means over the drives."""
+    heads = (
+        *("noise", "filter", "R", "position, m", "drift, %", "yaw, °", "velocity, m/s", "length, %"),
+        *("NEES / 6", "band", "in band, %", "landmark NEES / 3"),
+    )
+    quantities = (
+        *(long_drive.position_rmse, long_drive.drift_percent, long_drive.yaw_rmse, long_drive.velocity_rmse),
+        *(long_drive.scale_error_percent, long_drive.pose_nees),
+    )
+    rows: list[Row] = []
+    for noise in NOISES:
+        drives = long_drive.drives(results, noise)
+        band = mean_band(6, len(drives))
+        for name, R in long_drive.cases(noise):
+            case = name, R
+            means = [float(np.nanmean(long_drive.of_drives(results, noise, case, one))) for one in quantities]
+            nees = np.mean([long_drive.one(arrays, f"{name}.{R}")["pose_nees"] for arrays in drives], axis=0)
+            row: list[str | float] = [NOISES[noise], NAMES[name], ASSUMED_NAMES[R], *means]
+            row += [f"{band[0] / 6:.2f}–{band[1] / 6:.2f}", 100.0 * share_inside(nees[1:], band)]
+            rows.append([*row, float(np.nanmean(long_drive.of_drives(results, noise, case, long_drive.landmark_nees)))])
+    return heads, rows
+
+
+def speed_table(results: Mapping[str, Arrays]) -> tuple[Sequence[str], list[Row]]:
+    """Milliseconds of predict + update, medians."""
+    measured = speed.milliseconds(results)
+    heads = ("state", *(f"{who}, {n}" for n in measured for who in ("ours", "rival")))
+    rows: list[Row] = [
+        (form, *(float(np.median(times[f"{form}.{name}"])) for times in measured.values() for name in (JOINT, DUAL)))
+        for form in speed.FORMS
+    ]
+    return heads, rows
+
+
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.nanmean(np.square(values))))
