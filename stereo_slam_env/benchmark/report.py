@@ -12,6 +12,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from stereo_slam_env.benchmark import report_tables as tables
+from stereo_slam_env.benchmark.attribution import Attribution
+from stereo_slam_env.benchmark.attribution_report import attribution_section, conclusions
 from stereo_slam_env.benchmark.report_overview import overview
 from stereo_slam_env.benchmark.results import FilterRun, FilterSummary
 from stereo_slam_env.benchmark.summary import Bounds
@@ -37,6 +39,7 @@ def write_report(
     settings: Mapping[str, Any],
     *,
     bounds: Bounds | None = None,
+    attribution: Attribution | None = None,
 ) -> Path:
     """Write `out/report.html`, and each of its figures as `out/figures/<name>.png` and `.svg`.
 
@@ -54,6 +57,8 @@ def write_report(
         What was asked for (scenario, noise, gate, seeds, versions); JSON-able, may be nested.
     bounds : mapping of (recording_name, seed) to Bound, optional
         Theoretical limits, drawn below the errors over time.
+    attribution : Attribution, optional
+        Of the options that the filters differ in.
 
     Returns
     -------
@@ -70,8 +75,10 @@ def write_report(
     folder = clean_figures(out)
     verdict = judge(runs, summaries)
     body = [
+        *([conclusions(attribution)] if attribution is not None else []),
         overview(summaries, verdict),
         f'<p class="quiet">{escape(_note(summaries))}</p>',
+        *([attribution_section(attribution, folder)] if attribution is not None else []),
         *(_section(section, folder) for section in _sections(runs, summaries, bounds or {})),
         _pairs(runs, summaries, verdict),
         _failures(summaries),

@@ -123,10 +123,15 @@ def pair_cell(verdict: PairVerdict | None) -> Cell:
     if verdict.measure.ideal is not None:
         nearer = {Finding.BETTER: "nearer", Finding.WORSE: "farther"}.get(verdict.finding, Finding.NOT_SHOWN.value)
         return Cell(nearer, difference.estimate, tone)
-    text = signed(difference.percent)
-    if difference.interval_percent is not None:
-        text += f" ({' to '.join(signed(end) for end in difference.interval_percent)})"
-    return Cell(text, difference.percent, tone)
+    return percent_cell(difference.percent, difference.interval_percent, tone)
+
+
+def percent_cell(percent: float, interval: tuple[float, float] | None, tone: Tone) -> Cell:
+    """A change in %, with its interval in brackets where there is one."""
+    text = signed(percent)
+    if interval is not None:
+        text += f" ({' to '.join(signed(end) for end in interval)})"
+    return Cell(text, percent, tone)
 
 
 def _in_band(figure: ConsistencyFigure | None) -> Cell:

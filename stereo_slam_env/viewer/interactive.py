@@ -161,6 +161,7 @@ def _axis(axis: Axis, limits: tuple[float, float], domain: tuple[float, float]) 
         colours = {label.get_text(): hexadecimal(label.get_color()) for label in labels}
         spec |= {"tickmode": "array", "tickvals": [float(f"{place:.6g}") for place in places]}
         spec["ticktext"] = [_coloured(text, colours.get(text)) for text in texts]
+        spec["tickangle"] = -labels[0].get_rotation() if labels else 0
     elif log:
         decades = abs(float(ends[1] - ends[0]))
         # Plotly labels 1, 2, 5, 10 where there are at least 0.3 decades for each of so many ticks, else all digits.

@@ -79,7 +79,8 @@ def traces_of(ax: Axes, units: Units) -> list[Trace]:
         if isinstance(container, ErrorbarContainer):
             line, caps, spans = container.lines
             inside |= {*caps, *spans, *([line] if line is not None else [])}
-            drawn.append((spans[0].get_zorder() if spans else 0, _error_bars(container, ax, label, units)))
+            first = line if line is not None else spans[0]
+            drawn.append((first.get_zorder(), _error_bars(container, ax, label, units)))
     for artist in (*ax.lines, *ax.collections, *ax.patches):
         if artist not in inside and artist.get_visible():
             drawn.append((artist.get_zorder(), _traces(artist, ax, units)))

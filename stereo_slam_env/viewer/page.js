@@ -20,11 +20,13 @@ for (const table of document.querySelectorAll("table.sortable")) {
   heads.forEach((head, column) => {
     const button = document.createElement("button");
     button.type = "button";
-    button.append(...head.childNodes);
-    head.append(button);
+    button.append(...[...head.childNodes].filter(node => !node.querySelector?.("a")));
+    head.prepend(button);
     button.addEventListener("click", () => sort(head, column));
   });
 }
+
+addEventListener("beforeprint", () => document.querySelectorAll("details").forEach(part => { part.open = true; }));
 
 // ---- figures: the drawing becomes a chart when it comes into sight
 const charts = new Map();  // figure -> {specification, hidden, element}

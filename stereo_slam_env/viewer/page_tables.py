@@ -29,12 +29,15 @@ class Column:
         Shown when hovering.
     kind : str
         "number" (right), "text" (left) or "words" (left, may wrap).
+    link : str
+        Relative address behind the unit.
     """
 
     heading: str
     unit: str = ""
     explanation: str = ""
     kind: Literal["number", "text", "words"] = "number"
+    link: str = ""
 
 
 @dataclass(frozen=True)
@@ -53,6 +56,10 @@ class Cell:
         Drawing colour of a dot before the text (of a filter).
     link : str
         Relative address.
+    note : str
+        A second line below it.
+    note_tone : str
+        Its tone.
     """
 
     text: str
@@ -60,6 +67,8 @@ class Cell:
     tone: Tone = ""
     dot: str = ""
     link: str = ""
+    note: str = ""
+    note_tone: Tone = "none"
 
 
 def number(value: float | None, form: str = ".3g", unit: str = "", tone: Tone = "") -> Cell:
@@ -106,7 +115,10 @@ def table(columns: Sequence[Column], rows: Sequence[Sequence[Cell | str]], *, wi
 def _head(column: Column) -> str:
     title = f' title="{escape(column.explanation)}"' if column.explanation else ""
     kind = "" if column.kind == "number" else f' class="{column.kind}"'
-    return f'<th scope="col"{kind}{title}>{escape(column.heading)}<small>{escape(column.unit) or "&nbsp;"}</small></th>'
+    below = escape(column.unit) or "&nbsp;"
+    # A heading is a button: a link inside it would not be valid.
+    link = f'<a href="{escape(column.link)}">report</a>' if column.link else ""
+    return f'<th scope="col"{kind}{title}>{escape(column.heading)}<small>{link or below}</small></th>'
 
 
 def _row(columns: Sequence[Column], row: Sequence[Cell | str]) -> str:
@@ -118,6 +130,8 @@ def _cell(cell: Cell | str, column: Column, *, first: bool) -> str:
     content = escape(cell.text)
     if cell.link:
         content = f'<a href="{escape(cell.link)}">{content}</a>'
+    if cell.note:
+        content += f'<small class="{cell.note_tone}">{escape(cell.note)}</small>'
     kinds: list[str] = [kind for kind in ("" if column.kind == "number" else column.kind, cell.tone) if kind]
     style = ""
     if cell.dot:
