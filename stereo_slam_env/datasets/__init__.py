@@ -11,9 +11,10 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from filters.known_names import require_known
 from stereo_slam_env.datasets import gtsam_examples, kitti00_stereo_tracks, kitti07_tracks, starry_night
 from stereo_slam_env.datasets.images import known_image_layouts, open_image_sequence, recordings_in
-from stereo_slam_env.datasets.known_options import keyword_options, require_known
+from stereo_slam_env.datasets.known_options import keyword_options
 from stereo_slam_env.frontend.calibration import calibrated
 from stereo_slam_env.frontend.recorder import record_tracks
 from stereo_slam_env.frontend.settings import TrackerSettings
