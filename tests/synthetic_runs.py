@@ -4,22 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from stereo_slam_env.benchmark.landmark_statistics import AGES, LandmarkStatistics
 from stereo_slam_env.benchmark.limits import Bound
-from stereo_slam_env.benchmark.results import (
-    ConsistencyFigure,
-    DepthConvergence,
-    FilterRun,
-    FilterSummary,
-    LandmarkTrace,
-    RangeError,
-    SegmentError,
-)
+from stereo_slam_env.benchmark.results import FilterRun, LandmarkTrace
 
 
 @dataclass(frozen=True)
@@ -59,47 +50,6 @@ def make_bounds(runs: Sequence[FilterRun], share: float = 0.9) -> dict[tuple[str
         pose = np.tile(np.diag(np.repeat([share**2 * squared / 3, 1e-6], 3)), (len(run), 1, 1))
         bounds.setdefault((run.recording_name, run.seed), Bound(pose))
     return bounds
-
-
-def with_every_figure(summary: FilterSummary, bound_m: float = 0.06) -> FilterSummary:
-    """Fill what a summary of made-up runs lacks with numbers of the right size."""
-    rmse = summary.position_rmse_m or 0.1
-    scale = rmse / 0.1
-    edges = (0.0, 10.0, 20.0, 40.0, 80.0, np.inf)
-    ages = tuple(range(12))
-    bands = {"pose": 6.0, "position": 3.0, "rotation": 3.0, "landmark": 3.0, "nis": 1.0}
-    anees = (summary.pose_anees or 6.0) / 6.0
-    return replace(
-        summary,
-        bound_position_m=bound_m,
-        bound_rotation_deg=0.03,
-        efficiency_percent=100 * bound_m / rmse,
-        efficiency_by_run=tuple(100 * bound_m / error for error in summary.position_rmse_by_run),
-        consistency={
-            name: ConsistencyFigure(anees * dof, dof, (0.8 * dof, 1.25 * dof), 92.0 / anees)
-            for name, dof in bands.items()
-        },
-        rpe=tuple(SegmentError(m, 40, 0.4 * scale * (100 / m) ** 0.5, 0.2 * scale * 100 / m) for m in (25, 50, 100)),
-        rpe_translation_percent=0.5 * scale,
-        rpe_rotation_deg_per_100m=0.3 * scale,
-        landmark_by_range=tuple(
-            RangeError(low, high, 500, 0.002 * scale * (low + 5) ** 1.5, 1e-4 * (low + 5) ** 2, 2e-3 * (low + 5), 3.1)
-            for low, high in pairwise(edges)
-        ),
-        depth_convergence=tuple(
-            DepthConvergence(
-                label, low, high, ages, (200,) * 12,
-                sigma_m=tuple(depth**2 / 290 / (1 + age) ** 0.5 for age in ages),
-                rmse_m=tuple(1.1 * scale * depth**2 / 290 / (1 + age) ** 0.5 for age in ages),
-            )
-            for label, low, high, depth in (("near", 15.0, 25.0, 20.0), ("far", 60.0, 90.0, 75.0))
-        ),
-        negative_depth=3,
-        ms_predict=0.25 * (summary.ms_per_frame or 1.0),
-        ms_update=0.75 * (summary.ms_per_frame or 1.0),
-        state_size=412.0,
-        memory_mb=37.5,
-    )  # fmt: skip
 
 
 def _drive(frames: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from stereo_slam_env.benchmark.attribution import Attribution, Contrast, ResponseAttribution
-from stereo_slam_env.benchmark.report_tables import finding_tone, percent_cell
+from stereo_slam_env.benchmark.report_tables import capital, finding_tone, percent_cell
 from stereo_slam_env.viewer.factor_figures import plot_effects
 from stereo_slam_env.viewer.page import figure_block
 from stereo_slam_env.viewer.page_tables import Cell, Column, Tone, number, table
@@ -68,7 +68,7 @@ def _contrasts(responses: Sequence[ResponseAttribution]) -> str:
         Column("Option", kind="text"),
         Column("Choice", kind="text"),
         Column("instead of", kind="text"),
-        *(Column(response.response.capitalize(), "change, %") for response in responses),
+        *(Column(capital(response.response), "change, %") for response in responses),
     ]
     found: dict[tuple[str, Any], dict[str, Contrast]] = {}
     for response in responses:
@@ -118,7 +118,7 @@ def _shares(responses: Sequence[ResponseAttribution]) -> str:
     keys = list(dict.fromkeys(share.factors for response in responses for share in response.shares))
     columns = [
         Column("Options", kind="text"),
-        *(Column(r.response.capitalize(), "% of the variance") for r in responses),
+        *(Column(capital(r.response), "% of the variance") for r in responses),
     ]
     rows: list[list[Cell | str]] = []
     for key in keys:

@@ -25,8 +25,8 @@ from stereo_slam_env.viewer.page import figure_block, page
 FIGURES = "figures"
 """Folder of the figures, beside the page."""
 
-MOST_PAIRED = 6
-"""With more filters than that, they are compared with the best one only."""
+MOST_SHOWN = 6
+"""Of more filters than that, each is compared with the best one only, and the first ones have figures of their own."""
 
 _DATA_FILES = (".json", ".csv", ".parquet", ".toml")
 
@@ -156,9 +156,11 @@ def _sections(runs: Sequence[FilterRun], summaries: Sequence[FilterSummary], bou
         limits = honesty.error_limits(first)
         bounded = {
             f"error_{i}": (_later(honesty.plot_error_bounds, run, limits), f"{run.filter_name} on {shown}.")
-            for i, run in enumerate(first)
+            for i, run in enumerate(first[:MOST_SHOWN])
         }
         guide = "Position in the world, rotation in the camera frame; equal scales for all filters."
+        if len(first) > MOST_SHOWN:
+            guide += f" The first {MOST_SHOWN} of {len(first)} filters."
         sections.append(_Section("Errors and their 3σ bounds", guide, figures=bounded))
     sections += _map(runs, summaries)
     caption = f"Velocity in the world and heading on {shown}."
@@ -256,7 +258,7 @@ def _pairs(runs: Sequence[FilterRun], summaries: Sequence[FilterSummary], verdic
     """Each filter against each other one; of many filters, each against the best one."""
     if len(summaries) < 2:
         return ""
-    baseline = verdict.best if len(summaries) > MOST_PAIRED else None
+    baseline = verdict.best if len(summaries) > MOST_SHOWN else None
     compared = compare_all(runs, summaries, baseline=baseline)
     if not compared.cells:
         return ""

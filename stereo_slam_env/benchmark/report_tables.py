@@ -94,7 +94,7 @@ def pair_table(compared: PairwiseTable) -> str:
     """A row for each pair of filters, a column for each question."""
     columns = [Column("Filter", kind="text"), Column("against", kind="text")]
     for measure in compared.measures:
-        columns.append(Column(measure.words.capitalize(), "nearness to 1" if measure.ideal is not None else "%"))
+        columns.append(Column(capital(measure.words), "nearness to 1" if measure.ideal is not None else "%"))
     colours = filter_colours(compared.filters)
     pairs = list(dict.fromkeys((a, b) for _, a, b in compared.cells))
     order = {name: i for i, name in enumerate(compared.filters)}
@@ -132,6 +132,11 @@ def percent_cell(percent: float, interval: tuple[float, float] | None, tone: Ton
     if interval is not None:
         text += f" ({' to '.join(signed(end) for end in interval)})"
     return Cell(text, percent, tone)
+
+
+def capital(words: str) -> str:
+    """With a capital at the start, and the rest as it is: "Pose NEES"."""
+    return words[:1].upper() + words[1:]
 
 
 def _in_band(figure: ConsistencyFigure | None) -> Cell:

@@ -13,6 +13,7 @@ from matplotlib.ticker import NullLocator
 
 from filters.validation import FloatArray
 from stereo_slam_env.benchmark.attribution import Attribution, Effect, ResponseAttribution
+from stereo_slam_env.benchmark.comparison import Change
 from stereo_slam_env.viewer.style import (
     BAND,
     INK,
@@ -73,10 +74,10 @@ def plot_factor(factor: str, levels: Sequence[Any], responses: Sequence[FactorRe
     places = np.array(levels, dtype=np.float64) if to_scale else np.arange(float(len(levels)))
     longest = 0 if to_scale else max(len(str(level)) for level in levels)
     tilted = len(levels) * longest > 40
-    height = 3.2 + (0.06 * longest if tilted else 0.0)
+    extra = 0.03 * longest if tilted else 0.0
+    height = 3.2 + extra
     figure = Figure(figsize=(WIDTH_INCHES, height))
-    bottom = 0.5 + (0.06 * longest if tilted else 0.0)
-    figure.subplots_adjust(left=0.06, right=0.85, top=1 - 0.34 / height, bottom=bottom / height, wspace=0.22)
+    figure.subplots_adjust(left=0.06, right=0.85, top=1 - 0.34 / height, bottom=(0.5 + extra) / height, wspace=0.22)
     panels = figure.subplots(1, len(responses), sharex=True, squeeze=False)[0]
     for ax, response in zip(panels, responses, strict=True):
         if to_scale and places.min() > 0 and places.max() > 8 * places.min():
@@ -199,10 +200,49 @@ def _draw_effects(ax: Axes, rows: Sequence[tuple[str, Any]], response: ResponseA
     low, high = ax.get_xlim()
     ax.set_xlim(min(low, 0.98), max(high, 1.02))
     plain_log_axis(ax, "x")
-    ax.set(title=response.response.capitalize(), xlabel="times the average")
+    ax.set(title=response.response[:1].upper() + response.response[1:], xlabel="times the average")
     ax.grid(visible=False, axis="y")
 
 
 def _ends(effect: Effect) -> tuple[float, float]:
     low, high = effect.interval_percent or (effect.percent, effect.percent)
     return 1 + low / 100, 1 + high / 100
+
+
+@styled
+def plot_changes(changes: Sequence[Change]) -> Figure:
+    """Draw how much every measure of every filter changed, with its interval.
+
+    Parameters
+    ----------
+    changes : sequence of Change
+        Those without an interval are left out.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    shown = [change for change in changes if change.interval_percent is not None]
+    names = list(dict.fromkeys(change.filter_name for change in shown))
+    measures = list(dict.fromkeys(change.measure for change in shown))
+    colours = filter_colours(names)
+    figure = Figure(figsize=(WIDTH_INCHES, 0.9 + 0.16 * len(measures) * max(len(names), 2)))
+    height = figure.get_figheight()
+    ax = figure.add_axes((0.19, 0.5 / height, 0.66, 1 - 0.7 / height))
+    for i, name in enumerate(names):
+        own = [change for change in shown if change.filter_name == name]
+        rows = [measures.index(change.measure) - 0.3 + 0.6 * (i + 0.5) / len(names) for change in own]
+        ends = 1 + np.array([change.interval_percent for change in own], dtype=np.float64) / 100
+        centres = np.sqrt(ends[:, 0] * ends[:, 1])
+        spans = np.stack([centres - ends[:, 0], ends[:, 1] - centres])
+        ax.errorbar(
+            centres, rows, xerr=spans, color=colours[name], marker="o", markersize=4, linestyle="none", label=name
+        )
+    ax.axvline(1, color=INK, linewidth=0.8)
+    ax.set_xscale("log")
+    plain_log_axis(ax, "x")
+    ax.set(xlabel="after / before; of consistency: distance from the ideal", ylim=(len(measures) - 0.5, -0.5))
+    ax.set_yticks(range(len(measures)), measures)
+    ax.grid(visible=False, axis="y")
+    colour_key(ax, colours)
+    return figure
