@@ -4,9 +4,15 @@ import numpy as np
 import pytest
 
 from filters.noise import StereoNoise
-from stereo_slam_env.sensing.pixel_noise import NOISE_MODELS, IndependentPixels, IndependentUvd
+from stereo_slam_env.sensing.pixel_noise import (
+    NOISE_MODELS,
+    HeavyTailedUvd,
+    IndependentPixels,
+    IndependentUvd,
+    QuantisedPixels,
+)
 
-COUNT = 200_000
+COUNT = 400_000
 
 
 @pytest.mark.parametrize("name", NOISE_MODELS)
@@ -15,7 +21,9 @@ def test_sample_covariance_is_the_declared_one(name):
     true = np.tile([100.0, 50.0, 12.0], (COUNT, 1))
     errors = model.corrupt(true, np.random.default_rng(0))[0] - true
     np.testing.assert_allclose(errors.mean(axis=0), 0, atol=6 * 1.0 / np.sqrt(COUNT))
-    np.testing.assert_allclose(np.cov(errors.T), model.stereo_noise.R, atol=0.01)
+    standard_error = (errors[:, :, None] * errors[:, None, :]).std(axis=0) / np.sqrt(COUNT)
+    assert (np.abs(np.cov(errors.T) - model.stereo_noise.R) < 4.0 * standard_error).all()
+    assert standard_error.max() < (0.005 if name == "heavy-tailed" else 0.003)
 
 
 def test_independent_pixels_measures_a_right_row_of_its_own():
@@ -31,3 +39,32 @@ def test_independent_uvd_has_no_right_row():
     model = IndependentUvd(0.7)
     assert model.corrupt(np.zeros((3, 3)), np.random.default_rng(0))[1] is None
     assert model.stereo_noise == StereoNoise.diagonal(0.7, 0.7, 0.7)
+
+
+def test_heavy_tails_are_the_measured_mixture_at_the_measured_size():
+    model = HeavyTailedUvd(HeavyTailedUvd.MEASURED_SIGMA)
+    uvd, v_right = model.corrupt(np.zeros((COUNT, 3)), np.random.default_rng(0))
+    assert v_right is None
+    assert pytest.approx(2.44, abs=0.01) == HeavyTailedUvd.MEASURED_SIGMA
+    for errors in np.abs(uvd.T):
+        # Within 0.14 px: 95.45 % of the sharp Gaussian, 24.4 % of the blunt one, 0.7 % of the uniform distribution.
+        assert np.mean(errors < 0.14) == pytest.approx(0.596 * 0.9545 + 0.360 * 0.2443 + 0.044 * 0.007, abs=0.005)
+        assert np.mean(errors > 4.0) == pytest.approx(0.044 * 16 / 20, abs=0.002)
+        assert errors.max() <= 20.0
+    np.testing.assert_allclose(np.corrcoef(np.abs(uvd.T)), np.eye(3), atol=0.01)
+
+
+def test_heavy_tails_have_the_covariance_of_uvd():
+    assert HeavyTailedUvd(0.7).stereo_noise == IndependentUvd(0.7).stereo_noise
+
+
+def test_quantised_measurements_are_whole_pixels_and_their_covariance_holds_without_other_noise():
+    """Rounding alone: uniform errors of 1/12 px^2, where landmarks fall anywhere between pixels."""
+    rng = np.random.default_rng(0)
+    true = rng.uniform([100.0, 50.0, 5.0], [900.0, 300.0, 60.0], (COUNT, 3))
+    model = QuantisedPixels(1e-6)
+    uvd, v_right = model.corrupt(true, rng)
+    np.testing.assert_array_equal(uvd, np.rint(uvd))
+    np.testing.assert_array_equal(v_right, uvd[:, 1])  # the rows are the same, and so is their rounding
+    np.testing.assert_allclose(np.cov((uvd - true).T), model.stereo_noise.R, atol=0.001)
+    np.testing.assert_allclose(model.stereo_noise.R[0, 0], 1.0 / 12.0, rtol=1e-9)
