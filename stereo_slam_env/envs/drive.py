@@ -127,8 +127,7 @@ class StereoDriveEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
     | `sensor` | `"landmarks"` | `"landmarks"`: projection, occlusion and noise; `"images"`: rendered, front end |
     | `renderer` | `"tiny"` | who draws: `"tiny"`, everywhere; `"gl"`, fast, needs the extra gl and EGL |
     | `render_images` | `False` | add the rendered views to the observation (slow) |
-    | `noise` | `"pixels"` | of landmarks: `"pixels"`: u, v of both eyes independent; `"uvd"`: u, v, d independent; \
-`"heavy-tailed"`: the same with rare gross errors; `"quantised"`: pixels rounded to whole ones |
+    | `noise` | `"pixels"` | of landmarks: `"pixels"`, `"heavy-tailed"`, `"quantised"` or `"uvd"`, see below |
     | `sigma` | `1.0` | standard deviation of the noise, px |
     | `max_landmarks` | `90` | most landmarks in one frame, N |
     | `refill_below` | `None` | take up new landmarks when fewer are left; None: 72 % of `max_landmarks` |
@@ -138,6 +137,9 @@ class StereoDriveEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
     | `perturbation` | `1.0` | scale of the random sway of a scripted drive; 0: none |
     | `supersample` | `1` | draw images this many times finer and average |
     | `render_mode` | `None` | `"rgb_array"`: both views with the observed landmarks |
+
+    Noise of landmarks: `"pixels"`: u, v of both eyes have independent Gaussian errors; `"heavy-tailed"`: the same with
+    rare gross errors, as in rendered images; `"quantised"`: rounded to whole pixels; `"uvd"`: u, v, d are independent.
 
     Randomness comes from separate streams for scene, motion, landmarks, odometry, start and cameras: the same seed
     gives the same scene and drive whatever the sensor. `copy.deepcopy` and pickle make a fresh environment, not a
