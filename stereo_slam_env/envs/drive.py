@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import gymnasium as gym
@@ -343,7 +342,7 @@ class StereoDriveEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
             largest, slack = float(camera.width), _IMAGE_SLACK
         else:
             largest = camera.disparity_constant / self.options.tracking.nearest
-            slack = 10.0 * math.sqrt(self.noise.R[0, 0])  # no error is ever that large: bounds hold without clipping
+            slack = self._noise.largest_error  # so the bounds hold without clipping
         high = np.array([camera.width, camera.height, largest]) + slack
         low = np.full(3, -slack)
         velocity = _MAX_VELOCITY.astype(np.float32)

@@ -19,6 +19,10 @@ class PixelNoise(Protocol):
     def stereo_noise(self) -> StereoNoise:
         """Covariance of the (u, v, d) that `corrupt` returns."""
 
+    @property
+    def largest_error(self) -> float:
+        """No error of u, v or d is ever that large, px."""
+
     def corrupt(self, uvd: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, FloatArray | None]:
         """Add noise to true measurements.
 
@@ -44,6 +48,7 @@ class IndependentPixels:
     def __init__(self, sigma: float) -> None:
         self.sigma = positive("sigma", sigma)
         self.stereo_noise = StereoNoise.independent_pixels(sigma)
+        self.largest_error = 10.0 * self.sigma
 
     def corrupt(self, uvd: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
         """See `PixelNoise.corrupt`; `v_right` is measured."""
@@ -57,6 +62,7 @@ class IndependentUvd:
     def __init__(self, sigma: float) -> None:
         self.sigma = positive("sigma", sigma)
         self.stereo_noise = StereoNoise.diagonal(sigma, sigma, sigma)
+        self.largest_error = 10.0 * self.sigma
 
     def corrupt(self, uvd: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, None]:
         """See `PixelNoise.corrupt`; there is no `v_right`."""
@@ -74,6 +80,7 @@ class HeavyTailedPixels:
     def __init__(self, sigma: float) -> None:
         self.sigma = positive("sigma", sigma)
         self.stereo_noise = StereoNoise.independent_pixels(sigma)
+        self.largest_error = 20.0 * self.sigma
 
     def corrupt(self, uvd: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
         """See `PixelNoise.corrupt`; `v_right` is measured."""
@@ -108,6 +115,7 @@ class QuantisedPixels:
         self.sigma = positive("sigma", sigma)
         self.stereo_noise = StereoNoise.independent_pixels(float(np.sqrt(self.sigma**2 + 1.0 / 12.0)))
         self._before = IndependentPixels(sigma)
+        self.largest_error = self._before.largest_error + 1.0
 
     def corrupt(self, uvd: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
         """See `PixelNoise.corrupt`; `v_right` is measured."""

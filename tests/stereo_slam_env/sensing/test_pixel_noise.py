@@ -28,6 +28,15 @@ def test_sample_covariance_is_the_declared_one(name):
     assert standard_error.max() < (0.008 if name == "heavy-tailed" else 0.003)
 
 
+@pytest.mark.parametrize("name", NOISE_MODELS)
+@pytest.mark.parametrize("sigma", [0.01, 2.0])
+def test_no_error_is_as_large_as_the_largest(name, sigma):
+    model = NOISE_MODELS[name](sigma)
+    true = np.random.default_rng(1).uniform(10.0, 90.0, (100_000, 3))
+    errors = model.corrupt(true, np.random.default_rng(0))[0] - true
+    assert np.abs(errors).max() < model.largest_error
+
+
 def test_independent_pixels_measures_a_right_row_of_its_own():
     model = IndependentPixels(0.7)
     true = np.tile([100.0, 50.0, 12.0], (COUNT, 1))
