@@ -53,14 +53,6 @@ def test_consensus_keeps_a_filter_consistent_under_heavy_tails_and_wrong_associa
     assert figures["gate"].pose_anees / 6 > 3.0
 
 
-def test_the_pixel_errors_are_the_mixture_that_was_measured() -> None:
-    heavy_tails = script("heavy_tails")
-    drawn = np.abs(heavy_tails.pixel_errors(np.random.default_rng(0), (100_000,)))
-    # Beyond 2 px there is only the uniform part: 4 % over 20 px.
-    assert np.mean(drawn > 2.0) == pytest.approx(0.04 * 0.9, abs=0.003)
-    assert np.median(drawn) == pytest.approx(0.09, abs=0.01)
-
-
 def test_a_bootstrap_interval_knows_a_ratio_of_one_and_a_half() -> None:
     against_batch = script("against_batch")
     errors = np.random.default_rng(0).standard_normal((60, 3))
