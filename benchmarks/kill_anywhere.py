@@ -108,7 +108,7 @@ def main() -> None:
     arguments = parser.parse_args()
     tally = disturb(arguments.kills, arguments.jobs)
     Console().print(
-        f"{tally.kills} kills: no finished trial was lost or changed ({tally.trials_kept} checked), no file was damaged; "
+        f"{tally.kills} kills: no finished trial was lost or changed ({tally.trials_kept} checked), no file damaged; "
         f"{tally.finished_runs} runs came to their end in between, with the results of an undisturbed one"
     )
 

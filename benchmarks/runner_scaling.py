@@ -1,4 +1,4 @@
-"""How much faster is a benchmark on two cores than on one? And what does a process for each trial cost?
+"""How much faster a benchmark is on two cores than on one, and what a process for each trial costs.
 
     python benchmarks/runner_scaling.py                  # 3 min on two idle cores
 

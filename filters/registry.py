@@ -48,13 +48,13 @@ _OWN: dict[str, FilterFactory] = {
 }
 
 
-def make_filter(name: str, *, camera: StereoCamera, noise: StereoNoise, **options: Any) -> StereoFilter:
+def make_filter(name: str | FilterFactory, *, camera: StereoCamera, noise: StereoNoise, **options: Any) -> StereoFilter:
     """Make a filter by name.
 
     Parameters
     ----------
-    name : str
-        One of `available_filters()`.
+    name : str or callable
+        One of `available_filters()`; or what an entry point would name: a filter class, or a function that makes one.
     camera : StereoCamera
         The rig.
     noise : StereoNoise
@@ -67,14 +67,8 @@ def make_filter(name: str, *, camera: StereoCamera, noise: StereoNoise, **option
     ValueError
         Unknown name or option, an option's value is refused, or a third-party filter cannot be loaded.
     """
-    plugins = _plugins()
-    if name in _OWN:
-        factory = _OWN[name]
-    elif name in plugins:
-        factory = _load(plugins[name])
-    else:
-        names = sorted({*_OWN, *plugins})
-        raise ValueError(f"filter must be one of {', '.join(names)}, got {name!r}{_hint(name, names)}")
+    factory = _found(name) if isinstance(name, str) else name
+    name = name if isinstance(name, str) else getattr(name, "__name__", type(name).__name__)
     _refuse_unknown_options(name, factory, options)
     made = factory(camera=camera, noise=noise, **options)
     if not isinstance(made, StereoFilter):
@@ -92,6 +86,16 @@ def available_filters() -> dict[str, str]:
             _log.warning("%s", error)
             lines[name] = f"not available: {error}"
     return lines
+
+
+def _found(name: str) -> FilterFactory:
+    if name in _OWN:
+        return _OWN[name]
+    plugins = _plugins()
+    if name in plugins:
+        return _load(plugins[name])
+    names = sorted({*_OWN, *plugins})
+    raise ValueError(f"filter must be one of {', '.join(names)}, got {name!r}{_hint(name, names)}")
 
 
 def _plugins() -> dict[str, EntryPoint]:

@@ -59,6 +59,20 @@ def positive(name: str, value: Any, *, allow_zero: bool = False) -> float:
     return number
 
 
+def finite_number(name: str, value: Any) -> float:
+    """Return `value` as a finite float."""
+    if isinstance(value, bool) or not isinstance(value, float | int | np.number) or not math.isfinite(value):
+        raise ValueError(f"{name} must be a finite number, got {value!r}")
+    return float(value)
+
+
+def probability(name: str, value: Any) -> float:
+    """Return `value` as a float from 0 to 1."""
+    if isinstance(value, bool) or not isinstance(value, float | int | np.number) or not 0.0 <= value <= 1.0:
+        raise ValueError(f"{name} must be a probability from 0 to 1, got {value!r}")
+    return float(value)
+
+
 def gate_probability(value: Any) -> float | None:
     """Return the probability of a gate, between 0 and 1, or None for no gate."""
     if value is not None and not (isinstance(value, float | int) and 0.0 < value < 1.0):

@@ -27,6 +27,8 @@ from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.recording import Recording
 
 NOTHING = "–"
+MOST_COLUMNS = 5
+_MATTER_MOST = ("position RMSE", "ATE", "pose NEES", "of the limit", "landmark error", "ms a frame", "diverged")
 
 
 def show_settings(console: Console, scenario: Scenario) -> None:
@@ -44,10 +46,7 @@ def show_settings(console: Console, scenario: Scenario) -> None:
         "consensus": "one-point RANSAC over the frame" if scenario.consensus else "no",
         "odometry": "used" if scenario.use_odometry else "not used",
         "motion": f"{motion['sigma_acceleration']:g} m/s², {motion['sigma_angular_acceleration']:g} rad/s²",
-        "filters": ", ".join(
-            choice.label + (f" {json.dumps(dict(choice.options))}" if choice.options else "")
-            for choice in scenario.filters
-        ),
+        "filters": _filters(scenario),
     }
     if sees:
         lines["search"] = {"flow": "the same for all filters", "forecast": "guided by each filter"}[scenario.search]
@@ -57,9 +56,20 @@ def show_settings(console: Console, scenario: Scenario) -> None:
         console.print(f"[dim]{name:>14}[/dim]  {value}", highlight=False, soft_wrap=True)
 
 
+def _filters(scenario: Scenario) -> str:
+    if len(scenario.filters) > MOST_COLUMNS:
+        return f"{len(scenario.filters)}: {', '.join(choice.label for choice in scenario.filters)}"
+    return ", ".join(
+        choice.label + (f" {json.dumps(dict(choice.options))}" if choice.options else "") for choice in scenario.filters
+    )
+
+
 def show_study(console: Console, study: Study) -> None:
     """Print what is going to be run."""
     first = study.cells[0]
+    if study.factorial is not None:
+        factors = "; ".join(f"{name}: {', '.join(map(str, levels))}" for name, levels in study.factorial.items())
+        console.print(f"[dim]{'crossed':>14}[/dim]  {factors}", highlight=False, soft_wrap=True)
     if not study.is_grid:
         show_settings(console, first.scenario)
         return
@@ -150,14 +160,24 @@ def progress_bar(console: Console, what: str = "trials") -> Iterator[ProgressCal
 
 
 def show_results(console: Console, summaries: Sequence[FilterSummary]) -> None:
-    """Print the result table, a column a filter, and a line for each run that failed."""
+    """Print the result table and a line for each run that failed.
+
+    A column a filter; of many filters, a row each, with the figures that matter most.
+    """
     table = Table(box=None, pad_edge=False, header_style="bold")
     table.add_column("", no_wrap=True)
-    for summary in summaries:
-        table.add_column(summary.filter_name, justify="right")
-    for name, cells in _rows(summaries).items():
-        if set(cells) != {NOTHING}:
+    figures = {name: cells for name, cells in _rows(summaries).items() if set(cells) != {NOTHING}}
+    if len(summaries) <= MOST_COLUMNS:
+        for summary in summaries:
+            table.add_column(escape(summary.filter_name), justify="right")
+        for name, cells in figures.items():
             table.add_row(name, *cells)
+    else:
+        names = [name for name in figures if name.startswith(_MATTER_MOST)]
+        for name in names:
+            table.add_column(name, justify="right")
+        for row, summary in enumerate(summaries):
+            table.add_row(escape(summary.filter_name), *(figures[name][row] for name in names))
     console.print(table, highlight=False)
     for summary in summaries:
         for failure in summary.failures:
@@ -197,6 +217,7 @@ def _rows(summaries: Sequence[FilterSummary]) -> dict[str, list[str]]:
         "ATE (rigidly aligned), m": row("ate_rigid_m", 3),
         "rotation RMSE, °": row("rotation_rmse_deg", 3),
         "drift at the end, %": row("end_drift_percent", 3),
+        "of the limit reached, %": row("efficiency_percent", 0),
         f"pose NEES / 6 (95 %: {band[0] / 6.0:.2f}–{band[1] / 6.0:.2f})": row("pose_anees", 2, 1.0 / 6.0),
         "frames inside that band, %": row("frames_in_band_percent", 0),
         "NIS / dof": row("nis", 2),

@@ -5,8 +5,8 @@ Data flows one way: an environment or a dataset reader yields a `Recording`; the
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -123,3 +123,8 @@ class Recording:
 
     def __len__(self) -> int:
         return len(self.frames)
+
+    def with_observations(self, observations: Iterable[StereoObservation]) -> Recording:
+        """The same drive, seen differently: one observation for each frame."""
+        pairs = zip(self.frames, observations, strict=True)
+        return replace(self, frames=tuple(replace(frame, observation=seen) for frame, seen in pairs))

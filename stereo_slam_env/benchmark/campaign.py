@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 import logging
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from filters import available_filters, make_filter
 from filters.camera import StereoCamera
@@ -24,6 +24,9 @@ from stereo_slam_env.benchmark.store import RunDirectory
 from stereo_slam_env.benchmark.study import Study
 from stereo_slam_env.benchmark.study_store import CellResult, StudyDirectory, open_study
 from stereo_slam_env.benchmark.tasks import RecordingTask, TrialTask, make, run_trial
+
+if TYPE_CHECKING:
+    from stereo_slam_env.benchmark.attribution import Attribution
 
 Progress = Callable[[float, int], None]
 Task = TypeVar("Task")
@@ -180,6 +183,7 @@ def write_report_of(directory: StudyDirectory, results: Sequence[CellResult]) ->
     """Write the report of every cell, and of a grid the one over all of them; returns the page to open."""
     from stereo_slam_env.benchmark.report import write_report  # Matplotlib, only where it is needed
 
+    factorial = directory.study.factorial
     pages = [
         write_report(
             result.directory.out,
@@ -188,14 +192,27 @@ def write_report_of(directory: StudyDirectory, results: Sequence[CellResult]) ->
             result.summaries,
             result.directory.settings(),
             bounds=result.bounds,
+            attribution=None if factorial is None else attribution_of(factorial, result),
         )
         for result in results
     ]
-    if not directory.study.is_grid and directory.study.factorial is None:
+    if not directory.study.is_grid:
         return pages[0]
     from stereo_slam_env.benchmark.study_report import write_study_report
 
     return write_study_report(directory.out, directory.study, {result.cell.name: result for result in results})
+
+
+def attribution_of(factorial: Mapping[str, Sequence[Any]], result: CellResult) -> Attribution | None:
+    """Which option of the filter makes the difference in this cell; None where too little is left to tell."""
+    from stereo_slam_env.benchmark.attribution import attribute_runs
+
+    percent = result.cell.scenario.divergence_percent
+    try:
+        return attribute_runs(factorial, result.runs, divergence_percent=percent)
+    except ValueError as error:
+        _log.warning("no attribution for %s: %s", result.cell.name, error)
+        return None
 
 
 def _run_missing(directory: StudyDirectory, engine: Engine, progress: Progress) -> None:

@@ -8,7 +8,7 @@ from functools import cache
 from importlib.resources import files
 from pathlib import Path
 
-from filters.suggestions import did_you_mean
+from filters.known_names import did_you_mean
 from stereo_slam_env.benchmark.scenario import Scenario
 from stereo_slam_env.benchmark.scenario_file import description_of, load_study
 from stereo_slam_env.benchmark.study import Study

@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 from numbers import Integral
 from typing import Any
 
+from filters.known_names import did_you_mean
 from filters.noise import StereoNoise
-from filters.suggestions import did_you_mean
 from filters.validation import finite_array, positive
 
 KINDS: Mapping[str, str] = {

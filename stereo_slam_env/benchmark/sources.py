@@ -20,7 +20,7 @@ from stereo_slam_env.frontend.recorder import record_tracks
 from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.image_sequence import ImageSequence
 from stereo_slam_env.recording import Recording
-from stereo_slam_env.sensing.corruptions import check_corruptions, corrupted
+from stereo_slam_env.sensing.corruptions import corrupted, make_corruption
 
 Progress = Callable[[int, int], None]
 
@@ -100,7 +100,8 @@ def check_source(scenario: Scenario) -> None:
             f"scenario {scenario.name!r} must not assume a noise (--sigma-px): in images each measurement comes with "
             f"its own covariance"
         )
-    check_corruptions(scenario.corruptions)
+    for corruption in scenario.corruptions:
+        make_corruption(corruption)
     if scenario.kind != "street":
         return
     from stereo_slam_env.envs.options import DriveOptions

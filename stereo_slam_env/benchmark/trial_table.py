@@ -2,9 +2,9 @@
 
 `trials.sqlite` has the tables
 
-- `trials`: `study`, `cell`, one column a factor of the grid (`factor.` and its name in the scenario file, e.g.
-  `factor.options.sigma`), the columns of `trial_metrics.COLUMNS`, `options` (JSON), and `series`, the path of the time series (npz) relative to the
-  file itself;
+- `trials`: `cell`, one column a factor of the grid (`factor.` and its name in the scenario file, e.g.
+  `factor.options.sigma`), the columns of `trial_metrics.COLUMNS`, `options` (JSON), and `series`, the path of the time
+  series (npz) relative to the file itself;
 - `columns`: `name`, `unit` and `meaning` of every column of `trials`.
 
 `PRAGMA user_version` is the version of this schema. NULL is what does not apply or is not finite.

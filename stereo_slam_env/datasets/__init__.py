@@ -11,9 +11,10 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from stereo_slam_env.datasets import gtsam_examples, kitti00_stereo_tracks, kitti07_tracks
+from filters.known_names import require_known
+from stereo_slam_env.datasets import gtsam_examples, kitti00_stereo_tracks, kitti07_tracks, starry_night
 from stereo_slam_env.datasets.images import known_image_layouts, open_image_sequence, recordings_in
-from stereo_slam_env.datasets.known_options import keyword_options, require_known
+from stereo_slam_env.datasets.known_options import keyword_options
 from stereo_slam_env.frontend.calibration import calibrated
 from stereo_slam_env.frontend.recorder import record_tracks
 from stereo_slam_env.frontend.settings import TrackerSettings
@@ -21,7 +22,7 @@ from stereo_slam_env.image_sequence import ImageSequence
 from stereo_slam_env.recording import Recording
 from stereo_slam_env.recording_archive import load_recording
 
-READERS = (kitti07_tracks, kitti00_stereo_tracks)
+READERS = (kitti07_tracks, kitti00_stereo_tracks, starry_night)
 
 __all__ = ["READERS", "holds_images", "known_layouts", "open_for_front_end", "read_recording"]
 

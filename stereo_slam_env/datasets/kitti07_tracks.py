@@ -16,7 +16,7 @@ from filters.interface import BodyVelocity
 from filters.noise import StereoNoise
 from filters.validation import FloatArray, positive
 from stereo_slam_env.datasets.tables import read_archive, read_poses
-from stereo_slam_env.datasets.tracks import ASSUMED_SIGMA_PX, Tracks, frames_of
+from stereo_slam_env.datasets.tracks import ASSUMED_SIGMA_PX, frames_of, tracks_of_pixels
 from stereo_slam_env.recording import Pose, Recording
 
 NAME = "kitti07_tracks"
@@ -76,7 +76,7 @@ def read(
         positive("sigma_linear", sigma_linear),
         positive("sigma_angular", sigma_angular),
     )
-    tracks = _tracks(arrays["features"])
+    tracks = tracks_of_pixels(arrays["features"].transpose(0, 2, 1))
     positive_disparity = tracks.with_positive_disparity()
     source: dict[str, Any] = {
         "reader": NAME,
@@ -160,9 +160,3 @@ def _camera(archive: Path, arrays: dict[str, FloatArray]) -> StereoCamera:
         raise ValueError(f"{archive}: array b has shape {b.shape}, expected one number (the baseline in m)")
     fx, fy, cx, cy = map(float, (K[0, 0], K[1, 1], K[0, 2], K[1, 2]))
     return StereoCamera(fx, fy, cx, cy, float(b.reshape(-1)[0]), *IMAGE_SIZE)
-
-
-def _tracks(features: FloatArray) -> Tracks:
-    frame, landmark = np.nonzero((features != -1.0).all(axis=0).T)
-    u_left, v_left, u_right, v_right = features[:, landmark, frame]
-    return Tracks(frame, landmark, np.column_stack([u_left, v_left, u_left - u_right]), v_right)

@@ -80,6 +80,19 @@ class Tracks:
         return self.select(self.frame >= joined[landmark])
 
 
+def tracks_of_pixels(pixels: FloatArray) -> Tracks:
+    """Observations out of a dense table.
+
+    Parameters
+    ----------
+    pixels : (4, K, N) ndarray
+        u_left, v_left, u_right, v_right of landmark j in frame k, px; -1 where it was not seen.
+    """
+    frame, landmark = np.nonzero((pixels != -1.0).all(axis=0))
+    u_left, v_left, u_right, v_right = pixels[:, frame, landmark]
+    return Tracks(frame, landmark, np.column_stack([u_left, v_left, u_left - u_right]), v_right)
+
+
 def frames_of(
     tracks: Tracks,
     timestamps: FloatArray,

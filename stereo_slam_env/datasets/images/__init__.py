@@ -10,10 +10,11 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from filters.known_names import require_known
 from stereo_slam_env.datasets.images import euroc, karlsruhe, kitti06_stereo51, kitti_odometry, kitti_raw
 from stereo_slam_env.datasets.images.broken import BrokenPair
 from stereo_slam_env.datasets.images.sequence import RecordedSequence
-from stereo_slam_env.datasets.known_options import keyword_options, require_known
+from stereo_slam_env.datasets.known_options import keyword_options
 
 IMAGE_READERS: tuple[ModuleType, ...] = (kitti06_stereo51, kitti_odometry, kitti_raw, karlsruhe, euroc)
 _DEPTH = 2

@@ -45,8 +45,11 @@ def test_the_run_is_what_driving_the_filter_by_hand_gives():
     np.testing.assert_array_equal(run.pose_covariances[-1], by_hand.pose.covariance)
     assert run.nis[-1] == report.nis
     assert run.counts["map_size"][-1] == len(by_hand.landmarks.ids)
+    assert run.state_size[-1] == by_hand.state_size
     error, covariance = by_hand.pose_error(frame.truth.position, frame.truth.orientation)
     assert run.pose_nees[-1] == pytest.approx(error @ np.linalg.solve(covariance, error))
+    for nees, part in ((run.position_nees, slice(0, 3)), (run.rotation_nees, slice(3, 6))):
+        assert nees[-1] == pytest.approx(error[part] @ np.linalg.solve(covariance[part, part], error[part]))
 
 
 def test_every_array_has_a_row_a_frame_and_finite_values():
@@ -57,6 +60,8 @@ def test_every_array_has_a_row_a_frame_and_finite_values():
             assert len(value) == len(recording), name
             assert np.isfinite(value).all(), name
     assert set(run.counts) == set(COUNTS)
+    np.testing.assert_allclose(run.milliseconds, run.predict_milliseconds + run.update_milliseconds)
+    assert run.memory_mb >= 0.0
     assert (run.milliseconds > 0).all()
     assert run.counts["initialised"][0] == len(recording.frames[0].observation)
     assert [trace.label for trace in run.traces] == ["near", "far"]
@@ -136,3 +141,17 @@ def test_progress_counts_frames():
 def test_an_empty_recording_is_refused():
     with pytest.raises(ValueError, match="recording 'small' has no frames"):
         run_filter(replace(small_recording(), frames=()), "inverse-depth")
+
+
+@pytest.mark.usefixtures("third_party")
+def test_a_filter_that_does_not_tell_the_size_of_its_state_has_none():
+    assert np.isnan(run_filter(small_recording(), "odometry-only").state_size).all()
+
+
+def test_landmarks_believed_beyond_infinity_are_counted_while_they_are_seen():
+    """Far points under heavy noise begin with d <= 0; inverse depth keeps them, XYZ cannot."""
+    recording = small_recording(sigma=6.0)
+    behind = {name: run_filter(recording, name).counts["negative_depth"] for name in ("inverse-depth", "euclidean")}
+    first = recording.frames[0].observation
+    assert behind["inverse-depth"][0] == np.count_nonzero(first.uvd[:, 2] <= 0) > 0
+    assert behind["euclidean"][0] == 0

@@ -5,6 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from stereo_slam_env.benchmark.landmark_statistics import LandmarkStatistics
+from stereo_slam_env.benchmark.limits import Bound
 from stereo_slam_env.benchmark.runner import run_filter
 from stereo_slam_env.benchmark.summary import summarise, summarise_all
 
@@ -82,15 +84,82 @@ def test_what_is_not_known_is_none():
         "pose_anees",
         "pose_anees_band",
         "landmark_anees",
+        "rpe_translation_percent",
+        "efficiency_percent",
     ):
         assert getattr(row, name) is None, name
     assert row.nis is not None
-    assert row.frames == 0
+    assert set(row.consistency) == {"nis"}
+    assert (row.frames, row.rpe, row.landmark_by_range, row.depth_convergence) == (0, (), (), ())
 
 
 def test_all_runs_failed(plain):
     row = summarise([replace(plain, failure="start: no")])
     assert (row.diverged, row.position_rmse_m, row.pose_anees_band) == (1, None, None)
+
+
+def limit(run, sigma):
+    """The same standard deviation of every axis of position (m) and rotation (deg) in every frame."""
+    deviations = np.repeat([sigma, np.deg2rad(sigma)], 3)
+    return Bound(np.tile(np.diag(deviations**2), (len(run), 1, 1)))
+
+
+def test_efficiency_is_the_bound_over_the_error_where_both_are_known(plain):
+    near, far = off_by(plain, [0.5, 0, 0]), off_by(plain, [0, 0, 1.0], seed=1)
+    bounds = {("small", 0): limit(plain, 0.4 / np.sqrt(3))}
+    row = summarise([near, far], bounds=bounds)
+    assert row.bound_position_m == pytest.approx(0.4)
+    assert row.bound_rotation_deg == pytest.approx(0.4)
+    assert row.efficiency_percent == pytest.approx(80.0)
+    assert row.efficiency_by_run == pytest.approx((80.0, np.nan), nan_ok=True)
+    bounds["small", 1] = limit(plain, 0.8 / np.sqrt(3))
+    assert summarise([near, far], bounds=bounds).efficiency_percent == pytest.approx(80.0)
+    row = summarise([near, far])
+    assert (row.bound_position_m, row.efficiency_percent, row.efficiency_by_run) == (None, None, ())
+
+
+def test_relative_errors_are_weighted_by_their_segments(plain):
+    """Two drives of 15 m and 40 m: every segment counts once, whichever run it is of."""
+    short, long = (drive(plain, rows, 1.0 + error) for rows, error in ((16, 0.01), (41, 0.04)))
+    row = summarise([short, long])
+    assert [(part.length_m, part.segments) for part in row.rpe] == [(5.0, 1 + 4), (10.0, 3)]
+    assert row.rpe[0].translation_percent == pytest.approx(6 / 5 * (1 * 1.0 + 4 * 4.0) / 5)
+    every = [6 / 5 * 1.0] + 4 * [6 / 5 * 4.0] + 3 * [11 / 10 * 4.0]
+    assert row.rpe_translation_percent == pytest.approx(np.mean(every))
+    assert row.rpe_rotation_deg_per_100m == pytest.approx(0.0, abs=1e-6)
+
+
+def drive(run, rows, scale):
+    """A metre a frame along z, with an error of scale."""
+    along = np.outer(np.arange(float(rows)), [0.0, 0.0, 1.0])
+    ahead = np.tile([0.0, 0.0, 0.0, 1.0], (rows, 1))
+    grown = {
+        name: np.resize(value, (rows, *value.shape[1:]))
+        for name, value in vars(run).items()
+        if isinstance(value, np.ndarray)
+    }
+    poses = {"positions": scale * along, "true_positions": along, "orientations": ahead, "true_orientations": ahead}
+    return replace(run, **{**grown, **poses})
+
+
+def test_landmarks_are_weighted_by_their_number(plain):
+    few, many = (
+        replace(plain, landmark_statistics=LandmarkStatistics(nees_count=count, nees=nees * count))
+        for count, nees in ((np.full(5, 1.0), 2.0), (np.full(5, 9.0), 4.0))
+    )
+    row = summarise([few, many])
+    assert row.landmark_anees == pytest.approx(3.8)
+    assert [part.anees for part in row.landmark_by_range] == pytest.approx([3.8] * 5)
+
+
+def test_costs_are_medians_over_frames_and_the_largest_memory(plain):
+    slow = {
+        "predict_milliseconds": np.full(len(plain), 1.0),
+        "update_milliseconds": np.full(len(plain), 4.0),
+        "state_size": np.full(len(plain), 90.0),
+    }
+    row = summarise([replace(plain, memory_mb=3.0, **slow), replace(plain, memory_mb=7.0, **slow)])
+    assert (row.ms_predict, row.ms_update, row.state_size, row.memory_mb) == (1.0, 4.0, 90.0, 7.0)
 
 
 def test_filters_are_summarised_apart_in_their_order(plain):

@@ -80,3 +80,43 @@ def kitti00(folder: Path, frame_ids: tuple[int, ...] = (*range(18), 19, 20)) -> 
             rows.append([k, landmark, 650.0, 650.0 - FOCAL * BASELINE / z, 190.0, 0.0, 0.0, z])
     np.savetxt(folder / "stereo_factors.txt", rows)
     return folder
+
+
+def starry_night(folder: Path, **changes: np.ndarray | None) -> Path:
+    """12 steps of a vehicle that turns steadily and changes its speed from step to step, before 3 landmarks.
+
+    Landmark 0 is seen always, 1 in steps 2 to 5 and again from 9 on, 2 by eyes that disagree on the row in step 4.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    steps, rate = 12, np.array([0.1, -0.2, 0.3])
+    linear = np.array([0.5, 0.1, -0.2]) + 0.05 * np.arange(steps)[:, None] * [1.0, -1.0, 0.5]
+    turns = Rotation.from_rotvec(DT * np.arange(steps)[:, None] * rate) * Rotation.from_rotvec([0.3, -0.2, 0.5])
+    half_way = turns * Rotation.from_rotvec(0.5 * DT * turns[0].inv().apply(rate))
+    moves = DT * half_way.apply(linear)
+    positions = np.array([1.0, 2.0, 0.5]) + np.vstack([np.zeros(3), np.cumsum(moves[:-1], axis=0)])
+    camera = positions + turns.apply(P_I), turns * Rotation.from_matrix(R_CI.T)
+    ahead = np.array([[0.3, 0.2, 4.0], [-0.5, 0.1, 5.0], [0.1, -0.4, 3.0]])
+    points = camera[0][5] + camera[1][5].apply(ahead)
+    pixels = np.full((4, steps, 3), -1.0)
+    for j, seen in enumerate((range(steps), (2, 3, 4, 5, 9, 10, 11), (3, 4))):
+        for k in seen:
+            x, y, z = camera[1][k].inv().apply(points[j] - camera[0][k])
+            u, v = FOCAL * x / z + CENTRE[0], FOCAL * y / z + CENTRE[1]
+            pixels[:, k, j] = [u, v, u - FOCAL * BASELINE / z, v + (3.0 if (j, k) == (2, 4) else 0.0)]
+    arrays = {
+        "t": 20.0 + DT * np.arange(steps)[None],
+        "r_i_vk_i": positions.T,
+        "theta_vk_i": turns.as_rotvec().T,
+        "v_vk_vk_i": linear.T,
+        # Of the opposite sign, as in the source.
+        "w_vk_vk_i": -np.tile(turns[0].inv().apply(rate), (steps, 1)).T,
+        "rho_i_pj_i": points.T,
+        "y_k_j": pixels,
+        "C_c_v": R_CI,
+        "rho_v_c_v": P_I[:, None],
+        **{name: np.array([[value]]) for name, value in zip(("fu", "fv"), (FOCAL, FOCAL), strict=True)},
+        **{name: np.array([[value]]) for name, value in zip(("cu", "cv", "b"), (*CENTRE, BASELINE), strict=True)},
+    }
+    kept = {name: value for name, value in (arrays | changes).items() if value is not None}
+    np.savez(folder / "starry_night.npz", **kept)
+    return folder

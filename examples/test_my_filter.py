@@ -1,0 +1,35 @@
+"""Unit-test your own filter: not worse than the paper's by more than 5 %, consistent, quick.
+
+The fixture `slam_bench` comes with the package (a pytest plug-in). It runs your filter and another one on the same
+recordings, 8 s of pure geometry unless you say otherwise, and its assertions show the figures when they fail.
+
+Run it: pytest examples/test_my_filter.py -p stereo_slam_env.pytest_plugin
+or:     python examples/test_my_filter.py
+"""
+
+from typing import Any
+
+from filters import StereoCamera, StereoEKF, StereoNoise
+
+
+class MyFilter(StereoEKF):
+    """The error on SO(3) instead of the quaternion's; landmarks of a frame share their anchor."""
+
+    def __init__(self, camera: StereoCamera, noise: StereoNoise, **options: Any) -> None:
+        super().__init__(camera, noise, landmark="shared-anchor", error="so3", **options)
+
+
+def test_my_filter(slam_bench: Any) -> None:
+    """A class will do; a name of `stereo-slam filters list`, too."""
+    result = slam_bench(MyFilter, against="inverse-depth")
+    result.assert_not_worse(percent=5)
+    result.assert_consistent()
+    result.assert_faster_than(ms=50)
+
+
+if __name__ == "__main__":
+    from stereo_slam_env.benchmark.head_to_head import Bench
+
+    bench = Bench()
+    test_my_filter(bench)
+    print(bench(MyFilter))

@@ -1,0 +1,242 @@
+"""One filter against another one in a few lines, for unit tests of filters: `Bench` runs, `HeadToHead` judges.
+
+Everything happens in this process and nothing is written: filters need not be registered, a class will do. Recordings
+and runs are kept, so that the same reference filter is run once however many filters are held against it.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, cast
+
+from filters.interface import StereoFilter
+from stereo_slam_env.benchmark.measures import MEASURES, POSITION, Measure, common_keys, figures_of
+from stereo_slam_env.benchmark.presets import preset
+from stereo_slam_env.benchmark.results import FilterRun, FilterSummary
+from stereo_slam_env.benchmark.runner import run_filter
+from stereo_slam_env.benchmark.scenario import Scenario, filter_choice
+from stereo_slam_env.benchmark.sources import make_recording
+from stereo_slam_env.benchmark.statistics import Difference, signed
+from stereo_slam_env.benchmark.summary import summarise
+from stereo_slam_env.benchmark.verdict import Consistency, consistency
+from stereo_slam_env.recording import Recording
+
+FilterLike = str | Callable[..., StereoFilter]
+"""A name of `filters.available_filters()`, or what is called as `MyFilter(camera=..., noise=..., **options)`."""
+
+QUICK = Scenario(
+    "8 s of pure geometry",
+    "reference",
+    {"name": "long_drive", "landmarks": 30},
+    frames=80,
+    noise={"independent_pixels": 1.0},
+    gate=None,
+)
+"""What filters are tested on by default: the models hold exactly, so that consistency can be asked for."""
+
+
+@dataclass(frozen=True)
+class HeadToHead:
+    """A filter and what it is held against, on the same recordings; its assertions say the figures when they fail.
+
+    Attributes
+    ----------
+    summary, reference : FilterSummary
+        Of the filter, and of what it is held against.
+    runs, reference_runs : tuple of FilterRun
+        One a recording.
+    scenario : Scenario
+        What they ran on.
+    """
+
+    summary: FilterSummary
+    reference: FilterSummary
+    runs: tuple[FilterRun, ...]
+    reference_runs: tuple[FilterRun, ...]
+    scenario: Scenario
+
+    def difference(self, measure: Measure = POSITION) -> Difference:
+        """How much larger (worse) a measure of the filter is than that of the reference."""
+        limit = self.scenario.divergence_percent
+        (ours,) = figures_of(self.runs, divergence_percent=limit).values()
+        (theirs,) = figures_of(self.reference_runs, divergence_percent=limit).values()
+        keys = common_keys(ours, theirs)
+        return measure.difference(ours.values(measure, keys), theirs.values(measure, keys))
+
+    def assert_not_worse(self, percent: float = 5.0, *, measure: Measure = POSITION) -> None:
+        """Assert that an error is shown to be at most `percent` larger than that of the reference.
+
+        The whole 95 % interval of the paired difference must lie below `percent`: few runs, or runs that scatter, show
+        nothing, and the message says how many it would take.
+
+        Raises
+        ------
+        AssertionError
+            It is worse, or that it is not is not shown.
+        """
+        __tracebackhide__ = True  # pytest then shows the test, not this
+        self.assert_completed()
+        difference = self.difference(measure)
+        if difference.not_worse_than(percent):
+            return
+        name, other = self.summary.filter_name, self.reference.filter_name
+        found = f"its {measure.words} is at {signed(difference.percent, 1)} % ({difference.evidence})"
+        if difference.interval_percent is not None and difference.interval_percent[0] > percent:
+            raise AssertionError(f"{name} is worse than {other} by more than {percent:g} %: {found}.\n{self}")
+        seeds = difference.pairs_to_show(percent)
+        remedy = f" With scatter like this, some {seeds} seeds could show it." if seeds else ""
+        raise AssertionError(
+            f"{name} is not shown to be at most {percent:g} % worse than {other}: {found}.{remedy}\n{self}"
+        )
+
+    def assert_better(self, *, measure: Measure = POSITION) -> None:
+        """Assert that an error is shown to be smaller than that of the reference, by interval and signed-rank test."""
+        __tracebackhide__ = True  # pytest then shows the test, not this
+        self.assert_completed()
+        difference = self.difference(measure)
+        name, other = self.summary.filter_name, self.reference.filter_name
+        if not (difference.shown and difference.estimate < 0.0):
+            found = f"its {measure.words} is at {signed(difference.percent, 1)} % ({difference.evidence})"
+            raise AssertionError(f"{name} is not shown to be better than {other}: {found}.\n{self}")
+
+    def assert_consistent(self, *, or_cautious: bool = False) -> None:
+        """Assert that the mean pose NEES lies in its 95 % band (or, with `or_cautious`, below it)."""
+        __tracebackhide__ = True  # pytest then shows the test, not this
+        self.assert_completed()
+        state = consistency(self.summary)
+        if state is Consistency.CONSISTENT or (or_cautious and state is Consistency.CAUTIOUS):
+            return
+        low, high = self.summary.pose_anees_band or (float("nan"), float("nan"))
+        mean = float("nan") if self.summary.pose_anees is None else self.summary.pose_anees
+        words = "not known to be consistent" if state is Consistency.UNKNOWN else state.value
+        band = f"the band of {self.summary.runs} runs is {low:.2f} to {high:.2f}"
+        raise AssertionError(
+            f"{self.summary.filter_name} is {words}: its mean pose NEES is {mean:.2f}, {band}.\n{self}"
+        )
+
+    def assert_faster_than(self, ms: float) -> None:
+        """Assert that the median frame takes less than `ms` milliseconds (predict + update, one BLAS thread)."""
+        __tracebackhide__ = True
+        took = self.summary.ms_per_frame
+        if took is None or not took < ms:
+            time = "an unknown time" if took is None else f"{took:.2f} ms"
+            raise AssertionError(f"{self.summary.filter_name} takes {time} a frame, not less than {ms:g} ms.\n{self}")
+
+    def assert_completed(self) -> None:
+        """Assert that no run failed or diverged."""
+        __tracebackhide__ = True
+        if self.summary.diverged:
+            why = f" ({self.summary.failures[0]})" if self.summary.failures else ""
+            lost = f"diverged or failed in {self.summary.diverged} of {self.summary.runs} runs"
+            raise AssertionError(f"{self.summary.filter_name} {lost}{why}.\n{self}")
+
+    def __str__(self) -> str:
+        """The figures of both, as a table."""
+        sides = (self.summary, self.reference)
+        rows = [("", *(side.filter_name for side in sides))]
+        for measure in MEASURES:
+            values = [measure.of(side) for side in sides]
+            if not all(value != value for value in values):
+                unit = f", {measure.unit}" if measure.unit else ""
+                rows.append((f"{measure.words}{unit}", *(f"{value:.4g}" for value in values)))
+        rows.append(("diverged runs", *(f"{side.diverged} of {side.runs}" for side in sides)))
+        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+        lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
+        return "\n".join([f"{self.scenario.name}, {self.summary.runs} seeds", *lines])
+
+
+class Bench:
+    """Runs filters on recordings and keeps both.
+
+    >>> bench = Bench(seeds=10)
+    >>> bench("shared-anchor", against="inverse-depth").assert_not_worse(5)  # doctest: +SKIP
+
+    Parameters
+    ----------
+    seeds : int
+        How many recordings, unless a call says otherwise.
+    """
+
+    def __init__(self, seeds: int = 10) -> None:
+        if seeds < 1:
+            raise ValueError(f"seeds must be >= 1, got {seeds!r}")
+        self.seeds = seeds
+        self._recordings: dict[tuple[str, int], Recording] = {}
+        self._runs: dict[tuple[object, str, str, int], FilterRun] = {}
+
+    def __call__(
+        self,
+        tested: FilterLike,
+        *,
+        against: FilterLike = "inverse-depth",
+        scenario: Scenario | str | None = None,
+        seeds: int | Sequence[int] | None = None,
+        options: Mapping[str, Any] | None = None,
+        against_options: Mapping[str, Any] | None = None,
+    ) -> HeadToHead:
+        """Run a filter and a reference on the same recordings.
+
+        Parameters
+        ----------
+        tested, against : str or callable
+            A name of `filters.available_filters()`, or a filter class or a function, called as
+            `MyFilter(camera=..., noise=..., **options)`.
+        scenario : Scenario or str, optional
+            What to run on, or the name of a preset; None: `QUICK`. Its own filters and seeds play no part.
+        seeds : int or sequence of int, optional
+            How many recordings, or which.
+        options, against_options : mapping, optional
+            Options of the two, JSON-able; None: those of the benchmark.
+
+        Raises
+        ------
+        ValueError
+            An unknown filter, option or preset, or a source that cannot be used.
+        """
+        on = QUICK if scenario is None else preset(scenario) if isinstance(scenario, str) else scenario
+        wanted = self.seeds if seeds is None else seeds
+        which = tuple(range(wanted)) if isinstance(wanted, int) else tuple(wanted)
+        if not which:
+            raise ValueError(f"seeds must be at least one, got {seeds!r}")
+        name, other = label_of(tested), label_of(against)
+        if name == other:
+            other = f"{other} (reference)"
+        pairs = [
+            (self._run(tested, name, options, on, seed), self._run(against, other, against_options, on, seed))
+            for seed in which
+        ]
+        runs, reference_runs = (tuple(side) for side in zip(*pairs, strict=True))
+        summary, reference = (
+            summarise(side, divergence_percent=on.divergence_percent) for side in (runs, reference_runs)
+        )
+        return HeadToHead(summary, reference, runs, reference_runs, on)
+
+    def _run(
+        self, tested: FilterLike, label: str, options: Mapping[str, Any] | None, scenario: Scenario, seed: int
+    ) -> FilterRun:
+        if options is None:
+            options = filter_choice(tested).options if isinstance(tested, str) else {}
+        source = json.dumps(scenario.as_dict(), sort_keys=True)
+        key = (tested, f"{label} {json.dumps(dict(options), sort_keys=True)}", source, seed)
+        if key not in self._runs:
+            if (source, seed) not in self._recordings:
+                self._recordings[source, seed] = make_recording(scenario, seed)
+            recording = self._recordings[source, seed]
+            self._runs[key] = run_filter(
+                recording,
+                cast(str, tested),  # `make_filter`, which it goes to, takes classes, too
+                options,
+                label=label,
+                common_options=scenario.common_options,
+                noise=scenario.assumed_noise(recording.noise),
+                use_odometry=scenario.use_odometry,
+                seed=seed,
+            )
+        return self._runs[key]
+
+
+def label_of(tested: FilterLike) -> str:
+    """What a filter is called in tables."""
+    return tested if isinstance(tested, str) else getattr(tested, "__name__", type(tested).__name__)

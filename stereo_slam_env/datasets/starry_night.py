@@ -1,0 +1,188 @@
+"""Stereo measurements of 20 surveyed landmarks by a camera in a motion-capture room, with velocities ("Starry Night").
+
+The third data set of T. D. Barfoot's course on state estimation (University of Toronto). Layout: `starry_night.npz`
+with the arrays of the original file, see `ARRAYS`: K steps, N landmarks, i the room, v_k the vehicle at step k.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from filters.camera import StereoCamera
+from filters.interface import BodyVelocity
+from filters.noise import StereoNoise
+from filters.validation import FloatArray, positive
+from stereo_slam_env.datasets.kitti07_tracks import camera_velocities
+from stereo_slam_env.datasets.tables import read_archive
+from stereo_slam_env.datasets.tracks import Tracks, frames_of, tracks_of_pixels
+from stereo_slam_env.recording import LandmarkTruth, Pose, Recording
+
+NAME = "starry_night"
+FILES = ("starry_night.npz",)
+ARRAYS = (
+    *("t", "r_i_vk_i", "theta_vk_i", "v_vk_vk_i", "w_vk_vk_i", "rho_i_pj_i", "y_k_j"),
+    *("C_c_v", "rho_v_c_v", "fu", "fv", "cu", "cv", "b"),
+)
+IMAGE_SIZE = (646, 480)  # the archive does not hold it: the smallest that holds every measurement (u up to 644.4)
+GYRO_DELAY = 0.11  # s
+
+
+def recognises(path: Path) -> bool:
+    """Whether the folder has this layout."""
+    return all((path / name).is_file() for name in FILES)
+
+
+def read(
+    path: Path,
+    *,
+    first: int = 100,
+    sigma_u: float = 6.5,
+    sigma_v: float = 12.8,
+    sigma_d: float = 1.9,
+    sigma_linear: float = 0.05,
+    sigma_angular: float = 0.1,
+    max_row_difference: float | None = 1.0,
+) -> Recording:
+    """Read the folder.
+
+    Parameters
+    ----------
+    path : Path
+        Folder with the files named in `FILES`.
+    first : int
+        First step to use; the steps before 100 see almost nothing.
+    sigma_u, sigma_v, sigma_d : float
+        Standard deviations to assume of left pixel and disparity, independent, px. The defaults are the root mean
+        squares of the measurements used, against the projections of the surveyed landmarks by motion capture. They
+        are errors of motion capture, common to the landmarks of a frame, far more than of the camera: with each pose
+        fitted to its own frame, 0.4, 0.4 and 0.4 px are left (MAD).
+    sigma_linear, sigma_angular : float
+        White noise of the velocities, m/s and rad/s per axis. The defaults are what the errors over 20 steps amount
+        to. (The published `v_var` and `w_var` are those of single steps, `w_var` with the wrong sign.)
+    max_row_difference : float, optional
+        Measurements whose rows in the two images differ by more are left out and counted, px: there the two eyes
+        took different points, and d is off by several px in half of them. None keeps all.
+
+    Returns
+    -------
+    Recording
+        W is the left camera at the first step used, by motion capture. The odometry is that of the camera:
+        `step_velocities` says which reading belongs to which step. Landmarks keep their ids (columns of `y_k_j`)
+        when they are seen again.
+
+    Raises
+    ------
+    ValueError
+        A file is damaged, has the wrong shape, or holds NaN, or an option is impossible: the message names it.
+    """
+    archive = path / FILES[0]
+    arrays = read_archive(archive, ARRAYS)
+    timestamps = arrays["t"].reshape(-1)
+    _check(archive, arrays, len(timestamps))
+    if type(first) is not int or not 0 <= first <= len(timestamps) - 2:
+        raise ValueError(f"first must be a whole number from 0 to {len(timestamps) - 2}, got {first!r}")
+    noise = StereoNoise.diagonal(sigma_u, sigma_v, sigma_d)
+    sigmas = positive("sigma_linear", sigma_linear), positive("sigma_angular", sigma_angular)
+
+    R_cv, camera_v = arrays["C_c_v"], arrays["rho_v_c_v"].reshape(3)
+    turn_iv = Rotation.from_rotvec(arrays["theta_vk_i"].T[first:])
+    positions_i = arrays["r_i_vk_i"].T[first:] + turn_iv.apply(camera_v)
+    turn_ic = turn_iv * Rotation.from_matrix(R_cv.T)
+    to_w = turn_ic[0].inv()
+    positions_w = to_w.apply(positions_i - positions_i[0])
+    truth = [Pose(r, q) for r, q in zip(positions_w, (to_w * turn_ic).as_quat(), strict=True)]
+    points_w = to_w.apply(arrays["rho_i_pj_i"].T - positions_i[0])
+
+    seen = tracks_of_pixels(arrays["y_k_j"][:, first:])
+    used = seen if max_row_difference is None else _same_row(seen, positive("max_row_difference", max_row_difference))
+    odometry = _odometry(arrays, R_cv, camera_v, *sigmas)
+    return Recording(
+        NAME,
+        _camera(archive, arrays),
+        frames_of(used, timestamps[first:], truth, [None, *odometry[first + 1 :]]),
+        noise,
+        landmarks=LandmarkTruth(np.arange(len(points_w)), points_w),
+        source={
+            "reader": NAME,
+            "path": str(path),
+            "first": first,
+            "sigma_uvd_px": [float(sigma_u), float(sigma_v), float(sigma_d)],
+            "sigma_linear_m_s": sigmas[0],
+            "sigma_angular_rad_s": sigmas[1],
+            "max_row_difference_px": max_row_difference,
+            "dropped_row_difference": len(seen) - len(used),
+            "gyro": f"sign turned, read {GYRO_DELAY} s late: so the data say, see step_velocities",
+            "truth": "motion capture; its own errors are about 0.01 m and 0.01 to 0.03 rad",
+        },
+    )
+
+
+def step_velocities(
+    timestamps: FloatArray, linear_v: FloatArray, angular_v: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Mean velocities over each step, out of the readings.
+
+    Found out by residuals against motion capture (steps 100 to 1199): a linear reading describes the step that begins
+    with it (over 20 steps 8 to 17 mm, taken with the attitude of motion capture; the reading at the end of the step
+    24 to 38 mm). The angular readings have the opposite sign of the rotation (variance of the residual 0.003 to 0.009
+    after turning it, 0.06 to 0.09 (rad/s)^2 before, which is where the published `w_var` comes from), and are
+    `GYRO_DELAY` late (the same in both halves).
+
+    Parameters
+    ----------
+    timestamps : (K,) ndarray
+        s.
+    linear_v, angular_v : (K, 3) ndarray
+        As stored, m/s and rad/s in the vehicle frame.
+
+    Returns
+    -------
+    linear, angular : (K, 3) ndarray
+        Row k describes the step from k - 1 to k; row 0, of no step, is 0.
+    """
+    late = np.stack([np.interp(timestamps + GYRO_DELAY, timestamps, column) for column in angular_v.T], axis=1)
+    linear, angular = np.zeros_like(linear_v), np.zeros_like(angular_v)
+    linear[1:] = linear_v[:-1]
+    angular[1:] = -0.5 * (late[:-1] + late[1:])
+    return linear, angular
+
+
+def _odometry(
+    arrays: dict[str, FloatArray], R_cv: FloatArray, camera_v: FloatArray, sigma_linear: float, sigma_angular: float
+) -> list[BodyVelocity | None]:
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = R_cv, camera_v
+    linear, angular = step_velocities(arrays["t"].reshape(-1), arrays["v_vk_vk_i"].T, arrays["w_vk_vk_i"].T)
+    return camera_velocities(linear, angular, T, sigma_linear, sigma_angular)
+
+
+def _same_row(tracks: Tracks, most: float) -> Tracks:
+    assert tracks.v_right is not None
+    return tracks.select(np.abs(tracks.uvd[:, 1] - tracks.v_right) <= most)
+
+
+def _camera(archive: Path, arrays: dict[str, FloatArray]) -> StereoCamera:
+    fx, fy, cx, cy, baseline = (float(arrays[key].reshape(-1)[0]) for key in ("fu", "fv", "cu", "cv", "b"))
+    return StereoCamera(fx, fy, cx, cy, baseline, *IMAGE_SIZE)
+
+
+def _check(archive: Path, arrays: dict[str, FloatArray], steps: int) -> None:
+    landmarks = arrays["rho_i_pj_i"].shape[-1] if arrays["rho_i_pj_i"].ndim else -1
+    wanted: dict[str, tuple[int, ...]] = {
+        **dict.fromkeys(("r_i_vk_i", "theta_vk_i", "v_vk_vk_i", "w_vk_vk_i"), (3, steps)),
+        "rho_i_pj_i": (3, landmarks),
+        "y_k_j": (4, steps, landmarks),
+        "C_c_v": (3, 3),
+    }
+    for key, shape in wanted.items():
+        if arrays[key].shape != shape:
+            raise ValueError(f"{archive}: array {key} has shape {arrays[key].shape}, expected {shape}")
+    for key, size in {"rho_v_c_v": 3, **dict.fromkeys(("fu", "fv", "cu", "cv", "b"), 1)}.items():
+        if arrays[key].size != size:
+            raise ValueError(f"{archive}: array {key} has {arrays[key].size} numbers, expected {size}")
+    for key in ARRAYS:
+        if not np.isfinite(arrays[key]).all():
+            raise ValueError(f"{archive}: array {key} has NaN or infinity: mark unseen landmarks with -1")

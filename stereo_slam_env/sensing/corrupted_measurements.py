@@ -1,0 +1,267 @@
+"""Corruptions of single measurements, see `stereo_slam_env.sensing.corruptions`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from filters.camera import StereoCamera
+from filters.interface import StereoObservation
+from filters.noise import StereoNoise
+from filters.validation import BoolArray, FloatArray, IntArray, finite_number, positive, probability
+from stereo_slam_env.recording import Frame, LandmarkTruth, Recording
+
+
+@dataclass(frozen=True)
+class Outliers:
+    """Measurements that are grossly wrong.
+
+    Parameters
+    ----------
+    share : float
+        Probability of each measurement to be one.
+    sigma : float, optional
+        Standard deviation of the error added to u, v and d, px. None: uniform over the images, whatever was there.
+    """
+
+    share: float
+    sigma: float | None = None
+
+    def __post_init__(self) -> None:
+        probability("share", self.share)
+        if self.sigma is not None:
+            positive("sigma", self.sigma)
+
+    def applied_to(self, recording: Recording, rng: np.random.Generator) -> Recording:
+        """See `Corruption`; the row of the right image, where measured, moves along."""
+
+        def wrong(seen: StereoObservation) -> StereoObservation:
+            hit, drawn = rng.random(len(seen)) < self.share, rng.random((len(seen), 3))
+            errors = rng.standard_normal((len(seen), 3))
+            elsewhere = (
+                self._anywhere(recording.camera, drawn) if self.sigma is None else seen.uvd + self.sigma * errors
+            )
+            return _moved(seen, np.where(hit[:, None], elsewhere, seen.uvd))
+
+        return _each(recording, wrong)
+
+    @staticmethod
+    def _anywhere(camera: StereoCamera, drawn: FloatArray) -> FloatArray:
+        """(u, v, d) inside both images, from numbers between 0 and 1."""
+        u, v = drawn[:, 0] * (camera.width - 1), drawn[:, 1] * (camera.height - 1)
+        return np.stack([u, v, drawn[:, 2] * u], axis=1)
+
+
+@dataclass(frozen=True)
+class WrongIds:
+    """Landmarks that are taken for each other: one exchanges its id with the nearest in the left image.
+
+    Parameters
+    ----------
+    probability : float
+        Of each measurement to start an exchange, in which two get a wrong id; none takes part in two.
+    """
+
+    probability: float
+
+    def __post_init__(self) -> None:
+        probability("probability", self.probability)
+
+    def applied_to(self, recording: Recording, rng: np.random.Generator) -> Recording:
+        """See `Corruption`."""
+
+        def confused(seen: StereoObservation) -> StereoObservation:
+            starting = np.flatnonzero(rng.random(len(seen)) < self.probability)
+            if len(seen) < 2 or not len(starting):
+                return seen
+            pixels = seen.uvd[:, :2]
+            distances = np.linalg.norm(pixels[starting, None] - pixels, axis=2)
+            distances[np.arange(len(starting)), starting] = np.inf
+            ids, taken = seen.ids.copy(), np.zeros(len(seen), dtype=np.bool_)
+            for i, j in zip(starting, distances.argmin(axis=1), strict=True):  # a few at most
+                if not (taken[i] or taken[j]):
+                    ids[i], ids[j] = ids[j], ids[i]
+                    taken[i] = taken[j] = True
+            return StereoObservation(ids, seen.uvd, seen.v_right, seen.R).ordered()
+
+        return _each(recording, confused)
+
+
+@dataclass(frozen=True)
+class MissedDetections:
+    """Landmarks in view that are not measured.
+
+    Parameters
+    ----------
+    probability : float
+        Of each measurement to be missing.
+    """
+
+    probability: float
+
+    def __post_init__(self) -> None:
+        probability("probability", self.probability)
+
+    def applied_to(self, recording: Recording, rng: np.random.Generator) -> Recording:
+        """See `Corruption`."""
+        return _each(recording, lambda seen: seen.select(rng.random(len(seen)) >= self.probability))
+
+
+@dataclass(frozen=True)
+class BiasedDisparity:
+    """All disparities off by the same amount, as an imperfect rectification leaves them.
+
+    Parameters
+    ----------
+    bias : float
+        Added to d, px.
+    """
+
+    bias: float
+
+    def __post_init__(self) -> None:
+        finite_number("bias", self.bias)
+
+    def applied_to(self, recording: Recording, rng: np.random.Generator) -> Recording:
+        """See `Corruption`; nothing is random."""
+        shift = np.array([0.0, 0.0, self.bias])
+        return _each(recording, lambda seen: _moved(seen, seen.uvd + shift))
+
+
+@dataclass(frozen=True)
+class WrongCalibration:
+    """The camera that measures is not quite the one the filter is told.
+
+    Parameters
+    ----------
+    focal_percent, baseline_percent, principal_point_percent : float
+        By how much the focal lengths, the baseline and (cx, cy) of the camera that measures are larger than told, %.
+    """
+
+    focal_percent: float = 0.0
+    baseline_percent: float = 0.0
+    principal_point_percent: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("focal_percent", "baseline_percent"):
+            if finite_number(name, getattr(self, name)) <= -100.0:
+                raise ValueError(f"{name} must be more than -100, got {getattr(self, name)!r}")
+        finite_number("principal_point_percent", self.principal_point_percent)
+
+    def applied_to(self, recording: Recording, rng: np.random.Generator) -> Recording:
+        """See `Corruption`; nothing is random. The rays and depths stay, so noise scales with the focal length."""
+        told = recording.camera
+        longer, wider = 1.0 + self.focal_percent / 100.0, 1.0 + self.baseline_percent / 100.0
+        centre = np.array([told.cx, told.cy])
+        moved_centre = centre * (1.0 + self.principal_point_percent / 100.0)
+
+        def measured(seen: StereoObservation) -> StereoObservation:
+            pixels = longer * (seen.uvd[:, :2] - centre) + moved_centre
+            v_right = None if seen.v_right is None else longer * (seen.v_right - centre[1]) + moved_centre[1]
+            uvd = np.column_stack([pixels, longer * wider * seen.uvd[:, 2]])
+            return StereoObservation(seen.ids, uvd, v_right, seen.R)
+
+        return _each(recording, measured)
+
+
+@dataclass(frozen=True)
+class MisscaledNoise:
+    """The filter is told a wrong accuracy of the measurements, which stay as they are.
+
+    Parameters
+    ----------
+    factor : float
+        Standard deviations told over those that are right.
+    """
+
+    factor: float
+
+    def __post_init__(self) -> None:
+        positive("factor", self.factor)
+
+    def applied_to(self, recording: Recording, rng: np.random.Generator) -> Recording:
+        """See `Corruption`; nothing is random."""
+
+        def told(seen: StereoObservation) -> StereoObservation:
+            return seen if seen.R is None else replace(seen, R=self.factor**2 * seen.R)
+
+        return replace(_each(recording, told), noise=StereoNoise(self.factor**2 * recording.noise.R))
+
+
+@dataclass(frozen=True)
+class MovingLandmarks:
+    """Some landmarks are not part of the static world: they move on from where they are first seen.
+
+    Parameters
+    ----------
+    share : float
+        Probability of each landmark to move.
+    speed : float
+        Constant, in a direction of its own parallel to the x-z plane of W, m/s.
+    """
+
+    share: float
+    speed: float
+
+    def __post_init__(self) -> None:
+        probability("share", self.share)
+        positive("speed", self.speed, allow_zero=True)
+
+    def applied_to(self, recording: Recording, rng: np.random.Generator) -> Recording:
+        """See `Corruption`; the noise of a measurement stays, and a landmark that leaves the images is not measured.
+
+        Those that move have no truth any more: the truth is that of the static world.
+        """
+        landmarks = recording.landmarks
+        if landmarks is None or not len(landmarks.ids) or any(f.truth is None for f in recording.frames):
+            raise ValueError("needs the true landmarks and the true pose of every frame: give a simulated drive")
+        moving = rng.random(len(landmarks.ids)) < self.share
+        heading = rng.uniform(0.0, 2.0 * np.pi, len(landmarks.ids))
+        velocities = self.speed * np.stack([np.sin(heading), np.zeros_like(heading), np.cos(heading)], axis=1)
+        first_seen = np.full(len(landmarks.ids), np.nan)
+        observations = []
+        for frame in recording.frames:
+            place, concerned = _places(landmarks.ids, frame.observation.ids)
+            concerned &= moving[place]
+            those = place[concerned]
+            first_seen[those] = np.fmin(first_seen[those], frame.timestamp)
+            displacements = velocities[those] * (frame.timestamp - first_seen[those])[:, None]
+            positions = landmarks.positions[those]
+            observations.append(
+                _seen_elsewhere(frame, recording.camera, concerned, positions, positions + displacements)
+            )
+        static = LandmarkTruth(landmarks.ids[~moving], landmarks.positions[~moving])
+        return replace(recording.with_observations(observations), landmarks=static)
+
+
+def _seen_elsewhere(
+    frame: Frame, camera: StereoCamera, concerned: BoolArray, static_w: FloatArray, moved_w: FloatArray
+) -> StereoObservation:
+    """The observation of a frame in which the `concerned` landmarks are at `moved_w` instead of `static_w`."""
+    assert frame.truth is not None
+    points_c = frame.truth.to_camera(moved_w)
+    there = camera.project(points_c)
+    uvd = frame.observation.uvd.copy()
+    uvd[concerned] += there - camera.project(frame.truth.to_camera(static_w))
+    visible = np.ones(len(uvd), dtype=np.bool_)
+    visible[concerned] = (points_c[:, 2] > 0) & camera.in_view(there)
+    uvd[~visible] = 0.0
+    return _moved(frame.observation, uvd).select(visible)
+
+
+def _places(known: IntArray, ids: IntArray) -> tuple[IntArray, BoolArray]:
+    """Where `ids` are in the ascending array `known`, and whether they are there at all."""
+    place = np.minimum(np.searchsorted(known, ids), len(known) - 1)
+    return place, known[place] == ids
+
+
+def _moved(seen: StereoObservation, uvd: FloatArray) -> StereoObservation:
+    """The same landmarks measured at `uvd`; the right image shifts by as many rows as the left one."""
+    v_right = None if seen.v_right is None else seen.v_right + (uvd[:, 1] - seen.uvd[:, 1])
+    return StereoObservation(seen.ids, uvd, v_right, seen.R)
+
+
+def _each(recording: Recording, change: Callable[[StereoObservation], StereoObservation]) -> Recording:
+    return recording.with_observations(change(frame.observation) for frame in recording.frames)
