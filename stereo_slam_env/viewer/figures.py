@@ -22,7 +22,7 @@ CSS_VARIABLES = {INK: "--ink", MUTED: "--muted", GRID: "--grid", BAND: "--band"}
 def save_png(figure: Figure, path: Path) -> None:
     """Write the figure on white."""
     with style_context():
-        figure.savefig(path, format="png", dpi=PNG_DPI, facecolor="white")
+        figure.savefig(path, format="png", dpi=PNG_DPI, facecolor="white", pil_kwargs={"compress_level": 1})
 
 
 def svg_of(figure: Figure) -> str:

@@ -33,13 +33,15 @@ _Y_ANCHORS = {"top": "top", "center": "middle", "center_baseline": "middle", "bo
 _UNIT = re.compile(r"\(([^\s()]{1,8})\)")
 
 
-def plotly_figure(figure: Figure) -> Spec:
+def plotly_figure(figure: Figure, *, drawn: bool = False) -> Spec:
     """Describe the figure as a Plotly chart.
 
     Parameters
     ----------
     figure : matplotlib.figure.Figure
         Lines, markers, bands, bars, error bars, polygons and texts, on linear or logarithmic axes.
+    drawn : bool
+        Whether it has been drawn (saved) since it last changed; if not, it is, which takes as long as saving it.
 
     Returns
     -------
@@ -53,7 +55,8 @@ def plotly_figure(figure: Figure) -> Spec:
         The figure holds what has no counterpart here (images, meshes, other projections or scales).
     """
     with style_context():
-        figure.draw_without_rendering()  # settles positions, limits and ticks
+        if not drawn:
+            figure.draw_without_rendering()  # settles positions, limits and ticks
         layout: Spec = {
             "margin": {"l": 0, "r": 0, "t": 0, "b": 0, "pad": 0, "autoexpand": False},
             "paper_bgcolor": "rgba(0,0,0,0)",

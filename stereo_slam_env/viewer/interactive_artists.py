@@ -322,6 +322,12 @@ def _thinned(xy: FloatArray, ax: Axes) -> FloatArray:
 
 def _outlines(path: Path, transform: Transform, ax: Axes) -> list[FloatArray]:
     """Polygons of a path in data coordinates, without points that the screen would not show."""
-    polygons = transform.transform_path(path).to_polygons(closed_only=False)
     back = ax.transData.inverted()
-    return [np.asarray(back.transform(np.asarray(p, np.float64)), np.float64) for p in polygons]
+    outlines = []
+    for polygon in transform.transform_path(path).to_polygons(closed_only=False):
+        vertices = np.asarray(polygon, np.float64)
+        shown = Path(vertices).cleaned(simplify=len(vertices) >= 128)
+        codes = np.asarray(shown.codes)
+        points = np.asarray(shown.vertices, np.float64)[(codes == Path.MOVETO) | (codes == Path.LINETO)]
+        outlines.append(np.asarray(back.transform(points), np.float64))
+    return outlines

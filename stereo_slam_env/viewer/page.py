@@ -85,7 +85,7 @@ def figure_block(figure: Figure, name: str, description: str, folder: Path) -> s
 
 def _chart_data(figure: Figure, name: str) -> str:
     try:
-        chart = plotly_figure(figure)
+        chart = plotly_figure(figure, drawn=True)
     except ValueError as reason:
         _log.debug("%s stays a drawing: %s", name, reason)
         return ""

@@ -1,0 +1,174 @@
+"""The report in a real browser: opened from a file, used, printed, without an error or a request (about 15 s)."""
+
+import shutil
+
+import pytest
+
+from stereo_slam_env.benchmark.report import write_report
+from stereo_slam_env.benchmark.summary import summarise_all
+
+from ...synthetic_runs import THREE, Behaviour, make_bounds, make_runs
+
+playwright = pytest.importorskip("playwright.sync_api", reason="needs playwright (extra dev)")
+pytest.importorskip("plotly", reason="needs plotly (extra report)")
+
+BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+pytestmark = pytest.mark.skipif(BROWSER is None, reason="needs the browser chromium (apt install chromium)")
+
+FIVE = (*THREE, Behaviour("shared-anchor", 0.11, 1.0, 2.2), Behaviour("my-own-filter", 0.4, 2.5, 9.0))
+SCREENS = [(1366, 768), (1280, 800)]
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory):
+    runs = make_runs(FIVE, range(6), frames=60)
+    bounds = make_bounds(runs)
+    out = tmp_path_factory.mktemp("browser")
+    return write_report(out, "Comparison", runs, summarise_all(runs, bounds=bounds), {"seeds": 6}, bounds=bounds)
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with playwright.sync_playwright() as driver:
+        chromium = driver.chromium.launch(executable_path=BROWSER, args=["--no-sandbox"])
+        yield chromium
+        chromium.close()
+
+
+class Visit:
+    """The page in a window, and everything it complained of or asked for."""
+
+    def __init__(self, browser, path, **window):
+        self.page = browser.new_page(viewport={"width": 1366, "height": 768}, **window)
+        self.complaints, self.requests = [], []
+        self.page.on("console", lambda message: self.complaints.append(message.text))
+        self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
+        self.page.on("request", lambda request: self.requests.append(request.url))
+        self.page.goto(path.as_uri())
+
+    def see_everything(self):
+        """Scroll through the page, so that all its charts are drawn."""
+        self.page.evaluate(
+            """async () => {
+                for (let y = 0; y < document.documentElement.scrollHeight; y += 600) {
+                    scrollTo(0, y);
+                    await new Promise(requestAnimationFrame);
+                }
+            }"""
+        )
+        self.page.wait_for_function(
+            "document.querySelectorAll('figure.live').length === document.querySelectorAll('.chart-data').length"
+        )
+
+    def value(self, expression):
+        return self.page.evaluate(expression)
+
+    def is_wider_than_the_window(self):
+        return self.value("document.documentElement.scrollWidth > document.documentElement.clientWidth")
+
+
+@pytest.fixture(scope="module")
+def visit(browser, path):
+    visit = Visit(browser, path, color_scheme="light")
+    yield visit
+    visit.page.close()
+
+
+@pytest.mark.parametrize(("width", "height"), SCREENS)
+def test_the_first_screen_holds_headline_and_answers(visit, width, height):
+    visit.page.set_viewport_size({"width": width, "height": height})
+    visit.value("scrollTo(0, 0)")
+    boxes = visit.value(
+        """[...document.querySelectorAll("h1, .headline, .answers th, .answers td")]
+            .map(part => part.getBoundingClientRect()).map(({right, bottom}) => [right, bottom])"""
+    )
+    assert len(boxes) == 2 + 6 + len(FIVE) * 6
+    assert max(right for right, _ in boxes) <= width
+    assert max(bottom for _, bottom in boxes) <= height
+    assert not visit.is_wider_than_the_window()
+
+
+def test_every_chart_is_drawn_without_a_complaint_or_a_request(visit, path):
+    visit.see_everything()
+    assert visit.value("document.querySelectorAll('figure .main-svg').length") > 0
+    assert visit.value("document.querySelectorAll('figure').length") == 19
+    assert visit.complaints == []
+    assert visit.requests == [path.as_uri()]
+
+
+def test_a_table_sorts_by_click_and_by_key(visit):
+    names = "[...document.querySelectorAll('.answers tbody th')].map(head => head.dataset.value)"
+    values = "[...document.querySelectorAll('.answers tbody tr')].map(row => Number(row.cells[1].dataset.value))"
+    head = visit.page.locator(".answers thead th").nth(1)
+    head.locator("button").click()
+    assert visit.value(values) == sorted(visit.value(values))
+    assert head.get_attribute("aria-sort") == "ascending"
+    first = visit.value(names)
+    head.locator("button").press("Enter")
+    assert head.get_attribute("aria-sort") == "descending"
+    assert visit.value(names) == first[::-1]
+
+
+def test_a_series_is_switched_off_in_all_panels_and_on_again(visit):
+    shown = """[...document.querySelector("#figure-velocity .chart").data]
+        .filter(trace => trace.name === "euclidean").map(trace => trace.visible !== false)"""
+    noted = 'document.querySelector("#figure-velocity .chart").layout.annotations.some(a => a.name === "euclidean")'
+    key = visit.page.locator("#figure-velocity .keys button", has_text="euclidean")
+    assert (visit.value(shown), visit.value(noted)) == ([True] * 3, True)
+    key.click()
+    assert key.get_attribute("aria-pressed") == "false"
+    assert (visit.value(shown), visit.value(noted)) == ([False] * 3, False)
+    key.press("Enter")
+    assert (visit.value(shown), visit.value(noted)) == ([True] * 3, True)
+
+
+def test_hovering_says_series_value_and_unit(visit):
+    chart = visit.page.locator("#figure-time_per_frame .chart")
+    chart.scroll_into_view_if_needed()
+    box = chart.bounding_box()
+    for share in (0.6, 0.55, 0.5, 0.45, 0.4, 0.65, 0.7):
+        visit.page.mouse.move(box["x"] + 0.25 * box["width"], box["y"] + share * box["height"])
+        visit.page.wait_for_timeout(80)
+        said = visit.value("[...document.querySelectorAll('.hovertext')].map(label => label.textContent).join(' ')")
+        if said:
+            break
+    assert " ms" in said
+    assert any(behaviour.name in said for behaviour in FIVE)
+
+
+def test_colours_follow_the_page_from_light_to_dark(visit):
+    colours = """() => [getComputedStyle(document.body).backgroundColor,
+        document.querySelector("#figure-velocity .chart").data.find(trace => trace.name === "euclidean").line.color]"""
+    light = visit.value(colours)
+    visit.page.emulate_media(color_scheme="dark")
+    visit.page.wait_for_function(f"({colours})()[1] !== '{light[1]}'")
+    dark = visit.value(colours)
+    assert all(a != b for a, b in zip(light, dark, strict=True))
+    assert visit.complaints == []
+    visit.page.emulate_media(color_scheme="light")
+
+
+def test_a_phone_does_not_scroll_sideways(visit):
+    visit.page.set_viewport_size({"width": 390, "height": 844})
+    assert not visit.is_wider_than_the_window()
+
+
+def test_in_print_the_drawings_take_the_place_of_the_charts(visit):
+    visit.page.emulate_media(media="print")
+    shown = "document.querySelector('#figure-nees {}').getBoundingClientRect().height > 100"
+    assert visit.value(shown.format(".stage > svg"))
+    assert not visit.value(shown.format(".chart"))
+    visit.page.emulate_media(media="screen")
+    printed = visit.page.pdf(format="A4")
+    assert printed.startswith(b"%PDF")
+    assert len(printed) > 50_000
+    assert visit.complaints == []
+
+
+def test_without_javascript_the_drawings_and_tables_are_there(browser, path):
+    context = browser.new_context(java_script_enabled=False, color_scheme="dark")
+    page = context.new_page()
+    page.goto(path.as_uri())
+    assert page.locator("figure svg").first.is_visible()
+    assert page.locator(".answers tbody tr").count() == len(FIVE)
+    context.close()
