@@ -86,3 +86,15 @@ def test_sky_and_haze_cost_little_beside_the_bare_calls() -> None:
     speed = script("rendering_speed")
     times = speed.measure("320x240", 50, 5, names=[speed.BARE, speed.TINY])
     assert np.median(np.divide(times[speed.TINY], times[speed.BARE])) < 1.25
+
+
+def test_who_knows_how_the_car_accelerates_has_a_lower_bound_and_xyz_gives_most_away() -> None:
+    """20 frames of 3 drives."""
+    efficiency = script("efficiency")
+    by_seed = [efficiency.run_seed(seed, 20, "pixels", batch=False) for seed in range(3)]
+    for found in by_seed:
+        bound, as_driven = found[efficiency.BOUND], found[efficiency.AS_DRIVEN]
+        assert as_driven.position < bound.position
+        assert as_driven.rotation < bound.rotation
+    errors = {label: np.mean([found[label].anees for found in by_seed]) for label in efficiency.FILTERS}
+    assert max(errors, key=lambda label: errors[label]) == "euclidean"
