@@ -89,12 +89,10 @@ def test_sky_and_haze_cost_little_beside_the_bare_calls() -> None:
 
 
 def test_who_knows_how_the_car_accelerates_has_a_lower_bound_and_xyz_gives_most_away() -> None:
-    """20 frames of 3 drives."""
+    """One drive of 20 frames."""
     efficiency = script("efficiency")
-    by_seed = [efficiency.run_seed(seed, 20, "pixels", batch=False) for seed in range(3)]
-    for found in by_seed:
-        bound, as_driven = found[efficiency.BOUND], found[efficiency.AS_DRIVEN]
-        assert as_driven.position < bound.position
-        assert as_driven.rotation < bound.rotation
-    errors = {label: np.mean([found[label].anees for found in by_seed]) for label in efficiency.FILTERS}
-    assert max(errors, key=lambda label: errors[label]) == "euclidean"
+    found = efficiency.run_seed(0, 20, "pixels", batch=False)
+    bound, as_driven = found[efficiency.BOUND], found[efficiency.AS_DRIVEN]
+    assert as_driven.position < bound.position
+    assert as_driven.rotation < bound.rotation
+    assert max(efficiency.FILTERS, key=lambda label: found[label].anees) == "euclidean"
