@@ -85,3 +85,13 @@ def test_kills_lose_nothing() -> None:
     """Three kills; the benchmark has as many as one likes."""
     tally = script("kill_anywhere").disturb(kills=3, jobs=1)
     assert tally.kills == 3
+
+
+def test_who_knows_how_the_car_accelerates_has_a_lower_bound_and_xyz_gives_most_away() -> None:
+    """One drive of 20 frames."""
+    efficiency = script("efficiency")
+    found = efficiency.run_seed(0, 20, "pixels", batch=False)
+    bound, as_driven = found[efficiency.BOUND], found[efficiency.AS_DRIVEN]
+    assert as_driven.position < bound.position
+    assert as_driven.rotation < bound.rotation
+    assert max(efficiency.FILTERS, key=lambda label: found[label].anees) == "euclidean"
