@@ -1,6 +1,6 @@
 """Do the intervals keep their promise, and do the tests say no more than they may? Monte Carlo on made-up log ratios.
 
-    python benchmarks/interval_coverage.py                   # 2000 experiments a cell, about 3 min on one core
+    python benchmarks/interval_coverage.py                   # 2000 experiments a cell, two to three minutes on one core
     python benchmarks/interval_coverage.py --experiments 300 # 30 s
 
 Coverage of a 95 % interval of the mean, by kind of interval (`stereo_slam_env.benchmark.statistics` takes the symmetric
