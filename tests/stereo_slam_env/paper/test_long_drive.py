@@ -23,6 +23,8 @@ def straight(scale=1.0, off=0.0, yaw=0.0, velocity=0.0, nees=6.0):
         "velocities": velocities,
         "pose_nees": nees * ones,
         "landmark_nees": 0.5 * nees * ones,
+        "nis": 25.0 * nees * ones,
+        "nis_dof": np.full(FRAMES, 150),
     }
 
 
@@ -38,6 +40,7 @@ def test_quantities():
     assert long_drive.scale_error_percent(straight(scale=0.99), TRUE) == pytest.approx(-1.0)
     assert long_drive.pose_nees(straight(nees=9.0), TRUE) == pytest.approx(1.5)
     assert long_drive.landmark_nees(straight(nees=9.0), TRUE) == pytest.approx(1.5)
+    assert long_drive.nis(straight(nees=9.0), TRUE) == pytest.approx(1.5)
 
 
 def test_jitter_is_no_error_of_the_scale():
@@ -93,8 +96,9 @@ def test_a_drive_on_which_the_filter_failed_is_left_out():
     assert np.isnan(values).tolist() == [True] + [False] * 7
 
 
-def test_a_real_part_has_every_case_and_the_truth():
-    arrays = long_drive.compute("pixels", 0, 25)
+@pytest.mark.parametrize("place", ["drive", "street"])
+def test_a_part_has_every_case_and_the_truth(place):
+    arrays = long_drive.compute(place, "pixels", 0, 25)
     for name, R in long_drive.cases("pixels"):
         assert long_drive.one(arrays, f"{name}.{R}")["positions"].shape == (25, 3)
     truth = long_drive.one(arrays, long_drive.TRUTH)
