@@ -9,7 +9,7 @@ from html import escape
 import numpy as np
 
 from stereo_slam_env.benchmark.results import FilterSummary
-from stereo_slam_env.benchmark.statistics import Finding
+from stereo_slam_env.benchmark.statistics import CONFIDENCE, MIN_PAIRS, Finding, mean_interval
 from stereo_slam_env.benchmark.verdict import Comparison, Consistency, Verdict, consistency
 from stereo_slam_env.viewer.figures import CSS_VARIABLES
 from stereo_slam_env.viewer.page_tables import UNKNOWN, Tone
@@ -153,6 +153,8 @@ def _finding(comparison: Comparison) -> tuple[str, Tone]:
         return "worse", "bad"
     if comparison.finding is Finding.BETTER:
         return "better run by run", "fair"
+    if comparison.difference.too_few and comparison.interval_percent is not None:
+        return f"too few runs to be sure ({comparison.runs})", "none"
     if comparison.interval_percent is None:
         return f"{comparison.runs} run{'' if comparison.runs == 1 else 's'}, {Finding.NOT_SHOWN.value}", "none"
     return Finding.NOT_SHOWN.value, "none"
@@ -233,7 +235,7 @@ def _innovations(summary: FilterSummary) -> _Answer | None:
 
 def _limit_of(summaries: Sequence[FilterSummary]) -> str:
     bounds = {_short(s.bound_position_m, " m") for s in summaries if s.bound_position_m is not None}
-    return f"Cramér–Rao bound {next(iter(bounds))} / RMSE" if len(bounds) == 1 else "Cramér–Rao bound / RMSE"
+    return f"bound {next(iter(bounds))} / RMSE, 95 % interval" if len(bounds) == 1 else "bound / RMSE, 95 % interval"
 
 
 def _efficiency(summary: FilterSummary) -> _Answer | None:
@@ -245,9 +247,28 @@ def _efficiency(summary: FilterSummary) -> _Answer | None:
         f'<rect x="0" y="3" width="{width}" height="6" rx="3" fill="var(--band)"/>'
         f'<rect x="0" y="3" width="{max(share * width, 2):.1f}" height="6" rx="3" fill="var(--series-0)"/>'
     )
-    excess = summary.position_rmse_m / summary.bound_position_m
-    word = f"{excess:.2f} × the smallest possible" if excess < 10 else f"{excess:,.0f} × the smallest possible"
+    word = _distance(summary.position_rmse_m / summary.bound_position_m, _efficiency_interval(summary))
     return _Answer(_percent(percent), word, "none", _mark(shapes, width), percent)
+
+
+def _distance(excess: float, interval: tuple[float, float] | None) -> str:
+    """How far from the limit, and how sure that is."""
+    times = f"{excess:.2f} × the least error" if excess < 10 else f"{excess:,.0f} × the least error"
+    if interval is None:
+        return times if excess > 1 else "at the limit"
+    low, high = interval
+    if low > 100:
+        return f"beyond it, {low:.0f} to {high:.0f} %"
+    return f"at the limit, {low:.0f} to {high:.0f} %" if high >= 100 else f"{times}, {low:.0f} to {high:.0f} %"
+
+
+def _efficiency_interval(summary: FilterSummary) -> tuple[float, float] | None:
+    """95 % interval of the efficiency, over runs: the bound is one of mean squares, so these are what is averaged."""
+    known = np.array([e for e in summary.efficiency_by_run if np.isfinite(e) and e > 0])
+    if len(known) < MIN_PAIRS:
+        return None
+    low, high = mean_interval((100 / known[:, None]) ** 2, CONFIDENCE)
+    return float(100 / np.sqrt(high[0])), float(100 / np.sqrt(max(low[0], 1e-12)))
 
 
 def _cost(summary: FilterSummary, summaries: Sequence[FilterSummary]) -> _Answer | None:

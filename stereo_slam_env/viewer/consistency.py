@@ -315,13 +315,11 @@ def plot_consistency(summaries: Sequence[FilterSummary]) -> Figure:
     figure.subplots_adjust(left=0.12, right=0.87, top=1 - 0.36 / height, bottom=0.5 / height, wspace=0.08)
     mean, inside = figure.subplots(1, 2, width_ratios=(2.2, 1), sharey=True)
     step = 0.7 / max(len(summaries), 1)
+    _draw_bands(mean, summaries, rows, step)
     peaks: dict[str, float] = {}
     for i, s in enumerate(summaries):
         places = [row - 0.35 + (i + 0.5) * step for row, key in enumerate(rows) if key in s.consistency]
         found = [s.consistency[key] for key in rows if key in s.consistency]
-        for place, figures in zip(places, found, strict=True):
-            low, high = (bound / figures.dof for bound in figures.band)
-            mean.fill_betweenx([place - 0.5 * step, place + 0.5 * step], low, high, color=BAND, linewidth=0, zorder=0)
         style = {"s": 30, "color": colours[s.filter_name], "linewidths": 0, "label": s.filter_name}
         means = np.array([figures.mean / figures.dof for figures in found])
         peaks[s.filter_name] = series.peak(means)
@@ -344,3 +342,17 @@ def plot_consistency(summaries: Sequence[FilterSummary]) -> Figure:
         ax.grid(visible=False, axis="y")
     colour_key(inside, {s.filter_name: colours[s.filter_name] for s in summaries})
     return figure
+
+
+def _draw_bands(ax: Axes, summaries: Sequence[FilterSummary], rows: Sequence[str], step: float) -> None:
+    """One band for the row of a quantity where it is the same for all, else one for each filter."""
+    for row, key in enumerate(rows):
+        found = [(i, s.consistency[key]) for i, s in enumerate(summaries) if key in s.consistency]
+        bands = {(figures.band[0] / figures.dof, figures.band[1] / figures.dof) for _, figures in found}
+        if len(bands) == 1:
+            ax.fill_betweenx([row - 0.35, row + 0.35], *bands.pop(), color=BAND, linewidth=0, zorder=0)
+            continue
+        for i, figures in found:
+            top = row - 0.35 + i * step
+            low, high = (bound / figures.dof for bound in figures.band)
+            ax.fill_betweenx([top, top + step], low, high, color=BAND, linewidth=0, zorder=0)
