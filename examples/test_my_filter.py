@@ -3,7 +3,7 @@
 The fixture `slam_bench` comes with the package (a pytest plug-in). It runs your filter and another one on the same
 recordings, 8 s of pure geometry unless you say otherwise, and its assertions show the figures when they fail.
 
-Run it: pytest examples/test_my_filter.py -p stereo_slam_env.pytest_plugin
+Run it: pytest examples/test_my_filter.py
 or:     python examples/test_my_filter.py
 """
 

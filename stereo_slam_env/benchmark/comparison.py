@@ -301,7 +301,9 @@ def _divergences(pair: _Pair, comparisons: int) -> Change:
     after, before = pair.diverged
     share = (paired_share if pair.paired else unpaired_share)(after, before, comparisons=comparisons)
     words = f"{int(before.sum())} of {len(before)} runs before, {int(after.sum())} of {len(after)} after"
-    if share.finding is Finding.NOT_SHOWN and before.sum() != after.sum():
+    if np.array_equal(after, before):
+        words = f"the same {int(after.sum())} of {len(after)} runs"
+    elif share.finding is Finding.NOT_SHOWN:
         words = f"{words}, which may be chance"
     return Change(
         filter_name=pair.name,

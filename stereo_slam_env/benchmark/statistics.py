@@ -149,8 +149,9 @@ class Difference:
         ends = self.interval_percent if self.is_ratio else self.interval
         if ends is None:
             return ""
-        low, high = (signed(end, 0 if self.is_ratio else 3) for end in ends)
-        return f"{low} to {high}{' %' if self.is_ratio else ''}"
+        widest = max(map(abs, ends))
+        digits = (0 if widest >= 10.0 else 1 if widest >= 1.0 else 2) if self.is_ratio else 3
+        return f"{signed(ends[0], digits)} to {signed(ends[1], digits)}{' %' if self.is_ratio else ''}"
 
 
 def paired_difference(

@@ -323,8 +323,8 @@ def _comparison_words(other: FilterSummary, difference: Difference, divergences:
 
 def _accuracy(best: FilterSummary, rivals: Sequence[FilterSummary], comparisons: Mapping[str, Comparison]) -> str:
     error = f"{best.position_rmse_m:.3g} m"
-    undecided = "; ".join(c.words for c in comparisons.values() if not c.shown)
-    settled = "; ".join(c.words for c in comparisons.values() if c.shown)
+    undecided = _undecided([c for c in comparisons.values() if not c.shown])
+    settled = _nearest([c for c in comparisons.values() if c.shown])
     if not rivals:
         return f"{best.filter_name} has a position error of {error}."
     if undecided:
@@ -333,6 +333,24 @@ def _accuracy(best: FilterSummary, rivals: Sequence[FilterSummary], comparisons:
         first = f"{best.filter_name} is the most accurate, with a position error of {error}."
     return f"{first} Behind it: {settled}." if settled else first
 
+
+def _undecided(open_ones: Sequence[Comparison]) -> str:
+    """With many rivals their names only: the figures are in the tables."""
+    if len(open_ones) <= _MOST_WORDED:
+        return "; ".join(c.words for c in open_ones)
+    names = ", ".join(c.other for c in open_ones[:_MOST_WORDED])
+    return f"no difference to {names} and {len(open_ones) - _MOST_WORDED} more is shown"
+
+
+def _nearest(settled: Sequence[Comparison]) -> str:
+    """The rivals that come nearest; those that diverged are the farthest."""
+    in_order = sorted(settled, key=lambda c: (c.divergences.only_a, c.excess_percent))
+    more = len(settled) - _MOST_WORDED
+    words = "; ".join(c.words for c in in_order[:_MOST_WORDED])
+    return f"{words}; and {more} more" if more > 0 else words
+
+
+_MOST_WORDED = 3
 
 _CONSISTENCY_WORDS = {
     Consistency.CONSISTENT: "It knows how wrong it is: its NEES lies inside its band.",
@@ -345,8 +363,10 @@ _CONSISTENCY_WORDS = {
 def _limit(best: FilterSummary) -> str:
     if best.efficiency_percent is None:
         return ""
-    above = f", a bound of {best.bound_position_m:.3g} m" if best.bound_position_m is not None else ""
-    return f"It reaches {best.efficiency_percent:.0f} % of what theory allows (Cramér–Rao{above})."
+    bound = f", {best.bound_position_m:.3g} m" if best.bound_position_m is not None else ""
+    if best.efficiency_percent >= 99.5:
+        return f"Its error is at the limit of what theory allows (Cramér–Rao bound{bound})."
+    return f"It reaches {best.efficiency_percent:.0f} % of what theory allows (Cramér–Rao bound{bound})."
 
 
 def _cost(best: FilterSummary, rivals: Sequence[FilterSummary]) -> str:

@@ -41,7 +41,8 @@ def bench(slam_bench):
 """
 
 
-ALONE = [f"-pno:{name}" for name in ("hypothesispytest", "benchmark", "xdist", "cacheprovider")]
+ALONE = [f"-pno:{name}" for name in ("hypothesispytest", "benchmark", "xdist", "cacheprovider", "stereo_slam")]
+"""Without what is installed: not even the plug-in itself, which is loaded from here."""
 
 
 def run_tests(pytester, body, *arguments):

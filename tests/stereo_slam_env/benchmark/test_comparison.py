@@ -101,6 +101,14 @@ def test_divergences_have_a_test_of_their_own():
     assert change.words == "0 of 9 runs before, 1 of 9 after, which may be chance"
 
 
+def test_the_same_divergences_are_no_change():
+    runs = make_runs(THREE[:1], seeds=range(7), frames=40)
+    runs[0] = replace(runs[0], failure="frame 9: gone")
+    comparison = compare(result(runs), result(runs))
+    assert changes_of(comparison, measure="diverged runs")[0].words == "the same 1 of 7 runs"
+    assert comparison.headline == "Nothing has changed but perhaps the time."
+
+
 def test_what_only_one_of_them_has_is_named():
     before, after = make_runs(THREE[:2], seeds=range(7), frames=30), make_runs(THREE[1:], seeds=range(1, 9), frames=30)
     comparison = compare(result(before), result(after))

@@ -1,6 +1,7 @@
 """Intervals hold what they promise, tests say no more than the runs do (3 s)."""
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -79,6 +80,16 @@ def test_the_pairs_needed_are_those_with_which_the_test_can_say_something(compar
     assert (
         f"too few{f' for {comparisons} comparisons' if comparisons > 1 else ''}, {pairs} are needed" in fewer.evidence
     )
+
+
+def test_small_differences_have_digits_enough():
+    for factor, words in (
+        (1.0004, r"\+0\.0\d to \+0\.0\d %"),
+        (1.04, r"\+\d\.\d to \+\d\.\d %"),
+        (1.4, r"\+\d\d to \+\d\d %"),
+    ):
+        difference = paired_difference(factor * HARDNESS * SCATTER ** (factor - 1), HARDNESS)
+        assert re.fullmatch(words, difference.interval_words)
 
 
 def test_what_differs_nowhere_is_identical():

@@ -135,10 +135,22 @@ def test_the_headline_answers_every_question_in_its_own_sentence():
     verdict = judge(runs, summaries)
     assert list(verdict.answers) == ["best", "consistent", "limit", "cost"]
     assert "at 95 % confidence, 8 paired runs" in verdict.answers["best"]
-    assert verdict.answers["limit"] == "It reaches 93 % of what theory allows (Cramér–Rao, a bound of 0.0187 m)."
+    assert verdict.answers["limit"] == "It reaches 93 % of what theory allows (Cramér–Rao bound, 0.0187 m)."
     assert "1.5 times quick" in verdict.answers["cost"]
     assert verdict.headline == " ".join(verdict.answers.values())
+    summaries = [replace(s, efficiency_percent=101.0, bound_position_m=None) for s in summaries]
+    assert judge(runs, summaries).answers["limit"].startswith("Its error is at the limit of what theory allows")
     assert "limit" not in judge(runs, summarise_all(runs)).answers
+
+
+def test_many_rivals_do_not_make_a_long_headline():
+    behaviours = [Behaviour(f"near-{k}", 0.1) for k in range(7)] + [
+        Behaviour(f"far-{k}", 1.0 + 0.1 * k) for k in range(5)
+    ]
+    runs = make_runs(behaviours, seeds=range(10), frames=60)
+    best = judge(runs, summarise_all(runs)).answers["best"]
+    assert "and 3 more is shown. Behind it: the error of far-" in best
+    assert best.endswith("; and 2 more.")
 
 
 def test_each_filter_is_held_against_each_other_one_by_every_question():
