@@ -88,7 +88,6 @@ function keys(chart) {
 }
 
 function enliven(figure) {
-  if (charts.has(figure)) return;
   const specification = JSON.parse(figure.querySelector("script.chart-data").textContent);
   const element = document.createElement("div");
   element.className = "chart";
@@ -103,11 +102,18 @@ function enliven(figure) {
 }
 
 if (window.Plotly) {
+  const visible = new Set(), stale = new Set();
   const watch = new IntersectionObserver(entries => {
-    for (const {isIntersecting, target} of entries) if (isIntersecting) { watch.unobserve(target); enliven(target); }
+    for (const {isIntersecting, target} of entries) {
+      visible[isIntersecting ? "add" : "delete"](target);
+      if (!isIntersecting) continue;
+      if (!charts.has(target)) enliven(target);
+      else if (stale.delete(target)) draw(charts.get(target));
+    }
   }, {rootMargin: "600px"});
   for (const script of document.querySelectorAll("script.chart-data")) watch.observe(script.parentElement);
-  const redraw = () => charts.forEach(draw);
+  // Charts out of sight wait until they come into it.
+  const redraw = () => charts.forEach((chart, figure) => visible.has(figure) ? draw(chart) : stale.add(figure));
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
   let pending;
   addEventListener("resize", () => { clearTimeout(pending); pending = setTimeout(redraw, 150); });

@@ -4,27 +4,18 @@ import shutil
 
 import pytest
 
-from stereo_slam_env.benchmark.report import write_report
-from stereo_slam_env.benchmark.summary import summarise_all
-
-from ...synthetic_runs import THREE, Behaviour, make_bounds, make_runs
-
 playwright = pytest.importorskip("playwright.sync_api", reason="needs playwright (extra dev)")
 pytest.importorskip("plotly", reason="needs plotly (extra report)")
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 pytestmark = pytest.mark.skipif(BROWSER is None, reason="needs the browser chromium (apt install chromium)")
 
-FIVE = (*THREE, Behaviour("shared-anchor", 0.11, 1.0, 2.2), Behaviour("my-own-filter", 0.4, 2.5, 9.0))
 SCREENS = [(1366, 768), (1280, 800)]
 
 
 @pytest.fixture(scope="module")
-def path(tmp_path_factory):
-    runs = make_runs(FIVE, range(6), frames=60)
-    bounds = make_bounds(runs)
-    out = tmp_path_factory.mktemp("browser")
-    return write_report(out, "Comparison", runs, summarise_all(runs, bounds=bounds), {"seeds": 6}, bounds=bounds)
+def path(report_of_five):
+    return report_of_five
 
 
 @pytest.fixture(scope="module")
@@ -75,14 +66,14 @@ def visit(browser, path):
 
 
 @pytest.mark.parametrize(("width", "height"), SCREENS)
-def test_the_first_screen_holds_headline_and_answers(visit, width, height):
+def test_the_first_screen_holds_headline_and_answers(visit, five_filters, width, height):
     visit.page.set_viewport_size({"width": width, "height": height})
     visit.value("scrollTo(0, 0)")
     boxes = visit.value(
         """[...document.querySelectorAll("h1, .headline, .answers th, .answers td")]
             .map(part => part.getBoundingClientRect()).map(({right, bottom}) => [right, bottom])"""
     )
-    assert len(boxes) == 2 + 6 + len(FIVE) * 6
+    assert len(boxes) == 2 + 6 + len(five_filters) * 6
     assert max(right for right, _ in boxes) <= width
     assert max(bottom for _, bottom in boxes) <= height
     assert not visit.is_wider_than_the_window()
@@ -122,7 +113,7 @@ def test_a_series_is_switched_off_in_all_panels_and_on_again(visit):
     assert (visit.value(shown), visit.value(noted)) == ([True] * 3, True)
 
 
-def test_hovering_says_series_value_and_unit(visit):
+def test_hovering_says_series_value_and_unit(visit, five_filters):
     chart = visit.page.locator("#figure-time_per_frame .chart")
     chart.scroll_into_view_if_needed()
     box = chart.bounding_box()
@@ -133,12 +124,13 @@ def test_hovering_says_series_value_and_unit(visit):
         if said:
             break
     assert " ms" in said
-    assert any(behaviour.name in said for behaviour in FIVE)
+    assert any(behaviour.name in said for behaviour in five_filters)
 
 
 def test_colours_follow_the_page_from_light_to_dark(visit):
     colours = """() => [getComputedStyle(document.body).backgroundColor,
         document.querySelector("#figure-velocity .chart").data.find(trace => trace.name === "euclidean").line.color]"""
+    visit.page.locator("#figure-velocity").scroll_into_view_if_needed()
     light = visit.value(colours)
     visit.page.emulate_media(color_scheme="dark")
     visit.page.wait_for_function(f"({colours})()[1] !== '{light[1]}'")
@@ -165,10 +157,10 @@ def test_in_print_the_drawings_take_the_place_of_the_charts(visit):
     assert visit.complaints == []
 
 
-def test_without_javascript_the_drawings_and_tables_are_there(browser, path):
+def test_without_javascript_the_drawings_and_tables_are_there(browser, path, five_filters):
     context = browser.new_context(java_script_enabled=False, color_scheme="dark")
     page = context.new_page()
     page.goto(path.as_uri())
     assert page.locator("figure svg").first.is_visible()
-    assert page.locator(".answers tbody tr").count() == len(FIVE)
+    assert page.locator(".answers tbody tr").count() == len(five_filters)
     context.close()

@@ -1,0 +1,25 @@
+"""A report of made-up runs, written once for all tests that read it or use it."""
+
+import pytest
+
+from stereo_slam_env.benchmark.report import write_report
+from stereo_slam_env.benchmark.summary import summarise_all
+
+from ...synthetic_runs import THREE_ONE_DIVERGING, Behaviour, make_bounds, make_runs
+
+SETTINGS = {"scenario": "made up", "noise": {"independent_pixels": 1.0}, "gate": None, "seeds": [0, 1, 2, 3, 4, 5]}
+
+
+@pytest.fixture(scope="session")
+def five_filters():
+    """Behaviours of the filters in the report: one diverges, one is clumsy."""
+    return (*THREE_ONE_DIVERGING, Behaviour("shared-anchor", 0.11, 1.0, 2.2), Behaviour("clumsy", 0.4, 2.5, 9.0))
+
+
+@pytest.fixture(scope="session")
+def report_of_five(five_filters, tmp_path_factory):
+    """The page of five filters on six recordings."""
+    runs = make_runs(five_filters, range(6), frames=240)
+    bounds = make_bounds(runs)
+    summaries = summarise_all(runs, bounds=bounds)
+    return write_report(tmp_path_factory.mktemp("report"), "Wide turns", runs, summaries, SETTINGS, bounds=bounds)
