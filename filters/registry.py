@@ -13,7 +13,6 @@ from __future__ import annotations
 import inspect
 import logging
 from collections.abc import Callable
-from difflib import get_close_matches
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
@@ -23,6 +22,7 @@ from filters.euclidean_xyz import EuclideanEKF
 from filters.hybrid_stereo import HybridEKF
 from filters.interface import StereoFilter
 from filters.inverse_depth_stereo import InverseDepthStereoEKF
+from filters.known_names import did_you_mean
 from filters.monocular import MonocularEKF
 from filters.noise import StereoNoise
 from filters.right_invariant import RightInvariantEKF
@@ -95,7 +95,7 @@ def _found(name: str) -> FilterFactory:
     if name in plugins:
         return _load(plugins[name])
     names = sorted({*_OWN, *plugins})
-    raise ValueError(f"filter must be one of {', '.join(names)}, got {name!r}{_hint(name, names)}")
+    raise ValueError(f"filter must be one of {', '.join(names)}, got {name!r}{did_you_mean(name, names)}")
 
 
 def _plugins() -> dict[str, EntryPoint]:
@@ -138,14 +138,9 @@ def _refuse_unknown_options(name: str, factory: FilterFactory, options: dict[str
     for option in options:
         if option not in accepted:
             raise ValueError(
-                f"option {option!r} is not one of filter {name!r}{_hint(option, accepted)}; "
+                f"option {option!r} is not one of filter {name!r}{did_you_mean(option, accepted)}; "
                 f"available: {', '.join(sorted(accepted)) or 'none'}"
             )
-
-
-def _hint(word: str, possible: Any) -> str:
-    close = get_close_matches(word, list(possible), 1)
-    return f"; did you mean {close[0]!r}?" if close else ""
 
 
 def _first_line(factory: FilterFactory) -> str:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from difflib import get_close_matches
 from functools import cached_property
 from typing import TypeVar, cast
 
@@ -15,6 +14,7 @@ from filters.engine.arithmetic import Arithmetic, arithmetic
 from filters.engine.error_definition import ERRORS, StandardError
 from filters.engine.joint_state import JointState
 from filters.engine.kalman import LinearisedMeasurements
+from filters.known_names import did_you_mean
 from filters.landmarks.euclidean import Euclidean
 from filters.landmarks.hybrid import Hybrid
 from filters.landmarks.inverse_depth import InverseDepth
@@ -145,6 +145,5 @@ def choice(name: str, value: str | T, available: Mapping[str, T], kind: type | N
         return available[value]
     if kind is not None and isinstance(value, kind):
         return cast(T, value)
-    close = get_close_matches(str(value), available, 1)
-    hint = f"; did you mean {close[0]!r}?" if close else ""
+    hint = did_you_mean(value, available)
     raise ValueError(f"{name} must be one of {', '.join(map(repr, available))}, got {value!r}{hint}")

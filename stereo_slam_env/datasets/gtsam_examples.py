@@ -5,12 +5,12 @@ Asked for by name instead of a folder: `gtsam` or `gtsam:kitti00` (135 frames, 1
 
 from __future__ import annotations
 
-import difflib
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from filters.known_names import require_known
 from stereo_slam_env.datasets.kitti00_stereo_tracks import (
     IMAGE_SIZE,
     odometry_truth,
@@ -62,10 +62,7 @@ def read(name: str = "kitti00", *, sigma_px: float = ASSUMED_SIGMA_PX, max_per_f
     ImportError
         gtsam is not installed.
     """
-    if name not in EXAMPLES:
-        near = difflib.get_close_matches(name, EXAMPLES, n=1)
-        hint = f", did you mean {PREFIX}:{near[0]}?" if near else ""
-        raise ValueError(f"no example {PREFIX}:{name}{hint} Known: {', '.join(f'{PREFIX}:{n}' for n in EXAMPLES)}")
+    require_known("there is no example", [f"{PREFIX}:{name}"], [f"{PREFIX}:{known}" for known in EXAMPLES])
     example = EXAMPLES[name]
     frame_ids, poses = read_odometry_poses(_find(example.poses))
     return tracks_recording(

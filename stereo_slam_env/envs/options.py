@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Collection, Mapping
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
+from filters.known_names import require_known
 from filters.validation import positive
 from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.rendering.backends import RENDERERS
@@ -77,12 +77,7 @@ class DriveOptions:
     @classmethod
     def checked(cls, given: Mapping[str, Any]) -> DriveOptions:
         """From keyword arguments; an unknown name is refused with the nearest known one."""
-        known = [field.name for field in fields(cls)]
-        for name in given:
-            if name not in known:
-                near = difflib.get_close_matches(name, known, n=1)
-                hint = f" (did you mean {near[0]!r}?)" if near else ""
-                raise ValueError(f"unknown argument {name!r}{hint}: allowed are {', '.join(known)}, render_mode")
+        require_known("there is no argument", given, [field.name for field in fields(cls)])
         return cls(**given)
 
     @property

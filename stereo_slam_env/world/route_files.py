@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import difflib
 from pathlib import Path
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from filters import rotations
+from filters.known_names import did_you_mean
 from filters.validation import FloatArray, positive
 from stereo_slam_env.datasets.tables import read_poses
 from stereo_slam_env.world.routes import FRAME_PERIOD, ROUTES, Route
@@ -91,8 +91,7 @@ def named_route(name: str) -> Route:
         return ROUTES[name]()
     if Path(name).is_file():
         return kitti_route(name)
-    near = difflib.get_close_matches(name, ROUTES, n=1)
-    hint = f" (did you mean {near[0]!r}?)" if near else ""
+    hint = did_you_mean(name, ROUTES)
     raise ValueError(f"route must be one of {', '.join(map(repr, ROUTES))} or a KITTI pose file, got {name!r}{hint}")
 
 

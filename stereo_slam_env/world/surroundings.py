@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from filters.known_names import did_you_mean
 from stereo_slam_env.world import corridor, field, street
 from stereo_slam_env.world.randomise import with_other_look
 from stereo_slam_env.world.road import road_along
@@ -75,8 +75,7 @@ def build_scene(
         No such surroundings, or a negative number.
     """
     if surroundings not in SURROUNDINGS:
-        near = difflib.get_close_matches(surroundings, SURROUNDINGS, n=1)
-        hint = f" (did you mean {near[0]!r}?)" if near else ""
+        hint = did_you_mean(surroundings, SURROUNDINGS)
         raise ValueError(
             f"surroundings must be one of {', '.join(map(repr, SURROUNDINGS))}, got {surroundings!r}{hint}"
         )

@@ -36,12 +36,12 @@ def test_a_class_or_a_function_does_as_well_as_a_name() -> None:
 
 
 def test_an_unknown_name_gets_a_hint() -> None:
-    with pytest.raises(ValueError, match="'inverse-dept'; did you mean 'inverse-depth'"):
+    with pytest.raises(ValueError, match="'inverse-dept', did you mean 'inverse-depth'"):
         make_filter("inverse-dept", **RIG)
 
 
 def test_an_unknown_option_gets_a_hint() -> None:
-    with pytest.raises(ValueError, match=r"option 'gat' is not one of filter 'euclidean'; did you mean 'gate'"):
+    with pytest.raises(ValueError, match=r"option 'gat' is not one of filter 'euclidean', did you mean 'gate'"):
         make_filter("euclidean", **RIG, gat=0.9)
 
 

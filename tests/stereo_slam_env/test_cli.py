@@ -247,7 +247,7 @@ def test_scenes_are_listed_and_drawn(command, tmp_path):
         (("bench", "--sigma", "-1"), "must be a finite number > 0"),
         (("replay",), "argument"),
         (("replay", "nowhere"), "does not exist"),
-        (("replay", "gtsam:kiti00"), "did you mean gtsam:kitti00?"),
+        (("replay", "gtsam:kiti00"), "did you mean 'gtsam:kitti00'?"),
         (("report", "nowhere"), "holds no run"),
         (("filters", "check", "inverse-dept"), "did you mean 'inverse-depth'?"),
         (("scenes", "render", "twon", "--out", "x.png"), "'town'"),

@@ -32,5 +32,5 @@ def test_without_gtsam_the_message_says_what_to_install(monkeypatch):
 
 
 def test_an_unknown_example_is_answered_with_the_known_ones():
-    with pytest.raises(ValueError, match=r"no example gtsam:kiti00, did you mean gtsam:kitti00\?"):
+    with pytest.raises(ValueError, match=r"no example 'gtsam:kiti00', did you mean 'gtsam:kitti00'\?"):
         read_recording("gtsam:kiti00")

@@ -165,9 +165,7 @@ def test_nothing_in_the_corridor_is_seen_beyond_the_next_bend():
 
 def test_wrong_arguments_get_one_clear_line():
     route = ROUTES["right-turn"]()
-    with pytest.raises(
-        ValueError, match=r"surroundings must be one of 'street'.*got 'feild' \(did you mean 'field'\?\)"
-    ):
+    with pytest.raises(ValueError, match=r"surroundings must be one of 'street'.*got 'feild', did you mean 'field'\?"):
         build_scene("feild", route, rng())
     with pytest.raises(ValueError, match="moving_cars must not be negative, got -1"):
         build_scene("field", route, rng(), moving_cars=-1)
