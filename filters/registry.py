@@ -67,8 +67,7 @@ def make_filter(name: str | FilterFactory, *, camera: StereoCamera, noise: Stere
     ValueError
         Unknown name or option, an option's value is refused, or a third-party filter cannot be loaded.
     """
-    factory = _found(name) if isinstance(name, str) else name
-    name = name if isinstance(name, str) else getattr(name, "__name__", type(name).__name__)
+    factory, name = _found(name) if isinstance(name, str) else name, label_of(name)
     _refuse_unknown_options(name, factory, options)
     made = factory(camera=camera, noise=noise, **options)
     if not isinstance(made, StereoFilter):
@@ -86,6 +85,11 @@ def available_filters() -> dict[str, str]:
             _log.warning("%s", error)
             lines[name] = f"not available: {error}"
     return lines
+
+
+def label_of(filter_name: str | FilterFactory) -> str:
+    """What a filter is called: the name it was asked for by, or that of its class or function."""
+    return filter_name if isinstance(filter_name, str) else getattr(filter_name, "__name__", type(filter_name).__name__)
 
 
 def _found(name: str) -> FilterFactory:

@@ -1,8 +1,9 @@
 """What changed significantly between two runs of the benchmark, say before and after a change of a filter.
 
-Recordings with bit-identical measurements are compared pair by pair. Where the measurements are not the same, the runs
-are two samples, and their difference has the wider interval of unpaired data. Intervals and tests are corrected for all
-changes of the table that could have shown something; those of time, which depends on the machine, among themselves.
+A grid is compared cell by cell. Recordings with bit-identical measurements are compared pair by pair. Where the
+measurements are not the same, the runs are two samples, and their difference has the wider interval of unpaired data.
+Intervals and tests are corrected for all changes of the table that could have shown something; those of time, which
+depends on the machine, among themselves.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from filters.validation import BoolArray, FloatArray
-from stereo_slam_env.benchmark.measures import MEASURES, TIME, Measure, RunFigures, RunKey, figures_of
+from stereo_slam_env.benchmark.measures import MEASURES, TIME, Measure, RunFigures, RunKey, common_keys, figures_of
 from stereo_slam_env.benchmark.results import FilterRun
 from stereo_slam_env.benchmark.shares import paired_share, unpaired_share
 from stereo_slam_env.benchmark.statistics import (
@@ -24,7 +25,7 @@ from stereo_slam_env.benchmark.statistics import (
     Finding,
     pairs_needed,
 )
-from stereo_slam_env.benchmark.store import read_run
+from stereo_slam_env.benchmark.study_store import read_study
 from stereo_slam_env.benchmark.verdict import change_words
 
 _MACHINE = ("platform", "python", "numpy", "scipy")
@@ -45,7 +46,7 @@ class Change:
     Attributes
     ----------
     filter_name : str
-        Label.
+        Label; in a grid with the name of the cell before it.
     measure : str
         In words: "position error", "diverged runs".
     unit : str
@@ -155,8 +156,8 @@ def compare(before: str | Path | HasRuns, after: str | Path | HasRuns) -> RunCom
             f"{was.name} and {now.name} have no filter in common: {', '.join(was.figures)} against "
             f"{', '.join(now.figures)}"
         )
-    paired, about_streams = _same_streams(was, now, keys)
-    changes = _changes([_pair(was, now, name, keys, paired) for name in filters])
+    paired, about_streams = _same_streams(was, now)
+    changes = _changes([_pair(was, now, name, paired) for name in filters])
     warnings = [*about_streams, *_other_settings(was, now), *_other_machine(was, now)]
     return RunComparison(
         before=was.name,
@@ -174,40 +175,58 @@ def compare(before: str | Path | HasRuns, after: str | Path | HasRuns) -> RunCom
 
 @dataclass(frozen=True)
 class _Side:
-    """A run of the benchmark, as far as it is compared."""
+    """A run of the benchmark, as far as it is compared.
+
+    Filters go by their labels, in a grid by "cell: label"; a trial is one of them on one recording.
+    """
 
     name: str
     figures: Mapping[str, RunFigures]
-    runs: Sequence[FilterRun]
-    streams: Mapping[RunKey, str] = field(default_factory=dict)
-    settings: Mapping[str, Any] = field(default_factory=dict)
+    trials: Mapping[tuple[str, RunKey], FilterRun]
+    streams: Mapping[tuple[str, RunKey], str] = field(default_factory=dict)
+    settings: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
     @property
     def keys(self) -> list[RunKey]:
-        """Its recordings, in the order of the runs."""
-        return list(dict.fromkeys((run.recording_name, run.seed) for run in self.runs))
+        """Its recordings."""
+        return list(dict.fromkeys(key for _, key in self.trials))
 
 
 def _opened(source: str | Path | HasRuns, name: str) -> _Side:
     if not isinstance(source, (str, Path)):
         out = getattr(source, "out", None)
-        if out is None or not (Path(out) / "settings.json").exists():
-            return _Side(name, figures_of(source.runs), source.runs)
+        if out is None or not Path(out).is_dir():
+            return _Side(name, figures_of(source.runs), _trials("", source.runs))
         source = Path(out)
-    directory = read_run(Path(source))
-    runs, recordings = directory.load()
-    streams = {(about["name"], about["seed"]): about["stream_sha256"] for about in recordings}
-    settings = json.loads((directory.out / "settings.json").read_text(encoding="utf-8"))
-    figures = figures_of(runs, divergence_percent=directory.scenario.divergence_percent)
-    return _Side(str(source), figures, runs, streams, settings)
+    study = read_study(Path(source))
+    figures: dict[str, RunFigures] = {}
+    trials: dict[tuple[str, RunKey], FilterRun] = {}
+    streams: dict[tuple[str, RunKey], str] = {}
+    settings: dict[str, Mapping[str, Any]] = {}
+    for cell, directory in study.cells:
+        prefix = f"{cell.name}: " if study.study.is_grid else ""
+        runs, recordings = directory.load()
+        limit = cell.scenario.divergence_percent
+        of_cell = figures_of(runs, divergence_percent=limit, bounds=directory.bounds())
+        figures |= {f"{prefix}{label}": figures for label, figures in of_cell.items()}
+        trials |= _trials(prefix, runs)
+        digests = {(about["name"], about["seed"]): about["stream_sha256"] for about in recordings}
+        streams |= {(label, key): digests[key] for label, key in _trials(prefix, runs)}
+        settings[prefix] = json.loads((directory.out / "settings.json").read_text(encoding="utf-8"))
+    return _Side(str(source), figures, trials, streams, settings)
 
 
-def _same_streams(was: _Side, now: _Side, keys: Sequence[RunKey]) -> tuple[bool, list[str]]:
-    """Whether all common recordings have the same measurements, and what is to be said about it."""
-    if not keys:
+def _trials(prefix: str, runs: Sequence[FilterRun]) -> dict[tuple[str, RunKey], FilterRun]:
+    return {(f"{prefix}{run.filter_name}", (run.recording_name, run.seed)): run for run in runs}
+
+
+def _same_streams(was: _Side, now: _Side) -> tuple[bool, list[str]]:
+    """Whether all common trials had the same measurements, and what is to be said about it."""
+    common = [trial for trial in was.trials if trial in now.trials]
+    if not common:
         return False, ["The two runs have no recording in common: they are compared as two samples, not pair by pair."]
-    if all(key in side.streams for side in (was, now) for key in keys):
-        other = [key for key in keys if was.streams[key] != now.streams[key]]
+    if all(trial in side.streams for side in (was, now) for trial in common):
+        other = list(dict.fromkeys(trial[1] for trial in common if was.streams[trial] != now.streams[trial]))
         if not other:
             return True, []
         which = _recording(other[0]) + (f" and {len(other) - 1} more" if len(other) > 1 else "")
@@ -215,15 +234,14 @@ def _same_streams(was: _Side, now: _Side, keys: Sequence[RunKey]) -> tuple[bool,
             f"The measurements of {which} are not the same in both runs: they are compared as two samples, not pair by "
             f"pair, and a difference may come from the recordings."
         ]
-    if all(_same_drive(was, now, key) for key in keys):
+    if all(_same_drive(was.trials[trial], now.trials[trial]) for trial in common):
         return True, [
             "Whether the measurements are bit-identical is not known; time stamps and truth are, so runs are paired."
         ]
     return False, ["The drives of the two runs are not the same: they are compared as two samples, not pair by pair."]
 
 
-def _same_drive(was: _Side, now: _Side, key: RunKey) -> bool:
-    a, b = (next(r for r in side.runs if (r.recording_name, r.seed) == key) for side in (was, now))
+def _same_drive(a: FilterRun, b: FilterRun) -> bool:
     return all(
         np.array_equal(getattr(a, name), getattr(b, name), equal_nan=True) for name in ("timestamps", "true_positions")
     )
@@ -254,9 +272,9 @@ class _Pair:
         return self.after.diverged(self.keys_after), self.before.diverged(self.keys_before)
 
 
-def _pair(was: _Side, now: _Side, name: str, keys: Sequence[RunKey], paired: bool) -> _Pair:
+def _pair(was: _Side, now: _Side, name: str, paired: bool) -> _Pair:
     after, before = now.figures[name], was.figures[name]
-    both = [key for key in keys if key in after.of_run and key in before.of_run]
+    both = common_keys(before, after)
     own = (both, both) if paired else (list(after.of_run), list(before.of_run))
     return _Pair(name, after, before, *own, paired)
 
@@ -320,18 +338,19 @@ def _divergences(pair: _Pair, comparisons: int) -> Change:
 
 
 def _other_settings(was: _Side, now: _Side) -> list[str]:
-    a, b = (dict(side.settings.get("scenario", {})) for side in (was, now))
-    if not a or not b:
-        return []
-    ignored = {"name", "seeds", "filters"}
-    other = [key for key in {**a, **b} if key not in ignored and a.get(key) != b.get(key)]
-    made = [{choice["label"]: (choice["name"], choice["options"]) for choice in side["filters"]} for side in (a, b)]
-    other += [f"the options of {label}" for label, how in made[0].items() if made[1].get(label, how) != how]
-    return [f"The settings of the two runs differ in {_listed(other)}."] if other else []
+    other: dict[str, None] = {}
+    for cell in was.settings.keys() & now.settings.keys():
+        a, b = (side.settings[cell]["scenario"] for side in (was, now))
+        ignored = {"name", "seeds", "filters"}
+        other |= dict.fromkeys(key for key in {**a, **b} if key not in ignored and a.get(key) != b.get(key))
+        made = [{choice["label"]: (choice["name"], choice["options"]) for choice in side["filters"]} for side in (a, b)]
+        changed = [label for label, how in made[0].items() if made[1].get(label, how) != how]
+        other |= dict.fromkeys(f"the options of {label}" for label in changed)
+    return [f"The settings of the two runs differ in {_listed(list(other))}."] if other else []
 
 
 def _other_machine(was: _Side, now: _Side) -> list[str]:
-    a, b = (dict(side.settings.get("versions", {})) for side in (was, now))
+    a, b = (next((dict(about["versions"]) for about in side.settings.values()), {}) for side in (was, now))
     if not a or not b:
         return ["Times are of one machine only if both runs were made on it."]
     other = [f"{key} ({a.get(key)} and {b.get(key)})" for key in _MACHINE if a.get(key) != b.get(key)]

@@ -7,11 +7,11 @@ and runs are kept, so that the same reference filter is run once however many fi
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import Any
 
-from filters.interface import StereoFilter
+from filters.registry import FilterFactory, label_of
 from stereo_slam_env.benchmark.measures import MEASURES, POSITION, Measure, common_keys, figures_of
 from stereo_slam_env.benchmark.presets import preset
 from stereo_slam_env.benchmark.results import FilterRun, FilterSummary
@@ -23,7 +23,7 @@ from stereo_slam_env.benchmark.summary import summarise
 from stereo_slam_env.benchmark.verdict import Consistency, consistency
 from stereo_slam_env.recording import Recording
 
-FilterLike = str | Callable[..., StereoFilter]
+FilterLike = str | FilterFactory
 """A name of `filters.available_filters()`, or what is called as `MyFilter(camera=..., noise=..., **options)`."""
 
 QUICK = Scenario(
@@ -226,7 +226,7 @@ class Bench:
             recording = self._recordings[source, seed]
             self._runs[key] = run_filter(
                 recording,
-                cast(str, tested),  # `make_filter`, which it goes to, takes classes, too
+                tested,
                 options,
                 label=label,
                 common_options=scenario.common_options,
@@ -235,8 +235,3 @@ class Bench:
                 seed=seed,
             )
         return self._runs[key]
-
-
-def label_of(tested: FilterLike) -> str:
-    """What a filter is called in tables."""
-    return tested if isinstance(tested, str) else getattr(tested, "__name__", type(tested).__name__)

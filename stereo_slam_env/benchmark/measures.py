@@ -1,7 +1,4 @@
-"""What filters are compared by: each measure, of one run and of many, and how far a value is from the best possible.
-
-The figure of one run is that of a summary of this run alone, so that no formula is written twice.
-"""
+"""What filters are compared by: each measure, of one run and of many, and how far a value is from the best possible."""
 
 from __future__ import annotations
 
@@ -13,9 +10,10 @@ import numpy as np
 
 from filters.validation import BoolArray, FloatArray
 from stereo_slam_env.benchmark.consistency_figures import DOF
+from stereo_slam_env.benchmark.limits import Bound
 from stereo_slam_env.benchmark.results import FilterRun, FilterSummary
 from stereo_slam_env.benchmark.statistics import Difference, difference_of, paired_difference, unpaired_difference
-from stereo_slam_env.benchmark.summary import summarise
+from stereo_slam_env.benchmark.trial_metrics import trial_figures
 
 RunKey = tuple[str, int | None]
 """What identifies a recording: its name and seed."""
@@ -28,7 +26,7 @@ class Measure:
     Attributes
     ----------
     key : str
-        Name of the field of `FilterSummary`.
+        Name of the figure of a run, and of the field of `FilterSummary`.
     words : str
         What it is called: "position error".
     unit : str
@@ -109,7 +107,7 @@ class RunFigures:
     Attributes
     ----------
     of_run : mapping of RunKey to mapping
-        Of each run alone, by the names of the fields of `FilterSummary`; None where not known.
+        Of each run alone, see `trial_metrics`; None where not known.
     """
 
     of_run: Mapping[RunKey, Mapping[str, Any]]
@@ -123,20 +121,23 @@ class RunFigures:
         return np.array([self.of_run[key]["diverged"] > 0 for key in keys], dtype=bool)
 
 
-def figures_of(runs: Sequence[FilterRun], *, divergence_percent: float = 10.0) -> dict[str, RunFigures]:
+def figures_of(
+    runs: Sequence[FilterRun], *, divergence_percent: float = 10.0, bounds: Mapping[RunKey, Bound] | None = None
+) -> dict[str, RunFigures]:
     """The figures of every run, by label of the filter, in order of first appearance.
 
     Parameters
     ----------
     runs : sequence of FilterRun
         Of any filters, each recording once.
-    divergence_percent : float
+    divergence_percent, bounds : float, mapping
         As in `summarise`.
     """
     found: dict[str, dict[RunKey, Mapping[str, Any]]] = {}
     for run in runs:
-        alone = vars(summarise([run], divergence_percent=divergence_percent))
-        found.setdefault(run.filter_name, {})[run.recording_name, run.seed] = alone
+        key = run.recording_name, run.seed
+        alone = trial_figures(run, bound=(bounds or {}).get(key), divergence_percent=divergence_percent)
+        found.setdefault(run.filter_name, {})[key] = alone
     return {name: RunFigures(of_run) for name, of_run in found.items()}
 
 

@@ -24,6 +24,7 @@ from filters import (
 )
 from filters.camera import StereoCamera
 from filters.motion import POSE_SIZE, POSITION, ROTATION
+from filters.registry import FilterFactory, label_of
 from filters.validation import FloatArray, IntArray
 from stereo_slam_env.benchmark.consistency import nees
 from stereo_slam_env.benchmark.landmark_statistics import LandmarkScorer
@@ -40,7 +41,7 @@ _log = logging.getLogger(__name__)
 
 def run_filter(
     recording: Recording,
-    filter_name: str,
+    filter_name: str | FilterFactory,
     options: Mapping[str, Any] | None = None,
     *,
     label: str | None = None,
@@ -61,13 +62,13 @@ def run_filter(
     ----------
     recording : Recording
         The stream.
-    filter_name : str
-        A name of `filters.available_filters()`.
+    filter_name : str or callable
+        A name of `filters.available_filters()`, or a filter class or function, as `make_filter` takes it.
     options : mapping, optional
         Options of the filter, JSON-able: `motion` is written as {"sigma_acceleration": ...,
         "sigma_angular_acceleration": ...} or "velocity-driven".
     label : str, optional
-        Name in tables and files; None: `filter_name`.
+        Name in tables and files; None: that of the filter.
     common_options : mapping, optional
         Options given to every filter of a comparison that knows them; `options` go first.
     noise : StereoNoise, optional
@@ -96,6 +97,7 @@ def run_filter(
     """
     if len(recording) == 0:
         raise ValueError(f"recording {recording.name!r} has no frames")
+    name = label or label_of(filter_name)
     log = RunLog(recording)
     memory = peak_memory_mb()
     used: dict[str, Any] = dict(options or {})
@@ -132,12 +134,16 @@ def run_filter(
             failure = None
         except Exception as error:  # a stranger's filter may raise anything; the comparison goes on without it
             failure = failure_line(frame_number, error)
-            _log.info("%s on %s failed at %s", label or filter_name, recording.name, failure)
-    return log.result(label or filter_name, used, seed, failure, peak_memory_mb() - memory)
+            _log.info("%s on %s failed at %s", name, recording.name, failure)
+    return log.result(name, used, seed, failure, peak_memory_mb() - memory)
 
 
 def make_with_common_options(
-    name: str, camera: StereoCamera, noise: StereoNoise, options: Mapping[str, Any], common: Mapping[str, Any]
+    name: str | FilterFactory,
+    camera: StereoCamera,
+    noise: StereoNoise,
+    options: Mapping[str, Any],
+    common: Mapping[str, Any],
 ) -> tuple[StereoFilter, dict[str, Any]]:
     """Make a filter with its own options and those of the `common` ones that it knows.
 

@@ -29,7 +29,7 @@ def test_options_reach_the_filter() -> None:
 def test_a_class_or_a_function_does_as_well_as_a_name() -> None:
     assert isinstance(make_filter(DualBearingEKF, **RIG, gate=0.9), DualBearingEKF)
     assert isinstance(make_filter(lambda camera, noise: EuclideanEKF(camera, noise), **RIG), EuclideanEKF)
-    with pytest.raises(ValueError, match="option 'gat' is not one of filter 'EuclideanEKF'; did you mean 'gate'"):
+    with pytest.raises(ValueError, match="option 'gat' is not one of filter 'EuclideanEKF', did you mean 'gate'"):
         make_filter(EuclideanEKF, **RIG, gat=0.9)
     with pytest.raises(ValueError, match="filter 'dict' made a dict, not a StereoFilter"):
         make_filter(dict, **RIG)

@@ -12,6 +12,7 @@ from stereo_slam_env.benchmark import Scenario, run_benchmark
 from stereo_slam_env.benchmark.comparison import COLUMNS, compare
 from stereo_slam_env.benchmark.scenario import FilterChoice
 from stereo_slam_env.benchmark.statistics import Finding
+from stereo_slam_env.benchmark.study import Cell, Study
 
 from ...synthetic_runs import THREE, make_runs
 
@@ -156,6 +157,18 @@ def test_times_of_different_machines_are_not_comparable(stored, tmp_path):
     (warning,) = (w for w in compare(stored, other).warnings if "Times" in w)
     assert warning.startswith("Times are not comparable: the two runs differ in platform (")
     assert "Amiga" in warning
+
+
+def test_a_grid_is_compared_cell_by_cell(tmp_path):
+    cells = tuple(
+        Cell(f"gate-{gate}", {"gate": gate}, replace(SCENARIO, gate=gate, seeds=(0, 1))) for gate in (0.9, 0.99)
+    )
+    before = run_benchmark(Study("grid", cells), tmp_path / "before", jobs=1, report=False)
+    comparison = compare(before, shutil.copytree(before.out, tmp_path / "after"))
+    assert comparison.paired
+    assert {change.filter_name for change in comparison.changes} == {"gate-0.9: ours", "gate-0.99: ours"}
+    assert all(change.count == 2 for change in comparison.changes)
+    assert comparison.headline == "Nothing has changed but perhaps the time."
 
 
 def test_the_comparison_is_a_table_too(stored):

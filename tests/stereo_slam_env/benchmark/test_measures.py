@@ -10,7 +10,7 @@ from stereo_slam_env.benchmark.summary import summarise_all
 from ...synthetic_runs import THREE, make_runs
 
 
-def test_the_figures_of_a_run_are_those_of_its_summary():
+def test_the_figures_of_the_runs_are_those_of_the_summary():
     runs = make_runs(THREE[:2], seeds=range(3), frames=40)
     figures = figures_of(runs)
     first = summarise_all(runs)[0]
