@@ -4,7 +4,7 @@
     python benchmarks/heavy_tails.py --seeds 20 --only gate,consensus
 
 The first 100 frames (50 m) of the reference drive. Every pixel coordinate has the error measured on rendered images by
-corner detection and matching: 60 % of sigma 0.07 px, 36 % of 0.45 px, 4.4 % uniform over +-20 px, so that every eighth
+corner detection and matching: 60 % of sigma 0.07 px, 36 % of 0.45 px, 4 % uniform over +-20 px, so that every eighth
 measurement has a coordinate that tells nothing; and in every frame 10 % of the measurements swap their identities.
 A filter assumes Gaussian pixels of `--sigma-px`. A run has diverged if it fails or ends farther from the truth than
 10 % of the way.
@@ -28,8 +28,8 @@ from stereo_slam_env.benchmark.results import FilterRun
 from stereo_slam_env.benchmark.runner import run_filter
 from stereo_slam_env.benchmark.summary import summarise
 from stereo_slam_env.recording import Recording
+from stereo_slam_env.sensing.pixel_noise import matching_errors
 
-WEIGHTS, SIGMAS, UNIFORM = (0.60, 0.36), (0.07, 0.45), 20.0
 WRONG = 0.10
 ASSUMED_SIGMA = 0.35  # px; the two Gaussians of the mixture together have 0.28
 FILTER = "shared-anchor"
@@ -44,16 +44,9 @@ DEFENCES: dict[str, dict[str, Any]] = {
 }
 
 
-def pixel_errors(rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
-    """Draws of the mixture, px."""
-    kind = rng.choice(3, shape, p=[*WEIGHTS, 1.0 - sum(WEIGHTS)])
-    gaussian = rng.standard_normal(shape) * np.array([*SIGMAS, 0.0])[kind]
-    return np.where(kind == 2, rng.uniform(-UNIFORM, UNIFORM, shape), gaussian)
-
-
 def corrupted(exact: StereoObservation, rng: np.random.Generator) -> StereoObservation:
     """Errors on every pixel coordinate; a tenth of the measurements exchange their identities in a ring."""
-    u_left, v_left, u_right, v_right = pixel_errors(rng, (4, len(exact)))
+    u_left, v_left, u_right, v_right = matching_errors(rng, (4, len(exact)))
     uvd = exact.uvd + np.stack([u_left, v_left, u_left - u_right], axis=1)
     rows = exact.uvd[:, 1] + v_right
     wrong = rng.choice(len(exact), round(WRONG * len(exact)), replace=False)

@@ -23,6 +23,7 @@ from stereo_slam_env.benchmark.sensor_noise import OUTLIER, NoiseOfRange
 from stereo_slam_env.benchmark.sources import takes_images
 from stereo_slam_env.benchmark.study import Study
 from stereo_slam_env.benchmark.study_store import CellResult
+from stereo_slam_env.benchmark.verdict import judge
 from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.recording import Recording
 
@@ -175,7 +176,7 @@ def show_results(console: Console, summaries: Sequence[FilterSummary]) -> None:
     else:
         names = [name for name in figures if name.startswith(_MATTER_MOST)]
         for name in names:
-            table.add_column(name, justify="right")
+            table.add_column(name, justify="right", min_width=max(map(len, figures[name])))
         for row, summary in enumerate(summaries):
             table.add_row(escape(summary.filter_name), *(figures[name][row] for name in names))
     console.print(table, highlight=False)
@@ -192,6 +193,8 @@ def show_cells(console: Console, results: Sequence[CellResult]) -> None:
         if result.cell.factors:
             console.print(f"\n[bold]{escape(result.cell.name)}[/bold]", highlight=False)
         show_results(console, result.summaries)
+        headline = judge(result.runs, result.summaries).headline
+        console.print(f"\n{escape(headline)}\n", highlight=False, soft_wrap=True)
 
 
 def show_comparison(console: Console, comparison: RunComparison) -> None:

@@ -96,18 +96,18 @@ def attribute_runs(
     figures = figures_of([run for run in runs if run.filter_name in set(labels)], divergence_percent=divergence_percent)
     if not figures:
         raise ValueError(f"runs must be of filters named after their options, like {labels[0]!r}: there are none")
-    keys = list(dict.fromkeys(key for of_filter in figures.values() for key in of_filter.summaries))
+    keys = list(dict.fromkeys(key for of_filter in figures.values() for key in of_filter.of_run))
     shape = (*(len(levels) for levels in factors.values()), len(keys))
     ran, diverged = np.zeros((len(labels), len(keys)), dtype=bool), np.zeros((len(labels), len(keys)), dtype=bool)
     values = {measure: np.full((len(labels), len(keys)), np.nan) for measure in (POSITION, POSE_NEES, TIME)}
     for row, label in enumerate(labels):
         of_filter = figures.get(label)
         for column, key in enumerate(keys):
-            if of_filter is not None and key in of_filter.summaries:
+            if of_filter is not None and key in of_filter.of_run:
                 ran[row, column] = True
-                diverged[row, column] = of_filter.summaries[key].diverged > 0
+                diverged[row, column] = of_filter.of_run[key]["diverged"] > 0
                 for measure, table in values.items():
-                    table[row, column] = measure.of(of_filter.summaries[key])
+                    table[row, column] = measure.of(of_filter.of_run[key])
     responses = {
         measure.words: Response(_logarithms(table).reshape(shape), measure.unit, measure.ideal)
         for measure, table in values.items()

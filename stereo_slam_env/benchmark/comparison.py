@@ -256,8 +256,8 @@ class _Pair:
 
 def _pair(was: _Side, now: _Side, name: str, keys: Sequence[RunKey], paired: bool) -> _Pair:
     after, before = now.figures[name], was.figures[name]
-    both = [key for key in keys if key in after.summaries and key in before.summaries]
-    own = (both, both) if paired else (list(after.summaries), list(before.summaries))
+    both = [key for key in keys if key in after.of_run and key in before.of_run]
+    own = (both, both) if paired else (list(after.of_run), list(before.of_run))
     return _Pair(name, after, before, *own, paired)
 
 

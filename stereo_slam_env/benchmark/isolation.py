@@ -15,6 +15,8 @@ from typing import NoReturn, TypeVar, cast
 Result = TypeVar("Result")
 Tell = Callable[[int, int], None]
 
+_ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
 _log = logging.getLogger(__name__)
 
 
@@ -56,12 +58,18 @@ def run_isolated(
     if not hasattr(os, "fork"):
         return work(progress or (lambda done, total: None))
     here, there = Pipe()
+    # What a signal raises while Python's own hooks run after the fork would be lost: it has to wait.
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, _ENDING)
     child = os.fork()
     if child == 0:
         here.close()
+        for ending in _ENDING:
+            signal.signal(ending, signal.SIG_DFL)
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
         _answer(there, work)
-    there.close()
     try:
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        there.close()
         return cast(Result, _listen(here, child, silence_limit, progress))
     finally:
         here.close()
@@ -70,7 +78,6 @@ def run_isolated(
 
 def _answer(connection: Connection, work: Callable[[Tell], Result]) -> None:
     """In the new process: do the work, send the answer, and leave without any of the caller's clean-up."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
     code = 1
     try:
         try:
@@ -109,7 +116,7 @@ def _raise_for_death(child: int) -> NoReturn:
     if not os.WIFSIGNALED(status):
         raise WorkDied(f"its process ended with code {os.WEXITSTATUS(status)}")
     by = signal.Signals(os.WTERMSIG(status))
-    if by in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+    if by in _ENDING:
         raise KeyboardInterrupt
     raise WorkDied(f"its process was ended by {by.name}")
 

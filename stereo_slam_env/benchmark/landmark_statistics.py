@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from filters.camera import StereoCamera
-from filters.validation import FloatArray, IntArray
+from filters.validation import BoolArray, FloatArray, IntArray
 from stereo_slam_env.benchmark.map_scoring import MapScore
 
 RANGE_EDGES = (0.0, 10.0, 20.0, 40.0, 80.0, np.inf)  # m, true distance from the camera
@@ -96,11 +96,11 @@ class LandmarkScorer:
     def add(self, score: MapScore) -> None:
         """Note the errors of the map in the next frame."""
         self._grow_older(score)
-        seen = score.in_view
-        if not seen.any():
+        if not score.in_view.any():
             return
         self._add_by_range(score)
-        self._add_by_age(score, seen & (self._class >= 0) & (self._age < AGES))
+        known = np.isfinite(score.disparity_error) & np.isfinite(score.disparity_variance)
+        self._add_by_age(score, known & (self._class >= 0) & (self._age < AGES))
 
     def _add_by_range(self, score: MapScore) -> None:
         sums, bins = self.statistics, np.searchsorted(self._edges, score.distance, side="right")
@@ -114,7 +114,7 @@ class LandmarkScorer:
         _add(sums.squared_error, bins[located], np.einsum("ij,ij->i", error, error))
         _add(sums.depth_error, bins[located], error[:, 2])
 
-    def _add_by_age(self, score: MapScore, scored: np.ndarray) -> None:
+    def _add_by_age(self, score: MapScore, scored: BoolArray) -> None:
         sums, cell = self.statistics, self._class[scored] * AGES + self._age[scored]
         square = (score.true_points[scored, 2] ** 2 / self._camera.disparity_constant) ** 2
         _add(sums.age_count.ravel(), cell)
@@ -123,22 +123,14 @@ class LandmarkScorer:
 
     def _grow_older(self, score: MapScore) -> None:
         """Ages of the landmarks of this frame, and the class each has from the depth at which it entered the map."""
-        before = self._ids
-        if len(before):
-            place = np.minimum(np.searchsorted(before, score.ids), len(before) - 1)
-            there = before[place] == score.ids
-        else:
-            place, there = np.zeros(len(score.ids), dtype=np.int64), np.zeros(len(score.ids), dtype=bool)
         depth = score.true_points[:, 2]
         entered = np.full(len(score.ids), -1)
         for number, (low, high) in enumerate(DEPTH_CLASSES.values()):
             entered[(depth >= low) & (depth < high)] = number
-        if there.any():
-            self._age = np.where(there, self._age[place] + 1, 0)
-            self._class = np.where(there, self._class[place], entered)
-        else:
-            self._age, self._class = np.zeros(len(score.ids), dtype=np.int64), entered
-        self._ids = score.ids
+        _, before, now = np.intersect1d(self._ids, score.ids, assume_unique=True, return_indices=True)
+        age = np.zeros(len(score.ids), dtype=np.int64)
+        age[now], entered[now] = self._age[before] + 1, self._class[before]
+        self._ids, self._age, self._class = score.ids, age, entered
 
 
 def _add(sums: FloatArray, cells: IntArray, values: FloatArray | None = None) -> None:

@@ -5,7 +5,8 @@ that of an extended Kalman filter whose Jacobians are taken at the truth and who
 the filters' own algebra (`JointState`, `kalman.update`) with the true camera in the state:
 
 - start covariance of the recording; motion of Eq. 6 with the impulses of `ConstantVelocity`;
-- every sighting of the recording with the noise it really has (of the observation, or else of the recording);
+- every sighting of the recording with the noise it really has (of the observation, or else of the recording), and with
+  the row in the right image where that was measured: not every filter uses it;
 - a landmark enters at its first sighting with what that says and no prior, exactly: (u, v, d) and the pose determine
   it. It leaves after its last one; marginalising what is never measured again loses nothing. One that comes back is
   kept until then, so the bound also holds for filters that recognise places.
@@ -139,7 +140,10 @@ class _Recursion:
         points_c = (points_w - state.camera.position) @ state.camera.R_wc
         # A point behind the camera is not what was measured: the id is wrong.
         sound = points_c[:, 2] > 0
-        ids, R = observation.ids[sound], observation.covariances(self._noise)[sound]
+        R = observation.covariances(self._noise)
+        if observation.v_right is not None:
+            R = with_right_row(R)
+        ids, R = observation.ids[sound], R[sound]
         uvd = self._rig.project(points_c[sound])
         known = np.isin(ids, state.ids)
         order = np.argsort(state.ids)
@@ -156,6 +160,17 @@ class _Recursion:
     def _place(self, ids: IntArray) -> IntArray:
         """Where these landmarks are in the true map."""
         return np.searchsorted(self._truth.ids, ids)
+
+
+def with_right_row(R: FloatArray) -> FloatArray:
+    """Covariance of (u, v, d) when the row was measured in the right image, too; (M, 3, 3) -> (M, 3, 3).
+
+    As the filters have it, that measurement is as good as the left one and independent: its information is added.
+    """
+    information = np.linalg.inv(R)
+    information[:, 1, 1] += 1.0 / R[:, 1, 1]
+    together: FloatArray = np.linalg.inv(information)
+    return together
 
 
 def _every_landmark_is_known(recording: Recording) -> bool:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -47,9 +48,9 @@ class Measure:
     ideal: float | None = None
     larger_is_better: bool = False
 
-    def of(self, summary: FilterSummary) -> float:
-        """The value in a summary; NaN where it is not known."""
-        value = getattr(summary, self.key)
+    def of(self, figures: FilterSummary | Mapping[str, Any]) -> float:
+        """The value in a summary or in the figures of a run; NaN where it is not known."""
+        value = figures.get(self.key) if isinstance(figures, Mapping) else getattr(figures, self.key)
         return float("nan") if value is None else self.scale * float(value)
 
     def over_runs(self, values: FloatArray) -> float:
@@ -103,37 +104,45 @@ QUESTIONS = (POSITION, ROTATION, POSE_NEES, TIME)
 
 @dataclass(frozen=True)
 class RunFigures:
-    """The measures of every run of a filter.
+    """The figures of every run of a filter.
 
     Attributes
     ----------
-    summaries : mapping of RunKey to FilterSummary
-        Of each run alone.
+    of_run : mapping of RunKey to mapping
+        Of each run alone, by the names of the fields of `FilterSummary`; None where not known.
     """
 
-    summaries: Mapping[RunKey, FilterSummary]
+    of_run: Mapping[RunKey, Mapping[str, Any]]
 
     def values(self, measure: Measure, keys: Iterable[RunKey]) -> FloatArray:
         """Of these recordings, in this order; NaN where not known."""
-        return np.array([measure.of(self.summaries[key]) for key in keys])
+        return np.array([measure.of(self.of_run[key]) for key in keys])
 
     def diverged(self, keys: Iterable[RunKey]) -> BoolArray:
         """Whether each run diverged or failed."""
-        return np.array([self.summaries[key].diverged > 0 for key in keys], dtype=bool)
+        return np.array([self.of_run[key]["diverged"] > 0 for key in keys], dtype=bool)
 
 
 def figures_of(runs: Sequence[FilterRun], *, divergence_percent: float = 10.0) -> dict[str, RunFigures]:
-    """The figures of every run, by label of the filter, in order of first appearance."""
-    found: dict[str, dict[RunKey, FilterSummary]] = {}
+    """The figures of every run, by label of the filter, in order of first appearance.
+
+    Parameters
+    ----------
+    runs : sequence of FilterRun
+        Of any filters, each recording once.
+    divergence_percent : float
+        As in `summarise`.
+    """
+    found: dict[str, dict[RunKey, Mapping[str, Any]]] = {}
     for run in runs:
-        alone = summarise([run], divergence_percent=divergence_percent)
+        alone = vars(summarise([run], divergence_percent=divergence_percent))
         found.setdefault(run.filter_name, {})[run.recording_name, run.seed] = alone
-    return {name: RunFigures(by_key) for name, by_key in found.items()}
+    return {name: RunFigures(of_run) for name, of_run in found.items()}
 
 
 def common_keys(a: RunFigures, b: RunFigures) -> list[RunKey]:
     """Recordings that both were run on, in the order of `a`."""
-    return [key for key in a.summaries if key in b.summaries]
+    return [key for key in a.of_run if key in b.of_run]
 
 
 def _deviation(values: FloatArray) -> FloatArray:

@@ -29,8 +29,9 @@ def long_drive(
     ----------
     seed : int
         Of the cloud, the drive and the noise.
-    noise : {"pixels", "uvd"}
-        u_left, v_left, u_right, v_right independent, or u, v, d independent (the paper's assumption).
+    noise : {"pixels", "uvd", "heavy-tailed", "quantised"}
+        u_left, v_left, u_right, v_right independent, or u, v, d independent (the paper's assumption), or one of the
+        others of `sensing.pixel_noise`, which are not Gaussian.
     sigma : float
         Standard deviation of each, px.
     frames : int

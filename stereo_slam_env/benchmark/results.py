@@ -182,9 +182,11 @@ class RangeError:
     count : int
         Landmarks x frames.
     rmse_m : float
-        Position error relative to the camera; infinite estimates (d <= 0) are left out and counted as `negative_depth`.
+        Position error relative to the camera; estimates at d <= 0, or far beyond the truth, have no metric position and
+        are left out, see `LandmarkStatistics`. NaN where nothing is left.
     depth_bias_m, depth_bias_sigma_m : float
-        Mean of estimated minus true depth, and its standard error over runs (Sibley's bias).
+        Mean of estimated minus true depth of the same ones (Sibley's bias), and its standard error over runs; that is
+        NaN for a single run.
     anees : float
         Mean NEES in (u, v, d), 3 is ideal.
     """
@@ -213,7 +215,8 @@ class DepthConvergence:
     count : tuple of int
         Landmarks still there.
     sigma_m, rmse_m : tuple of float
-        Root mean square of the claimed standard deviation of depth, and of its true error.
+        Root mean square of the claimed standard deviation of depth, and of its true error, both to first order at the
+        true depth, so that estimates at d <= 0 have theirs, too.
     """
 
     label: str
@@ -236,7 +239,7 @@ class ConsistencyFigure:
     dof : float
         Degrees of freedom of one value.
     band : pair of float
-        Two-sided 95 % chi-square band of the mean over this number of runs (of innovations, for NIS).
+        Two-sided 95 % band of the mean over this number of runs (of innovations, for NIS), see `consistency_figures`.
     inside_percent : float
         Share of the frames whose mean over runs lies inside the band of that frame.
     """
@@ -275,13 +278,13 @@ class FilterSummary:
     nis : float
         NIS per degree of freedom (1 is ideal).
     landmark_anees : float
-        Landmark NEES in (u, v, d) space (3 is ideal).
+        Landmark NEES in (u, v, d) space (3 is ideal), mean over landmarks, frames and runs.
     landmark_rmse_m : float
-        Landmark error relative to the camera.
+        Landmark error relative to the camera, median over frames and runs.
     ms_per_frame : float
         Median over frames of predict + update.
     gated_percent : float
-        Share of known measurements gated.
+        Share of known measurements gated, over all runs.
     rejected, behind_camera, failed_factorisations : int
         Event counts over all runs.
     diverged : int

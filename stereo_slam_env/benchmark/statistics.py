@@ -26,7 +26,7 @@ from filters.validation import FloatArray
 CONFIDENCE = 0.95
 MIN_PAIRS = 6
 """Below this a signed-rank test cannot reach 5 %, and an interval says nothing."""
-RESAMPLES = 9999
+RESAMPLES = 4999
 _EXACT_PAIRS = 50
 _LARGEST_LOG = 50.0
 
@@ -229,13 +229,13 @@ def differences_of(
             count=count,
             estimate=float(column.mean()) if count else float("nan"),
             interval=interval,
-            p_value=min(1.0, comparisons * signed_rank_p(column)),
+            p_value=min(1.0, comparisons * float(p_value)),
             needed=pairs_needed(comparisons, confidence),
             is_ratio=is_ratio,
             comparisons=comparisons,
             confidence=confidence,
         )
-        for column, interval in zip(gaps.T, intervals, strict=True)
+        for column, interval, p_value in zip(gaps.T, intervals, signed_rank_p(gaps), strict=True)
     ]
 
 
@@ -304,15 +304,34 @@ def mean_interval(values: FloatArray, confidence: float, seed: int = 0) -> tuple
     return mean - half, mean + half
 
 
-def signed_rank_p(gaps: FloatArray) -> float:
-    """Two-sided p value of Wilcoxon's signed-rank test; gaps of exactly zero say nothing and are left out."""
-    moved = gaps[gaps != 0.0]
-    count = len(moved)
-    if count == 0:
-        return 1.0
-    exact = count <= _EXACT_PAIRS and len(np.unique(np.abs(moved))) == count
-    p_value = float(wilcoxon(moved, method="exact" if exact else "approx").pvalue)
-    return min(1.0, max(p_value, 2.0 ** (1 - count)))  # with ties the approximation would promise the impossible
+def signed_rank_p(gaps: FloatArray) -> FloatArray:
+    """Two-sided p value of Wilcoxon's signed-rank test of each column.
+
+    Gaps of exactly zero say nothing and are left out.
+
+    Parameters
+    ----------
+    gaps : (n, m) ndarray
+        One row a recording.
+
+    Returns
+    -------
+    (m,) ndarray
+    """
+    count, columns = gaps.shape
+    p_values = np.ones(columns)
+    sizes = np.sort(np.abs(gaps), axis=0)
+    plain = (np.diff(sizes, axis=0, prepend=0.0) > 0.0).all(axis=0) & (0 < count <= _EXACT_PAIRS)
+    if plain.any():
+        p_values[plain] = wilcoxon(gaps[:, plain], axis=0, method="exact").pvalue
+    for column in np.flatnonzero(~plain):
+        moved = gaps[gaps[:, column] != 0.0, column]
+        if len(moved) == 0:
+            continue
+        exact = len(moved) <= _EXACT_PAIRS and len(np.unique(np.abs(moved))) == len(moved)
+        p_value = float(wilcoxon(moved, method="exact" if exact else "approx").pvalue)
+        p_values[column] = max(p_value, 2.0 ** (1 - len(moved)))  # with ties, few pairs would promise the impossible
+    return np.minimum(p_values, 1.0)
 
 
 def pairs_needed(comparisons: int = 1, confidence: float = CONFIDENCE) -> int:

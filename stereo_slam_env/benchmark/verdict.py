@@ -152,7 +152,11 @@ class PairwiseTable:
 
 
 def judge(
-    runs: Sequence[FilterRun], summaries: Sequence[FilterSummary], *, divergence_percent: float = 10.0
+    runs: Sequence[FilterRun],
+    summaries: Sequence[FilterSummary],
+    *,
+    divergence_percent: float = 10.0,
+    figures: Mapping[str, RunFigures] | None = None,
 ) -> Verdict:
     """Compare the filters on accuracy, and put consistency, distance from the limit and cost of the best one beside it.
 
@@ -164,6 +168,8 @@ def judge(
         Of the same runs.
     divergence_percent : float
         As in `summarise`.
+    figures : mapping of str to RunFigures, optional
+        `figures_of(runs)`, where it is at hand.
     """
     scored = [s for s in summaries if s.position_rmse_m is not None]
     steady = [s for s in scored if s.diverged == 0]
@@ -173,7 +179,7 @@ def judge(
         return Verdict(None, {}, "Every filter diverged in at least one run.")
     best = min(steady, key=lambda s: float(s.position_rmse_m or 0.0))
     rivals = [s for s in summaries if s is not best]
-    figures = figures_of(runs, divergence_percent=divergence_percent)
+    figures = figures_of(runs, divergence_percent=divergence_percent) if figures is None else figures
     comparisons = {
         s.filter_name: against_best(best, s, figures[best.filter_name], figures[s.filter_name], len(rivals))
         for s in rivals
@@ -226,6 +232,7 @@ def compare_all(
     *,
     baseline: str | None = None,
     measures: Sequence[Measure] = QUESTIONS,
+    figures: Mapping[str, RunFigures] | None = None,
 ) -> PairwiseTable:
     """Compare each filter with each other one, question by question.
 
@@ -233,7 +240,7 @@ def compare_all(
 
     Parameters
     ----------
-    runs, summaries : sequence
+    runs, summaries, figures : sequence, sequence, mapping
         As `judge`.
     baseline : str, optional
         Compare all with this one only.
@@ -249,7 +256,7 @@ def compare_all(
     if baseline is not None and baseline not in names:
         raise ValueError(f"baseline must be one of {', '.join(names)}, got {baseline!r}")
     pairs = [(a, b) for a, b in combinations(names, 2) if baseline in (None, a, b)]
-    figures = figures_of(runs)
+    figures = figures_of(runs) if figures is None else figures
     cells: dict[tuple[str, str, str], PairVerdict] = {}
     for measure in measures:
         for a, b in pairs:

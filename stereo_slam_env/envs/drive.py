@@ -126,7 +126,7 @@ class StereoDriveEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
     | `sensor` | `"landmarks"` | `"landmarks"`: projection, occlusion and noise; `"images"`: rendered, front end |
     | `renderer` | `"tiny"` | who draws: `"tiny"`, everywhere; `"gl"`, fast, needs the extra gl and EGL |
     | `render_images` | `False` | add the rendered views to the observation (slow) |
-    | `noise` | `"pixels"` | of landmarks: `"pixels"`: u, v of both eyes independent; `"uvd"`: u, v, d independent |
+    | `noise` | `"pixels"` | of landmarks: `"pixels"`, `"heavy-tailed"`, `"quantised"` or `"uvd"`, see below |
     | `sigma` | `1.0` | standard deviation of the noise, px |
     | `max_landmarks` | `90` | most landmarks in one frame, N |
     | `refill_below` | `None` | take up new landmarks when fewer are left; None: 72 % of `max_landmarks` |
@@ -136,6 +136,9 @@ class StereoDriveEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
     | `perturbation` | `1.0` | scale of the random sway of a scripted drive; 0: none |
     | `supersample` | `1` | draw images this many times finer and average |
     | `render_mode` | `None` | `"rgb_array"`: both views with the observed landmarks |
+
+    Noise of landmarks: `"pixels"`: u, v of both eyes have independent Gaussian errors; `"heavy-tailed"`: the same with
+    rare gross errors, as in rendered images; `"quantised"`: rounded to whole pixels; `"uvd"`: u, v, d are independent.
 
     Randomness comes from separate streams for scene, motion, landmarks, odometry, start and cameras: the same seed
     gives the same scene and drive whatever the sensor. `copy.deepcopy` and pickle make a fresh environment, not a
@@ -155,10 +158,10 @@ class StereoDriveEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
             raise ValueError(f"render_mode must be None or 'rgb_array', got {render_mode!r}")
         self.render_mode = render_mode
         self.camera: StereoCamera = RIGS[self.options.rig]
+        self._noise = NOISE_MODELS[self.options.noise](self.options.sigma)
         self.observation_space = self._make_observation_space()
         self.action_space = spaces.Box(-1.0, 1.0, (2,), np.float32)
 
-        self._noise = NOISE_MODELS[self.options.noise](self.options.sigma)
         self._route = named_route(self.options.route)
         self._car = Car()
         self._stage = Stage(self.options, self._route, self.camera, self._car)
@@ -339,7 +342,7 @@ class StereoDriveEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
             largest, slack = float(camera.width), _IMAGE_SLACK
         else:
             largest = camera.disparity_constant / self.options.tracking.nearest
-            slack = 10.0 * self.options.sigma  # no error is ever that large, so the bounds hold without clipping
+            slack = self._noise.largest_error  # so the bounds hold without clipping
         high = np.array([camera.width, camera.height, largest]) + slack
         low = np.full(3, -slack)
         velocity = _MAX_VELOCITY.astype(np.float32)

@@ -6,7 +6,7 @@ measured under several conditions, each time with a 95 % confidence interval.
 - One condition (`Finding`): the claim *holds* if the whole interval lies in the range, *does not hold* if the whole
   interval lies outside, and is *not shown* where the interval crosses a limit of the range, or there is no interval.
 - The claim (`Claim`): *holds* if it holds under every condition; *holds only if ...* under some of them, which are
-  then named; *does not hold* if it holds under none and at least one says that it does not; else *not shown*.
+  then named; *does not hold* if it holds under none and is refuted under at least one; else *not shown*.
 
 Nothing else decides. The limits of the ranges are in `limits`, each with its reason.
 """
@@ -146,15 +146,16 @@ class Claim:
 
     @property
     def says(self) -> str:
-        """The verdict in words: under which condition it holds, and where nothing is shown."""
-        verdict = self.verdict
-        if verdict is not Verdict.HOLDS_ONLY_IF:
-            return str(verdict.value)
+        """The verdict in words: under which conditions it holds, and how many of them show nothing."""
+        words = str(self.verdict.value)
         every = [finding.condition for finding in self.findings]
-        holding = [finding.condition for finding in self.findings if finding.verdict is Verdict.HOLDS]
+        if self.verdict is Verdict.HOLDS_ONLY_IF:
+            holding = [finding.condition for finding in self.findings if finding.verdict is Verdict.HOLDS]
+            words = f"{words} {describe(holding, every)}"
         open_ = sum(finding.verdict is Verdict.NOT_SHOWN for finding in self.findings)
-        words = f"{verdict.value} {describe(holding, every)}"
-        return f"{words} (not shown under {open_} of {len(every)} conditions)" if open_ else words
+        if 0 < open_ < len(every):
+            words = f"{words} (not shown under {open_} of {len(every)} conditions)"
+        return words
 
 
 def describe(chosen: Sequence[Mapping[str, str]], every: Sequence[Mapping[str, str]]) -> str:

@@ -42,7 +42,7 @@ from stereo_slam_env.viewer.style import (
 
 COLOURS = filter_colours((JOINT, DUAL, EUCLIDEAN))
 NAMES = {JOINT: "inverse depth, (u, v, d)", DUAL: "two bearing updates", EUCLIDEAN: "XYZ"}
-SHOWN = 1500
+SHOWN = 1000
 """Points of a cloud that are drawn: all of them would make the picture heavy, not clearer."""
 DRAWN_FOR = {JOINT: {DIAGONAL: "-", COUPLED: "--"}, DUAL: {DIAGONAL: "-", COUPLED: "--"}}
 
@@ -170,6 +170,7 @@ def figure_6(said: Mapping[str, FloatArray], true: Mapping[str, FloatArray]) -> 
     track.set(xlabel="x, right (m)", ylabel="z, forward (m)", title="Trajectory, seen from above")
     for ax, title in zip(rows, ("Yaw (°)", "Vx (m/s)", "Vz (m/s)"), strict=True):
         ax.set(title=title, xlim=(0, len(said["yaw"]) - 1))
+        ax.tick_params(labelbottom=ax is rows[-1])
     rows[-1].set_xlabel("frame")
     colour_key(rows[0], {"truth": MUTED, "inverse depth": COLOURS[JOINT]})
     return figure
@@ -220,7 +221,7 @@ def figure_speed(results: Mapping[str, Arrays]) -> Figure:
             )
         found = [ratio_interval(measured[n][f"{form}.{JOINT}"], measured[n][f"{form}.{DUAL}"]) for n in measured]
         values = np.array([one.value for one in found])
-        spread = np.array([[one.value - one.low, one.high - one.value] for one in found]).T
+        spread = np.nan_to_num([[one.value - one.low, one.high - one.value] for one in found]).T
         shifted = sizes * 1.015 ** (number - 1.5)
         ratios.errorbar(shifted, values, spread, fmt=style, color=COLOURS[JOINT], marker="o", markersize=3, label=form)
         labels.append(EndLabel(form, values[-1], COLOURS[JOINT]))

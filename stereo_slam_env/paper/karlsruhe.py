@@ -110,7 +110,6 @@ def compute_drive(folder: Path, frames: tuple[int, int]) -> Arrays:
     for name, R in CASES:
         run = run_filter(with_one_noise(recording, ASSUMED.get(R)), name, OPTIONS)
         arrays |= {f"{name}.{R}.{series}": values for series, values in long_drive.series_of(run).items()}
-        arrays |= {f"{name}.{R}.nis": run.nis, f"{name}.{R}.nis_dof": run.nis_dof}
         truth = long_drive.true_series_of(run)
         steps = np.diff(run.true_positions, axis=0) / np.diff(run.timestamps)[:, None]
         truth["velocities"] = np.vstack([steps[:1], steps])

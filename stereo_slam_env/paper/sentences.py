@@ -113,7 +113,7 @@ CONSISTENT = Sentence(
     "consistent",
     "4.1, 5",
     "'The proposed observation models ... worked consistently under the strict requirement of EKF framework'",
-    f"pose NEES / 6: {limits.CONSISTENT} ({_SIGMA})",
+    f"pose NEES / 6, and NIS by its degrees of freedom: {limits.CONSISTENT} ({_SIGMA})",
     "figure-nees",
 )
 LANDMARK_NOISE = Sentence(

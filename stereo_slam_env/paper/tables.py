@@ -61,26 +61,37 @@ def convergence_table(results: Mapping[str, Arrays]) -> tuple[Sequence[str], lis
 
 
 def drive_table(results: Mapping[str, Arrays]) -> tuple[Sequence[str], list[Row]]:
-    """Section 4.4: means over the drives."""
+    """Section 4.4: means over the drives, and the one drive in the simulated street."""
     heads = (
-        *("noise", "filter", "R", "position, m", "drift, %", "yaw, °", "velocity, m/s", "length, %"),
-        *("NEES / 6", "band", "in band, %", "landmark NEES / 3"),
+        *("drives", "noise", "filter", "R", "position, m", "drift, %", "yaw, °", "velocity, m/s", "length, %"),
+        *("NEES / 6", "band", "in band, %", "landmark NEES / 3", "NIS / dof"),
     )
-    quantities = (
+    before = (
         *(long_drive.position_rmse, long_drive.drift_percent, long_drive.yaw_rmse, long_drive.velocity_rmse),
         *(long_drive.scale_error_percent, long_drive.pose_nees),
     )
     rows: list[Row] = []
-    for noise in NOISES:
-        drives = long_drive.drives(results, noise)
-        band = mean_band(6, len(drives))
-        for name, R in long_drive.cases(noise):
-            case = name, R
-            means = [float(np.nanmean(long_drive.of_drives(results, noise, case, one))) for one in quantities]
-            nees = np.mean([long_drive.one(arrays, f"{name}.{R}")["pose_nees"] for arrays in drives], axis=0)
-            row: list[str | float] = [NOISES[noise], NAMES[name], ASSUMED_NAMES[R], *means]
-            row += [f"{band[0] / 6:.2f}–{band[1] / 6:.2f}", 100.0 * share_inside(nees[1:], band)]
-            rows.append([*row, float(np.nanmean(long_drive.of_drives(results, noise, case, long_drive.landmark_nees)))])
+    for place, name in (("drive", "past points"), ("street", "in the street")):
+        for noise in NOISES:
+            drives = long_drive.drives(results, noise, place)
+            band = mean_band(6, len(drives))
+            for case in long_drive.cases(noise):
+
+                def mean(
+                    quantity: long_drive.Quantity, noise: str = noise, case: tuple[str, str] = case, place: str = place
+                ) -> float:
+                    return float(np.nanmean(long_drive.of_drives(results, noise, case, quantity, place)))
+
+                nees = np.mean([long_drive.one(arrays, ".".join(case))["pose_nees"] for arrays in drives], axis=0)
+                row: list[str | float] = [
+                    f"{len(drives)} {name}",
+                    NOISES[noise],
+                    NAMES[case[0]],
+                    ASSUMED_NAMES[case[1]],
+                ]
+                row += [*map(mean, before), f"{band[0] / 6:.2f}–{band[1] / 6:.2f}"]
+                row += [100.0 * share_inside(nees[1:], band), *map(mean, (long_drive.landmark_nees, long_drive.nis))]
+                rows.append(row)
     return heads, rows
 
 

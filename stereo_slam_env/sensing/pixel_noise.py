@@ -1,7 +1,9 @@
-"""Gaussian noise on stereo measurements. Each model knows the R that describes it."""
+"""Noise on stereo measurements. Each model knows its covariance R, which says everything where it is Gaussian."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
@@ -16,6 +18,10 @@ class PixelNoise(Protocol):
     @property
     def stereo_noise(self) -> StereoNoise:
         """Covariance of the (u, v, d) that `corrupt` returns."""
+
+    @property
+    def largest_error(self) -> float:
+        """No error of u, v or d is ever that large, px."""
 
     def corrupt(self, uvd: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, FloatArray | None]:
         """Add noise to true measurements.
@@ -42,6 +48,7 @@ class IndependentPixels:
     def __init__(self, sigma: float) -> None:
         self.sigma = positive("sigma", sigma)
         self.stereo_noise = StereoNoise.independent_pixels(sigma)
+        self.largest_error = 10.0 * self.sigma
 
     def corrupt(self, uvd: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
         """See `PixelNoise.corrupt`; `v_right` is measured."""
@@ -55,13 +62,71 @@ class IndependentUvd:
     def __init__(self, sigma: float) -> None:
         self.sigma = positive("sigma", sigma)
         self.stereo_noise = StereoNoise.diagonal(sigma, sigma, sigma)
+        self.largest_error = 10.0 * self.sigma
 
     def corrupt(self, uvd: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, None]:
         """See `PixelNoise.corrupt`; there is no `v_right`."""
         return uvd + self.sigma * rng.standard_normal((len(uvd), 3)), None
 
 
-NOISE_MODELS: dict[str, type[IndependentPixels] | type[IndependentUvd]] = {
+class HeavyTailedPixels:
+    """As `IndependentPixels`, but each coordinate has the error of a correlation matcher: sharp, with rare mismatches.
+
+    The shape is that of `matching_errors`, scaled so that its standard deviation is `sigma`; R is then that of
+    `IndependentPixels`, so that only the shape differs: at 1 px, 60 % of the errors have 0.03 px, 36 % 0.19 px, and 4 %
+    are anywhere up to 8.6 px. The size as it was measured is `sigma = MATCHING_SIGMA`, 2.3 px.
+    """
+
+    def __init__(self, sigma: float) -> None:
+        self.sigma = positive("sigma", sigma)
+        self.stereo_noise = StereoNoise.independent_pixels(sigma)
+        self.largest_error = 20.0 * self.sigma
+
+    def corrupt(self, uvd: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+        """See `PixelNoise.corrupt`; `v_right` is measured."""
+        u_left, v_left, u_right, v_right = self.sigma / MATCHING_SIGMA * matching_errors(rng, (4, len(uvd)))
+        return uvd + np.stack([u_left, v_left, u_left - u_right], axis=1), uvd[:, 1] + v_right
+
+
+_WEIGHTS, _SIGMAS, _REACH = (0.60, 0.36, 0.04), (0.07, 0.45), 20.0
+
+MATCHING_SIGMA = math.sqrt(sum(w * s**2 for w, s in zip(_WEIGHTS, (*_SIGMAS, _REACH / math.sqrt(3.0)), strict=True)))
+"""Standard deviation of `matching_errors`, px; 99 % of the variance is that of the mismatches."""
+
+
+def matching_errors(rng: np.random.Generator, shape: tuple[int, ...]) -> FloatArray:
+    """Errors of corners matched in rendered images, px.
+
+    A mixture fitted to the disparities that normalised correlation and one Lucas-Kanade step found in OpenGL images of
+    1344x391 pixels: 60 % have sigma 0.07 px, 36 % 0.45 px, and 4 % are uniform over +-20 px.
+    """
+    part = rng.choice(3, shape, p=_WEIGHTS)
+    gaussian = rng.standard_normal(shape) * np.array([*_SIGMAS, 0.0])[part]
+    return np.where(part == 2, rng.uniform(-_REACH, _REACH, shape), gaussian)
+
+
+class QuantisedPixels:
+    """As `IndependentPixels`, and then all four coordinates are rounded to whole pixels, so that d is whole, too.
+
+    Rounding adds 1/12 px^2 to each, independent of the rest as long as landmarks fall anywhere between pixels.
+    """
+
+    def __init__(self, sigma: float) -> None:
+        self.sigma = positive("sigma", sigma)
+        self.stereo_noise = StereoNoise.independent_pixels(float(np.sqrt(self.sigma**2 + 1.0 / 12.0)))
+        self._before = IndependentPixels(sigma)
+        self.largest_error = self._before.largest_error + 1.0
+
+    def corrupt(self, uvd: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+        """See `PixelNoise.corrupt`; `v_right` is measured."""
+        measured, v_right = self._before.corrupt(uvd, rng)
+        u_left, v_left, u_right = np.rint([measured[:, 0], measured[:, 1], measured[:, 0] - measured[:, 2]])
+        return np.stack([u_left, v_left, u_left - u_right], axis=1), np.rint(v_right)
+
+
+NOISE_MODELS: dict[str, Callable[[float], PixelNoise]] = {
     "pixels": IndependentPixels,
     "uvd": IndependentUvd,
+    "heavy-tailed": HeavyTailedPixels,
+    "quantised": QuantisedPixels,
 }

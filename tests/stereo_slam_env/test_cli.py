@@ -1,5 +1,6 @@
 """The command, as a user meets it: in this process where possible (30 s, most of it starting processes)."""
 
+import errno
 import json
 import os
 import signal
@@ -11,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from stereo_slam_env import cli
+from stereo_slam_env.benchmark.store import RunDirectory
 
 from .datasets.small_folders import kitti00, kitti07
 from .third_party import third_party  # noqa: F401 (a fixture)
@@ -23,7 +25,7 @@ BENCH = ("bench", "--preset", "reference-turn", "--seeds", "2", "--frames", "4",
 def command(full_command, monkeypatch):
     """Run the command with a report that costs no time."""
 
-    def write_report(out, *_):
+    def write_report(out, *_, **__):
         (out / "report.html").write_text("a report")
         return out / "report.html"
 
@@ -92,6 +94,69 @@ def test_a_scenario_of_your_own(command, tmp_path):
     code, out, _ = command("bench", "--scenario", tmp_path / "mine.json", "--jobs", 1, "--out", tmp_path / "run")
     assert code == 0
     assert "mine" in out
+
+
+def test_a_grid_of_your_own_has_a_report_over_all_its_cells(full_command, tmp_path):
+    (tmp_path / "mine.toml").write_text(
+        'name = "mine"\nkind = "reference"\nseeds = 1\nframes = 4\ngate = false\nfilters = ["inverse-depth"]\n'
+        'metrics = []\noptions = { name = "short_turn" }\n[grid]\n"options.sigma" = [1.0, 2.0]\n'
+    )
+    code, out, _ = full_command("bench", "--scenario", tmp_path / "mine.toml", "--jobs", 1, "--out", tmp_path / "run")
+    assert code == 0
+    for said in ("mine: 2 scenarios", "options.sigma  1.0, 2.0", "sigma-2.0", str(tmp_path / "run" / "report.html")):
+        assert said in out, said
+    page = (tmp_path / "run" / "report.html").read_text()
+    assert "cells/sigma-2.0/report.html" in page
+    assert (tmp_path / "run" / "cells" / "sigma-2.0" / "report.html").is_file()
+    assert (tmp_path / "run" / "trials.sqlite").is_file()
+    code, out, _ = full_command("report", tmp_path / "run" / "cells" / "sigma-1.0")
+    assert code == 0
+
+
+def test_the_presets_are_listed(command):
+    code, out, _ = command("bench", "--list")
+    assert code == 0
+    for name in ("quick", "attribution", "mismatch", "real", "limits"):
+        assert f"\n{name} " in f"\n{out}"
+
+
+def test_two_runs_are_compared(command, tmp_path):
+    for name, sigma in (("before", "3"), ("after", "1")):
+        bench = (
+            "bench",
+            "--preset",
+            "reference-turn",
+            "--seeds",
+            "8",
+            "--frames",
+            "6",
+            "--jobs",
+            "1",
+            "--sigma",
+            sigma,
+        )
+        assert command(*bench, "--out", tmp_path / name, "--filters", "inverse-depth")[0] == 0
+    code, out, _ = command("report", tmp_path / "before", tmp_path / "after")
+    assert code == 0
+    assert "pose NEES" in out
+    assert "no difference shown" in out
+    code, _, err = command("report", tmp_path / "before", tmp_path / "nothing")
+    assert (code, err.count("\n")) == (2, 1)
+
+
+def test_a_full_disk_is_told_in_one_line_with_what_is_kept(command, tmp_path, monkeypatch):
+    write = RunDirectory.save_trial
+
+    def until_full(self, *trial):
+        if len(list(tmp_path.glob("run/trials/*/*.npz"))) == 2:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        write(self, *trial)
+
+    monkeypatch.setattr(RunDirectory, "save_trial", until_full)
+    code, _, err = command(*BENCH, "--out", tmp_path / "run")
+    assert (code, err.splitlines()[-1].count("error: ")) == (2, 1)
+    assert "the disk is full: 2 finished trials are kept" in err
+    monkeypatch.undo()
 
 
 @pytest.mark.parametrize("layout", [kitti07, kitti00])

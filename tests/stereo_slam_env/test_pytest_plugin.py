@@ -80,7 +80,7 @@ def test_boastful(bench):
     bench(Boastful).assert_consistent()
 
 def test_slow(bench):
-    bench(Slow, seeds=2).assert_faster_than(ms=10)
+    bench(Slow, seeds=1).assert_faster_than(ms=10)
 
 def test_broken(bench):
     bench(Broken, seeds=2).assert_not_worse(percent=5)
@@ -99,7 +99,7 @@ def test_better(bench):
     result.stdout.fnmatch_lines_random(
         [
             "*Boastful is overconfident: its mean pose NEES is *, the band of 10 runs is 4.* to 8.*",
-            "*Slow takes 2?.* ms a frame, not less than 10 ms.",
+            "*Slow takes * ms a frame, not less than 10 ms.",
             "*Broken diverged or failed in 2 of 2 runs (seed 0, frame 0: RuntimeError: no more).",
             "*inverse-depth is * inverse-depth*: its position error is at +*",
             "*Boastful is not shown to be at most 5 % worse than inverse-depth*3 paired runs are too few, 6 are *",

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from stereo_slam_env.benchmark import campaign, run, sources
+from stereo_slam_env.benchmark import campaign, run, sources, tasks
 from stereo_slam_env.benchmark.presets import preset, with_images
 from stereo_slam_env.benchmark.report import write_report
 from stereo_slam_env.benchmark.runner import run_filter
@@ -49,6 +49,12 @@ def _nothing_kept():
 def folder(tmp_path):
     kitti_odometry(tmp_path / "kitti")
     return tmp_path / "kitti"
+
+
+@pytest.fixture
+def in_this_process(monkeypatch):
+    """Work that would have a process of its own is done here, where it can be watched."""
+    monkeypatch.setattr(tasks, "run_isolated", lambda work, **_: work(lambda done, total: None))
 
 
 def of(folder, **changes):
@@ -163,18 +169,20 @@ def test_settings_of_the_front_end_are_options_of_a_recording(folder):
         make_sequence(of(folder, options={"path": str(folder), "front_end": {"max_mises": 1}}), None)
 
 
+@pytest.mark.usefixtures("in_this_process")
 @pytest.mark.parametrize("search", ["flow", "forecast"])
 def test_images_are_followed_without_a_filter_once_and_calibrated_once(folder, tmp_path, monkeypatch, search):
     looked = counted(monkeypatch, sources, "record_tracks")
     opened = counted(monkeypatch, sources, "open_for_front_end")
     told = []
     make_recording(of(folder, search=search), None, lambda done, of: told.append((done, of)))
-    result = run(of(folder, search=search), tmp_path / "out", jobs=2, report=False)
+    result = run(of(folder, search=search), tmp_path / "out", jobs=1, report=False)
     assert [r.failure for r in result.runs] == [None, None]
     assert (len(looked), len(opened)) == (1, 1)
     assert told == [(k + 1, FRAMES) for k in range(FRAMES)]
 
 
+@pytest.mark.usefixtures("in_this_process")
 def test_rendered_drives_are_looked_at_once_a_seed(tmp_path, monkeypatch):
     drives = counted(monkeypatch, recorder, "record")
     run(replace(STREET, seeds=(0, 1), frames=2), tmp_path / "out", jobs=1, report=False)
@@ -190,6 +198,7 @@ def test_a_long_drive_is_refused_before_it_is_driven(monkeypatch):
 # --- searching as each filter expects --------------------------------------------------------------------------------
 
 
+@pytest.mark.usefixtures("in_this_process")
 def test_a_guided_search_gives_each_filter_measurements_of_its_own(tmp_path, monkeypatch):
     heard = {}
 
@@ -201,7 +210,7 @@ def test_a_guided_search_gives_each_filter_measurements_of_its_own(tmp_path, mon
 
         return run_filter(recording, name, *args, observe=listen, **options)
 
-    monkeypatch.setattr(campaign, "run_filter", listening)
+    monkeypatch.setattr(tasks, "run_filter", listening)
     result = run(replace(STREET, search="forecast"), tmp_path / "out", jobs=1, report=False)
     assert [r.failure for r in result.runs] == [None, None]
     assert [len(seen) for seen in heard.values()] == [4, 4]
@@ -280,6 +289,6 @@ def test_a_finished_run_does_not_need_its_recording_any_more(folder, tmp_path):
     before = run(scenario, tmp_path / "out", jobs=1, report=False).summaries
     shutil.move(folder, tmp_path / "elsewhere")
     again = read_run(tmp_path / "out")
-    runs, summaries = again.write_results()
-    assert summaries == before
-    assert campaign.write_report_of(again, runs, summaries).is_file()
+    results = again.write_results()
+    assert results[0].summaries == before
+    assert campaign.write_report_of(again, results).is_file()

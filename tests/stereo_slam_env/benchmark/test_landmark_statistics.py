@@ -75,6 +75,16 @@ def test_convergence_is_by_class_at_entry_and_by_frames_since():
     assert second.rmse_m == pytest.approx((0.0, 0.0), abs=1e-9)
 
 
+def test_the_order_of_the_map_does_not_matter_and_nonsense_spoils_nothing():
+    depths = np.array([20.0, 70.0, 22.0])
+    frame, other = scored(ahead(depths), ahead(depths), [9, 4, 6]), scored(ahead(depths), ahead(depths + 1), [9, 4, 6])
+    turned = scored(ahead(depths[[1, 2, 0]]), ahead(depths[[1, 2, 0]] + 1), [4, 6, 9])
+    lost = scored(ahead([20.0]), ahead([20.0]), [11], variance=np.nan)
+    for name, wanted in vars(statistics(frame, other)).items():
+        np.testing.assert_allclose(getattr(statistics(frame, turned), name), wanted, err_msg=name)
+        assert np.isfinite(getattr(statistics(frame, lost), name)).all(), name
+
+
 def test_the_error_of_depth_is_defined_behind_infinity():
     (curve,) = depth_convergence([statistics(scored(ahead([75.0]), ahead([-1000.0])))])
     assert curve.rmse_m == pytest.approx((75.0**2 / F_B * (F_B / 75.0 + F_B / 1000.0),))

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from filters import ConstantVelocity, StereoNoise, StereoObservation
 from filters.engine.options import LANDMARKS
-from stereo_slam_env.benchmark.limits import cramer_rao_bound
+from stereo_slam_env.benchmark.limits import cramer_rao_bound, with_right_row
 from stereo_slam_env.benchmark.runner import run_filter
 
 from .small_recordings import CAMERA, DT, small_recording
@@ -170,3 +170,22 @@ def test_without_complete_truth_there_is_none(missing):
             landmarks, ids=np.delete(landmarks.ids, seen), positions=np.delete(landmarks.positions, seen, 0)
         )
     assert cramer_rao_bound(replace(recording, frames=tuple(frames), landmarks=landmarks), MOTION) is None
+
+
+def test_a_row_in_the_right_image_halves_the_variance_of_the_row():
+    R = StereoNoise.independent_pixels(2.0).R[None]
+    expected = R.copy()
+    expected[:, 1, 1] /= 2
+    np.testing.assert_allclose(with_right_row(R), expected, atol=1e-12)
+
+
+def test_who_measures_the_right_row_may_know_more():
+    without_row = small_recording(frames=8)
+    seen = [frame.observation for frame in without_row.frames]
+    frames = tuple(
+        replace(frame, observation=StereoObservation(o.ids, o.uvd, v_right=o.uvd[:, 1]))
+        for frame, o in zip(without_row.frames, seen, strict=True)
+    )
+    more = cramer_rao_bound(replace(without_row, frames=frames), MOTION).pose[-1]
+    less = cramer_rao_bound(without_row, MOTION).pose[-1]
+    assert np.linalg.eigvalsh(less - more).min() > 0

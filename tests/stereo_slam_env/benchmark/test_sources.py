@@ -61,3 +61,23 @@ def test_every_part_of_the_input_is_in_the_digest():
 def test_wrong_sources_are_named(scenario, complaint):
     with pytest.raises(ValueError, match=complaint):
         make_recording(scenario, 0)
+
+
+@pytest.mark.parametrize("noise", ["heavy-tailed", "quantised"])
+@pytest.mark.parametrize(
+    "scenario",
+    [
+        Scenario("s", "street", {"route": "right-turn", "max_landmarks": 30}, frames=3),
+        Scenario("s", "reference", {"name": "short_turn"}, frames=3),
+    ],
+    ids=lambda scenario: scenario.kind,
+)
+def test_noise_that_is_not_gaussian_disturbs_the_same_drive(scenario, noise):
+    """Nothing but the errors of the measurements differs from the drive with Gaussian noise."""
+    other = replace(scenario, options={**scenario.options, "noise": noise, "sigma": 0.5})
+    gaussian, disturbed = (make_recording(s, 1) for s in (scenario, other))
+    for a, b in zip(gaussian.frames, disturbed.frames, strict=True):
+        np.testing.assert_array_equal(a.truth.position, b.truth.position)
+        np.testing.assert_array_equal(a.observation.ids, b.observation.ids)
+        assert (a.observation.uvd != b.observation.uvd).any()
+    assert np.isclose(disturbed.noise.R[1, 1], 0.25 + (1 / 12 if noise == "quantised" else 0))

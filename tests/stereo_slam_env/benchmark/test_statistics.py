@@ -121,11 +121,16 @@ def test_not_worse_by_more_than_needs_the_whole_interval_below():
 
 
 def test_the_signed_rank_test_is_scipys_and_never_promises_more_than_the_runs_can_hold():
-    gaps = np.random.default_rng(7).normal(0.5, 1.0, 12)
-    assert signed_rank_p(gaps) == wilcoxon(gaps, method="exact").pvalue
-    assert signed_rank_p(np.append(gaps, 0.0)) == signed_rank_p(gaps)
-    assert signed_rank_p(np.ones(5)) == 2.0**-4
-    assert signed_rank_p(np.zeros(5)) == 1.0
+    gaps = np.random.default_rng(7).normal(0.5, 1.0, (12, 3))
+    gaps[3, 1] = 0.0
+    gaps[4:, 2] = 0.0
+    first, second, third = signed_rank_p(gaps)
+    assert first == wilcoxon(gaps[:, 0], method="exact").pvalue
+    assert second == wilcoxon(np.delete(gaps[:, 1], 3), method="exact").pvalue
+    assert third >= 2.0**-3
+    assert signed_rank_p(np.ones((5, 1))) == [2.0**-4]
+    assert signed_rank_p(np.zeros((5, 1))) == [1.0]
+    assert signed_rank_p(np.zeros((0, 1))) == [1.0]
 
 
 def test_without_common_recordings_pairs_are_not_made_up():

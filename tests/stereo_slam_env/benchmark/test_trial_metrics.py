@@ -1,6 +1,7 @@
 """The row of one trial (0.5 s)."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -73,3 +74,9 @@ def test_without_truth_what_it_is_needed_for_is_none():
 def test_a_bound_of_another_recording_is_refused(plain):
     with pytest.raises(ValueError, match="bound must have one entry a frame: 12 entries, 30 frames"):
         trial_figures(plain, bound=cramer_rao_bound(small_recording(frames=12), MOTION))
+
+
+def test_the_manual_has_the_table_of_the_columns():
+    manual = (Path(__file__).parents[3] / "docs" / "metrics.md").read_text(encoding="utf-8")
+    rows = [f"| `{name}` | {column.unit} | {column.kind} | {column.meaning} |" for name, column in COLUMNS.items()]
+    assert "\n".join(rows) + "\n" in manual

@@ -22,7 +22,7 @@ def summary(**changes):
 def compared(ours, theirs, comparisons=1, **about_other):
     """The best filter, with these errors run by run, against the other."""
     ours, theirs = (
-        RunFigures({("drive", i): summary(position_rmse_m=None if np.isnan(e) else e) for i, e in enumerate(values)})
+        RunFigures({("drive", i): {"position_rmse_m": e, "diverged": np.isnan(e)} for i, e in enumerate(values)})
         for values in (ours, theirs)
     )
     return against_best(replace(summary(), filter_name="best"), summary(**about_other), ours, theirs, comparisons)

@@ -155,7 +155,7 @@ def test_memory_is_flat_over_resets(make):
             r"route must be one of 'straight', 'right-turn', 'town', 'loop' or a KITTI pose file, got 'moon'",
         ),
         ({"rig": "imax"}, r"rig must be one of 'reference', 'vga', 'qvga', got 'imax'"),
-        ({"noise": "cauchy"}, r"noise must be one of 'pixels', 'uvd', got 'cauchy'"),
+        ({"noise": "cauchy"}, r"noise must be one of 'pixels', 'uvd', 'heavy-tailed', 'quantised', got 'cauchy'"),
         ({"policy": "me"}, r"policy must be one of 'route', 'agent', got 'me'"),
         ({"sensor": "lidar"}, r"sensor must be one of 'landmarks', 'images', got 'lidar'"),
         ({"sigma": 0.0}, r"sigma must be a finite number > 0, got 0.0"),
