@@ -56,7 +56,11 @@ def home(wheel, tmp_path_factory):
 def test_the_wheel_holds_both_packages_whole_and_nothing_else(wheel):
     with zipfile.ZipFile(wheel) as archive:
         packed = {name for name in archive.namelist() if ".dist-info/" not in name}
+<<<<<<< HEAD
     data = {".py", ".typed", ".html", ".css", ".js", ".toml"}
+=======
+    data = {".py", ".typed", ".html", ".toml", ".css", ".js"}
+>>>>>>> report
     wanted = {
         path.relative_to(ROOT).as_posix()
         for package in PACKAGES
@@ -64,7 +68,7 @@ def test_the_wheel_holds_both_packages_whole_and_nothing_else(wheel):
         if path.suffix in data
     }
     assert packed == wanted
-    assert {"filters/py.typed", "stereo_slam_env/py.typed", "stereo_slam_env/viewer/page.html"} <= packed
+    assert {"filters/py.typed", "stereo_slam_env/py.typed", "stereo_slam_env/benchmark/report.html"} <= packed
 
 
 def test_the_wheel_names_its_licence_and_its_command(wheel):

@@ -71,7 +71,7 @@ def _table(changes: tuple[Change, ...]) -> str:
     for change in changes:
         tone = finding_tone(change.finding)
         interval = change.interval_percent
-        text = "–" if interval is None else " to ".join(signed(end) for end in interval)
+        text = "–" if interval is None else " to ".join(dict.fromkeys(signed(end) for end in interval))
         rows.append(
             [
                 filter_cell(change.filter_name, colours),

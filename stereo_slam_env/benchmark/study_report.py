@@ -106,7 +106,7 @@ def _link(out: Path, study: Study, name: str) -> str:
 
 _MATRIX_NOTE = (
     "Position RMSE, and pose NEES (6 is ideal) below it. Green: the smallest error, and shown to be; red: shown to be"
-    " larger than the smallest; black: neither is shown. NEES: green in its band, red overconfident, brown too"
+    " larger than the smallest; plain: neither is shown. NEES: green in its band, red overconfident, brown too"
     " cautious. Links lead to the full report of each scenario."
 )
 
@@ -124,7 +124,7 @@ def _sentences(verdicts: Mapping[str, Verdict], names: Sequence[str]) -> list[st
         sure = sum(all(c.shown for c in verdict.comparisons.values()) for verdict in best)
         if best:
             among = f"{len(best)} of {len(verdicts)} scenarios"
-            shown = f", shown against all others in {sure}" if len(names) > 1 else ""
+            shown = f", shown against all others in {sure or 'none'}" if len(names) > 1 else ""
             sentences.append(f"{name} has the smallest position error in {among}{shown}.")
     unknown = sum(verdict.best is None for verdict in verdicts.values())
     if unknown:

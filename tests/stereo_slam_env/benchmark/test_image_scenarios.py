@@ -20,7 +20,8 @@ from stereo_slam_env.benchmark.sources import (
     takes_images,
     without_measurements,
 )
-from stereo_slam_env.benchmark.store import open_run, read_run
+from stereo_slam_env.benchmark.store import open_run
+from stereo_slam_env.benchmark.study_store import read_study
 from stereo_slam_env.benchmark.watch import watch_search
 from stereo_slam_env.envs import recorder
 from stereo_slam_env.envs.rendered_drive import RenderedDrive
@@ -288,7 +289,7 @@ def test_a_finished_run_does_not_need_its_recording_any_more(folder, tmp_path):
     scenario = of(folder, filters=(filter_choice("inverse-depth"),))
     before = run(scenario, tmp_path / "out", jobs=1, report=False).summaries
     shutil.move(folder, tmp_path / "elsewhere")
-    again = read_run(tmp_path / "out")
+    again = read_study(tmp_path / "out")
     results = again.write_results()
     assert results[0].summaries == before
     assert campaign.write_report_of(again, results).is_file()
