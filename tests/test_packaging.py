@@ -64,7 +64,7 @@ def test_the_wheel_holds_both_packages_whole_and_nothing_else(wheel):
         if path.suffix in data
     }
     assert packed == wanted
-    assert {"filters/py.typed", "stereo_slam_env/py.typed", "stereo_slam_env/benchmark/report.html"} <= packed
+    assert {"filters/py.typed", "stereo_slam_env/py.typed", "stereo_slam_env/viewer/page.html"} <= packed
 
 
 def test_the_wheel_names_its_licence_and_its_command(wheel):

@@ -5,18 +5,19 @@ that of an extended Kalman filter whose Jacobians are taken at the truth and who
 the filters' own algebra (`JointState`, `kalman.update`) with the true camera in the state:
 
 - start covariance of the recording; motion of Eq. 6 with the impulses of `ConstantVelocity`;
-- every sighting of the recording with the noise it really has (of the observation, or else of the recording), and with
-  the row in the right image where that was measured: not every filter uses it;
+- every sighting of the recording with the noise it really has (of the observation, or else of the recording), and
+  with the row of the right image where that was measured: a second measurement of v, which not every filter uses;
 - a landmark enters at its first sighting with what that says and no prior, exactly: (u, v, d) and the pose determine
   it. It leaves after its last one; marginalising what is never measured again loses nothing. One that comes back is
   kept until then, so the bound also holds for filters that recognise places.
 
 **What it bounds.** The mean square error of filters that know this motion model and this noise, on average over noise
-and drives drawn from the model. A car accelerates less than the white 3 m/s^2 assumed of it, on every drive in the
-same way: given such a drive, the part of the bound that comes from the motion is too large, and an estimator may come
-out better than the bound, by a few percent at most where landmarks are many (measured: docs/metrics.md). A filter that
-assumes a smaller acceleration and is right knows more, and has a bound of its own. Jacobians at one true drive stand
-for their expectation over drives. With heavy-tailed noise of covariance R it bounds estimators that know only R.
+and drives drawn from the model. A car accelerates less than the white 3 m/s^2 assumed of it: given such a drive, the
+part of the bound that comes from the motion is too large, and an estimator may come out a little better than the bound
+(by up to 1 % in position and 8 % in rotation on the reference drive, where landmarks say nearly all there is to say,
+see docs/metrics.md). A filter that assumes a smaller acceleration and is right knows more, and has a bound of its own.
+Jacobians at one true drive stand for their expectation over drives. With heavy-tailed noise of covariance R it bounds
+estimators that know only R.
 """
 
 from __future__ import annotations
@@ -33,8 +34,10 @@ from filters.engine.linearisation import linearise
 from filters.interface import BodyVelocity, StereoObservation
 from filters.landmarks.euclidean import Euclidean
 from filters.landmarks.parametrisation import LandmarkModel
+from filters.measurements.bearing import stacked_stage
 from filters.measurements.model import Stage
 from filters.motion import POSE_SIZE, CameraState, ConstantVelocity
+from filters.noise import StereoNoise
 from filters.start import start_belief
 from filters.validation import BoolArray, FloatArray, IntArray
 from stereo_slam_env.recording import Pose, Recording
@@ -60,6 +63,7 @@ def cramer_rao_bound(
     motion: ConstantVelocity,
     *,
     use_odometry: bool = False,
+    right_row: bool = True,
     landmark: LandmarkModel | None = None,
 ) -> Bound | None:
     """Posterior Cramer-Rao bound along the true trajectory of a recording.
@@ -74,6 +78,8 @@ def cramer_rao_bound(
         The motion model the estimator knows.
     use_odometry : bool
         Whether the estimator is given the odometry of the recording.
+    right_row : bool
+        Whether the estimator is given the row of the right image, where it was measured.
     landmark : LandmarkModel, optional
         Parametrisation to calculate in; the result does not depend on it. None: XYZ.
 
@@ -92,7 +98,7 @@ def cramer_rao_bound(
             if k:
                 dt = frame.timestamp - recording.frames[k - 1].timestamp
                 bound.predict(poses[k - 1], poses[k], dt, frame.odometry if use_odometry else None)
-            bound.see(k, frame.observation)
+            bound.see(k, frame.observation, right_row)
             covariances[k] = bound.pose_covariance
     return Bound(covariances)
 
@@ -133,17 +139,14 @@ class _Recursion:
             if measured is not None:
                 kalman.update(self._state.P, kalman.of_camera(measured))
 
-    def see(self, k: int, observation: StereoObservation) -> None:
+    def see(self, k: int, observation: StereoObservation, right_row: bool) -> None:
         """Sightings of frame k, of known landmarks and of new ones; then forget those that were seen the last time."""
         state = self._state
         points_w = self._truth.positions[self._place(observation.ids)]
         points_c = (points_w - state.camera.position) @ state.camera.R_wc
         # A point behind the camera is not what was measured: the id is wrong.
         sound = points_c[:, 2] > 0
-        R = observation.covariances(self._noise)
-        if observation.v_right is not None:
-            R = with_right_row(R)
-        ids, R = observation.ids[sound], R[sound]
+        ids, R = observation.ids[sound], _noise_of_uvd(observation, self._noise, right_row)[sound]
         uvd = self._rig.project(points_c[sound])
         known = np.isin(ids, state.ids)
         order = np.argsort(state.ids)
@@ -162,15 +165,15 @@ class _Recursion:
         return np.searchsorted(self._truth.ids, ids)
 
 
-def with_right_row(R: FloatArray) -> FloatArray:
-    """Covariance of (u, v, d) when the row was measured in the right image, too; (M, 3, 3) -> (M, 3, 3).
-
-    As the filters have it, that measurement is as good as the left one and independent: its information is added.
-    """
-    information = np.linalg.inv(R)
-    information[:, 1, 1] += 1.0 / R[:, 1, 1]
-    together: FloatArray = np.linalg.inv(information)
-    return together
+def _noise_of_uvd(observation: StereoObservation, noise: StereoNoise, right_row: bool) -> FloatArray:
+    """Covariance of the best (u, v, d) that each sighting gives, (M, 3, 3): with the right row, v is an average."""
+    R = observation.covariances(noise)
+    if not right_row or observation.v_right is None:
+        return R
+    both = stacked_stage(observation, R)
+    information = both.T.T @ np.linalg.solve(both.R, np.broadcast_to(both.T, (len(R), *both.T.shape)))
+    best: FloatArray = np.linalg.inv(information)
+    return best
 
 
 def _every_landmark_is_known(recording: Recording) -> bool:
