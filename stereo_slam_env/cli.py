@@ -78,6 +78,9 @@ def report(
     after: Annotated[
         Path | None, typer.Argument(help="A second run: say what is different in it.", show_default=False)
     ] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", help="Where the page of a comparison goes.", show_default="second run")
+    ] = None,
 ) -> None:
     """Write tables and report of a finished run again; with a second run, say what changed significantly."""
     with one_line_errors():
@@ -86,7 +89,7 @@ def report(
         from stereo_slam_env.console import show_cells
 
         if after is not None:
-            _compare(directory, after)
+            _compare(directory, after, out)
             return
         study = read_study(directory)
         results = study.write_results()
@@ -95,11 +98,15 @@ def report(
         show_place(page)
 
 
-def _compare(before: Path, after: Path) -> None:
+def _compare(before: Path, after: Path, out: Path | None) -> None:
     from stereo_slam_env.benchmark import compare
+    from stereo_slam_env.benchmark.comparison_report import write_comparison_report
     from stereo_slam_env.console import show_comparison
 
-    show_comparison(console(), compare(before, after))
+    comparison = compare(before, after)
+    page = write_comparison_report(after if out is None else out, comparison)
+    show_comparison(console(), comparison)
+    typer.echo(f"report: {page.resolve()}")
 
 
 @filters_app.command("list")
