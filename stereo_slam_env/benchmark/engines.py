@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import itertools
 import logging
-from collections.abc import Callable, Iterable, Iterator
+import warnings
+from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from typing import Any, TypeVar
@@ -82,8 +83,14 @@ class Engine:
 
     def _as_ready(self, function: Callable[[Task], Result], tasks: Iterable[Task]) -> Iterator[Result]:
         workers = joblib.Parallel(n_jobs=self.jobs, batch_size=1, return_as="generator_unordered")
-        results: Iterator[Result] = workers(joblib.delayed(function)(task) for task in tasks)
-        return results
+        results: Generator[Result, None, None] = workers(joblib.delayed(function)(task) for task in tasks)
+        try:
+            for result in results:  # noqa: UP028 ("yield from" would close them before what follows)
+                yield result
+        finally:
+            with warnings.catch_warnings():  # who stops early knows that tasks are given up
+                warnings.simplefilter("ignore", UserWarning)
+                results.close()
 
     def _in_rounds(self, function: Callable[[Task], Result], tasks: Iterable[Task]) -> Iterator[Result]:
         """For joblib's back ends that only return when all is done: so that little is lost in an interruption."""
