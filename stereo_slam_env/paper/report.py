@@ -24,7 +24,7 @@ TONES: Mapping[Verdict, Tone] = {
 RULE = (
     "A claim holds under a condition if the whole 95 % interval of what was measured lies in the range asked for, does "
     "not hold if it lies outside, and is not shown where it crosses a limit. It holds if it holds under every "
-    "condition, and holds only if ... where it holds under some: these are named. The limits were set before these runs."
+    "condition, and holds only if ... where it holds under some: these are named. Limits were set before these runs."
 )
 CONDITIONS = (
     "Noise as the paper assumes: errors of u, v and d independent. Independent pixels: errors of both pixels of both "
