@@ -1,4 +1,4 @@
-"""The limits that the decision rule is applied with: chosen before anything was measured, each with its reason."""
+"""The limits that the decision rule is applied with: chosen before these runs, each with its reason."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ TONES: Mapping[Verdict, Tone] = {
 RULE = (
     "A claim holds under a condition if the whole 95 % interval of what was measured lies in the range asked for, does "
     "not hold if it lies outside, and is not shown where it crosses a limit. It holds if it holds under every "
-    "condition, and holds only if ... where it holds under some: these are named. All limits were set beforehand."
+    "condition, and holds only if ... where it holds under some: these are named. Limits were set before these runs."
 )
 CONDITIONS = (
     "Noise as the paper assumes: errors of u, v and d independent. Independent pixels: errors of both pixels of both "
@@ -144,7 +144,7 @@ def _numbers(heads_and_rows: tuple[Sequence[str], list[tables.Row]]) -> str:
     columns = [
         Column(head, kind="text" if kind == "text" else "number") for head, kind in zip(heads, kinds, strict=True)
     ]
-    cells = [[value if isinstance(value, str) else number(value, ".4g") for value in row] for row in rows]
+    cells = [[value if isinstance(value, str) else number(value, ".3g") for value in row] for row in rows]
     return table(columns, cells)
 
 

@@ -128,7 +128,7 @@ RANGE_HELPS = Sentence(
     "range-helps",
     "5",
     "'The additional range information has helped'",
-    f"RMS position error, {_THAN}",
+    f"RMS position error, {_THAN} (rival 1 px an eye)",
     "figure-nees",
 )
 XYZ_INCONSISTENT = Sentence(

@@ -4,10 +4,17 @@ import numpy as np
 import pytest
 
 from stereo_slam_env.benchmark.reference_problem import short_turn
+from stereo_slam_env.benchmark.runner import run_filter
 from stereo_slam_env.paper import convergence
 from stereo_slam_env.paper.claims import Verdict
 from stereo_slam_env.paper.convergence import Depths, of_drives
-from stereo_slam_env.paper.depth_history import DepthHistory, follow_depths, measured_disparities, seen_throughout
+from stereo_slam_env.paper.depth_history import (
+    DepthHistory,
+    follow_depths,
+    measured_disparities,
+    seen_throughout,
+    with_one_noise,
+)
 from stereo_slam_env.paper.settings import ASSUMED, COUPLED, DIAGONAL, DUAL, JOINT, NOISES, PIXELS, PaperSettings
 from stereo_slam_env.sensing.rigs import RIGS
 
@@ -77,6 +84,19 @@ def test_histories_are_those_of_the_filter():
     np.testing.assert_allclose(history.d[:, 0], raw[:, 0])  # the first frame only initialises
     assert (history.sigma_d[:, -1] < history.sigma_d[:, 0]).all()
     np.testing.assert_allclose(history.hindsight[:, -1], FB / history.d[:, -1], rtol=1e-9)
+
+
+@pytest.mark.parametrize("R", ASSUMED)
+def test_histories_are_the_traces_of_the_benchmark(R):
+    recording = short_turn(2, frames=6)
+    for trace in run_filter(recording, JOINT, {"gate": None}, noise=ASSUMED[R]).traces:
+        history = follow_depths(
+            with_one_noise(recording, ASSUMED[R]), JOINT, np.array([trace.landmark_id]), {"gate": None}
+        )
+        depths, _ = made_up(np.full(6, 20.0))
+        z, sigma = depths.depth(history)
+        np.testing.assert_allclose(z[0], trace.depth, rtol=1e-9)
+        np.testing.assert_allclose(sigma[0], trace.sigma, rtol=1e-9)
 
 
 @pytest.fixture(scope="module")
