@@ -72,25 +72,10 @@ def overview(summaries: Sequence[FilterSummary], verdict: Verdict) -> str:
         for i, summary in enumerate(summaries)
     )
     return (
-        f'<p class="headline">{escape(_headline(verdict))}</p>'
+        f'<p class="headline">{escape(verdict.headline)}</p>'
         '<div class="scroll"><table class="sortable answers"><thead><tr>'
         f'<th scope="col">Filter<small>&nbsp;</small></th>{heads}</tr></thead><tbody>{rows}</tbody></table></div>'
     )
-
-
-MOST_NAMED = 5
-"""The headline says what is known of each of so many other filters; of more of them it counts."""
-
-
-def _headline(verdict: Verdict) -> str:
-    if verdict.best is None or len(verdict.comparisons) <= MOST_NAMED:
-        return verdict.headline
-    shown = sum(comparison.shown for comparison in verdict.comparisons.values())
-    first = (
-        f"{verdict.best} has the smallest position error, shown to be better than {shown} of the"
-        f" {len(verdict.comparisons)} others."
-    )
-    return " ".join([first, *(words for question, words in verdict.answers.items() if question != "best")])
 
 
 def _name(name: str, colours: dict[str, str]) -> str:
