@@ -117,7 +117,7 @@ class Sentence:
     statement : str
         What is measured, and when that counts as true.
     evidence : str
-        Name of the figure that shows it, or empty.
+        Name of the figure that it is shown with.
     """
 
     key: str

@@ -44,7 +44,6 @@ COLOURS = filter_colours((JOINT, DUAL, EUCLIDEAN))
 NAMES = {JOINT: "inverse depth, (u, v, d)", DUAL: "two bearing updates", EUCLIDEAN: "XYZ"}
 SHOWN = 1000
 """Points of a cloud that are drawn: all of them would make the picture heavy, not clearer."""
-DRAWN_FOR = {JOINT: {DIAGONAL: "-", COUPLED: "--"}, DUAL: {DIAGONAL: "-", COUPLED: "--"}}
 
 
 @styled
@@ -85,8 +84,7 @@ def figure_4(results: Mapping[str, Arrays]) -> Figure:
             z, sigma = (values[used] for values in depths.depth(history))
             claimed = np.sqrt(np.nanmean(sigma**2, axis=0))
             error = np.sqrt(np.nanmean((z - depths.true[used]) ** 2, axis=0))
-            style = DRAWN_FOR[name][R]
-            ax.plot(updates[1:], claimed[1:], style, color=COLOURS[name], label=f"{NAMES[name]}, R = {R} (m)")
+            ax.plot(updates[1:], claimed[1:], _style(R), color=COLOURS[name], label=f"{NAMES[name]}, R = {R} (m)")
             ax.plot(
                 updates[1:],
                 error[1:],
@@ -97,7 +95,7 @@ def figure_4(results: Mapping[str, Arrays]) -> Figure:
                 markersize=4,
                 label=f"_{NAMES[name]}, R = {R}",
             )
-            labels.append(EndLabel(f"{'ours' if name == JOINT else 'rival'}, {R}", claimed[-1], COLOURS[name]))
+            labels.append(EndLabel(_called(name, R), claimed[-1], COLOURS[name]))
         ax.set_yscale("log")
         plain_log_axis(ax)
         label_ends(ax, labels)
@@ -111,42 +109,33 @@ def figure_5(results: Mapping[str, Arrays]) -> Figure:
 
     def draw(ax: Axes, depths: convergence.Depths, label: str) -> None:
         at = convergence.example(depths, label)
-        updates = np.arange(depths.true.shape[1])
-        raw = depths.raw[at] - depths.true[at]
-        ax.axhline(0.0, color=INK, alpha=0.18, linewidth=4)
-        ax.plot(updates, raw, "o", color=MUTED, markersize=4, label="raw (m)")
-        mean = float(np.nanmean(raw))
-        ax.axhline(mean, color=MUTED, linewidth=0.9, linestyle=":")
-        labels = [EndLabel("truth", 0.0, MUTED), EndLabel("mean of raw", mean, MUTED)]
-        for (name, R), history in depths.filters.items():
-            error = depths.depth(history)[0][at] - depths.true[at]
-            ax.plot(updates, error, DRAWN_FOR[name][R], color=COLOURS[name], label=f"{NAMES[name]}, R = {R} (m)")
-            labels.append(EndLabel(f"{'ours' if name == JOINT else 'rival'}, {R}", float(error[-1]), COLOURS[name]))
-        label_ends(ax, labels)
+        _draw_landmark(ax, depths, at, depths.true[at], "truth")
 
     return _near_and_far(results, draw, "estimated minus true depth of one landmark (m)")
 
 
 @styled
 def figure_karlsruhe(depths: convergence.Depths) -> Figure:
-    """Claimed sigma against the number of updates on real images; left near, right far."""
-    figure = Figure(figsize=(WIDTH_INCHES, 3.3))
-    figure.subplots_adjust(left=0.05, right=0.86, top=0.9, bottom=0.14, wspace=0.45)
-    for ax, label in zip(figure.subplots(1, 2), convergence.RANGES, strict=True):
-        used = depths.label == label
-        ax.set_title(f"{label.capitalize()}: claimed σ of the depth (m), median of {used.sum()} landmarks")
-        ax.set_xlabel("update")
-        if not used.any():
+    """As figures 4 and 5, on real images: claimed sigma, and the depth of one landmark; left near, right far."""
+    figure = Figure(figsize=(WIDTH_INCHES, 6.0))
+    figure.subplots_adjust(left=0.05, right=0.86, top=0.95, bottom=0.075, hspace=0.25, wspace=0.45)
+    for (upper, lower), label in zip(figure.subplots(2, 2).T, convergence.RANGES, strict=True):
+        used = np.flatnonzero(depths.label == label)
+        upper.set_title(f"{label.capitalize()}: claimed σ of the depth (m), median of {len(used)} landmarks")
+        lower.set_title("Depth of one of them against where ours sees it in the end (m)")
+        lower.set_xlabel("update")
+        if not len(used):
             continue
         labels = []
-        for number, ((name, R), history) in enumerate(depths.filters.items()):
+        for (name, R), history in depths.filters.items():
             sigma = np.nanmedian(depths.depth(history)[1][used], axis=0)
-            text = f"{'ours' if name == JOINT else 'rival'}, R = {R}"
-            ax.plot(np.arange(len(sigma)), sigma, "-" if number % 2 == 0 else "--", color=COLOURS[name], label=text)
-            labels.append(EndLabel(text, float(sigma[-1]), COLOURS[name]))
-        ax.set_yscale("log")
-        plain_log_axis(ax)
-        label_ends(ax, labels)
+            upper.plot(np.arange(len(sigma)), sigma, _style(R), color=COLOURS[name], label=_called(name, R))
+            labels.append(EndLabel(_called(name, R), float(sigma[-1]), COLOURS[name]))
+        upper.set_yscale("log")
+        plain_log_axis(upper)
+        label_ends(upper, labels)
+        ours = next(history for (name, R), history in depths.filters.items() if name == JOINT and R != DIAGONAL)
+        _draw_landmark(lower, depths, used[0], ours.hindsight[used[0]], "in the end")
     return figure
 
 
@@ -259,6 +248,30 @@ def _draw_cloud(ax: Axes, depth: float, uvd: FloatArray, R: FloatArray, regions:
     margin = 0.25 * (high - low)
     ax.set(ylim=(low[0] - margin[0], high[0] + margin[0]), xlim=(low[1] - margin[1], high[1] + margin[1]))
     ax.set(xlabel="Z, forward (m)")
+
+
+def _draw_landmark(ax: Axes, depths: convergence.Depths, at: int, reference: FloatArray, name: str) -> None:
+    """Raw and estimated depths of one landmark over the updates, less the reference (K,)."""
+    updates = np.arange(len(reference))
+    raw = depths.raw[at] - reference
+    mean = float(np.nanmean(raw))
+    ax.axhline(0.0, color=INK, alpha=0.18, linewidth=4)
+    ax.plot(updates, raw, "o", color=MUTED, markersize=4, label="raw (m)")
+    ax.axhline(mean, color=MUTED, linewidth=0.9, linestyle=":")
+    labels = [EndLabel(name, 0.0, MUTED), EndLabel("mean of raw", mean, MUTED)]
+    for (filter_name, R), history in depths.filters.items():
+        depth = depths.depth(history)[0][at] - reference
+        ax.plot(updates, depth, _style(R), color=COLOURS[filter_name], label=_called(filter_name, R))
+        labels.append(EndLabel(_called(filter_name, R), float(depth[-1]), COLOURS[filter_name]))
+    label_ends(ax, labels)
+
+
+def _style(R: str) -> str:
+    return "-" if R == DIAGONAL else "--"
+
+
+def _called(filter_name: str, R: str) -> str:
+    return f"{'ours' if filter_name == JOINT else 'rival'}, {R}"
 
 
 def _draw_histogram(ax: Axes, depth: float, uvd: FloatArray, R: FloatArray) -> None:

@@ -165,8 +165,8 @@ def _claims_of_turn(results: Mapping[str, Arrays]) -> list[Claim]:
 
     return [
         Claim(_here(sentences.UNCERTAINTY_CONVERGES, "karlsruhe-4"), against_rival(convergence.sigma)),
-        Claim(_here(sentences.SMOOTHER, "karlsruhe-5"), against_rival(convergence.roughness)),
-        Claim(_here(sentences.RAW_MEAN, "karlsruhe-5"), against_rival(convergence.distance_to_raw_mean)),
+        Claim(_here(sentences.SMOOTHER, "karlsruhe-4"), against_rival(convergence.roughness)),
+        Claim(_here(sentences.RAW_MEAN, "karlsruhe-4"), against_rival(convergence.distance_to_raw_mean)),
     ]
 
 
@@ -194,7 +194,7 @@ def _claims_of_drive(results: Mapping[str, Arrays]) -> list[Claim]:
         for R, name in R_NAMES.items()
     )
     by_innovations = replace(
-        _here(sentences.CONSISTENT, ""), statement=f"NIS by its degrees of freedom: {limits.CONSISTENT}"
+        _here(sentences.CONSISTENT, "karlsruhe-6"), statement=f"NIS by its degrees of freedom: {limits.CONSISTENT}"
     )
     judged = [Claim(by_innovations, tuple(consistent))]
     if len(true["positions"]) > long_drive.CHORD:

@@ -65,7 +65,7 @@ def write_report(
         _section_4_3(folder, claims, results),
         _section_4_4(folder, claims, results),
         _section_speed(folder, claims, results),
-        _section_karlsruhe(folder, claims, results) if with_karlsruhe else "",
+        karlsruhe_section(folder, claims, results) if with_karlsruhe else "",
     ]
     path = out / "report.html"
     subtitle = (
@@ -223,7 +223,8 @@ def _section_speed(folder: Path, claims: Sequence[Claim], results: Mapping[str, 
     return f"<h2>Speed</h2>{speed}{_findings(claims, 'figure-speed')}<h3>Milliseconds</h3>{numbers}"
 
 
-def _section_karlsruhe(folder: Path, claims: Sequence[Claim], results: Mapping[str, Arrays]) -> str:
+def karlsruhe_section(folder: Path, claims: Sequence[Claim], results: Mapping[str, Arrays]) -> str:
+    """Markup of what the paper's own recordings show; the figures go to `folder`."""
     blocks = []
     depths = karlsruhe.depths(results)
     if depths is not None and len(depths.label):
@@ -231,7 +232,8 @@ def _section_karlsruhe(folder: Path, claims: Sequence[Claim], results: Mapping[s
             figure_block(
                 figures.figure_karlsruhe(depths),
                 "karlsruhe-4",
-                "Claimed sigma of the depth over the updates, median over the landmarks of the turn.",
+                "The turn: claimed sigma over the updates, and the depth of one landmark. R = diagonal: the paper's; "
+                "measurement: as the front end says of each.",
                 folder,
             )
         )

@@ -152,5 +152,5 @@ ONE_UPDATE = Sentence(
     "'We only have to do projection and update in the EKF framework once, in contrast to the binocular approach which "
     "requires projection and update two times each'",
     "projections and updates in a frame: 1 of ours, 2 of the rival",
-    "",
+    "figure-speed",
 )

@@ -4,6 +4,7 @@ import pytest
 
 from stereo_slam_env.paper import karlsruhe
 from stereo_slam_env.paper.claims import Verdict
+from stereo_slam_env.paper.report import karlsruhe_section
 
 from ..datasets.images.small_image_folders import karlsruhe as write_sequence
 
@@ -65,3 +66,11 @@ def test_a_number_of_one_drive_is_taken_as_it_is(results, monkeypatch):
     for finding in trajectory.findings:
         assert finding.measured.low == finding.measured.value == finding.measured.high
     assert trajectory.verdict is Verdict.HOLDS  # a rendered drive of two metres
+
+
+def test_the_page_gets_a_section_of_its_own(results, monkeypatch, tmp_path):
+    monkeypatch.setattr("stereo_slam_env.paper.long_drive.CHORD", 2)
+    judged = karlsruhe.claims(results)
+    section = karlsruhe_section(tmp_path, judged, results)
+    assert {path.stem for path in tmp_path.iterdir()} == {"karlsruhe-4", "karlsruhe-6"}
+    assert section.count("<details>") == len(judged) == 10
