@@ -249,7 +249,9 @@ def _error_bars(bars: ErrorbarContainer, ax: Axes, label: str, units: Units) -> 
     axes = [name for name, present in (("x", bars.has_xerr), ("y", bars.has_yerr)) if present]
     for name, span in zip(axes, spans, strict=True):
         column = "xy".index(name)
-        ends = np.array([np.asarray(segment)[:, column] for segment in span.get_segments()]).reshape(-1, 2)
+        # A bar with an end that is not known has no segment.
+        segments = [np.asarray(segment, dtype=np.float64).reshape(-1, 2) for segment in span.get_segments()]
+        ends = np.array([s[:, column] if len(s) == 2 else (np.nan, np.nan) for s in segments]).reshape(-1, 2)
         if len(ends) != len(xy):
             yield from _segments(span, ax, units)
             continue

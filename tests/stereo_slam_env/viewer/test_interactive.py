@@ -120,6 +120,15 @@ def test_error_bars_say_their_interval():
     assert trace["customdata"] == [[4, 5.5], [4, 9]]
 
 
+def test_error_bars_whose_ends_are_not_known_are_left_out():
+    figure = Figure()
+    ax = figure.subplots()
+    ax.errorbar([1, 2, 3], [5.0, np.nan, 7.0], yerr=[[1.0, 1.0, np.nan], [2.0, 1.0, np.nan]], label="a")
+    (trace,) = plotly_figure(figure)["data"]
+    assert trace["error_y"]["array"] == [2.0, None, None]
+    assert trace["error_y"]["arrayminus"] == [1.0, None, None]
+
+
 def test_later_drawings_lie_on_top_also_where_error_bars_have_no_length():
     ax = axes()
     ax.errorbar([1, 2], [5.0, 6.0], label="a")
