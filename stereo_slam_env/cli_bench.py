@@ -156,7 +156,8 @@ def replay(
 
         where = path if path.partition(":")[0] == "gtsam" else str(Path(path).resolve())
         options = {"path": where, "on_broken": "skip"} if skip_broken else {"path": where}
-        scenario = Scenario(f"replay-{Path(where).name.replace(':', '-')}", "dataset", options)
+        name = f"replay-{Path(where).name.replace(':', '-')}"
+        scenario = Scenario(name, "dataset", options, metrics=("map",))  # no bound: the true noise is not known
         scenario = dataclasses.replace(scenario, use_odometry=odometry)
         scenario = _adjusted(scenario, filters, frames, sigma_px, gate, search)
         joint = scenario.gate is not None if consensus is None else consensus
