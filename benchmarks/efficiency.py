@@ -26,7 +26,7 @@ from rich.table import Table
 from threadpoolctl import threadpool_limits
 
 from filters import ConstantVelocity
-from stereo_slam_env.benchmark.limits import Bound, cramer_rao_bound
+from stereo_slam_env.benchmark.limits import Bound, cramer_rao_bound, efficiency_interval
 from stereo_slam_env.benchmark.reference_problem import long_drive
 from stereo_slam_env.benchmark.runner import run_filter
 from stereo_slam_env.benchmark.trial_metrics import trial_figures
@@ -39,7 +39,6 @@ FILTERS: dict[str, tuple[str, dict[str, Any]]] = {
     "euclidean": ("euclidean", {"min_disparity": 5.0}),
 }
 BOUND, UVD_ONLY, AS_DRIVEN, BATCH = "bound", "bound, (u, v, d) only", "bound, as driven", "batch smoother"
-RESAMPLES = 10_000
 
 
 @dataclass(frozen=True)
@@ -115,9 +114,7 @@ def efficiency(bound: np.ndarray, error: np.ndarray) -> str:
     """Ratio of the root mean squares of two paired samples (N,) in percent, and its 95 % bootstrap interval."""
     if not np.isfinite(error).all():
         return ""
-    drawn = np.random.default_rng(0).integers(len(bound), size=(RESAMPLES, len(bound)))
-    ratios = np.sqrt((bound**2)[drawn].sum(axis=1) / (error**2)[drawn].sum(axis=1))
-    low, high = 100.0 * np.quantile(ratios, [0.025, 0.975])
+    low, high = efficiency_interval(bound, error)
     return f"{100.0 * np.sqrt(np.sum(bound**2) / np.sum(error**2)):.0f} [{low:.0f}, {high:.0f}]"
 
 

@@ -42,6 +42,7 @@ from filters.start import start_belief
 from filters.validation import BoolArray, FloatArray, IntArray
 from stereo_slam_env.recording import Pose, Recording
 
+RESAMPLES = 10_000
 _AS_MEASURED = np.eye(3)
 
 
@@ -56,6 +57,25 @@ class Bound:
     """
 
     pose: FloatArray
+
+
+def efficiency_interval(bounds: FloatArray, errors: FloatArray, confidence: float = 0.95) -> tuple[float, float]:
+    """Bootstrap interval of the efficiency over runs, the ratio of both root mean squares, in percent.
+
+    By percentiles, seeded: a ratio of means of squares, which are far from Gaussian, has no useful standard error. With
+    ten runs it is a rough one.
+
+    Parameters
+    ----------
+    bounds, errors : (N,) ndarray
+        Bound and root mean square error of each run, in one unit.
+    confidence : float
+        Of the interval.
+    """
+    drawn = np.random.default_rng(0).integers(len(bounds), size=(RESAMPLES, len(bounds)))
+    ratios = np.sqrt(np.square(bounds)[drawn].sum(axis=1) / np.square(errors)[drawn].sum(axis=1))
+    low, high = 100.0 * np.quantile(ratios, [0.5 - 0.5 * confidence, 0.5 + 0.5 * confidence])
+    return float(low), float(high)
 
 
 def cramer_rao_bound(

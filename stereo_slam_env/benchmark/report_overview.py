@@ -8,8 +8,9 @@ from html import escape
 
 import numpy as np
 
+from stereo_slam_env.benchmark.limits import efficiency_interval
 from stereo_slam_env.benchmark.results import FilterSummary
-from stereo_slam_env.benchmark.statistics import CONFIDENCE, MIN_PAIRS, Finding, mean_interval
+from stereo_slam_env.benchmark.statistics import CONFIDENCE, MIN_PAIRS, Finding
 from stereo_slam_env.benchmark.verdict import Comparison, Consistency, Verdict, consistency
 from stereo_slam_env.viewer.figures import CSS_VARIABLES
 from stereo_slam_env.viewer.page_tables import UNKNOWN, Tone
@@ -248,12 +249,14 @@ def _distance(excess: float, interval: tuple[float, float] | None) -> str:
 
 
 def _efficiency_interval(summary: FilterSummary) -> tuple[float, float] | None:
-    """95 % interval of the efficiency, over runs: the bound is one of mean squares, so these are what is averaged."""
-    known = np.array([e for e in summary.efficiency_by_run if np.isfinite(e) and e > 0])
-    if len(known) < MIN_PAIRS:
+    """95 % interval of the efficiency, over runs."""
+    errors, efficiencies = np.array(summary.position_rmse_by_run), np.array(summary.efficiency_by_run)
+    if len(errors) != len(efficiencies):
         return None
-    low, high = mean_interval((100 / known[:, None]) ** 2, CONFIDENCE)
-    return float(100 / np.sqrt(high[0])), float(100 / np.sqrt(max(low[0], 1e-12)))
+    known = np.isfinite(errors) & np.isfinite(efficiencies)
+    if known.sum() < MIN_PAIRS:
+        return None
+    return efficiency_interval(0.01 * efficiencies[known] * errors[known], errors[known], CONFIDENCE)
 
 
 def _cost(summary: FilterSummary, summaries: Sequence[FilterSummary]) -> _Answer | None:
