@@ -241,12 +241,11 @@ def _run_missing(directory: StudyDirectory, engine: Engine, progress: Progress) 
         return
     with engine.started() as run_all:
         told = within if engine.in_this_process else None
-        recordings = [RecordingTask(cells[number].scenario, seed) for number, seed in to_record]
+        recordings = [RecordingTask(number, cells[number].scenario, seed) for number, seed in to_record]
         # The only one is made here: who reads a real drive has often looked at it already (see `sources`).
-        make_all = map if len(recordings) == 1 else run_all
-        for made in make_all(partial(make, progress=within if len(recordings) == 1 else told), recordings):
-            by = next(n for n, s in to_record if s == made.task.seed and cells[n].scenario == made.task.scenario)
-            cells[by].save_recording(made.task.seed, made.content, made.description)
+        alone = len(recordings) == 1
+        for made in (map if alone else run_all)(partial(make, progress=within if alone else told), recordings):
+            cells[made.task.cell].save_recording(made.task.seed, made.content, made.description)
             done += 1
             tell()
         for finished in run_all(partial(run_trial, progress=told), trials()):

@@ -32,8 +32,9 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class RecordingTask:
-    """Make the measurement stream of a seed."""
+    """Make the measurement stream of a seed, for a cell of the study and those that share it."""
 
+    cell: int
     scenario: Scenario
     seed: int | None
 
