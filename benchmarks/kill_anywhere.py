@@ -49,9 +49,10 @@ class Tally:
 
 
 def start(scenario: Path, out: Path, jobs: int) -> subprocess.Popen[bytes]:
-    """Start the benchmark as a user would, in a process group of its own."""
-    command = [sys.executable, "-m", "stereo_slam_env.cli", "bench", "--scenario", str(scenario)]
-    command += ["--out", str(out), "--jobs", str(jobs)]
+    """Start the benchmark without its report, in a process group of its own."""
+    code = "import sys; from stereo_slam_env.benchmark import run; "
+    code += "run(sys.argv[1], sys.argv[2], jobs=int(sys.argv[3]), report=False)"
+    command = [sys.executable, "-c", code, str(scenario), str(out), str(jobs)]
     return subprocess.Popen(command, start_new_session=True, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
 
 

@@ -109,8 +109,6 @@ def test_a_grid_of_your_own_has_a_report_over_all_its_cells(full_command, tmp_pa
     assert "cells/sigma-2.0/report.html" in page
     assert (tmp_path / "run" / "cells" / "sigma-2.0" / "report.html").is_file()
     assert (tmp_path / "run" / "trials.sqlite").is_file()
-    code, out, _ = full_command("report", tmp_path / "run" / "cells" / "sigma-1.0")
-    assert code == 0
 
 
 def test_the_presets_are_listed(command):
@@ -310,7 +308,7 @@ def test_help_loads_nothing_heavy():
 
 @pytest.mark.slow
 def test_ctrl_c_says_what_is_kept_and_the_same_command_goes_on(tmp_path):
-    arguments = ("bench", "--preset", "reference-drive", "--seeds", 2, "--frames", 60, "--jobs", 1)
+    arguments = ("bench", "--preset", "reference-drive", "--seeds", 2, "--frames", 40, "--jobs", 1)
     arguments = (*arguments, "--filters", "inverse-depth,euclidean", "--out", tmp_path / "run")
     running = process(*arguments)
     deadline = time.monotonic() + 60

@@ -30,7 +30,7 @@ def command(request, capsys, monkeypatch, tmp_path):
     sources._seen.cache_clear()
     sources._opened.cache_clear()
 
-    def write_report(out, *_):
+    def write_report(out, *_, **__):
         (out / "report.html").write_text("a report")
         return out / "report.html"
 
