@@ -11,6 +11,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 BENCH ?= --preset quick
 PYTEST ?=
+WORKERS ?= 2
 
 # The matrices are small: a second BLAS thread never helps and can cost a lot. Parallelism comes from whole runs.
 export OPENBLAS_NUM_THREADS := 1
@@ -19,13 +20,13 @@ export MKL_NUM_THREADS := 1
 
 help: ## Show this help
 	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-8s %s\n", $$1, $$2}'
-	@echo "  variables: PYTHON=$(PYTHON)  BENCH=\"$(BENCH)\" (arguments of stereo-slam bench)  PYTEST=\"...\" (of pytest)"
+	@echo "  variables: PYTHON=$(PYTHON)  BENCH=\"$(BENCH)\" (arguments of stereo-slam bench)  PYTEST=\"...\" (of pytest)  WORKERS=$(WORKERS) (processes of pytest)"
 
 bench: $(VENV)/.installed ## Compare the filters in the simulated world and write the report (under 3 minutes)
 	@$(BIN)/stereo-slam bench $(BENCH)
 
 test: lint ## Lint, types and tests
-	@$(BIN)/python -m pytest $(PYTEST)
+	@$(BIN)/python -m pytest --numprocesses $(WORKERS) --dist loadfile $(PYTEST)
 
 lint: $(VENV)/.installed-dev ## ruff and mypy
 	@$(BIN)/ruff check
