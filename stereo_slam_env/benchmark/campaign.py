@@ -151,9 +151,14 @@ def as_study(what: Study | Scenario | str | Path, *, data: str | Path | None = N
 
 def check_study(study: Study) -> None:
     """Raise a `ValueError` for what cannot be run, before any work is done."""
+    checked: list[tuple[object, object]] = []
     for cell in study.cells:
-        check_filters(cell.scenario)
-        check_source(cell.scenario)
+        scenario = cell.scenario
+        what_filters_get = scenario.filters, scenario.common_options
+        if what_filters_get not in checked:  # making every filter takes its time, and most cells share theirs
+            check_filters(scenario)
+            checked.append(what_filters_get)
+        check_source(scenario)
 
 
 def check_filters(scenario: Scenario) -> None:
