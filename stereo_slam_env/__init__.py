@@ -11,9 +11,18 @@ import gymnasium as _gym
 
 if TYPE_CHECKING:
     from stereo_slam_env.envs.drive import StereoDriveEnv
+    from stereo_slam_env.envs.drive_gaze import StereoDriveGazeEnv
+    from stereo_slam_env.envs.gaze import StereoGazeEnv
     from stereo_slam_env.sensing.padding import stereo_observation
 
-__all__ = ["StereoDriveEnv", "stereo_observation"]
+__all__ = ["StereoDriveEnv", "StereoDriveGazeEnv", "StereoGazeEnv", "stereo_observation"]
+
+_HOMES = {
+    "StereoDriveEnv": "stereo_slam_env.envs.drive",
+    "StereoGazeEnv": "stereo_slam_env.envs.gaze",
+    "StereoDriveGazeEnv": "stereo_slam_env.envs.drive_gaze",
+    "stereo_observation": "stereo_slam_env.sensing.padding",
+}
 
 
 def _register(name: str, entry_point: str, max_episode_steps: int) -> None:
@@ -22,16 +31,14 @@ def _register(name: str, entry_point: str, max_episode_steps: int) -> None:
 
 
 _register("StereoSlam/Drive-v0", "stereo_slam_env.envs.drive:StereoDriveEnv", 3000)
+_register("StereoSlam/Gaze-v0", "stereo_slam_env.envs.gaze:StereoGazeEnv", 3000)
+_register("StereoSlam/DriveGaze-v0", "stereo_slam_env.envs.drive_gaze:StereoDriveGazeEnv", 3000)
 
 
 def __getattr__(name: str) -> Any:
     """Import what is asked for when it is asked for: the physics engine and scipy take their time."""
-    if name == "StereoDriveEnv":
-        from stereo_slam_env.envs.drive import StereoDriveEnv
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from importlib import import_module
 
-        return StereoDriveEnv
-    if name == "stereo_observation":
-        from stereo_slam_env.sensing.padding import stereo_observation
-
-        return stereo_observation
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(_HOMES[name]), name)

@@ -1,10 +1,12 @@
-"""The keyword arguments of the driving environment, in one place, checked."""
+"""The keyword arguments of the environments, in one place, checked."""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import asdict, dataclass, fields
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from filters.known_names import require_known
 from filters.validation import positive
@@ -13,8 +15,12 @@ from stereo_slam_env.rendering.backends import RENDERERS
 from stereo_slam_env.sensing.landmark_sensor import TrackingPolicy
 from stereo_slam_env.sensing.pixel_noise import NOISE_MODELS
 from stereo_slam_env.sensing.rigs import RIGS
+from stereo_slam_env.world.head import Head
 from stereo_slam_env.world.route_files import named_route
 from stereo_slam_env.world.surroundings import SURROUNDINGS
+
+if TYPE_CHECKING:
+    from typing import Self
 
 SENSORS = ("landmarks", "images")
 POLICIES = ("route", "agent")
@@ -24,8 +30,8 @@ correlation does not see it. Measured with `stereo-slam scenes noise`."""
 
 
 @dataclass(frozen=True)
-class DriveOptions:
-    """Arguments of `StereoDriveEnv`, described there; all are JSON-able.
+class StereoOptions:
+    """Arguments that every environment takes, described there; all are JSON-able.
 
     Raises
     ------
@@ -38,7 +44,7 @@ class DriveOptions:
     moving_cars: int = 0
     pedestrians: int = 0
     randomise: bool = False
-    policy: str = "agent"
+    visibility: float = TrackingPolicy.farthest
     rig: str = "reference"
     sensor: str = "landmarks"
     renderer: str = "tiny"
@@ -52,6 +58,7 @@ class DriveOptions:
     odometry_sigma_angular: float = 0.01
     perturbation: float = 1.0
     supersample: int = 1
+    tracking_weight: float = 0.02
 
     def __post_init__(self) -> None:
         named_route(self.route)
@@ -60,22 +67,23 @@ class DriveOptions:
         _one_of("randomise", self.randomise, (True, False))
         _whole("moving_cars", self.moving_cars, 0, 100)
         _whole("pedestrians", self.pedestrians, 0, 100)
-        _one_of("policy", self.policy, POLICIES)
         _one_of("rig", self.rig, RIGS)
         _one_of("sensor", self.sensor, SENSORS)
         _one_of("noise", self.noise, NOISE_MODELS)
         _one_of("render_images", self.render_images, (True, False))
         _one_of("revisit", self.revisit, (True, False))
         positive("sigma", self.sigma)
-        for name in ("odometry_sigma_linear", "odometry_sigma_angular", "perturbation"):
-            positive(name, getattr(self, name), allow_zero=True)
+        _number("visibility", self.visibility, 2 * TrackingPolicy.nearest, TrackingPolicy.farthest)
         _whole("max_landmarks", self.max_landmarks, 1, 10_000)
         if self.refill_below is not None:
             _whole("refill_below", self.refill_below, 0, self.max_landmarks)
         _whole("supersample", self.supersample, 1, 4)
+        for field in fields(self):
+            if field.name.startswith(("odometry_", "perturbation")) or field.name.endswith("_weight"):
+                positive(field.name, getattr(self, field.name), allow_zero=True)
 
     @classmethod
-    def checked(cls, given: Mapping[str, Any]) -> DriveOptions:
+    def checked(cls, given: Mapping[str, Any]) -> Self:
         """From keyword arguments; an unknown name is refused with the nearest known one."""
         require_known("there is no argument", given, [field.name for field in fields(cls)])
         return cls(**given)
@@ -86,7 +94,9 @@ class DriveOptions:
         refill = self.refill_below
         if refill is None:
             refill = round(self.max_landmarks * TrackingPolicy.refill_below / TrackingPolicy.max_landmarks)
-        return TrackingPolicy(max_landmarks=self.max_landmarks, refill_below=refill, revisit=self.revisit)
+        return TrackingPolicy(
+            max_landmarks=self.max_landmarks, refill_below=refill, farthest=self.visibility, revisit=self.revisit
+        )
 
     @property
     def front_end(self) -> TrackerSettings:
@@ -107,6 +117,58 @@ class DriveOptions:
         return asdict(self)
 
 
+@dataclass(frozen=True)
+class DriveOptions(StereoOptions):
+    """Arguments of `StereoDriveEnv`."""
+
+    policy: str = "agent"
+    progress_weight: float = 0.1
+    collision_weight: float = 10.0
+    goal_weight: float = 10.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _one_of("policy", self.policy, POLICIES)
+
+
+@dataclass(frozen=True)
+class HeadOptions(StereoOptions):
+    """Arguments of an environment whose head moves, for a world in which that matters."""
+
+    route: str = "straight"
+    surroundings: str = "groves"
+    visibility: float = 30.0
+    rig: str = "vga"
+    max_landmarks: int = 24
+    revisit: bool = True
+    max_pan: float = 2.0
+    max_tilt: float = 0.4
+    pan_rate: float = 1.5
+    tilt_rate: float = 1.0
+    effort_weight: float = 0.01
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _number("max_pan", self.max_pan, 0.0, np.pi)
+        _number("max_tilt", self.max_tilt, 0.0, 0.5 * np.pi)
+        positive("pan_rate", self.pan_rate)
+        positive("tilt_rate", self.tilt_rate)
+
+    def head(self, baseline: float) -> Head:
+        """The head that carries eyes `baseline` m apart."""
+        return Head(baseline, (self.max_pan, self.max_tilt), (self.pan_rate, self.tilt_rate))
+
+
+@dataclass(frozen=True)
+class GazeOptions(HeadOptions):
+    """Arguments of `StereoGazeEnv`."""
+
+
+@dataclass(frozen=True)
+class DriveGazeOptions(HeadOptions, DriveOptions):
+    """Arguments of `StereoDriveGazeEnv`."""
+
+
 def _one_of(name: str, value: object, allowed: Collection[object]) -> None:
     if not any(value == choice and type(value) is type(choice) for choice in allowed):
         raise ValueError(f"{name} must be one of {', '.join(map(repr, allowed))}, got {value!r}")
@@ -115,3 +177,8 @@ def _one_of(name: str, value: object, allowed: Collection[object]) -> None:
 def _whole(name: str, value: object, low: int, high: int) -> None:
     if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
         raise ValueError(f"{name} must be a whole number from {low} to {high}, got {value!r}")
+
+
+def _number(name: str, value: Any, low: float, high: float) -> None:
+    if positive(name, value, allow_zero=True) > high or float(value) < low:
+        raise ValueError(f"{name} must be a number from {low:g} to {high:g}, got {value!r}")

@@ -7,7 +7,7 @@ import numpy as np
 from filters import rotations
 from filters.camera import StereoCamera
 from filters.validation import BoolArray, FloatArray
-from stereo_slam_env.envs.options import DriveOptions
+from stereo_slam_env.envs.options import StereoOptions
 from stereo_slam_env.recording import LandmarkTruth, Pose
 from stereo_slam_env.rendering.backends import make_renderer
 from stereo_slam_env.rendering.camera_effects import CameraEffects
@@ -27,7 +27,7 @@ class Stage:
 
     Parameters
     ----------
-    options : DriveOptions
+    options : StereoOptions
         Which scene, and who draws it.
     route : Route
         Along which it is built.
@@ -37,7 +37,7 @@ class Stage:
         Whose body collides.
     """
 
-    def __init__(self, options: DriveOptions, route: Route, camera: StereoCamera, car: Car) -> None:
+    def __init__(self, options: StereoOptions, route: Route, camera: StereoCamera, car: Car) -> None:
         self._options, self._route, self._camera, self._car = options, route, camera, car
         self._frame = WorldFrame(CAMERA_HEIGHT)
         self._world = PhysicsWorld()
@@ -91,7 +91,7 @@ class Stage:
         return self._moving.on_body(self._frame.to_scene(points_w), self._time)
 
     def collides(self, pose: Pose) -> bool:
-        """Whether the car touches something when its camera is at `pose`."""
+        """Whether the car touches something when its camera, looking straight ahead, is at `pose`."""
         R_wc = rotations.matrix(pose.orientation)
         body = pose.position + R_wc @ np.array(self._car.body_c)
         R_sb = self._frame.rotation_to_scene(R_wc) @ R_SW.T
