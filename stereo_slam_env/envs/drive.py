@@ -117,7 +117,7 @@ class StereoDriveEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
     | Argument | Default | Meaning |
     |----------|---------|---------|
     | `route` | `"town"` | `"town"` (350 m, two turns), `"right-turn"`, `"straight"`, `"loop"`, or a KITTI pose file |
-    | `surroundings` | `"street"` | `"street"`; `"field"`: open, far features only; `"corridor"`: low texture |
+    | `surroundings` | `"street"` | `"street"`; `"field"`: far features only; `"corridor"`: low texture; `"groves"` |
     | `moving_cars` | `0` | most cars that drive |
     | `pedestrians` | `0` | most people that walk |
     | `randomise` | `False` | textures, colours, light, air and cameras (exposure, noise, blur) by the seed too |
