@@ -25,8 +25,8 @@ _PER_THING = 60
 _ROOM = 3.0
 _HILLS = 0.04
 """Share of the tries."""
-_LANE = Strip(3.7, ASPHALT_HEIGHT, Material((1.0, 1.0, 1.0), "track", (37.3, 37.3)))
-_MEADOW = Material((1.0, 1.0, 1.0), "meadow", (61.3, 61.3))
+LANE = Strip(3.7, ASPHALT_HEIGHT, Material((1.0, 1.0, 1.0), "track", (37.3, 37.3)))
+MEADOW = Material((1.0, 1.0, 1.0), "meadow", (61.3, 61.3))
 
 
 def build_field(route: Route, rng: np.random.Generator) -> Scene:
@@ -58,9 +58,9 @@ def build_field(route: Route, rng: np.random.Generator) -> Scene:
     solids = [p for p in layout.primitives if p.solid]
     points = facing_points(solids, _PER_THING * built, 25.0, network.nearest, rng)
     return Scene(
-        network.ground(FARTHEST + 320.0, _MEADOW),
+        network.ground(FARTHEST + 320.0, MEADOW),
         tuple(layout.primitives),
-        paved([road], [_LANE]),
+        paved([road], [LANE]),
         np.arange(len(points), dtype=np.int64),
         points,
     )

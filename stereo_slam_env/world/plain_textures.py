@@ -1,4 +1,4 @@
-"""Painters of the open field and of the corridor, where there is little to see."""
+"""Painters of the open country and of the corridor, where there is little to see."""
 
 from __future__ import annotations
 
@@ -48,6 +48,34 @@ def _panels(rng: np.random.Generator) -> FloatArray:
     return image
 
 
+def _rock(rng: np.random.Generator) -> FloatArray:
+    """Weathered stone: patches, grains and cracks."""
+    level = 0.8 + noise(rng, 128, 32, 0.10) + noise(rng, 128, 8, 0.09) + noise(rng, 128, 2, 0.05)
+    level -= 0.3 * (np.abs(noise(rng, 128, 16, 1.0)) < 0.06)
+    return tinted((0.72, 0.70, 0.66), np.clip(level, 0.2, 1.1))
+
+
+def _logs(rng: np.random.Generator) -> FloatArray:
+    """The sawn ends of stacked logs."""
+    image = np.full((256, 256, 3), 0.2)
+    for row in range(8):
+        for column in range(8):
+            at = (32 * column + 16 * (row % 2) + int(rng.integers(6, 11)), 32 * row + int(rng.integers(14, 19)))
+            wood = rng.uniform(0.75, 1.1) * np.array([0.82, 0.63, 0.42])
+            for radius, shade in ((16, 0.6), (13, 1.15), (9, 0.95), (8, 1.15), (5, 0.9), (4, 1.15), (1, 0.7)):
+                for wrapped in (at[0], at[0] - 256):
+                    cv2.circle(image, (wrapped, at[1]), radius, tuple((shade * wood).tolist()), -1, cv2.LINE_AA)
+    return image
+
+
+def _straw(rng: np.random.Generator) -> FloatArray:
+    """Pressed straw, bound with twine."""
+    stalks: FloatArray = np.asarray(cv2.GaussianBlur(rng.standard_normal((128, 128)), (15, 1), 0))
+    image = tinted((0.86, 0.72, 0.40), np.clip(0.85 + 0.45 * stalks + noise(rng, 128, 32, 0.06), 0.3, 1.15))
+    image[:, 30:33] = image[:, 94:97] = 0.25
+    return image
+
+
 def _concrete(rng: np.random.Generator) -> FloatArray:
     """Smooth wall, nearly uniform."""
     return grey(0.80 + noise(rng, 256, 64, 0.008))
@@ -85,6 +113,9 @@ PLAIN_PAINTERS: dict[str, Painter] = {
     "woods": _woods,
     "planks": _planks,
     "panels": _panels,
+    "rock": _rock,
+    "logs": _logs,
+    "straw": _straw,
     "concrete": _concrete,
     "door": _door,
     "notice": _notice,

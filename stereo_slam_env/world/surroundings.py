@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from filters.known_names import did_you_mean
-from stereo_slam_env.world import corridor, field, street
+from stereo_slam_env.world import corridor, field, groves, street
 from stereo_slam_env.world.randomise import with_other_look
 from stereo_slam_env.world.road import road_along
 from stereo_slam_env.world.routes import Route
@@ -39,6 +39,7 @@ SURROUNDINGS: dict[str, Surroundings] = {
     "street": Surroundings("houses, trees, lamps, signs, parked cars", street.build_street, street.WALKWAY),
     "field": Surroundings("plain meadows, everything to see is 60 to 250 m away", field.build_field, field.WALKWAY),
     "corridor": Surroundings("smooth walls, few doors, lamps and signs", corridor.build_corridor, corridor.WALKWAY),
+    "groves": Surroundings("open country, small groups of things 7 to 21 m aside", groves.build_groves, field.WALKWAY),
 }
 """All work along any route and are the same for the same generator."""
 
