@@ -1,0 +1,61 @@
+"""What every policy offers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Protocol
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+
+from filters.validation import FloatArray
+from stereo_slam_env.world.head import Head
+
+Action = NDArray[np.float32]
+
+
+class Policy(Protocol):
+    """Decides what to do next.
+
+    Policies never look at the truth and never copy the environment. What they may ask it for, with `get_wrapper_attr`,
+    are `slam` (the filter in the loop, see `wrappers.BeliefObservation`), `camera`, `noise`, `head`, `head_angles` and
+    `route`, the planned drive.
+    """
+
+    def reset(self, env: gym.Env[Any, Any], rng: np.random.Generator) -> None:
+        """An episode has just begun in `env`.
+
+        Parameters
+        ----------
+        env : gymnasium.Env
+            Reset.
+        rng : numpy.random.Generator
+            For whatever the policy leaves to chance.
+        """
+
+    def act(self, observation: Mapping[str, Any]) -> Action:
+        """The next action, from the observation of the last `reset` or `step`."""
+
+
+def require_head(env: gym.Env[Any, Any]) -> Head:
+    """The head of an environment.
+
+    Raises
+    ------
+    ValueError
+        It has none that moves.
+    """
+    head = env.get_wrapper_attr("head")
+    if not isinstance(head, Head):
+        raise ValueError("the policy turns the head, and that of this environment is fixed: use StereoSlam/Gaze-v0")
+    return head
+
+
+def look_towards(env: gym.Env[Any, Any], angles: FloatArray) -> Action:
+    """The action that turns the head towards pan and tilt (2,), rad, and asks for nothing else."""
+    head = require_head(env)
+    assert env.action_space.shape is not None
+    action = np.zeros(env.action_space.shape, dtype=np.float32)
+    action[-2:] = np.clip(angles / np.array(head.max_angles), -1.0, 1.0)
+    return action
