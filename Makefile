@@ -50,6 +50,6 @@ $(VENV)/.installed: pyproject.toml | $(BIN)/python
 	@$(PIP) --editable '.[report]'
 	@touch $@
 
-$(VENV)/.installed-dev: pyproject.toml | $(BIN)/python
-	@$(PIP) --editable '.[dev,gtsam,evo,fast,gl,report,ray,dask]'
+$(VENV)/.installed-dev: pyproject.toml constraints.txt | $(BIN)/python
+	@$(PIP) --constraint constraints.txt --editable '.[dev,gtsam,evo,fast,gl,report,ray,dask,rl,video]'
 	@touch $@ $(VENV)/.installed
