@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import shutil
 import tempfile
@@ -16,8 +17,8 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
+from filters import rotations
 from filters.validation import BoolArray, FloatArray
 from stereo_slam_env.world.meshes import Mesh, body_meshes, mtl_text, obj_text, scene_meshes
 from stereo_slam_env.world.scene import Box, Cylinder, Look, Material, MovingBody, Primitive, Scene
@@ -119,21 +120,23 @@ class PhysicsWorld:
         """
         if len(points) == 0:
             return np.zeros(0, dtype=bool)
-        starts = np.repeat(eyes, len(points), axis=0)
-        ends = np.tile(points, (len(eyes), 1))
-        ray = ends - starts
-        ends = ends - ray * (_SURFACE_GAP / np.linalg.norm(ray, axis=1, keepdims=True))
+        rays = points - eyes[:, None]
+        ends = points - rays * (_SURFACE_GAP / np.sqrt((rays**2).sum(axis=2, keepdims=True)))
         hits = pybullet.rayTestBatch(
-            starts.tolist(), ends.tolist(), numThreads=1, collisionFilterMask=_NOT_EGO, physicsClientId=self._connected
+            [eye for eye in eyes.tolist() for _ in range(len(points))],
+            ends.reshape(-1, 3).tolist(),
+            numThreads=1,
+            collisionFilterMask=_NOT_EGO,
+            physicsClientId=self._connected,
         )
-        free = np.fromiter((hit[0] < 0 for hit in hits), dtype=bool, count=len(hits))
+        free = np.array([hit[0] < 0 for hit in hits])
         return np.asarray(free.reshape(len(eyes), len(points)).all(axis=0))
 
     def ego_collides(self, position: FloatArray, R_sb: FloatArray) -> bool:
         """Put the car's body (its x axis forward) at a pose and tell whether it touches a solid."""
         client = self._connected
         pybullet.resetBasePositionAndOrientation(
-            self._ego, position.tolist(), Rotation.from_matrix(R_sb).as_quat().tolist(), physicsClientId=client
+            self._ego, position.tolist(), rotations.from_matrix(R_sb).tolist(), physicsClientId=client
         )
         pybullet.performCollisionDetection(physicsClientId=client)
         contacts = pybullet.getContactPoints(bodyA=self._ego, physicsClientId=client) or ()
@@ -300,7 +303,7 @@ def _collision_shape(shape: Primitive) -> dict[str, Any]:
             "shapeTypes": pybullet.GEOM_BOX,
             "halfExtents": [0.5 * s for s in shape.size],
             "collisionFramePositions": list(shape.center),
-            "collisionFrameOrientations": Rotation.from_euler("z", shape.yaw).as_quat().tolist(),
+            "collisionFrameOrientations": [0.0, 0.0, math.sin(0.5 * shape.yaw), math.cos(0.5 * shape.yaw)],
         }
     elif isinstance(shape, Cylinder):
         start, end = np.array(shape.start), np.array(shape.end)
