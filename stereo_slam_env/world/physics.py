@@ -42,8 +42,11 @@ def _without_banner() -> Iterator[None]:
 with _without_banner():
     import pybullet
 
-_SHAPES_PER_BODY = 4
-"""Neighbouring solids share a body: building is faster than with one each, rays as fast. PyBullet allows 16."""
+_BODY_REACH, _SHAPES_PER_BODY = 12.0, 8
+"""Consecutive solids that stand within so many m of the first of them share a body, up to so many (PyBullet allows 16).
+
+Building and rays are both faster than with one body each; with larger bodies rays would test shapes far away.
+"""
 _EGO_GROUP = 64
 _NOT_EGO = 0xFFFF & ~_EGO_GROUP
 _SURFACE_GAP = 0.05
@@ -218,10 +221,8 @@ class PhysicsWorld:
     def _bodies(self, solids: Iterable[Primitive]) -> list[int]:
         """Collision bodies of some solids, all with their origin where that of the solids is."""
         client, hidden = self._connected, self._hidden_visual()
-        shapes = [_collision_shape(solid) for solid in solids]
         bodies = []
-        for first in range(0, len(shapes), _SHAPES_PER_BODY):
-            group = shapes[first : first + _SHAPES_PER_BODY]
+        for group in _neighbours([_collision_shape(solid) for solid in solids]):
             columns = {key: [shape[key] for shape in group] for key in group[0]}
             body = pybullet.createCollisionShapeArray(**columns, physicsClientId=client)
             bodies.append(int(pybullet.createMultiBody(0, body, hidden, physicsClientId=client)))
@@ -286,6 +287,23 @@ def _library(folder: Path, material: Material) -> str | None:
         cv2.imwrite(str(folder / f"{name}.png"), cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR))
         library.write_text(mtl_text(f"{name}.png"), encoding="ascii")
     return library.name
+
+
+def _neighbours(shapes: Iterable[dict[str, Any]]) -> list[list[dict[str, Any]]]:
+    """Groups of consecutive collision shapes that stand together."""
+    groups: list[list[dict[str, Any]]] = []
+    for shape in shapes:
+        near = groups and math.dist(_stands_at(shape), _stands_at(groups[-1][0])) < _BODY_REACH
+        if near and len(groups[-1]) < _SHAPES_PER_BODY:
+            groups[-1].append(shape)
+        else:
+            groups.append([shape])
+    return groups
+
+
+def _stands_at(shape: dict[str, Any]) -> tuple[float, float]:
+    x, y, _ = shape["collisionFramePositions"]
+    return x, y
 
 
 def _collision_shape(shape: Primitive) -> dict[str, Any]:
