@@ -140,9 +140,7 @@ def quaternion_of(x: float, y: float, z: float) -> Four:
     return ratio * x, ratio * y, ratio * z, math.cos(half)
 
 
-def from_matrix_of(
-    a: float, b: float, c: float, d: float, e: float, f: float, g: float, h: float, i: float
-) -> Four:
+def from_matrix_of(a: float, b: float, c: float, d: float, e: float, f: float, g: float, h: float, i: float) -> Four:
     """`from_matrix`, from the numbers row by row.
 
     Four times the largest component of the quaternion times each of them (Markley, J. Guidance 31(2), 2008).

@@ -16,7 +16,7 @@ from stereo_slam_env.sensing.pixel_noise import PixelNoise
 Occlusion = Callable[[Pose, FloatArray], BoolArray]
 """(left camera pose, points in W (N, 3)) -> which points both eyes see (N,)."""
 
-_SPARE = 6
+_SPARE = 4
 """Candidates tested beyond twice as many as wanted: a ray more costs less than another call for it."""
 
 
