@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from filters.validation import FloatArray
 
+Three = tuple[float, float, float]
 Four = tuple[float, float, float, float]
 Nine = tuple[float, float, float, float, float, float, float, float, float]
 
@@ -44,7 +45,18 @@ def exp(rotation_vector: ArrayLike) -> FloatArray:
 
 def log(rotation_matrix: ArrayLike) -> FloatArray:
     """Rotation vector Log(R), of length in [0, pi]; (..., 3, 3) -> (..., 3) rad."""
-    return np.asarray(Rotation.from_matrix(rotation_matrix).as_rotvec())
+    R = np.asarray(rotation_matrix, dtype=np.float64)
+    if _is_one_rotation(R):
+        return np.array(vector_of(*from_matrix_of(*_numbers(R.ravel()))))
+    return np.asarray(Rotation.from_matrix(R).as_rotvec())
+
+
+def from_matrix(rotation_matrix: ArrayLike) -> FloatArray:
+    """The unit quaternion xyzw of a rotation matrix; (..., 3, 3) -> (..., 4)."""
+    R = np.asarray(rotation_matrix, dtype=np.float64)
+    if _is_one_rotation(R):
+        return np.array(from_matrix_of(*_numbers(R.ravel())))
+    return np.asarray(Rotation.from_matrix(R).as_quat())
 
 
 def exp_quaternion(rotation_vector: ArrayLike) -> FloatArray:
@@ -100,6 +112,17 @@ def _numbers(array: ArrayLike) -> list[float]:
     return numbers
 
 
+def _is_one_rotation(R: FloatArray) -> bool:
+    """Whether this is a single matrix, and a rotation up to rounding; scipy mends others, or refuses them."""
+    if R.shape != (3, 3):
+        return False
+    a, b, c, d, e, f, g, h, i = R.ravel().tolist()
+    rows = (a * a + b * b + c * c - 1.0, d * d + e * e + f * f - 1.0, g * g + h * h + i * i - 1.0)
+    between_rows = (a * d + b * e + c * f, a * g + b * h + c * i, d * g + e * h + f * i)
+    right_handed = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g) > 0.0
+    return right_handed and all(-1e-12 < product < 1e-12 for product in rows + between_rows)  # False for NaN
+
+
 def matrix_of(x: float, y: float, z: float, w: float) -> Nine:
     """`matrix`, row by row."""
     return (
@@ -115,6 +138,39 @@ def quaternion_of(x: float, y: float, z: float) -> Four:
     # sin(half) / angle; its series below 1e-4 rad is exact to rounding.
     ratio = 0.5 * math.sin(half) / half if half > 1e-4 else 0.5 - half * half / 12.0
     return ratio * x, ratio * y, ratio * z, math.cos(half)
+
+
+def from_matrix_of(a: float, b: float, c: float, d: float, e: float, f: float, g: float, h: float, i: float) -> Four:
+    """`from_matrix`, from the numbers row by row.
+
+    Four times the largest component of the quaternion times each of them (Markley, J. Guidance 31(2), 2008).
+    """
+    trace = a + e + i
+    largest = max(a, e, i, trace)
+    if a == largest:
+        x, y, z, w = 1.0 - trace + 2.0 * a, d + b, g + c, h - f
+    elif e == largest:
+        x, y, z, w = b + d, 1.0 - trace + 2.0 * e, h + f, c - g
+    elif i == largest:
+        x, y, z, w = c + g, f + h, 1.0 - trace + 2.0 * i, d - b
+    else:
+        x, y, z, w = h - f, c - g, d - b, 1.0 + trace
+    norm = math.sqrt(x * x + y * y + z * z + w * w)
+    return x / norm, y / norm, z / norm, w / norm
+
+
+def vector_of(x: float, y: float, z: float, w: float) -> Three:
+    """The rotation vector of a unit quaternion, of length in [0, pi]."""
+    sine = math.sqrt(x * x + y * y + z * z)
+    angle = 2.0 * math.atan2(sine, abs(w))
+    if angle <= 1e-3:  # the series is exact to rounding
+        square = angle * angle
+        ratio = 2.0 + square / 12.0 + 7.0 * square * square / 2880.0
+    else:
+        ratio = angle / math.sin(0.5 * angle)
+    if w < 0.0:
+        ratio = -ratio
+    return ratio * x, ratio * y, ratio * z
 
 
 def product_of(x: float, y: float, z: float, w: float, a: float, b: float, c: float, d: float) -> Four:

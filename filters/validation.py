@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,6 +11,20 @@ from numpy.typing import ArrayLike, NDArray
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
+Made = TypeVar("Made")
+
+
+def unchecked(kind: type[Made], **fields: Any) -> Made:
+    """An instance of a frozen dataclass without the checks and copies of its `__post_init__`.
+
+    For values that were just computed from checked ones and that nobody else holds: arrays become read-only.
+    """
+    made = object.__new__(kind)
+    for value in fields.values():
+        if isinstance(value, np.ndarray):
+            value.flags.writeable = False
+    vars(made).update(fields)
+    return made
 
 
 def finite_array(name: str, value: ArrayLike, shape: tuple[int | str, ...]) -> FloatArray:

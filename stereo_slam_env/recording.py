@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -33,9 +34,16 @@ class Pose:
     position: FloatArray
     orientation: FloatArray
 
+    @cached_property
+    def R_wc(self) -> FloatArray:
+        """Takes camera vectors into W; (3, 3), read-only."""
+        R_wc = rotations.matrix(self.orientation)
+        R_wc.flags.writeable = False
+        return R_wc
+
     def to_camera(self, points_w: FloatArray) -> FloatArray:
         """Points of W in the camera frame; (..., 3) m -> (..., 3) m."""
-        points_c: FloatArray = (points_w - self.position) @ rotations.matrix(self.orientation)
+        points_c: FloatArray = (points_w - self.position) @ self.R_wc
         return points_c
 
 

@@ -9,12 +9,15 @@ import numpy as np
 
 from filters.camera import StereoCamera
 from filters.interface import StereoObservation
-from filters.validation import BoolArray, FloatArray, IntArray
+from filters.validation import BoolArray, FloatArray, IntArray, unchecked
 from stereo_slam_env.recording import LandmarkTruth, Pose
 from stereo_slam_env.sensing.pixel_noise import PixelNoise
 
 Occlusion = Callable[[Pose, FloatArray], BoolArray]
 """(left camera pose, points in W (N, 3)) -> which points both eyes see (N,)."""
+
+_SPARE = 4
+"""Candidates tested beyond twice as many as wanted: a ray more costs less than another call for it."""
 
 
 @dataclass(frozen=True)
@@ -77,36 +80,40 @@ class LandmarkSensor:
         self.camera, self.noise, self.landmarks, self.policy = camera, noise, landmarks, policy
         self._visible = visible
         self._choice_rng, self._noise_rng = rng.spawn(2)
+        self._positions_t = np.ascontiguousarray(landmarks.positions.T)
         self._tracked = np.zeros(len(landmarks.ids), dtype=bool)
         self._lost = np.zeros(len(landmarks.ids), dtype=bool)
 
     def observe(self, pose: Pose) -> StereoObservation:
         """Track to the frame taken from `pose` and measure; ids ascend."""
-        uvd = self.project(pose)
-        in_range = self._in_view(uvd)
-        kept = np.flatnonzero(self._tracked & in_range)
+        in_view, uvd = self._in_view(pose)
+        before = self._tracked[in_view]
+        kept = in_view[before]
         kept = kept[self._visible(pose, self.landmarks.positions[kept])]
         tracked = np.zeros_like(self._tracked)
         tracked[kept] = True
         if not self.policy.revisit:
             self._lost |= self._tracked & ~tracked
         if len(kept) < self.policy.refill_below:
-            candidates = np.flatnonzero(in_range & ~self._tracked & ~self._lost)
-            tracked[self._draw(pose, candidates, uvd[candidates, 2], self.policy.max_landmarks - len(kept))] = True
+            fresh = ~(before | self._lost[in_view])
+            tracked[self._draw(pose, in_view[fresh], uvd[fresh, 2], self.policy.max_landmarks - len(kept))] = True
         self._tracked = tracked
-        measured, v_right = self.noise.corrupt(uvd[tracked], self._noise_rng)
-        return StereoObservation(self.landmarks.ids[tracked], measured, v_right)
+        measured, v_right = self.noise.corrupt(uvd[tracked[in_view]], self._noise_rng)
+        return unchecked(StereoObservation, ids=self.landmarks.ids[tracked], uvd=measured, v_right=v_right, R=None)
 
     def project(self, pose: Pose) -> FloatArray:
         """True (u, v, d) of every landmark, visible or not; (N, 3) px."""
         return self.camera.project(pose.to_camera(self.landmarks.positions))
 
-    def _in_view(self, uvd: FloatArray) -> BoolArray:
-        constant = self.camera.disparity_constant
-        d = uvd[:, 2]
-        in_view: BoolArray = (d >= constant / self.policy.farthest) & (d <= constant / self.policy.nearest)
-        in_view[in_view] = self.camera.in_view(uvd[in_view], self.policy.margin)
-        return in_view
+    def _in_view(self, pose: Pose) -> tuple[IntArray, FloatArray]:
+        """Which landmarks are within range and inside both images, ascending (K,), and their true (u, v, d) (K, 3)."""
+        # One row a coordinate, which is several times as fast for thousands of landmarks as one row a landmark.
+        points_c = pose.R_wc.T @ (self._positions_t - pose.position[:, None])
+        z = points_c[2]
+        in_range = np.flatnonzero((z >= self.policy.nearest) & (z <= self.policy.farthest))
+        uvd = self.camera.project(points_c.take(in_range, axis=1).T)
+        inside = np.flatnonzero(self.camera.in_view(uvd, self.policy.margin))
+        return in_range[inside], uvd[inside]
 
     def _draw(self, pose: Pose, candidates: IntArray, disparities: FloatArray, wanted: int) -> IntArray:
         """Choose up to `wanted` visible candidates without replacement, weighted by disparity.
@@ -116,7 +123,8 @@ class LandmarkSensor:
         order = candidates[np.argsort(self._choice_rng.exponential(size=len(candidates)) / disparities)]
         chosen: list[IntArray] = []
         while wanted > 0 and len(order):
-            tested, order = order[: 2 * wanted], order[2 * wanted :]
+            several = 2 * wanted + _SPARE
+            tested, order = order[:several], order[several:]
             found = tested[self._visible(pose, self.landmarks.positions[tested])][:wanted]
             chosen.append(found)
             wanted -= len(found)

@@ -6,7 +6,7 @@ import numpy as np
 
 from filters import rotations
 from filters.interface import BodyVelocity
-from filters.validation import FloatArray, positive
+from filters.validation import FloatArray, positive, unchecked
 from stereo_slam_env.recording import Pose, Velocity
 
 
@@ -26,13 +26,14 @@ class OdometrySensor:
         ]
         self._sigmas: FloatArray = np.repeat(sigmas, 3)
         self._covariance: FloatArray = np.diag(self._sigmas**2)
+        self._covariance.flags.writeable = False
 
     def measure(self, before: Pose, velocity: Velocity, dt: float, rng: np.random.Generator) -> BodyVelocity:
         """Measure the step of `dt` s that left `before` with `velocity`.
 
         The linear part is in the camera frame half-way through the turn, as filters expect it.
         """
-        half_way = rotations.matrix(before.orientation) @ rotations.exp(0.5 * dt * velocity.angular)
+        half_way = before.R_wc @ rotations.exp(0.5 * dt * velocity.angular)
         true = np.concatenate([half_way.T @ velocity.linear, velocity.angular])
         measured = true + self._sigmas * rng.standard_normal(6)
-        return BodyVelocity(measured[:3], measured[3:], self._covariance)
+        return unchecked(BodyVelocity, linear=measured[:3], angular=measured[3:], covariance=self._covariance)

@@ -7,6 +7,7 @@ W, the world frame of filters and truth: the left camera at reset (x right, y do
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -45,6 +46,6 @@ class WorldFrame:
         rotation: FloatArray = R_SW @ np.asarray(R_wc, dtype=np.float64)
         return rotation
 
-    @property
+    @cached_property
     def _origin_s(self) -> FloatArray:
         return np.array([0.0, 0.0, self.camera_height])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import shutil
 import tempfile
@@ -16,8 +17,8 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
+from filters import rotations
 from filters.validation import BoolArray, FloatArray
 from stereo_slam_env.world.meshes import Mesh, body_meshes, mtl_text, obj_text, scene_meshes
 from stereo_slam_env.world.scene import Box, Cylinder, Look, Material, MovingBody, Primitive, Scene
@@ -41,8 +42,11 @@ def _without_banner() -> Iterator[None]:
 with _without_banner():
     import pybullet
 
-_SHAPES_PER_BODY = 4
-"""Neighbouring solids share a body: building is faster than with one each, rays as fast. PyBullet allows 16."""
+_BODY_REACH, _SHAPES_PER_BODY = 12.0, 8
+"""Consecutive solids that stand within so many m of the first of them share a body, up to so many (PyBullet allows 16).
+
+Building and rays are both faster than with one body each; with larger bodies rays would test shapes far away.
+"""
 _EGO_GROUP = 64
 _NOT_EGO = 0xFFFF & ~_EGO_GROUP
 _SURFACE_GAP = 0.05
@@ -117,23 +121,32 @@ class PhysicsWorld:
         -------
         (N,) ndarray of bool
         """
+        visible = np.ones(len(points), dtype=bool)
+        for eye in eyes:  # a ray that hits is the dearest: none from the second eye to what the first does not see
+            seen = np.flatnonzero(visible)
+            visible[seen] = self._free(eye, points[seen])
+        return visible
+
+    def _free(self, eye: FloatArray, points: FloatArray) -> BoolArray:
+        """Whether nothing is between `eye` (3,) and each of `points` (N, 3)."""
         if len(points) == 0:
             return np.zeros(0, dtype=bool)
-        starts = np.repeat(eyes, len(points), axis=0)
-        ends = np.tile(points, (len(eyes), 1))
-        ray = ends - starts
-        ends = ends - ray * (_SURFACE_GAP / np.linalg.norm(ray, axis=1, keepdims=True))
+        rays = points - eye
+        ends = points - rays * (_SURFACE_GAP / np.sqrt((rays**2).sum(axis=1, keepdims=True)))
         hits = pybullet.rayTestBatch(
-            starts.tolist(), ends.tolist(), numThreads=1, collisionFilterMask=_NOT_EGO, physicsClientId=self._connected
+            [eye.tolist()] * len(ends),
+            ends.tolist(),
+            numThreads=1,
+            collisionFilterMask=_NOT_EGO,
+            physicsClientId=self._connected,
         )
-        free = np.fromiter((hit[0] < 0 for hit in hits), dtype=bool, count=len(hits))
-        return np.asarray(free.reshape(len(eyes), len(points)).all(axis=0))
+        return np.array([hit[0] < 0 for hit in hits])
 
     def ego_collides(self, position: FloatArray, R_sb: FloatArray) -> bool:
         """Put the car's body (its x axis forward) at a pose and tell whether it touches a solid."""
         client = self._connected
         pybullet.resetBasePositionAndOrientation(
-            self._ego, position.tolist(), Rotation.from_matrix(R_sb).as_quat().tolist(), physicsClientId=client
+            self._ego, position.tolist(), rotations.from_matrix(R_sb).tolist(), physicsClientId=client
         )
         pybullet.performCollisionDetection(physicsClientId=client)
         contacts = pybullet.getContactPoints(bodyA=self._ego, physicsClientId=client) or ()
@@ -215,10 +228,8 @@ class PhysicsWorld:
     def _bodies(self, solids: Iterable[Primitive]) -> list[int]:
         """Collision bodies of some solids, all with their origin where that of the solids is."""
         client, hidden = self._connected, self._hidden_visual()
-        shapes = [_collision_shape(solid) for solid in solids]
         bodies = []
-        for first in range(0, len(shapes), _SHAPES_PER_BODY):
-            group = shapes[first : first + _SHAPES_PER_BODY]
+        for group in _neighbours([_collision_shape(solid) for solid in solids]):
             columns = {key: [shape[key] for shape in group] for key in group[0]}
             body = pybullet.createCollisionShapeArray(**columns, physicsClientId=client)
             bodies.append(int(pybullet.createMultiBody(0, body, hidden, physicsClientId=client)))
@@ -285,6 +296,23 @@ def _library(folder: Path, material: Material) -> str | None:
     return library.name
 
 
+def _neighbours(shapes: Iterable[dict[str, Any]]) -> list[list[dict[str, Any]]]:
+    """Groups of consecutive collision shapes that stand together."""
+    groups: list[list[dict[str, Any]]] = []
+    for shape in shapes:
+        near = groups and math.dist(_stands_at(shape), _stands_at(groups[-1][0])) < _BODY_REACH
+        if near and len(groups[-1]) < _SHAPES_PER_BODY:
+            groups[-1].append(shape)
+        else:
+            groups.append([shape])
+    return groups
+
+
+def _stands_at(shape: dict[str, Any]) -> tuple[float, float]:
+    x, y, _ = shape["collisionFramePositions"]
+    return x, y
+
+
 def _collision_shape(shape: Primitive) -> dict[str, Any]:
     """Arguments of `createCollisionShapeArray` for one shape."""
     arguments: dict[str, Any] = {
@@ -300,7 +328,7 @@ def _collision_shape(shape: Primitive) -> dict[str, Any]:
             "shapeTypes": pybullet.GEOM_BOX,
             "halfExtents": [0.5 * s for s in shape.size],
             "collisionFramePositions": list(shape.center),
-            "collisionFrameOrientations": Rotation.from_euler("z", shape.yaw).as_quat().tolist(),
+            "collisionFrameOrientations": [0.0, 0.0, math.sin(0.5 * shape.yaw), math.cos(0.5 * shape.yaw)],
         }
     elif isinstance(shape, Cylinder):
         start, end = np.array(shape.start), np.array(shape.end)

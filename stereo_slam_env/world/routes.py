@@ -94,10 +94,13 @@ class Route:
             Consider only frames less than 30 m along the route from this one: which pass it is where a route
             crosses or retraces itself.
         """
-        away = ((self.positions - position) ** 2).sum(axis=1)
+        first, last = 0, self.frames
         if around is not None:
-            away[np.abs(self.arc_length - self.arc_length[around]) > _REACH] = np.inf
-        return int(np.argmin(away))
+            middle = self.arc_length[around]
+            first = int(np.searchsorted(self.arc_length, middle - _REACH))
+            last = int(np.searchsorted(self.arc_length, middle + _REACH, side="right"))
+        away = ((self.positions[first:last] - position) ** 2).sum(axis=1)
+        return first + int(np.argmin(away))
 
 
 def pulse(time: FloatArray, start: float, end: float, ramp: float) -> FloatArray:
@@ -193,6 +196,7 @@ class RouteDriver:
         self._rng = rng
         self._sigmas = perturbation * self._SIGMAS
         self._decay = np.exp(-FRAME_PERIOD / self._TIME_CONSTANTS)
+        self._fresh = np.sqrt(1.0 - self._decay**2) * self._sigmas
         self._disturbance = self._sigmas * rng.standard_normal(6)
         self._step = 0
 
@@ -208,8 +212,7 @@ class RouteDriver:
 
     def drive(self, pose: Pose, action: FloatArray) -> Velocity:
         """Velocity (v in W, omega in the camera frame) of the next step from `pose`; the action is not used."""
-        fresh = np.sqrt(1.0 - self._decay**2) * self._sigmas * self._rng.standard_normal(6)
-        self._disturbance = self._decay * self._disturbance + fresh
+        self._disturbance = self._decay * self._disturbance + self._fresh * self._rng.standard_normal(6)
         velocity = self._velocity(pose, self._step)
         self._step += 1
         return velocity
@@ -218,7 +221,7 @@ class RouteDriver:
         route = self.route
         R_travel = rotations.exp([0.0, route.middle_headings[step], 0.0])
         R_nominal = rotations.exp([0.0, route.headings[step], 0.0])
-        R_wc = rotations.matrix(pose.orientation)
+        R_wc = pose.R_wc
         offset = R_travel.T @ (pose.position - route.positions[step])
         tilt = rotations.log(R_nominal.T @ R_wc)
         along = np.array([0.0, 0.0, route.speeds[step]])
