@@ -14,6 +14,7 @@ from filters.camera import StereoCamera
 from filters.interface import BodyVelocity
 from filters.noise import StereoNoise
 from filters.validation import IntArray, finite_array
+from stereo_slam_env.envs.display import modes_here, window_for
 from stereo_slam_env.envs.options import DriveOptions
 from stereo_slam_env.envs.stage import Stage
 from stereo_slam_env.frontend.recorder import TYPICAL_NOISE
@@ -135,7 +136,7 @@ class StereoDriveEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
     | `odometry_sigma_angular` | `0.01` | rad/s, each axis |
     | `perturbation` | `1.0` | scale of the random sway of a scripted drive; 0: none |
     | `supersample` | `1` | draw images this many times finer and average |
-    | `render_mode` | `None` | `"rgb_array"`: both views with the observed landmarks |
+    | `render_mode` | `None` | `"rgb_array"`: both views with the observed landmarks; `"human"`: in a window |
 
     Noise of landmarks: `"pixels"`: u, v of both eyes have independent Gaussian errors; `"heavy-tailed"`: the same with
     rare gross errors, as in rendered images; `"quantised"`: rounded to whole pixels; `"uvd"`: u, v, d are independent.
@@ -149,14 +150,16 @@ class StereoDriveEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
     * v0: first version.
     """
 
-    metadata = {"render_modes": ["rgb_array"], "render_fps": 10}  # noqa: RUF012 (Gymnasium's contract)
+    metadata = {"render_modes": ["rgb_array", "human"], "render_fps": 10}  # noqa: RUF012 (Gymnasium's contract)
 
     def __init__(self, render_mode: str | None = None, **options: Any) -> None:
         EzPickle.__init__(self, render_mode=render_mode, **options)
         self.options = DriveOptions.checked(options)
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
-            raise ValueError(f"render_mode must be None or 'rgb_array', got {render_mode!r}")
+            raise ValueError(f"render_mode must be None, 'rgb_array' or 'human', got {render_mode!r}")
         self.render_mode = render_mode
+        self.metadata = modes_here(self.metadata)
+        self._window = window_for(render_mode, self.metadata["render_fps"])
         self.camera: StereoCamera = RIGS[self.options.rig]
         self._noise = NOISE_MODELS[self.options.noise](self.options.sigma)
         self.observation_space = self._make_observation_space()
@@ -242,6 +245,7 @@ class StereoDriveEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
         self._step_count, self._distance, self._nearest, self._over = 0, 0.0, 0, False
         odometry = self._odometry.measure(self._pose, velocity, FRAME_PERIOD, self._odometry_rng)
         self._sense(velocity, None)
+        self._show()
         return self._observation(odometry), self._info(collision=False, progress=0.0, failed=False)
 
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
@@ -256,6 +260,7 @@ class StereoDriveEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
         self._distance += float(np.linalg.norm(self._pose.position - before.position))
         odometry = self._odometry.measure(before, velocity, FRAME_PERIOD, self._odometry_rng)
         self._sense(velocity, odometry)
+        self._show()
 
         nearest = self._route.nearest(self._pose.position, around=self._nearest)
         progress = float(self._route.arc_length[nearest] - self._route.arc_length[self._nearest])
@@ -268,10 +273,17 @@ class StereoDriveEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
         return self._observation(odometry), reward, self._over, False, info
 
     def render(self) -> NDArray[np.uint8] | None:
-        """Both views with the observed landmarks, (H, W, 3) uint8, if `render_mode` is `rgb_array`."""
+        """Both views with the observed landmarks, (H, W, 3) uint8; with "human" they are in the window already."""
         if self.render_mode is None:
             gym.logger.warn("render() needs a render_mode: make the environment with render_mode='rgb_array'")
             return None
+        return self._picture() if self._window is None else None
+
+    def _show(self) -> None:
+        if self._window is not None:
+            self._window.show(self._picture())
+
+    def _picture(self) -> NDArray[np.uint8]:
         frame, pair = self.frame, self._rendered()
         seen = frame.observation
         speed = float(np.linalg.norm(frame.truth_velocity.linear)) if frame.truth_velocity else 0.0
@@ -287,6 +299,8 @@ class StereoDriveEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
     def close(self) -> None:
         """Stop the physics engine; may be called at any time, also twice."""
         self._stage.close()
+        if self._window is not None:
+            self._window.close()
         self._over = True
 
     @property

@@ -10,7 +10,7 @@ from filters.validation import positive
 from stereo_slam_env.world.scene import Scene, Vector
 
 _RANGES = 3.0
-"""The visibility is so many haze ranges: exp(-3), 5 % of the contrast, is left (meteorology's limit of what is seen)."""
+"""The visibility is so many haze ranges: exp(-3) = 5 % of the contrast is left, the limit of what is seen."""
 _DEPTH = 60.0
 """How thick the layer of fog is overhead, m: what it leaves of the blue of the sky."""
 
