@@ -103,7 +103,7 @@ class StereoDriveEnv(StereoEnv):
     | `tracking_weight` | `0.02` | of the reward, for a full frame |
     | `collision_weight` | `10.0` | of the reward |
     | `goal_weight` | `10.0` | of the reward |
-    | `render_mode` | `None` | `"rgb_array"`: both views with the observed landmarks |
+    | `render_mode` | `None` | `"rgb_array"`: both views with the observed landmarks; `"human"`: in a window |
 
     Noise of landmarks: `"pixels"`: u, v of both eyes have independent Gaussian errors; `"heavy-tailed"`: the same with
     rare gross errors, as in rendered images; `"quantised"`: rounded to whole pixels; `"uvd"`: u, v, d are independent.

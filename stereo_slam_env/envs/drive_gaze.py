@@ -112,7 +112,7 @@ class StereoDriveGazeEnv(StereoEnv):
     | `max_tilt` | `0.4` | how far it turns up and down, rad |
     | `pan_rate` | `1.5` | how fast it turns sideways, rad/s |
     | `tilt_rate` | `1.0` | how fast it turns up and down, rad/s |
-    | `render_mode` | `None` | `"rgb_array"`: both views with the observed landmarks |
+    | `render_mode` | `None` | `"rgb_array"`: both views with the observed landmarks; `"human"`: in a window |
 
     Noise of landmarks: `"pixels"`: u, v of both eyes have independent Gaussian errors; `"heavy-tailed"`: the same with
     rare gross errors, as in rendered images; `"quantised"`: rounded to whole pixels; `"uvd"`: u, v, d are independent.

@@ -12,7 +12,9 @@ from stereo_slam_env.recording import LandmarkTruth, Pose
 from stereo_slam_env.rendering.backends import make_renderer
 from stereo_slam_env.rendering.camera_effects import CameraEffects
 from stereo_slam_env.rendering.images import StereoImages, StereoRenderer
+from stereo_slam_env.sensing.landmark_sensor import TrackingPolicy
 from stereo_slam_env.sensing.rigs import CAMERA_HEIGHT
+from stereo_slam_env.world.fog import in_fog
 from stereo_slam_env.world.frames import R_SW, WorldFrame
 from stereo_slam_env.world.moving_points import MovingPoints
 from stereo_slam_env.world.physics import PhysicsWorld
@@ -60,6 +62,8 @@ class Stage:
             pedestrians=options.pedestrians,
             randomise=options.randomise,
         )
+        if self._options.visibility < TrackingPolicy.farthest:
+            scene = in_fog(scene, self._options.visibility)
         self._world.build(scene, self._car.size)
         self._moving = MovingPoints(scene.moving)
         self._effects = CameraEffects.random(camera_rng) if options.randomise else None

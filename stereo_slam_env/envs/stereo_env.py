@@ -14,6 +14,7 @@ from filters.camera import StereoCamera
 from filters.interface import BodyVelocity
 from filters.noise import StereoNoise
 from filters.validation import FloatArray, IntArray, finite_array
+from stereo_slam_env.envs.display import modes_here, window_for
 from stereo_slam_env.envs.options import DriveOptions, HeadOptions, StereoOptions
 from stereo_slam_env.envs.rewards import TERMS, Outcome
 from stereo_slam_env.envs.stage import Stage
@@ -56,7 +57,7 @@ class StereoEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
         Fields of `Options`.
     """
 
-    metadata = {"render_modes": ["rgb_array"], "render_fps": 10}  # noqa: RUF012 (Gymnasium's contract)
+    metadata = {"render_modes": ["rgb_array", "human"], "render_fps": 10}  # noqa: RUF012 (Gymnasium's contract)
     Options: ClassVar[type[StereoOptions]]
     drives: ClassVar[bool]
     """Whether the first two actions are acceleration and steering."""
@@ -67,8 +68,10 @@ class StereoEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
         EzPickle.__init__(self, render_mode=render_mode, **options)
         self.options: Any = self.Options.checked(options)
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
-            raise ValueError(f"render_mode must be None or 'rgb_array', got {render_mode!r}")
+            raise ValueError(f"render_mode must be None, 'rgb_array' or 'human', got {render_mode!r}")
         self.render_mode = render_mode
+        self.metadata = modes_here(self.metadata)
+        self._window = window_for(render_mode, self.metadata["render_fps"])
         self.camera: StereoCamera = RIGS[self.options.rig]
         self.head: Head | None = None
         """What carries the eyes; None: they are fixed to the car."""
@@ -166,6 +169,7 @@ class StereoEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
         self._step_count, self._distance, self._nearest, self._over = 0, 0.0, 0, False
         odometry = self._odometry.measure(self._pose, velocity, FRAME_PERIOD, self._odometry_rng)
         self._sense(velocity, None)
+        self._show()
         return self._observation(odometry), self._info(Outcome(tracked=self._tracked), collision=False)
 
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
@@ -178,6 +182,7 @@ class StereoEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
         self._step_count += 1
         odometry = self._odometry.measure(before, velocity, FRAME_PERIOD, self._odometry_rng)
         self._sense(velocity, odometry)
+        self._show()
 
         nearest = self._route.nearest(self._body.position, around=self._nearest)
         progress = float(self._route.arc_length[nearest] - self._route.arc_length[self._nearest])
@@ -195,10 +200,17 @@ class StereoEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
         return self._observation(odometry), reward, self._over, False, info
 
     def render(self) -> NDArray[np.uint8] | None:
-        """Both views with the observed landmarks, (H, W, 3) uint8, if `render_mode` is `rgb_array`."""
+        """Both views with the observed landmarks, (H, W, 3) uint8; with "human" they are in the window already."""
         if self.render_mode is None:
             gym.logger.warn("render() needs a render_mode: make the environment with render_mode='rgb_array'")
             return None
+        return self._picture() if self._window is None else None
+
+    def _show(self) -> None:
+        if self._window is not None:
+            self._window.show(self._picture())
+
+    def _picture(self) -> NDArray[np.uint8]:
         frame, pair = self.frame, self._rendered()
         seen = frame.observation
         speed = float(np.linalg.norm(frame.truth_velocity.linear)) if frame.truth_velocity else 0.0
@@ -214,6 +226,8 @@ class StereoEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
     def close(self) -> None:
         """Stop the physics engine; may be called at any time, also twice."""
         self._stage.close()
+        if self._window is not None:
+            self._window.close()
         self._over = True
 
     @property

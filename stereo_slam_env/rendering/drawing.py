@@ -40,6 +40,12 @@ def both_views(left: Image, right: Image) -> Image:
     return np.concatenate([left, gap, right], axis=0 if stacked else 1)
 
 
+def even_sides(picture: Image) -> Image:
+    """The picture with its last row or column repeated where it is odd: video codecs need even ones."""
+    height, width = picture.shape[:2]
+    return np.pad(picture, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
+
+
 def disparity_colors(disparities: FloatArray) -> NDArray[np.uint8]:
     """From blue (far) to red (near), even in the logarithm of the disparity; (M,) px -> (M, 3) RGB."""
     bounds = np.log([_FAR_DISPARITY, _NEAR_DISPARITY])

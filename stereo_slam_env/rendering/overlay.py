@@ -18,6 +18,7 @@ from stereo_slam_env.rendering.drawing import (
     both_views,
     caption_bar,
     disparity_colors,
+    even_sides,
     fixed_point,
     label,
     line_scale,
@@ -47,7 +48,7 @@ def annotated_pair(
     Returns
     -------
     (H', W', 3) uint8
-        Wide images one above the other, others side by side.
+        Wide images one above the other, others side by side; H' and W' are even.
     """
     uvd = observation.uvd
     v_right = uvd[:, 1] if observation.v_right is None else observation.v_right
@@ -58,7 +59,7 @@ def annotated_pair(
         label(image, name)
     _inset_map(right, path, pose)
     views = both_views(left, right)
-    return np.concatenate([caption_bar(views.shape[1], caption), views])
+    return even_sides(np.concatenate([caption_bar(views.shape[1], caption), views]))
 
 
 def _with_landmarks(image: Image, pixels: FloatArray, disparities: FloatArray) -> Image:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from filters.validation import positive
+from stereo_slam_env.rendering.drawing import even_sides
 
 Image = NDArray[np.uint8]
 
@@ -75,8 +76,7 @@ class Recorder:
             raise ValueError(f"picture must be {self._size[0]}x{self._size[1]} as the first one, got {width}x{height}")
         if self._writer is None:
             raise ValueError(f"the recorder of {self.path} is closed: make another one")
-        even = np.pad(picture, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
-        self._writer.write(cv2.cvtColor(even, cv2.COLOR_RGB2BGR))
+        self._writer.write(cv2.cvtColor(even_sides(picture), cv2.COLOR_RGB2BGR))
         self.pictures += 1
 
     def close(self) -> None:

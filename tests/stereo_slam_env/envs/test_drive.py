@@ -165,7 +165,7 @@ def test_memory_is_flat_over_resets(make):
         ({"odometry_sigma_angular": -1}, r"odometry_sigma_angular must be a finite number >= 0, got -1"),
         ({"render_images": "yes"}, r"render_images must be one of True, False, got 'yes'"),
         ({"supersample": 2.0}, r"supersample must be a whole number from 1 to 4, got 2.0"),
-        ({"render_mode": "ansi"}, r"render_mode must be None or 'rgb_array', got 'ansi'"),
+        ({"render_mode": "ansi"}, r"render_mode must be None, 'rgb_array' or 'human', got 'ansi'"),
         ({"sgima": 1.0}, r"there is no argument 'sgima', did you mean 'sigma'\? Known: route, "),
     ],
     ids=lambda value: next(iter(value)) if isinstance(value, dict) else "",
@@ -391,7 +391,7 @@ def test_rgb_array_shows_both_views_with_the_landmarks(make):
     env.reset(seed=0)
     picture = env.render()
     assert picture.dtype == np.uint8
-    assert picture.shape == (260, 643, 3)
+    assert picture.shape == (260, 644, 3)
     left = env._rendered().left
     drawn = (picture[-240:, :320] != left).any(axis=2)
     u, v = np.rint(env.frame.observation.uvd[:, :2]).astype(int).T

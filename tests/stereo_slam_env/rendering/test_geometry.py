@@ -8,6 +8,7 @@ from filters import rotations
 from filters.camera import StereoCamera
 from stereo_slam_env.recording import Pose
 from stereo_slam_env.rendering.truth import depth_at
+from stereo_slam_env.world.fog import in_fog
 from stereo_slam_env.world.scene import Box, Look, Material, MovingBody
 
 from .planes import AHEAD, CAMERA, FRAME, Wall, both_back_ends, drawing, scene_of
@@ -158,3 +159,14 @@ def test_what_has_moved_away_is_not_drawn(name):
         away = Pose(np.zeros(3), rotations.exp_quaternion([0.0, 0.9, 0.0]))
         image = renderer.render_pair(away, 0.0).left
     assert not is_red(image).any()
+
+
+@both_back_ends
+def test_a_twentieth_of_the_contrast_is_left_at_the_visibility(name):
+    black = Material((0.0, 0.0, 0.0))
+    for visibility, distance, share in ((30.0, 30.0, 0.05), (30.0, 10.0, 0.37), (60.0, 30.0, 0.22)):
+        scene = in_fog(scene_of(Wall(distance, 0.0, black).box), visibility)
+        with drawing(name, scene) as renderer:
+            wall = renderer.render_pair(AHEAD).left[80:110, 170:210].astype(float)
+        contrast = 1.0 - wall / np.array(scene.look.horizon)
+        assert contrast.mean() == pytest.approx(share, abs=0.01)

@@ -5,8 +5,10 @@ import pytest
 
 from filters.interface import StereoObservation
 from stereo_slam_env.recording import Pose
+from stereo_slam_env.rendering.drawing import caption_bar
 from stereo_slam_env.rendering.images import StereoImages
 from stereo_slam_env.rendering.overlay import annotated_pair
+from stereo_slam_env.sensing.rigs import RIGS
 
 PATH = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 50.0], [30.0, 0.0, 60.0]])
 POSE = Pose(np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]))
@@ -22,8 +24,16 @@ def test_wide_views_are_stacked_and_others_side_by_side(size, stacked):
     picture = annotated_pair(grey_pair(*size), StereoObservation([], np.zeros((0, 3))), ["a"], PATH, POSE)
     assert picture.dtype == np.uint8
     height, width = size
-    assert picture.shape[1] == (width if stacked else 2 * width + 3)
+    assert picture.shape[1] == (width if stacked else 2 * width + 4)  # 3 between them and 1 to be even
     assert picture.shape[0] > (2 * height if stacked else height)
+
+
+@pytest.mark.parametrize("rig", RIGS)
+@pytest.mark.parametrize("extra", [0, 1])
+def test_pictures_have_even_sides_for_video_codecs(rig, extra):
+    views = grey_pair(RIGS[rig].height + extra, RIGS[rig].width + extra)
+    picture = annotated_pair(views, StereoObservation([], np.zeros((0, 3))), ["a"], PATH, POSE)
+    assert [side % 2 for side in picture.shape[:2]] == [0, 0]
 
 
 def test_landmarks_are_marked_in_both_views_and_the_input_is_not_touched():
@@ -31,7 +41,7 @@ def test_landmarks_are_marked_in_both_views_and_the_input_is_not_touched():
     empty = annotated_pair(pair, StereoObservation([], np.zeros((0, 3))), ["a"], PATH, POSE)
     marked = annotated_pair(pair, StereoObservation([4], [[300.0, 100.0, 40.0]], [101.0]), ["a"], PATH, POSE)
     rows, columns = np.nonzero((marked != empty).any(axis=2))
-    bar = marked.shape[0] - 2 * 200 - 3
+    bar = caption_bar(640, ["a"]).shape[0]
     left, right = rows < bar + 200, rows >= bar + 203
     assert columns[left].mean() == pytest.approx(300, abs=0.5)
     assert rows[left].mean() == pytest.approx(bar + 100, abs=0.5)
@@ -43,7 +53,7 @@ def test_landmarks_are_marked_in_both_views_and_the_input_is_not_touched():
 def test_near_and_far_have_different_colours():
     observation = StereoObservation([1, 2], [[200.0, 100.0, 60.0], [400.0, 100.0, 4.0]])
     marked = annotated_pair(grey_pair(200, 640), observation, ["a"], PATH, POSE).astype(int)
-    bar = marked.shape[0] - 2 * 200 - 3
+    bar = caption_bar(640, ["a"]).shape[0]
     near, far = marked[bar + 100, 200], marked[bar + 100, 400]
     assert near[0] > near[2]
     assert far[2] > far[0]
