@@ -6,9 +6,8 @@ from collections.abc import Sequence
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from filters import rotations
+from filters.camera import StereoCamera
 from filters.interface import StereoObservation
 from filters.validation import FloatArray
 from stereo_slam_env.recording import Pose
@@ -22,13 +21,20 @@ from stereo_slam_env.rendering.drawing import (
     fixed_point,
     label,
     line_scale,
-    shade,
 )
 from stereo_slam_env.rendering.images import Image, StereoImages
+from stereo_slam_env.rendering.insets import inset_gaze, inset_map
 
 
 def annotated_pair(
-    pair: StereoImages, observation: StereoObservation, caption: Sequence[str], path: FloatArray, pose: Pose
+    pair: StereoImages,
+    observation: StereoObservation,
+    caption: Sequence[str],
+    path: FloatArray,
+    pose: Pose,
+    *,
+    camera: StereoCamera | None = None,
+    pan: float = 0.0,
 ) -> Image:
     """Both views with the landmarks drawn in, under a caption.
 
@@ -43,7 +49,11 @@ def annotated_pair(
     path : (K, 3)
         Nominal positions in W, m, for the map.
     pose : Pose
-        Where the camera is on it.
+        Of the left camera.
+    camera : StereoCamera, optional
+        The rig: a second map then shows where it looks.
+    pan : float
+        How far the head is turned from the direction of the car, positive to the right, rad.
 
     Returns
     -------
@@ -57,7 +67,9 @@ def annotated_pair(
     right = _with_landmarks(pair.right, right_pixels, uvd[:, 2])
     for image, name in ((left, "left"), (right, "right")):
         label(image, name)
-    _inset_map(right, path, pose)
+    inset_map(right, path, pose, pan)
+    if camera is not None:
+        inset_gaze(left, path, pose, camera, uvd, pan)
     views = both_views(left, right)
     return even_sides(np.concatenate([caption_bar(views.shape[1], caption), views]))
 
@@ -76,29 +88,3 @@ def _with_landmarks(image: Image, pixels: FloatArray, disparities: FloatArray) -
         cv2.circle(drawn, center, int(radius * fixed), color, 2, cv2.LINE_AA, SUBPIXEL)
         cv2.circle(drawn, center, int(1.0 * fixed), color, -1, cv2.LINE_AA, SUBPIXEL)
     return drawn
-
-
-def _inset_map(image: Image, path: FloatArray, pose: Pose) -> None:
-    """The route from above (forward is up), with the camera on it, in the lower right corner."""
-    size = int(min(130, 0.34 * image.shape[0]))
-    pad = max(4, size // 10)
-    rows, columns = slice(-size - pad, -pad), slice(-size - pad, -pad)
-    shade(image, rows, columns)
-    window = image[rows, columns]
-    plan = path[:, [0, 2]] * [1.0, -1.0]
-    low, high = plan.min(axis=0), plan.max(axis=0)
-    zoom = (size - 2 * pad) / max(float((high - low).max()), 1.0)
-
-    def pixel(points: FloatArray) -> NDArray[np.int32]:
-        offset = (points - 0.5 * (low + high)) * zoom + 0.5 * size
-        return fixed_point(offset)
-
-    cv2.polylines(window, [pixel(plan).reshape(-1, 1, 2)], False, (170, 178, 188), 2, cv2.LINE_AA, SUBPIXEL)
-    forward = rotations.matrix(pose.orientation)[:, 2]
-    at = pose.position[[0, 2]] * [1.0, -1.0]
-    nose = forward[[0, 2]] * [1.0, -1.0]
-    side = np.array([-nose[1], nose[0]])
-    length = 0.075 * size / zoom
-    arrow = np.stack([at + length * nose, at - 0.7 * length * nose + 0.7 * length * side,
-                      at - 0.7 * length * nose - 0.7 * length * side])  # fmt: skip
-    cv2.fillConvexPoly(window, pixel(arrow), (255, 196, 60), cv2.LINE_AA, SUBPIXEL)

@@ -272,7 +272,7 @@ def test_the_noise_of_a_scene_is_a_table_that_fits(command):
 def test_scenes_render_draws_with_the_options_given(command, tmp_path):
     code, _, err = command("scenes", "render", *DRIVE, "--surroundings", "field", "--out", tmp_path / "field.png")
     assert code == 0, err
-    assert cv2.imread(str(tmp_path / "field.png")).shape == (260, 643, 3)
+    assert cv2.imread(str(tmp_path / "field.png")).shape == (260, 644, 3)
 
 
 def test_scenes_list_names_everything_that_can_be_asked_for(command):

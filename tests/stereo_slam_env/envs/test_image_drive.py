@@ -242,7 +242,7 @@ def test_render_shows_what_was_measured(make):
     env.reset(seed=0)
     picture = env.render()
     assert picture.dtype == np.uint8
-    assert picture.shape == (260, 643, 3)
+    assert picture.shape == (260, 644, 3)
     np.testing.assert_array_equal(picture, env.render())
 
 

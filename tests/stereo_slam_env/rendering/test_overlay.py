@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from filters import rotations
 from filters.interface import StereoObservation
 from stereo_slam_env.recording import Pose
 from stereo_slam_env.rendering.drawing import caption_bar
@@ -57,3 +58,58 @@ def test_near_and_far_have_different_colours():
     near, far = marked[bar + 100, 200], marked[bar + 100, 400]
     assert near[0] > near[2]
     assert far[2] > far[0]
+
+
+NONE = StereoObservation([], np.zeros((0, 3)))
+VIEWS = grey_pair(240, 320)
+CAMERA = RIGS["qvga"]
+
+
+def turned(pan):
+    return Pose(POSE.position, rotations.exp_quaternion([0.0, pan, 0.0]))
+
+
+def around(observation, pan):
+    """The map of where the head looks, as it differs from a picture without: rows, columns from its middle."""
+    plain = annotated_pair(VIEWS, NONE, ["a"], PATH, turned(pan), pan=pan).astype(int)
+    marked = annotated_pair(VIEWS, observation, ["a"], PATH, turned(pan), camera=CAMERA, pan=pan).astype(int)
+    return marked[20:, :320][-89:-8, -89:-8], plain[20:, :320][-89:-8, -89:-8]
+
+
+@pytest.mark.parametrize("pan", [-1.2, 0.0, 0.9, 2.5])
+def test_the_wedge_points_where_the_head_looks(pan):
+    marked, plain = around(NONE, pan)
+    blue = marked[..., 2] - marked[..., 0] > 40
+    assert not (plain[..., 2] - plain[..., 0] > 40).any()
+    rows, columns = np.nonzero(blue)
+    bearing = np.arctan2((columns - 40.0).mean(), (40.0 - rows).mean())
+    assert bearing == pytest.approx(pan, abs=0.1)
+    field = 2 * np.arctan(0.5 * CAMERA.width / CAMERA.fx)
+    assert blue.sum() == pytest.approx(0.5 * field * 37.5**2, rel=0.15)
+
+
+@pytest.mark.parametrize("pan", [-1.2, 0.0, 0.9])
+def test_landmarks_are_on_the_map_where_they_are(pan):
+    uvd = CAMERA.project(np.array([[3.0, 0.0, 20.0]]))
+    marked, without = around(StereoObservation([1], uvd), pan)[0], around(NONE, pan)[0]
+    rows, columns = np.nonzero((marked != without).any(axis=2))
+    bearing, away = pan + np.arctan2(3.0, 20.0), np.hypot(3.0, 20.0) * 37.5 / 40.0
+    assert columns.mean() == pytest.approx(40.0 + away * np.sin(bearing), abs=1.0)
+    assert rows.mean() == pytest.approx(40.0 - away * np.cos(bearing), abs=1.0)
+
+
+def test_far_landmarks_are_on_the_rim_and_impossible_ones_nowhere():
+    marked, without = (
+        around(StereoObservation([1, 2], [[160.0, 120.0, 0.5], [160.0, 120.0, -0.5]]), 0.0)[0],
+        around(NONE, 0.0)[0],
+    )
+    rows, columns = np.nonzero((marked != without).any(axis=2))
+    assert rows.mean() == pytest.approx(2.5, abs=1.5)
+    assert columns.mean() == pytest.approx(40.0, abs=1.0)
+
+
+def test_the_map_of_the_drive_shows_the_car_and_not_its_head():
+    ahead = annotated_pair(VIEWS, NONE, ["a"], PATH, POSE)
+    for pan in (-1.2, 0.9):
+        aside = annotated_pair(VIEWS, NONE, ["a"], PATH, turned(pan), pan=pan)
+        np.testing.assert_array_equal(ahead, aside)
