@@ -18,7 +18,7 @@ _REMEDY = (
     "use render_mode='rgb_array' with gymnasium.wrappers.RecordVideo, run under xvfb-run, "
     "or set SDL_VIDEODRIVER=dummy to draw into nothing"
 )
-_NO_PYGAME = "render_mode='human' needs pygame: pip install 'stereo-slam-env[viewer]'"
+_NO_PYGAME = "render_mode='human' needs pygame: pip install 'stereo-slam-env[video]'"
 
 
 def window_for(render_mode: str | None, fps: float) -> Window | None:

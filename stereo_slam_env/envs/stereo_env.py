@@ -221,7 +221,10 @@ class StereoEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
             f"{speed:.1f} m/s",
             f"{len(seen)} landmarks",
         ]
-        return annotated_pair(pair, seen, caption, self._route.positions, self._pose)
+        if self.head is None:
+            return annotated_pair(pair, seen, caption, self._route.positions, self._pose)
+        pan = float(self._angles[0])
+        return annotated_pair(pair, seen, caption, self._route.positions, self._pose, camera=self.camera, pan=pan)
 
     def close(self) -> None:
         """Stop the physics engine; may be called at any time, also twice."""
