@@ -27,7 +27,7 @@ def run(recording, keep_all=True):
 
 def test_it_claims_what_a_filter_with_hardly_any_noise_claims():
     """Then the filter, too, is linearised at the truth."""
-    recording = small_recording(sigma=1e-3, frames=10)
+    recording = small_recording(sigma=1e-4, frames=10)
     slam = make_filter(
         "euclidean", camera=recording.camera, noise=recording.noise, motion=MOTION, gate=None, drop_unseen=False
     )

@@ -11,7 +11,7 @@ from stereo_slam_env.sensing.padding import padded
 
 from ..benchmark.small_recordings import small_recording
 
-ROWS = 40
+ROWS = 45
 
 
 class ReplayEnv(gym.Env):

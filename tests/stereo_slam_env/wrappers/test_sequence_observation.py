@@ -26,7 +26,7 @@ def test_rows_are_those_of_the_mask_and_the_rest_stays():
 def test_the_spaces_are_sequences_of_bounded_rows():
     space = SequenceObservation(ReplayEnv()).observation_space
     assert isinstance(space["uvd"], spaces.Sequence)
-    assert space["uvd"].feature_space == spaces.Box(np.full(3, -100.0), np.full(3, 2000.0), dtype=np.float32)
+    assert space["uvd"].feature_space == spaces.Box(-100.0, 2000.0, (3,), np.float32)
     assert space["uvd"].stack
     assert "mask" not in space.spaces
 
