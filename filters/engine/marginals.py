@@ -9,8 +9,6 @@ from filters.engine.joint_state import JointState
 from filters.motion import POSE_SIZE
 from filters.validation import FloatArray, IntArray
 
-_POSE = np.arange(POSE_SIZE)
-
 
 def joint_covariance(state: JointState, index: IntArray) -> FloatArray:
     """J P J^T of the pose error and the positions (W) of the landmarks at `index`; (6 + 3 M, 6 + 3 M).
@@ -20,11 +18,15 @@ def joint_covariance(state: JointState, index: IntArray) -> FloatArray:
     """
     by_map = state.model.points(state.anchors(index), state.parameters(index)).by_map
     rows = state.map_rows(index)
-    needed, place = np.unique(rows, return_inverse=True)
-    P = symmetric.full(symmetric.keep(state.P, np.concatenate([_POSE, needed])))
-    place = POSE_SIZE + place.reshape(rows.shape)
+    needed = np.zeros(len(state.P), dtype=bool)
+    needed[:POSE_SIZE] = needed[rows] = True
+    place = (np.cumsum(needed) - 1)[rows]
+    P = symmetric.full(symmetric.keep(state.P, np.flatnonzero(needed)))
+    count = len(index)
+    half, joint = np.empty((POSE_SIZE + 3 * count, len(P))), np.empty((POSE_SIZE + 3 * count,) * 2)
+    half[:POSE_SIZE] = P[:POSE_SIZE]
     with np.errstate(invalid="ignore", over="ignore"):
-        half = np.vstack([P[:POSE_SIZE], (by_map @ P[place]).reshape(-1, len(P))])
-        by_landmark = half[:, place].transpose(1, 0, 2) @ by_map.transpose(0, 2, 1)
-    joint = np.hstack([half[:, :POSE_SIZE], by_landmark.transpose(1, 0, 2).reshape(len(half), -1)])
+        half[POSE_SIZE:] = (by_map @ P[place]).reshape(-1, len(P))
+        joint[:POSE_SIZE] = half[:, :POSE_SIZE].T
+        joint[POSE_SIZE:] = (by_map @ half.T[place]).reshape(-1, len(half))
     return symmetric.full(joint)

@@ -1,0 +1,119 @@
+"""Where around the car the map is (2 s)."""
+
+import numpy as np
+import pytest
+
+from filters import rotations
+from stereo_slam_env.wrappers import BeliefObservation, BeliefPanorama
+from stereo_slam_env.wrappers.belief import Belief
+from stereo_slam_env.wrappers.belief_panorama import panorama
+
+from ..benchmark.small_recordings import CAMERA
+from .replayed import ROWS, ReplayEnv, episode
+
+SECTORS = 24
+
+
+def looking(head=None, sectors=SECTORS, **belief):
+    """The wrapped environment after a few frames, and its last observation."""
+    env = BeliefPanorama(BeliefObservation(ReplayEnv(head=head), **belief), sectors)
+    return env, episode(env, steps=6)[0][-1]
+
+
+def one_by_one(belief, pan, tilt, sectors):
+    """The same, a landmark at a time."""
+    R_bc = rotations.exp([0.0, pan, 0.0]) @ rotations.exp([tilt, 0.0, 0.0])
+    seen, inside = np.zeros((sectors, 4)), [[] for _ in range(sectors)]
+    for k, p_c in enumerate(belief.points_c):
+        x, y, z = R_bc @ p_c
+        place = int((np.arctan2(x, z) + np.pi) / (2 * np.pi) * sectors) % sectors
+        trace = np.trace(belief.relative_covariances[k])
+        inside[place].append((1 / trace, np.arctan2(-y, np.hypot(x, z)), np.linalg.norm(p_c)))
+    for row, found in zip(seen, inside, strict=True):
+        if found:
+            information, elevations, distances = map(np.array, zip(*found, strict=True))
+            row[:] = (
+                len(found) / ROWS,
+                0.1 * np.log(1 + information.sum()),
+                elevations.mean() / (np.pi / 2),
+                1 / (1 + distances.min() / 10),
+            )
+    return seen
+
+
+@pytest.mark.parametrize(("pan", "tilt"), [(0.0, 0.0), (0.7, 0.0), (-2.9, 0.3), (3.0, -0.2)])
+@pytest.mark.parametrize("sectors", [3, 24])
+def test_it_is_what_a_loop_over_landmarks_finds(pan, tilt, sectors):
+    env, seen = looking(head=(pan, tilt), sectors=sectors)
+    head = seen.get("head")
+    wanted = one_by_one(env.get_wrapper_attr("belief"), float(head[0]), float(head[1]), sectors)
+    assert np.count_nonzero(wanted[:, 0]) > (1 if sectors == 24 else 0)
+    np.testing.assert_allclose(seen["panorama"][:, :4], wanted, rtol=1e-5, atol=1e-6)
+
+
+def test_without_a_head_the_camera_looks_straight_ahead():
+    _, seen = looking()
+    _, same = looking(head=(0.0, 0.0))
+    np.testing.assert_array_equal(seen["panorama"], same["panorama"])
+    occupied = np.flatnonzero(seen["panorama"][:, 0])
+    assert (np.abs(occupied + 0.5 - SECTORS / 2) < SECTORS / 4).all()  # all is ahead, in the middle rows
+
+
+def test_panning_to_the_right_moves_what_is_seen_to_higher_sectors():
+    """By a whole number of sectors, so that nothing else changes."""
+    step = 3
+    _, ahead = looking(head=(0.0, 0.0))
+    _, right = looking(head=(step * 2 * np.pi / SECTORS + 1e-6, 0.0))
+    np.testing.assert_allclose(np.roll(ahead["panorama"], step, axis=0), right["panorama"], atol=1e-4)
+
+
+def test_what_is_in_view_is_the_horizontal_field_of_view():
+    env, seen = looking()
+    in_view = seen["panorama"][:, 4]
+    width = 2 * np.pi / SECTORS
+    angle = np.arctan((CAMERA.width - 1 - CAMERA.cx) / CAMERA.fx) + np.arctan(CAMERA.cx / CAMERA.fx)
+    assert in_view.sum() * width == pytest.approx(angle, rel=1e-5)
+    assert in_view[SECTORS // 2] == in_view[SECTORS // 2 - 1] == 1.0
+    assert not in_view[[0, -1]].any()
+    everything = panorama(env.get_wrapper_attr("belief"), CAMERA, np.pi, 0.0, SECTORS, ROWS)
+    assert everything[0, 4] == everything[-1, 4] == 1.0
+    coarse = panorama(env.get_wrapper_attr("belief"), CAMERA, 0.0, 0.0, 3, ROWS)
+    assert coarse[1, 4] == pytest.approx(angle / (2 * np.pi / 3))
+
+
+def test_a_landmark_to_the_right_and_up_is_in_a_high_sector_with_a_high_elevation():
+    env, _ = looking()
+    belief = env.get_wrapper_attr("belief")
+    one = Belief(
+        belief.slam, belief.report, belief.pose, belief.ids[:1], belief.points_w[:1], np.array([[5.0, -5.0, 0.1]]), 1
+    )
+    seen = panorama(one, CAMERA, 0.0, 0.0, SECTORS, ROWS)
+    assert np.flatnonzero(seen[:, 0]).tolist() == [SECTORS * 3 // 4 - 1]
+    assert seen[SECTORS * 3 // 4 - 1, 2] == pytest.approx(0.5, abs=1e-3)
+
+
+def test_knowing_more_is_more_information():
+    _, rough = looking(noise=2.0)
+    _, fine = looking(noise=1.0)
+    assert fine["panorama"][:, 1].sum() > rough["panorama"][:, 1].sum()
+
+
+def test_the_sigmas_are_those_of_the_pose():
+    env, seen = looking()
+    wanted = np.sqrt(np.diag(env.get_wrapper_attr("slam").pose.covariance))
+    np.testing.assert_allclose(seen["belief_sigmas"], wanted, rtol=1e-6)
+
+
+def test_every_observation_is_in_the_space_also_without_a_map():
+    for name in ("shared-anchor", "dead-reckoning"):
+        env = BeliefPanorama(BeliefObservation(ReplayEnv(), name))
+        for seen in episode(env)[0]:
+            assert env.observation_space.contains(seen)
+    assert not seen["panorama"][:, :4].any()
+
+
+def test_arguments_are_checked_when_it_is_made():
+    with pytest.raises(ValueError, match="sectors must be an integer >= 3, got 2"):
+        BeliefPanorama(BeliefObservation(ReplayEnv()), 2)
+    with pytest.raises(ValueError, match="BeliefPanorama needs 'slam': wrap BeliefObservation with it"):
+        BeliefPanorama(ReplayEnv())
