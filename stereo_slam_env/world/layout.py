@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -45,7 +45,7 @@ class Layout:
         """Build if the footprint is `clearance` m off every centreline and free; return whether it was."""
         wanted = Footprint(xy, yaw, size)
         cover = wanted.grid()
-        if self._network.distance(cover).min() < clearance:
+        if not self._network.clear(cover, clearance):
             return False
         for other in self._nearby(wanted, room):
             if other.contains(cover, room) or wanted.contains(other.xy[None], room):
@@ -88,12 +88,20 @@ class Footprint:
 
     def grid(self) -> FloatArray:
         """Points that cover the rectangle, about 1.5 m apart; (N, 2)."""
-        steps = [s * np.linspace(-0.5, 0.5, max(3, int(s / 1.5))) for s in self.size]
-        local = np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1).reshape(-1, 2)
-        covering: FloatArray = local @ self._axes + self.xy
+        covering: FloatArray = _grid(self.size) @ self._axes + self.xy
         return covering
 
     def contains(self, points: FloatArray, room: float) -> bool:
         """Whether any point lies in the rectangle grown by `room` m."""
-        local = (points - self.xy) @ self._axes.T
-        return bool((np.abs(local) < 0.5 * np.array(self.size) + room).all(axis=1).any())
+        x, y = self._axes @ (points - self.xy).T
+        length, width = self.size
+        return bool(((np.abs(x) < 0.5 * length + room) & (np.abs(y) < 0.5 * width + room)).any())
+
+
+@lru_cache(64)
+def _grid(size: tuple[float, float]) -> FloatArray:
+    """Points about 1.5 m apart that cover a rectangle around the origin; (N, 2), read-only."""
+    x, y = (s * np.linspace(-0.5, 0.5, max(3, int(s / 1.5))) for s in size)
+    grid = np.stack([np.repeat(x, len(y)), np.tile(y, len(x))], axis=1)
+    grid.flags.writeable = False
+    return grid

@@ -61,16 +61,17 @@ class Placed:
     """
 
     def __init__(self, xy: FloatArray, yaw: float) -> None:
-        self.xy, self.yaw = xy, yaw
+        self._yaw = float(yaw)
+        self._x, self._y = map(float, xy)
+        self._cos, self._sin = float(np.cos(yaw)), float(np.sin(yaw))
 
     def point(self, x: float, y: float, z: float) -> Vector:
         """A local point in S."""
-        cos, sin = np.cos(self.yaw), np.sin(self.yaw)
-        return float(self.xy[0] + cos * x - sin * y), float(self.xy[1] + sin * x + cos * y), z
+        return self._x + self._cos * x - self._sin * y, self._y + self._sin * x + self._cos * y, z
 
     def box(self, at: Vector, size: Vector, material: Material, *, solid: bool = True) -> Box:
         """A box aligned with the place; `at` is the centre of its bottom face."""
-        return Box(self.point(at[0], at[1], at[2] + 0.5 * size[2]), size, float(self.yaw), material, solid)
+        return Box(self.point(at[0], at[1], at[2] + 0.5 * size[2]), size, self._yaw, material, solid)
 
     def rod(self, start: Vector, end: Vector, radius: float, material: Material, *, solid: bool = True) -> Cylinder:
         """A cylinder from `start` to `end`."""

@@ -69,6 +69,10 @@ class Road:
         return unit
 
     @cached_property
+    def _lefts(self) -> FloatArray:
+        return left_of(self.tangents)
+
+    @cached_property
     def yaws(self) -> FloatArray:
         """Directions of travel at the points, rad, without jumps; (K,)."""
         return np.unwrap(np.arctan2(self.tangents[:, 1], self.tangents[:, 0]))
@@ -80,10 +84,9 @@ class Road:
 
     def place(self, station: float, left: float) -> tuple[FloatArray, float]:
         """The point `station` m along the road and `left` m to its left, and the yaw of the road there."""
-        index = int(np.clip(round(station / _SPACING), 0, len(self.points) - 1))
+        index = min(max(round(station / _SPACING), 0), len(self.points) - 1)
         tangent = self.tangents[index]
-        point = self.points[index] + left * left_of(tangent)
-        return point, float(np.arctan2(tangent[1], tangent[0]))
+        return self.points[index] + left * self._lefts[index], float(np.arctan2(tangent[1], tangent[0]))
 
     def along(self, stations: FloatArray, left: FloatArray | float) -> tuple[FloatArray, FloatArray]:
         """Points (N, 2) `left` m to the left of the centreline and yaws (N,) at `stations` (N,), in between too."""
@@ -97,7 +100,7 @@ class Road:
         bend = self.bends[index]
         most = np.where(bend * left > 0.0, 1.0 / np.maximum(np.abs(bend), 1e-6) + _FOLD, np.inf)
         offset = np.copysign(np.minimum(abs(left), most), left)
-        edge: FloatArray = self.points[index] + offset[:, None] * left_of(self.tangents[index])
+        edge: FloatArray = self.points[index] + offset[:, None] * self._lefts[index]
         return edge
 
     def stretches(self, others: Sequence[Road] = ()) -> list[slice]:
@@ -185,6 +188,11 @@ class RoadNetwork:
     def distance(self, xy: FloatArray) -> FloatArray:
         """From each point to the nearest centreline, m; (..., 2) -> (...)."""
         return np.asarray(self._tree.query(xy)[0])
+
+    def clear(self, xy: FloatArray, distance: float) -> bool:
+        """Whether no centreline is less than `distance` m from any of the points (N, 2)."""
+        near, _ = self._tree.query(xy, distance_upper_bound=distance)  # infinite where none is
+        return not (near < distance).any()
 
     def nearest(self, xy: FloatArray) -> FloatArray:
         """The nearest point on a centreline; (..., 2) -> (..., 2)."""

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from filters.rotations import skew
 from filters.validation import FloatArray
 from stereo_slam_env.world.scene import Box, Cylinder, Primitive, Vector
 
@@ -58,26 +59,24 @@ def sampling_weight(shape: Primitive) -> float:
 
 
 def _sample_box(shape: Box, count: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
-    size = np.array(shape.size)
-    normal_axis = rng.choice(2, size=count, p=np.array([size[1], size[0]]) / (size[0] + size[1]))
-    sign = rng.choice([-1.0, 1.0], size=count)
+    length, width, _ = shape.size
+    normal_axis = (rng.random(count) >= width / (length + width)).astype(int)
+    sign = 2.0 * rng.integers(2, size=count) - 1.0
     local = rng.uniform(-0.5, 0.5, (count, 3))
-    normals = np.zeros((count, 3))
-    row = np.arange(count)
-    local[row, normal_axis] = 0.5 * sign
-    normals[row, normal_axis] = sign
+    local[np.arange(count), normal_axis] = 0.5 * sign
     cos, sin = np.cos(shape.yaw), np.sin(shape.yaw)
-    R = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
-    return local * size @ R.T + shape.center, normals @ R.T
+    axes = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    return local * shape.size @ axes + shape.center, sign[:, None] * axes[normal_axis]
 
 
 def _sample_cylinder(shape: Cylinder, count: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
     start, axis = np.array(shape.start), np.array(shape.end) - np.array(shape.start)
     unit = axis / np.linalg.norm(axis)
-    side = np.cross(unit, [0.0, 0.0, 1.0] if abs(unit[2]) < 0.9 else [1.0, 0.0, 0.0])
+    across = skew(unit)
+    side = across @ ([0.0, 0.0, 1.0] if abs(unit[2]) < 0.9 else [1.0, 0.0, 0.0])
     side /= np.linalg.norm(side)
     angle = rng.uniform(0.0, 2 * np.pi, count)[:, None]
-    normals = np.cos(angle) * side + np.sin(angle) * np.cross(unit, side)
+    normals = np.cos(angle) * side + np.sin(angle) * (across @ side)
     return start + rng.random((count, 1)) * axis + shape.radius * normals, normals
 
 
