@@ -362,6 +362,25 @@ class StereoFilter(ABC):
         joint[rows[:, :, None], rows[:, None, :]] = landmarks.covariances[index]
         return joint
 
+    def pose_landmark_covariances(self, ids: Sequence[int] | IntArray | None = None) -> FloatArray:
+        """The parts of `joint_covariance` that belong to the pose and to one landmark each: cheap for many landmarks.
+
+        Parameters
+        ----------
+        ids : (N,) sequence of int, optional
+            As of `joint_covariance`.
+
+        Returns
+        -------
+        (N, 9, 9) ndarray
+            Of the pose error and the position of the landmark.
+        """
+        joint = self.joint_covariance(ids)
+        pose, landmarks = np.arange(6), np.arange(6, len(joint)).reshape(-1, 3)
+        rows = np.concatenate([np.broadcast_to(pose, (len(landmarks), 6)), landmarks], axis=1)
+        parts: FloatArray = joint[rows[:, :, None], rows[:, None, :]]
+        return parts
+
     @abstractmethod
     def pose_error(self, position: ArrayLike, orientation: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Error of the pose against a true one, in the filter's own error definition, for NEES.

@@ -20,7 +20,7 @@ from filters.engine.heavy_tails import reweighted
 from filters.engine.joint_state import JointState, world_rotation_of_camera
 from filters.engine.linearisation import in_front, linearise, project
 from filters.engine.map_policy import MapPolicy
-from filters.engine.marginals import joint_covariance
+from filters.engine.marginals import joint_covariance, pose_landmark_covariances
 from filters.engine.options import checked_parts
 from filters.interface import (
     BodyVelocity,
@@ -190,6 +190,10 @@ class StereoEKF(StereoFilter):
     def joint_covariance(self, ids: Sequence[int] | IntArray | None = None) -> FloatArray:
         """Covariance of the pose error and landmark positions, correlations included; see the base class."""
         return joint_covariance(self._state, self._wanted(ids)[1])
+
+    def pose_landmark_covariances(self, ids: Sequence[int] | IntArray | None = None) -> FloatArray:
+        """Covariances of pose and one landmark each; see the base class."""
+        return pose_landmark_covariances(self._state, self._wanted(ids)[1])
 
     def forget(self, ids: Sequence[int] | IntArray) -> None:
         """Marginalise landmarks out; ids not in the map are ignored."""

@@ -30,3 +30,17 @@ def joint_covariance(state: JointState, index: IntArray) -> FloatArray:
         joint[:POSE_SIZE] = half[:, :POSE_SIZE].T
         joint[POSE_SIZE:] = (by_map @ half.T[place]).reshape(-1, len(half))
     return symmetric.full(joint)
+
+
+def pose_landmark_covariances(state: JointState, index: IntArray) -> FloatArray:
+    """The parts of `joint_covariance` that belong to the pose and to one landmark each; (M, 9, 9)."""
+    by_map = state.model.points(state.anchors(index), state.parameters(index)).by_map
+    rows = state.map_rows(index)
+    pose = np.broadcast_to(np.arange(POSE_SIZE), (len(index), POSE_SIZE))
+    P = symmetric.blocks(state.P, np.concatenate([pose, rows], axis=1))
+    J = np.zeros((len(index), POSE_SIZE + 3, POSE_SIZE + rows.shape[1]))
+    J[:, :POSE_SIZE, :POSE_SIZE] = np.eye(POSE_SIZE)
+    J[:, POSE_SIZE:, POSE_SIZE:] = by_map
+    with np.errstate(invalid="ignore", over="ignore"):
+        parts: FloatArray = J @ P @ J.transpose(0, 2, 1)
+    return parts

@@ -77,29 +77,15 @@ class Belief:
 
     @cached_property
     def relative_covariances(self) -> FloatArray:
-        """Of `points_c`, (N, 3, 3) m^2."""
-        return self.relative_covariances_of(np.arange(len(self)))
-
-    def relative_covariances_of(self, index: IntArray) -> FloatArray:
-        """Covariances (M, 3, 3), m^2, of the positions in the camera frame of the landmarks at `index` (M,).
+        """Covariances of `points_c`, (N, 3, 3) m^2.
 
         p_c = R_wc^T (p_w - r), so the errors of pose and landmark, and what they have in common, all count.
         """
-        few = len(index) < len(self)
-        joint = self.slam.joint_covariance(self.ids[index]) if few else self.joint_covariance
-        index_of_rows = np.arange(len(index)) if few else index
-        rows = np.concatenate(
-            [
-                np.broadcast_to(np.arange(POSE_SIZE), (len(index), POSE_SIZE)),
-                POSE_SIZE + 3 * index_of_rows[:, None] + np.arange(3),
-            ],
-            axis=1,
-        )
         R_cw = rotations.matrix(self.pose.orientation).T
-        J = np.empty((len(index), 3, POSE_SIZE + 3))
+        J = np.empty((len(self), 3, POSE_SIZE + 3))
         J[:, :, POSITION], J[:, :, POSE_SIZE:] = -R_cw, R_cw
-        J[:, :, ROTATION] = rotations.skew(self.points_c[index])
-        relative: FloatArray = J @ joint[rows[:, :, None], rows[:, None, :]] @ J.transpose(0, 2, 1)
+        J[:, :, ROTATION] = rotations.skew(self.points_c)
+        relative: FloatArray = J @ self.slam.pose_landmark_covariances(self.ids) @ J.transpose(0, 2, 1)
         return relative
 
     def nees(self, truth: Pose) -> FloatArray:

@@ -147,8 +147,7 @@ class BeliefObservation(RecordedWrapper):
         landmarks, covariances = np.zeros((rows, 3)), np.zeros((rows, 3, 3))
         ids, mask = np.full(rows, NO_LANDMARK, dtype=np.int64), np.zeros(rows, dtype=np.int8)
         ids[:count], mask[:count], landmarks[:count] = belief.ids[shown], 1, belief.points_c[shown]
-        whole = count == len(belief)
-        covariances[:count] = belief.relative_covariances if whole else belief.relative_covariances_of(shown)
+        covariances[:count] = belief.relative_covariances[shown]
         values = {
             "belief_position": belief.pose.position,
             "belief_orientation": belief.pose.orientation,

@@ -53,6 +53,18 @@ def test_it_is_the_covariance_that_a_numeric_jacobian_of_everything_gives(option
     np.testing.assert_allclose(*scaled(slam.joint_covariance(), wanted), rtol=0, atol=1e-6)
 
 
+@pytest.mark.parametrize("options", KINDS, ids=str)
+def test_its_parts_can_be_had_alone(options: dict) -> None:
+    """What an EKF takes out of P landmark by landmark is what is cut out of the whole."""
+    slam = driven(**options)
+    ids = slam.landmarks.ids[[4, 0, 2]]
+    expected = StereoFilter.pose_landmark_covariances(slam, ids)
+    assert expected.shape == (3, 9, 9)
+    joint = slam.joint_covariance(ids)
+    np.testing.assert_array_equal(expected[1, :6, 6:], joint[:6, 9:12])
+    np.testing.assert_allclose(slam.pose_landmark_covariances(ids), expected, rtol=1e-9, atol=1e-12)
+
+
 @pytest.mark.parametrize("name", ["shared-anchor", "submaps"])
 def test_landmarks_come_in_the_order_they_are_asked_for(name: str) -> None:
     slam = finish(make_filter(name, camera=CAMERA, noise=INDEPENDENT_PIXELS), drive(3, 8, visible=8))
