@@ -50,6 +50,10 @@ class InformationCriterion:
         Of pose and map together, or of the pose alone (its marginal).
     prior_sigma : float
         Standard deviation of each coordinate of an unseen landmark, m, and the lever of the rotation.
+    resolution : (2,) sequence of float
+        Standard deviations of an error of position, m, and rotation, rad, that is added to the pose: to know it better
+        than that is worth next to nothing. With 0 the logarithmic potentials of a pose that is known exactly, as at
+        the start, are -infinity in principle, and the first steps lose more than all others.
 
     Raises
     ------
@@ -60,12 +64,17 @@ class InformationCriterion:
     name: str = "log-det"
     of: str = "map"
     prior_sigma: float = 10.0
+    resolution: tuple[float, ...] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         for name, value, known in (("criterion", self.name, CRITERIA), ("of", self.of, SUBJECTS)):
             if value not in known:
                 raise ValueError(f"{name} must be one of {', '.join(map(repr, known))}, got {value!r}")
         positive("prior_sigma", self.prior_sigma)
+        if len(self.resolution) != 2:
+            raise ValueError(f"resolution must be two numbers, of position and rotation, got {self.resolution!r}")
+        for value in self.resolution:
+            positive("resolution", value, allow_zero=True)
 
     def potential(self, joint: FloatArray) -> float:
         """What is left unknown; nats, or m^2.
@@ -81,6 +90,10 @@ class InformationCriterion:
             The covariance is not positive definite, so the filter has broken down.
         """
         P = joint[:POSE_SIZE, :POSE_SIZE] if self.of == "pose" else without_the_unknown(joint, self.prior_sigma)
+        if any(self.resolution):
+            P = P.copy()
+            pose = np.arange(POSE_SIZE)
+            P[pose, pose] += np.repeat(self.resolution, 3) ** 2
         if self.name == "log-det":
             return log_det_potential(P, self.prior_sigma)
         if self.name == "entropy":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import gymnasium as gym
@@ -54,6 +55,8 @@ class InformationGain(RecordedWrapper):
         Of pose and map together, or of the pose alone.
     prior_sigma : float
         Standard deviation of the position of an unseen landmark, m, each axis.
+    resolution : (2,) sequence of float
+        To know position, m, and rotation, rad, better than this is worth next to nothing, see `InformationCriterion`.
     belief : {"filter", "reference"}
         Whose.
     nees_gate : float, optional
@@ -82,6 +85,7 @@ class InformationGain(RecordedWrapper):
         criterion: str = "log-det",
         of: str = "map",
         prior_sigma: float = 10.0,
+        resolution: Sequence[float] = (0.0, 0.0),
         belief: str = "filter",
         nees_gate: float | None = None,
         weight: float = 1.0,
@@ -95,6 +99,7 @@ class InformationGain(RecordedWrapper):
             criterion=criterion,
             of=of,
             prior_sigma=prior_sigma,
+            resolution=tuple(resolution),
             belief=belief,
             nees_gate=nees_gate,
             weight=weight,
@@ -111,7 +116,7 @@ class InformationGain(RecordedWrapper):
             raise ValueError(f"weight must be a finite number, got {weight!r}")
         if max_age is not None and (type(max_age) is not int or max_age < 0):
             raise ValueError(f"max_age must be an integer >= 0, or None for never, got {max_age!r}")
-        self._criterion = InformationCriterion(criterion, of, prior_sigma)
+        self._criterion = InformationCriterion(criterion, of, prior_sigma, tuple(resolution))
         self._limit = np.inf if nees_gate is None else mean_band(6, 1, nees_gate)[1]
         self._belief, self._weight, self._keep_reward = belief, float(weight), keep_reward
         self._both, self._max_age, self._use_odometry = report_both, max_age, use_odometry

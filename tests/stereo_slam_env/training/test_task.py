@@ -1,0 +1,45 @@
+"""What an agent is trained on."""
+
+import json
+
+import numpy as np
+import pytest
+
+from stereo_slam_env.training.task import POLICY_KEYS, GazeTask
+
+QUICK = {"route": "right-turn"}
+
+
+def test_a_task_is_json_able_and_read_back():
+    task = GazeTask(arguments=QUICK, hold=2, filter="right-invariant")
+    assert GazeTask.from_dict(json.loads(json.dumps(task.as_dict()))) == task
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"hold": 0}, "hold must be an integer >= 1, got 0"),
+        ({"resolution": (0.01, -1.0)}, "resolution must be a finite number > 0, got -1.0"),
+        ({"filters": "x"}, "task has no key 'filters', did you mean 'filter'?"),
+    ],
+)
+def test_a_wrong_value_gets_one_clear_line(wrong, message):
+    with pytest.raises(ValueError, match=message.replace("?", r"\?")):
+        GazeTask.from_dict(wrong)
+
+
+def test_a_decision_holds_and_its_rewards_add_up_to_what_was_learnt():
+    task = GazeTask(arguments=QUICK, hold=4)
+    env = task.make_for_learning()
+    try:
+        observation, info = env.reset(seed=0)
+        assert tuple(observation) == POLICY_KEYS
+        first, total, steps, over = info["information_potential"], 0.0, 0, False
+        while not over:
+            observation, reward, over, _, info = env.step(np.array([0.3, 0.0], dtype=np.float32))
+            total, steps = total + reward, steps + 1
+        assert observation in env.observation_space
+        assert steps == 20  # 79 steps of the route
+        assert total == pytest.approx(first - info["information_potential"], abs=1e-9)
+    finally:
+        env.close()
