@@ -73,8 +73,8 @@ class InformationCriterion:
         positive("prior_sigma", self.prior_sigma)
         if len(self.resolution) != 2:
             raise ValueError(f"resolution must be two numbers, of position and rotation, got {self.resolution!r}")
-        for value in self.resolution:
-            positive("resolution", value, allow_zero=True)
+        for sigma in self.resolution:
+            positive("resolution", sigma, allow_zero=True)
 
     def potential(self, joint: FloatArray) -> float:
         """What is left unknown; nats, or m^2.
