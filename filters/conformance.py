@@ -264,6 +264,23 @@ def check_covariances(make: Make) -> None:
         _assert_covariance("forecast S", forecast.S, definite=True)
 
 
+def check_joint_covariance(make: Make) -> None:
+    """The joint covariance is definite, and has those of pose and landmarks on its diagonal."""
+    stereo_filter, _ = _driven(make)
+    landmarks = stereo_filter.landmarks
+    located = np.isfinite(landmarks.covariances).all(axis=(1, 2))
+    joint = stereo_filter.joint_covariance(landmarks.ids[located])
+    size = 6 + 3 * int(located.sum())
+    assert joint.shape == (size, size), f"joint covariance is {joint.shape}, not {(size, size)}"
+    _assert_covariance("joint covariance", joint, definite=True)
+    told = [joint[:6, :6], *(joint[first : first + 3, first : first + 3] for first in range(6, size, 3))]
+    wanted = [stereo_filter.pose.covariance, *landmarks.covariances[located]]
+    for place, (block, marginal) in enumerate(zip(told, wanted, strict=True)):
+        off = np.abs(block - marginal).max() / np.abs(marginal).max()
+        of = f"landmark {landmarks.ids[located][place - 1]}" if place else "the pose"
+        assert off < 1e-9, f"the joint covariance of {of} differs from its own by {off:.3g} of it"
+
+
 def check_prediction_loses_certainty(make: Make) -> None:
     """Predicting makes the pose less certain, and moves it by velocity times dt."""
     stereo_filter = _started(make)
@@ -464,6 +481,7 @@ CHECKS: tuple[Callable[[Make], None], ...] = (
     check_reset,
     check_shapes,
     check_covariances,
+    check_joint_covariance,
     check_prediction_loses_certainty,
     check_accuracy,
     check_confidence,

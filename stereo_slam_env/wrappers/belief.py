@@ -94,8 +94,8 @@ class Belief:
         Infinite where the covariance is not positive definite.
         """
         error, covariance = self.slam.pose_error(truth.position, truth.orientation)
-        parts = (POSITION, ROTATION, slice(0, POSE_SIZE))
-        values = [float(nees(error[None, part], covariance[None, part, part])[0]) for part in parts]
+        blocks = np.stack([covariance[POSITION, POSITION], covariance[ROTATION, ROTATION]])
+        values = np.append(nees(error.reshape(2, 3), blocks), nees(error[None], covariance[None]))
         return np.where(np.isnan(values), np.inf, values)
 
     def nearest(self, count: int) -> IntArray:

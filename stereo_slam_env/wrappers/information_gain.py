@@ -26,7 +26,7 @@ class InformationGain(RecordedWrapper):
     the prior: what was known of it is lost, and costs what it had earned. (The named filters drop landmarks as soon as
     they are out of sight; `BeliefObservation(env, options={"drop_unseen": False})` keeps them.)
 
-    Driving costs information: the first step most, because the start is known as if exactly.
+    Driving costs information: the first step most (some 90 nats of the pose), because the start is known as if exactly.
 
     **Over-confidence.** A covariance is the filter's opinion, and a filter that is too sure of itself earns more. Two
     guards:

@@ -118,6 +118,11 @@ class _HandsOutItsState(InverseDepthStereoEKF):
         return pose
 
 
+class _MixesUpItsLandmarks(InverseDepthStereoEKF):
+    def joint_covariance(self, ids: Any = None) -> Any:
+        return super().joint_covariance(np.roll(self.landmarks.ids, 1))
+
+
 @pytest.mark.parametrize(
     ("broken", "complaint"),
     [
@@ -126,6 +131,7 @@ class _HandsOutItsState(InverseDepthStereoEKF):
         (_DependsOnTheOrder, "beliefs differ"),
         (_Overconfident, "mean pose NEES is"),
         (_Asymmetric, "forecast S is asymmetric"),
+        (_MixesUpItsLandmarks, "the joint covariance of landmark 0 differs"),
         (_Random, "two filters differ"),
         (_HandsOutItsState, "the filter's state changed"),
     ],
