@@ -21,6 +21,7 @@ _OWN: dict[str, str] = {
     "fixed": "stereo_slam_env.policies.open_loop:FixedGaze",
     "random": "stereo_slam_env.policies.open_loop:RandomGaze",
     "sweep": "stereo_slam_env.policies.open_loop:Sweep",
+    "ppo": "stereo_slam_env.policies.network:NetworkPolicy",
 }
 
 

@@ -1,0 +1,131 @@
+"""A trained policy: a small network, kept as plain arrays, that needs nothing but NumPy to decide."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+
+from filters.validation import FloatArray
+from stereo_slam_env.atomic_files import write_atomically
+from stereo_slam_env.policies.interface import Action, require_head
+
+CHECKPOINT = Path(__file__).with_name("checkpoints") / "gaze-ppo.npz"
+"""The network that comes with the package, made by `stereo-slam train`."""
+_FORMAT = 1
+
+
+@dataclass(frozen=True, eq=False)
+class Network:
+    """A multi-layer perceptron with tanh between its layers.
+
+    Attributes
+    ----------
+    keys : tuple of str
+        Entries of the observation it sees, flattened and joined in this order; N numbers.
+    mean, scale : (N,)
+        They are shifted and scaled, (x - mean) / scale, ...
+    clip : float
+        ... and clipped to so much on either side.
+    weights, biases : tuple of ndarray
+        (outputs, inputs) and (outputs,) of each layer.
+    about : mapping
+        How it was made; JSON-able. `about["task"]["hold"]` is for how many steps a decision holds.
+    """
+
+    keys: tuple[str, ...]
+    mean: FloatArray
+    scale: FloatArray
+    clip: float
+    weights: tuple[FloatArray, ...]
+    biases: tuple[FloatArray, ...]
+    about: Mapping[str, Any] = field(default_factory=dict)
+
+    def action(self, observation: Mapping[str, Any]) -> Action:
+        """The mean action, clipped to -1..1."""
+        x = np.concatenate([np.asarray(observation[key], dtype=np.float64).ravel() for key in self.keys])
+        x = ((x - self.mean) / self.scale).clip(-self.clip, self.clip)
+        last = len(self.weights) - 1
+        for number, (W, b) in enumerate(zip(self.weights, self.biases, strict=True)):
+            x = W @ x + b
+            if number < last:
+                x = np.tanh(x)
+        return x.clip(-1.0, 1.0).astype(np.float32)
+
+    def save(self, path: Path) -> None:
+        """Write it as arrays (.npz)."""
+        arrays: dict[str, Any] = {f"weights_{k}": W.astype(np.float32) for k, W in enumerate(self.weights)}
+        arrays |= {f"biases_{k}": b.astype(np.float32) for k, b in enumerate(self.biases)}
+        about = {"format": _FORMAT, "keys": list(self.keys), "clip": self.clip, "about": dict(self.about)}
+        arrays |= {"json": np.array(json.dumps(about)), "mean": self.mean, "scale": self.scale}
+        write_atomically(path, lambda stream: np.savez_compressed(stream, **arrays))
+
+    @classmethod
+    def load(cls, path: Path) -> Network:
+        """Read what `save` wrote; nothing in the file is executed.
+
+        Raises
+        ------
+        ValueError
+            There is no such file, or it is not a network.
+        """
+        try:
+            with np.load(path, allow_pickle=False) as arrays:
+                about = json.loads(str(arrays["json"]))
+                if about["format"] != _FORMAT:
+                    raise ValueError(f"format {about['format']!r}")
+                count = sum(name.startswith("weights_") for name in arrays.files)
+                return cls(
+                    tuple(about["keys"]),
+                    arrays["mean"],
+                    arrays["scale"],
+                    float(about["clip"]),
+                    tuple(arrays[f"weights_{k}"].astype(np.float64) for k in range(count)),
+                    tuple(arrays[f"biases_{k}"].astype(np.float64) for k in range(count)),
+                    about["about"],
+                )
+        except FileNotFoundError:
+            raise ValueError(f"checkpoint {path} does not exist: make one with stereo-slam train") from None
+        except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
+            reason = (str(error) or type(error).__name__).splitlines()[0]
+            raise ValueError(f"checkpoint {path} is not a network written by stereo-slam train: {reason}") from error
+
+
+class NetworkPolicy:
+    """Look where a network, trained with PPO on `StereoSlam/Gaze-v0`, says.
+
+    Parameters
+    ----------
+    checkpoint : str, optional
+        File written by `stereo-slam train`. None: the one that comes with the package.
+    """
+
+    def __init__(self, checkpoint: str | None = None) -> None:
+        self.network = Network.load(CHECKPOINT if checkpoint is None else Path(checkpoint))
+        self._hold = int(self.network.about.get("task", {}).get("hold", 1))
+
+    def reset(self, env: gym.Env[Any, Any], rng: np.random.Generator) -> None:
+        """See `Policy.reset`."""
+        require_head(env)
+        self._env, self._step = env, 0
+
+    def act(self, observation: Mapping[str, Any]) -> Action:
+        """See `Policy.act`."""
+        if self._step % self._hold == 0:
+            missing = [key for key in self.network.keys if key not in observation]
+            if missing:
+                raise ValueError(
+                    f"the network sees {missing[0]!r}, which is not in the observation: add BeliefPanorama"
+                )
+            decided = self.network.action(observation)
+            assert self._env.action_space.shape is not None
+            self._action = np.zeros(self._env.action_space.shape, dtype=np.float32)
+            self._action[-len(decided) :] = decided
+        self._step += 1
+        return self._action

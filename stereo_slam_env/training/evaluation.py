@@ -1,0 +1,55 @@
+"""How well a network does on whole episodes: what the filter claims in the end, and what is true."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from stereo_slam_env.policies.network import Network
+from stereo_slam_env.training.task import GazeTask
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Means over episodes.
+
+    Attributes
+    ----------
+    final_position_sigma_m : float
+        Root of the trace of the position covariance at the end.
+    final_pose_logdet : float
+        Natural logarithm of the determinant of the pose covariance at the end (m, rad).
+    position_rmse_m : float
+        Root mean square of the true position error over each episode.
+    final_position_error_m : float
+        True position error at the end.
+    """
+
+    final_position_sigma_m: float
+    final_pose_logdet: float
+    position_rmse_m: float
+    final_position_error_m: float
+
+
+def evaluate(network: Network | None, task: GazeTask, seeds: Sequence[int]) -> Evaluation:
+    """Run an episode for each seed; without a network the head looks straight ahead."""
+    env = task.make_for_learning()
+    rows = []
+    try:
+        for seed in seeds:
+            observation, info = env.reset(seed=seed)
+            slam = env.get_wrapper_attr("slam")
+            errors, over = [], False
+            while not over:
+                action = np.zeros(2, dtype=np.float32) if network is None else network.action(observation)
+                observation, _, terminated, truncated, info = env.step(action)
+                errors.append(float(np.linalg.norm(slam.pose.position - info["truth_position"])))
+                over = terminated or truncated
+            P = slam.pose.covariance
+            rmse = np.sqrt(np.mean(np.square(errors)))
+            rows.append([np.sqrt(np.trace(P[:3, :3])), np.linalg.slogdet(P)[1], rmse, errors[-1]])
+    finally:
+        env.close()
+    return Evaluation(*(float(value) for value in np.mean(rows, axis=0)))

@@ -1,0 +1,268 @@
+"""Proximal policy optimisation (stable-baselines3) of a small network on a `GazeTask`; can be stopped and goes on."""
+
+from __future__ import annotations
+
+import json
+import logging
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from filters.known_names import require_known
+from filters.validation import positive, probability
+from stereo_slam_env.atomic_files import write_atomically
+from stereo_slam_env.training.curve import LearningCurve
+from stereo_slam_env.training.evaluation import evaluate
+from stereo_slam_env.training.export import network_of
+from stereo_slam_env.training.extra import require_extra
+from stereo_slam_env.training.task import GazeTask
+
+if TYPE_CHECKING:
+    from stable_baselines3 import PPO
+    from stable_baselines3.common.vec_env import VecNormalize
+
+Progress = Callable[[int, int], None]
+
+VALIDATION_SEEDS = tuple(range(100_000, 100_016))
+"""Episodes on which the best network of a run is chosen; training never sees them, and reports use others."""
+_OBSERVATION_CLIP = 5.0
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class PPOSettings:
+    """How the network learns.
+
+    Attributes
+    ----------
+    decisions : int
+        How many are made in all; each holds for `GazeTask.hold` steps.
+    seed : int
+        Of the network, of chance in its actions, and of the episodes.
+    environments : int
+        Processes with an environment each.
+    layers : tuple of int
+        Neurons of the hidden layers, of policy and value alike.
+    rollout : int
+        Decisions of each environment between two updates.
+    minibatch, epochs : int
+        Decisions in a gradient step; passes over a rollout.
+    learning_rate, discount, gae_lambda, clip : float
+        As PPO has them.
+    initial_log_std : float
+        Logarithm of the standard deviation of actions at first.
+    evaluate_every : int
+        Decisions between two looks at the validation episodes.
+
+    Raises
+    ------
+    ValueError
+        A value is impossible.
+    """
+
+    decisions: int = 100_000
+    seed: int = 0
+    environments: int = 4
+    layers: tuple[int, ...] = (64, 64)
+    rollout: int = 250
+    minibatch: int = 250
+    epochs: int = 10
+    learning_rate: float = 5e-4
+    discount: float = 0.95
+    gae_lambda: float = 0.95
+    clip: float = 0.2
+    initial_log_std: float = -0.7
+    evaluate_every: int = 10_000
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "layers", tuple(self.layers))
+        for name in ("decisions", "environments", "rollout", "minibatch", "epochs", "evaluate_every"):
+            value = getattr(self, name)
+            if type(value) is not int or value < 1:
+                raise ValueError(f"{name} must be an integer >= 1, got {value!r}")
+        if type(self.seed) is not int or self.seed < 0:
+            raise ValueError(f"seed must be an integer >= 0, got {self.seed!r}")
+        if not all(type(width) is int and width > 0 for width in self.layers):
+            raise ValueError(f"layers must be positive integers, got {self.layers!r}")
+        for name in ("learning_rate", "clip"):
+            positive(name, getattr(self, name))
+        for name in ("discount", "gae_lambda"):
+            probability(name, getattr(self, name))
+
+    @property
+    def rollout_decisions(self) -> int:
+        """Decisions of all environments between two updates."""
+        return self.rollout * self.environments
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> PPOSettings:
+        """Settings from their JSON form; an unknown key is refused with the nearest known one."""
+        require_known("settings have no key", data, [*cls.__dataclass_fields__])
+        return cls(**data)
+
+
+def train(
+    task: GazeTask,
+    settings: PPOSettings,
+    out: Path,
+    *,
+    minutes: float | None = None,
+    progress: Progress | None = None,
+) -> Path:
+    """Train a network, or go on where an interrupted run in `out` stopped.
+
+    `out` gets `run.json` (task, settings), `learning_curve.csv`, `policy.npz` (the network that did best on the
+    validation episodes, see `policies.network`) and `state.pt` (to go on).
+
+    Parameters
+    ----------
+    task : GazeTask
+        What on.
+    settings : PPOSettings
+        How.
+    out : Path
+        Directory of the run.
+    minutes : float, optional
+        Stop after this time at the latest; the same call goes on.
+    progress : callable, optional
+        Called with (decisions made, decisions wanted).
+
+    Returns
+    -------
+    Path
+        Of `policy.npz`.
+
+    Raises
+    ------
+    ImportError
+        The extra rl is missing.
+    ValueError
+        `out` holds a run of something else.
+    """
+    require_extra("stable_baselines3")
+    import torch
+
+    task.make_for_learning().close()  # a wrong argument is known here, not in a process of its own
+    _claim(out, task, settings)
+    torch.set_num_threads(1)
+    curve = LearningCurve(out / "learning_curve.csv")
+    began = time.monotonic() - curve.seconds
+    limit = None if minutes is None else curve.seconds + 60.0 * positive("minutes", minutes)
+    with _learner(task, settings, out) as (model, scaling):
+        while model.num_timesteps < settings.decisions:
+            target = min(model.num_timesteps + settings.evaluate_every, settings.decisions)
+            while model.num_timesteps < target:
+                model.learn(settings.rollout_decisions, reset_num_timesteps=False)
+                if progress is not None:
+                    progress(min(model.num_timesteps, settings.decisions), settings.decisions)
+            network = network_of(model, scaling, {"task": task.as_dict(), "settings": asdict(settings)})
+            results = evaluate(network, task, VALIDATION_SEEDS)
+            best = curve.add(model.num_timesteps, time.monotonic() - began, _mean_return(model), results)
+            if best:
+                network.save(out / "policy.npz")
+            _save_state(out / "state.pt", model, scaling)
+            _log.info("%d decisions: final position sigma %.3f m", model.num_timesteps, results.final_position_sigma_m)
+            if limit is not None and curve.seconds > limit:
+                break
+    return out / "policy.npz"
+
+
+def _mean_return(model: PPO) -> float:
+    episodes = model.ep_info_buffer or ()
+    return float(np.mean([episode["r"] for episode in episodes])) if episodes else float("nan")
+
+
+def _claim(out: Path, task: GazeTask, settings: PPOSettings) -> None:
+    """Write down what is trained, or see that what is there already is the same but for its length."""
+    about = json.loads(json.dumps({"task": task.as_dict(), "settings": asdict(settings)}))
+    file = out / "run.json"
+    if file.exists():
+        there = json.loads(file.read_text(encoding="utf-8"))
+        for part in ("task", "settings"):
+            for key, value in about[part].items():
+                if key != "decisions" and there.get(part, {}).get(key) != value:
+                    raise ValueError(
+                        f"{out} holds a run with {key} = {there.get(part, {}).get(key)!r}, not {value!r}: "
+                        "give another directory"
+                    )
+    out.mkdir(parents=True, exist_ok=True)
+    write_atomically(file, lambda stream: stream.write(json.dumps(about, indent=2).encode()))
+
+
+@contextmanager
+def _learner(task: GazeTask, settings: PPOSettings, out: Path) -> Iterator[tuple[PPO, VecNormalize]]:
+    from stable_baselines3 import PPO
+    from stable_baselines3.common.vec_env import SubprocVecEnv, VecMonitor, VecNormalize
+
+    processes = SubprocVecEnv([task.make_for_learning] * settings.environments)
+    scaling = VecNormalize(VecMonitor(processes), clip_obs=_OBSERVATION_CLIP, gamma=settings.discount)
+    try:
+        scaling.seed(settings.seed)
+        model = PPO(
+            "MultiInputPolicy",
+            scaling,
+            learning_rate=settings.learning_rate,
+            n_steps=settings.rollout,
+            batch_size=settings.minibatch,
+            n_epochs=settings.epochs,
+            gamma=settings.discount,
+            gae_lambda=settings.gae_lambda,
+            clip_range=settings.clip,
+            policy_kwargs={"net_arch": list(settings.layers), "log_std_init": settings.initial_log_std},
+            seed=settings.seed,
+            device="cpu",
+        )
+        if (out / "state.pt").exists():
+            _load_state(out / "state.pt", model, scaling)
+            # Other episodes and actions than those the run has had already.
+            model.set_random_seed(settings.seed + model.num_timesteps)
+        yield model, scaling
+    finally:
+        scaling.close()
+
+
+def _save_state(file: Path, model: PPO, scaling: VecNormalize) -> None:
+    """Weights, optimiser and scaling: plain tensors and numbers, nothing that runs when it is read."""
+    import torch
+
+    state = {
+        "policy": model.policy.state_dict(),
+        "optimizer": model.policy.optimizer.state_dict(),
+        "decisions": model.num_timesteps,
+        "observation": {key: _moments(moments) for key, moments in scaling.obs_rms.items()},
+        "reward": _moments(scaling.ret_rms),
+    }
+    write_atomically(file, lambda stream: torch.save(state, stream))
+
+
+def _load_state(file: Path, model: PPO, scaling: VecNormalize) -> None:
+    import torch
+
+    state = torch.load(file, weights_only=True)
+    model.policy.load_state_dict(state["policy"])
+    model.policy.optimizer.load_state_dict(state["optimizer"])
+    model.num_timesteps = state["decisions"]
+    for key, moments in state["observation"].items():
+        _set_moments(scaling.obs_rms[key], moments)
+    _set_moments(scaling.ret_rms, state["reward"])
+
+
+def _moments(moments: Any) -> dict[str, Any]:
+    import torch
+
+    return {
+        "mean": torch.tensor(np.asarray(moments.mean)),
+        "var": torch.tensor(np.asarray(moments.var)),
+        "count": float(moments.count),
+    }
+
+
+def _set_moments(moments: Any, stored: Mapping[str, Any]) -> None:
+    moments.mean, moments.var = stored["mean"].numpy(), stored["var"].numpy()
+    moments.count = stored["count"]
