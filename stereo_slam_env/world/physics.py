@@ -121,26 +121,24 @@ class PhysicsWorld:
         -------
         (N,) ndarray of bool
         """
-        visible = np.ones(len(points), dtype=bool)
-        for eye in eyes:  # a ray that hits is the dearest: none from the second eye to what the first does not see
-            seen = np.flatnonzero(visible)
-            visible[seen] = self._free(eye, points[seen])
+        rays = points - eyes[:, None]
+        ends = points - rays * (_SURFACE_GAP / np.sqrt((rays**2).sum(axis=2, keepdims=True)))
+        seen = list(range(len(points)))
+        for start, targets in zip(eyes.tolist(), ends.tolist(), strict=True):
+            if not seen:
+                break
+            # A ray that hits is the dearest: none from the second eye to what the first does not see.
+            hits = pybullet.rayTestBatch(
+                [start] * len(seen),
+                [targets[i] for i in seen],
+                numThreads=1,
+                collisionFilterMask=_NOT_EGO,
+                physicsClientId=self._connected,
+            )
+            seen = [i for i, hit in zip(seen, hits, strict=True) if hit[0] < 0]
+        visible = np.zeros(len(points), dtype=bool)
+        visible[seen] = True
         return visible
-
-    def _free(self, eye: FloatArray, points: FloatArray) -> BoolArray:
-        """Whether nothing is between `eye` (3,) and each of `points` (N, 3)."""
-        if len(points) == 0:
-            return np.zeros(0, dtype=bool)
-        rays = points - eye
-        ends = points - rays * (_SURFACE_GAP / np.sqrt((rays**2).sum(axis=1, keepdims=True)))
-        hits = pybullet.rayTestBatch(
-            [eye.tolist()] * len(ends),
-            ends.tolist(),
-            numThreads=1,
-            collisionFilterMask=_NOT_EGO,
-            physicsClientId=self._connected,
-        )
-        return np.array([hit[0] < 0 for hit in hits])
 
     def ego_collides(self, position: FloatArray, R_sb: FloatArray) -> bool:
         """Put the car's body (its x axis forward) at a pose and tell whether it touches a solid."""
