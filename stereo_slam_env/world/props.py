@@ -61,7 +61,7 @@ class Placed:
     """
 
     def __init__(self, xy: FloatArray, yaw: float) -> None:
-        self._yaw = float(yaw)
+        self.yaw = float(yaw)
         self._x, self._y = map(float, xy)
         self._cos, self._sin = float(np.cos(yaw)), float(np.sin(yaw))
 
@@ -71,7 +71,7 @@ class Placed:
 
     def box(self, at: Vector, size: Vector, material: Material, *, solid: bool = True) -> Box:
         """A box aligned with the place; `at` is the centre of its bottom face."""
-        return Box(self.point(at[0], at[1], at[2] + 0.5 * size[2]), size, self._yaw, material, solid)
+        return Box(self.point(at[0], at[1], at[2] + 0.5 * size[2]), size, self.yaw, material, solid)
 
     def rod(self, start: Vector, end: Vector, radius: float, material: Material, *, solid: bool = True) -> Cylinder:
         """A cylinder from `start` to `end`."""
