@@ -16,9 +16,6 @@ from stereo_slam_env.sensing.pixel_noise import PixelNoise
 Occlusion = Callable[[Pose, FloatArray], BoolArray]
 """(left camera pose, points in W (N, 3)) -> which points both eyes see (N,)."""
 
-_SPARE = 4
-"""Candidates tested beyond twice as many as wanted: a ray more costs less than another call for it."""
-
 
 @dataclass(frozen=True)
 class TrackingPolicy:
@@ -127,8 +124,7 @@ class LandmarkSensor:
         order = candidates[np.argsort(self._choice_rng.exponential(size=len(candidates)) / disparities)]
         chosen: list[IntArray] = []
         while wanted > 0 and len(order):
-            several = 2 * wanted + _SPARE
-            tested, order = order[:several], order[several:]
+            tested, order = order[: 2 * wanted], order[2 * wanted :]
             found = tested[self._visible(pose, self.landmarks.positions[tested])][:wanted]
             chosen.append(found)
             wanted -= len(found)
