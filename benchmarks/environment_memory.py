@@ -4,8 +4,8 @@
     python benchmarks/environment_memory.py --resets 50
     python benchmarks/environment_memory.py --env StereoSlam/Drive-v0 --kwargs '{"policy": "agent", "route": "town"}'
 
-A new seed each episode, and 100 steps (fewer where the route ends before), with random actions. Prints what the process
-holds (RSS) on the way, its growth after the first tenth of the episodes, and the slope of a straight line through it.
+100 random actions with each seed; where an episode ends before, another one begins. Prints what the process holds (RSS)
+on the way, its growth after the first tenth, and the slope of a straight line through it.
 """
 
 from __future__ import annotations
@@ -36,28 +36,30 @@ def resident_megabytes() -> float:
 
 
 def drive(env: gym.Env[Any, Any], seed: int, steps: int) -> int:
-    """One episode; the number of its steps."""
+    """So many steps of an episode (or more than one, where it ends before); the number of resets."""
     env.reset(seed=seed)
     env.action_space.seed(seed)
-    driven, over = 0, False
-    while driven < steps and not over:
+    resets = 1
+    for _ in range(steps):
         _, _, terminated, truncated, _ = env.step(env.action_space.sample())
-        driven, over = driven + 1, terminated or truncated
-    return driven
+        if terminated or truncated:
+            env.reset()
+            resets += 1
+    return resets
 
 
-def measure(env: gym.Env[Any, Any], resets: int, steps: int) -> tuple[np.ndarray, np.ndarray]:
-    """Steps so far and MB held after each episode; (resets,) each."""
-    driven, held = [], []
-    for seed in range(resets):
-        driven.append(drive(env, seed, steps))
+def measure(env: gym.Env[Any, Any], seeds: int, steps: int) -> tuple[np.ndarray, np.ndarray]:
+    """Resets so far and MB held after the steps with each seed; (seeds,) each."""
+    resets, held = [], []
+    for seed in range(seeds):
+        resets.append(drive(env, seed, steps))
         gc.collect()
         held.append(resident_megabytes())
-    return np.cumsum(driven), np.array(held)
+    return np.cumsum(resets), np.array(held)
 
 
 def growth(held: np.ndarray) -> tuple[float, float]:
-    """MB gained after the warm-up (the first tenth), and kB an episode by least squares."""
+    """MB gained after the warm-up (the first tenth), and kB a seed by least squares."""
     after = held[len(held) // 10 :]
     slope = float(np.polyfit(np.arange(len(after)), after, 1)[0]) if len(after) > 1 else 0.0
     return float(after[-1] - after[0]), 1e3 * slope
@@ -68,25 +70,25 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--env", default="StereoSlam/Drive-v0", help="id of the environment")
     parser.add_argument("--kwargs", type=json.loads, default=CHEAP, help="its arguments, as JSON")
-    parser.add_argument("--resets", type=int, default=500)
-    parser.add_argument("--steps", type=int, default=100, help="of an episode")
+    parser.add_argument("--resets", type=int, default=500, help="each with a new seed")
+    parser.add_argument("--steps", type=int, default=100, help="after each")
     arguments = parser.parse_args()
     env = gym.make(arguments.env, disable_env_checker=True, **arguments.kwargs)
     with threadpool_limits(1):
-        driven, held = measure(env, arguments.resets, arguments.steps)
+        resets, held = measure(env, arguments.resets, arguments.steps)
     env.close()
     table = Table(title=f"{arguments.env} {json.dumps(arguments.kwargs)}")
-    for head in ("episodes", "steps", "process, MB"):
+    for head in ("resets", "steps", "process, MB"):
         table.add_column(head, justify="right")
     for k in np.unique(np.linspace(0, arguments.resets - 1, 11).astype(int)):
-        table.add_row(f"{k + 1:,}", f"{driven[k]:,}", f"{held[k]:.1f}")
+        table.add_row(f"{resets[k]:,}", f"{(k + 1) * arguments.steps:,}", f"{held[k]:.1f}")
     gained, slope = growth(held)
     console = Console(width=120)
     console.print(table)
     verdict = "met" if gained < WANTED else "not met"
     console.print(
         f"growth after the first tenth: {gained:.2f} MB (wanted: < {WANTED:.0f} MB, {verdict}); "
-        f"slope {slope:.2f} kB an episode"
+        f"slope {slope:.2f} kB a seed"
     )
 
 

@@ -42,6 +42,8 @@ IN_A_STEP = (
     "performCollisionDetection",
     "resetBasePositionAndOrientation",
     "getContactPoints",
+    "getAABB",
+    "getOverlappingObjects",
 )
 FIRST_STEPS = 20  # not measured: caches are cold
 BURST = 10  # steps of a vector in a row

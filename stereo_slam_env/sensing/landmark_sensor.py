@@ -16,9 +16,6 @@ from stereo_slam_env.sensing.pixel_noise import PixelNoise
 Occlusion = Callable[[Pose, FloatArray], BoolArray]
 """(left camera pose, points in W (N, 3)) -> which points both eyes see (N,)."""
 
-_SPARE = 4
-"""Candidates tested beyond twice as many as wanted: a ray more costs less than another call for it."""
-
 
 @dataclass(frozen=True)
 class TrackingPolicy:
@@ -80,6 +77,8 @@ class LandmarkSensor:
         self.camera, self.noise, self.landmarks, self.policy = camera, noise, landmarks, policy
         self._visible = visible
         self._choice_rng, self._noise_rng = rng.spawn(2)
+        self._edges = (-0.5 - camera.cx) / camera.fx, (camera.width - 0.5 - camera.cx) / camera.fx
+        """x / z at the left and at the right edge of the left image."""
         self._positions_t = np.ascontiguousarray(landmarks.positions.T)
         self._tracked = np.zeros(len(landmarks.ids), dtype=bool)
         self._lost = np.zeros(len(landmarks.ids), dtype=bool)
@@ -109,11 +108,13 @@ class LandmarkSensor:
         """Which landmarks are within range and inside both images, ascending (K,), and their true (u, v, d) (K, 3)."""
         # One row a coordinate, which is several times as fast for thousands of landmarks as one row a landmark.
         points_c = pose.R_wc.T @ (self._positions_t - pose.position[:, None])
-        z = points_c[2]
-        in_range = np.flatnonzero((z >= self.policy.nearest) & (z <= self.policy.farthest))
-        uvd = self.camera.project(points_c.take(in_range, axis=1).T)
-        inside = np.flatnonzero(self.camera.in_view(uvd, self.policy.margin))
-        return in_range[inside], uvd[inside]
+        x, _, z = points_c
+        left, right = self._edges
+        near = (z >= self.policy.nearest) & (z <= self.policy.farthest) & (x >= left * z) & (x <= right * z)
+        candidates = near.nonzero()[0]
+        uvd = self.camera.project(points_c.take(candidates, axis=1).T)
+        inside = self.camera.in_view(uvd, self.policy.margin).nonzero()[0]
+        return candidates[inside], uvd.take(inside, axis=0)
 
     def _draw(self, pose: Pose, candidates: IntArray, disparities: FloatArray, wanted: int) -> IntArray:
         """Choose up to `wanted` visible candidates without replacement, weighted by disparity.
@@ -123,8 +124,7 @@ class LandmarkSensor:
         order = candidates[np.argsort(self._choice_rng.exponential(size=len(candidates)) / disparities)]
         chosen: list[IntArray] = []
         while wanted > 0 and len(order):
-            several = 2 * wanted + _SPARE
-            tested, order = order[:several], order[several:]
+            tested, order = order[: 2 * wanted], order[2 * wanted :]
             found = tested[self._visible(pose, self.landmarks.positions[tested])][:wanted]
             chosen.append(found)
             wanted -= len(found)

@@ -55,6 +55,16 @@ class Route:
         return 0.5 * (self.headings[1:] + self.headings[:-1])
 
     @cached_property
+    def travel(self) -> FloatArray:
+        """Rotation of a camera that looks in the direction of travel of each step; (K - 1, 3, 3)."""
+        return np.array([rotations.exp([0.0, yaw, 0.0]) for yaw in self.middle_headings])
+
+    @cached_property
+    def attitudes(self) -> FloatArray:
+        """Nominal rotation R_wc of the camera at each frame; (K, 3, 3)."""
+        return np.array([rotations.exp([0.0, yaw, 0.0]) for yaw in self.headings])
+
+    @cached_property
     def positions(self) -> FloatArray:
         """Nominal camera position at each frame, m in W; (K, 3)."""
         yaw = self.middle_headings
@@ -97,10 +107,10 @@ class Route:
         first, last = 0, self.frames
         if around is not None:
             middle = self.arc_length[around]
-            first = int(np.searchsorted(self.arc_length, middle - _REACH))
-            last = int(np.searchsorted(self.arc_length, middle + _REACH, side="right"))
+            first = int(self.arc_length.searchsorted(middle - _REACH))
+            last = int(self.arc_length.searchsorted(middle + _REACH, side="right"))
         away = ((self.positions[first:last] - position) ** 2).sum(axis=1)
-        return first + int(np.argmin(away))
+        return first + int(away.argmin())
 
 
 def pulse(time: FloatArray, start: float, end: float, ramp: float) -> FloatArray:
@@ -219,9 +229,7 @@ class RouteDriver:
 
     def _velocity(self, pose: Pose, step: int) -> Velocity:
         route = self.route
-        R_travel = rotations.exp([0.0, route.middle_headings[step], 0.0])
-        R_nominal = rotations.exp([0.0, route.headings[step], 0.0])
-        R_wc = pose.R_wc
+        R_travel, R_nominal, R_wc = route.travel[step], route.attitudes[step], pose.R_wc
         offset = R_travel.T @ (pose.position - route.positions[step])
         tilt = rotations.log(R_nominal.T @ R_wc)
         along = np.array([0.0, 0.0, route.speeds[step]])

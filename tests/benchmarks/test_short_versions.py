@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 from types import ModuleType
 
+import gymnasium as gym
 import numpy as np
 import pytest
 
@@ -95,3 +96,27 @@ def test_who_knows_how_the_car_accelerates_has_a_lower_bound_and_xyz_gives_most_
     assert as_driven.position < bound.position
     assert as_driven.rotation < bound.rotation
     assert max(efficiency.FILTERS, key=lambda label: found[label].anees) == "euclidean"
+
+
+def test_memory_of_an_environment_does_not_grow() -> None:
+    """9 resets and 180 steps; the benchmark has 500 and 50,000."""
+    memory = script("environment_memory")
+    env = gym.make("StereoSlam/Drive-v0", **{**memory.CHEAP, "route": "right-turn"})
+    resets, held = memory.measure(env, seeds=9, steps=20)
+    env.close()
+    assert resets[-1] == 9
+    gained, _ = memory.growth(held[2:])
+    assert gained < memory.WANTED
+
+
+def test_bare_calls_and_a_filter_in_the_loop_are_a_part_of_a_step() -> None:
+    """Two rounds of 5 steps; the benchmark has seven of 200."""
+    speed = script("environment_speed")
+    options = {"route": "right-turn", "rig": "qvga", "policy": "route"}
+    alone, with_filter = (speed.made("StereoSlam/Drive-v0", options, w) for w in ((), (speed.FilterInTheLoop,)))
+    times = [speed.measure_steps(env, steps=5, rounds=2) for env in (alone, with_filter)]
+    for env in (alone, with_filter):
+        env.close()
+    assert all(0.0 < found["bare"] < found["step"] for found in times)
+    assert times[1]["step"] > times[0]["step"]
+    assert speed.pybullet.rayTestBatch.__name__ == "rayTestBatch"  # as it was before

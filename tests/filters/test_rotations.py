@@ -34,6 +34,30 @@ def test_exp_is_the_matrix_exponential_and_log_its_inverse(size: float) -> None:
 
 
 @pytest.mark.parametrize("size", SIZES)
+def test_a_matrix_has_the_quaternion_and_the_vector_of_scipy(size: float) -> None:
+    for phi in vectors(size):
+        R = rotations.exp(phi)
+        theirs = Rotation.from_matrix(R)
+        np.testing.assert_allclose(rotations.from_matrix(R), theirs.as_quat(), rtol=0, atol=1e-15)
+        np.testing.assert_allclose(rotations.log(R), theirs.as_rotvec(), rtol=0, atol=1e-15)
+
+
+@pytest.mark.parametrize("half_turn", [np.diag(d) for d in ([1.0, -1, -1], [-1.0, 1, -1], [-1.0, -1, 1])])
+def test_half_a_turn_has_a_quaternion_too(half_turn: np.ndarray) -> None:
+    np.testing.assert_array_equal(rotations.matrix(rotations.from_matrix(half_turn)), half_turn)
+    assert np.linalg.norm(rotations.log(half_turn)) == pytest.approx(np.pi, abs=1e-15)
+
+
+def test_what_is_almost_a_rotation_is_mended_and_a_reflection_refused() -> None:
+    R = rotations.exp([0.3, -0.2, 0.5]) * (1.0 + 1e-4 * np.random.default_rng(0).standard_normal((3, 3)))
+    np.testing.assert_array_equal(rotations.log(R), Rotation.from_matrix(R).as_rotvec())
+    np.testing.assert_array_equal(rotations.from_matrix(R), Rotation.from_matrix(R).as_quat())
+    for function in (rotations.log, rotations.from_matrix):
+        with pytest.raises(ValueError, match="determinant"):
+            function(np.diag([1.0, 1.0, -1.0]))
+
+
+@pytest.mark.parametrize("size", SIZES)
 def test_right_jacobian_is_its_power_series(size: float) -> None:
     """Sum of (-[phi]x)^k / (k + 1)!, so the switch to the closed form shows no step."""
     for phi in vectors(size):
@@ -68,6 +92,7 @@ def test_many_rotations_at_once_are_each_of_them(size: float) -> None:
         (rotations.matrix(q), [rotations.matrix(p) for p in q]),
         (rotations.exp(phi), [rotations.exp(p) for p in phi]),
         (rotations.right_jacobian(phi), [rotations.right_jacobian(p) for p in phi]),
+        (rotations.from_matrix(rotations.matrix(other)), [rotations.from_matrix(R) for R in rotations.matrix(other)]),
         (rotations.multiply(q, other), [rotations.multiply(*pair) for pair in zip(q, other, strict=True)]),
         (rotations.between(other, q), [rotations.between(*pair) for pair in zip(other, q, strict=True)]),
     ):

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from filters import validation
+from filters.interface import StereoObservation
 
 
 def test_finite_array_gives_a_read_only_float_copy() -> None:
@@ -81,3 +82,13 @@ def test_ids_of_any_integer_type_become_int64(dtype: type) -> None:
 def test_what_are_no_ids_is_refused(value: object) -> None:
     with pytest.raises(ValueError, match="ids must"):
         validation.unique_ids("ids", value)
+
+
+def test_an_unchecked_observation_equals_a_checked_one_and_its_arrays_cannot_be_changed() -> None:
+    ids, uvd = np.arange(2), np.ones((2, 3))
+    checked = StereoObservation(ids, uvd)
+    made = validation.unchecked(StereoObservation, ids=ids, uvd=uvd, v_right=None, R=None)
+    assert vars(made).keys() == vars(checked).keys()
+    assert made.uvd is uvd
+    with pytest.raises(ValueError, match="read-only"):
+        made.uvd[0] = 0.0
