@@ -17,7 +17,7 @@ from stereo_slam_env.benchmark.engines import Engine
 from stereo_slam_env.benchmark.presets import preset_study
 from stereo_slam_env.benchmark.results import FilterRun, FilterSummary
 from stereo_slam_env.benchmark.runner import make_with_common_options
-from stereo_slam_env.benchmark.scenario import FilterChoice, Scenario, filter_choice
+from stereo_slam_env.benchmark.scenario import FilterChoice, PolicyChoice, Scenario, filter_choice, policy_choice
 from stereo_slam_env.benchmark.scenario_file import load_study
 from stereo_slam_env.benchmark.sources import check_source
 from stereo_slam_env.benchmark.store import RunDirectory
@@ -69,6 +69,7 @@ def run_benchmark(
     out: str | Path,
     *,
     filters: Sequence[str | FilterChoice] | None = None,
+    policies: Sequence[str | PolicyChoice] | None = None,
     seeds: Sequence[int] | None = None,
     jobs: int = 2,
     engine: str = "processes",
@@ -79,9 +80,9 @@ def run_benchmark(
 ) -> BenchmarkResult:
     """Compare filters on the recordings of a scenario, or of many.
 
-    Each recording is made once a seed and given to every filter. Every trial has a process of its own; what it
-    raises, a crash or a hang is its recorded result, and the others go on. Finished trials are kept in `out`: the same
-    call goes on where an interrupted one stopped.
+    Each recording is made once a seed and given to every filter; a policy drives its own episode of the seed. Every
+    trial has a process of its own; what it raises, a crash or a hang is its recorded result, and the others go on.
+    Finished trials are kept in `out`: the same call goes on where an interrupted one stopped.
 
     Parameters
     ----------
@@ -91,6 +92,8 @@ def run_benchmark(
         Run directory, see `stereo_slam_env.benchmark.study_store`.
     filters : sequence of str or FilterChoice, optional
         Instead of the scenario's.
+    policies : sequence of str or PolicyChoice, optional
+        Instead of the scenario's, which must be of kind "gaze".
     seeds : sequence of int, optional
         Instead of the scenario's.
     jobs : int
@@ -122,6 +125,9 @@ def run_benchmark(
     if filters is not None:
         choices = tuple(filter_choice(f) if isinstance(f, str) else f for f in filters)
         study = study.with_scenarios(partial(dataclasses.replace, filters=choices))
+    if policies is not None:
+        who = tuple(policy_choice(p) if isinstance(p, str) else p for p in policies)
+        study = study.with_scenarios(partial(dataclasses.replace, policies=who))
     if seeds is not None:
         study = study.with_scenarios(partial(dataclasses.replace, seeds=tuple(seeds)))
     check_study(study)
@@ -224,8 +230,8 @@ def _run_missing(directory: StudyDirectory, engine: Engine, progress: Progress) 
     """Make what is missing and keep each result as soon as it is there."""
     cells = [run for _, run in directory.cells]
     missing = [(number, seed, choice) for number, run in enumerate(cells) for seed, choice in run.missing()]
-    to_record = _recordings_to_make(cells, [(number, seed) for number, seed, _ in missing])
-    wanted = sum(len(run.seeds) * (len(run.scenario.filters) + ("bound" in run.scenario.metrics)) for run in cells)
+    to_record = _recordings_to_make(cells, [(n, seed) for n, seed, choice in missing if not _drives(choice)])
+    wanted = sum(len(run.seeds) * (len(run.scenario.competitors) + run.scenario.has_bound) for run in cells)
     total = wanted + len(to_record)
     done = wanted - len(missing)
 
@@ -238,7 +244,7 @@ def _run_missing(directory: StudyDirectory, engine: Engine, progress: Progress) 
     def trials() -> Iterator[TrialTask]:
         for number, seed, choice in missing:
             run = cells[number]
-            recording = run.recording_path(seed).read_bytes()
+            recording = None if _drives(choice) else run.recording_path(seed).read_bytes()
             yield TrialTask(number, run.scenario, seed, choice, recording, run.provenance(seed, choice))
 
     tell()
@@ -254,9 +260,17 @@ def _run_missing(directory: StudyDirectory, engine: Engine, progress: Progress) 
             done += 1
             tell()
         for finished in run_all(partial(run_trial, progress=told), trials()):
+            made_by, made = finished.choice, finished.made
+            if made is not None:
+                cells[finished.cell].save_recording(finished.seed, made.content, made.description, made_by)
             cells[finished.cell].save_trial(finished.seed, finished.choice, finished.content)
             done += 1
             tell()
+
+
+def _drives(choice: FilterChoice | None) -> bool:
+    """Whether a trial records for itself what it is given."""
+    return choice is not None and choice.policy is not None
 
 
 def _recordings_to_make(
