@@ -14,6 +14,7 @@ from filters import available_filters, make_filter
 from filters.camera import StereoCamera
 from filters.noise import StereoNoise
 from stereo_slam_env.benchmark.engines import Engine
+from stereo_slam_env.benchmark.policy_verdict import Looks, baseline_of
 from stereo_slam_env.benchmark.presets import preset_study
 from stereo_slam_env.benchmark.results import FilterRun, FilterSummary
 from stereo_slam_env.benchmark.runner import make_with_common_options
@@ -24,6 +25,7 @@ from stereo_slam_env.benchmark.store import RunDirectory
 from stereo_slam_env.benchmark.study import Study
 from stereo_slam_env.benchmark.study_store import CellResult, StudyDirectory, open_study
 from stereo_slam_env.benchmark.tasks import RecordingTask, TrialTask, make, run_trial
+from stereo_slam_env.recording_archive import load_recording
 
 if TYPE_CHECKING:
     from stereo_slam_env.benchmark.attribution import Attribution
@@ -204,6 +206,7 @@ def write_report_of(directory: StudyDirectory, results: Sequence[CellResult]) ->
             result.directory.settings(),
             bounds=result.bounds,
             attribution=None if factorial is None else attribution_of(factorial, result),
+            looks=looks_of(result) if result.cell.scenario.policies else None,
         )
         for result in results
     ]
@@ -212,6 +215,14 @@ def write_report_of(directory: StudyDirectory, results: Sequence[CellResult]) ->
     from stereo_slam_env.benchmark.study_report import write_study_report
 
     return write_study_report(directory.out, directory.study, {result.cell.name: result for result in results})
+
+
+def looks_of(result: CellResult) -> Looks:
+    """Who is held against whom, and where all looked in the first seed; recordings that are gone are left out."""
+    competitors, seed = result.cell.scenario.competitors, result.directory.seeds[0]
+    paths = {choice.label: result.directory.recording_path(seed, choice) for choice in competitors}
+    seen = {label: load_recording(path) for label, path in paths.items() if path.exists()}
+    return Looks(baseline_of(competitors), seen)
 
 
 def attribution_of(factorial: Mapping[str, Sequence[Any]], result: CellResult) -> Attribution | None:
@@ -260,9 +271,9 @@ def _run_missing(directory: StudyDirectory, engine: Engine, progress: Progress) 
             done += 1
             tell()
         for finished in run_all(partial(run_trial, progress=told), trials()):
-            made_by, made = finished.choice, finished.made
-            if made is not None:
-                cells[finished.cell].save_recording(finished.seed, made.content, made.description, made_by)
+            own = finished.made
+            if own is not None:
+                cells[finished.cell].save_recording(finished.seed, own.content, own.description, finished.choice)
             cells[finished.cell].save_trial(finished.seed, finished.choice, finished.content)
             done += 1
             tell()
