@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import dataclasses
+from collections.abc import Sequence
 from html import escape
+
+import numpy as np
 
 from stereo_slam_env.benchmark.measures import FINAL_ERROR, FINAL_LOGDET, FINAL_SIGMA, POSITION, Measure
 from stereo_slam_env.benchmark.policy_verdict import Agreement, PolicyVerdict
@@ -14,10 +17,10 @@ from stereo_slam_env.benchmark.statistics import Finding, signed
 from stereo_slam_env.benchmark.verdict import Consistency
 from stereo_slam_env.viewer.page_tables import Tone
 
-_TONES: dict[Agreement, Tone] = {
-    Agreement.AGREE: "good",
-    Agreement.DISAGREE: "bad",
-    Agreement.NOTHING_SHOWN: "none",
+_SAID: dict[Agreement, tuple[str, Tone]] = {
+    Agreement.AGREE: ("yes", "good"),
+    Agreement.DISAGREE: ("no", "bad"),
+    Agreement.NOTHING_SHOWN: ("not shown", "none"),
 }
 
 
@@ -38,12 +41,15 @@ def policy_overview(summaries: Sequence[FilterSummary], verdict: PolicyVerdict) 
     """
     against = f"and against {verdict.baseline}, 95 % interval"
     questions = [
-        Question("How uncertain is the final position?", f"claimed σ, {against}", _by(FINAL_SIGMA, verdict)),
-        Question("And the whole pose?", f"claimed log det, {against}", _by(FINAL_LOGDET, verdict)),
-        Question("How wrong is it in truth?", f"final position error, {against}", _by(FINAL_ERROR, verdict)),
-        Question("Along the drive?", f"position RMSE, {against}", _by(POSITION, verdict)),
-        consistency_question(summaries),
-        Question("Do claim and truth agree?", f"both against {verdict.baseline}", lambda s: _agreement(s, verdict)),
+        Question(
+            "What does it claim at the end?",
+            f"σ of the position {against}; log det of the pose",
+            lambda s: _claimed(s, verdict),
+        ),
+        Question("How wrong is it then?", f"true position error, {against}", lambda s: _by(FINAL_ERROR, s, verdict)),
+        Question("And along the drive?", f"position RMSE, {against}", lambda s: _by(POSITION, s, verdict)),
+        consistency_question(summaries, with_share=False),
+        Question("Is the claim true?", f"by the difference to {verdict.baseline}", lambda s: _agreement(s, verdict)),
     ]
     sentences = "".join(f"<li>{escape(found.words)}</li>" for found in verdict.comparisons.values())
     return (
@@ -52,34 +58,37 @@ def policy_overview(summaries: Sequence[FilterSummary], verdict: PolicyVerdict) 
     )
 
 
-def _by(measure: Measure, verdict: PolicyVerdict) -> Callable[[FilterSummary], Answer | None]:
-    """The answer of a policy by one measure: its value, and the difference to the baseline."""
+def _claimed(summary: FilterSummary, verdict: PolicyVerdict) -> Answer | None:
+    determinant = FINAL_LOGDET.of(summary)
+    beside = f"<span>{short(determinant)}</span>".replace("-", "−") if np.isfinite(determinant) else ""
+    return dataclasses.replace(_by(FINAL_SIGMA, summary, verdict), mark=beside)
 
-    def answer(summary: FilterSummary) -> Answer | None:
-        value = measure.of(summary)
-        shown = short(value, f" {measure.unit}" if measure.unit else "").replace("-", "−")
-        if summary.filter_name == verdict.baseline:
-            return Answer(shown, "what the others are held against", "none", key=value)
-        found = verdict.compared.cell(measure, summary.filter_name, verdict.baseline)
-        if found is None:
-            return Answer(shown, "", "none", key=value)
-        difference = found.difference
-        change = f"{signed(difference.percent)} %" if measure.is_ratio else signed(difference.estimate, 2)
-        words = [change, *([difference.interval_words] if difference.interval is not None else [])]
-        if difference.too_few:
-            words.append(f"{difference.count} runs are too few")
-        elif difference.finding is Finding.NOT_SHOWN:
-            words.append("not shown")
-        return Answer(shown, ", ".join(words), finding_tone(difference.finding), key=value)
 
-    return answer
+def _by(measure: Measure, summary: FilterSummary, verdict: PolicyVerdict) -> Answer:
+    """The value of a measure, and its difference to that of the baseline."""
+    value = measure.of(summary)
+    shown = short(value, f" {measure.unit}")
+    if summary.filter_name == verdict.baseline:
+        return Answer(shown, "baseline", "none", key=value)
+    found = verdict.compared.cell(measure, summary.filter_name, verdict.baseline)
+    if found is None:
+        return Answer(shown, "", "none", key=value)
+    difference = found.difference
+    words = [f"{signed(difference.percent)} %"]
+    if difference.interval is not None:
+        words.append(difference.interval_words)
+    if difference.too_few:
+        words.append(f"{difference.count} runs are too few")
+    elif difference.finding is Finding.NOT_SHOWN:
+        words.append("not shown")
+    return Answer(shown, ", ".join(words), finding_tone(difference.finding), key=value)
 
 
 def _agreement(summary: FilterSummary, verdict: PolicyVerdict) -> Answer | None:
     found = verdict.comparisons.get(summary.filter_name)
     if found is None:
         return None
-    said = {Agreement.AGREE: "yes", Agreement.DISAGREE: "no", Agreement.NOTHING_SHOWN: "nothing shown"}[found.agreement]
-    if found.consistency is Consistency.OVERCONFIDENT:
-        return Answer(said, "but overconfident", "bad")
-    return Answer(said, "", _TONES[found.agreement])
+    word, tone = _SAID[found.agreement]
+    if found.agreement is Agreement.AGREE and found.consistency is Consistency.OVERCONFIDENT:
+        return Answer("in part", "too much is claimed", "fair")
+    return Answer(word, found.agreement.value, tone)

@@ -34,7 +34,7 @@ class Agreement(Enum):
 
     AGREE = "claim and truth agree"
     DISAGREE = "claim and truth disagree"
-    NOTHING_SHOWN = "neither claim nor truth shows a difference"
+    NOTHING_SHOWN = "neither shows a difference"
 
 
 @dataclass(frozen=True)

@@ -93,21 +93,21 @@ def _cell(answer: Answer | None) -> str:
     return f'<td data-value="{key}"><div><b>{escape(answer.value)}</b>{answer.mark}</div>{word}</td>'
 
 
-def consistency_question(summaries: Sequence[FilterSummary]) -> Question:
-    """Whether NEES, or without truth NIS, is what a consistent filter has."""
+def consistency_question(summaries: Sequence[FilterSummary], *, with_share: bool = True) -> Question:
+    """Whether NEES, or without truth NIS, is what a consistent filter has; `with_share`: and in how many frames."""
     if all(s.pose_anees is None for s in summaries):
         return Question("Is it consistent?", "NIS, 1 is ideal", _innovations)
     bands = {s.pose_anees_band for s in summaries if s.pose_anees_band is not None}
     band = " to ".join(f"{bound:.2f}" for bound in next(iter(bands))) if len(bands) == 1 else "of each"
-    return Question("Is it consistent?", f"pose NEES, band {band}", _honesty)
+    return Question("Is it consistent?", f"pose NEES, band {band}", lambda s: _honesty(s, with_share))
 
 
-def _honesty(summary: FilterSummary) -> Answer | None:
+def _honesty(summary: FilterSummary, with_share: bool) -> Answer | None:
     if summary.pose_anees is None:
         return None
     state = consistency(summary)
     word = state.value
-    if summary.frames_in_band_percent is not None:
+    if with_share and summary.frames_in_band_percent is not None:
         word += f", {summary.frames_in_band_percent:.0f} % of frames inside"
     return Answer(short(summary.pose_anees), word, TONES[state], _band_mark(summary), summary.pose_anees)
 

@@ -93,7 +93,7 @@ def plot_gaze_map(recordings: Mapping[str, Recording]) -> Figure:
     for ax, (name, recording) in zip(panels.flat, recordings.items(), strict=False):
         _draw_map(ax, recording, tracks[name], colours[name], name, (across, up))
         frame_track(ax, everything, across, up)
-    for ax in panels[-1]:
+    for ax in panels.flat[max(len(recordings) - columns, 0) : len(recordings)]:
         ax.set_xlabel({0: "x, right (m)", 2: "z, forward (m)"}[across])
     return figure
 
