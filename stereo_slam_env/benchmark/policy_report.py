@@ -91,4 +91,4 @@ def _agreement(summary: FilterSummary, verdict: PolicyVerdict) -> Answer | None:
     word, tone = _SAID[found.agreement]
     if found.agreement is Agreement.AGREE and found.consistency is Consistency.OVERCONFIDENT:
         return Answer("in part", "too much is claimed", "fair")
-    return Answer(word, found.agreement.value, tone)
+    return Answer(word, "", tone)

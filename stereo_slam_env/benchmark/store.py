@@ -327,7 +327,7 @@ def _refuse_other_settings(out: Path, before: Mapping[str, Any], now: Mapping[st
 
 def pairing_digest(about: Mapping[str, Any]) -> str:
     """What must be the same for competitors to be compared: the measurements, or the drive where each one looks."""
-    return str(about.get("drive_sha256", about["stream_sha256"]))
+    return str(about.get("drive_sha256") or about["stream_sha256"])
 
 
 def _together(given: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:

@@ -11,13 +11,12 @@ import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from filters import ConstantVelocity
-from stereo_slam_env.benchmark.episodes import drive_episode, drive_straight_ahead
 from stereo_slam_env.benchmark.isolation import Tell, WorkDied, WorkTooSlow, run_isolated
 from stereo_slam_env.benchmark.limits import Bound, cramer_rao_bound
 from stereo_slam_env.benchmark.results import FilterRun
@@ -32,9 +31,11 @@ from stereo_slam_env.benchmark.sources import (
     without_measurements,
 )
 from stereo_slam_env.frontend.active_search import ActiveSearch
-from stereo_slam_env.policies.episode import Episode
 from stereo_slam_env.recording import Recording
 from stereo_slam_env.recording_archive import packed_recording, unpacked_recording
+
+if TYPE_CHECKING:
+    from stereo_slam_env.policies.episode import Episode
 
 _log = logging.getLogger(__name__)
 
@@ -136,6 +137,8 @@ def _drive(task: TrialTask, choice: FilterChoice, limit: float, progress: Tell |
 
 def _driven(task: TrialTask, choice: FilterChoice, tell: Tell) -> tuple[FilterRun, MadeRecording]:
     """The filter is run again over the recording: there is one way to judge a filter, and it is timed alone."""
+    from stereo_slam_env.benchmark.episodes import drive_episode  # PyBullet and Gymnasium, only where they are needed
+
     assert task.seed is not None
     episode = drive_episode(task.scenario, task.seed, choice, lambda done, of: tell(done, 2 * of))
     recording = episode.recording
@@ -147,6 +150,8 @@ def _driven(task: TrialTask, choice: FilterChoice, tell: Tell) -> tuple[FilterRu
 
 
 def _straight_ahead(task: TrialTask, tell: Tell) -> Episode:
+    from stereo_slam_env.benchmark.episodes import drive_straight_ahead
+
     assert task.seed is not None
     return drive_straight_ahead(task.scenario, task.seed)
 

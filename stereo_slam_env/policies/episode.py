@@ -30,7 +30,8 @@ class Episode:
     drive : tuple of Pose
         Of the car, frame by frame: where the left camera would be if the head looked straight ahead.
     failure : str, optional
-        One line where the policy, or the filter in the loop, raised something; the recording ends there.
+        One line where the policy, or the filter in the loop, raised something. The drive goes on then, with the head
+        turned straight ahead, so that it can still be told to be the same.
     """
 
     recording: Recording
@@ -98,24 +99,28 @@ def run_episode(
         if progress is not None:
             progress(len(collected), max(wanted, len(collected)))
 
-    doing = "environment"
+    asked = "environment"
     failure = None
+    over = False
     try:
         observation, _ = env.reset(seed=seed)
         keep()
-        doing = "policy"
+        asked = "policy"
         policy.reset(env, np.random.default_rng([_STREAM, seed]))
-        over = False
         while not over and len(collected) < wanted:
-            doing = "policy"
+            asked = "policy"
             action = policy.act(observation)
-            doing = "environment"
+            asked = "environment"
             observation, _, terminated, truncated, _ = env.step(action)
             keep()
             over = terminated or truncated
     except Exception as error:  # a stranger's policy may raise anything; the comparison goes on without it
+        text = (str(error).strip() or "no message").splitlines()[0]
+        failure = f"frame {len(collected) - 1}: {asked}: {type(error).__name__}: {text}"
         if not collected or core.frame is not collected[-1]:
             keep()  # what the filter in the loop did not survive
-        text = (str(error).strip() or "no message").splitlines()[0]
-        failure = f"frame {len(collected) - 1}: {doing}: {type(error).__name__}: {text}"
+    straight_ahead = np.zeros(core.action_space.shape or (), dtype=np.float32)
+    while failure is not None and not over and len(collected) < wanted:
+        over = core.step(straight_ahead)[2]
+        keep()
     return Episode(recording_of(core, collected, seed, about), tuple(drive), failure)
