@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -23,6 +23,8 @@ app = typer.Typer(
 )
 filters_app = typer.Typer(help="The filters: ours and installed third-party ones.")
 app.add_typer(filters_app, name="filters")
+policies_app = typer.Typer(help="The policies: who decides where to look, ours and installed third-party ones.")
+app.add_typer(policies_app, name="policies")
 app.add_typer(cli_scenes.app, name="scenes")
 app.command()(cli_bench.bench)
 app.command()(cli_bench.replay)
@@ -73,6 +75,11 @@ def _filters(context: typer.Context) -> None:
     help_without_command(context)
 
 
+@policies_app.callback(invoke_without_command=True)
+def _policies(context: typer.Context) -> None:
+    help_without_command(context)
+
+
 @app.command()
 def report(
     directory: Annotated[Path, typer.Argument(help="Directory of a finished run.")],
@@ -115,7 +122,19 @@ def list_filters() -> None:
     """Names of all filters, with one line on each."""
     from filters import available_filters
 
-    lines = available_filters()
+    _list(available_filters())
+
+
+@policies_app.command("list")
+def list_policies() -> None:
+    """Names of all policies, with one line on each."""
+    with one_line_errors():
+        from stereo_slam_env.policies import available_policies
+
+        _list(available_policies())
+
+
+def _list(lines: Mapping[str, str]) -> None:
     width = max(map(len, lines))
     for name, line in lines.items():
         typer.echo(f"{name:<{width}}  {line}")

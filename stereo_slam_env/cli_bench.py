@@ -5,10 +5,10 @@ from __future__ import annotations
 import dataclasses
 import datetime
 import errno
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
@@ -16,8 +16,19 @@ from stereo_slam_env.cli_parts import Interrupted, console, one_line_errors, sho
 
 if TYPE_CHECKING:
     from stereo_slam_env.benchmark import Scenario, Study
+    from stereo_slam_env.benchmark.scenario import FilterChoice, PolicyChoice
 
+Choice = TypeVar("Choice", "FilterChoice", "PolicyChoice")
 FiltersOption = Annotated[str | None, typer.Option("--filters", help="Names, separated by commas.", metavar="A,B")]
+PolicyOption = Annotated[
+    str | None,
+    typer.Option(
+        "--policy",
+        "--policies",
+        help="Who looks, separated by commas (preset 'gaze' unless said); see 'policies list'.",
+        metavar="A,B",
+    ),
+]
 FramesOption = Annotated[int | None, typer.Option("--frames", help="Cut after so many frames.", min=2)]
 JobsOption = Annotated[int, typer.Option("--jobs", help="Processes, one BLAS thread each.", min=1)]
 OutOption = Annotated[
@@ -63,6 +74,7 @@ def bench(
         Path | None, typer.Option("--scenario", help="A scenario file of your own, TOML, perhaps a grid.")
     ] = None,
     filters: FiltersOption = None,
+    policy: PolicyOption = None,
     seeds: Annotated[int | None, typer.Option("--seeds", help="Number of recordings, seeds 0, 1, ...", min=1)] = None,
     frames: FramesOption = None,
     jobs: JobsOption = 2,
@@ -97,9 +109,10 @@ def bench(
     address: AddressOption = None,
     show_list: Annotated[bool, typer.Option("--list", help="List the ready-made scenarios and stop.")] = False,
 ) -> None:
-    """Compare filters: scenarios x filters x seeds, one report."""
+    """Compare filters, or policies that decide where to look: scenarios x filters x seeds, one report."""
     with one_line_errors():
         from stereo_slam_env.benchmark import load_study, preset_study, presets
+        from stereo_slam_env.benchmark.scenario import policy_choice
 
         if show_list:
             for name, description in presets().items():
@@ -107,13 +120,16 @@ def bench(
             return
         if preset is not None and scenario is not None:
             raise ValueError("--preset and --scenario exclude each other: give one of them")
-        study = load_study(scenario, data=data) if scenario else preset_study(preset or "quick", data=data)
+        usual = "quick" if policy is None else "gaze"
+        study = load_study(scenario, data=data) if scenario else preset_study(preset or usual, data=data)
 
         def adjusted(one: Scenario) -> Scenario:
             if seeds is not None:
                 one = dataclasses.replace(one, seeds=tuple(range(seeds)))
             if odometry is not None:
                 one = dataclasses.replace(one, use_odometry=odometry)
+            if policy is not None:
+                one = dataclasses.replace(one, policies=_chosen(policy, one.policies, policy_choice))
             return _adjusted(_sensed(one, sensor, renderer), filters, frames, sigma_px, gate, search)
 
         study = study.with_scenarios(adjusted)
@@ -189,9 +205,7 @@ def _adjusted(
 
     changes: dict[str, Any] = {}
     if filters is not None:
-        own = {choice.label: choice for choice in scenario.filters}
-        names = [name.strip() for name in filters.split(",") if name.strip()]
-        changes["filters"] = tuple(own.get(name) or filter_choice(name) for name in names)
+        changes["filters"] = _chosen(filters, scenario.filters, filter_choice)
     if frames is not None:
         changes["frames"] = frames
     if sigma_px is not None:
@@ -202,6 +216,13 @@ def _adjusted(
     if search is not None:
         changes["search"] = search
     return dataclasses.replace(scenario, **changes)
+
+
+def _chosen(names: str, own: Sequence[Choice], usual: Callable[[str], Choice]) -> tuple[Choice, ...]:
+    """The choices that a scenario has under these labels, or else the usual ones of these names."""
+    labelled = {choice.label: choice for choice in own}
+    wanted = [name.strip() for name in names.split(",") if name.strip()]
+    return tuple(labelled.get(name) or usual(name) for name in wanted)
 
 
 def _gate(text: str) -> float | None:

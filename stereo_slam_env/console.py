@@ -7,6 +7,7 @@ import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import partial
 
 import numpy as np
 from rich.box import SIMPLE_HEAD
@@ -17,8 +18,9 @@ from rich.table import Table
 
 from stereo_slam_env.benchmark.campaign import Progress as ProgressCallback
 from stereo_slam_env.benchmark.comparison import COLUMNS, RunComparison
+from stereo_slam_env.benchmark.policy_verdict import baseline_of, judge_policies
 from stereo_slam_env.benchmark.results import FilterSummary
-from stereo_slam_env.benchmark.scenario import Scenario
+from stereo_slam_env.benchmark.scenario import FilterChoice, PolicyChoice, Scenario
 from stereo_slam_env.benchmark.sensor_noise import OUTLIER, NoiseOfRange
 from stereo_slam_env.benchmark.sources import takes_images
 from stereo_slam_env.benchmark.study import Study
@@ -29,7 +31,17 @@ from stereo_slam_env.recording import Recording
 
 NOTHING = "–"
 MOST_COLUMNS = 5
-_MATTER_MOST = ("position RMSE", "ATE", "pose NEES", "of the limit", "landmark error", "ms a frame", "diverged")
+_MATTER_MOST = (
+    "position RMSE",
+    "ATE",
+    "pose NEES",
+    "of the limit",
+    "landmark error",
+    "ms a frame",
+    "diverged",
+    "claimed",
+    "true error",
+)
 
 
 def show_settings(console: Console, scenario: Scenario) -> None:
@@ -47,8 +59,10 @@ def show_settings(console: Console, scenario: Scenario) -> None:
         "consensus": "one-point RANSAC over the frame" if scenario.consensus else "no",
         "odometry": "used" if scenario.use_odometry else "not used",
         "motion": f"{motion['sigma_acceleration']:g} m/s², {motion['sigma_angular_acceleration']:g} rad/s²",
-        "filters": _filters(scenario),
+        "filters": _choices(scenario.filters),
     }
+    if scenario.policies:
+        lines["policies"] = _choices(scenario.policies)
     if sees:
         lines["search"] = {"flow": "the same for all filters", "forecast": "guided by each filter"}[scenario.search]
     if scenario.kind != "dataset":
@@ -57,11 +71,11 @@ def show_settings(console: Console, scenario: Scenario) -> None:
         console.print(f"[dim]{name:>14}[/dim]  {value}", highlight=False, soft_wrap=True)
 
 
-def _filters(scenario: Scenario) -> str:
-    if len(scenario.filters) > MOST_COLUMNS:
-        return f"{len(scenario.filters)}: {', '.join(choice.label for choice in scenario.filters)}"
+def _choices(choices: Sequence[FilterChoice] | Sequence[PolicyChoice]) -> str:
+    if len(choices) > MOST_COLUMNS:
+        return f"{len(choices)}: {', '.join(choice.label for choice in choices)}"
     return ", ".join(
-        choice.label + (f" {json.dumps(dict(choice.options))}" if choice.options else "") for choice in scenario.filters
+        choice.label + (f" {json.dumps(dict(choice.options))}" if choice.options else "") for choice in choices
     )
 
 
@@ -160,14 +174,16 @@ def progress_bar(console: Console, what: str = "trials") -> Iterator[ProgressCal
             bar.stop()
 
 
-def show_results(console: Console, summaries: Sequence[FilterSummary]) -> None:
+def show_results(console: Console, summaries: Sequence[FilterSummary], *, claims: bool = False) -> None:
     """Print the result table and a line for each run that failed.
 
-    A column a filter; of many filters, a row each, with the figures that matter most.
+    A column a filter; of many filters, a row each, with the figures that matter most. `claims`: with what is claimed of
+    the final pose.
     """
     table = Table(box=None, pad_edge=False, header_style="bold")
     table.add_column("", no_wrap=True)
-    figures = {name: cells for name, cells in _rows(summaries).items() if set(cells) != {NOTHING}}
+    rows = {**(_claims(summaries) if claims else {}), **_rows(summaries)}
+    figures = {name: cells for name, cells in rows.items() if set(cells) != {NOTHING}}
     if len(summaries) <= MOST_COLUMNS:
         for summary in summaries:
             table.add_column(escape(summary.filter_name), justify="right")
@@ -192,9 +208,17 @@ def show_cells(console: Console, results: Sequence[CellResult]) -> None:
     for result in results:
         if result.cell.factors:
             console.print(f"\n[bold]{escape(result.cell.name)}[/bold]", highlight=False)
-        show_results(console, result.summaries)
-        headline = judge(result.runs, result.summaries).headline
+        show_results(console, result.summaries, claims=bool(result.cell.scenario.policies))
+        headline = _headline(result)
         console.print(f"\n{escape(headline)}\n", highlight=False, soft_wrap=True)
+
+
+def _headline(result: CellResult) -> str:
+    scenario = result.cell.scenario
+    if not scenario.policies:
+        return judge(result.runs, result.summaries).headline
+    verdict = judge_policies(result.runs, result.summaries, baseline=baseline_of(scenario.competitors))
+    return "\n".join([verdict.headline, *(f"- {found.words}" for found in verdict.comparisons.values())])
 
 
 def show_comparison(console: Console, comparison: RunComparison) -> None:
@@ -210,10 +234,20 @@ def show_comparison(console: Console, comparison: RunComparison) -> None:
     console.print(table, highlight=False)
 
 
-def _rows(summaries: Sequence[FilterSummary]) -> dict[str, list[str]]:
-    def row(field: str, digits: int, scale: float = 1.0) -> list[str]:
-        return [_number(getattr(summary, field), digits, scale) for summary in summaries]
+def _row(summaries: Sequence[FilterSummary], field: str, digits: int, scale: float = 1.0) -> list[str]:
+    return [_number(getattr(summary, field), digits, scale) for summary in summaries]
 
+
+def _claims(summaries: Sequence[FilterSummary]) -> dict[str, list[str]]:
+    return {
+        "claimed σ at the end, m": _row(summaries, "final_position_sigma_m", 3),
+        "claimed log det": _row(summaries, "final_pose_logdet", 2),
+        "true error at the end, m": _row(summaries, "end_error_m", 3),
+    }
+
+
+def _rows(summaries: Sequence[FilterSummary]) -> dict[str, list[str]]:
+    row = partial(_row, summaries)
     band = next((s.pose_anees_band for s in summaries if s.pose_anees_band is not None), (0.0, 0.0))
     return {
         "position RMSE, m": row("position_rmse_m", 3),

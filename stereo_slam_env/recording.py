@@ -71,6 +71,8 @@ class Frame:
         True pose of the left camera in W; None where it is unknown or not to be scored.
     truth_velocity : Velocity, optional
         True velocity over the step from the previous frame to this one (as in Eq. 6).
+    head : (2,) ndarray, optional
+        Pan and tilt of the head that carries the eyes, rad; None where they are fixed to the car.
     """
 
     timestamp: float
@@ -78,6 +80,7 @@ class Frame:
     odometry: BodyVelocity | None = None
     truth: Pose | None = None
     truth_velocity: Velocity | None = None
+    head: FloatArray | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -152,6 +152,9 @@ def _arrays_of(recording: Recording) -> Arrays:
         for name, shape in shapes.items():
             stacked = (getattr(entry, name)[None] for entry in present if entry is not None)
             arrays[f"{part}.{name}"] = _joined(stacked, shape)
+    heads = [frame.head for frame in frames]
+    arrays["has.head"] = np.array([head is not None for head in heads], dtype=np.bool_)
+    arrays["head"] = _joined((head[None] for head in heads if head is not None), (2,))
     arrays |= {f"start.{name}": np.asarray(getattr(recording.start, name)) for name in _START}
     if recording.start.covariance is not None:
         arrays["start.covariance"] = np.asarray(recording.start.covariance)
@@ -170,6 +173,7 @@ def _recording_of(about: Mapping[str, Any], arrays: Arrays) -> Recording:
     v_right = _parts(arrays, "v_right", (), counts)
     R = _parts(arrays, "R", (3, 3), counts)
     others = {part: _entries(arrays, part, len(timestamps)) for part in _PARTS}
+    others["head"] = _heads(arrays, len(timestamps))
     frames = []
     for k, (begin, end) in enumerate(zip((ends - counts).tolist(), ends.tolist(), strict=True)):
         observation = StereoObservation(ids[begin:end], uvd[begin:end], v_right[k], R[k])
@@ -218,6 +222,15 @@ def _entries(arrays: Arrays, part: str, frames: int) -> list[Any]:
     columns = [_shaped(arrays, f"{part}.{name}", (int(has.sum()), *shape)) for name, shape in shapes.items()]
     present = (made(**dict(zip(shapes, row, strict=True))) for row in zip(*columns, strict=True))
     return [next(present) if there else None for there in has]
+
+
+def _heads(arrays: Arrays, frames: int) -> list[FloatArray | None]:
+    """Pan and tilt of each frame, or None; recordings made before there were heads have none."""
+    if "has.head" not in arrays:
+        return [None] * frames
+    has = _has(arrays, "head", frames)
+    angles = iter(_shaped(arrays, "head", (int(has.sum()), 2)))
+    return [next(angles) if there else None for there in has]
 
 
 def _has(arrays: Arrays, name: str, frames: int) -> NDArray[Any]:

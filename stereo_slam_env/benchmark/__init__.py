@@ -11,7 +11,7 @@ from stereo_slam_env.benchmark.comparison import RunComparison, compare
 from stereo_slam_env.benchmark.presets import preset, preset_study, presets
 from stereo_slam_env.benchmark.results import FilterRun, FilterSummary, LandmarkTrace
 from stereo_slam_env.benchmark.runner import run_filter
-from stereo_slam_env.benchmark.scenario import FilterChoice, Scenario
+from stereo_slam_env.benchmark.scenario import FilterChoice, PolicyChoice, Scenario
 from stereo_slam_env.benchmark.scenario_file import load_study
 from stereo_slam_env.benchmark.study import Cell, Study
 from stereo_slam_env.benchmark.summary import summarise, summarise_all
@@ -26,6 +26,7 @@ __all__ = [
     "FilterRun",
     "FilterSummary",
     "LandmarkTrace",
+    "PolicyChoice",
     "RunComparison",
     "Scenario",
     "Study",

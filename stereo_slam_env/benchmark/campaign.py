@@ -14,16 +14,18 @@ from filters import available_filters, make_filter
 from filters.camera import StereoCamera
 from filters.noise import StereoNoise
 from stereo_slam_env.benchmark.engines import Engine
+from stereo_slam_env.benchmark.policy_verdict import Looks, baseline_of
 from stereo_slam_env.benchmark.presets import preset_study
 from stereo_slam_env.benchmark.results import FilterRun, FilterSummary
 from stereo_slam_env.benchmark.runner import make_with_common_options
-from stereo_slam_env.benchmark.scenario import FilterChoice, Scenario, filter_choice
+from stereo_slam_env.benchmark.scenario import FilterChoice, PolicyChoice, Scenario, filter_choice, policy_choice
 from stereo_slam_env.benchmark.scenario_file import load_study
 from stereo_slam_env.benchmark.sources import check_source
 from stereo_slam_env.benchmark.store import RunDirectory
 from stereo_slam_env.benchmark.study import Study
 from stereo_slam_env.benchmark.study_store import CellResult, StudyDirectory, open_study
 from stereo_slam_env.benchmark.tasks import RecordingTask, TrialTask, make, run_trial
+from stereo_slam_env.recording_archive import load_recording
 
 if TYPE_CHECKING:
     from stereo_slam_env.benchmark.attribution import Attribution
@@ -69,6 +71,7 @@ def run_benchmark(
     out: str | Path,
     *,
     filters: Sequence[str | FilterChoice] | None = None,
+    policies: Sequence[str | PolicyChoice] | None = None,
     seeds: Sequence[int] | None = None,
     jobs: int = 2,
     engine: str = "processes",
@@ -79,9 +82,9 @@ def run_benchmark(
 ) -> BenchmarkResult:
     """Compare filters on the recordings of a scenario, or of many.
 
-    Each recording is made once a seed and given to every filter. Every trial has a process of its own; what it
-    raises, a crash or a hang is its recorded result, and the others go on. Finished trials are kept in `out`: the same
-    call goes on where an interrupted one stopped.
+    Each recording is made once a seed and given to every filter; a policy drives its own episode of the seed. Every
+    trial has a process of its own; what it raises, a crash or a hang is its recorded result, and the others go on.
+    Finished trials are kept in `out`: the same call goes on where an interrupted one stopped.
 
     Parameters
     ----------
@@ -91,6 +94,8 @@ def run_benchmark(
         Run directory, see `stereo_slam_env.benchmark.study_store`.
     filters : sequence of str or FilterChoice, optional
         Instead of the scenario's.
+    policies : sequence of str or PolicyChoice, optional
+        Instead of the scenario's, which must be of kind "gaze".
     seeds : sequence of int, optional
         Instead of the scenario's.
     jobs : int
@@ -122,6 +127,9 @@ def run_benchmark(
     if filters is not None:
         choices = tuple(filter_choice(f) if isinstance(f, str) else f for f in filters)
         study = study.with_scenarios(partial(dataclasses.replace, filters=choices))
+    if policies is not None:
+        who = tuple(policy_choice(p) if isinstance(p, str) else p for p in policies)
+        study = study.with_scenarios(partial(dataclasses.replace, policies=who))
     if seeds is not None:
         study = study.with_scenarios(partial(dataclasses.replace, seeds=tuple(seeds)))
     check_study(study)
@@ -198,6 +206,7 @@ def write_report_of(directory: StudyDirectory, results: Sequence[CellResult]) ->
             result.directory.settings(),
             bounds=result.bounds,
             attribution=None if factorial is None else attribution_of(factorial, result),
+            looks=looks_of(result) if result.cell.scenario.policies else None,
         )
         for result in results
     ]
@@ -206,6 +215,14 @@ def write_report_of(directory: StudyDirectory, results: Sequence[CellResult]) ->
     from stereo_slam_env.benchmark.study_report import write_study_report
 
     return write_study_report(directory.out, directory.study, {result.cell.name: result for result in results})
+
+
+def looks_of(result: CellResult) -> Looks:
+    """Who is held against whom, and where all looked in the first seed; recordings that are gone are left out."""
+    competitors, seed = result.cell.scenario.competitors, result.directory.seeds[0]
+    paths = {choice.label: result.directory.recording_path(seed, choice) for choice in competitors}
+    seen = {label: load_recording(path) for label, path in paths.items() if path.exists()}
+    return Looks(baseline_of(competitors), seen)
 
 
 def attribution_of(factorial: Mapping[str, Sequence[Any]], result: CellResult) -> Attribution | None:
@@ -224,8 +241,8 @@ def _run_missing(directory: StudyDirectory, engine: Engine, progress: Progress) 
     """Make what is missing and keep each result as soon as it is there."""
     cells = [run for _, run in directory.cells]
     missing = [(number, seed, choice) for number, run in enumerate(cells) for seed, choice in run.missing()]
-    to_record = _recordings_to_make(cells, [(number, seed) for number, seed, _ in missing])
-    wanted = sum(len(run.seeds) * (len(run.scenario.filters) + ("bound" in run.scenario.metrics)) for run in cells)
+    to_record = _recordings_to_make(cells, [(n, seed) for n, seed, choice in missing if not _drives(choice)])
+    wanted = sum(len(run.seeds) * (len(run.scenario.competitors) + run.scenario.has_bound) for run in cells)
     total = wanted + len(to_record)
     done = wanted - len(missing)
 
@@ -238,7 +255,7 @@ def _run_missing(directory: StudyDirectory, engine: Engine, progress: Progress) 
     def trials() -> Iterator[TrialTask]:
         for number, seed, choice in missing:
             run = cells[number]
-            recording = run.recording_path(seed).read_bytes()
+            recording = None if _drives(choice) else run.recording_path(seed).read_bytes()
             yield TrialTask(number, run.scenario, seed, choice, recording, run.provenance(seed, choice))
 
     tell()
@@ -254,9 +271,17 @@ def _run_missing(directory: StudyDirectory, engine: Engine, progress: Progress) 
             done += 1
             tell()
         for finished in run_all(partial(run_trial, progress=told), trials()):
+            own = finished.made
+            if own is not None:
+                cells[finished.cell].save_recording(finished.seed, own.content, own.description, finished.choice)
             cells[finished.cell].save_trial(finished.seed, finished.choice, finished.content)
             done += 1
             tell()
+
+
+def _drives(choice: FilterChoice | None) -> bool:
+    """Whether a trial records for itself what it is given."""
+    return choice is not None and choice.policy is not None
 
 
 def _recordings_to_make(

@@ -25,6 +25,7 @@ from stereo_slam_env.benchmark.statistics import (
     Finding,
     pairs_needed,
 )
+from stereo_slam_env.benchmark.store import pairing_digest
 from stereo_slam_env.benchmark.study_store import read_study
 from stereo_slam_env.benchmark.verdict import change_words
 
@@ -210,7 +211,7 @@ def _opened(source: str | Path | HasRuns, name: str) -> _Side:
         of_cell = figures_of(runs, divergence_percent=limit, bounds=directory.bounds())
         figures |= {f"{prefix}{label}": figures for label, figures in of_cell.items()}
         trials |= _trials(prefix, runs)
-        digests = {(about["name"], about["seed"]): about["stream_sha256"] for about in recordings}
+        digests = {(about["name"], about["seed"]): pairing_digest(about) for about in recordings}
         streams |= {(label, key): digests[key] for label, key in _trials(prefix, runs)}
         settings[prefix] = json.loads((directory.out / "settings.json").read_text(encoding="utf-8"))
     return _Side(str(source), figures, trials, streams, settings)
@@ -341,9 +342,12 @@ def _other_settings(was: _Side, now: _Side) -> list[str]:
     other: dict[str, None] = {}
     for cell in was.settings.keys() & now.settings.keys():
         a, b = (side.settings[cell]["scenario"] for side in (was, now))
-        ignored = {"name", "seeds", "filters"}
+        ignored = {"name", "seeds", "filters", "policies"}
         other |= dict.fromkeys(key for key in {**a, **b} if key not in ignored and a.get(key) != b.get(key))
-        made = [{choice["label"]: (choice["name"], choice["options"]) for choice in side["filters"]} for side in (a, b)]
+        made = [
+            {c["label"]: (c["name"], c["options"]) for c in (*side["filters"], *side.get("policies", ()))}
+            for side in (a, b)
+        ]
         changed = [label for label, how in made[0].items() if made[1].get(label, how) != how]
         other |= dict.fromkeys(f"the options of {label}" for label in changed)
     return [f"The settings of the two runs differ in {_listed(list(other))}."] if other else []

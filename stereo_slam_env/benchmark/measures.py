@@ -37,6 +37,8 @@ class Measure:
         Of a measure of consistency, the value of a filter that knows how wrong it is; None: the smaller the better.
     larger_is_better : bool
         Whether it is an efficiency.
+    is_ratio : bool
+        Whether values are compared by their ratio; False: by their difference, because they are logarithms already.
     """
 
     key: str
@@ -45,6 +47,7 @@ class Measure:
     scale: float = 1.0
     ideal: float | None = None
     larger_is_better: bool = False
+    is_ratio: bool = True
 
     def of(self, figures: FilterSummary | Mapping[str, Any]) -> float:
         """The value in a summary or in the figures of a run; NaN where it is not known."""
@@ -52,11 +55,11 @@ class Measure:
         return float("nan") if value is None else self.scale * float(value)
 
     def over_runs(self, values: FloatArray) -> float:
-        """One value for many runs: their geometric mean, or, of consistency, their mean; NaN without any."""
+        """One value for many runs: their geometric mean; of consistency and logarithms their mean; NaN without any."""
         finite = values[np.isfinite(values)]
         if finite.size == 0:
             return float("nan")
-        if self.ideal is not None or not (finite > 0.0).all():
+        if self.ideal is not None or not self.is_ratio or not (finite > 0.0).all():
             return float(finite.mean())
         return float(np.exp(np.log(finite).mean()))
 
@@ -80,7 +83,7 @@ class Measure:
         if self.larger_is_better:
             return paired_difference(b, a, comparisons=comparisons)
         if self.ideal is None:
-            return paired_difference(a, b, comparisons=comparisons)
+            return paired_difference(a, b, comparisons=comparisons, is_ratio=self.is_ratio)
         both = np.isfinite(a) & np.isfinite(b) & (a > 0.0) & (b > 0.0)
         gaps = _deviation(a[both] / self.ideal) - _deviation(b[both] / self.ideal)
         return difference_of(gaps, comparisons=comparisons)
@@ -94,10 +97,15 @@ POSE_NEES = Measure("pose_anees", "pose NEES / 6", scale=1.0 / DOF["pose"], idea
 NIS = Measure("nis", "NIS / dof", ideal=1.0)
 EFFICIENCY = Measure("efficiency_percent", "efficiency", "%", larger_is_better=True)
 TIME = Measure("ms_per_frame", "time", "ms")
+FINAL_SIGMA = Measure("final_position_sigma_m", "claimed σ of the final position", "m")
+FINAL_LOGDET = Measure("final_pose_logdet", "log det of the final pose covariance", is_ratio=False)
+FINAL_ERROR = Measure("end_error_m", "final position error", "m")
 
 MEASURES = (POSITION, ROTATION, ATE, LANDMARKS, POSE_NEES, NIS, EFFICIENCY, TIME)
 QUESTIONS = (POSITION, ROTATION, POSE_NEES, TIME)
 """What filters of one run are compared by: how accurate, how honest, how fast."""
+CLAIM_AND_TRUTH = (FINAL_SIGMA, FINAL_LOGDET, FINAL_ERROR, POSITION, ROTATION, POSE_NEES)
+"""What policies are compared by: what their filters claim in the end, and what is true."""
 
 
 @dataclass(frozen=True)

@@ -14,11 +14,13 @@ from matplotlib.figure import Figure
 from stereo_slam_env.benchmark import report_tables as tables
 from stereo_slam_env.benchmark.attribution import Attribution
 from stereo_slam_env.benchmark.attribution_report import attribution_section, conclusions
+from stereo_slam_env.benchmark.policy_report import policy_overview
+from stereo_slam_env.benchmark.policy_verdict import Looks, judge_policies
 from stereo_slam_env.benchmark.report_overview import overview
 from stereo_slam_env.benchmark.results import FilterRun, FilterSummary
 from stereo_slam_env.benchmark.summary import Bounds
-from stereo_slam_env.benchmark.verdict import Verdict, compare_all, judge
-from stereo_slam_env.viewer import accuracy, cost, map_figures, plots, series
+from stereo_slam_env.benchmark.verdict import PairwiseTable, Verdict, compare_all, judge
+from stereo_slam_env.viewer import accuracy, cost, gaze_figures, map_figures, plots, series
 from stereo_slam_env.viewer import consistency as honesty
 from stereo_slam_env.viewer.page import figure_block, page
 
@@ -40,6 +42,7 @@ def write_report(
     *,
     bounds: Bounds | None = None,
     attribution: Attribution | None = None,
+    looks: Looks | None = None,
 ) -> Path:
     """Write `out/report.html`, and each of its figures as `out/figures/<name>.png` and `.svg`.
 
@@ -59,6 +62,8 @@ def write_report(
         Theoretical limits, drawn below the errors over time.
     attribution : Attribution, optional
         Of the options that the filters differ in.
+    looks : Looks, optional
+        Where policies are compared: the page then first says what they claim and what is true.
 
     Returns
     -------
@@ -73,20 +78,25 @@ def write_report(
     if not runs or not summaries:
         raise ValueError("runs and summaries must not be empty: there is nothing to report")
     folder = clean_figures(out)
-    verdict = judge(runs, summaries)
+    if looks is None:
+        verdict = judge(runs, summaries)
+        first_screen, pairs = overview(summaries, verdict), _pairs(runs, summaries, verdict)
+    else:
+        found = judge_policies(runs, summaries, baseline=looks.baseline)
+        first_screen, pairs = policy_overview(summaries, found), _against(found.compared, found.baseline, "Policy")
     body = [
         *([conclusions(attribution)] if attribution is not None else []),
-        overview(summaries, verdict),
+        first_screen,
         f'<p class="quiet">{escape(_note(summaries))}</p>',
         *([attribution_section(attribution, folder)] if attribution is not None else []),
-        *(_section(section, folder) for section in _sections(runs, summaries, bounds or {})),
-        _pairs(runs, summaries, verdict),
+        *(_section(section, folder) for section in _sections(runs, summaries, bounds or {}, looks)),
+        pairs,
         _failures(summaries),
         f"<section><h2>Settings</h2>{settings_list(settings)}</section>",
         data_links(out),
     ]
     path = out / "report.html"
-    path.write_text(page(title=title, subtitle=_subtitle(runs), body="\n".join(body)), encoding="utf-8")
+    path.write_text(page(title=title, subtitle=_subtitle(runs, looks), body="\n".join(body)), encoding="utf-8")
     return path
 
 
@@ -120,12 +130,13 @@ def _note(summaries: Sequence[FilterSummary]) -> str:
     return note
 
 
-def _subtitle(runs: Sequence[FilterRun]) -> str:
+def _subtitle(runs: Sequence[FilterRun], looks: Looks | None) -> str:
     recordings = dict.fromkeys((run.recording_name, run.seed) for run in runs)
     first = series.first_recording(runs)[0]
     length = series.last_known(series.distance(first))
+    who = len(series.by_filter(runs))
     parts = [
-        f"{len(series.by_filter(runs))} filters on identical measurements",
+        f"{who} filters on identical measurements" if looks is None else f"{who} policies on identical drives",
         f"{len(recordings)} recordings" if len(recordings) > 1 else f"1 recording ({first.recording_name})",
         f"{len(first)} frames" + (f" over {length:.0f} m" if np.isfinite(length) else ""),
     ]
@@ -145,13 +156,17 @@ class _Section:
     figures: Mapping[str, tuple[Callable[[], Figure], str]] | None = None
 
 
-def _sections(runs: Sequence[FilterRun], summaries: Sequence[FilterSummary], bounds: Bounds) -> list[_Section]:
+def _sections(
+    runs: Sequence[FilterRun], summaries: Sequence[FilterSummary], bounds: Bounds, looks: Looks | None
+) -> list[_Section]:
+    who = "Filter" if looks is None else "Policy"
     with_truth = any(series.scored(run).any() for run in runs)
     first = series.first_recording(runs)
     shown = f"{first[0].recording_name}" + (f", seed {first[0].seed}" if first[0].seed is not None else "")
-    sections = [_accuracy(runs, summaries, shown, with_truth)] if with_truth else [_trajectory(runs, shown)]
+    sections = [] if looks is None else [_gaze(runs, looks, shown)]
+    sections += [_accuracy(runs, summaries, shown, who)] if with_truth else [_trajectory(runs, shown)]
     sections += _limits(runs, summaries, bounds)
-    sections.append(_consistency(runs, summaries, with_truth))
+    sections.append(_consistency(runs, summaries, with_truth, who))
     if with_truth:
         limits = honesty.error_limits(first)
         bounded = {
@@ -162,16 +177,27 @@ def _sections(runs: Sequence[FilterRun], summaries: Sequence[FilterSummary], bou
         if len(first) > MOST_SHOWN:
             guide += f" The first {MOST_SHOWN} of {len(first)} filters."
         sections.append(_Section("Errors and their 3σ bounds", guide, figures=bounded))
-    sections += _map(runs, summaries)
+    sections += _map(runs, summaries, same_landmarks=looks is None)
     caption = f"Velocity in the world and heading on {shown}."
     sections.append(
         _Section("Velocity and heading", figures={"velocity": (_later(plots.plot_velocity, runs), caption)})
     )
-    sections.append(_cost(runs, summaries))
+    sections.append(_cost(runs, summaries, who))
     return sections
 
 
-def _accuracy(runs: Sequence[FilterRun], summaries: Sequence[FilterSummary], shown: str, with_truth: bool) -> _Section:
+def _gaze(runs: Sequence[FilterRun], looks: Looks, shown: str) -> _Section:
+    caption = "Root mean squares over the runs, on one scale: who claims less than its true error is overconfident."
+    figures = {"claim_and_truth": (_later(gaze_figures.plot_claim_and_truth, runs), caption)}
+    if looks.recordings:
+        caption = f"Pan and tilt of the head on {shown}."
+        figures["gaze"] = (_later(gaze_figures.plot_gaze, looks.recordings), caption)
+        caption = f"{shown} from above: path, landmarks seen (the others are faint), lines of sight twice a second."
+        figures["gaze_map"] = (_later(gaze_figures.plot_gaze_map, looks.recordings), caption)
+    return _Section("Where they look, and what that is worth", figures=figures)
+
+
+def _accuracy(runs: Sequence[FilterRun], summaries: Sequence[FilterSummary], shown: str, who: str) -> _Section:
     figures = {}
     if len({(run.recording_name, run.seed) for run in runs}) > 1:
         caption = "A line joins the filters' errors on the same recording: look at its direction, not at the spread."
@@ -181,7 +207,7 @@ def _accuracy(runs: Sequence[FilterRun], summaries: Sequence[FilterSummary], sho
     if any(s.rpe for s in summaries):
         caption = "Relative error over segments of the path, averaged over segments and runs."
         figures["relative_error"] = (_later(accuracy.plot_segment_errors, summaries), caption)
-    return _Section("Accuracy", "", tables.accuracy_table(summaries), figures)
+    return _Section("Accuracy", "", tables.accuracy_table(summaries, who), figures)
 
 
 def _trajectory(runs: Sequence[FilterRun], shown: str) -> _Section:
@@ -201,7 +227,7 @@ def _limits(runs: Sequence[FilterRun], summaries: Sequence[FilterSummary], bound
     return [_Section("Distance from the limit", guide, figures=figures)] if figures else []
 
 
-def _consistency(runs: Sequence[FilterRun], summaries: Sequence[FilterSummary], with_truth: bool) -> _Section:
+def _consistency(runs: Sequence[FilterRun], summaries: Sequence[FilterSummary], with_truth: bool, who: str) -> _Section:
     figures = {}
     if any(s.consistency for s in summaries):
         caption = "Means by their degrees of freedom in their 95 % bands, and the share of the frames inside."
@@ -211,10 +237,10 @@ def _consistency(runs: Sequence[FilterRun], summaries: Sequence[FilterSummary], 
     caption = "Innovations along the drive, pooled over runs and short stretches of time."
     figures["nis"] = (_later(honesty.plot_nis, runs), caption)
     guide = "Above the band a filter is overconfident, below it too cautious."
-    return _Section("Consistency", guide, tables.consistency_table(summaries), figures)
+    return _Section("Consistency", guide, tables.consistency_table(summaries, who), figures)
 
 
-def _map(runs: Sequence[FilterRun], summaries: Sequence[FilterSummary]) -> list[_Section]:
+def _map(runs: Sequence[FilterRun], summaries: Sequence[FilterSummary], *, same_landmarks: bool) -> list[_Section]:
     figures = {}
     if any(s.landmark_by_range for s in summaries):
         caption = "By true distance: error relative to the camera, mean depth error (Sibley's bias), NEES in (u, v, d)."
@@ -222,7 +248,7 @@ def _map(runs: Sequence[FilterRun], summaries: Sequence[FilterSummary]) -> list[
     if any(s.depth_convergence for s in summaries):
         caption = "All landmarks of that depth at first sight: the σ a filter claims should follow its true error."
         figures["convergence"] = (_later(map_figures.plot_depth_convergence, summaries), caption)
-    if any(run.traces for run in runs):
+    if same_landmarks and any(run.traces for run in runs):
         caption = (
             "Two landmarks. Dots: the frame's own disparity. A narrow band that misses the truth is false confidence."
         )
@@ -230,14 +256,14 @@ def _map(runs: Sequence[FilterRun], summaries: Sequence[FilterSummary]) -> list[
     return [_Section("Map and depth", figures=figures)] if figures else []
 
 
-def _cost(runs: Sequence[FilterRun], summaries: Sequence[FilterSummary]) -> _Section:
+def _cost(runs: Sequence[FilterRun], summaries: Sequence[FilterSummary], who: str) -> _Section:
     figures = {}
     if any(s.ms_per_frame is not None for s in summaries):
         figures["cost"] = (_later(cost.plot_cost, summaries), "Medians over frames and runs.")
     caption = "Predict and update, median over runs, along the drive and by the size of the map."
     figures["time_per_frame"] = (_later(plots.plot_time_per_frame, runs), caption)
     guide = "Compare filters within a report, not across machines."
-    return _Section("Cost and events", guide, tables.cost_table(summaries), figures)
+    return _Section("Cost and events", guide, tables.cost_table(summaries, who), figures)
 
 
 def _later(plot: Callable[..., Figure], *arguments: Any) -> Callable[[], Figure]:
@@ -259,15 +285,18 @@ def _pairs(runs: Sequence[FilterRun], summaries: Sequence[FilterSummary], verdic
     if len(summaries) < 2:
         return ""
     baseline = verdict.best if len(summaries) > MOST_SHOWN else None
-    compared = compare_all(runs, summaries, baseline=baseline)
+    return _against(compare_all(runs, summaries, baseline=baseline), baseline, "Filter")
+
+
+def _against(compared: PairwiseTable, baseline: str | None, who: str) -> str:
     if not compared.cells:
         return ""
     guide = (
-        "The first filter by the second one, on the same recordings: difference in %, and its 95 % interval, corrected"
-        " for the number of pairs. A colour means that interval and signed-rank test both show the difference."
+        f"The first {who.lower()} by the second one, on the same recordings: difference in %, and its 95 % interval, "
+        "corrected for the number of pairs. A colour means that interval and signed-rank test both show the difference."
     )
     heading = f"Each against {baseline}" if baseline else "Each against each"
-    markup = tables.pair_table(compared)
+    markup = tables.pair_table(compared, who)
     return f'<section><h2>{escape(heading)}</h2><p class="quiet">{guide}</p>{markup}</section>'
 
 

@@ -57,22 +57,22 @@ _COST = (
 _QUANTITIES = {"pose": "Pose", "position": "Position", "rotation": "Rotation", "landmark": "Landmarks", "nis": "NIS"}
 
 
-def accuracy_table(summaries: Sequence[FilterSummary]) -> str:
-    """Errors of pose, velocity and map, and the distance from the limit."""
-    return _table(summaries, _ACCURACY)
+def accuracy_table(summaries: Sequence[FilterSummary], who: str = "Filter") -> str:
+    """Errors of pose, velocity and map, and the distance from the limit; a row is called `who`."""
+    return _table(summaries, _ACCURACY, who)
 
 
-def cost_table(summaries: Sequence[FilterSummary]) -> str:
+def cost_table(summaries: Sequence[FilterSummary], who: str = "Filter") -> str:
     """Time, memory and events."""
-    return _table(summaries, _COST, diverged=True)
+    return _table(summaries, _COST, who, diverged=True)
 
 
-def consistency_table(summaries: Sequence[FilterSummary]) -> str:
+def consistency_table(summaries: Sequence[FilterSummary], who: str = "Filter") -> str:
     """Mean NEES and NIS in their bands, and how much of the time they are inside; "" where nothing is known."""
     keys = [key for key in _QUANTITIES if any(key in s.consistency for s in summaries)]
     if not keys:
         return ""
-    columns = [Column("Filter", kind="text")]
+    columns = [Column(who, kind="text")]
     for key in keys:
         bands = {s.consistency[key].band for s in summaries if key in s.consistency}
         dof = next(s.consistency[key].dof for s in summaries if key in s.consistency)
@@ -90,11 +90,12 @@ def consistency_table(summaries: Sequence[FilterSummary]) -> str:
     return table(columns, rows, wide=True)
 
 
-def pair_table(compared: PairwiseTable) -> str:
+def pair_table(compared: PairwiseTable, who: str = "Filter") -> str:
     """A row for each pair of filters, a column for each question."""
-    columns = [Column("Filter", kind="text"), Column("against", kind="text")]
+    columns = [Column(who, kind="text"), Column("against", kind="text")]
     for measure in compared.measures:
-        columns.append(Column(capital(measure.words), "nearness to 1" if measure.ideal is not None else "%"))
+        unit = "nearness to 1" if measure.ideal is not None else "%" if measure.is_ratio else "difference"
+        columns.append(Column(capital(measure.words), unit))
     colours = filter_colours(compared.filters)
     pairs = list(dict.fromkeys((a, b) for _, a, b in compared.cells))
     order = {name: i for i, name in enumerate(compared.filters)}
@@ -123,6 +124,9 @@ def pair_cell(verdict: PairVerdict | None) -> Cell:
     if verdict.measure.ideal is not None:
         nearer = {Finding.BETTER: "nearer", Finding.WORSE: "farther"}.get(verdict.finding, Finding.NOT_SHOWN.value)
         return Cell(nearer, difference.estimate, tone)
+    if not verdict.measure.is_ratio:
+        interval = f" ({difference.interval_words})" if difference.interval is not None else ""
+        return Cell(f"{signed(difference.estimate, 2)}{interval}", difference.estimate, tone)
     return percent_cell(difference.percent, difference.interval_percent, tone)
 
 
@@ -151,9 +155,9 @@ def _band(band: tuple[float, float]) -> str:
     return f"{band[0]:.2f}–{band[1]:.2f}"
 
 
-def _table(summaries: Sequence[FilterSummary], figures: Sequence[_Figure], *, diverged: bool = False) -> str:
+def _table(summaries: Sequence[FilterSummary], figures: Sequence[_Figure], who: str, *, diverged: bool = False) -> str:
     shown = [f for f in figures if any(_known(f.value(s)) for s in summaries)]
-    columns = [Column("Filter", kind="text")] + [Column(f.heading, f.unit, f.explanation) for f in shown]
+    columns = [Column(who, kind="text")] + [Column(f.heading, f.unit, f.explanation) for f in shown]
     colours = filter_colours(s.filter_name for s in summaries)
     rows = [[filter_cell(s.filter_name, colours), *(number(f.value(s), f.form) for f in shown)] for s in summaries]
     if diverged:

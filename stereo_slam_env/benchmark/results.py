@@ -315,6 +315,12 @@ class FilterSummary:
         Median dimension of the error state.
     memory_mb : float
         Largest growth of a trial's resident memory.
+    end_error_m : float
+        Root mean square of the position error in the last frame.
+    final_position_sigma_m : float
+        Root mean square of what the filter claims for it: of the root of the trace of the position's covariance.
+    final_pose_logdet : float
+        Natural logarithm of the determinant of that pose covariance (m and rad), mean over runs.
     """
 
     filter_name: str
@@ -355,3 +361,6 @@ class FilterSummary:
     ms_update: float | None = None
     state_size: float | None = None
     memory_mb: float | None = None
+    end_error_m: float | None = None
+    final_position_sigma_m: float | None = None
+    final_pose_logdet: float | None = None

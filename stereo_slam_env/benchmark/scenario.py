@@ -18,6 +18,10 @@ KINDS: Mapping[str, str] = {
     "street": "the PyBullet street of the environment; options: its keyword arguments",
     "reference": "pure geometry; options: name (long_drive, short_turn, relative_noise_loop) and the problem's own",
     "dataset": "a real recording; options: path, and the reader's own",
+    "gaze": (
+        "an environment in which a policy decides where to look; options: environment (its id, StereoSlam/Gaze-v0 "
+        "unless said) and its keyword arguments"
+    ),
     "factory": 'any callable; options: call ("package.module:function", called with seed=) and its arguments',
 }
 
@@ -26,14 +30,14 @@ SEARCHES = ("flow", "forecast")
 
 METRICS: Mapping[str, str] = {
     "map": "landmark errors, by range too, landmark NEES and depth convergence",
-    "bound": "the posterior Cramér-Rao bound, where truth is known",
+    "bound": "the posterior Cramér-Rao bound, where truth is known and all filters have the same measurements",
 }
 """What is measured beyond trajectory, consistency, events and cost."""
 
 
 @dataclass(frozen=True)
-class FilterChoice:
-    """One competitor: a filter by name, its options, and the label it has in tables and files.
+class PolicyChoice:
+    """Who decides where to look: a policy by name, its options, and the label it has in tables and files.
 
     Raises
     ------
@@ -46,8 +50,38 @@ class FilterChoice:
     options: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._+-]*", self.label):
-            raise ValueError(f"filter label must be letters, digits, '.', '_', '+' or '-', got {self.label!r}")
+        _require_label("policy", self.label)
+
+
+@dataclass(frozen=True)
+class FilterChoice:
+    """One competitor: a filter by name, its options, and the label it has in tables and files.
+
+    Attributes
+    ----------
+    label, name, options : str, str, mapping
+        Of the filter.
+    policy : PolicyChoice, optional
+        Who looks, with this filter in its loop; only among `Scenario.competitors`.
+
+    Raises
+    ------
+    ValueError
+        The label is not usable as a file name.
+    """
+
+    label: str
+    name: str
+    options: Mapping[str, Any] = field(default_factory=dict)
+    policy: PolicyChoice | None = None
+
+    def __post_init__(self) -> None:
+        _require_label("filter", self.label)
+
+
+def _require_label(what: str, label: str) -> None:
+    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._+-]*", label):
+        raise ValueError(f"{what} label must be letters, digits, '.', '_', '+' or '-', got {label!r}")
 
 
 DEFAULT_FILTERS = (
@@ -61,6 +95,11 @@ DEFAULT_FILTERS = (
 def filter_choice(name: str) -> FilterChoice:
     """The default choice of that name, or the filter as it comes."""
     return next((choice for choice in DEFAULT_FILTERS if choice.label == name), FilterChoice(name, name))
+
+
+def policy_choice(name: str) -> PolicyChoice:
+    """The policy as it comes."""
+    return PolicyChoice(name, name)
 
 
 @dataclass(frozen=True)
@@ -77,6 +116,8 @@ class Scenario:
         Arguments of that source; JSON-able.
     filters : tuple of FilterChoice
         Who takes part.
+    policies : tuple of PolicyChoice
+        Who looks, in a scenario of kind "gaze" and only there; each with each of the filters.
     seeds : tuple of int
         One recording each; a real recording has none.
     frames : int, optional
@@ -114,6 +155,7 @@ class Scenario:
     kind: str = "street"
     options: Mapping[str, Any] = field(default_factory=dict)
     filters: tuple[FilterChoice, ...] = DEFAULT_FILTERS
+    policies: tuple[PolicyChoice, ...] = ()
     seeds: tuple[int, ...] = (0,)
     frames: int | None = None
     use_odometry: bool = False
@@ -132,16 +174,13 @@ class Scenario:
             hint = did_you_mean(self.kind, KINDS)
             raise ValueError(f"kind must be one of {', '.join(KINDS)}, got {self.kind!r}{hint}")
         object.__setattr__(self, "filters", tuple(self.filters))
+        object.__setattr__(self, "policies", tuple(self.policies))
         if not isinstance(self.options, Mapping):
             raise ValueError(f"options must be a table, got {self.options!r}")
         if not all(isinstance(seed, Integral) for seed in self.seeds):
             raise ValueError(f"seeds must be whole numbers, got {self.seeds!r}")
         object.__setattr__(self, "seeds", tuple(int(seed) for seed in self.seeds))
-        labels = [choice.label for choice in self.filters]
-        if not labels:
-            raise ValueError("filters must name at least one filter")
-        if len(set(labels)) < len(labels):
-            raise ValueError(f"filters must have different labels, got {', '.join(labels)}")
+        self._check_competitors()
         if not self.seeds or len(set(self.seeds)) < len(self.seeds) or min(self.seeds) < 0:
             raise ValueError(f"seeds must be different whole numbers >= 0, at least one, got {list(self.seeds)}")
         if self.frames is not None and (not isinstance(self.frames, int) or self.frames < 2):
@@ -174,6 +213,45 @@ class Scenario:
         except (TypeError, ValueError) as error:
             raise ValueError(f"scenario {self.name!r} must consist of JSON values: {error}") from error
 
+    def _check_competitors(self) -> None:
+        if not self.filters:
+            raise ValueError("filters must name at least one filter")
+        if self.policies and self.kind != "gaze":
+            raise ValueError(
+                f"policies need a scenario of kind 'gaze', whose environment has a head to turn: {self.name!r} is of "
+                f"kind {self.kind!r}"
+            )
+        if self.kind == "gaze" and not self.policies:
+            raise ValueError("policies must name at least one policy in a scenario of kind 'gaze'")
+        if self.kind == "gaze" and self.corruptions:
+            raise ValueError("corruptions do not go with kind 'gaze': what a policy does depends on what it measures")
+        for field_name in ("filters", "policies"):
+            labels = [choice.label for choice in getattr(self, field_name)]
+            if len(set(labels)) < len(labels):
+                raise ValueError(f"{field_name} must have different labels, got {', '.join(labels)}")
+
+    @property
+    def competitors(self) -> tuple[FilterChoice, ...]:
+        """Who is compared: the filters, or each policy with each of them.
+
+        With one filter a competitor has the label of its policy, else that of both: "sweep+inverse-depth".
+        """
+        if not self.policies:
+            return self.filters
+        alone = len(self.filters) == 1
+        return tuple(
+            dataclasses.replace(
+                choice, label=policy.label if alone else f"{policy.label}+{choice.label}", policy=policy
+            )
+            for policy in self.policies
+            for choice in self.filters
+        )
+
+    @property
+    def has_bound(self) -> bool:
+        """Whether a Cramér-Rao bound is computed: with a policy, every competitor has measurements of its own."""
+        return "bound" in self.metrics and not self.policies
+
     def assumed_noise(self, of_recording: StereoNoise) -> StereoNoise:
         """The noise filters are told to assume."""
         if self.noise is None:
@@ -201,7 +279,8 @@ class Scenario:
             "corruptions": [dict(corruption) for corruption in self.corruptions],
             "metrics": list(self.metrics),
             "seeds": list(self.seeds),
-            "filters": [{"label": c.label, "name": c.name, "options": dict(c.options)} for c in self.filters],
+            "filters": [choice_as_dict(choice) for choice in self.filters],
+            "policies": [choice_as_dict(choice) for choice in self.policies],
         }
 
     @classmethod
@@ -218,17 +297,29 @@ class Scenario:
             raise ValueError("scenario must have a name")
         values = dict(data)
         if "filters" in values:
-            values["filters"] = tuple(_choice_from(entry) for entry in values["filters"])
+            values["filters"] = tuple(
+                filter_choice(entry) if isinstance(entry, str) else FilterChoice(*_named("filters", entry))
+                for entry in values["filters"]
+            )
+        if "policies" in values:
+            values["policies"] = tuple(
+                policy_choice(entry) if isinstance(entry, str) else PolicyChoice(*_named("policies", entry))
+                for entry in values["policies"]
+            )
         return cls(**values)
 
 
-def _choice_from(entry: Any) -> FilterChoice:
-    if isinstance(entry, str):
-        return filter_choice(entry)
+def choice_as_dict(choice: FilterChoice | PolicyChoice) -> dict[str, Any]:
+    """A choice as it is written in a scenario."""
+    return {"label": choice.label, "name": choice.name, "options": dict(choice.options)}
+
+
+def _named(what: str, entry: Any) -> tuple[str, str, Mapping[str, Any]]:
+    """Label, name and options of a choice as it is written in a scenario."""
     if not isinstance(entry, Mapping) or "name" not in entry:
-        raise ValueError(f"filters must be names or objects with a name, got {entry!r}")
-    require_keys("filters", entry, ("label", "name", "options"))
-    return FilterChoice(entry.get("label", entry["name"]), entry["name"], entry.get("options", {}))
+        raise ValueError(f"{what} must be names or objects with a name, got {entry!r}")
+    require_keys(what, entry, ("label", "name", "options"))
+    return entry.get("label", entry["name"]), entry["name"], entry.get("options", {})
 
 
 def require_keys(what: str, data: Mapping[str, Any], known: tuple[str, ...]) -> None:

@@ -36,7 +36,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from stereo_slam_env.benchmark.scenario import FilterChoice, Scenario, require_keys
+from stereo_slam_env.benchmark.scenario import FilterChoice, Scenario, choice_as_dict, require_keys
 from stereo_slam_env.benchmark.study import Cell, Study, factorial_label
 
 if sys.version_info >= (3, 11):
@@ -168,7 +168,7 @@ def _crossed(table: Mapping[str, Any]) -> tuple[dict[str, tuple[Any, ...]], list
     for combination in itertools.product(*factors.values()):
         levels = dict(zip(factors, combination, strict=True))
         choice = FilterChoice(factorial_label(levels), table["filter"], {**fixed, **levels})
-        choices.append(dataclasses.asdict(choice))
+        choices.append(choice_as_dict(choice))
     return {key: tuple(values) for key, values in factors.items()}, choices
 
 

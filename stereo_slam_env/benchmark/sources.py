@@ -6,7 +6,7 @@ import dataclasses
 import hashlib
 import importlib
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any
@@ -14,7 +14,9 @@ from typing import Any
 import numpy as np
 
 from filters.interface import StereoObservation
-from stereo_slam_env.benchmark.scenario import Scenario
+from filters.noise import StereoNoise
+from stereo_slam_env.benchmark.scenario import FilterChoice, Scenario
+from stereo_slam_env.benchmark.sensor_noise import noise_of_images
 from stereo_slam_env.datasets import holds_images, open_for_front_end, read_recording
 from stereo_slam_env.frontend.recorder import record_tracks
 from stereo_slam_env.frontend.settings import TrackerSettings
@@ -36,6 +38,8 @@ def make_recording(scenario: Scenario, seed: int | None, progress: Progress | No
         The source refuses its options or yields no frames: the message names what is wrong.
     """
     options = dict(scenario.options)
+    if scenario.kind == "gaze":
+        raise ValueError(f"scenario {scenario.name!r} has no recording for all: every policy drives its own episode")
     if takes_images(scenario):
         given = json.dumps(options, sort_keys=True)
         recording = _seen(_Look(scenario.kind, given, seed, scenario.frames, progress))
@@ -58,15 +62,26 @@ def make_recording(scenario: Scenario, seed: int | None, progress: Progress | No
     return recording
 
 
-def stream_key(scenario: Scenario) -> str:
-    """Equal for scenarios whose recordings of a seed are the same, a short name for files."""
+def stream_key(scenario: Scenario, choice: FilterChoice | None = None) -> str:
+    """Equal for scenarios whose recordings of a seed are the same, a short name for files.
+
+    Of a competitor that decides what it measures (`choice.policy`), with its label: what it and its filter are told
+    decides, too.
+    """
     about = [scenario.kind, dict(scenario.options), scenario.frames, [dict(entry) for entry in scenario.corruptions]]
+    if choice is None or choice.policy is None:
+        return _short_digest(about)
+    told = [scenario.noise and dict(scenario.noise), scenario.common_options, scenario.use_odometry]
+    return f"{choice.label}-{_short_digest([*about, *told, dataclasses.asdict(choice)])}"
+
+
+def _short_digest(about: list[Any]) -> str:
     return hashlib.sha256(json.dumps(about, sort_keys=True).encode()).hexdigest()[:10]
 
 
 def takes_images(scenario: Scenario) -> bool:
     """Whether the measurements come from images through the front end."""
-    if scenario.kind == "street":
+    if scenario.kind in ("street", "gaze"):
         return scenario.options.get("sensor") == "images"
     return scenario.kind == "dataset" and holds_images(str(scenario.options.get("path", "")))
 
@@ -93,6 +108,8 @@ def make_sequence(scenario: Scenario, seed: int | None) -> tuple[ImageSequence, 
 def check_source(scenario: Scenario) -> None:
     """Raise a `ValueError` for a source that cannot be used as the scenario says, before any work is done."""
     sees = takes_images(scenario)
+    if scenario.search == "forecast" and scenario.kind == "gaze":
+        raise ValueError("search 'forecast' does not go with kind 'gaze': its environments have their own front end")
     if scenario.search == "forecast" and not sees:
         raise ValueError(f"search 'forecast' needs images: scenario {scenario.name!r} has none")
     if scenario.noise is not None and sees:
@@ -102,13 +119,20 @@ def check_source(scenario: Scenario) -> None:
         )
     for corruption in scenario.corruptions:
         make_corruption(corruption)
-    if scenario.kind != "street":
-        return
-    from stereo_slam_env.envs.options import DriveOptions
+    if scenario.kind == "gaze":
+        from stereo_slam_env.benchmark.episodes import check_episodes
 
-    options = DriveOptions.checked(scenario.options)
-    if options.draws:
-        require_renderer(options.renderer)
+        check_episodes(scenario)
+        drawn_by = scenario.options.get("renderer", "tiny") if sees else None
+    elif scenario.kind == "street":
+        from stereo_slam_env.envs.options import DriveOptions
+
+        options = DriveOptions.checked(scenario.options)
+        drawn_by = options.renderer if options.draws else None
+    else:
+        return
+    if drawn_by is not None:
+        require_renderer(drawn_by)
 
 
 def require_renderer(name: str) -> None:
@@ -151,6 +175,25 @@ def _seen(look: _Look) -> Recording:
 def _opened(options: str) -> tuple[ImageSequence, TrackerSettings]:
     """A recording of images; kept, because its calibration is looked for."""
     return open_for_front_end(**json.loads(options))
+
+
+def description_of(recording: Recording) -> dict[str, Any]:
+    """What is kept of a recording beside it; JSON-able."""
+    description: dict[str, Any] = {
+        "name": recording.name,
+        "frames": len(recording),
+        "stream_sha256": stream_digest(recording),
+        "R": recording.noise.R.tolist(),
+        "source": dict(recording.source),
+    }
+    measured = noise_of_images(recording)
+    return description if measured is None else {**description, "sensor_noise": measured}
+
+
+def as_given(description: Mapping[str, Any], scenario: Scenario) -> dict[str, Any]:
+    """What is kept of a recording with a trial on it: its description, and the noise that is assumed of it."""
+    about = {key: value for key, value in description.items() if key not in ("code", "R")}
+    return {**about, "assumed_R": scenario.assumed_noise(StereoNoise(description["R"])).R.tolist()}
 
 
 def stream_digest(recording: Recording) -> str:

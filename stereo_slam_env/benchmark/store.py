@@ -6,17 +6,17 @@ Layout::
     summary.json, summary.csv             the result table
     trials/<seed>/<filter>.npz            time series of one filter on one recording
     bounds/<seed>.npz                     the Cramer-Rao bound: pose (K, 6, 6); empty where there is none
-    trajectories/<seed>/<filter>.tum      and truth.tum: `t x y z qx qy qz qw`, the format of the TUM RGB-D benchmark
+    trajectories/<seed>/<filter>.tum      and truth.tum (<policy>-truth.tum): `t x y z qx qy qz qw`, as TUM RGB-D has it
     trajectories/<seed>/<filter>.kitti    the same as rows of 3x4 matrices, the format of KITTI odometry
     recordings/<stream>/<seed>.npz        what every filter was given, see `stereo_slam_env.recording_archive`
-    recordings/<stream>/<seed>.json       what there is to say of it
+    recordings/<stream>/<seed>.json       what there is to say of it; a policy has its own: <stream> is <label>-<...>
 
 `<seed>` is `seed-0007`, or `recording` for real data. A grid has such a directory for each of its cells, and the
 recordings, which cells share, beside them (see `study_store`). `summary.json`, version 2::
 
     {"version": 2, "scenario": str,
      "recordings": [{"seed": int | null, "name": str, "frames": int, "stream_sha256": str, "assumed_R": 3x3,
-                     "source": {...},
+                     "source": {...},           # with policies: "drive_sha256", and "streams" by label instead
                      "sensor_noise": [...]}],   # rendered images only: errors by range, see `sensor_noise`
      "filters": {<label>: {every field of `FilterSummary` but filter_name}}}
 
@@ -40,13 +40,12 @@ from typing import Any
 
 import numpy as np
 
-from filters.noise import StereoNoise
 from stereo_slam_env.atomic_files import write_atomically
 from stereo_slam_env.benchmark.limits import Bound
 from stereo_slam_env.benchmark.results import FilterRun, FilterSummary
 from stereo_slam_env.benchmark.run_archive import load_provenance, load_run
 from stereo_slam_env.benchmark.scenario import FilterChoice, Scenario
-from stereo_slam_env.benchmark.sources import stream_key
+from stereo_slam_env.benchmark.sources import as_given, stream_key
 from stereo_slam_env.benchmark.summary import summarise_all
 from stereo_slam_env.benchmark.trajectory_files import write_kitti, write_tum
 
@@ -64,7 +63,7 @@ class RunDirectory:
         self.out = out
         self.scenario = scenario
         shared = out.parent.parent if out.parent.name == CELLS else out
-        self.recordings = shared / "recordings" / stream_key(scenario)
+        self._recordings = shared / "recordings"
 
     @property
     def seeds(self) -> tuple[int | None, ...]:
@@ -79,9 +78,9 @@ class RunDirectory:
         """Where the bound for one recording is."""
         return self.out / "bounds" / f"{seed_name(seed)}.npz"
 
-    def recording_path(self, seed: int | None) -> Path:
-        """Where the recording is."""
-        return self.recordings / f"{seed_name(seed)}.npz"
+    def recording_path(self, seed: int | None, choice: FilterChoice | None = None) -> Path:
+        """Where the recording is; `choice` matters where a policy drives its own."""
+        return self._recordings / stream_key(self.scenario, choice) / f"{seed_name(seed)}.npz"
 
     def missing(self) -> list[tuple[int | None, FilterChoice | None]]:
         """What is still to be run, by seed, then filter; None instead of a filter: the bound.
@@ -96,7 +95,7 @@ class RunDirectory:
         todo: list[tuple[int | None, FilterChoice | None]] = []
         code = code_digest()
         for seed in self.seeds:
-            for choice in self.scenario.filters:
+            for choice in self.scenario.competitors:
                 path = self.trial_path(seed, choice)
                 provenance = load_provenance(path) if path.exists() else None
                 if provenance is None or provenance["code"] != code:
@@ -106,7 +105,7 @@ class RunDirectory:
                         f"{path} was made with other options of that filter: give it another label, or choose "
                         f"another output directory"
                     )
-            if "bound" in self.scenario.metrics and self._code_of_bound(seed) != code:
+            if self.scenario.has_bound and self._code_of_bound(seed) != code:
                 todo.append((seed, None))
         return todo
 
@@ -115,17 +114,24 @@ class RunDirectory:
         about = self._about_recording(seed)
         return about is not None and about["code"] == code_digest() and self.recording_path(seed).exists()
 
-    def save_recording(self, seed: int | None, content: bytes, description: Mapping[str, Any]) -> None:
+    def save_recording(
+        self, seed: int | None, content: bytes, description: Mapping[str, Any], choice: FilterChoice | None = None
+    ) -> None:
         """Keep a recording: bytes of `recording_archive`, and what there is to say of it."""
-        write_atomically(self.recording_path(seed), lambda stream: stream.write(content))
-        write_json(self.recording_path(seed).with_suffix(".json"), {"code": code_digest(), **description})
+        path = self.recording_path(seed, choice)
+        write_atomically(path, lambda stream: stream.write(content))
+        write_json(path.with_suffix(".json"), {"code": code_digest(), **description})
 
     def provenance(self, seed: int | None, choice: FilterChoice | None) -> dict[str, Any]:
-        """What is kept with a trial: filter, version of the code, what it was given."""
-        about = dict(self._about_recording(seed) or {})
-        code, R = about.pop("code"), np.array(about.pop("R"))
-        about["assumed_R"] = self.scenario.assumed_noise(StereoNoise(R)).R.tolist()
-        return {"filter": choice and dataclasses.asdict(choice), "code": code, "recording": about}
+        """What is kept with a trial: competitor, version of the code, what it was given.
+
+        Where a policy drives its own episode, the trial adds what was recorded.
+        """
+        about: dict[str, Any] = {"filter": choice and dataclasses.asdict(choice), "code": code_digest()}
+        if choice is not None and choice.policy is not None:
+            return about
+        recorded = self._about_recording(seed) or {}
+        return {**about, "code": recorded["code"], "recording": as_given(recorded, self.scenario)}
 
     def save_trial(self, seed: int | None, choice: FilterChoice | None, content: bytes) -> None:
         """Keep a finished trial (bytes of `run_archive`), or a bound."""
@@ -143,20 +149,20 @@ class RunDirectory:
         """
         runs, recordings = [], []
         for seed in self.seeds:
-            described: dict[str, Any] | None = None
-            for choice in self.scenario.filters:
+            given: dict[str, dict[str, Any]] = {}
+            for choice in self.scenario.competitors:
                 path = self.trial_path(seed, choice)
                 if not path.exists():
                     raise ValueError(f"{path} is missing: the run is not finished, run the same command again")
                 run, provenance = load_run(path)
-                described = described or provenance["recording"]
-                if provenance["recording"]["stream_sha256"] != described["stream_sha256"]:
+                given[choice.label] = provenance["recording"]
+                if pairing_digest(given[choice.label]) != pairing_digest(next(iter(given.values()))):
                     raise ValueError(
                         f"{path}: the filters of {seed_name(seed)} were not given the same recording: "
                         f"its source is not deterministic, or its files have changed; delete {path.parent}"
                     )
                 runs.append(run)
-            recordings.append({"seed": seed, **(described or {})})
+            recordings.append({"seed": seed, **_together(given)})
         self._refuse_several_renderers(recordings)
         return runs, recordings
 
@@ -211,11 +217,12 @@ class RunDirectory:
             {"version": VERSION, "scenario": self.scenario.name, "recordings": recordings, "filters": rows},
         )
         _write_csv(self.out / "summary.csv", rows)
+        looks = bool(self.scenario.policies)  # eyes that look elsewhere are elsewhere, by the arm of the head
         for run in runs:
             folder = self.out / "trajectories" / seed_name(run.seed)
             for name, positions, orientations in (
                 (run.filter_name, run.positions, run.orientations),
-                ("truth", run.true_positions, run.true_orientations),
+                (f"{run.filter_name}-truth" if looks else "truth", run.true_positions, run.true_orientations),
             ):
                 write_tum(folder / f"{name}.tum", run.timestamps, positions, orientations)
                 write_kitti(folder / f"{name}.kitti", positions, orientations)
@@ -304,7 +311,7 @@ def code_digest() -> str:
 
 def _refuse_other_settings(out: Path, before: Mapping[str, Any], now: Mapping[str, Any]) -> None:
     """More seeds or filters may join a run; everything else must stay as it was."""
-    may_change = {"filters", "seeds", "divergence_percent", "frame_time_limit"}
+    may_change = {"filters", "policies", "seeds", "divergence_percent", "frame_time_limit"}
     for key in sorted(before.keys() - may_change, key=lambda key: (key == "name", key)):
         was, is_now = before[key], now[key]
         if was == is_now:
@@ -316,6 +323,21 @@ def _refuse_other_settings(out: Path, before: Mapping[str, Any], now: Mapping[st
             f"output {out} holds a run with {key} = {json.dumps(was)}, now it is {json.dumps(is_now)}: "
             f"choose another output directory"
         )
+
+
+def pairing_digest(about: Mapping[str, Any]) -> str:
+    """What must be the same for competitors to be compared: the measurements, or the drive where each one looks."""
+    return str(about.get("drive_sha256") or about["stream_sha256"])
+
+
+def _together(given: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    """What is said of the recordings of a seed, from what each competitor was given."""
+    first = dict(next(iter(given.values())))
+    if "drive_sha256" not in first:
+        return first
+    del first["stream_sha256"]
+    source = {key: value for key, value in first["source"].items() if key not in ("policy", "filter")}
+    return {**first, "source": source, "streams": {label: about["stream_sha256"] for label, about in given.items()}}
 
 
 def seed_name(seed: int | None) -> str:

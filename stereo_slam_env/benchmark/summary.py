@@ -114,6 +114,9 @@ def summarise(
         landmark_by_range=range_errors(statistics),
         depth_convergence=depth_convergence(statistics),
         negative_depth=total("negative_depth"),
+        end_error_m=root_mean_square_of("end_error_m"),
+        final_position_sigma_m=root_mean_square_of("final_position_sigma_m"),
+        final_pose_logdet=number(mean(finite(column("final_pose_logdet")))),
         memory_mb=number(max(finite(column("memory_mb")), default=None)),
         **medians,
     )

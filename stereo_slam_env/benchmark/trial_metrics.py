@@ -49,6 +49,8 @@ COLUMNS: Mapping[str, Column] = {
     "ate_rigid_m": Column("m", "absolute trajectory error after rigid alignment, without scale"),
     "end_error_m": Column("m", "position error in the last scored frame, not aligned"),
     "end_drift_percent": Column("%", "end_error_m over path_m; null where the vehicle stands still"),
+    "final_position_sigma_m": Column("m", "claimed for end_error_m: root of the trace of the position's covariance"),
+    "final_pose_logdet": Column("", "natural log of the determinant of that pose covariance, in m and rad"),
     "velocity_rmse_m_s": Column("m/s", "error of the linear velocity in W; null without true velocities"),
     "rpe_translation_percent": Column("%", "t_rel: relative translation error over all segments of all lengths"),
     "rpe_rotation_deg_per_100m": Column("deg/100 m", "r_rel: relative rotation error over the same segments"),
@@ -128,7 +130,7 @@ def trial_figures(
     at, relative = scored_frames(run), segments(run)
     figures |= {"frames": int(at.sum()), "rpe_segments": len(relative), "nis_dof": int(run.nis_dof.sum())}
     errors = _errors(run, at)
-    measured = {**errors, **_limits(bound, at, errors), **_consistency(run), **_costs(run)}
+    measured = {**errors, **_claims(run, at), **_limits(bound, at, errors), **_consistency(run), **_costs(run)}
     measured["rpe_translation_percent"] = mean(relative.translation_percent)
     measured["rpe_rotation_deg_per_100m"] = mean(relative.rotation_deg_per_100m)
     figures |= {name: number(value) for name, value in measured.items()}
@@ -206,6 +208,19 @@ def _errors(run: FilterRun, at: BoolArray) -> dict[str, float]:
         "ate_rigid_m": metrics.ate_rigid(estimate, truth),
         "end_error_m": end,
         "end_drift_percent": metrics.end_drift_percent(estimate, truth) if path > 0 else float("nan"),
+    }
+
+
+def _claims(run: FilterRun, at: BoolArray) -> dict[str, float]:
+    """What the filter says of its pose in the last scored frame; without truth, in the last one."""
+    last = np.flatnonzero(at if at.any() else np.isfinite(run.pose_covariances).all(axis=(1, 2)))[-1:]
+    if len(last) == 0:
+        return {}
+    covariance = run.pose_covariances[last[0]]
+    sign, log_determinant = np.linalg.slogdet(covariance)
+    return {
+        "final_position_sigma_m": float(np.sqrt(np.trace(covariance[POSITION, POSITION]))),
+        "final_pose_logdet": float(log_determinant) if sign > 0 else float("nan"),
     }
 
 

@@ -3,8 +3,8 @@
 `trials.sqlite` has the tables
 
 - `trials`: `cell`, one column a factor of the grid (`factor.` and its name in the scenario file, e.g.
-  `factor.options.sigma`), the columns of `trial_metrics.COLUMNS`, `options` (JSON), and `series`, the path of the time
-  series (npz) relative to the file itself;
+  `factor.options.sigma`), the columns of `trial_metrics.COLUMNS`, `policy` and `options` (JSON), and `series`, the path
+  of the time series (npz) relative to the file itself;
 - `columns`: `name`, `unit` and `meaning` of every column of `trials`.
 
 `PRAGMA user_version` is the version of this schema. NULL is what does not apply or is not finite.
@@ -24,13 +24,13 @@ from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from stereo_slam_env.benchmark.scenario import FilterChoice
+from stereo_slam_env.benchmark.scenario import choice_as_dict
 from stereo_slam_env.benchmark.trial_metrics import COLUMNS, Column, trial_figures
 
 if TYPE_CHECKING:
     from stereo_slam_env.benchmark.study_store import CellResult
 
-SCHEMA = 1
+SCHEMA = 2
 _TYPES = {"text": "TEXT", "integer": "INTEGER", "real": "REAL", "any": ""}
 
 
@@ -50,6 +50,7 @@ def write_trial_table(path: Path, results: Sequence[CellResult]) -> None:
         "cell": Column("", "cell of the grid, or name of the scenario", "text"),
         **{factor: Column("", "factor of the grid", "any") for factor in factors},
         **COLUMNS,
+        "policy": Column("", "policy that looked, as JSON; null where nobody does", "text"),
         "options": Column("", "options the filter was made with, as JSON", "text"),
         "series": Column("", "time series of the trial (npz), relative to this file", "text"),
     }
@@ -74,20 +75,22 @@ def write_trial_table(path: Path, results: Sequence[CellResult]) -> None:
 
 def _rows(root: Path, result: CellResult) -> list[dict[str, Any]]:
     rows = []
+    competitors = {choice.label: choice for choice in result.cell.scenario.competitors}
     for run in result.runs:
         figures = trial_figures(
             run,
             bound=result.bounds.get((run.recording_name, run.seed)),
             divergence_percent=result.cell.scenario.divergence_percent,
         )
-        series = result.directory.trial_path(run.seed, FilterChoice(run.filter_name, run.filter_name))
+        choice = competitors[run.filter_name]
         rows.append(
             {
                 "cell": result.cell.name,
                 **_factors(result),
                 **_storable(figures),
+                "policy": None if choice.policy is None else json.dumps(choice_as_dict(choice.policy)),
                 "options": json.dumps(dict(run.options)),
-                "series": series.relative_to(root).as_posix(),
+                "series": result.directory.trial_path(run.seed, choice).relative_to(root).as_posix(),
             }
         )
     return rows

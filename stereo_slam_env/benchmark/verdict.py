@@ -289,6 +289,9 @@ def change_words(measure: Measure, difference: Difference) -> str:
     if measure.ideal is not None:
         nearer = "nearer to" if difference.estimate < 0.0 else "farther from"
         return f"{nearer} its ideal ({difference.evidence})"
+    if not measure.is_ratio:
+        more = "less" if difference.estimate < 0.0 else "more"
+        return f"{abs(difference.estimate):.3g} {more} ({difference.evidence})"
     if measure.larger_is_better:
         return f"{larger(difference.reversed.percent)} ({difference.reversed.evidence})"
     return f"{larger(difference.percent)} ({difference.evidence})"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 
 from stereo_slam_env.envs.drive import StereoDriveEnv
-from stereo_slam_env.envs.options import DriveOptions
-from stereo_slam_env.recording import Recording
+from stereo_slam_env.envs.options import DriveOptions, StereoOptions
+from stereo_slam_env.envs.stereo_env import StereoEnv
+from stereo_slam_env.recording import Frame, Recording
 from stereo_slam_env.rendering.backends import renderer_identity
 
 
@@ -65,36 +66,55 @@ def record(
                 progress(len(collected), frames)
         if frames is not None and len(collected) < frames:
             raise ValueError(_too_many(frames, len(collected), env.options))
-        return Recording(
-            name=_name(env.options, seed),
-            camera=env.camera,
-            frames=tuple(collected),
-            noise=env.noise,
-            start=env.start,
-            landmarks=env.landmark_truth(),
-            source={**described(env, seed), "frames": len(collected)},
-        )
+        return recording_of(env, collected, seed)
     finally:
         env.close()
+
+
+def recording_of(
+    env: StereoEnv, frames: Sequence[Frame], seed: int, about: Mapping[str, Any] | None = None
+) -> Recording:
+    """What an environment measured in the episode of a seed.
+
+    Parameters
+    ----------
+    env : StereoEnv
+        After the last frame.
+    frames : sequence of Frame
+        Its `frame` after `reset` and after each step.
+    seed : int
+        Of the episode.
+    about : mapping, optional
+        What else there is to say of where the recording comes from; JSON-able.
+    """
+    return Recording(
+        name=_name(env.options, seed),
+        camera=env.camera,
+        frames=tuple(frames),
+        noise=env.noise,
+        start=env.start,
+        landmarks=env.landmark_truth(),
+        source={**described(env, seed), "frames": len(frames), **(about or {})},
+    )
 
 
 def _too_many(frames: int, most: int, options: DriveOptions) -> str:
     return f"frames must be at most {most} on route {options.route!r}, got {frames}"
 
 
-def _name(options: DriveOptions, seed: int) -> str:
+def _name(options: StereoOptions, seed: int) -> str:
     seen_by = options.renderer if options.sensor == "images" else options.noise
     return f"{Path(options.route).stem}-{seen_by}-{seed}"
 
 
-def described(env: StereoDriveEnv, seed: int) -> dict[str, Any]:
+def described(env: StereoEnv, seed: int) -> dict[str, Any]:
     """Everything needed to make the same episode again; JSON-able.
 
     The back end that draws is part of it: pictures of different ones are different measurements.
     """
     drawn = {"renderer": renderer_identity(env.options.renderer)} if env.options.draws else {}
     return {
-        "environment": "StereoSlam/Drive-v0",
+        "environment": "StereoSlam/Drive-v0" if env.spec is None else env.spec.id,
         "arguments": env.options.as_dict(),
         "seed": seed,
         **drawn,

@@ -121,6 +121,11 @@ class StereoEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
         """Pan and tilt of the head now, rad; (2,)."""
         return self._angles.copy()
 
+    @property
+    def body(self) -> Pose:
+        """Where the left camera would be now if the head looked straight ahead: the drive without the gaze."""
+        return self._body
+
     def landmark_truth(self) -> LandmarkTruth:
         """All landmarks of the scene, in W; with the sensor "images" those found so far."""
         if self._frame is None:
@@ -273,6 +278,7 @@ class StereoEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
             odometry=odometry,
             truth=self._pose,
             truth_velocity=velocity,
+            head=None if self.head is None else self._angles,
         )
 
     def _rendered(self) -> StereoImages:

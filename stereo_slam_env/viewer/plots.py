@@ -52,7 +52,7 @@ def plot_trajectory(runs: Sequence[FilterRun]) -> Figure:
     shown = series.first_recording(runs)
     colours = filter_colours(run.filter_name for run in runs)
     reference = _reference_track(shown)
-    across, up = _orientation(reference)
+    across, up = orientation(reference)
     with_errors = any(np.isfinite(series.position_error(run)).any() for run in runs)
     figure, top_view, errors = _trajectory_axes(reference[:, [across, up]], with_errors)
 
@@ -64,7 +64,7 @@ def plot_trajectory(runs: Sequence[FilterRun]) -> Figure:
     for run, width in zip(shown, nested_widths(len(shown)), strict=True):
         x, y = run.positions[:, across], run.positions[:, up]
         top_view.plot(x, y, color=colours[run.filter_name], linewidth=width, label=run.filter_name)
-    _frame_track(top_view, reference, across, up)
+    frame_track(top_view, reference, across, up)
     axis_names = {0: "x, right (m)", 2: "z, forward (m)"}
     title = "Seen from above, truth in grey" if known.any() else "Seen from above"
     top_view.set(xlabel=axis_names[across], ylabel=axis_names[up], title=title)
@@ -197,7 +197,7 @@ def _reference_track(runs: Sequence[FilterRun]) -> FloatArray:
     return np.asarray(track[np.isfinite(track).all(axis=1)], dtype=np.float64)
 
 
-def _orientation(track: FloatArray) -> tuple[int, int]:
+def orientation(track: FloatArray) -> tuple[int, int]:
     """Return the axes to draw across and up: long drives lie on their side."""
     if not len(track):
         return 0, 2
@@ -221,7 +221,7 @@ def _trajectory_axes(track: FloatArray, with_errors: bool) -> tuple[Figure, Axes
     return figure, top_view, figure.add_axes((0.07, 0.5 / height, 0.8, 2.3 / height))
 
 
-def _frame_track(ax: Axes, track: FloatArray, across: int, up: int) -> None:
+def frame_track(ax: Axes, track: FloatArray, across: int, up: int) -> None:
     """Limits around the track, equal scales; x points down when z runs across (the view is from above)."""
     ax.set_aspect("equal", adjustable="box", anchor="NW")
     if len(track):

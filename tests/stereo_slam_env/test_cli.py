@@ -114,8 +114,56 @@ def test_a_grid_of_your_own_has_a_report_over_all_its_cells(full_command, tmp_pa
 def test_the_presets_are_listed(command):
     code, out, _ = command("bench", "--list")
     assert code == 0
-    for name in ("quick", "attribution", "mismatch", "real", "limits"):
+    for name in ("quick", "attribution", "mismatch", "real", "limits", "gaze"):
         assert f"\n{name} " in f"\n{out}"
+
+
+def test_policies_are_listed(command):
+    code, out, _ = command("policies", "list")
+    assert code == 0
+    for line in ("fixed", "Look in one direction, straight ahead by default.", "sweep", "random"):
+        assert line in out, line
+
+
+def test_policies_are_compared(command, tmp_path):
+    (tmp_path / "mine.toml").write_text(
+        'name = "mine"\nkind = "gaze"\nframes = 6\ngate = false\nuse_odometry = true\npolicies = ["random"]\n'
+        'filters = [{ name = "shared-anchor", options = { motion = "velocity-driven" } }]\n'
+        'options = { route = "right-turn", rig = "qvga" }\n'
+    )
+    code, out, _ = command(
+        *("bench", "--scenario", tmp_path / "mine.toml", "--policy", "fixed,sweep", "--seeds", 2),
+        *("--jobs", 1, "--out", tmp_path / "run"),
+    )
+    assert code == 0
+    for said in (
+        "policies  fixed, sweep",
+        "claimed σ at the end, m",
+        "true error at the end, m",
+        "leaves the pose least uncertain at the end",
+        "- sweep is not shown to claim another uncertainty than fixed",
+        str(tmp_path / "run" / "report.html"),
+    ):
+        assert said in out, said
+    code, again, _ = command("report", tmp_path / "run")
+    assert code == 0
+    assert "leaves the pose least uncertain at the end" in again
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("--policy", "swep"), "did you mean 'sweep'?"),
+        (("--policy", "sweep", "--preset", "turn"), "policies need a scenario of kind 'gaze'"),
+        (("--policy", ","), "must name at least one policy"),
+        (("--policy", "sweep", "--frames", "5000"), "frames must be at most 200"),
+    ],
+)
+def test_policies_that_cannot_be_compared_get_one_line(command, tmp_path, arguments, said):
+    code, _, err = command("bench", *arguments, "--out", tmp_path / "run")
+    assert (code, err.count("\n")) == (2, 1)
+    assert said in err
+    assert not (tmp_path / "run").exists()
 
 
 def test_two_runs_are_compared(command, tmp_path):

@@ -29,6 +29,8 @@ def with_everything() -> Recording:
         frames[k] = dataclasses.replace(frames[k], observation=changed, odometry=None)
     nothing = StereoObservation([], np.zeros((0, 3)), [], np.zeros((0, 3, 3)))
     frames[2] = dataclasses.replace(frames[2], observation=nothing, truth=None, truth_velocity=None)
+    for k in (0, 3):
+        frames[k] = dataclasses.replace(frames[k], head=rng.standard_normal(2))
     return dataclasses.replace(
         recording,
         frames=tuple(frames),
@@ -151,3 +153,10 @@ def test_what_cannot_be_kept_is_refused_before_anything_is_written(tmp_path):
     with pytest.raises(ValueError, match=r"must end in \.npz"):
         save_recording(tmp_path / "drive.dat", small_recording())
     assert list(tmp_path.iterdir()) == []
+
+
+def test_recordings_made_before_there_were_heads_have_none(tmp_path):
+    save_recording(tmp_path / "new.npz", small_recording())
+    with np.load(tmp_path / "new.npz") as archive:
+        np.savez(tmp_path / "old.npz", **{name: archive[name] for name in archive.files if "head" not in name})
+    assert [frame.head for frame in load_recording(tmp_path / "old.npz").frames] == [None] * 15

@@ -145,14 +145,16 @@ ENTRY_POINTS = {
 }
 
 
-def install(folder: Path, name: str, module: str, entry_points: dict[str, str]) -> None:
+def install(
+    folder: Path, name: str, module: str, entry_points: dict[str, str], group: str = "stereo_slam.filters"
+) -> None:
     """Lay out the distribution `name` with one module of the same name."""
     (folder / f"{name}.py").write_text(module, encoding="utf-8")
     info = folder / f"{name}-1.0.dist-info"
     info.mkdir()
     (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n")
     lines = [f"{key} = {name}:{value}" for key, value in entry_points.items()]
-    (info / "entry_points.txt").write_text("\n".join(["[stereo_slam.filters]", *lines]))
+    (info / "entry_points.txt").write_text("\n".join([f"[{group}]", *lines]))
 
 
 @pytest.fixture
