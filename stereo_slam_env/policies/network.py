@@ -92,7 +92,7 @@ class Network:
                 )
         except FileNotFoundError:
             raise ValueError(f"checkpoint {path} does not exist: make one with stereo-slam train") from None
-        except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
+        except (OSError, EOFError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
             reason = (str(error) or type(error).__name__).splitlines()[0]
             raise ValueError(f"checkpoint {path} is not a network written by stereo-slam train: {reason}") from error
 

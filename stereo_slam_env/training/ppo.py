@@ -46,7 +46,7 @@ class PPOSettings:
     seed : int
         Of the network, of chance in its actions, and of the episodes.
     environments : int
-        Processes with an environment each.
+        How many run at once, each in a process of its own; one runs in this process.
     layers : tuple of int
         Neurons of the hidden layers, of policy and value alike.
     rollout : int
@@ -198,10 +198,11 @@ def _claim(out: Path, task: GazeTask, settings: PPOSettings) -> None:
 @contextmanager
 def _learner(task: GazeTask, settings: PPOSettings, out: Path) -> Iterator[tuple[PPO, VecNormalize]]:
     from stable_baselines3 import PPO
-    from stable_baselines3.common.vec_env import SubprocVecEnv, VecMonitor, VecNormalize
+    from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecMonitor, VecNormalize
 
-    processes = SubprocVecEnv([task.make_for_learning] * settings.environments)
-    scaling = VecNormalize(VecMonitor(processes), clip_obs=_OBSERVATION_CLIP, gamma=settings.discount)
+    alone = settings.environments == 1
+    vector = (DummyVecEnv if alone else SubprocVecEnv)([task.make_for_learning] * settings.environments)
+    scaling = VecNormalize(VecMonitor(vector), clip_obs=_OBSERVATION_CLIP, gamma=settings.discount)
     try:
         scaling.seed(settings.seed)
         model = PPO(

@@ -1,0 +1,99 @@
+"""A trained network without the library that trained it."""
+
+import json
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from stereo_slam_env.envs.gaze import StereoGazeEnv
+from stereo_slam_env.policies import make_policy
+from stereo_slam_env.policies.network import Network, NetworkPolicy
+
+
+def small_network(seed=0, hold=1):
+    rng = np.random.default_rng(seed)
+    sizes = (5, 8, 2)
+    return Network(
+        keys=("head", "panorama"),
+        mean=rng.standard_normal(5),
+        scale=rng.uniform(0.5, 2.0, 5),
+        clip=2.0,
+        weights=tuple(rng.standard_normal((n, m)) for m, n in pairwise(sizes)),
+        biases=tuple(rng.standard_normal(n) for n in sizes[1:]),
+        about={"task": {"hold": hold}},
+    )
+
+
+def observation(seed=1):
+    rng = np.random.default_rng(seed)
+    return {"head": rng.standard_normal(2), "panorama": rng.standard_normal((3, 1)), "other": np.nan}
+
+
+def test_it_decides_as_written_down():
+    network, seen = small_network(), observation()
+    x = np.concatenate([seen["head"], seen["panorama"].ravel()])
+    x = np.clip((x - network.mean) / network.scale, -2, 2)
+    expected = network.weights[1] @ np.tanh(network.weights[0] @ x + network.biases[0]) + network.biases[1]
+    action = network.action(seen)
+    np.testing.assert_allclose(action, np.clip(expected, -1, 1), rtol=1e-6)
+    assert action.dtype == np.float32
+
+
+def test_it_comes_back_from_its_file(tmp_path):
+    network, seen = small_network(), observation()
+    network.save(tmp_path / "n.npz")
+    back = Network.load(tmp_path / "n.npz")
+    np.testing.assert_allclose(back.action(seen), network.action(seen), atol=1e-5)
+    assert back.about == network.about
+
+
+@pytest.mark.parametrize("content", [b"", b"PK\x03\x04 cut", b"text"], ids=["empty", "cut", "text"])
+def test_a_damaged_file_gets_one_clear_line(tmp_path, content):
+    (tmp_path / "n.npz").write_bytes(content)
+    with pytest.raises(ValueError, match=r"n\.npz is not a network written by stereo-slam train") as error:
+        make_policy("ppo", checkpoint=str(tmp_path / "n.npz"))
+    assert "\n" not in str(error.value)
+
+
+def test_nothing_in_a_file_is_executed(tmp_path):
+    """A file with pickled objects is refused, not unpickled."""
+
+    class Trap:
+        def __reduce__(self):
+            return (open, (str(tmp_path / "trapped"), "w"))
+
+    np.savez(tmp_path / "n.npz", json=np.array([Trap()], dtype=object))
+    with pytest.raises(ValueError, match="is not a network"):
+        Network.load(tmp_path / "n.npz")
+    assert not (tmp_path / "trapped").exists()
+
+
+def test_other_arrays_and_other_formats_are_refused(tmp_path):
+    np.savez(tmp_path / "other.npz", x=np.zeros(3))
+    np.savez(tmp_path / "future.npz", json=np.array(json.dumps({"format": 99})))
+    for name in ("other", "future"):
+        with pytest.raises(ValueError, match="is not a network"):
+            Network.load(tmp_path / f"{name}.npz")
+
+
+def test_a_missing_file_says_how_to_make_one(tmp_path):
+    with pytest.raises(ValueError, match="does not exist: make one with stereo-slam train"):
+        NetworkPolicy(str(tmp_path / "none.npz"))
+
+
+def test_a_decision_holds(tmp_path):
+    small_network(hold=3).save(tmp_path / "n.npz")
+    policy, env = NetworkPolicy(str(tmp_path / "n.npz")), StereoGazeEnv(route="right-turn")
+    policy.reset(env, np.random.default_rng(0))
+    actions = [policy.act(observation(k)) for k in range(6)]
+    assert all(np.array_equal(actions[0], action) for action in actions[:3])
+    assert not np.array_equal(actions[2], actions[3])
+
+
+def test_an_observation_without_its_keys_is_refused(tmp_path):
+    small_network().save(tmp_path / "n.npz")
+    policy = NetworkPolicy(str(tmp_path / "n.npz"))
+    policy.reset(StereoGazeEnv(route="right-turn"), np.random.default_rng(0))
+    with pytest.raises(ValueError, match="'panorama', which is not in the observation: add BeliefPanorama"):
+        policy.act({"head": np.zeros(2)})

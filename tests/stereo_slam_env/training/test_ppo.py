@@ -1,0 +1,95 @@
+"""Training: what it leaves, that it can be stopped and goes on, and that the network decides as the model did."""
+
+import csv
+import dataclasses
+import json
+import sys
+
+import numpy as np
+import pytest
+
+from stereo_slam_env.policies import make_policy
+from stereo_slam_env.policies.network import Network
+from stereo_slam_env.training import ppo
+from stereo_slam_env.training.evaluation import Evaluation
+from stereo_slam_env.training.ppo import PPOSettings, train
+from stereo_slam_env.training.task import GazeTask
+
+TASK = GazeTask(arguments={"route": "right-turn"}, hold=8)
+SETTINGS = PPOSettings(decisions=40, environments=1, rollout=20, minibatch=20, epochs=1, evaluate_every=20)
+
+
+def rows(out):
+    with (out / "learning_curve.csv").open(newline="") as stream:
+        return list(csv.DictReader(stream))
+
+
+@pytest.fixture
+def quick(monkeypatch):
+    pytest.importorskip("stable_baselines3", reason="needs the extra rl")
+    looks = iter(range(100))
+    monkeypatch.setattr(ppo, "evaluate", lambda *_: Evaluation(0.5, -40.0 - next(looks), 0.2, 0.3))
+
+
+@pytest.mark.slow
+def test_a_run_leaves_a_network_a_curve_and_what_it_was_made_with(quick, tmp_path):
+    network = train(TASK, SETTINGS, tmp_path)
+    assert [float(row["decisions"]) for row in rows(tmp_path)] == [20, 40]
+    about = json.loads((tmp_path / "run.json").read_text())
+    assert GazeTask.from_dict(about["task"]) == TASK
+    assert PPOSettings.from_dict(about["settings"]) == SETTINGS
+    assert Network.load(network).about["settings"]["seed"] == 0
+    make_policy("ppo", checkpoint=str(network))
+    # The same command with more decisions goes on; with something else it is refused.
+    train(TASK, dataclasses.replace(SETTINGS, decisions=60), tmp_path)
+    assert [float(row["decisions"]) for row in rows(tmp_path)] == [20, 40, 60]
+    with pytest.raises(ValueError, match=r"holds a run with seed = 0, not 1: give another directory"):
+        train(TASK, dataclasses.replace(SETTINGS, seed=1), tmp_path)
+
+
+@pytest.mark.slow
+def test_the_network_decides_as_the_model_does(tmp_path):
+    pytest.importorskip("stable_baselines3", reason="needs the extra rl")
+    env = TASK.make_for_learning()
+    with ppo._learner(TASK, SETTINGS, tmp_path) as (model, scaling):
+        model.learn(40)
+        network = ppo.network_of(model, scaling, {})
+        observation, _ = env.reset(seed=3)
+        for _ in range(6):
+            expected, _ = model.predict(scaling.normalize_obs(observation), deterministic=True)
+            np.testing.assert_allclose(network.action(observation), expected, atol=1e-5)
+            observation, *_ = env.step(np.array([0.5, -0.5], dtype=np.float32))
+    env.close()
+
+
+def test_without_the_extra_one_line_says_what_to_install(monkeypatch, tmp_path):
+    from stereo_slam_env.training import extra
+
+    monkeypatch.setattr(extra, "find_spec", lambda name: None)
+    with pytest.raises(ImportError, match=r"stable_baselines3 is missing: pip install 'stereo-slam-env\[rl\]'"):
+        train(TASK, SETTINGS, tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+def test_importing_the_package_does_not_import_torch():
+    import subprocess
+
+    code = (
+        "import sys, stereo_slam_env, stereo_slam_env.training.ppo, stereo_slam_env.wrappers, stereo_slam_env.policies;"
+        "sys.exit('torch' in sys.modules)"
+    )
+    assert subprocess.run([sys.executable, "-c", code]).returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"decisions": 0}, "decisions must be an integer >= 1, got 0"),
+        ({"layers": (0,)}, r"layers must be positive integers, got \(0,\)"),
+        ({"discount": 1.5}, "discount must be a probability from 0 to 1, got 1.5"),
+        ({"seeds": 1}, "settings have no key 'seeds', did you mean 'seed'"),
+    ],
+)
+def test_wrong_settings_get_one_clear_line(wrong, message):
+    with pytest.raises(ValueError, match=message):
+        PPOSettings.from_dict(wrong)
