@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from filters import rotations
 from filters.camera import StereoCamera
 from filters.validation import BoolArray, FloatArray
 from stereo_slam_env.envs.options import StereoOptions
@@ -86,7 +85,7 @@ class Stage:
 
     def visible(self, pose: Pose, points_w: FloatArray) -> BoolArray:
         """Which points (N, 3) both eyes see from `pose`."""
-        right = pose.position + self._camera.baseline * rotations.matrix(pose.orientation)[:, 0]
+        right = pose.position + self._camera.baseline * pose.R_wc[:, 0]
         eyes = self._frame.to_scene(np.stack([pose.position, right]))
         return self._world.visible(eyes, self._frame.to_scene(points_w))
 
@@ -96,7 +95,7 @@ class Stage:
 
     def collides(self, pose: Pose) -> bool:
         """Whether the car touches something when its camera, looking straight ahead, is at `pose`."""
-        R_wc = rotations.matrix(pose.orientation)
+        R_wc = pose.R_wc
         body = pose.position + R_wc @ np.array(self._car.body_c)
         R_sb = self._frame.rotation_to_scene(R_wc) @ R_SW.T
         return self._world.ego_collides(self._frame.to_scene(body), R_sb)

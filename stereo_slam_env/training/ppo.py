@@ -66,14 +66,14 @@ class PPOSettings:
         A value is impossible.
     """
 
-    decisions: int = 100_000
+    decisions: int = 200_000
     seed: int = 0
     environments: int = 4
     layers: tuple[int, ...] = (64, 64)
     rollout: int = 250
     minibatch: int = 250
     epochs: int = 10
-    learning_rate: float = 5e-4
+    learning_rate: float = 1e-3
     discount: float = 0.95
     gae_lambda: float = 0.95
     clip: float = 0.2

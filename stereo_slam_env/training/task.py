@@ -46,7 +46,7 @@ class GazeTask:
     filter_options: Mapping[str, Any] = field(default_factory=lambda: dict(GAZE_FILTER))
     criterion: str = "log-det"
     resolution: tuple[float, float] = (0.01, 0.001)
-    hold: int = 4
+    hold: int = 5
 
     def __post_init__(self) -> None:
         if type(self.hold) is not int or self.hold < 1:

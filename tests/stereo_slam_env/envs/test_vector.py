@@ -13,7 +13,7 @@ from gymnasium.vector import AutoresetMode
 
 import stereo_slam_env  # noqa: F401 (registers the ids)
 
-IDS = ["StereoSlam/Drive-v0"]
+IDS = ["StereoSlam/Drive-v0", "StereoSlam/Gaze-v0"]
 QUICK = {"route": "right-turn", "rig": "qvga", "max_landmarks": 20}
 EPISODE, STEPS, SEEDS, OTHER_SEED = 2, 5, [11, 12], 13
 """Environment 1 starts again after the first step, so that episodes end in different steps of the vector."""
