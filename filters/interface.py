@@ -327,6 +327,41 @@ class StereoFilter(ABC):
     def landmarks(self) -> LandmarkBelief:
         """The map, in ascending order of ids."""
 
+    def joint_covariance(self, ids: Sequence[int] | IntArray | None = None) -> FloatArray:
+        """Covariance of the pose error together with the positions of landmarks, for planning and information gain.
+
+        This one is for filters that have nothing better: it puts the marginals (`pose.covariance` and
+        `landmarks.covariances`) on the diagonal and **leaves out all correlations**. That overstates the joint
+        uncertainty, often by much: landmarks seen from one pose share its error. Override it where P is at hand.
+
+        Parameters
+        ----------
+        ids : (N,) sequence of int, optional
+            Landmarks, in the order wanted. None: the whole map, ascending.
+
+        Returns
+        -------
+        (6 + 3 N, 6 + 3 N) ndarray
+            Of the pose error as in `PoseBelief` (position in W, m; rotation in the camera frame, rad), then of the
+            positions in W, m. Rows of landmarks without a finite position are not finite.
+
+        Raises
+        ------
+        ValueError
+            An id is not in the map.
+        """
+        landmarks = self.landmarks
+        wanted = landmarks.ids if ids is None else unique_ids("ids", np.asarray(ids))
+        missing = wanted[~np.isin(wanted, landmarks.ids)]
+        if len(missing):
+            raise ValueError(f"ids must be in the map, not there: {missing[:5].tolist()}: see landmarks.ids")
+        index = np.searchsorted(landmarks.ids, wanted)
+        rows = 6 + 3 * np.arange(len(index))[:, None] + np.arange(3)
+        joint = np.zeros((6 + 3 * len(index), 6 + 3 * len(index)))
+        joint[:6, :6] = self.pose.covariance
+        joint[rows[:, :, None], rows[:, None, :]] = landmarks.covariances[index]
+        return joint
+
     @abstractmethod
     def pose_error(self, position: ArrayLike, orientation: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Error of the pose against a true one, in the filter's own error definition, for NEES.

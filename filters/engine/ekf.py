@@ -20,6 +20,7 @@ from filters.engine.heavy_tails import reweighted
 from filters.engine.joint_state import JointState, world_rotation_of_camera
 from filters.engine.linearisation import in_front, linearise, project
 from filters.engine.map_policy import MapPolicy
+from filters.engine.marginals import joint_covariance
 from filters.engine.options import checked_parts
 from filters.interface import (
     BodyVelocity,
@@ -178,16 +179,17 @@ class StereoEKF(StereoFilter):
     def forecast(self, ids: Sequence[int] | IntArray | None = None) -> Forecast:
         """Predicted (u, v, d) and S of landmarks at the current pose."""
         state = self._state
-        wanted = np.sort(state.ids) if ids is None else unique_ids("ids", np.asarray(ids))
-        known, index = self._locate(wanted)
-        if not known.all():
-            raise ValueError(f"ids must be in the map, not there: {wanted[~known][:5].tolist()}: see landmarks.ids")
+        wanted, index = self._wanted(ids)
         uvd, in_front = project(self.camera, state, index)
         linearised = linearise(
             self.camera, state, index, Stage(uvd, np.eye(3), self.noise.R[None].repeat(len(index), axis=0))
         )
         S = linearised.innovation_covariances(state.P)
         return Forecast(wanted, uvd, S, in_front & self.camera.in_view(uvd))
+
+    def joint_covariance(self, ids: Sequence[int] | IntArray | None = None) -> FloatArray:
+        """Covariance of the pose error and landmark positions, correlations included; see the base class."""
+        return joint_covariance(self._state, self._wanted(ids)[1])
 
     def forget(self, ids: Sequence[int] | IntArray) -> None:
         """Marginalise landmarks out; ids not in the map are ignored."""
@@ -248,6 +250,14 @@ class StereoEKF(StereoFilter):
         true_orientation = unit_quaternion("orientation", orientation)
         camera = self._state.camera
         return self.parts.error.pose_error(camera, self.pose.covariance, true_position, true_orientation)
+
+    def _wanted(self, ids: Sequence[int] | IntArray | None) -> tuple[IntArray, IntArray]:
+        """The landmarks asked for (None: all, ascending), and where they are; refuses those that are not there."""
+        wanted = np.sort(self._state.ids) if ids is None else unique_ids("ids", np.asarray(ids))
+        known, index = self._locate(wanted)
+        if not known.all():
+            raise ValueError(f"ids must be in the map, not there: {wanted[~known][:5].tolist()}: see landmarks.ids")
+        return wanted, index
 
     def _locate(self, ids: IntArray) -> tuple[BoolArray, IntArray]:
         """Which of `ids` are in the map, and where those are."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 from collections import deque
 from collections.abc import Iterator, Sequence
+from copy import deepcopy
 from typing import Any
 
 import numpy as np
@@ -139,6 +140,20 @@ class SubmapEKF(StereoFilter):
         told = np.concatenate([part.ids for part in parts])
         order = np.argsort(told)[np.argsort(np.argsort(wanted))]
         return Forecast(*(np.concatenate([vars(part)[name] for part in parts])[order] for name in vars(parts[0])))
+
+    def joint_covariance(self, ids: Sequence[int] | IntArray | None = None) -> FloatArray:
+        """Covariance of the pose error and landmark positions; see the base class.
+
+        Exact: landmarks at rest that are asked for are brought back into the active map of a copy. Ask sparingly.
+        """
+        everything = np.sort(np.concatenate([self._active.state.ids, self._chain.ids]))
+        wanted = everything if ids is None else unique_ids("ids", np.asarray(ids))
+        asleep = wanted[self._chain.at_rest(wanted)]
+        if len(asleep) == 0:
+            return self._active.joint_covariance(wanted)
+        awake = deepcopy(self)
+        awake._chain.bring(awake._active.state, asleep)
+        return awake._active.joint_covariance(wanted)
 
     def forget(self, ids: Sequence[int] | IntArray) -> None:
         """Marginalise landmarks out; ids not in the map are ignored."""

@@ -12,19 +12,17 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from filters import (
-    ConstantVelocity,
     PoseBelief,
     StereoFilter,
     StereoNoise,
     StereoObservation,
     UpdateReport,
     VelocityBelief,
-    VelocityDriven,
     make_filter,
 )
 from filters.camera import StereoCamera
 from filters.motion import POSE_SIZE, POSITION, ROTATION
-from filters.registry import FilterFactory, label_of
+from filters.registry import FilterFactory, filter_arguments, label_of
 from filters.validation import FloatArray, IntArray
 from stereo_slam_env.benchmark.consistency import nees
 from stereo_slam_env.benchmark.landmark_statistics import LandmarkScorer
@@ -160,27 +158,16 @@ def make_with_common_options(
     ValueError
         The filter or one of its own options is unknown or impossible.
     """
-    make_filter(name, camera=camera, noise=noise, **_arguments(options))
+    make_filter(name, camera=camera, noise=noise, **filter_arguments(options))
     taken = dict(options)
     for key in common.keys() - options.keys():
         try:
-            make_filter(name, camera=camera, noise=noise, **_arguments({**options, key: common[key]}))
+            make_filter(name, camera=camera, noise=noise, **filter_arguments({**options, key: common[key]}))
         except ValueError as error:
             _log.info("filter %s goes without the common option %s: %s", name, key, error)
         else:
             taken[key] = common[key]
-    return make_filter(name, camera=camera, noise=noise, **_arguments(taken)), taken
-
-
-def _arguments(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Python arguments of JSON-able options."""
-    arguments = dict(options)
-    motion = arguments.get("motion")
-    if isinstance(motion, Mapping):
-        arguments["motion"] = ConstantVelocity(**motion)
-    elif motion == "velocity-driven":
-        arguments["motion"] = VelocityDriven()
-    return arguments
+    return make_filter(name, camera=camera, noise=noise, **filter_arguments(taken)), taken
 
 
 class RunLog:

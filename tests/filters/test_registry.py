@@ -6,8 +6,17 @@ from pathlib import Path
 
 import pytest
 
-from filters import DualBearingEKF, EuclideanEKF, InverseDepthStereoEKF, available_filters, make_filter
+from filters import (
+    ConstantVelocity,
+    DualBearingEKF,
+    EuclideanEKF,
+    InverseDepthStereoEKF,
+    VelocityDriven,
+    available_filters,
+    make_filter,
+)
 from filters.conformance import REFERENCE_CAMERA, REFERENCE_NOISE
+from filters.registry import filter_arguments
 
 RIG = {"camera": REFERENCE_CAMERA, "noise": REFERENCE_NOISE}
 
@@ -33,6 +42,15 @@ def test_a_class_or_a_function_does_as_well_as_a_name() -> None:
         make_filter(EuclideanEKF, **RIG, gat=0.9)
     with pytest.raises(ValueError, match="filter 'dict' made a dict, not a StereoFilter"):
         make_filter(dict, **RIG)
+
+
+def test_options_can_be_plain_values() -> None:
+    numbers = {"sigma_acceleration": 1.0, "sigma_angular_acceleration": 0.1}
+    assert filter_arguments({"motion": numbers, "gate": 0.9}) == {"motion": ConstantVelocity(1.0, 0.1), "gate": 0.9}
+    assert filter_arguments({"motion": "velocity-driven"}) == {"motion": VelocityDriven()}
+    assert filter_arguments({}) == {}
+    with pytest.raises(ValueError, match="'sigma_acc', did you mean 'sigma_acceleration'"):
+        filter_arguments({"motion": {"sigma_acc": 1.0}})
 
 
 def test_an_unknown_name_gets_a_hint() -> None:

@@ -1,0 +1,151 @@
+"""`BeliefPanorama`: where around the car the map is, in a few numbers for a small policy."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+
+from filters.camera import StereoCamera
+from filters.validation import FloatArray
+from stereo_slam_env.wrappers.belief import Belief
+from stereo_slam_env.wrappers.recorded_wrapper import RecordedWrapper, dict_space
+
+FEATURES = ("share", "information", "elevation", "nearness", "in_view")
+"""Columns of `panorama`."""
+_LOW, _HIGH = -1.0, 2.0
+_INFORMATION_SCALE = 0.1
+_NEAR = 10.0
+"""m: a landmark at this distance has nearness 1/2."""
+_LARGEST_SIGMA = 1e3
+"""Bound of `belief_sigmas`, m and rad."""
+
+
+class BeliefPanorama(RecordedWrapper):
+    """Adds the keys `panorama` (sectors, 5) and `belief_sigmas` (6,) to the observation, float32.
+
+    `panorama`: sector k is the azimuth from -pi + 2 pi k / sectors on, about the vertical of the *car's* straight-ahead
+    direction (the middle of the rows), positive to the right: the observation key `head` (pan, tilt; rad) is taken off
+    the direction of the camera, R_wc = R_wb R_y(pan) R_x(tilt). Without that key the camera looks straight ahead.
+    Columns, 0 in a sector without landmarks, clipped to [-1, 2]:
+
+    | Column | Name | Meaning |
+    |--------|------|---------|
+    | 0 | share | landmarks of the map there, over the rows of `uvd` |
+    | 1 | information | 0.1 ln(1 + sum of 1 / trace of the covariance relative to the camera, 1/m^2) |
+    | 2 | elevation | mean elevation, over pi/2; up is positive |
+    | 3 | nearness | 1 / (1 + z / 10 m) of the nearest, z its distance |
+    | 4 | in_view | share of the sector that the camera sees now, by azimuth |
+
+    What a landmark can say of the next pose is bounded by how well it is known relative to the camera: column 1 grows
+    with every landmark, and with what is known of each. `belief_sigmas` are the standard deviations of the pose:
+    position in W, m, and rotation in the camera frame, rad; at most 1e3.
+
+    Parameters
+    ----------
+    env : gymnasium.Env
+        With `BeliefObservation` inside.
+    sectors : int
+        Rows of `panorama`, at least 3.
+
+    Raises
+    ------
+    ValueError
+        `sectors` is not an integer of at least 3, or there is no filter in the loop.
+    """
+
+    def __init__(self, env: gym.Env[Any, Any], sectors: int = 24) -> None:
+        super().__init__(env, sectors=sectors)
+        if type(sectors) is not int or sectors < 3:
+            raise ValueError(f"sectors must be an integer >= 3, got {sectors!r}")
+        self.inner("slam")
+        inner = dict_space(env, "BeliefPanorama")
+        self._sectors, self._camera = sectors, self.inner("camera")
+        self._most = inner["uvd"].shape[0] if "uvd" in inner.spaces else 1  # type: ignore[index]
+        added: dict[str, spaces.Space[Any]] = {
+            "panorama": spaces.Box(_LOW, _HIGH, (sectors, len(FEATURES)), np.float32),
+            "belief_sigmas": spaces.Box(0.0, _LARGEST_SIGMA, (6,), np.float32),
+        }
+        self.observation_space = spaces.Dict({**inner.spaces, **added})
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Reset the environment and look around."""
+        observation, info = self.env.reset(seed=seed, options=options)
+        return self._with_panorama(observation), info
+
+    def step(self, action: Any) -> tuple[dict[str, Any], Any, bool, bool, dict[str, Any]]:
+        """Step the environment and look around."""
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        return self._with_panorama(observation), reward, terminated, truncated, info
+
+    def _with_panorama(self, observation: dict[str, Any]) -> dict[str, Any]:
+        belief = self.inner("belief")
+        pan, tilt = (float(angle) for angle in observation.get("head", (0.0, 0.0)))
+        seen = panorama(belief, self._camera, pan, tilt, self._sectors, self._most)
+        sigmas = np.sqrt(belief.pose.covariance.diagonal()).clip(0.0, _LARGEST_SIGMA)
+        return {
+            **observation,
+            "panorama": seen.clip(_LOW, _HIGH).astype(np.float32),
+            "belief_sigmas": sigmas.astype(np.float32),
+        }
+
+
+def panorama(belief: Belief, camera: StereoCamera, pan: float, tilt: float, sectors: int, most: int) -> FloatArray:
+    """The columns of `BeliefPanorama`, not clipped; (sectors, 5).
+
+    Parameters
+    ----------
+    belief : Belief
+        Whose map.
+    camera : StereoCamera
+        Whose field of view.
+    pan, tilt : float
+        Of the head, rad.
+    sectors : int
+        Rows.
+    most : int
+        Number of landmarks whose share is 1.
+    """
+    seen = np.zeros((sectors, len(FEATURES)))
+    seen[:, 4] = _share_in_view(camera, pan, sectors)
+    if len(belief) == 0:
+        return seen
+    points_b = belief.points_c @ (_about_y(pan) @ _about_x(tilt)).T
+    azimuth = np.arctan2(points_b[:, 0], points_b[:, 2])
+    elevation = np.arctan2(-points_b[:, 1], np.hypot(points_b[:, 0], points_b[:, 2]))
+    sector = np.floor((azimuth + math.pi) * (sectors / (2.0 * math.pi))).astype(np.int64) % sectors
+    traces = np.einsum("nii->n", belief.relative_covariances)
+    distances = np.sqrt(np.einsum("ni,ni->n", points_b, points_b))
+
+    counts = np.bincount(sector, minlength=sectors)
+    seen[:, 0] = counts / most
+    seen[:, 1] = _INFORMATION_SCALE * np.log1p(np.bincount(sector, 1.0 / traces, sectors))
+    seen[:, 2] = np.bincount(sector, elevation, sectors) / (0.5 * math.pi * np.maximum(counts, 1))
+    np.maximum.at(seen[:, 3], sector, 1.0 / (1.0 + distances / _NEAR))
+    return seen
+
+
+def _share_in_view(camera: StereoCamera, pan: float, sectors: int) -> FloatArray:
+    """Share of each sector between the azimuths of the left and right border of the left image; (sectors,)."""
+    left, right = math.atan2(-camera.cx, camera.fx), math.atan2(camera.width - 1 - camera.cx, camera.fx)
+    width = 2.0 * math.pi / sectors
+    centres = -math.pi + width * (np.arange(sectors) + 0.5)
+    away = np.abs((centres - pan - 0.5 * (left + right) + math.pi) % (2.0 * math.pi) - math.pi)
+    overlap = 0.5 * (right - left + width) - away
+    share: FloatArray = overlap.clip(0.0, min(width, right - left)) / width
+    return share
+
+
+def _about_y(angle: float) -> FloatArray:
+    c, s = math.cos(angle), math.sin(angle)
+    return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
+
+
+def _about_x(angle: float) -> FloatArray:
+    c, s = math.cos(angle), math.sin(angle)
+    return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])

@@ -1,0 +1,52 @@
+"""The base of the wrappers here: made again from its arguments, by `gym.make` and by pickle."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium as gym
+from gymnasium.utils import RecordConstructorArgs
+
+
+class RecordedWrapper(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
+    """A wrapper whose arguments are kept: `env.spec` knows it, and pickle and deepcopy make a fresh one, no snapshot.
+
+    Parameters
+    ----------
+    env : gymnasium.Env
+        What is wrapped.
+    **arguments
+        JSON-able arguments of the subclass.
+    """
+
+    def __init__(self, env: gym.Env[Any, Any], **arguments: Any) -> None:
+        RecordConstructorArgs.__init__(self, **arguments)
+        gym.Wrapper.__init__(self, env)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _made_again, (type(self), self.env, self._saved_kwargs)
+
+    def inner(self, name: str) -> Any:
+        """Attribute `name` of the wrapped environment or of a wrapper inside.
+
+        Raises
+        ------
+        ValueError
+            There is none: the message says what offers it.
+        """
+        try:
+            return self.env.get_wrapper_attr(name)
+        except AttributeError:
+            source = "BeliefObservation" if name in ("slam", "belief") else "an environment StereoSlam/..."
+            raise ValueError(f"{type(self).__name__} needs {name!r}: wrap {source} with it") from None
+
+
+def dict_space(env: gym.Env[Any, Any], user: str) -> gym.spaces.Dict:
+    """The observation space of `env`, which must be a Dict for the wrapper called `user`."""
+    if not isinstance(env.observation_space, gym.spaces.Dict):
+        raise ValueError(f"{user} needs a Dict observation, got {env.observation_space}: put it inside FlattenUVD")
+    return env.observation_space
+
+
+def _made_again(kind: type[RecordedWrapper], env: gym.Env[Any, Any], arguments: dict[str, Any]) -> RecordedWrapper:
+    return kind(env, **arguments)
