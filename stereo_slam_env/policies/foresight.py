@@ -12,6 +12,7 @@ delta e = delta p - delta r + [e]x phi, with phi the error of the rotation in W,
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -155,12 +156,26 @@ class Eyes:
     margin: float = 0.0
     most: int | None = None
 
+    @cached_property
+    def reach(self) -> float:
+        """Largest distance of a landmark in view, m: that of the farthest depth at the corner of the image."""
+        camera = self.camera
+        corners = camera.ray([[u, v] for u in (0.0, camera.width - 1.0) for v in (0.0, camera.height - 1.0)])
+        return self.farthest * float(np.linalg.norm(corners, axis=1).max())
+
+    @cached_property
+    def _whitening(self) -> FloatArray:
+        """L^-1 with R = L L^T."""
+        whitening: FloatArray = np.linalg.inv(np.linalg.cholesky(self.noise.R))
+        return whitening
+
     def sight(self, points: FloatArray, cameras: CameraPoses) -> Sight:
         """What the points (N, 3) of W, m, look like from each of the cameras."""
         points_c = cameras.to_camera(points)
         z = points_c[..., 2]
         uvd = self.camera.project(points_c)
-        in_view = (z > 0.0) & (z >= self.nearest) & (z <= self.farthest) & self.camera.in_view(uvd, self.margin)
+        with np.errstate(invalid="ignore"):  # a point beside the camera has no image
+            in_view = (z > 0.0) & (z >= self.nearest) & (z <= self.farthest) & self.camera.in_view(uvd, self.margin)
         return Sight(uvd, in_view, points_c)
 
     def innovation_covariances(self, knowledge: Knowledge, cameras: CameraPoses) -> FloatArray:
@@ -179,7 +194,7 @@ class Eyes:
         seen = np.nonzero(sight.in_view)
         J = self.camera.project_jacobian(sight.points_c[seen])
         R_wc = np.broadcast_to(cameras.R_wc[..., None, :, :], (*sight.in_view.shape, 3, 3))[seen]
-        H = np.linalg.solve(np.linalg.cholesky(self.noise.R), J) @ R_wc.transpose(0, 2, 1)
+        H = self._whitening @ J @ R_wc.transpose(0, 2, 1)
         information = np.zeros((*sight.in_view.shape, 3, 3))
         information[seen] = H.transpose(0, 2, 1) @ H
         if self.most is not None:

@@ -8,58 +8,52 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from stereo_slam_env.policies.expected_gain import expected_gain, motion_noise
-from stereo_slam_env.policies.imagined_drive import planned_bodies, seen_from, turning_head
+from stereo_slam_env.policies.imagined_drive import turning_head
 from stereo_slam_env.policies.interface import Action, look_towards
-from stereo_slam_env.policies.planner import Observer, directions, turning_share
-from stereo_slam_env.world.routes import FRAME_PERIOD
-from filters.validation import FloatArray
+from stereo_slam_env.policies.planner import Planner, checked_count, checked_gain, checked_worth, directions
 
 
 class Greedy:
-    def __init__(self, gain="pose", pans=17, tilts=1, effort=0.02, at_once=True, replan=1):
-        self._gain, self._pans, self._tilts, self._effort, self._at_once, self._replan = gain, pans, tilts, effort, at_once, replan
+    """Look where one look, a step from now, is expected to tell most, as if the head were there at once.
 
-    def reset(self, env, rng):
-        self._env, self._observer, self._step = env, Observer(env), 0
-        self._targets = directions(self._observer.head, self._pans, self._tilts)
+    Parameters
+    ----------
+    gain : {"map", "pose"}
+        What is to be known well: the pose and the map together, or the pose alone.
+    pans, tilts : int
+        Directions to choose from: a grid over all that the head can do.
+    curiosity : float
+        What it is worth to look at a place beside the route for the first time, nats.
+    effort : float
+        What it costs to turn by the largest pan or tilt, nats.
+    at_once : bool
+        False: look from where the head gets in one step. That makes it blind to all that is farther away.
+    """
 
-    def act(self, observation):
-        o = self._observer
-        if self._step % self._replan == 0:
-            knowledge = o.knowledge()
-            bodies = planned_bodies(o.body(knowledge.pose), o.route, self._step, 1)
-            targets = self._targets
-            angles = targets[:, None] if self._at_once else turning_head(o.head, o.angles, targets, 1)
-            cameras = seen_from(o.head, bodies, angles)
-            looks = o.eyes.information(knowledge.points, cameras)
-            Q = motion_noise(bodies.positions - knowledge.pose.position, *(s * FRAME_PERIOD for s in o.odometry_sigmas))
-            value = expected_gain(knowledge, looks, Q, self._gain) - self._effort * turning_share(o.head, o.angles, targets)
-            self._target = targets[np.argmax(value)]
-        self._step += 1
-        return look_towards(self._env, self._target)
+    def __init__(
+        self,
+        gain: str = "map",
+        pans: int = 17,
+        tilts: int = 1,
+        curiosity: float = 0.15,
+        effort: float = 0.05,
+        at_once: bool = True,
+    ) -> None:
+        self._gain = checked_gain(gain)
+        self._pans, self._tilts = checked_count("pans", pans), checked_count("tilts", tilts)
+        self._curiosity, self._effort = checked_worth("curiosity", curiosity), checked_worth("effort", effort)
+        self._at_once = at_once
 
+    def reset(self, env: gym.Env[Any, Any], rng: np.random.Generator) -> None:
+        """See `Policy.reset`."""
+        self._env, self._planner = env, Planner(env, self._gain, self._curiosity, self._effort)
+        self._targets = directions(self._planner.outlook.head, self._pans, self._tilts)
 
-class Lookahead:
-    def __init__(self, steps=8, replan=4, gain="pose", pans=17, tilts=1, effort=0.02):
-        self._gain, self._pans, self._tilts, self._effort, self._steps, self._replan = gain, pans, tilts, effort, steps, replan
-
-    def reset(self, env, rng):
-        self._env, self._observer, self._step = env, Observer(env), 0
-        self._targets = directions(self._observer.head, self._pans, self._tilts)
-
-    def act(self, observation):
-        o = self._observer
-        if self._step % self._replan == 0:
-            ahead = float(np.max(o.route.speeds)) * FRAME_PERIOD * self._steps
-            knowledge = o.knowledge(ahead)
-            bodies = planned_bodies(o.body(knowledge.pose), o.route, self._step, self._steps)
-            targets = self._targets
-            angles = turning_head(o.head, o.angles, targets, self._steps)
-            cameras = seen_from(o.head, bodies, angles)
-            looks = o.eyes.information(knowledge.points, cameras)
-            Q = motion_noise(bodies.positions - knowledge.pose.position, *(s * FRAME_PERIOD for s in o.odometry_sigmas))
-            value = expected_gain(knowledge, looks, Q, self._gain) - self._effort * turning_share(o.head, o.angles, targets)
-            self._target = targets[np.argmax(value)]
-        self._step += 1
-        return look_towards(self._env, self._target)
+    def act(self, observation: Mapping[str, Any]) -> Action:
+        """See `Policy.act`."""
+        planner, targets = self._planner, self._targets
+        planner.look()
+        angles = targets[:, None]
+        if not self._at_once:
+            angles = turning_head(planner.outlook.head, planner.outlook.angles, targets, 1)
+        return look_towards(self._env, planner.best(targets, angles))
