@@ -35,7 +35,7 @@ class Greedy:
         gain: str = "map",
         pans: int = 17,
         tilts: int = 1,
-        curiosity: float = 0.15,
+        curiosity: float = 0.05,
         effort: float = 0.05,
         at_once: bool = True,
     ) -> None:

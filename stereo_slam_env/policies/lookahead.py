@@ -37,7 +37,7 @@ class Lookahead:
         steps: int = 8,
         replan: int = 4,
         gain: str = "map",
-        pans: int = 17,
+        pans: int = 33,
         tilts: int = 1,
         curiosity: float = 0.15,
         effort: float = 0.05,

@@ -78,8 +78,10 @@ class Outlook:
         return planned_bodies(self.head.body_pose(self.pose, self.angles), self.route, step, steps)
 
     def drift(self, positions: FloatArray) -> FloatArray:
-        """Noise of the odometry in the steps that end at `positions` (..., 3), see `motion_noise`."""
-        return motion_noise(positions - self.pose.position, *self._sigmas)
+        """Noise of the odometry in the steps that end at `positions` (K, 3), see `motion_noise`."""
+        ends = positions - self.pose.position
+        starts = np.concatenate([np.zeros((1, 3)), ends[:-1]])
+        return motion_noise(0.5 * (starts + ends), *self._sigmas)
 
 
 class Planner:
@@ -126,15 +128,14 @@ class Planner:
     def worth(self, targets: FloatArray, angles: FloatArray) -> FloatArray:
         """What each of B directions is worth, (B,) nats; arguments as of `best`."""
         outlook = self.outlook
-        cameras = seen_from(outlook.head, outlook.bodies(self.step, angles.shape[1]), angles)
+        bodies = outlook.bodies(self.step, angles.shape[1])
+        cameras = seen_from(outlook.head, bodies, angles)
         away = np.linalg.norm(cameras.positions - outlook.pose.position, axis=-1).max()
         knowledge = Knowledge.of(outlook.slam, within=outlook.eyes.reach + float(away))
         looks = outlook.eyes.information(knowledge.points, cameras)
-        gains = expected_gain(knowledge, looks, outlook.drift(cameras.positions), self._gain)
+        gains = expected_gain(knowledge, looks, outlook.drift(bodies.positions), self._gain)
         turn = np.abs(targets - outlook.angles) / np.maximum(outlook.head.max_angles, np.finfo(float).tiny)
-        worth: FloatArray = (
-            gains + self._curiosity * self._places.discovered(cameras) - self._effort * turn.sum(axis=1)
-        )
+        worth: FloatArray = gains + self._curiosity * self._places.discovered(cameras) - self._effort * turn.sum(axis=1)
         return worth
 
 

@@ -55,4 +55,5 @@ class UnseenPlaces:
         """Places that one of the cameras could see if it looked there."""
         low, high = (end(positions.reshape(-1, 3), axis=0) for end in (np.min, np.max))
         reach = self._eyes.reach
-        return self._points[((self._points >= low - reach) & (self._points <= high + reach)).all(axis=1)]
+        near: FloatArray = self._points[((self._points >= low - reach) & (self._points <= high + reach)).all(axis=1)]
+        return near

@@ -32,8 +32,8 @@ class Head:
     max_angles: tuple[float, float]
     max_rates: tuple[float, float]
 
-    def turned(self, angles: FloatArray, command: FloatArray, dt: float) -> FloatArray:
-        """Angles after `dt` s of turning towards a command, as fast as the head can.
+    def turned(self, angles: FloatArray, command: FloatArray, dt: float | FloatArray) -> FloatArray:
+        """Angles after `dt` s of turning towards a command, as fast as the head can; arguments are broadcast.
 
         Parameters
         ----------
