@@ -44,7 +44,8 @@ def planned_bodies(body: Pose, route: Route, step: int, steps: int) -> CameraPos
 def turning_head(head: Head, angles: FloatArray, targets: FloatArray, steps: int) -> FloatArray:
     """Pan and tilt after each step of turning from `angles` (2,) to each of the targets (B, 2), rad; (B, K, 2)."""
     command = targets[:, None, :] / np.maximum(head.max_angles, np.finfo(float).tiny)
-    return head.turned(angles, command, FRAME_PERIOD * np.arange(1, steps + 1)[:, None])
+    times: FloatArray = FRAME_PERIOD * np.arange(1.0, steps + 1.0)
+    return head.turned(angles, command, times[:, None])
 
 
 def seen_from(head: Head, bodies: CameraPoses, angles: FloatArray) -> CameraPoses:

@@ -135,7 +135,8 @@ class Planner:
         looks = outlook.eyes.information(knowledge.points, cameras)
         gains = expected_gain(knowledge, looks, outlook.drift(bodies.positions), self._gain)
         turn = np.abs(targets - outlook.angles) / np.maximum(outlook.head.max_angles, np.finfo(float).tiny)
-        worth: FloatArray = gains + self._curiosity * self._places.discovered(cameras) - self._effort * turn.sum(axis=1)
+        worth: FloatArray = gains - self._effort * turn.sum(axis=1)
+        worth += self._curiosity * self._places.discovered(cameras)
         return worth
 
 
@@ -143,7 +144,8 @@ def directions(head: Head, pans: int, tilts: int) -> FloatArray:
     """A grid of pan and tilt over all that the head can do, (pans * tilts, 2) rad; odd numbers have 0 among them."""
     axes = [np.linspace(-1.0, 1.0, n) if n > 1 else np.zeros(1) for n in (pans, tilts)]
     shares = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
-    return shares * np.array(head.max_angles)
+    grid: FloatArray = shares * np.array(head.max_angles)
+    return grid
 
 
 def checked_gain(gain: str) -> Gain:

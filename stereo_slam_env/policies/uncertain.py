@@ -63,9 +63,9 @@ class MostUncertain:
         head, eyes = self._outlook.head, self._outlook.eyes
         bearings = self._bearings(knowledge)
         distance = np.linalg.norm(knowledge.points - knowledge.pose.position, axis=1)
-        return (
-            (np.abs(bearings) <= head.max_angles).all(axis=1) & (distance >= eyes.nearest) & (distance <= eyes.farthest)
-        )
+        can: BoolArray = (distance >= eyes.nearest) & (distance <= eyes.farthest)
+        can &= (np.abs(bearings) <= head.max_angles).all(axis=1)
+        return can
 
     def _bearings(self, knowledge: Knowledge) -> FloatArray:
         """Pan and tilt that look at each landmark, (N, 2) rad."""
