@@ -19,8 +19,8 @@ class Policy(Protocol):
     """Decides what to do next.
 
     Policies never look at the truth and never copy the environment. What they may ask it for, with `get_wrapper_attr`,
-    are `slam` (the filter in the loop, see `wrappers.BeliefObservation`), `camera`, `noise`, `head`, `head_angles` and
-    `route`, the planned drive.
+    are `slam` (the filter in the loop, see `wrappers.BeliefObservation`), `camera`, `noise`, `head`, `head_angles`,
+    `route`, the planned drive, and of `options` what the sensors are like (range, noise of the odometry).
     """
 
     def reset(self, env: gym.Env[Any, Any], rng: np.random.Generator) -> None:

@@ -22,6 +22,9 @@ _OWN: dict[str, str] = {
     "random": "stereo_slam_env.policies.open_loop:RandomGaze",
     "sweep": "stereo_slam_env.policies.open_loop:Sweep",
     "ppo": "stereo_slam_env.policies.network:NetworkPolicy",
+    "most-uncertain": "stereo_slam_env.policies.uncertain:MostUncertain",
+    "greedy": "stereo_slam_env.policies.greedy:Greedy",
+    "lookahead": "stereo_slam_env.policies.lookahead:Lookahead",
 }
 
 

@@ -32,8 +32,8 @@ class Head:
     max_angles: tuple[float, float]
     max_rates: tuple[float, float]
 
-    def turned(self, angles: FloatArray, command: FloatArray, dt: float) -> FloatArray:
-        """Angles after `dt` s of turning towards a command, as fast as the head can.
+    def turned(self, angles: FloatArray, command: FloatArray, dt: float | FloatArray) -> FloatArray:
+        """Angles after `dt` s of turning towards a command, as fast as the head can; arguments are broadcast.
 
         Parameters
         ----------
@@ -67,9 +67,9 @@ class Head:
 
 
 def head_turn(angles: FloatArray) -> FloatArray:
-    """Quaternion xyzw of R_y(pan) R_x(tilt)."""
-    (sin_pan, sin_tilt), (cos_pan, cos_tilt) = np.sin(0.5 * angles), np.cos(0.5 * angles)
-    return np.array([cos_pan * sin_tilt, sin_pan * cos_tilt, -sin_pan * sin_tilt, cos_pan * cos_tilt])
+    """Quaternion xyzw of R_y(pan) R_x(tilt); (..., 2) rad -> (..., 4)."""
+    (sin_pan, sin_tilt), (cos_pan, cos_tilt) = np.sin(0.5 * angles.T), np.cos(0.5 * angles.T)
+    return np.array([cos_pan * sin_tilt, sin_pan * cos_tilt, -sin_pan * sin_tilt, cos_pan * cos_tilt]).T
 
 
 def velocity_between(before: Pose, after: Pose, dt: float) -> Velocity:

@@ -1,0 +1,63 @@
+"""`Lookahead`: the direction to turn to, judged by all looks of the next steps of the planned drive."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+
+from stereo_slam_env.policies.imagined_drive import turning_head
+from stereo_slam_env.policies.interface import Action, look_towards
+from stereo_slam_env.policies.planner import Planner, checked_count, checked_gain, checked_worth, directions
+
+
+class Lookahead:
+    """Turn to where the looks of the next steps, on the planned drive and as fast as the head turns, tell most.
+
+    Parameters
+    ----------
+    steps : int
+        How far to look ahead, in steps of 0.1 s.
+    replan : int
+        After how many steps to think again.
+    gain : {"map", "pose"}
+        What is to be known well: the pose and the map together, or the pose alone.
+    pans, tilts : int
+        Directions to choose from: a grid over all that the head can do.
+    curiosity : float
+        What it is worth to look at a place beside the route for the first time, nats.
+    effort : float
+        What it costs to turn by the largest pan or tilt, nats.
+    """
+
+    def __init__(
+        self,
+        steps: int = 8,
+        replan: int = 4,
+        gain: str = "map",
+        pans: int = 33,
+        tilts: int = 1,
+        curiosity: float = 0.15,
+        effort: float = 0.05,
+    ) -> None:
+        self._steps, self._replan = checked_count("steps", steps), checked_count("replan", replan)
+        self._gain = checked_gain(gain)
+        self._pans, self._tilts = checked_count("pans", pans), checked_count("tilts", tilts)
+        self._curiosity, self._effort = checked_worth("curiosity", curiosity), checked_worth("effort", effort)
+
+    def reset(self, env: gym.Env[Any, Any], rng: np.random.Generator) -> None:
+        """See `Policy.reset`."""
+        self._env, self._planner = env, Planner(env, self._gain, self._curiosity, self._effort)
+        self._targets = directions(self._planner.outlook.head, self._pans, self._tilts)
+
+    def act(self, observation: Mapping[str, Any]) -> Action:
+        """See `Policy.act`."""
+        planner = self._planner
+        planner.look()
+        if planner.step % self._replan == 0:
+            outlook = planner.outlook
+            angles = turning_head(outlook.head, outlook.angles, self._targets, self._steps)
+            self._target = planner.best(self._targets, angles)
+        return look_towards(self._env, self._target)

@@ -1,0 +1,150 @@
+"""Policies that plan on the filter's belief (20 s)."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import stereo_slam_env  # noqa: F401
+from stereo_slam_env.policies import available_policies, make_policy
+from stereo_slam_env.policies.greedy import Greedy
+from stereo_slam_env.policies.imagined_drive import turning_head
+from stereo_slam_env.policies.planner import Planner, directions
+
+from .looking import looked_around, with_belief
+
+PLANNING = ("most-uncertain", "greedy", "lookahead")
+
+
+def actions(name, seed=8, steps=25, **arguments):
+    env, policy = with_belief(**arguments), make_policy(name)
+    observation, _ = env.reset(seed=seed)
+    policy.reset(env, np.random.default_rng(0))
+    taken = []
+    for _ in range(steps):
+        taken.append(policy.act(observation))
+        assert env.action_space.contains(taken[-1])
+        observation = env.step(taken[-1])[0]
+    env.close()
+    return np.array(taken)
+
+
+@pytest.mark.parametrize("name", PLANNING)
+def test_it_is_known_by_name_turns_the_head_and_the_same_seed_gives_the_same_actions(name):
+    assert name in available_policies()
+    first = actions(name)
+    assert np.ptp(first[:, 0]) > 0.3
+    np.testing.assert_array_equal(first, actions(name))
+
+
+@pytest.mark.parametrize("name", PLANNING)
+def test_it_plans_on_the_belief_of_any_filter(name):
+    for filter in ("euclidean", "submaps"):
+        assert np.isfinite(actions(name, steps=6, filter=filter)).all()
+
+
+@pytest.mark.parametrize("name", PLANNING)
+def test_without_a_filter_or_a_head_it_says_what_is_missing(name):
+    policy, rng = make_policy(name), np.random.default_rng(0)
+    with pytest.raises(ValueError, match="BeliefObservation"):
+        policy.reset(gym.make("StereoSlam/Gaze-v0"), rng)
+    with pytest.raises(ValueError, match="Gaze-v0"):
+        policy.reset(gym.make("StereoSlam/Drive-v0"), rng)
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "named"),
+    [
+        ("greedy", {"gain": "poses"}, "gain"),
+        ("greedy", {"pans": 0}, "pans"),
+        ("lookahead", {"steps": 1.5}, "steps"),
+        ("lookahead", {"replan": 0}, "replan"),
+        ("lookahead", {"effort": -1.0}, "effort"),
+        ("most-uncertain", {"patience": 0}, "patience"),
+        ("greedy", {"tits": 3}, "tilts"),
+    ],
+)
+def test_an_impossible_option_is_named(name, options, named):
+    with pytest.raises(ValueError, match=named):
+        make_policy(name, **options)
+
+
+def test_directions_are_a_grid_over_all_the_head_can_do():
+    head = gym.make("StereoSlam/Gaze-v0").unwrapped.head
+    grid = directions(head, 5, 3)
+    assert grid.shape == (15, 2)
+    np.testing.assert_array_equal(np.unique(grid[:, 0]), [-2.0, -1.0, 0.0, 1.0, 2.0])
+    np.testing.assert_array_equal(np.unique(grid[:, 1]), [-0.4, 0.0, 0.4])
+    np.testing.assert_array_equal(directions(head, 3, 1)[:, 1], 0.0)
+
+
+def test_where_nothing_is_known_it_looks_at_what_nobody_has_seen():
+    env = with_belief(rig="vga", route="straight", visibility=8.0)  # nothing is as near as that at the start
+    env.reset(seed=0)
+    assert len(env.slam.landmarks.ids) == 0
+    planner = Planner(env, "map", curiosity=1.0, effort=0.01)
+    planner.look()
+    targets = directions(planner.outlook.head, 9, 1)
+    worth = planner.worth(targets, targets[:, None])
+    assert worth[4] < 0.0 + 1e-9  # straight ahead has been seen
+    assert abs(planner.best(targets, targets[:, None])[0]) > 0.4
+    env.close()
+
+
+def test_turning_costs_effort():
+    env = looked_around()
+    targets = np.array([[0.0, 0.0], [1.0, 0.0], [-2.0, 0.2]])
+    free, dear = (Planner(env, "pose", 0.0, effort) for effort in (0.0, 3.0))
+    for planner in (free, dear):
+        planner.look()
+    turn = np.abs(targets - env.get_wrapper_attr("head_angles")) / [2.0, 0.4]
+    difference = free.worth(targets, targets[:, None]) - dear.worth(targets, targets[:, None])
+    np.testing.assert_allclose(difference, 3.0 * turn.sum(axis=1), rtol=1e-9)
+    env.close()
+
+
+def test_what_the_head_cannot_reach_in_time_is_worth_nothing_to_those_who_turn():
+    env = looked_around()
+    planner = Planner(env, "map", 0.0, 0.0)
+    planner.look()
+    outlook, targets = planner.outlook, directions(env.get_wrapper_attr("head"), 9, 1)
+    at_once = planner.worth(targets, targets[:, None])
+    turning = planner.worth(targets, turning_head(outlook.head, outlook.angles, targets, 1))
+    assert np.ptp(turning) < np.ptp(at_once)
+    env.close()
+
+
+def test_most_uncertain_looks_at_what_is_known_worst_and_gives_up_what_it_cannot_see():
+    env = looked_around()
+    policy = make_policy("most-uncertain", patience=4)
+    policy.reset(env, np.random.default_rng(0))
+    observation = {"ids": np.array([-1])}  # nothing is ever seen
+    wanted = []
+    for _ in range(12):
+        action = policy.act(observation)
+        wanted.append(policy._wanted)
+    assert len(set(wanted)) == 3
+    assert wanted[0] == wanted[3] != wanted[4]
+    belief = env.belief
+    traces = np.trace(belief.relative_covariances, axis1=1, axis2=2)
+    first = int(np.flatnonzero(belief.ids == wanted[0])[0])
+    near = np.linalg.norm(belief.points_c, axis=1) < 30.0
+    ahead = np.abs(np.arctan2(*belief.points_c.T[[0, 2]]) + env.get_wrapper_attr("head_angles")[0]) < 1.9
+    level = np.abs(np.arctan2(belief.points_c[:, 1], np.hypot(*belief.points_c.T[[0, 2]]))) < 0.2
+    assert (near & ahead & level).sum() > 5
+    assert traces[first] >= traces[near & ahead & level].max()
+    assert env.action_space.contains(action)
+    env.close()
+
+
+def test_greedy_without_curiosity_and_effort_looks_where_the_filter_would_learn_most():
+    env = looked_around()
+    policy = Greedy(gain="pose", pans=9, curiosity=0.0, effort=0.0)
+    policy.reset(env, np.random.default_rng(0))
+    chosen = policy.act({})[0] * 2.0
+    planner = Planner(env, "pose", 0.0, 0.0)
+    planner.look()
+    targets = directions(planner.outlook.head, 9, 1)
+    worth = planner.worth(targets, targets[:, None])
+    assert chosen == pytest.approx(targets[np.argmax(worth), 0])
+    assert worth.max() > 0.1
+    env.close()
