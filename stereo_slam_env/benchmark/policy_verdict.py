@@ -235,13 +235,6 @@ def _least_uncertain(summaries: Sequence[FilterSummary]) -> FilterSummary | None
     return min(steady, key=lambda s: float(s.final_position_sigma_m or 0.0), default=None)
 
 
-_AGREEMENT = {
-    Agreement.AGREE: "That is true: by its error, too, it differs from the baseline that way",
-    Agreement.DISAGREE: "Its true error does not bear that out",
-    Agreement.NOTHING_SHOWN: "That is no more than chance: no difference to the baseline is shown",
-}
-
-
 def _headline(
     best: FilterSummary | None,
     summaries: Sequence[FilterSummary],
@@ -256,7 +249,8 @@ def _headline(
         f"{best.filter_name} leaves the pose least uncertain at the end, by its own account: {_account(best)}{others}."
     ]
     if best.filter_name in comparisons:
-        sentences.append(f"{_AGREEMENT[comparisons[best.filter_name].agreement]}.")
+        agreement = comparisons[best.filter_name].agreement.value
+        sentences.append(f"{agreement[:1].upper()}{agreement[1:]}.")
     doubtful = [c.policy for c in comparisons.values() if not c.is_sound]
     if doubtful:
         sentences.append(f"Do not take the word of {_listed(doubtful)}: the lines below say why.")

@@ -34,7 +34,7 @@ def test_a_policy_that_claims_less_and_is_better_is_believed():
     assert found.words.endswith("claim and truth agree.")
     assert verdict.best == "greedy"
     assert "greedy leaves the pose least uncertain at the end" in verdict.headline
-    assert "That is true" in verdict.headline
+    assert "Claim and truth agree." in verdict.headline
     assert "Do not take the word" not in verdict.headline
 
 
@@ -45,7 +45,7 @@ def test_a_policy_that_claims_less_and_is_no_better_is_not():
     assert "claims 50 % less uncertainty" in found.words
     assert "no difference of the true position error is shown" in found.words
     assert "claim and truth disagree; and it is overconfident, NEES/6" in found.words
-    assert "Its true error does not bear that out." in verdict.headline
+    assert "Claim and truth disagree." in verdict.headline
     assert "Do not take the word of boasts" in verdict.headline
 
 
