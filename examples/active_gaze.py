@@ -14,8 +14,8 @@ import numpy as np
 import stereo_slam_env
 from filters import VelocityDriven, make_filter, rotations
 
-# The map keeps what is out of view, and the odometry is believed: the head turns faster than a model would guess.
-OPTIONS = {"drop_unseen": False, "motion": VelocityDriven()}
+# The map keeps what is out of view; the odometry is believed; what comes back into view needs two linearisations.
+OPTIONS = {"drop_unseen": False, "motion": VelocityDriven(), "iterations": 2}
 SIDEWAYS = 1.2  # rad; what is farther round has almost been passed
 
 

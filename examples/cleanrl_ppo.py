@@ -27,7 +27,8 @@ VALUE_WEIGHT, MAX_GRADIENT, REWARD_SCALE = 0.5, 0.5, 0.1
 
 def with_belief(env):
     """A filter in the loop, paid for what it learns of the pose; a decision holds for 0.4 s."""
-    env = BeliefPanorama(BeliefObservation(env, options={"drop_unseen": False, "motion": "velocity-driven"}))
+    options = {"drop_unseen": False, "motion": "velocity-driven", "iterations": 2}
+    env = BeliefPanorama(BeliefObservation(env, options=options))
     env = RepeatAction(InformationGain(env, of="pose", resolution=(0.01, 0.001)), 4)
     return FlattenObservation(FilterObservation(env, ["belief_sigmas", "head", "panorama"]))
 
@@ -138,9 +139,8 @@ def main():
         told = f"{np.mean(finished):.2f}" if finished else "no episode ended"
         print(f"{done + given.rollout * given.environments:>7} decisions: mean return {told}")
 
-    with torch.no_grad():
-        fixed = mean_return(envs, given.seed + 1000, lambda seen: np.zeros(envs.action_space.shape, np.float32))
-        network = mean_return(envs, given.seed + 1000, lambda seen: agent.mean(seen).clamp(-1, 1).numpy())
+    fixed = mean_return(envs, given.seed + 1000, lambda seen: np.zeros(envs.action_space.shape, np.float32))
+    network = mean_return(envs, given.seed + 1000, lambda seen: agent.mean(seen).detach().clamp(-1, 1).numpy())
     print(f"on other seeds: fixed gaze {fixed:.2f}, network {network:.2f} nats")
     envs.close()
 

@@ -16,7 +16,7 @@ from stereo_slam_env.wrappers import BeliefObservation, BeliefPanorama, Informat
 def make(**arguments):
     """A filter in the loop, paid for what it learns of the pose; a decision holds for 0.4 s."""
     env = gym.make("StereoSlam/Gaze-v0", **arguments)
-    env = BeliefObservation(env, options={"drop_unseen": False, "motion": "velocity-driven"})
+    env = BeliefObservation(env, options={"drop_unseen": False, "motion": "velocity-driven", "iterations": 2})
     env = InformationGain(BeliefPanorama(env), of="pose", resolution=(0.01, 0.001))
     return FilterObservation(RepeatAction(env, 4), ["belief_sigmas", "head", "panorama"])
 

@@ -160,7 +160,8 @@ def _episode(env: gym.Env[Any, Any], policy: Policy, seed: int, steps: int | Non
     observation, info = env.reset(seed=seed)
     policy.reset(env, rng_of_policy(seed))
     observations, infos = [observation], [info]
-    actions, rewards, terminations, truncations = [], [], [], []
+    actions: list[Action] = []
+    rewards, terminations, truncations = [], [], []
     over = False
     while not over:
         action = policy.act(observation)
