@@ -50,6 +50,11 @@ class Episode:
         return digest.hexdigest()
 
 
+def rng_of_policy(seed: int) -> np.random.Generator:
+    """For what a policy leaves to chance in the episode of a seed."""
+    return np.random.default_rng([_STREAM, seed])
+
+
 def run_episode(
     env: gym.Env[Any, Any],
     policy: Policy,
@@ -106,7 +111,7 @@ def run_episode(
         observation, _ = env.reset(seed=seed)
         keep()
         asked = "policy"
-        policy.reset(env, np.random.default_rng([_STREAM, seed]))
+        policy.reset(env, rng_of_policy(seed))
         while not over and len(collected) < wanted:
             asked = "policy"
             action = policy.act(observation)

@@ -1,0 +1,149 @@
+"""Proximal policy optimisation in one file of PyTorch: where the head should look so that the filter learns most.
+
+The environments of a vector environment go on by themselves in Gymnasium's mode NEXT_STEP (the default of `make_vec`):
+the step after the end of an episode is its reset, which ignores the action and pays nothing. Such steps are kept in
+the rollout, as what is observed then begins the next episode, but nothing is learnt from them.
+
+Run it: python examples/cleanrl_ppo.py --steps 60000 --environments 4 --vectorization async     (needs the extra rl)
+It prints the mean return of the episodes that ended in each rollout: the information gained, in nats (the pose grows
+less certain all the way, so it is negative), and at last what a fixed gaze has and the network, on other seeds.
+"""
+
+import argparse
+
+import gymnasium as gym
+import numpy as np
+import torch
+from gymnasium.wrappers import FilterObservation, FlattenObservation, RepeatAction
+from torch import nn
+from torch.distributions import Normal
+
+import stereo_slam_env  # noqa: F401 (registers the ids)
+from stereo_slam_env.wrappers import BeliefObservation, BeliefPanorama, InformationGain
+
+DISCOUNT, GAE_LAMBDA, CLIP, EPOCHS, MINIBATCHES = 0.95, 0.95, 0.2, 10, 4
+VALUE_WEIGHT, MAX_GRADIENT, REWARD_SCALE = 0.5, 0.5, 0.1
+
+
+def with_belief(env):
+    """A filter in the loop, paid for what it learns of the pose; a decision holds for 0.4 s."""
+    options = {"drop_unseen": False, "motion": "velocity-driven", "iterations": 2}
+    env = BeliefPanorama(BeliefObservation(env, options=options))
+    env = RepeatAction(InformationGain(env, of="pose", resolution=(0.01, 0.001)), 4)
+    return FlattenObservation(FilterObservation(env, ["belief_sigmas", "head", "panorama"]))
+
+
+class Agent(nn.Module):
+    """A Gaussian policy and a value."""
+
+    def __init__(self, observations, actions):
+        super().__init__()
+        self.mean = perceptron(observations, actions, last_gain=0.01)
+        self.value = perceptron(observations, 1, last_gain=1.0)
+        self.log_std = nn.Parameter(torch.full((actions,), -0.7))
+
+    def policy(self, observation):
+        """Distribution of the action."""
+        return Normal(self.mean(observation), self.log_std.exp())
+
+
+def perceptron(inputs, outputs, last_gain, width=64):
+    """Two hidden layers of tanh, with orthogonal weights."""
+    layers = [nn.Linear(inputs, width), nn.Linear(width, width), nn.Linear(width, outputs)]
+    for layer, gain in zip(layers, (2**0.5, 2**0.5, last_gain), strict=True):
+        nn.init.orthogonal_(layer.weight, gain)
+        nn.init.zeros_(layer.bias)
+    return nn.Sequential(layers[0], nn.Tanh(), layers[1], nn.Tanh(), layers[2])
+
+
+def advantages(reward, value, next_value, terminated, ended):
+    """Generalised advantage estimation, (T, E); `next_value` is that of what each step led to."""
+    gains, following = torch.zeros_like(reward), torch.zeros(reward.shape[1])
+    for t in reversed(range(len(reward))):
+        surprise = reward[t] + DISCOUNT * next_value[t] * ~terminated[t] - value[t]  # a truncated episode has a future
+        gains[t] = following = surprise + DISCOUNT * GAE_LAMBDA * ~ended[t] * following
+    return gains
+
+
+def learn(agent, optimizer, batch):
+    """Some passes over a rollout with the clipped objective."""
+    size = len(batch["gain"])
+    for _ in range(EPOCHS):
+        for rows in torch.randperm(size).chunk(MINIBATCHES):
+            part = {name: values[rows] for name, values in batch.items()}
+            gain = (part["gain"] - part["gain"].mean()) / (part["gain"].std(correction=0) + 1e-8)
+            ratio = (agent.policy(part["observation"]).log_prob(part["action"]).sum(-1) - part["log_prob"]).exp()
+            objective = torch.minimum(ratio * gain, ratio.clamp(1 - CLIP, 1 + CLIP) * gain).mean()
+            value_error = (agent.value(part["observation"]).squeeze(-1) - part["return"]).square().mean()
+            optimizer.zero_grad()
+            (VALUE_WEIGHT * value_error - objective).backward()
+            nn.utils.clip_grad_norm_(agent.parameters(), MAX_GRADIENT)
+            optimizer.step()
+
+
+def mean_return(envs, seed, look):
+    """Of the first episode of each environment."""
+    observation, _ = envs.reset(seed=seed)
+    total, running = np.zeros(envs.num_envs), np.ones(envs.num_envs, bool)
+    while running.any():
+        observation, reward, terminated, truncated, _ = envs.step(look(torch.as_tensor(observation)))
+        total += reward * running
+        running &= ~(terminated | truncated)
+    return total.mean()
+
+
+def main():
+    """Train, and compare with a fixed gaze."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--steps", type=int, default=60_000, help="decisions of all environments together")
+    parser.add_argument("--rollout", type=int, default=250, help="decisions of each between two updates")
+    parser.add_argument("--environments", type=int, default=4)
+    parser.add_argument("--vectorization", choices=("sync", "async"), default="sync")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--route", default="straight")
+    given = parser.parse_args()
+    torch.manual_seed(given.seed)
+    kind = {"vectorization_mode": given.vectorization, "wrappers": [with_belief], "route": given.route}
+    envs = gym.make_vec("StereoSlam/Gaze-v0", given.environments, **kind)
+    assert envs.metadata["autoreset_mode"] is gym.vector.AutoresetMode.NEXT_STEP
+    agent = Agent(envs.single_observation_space.shape[0], envs.single_action_space.shape[0])
+    optimizer = torch.optim.Adam(agent.parameters(), lr=5e-4)
+
+    shape = (given.rollout, given.environments)
+    observation = torch.as_tensor(envs.reset(seed=given.seed)[0])
+    is_reset = np.zeros(given.environments, bool)  # whether the next step only begins another episode
+    paid = np.zeros(given.environments)  # in the episode so far
+    for done in range(0, given.steps, given.rollout * given.environments):
+        seen, chosen = torch.zeros(*shape, observation.shape[1]), torch.zeros(*shape, *envs.single_action_space.shape)
+        finished = []
+        log_prob, reward, value, next_value = (torch.zeros(shape) for _ in range(4))
+        terminated, ended, counts = (torch.zeros(shape, dtype=torch.bool) for _ in range(3))
+        for t in range(given.rollout):
+            with torch.no_grad():
+                policy = agent.policy(observation)
+                action = policy.sample()
+                seen[t], chosen[t], counts[t] = observation, action, torch.as_tensor(~is_reset)
+                log_prob[t], value[t] = policy.log_prob(action).sum(-1), agent.value(observation).squeeze(-1)
+                following, pay, over, cut, _ = envs.step(action.clamp(-1, 1).numpy())
+                observation = torch.as_tensor(following)  # at the end of an episode truly its last, in this mode
+                next_value[t] = agent.value(observation).squeeze(-1)
+            reward[t], terminated[t], ended[t] = (torch.as_tensor(x) for x in (REWARD_SCALE * pay, over, over | cut))
+            is_reset = over | cut
+            paid += pay
+            finished += list(paid[is_reset])
+            paid *= ~is_reset
+        gain = advantages(reward, value, next_value, terminated, ended)
+        names = ("observation", "action", "log_prob", "gain", "return")
+        rollout = zip(names, (seen, chosen, log_prob, gain, gain + value), strict=True)
+        learn(agent, optimizer, {name: values[counts] for name, values in rollout})
+        told = f"{np.mean(finished):.2f}" if finished else "no episode ended"
+        print(f"{done + given.rollout * given.environments:>7} decisions: mean return {told}")
+
+    fixed = mean_return(envs, given.seed + 1000, lambda seen: np.zeros(envs.action_space.shape, np.float32))
+    network = mean_return(envs, given.seed + 1000, lambda seen: agent.mean(seen).detach().clamp(-1, 1).numpy())
+    print(f"on other seeds: fixed gaze {fixed:.2f}, network {network:.2f} nats")
+    envs.close()
+
+
+if __name__ == "__main__":
+    main()
