@@ -21,10 +21,10 @@ _OWN: dict[str, str] = {
     "fixed": "stereo_slam_env.policies.open_loop:FixedGaze",
     "random": "stereo_slam_env.policies.open_loop:RandomGaze",
     "sweep": "stereo_slam_env.policies.open_loop:Sweep",
-    "ppo": "stereo_slam_env.policies.network:NetworkPolicy",
     "most-uncertain": "stereo_slam_env.policies.uncertain:MostUncertain",
     "greedy": "stereo_slam_env.policies.greedy:Greedy",
     "lookahead": "stereo_slam_env.policies.lookahead:Lookahead",
+    "ppo": "stereo_slam_env.policies.network:NetworkPolicy",
 }
 
 
