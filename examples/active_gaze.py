@@ -2,7 +2,7 @@
 
 The rule: turn the head to the nearest landmark in the filter's map that is not too far to the side. Looking straight
 ahead is tried on the same seeds, so in the same world, on the same drive.
-Run it: python examples/active_gaze.py --seeds 4
+Run it: python examples/active_gaze.py --seeds 8
 It prints, for either, what the filter claims of its final position (1 sigma) and how far off it truly is, m.
 """
 
@@ -16,7 +16,7 @@ from filters import VelocityDriven, make_filter, rotations
 
 # The map keeps what is out of view; the odometry is believed; what comes back into view needs two linearisations.
 OPTIONS = {"drop_unseen": False, "motion": VelocityDriven(), "iterations": 2}
-SIDEWAYS = 1.2  # rad; what is farther round has almost been passed
+SIDEWAYS = 0.9  # rad; what is farther round has almost been passed
 
 
 def straight_ahead(slam, head):
@@ -51,7 +51,7 @@ def drive(env, rule, seed):
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--seeds", type=int, default=4)
+    parser.add_argument("--seeds", type=int, default=8)
     parser.add_argument("--route", default="straight")
     given = parser.parse_args()
     env = gym.make("StereoSlam/Gaze-v0", route=given.route)

@@ -1,4 +1,4 @@
-"""Every example runs from a fresh process and says something (40 s)."""
+"""Every example runs from a fresh process and says something (50 s)."""
 
 import os
 import subprocess
