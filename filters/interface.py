@@ -365,15 +365,7 @@ class StereoFilter(ABC):
     def pose_landmark_covariances(self, ids: Sequence[int] | IntArray | None = None) -> FloatArray:
         """The parts of `joint_covariance` that belong to the pose and to one landmark each: cheap for many landmarks.
 
-        Parameters
-        ----------
-        ids : (N,) sequence of int, optional
-            As of `joint_covariance`.
-
-        Returns
-        -------
-        (N, 9, 9) ndarray
-            Of the pose error and the position of the landmark.
+        Takes the ids of `joint_covariance`; returns (N, 9, 9), of the pose error and the position of the landmark.
         """
         joint = self.joint_covariance(ids)
         pose, landmarks = np.arange(6), np.arange(6, len(joint)).reshape(-1, 3)
