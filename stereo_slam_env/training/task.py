@@ -12,9 +12,9 @@ from gymnasium.wrappers import FilterObservation, RepeatAction
 from filters.known_names import require_known
 from filters.validation import positive
 
-GAZE_FILTER: Mapping[str, Any] = {"drop_unseen": False, "motion": "velocity-driven", "iterations": 2, "gate": None}
-"""Options of a filter for a head that turns: it keeps what is out of view, believes the odometry, and linearises twice:
-landmarks that come back into view correct it by a lot at once. Nothing is measured wrong, so there is no gate."""
+GAZE_FILTER: Mapping[str, Any] = {"drop_unseen": False, "motion": "velocity-driven", "iterations": 2}
+"""Options of a filter for a head that turns: it keeps what is out of view, believes the odometry, and linearises twice,
+because landmarks that come back into view correct it by a lot at once."""
 POLICY_KEYS = ("belief_sigmas", "head", "panorama")
 """Keys of the observation that a network decides by, in their order."""
 
