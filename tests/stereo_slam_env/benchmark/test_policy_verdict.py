@@ -73,7 +73,7 @@ def test_where_nothing_is_shown_that_is_said():
 def test_few_runs_show_nothing():
     found = judged(BETTER, seeds=range(3))[0].comparisons["greedy"]
     assert found.agreement is Agreement.NOTHING_SHOWN
-    assert "3 paired runs are too few" in found.words
+    assert "neither claim nor truth shows a difference, for 3 paired runs are too few: 6 are needed" in found.words
 
 
 def test_intervals_grow_with_the_number_of_policies():
