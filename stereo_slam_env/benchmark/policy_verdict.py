@@ -259,7 +259,7 @@ def _headline(
         sentences.append(f"{agreement[:1].upper()}{agreement[1:]}.")
     doubtful = [c.policy for c in comparisons.values() if not c.is_sound]
     if doubtful:
-        sentences.append(f"Do not take the word of {_listed(doubtful)}: the lines below say why.")
+        sentences.append(f"Not to be taken at its word: {_listed(doubtful)}; the lines below say why.")
     if consistency(held_against) is Consistency.OVERCONFIDENT:
         sentences.append(f"{baseline} itself is overconfident, {_nees(held_against)}.")
     lost = [f"{s.filter_name} in {s.diverged} of {s.runs} runs" for s in summaries if s.diverged]
