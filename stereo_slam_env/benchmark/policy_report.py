@@ -75,12 +75,12 @@ def _by(measure: Measure, summary: FilterSummary, verdict: PolicyVerdict) -> Ans
         return Answer(shown, "", "none", key=value)
     difference = found.difference
     words = [f"{signed(difference.percent)} %"]
-    if difference.interval is not None:
-        words.append(difference.interval_words)
     if difference.too_few:
         words.append(f"{difference.count} runs are too few")
-    elif difference.finding is Finding.NOT_SHOWN:
-        words.append("not shown")
+    else:
+        words.append(difference.interval_words)
+        if difference.finding is Finding.NOT_SHOWN:
+            words.append("not shown")
     return Answer(shown, ", ".join(words), finding_tone(difference.finding), key=value)
 
 

@@ -34,7 +34,7 @@ class Agreement(Enum):
 
     AGREE = "claim and truth agree"
     DISAGREE = "claim and truth disagree"
-    NOTHING_SHOWN = "neither shows a difference"
+    NOTHING_SHOWN = "neither claim nor truth shows a difference"
 
 
 @dataclass(frozen=True)
@@ -167,7 +167,8 @@ def _compared(summary: FilterSummary, claim: PairVerdict, final: PairVerdict, pa
         agreement = Agreement.NOTHING_SHOWN if claim.finding is Finding.NOT_SHOWN else Agreement.AGREE
     state = consistency(summary)
     but = "and" if agreement is Agreement.DISAGREE else "but"
-    words = f"{_claim(claim)}, {_truth(path, final)}: {agreement.value}{_honesty(summary, state, but)}."
+    said = f"{agreement.value}{_too_few(claim.difference)}{_honesty(summary, state, but)}"
+    words = f"{_claim(claim)}, {_truth(path, final)}: {said}."
     return ClaimAndTruth(claim.filter_name, claim.against, claim, final, path, state, agreement, words)
 
 
@@ -225,9 +226,14 @@ def _nees(summary: FilterSummary) -> str:
 
 
 def _change(difference: Difference) -> str:
-    interval = f", {difference.interval_words}" if difference.interval is not None else ""
-    few = f", {difference.count} paired runs are too few" if difference.too_few else ""
-    return f"{signed(difference.percent)} %{interval}{few}"
+    known = difference.interval is not None and not difference.too_few
+    return f"{signed(difference.percent)} %" + (f", {difference.interval_words}" if known else "")
+
+
+def _too_few(difference: Difference) -> str:
+    if not difference.too_few:
+        return ""
+    return f", for {difference.count} paired runs are too few: {difference.needed} are needed"
 
 
 def _least_uncertain(summaries: Sequence[FilterSummary]) -> FilterSummary | None:
@@ -253,7 +259,7 @@ def _headline(
         sentences.append(f"{agreement[:1].upper()}{agreement[1:]}.")
     doubtful = [c.policy for c in comparisons.values() if not c.is_sound]
     if doubtful:
-        sentences.append(f"Do not take the word of {_listed(doubtful)}: the lines below say why.")
+        sentences.append(f"Not to be taken at its word: {_listed(doubtful)}; the lines below say why.")
     if consistency(held_against) is Consistency.OVERCONFIDENT:
         sentences.append(f"{baseline} itself is overconfident, {_nees(held_against)}.")
     lost = [f"{s.filter_name} in {s.diverged} of {s.runs} runs" for s in summaries if s.diverged]

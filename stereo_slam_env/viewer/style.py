@@ -88,9 +88,10 @@ def style_context() -> Any:
 
 
 def filter_colours(names: Iterable[str]) -> dict[str, str]:
-    """Give each filter one colour, whatever the order of `names`; the standard three keep theirs."""
+    """Give each filter one colour, whatever the order of `names`; the standard three keep theirs, unless not there."""
     distinct = sorted(set(names))
     free = [i for i in range(len(PALETTE)) if i not in _RESERVED.values()]
+    free += [slot for name, slot in _RESERVED.items() if name not in distinct]  # last, so that few change nothing
     others = [name for name in distinct if name not in _RESERVED]
     slots = _RESERVED | {name: free[i % len(free)] for i, name in enumerate(others)}
     return {name: PALETTE[slots[name]] for name in distinct}
