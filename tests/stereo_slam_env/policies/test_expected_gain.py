@@ -129,8 +129,6 @@ def test_a_covariance_that_is_none_is_named(env):
     knowledge = Knowledge.of(env.slam)
     looks = eyes_of(env).information(knowledge.points, here(env.slam))[None, None]
     covariance = knowledge.covariance.copy()
-    covariance[0, 1] = covariance[1, 0] = 2.0 * np.sqrt(
-        covariance[0, 0] * covariance[1, 1]
-    )
+    covariance[0, 1] = covariance[1, 0] = 2.0 * np.sqrt(covariance[0, 0] * covariance[1, 1])
     with pytest.raises(ArithmeticError, match="positive definite"):
         expected_gain(replace(knowledge, covariance=covariance), looks, np.zeros((1, 6, 6)), "pose")
