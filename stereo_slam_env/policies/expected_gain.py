@@ -50,6 +50,11 @@ def expected_gain(knowledge: Knowledge, looks: FloatArray, Q: FloatArray, gain: 
     Returns
     -------
     (B,) ndarray
+
+    Raises
+    ------
+    ArithmeticError
+        The covariance is not positive definite.
     """
     seen = looks.any(axis=(0, 1, 3, 4))
     if not seen.any():
@@ -115,6 +120,11 @@ def _log_determinants(knowledge: Knowledge, looks: FloatArray, Q: FloatArray, ga
     whole[:, block[:, :, None], block[:, None, :]] += looks.sum(axis=1)
     whole[:, rows:, :rows], whole[:, :rows, rows:] = of_map.transpose(0, 2, 1), of_map
     whole[:, rows:, rows:] = of_pose
-    diagonal = np.diagonal(np.linalg.cholesky(whole), axis1=1, axis2=2)
+    try:
+        diagonal = np.diagonal(np.linalg.cholesky(whole), axis1=1, axis2=2)
+    except np.linalg.LinAlgError:
+        raise ArithmeticError(
+            "joint_covariance() of the filter must be positive definite, and is not: no gain can be expected"
+        ) from None
     logdets: FloatArray = 2.0 * np.log(diagonal[:, rows if gain == "pose" else 0 :]).sum(axis=1)
     return logdets

@@ -81,7 +81,7 @@ class Knowledge:
         near &= np.isfinite(landmarks.positions).all(axis=1) & np.isfinite(landmarks.covariances).all(axis=(1, 2))
         near &= landmarks.inverse_distance > 0.0
         ids = landmarks.ids[near]
-        covariance = slam.joint_covariance(ids)
+        covariance = slam.joint_covariance(ids).copy()
         R_wc = rotations.matrix(belief.orientation)
         covariance[ROTATION] = R_wc @ covariance[ROTATION]
         covariance[:, ROTATION] = covariance[:, ROTATION] @ R_wc.T

@@ -8,9 +8,10 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
+from filters.validation import positive
 from stereo_slam_env.policies.imagined_drive import turning_head
 from stereo_slam_env.policies.interface import Action, look_towards
-from stereo_slam_env.policies.planner import Planner, checked_count, checked_gain, checked_worth, directions
+from stereo_slam_env.policies.planner import Planner, checked_count, checked_gain, directions
 
 
 class Lookahead:
@@ -45,7 +46,8 @@ class Lookahead:
         self._steps, self._replan = checked_count("steps", steps), checked_count("replan", replan)
         self._gain = checked_gain(gain)
         self._pans, self._tilts = checked_count("pans", pans), checked_count("tilts", tilts)
-        self._curiosity, self._effort = checked_worth("curiosity", curiosity), checked_worth("effort", effort)
+        self._curiosity = positive("curiosity", curiosity, allow_zero=True)
+        self._effort = positive("effort", effort, allow_zero=True)
 
     def reset(self, env: gym.Env[Any, Any], rng: np.random.Generator) -> None:
         """See `Policy.reset`."""

@@ -8,7 +8,7 @@ import gymnasium as gym
 import numpy as np
 
 from filters.interface import StereoFilter
-from filters.validation import FloatArray, positive
+from filters.validation import FloatArray
 from stereo_slam_env.policies.expected_gain import GAINS, Gain, expected_gain, motion_noise
 from stereo_slam_env.policies.foresight import CameraPoses, Eyes, Knowledge
 from stereo_slam_env.policies.imagined_drive import planned_bodies, seen_from
@@ -161,8 +161,3 @@ def checked_count(name: str, value: int) -> int:
     if isinstance(value, bool) or not isinstance(value, int) or value < 1:
         raise ValueError(f"{name} must be a whole number >= 1, got {value!r}")
     return value
-
-
-def checked_worth(name: str, value: float) -> float:
-    """`value`, if it is a number that is not negative; else a ValueError."""
-    return positive(name, value, allow_zero=True)

@@ -1,6 +1,7 @@
 """The expected gain, against what filters really gain from exactly those measurements (6 s)."""
 
 import copy
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -122,3 +123,12 @@ def test_a_start_that_is_known_exactly_and_odometry_without_error_are_no_trouble
         Q = motion_noise(np.zeros((8, 3)), *sigmas)
         for gain in ("pose", "map"):
             assert np.isfinite(expected_gain(knowledge, looks, Q, gain)).all()
+
+
+def test_a_covariance_that_is_none_is_named(env):
+    knowledge = Knowledge.of(env.slam)
+    looks = eyes_of(env).information(knowledge.points, here(env.slam))[None, None]
+    covariance = knowledge.covariance.copy()
+    covariance[0, 1] = covariance[1, 0] = 2.0 * np.sqrt(covariance[0, 0] * covariance[1, 1])
+    with pytest.raises(ArithmeticError, match="positive definite"):
+        expected_gain(replace(knowledge, covariance=covariance), looks, np.zeros((1, 6, 6)), "pose")
