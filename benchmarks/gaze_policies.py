@@ -143,9 +143,7 @@ def main() -> None:
             arguments.pictures.mkdir(parents=True, exist_ok=True)
             for seed, one in zip(seeds, episodes, strict=True):
                 picture(label, seed, one).savefig(arguments.pictures / f"{label}-{seed}.png")
-        summary = " ".join(f"{name} {values.mean():.3g}" for name, values in results[label].items())
-        Console(stderr=True, width=160).print(f"{label}: {summary}", highlight=False)
-    Console(width=160).print(table(results))
+        Console(width=160).print(table(results))
 
 
 if __name__ == "__main__":

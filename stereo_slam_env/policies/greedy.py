@@ -9,13 +9,17 @@ import gymnasium as gym
 import numpy as np
 
 from filters.validation import positive
-from stereo_slam_env.policies.imagined_drive import turning_head
 from stereo_slam_env.policies.interface import Action, look_towards
 from stereo_slam_env.policies.planner import Planner, checked_count, checked_gain, directions
 
+_THERE = 1e-3
+"""rad: as near as this the head has got to where it was turned."""
+
 
 class Greedy:
-    """Look where one look, a step from now, is expected to tell most, as if the head were there at once.
+    """Look where one look is expected to tell most, as if the head were there at once; get there, and choose again.
+
+    Choosing again on the way would leave the head between two groups that are worth about the same.
 
     Parameters
     ----------
@@ -27,35 +31,26 @@ class Greedy:
         What it is worth to look at a place beside the route for the first time, nats.
     effort : float
         What it costs to turn by the largest pan or tilt, nats.
-    at_once : bool
-        False: look from where the head gets in one step. That makes it blind to all that is farther away.
     """
 
     def __init__(
-        self,
-        gain: str = "map",
-        pans: int = 17,
-        tilts: int = 1,
-        curiosity: float = 0.05,
-        effort: float = 0.05,
-        at_once: bool = True,
+        self, gain: str = "map", pans: int = 17, tilts: int = 1, curiosity: float = 0.15, effort: float = 0.05
     ) -> None:
         self._gain = checked_gain(gain)
         self._pans, self._tilts = checked_count("pans", pans), checked_count("tilts", tilts)
         self._curiosity = positive("curiosity", curiosity, allow_zero=True)
         self._effort = positive("effort", effort, allow_zero=True)
-        self._at_once = at_once
 
     def reset(self, env: gym.Env[Any, Any], rng: np.random.Generator) -> None:
         """See `Policy.reset`."""
         self._env, self._planner = env, Planner(env, self._gain, self._curiosity, self._effort)
         self._targets = directions(self._planner.outlook.head, self._pans, self._tilts)
+        self._target = self._planner.outlook.angles
 
     def act(self, observation: Mapping[str, Any]) -> Action:
         """See `Policy.act`."""
         planner, targets = self._planner, self._targets
         planner.look()
-        angles = targets[:, None]
-        if not self._at_once:
-            angles = turning_head(planner.outlook.head, planner.outlook.angles, targets, 1)
-        return look_towards(self._env, planner.best(targets, angles))
+        if np.allclose(planner.outlook.angles, self._target, atol=_THERE):
+            self._target = planner.best(targets, targets[:, None])
+        return look_towards(self._env, self._target)

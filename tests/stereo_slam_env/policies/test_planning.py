@@ -1,5 +1,7 @@
 """Policies that plan on the filter's belief (20 s)."""
 
+from itertools import pairwise
+
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -147,4 +149,20 @@ def test_greedy_without_curiosity_and_effort_looks_where_the_filter_would_learn_
     worth = planner.worth(targets, targets[:, None])
     assert chosen == pytest.approx(targets[np.argmax(worth), 0])
     assert worth.max() > 0.1
+    env.close()
+
+
+def test_greedy_gets_to_where_it_turns_before_it_chooses_again():
+    env, policy = looked_around(), Greedy()
+    policy.reset(env, np.random.default_rng(0))
+    observation, targets = {}, []
+    for _ in range(40):
+        action = policy.act(observation)
+        targets.append(2.0 * float(action[0]))
+        observation = env.step(action)[0]
+    changes = np.flatnonzero(np.diff(targets)) + 1
+    assert len(changes) >= 2
+    for change, again in pairwise(changes):
+        turn = abs(targets[change] - targets[change - 1])
+        assert again - change >= np.ceil(turn / 0.15 - 1e-3)  # 0.15 rad a step
     env.close()
