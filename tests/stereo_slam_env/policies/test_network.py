@@ -1,5 +1,6 @@
 """A trained network without the library that trained it."""
 
+import csv
 import json
 from itertools import pairwise
 
@@ -8,7 +9,9 @@ import pytest
 
 from stereo_slam_env.envs.gaze import StereoGazeEnv
 from stereo_slam_env.policies import make_policy
-from stereo_slam_env.policies.network import Network, NetworkPolicy
+from stereo_slam_env.policies.network import CHECKPOINT, Network, NetworkPolicy
+from stereo_slam_env.training.ppo import PPOSettings
+from stereo_slam_env.training.task import GazeTask
 
 
 def small_network(seed=0, hold=1):
@@ -97,3 +100,13 @@ def test_an_observation_without_its_keys_is_refused(tmp_path):
     policy.reset(StereoGazeEnv(route="right-turn"), np.random.default_rng(0))
     with pytest.raises(ValueError, match="'panorama', which is not in the observation: add BeliefPanorama"):
         policy.act({"head": np.zeros(2)})
+
+
+def test_the_network_of_the_package_says_how_it_was_made_and_was_trained_on_todays_task():
+    network = NetworkPolicy().network
+    assert GazeTask.from_dict(network.about["task"]) == GazeTask()
+    assert PPOSettings.from_dict(network.about["settings"]).seed == 0
+    assert sum(W.size for W in network.weights) < 20_000
+    curve = list(csv.DictReader(CHECKPOINT.with_suffix(".csv").open()))
+    best = min(curve, key=lambda row: float(row["final_pose_logdet"]))
+    assert float(best["final_pose_logdet"]) < float(curve[0]["final_pose_logdet"])

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 
+from stereo_slam_env.benchmark import preset_study
 from stereo_slam_env.training.task import POLICY_KEYS, GazeTask
 
 QUICK = {"route": "right-turn"}
@@ -26,6 +27,12 @@ def test_a_task_is_json_able_and_read_back():
 def test_a_wrong_value_gets_one_clear_line(wrong, message):
     with pytest.raises(ValueError, match=message.replace("?", r"\?")):
         GazeTask.from_dict(wrong)
+
+
+def test_benchmark_and_training_have_the_same_filter_in_the_loop():
+    (choice,) = preset_study("gaze").cells[0].scenario.filters
+    task = GazeTask()
+    assert (choice.name, choice.options) == (task.filter, task.filter_options)
 
 
 def test_a_decision_holds_and_its_rewards_add_up_to_what_was_learnt():
