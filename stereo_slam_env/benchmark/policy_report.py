@@ -19,6 +19,7 @@ from stereo_slam_env.viewer.page_tables import Tone
 
 _SAID: dict[Agreement, tuple[str, Tone]] = {
     Agreement.AGREE: ("yes", "good"),
+    Agreement.OPEN: ("not shown", "none"),
     Agreement.DISAGREE: ("no", "bad"),
     Agreement.NOTHING_SHOWN: ("not shown", "none"),
 }

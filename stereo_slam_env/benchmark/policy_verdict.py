@@ -33,6 +33,7 @@ class Agreement(Enum):
     """What claim and truth say of a policy, by the baseline."""
 
     AGREE = "claim and truth agree"
+    OPEN = "the truth may be as claimed, and does not show it"
     DISAGREE = "claim and truth disagree"
     NOTHING_SHOWN = "neither claim nor truth shows a difference"
 
@@ -161,15 +162,22 @@ def judge_policies(
 
 
 def _compared(summary: FilterSummary, claim: PairVerdict, final: PairVerdict, path: PairVerdict) -> ClaimAndTruth:
-    true = _shown_by([path.finding, final.finding])
-    agreement = Agreement.DISAGREE
-    if true is claim.finding:
-        agreement = Agreement.NOTHING_SHOWN if claim.finding is Finding.NOT_SHOWN else Agreement.AGREE
+    agreement = _agreement(claim.difference, [path.difference, final.difference])
     state = consistency(summary)
     but = "and" if agreement is Agreement.DISAGREE else "but"
     said = f"{agreement.value}{_too_few(claim.difference)}{_honesty(summary, state, but)}"
     words = f"{_claim(claim)}, {_truth(path, final)}: {said}."
     return ClaimAndTruth(claim.filter_name, claim.against, claim, final, path, state, agreement, words)
+
+
+def _agreement(claim: Difference, truths: Sequence[Difference]) -> Agreement:
+    """Whether the truth shows what is claimed, excludes it, or leaves it open."""
+    true = _shown_by([difference.finding for difference in truths])
+    if true is claim.finding:
+        return Agreement.NOTHING_SHOWN if claim.finding is Finding.NOT_SHOWN else Agreement.AGREE
+    intervals = [difference.interval for difference in truths if difference.interval is not None]
+    possible = all(low <= claim.estimate <= high for low, high in intervals)
+    return Agreement.OPEN if true is Finding.NOT_SHOWN and possible else Agreement.DISAGREE
 
 
 def _shown_by(findings: Sequence[Finding]) -> Finding | None:
@@ -260,6 +268,9 @@ def _headline(
     doubtful = [c.policy for c in comparisons.values() if not c.is_sound]
     if doubtful:
         sentences.append(f"Not to be taken at its word: {_listed(doubtful)}; the lines below say why.")
+    unseen = [c.policy for c in comparisons.values() if c.is_sound and c.agreement is Agreement.OPEN]
+    if unseen:
+        sentences.append(f"Claimed, and possible, but not shown by the true error of so many runs: {_listed(unseen)}.")
     if consistency(held_against) is Consistency.OVERCONFIDENT:
         sentences.append(f"{baseline} itself is overconfident, {_nees(held_against)}.")
     lost = [f"{s.filter_name} in {s.diverged} of {s.runs} runs" for s in summaries if s.diverged]

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from stereo_slam_env.benchmark.policy_report import policy_overview
-from stereo_slam_env.benchmark.policy_verdict import Agreement, judge_policies
+from stereo_slam_env.benchmark.policy_verdict import Agreement, _agreement, judge_policies
+from stereo_slam_env.benchmark.statistics import Difference
 from stereo_slam_env.benchmark.summary import summarise_all
 from stereo_slam_env.benchmark.verdict import Consistency
 
@@ -62,6 +63,24 @@ def test_a_worse_policy_that_owns_up_to_it_agrees():
     assert (verdict.best, found.agreement) == ("fixed", Agreement.AGREE)
     assert "claims 3 times as much uncertainty of the final position as fixed" in found.words
     assert "times as large along the drive" in found.words
+
+
+@pytest.mark.parametrize(
+    ("claim", "truth", "expected"),
+    [
+        (-0.3, (-0.5, -0.1), Agreement.AGREE),
+        (-0.3, (-0.5, 0.1), Agreement.OPEN),
+        (-0.3, (-0.2, 0.1), Agreement.DISAGREE),
+        (-0.3, (0.1, 0.2), Agreement.DISAGREE),
+        (0.3, (-0.1, 0.4), Agreement.OPEN),
+    ],
+)
+def test_what_the_truth_says_to_a_claim(claim, truth, expected):
+    def difference(low, high):
+        sure = low > 0 or high < 0
+        return Difference(20, 0.5 * (low + high), (low, high), 0.01 if sure else 0.5, needed=6)
+
+    assert _agreement(difference(claim - 0.05, claim + 0.05), [difference(*truth)] * 2) is expected
 
 
 def test_where_nothing_is_shown_that_is_said():
