@@ -155,21 +155,28 @@ def train(
     began = time.monotonic() - curve.seconds
     limit = None if minutes is None else curve.seconds + 60.0 * positive("minutes", minutes)
     with _learner(task, settings, out) as (model, scaling):
-        while model.num_timesteps < settings.decisions:
+
+        def look() -> None:
+            """Evaluate the network, keep it if it is the best so far, and keep what it takes to go on."""
+            about = {"task": task.as_dict(), "settings": asdict(settings), "decisions": model.num_timesteps}
+            network = network_of(model, scaling, about)
+            results = evaluate(network, task, VALIDATION_SEEDS)
+            if curve.add(model.num_timesteps, time.monotonic() - began, _mean_return(model), results):
+                network.save(out / "policy.npz")
+            _save_state(out / "state.pt", model, scaling)
+            _log.info("%d decisions: final position sigma %.3f m", model.num_timesteps, results.final_position_sigma_m)
+
+        if not curve.rows:
+            look()
+        while model.num_timesteps < settings.decisions and (limit is None or curve.seconds < limit):
             target = min(model.num_timesteps + settings.evaluate_every, settings.decisions)
             while model.num_timesteps < target:
                 model.learn(settings.rollout_decisions, reset_num_timesteps=False)
                 if progress is not None:
                     progress(min(model.num_timesteps, settings.decisions), settings.decisions)
-            network = network_of(model, scaling, {"task": task.as_dict(), "settings": asdict(settings)})
-            results = evaluate(network, task, VALIDATION_SEEDS)
-            best = curve.add(model.num_timesteps, time.monotonic() - began, _mean_return(model), results)
-            if best:
-                network.save(out / "policy.npz")
-            _save_state(out / "state.pt", model, scaling)
-            _log.info("%d decisions: final position sigma %.3f m", model.num_timesteps, results.final_position_sigma_m)
-            if limit is not None and curve.seconds > limit:
-                break
+                if limit is not None and time.monotonic() - began > limit:
+                    break
+            look()
     return out / "policy.npz"
 
 

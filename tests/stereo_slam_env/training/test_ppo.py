@@ -34,15 +34,16 @@ def quick(monkeypatch):
 @pytest.mark.slow
 def test_a_run_leaves_a_network_a_curve_and_what_it_was_made_with(quick, tmp_path):
     network = train(TASK, SETTINGS, tmp_path)
-    assert [float(row["decisions"]) for row in rows(tmp_path)] == [20, 40]
+    assert [float(row["decisions"]) for row in rows(tmp_path)] == [0, 20, 40]
     about = json.loads((tmp_path / "run.json").read_text())
     assert GazeTask.from_dict(about["task"]) == TASK
     assert PPOSettings.from_dict(about["settings"]) == SETTINGS
     assert Network.load(network).about["settings"]["seed"] == 0
+    assert Network.load(network).about["decisions"] == 40
     make_policy("ppo", checkpoint=str(network))
     # The same command with more decisions goes on; with something else it is refused.
     train(TASK, dataclasses.replace(SETTINGS, decisions=60), tmp_path)
-    assert [float(row["decisions"]) for row in rows(tmp_path)] == [20, 40, 60]
+    assert [float(row["decisions"]) for row in rows(tmp_path)] == [0, 20, 40, 60]
     with pytest.raises(ValueError, match=r"holds a run with seed = 0, not 1: give another directory"):
         train(TASK, dataclasses.replace(SETTINGS, seed=1), tmp_path)
 
