@@ -10,7 +10,7 @@ Every policy sees the world of the same seed through the same filter. "sigma" is
 covariance of the position, "logdet" that of the final pose; "rmse" and "error" are of the true position, over the drive
 and in the end; NEES / 6 is of the pose, its mean over the drive and in the end: above 1 the filter claims more than it
 knows. Brackets: how much larger than with the first policy, % (logdet: difference in nats), 95 % paired intervals, each
-for itself. Times are processor time of a decision. Defaults were tuned on seeds from 1000 on; report on 0 to 49.
+for itself. Times are processor time of a decision. Defaults were chosen on seeds from 1000 on: report on 0 to 49.
 """
 
 from __future__ import annotations

@@ -12,9 +12,6 @@ from filters.validation import positive
 from stereo_slam_env.policies.interface import Action, look_towards
 from stereo_slam_env.policies.planner import Planner, checked_count, checked_gain, directions
 
-_THERE = 1e-3
-"""rad: as near as this the head has got to where it was turned."""
-
 
 class Greedy:
     """Look where one look is expected to tell most, as if the head were there at once; get there, and choose again.
@@ -51,6 +48,6 @@ class Greedy:
         """See `Policy.act`."""
         planner, targets = self._planner, self._targets
         planner.look()
-        if np.allclose(planner.outlook.angles, self._target, atol=_THERE):
+        if planner.outlook.is_turned_to(self._target):
             self._target = planner.best(targets, targets[:, None])
         return look_towards(self._env, self._target)

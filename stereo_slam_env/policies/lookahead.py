@@ -17,14 +17,16 @@ from stereo_slam_env.policies.planner import Planner, checked_count, checked_gai
 class Lookahead:
     """Turn to where the looks of the next steps, on the planned drive and as fast as the head turns, tell most.
 
+    The head gets there before it is thought again: see `Greedy`.
+
     Parameters
     ----------
     steps : int
         How far to look ahead, in steps of 0.1 s.
     replan : int
-        After how many steps to think again.
-    gain : {"map", "pose"}
-        What is to be known well: the pose and the map together, or the pose alone.
+        After how many steps to think again, at the earliest.
+    gain : {"pose", "map"}
+        What is to be known well: the pose alone, or the pose and the map together.
     pans, tilts : int
         Directions to choose from: a grid over all that the head can do.
     curiosity : float
@@ -35,9 +37,9 @@ class Lookahead:
 
     def __init__(
         self,
-        steps: int = 8,
+        steps: int = 16,
         replan: int = 4,
-        gain: str = "map",
+        gain: str = "pose",
         pans: int = 33,
         tilts: int = 1,
         curiosity: float = 0.15,
@@ -53,13 +55,14 @@ class Lookahead:
         """See `Policy.reset`."""
         self._env, self._planner = env, Planner(env, self._gain, self._curiosity, self._effort)
         self._targets = directions(self._planner.outlook.head, self._pans, self._tilts)
+        self._target, self._decided = self._planner.outlook.angles, -self._replan
 
     def act(self, observation: Mapping[str, Any]) -> Action:
         """See `Policy.act`."""
         planner = self._planner
         planner.look()
-        if planner.step % self._replan == 0:
-            outlook = planner.outlook
+        outlook = planner.outlook
+        if planner.step >= self._decided + self._replan and outlook.is_turned_to(self._target):
             angles = turning_head(outlook.head, outlook.angles, self._targets, self._steps)
-            self._target = planner.best(self._targets, angles)
+            self._target, self._decided = planner.best(self._targets, angles), planner.step
         return look_towards(self._env, self._target)

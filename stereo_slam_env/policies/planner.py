@@ -19,6 +19,9 @@ from stereo_slam_env.sensing.landmark_sensor import TrackingPolicy
 from stereo_slam_env.world.head import Head
 from stereo_slam_env.world.routes import FRAME_PERIOD, Route
 
+_THERE = 1e-3
+"""rad: nearer than this the head is where it was turned to."""
+
 
 class Outlook:
     """What a planner may know of an environment: the filter's belief, the sensors, the head and the route.
@@ -66,6 +69,10 @@ class Outlook:
         """Pan and tilt now, rad; (2,)."""
         angles: FloatArray = self._env.get_wrapper_attr("head_angles")
         return angles
+
+    def is_turned_to(self, target: FloatArray) -> bool:
+        """Whether the head has got to pan and tilt `target` (2,), rad."""
+        return bool(np.abs(self.angles - target).max() < _THERE)
 
     @property
     def pose(self) -> Pose:

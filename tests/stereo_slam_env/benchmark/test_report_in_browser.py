@@ -43,7 +43,8 @@ class Visit:
             """async () => {
                 for (let y = 0; y < document.documentElement.scrollHeight; y += 600) {
                     scrollTo(0, y);
-                    await new Promise(requestAnimationFrame);
+                    // A busy browser may draw no frame for minutes: do not wait for one for ever.
+                    await new Promise(done => { requestAnimationFrame(done); setTimeout(done, 500); });
                 }
             }"""
         )

@@ -10,6 +10,7 @@ import stereo_slam_env  # noqa: F401
 from stereo_slam_env.policies import available_policies, make_policy
 from stereo_slam_env.policies.greedy import Greedy
 from stereo_slam_env.policies.imagined_drive import turning_head
+from stereo_slam_env.policies.lookahead import Lookahead
 from stereo_slam_env.policies.planner import Planner, directions
 
 from .looking import looked_around, with_belief
@@ -152,8 +153,9 @@ def test_greedy_without_curiosity_and_effort_looks_where_the_filter_would_learn_
     env.close()
 
 
-def test_greedy_gets_to_where_it_turns_before_it_chooses_again():
-    env, policy = looked_around(), Greedy()
+@pytest.mark.parametrize("policy", [Greedy(), Lookahead(replan=1)], ids=["greedy", "lookahead"])
+def test_it_gets_to_where_it_turns_before_it_chooses_again(policy):
+    env = looked_around()
     policy.reset(env, np.random.default_rng(0))
     observation, targets = {}, []
     for _ in range(40):
