@@ -8,9 +8,9 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from filters.validation import positive
+from stereo_slam_env.policies.expected_gain import Gain
 from stereo_slam_env.policies.interface import Action, look_towards
-from stereo_slam_env.policies.planner import Planner, checked_count, checked_gain, directions
+from stereo_slam_env.policies.planner import Planner, Preferences
 
 
 class Greedy:
@@ -20,34 +20,24 @@ class Greedy:
 
     Parameters
     ----------
-    gain : {"map", "pose"}
-        What is to be known well: the pose and the map together, or the pose alone.
-    pans, tilts : int
-        Directions to choose from: a grid over all that the head can do.
-    curiosity : float
-        What it is worth to look at a place beside the route for the first time, nats.
-    effort : float
-        What it costs to turn by the largest pan or tilt, nats.
+    gain, pans, tilts, curiosity, effort
+        See `Preferences`.
     """
 
     def __init__(
-        self, gain: str = "map", pans: int = 17, tilts: int = 1, curiosity: float = 0.15, effort: float = 0.05
+        self, gain: Gain = "map", pans: int = 17, tilts: int = 1, curiosity: float = 0.15, effort: float = 0.05
     ) -> None:
-        self._gain = checked_gain(gain)
-        self._pans, self._tilts = checked_count("pans", pans), checked_count("tilts", tilts)
-        self._curiosity = positive("curiosity", curiosity, allow_zero=True)
-        self._effort = positive("effort", effort, allow_zero=True)
+        self._preferences = Preferences(gain, pans, tilts, curiosity, effort)
 
     def reset(self, env: gym.Env[Any, Any], rng: np.random.Generator) -> None:
         """See `Policy.reset`."""
-        self._env, self._planner = env, Planner(env, self._gain, self._curiosity, self._effort)
-        self._targets = directions(self._planner.outlook.head, self._pans, self._tilts)
+        self._env, self._planner = env, Planner(env, self._preferences)
         self._target = self._planner.outlook.angles
 
     def act(self, observation: Mapping[str, Any]) -> Action:
         """See `Policy.act`."""
-        planner, targets = self._planner, self._targets
+        planner = self._planner
         planner.look()
         if planner.outlook.is_turned_to(self._target):
-            self._target = planner.best(targets, targets[:, None])
+            self._target = planner.best(planner.targets[:, None])
         return look_towards(self._env, self._target)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 
 from filters.interface import StereoFilter
-from filters.validation import FloatArray
+from filters.validation import FloatArray, positive
 from stereo_slam_env.policies.expected_gain import GAINS, Gain, expected_gain, motion_noise
 from stereo_slam_env.policies.foresight import CameraPoses, Eyes, Knowledge
 from stereo_slam_env.policies.imagined_drive import planned_bodies, seen_from
@@ -91,6 +92,42 @@ class Outlook:
         return motion_noise(0.5 * (starts + ends), *self._sigmas)
 
 
+@dataclass(frozen=True)
+class Preferences:
+    """What a planner chooses among, and by what.
+
+    Attributes
+    ----------
+    gain : {"pose", "map"}
+        What is to be known well: the pose, or the pose and the map.
+    pans, tilts : int
+        Directions to choose from: a grid over all that the head can do.
+    curiosity : float
+        What it is worth to look at a place beside the route for the first time, nats.
+    effort : float
+        What it costs to turn by the largest pan or tilt, nats.
+
+    Raises
+    ------
+    ValueError
+        One of them is impossible.
+    """
+
+    gain: Gain
+    pans: int
+    tilts: int
+    curiosity: float
+    effort: float
+
+    def __post_init__(self) -> None:
+        if self.gain not in GAINS:
+            raise ValueError(f"gain must be one of {', '.join(map(repr, GAINS))}, got {self.gain!r}")
+        for name in ("pans", "tilts"):
+            checked_count(name, getattr(self, name))
+        for name in ("curiosity", "effort"):
+            positive(name, getattr(self, name), allow_zero=True)
+
+
 class Planner:
     """Chooses among directions that the head could turn to, in one episode.
 
@@ -101,15 +138,15 @@ class Planner:
     ----------
     env : gymnasium.Env
         See `Outlook`.
-    gain : {"pose", "map"}
-        What is to be known well: the pose, or the pose and the map.
-    curiosity, effort : float
-        In nats.
+    preferences : Preferences
+        What is chosen among, and by what.
     """
 
-    def __init__(self, env: gym.Env[Any, Any], gain: Gain, curiosity: float, effort: float) -> None:
+    def __init__(self, env: gym.Env[Any, Any], preferences: Preferences) -> None:
         self.outlook = Outlook(env)
-        self._gain, self._curiosity, self._effort = gain, curiosity, effort
+        self.targets = directions(self.outlook.head, preferences.pans, preferences.tilts)
+        """The directions, (B, 2) rad."""
+        self._preferences = preferences
         self._places = UnseenPlaces(self.outlook.route, self.outlook.eyes)
         self.step = -1
         """Steps driven so far."""
@@ -119,8 +156,13 @@ class Planner:
         self.step += 1
         self._places.look(CameraPoses.at(self.outlook.pose))
 
-    def best(self, targets: FloatArray, angles: FloatArray) -> FloatArray:
-        """The most worthwhile of B directions, (2,) rad.
+    def best(self, angles: FloatArray) -> FloatArray:
+        """The most worthwhile of `targets`, (2,) rad; `angles` as of `worth`, one row a target."""
+        choice: FloatArray = self.targets[int(np.argmax(self.worth(self.targets, angles)))]
+        return choice
+
+    def worth(self, targets: FloatArray, angles: FloatArray) -> FloatArray:
+        """What each of B directions is worth, (B,) nats.
 
         Parameters
         ----------
@@ -129,21 +171,16 @@ class Planner:
         angles : (B, K, 2)
             Pan and tilt in the next K steps if the head turns there.
         """
-        choice: FloatArray = targets[int(np.argmax(self.worth(targets, angles)))]
-        return choice
-
-    def worth(self, targets: FloatArray, angles: FloatArray) -> FloatArray:
-        """What each of B directions is worth, (B,) nats; arguments as of `best`."""
-        outlook = self.outlook
+        outlook, wanted = self.outlook, self._preferences
         bodies = outlook.bodies(self.step, angles.shape[1])
         cameras = seen_from(outlook.head, bodies, angles)
         away = np.linalg.norm(cameras.positions - outlook.pose.position, axis=-1).max()
         knowledge = Knowledge.of(outlook.slam, within=outlook.eyes.reach + float(away))
         looks = outlook.eyes.information(knowledge.points, cameras)
-        gains = expected_gain(knowledge, looks, outlook.drift(bodies.positions), self._gain)
+        gains = expected_gain(knowledge, looks, outlook.drift(bodies.positions), wanted.gain)
         turn = np.abs(targets - outlook.angles) / np.maximum(outlook.head.max_angles, np.finfo(float).tiny)
-        worth: FloatArray = gains - self._effort * turn.sum(axis=1)
-        worth += self._curiosity * self._places.discovered(cameras)
+        worth: FloatArray = gains - wanted.effort * turn.sum(axis=1)
+        worth += wanted.curiosity * self._places.discovered(cameras)
         return worth
 
 
@@ -153,14 +190,6 @@ def directions(head: Head, pans: int, tilts: int) -> FloatArray:
     shares = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
     grid: FloatArray = shares * np.array(head.max_angles)
     return grid
-
-
-def checked_gain(gain: str) -> Gain:
-    """`gain`, if it is one; else a ValueError."""
-    for known in GAINS:
-        if gain == known:
-            return known
-    raise ValueError(f"gain must be one of {', '.join(map(repr, GAINS))}, got {gain!r}")
 
 
 def checked_count(name: str, value: int) -> int:

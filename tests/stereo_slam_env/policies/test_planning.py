@@ -11,7 +11,7 @@ from stereo_slam_env.policies import available_policies, make_policy
 from stereo_slam_env.policies.greedy import Greedy
 from stereo_slam_env.policies.imagined_drive import turning_head
 from stereo_slam_env.policies.lookahead import Lookahead
-from stereo_slam_env.policies.planner import Planner, directions
+from stereo_slam_env.policies.planner import Planner, Preferences, directions
 
 from .looking import looked_around, with_belief
 
@@ -84,19 +84,19 @@ def test_where_nothing_is_known_it_looks_at_what_nobody_has_seen():
     env = with_belief(rig="vga", route="straight", visibility=8.0)  # nothing is as near as that at the start
     env.reset(seed=0)
     assert len(env.slam.landmarks.ids) == 0
-    planner = Planner(env, "map", curiosity=1.0, effort=0.01)
+    planner = Planner(env, Preferences("map", 9, 1, curiosity=1.0, effort=0.01))
     planner.look()
-    targets = directions(planner.outlook.head, 9, 1)
+    targets = planner.targets
     worth = planner.worth(targets, targets[:, None])
     assert worth[4] < 0.0 + 1e-9  # straight ahead has been seen
-    assert abs(planner.best(targets, targets[:, None])[0]) > 0.4
+    assert abs(planner.best(targets[:, None])[0]) > 0.4
     env.close()
 
 
 def test_turning_costs_effort():
     env = looked_around()
     targets = np.array([[0.0, 0.0], [1.0, 0.0], [-2.0, 0.2]])
-    free, dear = (Planner(env, "pose", 0.0, effort) for effort in (0.0, 3.0))
+    free, dear = (Planner(env, Preferences("pose", 9, 1, 0.0, effort)) for effort in (0.0, 3.0))
     for planner in (free, dear):
         planner.look()
     turn = np.abs(targets - env.get_wrapper_attr("head_angles")) / [2.0, 0.4]
@@ -107,9 +107,9 @@ def test_turning_costs_effort():
 
 def test_what_the_head_cannot_reach_in_time_is_worth_nothing_to_those_who_turn():
     env = looked_around()
-    planner = Planner(env, "map", 0.0, 0.0)
+    planner = Planner(env, Preferences("map", 9, 1, 0.0, 0.0))
     planner.look()
-    outlook, targets = planner.outlook, directions(env.get_wrapper_attr("head"), 9, 1)
+    outlook, targets = planner.outlook, planner.targets
     at_once = planner.worth(targets, targets[:, None])
     turning = planner.worth(targets, turning_head(outlook.head, outlook.angles, targets, 1))
     assert np.ptp(turning) < np.ptp(at_once)
@@ -144,9 +144,9 @@ def test_greedy_without_curiosity_and_effort_looks_where_the_filter_would_learn_
     policy = Greedy(gain="pose", pans=9, curiosity=0.0, effort=0.0)
     policy.reset(env, np.random.default_rng(0))
     chosen = policy.act({})[0] * 2.0
-    planner = Planner(env, "pose", 0.0, 0.0)
+    planner = Planner(env, Preferences("pose", 9, 1, 0.0, 0.0))
     planner.look()
-    targets = directions(planner.outlook.head, 9, 1)
+    targets = planner.targets
     worth = planner.worth(targets, targets[:, None])
     assert chosen == pytest.approx(targets[np.argmax(worth), 0])
     assert worth.max() > 0.1
