@@ -21,7 +21,7 @@ def train(
     minutes: Annotated[
         float | None, typer.Option("--minutes", help="Stop after this time; the same command goes on.")
     ] = None,
-    environments: Annotated[int, typer.Option("--environments", help="Processes, one environment each.", min=1)] = 4,
+    environments: Annotated[int, typer.Option("--environments", help="Processes, one environment each.", min=1)] = 8,
     environment: Annotated[str, typer.Option("--environment", help="Id of one with a head.")] = "StereoSlam/Gaze-v0",
     arguments: Annotated[str, typer.Option("--arguments", help="Of the environment, as JSON.")] = "{}",
     filter_name: Annotated[str, typer.Option("--filter", help="The filter in the loop.")] = "shared-anchor",

@@ -37,6 +37,8 @@ class Network:
         (outputs, inputs) and (outputs,) of each layer.
     about : mapping
         How it was made; JSON-able. `about["task"]["hold"]` is for how many steps a decision holds.
+    choices : (outputs, n), optional
+        The largest output chooses a row of it, which is the action. None: the outputs are the action.
     """
 
     keys: tuple[str, ...]
@@ -46,23 +48,32 @@ class Network:
     weights: tuple[FloatArray, ...]
     biases: tuple[FloatArray, ...]
     about: Mapping[str, Any] = field(default_factory=dict)
+    choices: FloatArray | None = None
 
     def action(self, observation: Mapping[str, Any]) -> Action:
-        """The mean action, clipped to -1..1."""
+        """The action it thinks best, clipped to -1..1; a ValueError for an observation of another size."""
         x = np.concatenate([np.asarray(observation[key], dtype=np.float64).ravel() for key in self.keys])
+        if x.shape != self.mean.shape:
+            raise ValueError(
+                f"the network sees {len(self.mean)} numbers, and the observation has {len(x)} "
+                f"({', '.join(self.keys)}): train one for this environment with stereo-slam train"
+            )
         x = ((x - self.mean) / self.scale).clip(-self.clip, self.clip)
         last = len(self.weights) - 1
         for number, (W, b) in enumerate(zip(self.weights, self.biases, strict=True)):
             x = W @ x + b
             if number < last:
                 x = np.tanh(x)
-        return x.clip(-1.0, 1.0).astype(np.float32)
+        best = x if self.choices is None else self.choices[int(np.argmax(x))]
+        return best.clip(-1.0, 1.0).astype(np.float32)
 
     def save(self, path: Path) -> None:
         """Write it as arrays (.npz)."""
         arrays: dict[str, Any] = {f"weights_{k}": W.astype(np.float32) for k, W in enumerate(self.weights)}
         arrays |= {f"biases_{k}": b.astype(np.float32) for k, b in enumerate(self.biases)}
         about = {"format": _FORMAT, "keys": list(self.keys), "clip": self.clip, "about": dict(self.about)}
+        if self.choices is not None:
+            arrays["choices"] = self.choices
         arrays |= {"json": np.array(json.dumps(about)), "mean": self.mean, "scale": self.scale}
         write_atomically(path, lambda stream: np.savez_compressed(stream, **arrays))
 
@@ -89,6 +100,7 @@ class Network:
                     tuple(arrays[f"weights_{k}"].astype(np.float64) for k in range(count)),
                     tuple(arrays[f"biases_{k}"].astype(np.float64) for k in range(count)),
                     about["about"],
+                    arrays["choices"] if "choices" in arrays.files else None,
                 )
         except FileNotFoundError:
             raise ValueError(f"checkpoint {path} does not exist: make one with stereo-slam train") from None

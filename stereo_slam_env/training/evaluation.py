@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from joblib import Parallel, delayed
+from threadpoolctl import threadpool_limits
 
 from stereo_slam_env.policies.network import Network
 from stereo_slam_env.training.task import GazeTask
@@ -33,23 +35,30 @@ class Evaluation:
     final_position_error_m: float
 
 
-def evaluate(network: Network | None, task: GazeTask, seeds: Sequence[int]) -> Evaluation:
-    """Run an episode for each seed; without a network the head looks straight ahead."""
-    env = task.make_for_learning()
-    rows = []
+def evaluate(network: Network | None, task: GazeTask, seeds: Sequence[int], *, processes: int = 1) -> Evaluation:
+    """Run an episode for each seed, in so many processes; without a network the head looks straight ahead."""
+    with threadpool_limits(1):
+        rows = Parallel(processes)(delayed(_figures)(network, task, seed) for seed in seeds)
+    return Evaluation(*(float(value) for value in np.mean(rows, axis=0)))
+
+
+def _figures(network: Network | None, task: GazeTask, seed: int) -> list[float]:
+    """Those of `Evaluation`, of one episode."""
+    env = task.make_held()
     try:
-        for seed in seeds:
-            observation, info = env.reset(seed=seed)
-            slam = env.get_wrapper_attr("slam")
-            errors, over = [], False
-            while not over:
-                action = np.zeros(2, dtype=np.float32) if network is None else network.action(observation)
-                observation, _, terminated, truncated, info = env.step(action)
-                errors.append(float(np.linalg.norm(slam.pose.position - info["truth_position"])))
-                over = terminated or truncated
-            P = slam.pose.covariance
-            rmse = np.sqrt(np.mean(np.square(errors)))
-            rows.append([np.sqrt(np.trace(P[:3, :3])), np.linalg.slogdet(P)[1], rmse, errors[-1]])
+        observation, info = env.reset(seed=seed)
+        slam = env.get_wrapper_attr("slam")
+        errors, over = [], False
+        while not over:
+            action = np.zeros(env.action_space.shape or (), dtype=np.float32)
+            if network is not None:
+                decided = network.action(observation)
+                action[-len(decided) :] = decided
+            observation, _, terminated, truncated, info = env.step(action)
+            errors.append(float(np.linalg.norm(slam.pose.position - info["truth_position"])))
+            over = terminated or truncated
     finally:
         env.close()
-    return Evaluation(*(float(value) for value in np.mean(rows, axis=0)))
+    P = slam.pose.covariance
+    rmse = float(np.sqrt(np.mean(np.square(errors))))
+    return [float(np.sqrt(np.trace(P[:3, :3]))), float(np.linalg.slogdet(P)[1]), rmse, errors[-1]]

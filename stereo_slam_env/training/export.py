@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from filters.validation import FloatArray
 from stereo_slam_env.policies.network import Network
 
 if TYPE_CHECKING:
@@ -14,7 +15,9 @@ if TYPE_CHECKING:
     from stable_baselines3.common.vec_env import VecNormalize
 
 
-def network_of(model: PPO, scaling: VecNormalize, about: Mapping[str, Any]) -> Network:
+def network_of(
+    model: PPO, scaling: VecNormalize, about: Mapping[str, Any], choices: FloatArray | None = None
+) -> Network:
     """What decides in a PPO model with a `MultiInputPolicy` of tanh layers.
 
     Parameters
@@ -25,6 +28,8 @@ def network_of(model: PPO, scaling: VecNormalize, about: Mapping[str, Any]) -> N
         Of its observations, a Dict of boxes.
     about : mapping
         Kept with the network; JSON-able.
+    choices : (A, n), optional
+        The actions that the numbers of a discrete action space stand for.
     """
     state = {name: np.asarray(tensor.tolist()) for name, tensor in model.policy.state_dict().items()}
     hidden = sorted({int(name.split(".")[2]) for name in state if name.startswith("mlp_extractor.policy_net.")})
@@ -39,4 +44,5 @@ def network_of(model: PPO, scaling: VecNormalize, about: Mapping[str, Any]) -> N
         tuple(state[f"{layer}.weight"] for layer in layers),
         tuple(state[f"{layer}.bias"] for layer in layers),
         about,
+        choices,
     )

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from joblib import cpu_count
 
 from filters.known_names import require_known
 from filters.validation import positive, probability
@@ -50,13 +51,15 @@ class PPOSettings:
     layers : tuple of int
         Neurons of the hidden layers, of policy and value alike.
     rollout : int
-        Decisions of each environment between two updates.
+        Decisions of all environments together between two updates.
     minibatch, epochs : int
         Decisions in a gradient step; passes over a rollout.
     learning_rate, discount, gae_lambda, clip : float
         As PPO has them.
+    entropy : float
+        Weight of the entropy of decisions, so that it goes on trying.
     initial_log_std : float
-        Logarithm of the standard deviation of actions at first.
+        Logarithm of the standard deviation of continuous actions at first.
     evaluate_every : int
         Decisions between two looks at the validation episodes.
 
@@ -68,15 +71,16 @@ class PPOSettings:
 
     decisions: int = 200_000
     seed: int = 0
-    environments: int = 4
+    environments: int = 8
     layers: tuple[int, ...] = (64, 64)
-    rollout: int = 250
+    rollout: int = 1000
     minibatch: int = 250
     epochs: int = 10
     learning_rate: float = 1e-3
     discount: float = 0.95
     gae_lambda: float = 0.95
     clip: float = 0.2
+    entropy: float = 0.01
     initial_log_std: float = -0.7
     evaluate_every: int = 10_000
 
@@ -92,13 +96,14 @@ class PPOSettings:
             raise ValueError(f"layers must be positive integers, got {self.layers!r}")
         for name in ("learning_rate", "clip"):
             positive(name, getattr(self, name))
+        positive("entropy", self.entropy, allow_zero=True)
         for name in ("discount", "gae_lambda"):
             probability(name, getattr(self, name))
 
     @property
-    def rollout_decisions(self) -> int:
-        """Decisions of all environments between two updates."""
-        return self.rollout * self.environments
+    def steps(self) -> int:
+        """Decisions of each environment between two updates."""
+        return max(self.rollout // self.environments, 1)
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> PPOSettings:
@@ -159,8 +164,8 @@ def train(
         def look() -> None:
             """Evaluate the network, keep it if it is the best so far, and keep what it takes to go on."""
             about = {"task": task.as_dict(), "settings": asdict(settings), "decisions": model.num_timesteps}
-            network = network_of(model, scaling, about)
-            results = evaluate(network, task, VALIDATION_SEEDS)
+            network = network_of(model, scaling, about, task.choices)
+            results = evaluate(network, task, VALIDATION_SEEDS, processes=min(settings.environments, cpu_count()))
             if curve.add(model.num_timesteps, time.monotonic() - began, _mean_return(model), results):
                 network.save(out / "policy.npz")
             _save_state(out / "state.pt", model, scaling)
@@ -171,7 +176,7 @@ def train(
         while model.num_timesteps < settings.decisions and (limit is None or curve.seconds < limit):
             target = min(model.num_timesteps + settings.evaluate_every, settings.decisions)
             while model.num_timesteps < target:
-                model.learn(settings.rollout_decisions, reset_num_timesteps=False)
+                model.learn(settings.steps * settings.environments, reset_num_timesteps=False)
                 if progress is not None:
                     progress(min(model.num_timesteps, settings.decisions), settings.decisions)
                 if limit is not None and time.monotonic() - began > limit:
@@ -216,12 +221,13 @@ def _learner(task: GazeTask, settings: PPOSettings, out: Path) -> Iterator[tuple
             "MultiInputPolicy",
             scaling,
             learning_rate=settings.learning_rate,
-            n_steps=settings.rollout,
+            n_steps=settings.steps,
             batch_size=settings.minibatch,
             n_epochs=settings.epochs,
             gamma=settings.discount,
             gae_lambda=settings.gae_lambda,
             clip_range=settings.clip,
+            ent_coef=settings.entropy,
             policy_kwargs={"net_arch": list(settings.layers), "log_std_init": settings.initial_log_std},
             seed=settings.seed,
             device="cpu",

@@ -7,10 +7,12 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import gymnasium as gym
-from gymnasium.wrappers import FilterObservation, RepeatAction
+import numpy as np
+from gymnasium import spaces
+from gymnasium.wrappers import FilterObservation, RepeatAction, TransformAction
 
 from filters.known_names import require_known
-from filters.validation import positive
+from filters.validation import FloatArray, positive
 
 GAZE_FILTER: Mapping[str, Any] = {"drop_unseen": False, "motion": "velocity-driven", "iterations": 2}
 """Options of a filter for a head that turns: it keeps what is out of view, believes the odometry, and linearises twice,
@@ -39,6 +41,10 @@ class GazeTask:
         Of `InformationGain`: knowing the position better than this, m, and the rotation, rad, is worth nothing.
     hold : int
         Steps for which a decision holds.
+    pans : int, optional
+        Directions to choose from, from the head's farthest left to its farthest right, at no tilt; nothing else is then
+        decided. None: the action is that of the environment. Where left and right are as good, a choice can be learnt,
+        and the mean of a continuous action ends up between them.
     """
 
     environment: str = "StereoSlam/Gaze-v0"
@@ -48,10 +54,13 @@ class GazeTask:
     criterion: str = "log-det"
     resolution: tuple[float, float] = (0.01, 0.001)
     hold: int = 5
+    pans: int | None = 9
 
     def __post_init__(self) -> None:
         if type(self.hold) is not int or self.hold < 1:
             raise ValueError(f"hold must be an integer >= 1, got {self.hold!r}")
+        if self.pans is not None and (type(self.pans) is not int or self.pans < 2):
+            raise ValueError(f"pans must be an integer >= 2 or None, got {self.pans!r}")
         object.__setattr__(self, "resolution", tuple(positive("resolution", value) for value in self.resolution))
 
     def make(self) -> gym.Env[Any, Any]:
@@ -62,12 +71,29 @@ class GazeTask:
         env = gym.make(self.environment, **self.arguments)
         return BeliefPanorama(BeliefObservation(env, self.filter, options=self.filter_options))
 
-    def make_for_learning(self) -> gym.Env[Any, Any]:
-        """The environment as a network sees it: `POLICY_KEYS` only, paid for what the filter learns of the pose."""
+    def make_held(self) -> gym.Env[Any, Any]:
+        """As a network sees it: `POLICY_KEYS` only, decisions hold, paid for what the filter learns of the pose."""
         from stereo_slam_env.wrappers import InformationGain
 
         paid = InformationGain(self.make(), self.criterion, of="pose", resolution=self.resolution)
         return FilterObservation(RepeatAction(paid, self.hold), POLICY_KEYS)
+
+    def make_for_learning(self) -> gym.Env[Any, Any]:
+        """`make_held`, with the number of one of `choices` for an action if there are any."""
+        env = self.make_held()
+        choices = self.choices
+        if choices is None:
+            return env
+        width = env.action_space.shape[0]  # type: ignore[index]
+        actions = np.pad(choices, ((0, 0), (width - choices.shape[1], 0)))
+        return TransformAction(env, lambda number: actions[number], spaces.Discrete(len(actions)))
+
+    @property
+    def choices(self) -> FloatArray | None:
+        """Pan and tilt, as shares of what the head can do, that there are to choose from; (pans, 2)."""
+        if self.pans is None:
+            return None
+        return np.column_stack([np.linspace(-1.0, 1.0, self.pans), np.zeros(self.pans)])
 
     def as_dict(self) -> dict[str, Any]:
         """JSON-able form; `from_dict` reads it."""

@@ -141,18 +141,21 @@ class PhysicsWorld:
         return visible
 
     def ego_collides(self, position: FloatArray, R_sb: FloatArray) -> bool:
-        """Put the car's body (its x axis forward) at a pose and tell whether it touches a solid."""
+        """Put the car's body (its x axis forward) at a pose and tell whether it touches a solid.
+
+        The ground is none: a car that bounces on its springs touches nothing.
+        """
         client = self._connected
         pybullet.resetBasePositionAndOrientation(
             self._ego, position.tolist(), rotations.from_matrix(R_sb).tolist(), physicsClientId=client
         )
         low, high = pybullet.getAABB(self._ego, physicsClientId=client)
         near = pybullet.getOverlappingObjects(low, high, physicsClientId=client) or ()
-        if low[2] > 0.0 and all(body in (self._ego, self._ground) for body, _ in near):
+        if all(body in (self._ego, self._ground) for body, _ in near):
             return False  # not even the boxes around bodies touch: usual, and told at a tenth of the cost
         pybullet.performCollisionDetection(physicsClientId=client)
         contacts = pybullet.getContactPoints(bodyA=self._ego, physicsClientId=client) or ()
-        return any(contact[8] <= 0.0 for contact in contacts)
+        return any(contact[2] != self._ground and contact[8] <= 0.0 for contact in contacts)
 
     def camera_image(
         self,

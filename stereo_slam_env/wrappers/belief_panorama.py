@@ -10,22 +10,25 @@ import numpy as np
 from gymnasium import spaces
 
 from filters.camera import StereoCamera
-from filters.validation import FloatArray
+from filters.noise import StereoNoise
+from filters.validation import FloatArray, positive
 from stereo_slam_env.wrappers.belief import Belief
 from stereo_slam_env.wrappers.recorded_wrapper import RecordedWrapper, dict_space
 
-FEATURES = ("share", "information", "elevation", "nearness", "in_view")
+FEATURES = ("share", "gain", "elevation", "nearness", "in_view", "unseen")
 """Columns of `panorama`."""
 _LOW, _HIGH = -1.0, 2.0
-_INFORMATION_SCALE = 0.1
+_GAIN_SCALE = 0.1
 _NEAR = 10.0
 """m: a landmark at this distance has nearness 1/2."""
+_FORGOTTEN = 5.0
+"""s: the time constant of `unseen`."""
 _LARGEST_SIGMA = 1e3
 """Bound of `belief_sigmas`, m and rad."""
 
 
 class BeliefPanorama(RecordedWrapper):
-    """Adds the keys `panorama` (sectors, 5) and `belief_sigmas` (6,) to the observation, float32.
+    """Adds the keys `panorama` (sectors, 6) and `belief_sigmas` (6,) to the observation, float32.
 
     `panorama`: sector k is the azimuth from -pi + 2 pi k / sectors on, about the vertical of the *car's* straight-ahead
     direction (the middle of the rows), positive to the right: the observation key `head` (pan, tilt; rad) is taken off
@@ -34,15 +37,19 @@ class BeliefPanorama(RecordedWrapper):
 
     | Column | Name | Meaning |
     |--------|------|---------|
-    | 0 | share | landmarks of the map there, over the rows of `uvd` |
-    | 1 | information | 0.1 ln(1 + sum of 1 / trace of the covariance relative to the camera, 1/m^2) |
+    | 0 | share | landmarks of the map there within `reach`, over the rows of `uvd`; only those count below, too |
+    | 1 | gain | 0.1 ln(1 + sum of what one look at each would tell of where it is relative to the camera, nats) |
     | 2 | elevation | mean elevation, over pi/2; up is positive |
     | 3 | nearness | 1 / (1 + z / 10 m) of the nearest, z its distance |
     | 4 | in_view | share of the sector that the camera sees now, by azimuth |
+    | 5 | unseen | 1 - exp(-t / 5 s), t the time since half of it was in view; 1: never |
 
-    What a landmark can say of the next pose is bounded by how well it is known relative to the camera: column 1 grows
-    with every landmark, and with what is known of each. `belief_sigmas` are the standard deviations of the pose:
-    position in W, m, and rotation in the camera frame, rad; at most 1e3.
+    A look tells ln(sqrt(1 + c_r / s_r^2) (1 + c_l / s_l^2)): c_r and c_l are the variances of the relative position
+    along and across the line of sight, s_r = z^2 sigma_d / (f b) and s_l = z sigma_u / f what one measurement at the
+    distance z leaves of them. Landmarks are taken as independent, so a sum says more than there is.
+
+    `belief_sigmas` are the standard deviations of the pose: position in W, m, and rotation in the camera frame, rad; at
+    most 1e3.
 
     Parameters
     ----------
@@ -50,20 +57,25 @@ class BeliefPanorama(RecordedWrapper):
         With `BeliefObservation` inside.
     sectors : int
         Rows of `panorama`, at least 3.
+    reach : float, optional
+        What is farther away does not count, m. None: as far as the landmark sensor of the environment sees.
 
     Raises
     ------
     ValueError
-        `sectors` is not an integer of at least 3, or there is no filter in the loop.
+        `sectors` is not an integer of at least 3, `reach` is not positive, or there is no filter in the loop.
     """
 
-    def __init__(self, env: gym.Env[Any, Any], sectors: int = 24) -> None:
-        super().__init__(env, sectors=sectors)
+    def __init__(self, env: gym.Env[Any, Any], sectors: int = 12, reach: float | None = None) -> None:
+        super().__init__(env, sectors=sectors, reach=reach)
         if type(sectors) is not int or sectors < 3:
             raise ValueError(f"sectors must be an integer >= 3, got {sectors!r}")
         self.inner("slam")
         inner = dict_space(env, "BeliefPanorama")
         self._sectors, self._camera = sectors, self.inner("camera")
+        self._reach = self.inner("options").tracking.farthest if reach is None else positive("reach", reach)
+        self._noise = self.inner("noise")
+        self._last_seen: FloatArray = np.full(sectors, -np.inf)
         self._most = inner["uvd"].shape[0] if "uvd" in inner.spaces else 1  # type: ignore[index]
         added: dict[str, spaces.Space[Any]] = {
             "panorama": spaces.Box(_LOW, _HIGH, (sectors, len(FEATURES)), np.float32),
@@ -76,6 +88,7 @@ class BeliefPanorama(RecordedWrapper):
     ) -> tuple[dict[str, Any], dict[str, Any]]:
         """Reset the environment and look around."""
         observation, info = self.env.reset(seed=seed, options=options)
+        self._last_seen = np.full(self._sectors, -np.inf)
         return self._with_panorama(observation), info
 
     def step(self, action: Any) -> tuple[dict[str, Any], Any, bool, bool, dict[str, Any]]:
@@ -86,7 +99,12 @@ class BeliefPanorama(RecordedWrapper):
     def _with_panorama(self, observation: dict[str, Any]) -> dict[str, Any]:
         belief = self.inner("belief")
         pan, tilt = (float(angle) for angle in observation.get("head", (0.0, 0.0)))
-        seen = panorama(belief, self._camera, pan, tilt, self._sectors, self._most)
+        seen = np.empty((self._sectors, len(FEATURES)))
+        seen[:, :4] = around(belief, self._camera, self._noise, pan, tilt, self._sectors, self._most, self._reach)
+        seen[:, 4] = share_in_view(self._camera, pan, self._sectors)
+        now = self.inner("frame").timestamp
+        self._last_seen[seen[:, 4] >= 0.5] = now
+        seen[:, 5] = 1.0 - np.exp((self._last_seen - now) / _FORGOTTEN)
         sigmas = np.sqrt(belief.pose.covariance.diagonal()).clip(0.0, _LARGEST_SIGMA)
         return {
             **observation,
@@ -95,42 +113,66 @@ class BeliefPanorama(RecordedWrapper):
         }
 
 
-def panorama(belief: Belief, camera: StereoCamera, pan: float, tilt: float, sectors: int, most: int) -> FloatArray:
-    """The columns of `BeliefPanorama`, not clipped; (sectors, 5).
+def around(
+    belief: Belief,
+    camera: StereoCamera,
+    noise: StereoNoise,
+    pan: float,
+    tilt: float,
+    sectors: int,
+    most: int,
+    reach: float = math.inf,
+) -> FloatArray:
+    """The first four columns of `BeliefPanorama`, what is known of the map; (sectors, 4), not clipped.
 
     Parameters
     ----------
     belief : Belief
         Whose map.
-    camera : StereoCamera
-        Whose field of view.
+    camera, noise : StereoCamera, StereoNoise
+        Of the measurements that a look would bring.
     pan, tilt : float
         Of the head, rad.
     sectors : int
         Rows.
     most : int
         Number of landmarks whose share is 1.
+    reach : float
+        What is farther away does not count, m.
     """
-    seen = np.zeros((sectors, len(FEATURES)))
-    seen[:, 4] = _share_in_view(camera, pan, sectors)
+    seen = np.zeros((sectors, 4))
     if len(belief) == 0:
         return seen
-    points_b = belief.points_c @ (_about_y(pan) @ _about_x(tilt)).T
+    distances = np.sqrt(np.einsum("ni,ni->n", belief.points_c, belief.points_c))
+    near = distances <= reach
+    points_b, distances = belief.points_c[near] @ (_about_y(pan) @ _about_x(tilt)).T, distances[near]
     azimuth = np.arctan2(points_b[:, 0], points_b[:, 2])
     elevation = np.arctan2(-points_b[:, 1], np.hypot(points_b[:, 0], points_b[:, 2]))
     sector = np.floor((azimuth + math.pi) * (sectors / (2.0 * math.pi))).astype(np.int64) % sectors
-    traces = np.einsum("nii->n", belief.relative_covariances)
-    distances = np.sqrt(np.einsum("ni,ni->n", points_b, points_b))
+    gains = _told(belief.points_c[near], distances, belief.relative_covariances[near], camera, noise)
 
     counts = np.bincount(sector, minlength=sectors)
     seen[:, 0] = counts / most
-    seen[:, 1] = _INFORMATION_SCALE * np.log1p(np.bincount(sector, 1.0 / traces, sectors))
+    seen[:, 1] = _GAIN_SCALE * np.log1p(np.bincount(sector, gains, sectors))
     seen[:, 2] = np.bincount(sector, elevation, sectors) / (0.5 * math.pi * np.maximum(counts, 1))
     np.maximum.at(seen[:, 3], sector, 1.0 / (1.0 + distances / _NEAR))
     return seen
 
 
-def _share_in_view(camera: StereoCamera, pan: float, sectors: int) -> FloatArray:
+def _told(
+    points_c: FloatArray, distances: FloatArray, covariances: FloatArray, camera: StereoCamera, noise: StereoNoise
+) -> FloatArray:
+    """What a look along its line of sight would tell of each landmark (N, 3), see `BeliefPanorama`; (N,) nats."""
+    sights = points_c / distances[:, None]
+    along = np.einsum("ni,nij,nj->n", sights, covariances, sights)
+    across = 0.5 * (np.einsum("nii->n", covariances) - along)
+    left_along = distances**4 * noise.R[2, 2] / camera.disparity_constant**2
+    left_across = distances**2 * noise.R[0, 0] / camera.fx**2
+    told: FloatArray = 0.5 * np.log1p(along / left_along) + np.log1p(across / left_across)
+    return told
+
+
+def share_in_view(camera: StereoCamera, pan: float, sectors: int) -> FloatArray:
     """Share of each sector between the azimuths of the left and right border of the left image; (sectors,)."""
     left, right = math.atan2(-camera.cx, camera.fx), math.atan2(camera.width - 1 - camera.cx, camera.fx)
     width = 2.0 * math.pi / sectors

@@ -14,9 +14,9 @@ from stereo_slam_env.training.ppo import PPOSettings
 from stereo_slam_env.training.task import GazeTask
 
 
-def small_network(seed=0, hold=1):
+def small_network(seed=0, hold=1, choices=None):
     rng = np.random.default_rng(seed)
-    sizes = (5, 8, 2)
+    sizes = (5, 8, 2 if choices is None else len(choices))
     return Network(
         keys=("head", "panorama"),
         mean=rng.standard_normal(5),
@@ -25,6 +25,7 @@ def small_network(seed=0, hold=1):
         weights=tuple(rng.standard_normal((n, m)) for m, n in pairwise(sizes)),
         biases=tuple(rng.standard_normal(n) for n in sizes[1:]),
         about={"task": {"hold": hold}},
+        choices=choices,
     )
 
 
@@ -43,8 +44,21 @@ def test_it_decides_as_written_down():
     assert action.dtype == np.float32
 
 
-def test_it_comes_back_from_its_file(tmp_path):
-    network, seen = small_network(), observation()
+def test_with_choices_the_largest_output_wins():
+    choices = np.array([[-1.0, 0.0], [0.0, 0.5], [1.0, 0.0]])
+    network = small_network(choices=choices)
+    actions = {tuple(network.action(observation(k))) for k in range(20)}
+    assert actions <= set(map(tuple, choices.tolist()))
+    assert len(actions) > 1
+    seen = observation()
+    x = np.clip((np.concatenate([seen["head"], seen["panorama"].ravel()]) - network.mean) / network.scale, -2, 2)
+    outputs = network.weights[1] @ np.tanh(network.weights[0] @ x + network.biases[0]) + network.biases[1]
+    np.testing.assert_array_equal(network.action(seen), choices[outputs.argmax()])
+
+
+@pytest.mark.parametrize("choices", [None, np.array([[-1.0, 0.0], [1.0, 0.0]])], ids=["outputs", "choices"])
+def test_it_comes_back_from_its_file(tmp_path, choices):
+    network, seen = small_network(choices=choices), observation()
     network.save(tmp_path / "n.npz")
     back = Network.load(tmp_path / "n.npz")
     np.testing.assert_allclose(back.action(seen), network.action(seen), atol=1e-5)
@@ -100,6 +114,21 @@ def test_an_observation_without_its_keys_is_refused(tmp_path):
     policy.reset(StereoGazeEnv(route="right-turn"), np.random.default_rng(0))
     with pytest.raises(ValueError, match="'panorama', which is not in the observation: add BeliefPanorama"):
         policy.act({"head": np.zeros(2)})
+
+
+def test_an_observation_of_another_size_is_refused(tmp_path):
+    small_network().save(tmp_path / "n.npz")
+    policy = NetworkPolicy(str(tmp_path / "n.npz"))
+    policy.reset(StereoGazeEnv(route="right-turn"), np.random.default_rng(0))
+    with pytest.raises(ValueError, match=r"sees 5 numbers, and the observation has 8 \(head, panorama\): train one"):
+        policy.act({"head": np.zeros(2), "panorama": np.zeros((6, 1))})
+
+
+def test_the_network_of_the_package_fits_what_it_is_shown():
+    env = GazeTask().make_held()
+    observation, _ = env.reset(seed=0)
+    assert NetworkPolicy().network.action(observation) in env.action_space
+    env.close()
 
 
 def test_the_network_of_the_package_says_how_it_was_made_and_was_trained_on_todays_task():

@@ -28,7 +28,7 @@ def rows(out):
 def quick(monkeypatch):
     pytest.importorskip("stable_baselines3", reason="needs the extra rl")
     looks = iter(range(100))
-    monkeypatch.setattr(ppo, "evaluate", lambda *_: Evaluation(0.5, -40.0 - next(looks), 0.2, 0.3))
+    monkeypatch.setattr(ppo, "evaluate", lambda *_, **__: Evaluation(0.5, -40.0 - next(looks), 0.2, 0.3))
 
 
 @pytest.mark.slow
@@ -49,17 +49,20 @@ def test_a_run_leaves_a_network_a_curve_and_what_it_was_made_with(quick, tmp_pat
 
 
 @pytest.mark.slow
-def test_the_network_decides_as_the_model_does(tmp_path):
+@pytest.mark.parametrize("pans", [5, None])
+def test_the_network_decides_as_the_model_does(tmp_path, pans):
     pytest.importorskip("stable_baselines3", reason="needs the extra rl")
-    env = TASK.make_for_learning()
-    with ppo._learner(TASK, SETTINGS, tmp_path) as (model, scaling):
+    task = dataclasses.replace(TASK, pans=pans)
+    env = task.make_for_learning()
+    with ppo._learner(task, SETTINGS, tmp_path) as (model, scaling):
         model.learn(40)
-        network = ppo.network_of(model, scaling, {})
+        network = ppo.network_of(model, scaling, {}, task.choices)
         observation, _ = env.reset(seed=3)
         for _ in range(6):
-            expected, _ = model.predict(scaling.normalize_obs(observation), deterministic=True)
+            decided, _ = model.predict(scaling.normalize_obs(observation), deterministic=True)
+            expected = decided if task.choices is None else task.choices[decided]
             np.testing.assert_allclose(network.action(observation), expected, atol=1e-5)
-            observation, *_ = env.step(np.array([0.5, -0.5], dtype=np.float32))
+            observation, *_ = env.step(env.action_space.sample())
     env.close()
 
 

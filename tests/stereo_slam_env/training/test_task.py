@@ -21,6 +21,7 @@ def test_a_task_is_json_able_and_read_back():
     [
         ({"hold": 0}, "hold must be an integer >= 1, got 0"),
         ({"resolution": (0.01, -1.0)}, "resolution must be a finite number > 0, got -1.0"),
+        ({"pans": 1}, "pans must be an integer >= 2 or None, got 1"),
         ({"filters": "x"}, "task has no key 'filters', did you mean 'filter'?"),
     ],
 )
@@ -36,7 +37,7 @@ def test_benchmark_and_training_have_the_same_filter_in_the_loop():
 
 
 def test_a_decision_holds_and_its_rewards_add_up_to_what_was_learnt():
-    task = GazeTask(arguments=QUICK, hold=4)
+    task = GazeTask(arguments=QUICK, hold=4, pans=None)
     env = task.make_for_learning()
     try:
         observation, info = env.reset(seed=0)
@@ -48,5 +49,20 @@ def test_a_decision_holds_and_its_rewards_add_up_to_what_was_learnt():
         assert observation in env.observation_space
         assert steps == 20  # 79 steps of the route
         assert total == pytest.approx(first - info["information_potential"], abs=1e-9)
+    finally:
+        env.close()
+
+
+@pytest.mark.parametrize("environment", ["StereoSlam/Gaze-v0", "StereoSlam/DriveGaze-v0"])
+def test_a_number_stands_for_a_direction(environment):
+    policy = {"policy": "route"} if environment.endswith("DriveGaze-v0") else {}
+    task = GazeTask(environment, {**QUICK, **policy, "pan_rate": 100.0}, hold=1, pans=5)
+    env = task.make_for_learning()
+    try:
+        env.reset(seed=0)
+        farthest = env.get_wrapper_attr("options").max_pan
+        for number, share in [(0, -1.0), (3, 0.5), (2, 0.0), (4, 1.0)]:
+            env.step(number)
+            np.testing.assert_allclose(env.get_wrapper_attr("head_angles"), [share * farthest, 0.0], atol=1e-6)
     finally:
         env.close()

@@ -80,6 +80,13 @@ def test_the_car_collides_with_solids_but_not_with_the_road(world):
     assert not world.ego_collides(np.array([0.0, 0.0, 0.6]), level)
 
 
+def test_a_car_low_on_its_springs_touches_the_road_and_collides_with_solids_only(world):
+    world.build(scene_of(WALL), EGO)
+    low = 0.5 * EGO[2] - 0.1
+    assert not world.ego_collides(np.array([0.0, 0.0, low]), np.eye(3))
+    assert world.ego_collides(np.array([8.1, 0.0, low]), np.eye(3))
+
+
 def test_no_points_is_no_question(world):
     world.build(scene_of(WALL), EGO)
     assert world.visible(np.zeros((2, 3)), np.zeros((0, 3))).shape == (0,)

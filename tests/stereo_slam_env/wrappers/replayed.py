@@ -6,6 +6,7 @@ import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 
+from stereo_slam_env.envs.options import StereoOptions
 from stereo_slam_env.recording import LandmarkTruth, Recording
 from stereo_slam_env.sensing.padding import padded
 
@@ -20,6 +21,7 @@ class ReplayEnv(gym.Env):
     def __init__(self, recording: Recording | None = None, head=None) -> None:
         self.recording = small_recording(frames=25) if recording is None else recording
         self.head = head
+        self.options = StereoOptions()
         self.camera, self.noise, self.start = self.recording.camera, self.recording.noise, self.recording.start
         low, high = np.full((ROWS, 3), -100.0), np.full((ROWS, 3), 2000.0)
         shapes = {

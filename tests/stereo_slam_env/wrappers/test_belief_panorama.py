@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
-from filters import rotations
+from filters import StereoNoise, rotations
+from stereo_slam_env.training.task import GazeTask
 from stereo_slam_env.wrappers import BeliefObservation, BeliefPanorama
 from stereo_slam_env.wrappers.belief import Belief
-from stereo_slam_env.wrappers.belief_panorama import panorama
+from stereo_slam_env.wrappers.belief_panorama import around, share_in_view
 
 from ..benchmark.small_recordings import CAMERA
 from .replayed import ROWS, ReplayEnv, episode
@@ -27,14 +28,19 @@ def one_by_one(belief, pan, tilt, sectors):
     for k, p_c in enumerate(belief.points_c):
         x, y, z = R_bc @ p_c
         place = int((np.arctan2(x, z) + np.pi) / (2 * np.pi) * sectors) % sectors
-        trace = np.trace(belief.relative_covariances[k])
-        inside[place].append((1 / trace, np.arctan2(-y, np.hypot(x, z)), np.linalg.norm(p_c)))
+        distance, C = np.linalg.norm(p_c), belief.relative_covariances[k]
+        sight = p_c / distance
+        along = sight @ C @ sight
+        across = (np.trace(C) - along) / 2
+        deep, wide = distance**2 * np.sqrt(2) / (CAMERA.fx * CAMERA.baseline), distance / CAMERA.fx  # of 1 px each eye
+        told = 0.5 * np.log(1 + along / deep**2) + np.log(1 + across / wide**2)
+        inside[place].append((told, np.arctan2(-y, np.hypot(x, z)), np.linalg.norm(p_c)))
     for row, found in zip(seen, inside, strict=True):
         if found:
-            information, elevations, distances = map(np.array, zip(*found, strict=True))
+            told, elevations, distances = map(np.array, zip(*found, strict=True))
             row[:] = (
                 len(found) / ROWS,
-                0.1 * np.log(1 + information.sum()),
+                0.1 * np.log(1 + told.sum()),
                 elevations.mean() / (np.pi / 2),
                 1 / (1 + distances.min() / 10),
             )
@@ -68,17 +74,31 @@ def test_panning_to_the_right_moves_what_is_seen_to_higher_sectors():
 
 
 def test_what_is_in_view_is_the_horizontal_field_of_view():
-    env, seen = looking()
+    _, seen = looking()
     in_view = seen["panorama"][:, 4]
     width = 2 * np.pi / SECTORS
     angle = np.arctan((CAMERA.width - 1 - CAMERA.cx) / CAMERA.fx) + np.arctan(CAMERA.cx / CAMERA.fx)
     assert in_view.sum() * width == pytest.approx(angle, rel=1e-5)
     assert in_view[SECTORS // 2] == in_view[SECTORS // 2 - 1] == 1.0
     assert not in_view[[0, -1]].any()
-    everything = panorama(env.get_wrapper_attr("belief"), CAMERA, np.pi, 0.0, SECTORS, ROWS)
-    assert everything[0, 4] == everything[-1, 4] == 1.0
-    coarse = panorama(env.get_wrapper_attr("belief"), CAMERA, 0.0, 0.0, 3, ROWS)
-    assert coarse[1, 4] == pytest.approx(angle / (2 * np.pi / 3))
+    behind = share_in_view(CAMERA, np.pi, SECTORS)
+    assert behind[0] == behind[-1] == 1.0
+    assert share_in_view(CAMERA, 0.0, 3)[1] == pytest.approx(angle / (2 * np.pi / 3))
+
+
+def test_what_was_in_view_is_remembered_for_some_seconds():
+    env = BeliefPanorama(BeliefObservation(ReplayEnv(head=(0.0, 0.0))), SECTORS)
+    seen = env.reset()[0]["panorama"]
+    ahead = seen[:, 4] >= 0.5
+    assert 0 < ahead.sum() < SECTORS
+    np.testing.assert_array_equal(seen[:, 5], ~ahead)
+    env.unwrapped.head = (np.pi / 2, 0.0)
+    for _ in range(10):
+        seen = env.step(env.action_space.sample())[0]["panorama"]
+    assert env.unwrapped.frame.timestamp == pytest.approx(1.0)
+    np.testing.assert_allclose(seen[ahead, 5], 1 - np.exp(-1.0 / 5.0), rtol=1e-6)
+    assert seen[SECTORS * 3 // 4, 5] == 0.0
+    np.testing.assert_array_equal(env.reset()[0]["panorama"][ahead, 5], 1.0)
 
 
 def test_a_landmark_to_the_right_and_up_is_in_a_high_sector_with_a_high_elevation():
@@ -87,15 +107,43 @@ def test_a_landmark_to_the_right_and_up_is_in_a_high_sector_with_a_high_elevatio
     one = Belief(
         belief.slam, belief.report, belief.pose, belief.ids[:1], belief.points_w[:1], np.array([[5.0, -5.0, 0.1]]), 1
     )
-    seen = panorama(one, CAMERA, 0.0, 0.0, SECTORS, ROWS)
+    seen = around(one, CAMERA, env.get_wrapper_attr("noise"), 0.0, 0.0, SECTORS, ROWS)
     assert np.flatnonzero(seen[:, 0]).tolist() == [SECTORS * 3 // 4 - 1]
     assert seen[SECTORS * 3 // 4 - 1, 2] == pytest.approx(0.5, abs=1e-3)
 
 
-def test_knowing_more_is_more_information():
-    _, rough = looking(noise=2.0)
-    _, fine = looking(noise=1.0)
-    assert fine["panorama"][:, 1].sum() > rough["panorama"][:, 1].sum()
+def test_what_is_out_of_reach_does_not_count():
+    env, seen = looking()
+    belief = env.get_wrapper_attr("belief")
+    distances = np.linalg.norm(belief.points_c, axis=1)
+    middle = float(np.median(distances))
+    near = episode(BeliefPanorama(BeliefObservation(ReplayEnv()), SECTORS, middle), steps=6)[0][-1]
+    assert near["panorama"][:, 0].sum() * ROWS == pytest.approx((distances <= middle).sum())
+    assert (near["panorama"][:, 1] <= seen["panorama"][:, 1]).all()
+    np.testing.assert_array_equal(near["panorama"][:, 3], seen["panorama"][:, 3] * (near["panorama"][:, 3] > 0))
+
+
+def test_without_a_reach_it_is_that_of_the_sensor():
+    env = GazeTask(arguments={"visibility": 25.0}).make()
+    env.reset(seed=0)
+    for step in range(120):
+        pan = np.sign(np.sin(0.1 * step))
+        seen = env.step(np.array([pan, 0.0], dtype=np.float32))[0]
+    belief = env.get_wrapper_attr("belief")
+    within = np.linalg.norm(belief.points_c, axis=1) <= 25.0
+    assert seen["panorama"][:, 0].sum() * len(seen["mask"]) == pytest.approx(within.sum())
+    assert 0 < within.sum() < len(within)
+    env.close()
+
+
+def test_a_sharper_camera_has_more_to_tell_and_what_is_known_relative_to_it_little():
+    env, _ = looking()
+    belief = env.get_wrapper_attr("belief")
+    rough, fine = (
+        around(belief, CAMERA, StereoNoise.independent_pixels(sigma), 0.0, 0.0, SECTORS, ROWS)[:, 1].sum()
+        for sigma in (100.0, 1.0)
+    )
+    assert fine > 2 * rough > 0
 
 
 def test_the_sigmas_are_those_of_the_pose():
@@ -115,5 +163,7 @@ def test_every_observation_is_in_the_space_also_without_a_map():
 def test_arguments_are_checked_when_it_is_made():
     with pytest.raises(ValueError, match="sectors must be an integer >= 3, got 2"):
         BeliefPanorama(BeliefObservation(ReplayEnv()), 2)
+    with pytest.raises(ValueError, match="reach must be a finite number > 0, got -1"):
+        BeliefPanorama(BeliefObservation(ReplayEnv()), reach=-1.0)
     with pytest.raises(ValueError, match="BeliefPanorama needs 'slam': wrap BeliefObservation with it"):
         BeliefPanorama(ReplayEnv())
