@@ -16,7 +16,7 @@ from stereo_slam_env.cli_parts import console, one_line_errors
 def train(
     decisions: Annotated[
         int, typer.Option("--decisions", help="How many the network makes; each holds for some steps.", min=1)
-    ] = 200_000,
+    ] = 40_000,
     seed: Annotated[int, typer.Option("--seed", help="Of network, actions and episodes.", min=0)] = 0,
     minutes: Annotated[
         float | None, typer.Option("--minutes", help="Stop after this time; the same command goes on.")

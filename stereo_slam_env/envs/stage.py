@@ -86,7 +86,7 @@ class Stage:
     def visible(self, pose: Pose, points_w: FloatArray) -> BoolArray:
         """Which points (N, 3) both eyes see from `pose`."""
         right = pose.position + self._camera.baseline * pose.R_wc[:, 0]
-        eyes = self._frame.to_scene(np.stack([pose.position, right]))
+        eyes = self._frame.to_scene(np.array([pose.position, right]))
         return self._world.visible(eyes, self._frame.to_scene(points_w))
 
     def on_moving_body(self, points_w: FloatArray) -> BoolArray:

@@ -69,7 +69,7 @@ class PPOSettings:
         A value is impossible.
     """
 
-    decisions: int = 200_000
+    decisions: int = 40_000
     seed: int = 0
     environments: int = 8
     layers: tuple[int, ...] = (64, 64)

@@ -122,7 +122,8 @@ class PhysicsWorld:
         (N,) ndarray of bool
         """
         rays = points - eyes[:, None]
-        ends = points - rays * (_SURFACE_GAP / np.sqrt((rays**2).sum(axis=2, keepdims=True)))
+        lengths = np.sqrt(np.einsum("eni,eni->en", rays, rays))
+        ends = points - rays * (_SURFACE_GAP / lengths)[..., None]
         seen = list(range(len(points)))
         for start, targets in zip(eyes.tolist(), ends.tolist(), strict=True):
             if not seen:
