@@ -13,6 +13,7 @@ from gymnasium.wrappers import FilterObservation, RepeatAction, TransformAction
 
 from filters.known_names import require_known
 from filters.validation import FloatArray, positive
+from stereo_slam_env.policies.interface import require_head
 
 GAZE_FILTER: Mapping[str, Any] = {"drop_unseen": False, "motion": "velocity-driven", "iterations": 2}
 """Options of a filter for a head that turns: it keeps what is out of view, believes the odometry, and linearises twice,
@@ -69,6 +70,7 @@ class GazeTask:
         from stereo_slam_env.wrappers import BeliefObservation, BeliefPanorama
 
         env = gym.make(self.environment, **self.arguments)
+        require_head(env)
         return BeliefPanorama(BeliefObservation(env, self.filter, options=self.filter_options))
 
     def make_held(self) -> gym.Env[Any, Any]:

@@ -30,6 +30,12 @@ def test_a_wrong_value_gets_one_clear_line(wrong, message):
         GazeTask.from_dict(wrong)
 
 
+def test_an_environment_without_a_head_is_refused():
+    with pytest.raises(ValueError, match="that of this environment is fixed: use StereoSlam/Gaze-v0") as error:
+        GazeTask("StereoSlam/Drive-v0", QUICK).make()
+    assert "\n" not in str(error.value)
+
+
 def test_benchmark_and_training_have_the_same_filter_in_the_loop():
     (choice,) = preset_study("gaze").cells[0].scenario.filters
     task = GazeTask()
