@@ -93,15 +93,18 @@ def report(
     """Write tables and report of a finished run again; with a second run, say what changed significantly."""
     with one_line_errors():
         from stereo_slam_env.benchmark.campaign import write_report_of
+        from stereo_slam_env.benchmark.store import root_of
         from stereo_slam_env.benchmark.study_store import read_study
+        from stereo_slam_env.claimed_folder import claimed_folder
         from stereo_slam_env.console import show_cells
 
         if after is not None:
             _compare(directory, after, out)
             return
         study = read_study(directory)
-        results = study.write_results()
-        page = write_report_of(study, results)
+        with claimed_folder(root_of(study.out)):
+            results = study.write_results()
+            page = write_report_of(study, results)
         show_cells(console(), results)
         show_place(page)
 
