@@ -1,62 +1,90 @@
-"""Stereo EKF-SLAM filters behind one interface. Estimation only: numpy and scipy."""
+"""Stereo EKF-SLAM filters behind one interface. Estimation only: numpy and scipy.
 
-from filters.camera import StereoCamera
-from filters.conformance import ConformanceError, ConformanceReport, check_filter
-from filters.dual_bearing import DualBearingEKF
-from filters.engine.ekf import StereoEKF
-from filters.euclidean_xyz import EuclideanEKF
-from filters.hybrid_stereo import HybridEKF
-from filters.interface import (
-    BodyVelocity,
-    Forecast,
-    LandmarkBelief,
-    PoseBelief,
-    StereoFilter,
-    StereoObservation,
-    UpdateReport,
-    VelocityBelief,
-)
-from filters.inverse_depth_stereo import InverseDepthStereoEKF
-from filters.monocular import MonocularEKF
-from filters.motion import ConstantVelocity, VelocityDriven
-from filters.noise import StereoNoise
-from filters.registry import available_filters, make_filter
-from filters.right_invariant import RightInvariantEKF
-from filters.shared_anchor_stereo import SharedAnchorEKF
-from filters.submaps.submap_ekf import SubmapEKF
-from filters.trials.ekf import StereoEKFTrials
-from filters.trials.series import TrialSeries, run_trials
-from filters.unscented_stereo import UnscentedStereoFilter
+A name is imported when it is first asked for: scipy alone takes longer than most programs want to wait for `--help`.
+"""
 
-__all__ = [
-    "BodyVelocity",
-    "ConformanceError",
-    "ConformanceReport",
-    "ConstantVelocity",
-    "DualBearingEKF",
-    "EuclideanEKF",
-    "Forecast",
-    "HybridEKF",
-    "InverseDepthStereoEKF",
-    "LandmarkBelief",
-    "MonocularEKF",
-    "PoseBelief",
-    "RightInvariantEKF",
-    "SharedAnchorEKF",
-    "StereoCamera",
-    "StereoEKF",
-    "StereoEKFTrials",
-    "StereoFilter",
-    "StereoNoise",
-    "StereoObservation",
-    "SubmapEKF",
-    "TrialSeries",
-    "UnscentedStereoFilter",
-    "UpdateReport",
-    "VelocityBelief",
-    "VelocityDriven",
-    "available_filters",
-    "check_filter",
-    "make_filter",
-    "run_trials",
-]
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from filters.camera import StereoCamera as StereoCamera
+    from filters.conformance import ConformanceError as ConformanceError
+    from filters.conformance import ConformanceReport as ConformanceReport
+    from filters.conformance import check_filter as check_filter
+    from filters.dual_bearing import DualBearingEKF as DualBearingEKF
+    from filters.engine.ekf import StereoEKF as StereoEKF
+    from filters.euclidean_xyz import EuclideanEKF as EuclideanEKF
+    from filters.hybrid_stereo import HybridEKF as HybridEKF
+    from filters.interface import BodyVelocity as BodyVelocity
+    from filters.interface import Forecast as Forecast
+    from filters.interface import LandmarkBelief as LandmarkBelief
+    from filters.interface import PoseBelief as PoseBelief
+    from filters.interface import StereoFilter as StereoFilter
+    from filters.interface import StereoObservation as StereoObservation
+    from filters.interface import UpdateReport as UpdateReport
+    from filters.interface import VelocityBelief as VelocityBelief
+    from filters.inverse_depth_stereo import InverseDepthStereoEKF as InverseDepthStereoEKF
+    from filters.monocular import MonocularEKF as MonocularEKF
+    from filters.motion import ConstantVelocity as ConstantVelocity
+    from filters.motion import VelocityDriven as VelocityDriven
+    from filters.noise import StereoNoise as StereoNoise
+    from filters.registry import available_filters as available_filters
+    from filters.registry import make_filter as make_filter
+    from filters.right_invariant import RightInvariantEKF as RightInvariantEKF
+    from filters.shared_anchor_stereo import SharedAnchorEKF as SharedAnchorEKF
+    from filters.submaps.submap_ekf import SubmapEKF as SubmapEKF
+    from filters.trials.ekf import StereoEKFTrials as StereoEKFTrials
+    from filters.trials.series import TrialSeries as TrialSeries
+    from filters.trials.series import run_trials as run_trials
+    from filters.unscented_stereo import UnscentedStereoFilter as UnscentedStereoFilter
+
+_HOMES = {
+    "BodyVelocity": "interface",
+    "ConformanceError": "conformance",
+    "ConformanceReport": "conformance",
+    "ConstantVelocity": "motion",
+    "DualBearingEKF": "dual_bearing",
+    "EuclideanEKF": "euclidean_xyz",
+    "Forecast": "interface",
+    "HybridEKF": "hybrid_stereo",
+    "InverseDepthStereoEKF": "inverse_depth_stereo",
+    "LandmarkBelief": "interface",
+    "MonocularEKF": "monocular",
+    "PoseBelief": "interface",
+    "RightInvariantEKF": "right_invariant",
+    "SharedAnchorEKF": "shared_anchor_stereo",
+    "StereoCamera": "camera",
+    "StereoEKF": "engine.ekf",
+    "StereoEKFTrials": "trials.ekf",
+    "StereoFilter": "interface",
+    "StereoNoise": "noise",
+    "StereoObservation": "interface",
+    "SubmapEKF": "submaps.submap_ekf",
+    "TrialSeries": "trials.series",
+    "UnscentedStereoFilter": "unscented_stereo",
+    "UpdateReport": "interface",
+    "VelocityBelief": "interface",
+    "VelocityDriven": "motion",
+    "available_filters": "registry",
+    "check_filter": "conformance",
+    "make_filter": "registry",
+    "run_trials": "trials.series",
+}
+
+__all__ = list(_HOMES)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})
+
+
+if not TYPE_CHECKING:  # a type checker knows the names from above, and a misspelt one from a right one
+
+    def __getattr__(name: str) -> Any:
+        """Import what is asked for, once."""
+        if name not in _HOMES:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        globals()[name] = getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
+        return globals()[name]

@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from stereo_slam_env import cli_bench, cli_paper, cli_scenes, cli_train
+from stereo_slam_env import cli_bench, cli_certify, cli_paper, cli_scenes, cli_train
 from stereo_slam_env.cli_parts import Interrupted, console, help_without_command, one_line_errors, refuse, show_place
 
 INTERRUPTED = 130
@@ -28,6 +28,7 @@ app.add_typer(policies_app, name="policies")
 app.add_typer(cli_scenes.app, name="scenes")
 app.command()(cli_bench.bench)
 app.command()(cli_bench.replay)
+app.command()(cli_certify.certify)
 app.command()(cli_paper.paper)
 app.command()(cli_train.train)
 
@@ -93,15 +94,18 @@ def report(
     """Write tables and report of a finished run again; with a second run, say what changed significantly."""
     with one_line_errors():
         from stereo_slam_env.benchmark.campaign import write_report_of
+        from stereo_slam_env.benchmark.store import root_of
         from stereo_slam_env.benchmark.study_store import read_study
+        from stereo_slam_env.claimed_folder import claimed_folder
         from stereo_slam_env.console import show_cells
 
         if after is not None:
             _compare(directory, after, out)
             return
         study = read_study(directory)
-        results = study.write_results()
-        page = write_report_of(study, results)
+        with claimed_folder(root_of(study.out)):
+            results = study.write_results()
+            page = write_report_of(study, results)
         show_cells(console(), results)
         show_place(page)
 

@@ -21,10 +21,11 @@ from stereo_slam_env.benchmark.runner import make_with_common_options
 from stereo_slam_env.benchmark.scenario import FilterChoice, PolicyChoice, Scenario, filter_choice, policy_choice
 from stereo_slam_env.benchmark.scenario_file import load_study
 from stereo_slam_env.benchmark.sources import check_source
-from stereo_slam_env.benchmark.store import RunDirectory
+from stereo_slam_env.benchmark.store import RunDirectory, refuse_foreign, root_of
 from stereo_slam_env.benchmark.study import Study
 from stereo_slam_env.benchmark.study_store import CellResult, StudyDirectory, open_study
 from stereo_slam_env.benchmark.tasks import RecordingTask, TrialTask, make, run_trial
+from stereo_slam_env.claimed_folder import claimed_folder
 from stereo_slam_env.recording_archive import load_recording
 
 if TYPE_CHECKING:
@@ -118,7 +119,8 @@ def run_benchmark(
     Raises
     ------
     ValueError
-        Unknown filter or option, impossible settings, a source that cannot be used, or `out` holds another run.
+        Unknown filter or option, impossible settings, a source that cannot be used, or `out` holds another run or is
+        in use by another process.
     OSError
         The disk is full or cannot be written; what is finished is kept.
     """
@@ -133,10 +135,12 @@ def run_benchmark(
     if seeds is not None:
         study = study.with_scenarios(partial(dataclasses.replace, seeds=tuple(seeds)))
     check_study(study)
-    directory = open_study(Path(out), study)
-    _run_missing(directory, workers, progress or (lambda done, total: None))
-    results = directory.write_results()
-    page = write_report_of(directory, results) if report else None
+    refuse_foreign(Path(out))
+    with claimed_folder(root_of(Path(out))):
+        directory = open_study(Path(out), study)
+        _run_missing(directory, workers, progress or (lambda done, total: None))
+        results = directory.write_results()
+        page = write_report_of(directory, results) if report else None
     return BenchmarkResult(directory.out, tuple(results), page)
 
 

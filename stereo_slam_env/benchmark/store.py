@@ -48,6 +48,7 @@ from stereo_slam_env.benchmark.scenario import FilterChoice, Scenario
 from stereo_slam_env.benchmark.sources import as_given, stream_key
 from stereo_slam_env.benchmark.summary import summarise_all
 from stereo_slam_env.benchmark.trajectory_files import write_kitti, write_tum
+from stereo_slam_env.claimed_folder import is_occupied
 
 VERSION = 2
 CELLS = "cells"
@@ -62,8 +63,7 @@ class RunDirectory:
     def __init__(self, out: Path, scenario: Scenario) -> None:
         self.out = out
         self.scenario = scenario
-        shared = out.parent.parent if out.parent.name == CELLS else out
-        self._recordings = shared / "recordings"
+        self._recordings = root_of(out) / "recordings"
 
     @property
     def seeds(self) -> tuple[int | None, ...]:
@@ -266,8 +266,13 @@ def refuse_foreign(out: Path) -> None:
     """Raise a `ValueError` where `out` holds something that is no run."""
     if out.exists() and not out.is_dir():
         raise ValueError(f"output {out} is a file: give a directory")
-    if out.is_dir() and not any((out / name).exists() for name in MARKERS) and any(out.iterdir()):
+    if out.is_dir() and not any((out / name).exists() for name in MARKERS) and is_occupied(out):
         raise ValueError(f"output {out} is not empty and holds no run: choose another directory")
+
+
+def root_of(out: Path) -> Path:
+    """The directory that a run shares with others: of a cell that of its grid, else its own."""
+    return out.parent.parent if out.parent.name == CELLS else out
 
 
 def read_run(out: Path) -> RunDirectory:

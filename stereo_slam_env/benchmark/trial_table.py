@@ -17,13 +17,13 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import sqlite3
 from collections.abc import Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from stereo_slam_env.atomic_files import unfinished_name
 from stereo_slam_env.benchmark.scenario import choice_as_dict
 from stereo_slam_env.benchmark.trial_metrics import COLUMNS, Column, trial_figures
 
@@ -54,7 +54,7 @@ def write_trial_table(path: Path, results: Sequence[CellResult]) -> None:
         "options": Column("", "options the filter was made with, as JSON", "text"),
         "series": Column("", "time series of the trial (npz), relative to this file", "text"),
     }
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}.part")
+    unfinished = unfinished_name(path)
     unfinished.unlink(missing_ok=True)
     try:
         with closing(sqlite3.connect(unfinished)) as database, database:

@@ -11,6 +11,7 @@ from typing import Any
 
 from stereo_slam_env.atomic_files import write_atomically
 from stereo_slam_env.benchmark.store import versions, without_nan, write_json
+from stereo_slam_env.claimed_folder import claimed_folder, is_occupied
 from stereo_slam_env.paper import convergence, karlsruhe, landmark_uncertainty, long_drive, speed
 from stereo_slam_env.paper.claims import Claim, Finding
 from stereo_slam_env.paper.parts import Progress, run_parts
@@ -59,40 +60,41 @@ def run_paper(
     Raises
     ------
     ValueError
-        `out` holds something else, jobs < 1, or there are no such sequences.
+        `out` holds something else or is in use by another process, jobs < 1, or there are no such sequences.
     """
     out = Path(out)
     if jobs < 1:
         raise ValueError(f"jobs must be >= 1, got {jobs!r}")
     sequences = {} if karlsruhe_path is None else karlsruhe.sequences(karlsruhe_path)
     _refuse_foreign(out)
-    about = {"version": VERSION, "settings": asdict(settings), "versions": versions()}
-    write_json(out / SETTINGS, about)
-    parts = [
-        *convergence.parts(settings),
-        *long_drive.parts(settings),
-        *karlsruhe.parts(sequences),
-        *speed.parts(settings),
-    ]
-    results = run_parts(parts, out / PARTS, jobs=jobs, progress=progress)
-    claims = (
-        *landmark_uncertainty.claims(settings.samples),
-        *convergence.claims(results),
-        *long_drive.claims(results),
-        *speed.claims(results),
-        *karlsruhe.claims(results),
-    )
-    write_json(out / RESULT, {**about, "claims": without_nan([_as_dict(claim) for claim in claims])})
-    _write_rows(out / ROWS, claims)
-    from stereo_slam_env.paper.report import write_report  # Matplotlib, only where it is needed
+    with claimed_folder(out):
+        about = {"version": VERSION, "settings": asdict(settings), "versions": versions()}
+        write_json(out / SETTINGS, about)
+        parts = [
+            *convergence.parts(settings),
+            *long_drive.parts(settings),
+            *karlsruhe.parts(sequences),
+            *speed.parts(settings),
+        ]
+        results = run_parts(parts, out / PARTS, jobs=jobs, progress=progress)
+        claims = (
+            *landmark_uncertainty.claims(settings.samples),
+            *convergence.claims(results),
+            *long_drive.claims(results),
+            *speed.claims(results),
+            *karlsruhe.claims(results),
+        )
+        write_json(out / RESULT, {**about, "claims": without_nan([_as_dict(claim) for claim in claims])})
+        _write_rows(out / ROWS, claims)
+        from stereo_slam_env.paper.report import write_report  # Matplotlib, only where it is needed
 
-    return PaperResult(out, claims, write_report(out, claims, results, settings, bool(sequences)))
+        return PaperResult(out, claims, write_report(out, claims, results, settings, bool(sequences)))
 
 
 def _refuse_foreign(out: Path) -> None:
     if out.exists() and not out.is_dir():
         raise ValueError(f"output {out} is a file: give a directory")
-    if out.is_dir() and any(out.iterdir()) and not (out / SETTINGS).exists():
+    if out.is_dir() and is_occupied(out) and not (out / SETTINGS).exists():
         raise ValueError(f"output {out} is not empty and holds no run of the paper: choose another directory")
 
 

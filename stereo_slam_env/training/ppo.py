@@ -17,6 +17,7 @@ from joblib import cpu_count
 from filters.known_names import require_known
 from filters.validation import positive, probability
 from stereo_slam_env.atomic_files import write_atomically
+from stereo_slam_env.claimed_folder import claimed_folder
 from stereo_slam_env.training.curve import LearningCurve
 from stereo_slam_env.training.evaluation import evaluate
 from stereo_slam_env.training.export import network_of
@@ -148,7 +149,7 @@ def train(
     ImportError
         The extra rl is missing.
     ValueError
-        `out` holds a run of something else.
+        `out` holds a run of something else, or is in use by another process.
     """
     require_extra("stable_baselines3")
     import torch
@@ -159,7 +160,7 @@ def train(
     curve = LearningCurve(out / "learning_curve.csv")
     began = time.monotonic() - curve.seconds
     limit = None if minutes is None else curve.seconds + 60.0 * positive("minutes", minutes)
-    with _learner(task, settings, out) as (model, scaling):
+    with claimed_folder(out), _learner(task, settings, out) as (model, scaling):
 
         def look() -> None:
             """Evaluate the network, keep it if it is the best so far, and keep what it takes to go on."""

@@ -1,0 +1,66 @@
+"""What is loaded when little is asked for: the quick start of imports and of `stereo-slam --help` (10 s)."""
+
+import ast
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import filters
+
+ROOT = Path(__file__).resolve().parent.parent
+HEAVY = {"cv2", "distributed", "filterpy", "joblib", "matplotlib", "numba", "pybullet", "ray", "scipy", "torch"}
+HELP = "from stereo_slam_env import cli; cli.main(['--help'])"
+
+
+def loaded_by(code):
+    """Names of the packages in memory after `code`, and the CPU time of the process in seconds."""
+    ask = f"{code}; import resource, sys; used = resource.getrusage(resource.RUSAGE_SELF); "
+    ask += "print(used.ru_utime + used.ru_stime, *{name.partition('.')[0] for name in sys.modules})"
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True, env=environment, check=True)
+    seconds, *names = done.stdout.splitlines()[-1].split()
+    return set(names), float(seconds)
+
+
+@pytest.mark.parametrize(
+    ("code", "heavy"),
+    [
+        ("import filters", HEAVY | {"numpy", "stereo_slam_env"}),
+        ("from filters import StereoCamera, StereoNoise", HEAVY | {"stereo_slam_env"}),
+        ("from filters import make_filter", HEAVY - {"scipy"} | {"stereo_slam_env"}),
+        ("import stereo_slam_env", HEAVY),
+        (HELP, HEAVY | {"filters"}),
+    ],
+)
+def test_nothing_heavy_is_loaded_before_it_is_needed(code, heavy):
+    assert loaded_by(code)[0] & heavy == set()
+
+
+def test_importing_filters_takes_no_time():
+    assert any(loaded_by("import filters")[1] < 0.3 for _ in range(3))
+
+
+def test_help_takes_no_time():
+    assert any(loaded_by(HELP)[1] < 0.5 for _ in range(5))
+
+
+def test_what_filters_offers_is_what_type_checkers_see():
+    tree = ast.parse((ROOT / "filters" / "__init__.py").read_text(encoding="utf-8"))
+    (for_checkers,) = [node for node in tree.body if isinstance(node, ast.If) and isinstance(node.test, ast.Name)]
+    seen = {
+        alias.name: node.module.removeprefix("filters.")
+        for node in for_checkers.body
+        if isinstance(node, ast.ImportFrom)
+        for alias in node.names
+    }
+    assert seen == filters._HOMES
+
+
+def test_every_name_of_filters_can_be_had():
+    assert all(getattr(filters, name).__name__ == name for name in filters.__all__)
+    assert set(filters.__all__) <= set(dir(filters))
+    with pytest.raises(AttributeError, match="no attribute 'StereoFiltre'"):
+        _ = filters.StereoFiltre
