@@ -27,6 +27,6 @@ def page(module: str, name: str) -> str:
     text = ast.get_docstring(described)
     if not text:
         raise ValueError(f"{module}.py: class {described.name} needs a docstring, it is the page of the environment")
-    made = f'```python\nimport gymnasium as gym\nimport stereo_slam_env  # registers the ids\n\nenv = gym.make("{name}")\n```'
+    made = f'import gymnasium as gym\nimport stereo_slam_env  # registers the ids\n\nenv = gym.make("{name}")'
     first, _, rest = text.partition("\n")
-    return f"# {name.partition('/')[2]}\n\n{first}\n\n{made}\n{rest}\n"
+    return f"# {name.partition('/')[2]}\n\n{first}\n\n```python\n{made}\n```\n{rest}\n"

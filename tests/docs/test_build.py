@@ -20,7 +20,7 @@ pytest.importorskip("material", reason="needs mkdocs-material (pip install 'ster
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory):
-    """The manual as `make docs` builds it; `--strict` makes every dead link and every page out of the navigation fail."""
+    """The manual as `make docs` builds it; dead links and pages out of the navigation fail."""
     folder = tmp_path_factory.mktemp("site")
     command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(folder)]
     environment = {**os.environ, "NO_MKDOCS_2_WARNING": "1", "PYTHONDONTWRITEBYTECODE": "1"}
