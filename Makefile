@@ -1,6 +1,6 @@
 # Set-up is done once, and again only when pyproject.toml changes. Nothing but Python and pip is needed.
 .DEFAULT_GOAL := help
-.PHONY: help bench test lint format clean
+.PHONY: help bench test lint format docs clean
 
 # PyBullet has wheels for CPython up to 3.11, so 3.11 is preferred where several Pythons are installed.
 ifndef PYTHON
@@ -37,8 +37,12 @@ format: $(VENV)/.installed-dev ## Let ruff put the code in order
 	@$(BIN)/ruff check --fix
 	@$(BIN)/ruff format
 
+docs: $(VENV)/.installed-dev ## Build the manual into site/ (open site/index.html; nothing is fetched)
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet --strict
+	@echo "the manual: site/index.html"
+
 clean: ## Remove the virtual environment, builds and caches (results in runs/ stay)
-	rm -rf $(VENV) build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .benchmarks
+	rm -rf $(VENV) build dist site *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .benchmarks
 	find filters stereo_slam_env tests examples benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +
 
 $(BIN)/python:
@@ -51,5 +55,5 @@ $(VENV)/.installed: pyproject.toml | $(BIN)/python
 	@touch $@
 
 $(VENV)/.installed-dev: pyproject.toml constraints.txt | $(BIN)/python
-	@$(PIP) --constraint constraints.txt --editable '.[dev,gtsam,evo,fast,gl,report,ray,dask,rl,video]'
+	@$(PIP) --constraint constraints.txt --editable '.[dev,gtsam,evo,fast,gl,report,ray,dask,rl,video,docs]'
 	@touch $@ $(VENV)/.installed

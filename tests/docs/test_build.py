@@ -1,0 +1,81 @@
+"""The manual is built without a warning, and its pages need nothing but each other (about 15 s)."""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+DOCS = ROOT / "docs"
+BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+ENVIRONMENTS = ("drive", "gaze", "drive_gaze")
+
+pytest.importorskip("mkdocs", reason="needs mkdocs (pip install 'stereo-slam-env[docs]')")
+pytest.importorskip("material", reason="needs mkdocs-material (pip install 'stereo-slam-env[docs]')")
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    """The manual as `make docs` builds it; dead links and pages out of the navigation fail."""
+    folder = tmp_path_factory.mktemp("site")
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(folder)]
+    environment = {**os.environ, "NO_MKDOCS_2_WARNING": "1", "PYTHONDONTWRITEBYTECODE": "1"}
+    done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "WARNING" not in done.stdout + done.stderr
+    return folder
+
+
+def pages(site):
+    return sorted(site.rglob("*.html"))
+
+
+def test_every_page_of_the_sources_is_there(site):
+    wanted = {path.relative_to(DOCS).with_suffix(".html").as_posix() for path in DOCS.rglob("*.md")}
+    wanted |= {f"environments/{name}.html" for name in ENVIRONMENTS}
+    assert wanted <= {path.relative_to(site).as_posix() for path in pages(site)}
+
+
+def test_no_page_takes_anything_from_elsewhere(site):
+    taken = re.compile(r'<(?:script|img|link|iframe|source)\b[^>]*\b(?:src|href)="((?:https?:)?//[^"]*)"')
+    outside = {(path.name, url) for path in pages(site) for url in taken.findall(path.read_text(encoding="utf-8"))}
+    assert outside == set()
+
+
+def test_the_pages_of_the_environments_have_their_tables(site):
+    for name in ENVIRONMENTS:
+        text = (site / "environments" / f"{name}.html").read_text(encoding="utf-8")
+        for heading in ("Action Space", "Observation Space", "Rewards", "Arguments"):
+            assert f">{heading}<" in text, (name, heading)
+        assert text.count("<table>") >= 3
+
+
+def test_links_to_code_lead_to_pages_with_that_code(site):
+    text = (site / "write_a_filter.html").read_text(encoding="utf-8")
+    assert 'href="code/examples/write_a_filter.py.html"' in text
+    assert "StackedEKF" in (site / "code" / "examples" / "write_a_filter.py.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.skipif(BROWSER is None, reason="needs the browser chromium (apt install chromium)")
+def test_opened_from_a_file_it_asks_for_nothing_and_its_search_finds(site):
+    playwright = pytest.importorskip("playwright.sync_api", reason="needs playwright (extra dev)")
+    requests, complaints = [], []
+    with playwright.sync_playwright() as driver:
+        chromium = driver.chromium.launch(executable_path=BROWSER, args=["--no-sandbox"])
+        page = chromium.new_page(viewport={"width": 1366, "height": 900})
+        page.on("request", lambda request: requests.append(request.url))
+        page.on("console", lambda message: complaints.append(message.text))
+        page.on("pageerror", lambda error: complaints.append(str(error)))
+        page.goto((site / "index.html").as_uri())
+        page.fill("input[name=query]", "anchor", force=True)
+        page.wait_for_selector(".md-search-result__link", state="attached", timeout=60_000)
+        found = page.eval_on_selector_all(".md-search-result__link", "links => links.map(link => link.href)")
+        page.goto((site / "derivations" / "inverse_depth.html").as_uri())
+        chromium.close()
+    assert complaints == []
+    assert [url for url in requests if not url.startswith(("file:", "data:", "blob:", "about:"))] == []
+    assert any("inverse_depth" in link for link in found)
