@@ -195,11 +195,13 @@ class DrivePicture:
         half = np.array([self._drive.camera.cx, self._drive.camera.cx - self._drive.camera.width + 1])
         sides = -60.0 * half / self._drive.camera.fx
         ax.add_patch(Polygon([(0, 0), (sides[0], 60.0), (sides[1], 60.0)], color=self._colour, alpha=0.06, zorder=0))
-        _ellipses(ax, np.zeros((1, 2)), to_view.flat(moment.pose.covariance[None, :3, :3]), INK, 0.35)
+        _ellipses(ax, np.zeros((1, 2)), to_view.flat(moment.pose.covariance[None, :3, :3]), INK, 0.8)
         ax.plot(0, 0, "^", color=self._colour, markersize=9, markeredgecolor="white")
         ax.set_title(f"Around the car, from above: landmarks at {SIGMAS:g} sigma")
         if ax.get_legend_handles_labels()[1]:
-            ax.legend(loc="lower right", frameon=False, labelcolor=MUTED, fontsize=8)
+            ax.legend(
+                loc="lower right", facecolor="white", framealpha=0.85, edgecolor="none", labelcolor=MUTED, fontsize=8
+            )
 
     def _draw_landmarks(self, moment: Moment, to_view: _FromAbove) -> None:
         belief = moment.landmarks
@@ -208,7 +210,7 @@ class DrivePicture:
         seen = np.isin(belief.ids[finite], moment.observation.ids)
         covariances = to_view.flat(belief.covariances[finite])
         for chosen, strength, words in ((seen, 1.0, "in view"), (~seen, 0.4, "kept in the map")):
-            _ellipses(self._close, places[chosen], covariances[chosen], self._colour, 0.30 * strength)
+            _ellipses(self._close, places[chosen], covariances[chosen], self._colour, 0.7 * strength)
             points = _near(places[chosen])
             if len(points):
                 x, y = points.T
@@ -257,21 +259,21 @@ def _near(places: FloatArray) -> FloatArray:
 
 def _ellipses(ax: Axes, places: FloatArray, covariances: FloatArray, colour: str, alpha: float) -> None:
     shape = ellipsoids(covariances)
-    if not shape.known.any():
+    if not shape.drawn.any():
         return
-    sizes, axes = 2.0 * shape.half_sizes[shape.known], shape.axes[shape.known]
+    sizes, axes = 2.0 * shape.half_sizes[shape.drawn], shape.axes[shape.drawn]
     angles = np.rad2deg(np.arctan2(axes[:, 1, 0], axes[:, 0, 0]))
     drawn = EllipseCollection(
         sizes[:, 0],
         sizes[:, 1],
         angles,
         units="xy",
-        offsets=places[shape.known],
+        offsets=places[shape.drawn],
         offset_transform=ax.transData,
         facecolors="none",
         edgecolors=colour,
         linewidths=0.9,
-        alpha=min(1.0, 2.4 * alpha),
+        alpha=alpha,
     )
     ax.add_collection(drawn)
 

@@ -18,6 +18,8 @@ from stereo_slam_env.recording import Frame, LandmarkTruth, Pose, Recording
 
 SIGMAS = 3.0
 """Size of the ellipses and ellipsoids."""
+LARGEST = 25.0
+"""Half axis, m: what is less certain is drawn as a point alone, for its ellipse would hide everything else."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,13 +182,13 @@ class Ellipsoids(NamedTuple):
         Half axes, m.
     axes : (N, n, n)
         Directions as columns, a right-handed rotation.
-    known : (N,) bool
-        Whether there is one: the covariance is finite and positive semi-definite. The other rows are zero.
+    drawn : (N,) bool
+        Whether to draw it: the covariance is finite and positive semi-definite, no half axis above `LARGEST`.
     """
 
     half_sizes: FloatArray
     axes: FloatArray
-    known: BoolArray
+    drawn: BoolArray
 
     @property
     def quaternions(self) -> FloatArray:
@@ -199,9 +201,10 @@ class Ellipsoids(NamedTuple):
 def ellipsoids(covariances: FloatArray) -> Ellipsoids:
     """Principal axes of covariances; (N, n, n) m^2, n of 2 or 3."""
     count, size = covariances.shape[:2]
-    known = np.isfinite(covariances).all(axis=(1, 2))
+    known = np.asarray(np.isfinite(covariances).all(axis=(1, 2)), dtype=np.bool_)
     values, axes = np.zeros((count, size)), np.tile(np.eye(size), (count, 1, 1))
     values[known], axes[known] = np.linalg.eigh(covariances[known])
     axes[..., 0] *= np.where(np.linalg.det(axes) < 0, -1.0, 1.0)[:, None]
-    known &= values[:, 0] >= -1e-9 * np.abs(values[:, -1])
-    return Ellipsoids(SIGMAS * np.sqrt(np.maximum(values, 0.0)), axes, known)
+    half_sizes = SIGMAS * np.sqrt(np.maximum(values, 0.0))
+    definite = values[:, 0] >= -1e-9 * np.abs(values[:, -1])  # but for rounding
+    return Ellipsoids(half_sizes, axes, known & definite & (half_sizes[:, -1] <= LARGEST))

@@ -34,10 +34,10 @@ from stereo_slam_env.viewer.moments import Moment, ellipsoids
 from stereo_slam_env.viewer.style import INK, MUTED, filter_colours
 
 TIMELINE = "time"
-LARGEST = 25.0
-"""Half axis of an ellipsoid, m: what is less certain is drawn as a point, for it would hide everything else."""
 FARTHEST = 500.0
 """Distance from the camera, m: what is estimated farther off is left out, so that the scene keeps its scale."""
+_BEHIND, _AHEAD = (-6.0, -12.0, -14.0), (0.0, 0.0, 12.0)
+"""Where the scene is seen from at first, and what is looked at; m in W, y down."""
 _POSE_DOF = 6
 
 
@@ -185,11 +185,10 @@ class RerunView:
 
     def _ellipsoids(self, path: tuple[str, ...], centers: FloatArray, covariances: FloatArray, colour: str) -> None:
         shape = ellipsoids(covariances)
-        drawn = shape.known & (shape.half_sizes.max(axis=1, initial=0.0) <= LARGEST)
         what = self._rr.Ellipsoids3D(
-            centers=centers[drawn],
-            half_sizes=shape.half_sizes[drawn],
-            quaternions=shape.quaternions[drawn],
+            centers=centers[shape.drawn],
+            half_sizes=shape.half_sizes[shape.drawn],
+            quaternions=shape.quaternions[shape.drawn],
             colors=[_rgb(colour)],
             fill_mode="MajorWireframe",
         )
@@ -250,7 +249,8 @@ def _layout(rr: ModuleType, names: list[str]) -> Any:
         timeline=TIMELINE, start=rrb.TimeRangeBoundary.infinite(), end=rrb.TimeRangeBoundary.cursor_relative()
     )
     paths = {rr.new_entity_path(["world", name, "path"]): until_now for name in (*names, "truth")}
-    space = rrb.Spatial3DView(origin="world", name="space", overrides=paths)
+    behind = rrb.EyeControls3D(position=_BEHIND, look_target=_AHEAD, eye_up=[0.0, -1.0, 0.0])
+    space = rrb.Spatial3DView(origin="world", name="space", overrides=paths, eye_controls=behind)
     curves = [
         rrb.TimeSeriesView(origin="consistency", name="pose NEES / 6: 1 is ideal"),
         rrb.TimeSeriesView(origin="error", name="position error, m"),
