@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from stereo_slam_env import cli_bench, cli_certify, cli_paper, cli_scenes, cli_train
+from stereo_slam_env import cli_bench, cli_certify, cli_paper, cli_scenes, cli_train, cli_view
 from stereo_slam_env.cli_parts import Interrupted, console, help_without_command, one_line_errors, refuse, show_place
 
 INTERRUPTED = 130
@@ -31,6 +31,7 @@ app.command()(cli_bench.replay)
 app.command()(cli_certify.certify)
 app.command()(cli_paper.paper)
 app.command()(cli_train.train)
+app.command()(cli_view.view)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -1,0 +1,287 @@
+"""A drive in one picture: what the filter believes around the car, the way so far, the left eye, consistency.
+
+A still and every picture of a film are this one drawing, at another moment.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import EllipseCollection
+from matplotlib.figure import Figure
+from matplotlib.patches import Polygon
+
+from filters import rotations
+from filters.validation import FloatArray
+from stereo_slam_env.benchmark.consistency import mean_band
+from stereo_slam_env.rendering.drawing import disparity_colors
+from stereo_slam_env.rendering.images import Image
+from stereo_slam_env.viewer.figures import save_png
+from stereo_slam_env.viewer.moments import SIGMAS, Drive, Moment, ellipsoids
+from stereo_slam_env.viewer.plots import frame_track, orientation
+from stereo_slam_env.viewer.series import heading
+from stereo_slam_env.viewer.style import BAND, INK, MUTED, filter_colours, plain_log_axis, style_context
+from stereo_slam_env.viewer.video import Recorder
+
+SIZE_INCHES, FILM_DPI = (12.8, 7.2), 100
+MOST_PICTURES = 400
+"""Longer drives leave out pictures of their film evenly."""
+_AROUND = (-32.0, 32.0), (-12.0, 52.0)
+"""What the close view shows, m: to the sides, and ahead."""
+_POSE_DOF = 6
+
+Progress = Callable[[int, int], None]
+
+
+def save_still(drive: Drive, path: str | Path, frame: int | None = None, progress: Progress | None = None) -> None:
+    """Write the picture of one moment as PNG.
+
+    Parameters
+    ----------
+    drive : Drive
+        Runs up to that moment.
+    path : str or Path
+        Ends in .png.
+    frame : int, optional
+        Counted from 0; None: the last one.
+    progress : callable, optional
+        Called with (frames done, frames).
+
+    Raises
+    ------
+    ValueError
+        Another ending, no such folder, or no such frame.
+    """
+    path = _checked_png(path)
+    last = drive.frames - 1 if frame is None else frame
+    if not 0 <= last < drive.frames:
+        raise ValueError(f"frame must be 0 to {drive.frames - 1}, got {frame}")
+    history = []
+    for number, moment in enumerate(drive.moments()):
+        history.append(moment)
+        if progress is not None:
+            progress(number + 1, last + 1)
+        if number == last:
+            break
+    with style_context():
+        save_png(DrivePicture(drive, history).at(len(history) - 1), path)
+
+
+def save_film(
+    drive: Drive, path: str | Path, progress: Progress | None = None, *, most_pictures: int = MOST_PICTURES
+) -> None:
+    """Write the drive as an mp4 film, at its own speed where no picture is left out.
+
+    Parameters
+    ----------
+    drive : Drive
+        Runs to its end.
+    path : str or Path
+        Ends in .mp4.
+    progress : callable, optional
+        Called with (steps done, steps): each frame is filtered, then pictures are drawn.
+    most_pictures : int
+        See `MOST_PICTURES`.
+
+    Raises
+    ------
+    ValueError
+        See `viewer.video.Recorder`.
+    """
+    stride = -(-drive.frames // most_pictures)
+    drawn = range(0, drive.frames, stride)
+    steps = drive.frames + len(drawn)
+    tell = progress or (lambda done, of: None)
+    with Recorder(path, 10.0) as recorder, style_context():
+        history = []
+        for moment in drive.moments():
+            history.append(moment)
+            tell(len(history), steps)
+        picture = DrivePicture(drive, history)
+        canvas = FigureCanvasAgg(picture.figure)
+        for number, frame in enumerate(drawn):
+            picture.at(frame)
+            recorder.write(_pixels(canvas))
+            tell(drive.frames + number + 1, steps)
+
+
+class DrivePicture:
+    """The drawing; `at` turns it to a moment. Draw and save it under `style_context`."""
+
+    def __init__(self, drive: Drive, history: Sequence[Moment]) -> None:
+        if not history:
+            raise ValueError("history must hold at least one moment: the drive has none")
+        self._drive, self._history = drive, history
+        self._colour = filter_colours([history[0].name])[history[0].name]
+        self._estimate = np.array([moment.pose.position for moment in history])
+        self._time = np.array([moment.time for moment in history]) - history[0].time
+        nowhere = np.full(3, np.nan)
+        self._truth = np.array([nowhere if m.truth is None else m.truth.position for m in history])
+        self.figure = Figure(figsize=SIZE_INCHES, dpi=FILM_DPI, facecolor="white")
+        self._close = self.figure.add_axes((0.05, 0.075, 0.49, 0.82))
+        self._way = self.figure.add_axes((0.595, 0.61, 0.385, 0.285))
+        self._eye = self.figure.add_axes((0.595, 0.335, 0.385, 0.2))
+        self._strip = self.figure.add_axes((0.595, 0.075, 0.385, 0.17))
+        self._heading = self.figure.text(0.05, 0.952, "", fontsize=11, fontweight="bold")
+        self._across, self._up = 0, 2
+        self._draw_way()
+        self._draw_strip()
+
+    def at(self, frame: int) -> Figure:
+        """The figure at a frame of the history."""
+        moment = self._history[frame]
+        error = "" if moment.truth is None else f"   off by {moment.position_error:.2f} m"
+        self._heading.set_text(f"{self._drive.title}   t = {self._time[frame]:.1f} s{error}")
+        self._draw_close(moment, frame)
+        self._draw_eye(moment)
+        done = slice(0, frame + 1)
+        self._path.set_data(self._estimate[done, self._across], self._estimate[done, self._up])
+        self._car.set_data(self._estimate[[frame], self._across], self._estimate[[frame], self._up])
+        self._curve.set_data(self._time[done], self._values[done])
+        self._now.set_xdata([self._time[frame]] * 2)
+        return self.figure
+
+    def _draw_way(self) -> None:
+        known = np.isfinite(self._truth).all(axis=1)
+        reference = self._truth[known] if known.any() else self._estimate
+        self._across, self._up = orientation(reference)
+        if known.any():
+            truth = self._truth[known]
+            self._way.plot(truth[:, self._across], truth[:, self._up], color=INK, alpha=0.18, linewidth=5)
+        (self._path,) = self._way.plot([], [], color=self._colour, linewidth=1.6)
+        (self._car,) = self._way.plot([], [], "o", color=self._colour, markersize=5)
+        frame_track(self._way, reference, self._across, self._up)
+        self._way.set_title("The way, truth in grey (m)" if known.any() else "The way (m)")
+
+    def _draw_strip(self) -> None:
+        """NEES where truth is known, else NIS, which needs none."""
+        strip = self._strip
+        nees = np.array([moment.nees for moment in self._history]) / _POSE_DOF
+        if np.isfinite(nees).any():
+            self._values, title = nees, "Pose NEES / 6: 1 is ideal, 95 % of a consistent filter's in the band"
+            low, high = (bound / _POSE_DOF for bound in mean_band(_POSE_DOF, 1))
+            strip.axhspan(low, high, color=BAND, zorder=0)
+        else:
+            self._values = np.array([m.nis / m.nis_dof if m.nis_dof else np.nan for m in self._history])
+            title = "NIS / degrees of freedom: 1 is ideal (no truth, so no NEES)"
+        self._values[0] = np.nan  # at the start nothing has been estimated
+        strip.axhline(1.0, color=MUTED, linewidth=0.8, linestyle=(0, (4, 3)), zorder=1)
+        strip.set_title(title)
+        strip.set_yscale("log")
+        seen = self._values[np.isfinite(self._values) & (self._values > 0)]
+        strip.set_ylim(max(0.02, 0.7 * min(seen.min(initial=1.0), 0.2)), max(4.0, 1.4 * seen.max(initial=1.0)))
+        strip.set(xlabel="time (s)", xlim=(0, max(float(self._time[-1]), 1e-3)))
+        plain_log_axis(strip)
+        (self._curve,) = strip.plot([], [], color=self._colour, linewidth=1.3)
+        self._now = strip.axvline(0, color=INK, linewidth=0.8, alpha=0.5)
+
+    def _draw_close(self, moment: Moment, frame: int) -> None:
+        """Around the car from above, its heading up: landmarks with ellipses, true ones, the path, the eyes' view."""
+        ax = self._close
+        ax.clear()
+        ax.set(xlim=_AROUND[0], ylim=_AROUND[1], xlabel="to the right (m)", ylabel="ahead (m)")
+        ax.set_aspect("equal", adjustable="box", anchor="NW")
+        to_view = _FromAbove(moment)
+        if self._drive.landmarks is not None:
+            true = _near(to_view(self._drive.landmarks.positions))
+            ax.plot(*true.T, "x", color=MUTED, markersize=3.5, markeredgewidth=0.8, label="true landmark", alpha=0.7)
+        ax.plot(*to_view(self._truth[: frame + 1]).T, color=INK, alpha=0.18, linewidth=6)
+        ax.plot(*to_view(self._estimate[: frame + 1]).T, color=self._colour, linewidth=1.6)
+        self._draw_landmarks(moment, to_view)
+        half = np.array([self._drive.camera.cx, self._drive.camera.cx - self._drive.camera.width + 1])
+        sides = -60.0 * half / self._drive.camera.fx
+        ax.add_patch(Polygon([(0, 0), (sides[0], 60.0), (sides[1], 60.0)], color=self._colour, alpha=0.06, zorder=0))
+        _ellipses(ax, np.zeros((1, 2)), to_view.flat(moment.pose.covariance[None, :3, :3]), INK, 0.8)
+        ax.plot(0, 0, "^", color=self._colour, markersize=9, markeredgecolor="white")
+        ax.set_title(f"Around the car, from above: landmarks at {SIGMAS:g} sigma")
+        if ax.get_legend_handles_labels()[1]:
+            ax.legend(
+                loc="lower right", facecolor="white", framealpha=0.85, edgecolor="none", labelcolor=MUTED, fontsize=8
+            )
+
+    def _draw_landmarks(self, moment: Moment, to_view: _FromAbove) -> None:
+        belief = moment.landmarks
+        finite = np.isfinite(belief.positions).all(axis=1)
+        places = to_view(belief.positions[finite])
+        seen = np.isin(belief.ids[finite], moment.observation.ids)
+        covariances = to_view.flat(belief.covariances[finite])
+        for chosen, strength, words in ((seen, 1.0, "in view"), (~seen, 0.4, "kept in the map")):
+            _ellipses(self._close, places[chosen], covariances[chosen], self._colour, 0.7 * strength)
+            points = _near(places[chosen])
+            if len(points):
+                x, y = points.T
+                label = f"landmark {words}"
+                self._close.plot(x, y, "o", color=self._colour, alpha=strength, markersize=3, label=label)
+
+    def _draw_eye(self, moment: Moment) -> None:
+        ax, camera, uvd = self._eye, self._drive.camera, moment.observation.uvd
+        ax.clear()
+        ax.set(xlim=(-0.5, camera.width - 0.5), ylim=(camera.height - 0.5, -0.5), xticks=[], yticks=[])
+        ax.set_aspect("equal", adjustable="box", anchor="NW")
+        ax.set_facecolor("#1c2026")
+        ax.scatter(uvd[:, 0], uvd[:, 1], s=14, c=disparity_colors(uvd[:, 2]) / 255.0, linewidths=0)
+        ax.set_title(f"What the left eye measured: {len(uvd)} landmarks, red near, blue far")
+
+
+class _FromAbove:
+    """Takes W into the close view: right and ahead of the camera, seen along the vertical."""
+
+    def __init__(self, moment: Moment) -> None:
+        yaw = float(np.nan_to_num(heading(moment.pose.orientation[None])[0]))
+        self._turn = rotations.matrix([0.0, np.sin(0.5 * yaw), 0.0, np.cos(0.5 * yaw)])[:, [0, 2]]
+        self._origin = moment.pose.position
+
+    def __call__(self, points_w: FloatArray) -> FloatArray:
+        placed: FloatArray = (points_w - self._origin) @ self._turn
+        return placed
+
+    def flat(self, covariances: FloatArray) -> FloatArray:
+        """Covariances (N, 3, 3) in W to (N, 2, 2)."""
+        turned: FloatArray = self._turn.T @ covariances @ self._turn
+        return turned
+
+
+def _pixels(canvas: FigureCanvasAgg) -> Image:
+    canvas.draw()  # type: ignore[no-untyped-call]
+    rgba = np.asarray(canvas.buffer_rgba(), dtype=np.uint8)  # type: ignore[no-untyped-call]
+    return np.ascontiguousarray(rgba[..., :3])
+
+
+def _near(places: FloatArray) -> FloatArray:
+    """Those inside the close view."""
+    inside = [(low <= column) & (column <= high) for column, (low, high) in zip(places.T, _AROUND, strict=True)]
+    return np.asarray(places[inside[0] & inside[1]], dtype=np.float64)
+
+
+def _ellipses(ax: Axes, places: FloatArray, covariances: FloatArray, colour: str, alpha: float) -> None:
+    shape = ellipsoids(covariances)
+    if not shape.drawn.any():
+        return
+    sizes, axes = 2.0 * shape.half_sizes[shape.drawn], shape.axes[shape.drawn]
+    angles = np.rad2deg(np.arctan2(axes[:, 1, 0], axes[:, 0, 0]))
+    drawn = EllipseCollection(
+        sizes[:, 0],
+        sizes[:, 1],
+        angles,
+        units="xy",
+        offsets=places[shape.drawn],
+        offset_transform=ax.transData,
+        facecolors="none",
+        edgecolors=colour,
+        linewidths=0.9,
+        alpha=alpha,
+    )
+    ax.add_collection(drawn)
+
+
+def _checked_png(path: str | Path) -> Path:
+    path = Path(path)
+    if path.suffix.lower() != ".png":
+        raise ValueError(f"picture {path} must end in .png")
+    if path.is_dir() or not path.parent.is_dir():
+        raise ValueError(f"picture {path} cannot be written: {path.parent} must be a folder, and {path.name} none")
+    return path

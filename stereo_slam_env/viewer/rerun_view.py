@@ -1,0 +1,261 @@
+"""A drive in Rerun's viewer: cameras, landmarks with their ellipsoids, trajectories, consistency; live or to a file.
+
+The entities, for a filter called NAME::
+
+    world/landmarks, world/truth/...        the true map and the true path, where known
+    world/NAME/camera/{left,right}          the eyes; left/measured: what was seen, in the left image
+    world/NAME/{path,landmarks,ellipsoids,position}   estimates; ellipsoids at 3 sigma
+    consistency/{NAME,low,high}             pose NEES / 6, and the 95 % band of a single run
+    error/{NAME,NAME claims}                position error, and the 3 sigma that the filter claims, m
+    map/NAME                                landmarks in the map
+
+Time is the timeline "time", in seconds.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from types import ModuleType, TracebackType
+from typing import Any
+
+import numpy as np
+
+from filters.camera import StereoCamera
+from filters.validation import FloatArray
+from stereo_slam_env.benchmark.consistency import mean_band
+from stereo_slam_env.recording import LandmarkTruth
+from stereo_slam_env.rendering.drawing import disparity_colors
+from stereo_slam_env.rendering.images import Image
+from stereo_slam_env.viewer.moments import Moment, ellipsoids
+from stereo_slam_env.viewer.style import INK, MUTED, filter_colours
+
+TIMELINE = "time"
+FARTHEST = 500.0
+"""Distance from the camera, m: what is estimated farther off is left out, so that the scene keeps its scale."""
+_BEHIND, _AHEAD = (-6.0, -12.0, -14.0), (0.0, 0.0, 12.0)
+"""Where the scene is seen from at first, and what is looked at; m in W, y down."""
+_POSE_DOF = 6
+
+
+class RerunView:
+    """Shows moments of filters on one drive in Rerun; use it as a context manager.
+
+    Parameters
+    ----------
+    camera : StereoCamera
+        The rig.
+    names : sequence of str
+        Of the filters whose moments will be shown.
+    save : str or Path, optional
+        An .rrd file to write; it can be opened with `rerun FILE`. What was shown before an error stays in it.
+    connect : str, optional
+        Address of a viewer that runs elsewhere, such as rerun+http://127.0.0.1:9876/proxy. Without `save` and
+        `connect`, a viewer is opened here.
+    landmarks : LandmarkTruth, optional
+        The true map.
+    title : str
+        What the viewer calls the recording.
+
+    Raises
+    ------
+    ImportError
+        Rerun is not installed: the message says how to get it.
+    ValueError
+        No names, `save` and `connect` together, a file that cannot be written, or a viewer to open without a display.
+    """
+
+    def __init__(
+        self,
+        camera: StereoCamera,
+        names: Sequence[str],
+        *,
+        save: str | Path | None = None,
+        connect: str | None = None,
+        landmarks: LandmarkTruth | None = None,
+        title: str = "stereo-slam",
+    ) -> None:
+        if not names:
+            raise ValueError("names must hold the names of the filters to show, got none")
+        if save is not None and connect is not None:
+            raise ValueError("save and connect exclude each other: give one of them")
+        self._rr = require_rerun()
+        self._camera = camera
+        self._colours = filter_colours(names)
+        self._last: dict[str, FloatArray] = {}
+        self._stream = self._rr.RecordingStream("stereo-slam")
+        layout = _layout(self._rr, list(names))
+        if save is not None:
+            self._stream.save(_checked_file(save), default_blueprint=layout)
+        elif connect is not None:
+            self._stream.connect_grpc(connect, default_blueprint=layout)
+        else:
+            _require_display()
+            self._stream.spawn(default_blueprint=layout)
+        self._stream.send_recording_name(title)
+        self._describe(landmarks)
+
+    def show(self, moment: Moment, left: Image | None = None) -> None:
+        """Add a moment of one of the filters, perhaps with what its left eye saw, (H, W, 3) uint8 RGB.
+
+        Raises
+        ------
+        ValueError
+            The filter is not among `names`.
+        """
+        if moment.name not in self._colours:
+            raise ValueError(f"moment must be of one of {', '.join(self._colours)}, got one of {moment.name!r}")
+        self._stream.set_time(TIMELINE, duration=moment.time)
+        self._show_camera(moment, left)
+        self._show_map(moment)
+        self._show_figures(moment)
+        self._extend(("world", moment.name, "path"), moment.pose.position, self._colours[moment.name], 0.06)
+        if moment.truth is not None:
+            self._extend(("world", "truth", "path"), moment.truth.position, MUTED, 0.12)
+
+    def close(self) -> None:
+        """Send or write what is left; may be called twice."""
+        self._stream.flush()
+        self._stream.disconnect()
+
+    def __enter__(self) -> RerunView:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _log(self, path: tuple[str, ...], *what: Any, static: bool = False) -> None:
+        self._stream.log(self._rr.new_entity_path(list(path)), *what, static=static)
+
+    def _describe(self, landmarks: LandmarkTruth | None) -> None:
+        """What does not change: frames, eyes, true map, how curves look."""
+        rr, camera = self._rr, self._camera
+        self._log(("world",), rr.ViewCoordinates.RDF, static=True)
+        if landmarks is not None:
+            points = rr.Points3D(landmarks.positions, colors=[_rgb(MUTED)], radii=[0.08])
+            self._log(("world", "landmarks"), points, static=True)
+        for name, colour in self._colours.items():
+            for eye, offset in (("left", 0.0), ("right", camera.baseline)):
+                path = ("world", name, "camera", eye)
+                self._log(path, rr.Transform3D(translation=[offset, 0.0, 0.0]), static=True)
+                pinhole = rr.Pinhole(
+                    image_from_camera=[[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]],
+                    resolution=[camera.width, camera.height],
+                    camera_xyz=rr.ViewCoordinates.RDF,
+                    image_plane_distance=1.5,
+                )
+                self._log(path, pinhole, static=True)
+            self._style(("consistency", name), name, colour, 1.5)
+            self._style(("error", name), name, colour, 1.5)
+            self._style(("error", f"{name} claims"), f"{name}, 3 sigma claimed", colour, 0.7)
+            self._style(("map", name), name, colour, 1.5)
+        for bound in ("low", "high"):
+            self._style(("consistency", bound), f"95 % band, {bound}", MUTED, 0.7)
+
+    def _style(self, path: tuple[str, ...], name: str, colour: str, width: float) -> None:
+        self._log(path, self._rr.SeriesLines(colors=[_rgb(colour)], names=[name], widths=[width]), static=True)
+
+    def _show_camera(self, moment: Moment, left: Image | None) -> None:
+        rr, name, pose = self._rr, moment.name, moment.pose
+        self._log(
+            ("world", name, "camera"),
+            rr.Transform3D(translation=pose.position, quaternion=rr.Quaternion(xyzw=pose.orientation)),
+        )
+        uvd = moment.observation.uvd
+        # Rerun puts the centre of a pixel at half numbers.
+        seen = rr.Points2D(uvd[:, :2] + 0.5, colors=disparity_colors(uvd[:, 2]), radii=[3.0])
+        self._log(("world", name, "camera", "left", "measured"), seen)
+        if left is not None:
+            self._log(("world", name, "camera", "left"), rr.Image(left).compress(jpeg_quality=85))
+        self._ellipsoids(("world", name, "position"), pose.position[None], pose.covariance[None, :3, :3], INK)
+
+    def _show_map(self, moment: Moment) -> None:
+        colour, belief = self._colours[moment.name], moment.landmarks
+        with np.errstate(invalid="ignore"):
+            near = np.linalg.norm(belief.positions - moment.pose.position, axis=1) < FARTHEST  # not where NaN, infinite
+        positions = belief.positions[near]
+        points = self._rr.Points3D(positions, colors=[_rgb(colour)], radii=[0.12])
+        self._log(("world", moment.name, "landmarks"), points)
+        self._ellipsoids(("world", moment.name, "ellipsoids"), positions, belief.covariances[near], colour)
+
+    def _ellipsoids(self, path: tuple[str, ...], centers: FloatArray, covariances: FloatArray, colour: str) -> None:
+        shape = ellipsoids(covariances)
+        what = self._rr.Ellipsoids3D(
+            centers=centers[shape.drawn],
+            half_sizes=shape.half_sizes[shape.drawn],
+            quaternions=shape.quaternions[shape.drawn],
+            colors=[_rgb(colour)],
+            fill_mode="MajorWireframe",
+        )
+        self._log(path, what)
+
+    def _show_figures(self, moment: Moment) -> None:
+        rr, name = self._rr, moment.name
+        if np.isfinite(moment.nees):
+            self._log(("consistency", name), rr.Scalars([moment.nees / _POSE_DOF]))
+            for bound, value in zip(("low", "high"), mean_band(_POSE_DOF, 1), strict=True):
+                self._log(("consistency", bound), rr.Scalars([value / _POSE_DOF]))
+        if moment.truth is not None:
+            self._log(("error", name), rr.Scalars([moment.position_error]))
+            self._log(("error", f"{name} claims"), rr.Scalars([moment.position_sigmas]))
+        self._log(("map", name), rr.Scalars([len(moment.landmarks.ids)]))
+
+    def _extend(self, path: tuple[str, ...], position: FloatArray, colour: str, radius: float) -> None:
+        """Log the newest piece of a path; the layout shows all pieces up to the time that is looked at."""
+        key = "/".join(path)
+        before = self._last.get(key, position)
+        self._last[key] = position.copy()
+        self._log(path, self._rr.LineStrips3D([[before, position]], colors=[_rgb(colour)], radii=[radius]))
+
+
+def require_rerun() -> ModuleType:
+    """The package `rerun`; an `ImportError` in one line where it is missing."""
+    try:
+        importlib.import_module("rerun.blueprint")
+        return importlib.import_module("rerun")
+    except ImportError as error:
+        raise ImportError("the Rerun viewer is missing: pip install 'stereo-slam-env[viewer]'") from error
+
+
+def _require_display() -> None:
+    if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise ValueError("no display for Rerun's viewer here: save a file, or connect to a viewer that runs elsewhere")
+
+
+def _rgb(colour: str) -> tuple[int, int, int]:
+    red, green, blue = (int(colour[at : at + 2], 16) for at in (1, 3, 5))
+    return red, green, blue
+
+
+def _checked_file(path: str | Path) -> Path:
+    path = Path(path)
+    if path.suffix.lower() != ".rrd":
+        raise ValueError(f"file {path} must end in .rrd")
+    if path.is_dir() or not path.parent.is_dir():
+        raise ValueError(f"file {path} cannot be written: {path.parent} must be a folder, and {path.name} none")
+    return path
+
+
+def _layout(rr: ModuleType, names: list[str]) -> Any:
+    """Space at the left; the left eye and the curves at the right."""
+    rrb = rr.blueprint
+    eye = rr.new_entity_path(["world", names[0], "camera", "left"])
+    until_now = rrb.VisibleTimeRanges(
+        timeline=TIMELINE, start=rrb.TimeRangeBoundary.infinite(), end=rrb.TimeRangeBoundary.cursor_relative()
+    )
+    paths = {rr.new_entity_path(["world", name, "path"]): until_now for name in (*names, "truth")}
+    behind = rrb.EyeControls3D(position=_BEHIND, look_target=_AHEAD, eye_up=[0.0, -1.0, 0.0])
+    space = rrb.Spatial3DView(origin="world", name="space", overrides=paths, eye_controls=behind)
+    curves = [
+        rrb.TimeSeriesView(origin="consistency", name="pose NEES / 6: 1 is ideal"),
+        rrb.TimeSeriesView(origin="error", name="position error, m"),
+        rrb.TimeSeriesView(origin="map", name="landmarks in the map"),
+    ]
+    looks = rrb.Spatial2DView(origin=eye, name=f"left eye, {names[0]}")
+    right = rrb.Vertical(looks, *curves, row_shares=[2, 2, 2, 1])
+    return rrb.Blueprint(rrb.Horizontal(space, right, column_shares=[3, 2]), collapse_panels=True)

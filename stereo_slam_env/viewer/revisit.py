@@ -1,0 +1,109 @@
+"""From a run directory back to the drive: the filter runs again over what was recorded, and can be watched.
+
+A run keeps what a filter was given and its pose, not its map; a filter is deterministic, so it says all of it again.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+
+from filters import StereoFilter, StereoNoise, make_filter
+from filters.camera import StereoCamera
+from filters.registry import filter_arguments
+from stereo_slam_env.benchmark.results import FilterRun
+from stereo_slam_env.benchmark.run_archive import load_run
+from stereo_slam_env.benchmark.scenario import FilterChoice
+from stereo_slam_env.benchmark.sources import make_sequence, without_measurements
+from stereo_slam_env.benchmark.store import RunDirectory
+from stereo_slam_env.benchmark.study_store import read_study
+from stereo_slam_env.frontend.active_search import ActiveSearch
+from stereo_slam_env.recording import Recording
+from stereo_slam_env.recording_archive import load_recording
+from stereo_slam_env.viewer.moments import Drive, drive_of
+
+
+def revisit(directory: Path, filter_name: str | None = None, seed: int | None = None) -> Drive:
+    """The drive of one filter in a run.
+
+    Parameters
+    ----------
+    directory : Path
+        Of a run, or of a cell of a grid.
+    filter_name : str, optional
+        Its label in the report; None takes the first.
+    seed : int, optional
+        Which recording; None takes the first.
+
+    Raises
+    ------
+    ValueError
+        No run there, a grid of several, no such filter or seed, or a trial that is not finished or whose recording is
+        missing: one line.
+    """
+    run = _only_cell(directory)
+    choice = _chosen(run, filter_name)
+    which = _seed(run, seed)
+    scenario = run.scenario
+    path = run.trial_path(which, choice)
+    if not path.exists():
+        raise ValueError(f"{path} is missing: the run is not finished, run the same command again")
+    done, _ = load_run(path)
+    recording = load_recording(run.recording_path(which, choice))
+    failed = ""
+    if done.failure is not None:
+        recording = _until_failure(recording, done)
+        failed = f", until it failed in {done.failure}"
+    observe = None
+    if scenario.search == "forecast":
+        observe = ActiveSearch(*make_sequence(scenario, which)).observe
+        recording = without_measurements(recording)
+
+    def make(camera: StereoCamera, noise: StereoNoise) -> StereoFilter:
+        return make_filter(choice.name, camera=camera, noise=noise, **filter_arguments(done.options))
+
+    drive = drive_of(
+        recording,
+        make,
+        choice.label,
+        noise=scenario.assumed_noise(recording.noise),
+        use_odometry=scenario.use_odometry,
+        observe=observe,
+    )
+    about = "" if which is None else f", seed {which}"
+    return dataclasses.replace(drive, title=f"{choice.label}: {scenario.name}{about}{failed}")
+
+
+def _until_failure(recording: Recording, done: FilterRun) -> Recording:
+    """The frames that the filter came through."""
+    frames = int(np.isfinite(done.positions).all(axis=1).sum())
+    if frames == 0:
+        raise ValueError(f"{done.filter_name} has nothing to show, it failed in {done.failure}")
+    return dataclasses.replace(recording, frames=recording.frames[:frames])
+
+
+def _only_cell(directory: Path) -> RunDirectory:
+    cells = read_study(directory).cells
+    if len(cells) > 1:
+        places = ", ".join(str(run.out) for _, run in cells[:3])
+        raise ValueError(f"{directory} holds a grid of {len(cells)} cells: give one of them, such as {places}")
+    return cells[0][1]
+
+
+def _chosen(run: RunDirectory, name: str | None) -> FilterChoice:
+    competitors = run.scenario.competitors
+    for choice in competitors:
+        if name in (None, choice.label):
+            return choice
+    raise ValueError(f"filter must be one of {', '.join(c.label for c in competitors)}, got {name!r}")
+
+
+def _seed(run: RunDirectory, seed: int | None) -> int | None:
+    if seed is None:
+        return run.seeds[0]
+    if seed not in run.seeds:
+        known = "none, it is one real recording" if run.seeds == (None,) else ", ".join(map(str, run.seeds))
+        raise ValueError(f"seed must be one of the run's ({known}), got {seed}")
+    return seed

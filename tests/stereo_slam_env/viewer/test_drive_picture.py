@@ -1,0 +1,96 @@
+"""The still and the film of a drive (12 s)."""
+
+import cv2
+import numpy as np
+import pytest
+
+from filters import InverseDepthStereoEKF
+from stereo_slam_env.viewer.drive_picture import DrivePicture, save_film, save_still
+from stereo_slam_env.viewer.moments import drive_of
+from stereo_slam_env.viewer.style import style_context
+
+from ..benchmark.small_recordings import small_recording
+
+
+@pytest.fixture(scope="module")
+def drive():
+    return drive_of(small_recording(frames=9), InverseDepthStereoEKF, "inverse-depth")
+
+
+def panels(drive, frame=-1):
+    history = list(drive.moments())
+    with style_context():
+        return DrivePicture(drive, history).at(range(len(history))[frame]).axes
+
+
+def test_a_still_is_a_picture_of_film_shape(drive, tmp_path):
+    told = []
+    save_still(drive, tmp_path / "still.png", progress=lambda done, of: told.append((done, of)))
+    height, width = cv2.imread(str(tmp_path / "still.png")).shape[:2]
+    assert (width, height) == (2048, 1152)
+    assert told[-1] == (9, 9)
+
+
+def test_a_still_of_an_early_moment_runs_no_further(drive, tmp_path):
+    told = []
+    save_still(drive, tmp_path / "still.png", 2, lambda done, of: told.append((done, of)))
+    assert told == [(1, 3), (2, 3), (3, 3)]
+
+
+def test_a_film_has_a_picture_a_frame_and_the_speed_of_the_drive(drive, tmp_path):
+    save_film(drive, tmp_path / "film.mp4")
+    film = cv2.VideoCapture(str(tmp_path / "film.mp4"))
+    assert film.get(cv2.CAP_PROP_FRAME_COUNT) == drive.frames
+    assert film.get(cv2.CAP_PROP_FPS) == pytest.approx(10.0)
+    assert (film.get(cv2.CAP_PROP_FRAME_WIDTH), film.get(cv2.CAP_PROP_FRAME_HEIGHT)) == (1280, 720)
+
+
+def test_a_long_drive_leaves_out_pictures(drive, tmp_path):
+    save_film(drive, tmp_path / "film.mp4", most_pictures=4)
+    assert cv2.VideoCapture(str(tmp_path / "film.mp4")).get(cv2.CAP_PROP_FRAME_COUNT) == 3
+
+
+def test_the_curve_is_the_nees_over_its_degrees_of_freedom(drive):
+    strip = panels(drive)[3]
+    curve = strip.lines[-2].get_ydata()
+    np.testing.assert_array_equal(curve[1:], [moment.nees / 6 for moment in drive.moments()][1:])
+    assert "NEES" in strip.get_title(loc="left")
+
+
+def test_without_truth_the_curve_is_the_nis():
+    blind = drive_of(small_recording(truth=False), InverseDepthStereoEKF, "inverse-depth")
+    _, way, _, strip = panels(blind)
+    assert "NIS" in strip.get_title(loc="left")
+    assert way.get_title(loc="left") == "The way (m)"
+
+
+def test_the_close_view_has_its_heading_up_and_the_car_in_the_origin(drive):
+    """What is straight ahead of the turned camera is straight up; the way so far ends in the origin."""
+    close = panels(drive)[0]
+    way = close.lines[2]
+    np.testing.assert_allclose([way.get_xdata()[-1], way.get_ydata()[-1]], 0.0, atol=1e-12)
+    speed = np.array([way.get_xdata()[-1] - way.get_xdata()[-2], way.get_ydata()[-1] - way.get_ydata()[-2]])
+    assert abs(np.arctan2(speed[0], speed[1])) < 0.05
+    assert np.linalg.norm(speed) == pytest.approx(0.5, rel=0.1)
+
+
+def test_each_landmark_in_view_has_its_ellipse(drive):
+    *_, last = drive.moments()
+    near = np.isfinite(last.landmarks.covariances).all(axis=(1, 2))
+    close = panels(drive)[0]
+    drawn = sum(len(collection.get_offsets()) for collection in close.collections)
+    assert 1 < drawn <= near.sum() + 1  # and that of the position
+
+
+@pytest.mark.parametrize(
+    ("path", "frame", "message"),
+    [
+        ("still.jpg", None, "must end in .png"),
+        ("nowhere/still.png", None, "nowhere must be a folder"),
+        ("still.png", 9, "frame must be 0 to 8, got 9"),
+    ],
+)
+def test_a_wrong_file_or_frame_is_known_before_any_work(drive, tmp_path, path, frame, message):
+    with pytest.raises(ValueError, match=message):
+        save_still(drive, tmp_path / path, frame)
+    assert list(tmp_path.iterdir()) == []
