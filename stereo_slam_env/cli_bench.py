@@ -107,6 +107,10 @@ def bench(
     ] = None,
     engine: EngineOption = "processes",
     address: AddressOption = None,
+    allow_code: Annotated[
+        bool,
+        typer.Option("--allow-code", help="Let a scenario of kind 'factory' run the function that its file names."),
+    ] = False,
     show_list: Annotated[bool, typer.Option("--list", help="List the ready-made scenarios and stop.")] = False,
 ) -> None:
     """Compare filters, or policies that decide where to look: scenarios x filters x seeds, one report."""
@@ -121,7 +125,10 @@ def bench(
         if preset is not None and scenario is not None:
             raise ValueError("--preset and --scenario exclude each other: give one of them")
         usual = "quick" if policy is None else "gaze"
-        study = load_study(scenario, data=data) if scenario else preset_study(preset or usual, data=data)
+        if scenario is not None:
+            study = load_study(scenario, data=data, allow_code=allow_code)
+        else:
+            study = preset_study(preset or usual, data=data)
 
         def adjusted(one: Scenario) -> Scenario:
             if seeds is not None:

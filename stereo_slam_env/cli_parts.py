@@ -31,7 +31,9 @@ def console(*, stderr: bool = False) -> Console:
 
 def refuse(message: str) -> int:
     """Say what is wrong in one line on stderr; returns the exit code."""
-    typer.echo("error: " + " ".join(message.split()), err=True)
+    line = " ".join(message.split())
+    # Names of files and fields may come from anybody, and a terminal obeys control characters.
+    typer.echo("error: " + "".join(c if c.isprintable() else ascii(c)[1:-1] for c in line), err=True)
     return 2
 
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 import dataclasses
 import io
 import json
-import zipfile
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import IO, Any
@@ -22,6 +21,7 @@ from filters.camera import StereoCamera
 from filters.interface import BodyVelocity, StereoObservation
 from filters.noise import StereoNoise
 from filters.validation import FloatArray
+from stereo_slam_env.array_files import read_arrays
 from stereo_slam_env.atomic_files import write_atomically
 from stereo_slam_env.recording import Frame, LandmarkTruth, Pose, Recording, Start, Velocity
 
@@ -113,18 +113,17 @@ def load_recording(path: str | Path) -> Recording:
 
 def _read(source: str | Path | IO[bytes], path: str | Path) -> Recording:
     try:
-        with np.load(source, allow_pickle=False) as archive:
-            arrays: Arrays = {name: archive[name] for name in archive.files}
+        arrays: Arrays = read_arrays(source)
     except FileNotFoundError as error:
         raise ValueError(f"{path} does not exist: give a recording made by save_recording") from error
-    except (OSError, ValueError, EOFError, TypeError, zipfile.BadZipFile) as error:
+    except ValueError as error:
         raise _damaged(path, error) from error
     if "about" not in arrays:
         raise ValueError(f"{path} is not a recording: give a file made by save_recording")
     try:
         about = json.loads(str(arrays["about"]))
         found = about["format"]
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise ValueError(f"{path} is not a recording: give a file made by save_recording") from error
     if found != FORMAT:
         raise ValueError(f"{path} is a recording of format {found}, this version reads {FORMAT}: record it again")

@@ -78,6 +78,7 @@ def run_benchmark(
     engine: str = "processes",
     address: str | None = None,
     data: str | Path | None = None,
+    allow_code: bool = False,
     progress: Progress | None = None,
     report: bool = True,
 ) -> BenchmarkResult:
@@ -107,6 +108,8 @@ def run_benchmark(
         Scheduler of the cluster.
     data : str or Path, optional
         Folder of real recordings, for files that say `{data}`.
+    allow_code : bool
+        Whether a scenario file may name a function to be called, see `load_study`.
     progress : callable, optional
         Called with (tasks done, tasks): recordings, bounds and trials; done has a fraction where they run one by one.
     report : bool
@@ -125,7 +128,7 @@ def run_benchmark(
         The disk is full or cannot be written; what is finished is kept.
     """
     workers = Engine(engine, jobs, address)
-    study = as_study(what, data=data)
+    study = as_study(what, data=data, allow_code=allow_code)
     if filters is not None:
         choices = tuple(filter_choice(f) if isinstance(f, str) else f for f in filters)
         study = study.with_scenarios(partial(dataclasses.replace, filters=choices))
@@ -144,7 +147,7 @@ def run_benchmark(
     return BenchmarkResult(directory.out, tuple(results), page)
 
 
-def as_study(what: Study | Scenario | str | Path, *, data: str | Path | None = None) -> Study:
+def as_study(what: Study | Scenario | str | Path, *, data: str | Path | None = None, allow_code: bool = False) -> Study:
     """The study that is meant: given as it is, as one scenario, as the name of a preset or as a file.
 
     Raises
@@ -157,7 +160,7 @@ def as_study(what: Study | Scenario | str | Path, *, data: str | Path | None = N
     if isinstance(what, Scenario):
         return Study.of(what)
     if isinstance(what, Path) or Path(what).suffix in (".toml", ".json"):
-        return load_study(what, data=data)
+        return load_study(what, data=data, allow_code=allow_code)
     return preset_study(what, data=data)
 
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import dataclasses
 import io
 import json
-import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from stereo_slam_env.array_files import read_arrays
 from stereo_slam_env.atomic_files import write_atomically
 from stereo_slam_env.benchmark.landmark_statistics import SERIES as _LANDMARK_SERIES
 from stereo_slam_env.benchmark.landmark_statistics import LandmarkStatistics
@@ -21,7 +21,7 @@ FORMAT = 2
 _TEXT = ("filter_name", "recording_name", "options", "seed", "failure")
 _PARTS = ("counts", "traces", "memory_mb", "landmark_statistics")
 _SERIES = tuple(f.name for f in dataclasses.fields(FilterRun) if f.name not in (*_TEXT, *_PARTS))
-_DAMAGE = (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile)
+_DAMAGE = (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError)
 _TRACE_SERIES = ("frames", "depth", "sigma", "true_depth", "measured_depth")
 
 
@@ -70,9 +70,9 @@ def load_provenance(path: Path) -> dict[str, Any]:
         See `load_run`.
     """
     try:
-        with np.load(path, allow_pickle=False) as archive:
-            provenance: dict[str, Any] = _checked(json.loads(str(archive["about"])))["provenance"]
-            return provenance
+        about = _checked(json.loads(str(read_arrays(path, ["about"])["about"])))
+        provenance: dict[str, Any] = about["provenance"]
+        return provenance
     except _DAMAGE as error:
         raise _damaged(path, error) from error
 
@@ -86,8 +86,7 @@ def load_run(path: Path) -> tuple[FilterRun, dict[str, Any]]:
         The file is damaged, or of a format this version does not know: the message names it and says what to do.
     """
     try:
-        with np.load(path, allow_pickle=False) as archive:
-            arrays = {name: archive[name] for name in archive.files}
+        arrays: dict[str, Any] = read_arrays(path)
         about = _checked(json.loads(str(arrays["about"])))
         counts = {name.removeprefix("count."): arrays[name] for name in arrays if name.startswith("count.")}
         traces = tuple(

@@ -30,6 +30,7 @@ import copy
 import dataclasses
 import itertools
 import json
+import math
 import re
 import sys
 from collections.abc import Iterator, Mapping
@@ -38,6 +39,8 @@ from typing import Any
 
 from stereo_slam_env.benchmark.scenario import FilterChoice, Scenario, choice_as_dict, require_keys
 from stereo_slam_env.benchmark.study import Cell, Study, factorial_label
+from stereo_slam_env.datasets.inside import require_inside
+from stereo_slam_env.datasets.text_files import read_text
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -45,11 +48,14 @@ else:
     import tomli as tomllib
 
 MOST_CELLS = 10_000
+MOST_TRIALS = 1_000_000
+"""Filters x seeds, over all cells."""
+MOST_BYTES = 1_000_000
 _OWN_KEYS = ("description", "grid", "cells", "factorial")
 _DATA = "{data}"
 
 
-def load_study(path: str | Path, *, data: str | Path | None = None) -> Study:
+def load_study(path: str | Path, *, data: str | Path | None = None, allow_code: bool = False) -> Study:
     """Read a scenario file.
 
     Parameters
@@ -58,6 +64,8 @@ def load_study(path: str | Path, *, data: str | Path | None = None) -> Study:
         A TOML file, or a JSON file of the same structure.
     data : str or Path, optional
         What `{data}` in the file stands for. Cells whose folder in it does not exist are left out.
+    allow_code : bool
+        Whether a scenario of kind "factory", which names a function to be called, may do so: only of a file you trust.
 
     Raises
     ------
@@ -67,8 +75,8 @@ def load_study(path: str | Path, *, data: str | Path | None = None) -> Study:
     path = Path(path)
     tables = _tables_of(path)
     try:
-        return study_from(tables, data=data)
-    except (TypeError, ValueError, AttributeError, OverflowError) as error:
+        return study_from(tables, data=data, allow_code=allow_code)
+    except (TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
         raise ValueError(f"scenario file {path}: {error}") from error
 
 
@@ -79,7 +87,7 @@ def description_of(path: Path) -> str:
 
 def _tables_of(path: Path) -> dict[str, Any]:
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_text(path, most_bytes=MOST_BYTES)
         tables = json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
     except FileNotFoundError as error:
         raise ValueError(f"scenario file {path} does not exist") from error
@@ -91,13 +99,13 @@ def _tables_of(path: Path) -> dict[str, Any]:
     return tables
 
 
-def study_from(tables: Mapping[str, Any], *, data: str | Path | None = None) -> Study:
-    """A study from the tables of a scenario file.
+def study_from(tables: Mapping[str, Any], *, data: str | Path | None = None, allow_code: bool = False) -> Study:
+    """A study from the tables of a scenario file; `data` and `allow_code` as for `load_study`.
 
     Raises
     ------
     ValueError
-        An unknown key, an impossible value, or too many cells.
+        An unknown key, an impossible value, too many cells or trials, or code that is not allowed.
     """
     fields = tuple(field.name for field in dataclasses.fields(Scenario))
     require_keys("scenario", tables, (*fields, *_OWN_KEYS))
@@ -112,11 +120,19 @@ def study_from(tables: Mapping[str, Any], *, data: str | Path | None = None) -> 
     name = base.get("name", "")
     if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._+-]*", name):
         raise ValueError(f"scenario must have a name of letters, digits, '.', '_', '+' or '-', got {name!r}")
-    cells = []
+    cells, trials = [], 0
     for factors, values in _variants(base, tables, fields):
         here = _with_data(values, data)
-        if here is not None:
-            cells.append(Cell(values["name"], factors, Scenario.from_dict(_plain(here))))
+        if here is None:
+            continue
+        cell = Cell(values["name"], factors, Scenario.from_dict(_plain(here)))
+        if cell.scenario.kind == "factory" and not allow_code:
+            call = cell.scenario.options.get("call")
+            raise ValueError(f"kind 'factory' runs code, {call!r}: if you trust it, allow it with --allow-code")
+        cells.append(cell)
+        trials += len(cell.scenario.competitors) * len(cell.scenario.seeds)
+        if trials > MOST_TRIALS:
+            raise ValueError(f"filters x seeds come to more than {MOST_TRIALS} trials: ask for fewer")
     if not cells:
         raise ValueError(f"none of the recordings of {name} is in {data}: {_DATA} must be a folder that holds them")
     return Study(name, tuple(cells), factorial)
@@ -141,16 +157,18 @@ def _variants(
     if not levels:
         yield {}, dict(base)
         return
-    count = 1
-    for values in levels.values():
-        count *= len(values)
-    if count > MOST_CELLS:
-        raise ValueError(f"grid has {count} points: at most {MOST_CELLS} are allowed")
+    _refuse_too_many("grid", levels)
     for combination in itertools.product(*levels.values()):
         factors = dict(zip(levels, combination, strict=True))
         values = _merged(base, _nested(factors))
         values["name"] = _cell_name(factors)
         yield {key: _scalar(value) for key, value in factors.items()}, values
+
+
+def _refuse_too_many(what: str, levels: Mapping[str, list[Any]]) -> None:
+    count = math.prod(map(len, levels.values()))
+    if count > MOST_CELLS:
+        raise ValueError(f"{what} has {count} points: at most {MOST_CELLS} are allowed")
 
 
 def _crossed(table: Mapping[str, Any]) -> tuple[dict[str, tuple[Any, ...]], list[dict[str, Any]]]:
@@ -164,6 +182,7 @@ def _crossed(table: Mapping[str, Any]) -> tuple[dict[str, tuple[Any, ...]], list
             raise ValueError(f"factorial.{key} must be a list of two levels or more, got {values!r}")
     if not factors:
         raise ValueError("factorial must cross at least one option of the filter")
+    _refuse_too_many("factorial", factors)
     choices = []
     for combination in itertools.product(*factors.values()):
         levels = dict(zip(factors, combination, strict=True))
@@ -179,6 +198,8 @@ def _plain(values: Mapping[str, Any]) -> dict[str, Any]:
         if plain.get(key) is False:
             plain[key] = None
     if isinstance(plain.get("seeds"), int) and not isinstance(plain["seeds"], bool):
+        if plain["seeds"] > MOST_TRIALS:
+            raise ValueError(f"seeds must be at most {MOST_TRIALS}, got {plain['seeds']}")
         plain["seeds"] = tuple(range(plain["seeds"]))
     return plain
 
@@ -190,7 +211,7 @@ def _with_data(values: dict[str, Any], data: str | Path | None) -> dict[str, Any
         return values
     if data is None:
         raise ValueError(f"options.path is {where!r}: say which folder holds the recordings (--data)")
-    folder = Path(data).resolve() / where.removeprefix(_DATA).lstrip("/")
+    folder = require_inside(Path(data).resolve() / where.removeprefix(_DATA).lstrip("/"), Path(data))
     if not folder.exists():
         return None
     return _merged(values, {"options": {"path": str(folder)}})

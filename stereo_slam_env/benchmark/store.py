@@ -38,8 +38,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
+from stereo_slam_env.array_files import read_arrays
 from stereo_slam_env.atomic_files import write_atomically
 from stereo_slam_env.benchmark.limits import Bound
 from stereo_slam_env.benchmark.results import FilterRun, FilterSummary
@@ -155,6 +154,8 @@ class RunDirectory:
                 if not path.exists():
                     raise ValueError(f"{path} is missing: the run is not finished, run the same command again")
                 run, provenance = load_run(path)
+                if run.filter_name != choice.label:  # it becomes the name of files
+                    raise ValueError(f"{path} holds a run of {run.filter_name!r}: delete it and run the command again")
                 given[choice.label] = provenance["recording"]
                 if pairing_digest(given[choice.label]) != pairing_digest(next(iter(given.values()))):
                     raise ValueError(
@@ -173,9 +174,9 @@ class RunDirectory:
             about = self._about_recording(seed)
             if about is None or self._code_of_bound(seed) is None:
                 continue
-            with np.load(self.bound_path(seed), allow_pickle=False) as archive:
-                if len(archive["pose"]):
-                    found[about["name"], seed] = Bound(archive["pose"])
+            pose = read_arrays(self.bound_path(seed), ["pose"])["pose"]
+            if len(pose):
+                found[about["name"], seed] = Bound(pose)
         return found
 
     def _about_recording(self, seed: int | None) -> dict[str, Any] | None:
@@ -193,8 +194,7 @@ class RunDirectory:
         if not path.exists():
             return None
         try:
-            with np.load(path, allow_pickle=False) as archive:
-                return str(archive["code"])
+            return str(read_arrays(path, ["code"])["code"])
         except (OSError, ValueError, KeyError) as error:
             raise ValueError(f"{path} is damaged ({error}): delete it and run the same command again") from error
 

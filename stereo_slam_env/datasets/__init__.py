@@ -14,6 +14,7 @@ from typing import Any
 from filters.known_names import require_known
 from stereo_slam_env.datasets import gtsam_examples, kitti00_stereo_tracks, kitti07_tracks, starry_night
 from stereo_slam_env.datasets.images import known_image_layouts, open_image_sequence, recordings_in
+from stereo_slam_env.datasets.inside import require_links_inside
 from stereo_slam_env.datasets.known_options import keyword_options
 from stereo_slam_env.frontend.calibration import calibrated
 from stereo_slam_env.frontend.recorder import record_tracks
@@ -51,7 +52,8 @@ def read_recording(path: str | Path, **options: Any) -> Recording:
     Raises
     ------
     ValueError
-        No such folder, no known layout, an unknown option, or a damaged file: one line that names it.
+        No such folder, no known layout, an unknown option, a damaged file, or a link that leads out of the folder: one
+        line that names it.
     ImportError
         The example data needs gtsam, which is not installed.
     """
@@ -70,6 +72,7 @@ def read_recording(path: str | Path, **options: Any) -> Recording:
     for reader in READERS:
         if reader.recognises(folder):
             require_known("the reader has no option", options, keyword_options(reader.read))
+            require_links_inside(folder)
             read: Callable[..., Recording] = reader.read
             return read(folder, **options)
     if not holds_images(folder):

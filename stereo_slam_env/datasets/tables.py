@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import io
 import warnings
-import zipfile
 from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from filters.validation import BoolArray, FloatArray
+from stereo_slam_env.array_files import MOST_BYTES, read_arrays
+from stereo_slam_env.datasets.text_files import read_text
 
 
 def read_table(
@@ -37,13 +39,18 @@ def read_table(
     Raises
     ------
     ValueError
-        Not a table of that width, empty, or, where `finite`, with NaN or infinity: the message names file and row.
+        Missing, not a table of that width, empty, or, where `finite`, with NaN or infinity: the message names file
+        and row.
     """
+    try:
+        text = read_text(path)
+    except FileNotFoundError as error:
+        raise ValueError(f"{path} is missing: copy it from the recording") from error
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # of an empty file: the error below says it
-            table = np.loadtxt(path, dtype=np.float64, delimiter=delimiter, skiprows=header_lines, ndmin=2)
-    except (ValueError, UnicodeDecodeError) as error:
+            table = np.loadtxt(io.StringIO(text), dtype=np.float64, delimiter=delimiter, skiprows=header_lines, ndmin=2)
+    except (ValueError, OverflowError) as error:
         raise ValueError(f"{path} is not a table of {columns} numbers a row: {first_line(error)}") from error
     if table.size == 0:
         raise ValueError(f"{path} is empty: {columns} numbers a row were expected")
@@ -63,14 +70,16 @@ def read_archive(path: Path, keys: tuple[str, ...]) -> dict[str, FloatArray]:
         The archive is damaged or lacks a key; the message names the file.
     """
     try:
-        with np.load(path, allow_pickle=False) as archive:
-            missing = [key for key in keys if key not in archive.files]
-            if missing:
-                raise KeyError(", ".join(missing))
-            return {key: np.asarray(archive[key], dtype=np.float64) for key in keys}
+        arrays = read_arrays(path, keys)
+        missing = [key for key in keys if key not in arrays]
+        if missing:
+            raise KeyError(", ".join(missing))
+        if sum(array.size for array in arrays.values()) * np.float64().itemsize > MOST_BYTES:
+            raise ValueError(f"as float64 its arrays take more than {MOST_BYTES} bytes")
+        return {key: np.asarray(arrays[key], dtype=np.float64) for key in keys}
     except KeyError as error:
         raise ValueError(f"{path} lacks the array {error.args[0]}") from error
-    except (ValueError, EOFError, OSError, zipfile.BadZipFile) as error:
+    except (ValueError, TypeError, OSError) as error:
         if isinstance(error, FileNotFoundError):
             raise
         raise ValueError(f"{path} is damaged and cannot be read: copy it again ({first_line(error)})") from error

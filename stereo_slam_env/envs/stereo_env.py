@@ -148,9 +148,9 @@ class StereoEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
         """Build a new scene and put the car at the beginning of the route; `options` must be empty."""
-        super().reset(seed=seed)
         if options:
             raise ValueError(f"reset takes no options, got {', '.join(map(repr, options))}")
+        super().reset(seed=seed)
         scene_rng, motion_rng, landmark_rng, self._odometry_rng, start_rng, camera_rng = self.np_random.spawn(6)
         self._stage.build(scene_rng, camera_rng, draws=self.options.draws or self.render_mode is not None)
         if self.options.sensor == "images":

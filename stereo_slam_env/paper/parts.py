@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from stereo_slam_env.array_files import read_arrays
 from stereo_slam_env.atomic_files import write_atomically
 from stereo_slam_env.benchmark.store import code_digest
 
@@ -99,9 +99,7 @@ def _compute(part: Part, folder: Path, key: str) -> tuple[str, Arrays]:
 def _kept(path: Path, key: str) -> Arrays | None:
     """What the file has, if it is of this key; a damaged one is computed again."""
     try:
-        with np.load(path, allow_pickle=False) as archive:
-            if str(archive[KEY]) != key:
-                return None
-            return {name: archive[name] for name in archive.files if name != KEY}
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        arrays = read_arrays(path)
+        return arrays if str(arrays.pop(KEY)) == key else None
+    except (OSError, ValueError, KeyError):
         return None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,6 +12,7 @@ import gymnasium as gym
 import numpy as np
 
 from filters.validation import FloatArray
+from stereo_slam_env.array_files import read_arrays
 from stereo_slam_env.atomic_files import write_atomically
 from stereo_slam_env.policies.interface import Action, require_head
 
@@ -87,24 +87,24 @@ class Network:
             There is no such file, or it is not a network.
         """
         try:
-            with np.load(path, allow_pickle=False) as arrays:
-                about = json.loads(str(arrays["json"]))
-                if about["format"] != _FORMAT:
-                    raise ValueError(f"format {about['format']!r}")
-                count = sum(name.startswith("weights_") for name in arrays.files)
-                return cls(
-                    tuple(about["keys"]),
-                    arrays["mean"],
-                    arrays["scale"],
-                    float(about["clip"]),
-                    tuple(arrays[f"weights_{k}"].astype(np.float64) for k in range(count)),
-                    tuple(arrays[f"biases_{k}"].astype(np.float64) for k in range(count)),
-                    about["about"],
-                    arrays["choices"] if "choices" in arrays.files else None,
-                )
+            arrays = read_arrays(path)
+            about = json.loads(str(arrays["json"]))
+            if about["format"] != _FORMAT:
+                raise ValueError(f"format {about['format']!r}")
+            count = sum(name.startswith("weights_") for name in arrays)
+            return cls(
+                tuple(about["keys"]),
+                arrays["mean"],
+                arrays["scale"],
+                float(about["clip"]),
+                tuple(arrays[f"weights_{k}"].astype(np.float64) for k in range(count)),
+                tuple(arrays[f"biases_{k}"].astype(np.float64) for k in range(count)),
+                about["about"],
+                arrays.get("choices"),
+            )
         except FileNotFoundError:
             raise ValueError(f"checkpoint {path} does not exist: make one with stereo-slam train") from None
-        except (OSError, EOFError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
+        except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
             reason = (str(error) or type(error).__name__).splitlines()[0]
             raise ValueError(f"checkpoint {path} is not a network written by stereo-slam train: {reason}") from error
 

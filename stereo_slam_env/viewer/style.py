@@ -62,6 +62,7 @@ _RC: dict[Any, Any] = {
     "svg.fonttype": "none",
     "svg.hashsalt": "stereo-slam",
     "text.color": INK,
+    "text.parse_math": False,  # names may hold any characters, "$" too
     "xtick.color": GRID,
     "xtick.labelcolor": MUTED,
     "xtick.labelsize": 8,

@@ -14,6 +14,7 @@ from filters.known_names import require_known
 from stereo_slam_env.datasets.images import euroc, karlsruhe, kitti06_stereo51, kitti_odometry, kitti_raw
 from stereo_slam_env.datasets.images.broken import BrokenPair
 from stereo_slam_env.datasets.images.sequence import RecordedSequence
+from stereo_slam_env.datasets.inside import require_inside, require_links_inside
 from stereo_slam_env.datasets.known_options import keyword_options
 
 IMAGE_READERS: tuple[ModuleType, ...] = (kitti06_stereo51, kitti_odometry, kitti_raw, karlsruhe, euroc)
@@ -58,7 +59,8 @@ def open_image_sequence(path: str | Path, **options: Any) -> RecordedSequence:
     Raises
     ------
     ValueError
-        No such folder, no known layout, an unknown option, or something is missing or damaged: one line that names it.
+        No such folder, no known layout, an unknown option, something is missing or damaged, or a link leads out of the
+        folder: one line that names it.
     """
     folder = Path(path)
     if not folder.is_dir():
@@ -70,7 +72,8 @@ def open_image_sequence(path: str | Path, **options: Any) -> RecordedSequence:
         raise ValueError(f"{folder} holds {len(inside)} recordings, give one of them: {names}")
     if not inside:
         raise ValueError(f"{folder} has no known layout: {_nearest(folder)}known are {_layouts()}")
-    folder = inside[0]
+    folder = require_inside(inside[0], folder)
+    require_links_inside(folder)
     reader = reader_of(folder)
     assert reader is not None
     require_known(f"the reader {reader.NAME} has no option", options, keyword_options(reader.open_sequence))

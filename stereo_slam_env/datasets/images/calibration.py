@@ -12,6 +12,7 @@ from filters import rotations
 from filters.camera import StereoCamera
 from filters.validation import FloatArray
 from stereo_slam_env.datasets.images.frames import FramePair
+from stereo_slam_env.datasets.text_files import read_text
 from stereo_slam_env.recording import Pose
 
 _SAME_K = 1e-6
@@ -27,11 +28,9 @@ def read_entries(path: Path) -> dict[str, FloatArray]:
         The file is missing or no text.
     """
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_text(path)
     except FileNotFoundError:
         raise ValueError(f"{path} is missing: it holds the calibration, copy it from the recording") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise ValueError(f"{path} cannot be read as text ({type(error).__name__}): copy it again") from error
     entries = {}
     for line in text.splitlines():
         name, colon, rest = line.partition(":")

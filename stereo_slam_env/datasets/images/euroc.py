@@ -23,6 +23,7 @@ from stereo_slam_env.datasets.images.euroc_rig import Sensor, read_sensor, read_
 from stereo_slam_env.datasets.images.frames import Eye, Times, Truth, usable_pairs
 from stereo_slam_env.datasets.images.sequence import RecordedSequence
 from stereo_slam_env.datasets.tables import finite_rows
+from stereo_slam_env.datasets.text_files import read_text
 from stereo_slam_env.recording import Pose
 
 NAME = "euroc"
@@ -35,6 +36,7 @@ FILES = (
 TRUTH = "state_groundtruth_estimate0"
 LARGEST_TRUTH_GAP_NS = 100_000_000
 """Truth is interpolated between rows that are no further apart (it comes at 200 Hz)."""
+_LATEST_NS = np.iinfo(np.int64).max
 
 
 def recognises(path: Path) -> bool:
@@ -116,11 +118,11 @@ def _read_listing(folder: Path) -> tuple[list[int], list[str]]:
     """Timestamps, ns, and file names of `data.csv`."""
     path = folder / "data.csv"
     stamps, names = [], []
-    for number, line in enumerate(path.read_text(encoding="utf-8", errors="replace").splitlines(), start=1):
+    for number, line in enumerate(read_text(path, errors="replace").splitlines(), start=1):
         if not line.strip() or line.lstrip().startswith("#"):
             continue
         stamp, _, name = (part.strip() for part in line.partition(","))
-        if not re.fullmatch(r"\d+", stamp) or not name or Path(name).name != name:
+        if not re.fullmatch(r"[0-9]{1,19}", stamp) or int(stamp) > _LATEST_NS or not name or Path(name).name != name:
             raise ValueError(f"{path}: line {number} is not 'timestamp in ns,file name': correct it")
         stamps.append(int(stamp))
         names.append(name)
@@ -171,14 +173,14 @@ def _camera_poses(
 def _read_truth(path: Path) -> tuple[IntArray, FloatArray]:
     """Timestamps (K,) ns, increasing, and rows (K, 7): position and quaternion xyzw."""
     stamps, rows = [], []
-    for number, line in enumerate(path.read_text(encoding="utf-8", errors="replace").splitlines(), start=1):
+    for number, line in enumerate(read_text(path, errors="replace").splitlines(), start=1):
         if not line.strip() or line.lstrip().startswith("#"):
             continue
         words = line.split(",")
         try:
             x, y, z, qw, qx, qy, qz = (float(word) for word in words[1:8])
-            stamps.append(int(words[0]))
-        except ValueError as error:
+            stamps.append(np.int64(words[0]))
+        except (ValueError, OverflowError) as error:
             raise ValueError(f"{path}: line {number} is not a timestamp in ns and 7 numbers: correct it") from error
         rows.append([x, y, z, qx, qy, qz, qw])
     if len(rows) < 2 or not (np.diff(stamps) > 0).all():

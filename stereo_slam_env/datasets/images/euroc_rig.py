@@ -15,8 +15,10 @@ import numpy as np
 
 from filters.validation import FloatArray
 from stereo_slam_env.datasets.images.calibration import RectifiedRig, rectified_rig
+from stereo_slam_env.datasets.images.image_files import MAX_PIXELS
 from stereo_slam_env.datasets.images.sequence import Rectify
 from stereo_slam_env.datasets.tables import first_line
+from stereo_slam_env.datasets.text_files import read_text
 from stereo_slam_env.image_sequence import GreyImage
 
 
@@ -58,6 +60,8 @@ def read_sensor(path: Path) -> Sensor:
             raise ValueError(f"{path}: {key} is {model!r}, only {wanted!r} can be read")
     fu, fv, cu, cv = _numbers(path, text, "intrinsics", 4)
     width, height = (int(number) for number in _numbers(path, text, "resolution", 2))
+    if width < 1 or height < 1 or width * height > MAX_PIXELS:
+        raise ValueError(f"{path}: resolution {width}x{height} is none of an image that is read: correct it")
     return Sensor(
         _parsed_transform(path, text),
         np.array([[fu, 0.0, cu], [0.0, fv, cv], [0.0, 0.0, 1.0]]),
@@ -114,10 +118,7 @@ def rectification(sensors: tuple[Sensor, Sensor], path: Path) -> tuple[Rectified
 
 def _text(path: Path) -> str:
     """Content without comments."""
-    try:
-        return re.sub(r"#.*", "", path.read_text(encoding="utf-8"))
-    except UnicodeDecodeError as error:
-        raise ValueError(f"{path} is no text: copy it again ({first_line(error)})") from error
+    return re.sub(r"#.*", "", read_text(path))
 
 
 def _numbers(path: Path, text: str, key: str, count: int) -> FloatArray:

@@ -23,6 +23,9 @@ MAX_PIXELS = 40_000_000
 MAX_BYTES = 256_000_000
 """Larger files are refused before they are read."""
 
+MOST_FRAMES = 1_000_000
+"""Images with a number from here on are refused: tables have a row for every number up to the last."""
+
 _PNG = b"\x89PNG\r\n\x1a\n"
 _JPEG = b"\xff\xd8"
 _SIZED_FRAMES = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}
@@ -37,7 +40,7 @@ def numbered_images(folder: Path, prefix: str = "") -> dict[int, Path]:
     Raises
     ------
     ValueError
-        Two files have the same number.
+        Two files have the same number, or one of them a number that no recording comes to.
     """
     pattern = re.compile(re.escape(prefix) + r"(\d+)\.(png|jpg|jpeg)", re.IGNORECASE)
     found: dict[int, Path] = {}
@@ -46,6 +49,8 @@ def numbered_images(folder: Path, prefix: str = "") -> dict[int, Path]:
         if match is None:
             continue
         number = int(match[1])
+        if number >= MOST_FRAMES:
+            raise ValueError(f"{path} is image {number}: numbers from {MOST_FRAMES} on are refused, rename it")
         if number in found:
             raise ValueError(f"{path} and {found[number].name} are both image {number}: remove one of them")
         found[number] = path

@@ -33,6 +33,7 @@ from stereo_slam_env.datasets.images.calibration import entry, read_entries, rec
 from stereo_slam_env.datasets.images.frames import Eye, Times, Truth, usable_pairs
 from stereo_slam_env.datasets.images.image_files import image_size, numbered_images
 from stereo_slam_env.datasets.images.sequence import RecordedSequence
+from stereo_slam_env.datasets.inside import require_inside
 from stereo_slam_env.datasets.tables import finite_rows, read_table
 from stereo_slam_env.recording import Pose
 
@@ -189,4 +190,4 @@ def _calibration(path: Path) -> Path:
     if not found:
         date = "_".join(path.name.split("_")[:3])
         raise ValueError(f"{path} has no calibration: put {date}_calib.txt into it or beside it")
-    return found[0]
+    return require_inside(found[0], path.parent)

@@ -18,6 +18,7 @@ from stereo_slam_env.datasets.images.frames import Eye, Times, Truth, poses_of_r
 from stereo_slam_env.datasets.images.image_files import image_size, numbered_images
 from stereo_slam_env.datasets.images.kitti_cameras import CAMERAS, chosen_cameras, has_cameras
 from stereo_slam_env.datasets.images.sequence import RecordedSequence
+from stereo_slam_env.datasets.inside import require_inside
 from stereo_slam_env.datasets.tables import read_table
 
 NAME = "kitti_odometry"
@@ -76,6 +77,7 @@ def open_sequence(
     poses, truth = poses_file(path), None
     known = use_truth and poses.is_file()
     if known:
+        require_inside(poses, path.parent.parent)
         truth = Truth(poses, poses_of_rows(read_table(poses, 12, finite=False)))
     frames = usable_pairs((left, right), times, faults, truth=truth, first=first, last=last)
     rig = rectified_rig(calibration, P_left, P_right, image_size(frames[0].left))

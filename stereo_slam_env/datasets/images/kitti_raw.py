@@ -29,7 +29,9 @@ from stereo_slam_env.datasets.images.image_files import image_size, numbered_ima
 from stereo_slam_env.datasets.images.kitti_cameras import CAMERAS, chosen_cameras, has_cameras
 from stereo_slam_env.datasets.images.odometry import noisy_camera_velocities
 from stereo_slam_env.datasets.images.sequence import RecordedSequence
-from stereo_slam_env.datasets.tables import finite_rows, first_line
+from stereo_slam_env.datasets.inside import require_inside
+from stereo_slam_env.datasets.tables import finite_rows
+from stereo_slam_env.datasets.text_files import read_text
 from stereo_slam_env.recording import Pose
 
 NAME = "kitti_raw"
@@ -93,7 +95,7 @@ def open_sequence(
     chosen = chosen_cameras(_folder_of(path), cameras)
     numbers = CAMERAS[chosen]
     left, right = (Eye(folder := _folder_of(path)(n), numbered_images(folder)) for n in numbers)
-    calibration = path.parent / CALIBRATION
+    calibration = require_inside(path.parent / CALIBRATION, path.parent)
     entries = read_entries(calibration)
     P_left, P_right = (entry(calibration, entries, f"P_rect_{n:02d}", (3, 4)) for n in numbers)
     times = read_timestamps(left.folder.parent / "timestamps.txt")
@@ -131,11 +133,9 @@ def read_timestamps(path: Path) -> Times:
         The file is missing or holds no time.
     """
     try:
-        lines = path.read_text(encoding="ascii").splitlines()
+        lines = read_text(path).splitlines()
     except FileNotFoundError:
         raise ValueError(f"{path} is missing: copy it from the recording") from None
-    except UnicodeDecodeError as error:
-        raise ValueError(f"{path} is no text: copy it again ({first_line(error)})") from error
     while lines and not lines[-1].strip():
         lines.pop()
     stamps = np.array([_stamp(line) for line in lines], dtype="datetime64[ns]")
@@ -162,11 +162,13 @@ def _has_oxts(path: Path) -> bool:
 
 
 def _read_packets(folder: Path, count: int) -> FloatArray:
-    """One row of 30 numbers a frame; NaN where the file is missing or damaged."""
-    packets = np.full((count, OXTS_NUMBERS), np.nan)
-    for k in range(count):
+    """One row of 30 numbers a frame, up to the last of `count` that has a file; NaN where it is missing or damaged."""
+    there = {path.name for path in folder.iterdir()}
+    files = {k: folder / name for k in range(count) if (name := f"{k:010d}.txt") in there}
+    packets = np.full((max(files, default=-1) + 1, OXTS_NUMBERS), np.nan)
+    for k, path in files.items():
         try:
-            numbers = [float(word) for word in (folder / f"{k:010d}.txt").read_text(encoding="ascii").split()]
+            numbers = [float(word) for word in read_text(path).split()]
         except (OSError, ValueError):
             continue
         if len(numbers) == OXTS_NUMBERS:
@@ -178,7 +180,7 @@ def _imu_to_reference_camera(folder: Path, calibration: Path, entries: Mapping[s
     """T (4, 4) that takes points from the IMU frame to the rectified frame of camera 00."""
     T = np.eye(4)
     for name in EXTRINSICS:
-        path = folder / name
+        path = require_inside(folder / name, folder)
         found = read_entries(path)
         step = np.eye(4)
         step[:3, :3], step[:3, 3] = entry(path, found, "R", (3, 3)), entry(path, found, "T", (3,))

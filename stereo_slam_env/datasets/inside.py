@@ -1,0 +1,42 @@
+"""Nothing is read outside the folder that was given, wherever links in it point."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+
+def require_links_inside(folder: Path) -> None:
+    """Refuse a folder with links that lead out of it.
+
+    What is in a folder can be reached by names without ".." only through links, and every link below it is looked at;
+    so whatever a reader then opens by such names is inside. The folder itself may be given as a link.
+
+    Raises
+    ------
+    ValueError
+        The first link that leads out.
+    """
+    root = folder.resolve()
+    for here, folders, files in os.walk(root):
+        for name in (*folders, *files):
+            path = Path(here, name)
+            if path.is_symlink():
+                require_inside(path, root)
+
+
+def require_inside(path: Path, root: Path) -> Path:
+    """The path, if what it stands for is inside `root`.
+
+    Raises
+    ------
+    ValueError
+        It leads out, or in a circle.
+    """
+    try:
+        target = path.resolve()
+    except (OSError, RuntimeError) as error:  # a circle of links
+        raise ValueError(f"{path} is a link that leads nowhere: put the file itself there") from error
+    if not target.is_relative_to(root.resolve()):
+        raise ValueError(f"{path} is a link out of the recording, to {target}: put the file itself there")
+    return path
