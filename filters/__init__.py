@@ -17,6 +17,7 @@ from filters.interface import (
     VelocityBelief,
 )
 from filters.inverse_depth_stereo import InverseDepthStereoEKF
+from filters.monitor import Alarm, Cause, DivergenceMonitor
 from filters.monocular import MonocularEKF
 from filters.motion import ConstantVelocity, VelocityDriven
 from filters.noise import StereoNoise
@@ -29,10 +30,13 @@ from filters.trials.series import TrialSeries, run_trials
 from filters.unscented_stereo import UnscentedStereoFilter
 
 __all__ = [
+    "Alarm",
     "BodyVelocity",
+    "Cause",
     "ConformanceError",
     "ConformanceReport",
     "ConstantVelocity",
+    "DivergenceMonitor",
     "DualBearingEKF",
     "EuclideanEKF",
     "Forecast",
