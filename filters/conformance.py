@@ -181,6 +181,7 @@ def _assert_covariance(name: str, covariance: FloatArray, *, definite: bool) -> 
 
 
 def assert_healthy(stereo_filter: StereoFilter) -> None:
+    """Raise an AssertionError if a belief is not finite, or a covariance not positive definite."""
     pose, velocity = stereo_filter.pose, stereo_filter.velocity
     assert np.isfinite(np.concatenate([pose.position, pose.orientation])).all(), "pose is not finite"
     assert np.isfinite(np.concatenate([velocity.linear, velocity.angular])).all(), "velocity is not finite"

@@ -53,10 +53,10 @@ def faults(
 def _write(out: Path, matrix: FaultMatrix) -> None:
     from stereo_slam_env.atomic_files import write_atomically
 
+    figures = json.dumps(matrix.as_dict(), indent=1) + "\n"
     out.mkdir(parents=True, exist_ok=True)
-    texts = {"faults.json": json.dumps(matrix.as_dict(), indent=1) + "\n", "faults.md": matrix.as_markdown()}
-    for name, text in texts.items():
-        write_atomically(out / name, lambda file, text=text: file.write(text.encode()))
+    write_atomically(out / "faults.json", lambda file: file.write(figures.encode()))
+    write_atomically(out / "faults.md", lambda file: file.write(matrix.as_markdown().encode()))
 
 
 def _show(matrix: FaultMatrix) -> None:

@@ -13,13 +13,13 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from filters.monitor import Cause, DivergenceMonitor
+from filters.validation import BoolArray
 from stereo_slam_env.benchmark.engines import Engine
 from stereo_slam_env.benchmark.runner import make_with_common_options
 from stereo_slam_env.benchmark.scenario import FilterChoice
 from stereo_slam_env.benchmark.sources import Progress
 from stereo_slam_env.faults.catalogue import FAULTS, NOMINAL, find_fault
 from stereo_slam_env.faults.session import Session, drive_through
-from filters.validation import BoolArray
 
 OUTCOMES = ("ok", "degraded", "diverged")
 IN_TIME = 2.0
@@ -29,7 +29,7 @@ GATE = 0.99
 
 @dataclass(frozen=True)
 class Limits:
-    """Beyond them: an error above a `share` of the distance travelled and above some `metres`, or NEES/6 above `nees`."""
+    """Beyond them: an error above a `share` of the distance travelled and some `metres`, or NEES/6 above `nees`."""
 
     share: float
     metres: float
@@ -261,7 +261,7 @@ def judge(session: Session, fault: str, label: str, seed: int) -> Run:
         told = next((alarm.time for alarm in session.alarms if alarm.time >= begins - 1e-9), None)
         detected = None if told is None else told - at
         later = session.times[place + 1] - at if place + 1 < len(session.times) else 0.0
-        in_time = detected is not None and detected <= max(IN_TIME, later) + 1e-9
+        in_time = detected is not None and bool(detected <= max(IN_TIME, later) + 1e-9)
     with np.errstate(divide="ignore", invalid="ignore"):
         shares = session.position_errors[since] / np.maximum(session.travelled[since], 1.0)
     causes = tuple(alarm.cause.name for alarm in session.alarms)

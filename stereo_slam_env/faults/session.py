@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from filters.conformance import assert_healthy, shown_arrays
-from filters.interface import StereoFilter, StereoObservation, UpdateReport
+from filters.interface import BodyVelocity, StereoFilter, StereoObservation, UpdateReport
 from filters.monitor import Alarm, DivergenceMonitor
 from filters.validation import FloatArray
 from stereo_slam_env.benchmark.consistency import nees
@@ -70,12 +70,10 @@ def drive_through(recording: Recording, stereo_filter: StereoFilter, monitor: Di
         held.check()
         for number, frame in enumerate(recording.frames):
             dt = frame.timestamp - clock
-            if number and not held.takes(lambda dt=dt, odometry=frame.odometry: stereo_filter.predict(dt, odometry)):
+            if number and not held.predict(dt, frame.odometry):
                 continue
             clock = frame.timestamp
-            reports: list[UpdateReport] = []
-            held.takes(lambda seen=frame.observation: reports.append(stereo_filter.update(_as_given(seen))))
-            alarm = monitor.look(dt, reports[0] if reports else UpdateReport(), stereo_filter.pose)
+            alarm = monitor.look(dt, held.update(frame.observation), stereo_filter.pose)
             alarms += [] if alarm is None else [alarm]
             assert frame.truth is not None, "the recording has no truth"
             travelled += float(np.linalg.norm(frame.truth.position - where))
@@ -98,8 +96,22 @@ class _Held:
         assert_healthy(self._filter)
         self._shown = shown_arrays(self._filter)
 
-    def takes(self, call: Callable[[], object]) -> bool:
-        """Whether the filter accepts; raises AssertionError where it does what its contract does not allow."""
+    def predict(self, dt: float, odometry: BodyVelocity | None) -> bool:
+        """Whether that is accepted."""
+        return self._accepted(lambda: self._filter.predict(dt, odometry))
+
+    def update(self, seen: StereoObservation) -> UpdateReport:
+        """Use the arrays of a camera, which need not be legal; an empty report where they are refused."""
+        reports = [UpdateReport()]
+        self._accepted(
+            lambda: reports.append(
+                self._filter.update(StereoObservation(seen.ids, seen.uvd, seen.v_right, seen.R)),
+            )
+        )
+        return reports[-1]
+
+    def _accepted(self, call: Callable[[], object]) -> bool:
+        """Raises AssertionError where the filter does what its contract does not allow."""
         try:
             call()
         except ValueError:
@@ -111,11 +123,6 @@ class _Held:
             raise AssertionError(f"raised {type(error).__name__}: {error}") from error
         self.check()
         return True
-
-
-def _as_given(seen: StereoObservation) -> StereoObservation:
-    """What a robot does with the arrays of its camera: this is where illegal ones are refused."""
-    return StereoObservation(seen.ids, seen.uvd, seen.v_right, seen.R)
 
 
 def _errors(stereo_filter: StereoFilter, frame: Frame) -> tuple[float, float]:
