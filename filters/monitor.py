@@ -3,8 +3,8 @@
 Two cumulative sums of log-likelihood ratios (Page's CUSUM, Biometrika 41, 1954), each of "gone wrong" against "as it
 should be": of the normalised innovations squared, and of the share of known landmarks that could not be used. A sum
 never falls below 0, so what was long ago does not count; a false alarm is as rare, per update, as e^-threshold at the
-most. Besides, an alarm is raised where nothing has been measured for long, where nothing known is seen again, and
-where the numbers are none.
+most. Besides, an alarm is raised where nothing has been measured for long, where a frame has no link to the map, where
+the filter itself hardly knows its orientation, and where the numbers are none.
 """
 
 from __future__ import annotations
@@ -28,7 +28,8 @@ class Cause(Enum):
     INNOVATIONS = "innovations larger than claimed"
     REFUSED = "most known landmarks refused"
     BLIND = "nothing measured"
-    CUT = "nothing known seen again"
+    CUT = "no link to the map"
+    VAGUE = "orientation hardly known"
     NUMBERS = "not finite, or not positive definite"
 
 
@@ -66,6 +67,8 @@ class DivergenceMonitor:
         ln(inflation) / (1 - 1 / inflation), 1.39 for 2, never raises an alarm.
     longest_blind : float
         For how long nothing may be measured, s.
+    vaguest : float
+        Standard deviation of the rotation up to which a linearised filter can be believed, rad.
 
     Raises
     ------
@@ -73,12 +76,11 @@ class DivergenceMonitor:
         An argument is impossible.
     """
 
-    def __init__(self, *, threshold: float = 20.0, inflation: float = 2.0, longest_blind: float = 1.0) -> None:
-        self._threshold = positive("threshold", threshold)
-        self._inflation, self._longest_blind = (
-            positive("inflation", inflation),
-            positive("longest_blind", longest_blind),
-        )
+    def __init__(
+        self, *, threshold: float = 20.0, inflation: float = 2.0, longest_blind: float = 1.0, vaguest: float = 0.5
+    ) -> None:
+        self._threshold, self._inflation = positive("threshold", threshold), positive("inflation", inflation)
+        self._longest_blind, self._vaguest = positive("longest_blind", longest_blind), positive("vaguest", vaguest)
         if self._inflation <= 1.0:
             raise ValueError(f"inflation must be above 1, got {inflation!r}")
         self.reset()
@@ -122,7 +124,7 @@ class DivergenceMonitor:
         refused = len(report.gated) + len(report.behind_camera) + len(report.failed)
         self._innovations.add(self._inflated(report.nis, report.nis_dof))
         self._refused.add(_lost(used, refused))
-        cut = self._showed and new > 0 and used + refused == 0
+        cut = self._showed and new > 0 and used == 0
         self._showed = used + refused + new > 0
         self._blind = 0.0 if self._showed else self._blind + dt
         found: tuple[Cause, str] | None = None
@@ -135,7 +137,9 @@ class DivergenceMonitor:
         elif self._blind > self._longest_blind:
             found = Cause.BLIND, f"nothing has been measured for {self._blind:.1f} s"
         elif cut:
-            found = Cause.CUT, f"all {new} landmarks are new: none of the frame before is seen again"
+            found = Cause.CUT, f"{new} landmarks are new, {refused} known ones refused: the pose is a prediction"
+        elif pose is not None and (sigma := _rotation_sigma(pose)) > self._vaguest:
+            found = Cause.VAGUE, f"the orientation is known to {sigma:.2g} rad: too little for a linearised filter"
         return self._told(found)
 
     def _told(self, found: tuple[Cause, str] | None) -> Alarm | None:
@@ -167,6 +171,10 @@ class _Sum:
 def _lost(used: int, refused: int) -> float:
     """Log-likelihood ratio of a share `_LOST` refused against `_TOLERATED`; nats."""
     return refused * math.log(_LOST / _TOLERATED) + used * math.log((1.0 - _LOST) / (1.0 - _TOLERATED))
+
+
+def _rotation_sigma(pose: PoseBelief) -> float:
+    return math.sqrt(np.diagonal(pose.covariance)[3:].max())
 
 
 def _is_sound(pose: PoseBelief) -> bool:

@@ -73,7 +73,8 @@ class Fault:
 
 
 _SCALE = "scales map and drive alike"
-_WHOLE = 800
+_AFFINE = "shears or squeezes map and drive alike, as long as the camera does not turn"
+_TURN, _WHOLE = 400, 800
 
 FAULTS: Mapping[str, Fault] = {
     NOMINAL: Fault("nothing is wrong", None, begins=0.0),
@@ -92,12 +93,16 @@ FAULTS: Mapping[str, Fault] = {
     "infinity": Fault("30 % of the frames hold infinity", streams.BadNumbers(math.inf)),
     "huge": Fault("30 % of the frames hold 1e300 px", streams.BadNumbers(1e300)),
     "no-disparity": Fault("half of the measurements have d <= 0", streams.NoDisparity(0.5)),
-    "focal-1": Fault("focal length told 1 % wrong", WrongCalibration(focal_percent=1.0), begins=0.0),
-    "focal-5": Fault("focal length told 5 % wrong", WrongCalibration(focal_percent=5.0), begins=0.0),
-    "baseline-1": Fault("baseline told 1 % wrong", WrongCalibration(baseline_percent=1.0), begins=0.0, hidden=_SCALE),
-    "baseline-5": Fault("baseline told 5 % wrong", WrongCalibration(baseline_percent=5.0), begins=0.0, hidden=_SCALE),
-    "centre-1": Fault("principal point told 1 % wrong", WrongCalibration(principal_point_percent=1.0), begins=0.0),
-    "centre-5": Fault("principal point told 5 % wrong", WrongCalibration(principal_point_percent=5.0), begins=0.0),
+    "focal-1": Fault("focal length told 1 % wrong", WrongCalibration(1.0), 0.0, frames=_TURN, hidden=_AFFINE),
+    "focal-5": Fault("focal length told 5 % wrong", WrongCalibration(5.0), 0.0, frames=_TURN, hidden=_AFFINE),
+    "baseline-1": Fault("baseline told 1 % wrong", WrongCalibration(0.0, 1.0), 0.0, hidden=_SCALE),
+    "baseline-5": Fault("baseline told 5 % wrong", WrongCalibration(0.0, 5.0), 0.0, hidden=_SCALE),
+    "centre-1": Fault(
+        "principal point told 1 % wrong", WrongCalibration(0.0, 0.0, 1.0), 0.0, frames=_TURN, hidden=_AFFINE
+    ),
+    "centre-5": Fault(
+        "principal point told 5 % wrong", WrongCalibration(0.0, 0.0, 5.0), 0.0, frames=_TURN, hidden=_AFFINE
+    ),
     "noise-0.3": Fault("noise told 0.3 times what it is", MisscaledNoise(0.3), begins=0.0),
     "noise-3": Fault("noise told 3 times what it is", MisscaledNoise(3.0), begins=0.0),
     "steps-1ms": Fault("a frame every millisecond", streams.TimeSteps(0.001, 0.001)),
@@ -107,8 +112,8 @@ FAULTS: Mapping[str, Fault] = {
         "90 % of the view is a truck that is off at 5 m/s at once", streams.MovingTruck(0.9, 5.0, 1e3)
     ),
     "truck-smooth": Fault(
-        "90 % of the view is a truck that gathers 5 m/s at 1 m/s²",
-        streams.MovingTruck(0.9, 5.0, 1.0),
+        "all of the view is a truck that gathers 5 m/s at 1 m/s²",
+        streams.MovingTruck(1.0, 5.0, 1.0),
         hidden="the camera could move like this",
     ),
     "kidnapped": Fault("the camera is set down 5 s further on", streams.Kidnapped(5.0)),

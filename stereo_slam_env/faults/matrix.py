@@ -42,7 +42,7 @@ class Limits:
 
 
 DEGRADED = Limits(0.03, 0.3, 10.0)
-DIVERGED = Limits(0.10, 1.0, 25.0)
+DIVERGED = Limits(0.10, 1.0, 100.0)
 
 
 @dataclass(frozen=True)
