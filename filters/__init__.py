@@ -26,6 +26,9 @@ if TYPE_CHECKING:
     from filters.interface import UpdateReport as UpdateReport
     from filters.interface import VelocityBelief as VelocityBelief
     from filters.inverse_depth_stereo import InverseDepthStereoEKF as InverseDepthStereoEKF
+    from filters.monitor import Alarm as Alarm
+    from filters.monitor import Cause as Cause
+    from filters.monitor import DivergenceMonitor as DivergenceMonitor
     from filters.monocular import MonocularEKF as MonocularEKF
     from filters.motion import ConstantVelocity as ConstantVelocity
     from filters.motion import VelocityDriven as VelocityDriven
@@ -41,10 +44,13 @@ if TYPE_CHECKING:
     from filters.unscented_stereo import UnscentedStereoFilter as UnscentedStereoFilter
 
 _HOMES = {
+    "Alarm": "monitor",
     "BodyVelocity": "interface",
+    "Cause": "monitor",
     "ConformanceError": "conformance",
     "ConformanceReport": "conformance",
     "ConstantVelocity": "motion",
+    "DivergenceMonitor": "monitor",
     "DualBearingEKF": "dual_bearing",
     "EuclideanEKF": "euclidean_xyz",
     "Forecast": "interface",

@@ -147,7 +147,7 @@ def _drive_on(stereo_filter: StereoFilter, drive: _Drive, frames: range, scale: 
         stereo_filter.update(drive.observe(frame, scale))
 
 
-def _snapshot(stereo_filter: StereoFilter) -> tuple[FloatArray, ...]:
+def shown_arrays(stereo_filter: StereoFilter) -> tuple[FloatArray, ...]:
     """Everything a filter shows, as copies."""
     pose, velocity, landmarks = stereo_filter.pose, stereo_filter.velocity, stereo_filter.landmarks
     shown = (
@@ -160,7 +160,7 @@ def _snapshot(stereo_filter: StereoFilter) -> tuple[FloatArray, ...]:
 
 
 def _same(first: StereoFilter, second: StereoFilter, tolerance: float = 0.0) -> bool:
-    pairs = zip(_snapshot(first), _snapshot(second), strict=True)
+    pairs = zip(shown_arrays(first), shown_arrays(second), strict=True)
     if tolerance == 0.0:
         return all(np.array_equal(a, b, equal_nan=True) for a, b in pairs)
     return all(
@@ -180,7 +180,8 @@ def _assert_covariance(name: str, covariance: FloatArray, *, definite: bool) -> 
     assert smallest > lowest, f"{name} has a correlation eigenvalue {smallest:.3g}"
 
 
-def _assert_healthy(stereo_filter: StereoFilter) -> None:
+def assert_healthy(stereo_filter: StereoFilter) -> None:
+    """Raise an AssertionError if a belief is not finite, or a covariance not positive definite."""
     pose, velocity = stereo_filter.pose, stereo_filter.velocity
     assert np.isfinite(np.concatenate([pose.position, pose.orientation])).all(), "pose is not finite"
     assert np.isfinite(np.concatenate([velocity.linear, velocity.angular])).all(), "velocity is not finite"
@@ -258,7 +259,7 @@ def check_covariances(make: Make) -> None:
     drive = _Drive.past(stereo_filter)
     for frame in range(12):
         _drive_on(stereo_filter, drive, range(frame, frame + 1))
-        _assert_healthy(stereo_filter)
+        assert_healthy(stereo_filter)
     forecast = stereo_filter.forecast()
     if len(forecast.ids):
         _assert_covariance("forecast S", forecast.S, definite=True)
@@ -413,7 +414,7 @@ def check_negative_disparity(make: Make) -> None:
         uvd[3, 2] = -0.2
         stereo_filter.predict(DT)
         stereo_filter.update(StereoObservation(ids, uvd))
-        _assert_healthy(stereo_filter)
+        assert_healthy(stereo_filter)
         stereo_filter.forecast()
 
 
@@ -428,7 +429,7 @@ def check_empty_observation(make: Make) -> None:
     assert np.array_equal(before.covariance, after.covariance), "the covariance changed"
     assert len(report.updated) == len(report.initialised) == 0, "the report is not empty"
     assert report.nis_dof == 0, f"nis_dof is {report.nis_dof}"
-    _assert_healthy(stereo_filter)
+    assert_healthy(stereo_filter)
 
 
 def check_forget(make: Make) -> None:
@@ -447,7 +448,7 @@ def check_forget(make: Make) -> None:
     stereo_filter.predict(DT)
     report = stereo_filter.update(drive.observe(5))
     assert set(gone.tolist()) <= set(report.initialised.tolist()), "forgotten ids were not started again"
-    _assert_healthy(stereo_filter)
+    assert_healthy(stereo_filter)
 
 
 def check_snapshots(make: Make) -> None:
@@ -468,9 +469,9 @@ def check_copy(make: Make) -> None:
     """A deep copy goes its own way with the same bits."""
     stereo_filter, drive = _driven(make)
     twin = copy.deepcopy(stereo_filter)
-    frozen = _snapshot(stereo_filter)
+    frozen = shown_arrays(stereo_filter)
     _drive_on(twin, drive, range(5, 8))
-    unchanged = zip(frozen, _snapshot(stereo_filter), strict=True)
+    unchanged = zip(frozen, shown_arrays(stereo_filter), strict=True)
     assert all(np.array_equal(a, b, equal_nan=True) for a, b in unchanged), "driving the copy moved the original"
     _drive_on(stereo_filter, drive, range(5, 8))
     assert _same(stereo_filter, twin), "copy and original differ"

@@ -138,7 +138,8 @@ class UpdateReport:
     behind_camera : (K,) int64
         Known ids predicted behind the camera, so not used.
     failed : (K,) int64
-        Known ids whose innovation covariance had no Cholesky factor, so not used (or not in every stage).
+        Known ids whose innovation covariance had no Cholesky factor, or is so large that R is lost in its rounding (a
+        landmark as good as in the image plane), so not used (or not in every stage).
     nis : float
         Normalised innovation squared over the accepted measurements, chi-square with `nis_dof` if consistent.
     nis_dof : int

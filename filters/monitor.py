@@ -1,9 +1,10 @@
 """Whether a filter has lost its way, told from what its updates report: for any filter, without truth.
 
-Two cumulative sums of log-likelihood ratios (Page's CUSUM, Biometrika 41, 1954), each of "as it should be" against
-"gone wrong": of the normalised innovations squared, and of the share of known landmarks that could not be used. A sum
+Two cumulative sums of log-likelihood ratios (Page's CUSUM, Biometrika 41, 1954), each of "gone wrong" against "as it
+should be": of the normalised innovations squared, and of the share of known landmarks that could not be used. A sum
 never falls below 0, so what was long ago does not count; a false alarm is as rare, per update, as e^-threshold at the
-most. Besides, an alarm is raised where nothing has been measured for long, and where the numbers are none.
+most. Besides, an alarm is raised where nothing has been measured for long, where a frame has no link to the map, where
+the filter itself hardly knows its orientation, and where the numbers are none.
 """
 
 from __future__ import annotations
@@ -27,6 +28,8 @@ class Cause(Enum):
     INNOVATIONS = "innovations larger than claimed"
     REFUSED = "most known landmarks refused"
     BLIND = "nothing measured"
+    CUT = "no link to the map"
+    VAGUE = "orientation hardly known"
     NUMBERS = "not finite, or not positive definite"
 
 
@@ -52,15 +55,20 @@ class Alarm:
 class DivergenceMonitor:
     """Listens to the updates of one filter, and raises an alarm when it has lost its way.
 
+    What innovations cannot show it cannot see: a wrong baseline scales map and drive alike, and a camera that sees only
+    a truck drives with it.
+
     Parameters
     ----------
     threshold : float
-        Of the log-likelihood ratios, nats.
+        Of the log-likelihood ratios, nats. The sums end there, so that an alarm ends soon after recovery.
     inflation : float
         NIS over its degrees of freedom, above 1, that is to be told from 1. What stays below
         ln(inflation) / (1 - 1 / inflation), 1.39 for 2, never raises an alarm.
     longest_blind : float
         For how long nothing may be measured, s.
+    vaguest : float
+        Standard deviation of the rotation up to which a linearised filter can be believed, rad.
 
     Raises
     ------
@@ -68,11 +76,13 @@ class DivergenceMonitor:
         An argument is impossible.
     """
 
-    def __init__(self, *, threshold: float = 20.0, inflation: float = 2.0, longest_blind: float = 1.0) -> None:
-        self._threshold = positive("threshold", threshold)
-        if positive("inflation", inflation) <= 1.0:
+    def __init__(
+        self, *, threshold: float = 20.0, inflation: float = 2.0, longest_blind: float = 1.0, vaguest: float = 0.5
+    ) -> None:
+        self._threshold, self._inflation = positive("threshold", threshold), positive("inflation", inflation)
+        self._longest_blind, self._vaguest = positive("longest_blind", longest_blind), positive("vaguest", vaguest)
+        if self._inflation <= 1.0:
             raise ValueError(f"inflation must be above 1, got {inflation!r}")
-        self._inflation, self._longest_blind = float(inflation), positive("longest_blind", longest_blind)
         self.reset()
 
     def reset(self) -> None:
@@ -83,7 +93,8 @@ class DivergenceMonitor:
         """The first that was raised; None while there is none."""
         self.standing: Cause | None = None
         """Why there is an alarm now; None where the filter agrees with what it measures, also again."""
-        self._innovations = self._refused = self._blind = 0.0
+        self._innovations, self._refused = _Sum(self._threshold), _Sum(self._threshold)
+        self._blind, self._showed = 0.0, False
 
     def look(self, dt: float, report: UpdateReport, pose: PoseBelief | None = None) -> Alarm | None:
         """Take notice of an update.
@@ -93,7 +104,7 @@ class DivergenceMonitor:
         dt : float
             Time since the update before, s; 0 for the first.
         report : UpdateReport
-            What the update returned.
+            What the update returned; an empty one where there was none.
         pose : PoseBelief, optional
             After it; None: its numbers are not looked at.
 
@@ -101,14 +112,37 @@ class DivergenceMonitor:
         -------
         Alarm or None
             The alarm, if one is raised by this update.
+
+        Raises
+        ------
+        ValueError
+            dt is negative or not finite.
         """
-        self.time += positive("dt", dt, allow_zero=True)
-        used = len(report.updated)
+        dt = positive("dt", dt, allow_zero=True)
+        self.time += dt
+        used, new = len(report.updated), len(report.initialised)
         refused = len(report.gated) + len(report.behind_camera) + len(report.failed)
-        self._blind = 0.0 if used + refused + len(report.initialised) else self._blind + dt
-        self._innovations = max(0.0, self._innovations + self._inflated(report.nis, report.nis_dof))
-        self._refused = max(0.0, self._refused + _lost(used, refused))
-        found = self._found(report, used, refused, pose)
+        self._innovations.add(self._inflated(report.nis, report.nis_dof))
+        self._refused.add(_lost(used, refused))
+        cut = self._showed and new > 0 and used == 0
+        self._showed = used + refused + new > 0
+        self._blind = 0.0 if self._showed else self._blind + dt
+        found: tuple[Cause, str] | None = None
+        if not math.isfinite(report.nis) or (pose is not None and not _is_sound(pose)):
+            found = Cause.NUMBERS, "NIS or the pose is not finite, or its covariance not positive definite"
+        elif self._innovations.alarmed:
+            found = Cause.INNOVATIONS, f"innovations are larger than claimed: NIS {report.nis:.3g} of {report.nis_dof}"
+        elif self._refused.alarmed:
+            found = Cause.REFUSED, f"{refused} of {used + refused} known landmarks refused"
+        elif self._blind > self._longest_blind:
+            found = Cause.BLIND, f"nothing has been measured for {self._blind:.1f} s"
+        elif cut:
+            found = Cause.CUT, f"{new} landmarks are new, {refused} known ones refused: the pose is a prediction"
+        elif pose is not None and (sigma := _rotation_sigma(pose)) > self._vaguest:
+            found = Cause.VAGUE, f"the orientation is known to {sigma:.2g} rad: too little for a linearised filter"
+        return self._told(found)
+
+    def _told(self, found: tuple[Cause, str] | None) -> Alarm | None:
         before, self.standing = self.standing, None if found is None else found[0]
         if found is None or before is not None:
             return None
@@ -122,18 +156,16 @@ class DivergenceMonitor:
             return math.inf
         return 0.5 * (nis * (1.0 - 1.0 / self._inflation) - dof * math.log(self._inflation))
 
-    def _found(
-        self, report: UpdateReport, used: int, refused: int, pose: PoseBelief | None
-    ) -> tuple[Cause, str] | None:
-        if pose is not None and not _is_sound(pose):
-            return Cause.NUMBERS, "the pose is not finite, or its covariance not positive definite"
-        if self._innovations > self._threshold:
-            return Cause.INNOVATIONS, f"innovations are larger than claimed: NIS {report.nis:.3g} of {report.nis_dof}"
-        if self._refused > self._threshold:
-            return Cause.REFUSED, f"{refused} of {used + refused} known landmarks refused"
-        if self._blind > self._longest_blind:
-            return Cause.BLIND, f"nothing has been measured for {self._blind:.1f} s"
-        return None
+
+class _Sum:
+    """Page's sum, from 0 to the threshold; alarmed from when it gets there until it is back at 0."""
+
+    def __init__(self, threshold: float) -> None:
+        self._threshold, self._value, self.alarmed = threshold, 0.0, False
+
+    def add(self, ratio: float) -> None:
+        self._value = min(max(0.0, self._value + ratio), self._threshold)
+        self.alarmed = self._value == self._threshold or (self.alarmed and self._value > 0.0)
 
 
 def _lost(used: int, refused: int) -> float:
@@ -141,9 +173,12 @@ def _lost(used: int, refused: int) -> float:
     return refused * math.log(_LOST / _TOLERATED) + used * math.log((1.0 - _LOST) / (1.0 - _TOLERATED))
 
 
+def _rotation_sigma(pose: PoseBelief) -> float:
+    return math.sqrt(np.diagonal(pose.covariance)[3:].max())
+
+
 def _is_sound(pose: PoseBelief) -> bool:
-    values = (pose.position, pose.orientation, pose.covariance)
-    if not all(np.isfinite(value).all() for value in values):
+    if not all(np.isfinite(part).all() for part in (pose.position, pose.orientation, pose.covariance)):
         return False
     try:
         np.linalg.cholesky(pose.covariance)

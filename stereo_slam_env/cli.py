@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from stereo_slam_env import cli_bench, cli_certify, cli_paper, cli_scenes, cli_train, cli_view
+from stereo_slam_env import cli_bench, cli_certify, cli_faults, cli_paper, cli_scenes, cli_train, cli_view
 from stereo_slam_env.cli_parts import Interrupted, console, help_without_command, one_line_errors, refuse, show_place
 
 INTERRUPTED = 130
@@ -29,6 +29,7 @@ app.add_typer(cli_scenes.app, name="scenes")
 app.command()(cli_bench.bench)
 app.command()(cli_bench.replay)
 app.command()(cli_certify.certify)
+app.command()(cli_faults.faults)
 app.command()(cli_paper.paper)
 app.command()(cli_train.train)
 app.command()(cli_view.view)

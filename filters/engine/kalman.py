@@ -20,6 +20,8 @@ from filters.motion import CAMERA_SIZE, ROTATION, LinearMeasurement
 from filters.validation import BoolArray, FloatArray, IntArray
 
 CHUNK_ROWS = 75  # where the cost of the small factorisations meets that of passing over P again
+DROWNED = 1e12
+"""S over R from which on rounding (1e-16 of S) leaves too little of R: a landmark as good as in the image plane."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +111,7 @@ class Correction:
     nis, dof : float, int
         Normalised innovation squared and its degrees of freedom.
     used : (M,) bool
-        Measurements that took part; the others had an innovation covariance without a Cholesky factor.
+        Measurements that took part; the others had an innovation covariance without a Cholesky factor, or R drowned.
     """
 
     delta: FloatArray
@@ -121,7 +123,8 @@ class Correction:
 def update(P: FloatArray, measurements: LinearisedMeasurements, chunk: int | None = None) -> Correction:
     """Correct with all measurements (Eq. 13-18), `chunk` at a time; P (lower triangle, column-major) changes in place.
 
-    A chunk whose S has no Cholesky factor is taken apart, and the measurements that have none are left out.
+    A chunk whose S has no Cholesky factor, or in which R is `DROWNED`, is taken apart, and the measurements of which
+    that is true are left out.
     """
     delta = np.zeros(len(P))
     used = np.zeros(len(measurements), dtype=bool)
@@ -134,8 +137,10 @@ def update(P: FloatArray, measurements: LinearisedMeasurements, chunk: int | Non
         where = pending.pop()
         part = measurements[where]
         HP = times_covariance(part, P)
-        factor, info = lapack.dpotrf(_innovation_covariance(part, HP), lower=1, clean=0, overwrite_a=1)
-        if info != 0 or not math.isfinite(factor[-1, -1]):
+        S = _innovation_covariance(part, HP)
+        drowned = bool((np.diagonal(S) > DROWNED * np.diagonal(part.R, axis1=1, axis2=2).ravel()).any())
+        factor, info = lapack.dpotrf(S, lower=1, clean=0, overwrite_a=1)
+        if drowned or info != 0 or not math.isfinite(factor[-1, -1]):
             if where.stop - where.start > 1:
                 pending += [slice(i, i + 1) for i in range(where.start, where.stop)][::-1]
             continue

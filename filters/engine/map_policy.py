@@ -17,6 +17,9 @@ from filters.motion import CAMERA_SIZE
 from filters.noise import StereoNoise
 from filters.validation import BoolArray, IntArray
 
+_FARTHEST = 1e6
+"""No camera measures a pixel or a disparity as large, px; squares of what would come of 1e300 overflow."""
+
 
 @dataclass(frozen=True, eq=False)
 class MapChange:
@@ -91,6 +94,7 @@ class MapPolicy:
     def _can_start(self, state: JointState, observation: StereoObservation) -> BoolArray:
         """Which measurements a landmark can start from."""
         possible = self.parts.landmark.can_initialise(self.camera, state.camera.R_wc, observation.uvd)
+        possible &= (np.abs(observation.uvd) < _FARTHEST).all(axis=1)
         if self.parts.min_disparity is not None:
             possible &= observation.uvd[:, 2] >= self.parts.min_disparity
         return possible

@@ -230,13 +230,13 @@ class MovingLandmarks:
             displacements = velocities[those] * (frame.timestamp - first_seen[those])[:, None]
             positions = landmarks.positions[those]
             observations.append(
-                _seen_elsewhere(frame, recording.camera, concerned, positions, positions + displacements)
+                seen_elsewhere(frame, recording.camera, concerned, positions, positions + displacements)
             )
         static = LandmarkTruth(landmarks.ids[~moving], landmarks.positions[~moving])
         return replace(recording.with_observations(observations), landmarks=static)
 
 
-def _seen_elsewhere(
+def seen_elsewhere(
     frame: Frame, camera: StereoCamera, concerned: BoolArray, static_w: FloatArray, moved_w: FloatArray
 ) -> StereoObservation:
     """The observation of a frame in which the `concerned` landmarks are at `moved_w` instead of `static_w`."""

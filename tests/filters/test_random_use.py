@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from filters import BodyVelocity, StereoEKF, StereoFilter, StereoObservation, UpdateReport, VelocityDriven, make_filter
-from filters.conformance import _assert_healthy, _same
+from filters.conformance import _same
+from filters.conformance import assert_healthy as assert_contract
 from filters.engine.error_definition import ERRORS
 from filters.engine.options import LANDMARKS, MEASUREMENTS
 from filters.registry import _OWN as NAMED
@@ -166,7 +167,7 @@ def assert_partition(report: UpdateReport, observed: set[int], before: set[int])
 
 def assert_healthy(stereo_filter: StereoFilter) -> None:
     """What `check_filter` asks for, and as strictly as our own filters can keep it."""
-    _assert_healthy(stereo_filter)
+    assert_contract(stereo_filter)
     pose, velocity, landmarks = stereo_filter.pose, stereo_filter.velocity, stereo_filter.landmarks
     assert abs(np.linalg.norm(pose.orientation) - 1.0) < 1e-12
     for covariance in (pose.covariance, velocity.covariance):

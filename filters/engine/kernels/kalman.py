@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numba import njit, types
 
+from filters.engine.kalman import DROWNED
 from filters.engine.kernels.blas import ADDRESSES, ROUTINES, at, call
 from filters.engine.kernels.signatures import COVARIANCE, FIXED, FLOATS, MEASURED
 from filters.validation import BoolArray, FloatArray, IntArray
@@ -97,6 +98,8 @@ def _take(
         for a in range(size):
             for b in range(size):
                 S[top + a, top + b] += R[m, b, a]
+            if S[top + a, top + a] > DROWNED * R[m, a, a]:
+                return -1.0
             explained = 0.0
             for c in range(camera):
                 explained += by_camera[m, a, c] * delta[c]
