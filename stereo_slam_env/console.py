@@ -255,6 +255,7 @@ def _rows(summaries: Sequence[FilterSummary]) -> dict[str, list[str]]:
         "gated, %": row("gated_percent", 1),
         "ms a frame": row("ms_per_frame", 2),
         "diverged runs": [f"{summary.diverged} of {summary.runs}" for summary in summaries],
+        "runs with an alarm": [f"{summary.alarmed} of {summary.runs}" for summary in summaries],
     }
 
 

@@ -162,8 +162,10 @@ def _table(summaries: Sequence[FilterSummary], figures: Sequence[_Figure], who: 
     rows = [[filter_cell(s.filter_name, colours), *(number(f.value(s), f.form) for f in shown)] for s in summaries]
     if diverged:
         columns.append(Column("Diverged", "runs", "failed, not finite, or far from the truth"))
+        columns.append(Column("Alarms", "runs", "the divergence monitor warned, by innovations and events alone"))
         for s, row in zip(summaries, rows, strict=True):
             row.append(Cell(f"{s.diverged}/{s.runs}", float(s.diverged), "bad" if s.diverged else ""))
+            row.append(Cell(f"{s.alarmed}/{s.runs}", float(s.alarmed), "fair" if s.alarmed else ""))
     return table(columns, rows, wide=True)
 
 

@@ -321,6 +321,8 @@ class FilterSummary:
         Root mean square of what the filter claims for it: of the root of the trace of the position's covariance.
     final_pose_logdet : float
         Natural logarithm of the determinant of that pose covariance (m and rad), mean over runs.
+    alarmed : int
+        Runs in which the divergence monitor raised an alarm, see `filters.monitor`.
     """
 
     filter_name: str
@@ -364,3 +366,4 @@ class FilterSummary:
     end_error_m: float | None = None
     final_position_sigma_m: float | None = None
     final_pose_logdet: float | None = None
+    alarmed: int = 0

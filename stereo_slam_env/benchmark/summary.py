@@ -98,6 +98,7 @@ def summarise(
         behind_camera=total("behind_camera"),
         failed_factorisations=total("failed_factorisations"),
         diverged=total("diverged"),
+        alarmed=int(np.isfinite(column("alarm_s")).sum()),
         failures=tuple(
             run.failure if run.seed is None else f"seed {run.seed}, {run.failure}"
             for run in runs

@@ -11,6 +11,7 @@ import numpy as np
 from filters.motion import POSITION, ROTATION
 from filters.validation import BoolArray, FloatArray, IntArray
 from stereo_slam_env.benchmark import trajectory_metrics as metrics
+from stereo_slam_env.benchmark.alarms import first_alarm
 from stereo_slam_env.benchmark.landmark_statistics import LandmarkStatistics
 from stereo_slam_env.benchmark.limits import Bound
 from stereo_slam_env.benchmark.results import COUNTS, FilterRun
@@ -81,6 +82,8 @@ COLUMNS: Mapping[str, Column] = {
     "negative_depth": Column("", "landmarks x frames seen and estimated at d <= 0", "integer"),
     "diverged": Column("", "1: failed, or ended farther off than the divergence limit", "integer"),
     "failure": Column("", "what the filter raised; null where it went through", "text"),
+    "alarm_s": Column("s", "when the divergence monitor first raised an alarm, from the first frame on; null: never"),
+    "alarm": Column("", "why, in one line", "text"),
 }
 
 
@@ -103,7 +106,7 @@ def trial_figures(
     """The figures of one run: the columns of `COLUMNS`, in that order.
 
     The first frame only initialises and is not scored, nor are frames without truth. What does not apply is None;
-    of a run that failed, that is all but its events.
+    of a run that failed, that is all but its events and alarms.
 
     Parameters
     ----------
@@ -125,6 +128,9 @@ def trial_figures(
     figures |= {"filter": run.filter_name, "recording": run.recording_name, "seed": run.seed, "failure": run.failure}
     figures |= {event: int(run.counts[event].sum()) for event in EVENT_COLUMNS if event in run.counts}
     figures |= {"frames": 0, "rpe_segments": 0, "nis_dof": 0, "diverged": 1}
+    alarm = first_alarm(run)
+    if alarm is not None:
+        figures |= {"alarm_s": alarm.time, "alarm": alarm.words}
     if run.failure is not None:
         return figures
     at, relative = scored_frames(run), segments(run)

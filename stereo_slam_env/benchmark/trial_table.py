@@ -30,7 +30,7 @@ from stereo_slam_env.benchmark.trial_metrics import COLUMNS, Column, trial_figur
 if TYPE_CHECKING:
     from stereo_slam_env.benchmark.study_store import CellResult
 
-SCHEMA = 2
+SCHEMA = 3
 _TYPES = {"text": "TEXT", "integer": "INTEGER", "real": "REAL", "any": ""}
 
 

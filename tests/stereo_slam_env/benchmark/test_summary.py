@@ -139,7 +139,8 @@ def drive(run, rows, scale):
         if isinstance(value, np.ndarray)
     }
     poses = {"positions": scale * along, "true_positions": along, "orientations": ahead, "true_orientations": ahead}
-    return replace(run, **{**grown, **poses})
+    counts = {name: np.resize(values, rows) for name, values in run.counts.items()}
+    return replace(run, **{**grown, **poses}, counts=counts)
 
 
 def test_landmarks_are_weighted_by_their_number(plain):
