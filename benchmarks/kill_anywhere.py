@@ -87,7 +87,8 @@ def check_finished(out: Path, expected: dict[str, np.ndarray]) -> None:
     with closing(sqlite3.connect(out / "trials.sqlite")) as database:
         counted = [series for (series,) in database.execute("SELECT series FROM trials")]
     assert sorted(counted) == sorted(expected), "a trial is missing, or counted twice"
-    assert not list(out.rglob(".*")), "something of a killed run is left"
+    left = [str(path.relative_to(out)) for path in out.rglob(".*")]
+    assert not left, f"of a killed run is left: {left}"
 
 
 def disturb(kills: int, jobs: int, seed: int = 0) -> Tally:

@@ -37,5 +37,5 @@ def unfinished_name(path: Path) -> Path:
 
 def remove_unfinished(folder: Path) -> None:
     """Remove what killed processes were writing; nobody may be writing there now."""
-    for path in folder.rglob(f".*{_UNFINISHED}"):
+    for path in folder.rglob(f".*{_UNFINISHED}*"):  # SQLite keeps a journal beside its file
         path.unlink(missing_ok=True)

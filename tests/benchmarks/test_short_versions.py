@@ -120,3 +120,28 @@ def test_bare_calls_and_a_filter_in_the_loop_are_a_part_of_a_step() -> None:
     assert all(0.0 < found["bare"] < found["step"] for found in times)
     assert times[1]["step"] > times[0]["step"]
     assert speed.pybullet.rayTestBatch.__name__ == "rayTestBatch"  # as it was before
+
+
+def test_a_filter_and_an_environment_stay_sound_while_they_run() -> None:
+    """500 updates and 100 steps; the benchmark has 1,000,000 and 100,000."""
+    long_run = script("soak")
+    of_filter, _ = long_run.soak_filter("shared-anchor", 500)
+    assert of_filter.worst["quaternion_off_unit"] < 1e-12
+    assert of_filter.worst["asymmetry"] < 1e-12
+    assert of_filter.worst["lack_of_definiteness"] < 0.0
+    of_env = long_run.soak_environment("StereoSlam/Drive-v0", {**long_run.CHEAP, "max_landmarks": 20}, 100)
+    assert of_env.worst["quaternion_off_unit"] < 1e-12
+    assert of_env.worst["outside_of_its_space"] == of_env.worst["not_finite"] == 0.0
+    assert of_env.done == list(range(1, 101))
+
+
+def test_a_leak_and_a_slow_down_would_be_seen() -> None:
+    """2 MB per 100,000 and a tenth slower at the end; NaN is the worst of all."""
+    long_run = script("soak")
+    done = list(range(1000, 101_000, 1000))
+    log = long_run.Log(done, [80.0 + 2e-5 * k for k in done], [1.0] * 90 + [1.1] * 10)
+    assert log.slope == pytest.approx(2.0)
+    assert log.slower == pytest.approx(1.1)
+    for value in (1.0, float("nan"), 2.0):
+        log.note(anything=value)
+    assert np.isnan(log.worst["anything"])

@@ -112,7 +112,8 @@ def test_a_killed_owner_has_no_claim_and_leaves_nothing_half_written(tmp_path):
     os.kill(owner.pid, signal.SIGKILL)
     owner.join()
     (tmp_path / "trials").mkdir()
-    (tmp_path / "trials" / f".euclidean.npz.{owner.pid}.part").write_bytes(b"half")
+    for name in (f".euclidean.npz.{owner.pid}.part", f".trials.sqlite.{owner.pid}.part-journal"):
+        (tmp_path / "trials" / name).write_bytes(b"half")
     with claimed_folder(tmp_path):
         assert list((tmp_path / "trials").iterdir()) == []
 
