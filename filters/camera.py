@@ -1,4 +1,7 @@
-"""The rectified pinhole stereo pair (Eq. 10, 21)."""
+"""The rectified pinhole stereo pair (Eq. 10, 21).
+
+Derivation: docs/derivations/camera.md.
+"""
 
 from __future__ import annotations
 

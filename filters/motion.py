@@ -2,6 +2,8 @@
 
 Errors of a camera state are 12 numbers: position (W, m), rotation (camera frame, rad, on the right),
 linear velocity (W, m/s), angular velocity (camera frame, rad/s). Every Jacobian here is with respect to them.
+
+Derivation: docs/derivations/motion.md.
 """
 
 from __future__ import annotations

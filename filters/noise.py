@@ -1,4 +1,7 @@
-"""Covariance of one stereo measurement (u, v, d)."""
+"""Covariance of one stereo measurement (u, v, d).
+
+Derivation: docs/derivations/camera.md.
+"""
 
 from __future__ import annotations
 

@@ -3,6 +3,8 @@
 A perturbation always acts on the right, in the camera frame: R(q) Exp(delta), where R_wc = R(q). A filter turns a
 single camera some ten times a frame, so for one rotation the closed forms are written out here, in plain numbers
 (functions named `..._of`), which is also what Numba compiles. Where one of many is NaN, so is its result alone.
+
+Derivation: docs/derivations/motion.md.
 """
 
 from __future__ import annotations

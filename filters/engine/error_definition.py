@@ -14,6 +14,8 @@ definitions apart is how they move the state, how P is carried along, and where 
     delta+ = delta + (Gamma+ - Gamma) theta, with Gamma the effect of a rotation of the world on the error state.
 
 Both of the latter rest on Gamma, `JointState.world_rotation`.
+
+Derivation: docs/derivations/errors.md.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""Prediction of measurements and its Jacobian: Eq. 8-10 and 13-14 for many landmarks at once."""
+"""Prediction of measurements and its Jacobian: Eq. 8-10 and 13-14 for many landmarks at once.
+
+Derivation: docs/derivations/measurements.md.
+"""
 
 from __future__ import annotations
 

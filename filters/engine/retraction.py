@@ -2,6 +2,8 @@
 
 `retract` applies it, `local` is the inverse, and `transport` is the Jacobian that carries the covariance from the
 old orientation to the new one. All take one camera or many at once.
+
+Derivation: docs/derivations/errors.md.
 """
 
 from __future__ import annotations

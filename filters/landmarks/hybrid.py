@@ -3,6 +3,8 @@
 Two ways to tell, both on offer: Civera's linearity index (Civera, Davison and Montiel 2008) while the landmark is
 being tracked, and a disparity at first sight from which it starts as XYZ (Paz et al. 2008). At first sight by a stereo
 pair the index is 4 sigma_d / d, so the two are one question asked at different times.
+
+Derivation: docs/derivations/euclidean.md.
 """
 
 from __future__ import annotations

@@ -2,6 +2,8 @@
 
 rho is inverse *distance* along the ray (Eq. 22). It may be zero or negative: a measurement with d <= 0 is kept as
 the forward ray with rho <= 0, which has the same projection as the literal Eq. 21-24 (a point behind the camera).
+
+Derivation: docs/derivations/inverse_depth.md.
 """
 
 from __future__ import annotations

@@ -2,6 +2,8 @@
 
 They would all copy the same camera position, so their anchor rows of P are equal and stay equal under every
 Kalman update: the estimate is the one of six-dimensional inverse depth, in 3 n + 3 k instead of 6 n numbers.
+
+Derivation: docs/derivations/inverse_depth.md.
 """
 
 from __future__ import annotations

@@ -2,6 +2,8 @@
 
 Every model here is linear in the stereo triple (u, v, d): z = T (u, v, d). So Eq. 7-10 and its Jacobian are
 written once, and the models differ in T, in the noise, and in the order of the updates.
+
+Derivation: docs/derivations/measurements.md.
 """
 
 from __future__ import annotations
