@@ -67,8 +67,9 @@ for step in range(1, 101):
     if step % 25 == 0:
         sigma = np.sqrt(np.trace(slam.pose.covariance[:3, :3]))
         error = np.linalg.norm(slam.pose.position - robot.position)
-        told = f"{len(slam.landmarks.ids)} landmarks, {int(expected.in_view.sum())} expected in view"
         print(
-            f"{step * PERIOD:4.1f} s: sigma {sigma:.3f} m, truly off by {error:.3f} m; {told}, {len(report.gated)} gated"
+            f"{step * PERIOD:4.1f} s: sigma {sigma:.3f} m, truly off by {error:.3f} m; "
+            f"{int(expected.in_view.sum())} of {len(slam.landmarks.ids)} landmarks expected in view, "
+            f"{len(report.gated)} gated"
         )
 assert "stereo_slam_env" not in sys.modules
