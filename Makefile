@@ -51,5 +51,5 @@ $(VENV)/.installed: pyproject.toml | $(BIN)/python
 	@touch $@
 
 $(VENV)/.installed-dev: pyproject.toml constraints.txt | $(BIN)/python
-	@$(PIP) --constraint constraints.txt --editable '.[dev,gtsam,evo,fast,gl,report,ray,dask,rl,video]'
+	@$(PIP) --constraint constraints.txt --editable '.[dev,gtsam,evo,fast,gl,report,viewer,ray,dask,rl,video]'
 	@touch $@ $(VENV)/.installed

@@ -1,4 +1,4 @@
-"""The template of a filter package, used as its README says: installed, checked, compared (about 30 s)."""
+"""The template of a filter package, used as its README says: installed, checked, compared (about 15 s)."""
 
 import json
 import os
@@ -65,9 +65,10 @@ def test_a_benchmark_has_a_row_for_it(home, tmp_path):
 
 
 def test_its_own_tests_pass(home):
-    command = (home / "bin" / "python", "-m", "pytest", "-q", "-p", "no:cacheprovider")
+    """All but the comparison, which takes twenty drives: that of `examples/test_my_filter.py` is the same."""
+    command = (home / "bin" / "python", "-m", "pytest", "-q", "-p", "no:cacheprovider", "-k", "not papers")
     printed = run(*command, home / "source" / "tests", cwd=home)
-    assert "3 passed" in printed
+    assert "2 passed, 1 deselected" in printed
 
 
 def test_it_asks_for_this_version():
