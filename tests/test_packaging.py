@@ -1,11 +1,13 @@
-"""What a user installs: the wheel holds what it should and works on its own (about 40 s)."""
+"""What a user installs: the archives hold what they should, and the wheel works on its own (about 45 s)."""
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
 import sysconfig
+import tarfile
 import venv
 import zipfile
 from pathlib import Path
@@ -14,6 +16,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = ("filters", "stereo_slam_env")
+ALONGSIDE = ("pyproject.toml", "MANIFEST.in", "README.md", "LICENSE", "CHANGELOG.md", "CITATION.cff", "CONTRIBUTING.md")
 pytest.importorskip("build", reason="needs pip install stereo-slam-env[dev]")
 
 pytestmark = pytest.mark.slow
@@ -28,16 +31,22 @@ def run(*command, cwd):
 
 
 @pytest.fixture(scope="module")
-def wheel(tmp_path_factory):
-    """Built from a copy, so that nothing of an earlier build is in it and nothing is left in the checkout."""
+def built(tmp_path_factory):
+    """Both archives, the wheel made of the source archive, from a copy: nothing of an earlier build is in them."""
     source = tmp_path_factory.mktemp("source")
-    for package in PACKAGES:
-        shutil.copytree(ROOT / package, source / package, ignore=shutil.ignore_patterns("__pycache__"))
-    for name in ("pyproject.toml", "README.md", "LICENSE"):
+    for folder in (*PACKAGES, "examples", "templates"):
+        shutil.copytree(ROOT / folder, source / folder, ignore=shutil.ignore_patterns("__pycache__", "*.egg-info"))
+    for name in ALONGSIDE:
         shutil.copy(ROOT / name, source)
-    run(sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", "dist", cwd=source)
-    (built,) = (source / "dist").glob("*.whl")
-    return built
+    run(sys.executable, "-m", "build", "--no-isolation", "--outdir", "dist", cwd=source)
+    return source / "dist"
+
+
+@pytest.fixture(scope="module")
+def wheel(built):
+    """The wheel."""
+    (wheel,) = built.glob("*.whl")
+    return wheel
 
 
 @pytest.fixture(scope="module")
@@ -65,6 +74,27 @@ def test_the_wheel_holds_both_packages_whole_and_nothing_else(wheel):
     }
     assert packed == wanted
     assert {"filters/py.typed", "stereo_slam_env/py.typed", "stereo_slam_env/viewer/page.html"} <= packed
+
+
+def test_the_source_archive_holds_what_belongs_to_it(built):
+    (path,) = built.glob("*.tar.gz")
+    with tarfile.open(path) as archive:
+        names = {name.partition("/")[2] for name in archive.getnames()}
+    assert set(ALONGSIDE) <= names
+    assert "examples/write_a_filter.py" in names
+    assert "templates/filter-package/src/my_slam_filter/my_filter.py" in names
+
+
+def test_an_index_would_take_the_archives(built):
+    pytest.importorskip("twine", reason="needs pip install stereo-slam-env[dev]")
+    printed = run(sys.executable, "-m", "twine", "check", "--strict", *built.iterdir(), cwd=built)
+    assert printed.count("PASSED") == 2
+
+
+def test_the_citation_names_this_version():
+    (version,) = re.findall(r'^version = "(.*)"', (ROOT / "pyproject.toml").read_text(encoding="utf-8"), re.MULTILINE)
+    assert f"\nversion: {version}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    assert f"\n## {version} " in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
 
 
 def test_the_wheel_names_its_licence_and_its_command(wheel):

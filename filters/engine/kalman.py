@@ -22,7 +22,7 @@ from filters.motion import CAMERA_SIZE, ROTATION, LinearMeasurement
 from filters.validation import BoolArray, FloatArray, IntArray
 
 CHUNK_ROWS = 75  # where the cost of the small factorisations meets that of passing over P again
-DROWNED = 1e12
+DROWNED = 1e15
 """S over R from which on rounding (1e-16 of S) leaves too little of R: a landmark as good as in the image plane."""
 
 

@@ -1,0 +1,47 @@
+"""From a folder of KITTI images to trajectories and their errors: front end, then two filters on the same measurements.
+
+Give it a sequence of KITTI odometry (the folder with image_0 and image_1, or image_2 and image_3). Without one it draws
+a short drive and writes that in KITTI's layout first, so that there is something to try.
+The command `stereo-slam replay FOLDER` does this with a report.
+
+Run it: python examples/replay_kitti.py PATH/sequences/07 --frames 200
+"""
+
+import argparse
+import tempfile
+
+from stereo_slam_env.benchmark import run_filter, summarise
+from stereo_slam_env.datasets import open_for_front_end
+from stereo_slam_env.datasets.images.kitti_writer import write_kitti_sequence
+from stereo_slam_env.envs.rendered_drive import RenderedDrive
+from stereo_slam_env.frontend.recorder import record_tracks
+
+FILTERS = ("inverse-depth", "dual-bearing")
+
+
+def replay(folder, frames):
+    """Print the errors of the filters on the sequence in a folder."""
+    sequence, settings = open_for_front_end(folder)
+    recording = record_tracks(sequence, settings, frames=frames)
+    measured = sum(len(frame.observation) for frame in recording.frames)
+    print(f"{recording.name}: {len(recording)} pairs, {measured / len(recording):.0f} landmarks in each")
+    for name in FILTERS:
+        run = run_filter(recording, name, {"gate": 0.99, "consensus": True}, use_odometry=False, score_map=False)
+        found = summarise([run])
+        if found.ate_rigid_m is None:
+            print(f"{name:<14} ends at {run.positions[-1].round(2)} m; the folder has no true poses to compare with")
+        else:
+            print(f"{name:<14} ATE {found.ate_rigid_m:.3f} m, drift at the end {found.end_drift_percent:.2f} %")
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("folder", nargs="?", help="a KITTI odometry sequence")
+    parser.add_argument("--frames", type=int, default=None)
+    given = parser.parse_args()
+    if given.folder is not None:
+        replay(given.folder, given.frames)
+    else:
+        with tempfile.TemporaryDirectory() as out:
+            drive = RenderedDrive({"route": "right-turn", "rig": "qvga"}, seed=0, frames=given.frames or 25)
+            replay(write_kitti_sequence(drive, out, "00"), None)

@@ -1,0 +1,78 @@
+"""The template of a filter package, used as its README says: installed, checked, compared (about 15 s)."""
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+import sysconfig
+import venv
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+TEMPLATE = ROOT / "templates" / "filter-package"
+pytest.importorskip("setuptools", minversion="77", reason="needs pip install stereo-slam-env[dev]")
+
+pytestmark = pytest.mark.slow
+
+
+def run(*command, cwd):
+    """Run a command with nothing on the path but what is installed."""
+    environment = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
+    done = subprocess.run(list(map(str, command)), cwd=cwd, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, f"{command}\n{done.stdout}\n{done.stderr}"
+    return done.stdout
+
+
+@pytest.fixture(scope="module")
+def home(tmp_path_factory):
+    """An environment with the package made from the template; this checkout and the dependencies are lent to it."""
+    home = tmp_path_factory.mktemp("installed")
+    venv.create(home, with_pip=False)
+    (site,) = home.glob("lib/python*/site-packages")
+    # Paths named in a .pth file are searched last, and their own .pth files are not read.
+    (site / "lent.pth").write_text(f"{ROOT}\n{sysconfig.get_path('purelib')}\n", encoding="utf-8")
+    source = shutil.copytree(TEMPLATE, home / "source", ignore=shutil.ignore_patterns("__pycache__", "*.egg-info"))
+    pip = (sys.executable, "-m", "pip", "--python", home / "bin" / "python", "install", "--quiet")
+    run(*pip, "--no-deps", "--no-build-isolation", source, cwd=home)
+    return home
+
+
+def slam(home, *arguments):
+    """The command `stereo-slam` of that environment."""
+    return run(home / "bin" / "python", "-m", "stereo_slam_env.cli", *arguments, cwd=home)
+
+
+def test_the_filter_is_known_by_its_entry_point(home):
+    assert "my-filter" in slam(home, "filters", "list")
+
+
+def test_it_keeps_the_contract(home):
+    assert "failed" not in slam(home, "filters", "check", "my-filter").replace("0 failed", "")
+
+
+def test_a_benchmark_has_a_row_for_it(home, tmp_path):
+    names = ("--filters", "inverse-depth,my-filter")
+    study = ("--preset", "reference-turn", "--seeds", 1, "--frames", 6, "--jobs", 1)
+    slam(home, "bench", *study, *names, "--out", tmp_path / "out")
+    filters = json.loads((tmp_path / "out" / "summary.json").read_text(encoding="utf-8"))["filters"]
+    assert set(filters) == {"inverse-depth", "my-filter"}
+    assert filters["my-filter"]["diverged"] == 0
+    assert filters["my-filter"]["position_rmse_m"] < 0.2
+
+
+def test_its_own_tests_pass(home):
+    """All but the comparison, which takes twenty drives: that of `examples/test_my_filter.py` is the same."""
+    command = (home / "bin" / "python", "-m", "pytest", "-q", "-p", "no:cacheprovider", "-k", "not papers")
+    printed = run(*command, home / "source" / "tests", cwd=home)
+    assert "2 passed, 1 deselected" in printed
+
+
+def test_it_asks_for_this_version():
+    (version,) = re.findall(r'^version = "(.*)"', (ROOT / "pyproject.toml").read_text(encoding="utf-8"), re.MULTILINE)
+    major, minor, _ = map(int, version.split("."))
+    wanted = f'"stereo-slam-env>={major}.{minor},<{major}.{minor + 1}"'
+    assert wanted in (TEMPLATE / "pyproject.toml").read_text(encoding="utf-8")
