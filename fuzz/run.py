@@ -1,6 +1,6 @@
 """Fuzz every reader of files: data sets, images, recordings, runs, scenario files, networks.
 
-    python fuzz/run.py --inputs 1000000                   # guided by coverage; needs: pip install atheris (CPython <= 3.13)
+    python fuzz/run.py --inputs 1000000                   # guided by coverage; needs: pip install atheris
     python fuzz/run.py --seconds 600 --targets euroc,scenario
     python fuzz/run.py --engine random --inputs 20000     # without guidance, without atheris, deterministic
 
