@@ -9,6 +9,7 @@ from __future__ import annotations
 import io
 import os
 import struct
+import tokenize
 import zipfile
 import zlib
 from collections.abc import Collection
@@ -27,8 +28,8 @@ _PIECE, _MOST_HEADER = 1 << 20, 1 << 17
 
 _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # what NumPy writes; others can ask for memory of their own
 _DAMAGE = (
-    *(OSError, EOFError, ValueError, TypeError, KeyError, IndexError, OverflowError, MemoryError, RecursionError),
-    *(RuntimeError, NotImplementedError, SyntaxError, struct.error, zlib.error, zipfile.BadZipFile),
+    *(OSError, EOFError, ValueError, TypeError, KeyError, IndexError, OverflowError, RuntimeError, SyntaxError),
+    *(tokenize.TokenError, struct.error, zlib.error, zipfile.BadZipFile),
 )
 """What `zipfile`, `zlib` and the header's parser raise where a file is not what it says."""
 

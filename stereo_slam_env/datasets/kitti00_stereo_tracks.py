@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from filters.camera import StereoCamera
 from filters.noise import StereoNoise
 from filters.validation import FloatArray, IntArray
-from stereo_slam_env.datasets.tables import read_poses, read_table, split_poses
+from stereo_slam_env.datasets.tables import read_poses, read_table, require_rotations, split_poses
 from stereo_slam_env.datasets.tracks import ASSUMED_SIGMA_PX, Tracks, frames_of
 from stereo_slam_env.recording import Pose, Recording
 
@@ -94,7 +94,9 @@ def read_odometry_poses(path: Path) -> tuple[IntArray, FloatArray]:
     frame_ids = table[:, 0].astype(np.int64)
     if not (np.diff(frame_ids) > 0).all():
         raise ValueError(f"{path}: frame ids must increase: sort the rows")
-    return frame_ids, table[:, 1:].reshape(-1, 4, 4)
+    matrices = table[:, 1:].reshape(-1, 4, 4)
+    require_rotations(path, matrices)
+    return frame_ids, matrices
 
 
 def tracks_recording(

@@ -16,7 +16,7 @@ from filters.interface import BodyVelocity
 from filters.noise import StereoNoise
 from filters.validation import FloatArray, positive
 from stereo_slam_env.datasets.kitti07_tracks import camera_velocities
-from stereo_slam_env.datasets.tables import read_archive
+from stereo_slam_env.datasets.tables import read_archive, require_rotations
 from stereo_slam_env.datasets.tracks import Tracks, frames_of, tracks_of_pixels
 from stereo_slam_env.recording import LandmarkTruth, Pose, Recording
 
@@ -186,3 +186,4 @@ def _check(archive: Path, arrays: dict[str, FloatArray], steps: int) -> None:
     for key in ARRAYS:
         if not np.isfinite(arrays[key]).all():
             raise ValueError(f"{archive}: array {key} has NaN or infinity: mark unseen landmarks with -1")
+    require_rotations(archive, arrays["C_c_v"][None])

@@ -13,6 +13,9 @@ from filters.validation import BoolArray, FloatArray
 from stereo_slam_env.array_files import MOST_BYTES, read_arrays
 from stereo_slam_env.datasets.text_files import read_text
 
+_LEAST_VOLUME = 1e-6
+"""Determinant; that of a rotation is 1."""
+
 
 def read_table(
     path: Path, columns: int, *, delimiter: str | None = None, header_lines: int = 0, finite: bool = True
@@ -95,12 +98,26 @@ def read_poses(path: Path) -> tuple[FloatArray, FloatArray]:
     orientations : (K, 4) ndarray
         q^WC, xyzw.
     """
-    return split_poses(read_table(path, 12).reshape(-1, 3, 4))
+    matrices = read_table(path, 12).reshape(-1, 3, 4)
+    require_rotations(path, matrices)
+    return split_poses(matrices)
 
 
 def split_poses(matrices: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Positions (K, 3) and unit quaternions xyzw (K, 4) of K matrices whose upper 3x4 part is [R | t]."""
     return matrices[:, :3, 3].copy(), Rotation.from_matrix(matrices[:, :3, :3]).as_quat()
+
+
+def require_rotations(path: Path, matrices: FloatArray) -> None:
+    """Raise a `ValueError` naming the first of (K, 3 or 4, 3 or 4) matrices whose upper 3x3 part is no rotation.
+
+    Files round, and some hold rotations of few digits: what is refused is what has no nearest rotation.
+    """
+    with np.errstate(all="ignore"):
+        volume = np.linalg.det(matrices[:, :3, :3])
+        bad = np.flatnonzero(~((volume > _LEAST_VOLUME) & np.isfinite(volume)))
+    if bad.size:
+        raise ValueError(f"{path} holds no rotation in pose {bad[0]}: correct it")
 
 
 def require_finite_rows(path: Path, table: FloatArray) -> None:

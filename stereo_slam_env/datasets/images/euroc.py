@@ -122,7 +122,8 @@ def _read_listing(folder: Path) -> tuple[list[int], list[str]]:
         if not line.strip() or line.lstrip().startswith("#"):
             continue
         stamp, _, name = (part.strip() for part in line.partition(","))
-        if not re.fullmatch(r"[0-9]{1,19}", stamp) or int(stamp) > _LATEST_NS or not name or Path(name).name != name:
+        plain = Path(name).name == name not in ("", "..")
+        if not re.fullmatch(r"[0-9]{1,19}", stamp) or int(stamp) > _LATEST_NS or not plain:
             raise ValueError(f"{path}: line {number} is not 'timestamp in ns,file name': correct it")
         stamps.append(int(stamp))
         names.append(name)
