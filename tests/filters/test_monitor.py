@@ -31,7 +31,7 @@ def with_covariance(*variances):
 
 @pytest.mark.parametrize("used", [1, 3, 20, 90])
 def test_a_consistent_filter_raises_no_alarm_in_ten_thousand_frames(used):
-    assert look(DivergenceMonitor(), consistent(np.random.default_rng(0), 10_000, used)) == []
+    assert look(DivergenceMonitor(), consistent(np.random.default_rng(0), 10_000, used), None) == []
 
 
 @pytest.mark.parametrize(("used", "within"), [(3, 25), (20, 5), (90, 2)])
