@@ -1,0 +1,136 @@
+"""The monitor of divergence, from reports alone (< 1 s)."""
+
+import numpy as np
+import pytest
+
+from filters import Cause, DivergenceMonitor, PoseBelief, UpdateReport
+
+DT = 0.1
+POSE = PoseBelief(np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), 1e-4 * np.eye(6))
+
+
+def report(used=20, refused=0, new=0, nis=None):
+    ids = np.arange(used + refused + new)
+    parts = {"updated": ids[:used], "gated": ids[used : used + refused], "initialised": ids[used + refused :]}
+    return UpdateReport(**parts, nis=3.0 * used if nis is None else nis, nis_dof=3 * used)
+
+
+def look(monitor, reports, pose=POSE):
+    """The alarms raised."""
+    raised = [monitor.look(DT, one, pose) for one in reports]
+    return [alarm for alarm in raised if alarm is not None]
+
+
+def consistent(rng, count, used=20):
+    return [report(used, nis=nis) for nis in rng.chisquare(3 * used, count)]
+
+
+def with_covariance(*variances):
+    return PoseBelief(POSE.position, POSE.orientation, np.diag(np.array(variances)))
+
+
+@pytest.mark.parametrize("used", [1, 3, 20, 90])
+def test_a_consistent_filter_raises_no_alarm_in_ten_thousand_frames(used):
+    assert look(DivergenceMonitor(), consistent(np.random.default_rng(0), 10_000, used), None) == []
+
+
+@pytest.mark.parametrize(("used", "within"), [(3, 25), (20, 5), (90, 2)])
+def test_innovations_four_times_as_large_as_claimed_are_noticed_within_frames(used, within):
+    rng = np.random.default_rng(1)
+    monitor = DivergenceMonitor()
+    look(monitor, consistent(rng, 100, used))
+    (alarm,) = look(monitor, [report(used, nis=4.0 * nis) for nis in rng.chisquare(3 * used, within)])
+    assert alarm.cause is Cause.INNOVATIONS
+    assert "larger than claimed" in alarm.words
+    assert monitor.alarm is alarm
+    assert DT * 100 < alarm.time <= DT * (100 + within) + 1e-9
+
+
+def test_what_is_a_little_too_large_for_ever_is_tolerated():
+    assert look(DivergenceMonitor(), [report(nis=1.35 * 60)] * 1000) == []
+
+
+def test_an_alarm_ends_soon_after_recovery_however_bad_it_was():
+    monitor = DivergenceMonitor()
+    look(monitor, [report(nis=1e12)] * 100)
+    assert monitor.standing is Cause.INNOVATIONS
+    look(monitor, [report()] * 5)
+    assert monitor.standing is None
+    assert monitor.alarm is not None
+
+
+def test_it_is_raised_again_when_it_is_true_again():
+    bad, good = [report(nis=1e3)] * 3, [report()] * 10
+    assert len(look(DivergenceMonitor(), [*bad, *good, *bad])) == 2
+
+
+def test_half_of_the_landmarks_refused_is_blamed_on_outliers_and_nearly_all_on_the_pose():
+    assert look(DivergenceMonitor(), [report(10, 10)] * 100) == []
+    (alarm,) = look(DivergenceMonitor(), [report(1, 19)] * 5)
+    assert alarm.cause is Cause.REFUSED
+    assert "19 of 20" in alarm.words
+
+
+def test_the_dark_is_told_after_a_second_and_over_with_the_first_frame_that_shows_something():
+    monitor = DivergenceMonitor()
+    look(monitor, [report()])
+    (alarm,) = look(monitor, [UpdateReport()] * 50)
+    assert alarm.cause is Cause.BLIND
+    assert alarm.time == pytest.approx(DT + 1.1)
+    look(monitor, [report(0, new=20)])
+    assert monitor.standing is None
+
+
+@pytest.mark.parametrize("refused", [0, 13])
+def test_a_frame_of_new_landmarks_only_has_no_link_to_the_map(refused):
+    monitor = DivergenceMonitor()
+    assert look(monitor, [report(0, new=20), report()]) == []  # the first frame can have none
+    (alarm,) = look(monitor, [report(0, refused, new=20)])
+    assert alarm.cause is Cause.CUT
+
+
+def test_an_orientation_that_is_hardly_known_is_told():
+    (alarm,) = look(DivergenceMonitor(), [report()], with_covariance(1, 1, 1, 0.1, 0.1, 0.3))
+    assert alarm.cause is Cause.VAGUE
+    assert look(DivergenceMonitor(), [report()], with_covariance(1e6, 1, 1, 0.1, 0.1, 0.1)) == []
+    assert look(DivergenceMonitor(), [report()], None) == []
+
+
+@pytest.mark.parametrize(
+    "pose",
+    [
+        PoseBelief(np.array([np.nan, 0.0, 0.0]), POSE.orientation, POSE.covariance),
+        PoseBelief(POSE.position, POSE.orientation, np.full((6, 6), np.inf)),
+        with_covariance(1, 1, 1, 1, 1, -1e-9),
+    ],
+    ids=["NaN", "infinity", "indefinite"],
+)
+def test_numbers_that_are_none_are_told_at_once(pose):
+    (alarm,) = look(DivergenceMonitor(), [report()], pose)
+    assert alarm.cause is Cause.NUMBERS
+
+
+def test_a_nis_that_is_not_a_number_is_told_and_does_not_last():
+    monitor = DivergenceMonitor()
+    (alarm,) = look(monitor, [report(nis=np.nan)])
+    assert alarm.cause is Cause.NUMBERS
+    look(monitor, [report()] * 10)
+    assert monitor.standing is None
+
+
+def test_reset_forgets():
+    monitor = DivergenceMonitor()
+    look(monitor, [report(nis=1e6)])
+    monitor.reset()
+    assert (monitor.time, monitor.alarm, monitor.standing) == (0.0, None, None)
+    assert look(monitor, [report(nis=65.0)]) == []
+
+
+def test_impossible_arguments_are_named():
+    for name, value in {"threshold": 0.0, "inflation": 1.0, "longest_blind": -1.0, "vaguest": np.nan}.items():
+        with pytest.raises(ValueError, match=name):
+            DivergenceMonitor(**{name: value})
+    monitor = DivergenceMonitor()
+    with pytest.raises(ValueError, match="dt"):
+        monitor.look(-0.1, report())
+    assert monitor.time == 0.0
