@@ -67,6 +67,7 @@ def test_opened_from_a_file_it_asks_for_nothing_and_its_search_finds(site):
     with playwright.sync_playwright() as driver:
         chromium = driver.chromium.launch(executable_path=BROWSER, args=["--no-sandbox"])
         page = chromium.new_page(viewport={"width": 1366, "height": 900})
+        page.set_default_timeout(120_000)  # ms: on a busy machine a browser starts slowly
         page.on("request", lambda request: requests.append(request.url))
         page.on("console", lambda message: complaints.append(message.text))
         page.on("pageerror", lambda error: complaints.append(str(error)))

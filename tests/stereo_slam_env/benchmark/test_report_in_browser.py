@@ -8,6 +8,8 @@ playwright = pytest.importorskip("playwright.sync_api", reason="needs playwright
 pytest.importorskip("plotly", reason="needs plotly (extra report)")
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+PATIENCE = 120_000
+"""ms: on a busy machine a browser starts slowly."""
 pytestmark = pytest.mark.skipif(BROWSER is None, reason="needs the browser chromium (apt install chromium)")
 
 SCREENS = [(1366, 768), (1280, 800)]
@@ -31,6 +33,7 @@ class Visit:
 
     def __init__(self, browser, path, **window):
         self.page = browser.new_page(viewport={"width": 1366, "height": 768}, **window)
+        self.page.set_default_timeout(PATIENCE)
         self.complaints, self.requests = [], []
         self.page.on("console", lambda message: self.complaints.append(message.text))
         self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
@@ -161,6 +164,7 @@ def test_in_print_the_drawings_take_the_place_of_the_charts(visit):
 def test_without_javascript_the_drawings_and_tables_are_there(browser, path, five_filters):
     context = browser.new_context(java_script_enabled=False, color_scheme="dark")
     page = context.new_page()
+    page.set_default_timeout(PATIENCE)
     page.goto(path.as_uri())
     assert page.locator("figure svg").first.is_visible()
     assert page.locator(".answers tbody tr").count() == len(five_filters)
