@@ -84,9 +84,9 @@ def _in_a_vector(
         assert shape is not None
         for actions in np.stack([_actions(seed, steps, shape) for seed in seeds], axis=1):
             observation, rewards, terminated, truncated, info = vector.step(actions)
-            for number in np.flatnonzero(~over):
+            for number in np.flatnonzero(~over).tolist():
                 ends = rewards[number], terminated[number], truncated[number]
-                step = _step(_entry(observation, int(number)), *ends, _entry(info, int(number)))
+                step = _step(_entry(observation, number), *ends, _entry(info, number))
                 digests[number].add("step", step)
             over |= terminated | truncated  # the episode that follows is another one
     finally:
