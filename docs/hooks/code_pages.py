@@ -93,7 +93,8 @@ def _listed(folder: str) -> list[Path]:
 
 def _content(name: str) -> str:
     """The page of a file, or of a folder; not found by the search, which is for the manual."""
-    head = f"---\ntitle: {posixpath.basename(name)}\nsearch:\n  exclude: true\n---\n\n# `{name}`\n\n"
+    settings = f"title: {posixpath.basename(name)}\nsearch:\n  exclude: true\nhide: [navigation, toc]"
+    head = f"---\n{settings}\n---\n\n# `{name}`\n\n"
     path = ROOT / name
     if path.is_dir():
         return head + "".join(f"- [`{item.name}`]({item.name}.md)\n" for item in _listed(name))
