@@ -74,7 +74,7 @@ def _alone(name: str, arguments: Mapping[str, Any], seed: int, steps: int) -> st
 def _in_a_vector(
     name: str, arguments: Mapping[str, Any], seeds: list[int], steps: int, how: Mapping[str, Any]
 ) -> list[str]:
-    vector: Any = gym.make_vec(name, num_envs=len(seeds), **how, **arguments)
+    vector: Any = gym.make_vec(name, num_envs=len(seeds), **how, **arguments)  # a seed each: its type knows one only
     digests, over = [Digest() for _ in seeds], np.zeros(len(seeds), dtype=bool)
     try:
         observation, info = vector.reset(seed=seeds)
@@ -84,10 +84,9 @@ def _in_a_vector(
         assert shape is not None
         for actions in np.stack([_actions(seed, steps, shape) for seed in seeds], axis=1):
             observation, rewards, terminated, truncated, info = vector.step(actions)
-            for number in np.flatnonzero(~over).tolist():
+            for number in map(int, np.flatnonzero(~over)):
                 ends = rewards[number], terminated[number], truncated[number]
-                step = _step(_entry(observation, number), *ends, _entry(info, number))
-                digests[number].add("step", step)
+                digests[number].add("step", _step(_entry(observation, number), *ends, _entry(info, number)))
             over |= terminated | truncated  # the episode that follows is another one
     finally:
         vector.close()
