@@ -22,7 +22,7 @@ MAKERS = {
     "gaze": lambda: gym.make("StereoSlam/Gaze-v0", disable_env_checker=True, **QUICK).unwrapped,
     "drive and gaze": lambda: gym.make("StereoSlam/DriveGaze-v0", disable_env_checker=True, **QUICK).unwrapped,
     "belief": lambda: BeliefObservation(MAKERS["gaze"](), max_landmarks=12),
-    "information": lambda: InformationGain(MAKERS["drive and gaze"](), filter="shared-anchor"),
+    "information": lambda: InformationGain(BeliefObservation(MAKERS["drive and gaze"](), filter="shared-anchor")),
 }
 
 numbers = st.floats(-1e6, 1e6, width=32) | st.sampled_from([0.0, -0.0, 1.0, -1.0, 1e-30, 3.4e38])
