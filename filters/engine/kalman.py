@@ -140,7 +140,7 @@ def update(P: FloatArray, measurements: LinearisedMeasurements, chunk: int | Non
         part = measurements[where]
         HP = times_covariance(part, P)
         S = _innovation_covariance(part, HP)
-        drowned = bool((np.diagonal(S) > DROWNED * np.diagonal(part.R, axis1=1, axis2=2).ravel()).any())
+        drowned = _drowns(part, S)
         factor, info = lapack.dpotrf(S, lower=1, clean=0, overwrite_a=1)
         if drowned or info != 0 or not math.isfinite(factor[-1, -1]):
             if where.stop - where.start > 1:
@@ -172,6 +172,12 @@ def times_covariance(part: LinearisedMeasurements, P: FloatArray) -> FloatArray:
         own = symmetric.rows(P, part.map_rows.ravel()).reshape(count, width, len(P))
         HP += (part.by_map @ own).reshape(HP.shape)
     return HP
+
+
+def _drowns(part: LinearisedMeasurements, S: FloatArray) -> bool:
+    """Whether R is lost in some S of a landmark; odometry may be exact."""
+    R = np.diagonal(part.R, axis1=1, axis2=2).ravel()
+    return part.by_map.shape[2] > 0 and bool((np.diagonal(S) > DROWNED * R).any())
 
 
 def _innovation_covariance(part: LinearisedMeasurements, HP: FloatArray) -> FloatArray:

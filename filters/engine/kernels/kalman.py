@@ -98,7 +98,7 @@ def _take(
         for a in range(size):
             for b in range(size):
                 S[top + a, top + b] += R[m, b, a]
-            if S[top + a, top + a] > DROWNED * R[m, a, a]:
+            if width > 0 and S[top + a, top + a] > DROWNED * R[m, a, a]:
                 return -1.0
             explained = 0.0
             for c in range(camera):

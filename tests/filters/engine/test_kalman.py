@@ -9,6 +9,7 @@ import pytest
 
 from filters.engine import kalman, symmetric
 from filters.engine.kalman import LinearisedMeasurements
+from filters.motion import LinearMeasurement
 
 from .linear_problems import (
     assert_covariances_equal,
@@ -115,6 +116,31 @@ def test_a_measurement_without_a_cholesky_factor_is_left_out_alone(chunk: int) -
     np.testing.assert_allclose(correction.delta, good.delta, atol=1e-10)
     assert_covariances_equal(symmetric.full(updated), symmetric.full(expected), 1e-10)
     assert np.linalg.eigvalsh(symmetric.full(updated)).min() > 0
+
+
+@pytest.mark.parametrize("machine_code", [False, True])
+def test_a_landmark_in_the_image_plane_is_left_out_before_rounding_makes_p_indefinite(machine_code: bool) -> None:
+    """Its pixel would be predicted to 1e9 sigmas of R: 1e-16 of that, squared, is a hundred R."""
+    rng = RNG(12)
+    P = random_covariance(rng, 12 + 3 * 9)
+    measurements = random_measurements(rng, 9, 3, 9)
+    measurements.by_camera[4] *= 1e9
+    measurements.by_map[4] *= 1e9
+    updated = lower(P)
+    update = pytest.importorskip("filters.engine.compiled").update if machine_code else kalman.update
+    correction = update(updated, measurements)
+    np.testing.assert_array_equal(correction.used, np.arange(9) != 4)
+    assert np.linalg.eigvalsh(symmetric.full(updated)).min() > 0
+
+
+@pytest.mark.parametrize("machine_code", [False, True])
+def test_a_measurement_of_the_camera_may_be_exact(machine_code: bool) -> None:
+    P = random_covariance(RNG(13), 12)
+    updated = lower(P)
+    exact = LinearMeasurement(np.ones(3), np.eye(3, 12), np.zeros((3, 3)))
+    update = pytest.importorskip("filters.engine.compiled").update if machine_code else kalman.update
+    correction = update(updated, kalman.of_camera(exact))
+    np.testing.assert_allclose(correction.delta[:3], 1.0)
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
