@@ -4,8 +4,6 @@ All measurements of a stage are linearised at one state. Taking them a chunk at 
 corrected by H times the correction so far, gives exactly the estimate of one batch, and no factorisation larger than
 a chunk. K, H and I - K H are never formed: with S = L L^T and X = L^-1 H P, P loses X^T X and the state gains
 X^T L^-1 nu.
-
-Derivation: docs/derivations/measurements.md.
 """
 
 from __future__ import annotations
@@ -22,7 +20,7 @@ from filters.motion import CAMERA_SIZE, ROTATION, LinearMeasurement
 from filters.validation import BoolArray, FloatArray, IntArray
 
 CHUNK_ROWS = 75  # where the cost of the small factorisations meets that of passing over P again
-DROWNED = 1e15
+DROWNED = 1e12
 """S over R from which on rounding (1e-16 of S) leaves too little of R: a landmark as good as in the image plane."""
 
 
