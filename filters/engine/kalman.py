@@ -4,6 +4,8 @@ All measurements of a stage are linearised at one state. Taking them a chunk at 
 corrected by H times the correction so far, gives exactly the estimate of one batch, and no factorisation larger than
 a chunk. K, H and I - K H are never formed: with S = L L^T and X = L^-1 H P, P loses X^T X and the state gains
 X^T L^-1 nu.
+
+Derivation: docs/derivations/measurements.md.
 """
 
 from __future__ import annotations
