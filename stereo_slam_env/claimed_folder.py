@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import errno
-import fcntl
 import logging
 import os
 import socket
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from stereo_slam_env.atomic_files import remove_unfinished
+
+if sys.platform != "win32":
+    import fcntl
 
 CLAIM = ".in-use"
 _TAKEN = (errno.EACCES, errno.EAGAIN)
@@ -59,6 +62,8 @@ def _claim(folder: Path) -> int | None:
     while True:
         claim = _opened(folder)
         try:
+            if sys.platform == "win32":
+                raise OSError(errno.ENOSYS, "no POSIX locks")
             fcntl.lockf(claim, fcntl.LOCK_EX | fcntl.LOCK_NB)
             if _is_still_there(claim, folder / CLAIM):
                 remove_unfinished(folder)
