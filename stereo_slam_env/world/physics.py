@@ -246,9 +246,7 @@ class PhysicsWorld:
         return int(
             pybullet.createVisualShape(
                 pybullet.GEOM_MESH,
-                vertices=[[0, 0, 0], [1e-3, 0, 0], [0, 1e-3, 0]],
-                indices=[0, 1, 2],
-                normals=[[0, 0, 1]] * 3,
+                fileName=str(_speck(os.getpid())),
                 visualFramePosition=_BELOW_EVERYTHING,
                 physicsClientId=self._connected,
             )
@@ -269,7 +267,7 @@ class PhysicsWorld:
         file = folder / f"{client}.obj"
         bodies = []
         for material, mesh in meshes.items():
-            # Meshes go through files because PyBullet leaks every vertex that is passed as a Python object.
+            # Through a file for the reason that `_speck` gives.
             file.write_text(obj_text(mesh, _library(folder, material)), encoding="ascii")
             visual = pybullet.createVisualShape(
                 pybullet.GEOM_MESH, fileName=str(file), rgbaColor=[*material.color, 1.0], physicsClientId=client
@@ -287,6 +285,14 @@ def _exchange_folder(process: int) -> Path:
     folder = Path(tempfile.mkdtemp(prefix=f"stereo-slam-{process}-"))
     Finalize(None, shutil.rmtree, (folder, True), exitpriority=0)
     return folder
+
+
+@cache
+def _speck(process: int) -> Path:
+    """One tiny triangle, as a file: PyBullet leaks vertices that are passed as Python objects."""
+    file = _exchange_folder(process) / "speck.obj"
+    file.write_text("v 0 0 0\nv 0.001 0 0\nv 0 0.001 0\nvn 0 0 1\nf 1//1 2//1 3//1\n", encoding="ascii")
+    return file
 
 
 def _library(folder: Path, material: Material) -> str | None:
