@@ -13,7 +13,7 @@ from filters import rotations
 from filters.interface import StereoObservation
 from filters.validation import FloatArray, IntArray, positive, probability, unchecked
 from stereo_slam_env.recording import Frame, LandmarkTruth, Pose, Recording
-from stereo_slam_env.sensing.corrupted_measurements import seen_elsewhere
+from stereo_slam_env.sensing.corrupted_measurements import known_world, seen_elsewhere
 
 _MOST_FRAMES = 200
 
@@ -142,7 +142,7 @@ class TimeSteps:
 
     def applied_to(self, recording: Recording, rng: np.random.Generator) -> Recording:
         """See `Corruption`: the pose between two frames is interpolated, and what the nearest shows is measured."""
-        landmarks = _known_world(recording)
+        landmarks = known_world(recording)
         first, times = recording.frames[0], np.array([frame.timestamp for frame in recording.frames])
         steps = np.exp(rng.uniform(np.log(self.shortest), np.log(self.longest), _MOST_FRAMES))
         arrive = first.timestamp + np.cumsum(steps)
@@ -181,7 +181,7 @@ class MovingTruck:
 
     def applied_to(self, recording: Recording, rng: np.random.Generator) -> Recording:
         """See `Corruption`: a landmark is on the truck from where it is first seen."""
-        landmarks = _known_world(recording)
+        landmarks = known_world(recording)
         on_truck = rng.random(len(landmarks.ids)) < self.share
         begins, forward = recording.frames[0].timestamp, _pose(recording.frames[0]).R_wc[:, 2]
         boarded = np.full(len(landmarks.ids), np.nan)
@@ -201,12 +201,6 @@ class MovingTruck:
         """Metres after that time."""
         speeding = min(seconds, self.speed / self.acceleration)
         return 0.5 * self.acceleration * speeding**2 + self.speed * (seconds - speeding)
-
-
-def _known_world(recording: Recording) -> LandmarkTruth:
-    if recording.landmarks is None or any(frame.truth is None for frame in recording.frames):
-        raise ValueError("needs the true landmarks and the true pose of every frame: give a simulated drive")
-    return recording.landmarks
 
 
 def _pose(frame: Frame) -> Pose:

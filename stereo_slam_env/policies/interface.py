@@ -7,7 +7,7 @@ from typing import Any, Protocol
 
 import gymnasium as gym
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from filters.validation import FloatArray
 from stereo_slam_env.world.head import Head
@@ -55,7 +55,13 @@ def require_head(env: gym.Env[Any, Any]) -> Head:
 def look_towards(env: gym.Env[Any, Any], angles: FloatArray) -> Action:
     """The action that turns the head towards pan and tilt (2,), rad, and asks for nothing else."""
     head = require_head(env)
+    return gaze_action(env, np.clip(angles / np.array(head.max_angles), -1.0, 1.0))
+
+
+def gaze_action(env: gym.Env[Any, Any], decided: ArrayLike) -> Action:
+    """An action whose last entries are `decided`, and that asks for nothing else; the last two are pan and tilt."""
+    last = np.asarray(decided, dtype=np.float32)
     assert env.action_space.shape is not None
     action = np.zeros(env.action_space.shape, dtype=np.float32)
-    action[-2:] = np.clip(angles / np.array(head.max_angles), -1.0, 1.0)
+    action[-len(last) :] = last
     return action

@@ -14,7 +14,7 @@ import numpy as np
 from filters.validation import FloatArray
 from stereo_slam_env.array_files import read_arrays
 from stereo_slam_env.atomic_files import write_atomically
-from stereo_slam_env.policies.interface import Action, require_head
+from stereo_slam_env.policies.interface import Action, gaze_action, require_head
 
 CHECKPOINT = Path(__file__).with_name("checkpoints") / "gaze-ppo.npz"
 """The network that comes with the package, made by `stereo-slam train`."""
@@ -135,9 +135,6 @@ class NetworkPolicy:
                 raise ValueError(
                     f"the network sees {missing[0]!r}, which is not in the observation: add BeliefPanorama"
                 )
-            decided = self.network.action(observation)
-            assert self._env.action_space.shape is not None
-            self._action = np.zeros(self._env.action_space.shape, dtype=np.float32)
-            self._action[-len(decided) :] = decided
+            self._action = gaze_action(self._env, self.network.action(observation))
         self._step += 1
         return self._action

@@ -214,9 +214,7 @@ class MovingLandmarks:
 
         Those that move have no truth any more: the truth is that of the static world.
         """
-        landmarks = recording.landmarks
-        if landmarks is None or not len(landmarks.ids) or any(f.truth is None for f in recording.frames):
-            raise ValueError("needs the true landmarks and the true pose of every frame: give a simulated drive")
+        landmarks = known_world(recording)
         moving = rng.random(len(landmarks.ids)) < self.share
         heading = rng.uniform(0.0, 2.0 * np.pi, len(landmarks.ids))
         velocities = self.speed * np.stack([np.sin(heading), np.zeros_like(heading), np.cos(heading)], axis=1)
@@ -234,6 +232,14 @@ class MovingLandmarks:
             )
         static = LandmarkTruth(landmarks.ids[~moving], landmarks.positions[~moving])
         return replace(recording.with_observations(observations), landmarks=static)
+
+
+def known_world(recording: Recording) -> LandmarkTruth:
+    """The true landmarks; a `ValueError` where there are none, or a frame has no true pose."""
+    landmarks = recording.landmarks
+    if landmarks is None or not len(landmarks.ids) or any(frame.truth is None for frame in recording.frames):
+        raise ValueError("needs the true landmarks and the true pose of every frame: give a simulated drive")
+    return landmarks
 
 
 def seen_elsewhere(

@@ -9,6 +9,7 @@ import numpy as np
 from joblib import Parallel, delayed
 from threadpoolctl import threadpool_limits
 
+from stereo_slam_env.policies.interface import gaze_action
 from stereo_slam_env.policies.network import Network
 from stereo_slam_env.training.task import GazeTask
 
@@ -50,10 +51,7 @@ def _figures(network: Network | None, task: GazeTask, seed: int) -> list[float]:
         slam = env.get_wrapper_attr("slam")
         errors, over = [], False
         while not over:
-            action = np.zeros(env.action_space.shape or (), dtype=np.float32)
-            if network is not None:
-                decided = network.action(observation)
-                action[-len(decided) :] = decided
+            action = gaze_action(env, np.zeros(2) if network is None else network.action(observation))
             observation, _, terminated, truncated, info = env.step(action)
             errors.append(float(np.linalg.norm(slam.pose.position - info["truth_position"])))
             over = terminated or truncated

@@ -13,7 +13,7 @@ from gymnasium.wrappers import FilterObservation, RepeatAction, TransformAction
 
 from filters.known_names import require_known
 from filters.validation import FloatArray, positive
-from stereo_slam_env.policies.interface import require_head
+from stereo_slam_env.policies.interface import gaze_action, require_head
 
 GAZE_FILTER: Mapping[str, Any] = {"drop_unseen": False, "motion": "velocity-driven", "iterations": 2}
 """Options of a filter for a head that turns: it keeps what is out of view, believes the odometry, and linearises twice,
@@ -86,8 +86,7 @@ class GazeTask:
         choices = self.choices
         if choices is None:
             return env
-        width = env.action_space.shape[0]  # type: ignore[index]
-        actions = np.pad(choices, ((0, 0), (width - choices.shape[1], 0)))
+        actions = [gaze_action(env, choice) for choice in choices]
         return TransformAction(env, lambda number: actions[number], spaces.Discrete(len(actions)))
 
     @property
