@@ -94,7 +94,7 @@ class DivergenceMonitor:
         self.standing: Cause | None = None
         """Why there is an alarm now; None where the filter agrees with what it measures, also again."""
         self._innovations, self._refused = _Sum(self._threshold), _Sum(self._threshold)
-        self._blind, self._showed = 0.0, False
+        self._blind, self._mapped = 0.0, False
 
     def look(self, dt: float, report: UpdateReport, pose: PoseBelief | None = None) -> Alarm | None:
         """Take notice of an update.
@@ -124,9 +124,9 @@ class DivergenceMonitor:
         refused = len(report.gated) + len(report.behind_camera) + len(report.failed)
         self._innovations.add(self._inflated(report.nis, report.nis_dof))
         self._refused.add(_lost(used, refused))
-        cut = self._showed and new > 0 and used == 0
-        self._showed = used + refused + new > 0
-        self._blind = 0.0 if self._showed else self._blind + dt
+        cut = self._mapped and new > 0 and used == 0
+        self._mapped = self._mapped or new > 0
+        self._blind = 0.0 if used + refused + new > 0 else self._blind + dt
         found: tuple[Cause, str] | None = None
         if not math.isfinite(report.nis) or (pose is not None and not _is_sound(pose)):
             found = Cause.NUMBERS, "NIS or the pose is not finite, or its covariance not positive definite"

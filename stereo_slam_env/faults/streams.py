@@ -11,7 +11,7 @@ import numpy as np
 
 from filters import rotations
 from filters.interface import StereoObservation
-from filters.validation import FloatArray, IntArray, positive, probability, unchecked
+from filters.validation import BoolArray, FloatArray, IntArray, positive, probability, unchecked
 from stereo_slam_env.recording import Frame, LandmarkTruth, Pose, Recording
 from stereo_slam_env.sensing.corrupted_measurements import known_world, seen_elsewhere
 
@@ -163,7 +163,7 @@ class MovingTruck:
     Parameters
     ----------
     share : float
-        Probability of each landmark to be on it.
+        Of the landmarks that are on it: of those that come into view one after the other, evenly.
     speed : float
         That it reaches, m/s.
     acceleration : float
@@ -182,7 +182,7 @@ class MovingTruck:
     def applied_to(self, recording: Recording, rng: np.random.Generator) -> Recording:
         """See `Corruption`: a landmark is on the truck from where it is first seen."""
         landmarks = known_world(recording)
-        on_truck = rng.random(len(landmarks.ids)) < self.share
+        on_truck = self._on_truck(recording, landmarks, rng)
         begins, forward = recording.frames[0].timestamp, _pose(recording.frames[0]).R_wc[:, 2]
         boarded = np.full(len(landmarks.ids), np.nan)
         observations = []
@@ -196,6 +196,16 @@ class MovingTruck:
             moved = static + (driven - boarded[those])[:, None] * forward
             observations.append(seen_elsewhere(frame, recording.camera, concerned, static, moved))
         return recording.with_observations(observations)
+
+    def _on_truck(self, recording: Recording, landmarks: LandmarkTruth, rng: np.random.Generator) -> BoolArray:
+        """Which landmarks (N,): in every view about that share, not none or all by chance."""
+        seen, first = np.unique(
+            np.concatenate([frame.observation.ids for frame in recording.frames]), return_index=True
+        )
+        count = np.floor(self.share * np.arange(len(seen) + 1) + rng.random())
+        on_truck = np.zeros(len(landmarks.ids), dtype=bool)
+        on_truck[np.searchsorted(landmarks.ids, seen[np.argsort(first)])] = np.diff(count) > 0
+        return on_truck
 
     def _driven(self, seconds: float) -> float:
         """Metres after that time."""

@@ -77,16 +77,23 @@ def test_the_dark_is_told_after_a_second_and_over_with_the_first_frame_that_show
     (alarm,) = look(monitor, [UpdateReport()] * 50)
     assert alarm.cause is Cause.BLIND
     assert alarm.time == pytest.approx(DT + 1.1)
-    look(monitor, [report(0, new=20)])
+    look(monitor, [report()])
     assert monitor.standing is None
 
 
+@pytest.mark.parametrize("empty_before", [0, 3])
 @pytest.mark.parametrize("refused", [0, 13])
-def test_a_frame_of_new_landmarks_only_has_no_link_to_the_map(refused):
+def test_a_frame_of_new_landmarks_only_has_no_link_to_the_map(refused, empty_before):
     monitor = DivergenceMonitor()
     assert look(monitor, [report(0, new=20), report()]) == []  # the first frame can have none
-    (alarm,) = look(monitor, [report(0, refused, new=20)])
+    (alarm,) = look(monitor, [*[UpdateReport()] * empty_before, report(0, refused, new=20)])
     assert alarm.cause is Cause.CUT
+    look(monitor, [report()])
+    assert monitor.standing is None
+
+
+def test_empty_frames_before_the_first_landmark_are_no_cut():
+    assert look(DivergenceMonitor(), [*[UpdateReport()] * 3, report(0, new=20)]) == []
 
 
 def test_an_orientation_that_is_hardly_known_is_told():

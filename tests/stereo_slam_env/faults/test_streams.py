@@ -78,6 +78,21 @@ def test_a_truck_carries_its_landmarks_away_together(drive):
     assert (moved.observation.uvd[where, 2] < still.observation.uvd[at, 2]).any()
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_every_view_of_a_truck_shows_some_of_what_stands_still(seed):
+    drive = FAULTS["truck-starts"].drive(seed)
+    errors = {}  # of each landmark, frame by frame; px
+    for frame in drive.frames[81:141]:
+        place = np.searchsorted(drive.landmarks.ids, frame.observation.ids)
+        exact = drive.camera.project(frame.truth.to_camera(drive.landmarks.positions[place]))
+        off = np.abs(frame.observation.uvd - exact).max(axis=1)
+        for landmark, error in zip(frame.observation.ids.tolist(), off, strict=True):
+            errors.setdefault(landmark, []).append(error)
+    still = {landmark for landmark, seen in errors.items() if len(seen) > 10 and np.median(seen) < 2.0}
+    for frame in drive.frames[81:141]:
+        assert 0.03 < np.mean([landmark in still for landmark in frame.observation.ids.tolist()]) < 0.3
+
+
 def test_what_needs_the_truth_says_so(drive):
     import dataclasses
 
