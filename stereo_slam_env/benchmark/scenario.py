@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from numbers import Integral
@@ -13,6 +12,7 @@ from typing import Any
 from filters.known_names import did_you_mean
 from filters.noise import StereoNoise
 from filters.validation import finite_array, positive
+from stereo_slam_env.benchmark.labels import require_label
 
 KINDS: Mapping[str, str] = {
     "street": "the PyBullet street of the environment; options: its keyword arguments",
@@ -50,7 +50,7 @@ class PolicyChoice:
     options: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        _require_label("policy", self.label)
+        require_label("label of a policy", self.label)
 
 
 @dataclass(frozen=True)
@@ -76,12 +76,7 @@ class FilterChoice:
     policy: PolicyChoice | None = None
 
     def __post_init__(self) -> None:
-        _require_label("filter", self.label)
-
-
-def _require_label(what: str, label: str) -> None:
-    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._+-]*", label):
-        raise ValueError(f"{what} label must be letters, digits, '.', '_', '+' or '-', got {label!r}")
+        require_label("label of a filter", self.label)
 
 
 DEFAULT_FILTERS = (

@@ -37,9 +37,10 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from stereo_slam_env.benchmark.labels import require_label
 from stereo_slam_env.benchmark.scenario import FilterChoice, Scenario, choice_as_dict, require_keys
 from stereo_slam_env.benchmark.study import Cell, Study, factorial_label
-from stereo_slam_env.datasets.inside import require_inside
+from stereo_slam_env.datasets.inside import is_there, require_inside
 from stereo_slam_env.datasets.text_files import read_text
 
 if sys.version_info >= (3, 11):
@@ -118,8 +119,7 @@ def study_from(tables: Mapping[str, Any], *, data: str | Path | None = None, all
             raise ValueError("factorial and filters exclude each other: the factorial makes the filters")
         factorial, base["filters"] = _crossed(tables["factorial"])
     name = base.get("name", "")
-    if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._+-]*", name):
-        raise ValueError(f"scenario must have a name of letters, digits, '.', '_', '+' or '-', got {name!r}")
+    require_label("name of a scenario", name)
     cells, trials = [], 0
     for factors, values in _variants(base, tables, fields):
         here = _with_data(values, data)
@@ -212,7 +212,7 @@ def _with_data(values: dict[str, Any], data: str | Path | None) -> dict[str, Any
     if data is None:
         raise ValueError(f"options.path is {where!r}: say which folder holds the recordings (--data)")
     folder = require_inside(Path(data).resolve() / where.removeprefix(_DATA).lstrip("/"), Path(data))
-    if not folder.exists():
+    if not is_there(folder):
         return None
     return _merged(values, {"options": {"path": str(folder)}})
 

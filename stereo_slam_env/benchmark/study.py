@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
+from stereo_slam_env.benchmark.labels import require_label
 from stereo_slam_env.benchmark.scenario import Scenario
-
-_NAME = r"[A-Za-z0-9][A-Za-z0-9._+-]*"
 
 
 @dataclass(frozen=True)
@@ -60,8 +58,7 @@ class Study:
             raise ValueError("cells must be at least one")
         names = [cell.name for cell in self.cells]
         for name in names if self.is_grid else ():
-            if not re.fullmatch(_NAME, name):
-                raise ValueError(f"name of a cell must be letters, digits, '.', '_', '+' or '-', got {name!r}")
+            require_label("name of a cell", name, longest=200)  # of a grid: all its factors
             if names.count(name) > 1:
                 raise ValueError(f"cells must have different names, got {name!r} twice")
 

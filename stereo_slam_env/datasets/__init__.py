@@ -14,7 +14,7 @@ from typing import Any
 from filters.known_names import require_known
 from stereo_slam_env.datasets import gtsam_examples, kitti00_stereo_tracks, kitti07_tracks, starry_night
 from stereo_slam_env.datasets.images import known_image_layouts, open_image_sequence, recordings_in
-from stereo_slam_env.datasets.inside import require_links_inside
+from stereo_slam_env.datasets.inside import is_there, require_links_inside
 from stereo_slam_env.datasets.known_options import keyword_options
 from stereo_slam_env.frontend.calibration import calibrated
 from stereo_slam_env.frontend.recorder import record_tracks
@@ -59,15 +59,16 @@ def read_recording(path: str | Path, **options: Any) -> Recording:
     """
     text = str(path)
     prefix, _, name = text.partition(":")
-    if prefix == gtsam_examples.PREFIX and not Path(text).exists():
+    if prefix == gtsam_examples.PREFIX and not is_there(Path(text)):
         require_known("the reader has no option", options, keyword_options(gtsam_examples.read))
         return gtsam_examples.read(name or "kitti00", **options)
     folder = Path(path)
-    if folder.is_file() and folder.suffix == ".npz":
+    there = is_there(folder)
+    if there and folder.is_file() and folder.suffix == ".npz":
         require_known("a recording in one file has no option", options, [])
         return load_recording(folder)
-    if not folder.is_dir():
-        what = "is a file, not a folder" if folder.exists() else "does not exist"
+    if not there or not folder.is_dir():
+        what = "is a file, not a folder" if there else "does not exist"
         raise ValueError(f"{folder} {what}: give a folder of a known layout ({_layouts()})")
     for reader in READERS:
         if reader.recognises(folder):

@@ -1,9 +1,13 @@
-"""Nothing is read outside the folder that was given, wherever links in it point."""
+"""Nothing is read outside the folder that was given, wherever links in it point and whatever names files hold."""
 
 from __future__ import annotations
 
+import errno
 import os
 from pathlib import Path
+
+_LONGEST_NAME = 255
+"""bytes; common file systems take no longer one."""
 
 
 def require_links_inside(folder: Path) -> None:
@@ -40,3 +44,19 @@ def require_inside(path: Path, root: Path) -> Path:
     if not target.is_relative_to(root.resolve()):
         raise ValueError(f"{path} is a link out of the recording, to {target}: put the file itself there")
     return path
+
+
+def is_plain_name(name: str) -> bool:
+    """Whether `name`, read from a file, can only be that of something in the folder it is looked for in."""
+    plain = Path(name).name == name and name not in ("", "..") and "\0" not in name
+    return plain and len(os.fsencode(name)) <= _LONGEST_NAME
+
+
+def is_there(path: Path) -> bool:
+    """Whether something has this path; a path that no file system takes, nothing has."""
+    try:
+        return path.exists()
+    except OSError as error:
+        if error.errno == errno.ENAMETOOLONG:
+            return False
+        raise

@@ -22,6 +22,7 @@ from stereo_slam_env.datasets.images.broken import Faults, OnBroken
 from stereo_slam_env.datasets.images.euroc_rig import Sensor, read_sensor, read_transform, rectification
 from stereo_slam_env.datasets.images.frames import Eye, Times, Truth, usable_pairs
 from stereo_slam_env.datasets.images.sequence import RecordedSequence
+from stereo_slam_env.datasets.inside import is_plain_name
 from stereo_slam_env.datasets.tables import finite_rows
 from stereo_slam_env.datasets.text_files import read_text
 from stereo_slam_env.recording import Pose
@@ -122,8 +123,7 @@ def _read_listing(folder: Path) -> tuple[list[int], list[str]]:
         if not line.strip() or line.lstrip().startswith("#"):
             continue
         stamp, _, name = (part.strip() for part in line.partition(","))
-        plain = Path(name).name == name not in ("", "..")
-        if not re.fullmatch(r"[0-9]{1,19}", stamp) or int(stamp) > _LATEST_NS or not plain:
+        if not re.fullmatch(r"[0-9]{1,19}", stamp) or int(stamp) > _LATEST_NS or not is_plain_name(name):
             raise ValueError(f"{path}: line {number} is not 'timestamp in ns,file name': correct it")
         stamps.append(int(stamp))
         names.append(name)

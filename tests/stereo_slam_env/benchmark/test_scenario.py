@@ -63,7 +63,10 @@ def test_the_assumed_noise_is_that_of_the_recording_unless_said_otherwise():
         ({"name": "s", "filters": []}, "at least one filter"),
         ({"name": "s", "filters": ["euclidean", "euclidean"]}, "different labels"),
         ({"name": "s", "filters": [{"name": "euclidean", "option": {}}]}, "did you mean 'options'"),
-        ({"name": "s", "filters": [{"name": "euclidean", "label": "../x"}]}, "label must be letters"),
+        (
+            {"name": "s", "filters": [{"name": "euclidean", "label": "../x"}]},
+            "label of a filter must be up to 100 letters",
+        ),
         ({"name": "s", "options": {"x": float("nan")}}, "must consist of JSON values"),
         ({"name": "s", "search": "forecas"}, "search must be one of flow, forecast, got 'forecas'"),
         ({"name": "s", "search": None}, "search must be one of flow, forecast, got None"),

@@ -97,13 +97,20 @@ def test_a_folder_whose_name_only_begins_alike_is_outside(tmp_path):
         require_inside(tmp_path / "drive-2" / "calib.txt", tmp_path / "drive")
 
 
-@pytest.mark.parametrize("name", ["../../secret.png", "/etc/hostname", "a/b.png", ".."])
+@pytest.mark.parametrize("name", ["../../secret.png", "/etc/hostname", "a/b.png", "..", 300 * "a"])
 def test_lists_in_a_recording_name_files_of_its_own_folder(name, tmp_path):
     files = dict(seeds.euroc())
     listing = files["mav0/cam0/data.csv"].decode().replace("1.png", name)
     folder = lay_out(tmp_path / "given", files | {"mav0/cam0/data.csv": listing.encode()})
     with pytest.raises(ValueError, match="line 3 is not 'timestamp in ns,file name'"):
         open_image_sequence(folder)
+
+
+@pytest.mark.parametrize("read", [read_recording, open_image_sequence])
+@pytest.mark.parametrize("name", ["missing", 300 * "a", 5000 * "a"])
+def test_a_path_that_nothing_can_have_does_not_exist(read, name, tmp_path):
+    with pytest.raises(ValueError, match="does not exist: give a folder"):
+        read(tmp_path / name)
 
 
 def chunk(kind: bytes, data: bytes) -> bytes:
