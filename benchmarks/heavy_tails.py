@@ -22,11 +22,11 @@ from rich.console import Console
 from rich.table import Table
 
 from filters import StereoNoise, StereoObservation
-from stereo_slam_env.benchmark.consistency import mean_band
-from stereo_slam_env.benchmark.reference_problem import long_drive
-from stereo_slam_env.benchmark.results import FilterRun
-from stereo_slam_env.benchmark.runner import run_filter
-from stereo_slam_env.benchmark.summary import summarise
+from stereo_slam_env.benchmark.metrics.consistency import mean_band
+from stereo_slam_env.benchmark.metrics.results import FilterRun
+from stereo_slam_env.benchmark.metrics.summary import summarise
+from stereo_slam_env.benchmark.recordings.reference_problem import long_drive
+from stereo_slam_env.benchmark.running.runner import run_filter
 from stereo_slam_env.recording import Recording
 from stereo_slam_env.sensing.pixel_noise import matching_errors
 

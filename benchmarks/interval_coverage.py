@@ -3,10 +3,11 @@
     python benchmarks/interval_coverage.py                   # 2000 experiments a cell, two to three minutes on one core
     python benchmarks/interval_coverage.py --experiments 300 # 30 s
 
-Coverage of a 95 % interval of the mean, by kind of interval (`stereo_slam_env.benchmark.statistics` takes the symmetric
-studentised bootstrap), number of recordings, and distribution of the log ratios; in brackets the width by that of
-Student's t of a normal distribution. Then how often a difference is said to be shown where there is none, and where the
-errors differ by 10 %; and the same of the comparison of consistency, whose values are not logarithms of single runs.
+Coverage of a 95 % interval of the mean, by kind of interval (`stereo_slam_env.benchmark.statistics.differences` takes
+the symmetric studentised bootstrap), number of recordings, and distribution of the log ratios; in brackets the width
+by that of Student's t of a normal distribution. Then how often a difference is said to be shown where there is none,
+and where the errors differ by 10 %; and the same of the comparison of consistency, whose values are not logarithms of
+single runs.
 """
 
 from __future__ import annotations
@@ -19,8 +20,8 @@ from rich.console import Console
 from rich.table import Table
 from scipy.stats import norm, t
 
-from stereo_slam_env.benchmark.measures import POSE_NEES
-from stereo_slam_env.benchmark.statistics import difference_of, level, mean_interval
+from stereo_slam_env.benchmark.statistics.differences import difference_of, level, mean_interval
+from stereo_slam_env.benchmark.statistics.measures import POSE_NEES
 
 RESAMPLES = 1999
 DISTRIBUTIONS: dict[str, Callable[[np.random.Generator, tuple[int, int]], np.ndarray]] = {

@@ -32,7 +32,7 @@ from rich.console import Console
 from rich.progress import track
 
 from stereo_slam_env.benchmark import run
-from stereo_slam_env.benchmark.run_archive import load_run
+from stereo_slam_env.benchmark.storage.run_archive import load_run
 
 SCENARIO = """
 name = "killed"

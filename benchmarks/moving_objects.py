@@ -18,7 +18,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from stereo_slam_env.benchmark.runner import run_filter
+from stereo_slam_env.benchmark.running.runner import run_filter
 from stereo_slam_env.envs.drive import StereoDriveEnv
 from stereo_slam_env.envs.recorder import record
 from stereo_slam_env.recording import Recording

@@ -24,9 +24,9 @@ from rich.console import Console
 from rich.table import Table
 
 from filters import StereoNoise
-from stereo_slam_env.benchmark.results import FilterSummary
-from stereo_slam_env.benchmark.runner import run_filter
-from stereo_slam_env.benchmark.summary import summarise
+from stereo_slam_env.benchmark.metrics.results import FilterSummary
+from stereo_slam_env.benchmark.metrics.summary import summarise
+from stereo_slam_env.benchmark.running.runner import run_filter
 from stereo_slam_env.datasets import READERS, read_recording
 from stereo_slam_env.recording import Recording
 

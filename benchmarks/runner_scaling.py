@@ -19,8 +19,8 @@ from rich.console import Console
 from rich.table import Table
 
 from stereo_slam_env.benchmark import Scenario, run
-from stereo_slam_env.benchmark.isolation import run_isolated
-from stereo_slam_env.benchmark.scenario import filter_choice
+from stereo_slam_env.benchmark.running.isolation import run_isolated
+from stereo_slam_env.benchmark.scenarios.scenario import filter_choice
 
 FILTERS = (filter_choice("inverse-depth"), filter_choice("dual-bearing"))
 

@@ -22,7 +22,8 @@ from rich.table import Table
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from stereo_slam_env.benchmark.runner import make_with_common_options, run_filter
+from stereo_slam_env.benchmark.running.runner import run_filter
+from stereo_slam_env.benchmark.scenarios.competitor import make_with_common_options
 from stereo_slam_env.datasets import read_recording
 from stereo_slam_env.datasets.starry_night import ARRAYS, step_velocities
 from stereo_slam_env.datasets.tables import read_archive

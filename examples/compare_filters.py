@@ -8,8 +8,8 @@ import argparse
 
 from filters import StereoEKF
 from stereo_slam_env.benchmark import run_filter, summarise_all
-from stereo_slam_env.benchmark.reference_problem import short_turn
-from stereo_slam_env.benchmark.statistics import paired_difference
+from stereo_slam_env.benchmark.recordings.reference_problem import short_turn
+from stereo_slam_env.benchmark.statistics.differences import paired_difference
 
 
 class Stacked(StereoEKF):

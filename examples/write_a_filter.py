@@ -10,7 +10,7 @@ Run it: python examples/write_a_filter.py
 from typing import Any
 
 from filters import StereoCamera, StereoEKF, StereoNoise, check_filter
-from stereo_slam_env.benchmark.reference_problem import short_turn
+from stereo_slam_env.benchmark.recordings.reference_problem import short_turn
 
 
 class StackedEKF(StereoEKF):

@@ -14,11 +14,11 @@ import cv2
 import numpy as np
 
 from filters.camera import StereoCamera
-from stereo_slam_env.benchmark.reference_problem import short_turn
-from stereo_slam_env.benchmark.run_archive import packed_run
-from stereo_slam_env.benchmark.runner import run_filter
-from stereo_slam_env.benchmark.scenario import FilterChoice, Scenario
-from stereo_slam_env.benchmark.study import Study
+from stereo_slam_env.benchmark.recordings.reference_problem import short_turn
+from stereo_slam_env.benchmark.running.runner import run_filter
+from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, Scenario
+from stereo_slam_env.benchmark.scenarios.study import Study
+from stereo_slam_env.benchmark.storage.run_archive import packed_run
 from stereo_slam_env.policies.network import Network
 from stereo_slam_env.recording_archive import packed_recording
 

@@ -11,9 +11,9 @@ from functools import cache
 from pathlib import Path
 
 from fuzz import seeds
-from stereo_slam_env.benchmark.run_archive import load_provenance, load_run
-from stereo_slam_env.benchmark.scenario_file import description_of, load_study
-from stereo_slam_env.benchmark.study_store import read_study
+from stereo_slam_env.benchmark.scenarios.scenario_file import description_of, load_study
+from stereo_slam_env.benchmark.storage.run_archive import load_provenance, load_run
+from stereo_slam_env.benchmark.storage.study_store import read_study
 from stereo_slam_env.datasets import read_recording
 from stereo_slam_env.datasets.images import open_image_sequence
 from stereo_slam_env.policies.network import Network

@@ -96,8 +96,8 @@ def report(
     """Write tables and report of a finished run again; with a second run, say what changed significantly."""
     with one_line_errors():
         from stereo_slam_env.benchmark.campaign import write_report_of
-        from stereo_slam_env.benchmark.store import root_of
-        from stereo_slam_env.benchmark.study_store import read_study
+        from stereo_slam_env.benchmark.storage.store import root_of
+        from stereo_slam_env.benchmark.storage.study_store import read_study
         from stereo_slam_env.claimed_folder import claimed_folder
         from stereo_slam_env.console import show_cells
 
@@ -114,7 +114,7 @@ def report(
 
 def _compare(before: Path, after: Path, out: Path | None) -> None:
     from stereo_slam_env.benchmark import compare
-    from stereo_slam_env.benchmark.comparison_report import write_comparison_report
+    from stereo_slam_env.benchmark.report.comparison_report import write_comparison_report
     from stereo_slam_env.console import show_comparison
 
     comparison = compare(before, after)

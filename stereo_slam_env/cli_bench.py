@@ -16,7 +16,7 @@ from stereo_slam_env.cli_parts import Interrupted, console, one_line_errors, sho
 
 if TYPE_CHECKING:
     from stereo_slam_env.benchmark import Scenario, Study
-    from stereo_slam_env.benchmark.scenario import FilterChoice, PolicyChoice
+    from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, PolicyChoice
 
 Choice = TypeVar("Choice", "FilterChoice", "PolicyChoice")
 FiltersOption = Annotated[str | None, typer.Option("--filters", help="Names, separated by commas.", metavar="A,B")]
@@ -116,7 +116,7 @@ def bench(
     """Compare filters, or policies that decide where to look: scenarios x filters x seeds, one report."""
     with one_line_errors():
         from stereo_slam_env.benchmark import load_study, preset_study, presets
-        from stereo_slam_env.benchmark.scenario import policy_choice
+        from stereo_slam_env.benchmark.scenarios.scenario import policy_choice
 
         if show_list:
             for name, description in presets().items():
@@ -174,7 +174,7 @@ def replay(
     with one_line_errors():
         from stereo_slam_env.benchmark import Scenario, Study
         from stereo_slam_env.benchmark.campaign import check_study
-        from stereo_slam_env.benchmark.sources import make_recording
+        from stereo_slam_env.benchmark.recordings.sources import make_recording
         from stereo_slam_env.console import progress_bar, show_recording
 
         where = path if path.partition(":")[0] == "gtsam" else str(Path(path).resolve())
@@ -208,7 +208,7 @@ def _adjusted(
     search: str | None,
 ) -> Scenario:
     """The scenario with the options of the command line in place of its own."""
-    from stereo_slam_env.benchmark.scenario import filter_choice
+    from stereo_slam_env.benchmark.scenarios.scenario import filter_choice
 
     changes: dict[str, Any] = {}
     if filters is not None:
@@ -243,8 +243,8 @@ def _gate(text: str) -> float | None:
 
 def _sensed(scenario: Scenario, sensor: str | None, renderer: str | None) -> Scenario:
     """The scenario with the sensor of the command line."""
-    from stereo_slam_env.benchmark.presets import with_images
-    from stereo_slam_env.benchmark.sources import takes_images
+    from stereo_slam_env.benchmark.recordings.sources import takes_images
+    from stereo_slam_env.benchmark.scenarios.presets import with_images
 
     if sensor not in (None, "landmarks", "images"):
         raise ValueError(f"--sensor must be 'landmarks' or 'images', got {sensor!r}")
@@ -264,7 +264,7 @@ def _sensed(scenario: Scenario, sensor: str | None, renderer: str | None) -> Sce
 def _ready(study: Study, out: Path | None) -> Path:
     """The run directory, once it is known that the study can be run into it."""
     from stereo_slam_env.benchmark.campaign import check_study
-    from stereo_slam_env.benchmark.study_store import prepared_study
+    from stereo_slam_env.benchmark.storage.study_store import prepared_study
 
     check_study(study)
     stamp = datetime.datetime.now().strftime("%Y%m%d-%H%M%S")
@@ -277,7 +277,7 @@ def _film(title: str, record: Path | None, live: int | None) -> Iterator[Callabl
     if record is None and live is None:
         yield lambda scenario: None
         return
-    from stereo_slam_env.benchmark.watch import watch_search
+    from stereo_slam_env.benchmark.running.watch import watch_search
     from stereo_slam_env.console import progress_bar
     from stereo_slam_env.viewer.search_film import search_film
 

@@ -40,7 +40,7 @@ def certify(
         from stereo_slam_env.benchmark.campaign import as_study
         from stereo_slam_env.benchmark.certificate import DEFAULT_SCENARIOS, WAYS
         from stereo_slam_env.benchmark.certificate import certify as certificates_of
-        from stereo_slam_env.benchmark.store import versions
+        from stereo_slam_env.benchmark.storage.store import versions
         from stereo_slam_env.console import progress_bar
 
         chosen = WAYS if ways is None else tuple(way.strip() for way in ways.split(","))

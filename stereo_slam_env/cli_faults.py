@@ -28,8 +28,8 @@ def faults(
 ) -> None:
     """Feed filters what goes wrong in the field: who copes, who diverges, who is told; exit code 1 if one breaks."""
     with one_line_errors():
-        from stereo_slam_env.benchmark.engines import Engine
-        from stereo_slam_env.benchmark.scenario import filter_choice
+        from stereo_slam_env.benchmark.running.engines import Engine
+        from stereo_slam_env.benchmark.scenarios.scenario import filter_choice
         from stereo_slam_env.console import progress_bar
         from stereo_slam_env.faults import FAULTS, run_matrix
 

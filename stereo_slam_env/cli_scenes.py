@@ -129,7 +129,7 @@ def scene_noise(
 ) -> None:
     """Measure the noise of the front end: bias, spread and outliers of u, v and d by range, against the render."""
     with one_line_errors():
-        from stereo_slam_env.benchmark.sensor_noise import measurement_errors, noise_by_range
+        from stereo_slam_env.benchmark.recordings.sensor_noise import measurement_errors, noise_by_range
         from stereo_slam_env.console import progress_bar, show_noise
         from stereo_slam_env.envs.recorder import record
 
@@ -147,7 +147,7 @@ def _arguments(
     route: str, surroundings: str, renderer: str, rig: str, moving_cars: int, pedestrians: int, randomise: bool
 ) -> dict[str, Any]:
     """Keyword arguments of the environment; a renderer that cannot draw here is refused."""
-    from stereo_slam_env.benchmark.sources import require_renderer
+    from stereo_slam_env.benchmark.recordings.sources import require_renderer
 
     require_renderer(renderer)
     return {

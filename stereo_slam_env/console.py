@@ -17,15 +17,15 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 from rich.table import Table
 
 from stereo_slam_env.benchmark.campaign import Progress as ProgressCallback
-from stereo_slam_env.benchmark.comparison import COLUMNS, RunComparison
-from stereo_slam_env.benchmark.policy_verdict import baseline_of, judge_policies
-from stereo_slam_env.benchmark.results import FilterSummary
-from stereo_slam_env.benchmark.scenario import FilterChoice, PolicyChoice, Scenario
-from stereo_slam_env.benchmark.sensor_noise import OUTLIER, NoiseOfRange
-from stereo_slam_env.benchmark.sources import takes_images
-from stereo_slam_env.benchmark.study import Study
-from stereo_slam_env.benchmark.study_store import CellResult
-from stereo_slam_env.benchmark.verdict import judge
+from stereo_slam_env.benchmark.metrics.results import FilterSummary
+from stereo_slam_env.benchmark.recordings.sensor_noise import OUTLIER, NoiseOfRange
+from stereo_slam_env.benchmark.recordings.sources import takes_images
+from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, PolicyChoice, Scenario
+from stereo_slam_env.benchmark.scenarios.study import Study
+from stereo_slam_env.benchmark.statistics.comparison import COLUMNS, RunComparison
+from stereo_slam_env.benchmark.statistics.policy_verdict import baseline_of, judge_policies
+from stereo_slam_env.benchmark.statistics.verdict import judge
+from stereo_slam_env.benchmark.storage.study_store import CellResult
 from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.recording import Recording
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from stereo_slam_env.benchmark.landmark_statistics import AGES, LandmarkStatistics
-from stereo_slam_env.benchmark.limits import Bound
-from stereo_slam_env.benchmark.results import FilterRun, LandmarkTrace
+from stereo_slam_env.benchmark.metrics.landmark_statistics import AGES, LandmarkStatistics
+from stereo_slam_env.benchmark.metrics.limits import Bound
+from stereo_slam_env.benchmark.metrics.results import FilterRun, LandmarkTrace
 
 
 @dataclass(frozen=True)

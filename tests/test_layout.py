@@ -10,6 +10,8 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = ("filters", "stereo_slam_env")
 MODULES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
+BENCHMARK_PARTS = ("scenarios", "metrics", "recordings", "storage", "running", "statistics", "report")
+"""Each knows only those before it."""
 WORLD_SIDE = ("world", "rendering", "sensing", "envs")
 
 MAX_LINES = 400
@@ -81,6 +83,17 @@ def test_nothing_imports_the_command_line(path):
 @pytest.mark.parametrize("path", modules_of("stereo_slam_env/viewer"), ids=name_of)
 def test_figures_never_touch_the_global_state_of_pyplot(path):
     assert imported_under(path, "matplotlib.pyplot", "pylab") == []
+
+
+@pytest.mark.parametrize("part", BENCHMARK_PARTS)
+def test_the_parts_of_the_benchmark_know_only_those_before_them(part):
+    home = "stereo_slam_env/benchmark"
+    assert modules_of(f"{home}/{part}")
+    later = BENCHMARK_PARTS[BENCHMARK_PARTS.index(part) + 1 :]
+    whole = [path.stem for path in (ROOT / home).glob("*.py") if path.stem != "__init__"]
+    forbidden = [f"stereo_slam_env.benchmark.{name}" for name in (*later, *whole)]
+    for path in modules_of(f"{home}/{part}"):
+        assert imported_under(path, *forbidden) == [], name_of(path)
 
 
 def test_no_module_is_a_drawer_of_odds_and_ends():

@@ -7,15 +7,15 @@
 """
 
 from stereo_slam_env.benchmark.campaign import BenchmarkResult, run_benchmark
-from stereo_slam_env.benchmark.comparison import RunComparison, compare
-from stereo_slam_env.benchmark.presets import preset, preset_study, presets
-from stereo_slam_env.benchmark.results import FilterRun, FilterSummary, LandmarkTrace
-from stereo_slam_env.benchmark.runner import run_filter
-from stereo_slam_env.benchmark.scenario import FilterChoice, PolicyChoice, Scenario
-from stereo_slam_env.benchmark.scenario_file import load_study
-from stereo_slam_env.benchmark.study import Cell, Study
-from stereo_slam_env.benchmark.summary import summarise, summarise_all
-from stereo_slam_env.benchmark.trials import run_filter_together
+from stereo_slam_env.benchmark.metrics.results import FilterRun, FilterSummary, LandmarkTrace
+from stereo_slam_env.benchmark.metrics.summary import summarise, summarise_all
+from stereo_slam_env.benchmark.running.runner import run_filter
+from stereo_slam_env.benchmark.running.trials import run_filter_together
+from stereo_slam_env.benchmark.scenarios.presets import preset, preset_study, presets
+from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, PolicyChoice, Scenario
+from stereo_slam_env.benchmark.scenarios.scenario_file import load_study
+from stereo_slam_env.benchmark.scenarios.study import Cell, Study
+from stereo_slam_env.benchmark.statistics.comparison import RunComparison, compare
 
 run = run_benchmark
 

@@ -13,23 +13,29 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from filters import available_filters, make_filter
 from filters.camera import StereoCamera
 from filters.noise import StereoNoise
-from stereo_slam_env.benchmark.engines import Engine
-from stereo_slam_env.benchmark.policy_verdict import Looks, baseline_of
-from stereo_slam_env.benchmark.presets import preset_study
-from stereo_slam_env.benchmark.results import FilterRun, FilterSummary
-from stereo_slam_env.benchmark.runner import make_with_common_options
-from stereo_slam_env.benchmark.scenario import FilterChoice, PolicyChoice, Scenario, filter_choice, policy_choice
-from stereo_slam_env.benchmark.scenario_file import load_study
-from stereo_slam_env.benchmark.sources import check_source
-from stereo_slam_env.benchmark.store import RunDirectory, refuse_foreign, root_of
-from stereo_slam_env.benchmark.study import Study
-from stereo_slam_env.benchmark.study_store import CellResult, StudyDirectory, open_study
-from stereo_slam_env.benchmark.tasks import RecordingTask, TrialTask, make, run_trial
+from stereo_slam_env.benchmark.metrics.results import FilterRun, FilterSummary
+from stereo_slam_env.benchmark.recordings.sources import check_source
+from stereo_slam_env.benchmark.running.engines import Engine
+from stereo_slam_env.benchmark.running.tasks import RecordingTask, TrialTask, make, run_trial
+from stereo_slam_env.benchmark.scenarios.competitor import make_with_common_options
+from stereo_slam_env.benchmark.scenarios.presets import preset_study
+from stereo_slam_env.benchmark.scenarios.scenario import (
+    FilterChoice,
+    PolicyChoice,
+    Scenario,
+    filter_choice,
+    policy_choice,
+)
+from stereo_slam_env.benchmark.scenarios.scenario_file import load_study
+from stereo_slam_env.benchmark.scenarios.study import Study
+from stereo_slam_env.benchmark.statistics.policy_verdict import Looks, baseline_of
+from stereo_slam_env.benchmark.storage.store import RunDirectory, refuse_foreign, root_of
+from stereo_slam_env.benchmark.storage.study_store import CellResult, StudyDirectory, open_study
 from stereo_slam_env.claimed_folder import claimed_folder
 from stereo_slam_env.recording_archive import load_recording
 
 if TYPE_CHECKING:
-    from stereo_slam_env.benchmark.attribution import Attribution
+    from stereo_slam_env.benchmark.statistics.attribution import Attribution
 
 Progress = Callable[[float, int], None]
 Task = TypeVar("Task")
@@ -93,7 +99,7 @@ def run_benchmark(
     what : Study, Scenario, str or Path
         What to run: a scenario, a grid of them, the name of a preset, or a scenario file.
     out : str or Path
-        Run directory, see `stereo_slam_env.benchmark.study_store`.
+        Run directory, see `stereo_slam_env.benchmark.storage.study_store`.
     filters : sequence of str or FilterChoice, optional
         Instead of the scenario's.
     policies : sequence of str or PolicyChoice, optional
@@ -201,7 +207,7 @@ def _try_to_make(scenario: Scenario, choice: FilterChoice, camera: StereoCamera,
 
 def write_report_of(directory: StudyDirectory, results: Sequence[CellResult]) -> Path:
     """Write the report of every cell, and of a grid the one over all of them; returns the page to open."""
-    from stereo_slam_env.benchmark.report import write_report  # Matplotlib, only where it is needed
+    from stereo_slam_env.benchmark.report.run_report import write_report  # Matplotlib, only where it is needed
 
     factorial = directory.study.factorial
     pages = [
@@ -219,7 +225,7 @@ def write_report_of(directory: StudyDirectory, results: Sequence[CellResult]) ->
     ]
     if not directory.study.is_grid:
         return pages[0]
-    from stereo_slam_env.benchmark.study_report import write_study_report
+    from stereo_slam_env.benchmark.report.study_report import write_study_report
 
     return write_study_report(directory.out, directory.study, {result.cell.name: result for result in results})
 
@@ -234,7 +240,7 @@ def looks_of(result: CellResult) -> Looks:
 
 def attribution_of(factorial: Mapping[str, Sequence[Any]], result: CellResult) -> Attribution | None:
     """Which option of the filter makes the difference in this cell; None where too little is left to tell."""
-    from stereo_slam_env.benchmark.attribution import attribute_runs
+    from stereo_slam_env.benchmark.statistics.attribution import attribute_runs
 
     percent = result.cell.scenario.divergence_percent
     try:

@@ -19,12 +19,12 @@ from typing import Any
 from stereo_slam_env.benchmark.campaign import run_benchmark
 from stereo_slam_env.benchmark.certificate_episodes import VECTOR_WAYS, digest_of_episodes, has_environment
 from stereo_slam_env.benchmark.digest import Digest
-from stereo_slam_env.benchmark.engines import Engine
-from stereo_slam_env.benchmark.results import FilterRun
-from stereo_slam_env.benchmark.scenario import Scenario
-from stereo_slam_env.benchmark.store import pairing_digest
-from stereo_slam_env.benchmark.study import Study
-from stereo_slam_env.benchmark.study_store import CellResult
+from stereo_slam_env.benchmark.metrics.results import FilterRun
+from stereo_slam_env.benchmark.running.engines import Engine
+from stereo_slam_env.benchmark.scenarios.scenario import Scenario
+from stereo_slam_env.benchmark.scenarios.study import Study
+from stereo_slam_env.benchmark.storage.store import pairing_digest
+from stereo_slam_env.benchmark.storage.study_store import CellResult
 
 ENGINE_WAYS: Mapping[str, Engine] = {
     "one process": Engine("processes", 1),

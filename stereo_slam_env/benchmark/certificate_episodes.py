@@ -10,8 +10,8 @@ import numpy as np
 
 import stereo_slam_env  # noqa: F401 (registers the environments)
 from stereo_slam_env.benchmark.digest import Digest
-from stereo_slam_env.benchmark.episodes import DEFAULT_ENVIRONMENT
-from stereo_slam_env.benchmark.scenario import Scenario
+from stereo_slam_env.benchmark.recordings.episodes import DEFAULT_ENVIRONMENT
+from stereo_slam_env.benchmark.scenarios.scenario import Scenario
 
 VECTOR_WAYS = ("environment alone", "vector, sync", "vector, async")
 _KINDS = {"street": "StereoSlam/Drive-v0", "gaze": DEFAULT_ENVIRONMENT}

@@ -12,15 +12,15 @@ from dataclasses import dataclass
 from typing import Any
 
 from filters.registry import FilterFactory, label_of
-from stereo_slam_env.benchmark.measures import MEASURES, POSITION, Measure, common_keys, figures_of
-from stereo_slam_env.benchmark.presets import preset
-from stereo_slam_env.benchmark.results import FilterRun, FilterSummary
-from stereo_slam_env.benchmark.runner import run_filter
-from stereo_slam_env.benchmark.scenario import Scenario, filter_choice
-from stereo_slam_env.benchmark.sources import make_recording
-from stereo_slam_env.benchmark.statistics import Difference, signed
-from stereo_slam_env.benchmark.summary import summarise
-from stereo_slam_env.benchmark.verdict import Consistency, consistency
+from stereo_slam_env.benchmark.metrics.results import FilterRun, FilterSummary
+from stereo_slam_env.benchmark.metrics.summary import summarise
+from stereo_slam_env.benchmark.recordings.sources import make_recording
+from stereo_slam_env.benchmark.running.runner import run_filter
+from stereo_slam_env.benchmark.scenarios.presets import preset
+from stereo_slam_env.benchmark.scenarios.scenario import Scenario, filter_choice
+from stereo_slam_env.benchmark.statistics.differences import Difference, signed
+from stereo_slam_env.benchmark.statistics.measures import MEASURES, POSITION, Measure, common_keys, figures_of
+from stereo_slam_env.benchmark.statistics.verdict import Consistency, consistency
 from stereo_slam_env.recording import Recording
 
 FilterLike = str | FilterFactory

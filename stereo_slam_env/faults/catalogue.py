@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from filters.known_names import require_known
-from stereo_slam_env.benchmark.reference_problem import long_drive
+from stereo_slam_env.benchmark.recordings.reference_problem import long_drive
 from stereo_slam_env.faults import streams
 from stereo_slam_env.recording import Recording
 from stereo_slam_env.sensing import corruptions

@@ -14,10 +14,10 @@ from threadpoolctl import threadpool_limits
 
 from filters.monitor import Cause, DivergenceMonitor
 from filters.validation import BoolArray
-from stereo_slam_env.benchmark.engines import Engine
-from stereo_slam_env.benchmark.runner import make_with_common_options
-from stereo_slam_env.benchmark.scenario import FilterChoice
-from stereo_slam_env.benchmark.sources import Progress
+from stereo_slam_env.benchmark.recordings.sources import Progress
+from stereo_slam_env.benchmark.running.engines import Engine
+from stereo_slam_env.benchmark.scenarios.competitor import make_with_common_options
+from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice
 from stereo_slam_env.faults.catalogue import FAULTS, NOMINAL, find_fault
 from stereo_slam_env.faults.session import Session, drive_through
 

@@ -11,7 +11,7 @@ from filters.conformance import assert_healthy, shown_arrays
 from filters.interface import BodyVelocity, StereoFilter, StereoObservation, UpdateReport
 from filters.monitor import Alarm, DivergenceMonitor
 from filters.validation import FloatArray
-from stereo_slam_env.benchmark.consistency import nees
+from stereo_slam_env.benchmark.metrics.consistency import nees
 from stereo_slam_env.recording import Frame, Recording
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from filters.validation import BoolArray, FloatArray, IntArray
-from stereo_slam_env.benchmark.reference_problem import short_turn
+from stereo_slam_env.benchmark.recordings.reference_problem import short_turn
 from stereo_slam_env.paper import sentences
 from stereo_slam_env.paper.claims import Claim, Finding, Interval
 from stereo_slam_env.paper.depth_history import (

@@ -12,7 +12,7 @@ import numpy as np
 
 from filters import StereoNoise, make_filter
 from filters.validation import FloatArray, IntArray
-from stereo_slam_env.benchmark.map_scoring import view_map
+from stereo_slam_env.benchmark.metrics.map_scoring import view_map
 from stereo_slam_env.recording import Pose, Recording
 
 

@@ -12,8 +12,8 @@ from scipy.stats import chi2, norm
 
 from filters.landmarks.inverse_depth import ray_direction
 from filters.validation import FloatArray
-from stereo_slam_env.benchmark.consistency import mean_band
-from stereo_slam_env.benchmark.statistics import CONFIDENCE
+from stereo_slam_env.benchmark.metrics.consistency import mean_band
+from stereo_slam_env.benchmark.statistics.differences import CONFIDENCE
 from stereo_slam_env.paper import convergence, long_drive, speed
 from stereo_slam_env.paper.intervals import ratio_interval
 from stereo_slam_env.paper.landmark_uncertainty import (

@@ -1,4 +1,4 @@
-"""95 % confidence intervals of what is measured, by the benchmark's statistics."""
+"""95 % confidence intervals of what is measured, by the benchmark's differences."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ import numpy as np
 from scipy.stats import binomtest
 
 from filters.validation import FloatArray
-from stereo_slam_env.benchmark import statistics
-from stereo_slam_env.benchmark.statistics import CONFIDENCE, MIN_PAIRS
+from stereo_slam_env.benchmark.statistics import differences
+from stereo_slam_env.benchmark.statistics.differences import CONFIDENCE, MIN_PAIRS
 from stereo_slam_env.paper.claims import Interval
 
 
@@ -24,7 +24,7 @@ def mean_interval(values: FloatArray) -> Interval:
     finite = values[np.isfinite(values)]
     if len(finite) < MIN_PAIRS:
         return Interval(float(finite.mean()) if len(finite) else math.nan, math.nan, math.nan)
-    low, high = statistics.mean_interval(finite[:, None], CONFIDENCE)
+    low, high = differences.mean_interval(finite[:, None], CONFIDENCE)
     return Interval(float(finite.mean()), float(low[0]), float(high[0]))
 
 
@@ -42,6 +42,6 @@ def ratio_interval(ours: FloatArray, theirs: FloatArray) -> Interval:
     ours, theirs : (N,) array
         Positive quantities of the same recordings; pairs that are not are left out.
     """
-    difference = statistics.paired_difference(ours, theirs)
+    difference = differences.paired_difference(ours, theirs)
     low, high = difference.interval or (math.nan, math.nan)
     return Interval(*(math.exp(x) for x in (difference.estimate, low, high)))

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 
 from filters.validation import FloatArray
-from stereo_slam_env.benchmark.runner import run_filter
-from stereo_slam_env.benchmark.trajectory_metrics import ate_rigid
+from stereo_slam_env.benchmark.metrics.trajectory_metrics import ate_rigid
+from stereo_slam_env.benchmark.running.runner import run_filter
 from stereo_slam_env.datasets import open_for_front_end
 from stereo_slam_env.datasets.images import karlsruhe as layout
 from stereo_slam_env.frontend.recorder import record_tracks

@@ -15,7 +15,7 @@ from scipy.stats import chi2, norm
 from filters import StereoNoise
 from filters.engine.options import LANDMARKS
 from filters.validation import FloatArray
-from stereo_slam_env.benchmark.statistics import CONFIDENCE
+from stereo_slam_env.benchmark.statistics.differences import CONFIDENCE
 from stereo_slam_env.paper import limits, sentences
 from stereo_slam_env.paper.claims import Claim, Finding, Interval, Range
 from stereo_slam_env.paper.intervals import share_interval

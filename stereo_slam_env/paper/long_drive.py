@@ -8,15 +8,15 @@ from functools import partial
 import numpy as np
 
 from filters.validation import FloatArray
-from stereo_slam_env.benchmark import reference_problem
-from stereo_slam_env.benchmark.results import FilterRun
-from stereo_slam_env.benchmark.runner import run_filter
-from stereo_slam_env.benchmark.trajectory_metrics import (
+from stereo_slam_env.benchmark.metrics.results import FilterRun
+from stereo_slam_env.benchmark.metrics.trajectory_metrics import (
     ate_unaligned,
     end_drift_percent,
     path_length,
     root_mean_square,
 )
+from stereo_slam_env.benchmark.recordings import reference_problem
+from stereo_slam_env.benchmark.running.runner import run_filter
 from stereo_slam_env.paper import limits, sentences
 from stereo_slam_env.paper.claims import Claim, Finding, Interval, Range
 from stereo_slam_env.paper.intervals import mean_interval, ratio_interval, rms_interval

@@ -14,7 +14,7 @@ from threadpoolctl import threadpool_limits
 
 from stereo_slam_env.array_files import read_arrays
 from stereo_slam_env.atomic_files import write_atomically
-from stereo_slam_env.benchmark.store import code_digest
+from stereo_slam_env.benchmark.storage.store import code_digest
 
 Arrays = dict[str, NDArray[Any]]
 Progress = Callable[[float, int], None]

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from stereo_slam_env.atomic_files import write_atomically
-from stereo_slam_env.benchmark.store import versions, without_nan, write_json
+from stereo_slam_env.benchmark.storage.store import versions, without_nan, write_json
 from stereo_slam_env.claimed_folder import claimed_folder, is_occupied
 from stereo_slam_env.paper import convergence, karlsruhe, landmark_uncertainty, long_drive, speed
 from stereo_slam_env.paper.claims import Claim, Finding

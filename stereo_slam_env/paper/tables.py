@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from filters.validation import FloatArray
-from stereo_slam_env.benchmark.consistency import mean_band, share_inside
+from stereo_slam_env.benchmark.metrics.consistency import mean_band, share_inside
 from stereo_slam_env.paper import convergence, landmark_uncertainty, long_drive, speed
 from stereo_slam_env.paper.parts import Arrays
 from stereo_slam_env.paper.settings import ASSUMED_NAMES, DUAL, EUCLIDEAN, JOINT, NOISES

@@ -9,9 +9,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from filters.validation import FloatArray
-from stereo_slam_env.benchmark.limits import Bound
-from stereo_slam_env.benchmark.results import FilterRun, FilterSummary, SegmentError
-from stereo_slam_env.benchmark.summary import Bounds
+from stereo_slam_env.benchmark.metrics.limits import Bound
+from stereo_slam_env.benchmark.metrics.results import FilterRun, FilterSummary, SegmentError
+from stereo_slam_env.benchmark.metrics.summary import Bounds
 from stereo_slam_env.viewer import series
 from stereo_slam_env.viewer.style import (
     INK,

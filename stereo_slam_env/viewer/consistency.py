@@ -9,8 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from filters.validation import FloatArray
-from stereo_slam_env.benchmark.consistency import mean_band
-from stereo_slam_env.benchmark.results import FilterRun, FilterSummary, LandmarkTrace
+from stereo_slam_env.benchmark.metrics.consistency import mean_band
+from stereo_slam_env.benchmark.metrics.results import FilterRun, FilterSummary, LandmarkTrace
 from stereo_slam_env.viewer import series
 from stereo_slam_env.viewer.style import (
     BAND,

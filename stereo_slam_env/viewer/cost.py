@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from stereo_slam_env.benchmark.results import FilterSummary
+from stereo_slam_env.benchmark.metrics.results import FilterSummary
 from stereo_slam_env.viewer.style import MUTED, WIDTH_INCHES, filter_colours, name_rows, short_number, styled
 
 

@@ -17,7 +17,7 @@ from matplotlib.patches import Polygon
 
 from filters import rotations
 from filters.validation import FloatArray
-from stereo_slam_env.benchmark.consistency import mean_band
+from stereo_slam_env.benchmark.metrics.consistency import mean_band
 from stereo_slam_env.rendering.drawing import disparity_colors
 from stereo_slam_env.rendering.images import Image
 from stereo_slam_env.viewer.figures import save_png

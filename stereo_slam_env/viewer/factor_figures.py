@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
 from filters.validation import FloatArray
-from stereo_slam_env.benchmark.attribution import Attribution, Effect, ResponseAttribution
-from stereo_slam_env.benchmark.comparison import Change
+from stereo_slam_env.benchmark.statistics.attribution import Attribution, Effect, ResponseAttribution
+from stereo_slam_env.benchmark.statistics.comparison import Change
 from stereo_slam_env.viewer.style import (
     BAND,
     INK,

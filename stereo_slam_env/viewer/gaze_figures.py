@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from filters import rotations
 from filters.motion import POSITION
 from filters.validation import FloatArray
-from stereo_slam_env.benchmark.results import FilterRun
+from stereo_slam_env.benchmark.metrics.results import FilterRun
 from stereo_slam_env.recording import Recording
 from stereo_slam_env.viewer import series
 from stereo_slam_env.viewer.plots import frame_track, orientation

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from stereo_slam_env.benchmark.results import DepthConvergence, FilterSummary, RangeError
+from stereo_slam_env.benchmark.metrics.results import DepthConvergence, FilterSummary, RangeError
 from stereo_slam_env.viewer import series
 from stereo_slam_env.viewer.style import (
     MUTED,

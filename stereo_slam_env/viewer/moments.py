@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from filters import LandmarkBelief, PoseBelief, StereoFilter, StereoNoise, StereoObservation, UpdateReport
 from filters.camera import StereoCamera
 from filters.validation import BoolArray, FloatArray
-from stereo_slam_env.benchmark.consistency import nees
+from stereo_slam_env.benchmark.metrics.consistency import nees
 from stereo_slam_env.recording import Frame, LandmarkTruth, Pose, Recording
 
 SIGMAS = 3.0

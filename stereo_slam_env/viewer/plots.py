@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from filters.validation import FloatArray
-from stereo_slam_env.benchmark.results import FilterRun
+from stereo_slam_env.benchmark.metrics.results import FilterRun
 from stereo_slam_env.viewer import series
 from stereo_slam_env.viewer.style import (
     INK,

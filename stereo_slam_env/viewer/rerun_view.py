@@ -26,7 +26,7 @@ import numpy as np
 
 from filters.camera import StereoCamera
 from filters.validation import FloatArray
-from stereo_slam_env.benchmark.consistency import mean_band
+from stereo_slam_env.benchmark.metrics.consistency import mean_band
 from stereo_slam_env.recording import LandmarkTruth
 from stereo_slam_env.rendering.drawing import disparity_colors
 from stereo_slam_env.rendering.images import Image

@@ -13,12 +13,12 @@ import numpy as np
 from filters import StereoFilter, StereoNoise, make_filter
 from filters.camera import StereoCamera
 from filters.registry import filter_arguments
-from stereo_slam_env.benchmark.results import FilterRun
-from stereo_slam_env.benchmark.run_archive import load_run
-from stereo_slam_env.benchmark.scenario import FilterChoice
-from stereo_slam_env.benchmark.sources import make_sequence, without_measurements
-from stereo_slam_env.benchmark.store import RunDirectory
-from stereo_slam_env.benchmark.study_store import read_study
+from stereo_slam_env.benchmark.metrics.results import FilterRun
+from stereo_slam_env.benchmark.recordings.sources import make_sequence, without_measurements
+from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice
+from stereo_slam_env.benchmark.storage.run_archive import load_run
+from stereo_slam_env.benchmark.storage.store import RunDirectory
+from stereo_slam_env.benchmark.storage.study_store import read_study
 from stereo_slam_env.frontend.active_search import ActiveSearch
 from stereo_slam_env.recording import Recording
 from stereo_slam_env.recording_archive import load_recording

@@ -8,8 +8,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from filters.validation import BoolArray, FloatArray
-from stereo_slam_env.benchmark.results import FilterRun
-from stereo_slam_env.benchmark.summary import summarise
+from stereo_slam_env.benchmark.metrics.results import FilterRun
+from stereo_slam_env.benchmark.metrics.summary import summarise
 
 Quantity = Callable[[FilterRun], FloatArray]
 """A per-frame quantity of a run, (K,)."""

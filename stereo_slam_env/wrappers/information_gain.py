@@ -8,7 +8,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from stereo_slam_env.benchmark.consistency import mean_band
+from stereo_slam_env.benchmark.metrics.consistency import mean_band
 from stereo_slam_env.reference_belief import ReferenceBelief
 from stereo_slam_env.wrappers.information import InformationCriterion
 from stereo_slam_env.wrappers.online_reference import OnlineReference

@@ -11,7 +11,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from stereo_slam_env.benchmark.summary import summarise
+from stereo_slam_env.benchmark.metrics.summary import summarise
 
 BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
 

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from filters import StereoNoise
-from stereo_slam_env.benchmark.consistency import mean_band
-from stereo_slam_env.benchmark.reference_problem import short_turn
-from stereo_slam_env.benchmark.results import FilterRun
-from stereo_slam_env.benchmark.runner import run_filter
+from stereo_slam_env.benchmark.metrics.consistency import mean_band
+from stereo_slam_env.benchmark.metrics.results import FilterRun
+from stereo_slam_env.benchmark.recordings.reference_problem import short_turn
+from stereo_slam_env.benchmark.running.runner import run_filter
 from stereo_slam_env.recording import Recording
 
 SEEDS = 50

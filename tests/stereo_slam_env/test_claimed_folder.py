@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from stereo_slam_env import cli
-from stereo_slam_env.benchmark.run_archive import load_run
+from stereo_slam_env.benchmark.storage.run_archive import load_run
 from stereo_slam_env.claimed_folder import CLAIM, claimed_folder, is_occupied
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -30,7 +30,7 @@ def command(capsys, monkeypatch):
         (out / "report.html").write_text("a report")
         return out / "report.html"
 
-    monkeypatch.setattr("stereo_slam_env.benchmark.report.write_report", write_report)
+    monkeypatch.setattr("stereo_slam_env.benchmark.report.run_report.write_report", write_report)
 
     def run(*arguments):
         code = cli.main([str(argument) for argument in arguments])

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from stereo_slam_env import cli
-from stereo_slam_env.benchmark.store import RunDirectory
+from stereo_slam_env.benchmark.storage.store import RunDirectory
 
 from .datasets.small_folders import kitti00, kitti07
 from .third_party import third_party  # noqa: F401 (a fixture)
@@ -29,7 +29,7 @@ def command(full_command, monkeypatch):
         (out / "report.html").write_text("a report")
         return out / "report.html"
 
-    monkeypatch.setattr("stereo_slam_env.benchmark.report.write_report", write_report)
+    monkeypatch.setattr("stereo_slam_env.benchmark.report.run_report.write_report", write_report)
     return full_command
 
 

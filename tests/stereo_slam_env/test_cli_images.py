@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from stereo_slam_env import cli
-from stereo_slam_env.benchmark import sources
+from stereo_slam_env.benchmark.recordings import sources
 from stereo_slam_env.rendering import backends
 
 from .datasets.images.small_image_folders import FRAMES, kitti_odometry
@@ -34,7 +34,7 @@ def command(request, capsys, monkeypatch, tmp_path):
         (out / "report.html").write_text("a report")
         return out / "report.html"
 
-    monkeypatch.setattr("stereo_slam_env.benchmark.report.write_report", write_report)
+    monkeypatch.setattr("stereo_slam_env.benchmark.report.run_report.write_report", write_report)
 
     def run(*arguments):
         code = cli.main([str(argument) for argument in arguments])

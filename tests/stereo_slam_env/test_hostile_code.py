@@ -10,13 +10,13 @@ from pathlib import Path
 import pytest
 
 from stereo_slam_env.benchmark.campaign import as_study
-from stereo_slam_env.benchmark.reference_problem import short_turn
-from stereo_slam_env.benchmark.run_archive import load_run, save_run
-from stereo_slam_env.benchmark.runner import run_filter
-from stereo_slam_env.benchmark.scenario import FilterChoice, Scenario
-from stereo_slam_env.benchmark.scenario_file import MOST_TRIALS, load_study
-from stereo_slam_env.benchmark.store import open_run, read_run
-from stereo_slam_env.benchmark.study_store import read_study
+from stereo_slam_env.benchmark.recordings.reference_problem import short_turn
+from stereo_slam_env.benchmark.running.runner import run_filter
+from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, Scenario
+from stereo_slam_env.benchmark.scenarios.scenario_file import MOST_TRIALS, load_study
+from stereo_slam_env.benchmark.storage.run_archive import load_run, save_run
+from stereo_slam_env.benchmark.storage.store import open_run, read_run
+from stereo_slam_env.benchmark.storage.study_store import read_study
 from stereo_slam_env.cli import main
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -26,14 +26,16 @@ MODULES = sorted(
     for path in (ROOT / folder).rglob("*.py")
 )
 FORBIDDEN_MODULES = {"pickle", "cPickle", "dill", "cloudpickle", "shelve", "marshal", "yaml", "jsonpickle"}
-MAY_IMPORT = {"stereo_slam_env/benchmark/isolation.py": {"pickle"}}  # the name of an error: pipes to its own child
+MAY_IMPORT = {
+    "stereo_slam_env/benchmark/running/isolation.py": {"pickle"}
+}  # the name of an error: pipes to its own child
 FORBIDDEN_CALLS = {"eval", "exec", "__import__", "os.system", "os.popen", "joblib.load", "pd.read_pickle", "np.load"}
 FORBIDDEN_ARGUMENTS = {"shell": True, "allow_pickle": True, "weights_only": False}
 LOADS_MODULES = {  # by name; and where that name comes from
     "filters/__init__.py": "a table in the module",
     "stereo_slam_env/__init__.py": "a literal",
-    "stereo_slam_env/benchmark/memory.py": "a literal",
-    "stereo_slam_env/benchmark/sources.py": "kind 'factory', which load_study refuses without consent",
+    "stereo_slam_env/benchmark/running/memory.py": "a literal",
+    "stereo_slam_env/benchmark/recordings/sources.py": "kind 'factory', which load_study refuses without consent",
     "stereo_slam_env/policies/registry.py": "a table in the module",
     "stereo_slam_env/rendering/gl_resources.py": "a literal",
     "stereo_slam_env/viewer/rerun_view.py": "a literal",
@@ -215,7 +217,7 @@ def test_nor_do_filters(label, tmp_path):
     scenario = Scenario("one", "reference", {"name": "short_turn"}).as_dict()
     scenario["filters"] = [{"name": "euclidean", "label": label, "options": {}}]
     (tmp_path / "settings.json").write_text(json.dumps({"scenario": scenario}))
-    with pytest.raises(ValueError, match="label must be"):
+    with pytest.raises(ValueError, match="label of a filter must be"):
         read_run(tmp_path)
 
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from filters import StereoNoise, StereoObservation
-from stereo_slam_env.benchmark.reference_problem import long_drive
-from stereo_slam_env.benchmark.sources import stream_digest
+from stereo_slam_env.benchmark.recordings.reference_problem import long_drive
+from stereo_slam_env.benchmark.recordings.stream_identity import stream_digest
 from stereo_slam_env.datasets import read_recording
 from stereo_slam_env.recording import Recording, Start
 from stereo_slam_env.recording_archive import load_recording, save_recording

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from filters import StereoEKF, StereoObservation
-from stereo_slam_env.benchmark.reference_problem import short_turn
+from stereo_slam_env.benchmark.recordings.reference_problem import short_turn
 from stereo_slam_env.recording import Recording
 
 pytest.importorskip("gtsam", reason='needs pip install "stereo-slam-env[gtsam]"')

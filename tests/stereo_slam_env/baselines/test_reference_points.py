@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from filters import check_filter, make_filter
-from stereo_slam_env.benchmark.reference_problem import short_turn
-from stereo_slam_env.benchmark.results import FilterRun
-from stereo_slam_env.benchmark.runner import run_filter
-from stereo_slam_env.benchmark.trajectory_metrics import ate_rigid
+from stereo_slam_env.benchmark.metrics.results import FilterRun
+from stereo_slam_env.benchmark.metrics.trajectory_metrics import ate_rigid
+from stereo_slam_env.benchmark.recordings.reference_problem import short_turn
+from stereo_slam_env.benchmark.running.runner import run_filter
 from stereo_slam_env.datasets import read_recording
 
 from ..real_data import real_data

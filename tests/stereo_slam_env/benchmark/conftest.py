@@ -2,8 +2,8 @@
 
 import pytest
 
-from stereo_slam_env.benchmark.report import write_report
-from stereo_slam_env.benchmark.summary import summarise_all
+from stereo_slam_env.benchmark.metrics.summary import summarise_all
+from stereo_slam_env.benchmark.report.run_report import write_report
 
 from ...synthetic_runs import THREE_ONE_DIVERGING, Behaviour, make_bounds, make_runs
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from stereo_slam_env.benchmark import FilterChoice, Scenario, campaign, run
-from stereo_slam_env.benchmark.scenario import filter_choice
-from stereo_slam_env.benchmark.scenario_file import study_from
-from stereo_slam_env.benchmark.study_store import read_study
+from stereo_slam_env.benchmark.scenarios.scenario import filter_choice
+from stereo_slam_env.benchmark.scenarios.scenario_file import study_from
+from stereo_slam_env.benchmark.storage.study_store import read_study
 
 from ..third_party import install, third_party  # noqa: F401 (a fixture)
 
@@ -176,7 +176,7 @@ def test_a_filter_that_joins_later_hears_what_the_others_heard(tmp_path, monkeyp
     call = Scenario("x", "factory", {"call": "unsteady_source:make"}, filters=(filter_choice("euclidean"),), seeds=(0,))
     (tmp_path / "unsteady_source.py").write_text(
         "import numpy as np\n"
-        "from stereo_slam_env.benchmark.reference_problem import short_turn\n"
+        "from stereo_slam_env.benchmark.recordings.reference_problem import short_turn\n"
         "def make(seed):\n"
         "    return short_turn(int(np.random.default_rng().integers(1_000_000)), frames=4)\n"
     )

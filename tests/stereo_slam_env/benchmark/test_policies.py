@@ -10,13 +10,14 @@ import pytest
 
 from stereo_slam_env.benchmark import PolicyChoice, Scenario, campaign, compare, preset, run
 from stereo_slam_env.benchmark.campaign import check_study
-from stereo_slam_env.benchmark.episodes import drive_episode
-from stereo_slam_env.benchmark.policy_verdict import baseline_of
-from stereo_slam_env.benchmark.runner import run_filter
-from stereo_slam_env.benchmark.scenario_file import load_study
-from stereo_slam_env.benchmark.sources import make_recording, stream_digest
-from stereo_slam_env.benchmark.study import Study
-from stereo_slam_env.benchmark.study_store import read_study
+from stereo_slam_env.benchmark.recordings.episodes import drive_episode
+from stereo_slam_env.benchmark.recordings.sources import make_recording
+from stereo_slam_env.benchmark.recordings.stream_identity import stream_digest
+from stereo_slam_env.benchmark.running.runner import run_filter
+from stereo_slam_env.benchmark.scenarios.scenario_file import load_study
+from stereo_slam_env.benchmark.scenarios.study import Study
+from stereo_slam_env.benchmark.statistics.policy_verdict import baseline_of
+from stereo_slam_env.benchmark.storage.study_store import read_study
 from stereo_slam_env.policies import available_policies
 from stereo_slam_env.recording_archive import load_recording
 

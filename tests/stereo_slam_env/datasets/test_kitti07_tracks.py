@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from stereo_slam_env.benchmark.trajectory_metrics import ate_rigid, path_length
+from stereo_slam_env.benchmark.metrics.trajectory_metrics import ate_rigid, path_length
 from stereo_slam_env.datasets import kitti07_tracks, read_recording
 
 from ..real_data import real_data

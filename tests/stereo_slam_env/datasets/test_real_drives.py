@@ -7,9 +7,9 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from stereo_slam_env.benchmark.results import FilterRun
-from stereo_slam_env.benchmark.runner import run_filter
-from stereo_slam_env.benchmark.trajectory_metrics import ate_rigid
+from stereo_slam_env.benchmark.metrics.results import FilterRun
+from stereo_slam_env.benchmark.metrics.trajectory_metrics import ate_rigid
+from stereo_slam_env.benchmark.running.runner import run_filter
 from stereo_slam_env.datasets import read_recording
 from stereo_slam_env.recording import Recording
 

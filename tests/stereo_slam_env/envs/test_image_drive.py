@@ -15,7 +15,7 @@ from gymnasium.utils.env_checker import check_env, data_equivalence
 
 import stereo_slam_env
 from filters import rotations
-from stereo_slam_env.benchmark.runner import run_filter
+from stereo_slam_env.benchmark.running.runner import run_filter
 from stereo_slam_env.envs.drive import StereoDriveEnv
 from stereo_slam_env.envs.recorder import record
 from stereo_slam_env.rendering import gl

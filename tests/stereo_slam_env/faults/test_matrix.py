@@ -7,7 +7,7 @@ import pytest
 
 from filters.monitor import Alarm, Cause
 from stereo_slam_env import cli
-from stereo_slam_env.benchmark.scenario import filter_choice
+from stereo_slam_env.benchmark.scenarios.scenario import filter_choice
 from stereo_slam_env.faults import FAULTS, FaultMatrix, Session, run_matrix
 from stereo_slam_env.faults.matrix import judge
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from filters import Cause, DivergenceMonitor, InverseDepthStereoEKF, PoseBelief
-from stereo_slam_env.benchmark.reference_problem import long_drive
+from stereo_slam_env.benchmark.recordings.reference_problem import long_drive
 from stereo_slam_env.faults import drive_through, streams
 from stereo_slam_env.sensing.corrupted_frames import Blackouts
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from stereo_slam_env.benchmark.reference_problem import long_drive
+from stereo_slam_env.benchmark.recordings.reference_problem import long_drive
 from stereo_slam_env.faults import FAULTS, streams
 from stereo_slam_env.faults.catalogue import Fault, find_fault
 

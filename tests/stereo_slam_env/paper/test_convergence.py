@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from stereo_slam_env.benchmark.reference_problem import short_turn
-from stereo_slam_env.benchmark.runner import run_filter
+from stereo_slam_env.benchmark.recordings.reference_problem import short_turn
+from stereo_slam_env.benchmark.running.runner import run_filter
 from stereo_slam_env.paper import convergence
 from stereo_slam_env.paper.claims import Verdict
 from stereo_slam_env.paper.convergence import Depths, of_drives

@@ -3,7 +3,7 @@
 import pytest
 
 from stereo_slam_env.benchmark import run_benchmark
-from stereo_slam_env.benchmark.scenario import Scenario, filter_choice
+from stereo_slam_env.benchmark.scenarios.scenario import Scenario, filter_choice
 
 
 @pytest.fixture(scope="session")

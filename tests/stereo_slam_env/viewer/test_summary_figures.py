@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from stereo_slam_env.benchmark.attribution import attribute_runs
-from stereo_slam_env.benchmark.results import RangeError
-from stereo_slam_env.benchmark.summary import summarise_all
+from stereo_slam_env.benchmark.metrics.results import RangeError
+from stereo_slam_env.benchmark.metrics.summary import summarise_all
+from stereo_slam_env.benchmark.statistics.attribution import attribute_runs
 from stereo_slam_env.viewer.accuracy import plot_efficiency, plot_error_against_bound, plot_segment_errors
 from stereo_slam_env.viewer.consistency import plot_consistency
 from stereo_slam_env.viewer.cost import plot_cost

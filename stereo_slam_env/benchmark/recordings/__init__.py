@@ -1,0 +1,1 @@
+"""What filters are given: where the measurements of a scenario come from."""

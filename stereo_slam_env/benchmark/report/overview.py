@@ -1,0 +1,183 @@
+"""The first screen of a report: who is best, by how much, is it sure, how honest, how near the limit, at what cost."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from html import escape
+
+import numpy as np
+
+from stereo_slam_env.benchmark.metrics.limits import efficiency_interval
+from stereo_slam_env.benchmark.metrics.results import FilterSummary
+from stereo_slam_env.benchmark.report.answers import (
+    MARK_HEIGHT,
+    MARK_WIDTH,
+    Answer,
+    Question,
+    answers_table,
+    consistency_question,
+    drawn,
+    plain_percent,
+    short,
+    signed_percent,
+)
+from stereo_slam_env.benchmark.statistics.differences import CONFIDENCE, MIN_PAIRS, Finding
+from stereo_slam_env.benchmark.statistics.verdict import Comparison, Verdict
+from stereo_slam_env.viewer.page_tables import UNKNOWN, Tone
+
+
+def overview(summaries: Sequence[FilterSummary], verdict: Verdict) -> str:
+    """Headline and answers: a row for each filter, a column for each question that can be answered.
+
+    Parameters
+    ----------
+    summaries : sequence of FilterSummary
+        One for each filter.
+    verdict : Verdict
+        Of the same filters.
+
+    Returns
+    -------
+    str
+        Markup.
+    """
+    questions = [
+        Question("Which is best?", "position RMSE", lambda s: _accuracy(s, verdict)),
+        Question("By how much, is it sure?", _against(verdict), lambda s: _difference(s, verdict)),
+        consistency_question(summaries),
+        Question("How far from the limit?", _limit_of(summaries), _efficiency),
+        Question("What does it cost?", "median time a frame", lambda s: _cost(s, summaries)),
+    ]
+    return f'<p class="headline">{escape(verdict.headline)}</p>{answers_table("Filter", questions, summaries)}'
+
+
+# ---- accuracy -------------------------------------------------------------------------------------------------------
+
+
+def _accuracy(summary: FilterSummary, verdict: Verdict) -> Answer | None:
+    if summary.position_rmse_m is None:
+        return Answer(UNKNOWN, f"diverged {summary.diverged}/{summary.runs}", "bad") if summary.diverged else None
+    value = short(summary.position_rmse_m, " m")
+    word, tone = _standing(summary, verdict)
+    return Answer(value, word, tone, key=summary.position_rmse_m)
+
+
+def _standing(summary: FilterSummary, verdict: Verdict) -> tuple[str, Tone]:
+    if summary.diverged:
+        return f"diverged {summary.diverged}/{summary.runs}", "bad"
+    if summary.filter_name == verdict.best:
+        alone = bool(verdict.comparisons) and all(c.shown for c in verdict.comparisons.values())
+        return ("best", "good") if alone else ("smallest" if verdict.comparisons else "", "none")
+    comparison = verdict.comparisons.get(summary.filter_name)
+    return ("worse", "bad") if comparison is not None and comparison.shown else ("", "none")
+
+
+def _against(verdict: Verdict) -> str:
+    return f"error against {verdict.best}, 95 % interval" if verdict.best else "error against the best"
+
+
+def _difference(summary: FilterSummary, verdict: Verdict) -> Answer | None:
+    if not verdict.comparisons:
+        return None
+    if summary.filter_name == verdict.best:
+        return Answer("0 %", "what the others are held against", "none", _interval_mark(None, verdict), 0.0)
+    comparison = verdict.comparisons.get(summary.filter_name)
+    if comparison is None or not np.isfinite(comparison.excess_percent):
+        return None
+    word, tone = _finding(comparison)
+    value = signed_percent(comparison.excess_percent)
+    if comparison.interval_percent is not None:
+        low, high = comparison.interval_percent
+        word = f"{word}, {signed_percent(low, '')} to {signed_percent(high)}"
+    return Answer(value, word, tone, _interval_mark(comparison, verdict), comparison.excess_percent)
+
+
+def _finding(comparison: Comparison) -> tuple[str, Tone]:
+    if comparison.shown:
+        return "worse", "bad"
+    if comparison.finding is Finding.BETTER:
+        return "better run by run", "fair"
+    if comparison.difference.too_few and comparison.interval_percent is not None:
+        return f"too few runs to be sure ({comparison.runs})", "none"
+    if comparison.interval_percent is None:
+        return f"{comparison.runs} run{'' if comparison.runs == 1 else 's'}, {Finding.NOT_SHOWN.value}", "none"
+    return Finding.NOT_SHOWN.value, "none"
+
+
+def _interval_mark(comparison: Comparison | None, verdict: Verdict) -> str:
+    """The interval as a bar on a scale that all rows share; the line is "no difference"."""
+    ends = [p for c in verdict.comparisons.values() for p in (c.interval_percent or (c.excess_percent,))]
+    logs = np.clip(np.log1p(np.array([p for p in ends if np.isfinite(p)] + [0.0]) / 100), -1.5, 2.5)
+    low, high = float(logs.min()), float(logs.max())
+    room = 0.06 * max(high - low, 0.02)
+
+    def place(percent: float) -> float:
+        value = np.clip(np.log1p(percent / 100), low, high)
+        return float(round(MARK_WIDTH * (value - low + room) / (high - low + 2 * room), 1))
+
+    middle, zero = MARK_HEIGHT / 2, place(0.0)
+    shapes = f'<line x1="{zero}" x2="{zero}" y1="0" y2="{MARK_HEIGHT}" stroke="var(--muted)"/>'
+    if comparison is not None:
+        colour = "var(--bad)" if comparison.shown else "var(--muted)"
+        at = place(comparison.excess_percent)
+        if comparison.interval_percent is not None:
+            start, end = (place(p) for p in comparison.interval_percent)
+            width = max(end - start, 1)
+            box = f'x="{start}" y="{middle - 2}" width="{width:.1f}" height="4" rx="2"'
+            shapes += f'<rect {box} fill="{colour}" opacity=".4"/>'
+        shapes += f'<circle cx="{at}" cy="{middle}" r="3.5" fill="{colour}"/>'
+    return drawn(shapes)
+
+
+# ---- the other questions --------------------------------------------------------------------------------------------
+
+
+def _limit_of(summaries: Sequence[FilterSummary]) -> str:
+    bounds = {short(s.bound_position_m, " m") for s in summaries if s.bound_position_m is not None}
+    return f"bound {next(iter(bounds))} / RMSE, 95 % interval" if len(bounds) == 1 else "bound / RMSE, 95 % interval"
+
+
+def _efficiency(summary: FilterSummary) -> Answer | None:
+    percent = summary.efficiency_percent
+    if percent is None or summary.bound_position_m is None or summary.position_rmse_m is None:
+        return None
+    width, share = 90, float(np.clip(percent / 100, 0.0, 1.0))
+    shapes = (
+        f'<rect x="0" y="3" width="{width}" height="6" rx="3" fill="var(--band)"/>'
+        f'<rect x="0" y="3" width="{max(share * width, 2):.1f}" height="6" rx="3" fill="var(--series-0)"/>'
+    )
+    word = _distance(summary.position_rmse_m / summary.bound_position_m, _efficiency_interval(summary))
+    return Answer(plain_percent(percent), word, "none", drawn(shapes, width), percent)
+
+
+def _distance(excess: float, interval: tuple[float, float] | None) -> str:
+    """How far from the limit, and how sure that is."""
+    times = f"{excess:.2f} × the least error" if excess < 10 else f"{excess:,.0f} × the least error"
+    if interval is None:
+        return times if excess > 1 else "at the limit"
+    low, high = interval
+    if low > 100:
+        return f"beyond it, {low:.0f} to {high:.0f} %"
+    return f"at the limit, {low:.0f} to {high:.0f} %" if high >= 100 else f"{times}, {low:.0f} to {high:.0f} %"
+
+
+def _efficiency_interval(summary: FilterSummary) -> tuple[float, float] | None:
+    """95 % interval of the efficiency, over runs."""
+    errors, efficiencies = np.array(summary.position_rmse_by_run), np.array(summary.efficiency_by_run)
+    if len(errors) != len(efficiencies):
+        return None
+    known = np.isfinite(errors) & np.isfinite(efficiencies)
+    if known.sum() < MIN_PAIRS:
+        return None
+    return efficiency_interval(0.01 * efficiencies[known] * errors[known], errors[known], CONFIDENCE)
+
+
+def _cost(summary: FilterSummary, summaries: Sequence[FilterSummary]) -> Answer | None:
+    quickest = min((s.ms_per_frame for s in summaries if s.ms_per_frame), default=None)
+    if summary.ms_per_frame is None or not quickest:
+        return None
+    ratio = summary.ms_per_frame / quickest
+    words = ["quickest" if ratio == 1 else f"{ratio:.2f} ×"] if len(summaries) > 1 else []
+    if summary.memory_mb is not None and summary.memory_mb >= 0.5:
+        words.append(f"{summary.memory_mb:.0f} MB")
+    return Answer(f"{summary.ms_per_frame:.2f} ms", ", ".join(words), "none", key=summary.ms_per_frame)

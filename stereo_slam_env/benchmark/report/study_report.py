@@ -1,0 +1,332 @@
+"""The report of a study: many scenarios beside each other, and what each factor does."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from html import escape
+from itertools import compress
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from filters.validation import FloatArray
+from stereo_slam_env.benchmark.metrics.consistency import mean_band
+from stereo_slam_env.benchmark.metrics.results import FilterRun, FilterSummary
+from stereo_slam_env.benchmark.report.attribution_report import attribution_section, conclusions
+from stereo_slam_env.benchmark.report.run_report import clean_figures, data_links
+from stereo_slam_env.benchmark.report.tables import finding_tone, percent_cell
+from stereo_slam_env.benchmark.scenarios.study import Study
+from stereo_slam_env.benchmark.statistics.attribution import Attribution
+from stereo_slam_env.benchmark.statistics.differences import CONFIDENCE, MIN_PAIRS, Finding, mean_interval
+from stereo_slam_env.benchmark.statistics.verdict import Consistency, Verdict, consistency, judge
+from stereo_slam_env.viewer import factor_figures
+from stereo_slam_env.viewer.factor_figures import FactorResponse
+from stereo_slam_env.viewer.page import figure_block, page
+from stereo_slam_env.viewer.page_tables import Cell, Column, Tone, filter_cell, number, table
+from stereo_slam_env.viewer.style import filter_colours
+
+_POSE_DOF = 6
+_HONESTY: Mapping[Consistency, Tone] = {
+    Consistency.CONSISTENT: "good",
+    Consistency.OVERCONFIDENT: "bad",
+    Consistency.CAUTIOUS: "fair",
+    Consistency.UNKNOWN: "none",
+}
+
+
+class CellOutcome(Protocol):
+    """What a cell came to."""
+
+    @property
+    def runs(self) -> Sequence[FilterRun]:
+        """All runs of all filters."""
+
+    @property
+    def summaries(self) -> Sequence[FilterSummary]:
+        """One for each filter."""
+
+
+def write_study_report(
+    out: Path, study: Study, results: Mapping[str, CellOutcome], attribution: Attribution | None = None
+) -> Path:
+    """Write `out/report.html` over all cells of a study; each has its own report at `out/cells/<name>/report.html`.
+
+    Parameters
+    ----------
+    out : Path
+        Directory; made if it is not there.
+    study : Study
+        What was run.
+    results : mapping of str to CellOutcome
+        Runs and summaries by name of the cell; cells without are left out.
+    attribution : Attribution, optional
+        Effects of the options of a filter.
+
+    Returns
+    -------
+    Path
+        The page.
+
+    Raises
+    ------
+    ValueError
+        No cell has a result.
+    """
+    results = {cell.name: results[cell.name] for cell in study.cells if cell.name in results}
+    if not results:
+        raise ValueError("results must hold at least one cell of the study: there is nothing to report")
+    folder = clean_figures(out)
+    verdicts = {name: judge(outcome.runs, outcome.summaries) for name, outcome in results.items()}
+    links = {name: _link(out, study, name) for name in results}
+    names = list(dict.fromkeys(s.filter_name for outcome in results.values() for s in outcome.summaries))
+    body = [
+        conclusions(attribution) if attribution is not None else _headline(verdicts, names),
+        _matrix(results, verdicts, names, links),
+        f'<p class="quiet">{escape(_MATRIX_NOTE)}</p>',
+        *([attribution_section(attribution, folder)] if attribution is not None else []),
+        *_factors(study, results, folder),
+        _everything(results, verdicts, links),
+        data_links(out),
+    ]
+    path = out / "report.html"
+    cells, filters = len(results), len(names)
+    subtitle = f"{cells} scenario{'s' * (cells > 1)} · {filters} filter{'s' * (filters > 1)} on identical measurements"
+    path.write_text(page(title=f"Study: {study.name}", subtitle=subtitle, body="\n".join(body)), encoding="utf-8")
+    return path
+
+
+def _link(out: Path, study: Study, name: str) -> str:
+    address = f"cells/{name}/report.html"
+    return address if (out / address).is_file() or len(study.cells) > 1 else ""
+
+
+# ---- first screen ---------------------------------------------------------------------------------------------------
+
+
+_MATRIX_NOTE = (
+    "Position RMSE, and pose NEES (6 is ideal) below it. Green: the smallest error, and shown to be; red: shown to be"
+    " larger than the smallest; plain: neither is shown. NEES: green in its band, red overconfident, brown too"
+    " cautious. Links lead to the full report of each scenario."
+)
+
+
+def _headline(verdicts: Mapping[str, Verdict], names: Sequence[str]) -> str:
+    return f'<p class="headline">{escape(" ".join(_sentences(verdicts, names)))}</p>'
+
+
+def _sentences(verdicts: Mapping[str, Verdict], names: Sequence[str]) -> list[str]:
+    if len(verdicts) == 1:
+        return [next(iter(verdicts.values())).headline]
+    sentences = []
+    for name in names:
+        best = [verdict for verdict in verdicts.values() if verdict.best == name]
+        sure = sum(all(c.shown for c in verdict.comparisons.values()) for verdict in best)
+        if best:
+            among = f"{len(best)} of {len(verdicts)} scenarios"
+            shown = f", shown against all others in {sure or 'none'}" if len(names) > 1 else ""
+            sentences.append(f"{name} has the smallest position error in {among}{shown}.")
+    unknown = sum(verdict.best is None for verdict in verdicts.values())
+    if unknown:
+        sentences.append(f"In {unknown} there is no best one: no ground truth, or all diverged.")
+    return sentences
+
+
+def _matrix(
+    results: Mapping[str, CellOutcome], verdicts: Mapping[str, Verdict], names: Sequence[str], links: Mapping[str, str]
+) -> str:
+    """Scenarios down and filters across, or the other way round where there are more filters."""
+    colours = filter_colours(names)
+    found = {(cell, s.filter_name): s for cell, outcome in results.items() for s in outcome.summaries}
+
+    def entry(cell: str, name: str) -> Cell:
+        summary = found.get((cell, name))
+        return number(None) if summary is None else _entry(summary, verdicts[cell])
+
+    if len(names) > len(results):
+        columns = [Column("Filter", kind="text"), *(Column(cell, link=links[cell]) for cell in results)]
+        rows = [[filter_cell(name, colours), *(entry(cell, name) for cell in results)] for name in names]
+    else:
+        columns = [Column("Scenario", kind="text"), *(Column(name) for name in names)]
+        rows = [[Cell(cell, link=links[cell]), *(entry(cell, name) for name in names)] for cell in results]
+    return table(columns, rows)
+
+
+def _entry(summary: FilterSummary, verdict: Verdict) -> Cell:
+    if summary.position_rmse_m is None:
+        innovations = number(summary.nis, ".2f").text
+        return Cell(f"diverged {summary.diverged}/{summary.runs}" if summary.diverged else f"NIS {innovations}", None)
+    error = number(summary.position_rmse_m, ".3g", " m", _standing(summary, verdict))
+    note = f"NEES {summary.pose_anees:.3g}" if summary.pose_anees is not None else ""
+    if summary.diverged:
+        note = f"diverged {summary.diverged}/{summary.runs}"
+    tone: Tone = "bad" if summary.diverged else _HONESTY[consistency(summary)]
+    return Cell(error.text, error.key, error.tone, note=note, note_tone=tone)
+
+
+def _standing(summary: FilterSummary, verdict: Verdict) -> Tone:
+    if summary.filter_name == verdict.best:
+        alone = verdict.comparisons and all(c.shown for c in verdict.comparisons.values())
+        return "good" if alone else ""
+    comparison = verdict.comparisons.get(summary.filter_name)
+    return "bad" if comparison is not None and comparison.shown else ""
+
+
+# ---- factors --------------------------------------------------------------------------------------------------------
+
+
+def _factors(study: Study, results: Mapping[str, CellOutcome], folder: Path) -> list[str]:
+    factors = list(dict.fromkeys(name for cell in study.cells for name in cell.factors))
+    sections = []
+    for i, factor in enumerate(factors):
+        groups: dict[str, list[CellOutcome]] = {}
+        levels: dict[str, Any] = {}
+        for cell in study.cells:
+            if cell.name in results and factor in cell.factors:
+                text = _level(cell.factors[factor])
+                groups.setdefault(text, []).append(results[cell.name])
+                levels.setdefault(text, cell.factors[factor])
+        if len(groups) < 2:
+            continue
+        numbers = all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in levels.values())
+        shown = list(levels.values()) if numbers else list(levels)
+        responses = _responses(list(groups.values()))
+        if not responses:
+            continue
+        averaged = ", over seeds and the other factors" if len(factors) > 1 else ", over seeds"
+        caption = f"Geometric means{averaged}, with 95 % intervals over seeds where there are at least {MIN_PAIRS}."
+        figure = factor_figures.plot_factor("" if factor == "cell" else factor, shown, responses)
+        block = figure_block(figure, f"factor_{i}", caption, folder)
+        heading = "Side by side" if factor == "cell" else f"Effect of {factor}"
+        sections.append(f"<section><h2>{escape(heading)}</h2>{block}</section>")
+    return sections
+
+
+def _level(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return ", ".join(f"{key} {_level(inner)}" for key, inner in value.items())
+    if isinstance(value, (list, tuple)):
+        return " ".join(map(_level, value))
+    return "none" if value is None else str(value)
+
+
+def _responses(groups: Sequence[Sequence[CellOutcome]]) -> list[FactorResponse]:
+    """Responses at each level; a group is the cells of a level."""
+    seeds = max(len(s.position_rmse_by_run) for group in groups for outcome in group for s in outcome.summaries)
+    low, high = mean_band(_POSE_DOF, max(seeds, 1))
+    kinds = (
+        ("Position RMSE (m)", _errors, None, True),
+        ("Pose NEES / 6, band of its mean in grey", _nees, (low / _POSE_DOF, high / _POSE_DOF), True),
+        ("Efficiency, bound / RMSE (%)", _efficiencies, None, False),
+    )
+    responses = []
+    for title, values, band, log in kinds:
+        means: dict[str, FloatArray] = {}
+        lows: dict[str, FloatArray] = {}
+        highs: dict[str, FloatArray] = {}
+        names = list(dict.fromkeys(s.filter_name for group in groups for o in group for s in o.summaries))
+        for name in names:
+            points = np.array([_mean_and_interval([values(o, name) for o in group]) for group in groups])
+            if np.isfinite(points[:, 0]).any():
+                means[name], lows[name], highs[name] = points.T
+        if means:
+            responses.append(FactorResponse(title, means, lows, highs, band, log))
+    return responses
+
+
+def _mean_and_interval(cells: Sequence[Mapping[Any, float]]) -> tuple[float, float, float]:
+    """Geometric mean over seeds of the geometric mean over cells, and its interval over seeds."""
+    seeds = sorted(set.intersection(*(set(values) for values in cells)), key=str)
+    table_of = np.array([[values[seed] for values in cells] for seed in seeds]).reshape(len(seeds), len(cells))
+    usable = (np.isfinite(table_of) & (table_of > 0)).all(axis=1)
+    logs = np.log(table_of[usable]).mean(axis=1)
+    if len(logs) == 0:
+        return float("nan"), float("nan"), float("nan")
+    mean = float(np.exp(logs.mean()))
+    if len(logs) < MIN_PAIRS:
+        return mean, float("nan"), float("nan")
+    low, high = mean_interval(logs[:, None], CONFIDENCE, 0)
+    return mean, float(np.exp(low[0])), float(np.exp(high[0]))
+
+
+def _of_filter(outcome: CellOutcome, name: str) -> tuple[FilterSummary | None, list[FilterRun]]:
+    summary = next((s for s in outcome.summaries if s.filter_name == name), None)
+    return summary, [run for run in outcome.runs if run.filter_name == name]
+
+
+def _errors(outcome: CellOutcome, name: str) -> dict[Any, float]:
+    summary, runs = _of_filter(outcome, name)
+    errors = summary.position_rmse_by_run if summary is not None else ()
+    return {run.seed: error for run, error in zip(runs, errors, strict=True)}
+
+
+def _efficiencies(outcome: CellOutcome, name: str) -> dict[Any, float]:
+    summary, runs = _of_filter(outcome, name)
+    if summary is None or len(summary.efficiency_by_run) != len(runs):
+        return {}
+    return {run.seed: value for run, value in zip(runs, summary.efficiency_by_run, strict=True)}
+
+
+def _nees(outcome: CellOutcome, name: str) -> dict[Any, float]:
+    _, runs = _of_filter(outcome, name)
+    known = {run.seed: run.pose_nees[1:][np.isfinite(run.pose_nees[1:])] for run in runs if run.failure is None}
+    return {seed: float(values.mean()) / _POSE_DOF for seed, values in known.items() if len(values)}
+
+
+# ---- the long table -------------------------------------------------------------------------------------------------
+
+
+def _everything(results: Mapping[str, CellOutcome], verdicts: Mapping[str, Verdict], links: Mapping[str, str]) -> str:
+    columns = [
+        Column("Scenario", kind="text"),
+        Column("Filter", kind="text"),
+        Column("Position", "RMSE, m"),
+        Column("Against the best", "%, 95 % interval"),
+        Column("Rotation", "RMSE, °"),
+        Column("Drift", "end, %"),
+        Column("Pose NEES", "ideal 6"),
+        Column("In band", "% frames"),
+        Column("NIS", "ideal 1"),
+        Column("Landmarks", "error, m"),
+        Column("Map NEES", "ideal 3"),
+        Column("Efficiency", "%"),
+        Column("Time", "ms/frame"),
+        Column("Diverged", "runs"),
+    ]
+    names = [s.filter_name for outcome in results.values() for s in outcome.summaries]
+    colours = filter_colours(names)
+    rows: list[list[Cell]] = []
+    for cell, outcome in results.items():
+        for s in outcome.summaries:
+            rows.append(
+                [
+                    Cell(cell, link=links[cell]),
+                    filter_cell(s.filter_name, colours),
+                    number(s.position_rmse_m, ".3f", tone=_standing(s, verdicts[cell])),
+                    _against_best(s, verdicts[cell]),
+                    number(s.rotation_rmse_deg, ".3f"),
+                    number(s.end_drift_percent, ".3f"),
+                    number(s.pose_anees, ".2f", tone=_HONESTY[consistency(s)]),
+                    number(s.frames_in_band_percent, ".0f"),
+                    number(s.nis, ".2f"),
+                    number(s.landmark_rmse_m, ".2f"),
+                    number(s.landmark_anees, ".2f"),
+                    number(s.efficiency_percent, ".0f"),
+                    number(s.ms_per_frame, ".2f"),
+                    Cell(f"{s.diverged}/{s.runs}", float(s.diverged), "bad" if s.diverged else ""),
+                ]
+            )
+    known = [any(row[i].key is not None for row in rows) for i in range(len(columns))]
+    columns = list(compress(columns, known))
+    shown = [list(compress(row, known)) for row in rows]
+    return f"<section><h2>All figures</h2>{table(columns, shown, wide=True)}</section>"
+
+
+def _against_best(summary: FilterSummary, verdict: Verdict) -> Cell:
+    if summary.filter_name == verdict.best:
+        return Cell("smallest", 0.0, "none")
+    comparison = verdict.comparisons.get(summary.filter_name)
+    if comparison is None or not np.isfinite(comparison.excess_percent):
+        return number(None)
+    tone = finding_tone(Finding.WORSE if comparison.shown else Finding.NOT_SHOWN)
+    return percent_cell(comparison.excess_percent, comparison.interval_percent, tone)

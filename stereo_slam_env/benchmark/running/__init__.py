@@ -1,0 +1,1 @@
+"""Filters on recordings: one run, many at once, each in a process of its own."""

@@ -1,0 +1,285 @@
+"""Run one filter over one recording, and note everything metrics and reports need."""
+
+from __future__ import annotations
+
+import dataclasses
+import logging
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from filters import (
+    PoseBelief,
+    StereoFilter,
+    StereoNoise,
+    StereoObservation,
+    UpdateReport,
+    VelocityBelief,
+)
+from filters.motion import POSE_SIZE, POSITION, ROTATION
+from filters.registry import FilterFactory, label_of
+from filters.validation import FloatArray, IntArray
+from stereo_slam_env.benchmark.metrics.consistency import nees
+from stereo_slam_env.benchmark.metrics.landmark_statistics import LandmarkScorer
+from stereo_slam_env.benchmark.metrics.map_scoring import mean_nees, position_rmse, score_map, view_map
+from stereo_slam_env.benchmark.metrics.results import COUNTS, EVENTS, FilterRun
+from stereo_slam_env.benchmark.metrics.traces import TraceRecorder
+from stereo_slam_env.benchmark.running.memory import peak_memory_mb
+from stereo_slam_env.benchmark.scenarios.competitor import make_with_common_options
+from stereo_slam_env.recording import Frame, Recording
+
+Observe = Callable[[int, StereoFilter], StereoObservation]
+
+_log = logging.getLogger(__name__)
+
+
+def run_filter(
+    recording: Recording,
+    filter_name: str | FilterFactory,
+    options: Mapping[str, Any] | None = None,
+    *,
+    label: str | None = None,
+    common_options: Mapping[str, Any] | None = None,
+    noise: StereoNoise | None = None,
+    use_odometry: bool = True,
+    score_map: bool = True,
+    seed: int | None = None,
+    observe: Observe | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> FilterRun:
+    """Feed a recording to a filter.
+
+    The filter starts from `recording.start`; the first frame only initialises; every later one is predict, then
+    update. Only those two calls are timed, with one BLAS thread.
+
+    Parameters
+    ----------
+    recording : Recording
+        The stream.
+    filter_name : str or callable
+        A name of `filters.available_filters()`, or a filter class or function, as `make_filter` takes it.
+    options : mapping, optional
+        Options of the filter, JSON-able: `motion` is written as {"sigma_acceleration": ...,
+        "sigma_angular_acceleration": ...} or "velocity-driven".
+    label : str, optional
+        Name in tables and files; None: that of the filter.
+    common_options : mapping, optional
+        Options given to every filter of a comparison that knows them; `options` go first.
+    noise : StereoNoise, optional
+        Noise to assume; None: what the recording says.
+    use_odometry : bool
+        Whether `predict` is given the odometry of the recording.
+    score_map : bool
+        Whether the landmarks are judged, too, which costs about as much as a quick filter.
+    seed : int, optional
+        Of the recording, for the result.
+    observe : callable, optional
+        What measures instead of the recording: called after `predict` with the number of the frame and the filter,
+        whose `forecast` may guide it, returns a `StereoObservation`. It is not timed.
+    progress : callable, optional
+        Called with (frames done, frames) after each frame.
+
+    Returns
+    -------
+    FilterRun
+        A filter that raises or returns something that is not finite is a result too: `failure` says what happened.
+
+    Raises
+    ------
+    ValueError
+        The recording is empty.
+    """
+    if len(recording) == 0:
+        raise ValueError(f"recording {recording.name!r} has no frames")
+    name = label or label_of(filter_name)
+    log = RunLog(recording)
+    memory = peak_memory_mb()
+    used: dict[str, Any] = dict(options or {})
+    frame_number = -1
+    with threadpool_limits(limits=1):
+        try:
+            estimator, used = make_with_common_options(
+                filter_name,
+                recording.camera,
+                recording.noise if noise is None else noise,
+                options or {},
+                common_options or {},
+            )
+            start = recording.start
+            estimator.reset(
+                start.position, start.orientation, start.linear_velocity, start.angular_velocity, start.covariance
+            )
+            for frame_number, frame in enumerate(recording.frames):
+                dt = frame.timestamp - recording.frames[frame_number - 1].timestamp if frame_number else None
+                began = time.perf_counter()
+                if dt is not None:
+                    estimator.predict(dt, frame.odometry if use_odometry else None)
+                predicting = time.perf_counter() - began
+                if observe is not None:
+                    frame = dataclasses.replace(frame, observation=observe(frame_number, estimator))
+                began = time.perf_counter()
+                report = estimator.update(frame.observation)
+                updating = time.perf_counter() - began
+                log.add(frame_number, frame, estimator, report, 1000.0 * predicting, 1000.0 * updating)
+                if score_map:
+                    log.add_map(frame_number, frame, estimator)
+                if progress is not None:
+                    progress(frame_number + 1, len(recording))
+            failure = None
+        except Exception as error:  # a stranger's filter may raise anything; the comparison goes on without it
+            failure = failure_line(frame_number, error)
+            _log.info("%s on %s failed at %s", name, recording.name, failure)
+    return log.result(name, used, seed, failure, peak_memory_mb() - memory)
+
+
+class RunLog:
+    """The arrays of a `FilterRun`, filled frame by frame."""
+
+    def __init__(self, recording: Recording) -> None:
+        self._recording = recording
+        count = len(recording)
+
+        def unknown(*shape: int) -> FloatArray:
+            return np.full((count, *shape), np.nan)
+
+        self._series: dict[str, FloatArray] = {
+            "positions": unknown(3),
+            "orientations": unknown(4),
+            "pose_covariances": unknown(6, 6),
+            "linear_velocities": unknown(3),
+            "angular_velocities": unknown(3),
+            "velocity_covariances": unknown(6, 6),
+            "pose_errors": unknown(6),
+            "pose_nees": unknown(),
+            "position_nees": unknown(),
+            "rotation_nees": unknown(),
+            "landmark_nees": unknown(),
+            "landmark_rmse": unknown(),
+            "nis": unknown(),
+            "milliseconds": unknown(),
+            "predict_milliseconds": unknown(),
+            "update_milliseconds": unknown(),
+            "state_size": unknown(),
+        }
+        self._nis_dof: IntArray = np.zeros(count, dtype=np.int64)
+        self._counts: dict[str, IntArray] = {name: np.zeros(count, dtype=np.int64) for name in COUNTS}
+        self._traces = TraceRecorder(recording)
+        self._scorer = LandmarkScorer(recording.camera)
+
+    def add(
+        self,
+        k: int,
+        frame: Frame,
+        estimator: StereoFilter,
+        report: UpdateReport,
+        predict_milliseconds: float,
+        update_milliseconds: float,
+    ) -> None:
+        """Note what an estimator believes after frame `k`; raises ArithmeticError where that is not finite."""
+        counts = {name: len(getattr(report, name)) for name in EVENTS}
+        counts["failed_factorisations"] = report.failed_factorisations
+        self.add_belief(k, estimator.pose, estimator.velocity, report.nis, report.nis_dof, counts)
+        self.add_cost(k, predict_milliseconds, update_milliseconds, getattr(estimator, "state_size", np.nan))
+        if frame.truth is not None:
+            self.add_pose_error(k, *estimator.pose_error(frame.truth.position, frame.truth.orientation))
+
+    def add_belief(
+        self,
+        k: int,
+        pose: PoseBelief,
+        velocity: VelocityBelief,
+        nis: float,
+        nis_dof: int,
+        counts: Mapping[str, int],
+    ) -> None:
+        """Note pose and velocity, and what became of the measurements; raises ArithmeticError where not finite."""
+        series = self._series
+        belief = {
+            "positions": pose.position,
+            "orientations": pose.orientation,
+            "pose_covariances": pose.covariance,
+            "linear_velocities": velocity.linear,
+            "angular_velocities": velocity.angular,
+            "velocity_covariances": velocity.covariance,
+        }
+        for name, value in belief.items():
+            if not np.isfinite(value).all():
+                raise ArithmeticError(f"the filter returned NaN or infinity in its {name.replace('_', ' ')}")
+        for name, value in belief.items():
+            series[name][k] = value
+        series["nis"][k], self._nis_dof[k] = nis, nis_dof
+        for name, count in counts.items():
+            self._counts[name][k] = count
+
+    def add_cost(self, k: int, predict_milliseconds: float, update_milliseconds: float, state_size: float) -> None:
+        """Note what the frame took, and the dimension of the error state (NaN: the filter does not say)."""
+        series = self._series
+        series["predict_milliseconds"][k], series["update_milliseconds"][k] = predict_milliseconds, update_milliseconds
+        series["milliseconds"][k] = predict_milliseconds + update_milliseconds
+        series["state_size"][k] = state_size
+
+    def add_pose_error(self, k: int, error: FloatArray, covariance: FloatArray) -> None:
+        """Note the pose error (6,) with the covariance (6, 6) claimed for it."""
+        self._series["pose_errors"][k] = error
+        for name, part in (
+            ("pose_nees", slice(0, POSE_SIZE)),
+            ("position_nees", POSITION),
+            ("rotation_nees", ROTATION),
+        ):
+            self._series[name][k] = nees(error[None, part], covariance[None, part, part])[0]
+
+    def add_map(self, k: int, frame: Frame, estimator: StereoFilter) -> None:
+        """Score the map and follow the traced landmarks."""
+        series, camera = self._series, self._recording.camera
+        view = view_map(estimator, frame.truth, self._recording.landmarks)
+        score = score_map(view, camera)
+        series["landmark_nees"][k] = mean_nees(score)
+        series["landmark_rmse"][k] = position_rmse(score)
+        self._scorer.add(score)
+        self._traces.add(k, view, frame.observation)
+        behind = view.ids[view.uvd[:, 2] <= 0]
+        self._counts["negative_depth"][k] = int(np.isin(behind, frame.observation.ids).sum()) if len(behind) else 0
+        self._counts["map_size"][k] = len(view.ids)
+
+    def result(
+        self, label: str, options: Mapping[str, Any], seed: int | None, failure: str | None, memory_mb: float
+    ) -> FilterRun:
+        """The run so far."""
+        frames = self._recording.frames
+        nowhere, no_turn = np.full(3, np.nan), np.full(4, np.nan)
+        poses, moves = [f.truth for f in frames], [f.truth_velocity for f in frames]
+        return FilterRun(
+            filter_name=label,
+            recording_name=self._recording.name,
+            options=options,
+            seed=seed,
+            timestamps=np.array([f.timestamp for f in frames]),
+            true_positions=np.array([nowhere if p is None else p.position for p in poses]),
+            true_orientations=np.array([no_turn if p is None else p.orientation for p in poses]),
+            true_linear_velocities=np.array([nowhere if v is None else v.linear for v in moves]),
+            true_angular_velocities=np.array([nowhere if v is None else v.angular for v in moves]),
+            nis_dof=self._nis_dof,
+            counts=self._counts,
+            traces=self._traces.traces(),
+            failure=failure,
+            memory_mb=memory_mb,
+            landmark_statistics=self._scorer.statistics,
+            **self._series,
+        )
+
+
+def failed_run(
+    recording: Recording, label: str, options: Mapping[str, Any], seed: int | None, failure: str
+) -> FilterRun:
+    """The result of a filter that gave none; `failure` is one line."""
+    return RunLog(recording).result(label, options, seed, failure, float("nan"))
+
+
+def failure_line(frame_number: int, error: Exception) -> str:
+    """One line on what a filter raised, and in which frame (negative: before the first)."""
+    where = f"frame {frame_number}" if frame_number >= 0 else "start"
+    text = str(error).strip()
+    return f"{where}: {type(error).__name__}: {text.splitlines()[0] if text else 'no message'}"

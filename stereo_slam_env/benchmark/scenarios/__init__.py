@@ -1,0 +1,1 @@
+"""What is compared on what: scenarios as plain data, from files and as presets."""

@@ -1,0 +1,1 @@
+"""What is sure: differences between runs, with intervals and tests."""

@@ -1,0 +1,396 @@
+"""What changed significantly between two runs of the benchmark, say before and after a change of a filter.
+
+A grid is compared cell by cell. Recordings with bit-identical measurements are compared pair by pair. Where the
+measurements are not the same, the runs are two samples, and their difference has the wider interval of unpaired data.
+Intervals and tests are corrected for all changes of the table that could have shown something; those of time, which
+depends on the machine, among themselves.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from filters.validation import BoolArray, FloatArray
+from stereo_slam_env.benchmark.metrics.results import FilterRun
+from stereo_slam_env.benchmark.statistics.differences import (
+    Difference,
+    Finding,
+    pairs_needed,
+)
+from stereo_slam_env.benchmark.statistics.measures import (
+    MEASURES,
+    TIME,
+    Measure,
+    RunFigures,
+    RunKey,
+    common_keys,
+    figures_of,
+)
+from stereo_slam_env.benchmark.statistics.shares import paired_share, unpaired_share
+from stereo_slam_env.benchmark.statistics.verdict import change_words
+from stereo_slam_env.benchmark.storage.store import pairing_digest
+from stereo_slam_env.benchmark.storage.study_store import read_study
+
+_MACHINE = ("platform", "python", "numpy", "scipy")
+
+
+class HasRuns(Protocol):
+    """A `BenchmarkResult`, or anything else with runs."""
+
+    @property
+    def runs(self) -> Sequence[FilterRun]:
+        """All of them."""
+
+
+@dataclass(frozen=True)
+class Change:
+    """One measure of one filter, before and after.
+
+    Attributes
+    ----------
+    filter_name : str
+        Label; in a grid with the name of the cell before it.
+    measure : str
+        In words: "position error", "diverged runs".
+    unit : str
+        Of `before` and `after`; may be empty.
+    before, after : float
+        Over the common recordings: geometric mean over runs, of consistency the mean, of divergences their number.
+    count : int
+        Recordings, pairs where they are paired.
+    interval_percent : pair of float, optional
+        Of by how much it became larger; of consistency, of how much farther from the ideal it came; None where there is
+        none (too few runs, divergences).
+    p_value : float
+        Corrected.
+    finding : Finding
+        Better or worse after than before, or no difference shown.
+    words : str
+        The conclusion, a clause.
+    """
+
+    filter_name: str
+    measure: str
+    unit: str
+    before: float
+    after: float
+    count: int
+    interval_percent: tuple[float, float] | None
+    p_value: float
+    finding: Finding
+    words: str
+
+
+@dataclass(frozen=True)
+class RunComparison:
+    """What changed from one run of the benchmark to another one.
+
+    Attributes
+    ----------
+    before, after : str
+        Where they are.
+    paired : bool
+        Whether their measurements are bit-identical, recording by recording.
+    changes : tuple of Change
+        By filter, then measure.
+    filters_before, filters_after, recordings_before, recordings_after : tuple of str
+        Filters and recordings that only one of them has.
+    warnings : tuple of str
+        What the reader must know before believing the table, one sentence each.
+    headline : str
+        What changed significantly, in a few sentences.
+    """
+
+    before: str
+    after: str
+    paired: bool
+    changes: tuple[Change, ...]
+    filters_before: tuple[str, ...]
+    filters_after: tuple[str, ...]
+    recordings_before: tuple[str, ...]
+    recordings_after: tuple[str, ...]
+    warnings: tuple[str, ...]
+    headline: str
+
+    @property
+    def shown(self) -> tuple[Change, ...]:
+        """The changes that the runs show."""
+        return tuple(change for change in self.changes if change.finding is not Finding.NOT_SHOWN)
+
+    def as_rows(self) -> list[tuple[str, str, str, str, str, str]]:
+        """Cells of a table: filter, measure, before, after, change, finding; see `COLUMNS`."""
+        return [
+            (
+                change.filter_name,
+                f"{change.measure}, {change.unit}" if change.unit else change.measure,
+                f"{change.before:.4g}",
+                f"{change.after:.4g}",
+                change.words,
+                change.finding.value,
+            )
+            for change in self.changes
+        ]
+
+    def __str__(self) -> str:
+        return "\n".join([self.headline, *self.warnings, *(" | ".join(row) for row in self.as_rows())])
+
+
+COLUMNS = ("filter", "measure", "before", "after", "change", "finding")
+
+
+def compare(before: str | Path | HasRuns, after: str | Path | HasRuns) -> RunComparison:
+    """Say what changed significantly between two runs of the benchmark.
+
+    Parameters
+    ----------
+    before, after : str, Path or BenchmarkResult
+        Run directories, or results that are still at hand.
+
+    Raises
+    ------
+    ValueError
+        No run there, it is not finished, or the two have no filter in common.
+    """
+    was, now = _opened(before, "before"), _opened(after, "after")
+    filters = [name for name in was.figures if name in now.figures]
+    keys = [key for key in was.keys if key in set(now.keys)]
+    if not filters:
+        raise ValueError(
+            f"{was.name} and {now.name} have no filter in common: {', '.join(was.figures)} against "
+            f"{', '.join(now.figures)}"
+        )
+    paired, about_streams = _same_streams(was, now)
+    changes = _changes([_pair(was, now, name, paired) for name in filters])
+    warnings = [*about_streams, *_other_settings(was, now), *_other_machine(was, now)]
+    return RunComparison(
+        before=was.name,
+        after=now.name,
+        paired=paired,
+        changes=changes,
+        filters_before=tuple(name for name in was.figures if name not in now.figures),
+        filters_after=tuple(name for name in now.figures if name not in was.figures),
+        recordings_before=tuple(_recording(key) for key in was.keys if key not in keys),
+        recordings_after=tuple(_recording(key) for key in now.keys if key not in keys),
+        warnings=tuple(warnings),
+        headline=_headline(changes),
+    )
+
+
+@dataclass(frozen=True)
+class _Side:
+    """A run of the benchmark, as far as it is compared.
+
+    Filters go by their labels, in a grid by "cell: label"; a trial is one of them on one recording.
+    """
+
+    name: str
+    figures: Mapping[str, RunFigures]
+    trials: Mapping[tuple[str, RunKey], FilterRun]
+    streams: Mapping[tuple[str, RunKey], str] = field(default_factory=dict)
+    settings: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+
+    @property
+    def keys(self) -> list[RunKey]:
+        """Its recordings."""
+        return list(dict.fromkeys(key for _, key in self.trials))
+
+
+def _opened(source: str | Path | HasRuns, name: str) -> _Side:
+    if not isinstance(source, (str, Path)):
+        out = getattr(source, "out", None)
+        if out is None or not Path(out).is_dir():
+            return _Side(name, figures_of(source.runs), _trials("", source.runs))
+        source = Path(out)
+    study = read_study(Path(source))
+    figures: dict[str, RunFigures] = {}
+    trials: dict[tuple[str, RunKey], FilterRun] = {}
+    streams: dict[tuple[str, RunKey], str] = {}
+    settings: dict[str, Mapping[str, Any]] = {}
+    for cell, directory in study.cells:
+        prefix = f"{cell.name}: " if study.study.is_grid else ""
+        runs, recordings = directory.load()
+        limit = cell.scenario.divergence_percent
+        of_cell = figures_of(runs, divergence_percent=limit, bounds=directory.bounds())
+        figures |= {f"{prefix}{label}": figures for label, figures in of_cell.items()}
+        trials |= _trials(prefix, runs)
+        digests = {(about["name"], about["seed"]): pairing_digest(about) for about in recordings}
+        streams |= {(label, key): digests[key] for label, key in _trials(prefix, runs)}
+        settings[prefix] = json.loads((directory.out / "settings.json").read_text(encoding="utf-8"))
+    return _Side(str(source), figures, trials, streams, settings)
+
+
+def _trials(prefix: str, runs: Sequence[FilterRun]) -> dict[tuple[str, RunKey], FilterRun]:
+    return {(f"{prefix}{run.filter_name}", (run.recording_name, run.seed)): run for run in runs}
+
+
+def _same_streams(was: _Side, now: _Side) -> tuple[bool, list[str]]:
+    """Whether all common trials had the same measurements, and what is to be said about it."""
+    common = [trial for trial in was.trials if trial in now.trials]
+    if not common:
+        return False, ["The two runs have no recording in common: they are compared as two samples, not pair by pair."]
+    if all(trial in side.streams for side in (was, now) for trial in common):
+        other = list(dict.fromkeys(trial[1] for trial in common if was.streams[trial] != now.streams[trial]))
+        if not other:
+            return True, []
+        which = _recording(other[0]) + (f" and {len(other) - 1} more" if len(other) > 1 else "")
+        return False, [
+            f"The measurements of {which} are not the same in both runs: they are compared as two samples, not pair by "
+            f"pair, and a difference may come from the recordings."
+        ]
+    if all(_same_drive(was.trials[trial], now.trials[trial]) for trial in common):
+        return True, [
+            "Whether the measurements are bit-identical is not known; time stamps and truth are, so runs are paired."
+        ]
+    return False, ["The drives of the two runs are not the same: they are compared as two samples, not pair by pair."]
+
+
+def _same_drive(a: FilterRun, b: FilterRun) -> bool:
+    return all(
+        np.array_equal(getattr(a, name), getattr(b, name), equal_nan=True) for name in ("timestamps", "true_positions")
+    )
+
+
+@dataclass(frozen=True)
+class _Pair:
+    """One filter in both runs: its recordings, the same ones where they are paired."""
+
+    name: str
+    after: RunFigures
+    before: RunFigures
+    keys_after: Sequence[RunKey]
+    keys_before: Sequence[RunKey]
+    paired: bool
+
+    def values(self, measure: Measure) -> tuple[FloatArray, FloatArray]:
+        """After and before; of pairs, those that both know."""
+        after, before = self.after.values(measure, self.keys_after), self.before.values(measure, self.keys_before)
+        if not self.paired:
+            return after[np.isfinite(after)], before[np.isfinite(before)]
+        known = np.isfinite(after) & np.isfinite(before)
+        return after[known], before[known]
+
+    @property
+    def diverged(self) -> tuple[BoolArray, BoolArray]:
+        """After and before."""
+        return self.after.diverged(self.keys_after), self.before.diverged(self.keys_before)
+
+
+def _pair(was: _Side, now: _Side, name: str, paired: bool) -> _Pair:
+    after, before = now.figures[name], was.figures[name]
+    both = common_keys(before, after)
+    own = (both, both) if paired else (list(after.of_run), list(before.of_run))
+    return _Pair(name, after, before, *own, paired)
+
+
+def _changes(pairs: Sequence[_Pair]) -> tuple[Change, ...]:
+    """What is exactly the same before and after can show nothing, and does not count as a comparison."""
+    known = {(p.name, m): values for p in pairs for m in MEASURES for values in [p.values(m)] if all(map(len, values))}
+    moved = [measure for (_, measure), values in known.items() if not np.array_equal(*values)]
+    lost = sum(not np.array_equal(*pair.diverged) for pair in pairs)
+    of_time = max(1, moved.count(TIME))
+    of_others = max(1, len(moved) - moved.count(TIME) + lost)
+    changes = []
+    for pair in pairs:
+        for measure in MEASURES:
+            if (pair.name, measure) in known:
+                after, before = known[pair.name, measure]
+                comparisons = of_time if measure is TIME else of_others
+                difference = measure.difference(after, before, paired=pair.paired, comparisons=comparisons)
+                changes.append(_change(pair.name, measure, after, before, difference))
+        if any(side.any() for side in pair.diverged):
+            changes.append(_divergences(pair, of_others))
+    return tuple(changes)
+
+
+def _change(name: str, measure: Measure, after: FloatArray, before: FloatArray, difference: Difference) -> Change:
+    percent = difference.reversed if measure.larger_is_better else difference
+    return Change(
+        filter_name=name,
+        measure=measure.words,
+        unit=measure.unit,
+        before=measure.over_runs(before),
+        after=measure.over_runs(after),
+        count=difference.count,
+        interval_percent=percent.interval_percent,
+        p_value=difference.p_value,
+        finding=difference.finding,
+        words=change_words(measure, difference),
+    )
+
+
+def _divergences(pair: _Pair, comparisons: int) -> Change:
+    after, before = pair.diverged
+    share = (paired_share if pair.paired else unpaired_share)(after, before, comparisons=comparisons)
+    words = f"{int(before.sum())} of {len(before)} runs before, {int(after.sum())} of {len(after)} after"
+    if np.array_equal(after, before):
+        words = f"the same {int(after.sum())} of {len(after)} runs"
+    elif share.finding is Finding.NOT_SHOWN:
+        words = f"{words}, which may be chance"
+    return Change(
+        filter_name=pair.name,
+        measure="diverged runs",
+        unit="",
+        before=float(before.sum()),
+        after=float(after.sum()),
+        count=share.count,
+        interval_percent=None,
+        p_value=share.p_value,
+        finding=share.finding,
+        words=words,
+    )
+
+
+def _other_settings(was: _Side, now: _Side) -> list[str]:
+    other: dict[str, None] = {}
+    for cell in was.settings.keys() & now.settings.keys():
+        a, b = (side.settings[cell]["scenario"] for side in (was, now))
+        ignored = {"name", "seeds", "filters", "policies"}
+        other |= dict.fromkeys(key for key in {**a, **b} if key not in ignored and a.get(key) != b.get(key))
+        made = [
+            {c["label"]: (c["name"], c["options"]) for c in (*side["filters"], *side.get("policies", ()))}
+            for side in (a, b)
+        ]
+        changed = [label for label, how in made[0].items() if made[1].get(label, how) != how]
+        other |= dict.fromkeys(f"the options of {label}" for label in changed)
+    return [f"The settings of the two runs differ in {_listed(list(other))}."] if other else []
+
+
+def _other_machine(was: _Side, now: _Side) -> list[str]:
+    a, b = (next((dict(about["versions"]) for about in side.settings.values()), {}) for side in (was, now))
+    if not a or not b:
+        return ["Times are of one machine only if both runs were made on it."]
+    other = [f"{key} ({a.get(key)} and {b.get(key)})" for key in _MACHINE if a.get(key) != b.get(key)]
+    if other:
+        return [f"Times are not comparable: the two runs differ in {_listed(other)}."]
+    return ["Times were measured in two sessions: the load of the machine may differ."]
+
+
+def _headline(changes: Sequence[Change]) -> str:
+    sentences = []
+    for finding in (Finding.WORSE, Finding.BETTER):
+        shown = [f"{c.measure} of {c.filter_name}: {c.words}" for c in changes if c.finding is finding]
+        if shown:
+            sentences.append(f"{finding.value.capitalize()} after than before: {'; '.join(shown)}.")
+    if sentences:
+        return " ".join(sentences)
+    if all(c.words.startswith("the same") for c in changes if c.measure != TIME.words):
+        return "Nothing has changed but perhaps the time."
+    most, comparisons = max(c.count for c in changes), len(changes)
+    if most < pairs_needed():
+        return f"No difference is shown: {most} runs are too few, at least {pairs_needed()} are needed."
+    return f"No difference is shown in {comparisons} comparisons."
+
+
+def _recording(key: RunKey) -> str:
+    name, seed = key
+    return name if seed is None else f"{name} (seed {seed})"
+
+
+def _listed(words: Sequence[str]) -> str:
+    return ", ".join(words)

@@ -1,0 +1,251 @@
+"""The effects of the factors of an experiment on one response: estimates, intervals, shares of variance, words."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
+from typing import Any
+
+import numpy as np
+
+from filters.validation import FloatArray
+from stereo_slam_env.benchmark.statistics.differences import Difference, Finding, differences_of, larger
+from stereo_slam_env.benchmark.statistics.factorial_fit import FactorialFit, Term, fit_factorial
+
+_WORTH_WORDS = 1.0
+"""An interaction that explains less of the variance, %, is not put into words."""
+
+
+@dataclass(frozen=True, eq=False)
+class Response:
+    """What is explained.
+
+    Attributes
+    ----------
+    logarithms : (*levels, S) ndarray
+        One for each combination and each seed; NaN where there is none.
+    unit : str
+        Of the value itself; may be empty.
+    ideal : float, optional
+        The value that is best; None: the smaller the better.
+    """
+
+    logarithms: FloatArray
+    unit: str = ""
+    ideal: float | None = None
+
+
+@dataclass(frozen=True)
+class Effect:
+    """What a level does against the average of all, or two levels together beyond what each does alone.
+
+    Attributes
+    ----------
+    factors : tuple of str
+        One name (a main effect) or two (an interaction).
+    levels : tuple
+        The level of each.
+    percent : float
+        By how much the response is larger with it, %: +100 doubles it.
+    interval_percent : pair of float, optional
+        Its confidence interval, corrected for the number of such effects; None with too few seeds.
+    shown : bool
+        Whether the runs show that there is any effect.
+    """
+
+    factors: tuple[str, ...]
+    levels: tuple[Any, ...]
+    percent: float
+    interval_percent: tuple[float, float] | None
+    shown: bool
+
+
+@dataclass(frozen=True)
+class Contrast:
+    """One level of a factor instead of its first one, all else being averaged over.
+
+    Attributes
+    ----------
+    factor : str
+        Name.
+    level, instead_of : value
+        The two levels.
+    percent : float
+        By how much the response is larger, %.
+    interval_percent : pair of float, optional
+        Its confidence interval, corrected for the number of contrasts; None with too few seeds.
+    p_value : float
+        Of the signed-rank test over seeds, corrected in the same way.
+    finding : Finding
+        Whether the response is shown to be better (smaller, or nearer to its ideal), worse, or neither.
+    words : str
+        One clause.
+    """
+
+    factor: str
+    level: Any
+    instead_of: Any
+    percent: float
+    interval_percent: tuple[float, float] | None
+    p_value: float
+    finding: Finding
+    words: str
+
+
+@dataclass(frozen=True)
+class Share:
+    """How much of the variance between combinations, on the same seed, a factor or an interaction explains.
+
+    Attributes
+    ----------
+    factors : tuple of str
+        One name, two for an interaction, none for the rest.
+    percent : float
+        Of the variance of the logarithms, %.
+    """
+
+    factors: tuple[str, ...]
+    percent: float
+
+
+@dataclass(frozen=True)
+class ResponseAttribution:
+    """The effects on one response.
+
+    Attributes
+    ----------
+    response : str
+        Its name: "position error", "pose NEES / 6", "time".
+    unit : str
+        Of `mean`: "m", "", "ms".
+    mean : float
+        Geometric mean over combinations and seeds, in `unit`.
+    effects : tuple of Effect
+        Main effects, in the order of factors and levels.
+    interactions : tuple of Effect
+        Of two factors, those that can be estimated: beyond what each does alone.
+    contrasts : tuple of Contrast
+        Every level against the first of its factor.
+    shares : tuple of Share
+        Largest first, the rest last.
+    conclusion : str
+        One sentence.
+    """
+
+    response: str
+    unit: str
+    mean: float
+    effects: tuple[Effect, ...]
+    interactions: tuple[Effect, ...]
+    contrasts: tuple[Contrast, ...]
+    shares: tuple[Share, ...]
+    conclusion: str
+
+
+def explain(
+    name: str, response: Response, factors: Mapping[str, Sequence[Any]]
+) -> tuple[ResponseAttribution, tuple[Term, ...]]:
+    """Effects on a response, and the interactions that cannot be estimated (numbers of the factors).
+
+    Parameters
+    ----------
+    name : str
+        Of the response.
+    response : Response
+        Its values.
+    factors : mapping of str to sequence
+        Names and levels, at least two each, in the order of the axes.
+
+    Raises
+    ------
+    ValueError
+        As `fit_factorial`.
+    """
+    fit = fit_factorial(response.logarithms)
+    names = list(factors)
+    mains = [term for term in fit.blocks if len(term) == 1]
+    pairs = [term for term in fit.blocks if len(term) == 2]
+    effects = _effects(fit, mains, factors)
+    interactions = _effects(fit, pairs, factors)
+    contrasts = _contrasts(name, response, factors, fit)
+    shares = [Share(tuple(names[i] for i in term), 100.0 * share) for term, share in fit.shares.items()]
+    shares.sort(key=lambda share: -share.percent)
+    strong = {share.factors for share in shares if len(share.factors) == 2 and share.percent >= _WORTH_WORDS}
+    together = [p for p in strong if any(e.shown for e in interactions if e.factors == p)]
+    by_share = [share.factors[0] for share in shares if len(share.factors) == 1]
+    found = ResponseAttribution(
+        response=name,
+        unit=response.unit,
+        mean=float(np.exp(np.nanmean(response.logarithms))),
+        effects=effects,
+        interactions=interactions,
+        contrasts=contrasts,
+        shares=(*shares, Share((), 100.0 * fit.rest)),
+        conclusion=_conclusion(name, by_share, contrasts, together),
+    )
+    return found, fit.left_out
+
+
+def _effects(
+    fit: FactorialFit, terms: Sequence[tuple[int, ...]], factors: Mapping[str, Sequence[Any]]
+) -> tuple[Effect, ...]:
+    """Effects of all terms of one kind; two levels have one effect with two signs."""
+    if not terms:
+        return ()
+    names, levels = list(factors), list(factors.values())
+    comparisons = sum(int(np.prod([n if n > 2 else 1 for n in fit.blocks[t].shape[1:]])) for t in terms)
+    found = []
+    for term in terms:
+        blocks = fit.blocks[term]
+        differences = differences_of(blocks.reshape(len(blocks), -1), comparisons=comparisons)
+        for combination, d in zip(product(*(levels[i] for i in term)), differences, strict=True):
+            of = tuple(names[i] for i in term)
+            found.append(Effect(of, tuple(combination), d.percent, d.interval_percent, d.shown))
+    return tuple(found)
+
+
+def _contrasts(
+    name: str, response: Response, factors: Mapping[str, Sequence[Any]], fit: FactorialFit
+) -> tuple[Contrast, ...]:
+    comparisons = sum(len(levels) - 1 for levels in factors.values())
+    found = []
+    for i, (factor, levels) in enumerate(factors.items()):
+        blocks = fit.blocks[(i,)]
+        differences = differences_of(blocks[:, 1:] - blocks[:, :1], comparisons=comparisons)
+        at = float(np.nanmean(response.logarithms)) + blocks.mean(axis=0)
+        for k, d in enumerate(differences, start=1):
+            finding = d.finding
+            if d.shown and response.ideal is not None:
+                ideal = np.log(response.ideal)
+                finding = Finding.BETTER if abs(at[k] - ideal) < abs(at[0] - ideal) else Finding.WORSE
+            words = _contrast_words(name, levels[k], levels[0], d)
+            found.append(
+                Contrast(factor, levels[k], levels[0], d.percent, d.interval_percent, d.p_value, finding, words)
+            )
+    return tuple(found)
+
+
+def _contrast_words(name: str, level: Any, instead_of: Any, difference: Difference) -> str:
+    pair = f"{level!r} instead of {instead_of!r}"
+    if difference.identical:
+        return f"{pair} changes nothing"
+    if difference.too_few:
+        return f"{pair}: {difference.count} seeds are too few, {difference.needed} are needed"
+    if not difference.shown:
+        return f"{pair}: {Finding.NOT_SHOWN.value} ({difference.interval_words})"
+    return f"{pair} makes the {name} {larger(difference.percent)} ({difference.interval_words})"
+
+
+def _conclusion(
+    name: str, by_share: Sequence[str], contrasts: Sequence[Contrast], together: Sequence[tuple[str, ...]]
+) -> str:
+    """The factors by the variance they explain, then the interactions that matter."""
+    parts = []
+    for factor in by_share:
+        own = [c for c in contrasts if c.factor == factor]
+        shown = [c.words.replace(f"the {name}", "it") for c in own if c.finding is not Finding.NOT_SHOWN]
+        few = [c.words for c in own if "too few" in c.words]
+        parts.append(f"{factor}: {', '.join(shown or few[:1]) or Finding.NOT_SHOWN.value}")
+    parts += [f"{a} and {b} do not act independently" for a, b in sorted(together)]
+    return f"{name[0].upper()}{name[1:]} – {'; '.join(parts)}."

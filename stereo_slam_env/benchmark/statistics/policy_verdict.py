@@ -1,0 +1,296 @@
+"""What may be said about policies: what the filter in the loop claims in the end, what is true, whether the two agree.
+
+A policy is paid for what its filter believes, and a filter may believe what is not so. So each policy is held against a
+baseline, seed by seed, by both: the claimed uncertainty of the final pose, and the true error, at the end and along the
+drive. They agree where both show the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import Enum
+
+from stereo_slam_env.benchmark.metrics.consistency_figures import DOF
+from stereo_slam_env.benchmark.metrics.results import FilterRun, FilterSummary
+from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice
+from stereo_slam_env.benchmark.statistics.differences import Difference, Finding, larger, signed
+from stereo_slam_env.benchmark.statistics.measures import (
+    CLAIM_AND_TRUTH,
+    FINAL_ERROR,
+    FINAL_SIGMA,
+    POSITION,
+    RunFigures,
+)
+from stereo_slam_env.benchmark.statistics.verdict import (
+    Consistency,
+    PairVerdict,
+    PairwiseTable,
+    compare_all,
+    consistency,
+)
+from stereo_slam_env.recording import Recording
+
+BASELINE = "fixed"
+"""The policy that the others are held against, where it takes part."""
+
+
+class Agreement(Enum):
+    """What claim and truth say of a policy, by the baseline."""
+
+    AGREE = "claim and truth agree"
+    OPEN = "the truth may be as claimed, and does not show it"
+    DISAGREE = "claim and truth disagree"
+    NOTHING_SHOWN = "neither claim nor truth shows a difference"
+
+
+@dataclass(frozen=True)
+class ClaimAndTruth:
+    """A policy against the baseline.
+
+    Attributes
+    ----------
+    policy, baseline : str
+        Labels.
+    claim : PairVerdict
+        On the standard deviation claimed for the final position.
+    final, path : PairVerdict
+        On the true position error, in the last frame and along the drive.
+    consistency : Consistency
+        Of the filter with this policy.
+    agreement : Agreement
+        Whether claim and truth show the same.
+    words : str
+        All of it, one sentence.
+    """
+
+    policy: str
+    baseline: str
+    claim: PairVerdict
+    final: PairVerdict
+    path: PairVerdict
+    consistency: Consistency
+    agreement: Agreement
+    words: str
+
+    @property
+    def is_sound(self) -> bool:
+        """Whether the claim may be believed."""
+        return self.agreement is not Agreement.DISAGREE and self.consistency is not Consistency.OVERCONFIDENT
+
+
+@dataclass(frozen=True)
+class PolicyVerdict:
+    """What the report on policies says first.
+
+    Attributes
+    ----------
+    baseline : str
+        What all others are held against.
+    best : str, optional
+        Whose filter claims the least uncertainty of the final position, of those that never diverged.
+    comparisons : mapping of str to ClaimAndTruth
+        By label of the other policies; those that cannot be compared are left out.
+    compared : PairwiseTable
+        Each against the baseline, by every measure of `CLAIM_AND_TRUTH`.
+    headline : str
+        Who leaves the pose least uncertain, and every disagreement, in sentences.
+    """
+
+    baseline: str
+    best: str | None
+    comparisons: Mapping[str, ClaimAndTruth]
+    compared: PairwiseTable
+    headline: str
+
+
+@dataclass(frozen=True, eq=False)
+class Looks:
+    """Who is held against whom, and where they looked.
+
+    Attributes
+    ----------
+    baseline : str
+        Label of a competitor.
+    recordings : mapping of str to Recording
+        Of one seed, by label.
+    """
+
+    baseline: str
+    recordings: Mapping[str, Recording]
+
+
+def baseline_of(competitors: Sequence[FilterChoice]) -> str:
+    """Label of the competitor that looks straight ahead; where none does, of the first one."""
+    looking = (choice.label for choice in competitors if choice.policy is not None and choice.policy.name == BASELINE)
+    return next(looking, competitors[0].label)
+
+
+def judge_policies(
+    runs: Sequence[FilterRun],
+    summaries: Sequence[FilterSummary],
+    *,
+    baseline: str,
+    figures: Mapping[str, RunFigures] | None = None,
+) -> PolicyVerdict:
+    """Hold every policy against the baseline, by what is claimed and by what is true.
+
+    Intervals and tests are corrected for the number of policies; each measure stands for itself.
+
+    Parameters
+    ----------
+    runs, summaries, figures : sequence, sequence, mapping
+        As `verdict.judge`.
+    baseline : str
+        Label of one of them.
+
+    Raises
+    ------
+    ValueError
+        There is no such baseline.
+    """
+    compared = compare_all(runs, summaries, baseline=baseline, measures=CLAIM_AND_TRUTH, figures=figures)
+    comparisons = {}
+    for summary in summaries:
+        claim, final, path = (
+            compared.cell(measure, summary.filter_name, baseline) for measure in (FINAL_SIGMA, FINAL_ERROR, POSITION)
+        )
+        if claim is not None and final is not None and path is not None:
+            comparisons[summary.filter_name] = _compared(summary, claim, final, path)
+    best = _least_uncertain(summaries)
+    return PolicyVerdict(
+        baseline=baseline,
+        best=None if best is None else best.filter_name,
+        comparisons=comparisons,
+        compared=compared,
+        headline=_headline(best, summaries, baseline, comparisons),
+    )
+
+
+def _compared(summary: FilterSummary, claim: PairVerdict, final: PairVerdict, path: PairVerdict) -> ClaimAndTruth:
+    agreement = _agreement(claim.difference, [path.difference, final.difference])
+    state = consistency(summary)
+    but = "and" if agreement is Agreement.DISAGREE else "but"
+    said = f"{agreement.value}{_too_few(claim.difference)}{_honesty(summary, state, but)}"
+    words = f"{_claim(claim)}, {_truth(path, final)}: {said}."
+    return ClaimAndTruth(claim.filter_name, claim.against, claim, final, path, state, agreement, words)
+
+
+def _agreement(claim: Difference, truths: Sequence[Difference]) -> Agreement:
+    """Whether the truth shows what is claimed, excludes it, or leaves it open."""
+    true = _shown_by([difference.finding for difference in truths])
+    if true is claim.finding:
+        return Agreement.NOTHING_SHOWN if claim.finding is Finding.NOT_SHOWN else Agreement.AGREE
+    intervals = [difference.interval for difference in truths if difference.interval is not None]
+    possible = all(low <= claim.estimate <= high for low, high in intervals)
+    return Agreement.OPEN if true is Finding.NOT_SHOWN and possible else Agreement.DISAGREE
+
+
+def _shown_by(findings: Sequence[Finding]) -> Finding | None:
+    """What several findings show together; None where they contradict each other."""
+    shown = {finding for finding in findings if finding is not Finding.NOT_SHOWN}
+    if len(shown) > 1:
+        return None
+    return next(iter(shown), Finding.NOT_SHOWN)
+
+
+def _claim(claim: PairVerdict) -> str:
+    difference, who, other = claim.difference, claim.filter_name, claim.against
+    if difference.identical:
+        return f"{who} claims exactly the uncertainty of {other}"
+    if not difference.shown:
+        return f"{who} is not shown to claim another uncertainty than {other} ({_change(difference)})"
+    return f"{who} claims {_much(difference.percent)} {other} ({difference.evidence})"
+
+
+def _much(percent: float) -> str:
+    what = "uncertainty of the final position"
+    if percent < 0.0:
+        return f"{-percent:.{0 if percent < -1 else 1}f} % less {what} than"
+    if percent < 100.0:
+        return f"{percent:.{0 if percent > 1 else 1}f} % more {what} than"
+    return f"{1 + percent / 100:.3g} times as much {what} as"
+
+
+def _truth(path: PairVerdict, final: PairVerdict) -> str:
+    parts = [(path, "along the drive"), (final, "at the end")]
+    shown = [
+        f"{larger(pair.difference.percent)} {where} ({pair.difference.interval_words})"
+        for pair, where in parts
+        if pair.difference.shown
+    ]
+    if shown:
+        return f"and its true position error is {' and '.join(shown)}"
+    open_ones = "; ".join(f"{where} {_change(pair.difference)}" for pair, where in parts)
+    return f"and no difference of the true position error is shown ({open_ones})"
+
+
+def _honesty(summary: FilterSummary, state: Consistency, but: str) -> str:
+    if state not in (Consistency.OVERCONFIDENT, Consistency.CAUTIOUS):
+        return ""
+    what = "is overconfident" if state is Consistency.OVERCONFIDENT else "claims more uncertainty than it has"
+    return f"; {but} it {what}, {_nees(summary)}"
+
+
+def _nees(summary: FilterSummary) -> str:
+    assert summary.pose_anees is not None
+    assert summary.pose_anees_band is not None
+    low, high = (end / DOF["pose"] for end in summary.pose_anees_band)
+    return f"NEES/6 {summary.pose_anees / DOF['pose']:.2f} where {low:.2f} to {high:.2f} is consistent"
+
+
+def _change(difference: Difference) -> str:
+    known = difference.interval is not None and not difference.too_few
+    return f"{signed(difference.percent)} %" + (f", {difference.interval_words}" if known else "")
+
+
+def _too_few(difference: Difference) -> str:
+    if not difference.too_few:
+        return ""
+    return f", for {difference.count} paired runs are too few: {difference.needed} are needed"
+
+
+def _least_uncertain(summaries: Sequence[FilterSummary]) -> FilterSummary | None:
+    steady = [s for s in summaries if s.diverged == 0 and s.final_position_sigma_m is not None]
+    return min(steady, key=lambda s: float(s.final_position_sigma_m or 0.0), default=None)
+
+
+def _headline(
+    best: FilterSummary | None,
+    summaries: Sequence[FilterSummary],
+    baseline: str,
+    comparisons: Mapping[str, ClaimAndTruth],
+) -> str:
+    if best is None:
+        return "With every policy the filter diverged in at least one run."
+    held_against = next(s for s in summaries if s.filter_name == baseline)
+    others = "" if best is held_against else f"; {baseline}: {_account(held_against)}"
+    sentences = [
+        f"{best.filter_name} leaves the pose least uncertain at the end, by its own account: {_account(best)}{others}."
+    ]
+    if best.filter_name in comparisons:
+        agreement = comparisons[best.filter_name].agreement.value
+        sentences.append(f"{agreement[:1].upper()}{agreement[1:]}.")
+    doubtful = [c.policy for c in comparisons.values() if not c.is_sound]
+    if doubtful:
+        sentences.append(f"Not to be taken at its word: {_listed(doubtful)}; the lines below say why.")
+    unseen = [c.policy for c in comparisons.values() if c.is_sound and c.agreement is Agreement.OPEN]
+    if unseen:
+        sentences.append(f"Claimed, and possible, but not shown by the true error of so many runs: {_listed(unseen)}.")
+    if consistency(held_against) is Consistency.OVERCONFIDENT:
+        sentences.append(f"{baseline} itself is overconfident, {_nees(held_against)}.")
+    lost = [f"{s.filter_name} in {s.diverged} of {s.runs} runs" for s in summaries if s.diverged]
+    if lost:
+        sentences.append(f"Diverged: {_listed(lost)}.")
+    return " ".join(sentences)
+
+
+def _account(summary: FilterSummary) -> str:
+    sigma, determinant, error = summary.final_position_sigma_m, summary.final_pose_logdet, summary.end_error_m
+    claimed = "nothing" if sigma is None else f"σ {sigma:.3g} m"
+    claimed += "" if determinant is None else f", log det {determinant:.1f}".replace("-", "−")
+    return claimed if error is None else f"{claimed}, true error {error:.3g} m"
+
+
+def _listed(words: Sequence[str]) -> str:
+    return " and ".join([", ".join(words[:-1]), words[-1]]) if len(words) > 1 else words[0]

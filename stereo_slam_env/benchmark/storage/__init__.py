@@ -1,0 +1,1 @@
+"""Runs on disk: written as they finish, read by whatever comes later."""

@@ -1,0 +1,111 @@
+"""The trial table: one row a trial, as SQLite, for those who analyse it with their own tools.
+
+`trials.sqlite` has the tables
+
+- `trials`: `cell`, one column a factor of the grid (`factor.` and its name in the scenario file, e.g.
+  `factor.options.sigma`), the columns of `trial_metrics.COLUMNS`, `policy` and `options` (JSON), and `series`, the path
+  of the time series (npz) relative to the file itself;
+- `columns`: `name`, `unit` and `meaning` of every column of `trials`.
+
+`PRAGMA user_version` is the version of this schema. NULL is what does not apply or is not finite.
+
+>>> import pandas, sqlite3                                                       # doctest: +SKIP
+>>> pandas.read_sql("select * from trials", sqlite3.connect("trials.sqlite"))    # doctest: +SKIP
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import sqlite3
+from collections.abc import Mapping, Sequence
+from contextlib import closing
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from stereo_slam_env.atomic_files import unfinished_name
+from stereo_slam_env.benchmark.metrics.trial_metrics import COLUMNS, Column, trial_figures
+from stereo_slam_env.benchmark.scenarios.scenario import choice_as_dict
+
+if TYPE_CHECKING:
+    from stereo_slam_env.benchmark.storage.study_store import CellResult
+
+SCHEMA = 3
+_TYPES = {"text": "TEXT", "integer": "INTEGER", "real": "REAL", "any": ""}
+
+
+def write_trial_table(path: Path, results: Sequence[CellResult]) -> None:
+    """Write the table of all trials; the file appears complete or not at all.
+
+    Parameters
+    ----------
+    path : Path
+        The SQLite file.
+    results : sequence of CellResult
+        The cells.
+    """
+    rows = [row for result in results for row in _rows(path.parent, result)]
+    factors = list(dict.fromkeys(name for result in results for name in _factors(result)))
+    about = {
+        "cell": Column("", "cell of the grid, or name of the scenario", "text"),
+        **{factor: Column("", "factor of the grid", "any") for factor in factors},
+        **COLUMNS,
+        "policy": Column("", "policy that looked, as JSON; null where nobody does", "text"),
+        "options": Column("", "options the filter was made with, as JSON", "text"),
+        "series": Column("", "time series of the trial (npz), relative to this file", "text"),
+    }
+    unfinished = unfinished_name(path)
+    unfinished.unlink(missing_ok=True)
+    try:
+        with closing(sqlite3.connect(unfinished)) as database, database:
+            declared = ", ".join(f"{_quoted(name)} {_TYPES[column.kind]}" for name, column in about.items())
+            database.execute(f"PRAGMA user_version = {SCHEMA}")
+            database.execute(f"CREATE TABLE trials ({declared})")
+            database.execute("CREATE TABLE columns (name TEXT PRIMARY KEY, unit TEXT, meaning TEXT)")
+            meanings = [(name, column.unit, column.meaning) for name, column in about.items()]
+            database.executemany("INSERT INTO columns VALUES (?, ?, ?)", meanings)
+            places = ", ".join("?" for _ in about)
+            database.executemany(f"INSERT INTO trials VALUES ({places})", [[row.get(n) for n in about] for row in rows])
+        unfinished.replace(path)
+    except sqlite3.OperationalError as error:
+        raise OSError(f"{path} cannot be written: {error}") from error
+    finally:
+        unfinished.unlink(missing_ok=True)
+
+
+def _rows(root: Path, result: CellResult) -> list[dict[str, Any]]:
+    rows = []
+    competitors = {choice.label: choice for choice in result.cell.scenario.competitors}
+    for run in result.runs:
+        figures = trial_figures(
+            run,
+            bound=result.bounds.get((run.recording_name, run.seed)),
+            divergence_percent=result.cell.scenario.divergence_percent,
+        )
+        choice = competitors[run.filter_name]
+        rows.append(
+            {
+                "cell": result.cell.name,
+                **_factors(result),
+                **_storable(figures),
+                "policy": None if choice.policy is None else json.dumps(choice_as_dict(choice.policy)),
+                "options": json.dumps(dict(run.options)),
+                "series": result.directory.trial_path(run.seed, choice).relative_to(root).as_posix(),
+            }
+        )
+    return rows
+
+
+def _factors(result: CellResult) -> dict[str, Any]:
+    return {f"factor.{name}": level for name, level in result.cell.factors.items()}
+
+
+def _storable(figures: Mapping[str, Any]) -> dict[str, Any]:
+    return {
+        name: None if isinstance(value, float) and not math.isfinite(value) else value
+        for name, value in figures.items()
+    }
+
+
+def _quoted(name: str) -> str:
+    return '"' + name.replace('"', '""') + '"'

@@ -1,0 +1,98 @@
+"""Where trials run makes no difference to what comes out: real local clusters of several processes (40 s)."""
+
+import os
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from stereo_slam_env.benchmark import Scenario, run
+from stereo_slam_env.benchmark.running import engines
+from stereo_slam_env.benchmark.running.engines import ENGINES, Engine
+from stereo_slam_env.benchmark.scenarios.scenario import filter_choice
+
+SHORT = Scenario(
+    "short",
+    "reference",
+    {"name": "short_turn"},
+    filters=(filter_choice("inverse-depth"), filter_choice("euclidean")),
+    seeds=(0, 1),
+    frames=5,
+    gate=None,
+    metrics=("map",),
+)
+
+
+def where_i_am(number):
+    time.sleep(0.2)
+    return number, os.getpid()
+
+
+@pytest.fixture(scope="module")
+def alone(tmp_path_factory):
+    """The result of running everything here, one after the other."""
+    return run(SHORT, tmp_path_factory.mktemp("alone") / "out", jobs=1, report=False)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ENGINES)
+def test_results_are_those_of_the_run_in_one_process(name, alone, tmp_path):
+    if name != "processes":
+        pytest.importorskip("dask.distributed" if name == "dask" else name, reason=f"needs the extra {name}")
+    elsewhere = run(SHORT, tmp_path / "out", jobs=2, engine=name, report=False)
+    assert [(r.seed, r.filter_name) for r in elsewhere.runs] == [(r.seed, r.filter_name) for r in alone.runs]
+    for here, there in zip(alone.runs, elsewhere.runs, strict=True):
+        np.testing.assert_array_equal(here.positions, there.positions)
+        np.testing.assert_array_equal(here.pose_nees, there.pose_nees)
+    for key, bound in alone.cells[0].bounds.items():
+        np.testing.assert_array_equal(bound.pose, elsewhere.cells[0].bounds[key].pose)
+
+
+@pytest.mark.slow
+def test_tasks_are_spread_over_processes():
+    with Engine("processes", jobs=2).started() as run_all:
+        results = dict(run_all(where_i_am, range(4)))
+    assert sorted(results) == [0, 1, 2, 3]
+    assert len(set(results.values())) == 2
+    assert os.getpid() not in results.values()
+
+
+def test_one_job_is_done_here():
+    with Engine("processes", jobs=1).started() as run_all:
+        assert list(run_all(where_i_am, [7])) == [(7, os.getpid())]
+
+
+def test_tasks_are_taken_as_they_are_needed():
+    taken = []
+
+    def tasks():
+        for number in range(3):
+            taken.append(number)
+            yield number
+
+    with Engine("processes", jobs=1).started() as run_all:
+        results = run_all(where_i_am, tasks())
+        next(results)
+        assert taken == [0]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        ({"name": "slurm"}, "engine must be one of processes, ray, dask, got 'slurm'"),
+        ({"jobs": 0}, "jobs must be >= 1, got 0"),
+        ({"address": "tcp://10.0.0.1:8786"}, "address needs the engine ray or dask"),
+    ],
+)
+def test_impossible_engines_are_refused(arguments, complaint):
+    with pytest.raises(ValueError, match=complaint):
+        Engine(**arguments)
+
+
+def test_a_cluster_that_does_not_answer_is_told_in_one_line(tmp_path, monkeypatch):
+    monkeypatch.setattr(engines, "SECONDS_TO_ANSWER", 1)
+    pytest.importorskip("dask.distributed", reason="needs the extra dask")
+    scenario = replace(SHORT, seeds=(0,))
+    with pytest.raises(ValueError, match=r"no Dask scheduler answers at tcp://127\.0\.0\.1:9"):
+        run(scenario, tmp_path / "out", engine="dask", address="tcp://127.0.0.1:9", report=False)

@@ -1,0 +1,30 @@
+"""How often filters diverge (< 1 s)."""
+
+import numpy as np
+import pytest
+
+from stereo_slam_env.benchmark.statistics.differences import Finding
+from stereo_slam_env.benchmark.statistics.shares import paired_share, unpaired_share
+
+
+@pytest.mark.parametrize(
+    ("only_a", "only_b", "finding"),
+    [(6, 0, Finding.WORSE), (0, 8, Finding.BETTER), (5, 0, Finding.NOT_SHOWN), (8, 6, Finding.NOT_SHOWN)],
+)
+def test_divergences_are_compared_where_the_filters_disagree(only_a, only_b, finding):
+    a = np.repeat([True, False, True], [only_a, only_b, 20])
+    b = np.repeat([False, True, True], [only_a, only_b, 20])
+    assert paired_share(a, b).finding is finding
+    assert paired_share(b, a).finding is finding.reversed
+
+
+def test_many_comparisons_need_more_disagreement():
+    a, b = np.ones(8, bool), np.zeros(8, bool)
+    assert paired_share(a, b, comparisons=6).finding is Finding.WORSE
+    assert paired_share(a, b, comparisons=7).finding is Finding.NOT_SHOWN
+
+
+def test_without_common_recordings_shares_are_compared():
+    assert unpaired_share(np.ones(9, bool), np.zeros(9, bool)).finding is Finding.WORSE
+    assert unpaired_share(np.zeros(9, bool), np.ones(5, bool)).finding is Finding.BETTER
+    assert unpaired_share(np.ones(0, bool), np.zeros(9, bool)).finding is Finding.NOT_SHOWN

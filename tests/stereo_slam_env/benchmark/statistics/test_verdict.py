@@ -1,0 +1,192 @@
+"""What the report may claim, from runs with a known answer (< 2 s)."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from stereo_slam_env.benchmark.metrics.summary import summarise_all
+from stereo_slam_env.benchmark.statistics.differences import Finding
+from stereo_slam_env.benchmark.statistics.measures import POSITION, TIME, RunFigures
+from stereo_slam_env.benchmark.statistics.verdict import Consistency, against_best, compare_all, consistency, judge
+
+from ....synthetic_runs import THREE, THREE_ONE_DIVERGING, Behaviour, make_runs
+
+ANY = summarise_all(make_runs(THREE[:1], frames=20))[0]
+
+
+def summary(**changes):
+    return replace(ANY, filter_name="other", **changes)
+
+
+def compared(ours, theirs, comparisons=1, **about_other):
+    """The best filter, with these errors run by run, against the other."""
+    ours, theirs = (
+        RunFigures({("drive", i): {"position_rmse_m": e, "diverged": np.isnan(e)} for i, e in enumerate(values)})
+        for values in (ours, theirs)
+    )
+    return against_best(replace(summary(), filter_name="best"), summary(**about_other), ours, theirs, comparisons)
+
+
+HARDNESS = np.exp(np.random.default_rng(1).standard_normal(10))
+"""How hard each recording is, the same for both filters: it cancels in a paired comparison."""
+
+
+def test_a_constant_gap_is_found_although_recordings_differ_more_than_filters():
+    noise = np.exp(0.03 * np.random.default_rng(2).standard_normal(10))
+    comparison = compared(HARDNESS, 1.2 * HARDNESS * noise)
+    assert comparison.shown
+    assert comparison.finding is Finding.WORSE
+    low, high = comparison.interval_percent
+    assert low < 20 < high
+    assert 0 < low < high < 30
+    assert "% larger" in comparison.words
+
+
+def test_equal_filters_are_not_ranked():
+    false_alarms = 0
+    for seed in range(200):
+        noise = np.exp(0.2 * np.random.default_rng(seed).standard_normal(10))
+        false_alarms += compared(HARDNESS, HARDNESS * noise).difference.shown
+    assert false_alarms / 200 < 0.06
+
+
+def test_more_comparisons_need_more_evidence():
+    noise = np.exp(0.1 * np.random.default_rng(3).standard_normal(10))
+    narrow, wide = (compared(HARDNESS, 1.1 * HARDNESS * noise, n) for n in (1, 6))
+    assert wide.interval_percent[0] < narrow.interval_percent[0]
+    assert wide.interval_percent[1] > narrow.interval_percent[1]
+    assert wide.difference.p_value == min(1.0, 6 * narrow.difference.p_value)
+
+
+@pytest.mark.parametrize(
+    ("ours", "theirs", "says"),
+    [
+        ([0.10], [0.20], "one run shows no general difference (other is at +100 % in it)"),
+        ([0.10, 0.14, 0.11], [0.12, 0.13, 0.15], "3 runs are too few to show a difference to other, 6 are needed"),
+        ([0.10, 0.11, 0.12], [0.20, 0.22, 0.21], "3 runs are too few to show a difference to other, 6 are needed"),
+        ([0.10, 0.11, 0.12], [0.10, 0.11, 0.12], "other has the same errors in all 3 runs"),
+    ],
+)
+def test_few_runs_show_nothing(ours, theirs, says):
+    comparison = compared(ours, theirs)
+    assert not comparison.shown
+    assert comparison.interval_percent is None
+    assert says in comparison.words
+
+
+def test_a_gap_in_too_few_runs_for_so_many_comparisons_is_not_shown():
+    comparison = compared(HARDNESS[:6], 2 * HARDNESS[:6] * np.linspace(0.9, 1.1, 6), comparisons=2)
+    assert not comparison.shown
+    assert "6 paired runs are too few for 2 comparisons, 7 are needed" in comparison.words
+
+
+def test_a_filter_that_completed_nothing_is_not_compared_by_number():
+    comparison = compared([0.1] * 6, [np.nan] * 6, diverged=6)
+    assert np.isnan(comparison.excess_percent)
+    assert comparison.words == "other completed no run"
+
+
+@pytest.mark.parametrize(("lost", "words"), [(1, "in 1 of 8 runs, which may be chance"), (7, "7 of 8 runs")])
+def test_one_divergence_may_be_chance_and_many_are_not(lost, words):
+    runs = make_runs((THREE[0], replace(THREE[2], name="wild")), seeds=range(8), frames=60)
+    runs = [replace(r, failure="frame 3: gone") if r.filter_name == "wild" and r.seed < lost else r for r in runs]
+    comparison = judge(runs, summarise_all(runs)).comparisons["wild"]
+    assert comparison.shown
+    assert comparison.divergences.only_a == lost
+    assert comparison.words.endswith(words)
+
+
+@pytest.mark.parametrize(
+    ("anees", "state"),
+    [(6.0, Consistency.CONSISTENT), (20.0, Consistency.OVERCONFIDENT), (1.0, Consistency.CAUTIOUS)],
+)
+def test_consistency_is_the_place_in_the_band(anees, state):
+    assert consistency(summary(pose_anees=anees, pose_anees_band=(4.0, 8.0))) is state
+
+
+def test_without_truth_consistency_is_not_known():
+    assert consistency(summary(pose_anees=None)) is Consistency.UNKNOWN
+
+
+def test_a_filter_that_diverged_is_never_the_best():
+    lucky = Behaviour("lucky", 0.001)
+    runs = make_runs((lucky, *THREE[:2]), frames=60)
+    summaries = summarise_all(runs)
+    assert judge(runs, summaries).best == "lucky"
+    summaries = [replace(s, diverged=1) if s.filter_name == "lucky" else s for s in summaries]
+    verdict = judge(runs, summaries)
+    assert verdict.best != "lucky"
+    assert "lucky diverged in 1 of 5 runs" in verdict.headline
+
+
+def test_the_headline_names_the_winner_its_consistency_and_its_cost():
+    clear = (Behaviour("sharp", 0.02), Behaviour("blunt", 0.4))
+    runs = make_runs(clear, seeds=range(8), frames=120)
+    headline = judge(runs, summarise_all(runs)).headline
+    assert headline.startswith("sharp is the most accurate")
+    assert "NEES" in headline
+    assert "ms a frame" in headline
+
+
+def test_the_headline_answers_every_question_in_its_own_sentence():
+    runs = make_runs((Behaviour("sharp", 0.02, milliseconds=6.0), Behaviour("quick", 0.4)), seeds=range(8), frames=120)
+    summaries = [replace(s, efficiency_percent=93.4, bound_position_m=0.0187) for s in summarise_all(runs)]
+    verdict = judge(runs, summaries)
+    assert list(verdict.answers) == ["best", "consistent", "limit", "cost"]
+    assert "at 95 % confidence, 8 paired runs" in verdict.answers["best"]
+    assert verdict.answers["limit"] == "It reaches 93 % of what theory allows (Cramér–Rao bound, 0.0187 m)."
+    assert "1.5 times quick" in verdict.answers["cost"]
+    assert verdict.headline == " ".join(verdict.answers.values())
+    summaries = [replace(s, efficiency_percent=101.0, bound_position_m=None) for s in summaries]
+    assert judge(runs, summaries).answers["limit"].startswith("Its error is at the limit of what theory allows")
+    assert "limit" not in judge(runs, summarise_all(runs)).answers
+
+
+def test_many_rivals_do_not_make_a_long_headline():
+    behaviours = [Behaviour(f"near-{k}", 0.1) for k in range(7)] + [
+        Behaviour(f"far-{k}", 1.0 + 0.1 * k) for k in range(5)
+    ]
+    runs = make_runs(behaviours, seeds=range(10), frames=60)
+    best = judge(runs, summarise_all(runs)).answers["best"]
+    assert "and 3 more is shown. Behind it: the error of far-" in best
+    assert best.endswith("; and 2 more.")
+
+
+def test_each_filter_is_held_against_each_other_one_by_every_question():
+    runs = make_runs((*THREE[:2], replace(THREE[2], error_m=0.6)), seeds=range(10), frames=120)
+    table = compare_all(runs, summarise_all(runs))
+    assert [m.words for m in table.measures] == ["position error", "rotation error", "pose NEES / 6", "time"]
+    assert len(table.cells) == 4 * 3 * 2
+    worse = table.cell(POSITION, "euclidean", "inverse-depth")
+    better = table.cell(POSITION, "inverse-depth", "euclidean")
+    assert (worse.finding, better.finding) == (Finding.WORSE, Finding.BETTER)
+    assert better.difference.estimate == -worse.difference.estimate
+    assert table.cell(TIME, "euclidean", "dual-bearing").finding is Finding.BETTER
+    assert "farther from its ideal" in table.cells["pose_anees", "euclidean", "inverse-depth"].words
+    assert table.cell(POSITION, "inverse-depth", "inverse-depth") is None
+
+
+def test_all_may_be_held_against_a_baseline():
+    runs = make_runs(THREE, seeds=range(8), frames=60)
+    table = compare_all(runs, summarise_all(runs), baseline="dual-bearing")
+    assert {(name, against) for _, name, against in table.cells} == {
+        ("inverse-depth", "dual-bearing"),
+        ("dual-bearing", "inverse-depth"),
+        ("euclidean", "dual-bearing"),
+        ("dual-bearing", "euclidean"),
+    }
+    with pytest.raises(ValueError, match="baseline must be one of inverse-depth, dual-bearing, euclidean, got 'dual'"):
+        compare_all(runs, summarise_all(runs), baseline="dual")
+
+
+def test_near_equals_are_called_so():
+    runs = make_runs(THREE[:2], seeds=range(8), frames=120)
+    assert "no difference to" in judge(runs, summarise_all(runs)).headline
+
+
+def test_no_truth_and_no_survivor_have_their_own_words():
+    runs = make_runs(seeds=[None], frames=60, truth="none")
+    assert "no ground truth" in judge(runs, summarise_all(runs)).headline
+    runs = make_runs(THREE_ONE_DIVERGING[2:], frames=240)
+    assert judge(runs, summarise_all(runs)).headline == "Every filter diverged in at least one run."

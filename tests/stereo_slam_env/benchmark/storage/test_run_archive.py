@@ -1,0 +1,65 @@
+"""Runs on disk: what goes in comes out, and damage is named (0.5 s)."""
+
+from dataclasses import fields
+
+import numpy as np
+import pytest
+
+from stereo_slam_env.benchmark.running.runner import run_filter
+from stereo_slam_env.benchmark.storage import run_archive
+from stereo_slam_env.benchmark.storage.run_archive import load_run, save_run
+
+from ..small_recordings import small_recording
+
+
+@pytest.fixture(scope="module")
+def run():
+    return run_filter(small_recording(), "euclidean", {"min_disparity": 5.0}, seed=7, label="xyz")
+
+
+def same(a, b):
+    for f in fields(a):
+        x, y = getattr(a, f.name), getattr(b, f.name)
+        if isinstance(x, np.ndarray):
+            np.testing.assert_array_equal(x, y)
+            assert x.dtype == y.dtype
+        elif f.name == "counts":
+            assert {k: v.tolist() for k, v in x.items()} == {k: v.tolist() for k, v in y.items()}
+        elif f.name == "traces":
+            for s, t in zip(x, y, strict=True):
+                same(s, t)
+        elif f.name == "landmark_statistics":
+            same(x, y)
+        else:
+            assert x == y
+
+
+def test_a_run_comes_back_as_it_was(tmp_path, run):
+    save_run(tmp_path / "deep" / "run.npz", run, {"from": "here", "n": 3})
+    loaded, provenance = load_run(tmp_path / "deep" / "run.npz")
+    same(run, loaded)
+    assert provenance == {"from": "here", "n": 3}
+
+
+@pytest.mark.parametrize("keep", [0, 100, -200])
+def test_a_truncated_run_is_named_with_the_remedy(tmp_path, run, keep):
+    path = tmp_path / "run.npz"
+    save_run(path, run, {})
+    path.write_bytes(path.read_bytes()[:keep])
+    with pytest.raises(ValueError, match=r"run\.npz is damaged \(.*\): delete it and run the same command again") as e:
+        load_run(path)
+    assert "\n" not in str(e.value)
+
+
+def test_a_run_of_an_older_format_is_named_with_the_remedy(tmp_path, run, monkeypatch):
+    monkeypatch.setattr(run_archive, "FORMAT", 1)
+    save_run(tmp_path / "run.npz", run, {})
+    monkeypatch.undo()
+    with pytest.raises(ValueError, match=r"damaged \(format 1, this version reads 2\): delete it and run the same"):
+        load_run(tmp_path / "run.npz")
+
+
+def test_another_archive_is_not_taken_for_a_run(tmp_path):
+    np.savez(tmp_path / "x.npz", a=np.zeros(3))
+    with pytest.raises(ValueError, match=r"x\.npz is damaged"):
+        load_run(tmp_path / "x.npz")

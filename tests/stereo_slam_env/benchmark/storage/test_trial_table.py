@@ -1,0 +1,86 @@
+"""The trial table, read without our code (1 s)."""
+
+import sqlite3
+from contextlib import closing
+
+import pytest
+
+from stereo_slam_env.benchmark import FilterChoice, Scenario, run
+from stereo_slam_env.benchmark.metrics.trial_metrics import COLUMNS
+from stereo_slam_env.benchmark.scenarios.scenario_file import study_from
+from stereo_slam_env.benchmark.storage import trial_table
+from stereo_slam_env.benchmark.storage.trial_table import SCHEMA, write_trial_table
+
+STUDY = study_from(
+    {
+        **Scenario("grid", "reference", {"name": "short_turn"}, gate=None, metrics=("map",)).as_dict(),
+        "filters": [{"name": "euclidean", "options": {"min_disparity": 5.0}}],
+        "seeds": [0, 1],
+        "frames": False,
+        "grid": {"options.sigma": [1.0, 2.0], "frames": [4]},
+    }
+)
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    return run(STUDY, tmp_path_factory.mktemp("table") / "out", jobs=1, report=False)
+
+
+def rows(path, query):
+    with closing(sqlite3.connect(path)) as database:
+        return database.execute(query).fetchall()
+
+
+def test_one_row_a_trial_with_the_factors_as_columns(finished):
+    path = finished.out / "trials.sqlite"
+    found = rows(
+        path, 'SELECT cell, "factor.options.sigma", "factor.frames", filter, seed, position_rmse_m FROM trials'
+    )
+    assert [row[:5] for row in found] == [
+        (f"sigma-{sigma}_frames-4", sigma, 4, "euclidean", seed) for sigma in (1.0, 2.0) for seed in (0, 1)
+    ]
+    assert [row[5] for row in found] == [s for cell in finished.cells for s in cell.summaries[0].position_rmse_by_run]
+
+
+def test_every_column_is_explained(finished):
+    path = finished.out / "trials.sqlite"
+    names = [row[1] for row in rows(path, "PRAGMA table_info(trials)")]
+    meanings = {name: (unit, meaning) for name, unit, meaning in rows(path, "SELECT * FROM columns")}
+    assert list(meanings) == names
+    assert set(COLUMNS) <= set(names)
+    assert all(meaning for _, meaning in meanings.values())
+    assert meanings["position_rmse_m"][0] == "m"
+    assert rows(path, "PRAGMA user_version") == [(SCHEMA,)]
+
+
+def test_the_time_series_are_beside_it(finished):
+    for (series,) in rows(finished.out / "trials.sqlite", "SELECT series FROM trials"):
+        assert (finished.out / series).is_file()
+
+
+def test_pandas_and_polars_read_it(finished):
+    pandas = pytest.importorskip("pandas", reason="needs pandas")
+    polars = pytest.importorskip("polars", reason="needs polars")
+    with closing(sqlite3.connect(finished.out / "trials.sqlite")) as database:
+        table = pandas.read_sql("SELECT * FROM trials", database)
+        same = polars.read_database("SELECT * FROM trials", database)
+    assert table.groupby("factor.options.sigma").position_rmse_m.mean().diff().iloc[-1] > 0
+    assert same["position_rmse_m"].to_list() == table.position_rmse_m.to_list()
+
+
+def test_what_is_not_known_is_null(tmp_path):
+    scenario = Scenario("s", "reference", {"name": "short_turn"}, frames=3, metrics=())
+    run(scenario, tmp_path / "out", filters=[FilterChoice("e", "euclidean")], jobs=1, report=False)
+    path = tmp_path / "out" / "trials.sqlite"
+    assert rows(path, "SELECT landmark_rmse_m, bound_position_m, failure FROM trials") == [(None, None, None)]
+
+
+def test_a_table_that_cannot_be_written_leaves_the_old_one(finished, monkeypatch):
+    path = finished.out / "trials.sqlite"
+    before = path.read_bytes()
+    monkeypatch.setattr(trial_table, "SCHEMA", "no number")
+    with pytest.raises(OSError, match=r"trials\.sqlite cannot be written"):
+        write_trial_table(path, finished.cells)
+    assert path.read_bytes() == before
+    assert [p.name for p in finished.out.glob("*.part")] == []
