@@ -42,6 +42,8 @@ def one_line_errors() -> Iterator[None]:
     """Wrong input is the user's business, not a crash: one line on stderr, exit code 2."""
     try:
         yield
+    except BrokenPipeError:  # who reads has seen enough (`... | head`): typer ends without a word
+        raise
     except (ValueError, OSError, ImportError) as error:
         raise typer.Exit(refuse(str(error))) from error
 

@@ -118,6 +118,13 @@ def test_the_presets_are_listed(command):
         assert f"\n{name} " in f"\n{out}"
 
 
+def test_a_reader_that_has_seen_enough_is_no_error():
+    asked = [sys.executable, "-m", "stereo_slam_env.cli", "bench", "--list"]
+    with subprocess.Popen(asked, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as listing:
+        listing.stdout.close()
+        assert listing.stderr.read() == b""
+
+
 def test_policies_are_listed(command):
     code, out, _ = command("policies", "list")
     assert code == 0
