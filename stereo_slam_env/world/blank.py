@@ -3,20 +3,15 @@
 from __future__ import annotations
 
 from stereo_slam_env.world.scene import Material, Scene
-from stereo_slam_env.world.textures import texture
+
+BLANK = Material((0.75, 0.75, 0.75))
+"""Light grey, so that the sunny side is not yet white."""
 
 
 def without_texture(scene: Scene) -> Scene:
-    """The scene with plain surfaces, each in the mean colour of what was on it; shapes, landmarks and light stay.
+    """The scene with everything in it of one plain colour; shapes, landmarks, light and air stay.
 
-    What is left to see is where one surface ends and another begins.
+    What is left to see is light and shade: where two surfaces meet that the sun lights differently, and outlines
+    against what is hazier.
     """
-    return scene.repainted(_plain)
-
-
-def _plain(material: Material) -> Material:
-    if material.texture is None:
-        return material
-    mean = texture(material.texture, material.variant).mean(axis=(0, 1)) / 255.0
-    red, green, blue = (mean * material.color).tolist()
-    return Material((red, green, blue))
+    return scene.repainted(lambda material: BLANK)
