@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from stereo_slam_env.envs.recorder import record
 from stereo_slam_env.recording import Recording
 
@@ -10,7 +12,7 @@ def drawn_drive(surroundings: str, seed: int, frames: int, blank_from: float | N
     """Small images of a drive round a block, by a renderer that works everywhere.
 
     Look and cameras are drawn from the seed. The cameras are noisy on purpose: without noise, corners are found where
-    two walls differ by one grey level.
+    two walls differ by one grey level. There is no odometry, as in the reference drive: it would carry a filter on.
 
     Parameters
     ----------
@@ -21,7 +23,7 @@ def drawn_drive(surroundings: str, seed: int, frames: int, blank_from: float | N
     blank_from : float, optional
         From then on nothing has a texture, s; None: never.
     """
-    return record(
+    recording = record(
         {
             "route": "loop",
             "surroundings": surroundings,
@@ -34,3 +36,4 @@ def drawn_drive(surroundings: str, seed: int, frames: int, blank_from: float | N
         seed,
         frames,
     )
+    return replace(recording, frames=tuple(replace(frame, odometry=None) for frame in recording.frames))
