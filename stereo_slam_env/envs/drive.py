@@ -85,6 +85,7 @@ class StereoDriveEnv(StereoEnv):
     | `pedestrians` | `0` | most people that walk |
     | `randomise` | `False` | textures, colours, light, air and cameras (exposure, noise, blur) by the seed too |
     | `visibility` | `150.0` | fog: landmarks farther than this are not measured, m (8 to 150) |
+    | `blank_from` | `None` | from then on nothing that is drawn has a texture, s; None: never |
     | `policy` | `"agent"` | `"agent"`: the action drives; `"route"`: a script does |
     | `rig` | `"reference"` | `"reference"` 1344x391, f = 721.5 px; `"vga"` 640x480; `"qvga"` 320x240 |
     | `sensor` | `"landmarks"` | `"landmarks"`: projection, occlusion and noise; `"images"`: rendered, front end |

@@ -87,6 +87,7 @@ class StereoGazeEnv(StereoEnv):
     | `pedestrians` | `0` | most people that walk |
     | `randomise` | `False` | textures, colours, light, air and cameras (exposure, noise, blur) by the seed too |
     | `visibility` | `30.0` | fog: landmarks farther than this are not measured, m (8 to 150) |
+    | `blank_from` | `None` | from then on nothing that is drawn has a texture, s; None: never |
     | `rig` | `"vga"` | `"vga"` 640x480, f = 460 px; `"reference"` 1344x391; `"qvga"` 320x240 |
     | `sensor` | `"landmarks"` | `"landmarks"`: projection, occlusion and noise; `"images"`: rendered, front end |
     | `renderer` | `"tiny"` | who draws: `"tiny"`, everywhere; `"gl"`, fast, needs the extra gl and EGL |

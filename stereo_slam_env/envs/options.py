@@ -45,6 +45,7 @@ class StereoOptions:
     pedestrians: int = 0
     randomise: bool = False
     visibility: float = TrackingPolicy.farthest
+    blank_from: float | None = None
     rig: str = "reference"
     sensor: str = "landmarks"
     renderer: str = "tiny"
@@ -74,6 +75,8 @@ class StereoOptions:
         _one_of("revisit", self.revisit, (True, False))
         positive("sigma", self.sigma)
         _number("visibility", self.visibility, 2 * TrackingPolicy.nearest, TrackingPolicy.farthest)
+        if self.blank_from is not None:
+            positive("blank_from", self.blank_from, allow_zero=True)
         _whole("max_landmarks", self.max_landmarks, 1, 10_000)
         if self.refill_below is not None:
             _whole("refill_below", self.refill_below, 0, self.max_landmarks)

@@ -13,6 +13,7 @@ from stereo_slam_env.rendering.camera_effects import CameraEffects
 from stereo_slam_env.rendering.images import StereoImages, StereoRenderer
 from stereo_slam_env.sensing.landmark_sensor import TrackingPolicy
 from stereo_slam_env.sensing.rigs import CAMERA_HEIGHT
+from stereo_slam_env.world.blank import without_texture
 from stereo_slam_env.world.fog import in_fog
 from stereo_slam_env.world.frames import R_SW, WorldFrame
 from stereo_slam_env.world.moving_points import MovingPoints
@@ -45,6 +46,7 @@ class Stage:
         self._renderer: StereoRenderer | None = None
         self._effects: CameraEffects | None = None
         self._moving = MovingPoints(())
+        self._textured: Scene | None = None  # what is drawn, until it turns blank
         self._images: StereoImages | None = None
         self._number = 0
         self.landmarks = LandmarkTruth(np.zeros(0, dtype=np.int64), np.zeros((0, 3)))
@@ -66,13 +68,19 @@ class Stage:
         self._world.build(scene, self._car.size)
         self._moving = MovingPoints(scene.moving)
         self._effects = CameraEffects.random(camera_rng) if options.randomise else None
+        self._textured = None
         if draws:
             self._build_renderer(scene)
+            self._textured = scene
         self.landmarks = LandmarkTruth(scene.landmark_ids, self._frame.to_world(scene.landmark_points))
 
     def set_frame(self, number: int) -> None:
         """Move what moves to where it is in frame `number`."""
         self._number, self._images = number, None
+        blank_from = self._options.blank_from
+        if self._textured is not None and blank_from is not None and self._time >= blank_from - 1e-9:
+            self._redraw(without_texture(self._textured))
+            self._textured = None
         self._world.set_time(self._time)
 
     def images(self, pose: Pose) -> StereoImages:
@@ -110,6 +118,11 @@ class Stage:
     @property
     def _time(self) -> float:
         return self._number * FRAME_PERIOD
+
+    def _redraw(self, scene: Scene) -> None:
+        """Draw `scene` from now on: of the same shapes, in other materials."""
+        self._world.build(scene, self._car.size)
+        self._build_renderer(scene)
 
     def _build_renderer(self, scene: Scene) -> None:
         if self._renderer is None:

@@ -1,20 +1,23 @@
 """The faults, by name: what goes wrong, when, and for how long.
 
-To add one: a line in `FAULTS`, and where it is something new a `Corruption` (`streams.py`).
+To add one: a line in `FAULTS`, and where it is something new a `Corruption` (`streams.py`) or, for what only images
+show, another drive (`rendered.py`).
 """
 
 from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from filters.known_names import require_known
 from stereo_slam_env.benchmark.recordings.reference_problem import long_drive
 from stereo_slam_env.faults import streams
+from stereo_slam_env.faults.rendered import drawn_drive
 from stereo_slam_env.recording import Recording
 from stereo_slam_env.sensing import corruptions
 from stereo_slam_env.sensing.corrupted_frames import Blackouts, DroppedFrames, DuplicatedFrames, Latency
@@ -31,6 +34,11 @@ LANDMARKS = 30
 _ONSET = 8.0
 
 
+def reference_drive(seed: int, frames: int) -> Recording:
+    """The reference drive of a seed: pure geometry, 30 landmarks."""
+    return long_drive(seed, frames=frames, landmarks=LANDMARKS)
+
+
 @dataclass(frozen=True)
 class Fault:
     """One thing that goes wrong in a drive.
@@ -40,7 +48,7 @@ class Fault:
     line : str
         What, in one line.
     corruption : Corruption, optional
-        How it changes the stream; None: not at all.
+        How it changes the stream; None: not at all, beyond what is wrong with the drive itself.
     begins : float
         When, s; before that the drive is as it should be.
     lasts : float
@@ -49,6 +57,8 @@ class Fault:
         Of the drive.
     hidden : str
         Why the measurements agree with each other all the same, where they do: no monitor of innovations can tell.
+    driven : callable
+        (seed, frames) -> the drive; same seed, same bits.
     """
 
     line: str
@@ -57,10 +67,11 @@ class Fault:
     lasts: float = math.inf
     frames: int = 200
     hidden: str = ""
+    driven: Callable[[int, int], Recording] = reference_drive
 
     def drive(self, seed: int) -> Recording:
-        """The reference drive of a seed with this gone wrong; same seed, same bits."""
-        recording = long_drive(seed, frames=self.frames, landmarks=LANDMARKS)
+        """The drive of a seed with this gone wrong; same seed, same bits."""
+        recording = self.driven(seed, self.frames)
         if self.corruption is None:
             return recording
         ends = self.begins + self.lasts
@@ -74,7 +85,12 @@ class Fault:
 
 _SCALE = "scales map and drive alike"
 _AFFINE = "shears or squeezes map and drive alike, as long as the camera does not turn"
-_TURN, _WHOLE = 400, 800
+_TURN, _WHOLE, _DRAWN = 400, 800, 130
+
+
+def _gone_blank(surroundings: str) -> Callable[[int, int], Recording]:
+    return partial(drawn_drive, surroundings, blank_from=_ONSET)
+
 
 FAULTS: Mapping[str, Fault] = {
     NOMINAL: Fault("nothing is wrong", None, begins=0.0),
@@ -84,7 +100,13 @@ FAULTS: Mapping[str, Fault] = {
     "late-frames": Fault("pictures are 0.3 s old and taken for new ones", Latency(3)),
     "empty-frames": Fault("30 % of the frames show nothing", Blackouts(0.3, 0.05)),
     "dark-60s": Fault("nothing is measured for 60 s", Blackouts(1.0, 0.05), lasts=60.0, frames=_WHOLE),
-    "no-texture": Fault("3 % of the landmarks are found, the rest is blank wall", MissedDetections(0.97)),
+    "sparse": Fault("3 % of the landmarks are found", MissedDetections(0.97)),
+    "no-texture": Fault(
+        "a street loses its texture: images, corners of shapes only", None, frames=_DRAWN, driven=_gone_blank("street")
+    ),
+    "blank-corridor": Fault(
+        "a corridor loses its texture: images, hardly a corner", None, frames=_DRAWN, driven=_gone_blank("corridor")
+    ),
     "outliers-10": Fault("10 % of the measurements are anywhere", Outliers(0.1)),
     "outliers-30": Fault("30 % of the measurements are anywhere", Outliers(0.3)),
     "outliers-50": Fault("50 % of the measurements are anywhere", Outliers(0.5)),

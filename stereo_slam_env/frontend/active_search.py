@@ -33,6 +33,7 @@ class ActiveSearch:
         self._settings = TrackerSettings() if settings is None else settings
         self._tracker = StereoTracker(sequence.camera, self._settings)
         self._pairs: Iterator[StereoPair] = iter(())
+        self._ahead: StereoPair | None = None  # taken from the sequence, but not yet searched
         self._number = -1
         self._time = 0.0
         self._watch = watch
@@ -43,20 +44,21 @@ class ActiveSearch:
         Raises
         ------
         ValueError
-            `number` does not follow the last one, or the sequence has ended.
+            `number` does not follow the last one, the sequence has ended, or the filter's forecast is refused; the
+            same number may be asked for again.
         """
         if number == 0:
             self._tracker.reset()
-            self._pairs, self._number = self._sequence.pairs(), -1
+            self._pairs, self._ahead, self._number = self._sequence.pairs(), None, -1
         if number != self._number + 1:
             raise ValueError(f"number must be 0 or {self._number + 1}, the next pair, got {number}")
-        pair = next(self._pairs, None)
+        pair = self._ahead = next(self._pairs, None) if self._ahead is None else self._ahead
         if pair is None:
             raise ValueError(f"number must be less than {number}: the sequence has no more pairs")
         forecast = estimator.forecast() if number else None
         dt = pair.timestamp - self._time if number else None
         tracked = self._tracker.track(pair.left, pair.right, dt, forecast)
-        self._number, self._time = number, pair.timestamp
+        self._ahead, self._number, self._time = None, number, pair.timestamp
         if self._watch is not None:
             self._watch(pair, tracked)
         return tracked.observation

@@ -64,6 +64,7 @@ def detect_corners(
     height, width = image.shape
     if wanted <= 0 or min(height, width) <= 2 * max(margin, _REFINE + 2):
         return np.zeros((0, 2))
+    min_distance = min(min_distance, float(np.hypot(height, width)))
     strength = _strength(image)
     strength[~_free(strength.shape, image.shape, taken, max(margin, _REFINE + 2), min_distance, mask)] = 0.0
     side = max(3, 2 * int(np.ceil(0.5 * min_distance)) - 1)

@@ -9,7 +9,7 @@ import numpy as np
 from filters.camera import StereoCamera
 from filters.engine.gating import gate_limit
 from filters.interface import Forecast
-from filters.validation import BoolArray, FloatArray, IntArray
+from filters.validation import BoolArray, FloatArray, IntArray, covariance_matrix, finite_array, unique_ids
 from stereo_slam_env.frontend.ego_motion import MIN_POINTS, predicted, robust_step
 from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.frontend.tracks import Tracks
@@ -48,6 +48,19 @@ class Expectation:
             np.where(rows, other.in_view, self.in_view),
             other.step,
         )
+
+
+def require_legal(forecast: Forecast) -> None:
+    """Raise a `ValueError` for what no filter may forecast: wrong shapes, NaN or infinity, repeated ids, an S that is
+    no covariance."""
+    if not isinstance(forecast, Forecast):
+        raise ValueError(f"forecast must be a Forecast or None, got {type(forecast).__name__}")
+    count = len(unique_ids("forecast.ids", forecast.ids))
+    finite_array("forecast.uvd", forecast.uvd, (count, 3))
+    covariance_matrix("forecast.S", forecast.S, 3, batch=count)
+    in_view = np.asarray(forecast.in_view)
+    if in_view.shape != (count,) or in_view.dtype != np.bool_:
+        raise ValueError(f"forecast.in_view must be bool of shape ({count},), got {in_view.dtype} {in_view.shape}")
 
 
 def constant_velocity_covariance(settings: TrackerSettings, dt: float) -> FloatArray:

@@ -110,7 +110,7 @@ class PairFinder:
         settings = self.settings
         uv = detect_corners(self.left, wanted, occupied, margin=settings.margin, min_distance=settings.min_distance)
         low = np.full(len(uv), settings.min_disparity)
-        high = np.full(len(uv), self.camera.disparity_constant / settings.nearest)
+        high = np.full(len(uv), min(self.camera.disparity_constant / settings.nearest, self.camera.width))
         disparity, variance, accepted = self.disparities(uv, low, high, left_right_check=True)
         uvd = np.column_stack([uv, disparity])[accepted]
         count = len(uvd)

@@ -90,6 +90,8 @@ def windows_at(image: Image, origin: IntArray, height: int, width: int) -> Image
     -------
     (N, height, width) uint8
     """
+    if len(origin) == 0:  # of an image that may be smaller than a window
+        return np.zeros((0, height, width), dtype=np.uint8)
     pad_low = max(0, -int(origin.min(initial=0)))
     beyond = origin - (image.shape[1] - width, image.shape[0] - height)
     pad_high = max(0, int(beyond.max(initial=0)))

@@ -17,6 +17,7 @@ from stereo_slam_env.frontend.expectation import (
     by_forecast,
     by_motion,
     constant_velocity_covariance,
+    require_legal,
     step_of_forecast,
     sure_rows,
 )
@@ -41,6 +42,9 @@ _LOST_SHARE = 0.3
 _JUDGED = 3
 """So many pairs back a measurement is compared with the motion: slow bodies need some time to be told."""
 _GIVE_UP_STRIKES = 4
+_MODELLED = (1e-3, 10.0)
+"""The model of the motion is asked about times within this, s: velocities from shorter ones are all noise, and after
+longer ones nobody knows."""
 _SPARE = 1.4
 """Landmarks followed for each one that the filter may have: some are on probation."""
 
@@ -116,9 +120,12 @@ class StereoTracker:
         Raises
         ------
         ValueError
-            An image has the wrong size or type, or `dt` is missing or not positive.
+            An image has the wrong size or type, `dt` is missing or not positive, or `forecast` is none that a filter
+            may give; nothing has changed then.
         """
         self._check(left, right)
+        if forecast is not None:
+            require_legal(forecast)
         first = self._left is None
         finder = PairFinder(self.camera, self.settings, left, right)
         if first:
@@ -130,7 +137,7 @@ class StereoTracker:
         fresh = self._new_corners(finder, followed)
         corners = StereoObservation(fresh.ids, fresh.uvd, R=fresh.R)
         observation, tracks, initialised = self._release(followed.joined(fresh), first=first)
-        self._tracks, self._left = tracks, left
+        self._tracks, self._left = tracks, left.copy()  # a camera may write its next image over this one
         return TrackedPair(observation, searched, corners, initialised, dropped)
 
     def _check(self, left: GreyImage, right: GreyImage) -> None:
@@ -146,7 +153,7 @@ class StereoTracker:
         if found.matched.sum() < max(MIN_POINTS, _LOST_SHARE * expected.in_view.sum()):
             flow = self._flow_step(finder, tracks)
             if flow is not None:
-                again = self._by_motion(tracks, flow, constant_velocity_covariance(self.settings, dt))
+                again = self._by_motion(tracks, flow, self._unsure_by(dt))
                 expected, found, motion = self._searched(finder, tracks, again)
         self._moved(expected.step if motion is None else motion.step, dt)
         tracks, outcome = judged(
@@ -167,13 +174,16 @@ class StereoTracker:
             rows = sure_rows(tracks, forecast, self.settings)
             step = step_of_forecast(self.camera, tracks, forecast, rows)
         if step is None and self._steps:
-            step = continued(self._steps[0], dt / self._dt)
+            step = continued(self._steps[0], _modelled(dt) / _modelled(self._dt))
         if step is None:
             step = self._flow_step(finder, tracks) or _REST
-        expected = self._by_motion(tracks, step, constant_velocity_covariance(self.settings, dt))
+        expected = self._by_motion(tracks, step, self._unsure_by(dt))
         if forecast is None:
             return expected
         return by_forecast(self.camera, tracks, expected, forecast, rows, self.settings.margin)
+
+    def _unsure_by(self, dt: float) -> FloatArray:
+        return constant_velocity_covariance(self.settings, _modelled(dt))
 
     def _by_motion(self, tracks: Tracks, step: Step, step_covariance: FloatArray) -> Expectation:
         last = self._steps[0] if self._steps else None
@@ -293,6 +303,10 @@ def _scouts(tracks: Tracks, expected: Expectation) -> BoolArray:
     chosen = np.zeros(len(tracks), dtype=bool)
     chosen[near_to_far[:: max(1, len(near_to_far) // _SCOUTS)]] = True
     return chosen
+
+
+def _modelled(dt: float) -> float:
+    return min(max(dt, _MODELLED[0]), _MODELLED[1])
 
 
 def _nothing_searched() -> Search:

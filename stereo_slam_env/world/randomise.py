@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TypeVar
 
 import numpy as np
 
-from stereo_slam_env.world.scene import Look, Material, MovingBody, Primitive, Scene, Vector
+from stereo_slam_env.world.scene import Look, Material, Scene, Vector
 from stereo_slam_env.world.textures import VARIANTS
 
 _SKIES: tuple[tuple[Vector, Vector], ...] = (  # horizon, zenith
@@ -19,7 +18,6 @@ _SKIES: tuple[tuple[Vector, Vector], ...] = (  # horizon, zenith
 """Fair, overcast, evening, before rain."""
 _TINT, _SHADE = 0.08, 0.18
 """How much the colours and the brightness of materials vary."""
-_Shape = TypeVar("_Shape", bound=Primitive)
 
 
 def with_other_look(scene: Scene, rng: np.random.Generator) -> Scene:
@@ -33,27 +31,8 @@ def with_other_look(scene: Scene, rng: np.random.Generator) -> Scene:
         Source of the look. Equal materials stay equal.
     """
     look_rng, paint_rng = rng.spawn(2)
-    painted: dict[Material, Material] = {}
-
-    def paint(material: Material) -> Material:
-        if material not in painted:
-            painted[material] = _repainted(material, paint_rng)
-        return painted[material]
-
-    def part(shape: _Shape) -> _Shape:
-        return replace(shape, material=paint(shape.material))
-
-    def body(moving: MovingBody) -> MovingBody:
-        return replace(moving, parts=tuple(part(p) for p in moving.parts))
-
-    return replace(
-        scene,
-        ground=replace(scene.ground, material=paint(scene.ground.material)),
-        ribbons=tuple(replace(ribbon, material=paint(ribbon.material)) for ribbon in scene.ribbons),
-        primitives=tuple(part(p) for p in scene.primitives),
-        moving=tuple(body(moving) for moving in scene.moving),
-        look=_relit(scene.look, look_rng),
-    )
+    repainted = scene.repainted(lambda material: _repainted(material, paint_rng))
+    return replace(repainted, look=_relit(scene.look, look_rng))
 
 
 def _repainted(material: Material, rng: np.random.Generator) -> Material:

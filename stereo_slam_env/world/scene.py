@@ -5,7 +5,9 @@ Everything is in the scene frame S (z up, see `world.frames`), metres.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -72,6 +74,7 @@ class Sphere:
 
 
 Primitive = Box | Cylinder | Sphere
+_Shape = TypeVar("_Shape", bound=Primitive)
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,3 +183,29 @@ class Scene:
     def solids(self) -> tuple[Primitive, ...]:
         """The standing primitives that block rays and cars."""
         return tuple(p for p in self.primitives if p.solid)
+
+    def repainted(self, paint: Callable[[Material], Material]) -> Scene:
+        """The scene with other materials; shapes, landmarks, light and air stay.
+
+        Parameters
+        ----------
+        paint : callable
+            The new material for an old one; called once for each, in the same order every time.
+        """
+        painted: dict[Material, Material] = {}
+
+        def other(material: Material) -> Material:
+            if material not in painted:
+                painted[material] = paint(material)
+            return painted[material]
+
+        def part(shape: _Shape) -> _Shape:
+            return replace(shape, material=other(shape.material))
+
+        return replace(
+            self,
+            ground=replace(self.ground, material=other(self.ground.material)),
+            ribbons=tuple(replace(ribbon, material=other(ribbon.material)) for ribbon in self.ribbons),
+            primitives=tuple(part(p) for p in self.primitives),
+            moving=tuple(replace(body, parts=tuple(part(p) for p in body.parts)) for body in self.moving),
+        )
