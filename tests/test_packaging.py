@@ -1,18 +1,17 @@
 """What a user installs: the archives hold what they should, and the wheel works on its own (about 45 s)."""
 
 import json
-import os
 import re
 import shutil
-import subprocess
 import sys
 import sysconfig
 import tarfile
-import venv
 import zipfile
 from pathlib import Path
 
 import pytest
+
+from .newcomer import install, make_environment, run
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = ("filters", "stereo_slam_env")
@@ -20,14 +19,6 @@ ALONGSIDE = ("pyproject.toml", "MANIFEST.in", "README.md", "LICENSE", "CHANGELOG
 pytest.importorskip("build", reason="needs pip install stereo-slam-env[dev]")
 
 pytestmark = pytest.mark.slow
-
-
-def run(*command, cwd):
-    """Run a command as a newcomer would: nothing of this checkout on the path."""
-    environment = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
-    done = subprocess.run(list(map(str, command)), cwd=cwd, env=environment, capture_output=True, text=True)
-    assert done.returncode == 0, f"{command}\n{done.stdout}\n{done.stderr}"
-    return done.stdout
 
 
 @pytest.fixture(scope="module")
@@ -53,12 +44,8 @@ def wheel(built):
 def home(wheel, tmp_path_factory):
     """An empty environment with the wheel; only the dependencies are lent by the environment of the tests."""
     home = tmp_path_factory.mktemp("installed")
-    venv.create(home, with_pip=False)
-    python = home / "bin" / "python"
-    run(sys.executable, "-m", "pip", "--python", python, "install", "--quiet", "--no-deps", wheel, cwd=home)
-    (site,) = home.glob("lib/python*/site-packages")
-    # A path named in a .pth file is searched last, and its own .pth files (an editable install) are not read.
-    (site / "dependencies.pth").write_text(sysconfig.get_path("purelib"), encoding="utf-8")
+    make_environment(home, lent=[sysconfig.get_path("purelib")])
+    install(home, wheel)
     return home
 
 

@@ -1,16 +1,14 @@
 """The template of a filter package, used as its README says: installed, checked, compared (about 15 s)."""
 
 import json
-import os
 import re
 import shutil
-import subprocess
-import sys
 import sysconfig
-import venv
 from pathlib import Path
 
 import pytest
+
+from .newcomer import install, make_environment, run
 
 ROOT = Path(__file__).resolve().parent.parent
 TEMPLATE = ROOT / "templates" / "filter-package"
@@ -19,25 +17,13 @@ pytest.importorskip("setuptools", minversion="77", reason="needs pip install ste
 pytestmark = pytest.mark.slow
 
 
-def run(*command, cwd):
-    """Run a command with nothing on the path but what is installed."""
-    environment = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
-    done = subprocess.run(list(map(str, command)), cwd=cwd, env=environment, capture_output=True, text=True)
-    assert done.returncode == 0, f"{command}\n{done.stdout}\n{done.stderr}"
-    return done.stdout
-
-
 @pytest.fixture(scope="module")
 def home(tmp_path_factory):
     """An environment with the package made from the template; this checkout and the dependencies are lent to it."""
     home = tmp_path_factory.mktemp("installed")
-    venv.create(home, with_pip=False)
-    (site,) = home.glob("lib/python*/site-packages")
-    # Paths named in a .pth file are searched last, and their own .pth files are not read.
-    (site / "lent.pth").write_text(f"{ROOT}\n{sysconfig.get_path('purelib')}\n", encoding="utf-8")
+    make_environment(home, lent=(ROOT, sysconfig.get_path("purelib")))
     source = shutil.copytree(TEMPLATE, home / "source", ignore=shutil.ignore_patterns("__pycache__", "*.egg-info"))
-    pip = (sys.executable, "-m", "pip", "--python", home / "bin" / "python", "install", "--quiet")
-    run(*pip, "--no-deps", "--no-build-isolation", source, cwd=home)
+    install(home, source, "--no-build-isolation")
     return home
 
 

@@ -51,8 +51,7 @@ class Expectation:
 
 
 def require_legal(forecast: Forecast) -> None:
-    """Raise a `ValueError` for what no filter may forecast: wrong shapes, NaN or infinity, repeated ids, an S that is
-    no covariance."""
+    """Raise a `ValueError` for what no filter may forecast: wrong shapes, NaN, repeated ids, an S that is none."""
     if not isinstance(forecast, Forecast):
         raise ValueError(f"forecast must be a Forecast or None, got {type(forecast).__name__}")
     count = len(unique_ids("forecast.ids", forecast.ids))

@@ -14,9 +14,6 @@ Time is the timeline "time", in seconds.
 
 from __future__ import annotations
 
-import importlib
-import os
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from types import ModuleType, TracebackType
@@ -31,6 +28,7 @@ from stereo_slam_env.recording import LandmarkTruth
 from stereo_slam_env.rendering.drawing import disparity_colors
 from stereo_slam_env.rendering.images import Image
 from stereo_slam_env.viewer.moments import Moment, ellipsoids
+from stereo_slam_env.viewer.rerun_sink import close_sink, open_sink, require_rerun
 from stereo_slam_env.viewer.style import INK, MUTED, filter_colours
 
 TIMELINE = "time"
@@ -65,7 +63,10 @@ class RerunView:
     ImportError
         Rerun is not installed: the message says how to get it.
     ValueError
-        No names, `save` and `connect` together, a file that cannot be written, or a viewer to open without a display.
+        No names, `save` and `connect` together, a file that cannot be written, an address that is none, or a viewer to
+        open without a display.
+    ConnectionError
+        No viewer answers at the address, or none could be opened.
     """
 
     def __init__(
@@ -80,21 +81,12 @@ class RerunView:
     ) -> None:
         if not names:
             raise ValueError("names must hold the names of the filters to show, got none")
-        if save is not None and connect is not None:
-            raise ValueError("save and connect exclude each other: give one of them")
         self._rr = require_rerun()
         self._camera = camera
         self._colours = filter_colours(names)
         self._last: dict[str, FloatArray] = {}
         self._stream = self._rr.RecordingStream("stereo-slam")
-        layout = _layout(self._rr, list(names))
-        if save is not None:
-            self._stream.save(_checked_file(save), default_blueprint=layout)
-        elif connect is not None:
-            self._stream.connect_grpc(connect, default_blueprint=layout)
-        else:
-            _require_display()
-            self._stream.spawn(default_blueprint=layout)
+        open_sink(self._stream, _layout(self._rr, list(names)), save, connect)
         self._stream.send_recording_name(title)
         self._describe(landmarks)
 
@@ -117,9 +109,14 @@ class RerunView:
             self._extend(("world", "truth", "path"), moment.truth.position, MUTED, 0.12)
 
     def close(self) -> None:
-        """Send or write what is left; may be called twice."""
-        self._stream.flush()
-        self._stream.disconnect()
+        """Send or write what is left; may be called twice.
+
+        Raises
+        ------
+        ConnectionError
+            The viewer went away, or the file cannot take it: what was shown is not whole.
+        """
+        close_sink(self._stream)
 
     def __enter__(self) -> RerunView:
         return self
@@ -213,32 +210,9 @@ class RerunView:
         self._log(path, self._rr.LineStrips3D([[before, position]], colors=[_rgb(colour)], radii=[radius]))
 
 
-def require_rerun() -> ModuleType:
-    """The package `rerun`; an `ImportError` in one line where it is missing."""
-    try:
-        importlib.import_module("rerun.blueprint")
-        return importlib.import_module("rerun")
-    except ImportError as error:
-        raise ImportError("the Rerun viewer is missing: pip install 'stereo-slam-env[viewer]'") from error
-
-
-def _require_display() -> None:
-    if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        raise ValueError("no display for Rerun's viewer here: save a file, or connect to a viewer that runs elsewhere")
-
-
 def _rgb(colour: str) -> tuple[int, int, int]:
     red, green, blue = (int(colour[at : at + 2], 16) for at in (1, 3, 5))
     return red, green, blue
-
-
-def _checked_file(path: str | Path) -> Path:
-    path = Path(path)
-    if path.suffix.lower() != ".rrd":
-        raise ValueError(f"file {path} must end in .rrd")
-    if path.is_dir() or not path.parent.is_dir():
-        raise ValueError(f"file {path} cannot be written: {path.parent} must be a folder, and {path.name} none")
-    return path
 
 
 def _layout(rr: ModuleType, names: list[str]) -> Any:

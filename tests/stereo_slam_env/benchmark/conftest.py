@@ -1,4 +1,4 @@
-"""A report of made-up runs, written once for all tests that read it or use it."""
+"""What tests of pages share: a report of made-up runs, written once, and a browser."""
 
 import pytest
 
@@ -6,6 +6,7 @@ from stereo_slam_env.benchmark.metrics.summary import summarise_all
 from stereo_slam_env.benchmark.report.run_report import write_report
 
 from ...synthetic_runs import THREE_ONE_DIVERGING, Behaviour, make_bounds, make_runs
+from .report.browsing import BROWSER, PATIENCE
 
 SETTINGS = {"scenario": "made up", "noise": {"independent_pixels": 1.0}, "gate": None, "seeds": [0, 1, 2, 3, 4, 5]}
 
@@ -23,3 +24,15 @@ def report_of_five(five_filters, tmp_path_factory):
     bounds = make_bounds(runs)
     summaries = summarise_all(runs, bounds=bounds)
     return write_report(tmp_path_factory.mktemp("report"), "Wide turns", runs, summaries, SETTINGS, bounds=bounds)
+
+
+@pytest.fixture(scope="module")
+def browser():
+    """A headless Chromium; without one the test is skipped."""
+    playwright = pytest.importorskip("playwright.sync_api", reason="needs playwright (extra dev)")
+    if BROWSER is None:
+        pytest.skip("needs the browser chromium (apt install chromium)")
+    with playwright.sync_playwright() as driver:
+        chromium = driver.chromium.launch(executable_path=BROWSER, args=["--no-sandbox"], timeout=PATIENCE)
+        yield chromium
+        chromium.close()

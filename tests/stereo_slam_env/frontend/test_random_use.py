@@ -145,8 +145,9 @@ class Session:
         """Of the landmarks the filter got last, about where they were; of some that there are not, if it has none."""
         ids, uvd = np.arange(2), np.array([[200.0, 100.0, 9.0], [300.0, 90.0, 4.0]])
         if self.last is not None and len(self.last.observation) > 1:
-            ids, uvd = self.last.observation.ids, self.last.observation.uvd + self.rng.normal(
-                0, 3, (len(self.last.observation), 3)
+            ids, uvd = (
+                self.last.observation.ids,
+                self.last.observation.uvd + self.rng.normal(0, 3, (len(self.last.observation), 3)),
             )
         S = np.tile(self.rng.uniform(0.1, 30) * np.eye(3), (len(ids), 1, 1))
         return Forecast(ids, uvd, S, np.ones(len(ids), dtype=bool))
@@ -183,7 +184,7 @@ class Session:
         """A `ValueError` of one line; then everything is as if it had not been asked."""
         if self.number == 0:
             return  # the first pair needs neither time nor forecast
-        before = {name: value for name, value in vars(self.tracker).items()}
+        before = dict(vars(self.tracker))
         with pytest.raises(ValueError, match=r"\A[^\n]+\Z"):
             self.tracker.track(*ILLEGAL[what](*street(self.number), 0.1, self.forecast()))
         assert all(vars(self.tracker)[name] is value for name, value in before.items())

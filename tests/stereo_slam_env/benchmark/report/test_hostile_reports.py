@@ -1,4 +1,4 @@
-"""Names from strangers are words in every page, never markup: tables, drawings, charts, comparisons (10 s)."""
+"""Names from strangers are words in every page, never markup: by the text of the pages, and in a browser (20 s)."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import json
 import re
 from dataclasses import replace
 from html.parser import HTMLParser
+from itertools import product
+from types import SimpleNamespace
 from xml.etree import ElementTree
 
 import pytest
@@ -14,9 +16,18 @@ from stereo_slam_env.benchmark import compare
 from stereo_slam_env.benchmark.metrics.summary import summarise_all
 from stereo_slam_env.benchmark.report.comparison_report import write_comparison_report
 from stereo_slam_env.benchmark.report.run_report import write_report
-from stereo_slam_env.viewer.page import _plotly_library
+from stereo_slam_env.benchmark.report.study_report import write_study_report
+from stereo_slam_env.benchmark.scenarios.scenario import Scenario
+from stereo_slam_env.benchmark.scenarios.study import Cell, Study, factorial_label
+from stereo_slam_env.benchmark.statistics.attribution import attribute_runs
+from stereo_slam_env.benchmark.statistics.policy_verdict import Looks
+from stereo_slam_env.viewer.page import _plotly_library, page
 
-from ....synthetic_runs import make_runs
+from ....synthetic_runs import Behaviour, make_runs
+from ..small_recordings import small_recording
+from .browsing import Visit
+
+SCENARIO = Scenario("made-up", "street", {"route": "town"}, seeds=(0,))
 
 EVIL = (
     "<script>alert(1)</script>",
@@ -28,6 +39,8 @@ EVIL = (
     r"$\evil{x}$ and $2^",
     "$title ${body}",
     "javascript:alert(6)",
+    "<a href='javascript:alert(8)'>x</a>",
+    '<a href="https://stranger.invalid/">x</a>',
 )
 
 
@@ -90,21 +103,58 @@ def hostile_runs():
     ]
 
 
-@pytest.fixture(scope="module")
-def runs():
-    return hostile_runs()
-
-
-def test_a_report_of_hostile_names(runs, tmp_path):
-    out = tmp_path / "out"
-    out.mkdir()
+def write_hostile_report(out, runs):
     (out / "<img src=x onerror=alert(7)>.json").write_text("{}")
     settings = {name: {"name": name, "list": [name], "tables": [{name: name}]} for name in EVIL}
-    path = write_report(out, EVIL[0] + EVIL[7], runs, summarise_all(runs), settings)
-    text = require_harmless(path, own_scripts=2 if _plotly_library() else 1)
-    assert "$title ${body}" in text
-    assert "&lt;script&gt;alert(1)" in text
-    for drawing in (out / "figures").glob("*.svg"):
+    return write_report(out, EVIL[0] + EVIL[7], runs, summarise_all(runs), settings)
+
+
+def write_hostile_policies(out, runs):
+    names = list(dict.fromkeys(run.filter_name for run in runs))
+    looks = Looks(names[0], {name: small_recording(frames=4) for name in names})
+    return write_report(out, EVIL[1], runs, summarise_all(runs), {}, looks=looks)
+
+
+def write_hostile_comparison(out, runs):
+    changed = [replace(run, positions=run.positions + 0.3) for run in runs]
+    return write_comparison_report(out, compare(SimpleNamespace(runs=runs), SimpleNamespace(runs=changed)))
+
+
+def write_hostile_study(out, runs):
+    levels = dict(zip(("a", "b"), EVIL[:2], strict=True))
+    cells = tuple(Cell(name, {EVIL[2]: level}, SCENARIO) for name, level in levels.items())
+    results = dict.fromkeys(levels, SimpleNamespace(runs=runs, summaries=summarise_all(runs)))
+    return write_study_report(out, Study(EVIL[0] + EVIL[4], cells), results)
+
+
+def write_hostile_attribution(out, _):
+    factors = {EVIL[0]: (EVIL[1], EVIL[2]), EVIL[8]: (EVIL[9], EVIL[10])}
+    labels = [factorial_label(dict(zip(factors, levels, strict=True))) for levels in product(*factors.values())]
+    runs = make_runs([Behaviour(label, 0.1 * (1 + n)) for n, label in enumerate(labels)], range(4), frames=40)
+    outcome = SimpleNamespace(runs=runs, summaries=summarise_all(runs))
+    study = Study(EVIL[3], (Cell("a", {}, SCENARIO),), factors)
+    return write_study_report(out, study, {"a": outcome}, attribute_runs(factors, runs))
+
+
+WRITERS = {
+    "report": write_hostile_report,
+    "policies": write_hostile_policies,
+    "comparison": write_hostile_comparison,
+    "study": write_hostile_study,
+    "attribution": write_hostile_attribution,
+}
+
+
+@pytest.fixture(scope="module", params=WRITERS)
+def path(request, tmp_path_factory):
+    """Each page that results are written on."""
+    return WRITERS[request.param](tmp_path_factory.mktemp(request.param), hostile_runs())
+
+
+def test_it_holds_their_words_and_no_markup_of_theirs(path):
+    text = require_harmless(path, own_scripts=2 if 'class="chart-data"' in path.read_text(encoding="utf-8") else 1)
+    assert "&lt;script&gt;alert(" in text
+    for drawing in (path.parent / "figures").glob("*.svg"):
         for element in ElementTree.parse(drawing).iter():
             assert element.tag.rpartition("}")[2] not in ("script", "img", "foreignObject", "a")
             assert not any(name.startswith("on") for name in element.attrib)
@@ -112,14 +162,30 @@ def test_a_report_of_hostile_names(runs, tmp_path):
         assert "mathdefault" not in drawing.read_text(encoding="utf-8")
 
 
-def test_a_comparison_of_hostile_names(runs, tmp_path):
-    class Side:
-        def __init__(self, given):
-            self.runs = given
+def test_in_a_browser_nothing_of_theirs_runs_and_nothing_is_fetched(path, browser):
+    visit = Visit(browser, path)
+    visit.see_everything()
+    visit.touch_everything()
+    assert visit.dialogs == []
+    assert visit.complaints == []
+    assert visit.requests == [path.as_uri()]
+    assert visit.page.url == path.as_uri()
+    links = "[...document.querySelectorAll('a')].map(a => a.getAttribute('href') ?? a.getAttribute('xlink:href') ?? '')"
+    assert not [link for link in visit.value(links) if re.match(r"\s*(javascript|data|https?|//)", link)]
+    visit.page.close()
 
-    changed = [replace(run, positions=run.positions + 0.3) for run in runs]
-    path = write_comparison_report(tmp_path, compare(Side(runs), Side(changed)))
-    require_harmless(path, own_scripts=2 if 'class="chart-data"' in path.read_text("utf-8") else 1)
+
+def test_words_of_the_template_of_the_page_stay_words():
+    assert page(title=EVIL[7], subtitle="", body=EVIL[7]).count("$title ${body}") == 3
+
+
+@pytest.mark.parametrize("evil", EVIL[:3])
+def test_the_browser_would_see_it_run(evil, browser, tmp_path):
+    (tmp_path / "page.html").write_text(f"<p title='a'>{evil.replace('src=x', 'src=nothing.png')}</p>")
+    visit = Visit(browser, tmp_path / "page.html")
+    visit.page.wait_for_timeout(500)
+    assert len(visit.dialogs) == 1
+    visit.page.close()
 
 
 def test_the_check_sees(tmp_path):

@@ -1,16 +1,10 @@
 """The report in a real browser: opened from a file, used, printed, without an error or a request (about 15 s)."""
 
-import shutil
-
 import pytest
 
-playwright = pytest.importorskip("playwright.sync_api", reason="needs playwright (extra dev)")
-pytest.importorskip("plotly", reason="needs plotly (extra report)")
+from .browsing import PATIENCE, Visit
 
-BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-PATIENCE = 120_000
-"""ms: on a busy machine a browser starts slowly."""
-pytestmark = pytest.mark.skipif(BROWSER is None, reason="needs the browser chromium (apt install chromium)")
+pytest.importorskip("plotly", reason="needs plotly (extra report)")
 
 SCREENS = [(1366, 768), (1280, 800)]
 
@@ -18,48 +12,6 @@ SCREENS = [(1366, 768), (1280, 800)]
 @pytest.fixture(scope="module")
 def path(report_of_five):
     return report_of_five
-
-
-@pytest.fixture(scope="module")
-def browser():
-    with playwright.sync_playwright() as driver:
-        chromium = driver.chromium.launch(executable_path=BROWSER, args=["--no-sandbox"], timeout=PATIENCE)
-        yield chromium
-        chromium.close()
-
-
-class Visit:
-    """The page in a window, and everything it complained of or asked for."""
-
-    def __init__(self, browser, path, **window):
-        self.page = browser.new_page(viewport={"width": 1366, "height": 768}, **window)
-        self.page.set_default_timeout(PATIENCE)
-        self.complaints, self.requests = [], []
-        self.page.on("console", lambda message: self.complaints.append(message.text))
-        self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
-        self.page.on("request", lambda request: self.requests.append(request.url))
-        self.page.goto(path.as_uri())
-
-    def see_everything(self):
-        """Scroll through the page, so that all its charts are drawn."""
-        self.page.evaluate(
-            """async () => {
-                for (let y = 0; y < document.documentElement.scrollHeight; y += 600) {
-                    scrollTo(0, y);
-                    // A busy browser may draw no frame for minutes: do not wait for one for ever.
-                    await new Promise(done => { requestAnimationFrame(done); setTimeout(done, 500); });
-                }
-            }"""
-        )
-        self.page.wait_for_function(
-            "document.querySelectorAll('figure.live').length === document.querySelectorAll('.chart-data').length"
-        )
-
-    def value(self, expression):
-        return self.page.evaluate(expression)
-
-    def is_wider_than_the_window(self):
-        return self.value("document.documentElement.scrollWidth > document.documentElement.clientWidth")
 
 
 @pytest.fixture(scope="module")
