@@ -109,7 +109,7 @@ calls = st.one_of(
     st.tuples(st.just("refuse"), st.sampled_from(sorted(ILLEGAL))),
     st.tuples(st.just("reset")),
 )
-sequences = st.lists(calls, min_size=4, max_size=10)
+sequences = st.lists(calls, min_size=4, max_size=8)
 options = st.fixed_dictionaries(
     {
         "max_landmarks": st.sampled_from([1, 5, 40]),
@@ -119,7 +119,7 @@ options = st.fixed_dictionaries(
         "max_radius": st.sampled_from([0.01, 24.0, 1e9]),
         "nearest": st.sampled_from([1e-320, 2.5, 1e3]),
         "min_disparity": st.sampled_from([1e-3, 1.0, 1e3]),
-        "min_distance": st.sampled_from([0.1, 10.0, 1e9]),
+        "min_distance": st.sampled_from([0.1, 10.0, 60.0]),
     }
 )
 
@@ -145,8 +145,9 @@ class Session:
         """Of the landmarks the filter got last, about where they were; of some that there are not, if it has none."""
         ids, uvd = np.arange(2), np.array([[200.0, 100.0, 9.0], [300.0, 90.0, 4.0]])
         if self.last is not None and len(self.last.observation) > 1:
-            ids, uvd = self.last.observation.ids, self.last.observation.uvd + self.rng.normal(
-                0, 3, (len(self.last.observation), 3)
+            ids, uvd = (
+                self.last.observation.ids,
+                self.last.observation.uvd + self.rng.normal(0, 3, (len(self.last.observation), 3)),
             )
         S = np.tile(self.rng.uniform(0.1, 30) * np.eye(3), (len(ids), 1, 1))
         return Forecast(ids, uvd, S, np.ones(len(ids), dtype=bool))
@@ -183,7 +184,7 @@ class Session:
         """A `ValueError` of one line; then everything is as if it had not been asked."""
         if self.number == 0:
             return  # the first pair needs neither time nor forecast
-        before = {name: value for name, value in vars(self.tracker).items()}
+        before = dict(vars(self.tracker))
         with pytest.raises(ValueError, match=r"\A[^\n]+\Z"):
             self.tracker.track(*ILLEGAL[what](*street(self.number), 0.1, self.forecast()))
         assert all(vars(self.tracker)[name] is value for name, value in before.items())
@@ -194,7 +195,7 @@ drawn = settings(
 )
 
 
-@settings(drawn, max_examples=60)
+@settings(drawn, max_examples=40)
 @given(chosen=options, sequence=sequences, seed=st.integers(0, 2**16))
 def test_random_sequences_of_pairs(chosen, sequence, seed):
     session = Session(TrackerSettings(refill_below=1, **chosen), seed)
@@ -202,25 +203,22 @@ def test_random_sequences_of_pairs(chosen, sequence, seed):
         getattr(session, name)(*arguments)
 
 
-@pytest.mark.parametrize("what", sorted(ILLEGAL))
-def test_what_is_refused_leaves_no_trace(what):
-    runs = []
-    for refused in (False, True):
-        session = Session(TrackerSettings(max_landmarks=30, refill_below=20))
-        for _ in range(2):
-            session.track("drive", 0.1, "none")
-        if refused:
-            session.refuse(what)
-        session.rng = np.random.default_rng(1)
-        session.track("drive", 0.1, "good")
-        runs.append(session.last.observation)
-    without, with_refusal = runs
-    assert len(without) > 10
-    assert np.array_equal(without.ids, with_refusal.ids)
-    assert np.array_equal(without.uvd, with_refusal.uvd)
+def test_what_is_refused_leaves_no_trace():
+    asked, plain = (Session(TrackerSettings(max_landmarks=30, refill_below=20)) for _ in range(2))
+    for session in (asked, plain):
+        session.track("drive", 0.1, "none")
+        session.track("drive", 0.1, "none")
+    for what in ILLEGAL:
+        asked.refuse(what)
+    for session in (asked, plain):
+        session.track("drive", 0.1, "none")
+    after, without = asked.last.observation, plain.last.observation
+    assert len(after) > 10
+    assert np.array_equal(after.ids, without.ids)
+    assert np.array_equal(after.uvd, without.uvd)
 
 
-@settings(drawn, max_examples=40)
+@settings(drawn, max_examples=25)
 @given(
     width=st.integers(1, 70),
     height=st.integers(1, 70),
