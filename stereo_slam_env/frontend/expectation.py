@@ -51,7 +51,18 @@ class Expectation:
 
 
 def require_legal(forecast: Forecast) -> None:
-    """Raise a `ValueError` for what no filter may forecast: wrong shapes, NaN, repeated ids, an S that is none."""
+    """Refuse what no filter may forecast.
+
+    Parameters
+    ----------
+    forecast : Forecast
+        As a filter returns it.
+
+    Raises
+    ------
+    ValueError
+        It is no `Forecast`; wrong shapes, NaN or infinity, repeated ids, an S that is no covariance.
+    """
     if not isinstance(forecast, Forecast):
         raise ValueError(f"forecast must be a Forecast or None, got {type(forecast).__name__}")
     count = len(unique_ids("forecast.ids", forecast.ids))

@@ -1,5 +1,7 @@
 """A filter guides the search (about 3 s)."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -52,3 +54,31 @@ def test_pairs_come_in_order_and_end():
     search.observe(0, estimator)
     with pytest.raises(ValueError, match="no more pairs"):
         search.observe(1, estimator)
+
+
+class Broken:
+    """Forecasts NaN when it has been told to."""
+
+    def __init__(self, estimator):
+        self.estimator, self.broken = estimator, False
+
+    def forecast(self):
+        forecast = self.estimator.forecast()
+        return dataclasses.replace(forecast, uvd=np.nan * forecast.uvd) if self.broken else forecast
+
+
+def test_a_pair_that_a_bad_forecast_was_refused_for_can_be_asked_for_again():
+    observed = []
+    for refused in (False, True):
+        search = ActiveSearch(DrawnStreet(2), SETTINGS)
+        estimator = Broken(make_filter("inverse-depth", camera=CAMERA, noise=StereoNoise.diagonal(0.3, 0.3, 0.3)))
+        estimator.estimator.update(search.observe(0, estimator))
+        estimator.estimator.predict(DT)
+        estimator.broken = refused
+        if refused:
+            with pytest.raises(ValueError, match=r"forecast\.uvd must be finite"):
+                search.observe(1, estimator)
+            estimator.broken = False
+        observed.append(search.observe(1, estimator))
+    assert len(observed[0]) > 10
+    assert np.array_equal(observed[0].uvd, observed[1].uvd)

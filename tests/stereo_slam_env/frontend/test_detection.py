@@ -80,3 +80,8 @@ def test_the_same_again_and_none_where_none_are_wanted():
 def test_bad_positions_are_named(bad):
     with pytest.raises(ValueError, match="occupied"):
         detect_corners(board(), 5, bad)
+
+
+def test_a_distance_larger_than_the_image_leaves_one_corner():
+    image = np.random.default_rng(0).integers(0, 256, (60, 80), dtype=np.uint8)
+    assert len(detect_corners(image, 10, np.zeros((0, 2)), min_distance=1e9)) == 1

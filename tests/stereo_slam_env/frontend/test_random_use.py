@@ -109,7 +109,7 @@ calls = st.one_of(
     st.tuples(st.just("refuse"), st.sampled_from(sorted(ILLEGAL))),
     st.tuples(st.just("reset")),
 )
-sequences = st.lists(calls, min_size=4, max_size=10)
+sequences = st.lists(calls, min_size=4, max_size=8)
 options = st.fixed_dictionaries(
     {
         "max_landmarks": st.sampled_from([1, 5, 40]),
@@ -119,7 +119,7 @@ options = st.fixed_dictionaries(
         "max_radius": st.sampled_from([0.01, 24.0, 1e9]),
         "nearest": st.sampled_from([1e-320, 2.5, 1e3]),
         "min_disparity": st.sampled_from([1e-3, 1.0, 1e3]),
-        "min_distance": st.sampled_from([0.1, 10.0, 1e9]),
+        "min_distance": st.sampled_from([0.1, 10.0, 60.0]),
     }
 )
 
@@ -195,7 +195,7 @@ drawn = settings(
 )
 
 
-@settings(drawn, max_examples=60)
+@settings(drawn, max_examples=40)
 @given(chosen=options, sequence=sequences, seed=st.integers(0, 2**16))
 def test_random_sequences_of_pairs(chosen, sequence, seed):
     session = Session(TrackerSettings(refill_below=1, **chosen), seed)
@@ -203,25 +203,22 @@ def test_random_sequences_of_pairs(chosen, sequence, seed):
         getattr(session, name)(*arguments)
 
 
-@pytest.mark.parametrize("what", sorted(ILLEGAL))
-def test_what_is_refused_leaves_no_trace(what):
-    runs = []
-    for refused in (False, True):
-        session = Session(TrackerSettings(max_landmarks=30, refill_below=20))
-        for _ in range(2):
-            session.track("drive", 0.1, "none")
-        if refused:
-            session.refuse(what)
-        session.rng = np.random.default_rng(1)
-        session.track("drive", 0.1, "good")
-        runs.append(session.last.observation)
-    without, with_refusal = runs
-    assert len(without) > 10
-    assert np.array_equal(without.ids, with_refusal.ids)
-    assert np.array_equal(without.uvd, with_refusal.uvd)
+def test_what_is_refused_leaves_no_trace():
+    asked, plain = (Session(TrackerSettings(max_landmarks=30, refill_below=20)) for _ in range(2))
+    for session in (asked, plain):
+        session.track("drive", 0.1, "none")
+        session.track("drive", 0.1, "none")
+    for what in ILLEGAL:
+        asked.refuse(what)
+    for session in (asked, plain):
+        session.track("drive", 0.1, "none")
+    after, without = asked.last.observation, plain.last.observation
+    assert len(after) > 10
+    assert np.array_equal(after.ids, without.ids)
+    assert np.array_equal(after.uvd, without.uvd)
 
 
-@settings(drawn, max_examples=40)
+@settings(drawn, max_examples=25)
 @given(
     width=st.integers(1, 70),
     height=st.integers(1, 70),
