@@ -164,6 +164,7 @@ def test_memory_is_flat_over_resets(make):
         ({"max_landmarks": 10, "refill_below": 11}, r"refill_below must be a whole number from 0 to 10, got 11"),
         ({"odometry_sigma_angular": -1}, r"odometry_sigma_angular must be a finite number >= 0, got -1"),
         ({"render_images": "yes"}, r"render_images must be one of True, False, got 'yes'"),
+        ({"blank_from": -1.0}, r"blank_from must be a finite number >= 0, got -1.0"),
         ({"supersample": 2.0}, r"supersample must be a whole number from 1 to 4, got 2.0"),
         ({"render_mode": "ansi"}, r"render_mode must be None, 'rgb_array' or 'human', got 'ansi'"),
         ({"sgima": 1.0}, r"there is no argument 'sgima', did you mean 'sigma'\? Known: route, "),
