@@ -113,7 +113,7 @@ class Cell:
             told = [told[0].split()[1]]
         delays = [run.detected_after for run in self.runs if run.detected_after is not None]
         if diverged := self.count("diverged"):
-            late = f", after {max(0.0, statistics.median(delays)):.1f} s" if delays else ""
+            late = f", after {delay:.1f} s" if delays and (delay := statistics.median(delays)) >= 0.05 else ""
             told.append(f"told {self.detected}/{diverged}{late}")
         elif self.alarmed:
             told.append(f"alarms {self.alarmed}/{len(self.runs)}")

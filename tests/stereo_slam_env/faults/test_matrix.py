@@ -62,8 +62,13 @@ def test_where_nothing_diverges_there_is_nothing_to_detect():
 def test_the_table_says_how_many_of_each():
     runs = (judged(), judged(error=20.0, alarms=[9.0]), judged(error=20.0), judged(broken="it raised"))
     cell = FaultMatrix(runs).cell("outliers-30", "some-filter")
-    assert cell.words == "1 ok; 3 diverged; told 1/3, after 0.0 s; BROKEN: it raised"
+    assert cell.words == "1 ok; 3 diverged; told 1/3; BROKEN: it raised"
     assert cell.cause == Cause.INNOVATIONS.value
+
+
+def test_the_table_says_how_late_it_was_told():
+    late = FaultMatrix((judged(error=20.0, alarms=[11.5]),))
+    assert late.cell("outliers-30").words == "diverged; told 1/1, after 1.5 s"
 
 
 def test_what_cannot_be_seen_is_counted_apart():
