@@ -3,8 +3,9 @@
 Two cumulative sums of log-likelihood ratios (Page's CUSUM, Biometrika 41, 1954), each of "gone wrong" against "as it
 should be": of the normalised innovations squared, and of the share of known landmarks that could not be used. A sum
 never falls below 0, so what was long ago does not count; a false alarm is as rare, per update, as e^-threshold at the
-most. Besides, an alarm is raised where nothing has been measured for long, where a frame has no link to the map, where
-the filter itself hardly knows its orientation, and where the numbers are none.
+most. Besides, an alarm is raised where nothing has been measured for long and the filter says that it drifts, where
+nothing links a frame to what was mapped before, where the filter itself hardly knows its orientation, and where the
+numbers are none.
 """
 
 from __future__ import annotations
@@ -67,6 +68,9 @@ class DivergenceMonitor:
         ln(inflation) / (1 - 1 / inflation), 1.39 for 2, never raises an alarm.
     longest_blind : float
         For how long nothing may be measured, s.
+    farthest_blind : float
+        By how much the claimed standard deviation of the position may grow while nothing is measured, for however long,
+        m. A filter with odometry may well be blind.
     vaguest : float
         Standard deviation of the rotation up to which a linearised filter can be believed, rad.
 
@@ -77,10 +81,17 @@ class DivergenceMonitor:
     """
 
     def __init__(
-        self, *, threshold: float = 20.0, inflation: float = 2.0, longest_blind: float = 1.0, vaguest: float = 0.5
+        self,
+        *,
+        threshold: float = 20.0,
+        inflation: float = 2.0,
+        longest_blind: float = 1.0,
+        farthest_blind: float = 0.25,
+        vaguest: float = 0.5,
     ) -> None:
         self._threshold, self._inflation = positive("threshold", threshold), positive("inflation", inflation)
         self._longest_blind, self._vaguest = positive("longest_blind", longest_blind), positive("vaguest", vaguest)
+        self._farthest_blind = positive("farthest_blind", farthest_blind)
         if self._inflation <= 1.0:
             raise ValueError(f"inflation must be above 1, got {inflation!r}")
         self.reset()
@@ -94,7 +105,8 @@ class DivergenceMonitor:
         self.standing: Cause | None = None
         """Why there is an alarm now; None where the filter agrees with what it measures, also again."""
         self._innovations, self._refused = _Sum(self._threshold), _Sum(self._threshold)
-        self._blind, self._mapped = 0.0, False
+        self._blind, self._sigma_seeing = 0.0, 0.0
+        self._mapped, self._known = False, 0
 
     def look(self, dt: float, report: UpdateReport, pose: PoseBelief | None = None) -> Alarm | None:
         """Take notice of an update.
@@ -106,7 +118,7 @@ class DivergenceMonitor:
         report : UpdateReport
             What the update returned; an empty one where there was none.
         pose : PoseBelief, optional
-            After it; None: its numbers are not looked at.
+            After it; None: its numbers are not looked at, and being blind for long is always told.
 
         Returns
         -------
@@ -124,9 +136,11 @@ class DivergenceMonitor:
         refused = len(report.gated) + len(report.behind_camera) + len(report.failed)
         self._innovations.add(self._inflated(report.nis, report.nis_dof))
         self._refused.add(_lost(used, refused))
-        cut = self._mapped and new > 0 and used == 0
+        self._known -= len(report.dropped)
+        cut = self._mapped and new > 0 and used == 0 and (refused > 0 or self._known <= 0)
+        self._known += new
         self._mapped = self._mapped or new > 0
-        self._blind = 0.0 if used + refused + new > 0 else self._blind + dt
+        drifts = self._drifts_blind(dt, used + refused + new > 0, pose)
         found: tuple[Cause, str] | None = None
         if not math.isfinite(report.nis) or (pose is not None and not _is_sound(pose)):
             found = Cause.NUMBERS, "NIS or the pose is not finite, or its covariance not positive definite"
@@ -134,13 +148,22 @@ class DivergenceMonitor:
             found = Cause.INNOVATIONS, f"innovations are larger than claimed: NIS {report.nis:.3g} of {report.nis_dof}"
         elif self._refused.alarmed:
             found = Cause.REFUSED, f"{refused} of {used + refused} known landmarks refused"
-        elif self._blind > self._longest_blind:
+        elif drifts:
             found = Cause.BLIND, f"nothing has been measured for {self._blind:.1f} s"
         elif cut:
-            found = Cause.CUT, f"{new} landmarks are new, {refused} known ones refused: the pose is a prediction"
+            found = Cause.CUT, f"{new} landmarks are new, {refused} known ones refused, none used: a new start"
         elif pose is not None and (sigma := _rotation_sigma(pose)) > self._vaguest:
             found = Cause.VAGUE, f"the orientation is known to {sigma:.2g} rad: too little for a linearised filter"
         return self._told(found)
+
+    def _drifts_blind(self, dt: float, seeing: bool, pose: PoseBelief | None) -> bool:
+        """Whether nothing has been measured for long, and the filter says that it shows."""
+        if seeing:
+            self._blind, self._sigma_seeing = 0.0, 0.0 if pose is None else _position_sigma(pose)
+            return False
+        self._blind += dt
+        far = pose is None or not _position_sigma(pose) - self._sigma_seeing <= self._farthest_blind
+        return far and self._blind > self._longest_blind
 
     def _told(self, found: tuple[Cause, str] | None) -> Alarm | None:
         before, self.standing = self.standing, None if found is None else found[0]
@@ -175,6 +198,11 @@ def _lost(used: int, refused: int) -> float:
 
 def _rotation_sigma(pose: PoseBelief) -> float:
     return math.sqrt(np.diagonal(pose.covariance)[3:].max())
+
+
+def _position_sigma(pose: PoseBelief) -> float:
+    """The largest of x, y, z; NaN where it is none."""
+    return float(np.sqrt(np.diagonal(pose.covariance)[:3].max(initial=0.0)))
 
 
 def _is_sound(pose: PoseBelief) -> bool:

@@ -9,10 +9,12 @@ DT = 0.1
 POSE = PoseBelief(np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), 1e-4 * np.eye(6))
 
 
-def report(used=20, refused=0, new=0, nis=None):
+def report(used=20, refused=0, new=0, dropped=0, nis=None):
     ids = np.arange(used + refused + new)
     parts = {"updated": ids[:used], "gated": ids[used : used + refused], "initialised": ids[used + refused :]}
-    return UpdateReport(**parts, nis=3.0 * used if nis is None else nis, nis_dof=3 * used)
+    return UpdateReport(
+        **parts, dropped=1000 + np.arange(dropped), nis=3.0 * used if nis is None else nis, nis_dof=3 * used
+    )
 
 
 def look(monitor, reports, pose=POSE):
@@ -74,22 +76,39 @@ def test_half_of_the_landmarks_refused_is_blamed_on_outliers_and_nearly_all_on_t
 def test_the_dark_is_told_after_a_second_and_over_with_the_first_frame_that_shows_something():
     monitor = DivergenceMonitor()
     look(monitor, [report()])
-    (alarm,) = look(monitor, [UpdateReport()] * 50)
+    (alarm,) = look(monitor, [UpdateReport()] * 50, None)
     assert alarm.cause is Cause.BLIND
     assert alarm.time == pytest.approx(DT + 1.1)
     look(monitor, [report()])
     assert monitor.standing is None
 
 
+@pytest.mark.parametrize(("sigma", "told"), [(0.26, True), (0.24, False), (np.nan, True)])
+def test_a_filter_with_odometry_may_be_blind_for_as_long_as_its_position_is_still_known(sigma, told):
+    monitor = DivergenceMonitor()
+    look(
+        monitor, [report()], with_covariance(4.0, 1.0, 1.0, 1e-4, 1e-4, 1e-4)
+    )  # what it did not know before counts not
+    pose = with_covariance(1.0, (2.0 + sigma) ** 2, 1.0, 1e-4, 1e-4, 1e-4)
+    assert bool(look(monitor, [UpdateReport()] * 50, pose)) is told
+
+
 @pytest.mark.parametrize("empty_before", [0, 3])
-@pytest.mark.parametrize("refused", [0, 13])
-def test_a_frame_of_new_landmarks_only_has_no_link_to_the_map(refused, empty_before):
+@pytest.mark.parametrize(("refused", "dropped"), [(0, 20), (13, 7), (13, 0)])
+def test_a_frame_of_new_landmarks_only_is_a_new_start_where_the_known_ones_are_refused_or_gone(
+    refused, dropped, empty_before
+):
     monitor = DivergenceMonitor()
     assert look(monitor, [report(0, new=20), report()]) == []  # the first frame can have none
-    (alarm,) = look(monitor, [*[UpdateReport()] * empty_before, report(0, refused, new=20)])
+    empty = [UpdateReport()] * empty_before
+    (alarm,) = look(monitor, [*empty, report(0, refused, new=20, dropped=dropped)])
     assert alarm.cause is Cause.CUT
     look(monitor, [report()])
     assert monitor.standing is None
+
+
+def test_landmarks_that_are_kept_and_out_of_view_are_a_link_to_the_map():
+    assert look(DivergenceMonitor(), [report(0, new=20), report(), report(0, new=20, dropped=19)]) == []
 
 
 def test_empty_frames_before_the_first_landmark_are_no_cut():

@@ -9,7 +9,7 @@ from filters.monitor import Alarm, DivergenceMonitor
 from stereo_slam_env.benchmark.metrics.results import FilterRun
 
 _COUNTED = {
-    **{name: name for name in ("updated", "initialised", "gated", "behind_camera")},
+    **{name: name for name in ("updated", "initialised", "dropped", "gated", "behind_camera")},
     "failed": "failed_factorisations",
 }
 """Field of `UpdateReport` with ids: the series of a run that counts them."""
