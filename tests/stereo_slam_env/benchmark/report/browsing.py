@@ -28,29 +28,20 @@ class Visit:
 
     def see_everything(self):
         """Scroll through the page, so that all its charts are drawn."""
+        # Not awaited here: only what is waited for has a limit.
         self.page.evaluate(
-            """async () => {
+            """() => void (async () => {
                 for (let y = 0; y < document.documentElement.scrollHeight; y += 600) {
                     scrollTo(0, y);
                     // A busy browser may draw no frame for minutes: do not wait for one for ever.
                     await new Promise(done => { requestAnimationFrame(done); setTimeout(done, 500); });
                 }
-            }"""
+                window.allSeen = true;
+            })()"""
         )
+        self.page.wait_for_function("window.allSeen === true")
         self.page.wait_for_function(
             "document.querySelectorAll('figure.live').length === document.querySelectorAll('.chart-data').length"
-        )
-
-    def touch_everything(self):
-        """Point at every element, and press every button: sort, switch, zoom."""
-        self.page.evaluate(
-            """() => {
-                document.querySelectorAll("details").forEach(part => { part.open = true; });
-                for (const part of document.querySelectorAll("body *"))
-                    for (const what of ["mouseover", "mousemove", "mouseout", "focus"])
-                        part.dispatchEvent(new MouseEvent(what, {bubbles: true}));
-                document.querySelectorAll("main button").forEach(button => button.click());
-            }"""
         )
 
     def value(self, expression):
