@@ -14,7 +14,7 @@ from typing import Any
 from filters.known_names import require_known
 from stereo_slam_env.datasets import gtsam_examples, kitti00_stereo_tracks, kitti07_tracks, starry_night
 from stereo_slam_env.datasets.images import known_image_layouts, open_image_sequence, recordings_in
-from stereo_slam_env.datasets.inside import is_there, require_links_inside
+from stereo_slam_env.datasets.inside import is_there, require_folder, require_links_inside
 from stereo_slam_env.datasets.known_options import keyword_options
 from stereo_slam_env.frontend.calibration import calibrated
 from stereo_slam_env.frontend.recorder import record_tracks
@@ -63,13 +63,10 @@ def read_recording(path: str | Path, **options: Any) -> Recording:
         require_known("the reader has no option", options, keyword_options(gtsam_examples.read))
         return gtsam_examples.read(name or "kitti00", **options)
     folder = Path(path)
-    there = is_there(folder)
-    if there and folder.is_file() and folder.suffix == ".npz":
+    if folder.suffix == ".npz" and is_there(folder) and folder.is_file():
         require_known("a recording in one file has no option", options, [])
         return load_recording(folder)
-    if not there or not folder.is_dir():
-        what = "is a file, not a folder" if there else "does not exist"
-        raise ValueError(f"{folder} {what}: give a folder of a known layout ({_layouts()})")
+    require_folder(folder, _layouts())
     for reader in READERS:
         if reader.recognises(folder):
             require_known("the reader has no option", options, keyword_options(reader.read))

@@ -132,9 +132,8 @@ def _drive(task: TrialTask, choice: FilterChoice, limit: float, progress: Tell |
 
 def _driven(task: TrialTask, choice: FilterChoice, tell: Tell) -> tuple[FilterRun, MadeRecording]:
     """The filter is run again over the recording: there is one way to judge a filter, and it is timed alone."""
-    from stereo_slam_env.benchmark.recordings.episodes import (
-        drive_episode,  # PyBullet and Gymnasium, only where they are needed
-    )
+    # PyBullet and Gymnasium, only where they are needed.
+    from stereo_slam_env.benchmark.recordings.episodes import drive_episode
 
     assert task.seed is not None
     episode = drive_episode(task.scenario, task.seed, choice, lambda done, of: tell(done, 2 * of))

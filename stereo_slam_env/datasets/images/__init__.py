@@ -14,7 +14,7 @@ from filters.known_names import require_known
 from stereo_slam_env.datasets.images import euroc, karlsruhe, kitti06_stereo51, kitti_odometry, kitti_raw
 from stereo_slam_env.datasets.images.broken import BrokenPair
 from stereo_slam_env.datasets.images.sequence import RecordedSequence
-from stereo_slam_env.datasets.inside import is_there, require_inside, require_links_inside
+from stereo_slam_env.datasets.inside import require_folder, require_inside, require_links_inside
 from stereo_slam_env.datasets.known_options import keyword_options
 
 IMAGE_READERS: tuple[ModuleType, ...] = (kitti06_stereo51, kitti_odometry, kitti_raw, karlsruhe, euroc)
@@ -63,9 +63,7 @@ def open_image_sequence(path: str | Path, **options: Any) -> RecordedSequence:
         folder: one line that names it.
     """
     folder = Path(path)
-    if not (there := is_there(folder)) or not folder.is_dir():
-        what = "is a file, not a folder" if there else "does not exist"
-        raise ValueError(f"{folder} {what}: give a folder of a known layout ({_layouts()})")
+    require_folder(folder, _layouts())
     inside = recordings_in(folder)
     if len(inside) > 1:
         names = ", ".join(str(found.relative_to(folder)) for found in inside)
