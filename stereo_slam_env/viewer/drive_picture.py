@@ -22,6 +22,7 @@ from stereo_slam_env.rendering.drawing import disparity_colors
 from stereo_slam_env.rendering.images import Image
 from stereo_slam_env.viewer.figures import save_png
 from stereo_slam_env.viewer.moments import SIGMAS, Drive, Moment, ellipsoids
+from stereo_slam_env.viewer.output_files import checked_file
 from stereo_slam_env.viewer.plots import frame_track, orientation
 from stereo_slam_env.viewer.series import heading
 from stereo_slam_env.viewer.style import BAND, INK, MUTED, filter_colours, plain_log_axis, style_context
@@ -56,7 +57,7 @@ def save_still(drive: Drive, path: str | Path, frame: int | None = None, progres
     ValueError
         Another ending, no such folder, or no such frame.
     """
-    path = _checked_png(path)
+    path = checked_file("picture", path, ".png")
     last = drive.frames - 1 if frame is None else frame
     if not 0 <= last < drive.frames:
         raise ValueError(f"frame must be 0 to {drive.frames - 1}, got {frame}")
@@ -276,12 +277,3 @@ def _ellipses(ax: Axes, places: FloatArray, covariances: FloatArray, colour: str
         alpha=alpha,
     )
     ax.add_collection(drawn)
-
-
-def _checked_png(path: str | Path) -> Path:
-    path = Path(path)
-    if path.suffix.lower() != ".png":
-        raise ValueError(f"picture {path} must end in .png")
-    if path.is_dir() or not path.parent.is_dir():
-        raise ValueError(f"picture {path} cannot be written: {path.parent} must be a folder, and {path.name} none")
-    return path

@@ -15,6 +15,8 @@ from types import ModuleType
 from typing import Any
 from urllib.parse import urlsplit
 
+from stereo_slam_env.viewer.output_files import checked_file
+
 _EXAMPLE = "rerun+http://127.0.0.1:9876/proxy"
 _SCHEMES = ("rerun", "rerun+http", "rerun+https")
 _ANSWER = 5.0
@@ -56,7 +58,7 @@ def open_sink(stream: Any, layout: Any, save: str | Path | None = None, connect:
     if save is not None and connect is not None:
         raise ValueError("save and connect exclude each other: give one of them")
     if save is not None:
-        path = _checked_file(save)
+        path = checked_file("file", save, ".rrd")
         stream.save(path, default_blueprint=layout)
     elif connect is not None:
         _require_answer(connect)
@@ -118,12 +120,3 @@ def _require_display() -> None:
 def _viewer() -> str | None:
     """The viewer that came with this Python: its folder need not be on the PATH. None leaves the search to Rerun."""
     return shutil.which("rerun", path=sysconfig.get_path("scripts"))
-
-
-def _checked_file(path: str | Path) -> Path:
-    path = Path(path)
-    if path.suffix.lower() != ".rrd":
-        raise ValueError(f"file {path} must end in .rrd")
-    if path.is_dir() or not path.parent.is_dir():
-        raise ValueError(f"file {path} cannot be written: {path.parent} must be a folder, and {path.name} none")
-    return path
