@@ -30,8 +30,8 @@ Placed = tuple[MeshBuffer, FloatArray, FloatArray]
 class GLRenderer:
     """Draws scenes with OpenGL, both eyes in one frame buffer.
 
-    Several can live in one process. One that was made before a fork works in the child, too, unless the environment
-    says `LP_NUM_THREADS` other than 0.
+    Several can live in one process. In a process that was forked from one that had drawn with OpenGL, drawing is
+    refused.
 
     Parameters
     ----------

@@ -27,17 +27,19 @@ def _first_process() -> int:
 
 
 def check_process() -> None:
-    """Raise where drawing would hang: threads of Mesa do not survive a fork.
+    """Raise where drawing could hang: threads of the driver do not survive a fork.
+
+    Mesa has one for its cache of shaders, even where `LP_NUM_THREADS` is 0.
 
     Raises
     ------
     RuntimeError
-        This process is a fork of one that had used OpenGL with threads.
+        This process is a fork of one that had used OpenGL.
     """
-    if _first_process() != os.getpid() and os.environ.get("LP_NUM_THREADS") != "0":
+    if _first_process() != os.getpid():
         raise RuntimeError(
-            'renderer "gl" was used before this process was forked: set LP_NUM_THREADS=0, '
-            'or start processes with the method "spawn"'
+            'renderer "gl" was used before this process was forked, and its threads do not survive that: '
+            'start processes with the method "forkserver" or "spawn"'
         )
 
 
@@ -55,7 +57,7 @@ def new_context() -> Any:
         moderngl: Any = import_module("moderngl")
     except ImportError as error:
         raise ImportError('renderer "gl" needs moderngl: pip install "stereo-slam-env[gl]"') from error
-    # Mesa on the CPU without threads: they would not survive a fork, and parallelism comes from whole runs.
+    # Mesa on the CPU draws without threads: parallelism comes from whole runs.
     os.environ.setdefault("LP_NUM_THREADS", "0")
     check_process()
     try:

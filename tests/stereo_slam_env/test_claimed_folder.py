@@ -19,7 +19,8 @@ from stereo_slam_env.claimed_folder import CLAIM, claimed_folder, is_occupied
 
 ROOT = Path(__file__).resolve().parents[2]
 BENCH = ("bench", "--preset", "reference-turn", "--seeds", "2", "--frames", "4", "--jobs", "1")
-FORK = multiprocessing.get_context("fork")
+SPAWN = multiprocessing.get_context("spawn")
+LIMIT = 60.0
 
 
 @pytest.fixture
@@ -56,9 +57,10 @@ def small_disk(folder, options):
 
 def in_another_process(work, *arguments):
     """Start it, and wait for the word that it is at work."""
-    here, there = FORK.Pipe()
-    process = FORK.Process(target=work, args=(there, *arguments))
+    here, there = SPAWN.Pipe()
+    process = SPAWN.Process(target=work, args=(there, *arguments))
     process.start()
+    assert here.poll(LIMIT)
     assert here.recv() == "at work"
     return process, here
 
@@ -66,7 +68,7 @@ def in_another_process(work, *arguments):
 def hold(told, folder):
     with claimed_folder(folder):
         told.send("at work")
-        told.recv()
+        told.poll(LIMIT)
 
 
 def count_up(folder, times):
@@ -101,7 +103,7 @@ def test_a_folder_in_use_is_refused_until_its_owner_is_done(tmp_path):
     ):
         pass
     told.send("enough")
-    owner.join()
+    owner.join(LIMIT)
     with claimed_folder(tmp_path / "run"):
         assert not is_occupied(tmp_path / "run")
     assert list((tmp_path / "run").iterdir()) == []
@@ -110,7 +112,7 @@ def test_a_folder_in_use_is_refused_until_its_owner_is_done(tmp_path):
 def test_a_killed_owner_has_no_claim_and_leaves_nothing_half_written(tmp_path):
     owner, _ = in_another_process(hold, tmp_path)
     os.kill(owner.pid, signal.SIGKILL)
-    owner.join()
+    owner.join(LIMIT)
     (tmp_path / "trials").mkdir()
     for name in (f".euclidean.npz.{owner.pid}.part", f".trials.sqlite.{owner.pid}.part-journal"):
         (tmp_path / "trials" / name).write_bytes(b"half")
@@ -119,16 +121,28 @@ def test_a_killed_owner_has_no_claim_and_leaves_nothing_half_written(tmp_path):
 
 
 def test_a_child_of_the_owner_does_not_hold_the_claim(tmp_path):
+    program = f"""
+import os, sys, time
+from pathlib import Path
+from stereo_slam_env.claimed_folder import claimed_folder
+
+with claimed_folder(Path({str(tmp_path)!r})):
+    child = os.fork()
+    if child == 0:
+        os.close(1)  # the output ends with the owner
+        time.sleep({LIMIT})
+        os._exit(0)
+print(child)
+"""
+    owner = subprocess.run([sys.executable, "-c", program], env={**os.environ, "PYTHONPATH": str(ROOT)}, text=True,
+                           stdout=subprocess.PIPE, timeout=LIMIT / 2, check=True)  # fmt: skip
+    child = int(owner.stdout)
     with claimed_folder(tmp_path):
-        child = FORK.Process(target=time.sleep, args=(60,))
-        child.start()
-    with claimed_folder(tmp_path):
-        child.kill()
-        child.join()
+        os.kill(child, signal.SIGKILL)  # was there still
 
 
 def test_of_many_at_once_one_works_at_a_time(tmp_path):
-    workers = [FORK.Process(target=count_up, args=(tmp_path, 25)) for _ in range(4)]
+    workers = [SPAWN.Process(target=count_up, args=(tmp_path, 25)) for _ in range(4)]
     for worker in workers:
         worker.start()
     for worker in workers:

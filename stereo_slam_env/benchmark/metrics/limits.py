@@ -19,6 +19,7 @@ estimators that know only R.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -72,6 +73,7 @@ def cramer_rao_bound(
     use_odometry: bool = False,
     right_row: bool = True,
     landmark: LandmarkModel | None = None,
+    progress: Callable[[int, int], None] | None = None,
 ) -> Bound | None:
     """Posterior Cramer-Rao bound along the true trajectory of a recording.
 
@@ -89,6 +91,8 @@ def cramer_rao_bound(
         Whether the estimator is given the row of the right image, where it was measured.
     landmark : LandmarkModel, optional
         Parametrisation to calculate in; the result does not depend on it. None: XYZ.
+    progress : callable, optional
+        Called with (frames done, frames) after each frame.
 
     Returns
     -------
@@ -116,6 +120,8 @@ def cramer_rao_bound(
             best.see(seen, truth.positions[np.searchsorted(truth.ids, seen.ids)])
             best.keep(truth.ids[last_seen > k])
             covariances[k] = best.pose_covariance
+            if progress is not None:
+                progress(k + 1, len(recording))
     return Bound(covariances)
 
 

@@ -2,20 +2,35 @@
 
 from __future__ import annotations
 
+import atexit
 import logging
 import os
 import pickle
 import signal
+import socket
+import subprocess
+import sys
+import threading
 import time
-from collections.abc import Callable
-from multiprocessing import Pipe
-from multiprocessing.connection import Connection
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from functools import cache
+from multiprocessing.connection import Connection, wait
 from typing import NoReturn, TypeVar, cast
+
+import cloudpickle
+
+from stereo_slam_env.benchmark.running.clean_process import READY, STATUS, Work
 
 Result = TypeVar("Result")
 Tell = Callable[[int, int], None]
 
+SECONDS_TO_START = 120.0
+"""Limit of the server's start, and of a new process's: far more than a busy machine needs."""
+
 _ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+_ONE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 _log = logging.getLogger(__name__)
 
@@ -28,21 +43,21 @@ class WorkTooSlow(RuntimeError):
     """Nothing was heard from the process for too long, and it was ended."""
 
 
-def run_isolated(
-    work: Callable[[Tell], Result], *, silence_limit: float | None = None, progress: Tell | None = None
-) -> Result:
-    """Run `work` in a forked process and return what it returns.
+def run_isolated(work: Callable[[Tell], Result], *, silence_limit: float, progress: Tell | None = None) -> Result:
+    """Run `work` in a process of its own and return what it returns.
 
-    The process starts with everything this one has, so nothing is copied or imported again. Where the system cannot
-    fork, `work` runs in this process, without protection.
+    The process is forked from a server that has imported what trials need and has no threads (`clean_process`), never
+    from this process, which may have drawn, or have threads of BLAS, a notebook or a cluster: they do not survive a
+    fork, and what waits for them would wait for ever. Where the system cannot fork, `work` runs in this process,
+    without protection.
 
     Parameters
     ----------
     work : callable
-        Called with a function (done, total) that it calls as it goes on: a sign of life. What it returns or raises
-        must be picklable.
-    silence_limit : float, optional
-        Longest time without a sign of life, s; None: no limit.
+        Called with a function (done, total) that it calls as it goes on: a sign of life. It is sent by cloudpickle, so
+        functions and classes of a script or notebook will do; what it returns or raises must be picklable, too.
+    silence_limit : float
+        Longest time without a sign of life, s.
     progress : callable, optional
         Is told of the signs of life.
 
@@ -50,6 +65,8 @@ def run_isolated(
     ------
     WorkTooSlow, WorkDied
         No sign of life in time; the process ended without an answer.
+    ValueError
+        `work` cannot be pickled.
     KeyboardInterrupt
         Somebody asked the process to end.
     Exception
@@ -57,52 +74,63 @@ def run_isolated(
     """
     if not hasattr(os, "fork"):
         return work(progress or (lambda done, total: None))
-    here, there = Pipe()
-    # What a signal raises while Python's own hooks run after the fork would be lost: it has to wait.
-    mask = signal.pthread_sigmask(signal.SIG_BLOCK, _ENDING)
-    child = os.fork()
-    if child == 0:
-        here.close()
-        for ending in _ENDING:
-            signal.signal(ending, signal.SIG_DFL)
-        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-        _answer(there, work)
     try:
-        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-        there.close()
-        return cast(Result, _listen(here, child, silence_limit, progress))
-    finally:
-        here.close()
-        _end(child)
+        content = cloudpickle.dumps(Work(tuple(sys.path), os.getcwd(), cloudpickle.dumps(work)))
+    except Exception as error:  # whatever the objects in it raise
+        raise ValueError(f"work must be picklable, to be done in a process of its own: {error}") from error
+    with _clean_process() as process:
+        with suppress(BrokenPipeError):  # it died at once: `_listen` says how
+            process.connection.send_bytes(content)
+        return cast(Result, _listen(process, silence_limit, progress))
 
 
-def _answer(connection: Connection, work: Callable[[Tell], Result]) -> None:
-    """In the new process: do the work, send the answer, and leave without any of the caller's clean-up."""
-    code = 1
-    try:
+@dataclass(frozen=True)
+class _Process:
+    """A process of the server, seen from here."""
+
+    connection: Connection
+    status: int
+    id: int
+
+    def exit_code(self) -> int:
+        """How it ended, as the server tells: its code, or minus the number of the signal."""
+        return _status(self.status, "how a process ended")
+
+
+@contextmanager
+def _clean_process() -> Iterator[_Process]:
+    here, there = socket.socketpair()
+    status, telling = os.pipe()
+    with Connection(here.detach()) as connection, open(status, "rb"):
+        with there, open(telling, "wb"):
+            _server().request(there.fileno(), telling)
+        process = _Process(connection, status, _status(status, "the id of a new process"))
         try:
-            answer: tuple[str, object] = ("result", work(lambda done, total: connection.send(("alive", (done, total)))))
-        except Exception as error:
-            answer = ("error", error)
-        try:
-            connection.send(answer)
-        except (pickle.PicklingError, TypeError, AttributeError) as error:
-            connection.send(("error", RuntimeError(f"the answer cannot be sent: {error}")))
-        code = 0
-    finally:
-        os._exit(code)
+            yield process
+        finally:
+            with suppress(ProcessLookupError):
+                if not wait([status], 0):  # the server has not told its end
+                    os.kill(process.id, signal.SIGKILL)
 
 
-def _listen(connection: Connection, child: int, limit: float | None, progress: Tell | None) -> object:
+def _status(pipe: int, what: str) -> int:
+    if not wait([pipe], SECONDS_TO_START):
+        raise WorkDied(f"{what} was not told for {SECONDS_TO_START:.0f} s")
+    content = os.read(pipe, STATUS.size)
+    if not content:
+        raise WorkDied("the server of processes has ended")
+    return int(STATUS.unpack(content)[0])
+
+
+def _listen(process: _Process, limit: float, progress: Tell | None) -> object:
     while True:
         began = time.monotonic()
-        if not connection.poll(limit):
-            os.kill(child, signal.SIGKILL)
+        if not process.connection.poll(limit):
             raise WorkTooSlow(f"no sign of life for {time.monotonic() - began:.0f} s")
         try:
-            kind, content = connection.recv()
+            kind, content = pickle.loads(process.connection.recv_bytes())
         except (EOFError, ConnectionResetError):
-            _raise_for_death(child)
+            _raise_for_death(process.exit_code())
         if kind == "result":
             return content
         if kind == "error":
@@ -111,22 +139,68 @@ def _listen(connection: Connection, child: int, limit: float | None, progress: T
             progress(*content)
 
 
-def _raise_for_death(child: int) -> NoReturn:
-    _, status = os.waitpid(child, 0)
-    if not os.WIFSIGNALED(status):
-        raise WorkDied(f"its process ended with code {os.WEXITSTATUS(status)}")
-    by = signal.Signals(os.WTERMSIG(status))
+def _raise_for_death(code: int) -> NoReturn:
+    if code >= 0:
+        raise WorkDied(f"its process ended with code {code}")
+    by = signal.Signals(-code)
     if by in _ENDING:
         raise KeyboardInterrupt
     raise WorkDied(f"its process was ended by {by.name}")
 
 
-def _end(child: int) -> None:
-    """Leave nothing behind."""
-    try:
-        ended, _ = os.waitpid(child, os.WNOHANG)
-        if ended == 0:
-            os.kill(child, signal.SIGKILL)
-            os.waitpid(child, 0)
-    except ChildProcessError:  # already gone
-        _log.debug("process %d had ended", child)
+class _Server:
+    """A `clean_process` of this process."""
+
+    def __init__(self) -> None:
+        self._socket, theirs = socket.socketpair()
+        with theirs:
+            # The path is passed on as it is, so that the server finds what this process finds.
+            code = (
+                f"import sys; sys.path[:] = {sys.path!r}; "
+                f"from stereo_slam_env.benchmark.running.clean_process import serve; serve({theirs.fileno()})"
+            )
+            self._popen = subprocess.Popen(
+                [sys.executable, "-c", code],
+                pass_fds=[theirs.fileno()],
+                stdin=subprocess.DEVNULL,
+                env={**os.environ, **_ONE_THREAD},
+            )
+        atexit.register(self.close)
+        self._socket.settimeout(SECONDS_TO_START)
+        if self._socket.recv(1) != READY:
+            raise WorkDied(f"the server of processes ended with code {self._popen.wait(SECONDS_TO_START)}")
+
+    @property
+    def alive(self) -> bool:
+        """Whether it can be asked for processes."""
+        return self._popen.poll() is None
+
+    def request(self, connection: int, status: int) -> None:
+        """Ask for a process that is given these descriptors."""
+        socket.send_fds(self._socket, [b"p"], [connection, status])
+
+    def close(self) -> None:
+        """End the server and all its processes."""
+        self._socket.close()
+        try:
+            self._popen.wait(5.0)
+        except subprocess.TimeoutExpired:
+            self._popen.kill()
+
+
+_starting = threading.Lock()
+
+
+def _server() -> _Server:
+    with _starting:
+        server = _server_of(os.getpid())
+        if not server.alive:
+            _log.warning("the server of processes has ended and is started again")
+            _server_of.cache_clear()
+            server = _server_of(os.getpid())
+        return server
+
+
+@cache
+def _server_of(process: int) -> _Server:
+    return _Server()

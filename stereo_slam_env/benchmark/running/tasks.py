@@ -26,11 +26,15 @@ from stereo_slam_env.benchmark.running.runner import Observe, failed_run, run_fi
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, Scenario
 from stereo_slam_env.benchmark.storage.run_archive import packed_run
 from stereo_slam_env.frontend.active_search import ActiveSearch
+from stereo_slam_env.frontend.settings import TrackerSettings
+from stereo_slam_env.image_sequence import ImageSequence
 from stereo_slam_env.recording import Recording
 from stereo_slam_env.recording_archive import packed_recording, unpacked_recording
 
 if TYPE_CHECKING:
     from stereo_slam_env.policies.episode import Episode
+
+OpenedImages = tuple[ImageSequence, TrackerSettings]
 
 _log = logging.getLogger(__name__)
 
@@ -87,14 +91,22 @@ class DoneTrial:
 
 
 def make(task: RecordingTask, progress: Tell | None = None) -> MadeRecording:
-    """Make a recording, in a process of its own.
+    """Make a recording; one that is drawn or calculated in a process of its own, one that is only read in this.
 
     Raises
     ------
     ValueError
         See `sources.make_recording`.
+    RuntimeError
+        The process ended, or gave no sign of life for the scenario's `recording_time_limit`.
     """
-    return run_isolated(partial(_make, task), progress=progress)
+    scenario = task.scenario
+    if scenario.kind == "dataset":  # who replays a drive has looked at it already (see `sources`)
+        return _make(task, progress or (lambda done, total: None))
+    try:
+        return run_isolated(partial(_make, task), silence_limit=scenario.recording_time_limit, progress=progress)
+    except (WorkDied, WorkTooSlow) as error:
+        raise RuntimeError(f"the recording of scenario {scenario.name!r}, seed {task.seed}, failed: {error}") from error
 
 
 def _make(task: RecordingTask, tell: Tell) -> MadeRecording:
@@ -109,7 +121,7 @@ def run_trial(task: TrialTask, progress: Tell | None = None) -> DoneTrial:
     limit = task.scenario.frame_time_limit
     if task.choice.policy is not None:
         return _drive(task, task.choice, limit, progress)
-    work = partial(_filtered, task, task.choice)
+    work = partial(_filtered, task, task.choice, _opened_images(task.scenario, task.seed))
     try:
         run = run_isolated(work, silence_limit=limit, progress=progress)
     except (WorkDied, WorkTooSlow) as error:
@@ -124,7 +136,8 @@ def _drive(task: TrialTask, choice: FilterChoice, limit: float, progress: Tell |
         run, made = run_isolated(partial(_driven, task, choice), silence_limit=limit, progress=progress)
         description = made.description
     except (WorkDied, WorkTooSlow) as error:
-        episode = run_isolated(partial(_straight_ahead, task))  # what there was to see, for the figures
+        look = partial(_straight_ahead, task)  # what there was to see, for the figures
+        episode = run_isolated(look, silence_limit=task.scenario.recording_time_limit)
         run, description = _lost(episode.recording, task, choice, error), _description_of(episode)
     provenance = {**task.provenance, "recording": as_given(description, task.scenario)}
     return DoneTrial(task.cell, task.seed, choice, packed_run(run, provenance), made)
@@ -156,11 +169,17 @@ def _description_of(episode: Episode) -> dict[str, Any]:
     return {**description_of(episode.recording), "drive_sha256": episode.drive_digest}
 
 
-def _filtered(task: TrialTask, choice: FilterChoice, tell: Tell) -> FilterRun:
+def _opened_images(scenario: Scenario, seed: int | None) -> OpenedImages | None:
+    """A recording of images that a filter searches itself; opened here, because its calibration is looked for once."""
+    searched = scenario.search == "forecast" and scenario.kind == "dataset"
+    return make_sequence(scenario, seed) if searched else None
+
+
+def _filtered(task: TrialTask, choice: FilterChoice, opened: OpenedImages | None, tell: Tell) -> FilterRun:
     recording = _given(task)
     if task.scenario.search != "forecast":
         return _run_on(recording, task, choice, tell)
-    search = ActiveSearch(*make_sequence(task.scenario, task.seed))
+    search = ActiveSearch(*(opened or make_sequence(task.scenario, task.seed)))
     return _run_on(without_measurements(recording), task, choice, tell, search.observe)
 
 
@@ -195,8 +214,8 @@ def _given(task: TrialTask) -> Recording:
 
 def _bound_or_none(task: TrialTask) -> Bound | None:
     try:
-        return run_isolated(partial(_bounded, task))
-    except (WorkDied, ArithmeticError, np.linalg.LinAlgError) as error:
+        return run_isolated(partial(_bounded, task), silence_limit=task.scenario.frame_time_limit)
+    except (WorkDied, WorkTooSlow, ArithmeticError, np.linalg.LinAlgError) as error:
         _log.warning("no bound for seed %s: %s", task.seed, error)
         return None
 
@@ -204,7 +223,9 @@ def _bound_or_none(task: TrialTask) -> Bound | None:
 def _bounded(task: TrialTask, tell: Tell) -> Bound | None:
     recording, scenario = _given(task), task.scenario
     with threadpool_limits(limits=1):
-        return cramer_rao_bound(recording, ConstantVelocity(**scenario.motion), use_odometry=scenario.use_odometry)
+        return cramer_rao_bound(
+            recording, ConstantVelocity(**scenario.motion), use_odometry=scenario.use_odometry, progress=tell
+        )
 
 
 def _packed_bound(bound: Bound | None, provenance: Mapping[str, Any]) -> bytes:

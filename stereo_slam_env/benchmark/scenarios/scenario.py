@@ -139,6 +139,8 @@ class Scenario:
         A run that ends farther from the truth than this share of the distance travelled counts as diverged.
     frame_time_limit : float
         A filter that needs longer for one frame is stopped and has failed, s.
+    recording_time_limit : float
+        A simulated recording that makes no progress for that long is stopped, and the run with it, s.
 
     Raises
     ------
@@ -163,6 +165,7 @@ class Scenario:
     metrics: tuple[str, ...] = tuple(METRICS)
     divergence_percent: float = 10.0
     frame_time_limit: float = 60.0
+    recording_time_limit: float = 600.0
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
@@ -198,6 +201,7 @@ class Scenario:
             raise ValueError(f"corruptions must be tables with a kind, got {list(self.corruptions)!r}")
         positive("divergence_percent", self.divergence_percent)
         positive("frame_time_limit", self.frame_time_limit)
+        positive("recording_time_limit", self.recording_time_limit)
         require_keys("motion", self.motion, tuple(_MOTION))
         for key, value in self.motion.items():
             positive(f"motion.{key}", value, allow_zero=True)

@@ -316,7 +316,7 @@ def code_digest() -> str:
 
 def _refuse_other_settings(out: Path, before: Mapping[str, Any], now: Mapping[str, Any]) -> None:
     """More seeds or filters may join a run; everything else must stay as it was."""
-    may_change = {"filters", "policies", "seeds", "divergence_percent", "frame_time_limit"}
+    may_change = {"filters", "policies", "seeds", "divergence_percent", "frame_time_limit", "recording_time_limit"}
     for key in sorted(before.keys() - may_change, key=lambda key: (key == "name", key)):
         was, is_now = before[key], now[key]
         if was == is_now:

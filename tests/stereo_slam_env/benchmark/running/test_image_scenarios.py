@@ -278,6 +278,7 @@ def test_results_of_another_renderer_are_not_mixed_in(tmp_path):
         open_run(tmp_path / "out", other)
 
 
+@pytest.mark.usefixtures("in_this_process")
 def test_recordings_drawn_by_different_renderers_are_not_compared(tmp_path, monkeypatch):
     """Another version or device of the renderer of the same name draws other pictures, too."""
     short = replace(STREET, filters=STREET.filters[:1], frames=2)
