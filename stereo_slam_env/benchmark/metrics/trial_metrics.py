@@ -101,7 +101,7 @@ FEWEST_FRAMES = 3  # an alignment needs so many
 
 
 def trial_figures(
-    run: FilterRun, *, bound: Bound | None = None, divergence_percent: float = 10.0
+    run: FilterRun, *, divergence_percent: float, bound: Bound | None = None
 ) -> dict[str, float | int | str | None]:
     """The figures of one run: the columns of `COLUMNS`, in that order.
 
@@ -112,10 +112,10 @@ def trial_figures(
     ----------
     run : FilterRun
         One trial.
-    bound : Bound, optional
-        Theoretical limit on its recording.
     divergence_percent : float
         The run diverged if it ends farther from the truth than this share of the distance travelled.
+    bound : Bound, optional
+        Theoretical limit on its recording.
 
     Raises
     ------
@@ -149,6 +149,14 @@ def scored_frames(run: FilterRun) -> BoolArray:
     known = np.array(np.isfinite(run.positions).all(axis=1) & np.isfinite(run.true_positions).all(axis=1))
     known[:1] = False
     return known
+
+
+def position_rmse(run: FilterRun) -> float:
+    """Position error of a run, m; NaN if it failed or has fewer than `FEWEST_FRAMES` scored frames."""
+    at = scored_frames(run)
+    if run.failure is not None or at.sum() < FEWEST_FRAMES:
+        return float("nan")
+    return metrics.ate_unaligned(run.positions[at], run.true_positions[at])
 
 
 def segments(run: FilterRun) -> SegmentErrors:
@@ -209,7 +217,7 @@ def _errors(run: FilterRun, at: BoolArray) -> dict[str, float]:
     angles = metrics.rotation_errors(run.orientations[at], run.true_orientations[at])
     return figures | {
         "path_m": path,
-        "position_rmse_m": metrics.ate_unaligned(estimate, truth),
+        "position_rmse_m": position_rmse(run),
         "rotation_rmse_deg": float(np.rad2deg(metrics.root_mean_square(angles))),
         "ate_rigid_m": metrics.ate_rigid(estimate, truth),
         "end_error_m": end,

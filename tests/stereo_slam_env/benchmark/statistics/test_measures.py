@@ -3,22 +3,21 @@
 import numpy as np
 import pytest
 
-from stereo_slam_env.benchmark.metrics.summary import summarise_all
+from stereo_slam_env.benchmark.metrics.run_figures import common_keys
 from stereo_slam_env.benchmark.statistics.differences import Finding
-from stereo_slam_env.benchmark.statistics.measures import EFFICIENCY, POSE_NEES, POSITION, TIME, common_keys, figures_of
+from stereo_slam_env.benchmark.statistics.measures import EFFICIENCY, POSE_NEES, POSITION, TIME
 
-from ....synthetic_runs import THREE, make_runs
+from ....synthetic_runs import THREE, make_runs, scored
 
 
 def test_the_figures_of_the_runs_are_those_of_the_summary():
     runs = make_runs(THREE[:2], seeds=range(3), frames=40)
-    figures = figures_of(runs)
-    first = summarise_all(runs)[0]
+    (first, _), figures = scored(runs)
     keys = common_keys(*figures.values())
     assert keys == [("drive-0", 0), ("drive-1", 1), ("drive-2", 2)]
-    assert tuple(figures["inverse-depth"].values(POSITION, keys)) == first.position_rmse_by_run
-    assert figures["inverse-depth"].values(POSE_NEES, keys).mean() == pytest.approx(first.pose_anees / 6)
-    assert np.isnan(figures["inverse-depth"].values(EFFICIENCY, keys)).all()
+    assert tuple(POSITION.by_run(figures["inverse-depth"], keys)) == first.position_rmse_by_run
+    assert POSE_NEES.by_run(figures["inverse-depth"], keys).mean() == pytest.approx(first.pose_anees / 6)
+    assert np.isnan(EFFICIENCY.by_run(figures["inverse-depth"], keys)).all()
     assert not figures["inverse-depth"].diverged(keys).any()
 
 
