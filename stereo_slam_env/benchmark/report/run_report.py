@@ -91,7 +91,7 @@ def write_report(
     body = [
         *([conclusions(attribution)] if attribution is not None else []),
         first_screen,
-        f'<p class="quiet">{escape(_note(summaries))}</p>',
+        f'<p class="quiet">{escape(_note(summaries, looks))}</p>',
         *([attribution_section(attribution, folder)] if attribution is not None else []),
         *(_section(section, folder) for section in _sections(runs, summaries, bounds or {}, looks)),
         pairs,
@@ -124,12 +124,12 @@ def data_links(out: Path) -> str:
     )
 
 
-def _note(summaries: Sequence[FilterSummary]) -> str:
+def _note(summaries: Sequence[FilterSummary], looks: Looks | None) -> str:
     note = "Click a heading to sort by it."
-    if any(s.frames_in_band_percent is not None for s in summaries):
+    if looks is None and any(s.frames_in_band_percent is not None for s in summaries):
         note += (
-            " NEES is correlated in time, so even a consistent filter has fewer than 95 % of its frames in the band:"
-            " do not rank filters by it between about 88 and 96 %."
+            " NEES is correlated in time, so the share of the frames inside the band is a rough measure: consistent"
+            " filters have some 88 to 99 % of them, and within that it ranks nothing."
         )
     return note
 
@@ -140,7 +140,11 @@ def _subtitle(runs: Sequence[FilterRun], looks: Looks | None) -> str:
     length = series.last_known(series.distance(first))
     who = len(series.by_filter(runs))
     parts = [
-        f"{who} filters on identical measurements" if looks is None else f"{who} policies on identical drives",
+        f"{who} policies on identical drives"
+        if looks is not None
+        else f"{who} filters on identical measurements"
+        if who > 1
+        else "1 filter",
         f"{len(recordings)} recordings" if len(recordings) > 1 else f"1 recording ({first.recording_name})",
         f"{len(first)} frames" + (f" over {length:.0f} m" if np.isfinite(length) else ""),
     ]
@@ -203,7 +207,9 @@ def _gaze(runs: Sequence[FilterRun], looks: Looks, shown: str) -> _Section:
 
 def _accuracy(runs: Sequence[FilterRun], summaries: Sequence[FilterSummary], shown: str, who: str) -> _Section:
     figures = {}
-    if len({(run.recording_name, run.seed) for run in runs}) > 1:
+    if len({(run.recording_name, run.seed) for run in runs}) > 1 and any(
+        s.position_rmse_m is not None for s in summaries
+    ):
         caption = "A line joins the filters' errors on the same recording: look at its direction, not at the spread."
         figures["error_by_run"] = (_later(plots.plot_error_by_run, runs), caption)
     caption = f"Path on {shown}; errors of all runs, single ones thin, without alignment."

@@ -177,9 +177,9 @@ def _matrix(
 def _entry(summary: FilterSummary, verdict: Verdict) -> Cell:
     if summary.position_rmse_m is None:
         innovations = number(summary.nis, ".2f").text
-        return Cell(lost(summary) if summary.diverged else f"NIS / dof {innovations}", None)
+        return Cell(lost(summary) if summary.diverged else f"NIS / dof: {innovations}", None)
     error = number(summary.position_rmse_m, ".3g", " m", _standing(summary, verdict))
-    note = f"NEES / 6 {short(POSE_NEES.of(summary))}" if summary.pose_anees is not None else ""
+    note = f"NEES / 6: {short(POSE_NEES.of(summary))}" if summary.pose_anees is not None else ""
     if summary.diverged:
         note = lost(summary)
     tone: Tone = "bad" if summary.diverged else TONES[consistency(summary)]

@@ -16,6 +16,7 @@ class Reach(Enum):
     """Where the bound over the error lies with respect to 100 %."""
 
     SHORT = "short of the limit"
+    OPEN = "perhaps at the limit"
     AT = "at the limit"
     BEYOND = "beyond the limit"
     UNSURE = "not told from the limit"
@@ -41,19 +42,22 @@ class LimitReached:
 
     @property
     def reach(self) -> Reach:
-        """The bound holds on average: over few runs the ratio scatters, and an interval with 100 % in it is no more."""
+        """The bound holds on average and the ratio scatters: an interval with 100 % in it shows nothing more."""
+        above = round(self.percent) >= 100
         if self.interval is None:
-            return Reach.SHORT if self.percent < 100.0 else Reach.UNSURE
+            return Reach.UNSURE if above else Reach.SHORT
         low, high = self.interval
         if low > 100.0:
             return Reach.BEYOND
-        return Reach.AT if high >= 100.0 else Reach.SHORT
+        if high < 100.0:
+            return Reach.SHORT
+        return Reach.AT if above else Reach.OPEN
 
     @property
     def value(self) -> str:
-        """The ratio where it tells something, else where it lies."""
+        """The ratio, or where it would be 100 % or more, where that lies."""
         reach = self.reach
-        if reach is not Reach.SHORT:
+        if reach not in (Reach.SHORT, Reach.OPEN):
             return str(reach.value)
         return f"{self.percent:.0f} %" if self.percent >= 1.0 else f"{self.percent:.1g} %"
 

@@ -235,7 +235,7 @@ def none_left(summaries: Sequence[FilterSummary]) -> str:
     if len(summaries) == 1:
         return f"There is no verdict: {lost}."
     more = f"; and {len(summaries) - _MOST_WORDED} more" if len(summaries) > _MOST_WORDED else ""
-    return f"Nothing came through every run: {lost}{more}."
+    return f"None came through every run: {lost}{more}."
 
 
 def _accuracy(best: FilterSummary, rivals: Sequence[FilterSummary], comparisons: Mapping[str, Comparison]) -> str:
@@ -322,8 +322,10 @@ def _limit_words(best: FilterSummary) -> str:
     if found is None:
         return ""
     bound = "the Cramér–Rao bound" + ("" if best.bound_position_m is None else f", {best.bound_position_m:.3g} m")
-    if found.reach is Reach.SHORT:
-        return f"{name} reaches {found.words} of what theory allows ({bound})."
+    if found.reach in (Reach.SHORT, Reach.OPEN):
+        sure = found.sureness if found.interval is None else f"{found.sureness} at 95 % confidence"
+        open_ = ", so that it may be at the limit" if found.reach is Reach.OPEN else ""
+        return f"{name} reaches {found.value} of what theory allows ({sure}{open_}; {bound})."
     if found.reach is Reach.AT:
         return f"The error of {name} is {found.words}: the 95 % interval of bound over error includes 100 % ({bound})."
     if found.reach is Reach.BEYOND:

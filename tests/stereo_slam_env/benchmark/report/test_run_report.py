@@ -179,7 +179,7 @@ def test_real_data_without_truth(tmp_path):
     path = report(tmp_path, make_runs(seeds=[None], frames=60, truth="none"))
     text = "".join(Page(path.read_text(encoding="utf-8")).text)
     assert "no ground truth" in text
-    assert "NIS, 1 is ideal" in text
+    assert "NIS / dof, 1 is ideal" in text
     for figure in ("error_by_run", "nees", "error_0", "efficiency"):
         assert figure not in text
 

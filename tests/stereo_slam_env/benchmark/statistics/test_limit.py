@@ -32,6 +32,7 @@ def reached(efficiencies):
     [
         (np.linspace(60, 80, 8), Reach.SHORT, r"7\d % \(6\d to 7\d %\)"),
         (np.linspace(60, 150, 8), Reach.AT, r"at the limit \(8\d to 1\d\d %\)"),
+        (np.linspace(40, 125, 8), Reach.OPEN, r"8\d % \(\d\d to 10\d %\)"),
         (np.linspace(110, 130, 8), Reach.BEYOND, r"beyond the limit \(11\d to 12\d %\)"),
         ([70.0, 80.0], Reach.SHORT, r"75 % \(2 runs\)"),
         ([112.0], Reach.UNSURE, r"not told from the limit \(1 run\)"),
@@ -42,6 +43,11 @@ def test_an_interval_with_100_percent_in_it_is_at_the_limit(efficiencies, reach,
     assert found.reach is reach
     assert pytest.approx(found.percent) == reached(efficiencies).efficiency_percent
     assert re.fullmatch(words, found.words)
+
+
+def test_an_interval_that_only_reaches_100_percent_leaves_it_open():
+    said = judge([reached(np.linspace(40, 125, 8))], FIGURES).answers["limit"]
+    assert "at 95 % confidence, so that it may be at the limit; the Cramér–Rao bound, 0.5 m" in said
 
 
 def test_no_more_than_100_percent_of_what_theory_allows_is_ever_claimed():

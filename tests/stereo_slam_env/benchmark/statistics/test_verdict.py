@@ -138,8 +138,10 @@ def test_the_headline_answers_every_question_in_its_own_sentence():
     verdict = judge(summaries, figures)
     assert list(verdict.answers) == ["best", "consistent", "limit", "cost"]
     assert "at 95 % confidence, 8 paired runs" in verdict.answers["best"]
-    assert verdict.answers["limit"].endswith(" of what theory allows (the Cramér–Rao bound, 0.0187 m).")
-    assert "ms a frame, 50 % more than quick." in verdict.answers["cost"]
+    assert verdict.answers["limit"] == (
+        "sharp reaches 93 % of what theory allows (8 runs; the Cramér–Rao bound, 0.0187 m)."
+    )
+    assert re.search(r"ms a frame, 5\d % more than quick\.$", verdict.answers["cost"])
     assert all("sharp" in answer for answer in verdict.answers.values())
     assert verdict.headline == " ".join(verdict.answers.values())
     assert "limit" not in judge(*scored(runs)).answers
@@ -194,7 +196,7 @@ def test_no_truth_and_no_survivor_have_their_own_words():
     assert judge(*scored(runs)).headline == "There is no verdict: euclidean diverged in 5 of 5 runs."
     failed = [replace(run, failure="frame 3: gone") for run in make_runs(THREE, frames=20)]
     assert judge(*scored(failed)).headline == (
-        "Nothing came through every run: inverse-depth failed in 5 of 5 runs; dual-bearing failed in 5 of 5 runs; "
+        "None came through every run: inverse-depth failed in 5 of 5 runs; dual-bearing failed in 5 of 5 runs; "
         "euclidean failed in 5 of 5 runs."
     )
 
@@ -218,7 +220,7 @@ def test_divergence_is_judged_by_the_limit_of_the_scenario():
 
 def test_equal_filters_tie():
     twin = Behaviour("twin", 0.1)
-    runs = make_runs((twin, Behaviour("clumsy", 2.0)), seeds=range(8), frames=60)
+    runs = make_runs((twin, Behaviour("clumsy", 0.4)), seeds=range(8), frames=60)
     copies = [
         replace(run, filter_name="copy", positions=run.true_positions + 1.0001 * (run.positions - run.true_positions))
         for run in runs
@@ -241,6 +243,5 @@ def test_the_headline_speaks_in_percent_and_in_one_unit_of_nees():
     headline = judge(*scored(make_runs(clear, seeds=range(8), frames=120))).headline
     assert re.search(r"the error of blunt is [\d,]+ % larger \(\+", headline)
     assert "times" not in headline
-    assert re.search(
-        r"The pose NEES / 6 of sharp is [01]\.\d\d, (inside|above|below) its band \(0\.\d\d to 1\.\d\d\)", headline
-    )
+    nees = r"The pose NEES / 6 of sharp is [01]\.\d\d, inside its band \(0\.\d\d to 1\.\d\d\)"
+    assert re.search(nees, headline)
