@@ -41,12 +41,9 @@ def overview(summaries: Sequence[FilterSummary], verdict: Verdict) -> str:
     str
         Markup.
     """
+    first = "Which is best?" if len(summaries) > 1 else "How accurate is it?"
     questions = [
-        Question(
-            "Which is best?" if len(summaries) > 1 else "How accurate is it?",
-            "position RMSE",
-            lambda s: _accuracy(s, verdict),
-        ),
+        Question(first, "position RMSE", lambda s: _accuracy(s, verdict)),
         Question("By how much, is it sure?", _against(verdict), lambda s: _difference(s, verdict)),
         consistency_question(summaries),
         Question("How far from the limit?", _limit_of(summaries), _efficiency),

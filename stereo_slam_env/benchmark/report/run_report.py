@@ -210,7 +210,9 @@ def _accuracy(runs: Sequence[FilterRun], summaries: Sequence[FilterSummary], sho
     if len({(run.recording_name, run.seed) for run in runs}) > 1 and any(
         s.position_rmse_m is not None for s in summaries
     ):
-        caption = "A line joins the filters' errors on the same recording: look at its direction, not at the spread."
+        caption = "The error of each run."
+        if len(summaries) > 1:
+            caption = "A line joins the errors on the same recording: look at its direction, not at the spread."
         figures["error_by_run"] = (_later(plots.plot_error_by_run, runs), caption)
     caption = f"Path on {shown}; errors of all runs, single ones thin, without alignment."
     figures["trajectory"] = (_later(plots.plot_trajectory, runs), caption)

@@ -184,3 +184,17 @@ def test_impossible_levels_are_refused(kwargs, says):
 def test_factors_have_words(percent, words):
     assert percent_words(percent) == words
     assert signed(-1234.4) == "−1,234"
+
+
+def test_a_tie_is_no_difference_however_sure_its_sign():
+    tie = paired_difference(1.0002 * HARDNESS, HARDNESS)
+    assert tie.tied
+    assert not tie.identical
+    assert tie.finding is Finding.NOT_SHOWN
+    assert tie.evidence == "the same to within 0.1 % in all 10 runs"
+    assert not paired_difference(1.002 * HARDNESS, HARDNESS).tied
+    assert not unpaired_difference(HARDNESS, HARDNESS).tied
+
+
+def test_what_is_rounded_to_zero_has_no_sign():
+    assert (signed(-0.4), signed(0.004, 2), signed(-0.0), signed(-0.6)) == ("0", "0.00", "0", "−1")

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from stereo_slam_env.benchmark.metrics.run_figures import common_keys
+from stereo_slam_env.benchmark.metrics.run_figures import common_keys, figures_of
 from stereo_slam_env.benchmark.statistics.differences import Finding
 from stereo_slam_env.benchmark.statistics.measures import EFFICIENCY, POSE_NEES, POSITION, TIME
 
@@ -53,3 +53,15 @@ def test_over_runs_is_the_geometric_mean_or_of_consistency_the_mean():
     assert POSITION.over_runs(np.array([1.0, 4.0, np.nan])) == pytest.approx(2.0)
     assert POSE_NEES.over_runs(np.array([1.0, 4.0])) == pytest.approx(2.5)
     assert np.isnan(TIME.over_runs(np.full(3, np.nan)))
+
+
+def test_which_runs_diverged_has_no_limit_of_its_own():
+    """A caller that forgets the limit of the scenario is told so, instead of being given another one."""
+    with pytest.raises(TypeError, match="divergence_percent"):
+        figures_of(make_runs(THREE[:1], seeds=range(1), frames=20))
+
+
+def test_a_recording_is_run_once_a_filter():
+    runs = make_runs(THREE[:1], seeds=range(1), frames=20)
+    with pytest.raises(ValueError, match=r"each recording once a filter: inverse-depth ran twice on \('drive-0', 0\)"):
+        figures_of([*runs, *runs], divergence_percent=10.0)
