@@ -24,7 +24,8 @@ from rich.table import Table
 from filters import StereoNoise, StereoObservation
 from stereo_slam_env.benchmark.metrics.consistency import mean_band
 from stereo_slam_env.benchmark.metrics.results import FilterRun
-from stereo_slam_env.benchmark.metrics.summary import summarise
+from stereo_slam_env.benchmark.metrics.run_figures import figures_of
+from stereo_slam_env.benchmark.metrics.summary import summarise_all
 from stereo_slam_env.benchmark.recordings.reference_problem import long_drive
 from stereo_slam_env.benchmark.running.runner import run_filter
 from stereo_slam_env.recording import Recording
@@ -72,7 +73,7 @@ def run_seed(seed: int, frames: int, sigma_px: float, labels: list[str]) -> list
 
 def row(runs: list[FilterRun]) -> list[str]:
     """The figures of one defence over all seeds."""
-    summary = summarise(runs)
+    (summary,) = summarise_all(runs, figures_of(runs, divergence_percent=10.0))
     ends = [np.linalg.norm(run.pose_errors[-1, :3]) for run in runs if run.failure is None]
     by_run = np.array([run.pose_nees[1:].mean() / 6 for run in runs if run.failure is None])
     return [

@@ -25,7 +25,8 @@ from rich.table import Table
 
 from filters import StereoNoise
 from stereo_slam_env.benchmark.metrics.results import FilterSummary
-from stereo_slam_env.benchmark.metrics.summary import summarise
+from stereo_slam_env.benchmark.metrics.run_figures import figures_of
+from stereo_slam_env.benchmark.metrics.summary import summarise_all
 from stereo_slam_env.benchmark.running.runner import run_filter
 from stereo_slam_env.datasets import READERS, read_recording
 from stereo_slam_env.recording import Recording
@@ -66,9 +67,8 @@ def run(recording: Recording, label: str, odometry: bool, sigma_px: float, optio
     """One filter on one recording."""
     name, own = FILTERS[label]
     noise = StereoNoise.independent_pixels(sigma_px)
-    return summarise(
-        [run_filter(recording, name, own, common_options=SETTINGS | options, noise=noise, use_odometry=odometry)]
-    )
+    ran = [run_filter(recording, name, own, common_options=SETTINGS | options, noise=noise, use_odometry=odometry)]
+    return summarise_all(ran, figures_of(ran, divergence_percent=10.0))[0]
 
 
 def main() -> None:

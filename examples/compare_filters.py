@@ -7,7 +7,7 @@ Each seed is a drive that all filters are given, bit for bit; differences are ta
 import argparse
 
 from filters import StereoEKF
-from stereo_slam_env.benchmark import run_filter, summarise_all
+from stereo_slam_env.benchmark import figures_of, run_filter, summarise_all
 from stereo_slam_env.benchmark.recordings.reference_problem import short_turn
 from stereo_slam_env.benchmark.statistics.differences import paired_difference
 
@@ -34,7 +34,8 @@ for seed in range(given.seeds):
     recording = short_turn(seed=seed, frames=given.frames)
     runs += [run_filter(recording, name, options, label=label, seed=seed) for label, (name, options) in FILTERS.items()]
 
-summaries = {summary.filter_name: summary for summary in summarise_all(runs)}
+figures = figures_of(runs, divergence_percent=10.0)
+summaries = {summary.filter_name: summary for summary in summarise_all(runs, figures)}
 low, high = summaries["inverse-depth"].pose_anees_band
 print(f"filter          RMSE, m   pose NEES / 6 (95 %: {low / 6:.2f} to {high / 6:.2f})   ms a frame")
 for name, found in summaries.items():

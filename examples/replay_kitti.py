@@ -10,7 +10,7 @@ Run it: python examples/replay_kitti.py PATH/sequences/07 --frames 200
 import argparse
 import tempfile
 
-from stereo_slam_env.benchmark import run_filter, summarise
+from stereo_slam_env.benchmark import figures_of, run_filter, summarise_all
 from stereo_slam_env.datasets import open_for_front_end
 from stereo_slam_env.datasets.images.kitti_writer import write_kitti_sequence
 from stereo_slam_env.envs.rendered_drive import RenderedDrive
@@ -27,7 +27,7 @@ def replay(folder, frames):
     print(f"{recording.name}: {len(recording)} pairs, {measured / len(recording):.0f} landmarks in each")
     for name in FILTERS:
         run = run_filter(recording, name, {"gate": 0.99, "consensus": True}, use_odometry=False, score_map=False)
-        found = summarise([run])
+        (found,) = summarise_all([run], figures_of([run], divergence_percent=10.0))
         if found.ate_rigid_m is None:
             print(f"{name:<14} ends at {run.positions[-1].round(2)} m; the folder has no true poses to compare with")
         else:

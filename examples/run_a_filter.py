@@ -25,7 +25,7 @@ while not over:
         error, covariance = slam.pose_error(info["truth_position"], info["truth_orientation"])
         print(
             f"{info['time']:4.1f} s  driven {info['distance']:5.1f} m  off by {np.linalg.norm(error[:3]):.3f} m"
-            f"  NEES {error @ np.linalg.solve(covariance, error):5.2f} (6 expected)"
+            f"  NEES / 6 {error @ np.linalg.solve(covariance, error) / 6:5.2f} (1 expected)"
             f"  {len(report.updated)} landmarks used"
         )
 env.close()

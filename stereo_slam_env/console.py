@@ -23,8 +23,9 @@ from stereo_slam_env.benchmark.recordings.sources import takes_images
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, PolicyChoice, Scenario
 from stereo_slam_env.benchmark.scenarios.study import Study
 from stereo_slam_env.benchmark.statistics.comparison import COLUMNS, RunComparison
+from stereo_slam_env.benchmark.statistics.limit import limit_reached
 from stereo_slam_env.benchmark.statistics.policy_verdict import baseline_of, judge_policies
-from stereo_slam_env.benchmark.statistics.verdict import judge
+from stereo_slam_env.benchmark.statistics.verdict import judge, pose_nees
 from stereo_slam_env.benchmark.storage.study_store import CellResult
 from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.recording import Recording
@@ -208,8 +209,8 @@ def show_cells(console: Console, results: Sequence[CellResult]) -> None:
 def _headline(result: CellResult) -> str:
     scenario = result.cell.scenario
     if not scenario.policies:
-        return judge(result.runs, result.summaries).headline
-    verdict = judge_policies(result.runs, result.summaries, baseline=baseline_of(scenario.competitors))
+        return judge(result.summaries, result.figures).headline
+    verdict = judge_policies(result.summaries, result.figures, baseline=baseline_of(scenario.competitors))
     return "\n".join([verdict.headline, *(f"- {found.words}" for found in verdict.comparisons.values())])
 
 
@@ -240,15 +241,18 @@ def _claims(summaries: Sequence[FilterSummary]) -> dict[str, list[str]]:
 
 def _rows(summaries: Sequence[FilterSummary]) -> dict[str, list[str]]:
     row = partial(_row, summaries)
-    band = next((s.pose_anees_band for s in summaries if s.pose_anees_band is not None), (0.0, 0.0))
+    bands = {pose_nees(s)[1] for s in summaries if s.pose_anees_band is not None}
+    band = f" (95 %: {next(iter(bands))})" if len(bands) == 1 else ""
+    limits = [limit_reached(summary) for summary in summaries]
     return {
         "position RMSE, m": row("position_rmse_m", 3),
         "ATE (rigidly aligned), m": row("ate_rigid_m", 3),
         "rotation RMSE, °": row("rotation_rmse_deg", 3),
         "drift at the end, %": row("end_drift_percent", 3),
-        "of the limit reached, %": row("efficiency_percent", 0),
-        f"pose NEES / 6 (95 %: {band[0] / 6.0:.2f}–{band[1] / 6.0:.2f})": row("pose_anees", 2, 1.0 / 6.0),
-        "frames inside that band, %": row("frames_in_band_percent", 0),
+        "of the limit reached": [NOTHING if found is None else found.value for found in limits],
+        "95 % interval of that": [NOTHING if found is None else found.sureness for found in limits],
+        f"pose NEES / 6{band}": row("pose_anees", 2, 1.0 / 6.0),
+        "frames inside its band, %": row("frames_in_band_percent", 0),
         "NIS / dof": row("nis", 2),
         "landmark NEES / 3": row("landmark_anees", 2, 1.0 / 3.0),
         "landmark error, m": row("landmark_rmse_m", 3),

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from stereo_slam_env.benchmark.metrics.landmark_statistics import AGES, LandmarkStatistics
 from stereo_slam_env.benchmark.metrics.limits import Bound
-from stereo_slam_env.benchmark.metrics.results import FilterRun, LandmarkTrace
+from stereo_slam_env.benchmark.metrics.results import FilterRun, FilterSummary, LandmarkTrace
+from stereo_slam_env.benchmark.metrics.run_figures import Bounds, RunFigures, figures_of
+from stereo_slam_env.benchmark.metrics.summary import summarise_all
 
 
 @dataclass(frozen=True)
@@ -40,6 +43,22 @@ def make_runs(
 ) -> list[FilterRun]:
     """Make runs of every behaviour on every seed; `truth` is "full", "gaps" (every third frame) or "none"."""
     return [_run(behaviour, seed, frames, truth) for seed in seeds for behaviour in behaviours]
+
+
+def scored(
+    runs: Sequence[FilterRun], *, divergence_percent: float = 10.0, bounds: Bounds | None = None
+) -> tuple[tuple[FilterSummary, ...], dict[str, RunFigures]]:
+    """Summaries and figures of runs, as the benchmark makes them."""
+    figures = figures_of(runs, divergence_percent=divergence_percent, bounds=bounds)
+    return summarise_all(runs, figures), figures
+
+
+def summary_of(runs: Sequence[FilterRun], **options: Any) -> FilterSummary:
+    """Summary of runs of one filter; copies of one run count as of different seeds. Options as `scored`."""
+    if len({run.seed for run in runs}) < len(runs):
+        runs = [replace(run, seed=k) for k, run in enumerate(runs)]
+    (summary,), _ = scored(runs, **options)
+    return summary
 
 
 def make_bounds(runs: Sequence[FilterRun], share: float = 0.9) -> dict[tuple[str, int | None], Bound]:

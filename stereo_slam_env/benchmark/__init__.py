@@ -8,6 +8,7 @@
 
 from stereo_slam_env.benchmark.campaign import BenchmarkResult, run_benchmark
 from stereo_slam_env.benchmark.metrics.results import FilterRun, FilterSummary, LandmarkTrace
+from stereo_slam_env.benchmark.metrics.run_figures import figures_of
 from stereo_slam_env.benchmark.metrics.summary import summarise, summarise_all
 from stereo_slam_env.benchmark.running.runner import run_filter
 from stereo_slam_env.benchmark.running.trials import run_filter_together
@@ -31,6 +32,7 @@ __all__ = [
     "Scenario",
     "Study",
     "compare",
+    "figures_of",
     "load_study",
     "preset",
     "preset_study",

@@ -14,6 +14,7 @@ from filters import available_filters, make_filter
 from filters.camera import StereoCamera
 from filters.noise import StereoNoise
 from stereo_slam_env.benchmark.metrics.results import FilterRun, FilterSummary
+from stereo_slam_env.benchmark.metrics.run_figures import Figures
 from stereo_slam_env.benchmark.recordings.sources import check_source
 from stereo_slam_env.benchmark.running.engines import Engine
 from stereo_slam_env.benchmark.running.tasks import RecordingTask, TrialTask, make, run_trial
@@ -66,6 +67,15 @@ class BenchmarkResult:
     def runs(self) -> tuple[FilterRun, ...]:
         """The runs of all cells."""
         return tuple(run for cell in self.cells for run in cell.runs)
+
+    @property
+    def figures(self) -> Figures:
+        """Of the runs, by label of the filter; of a grid, by "cell: label"."""
+        return {
+            f"{result.cell.name}: {label}" if len(self.cells) > 1 else label: figures
+            for result in self.cells
+            for label, figures in result.figures.items()
+        }
 
     @property
     def summaries(self) -> tuple[FilterSummary, ...]:
@@ -216,6 +226,7 @@ def write_report_of(directory: StudyDirectory, results: Sequence[CellResult]) ->
             f"Comparison: {result.cell.name}",
             result.runs,
             result.summaries,
+            result.figures,
             result.directory.settings(),
             bounds=result.bounds,
             attribution=None if factorial is None else attribution_of(factorial, result),
@@ -242,9 +253,8 @@ def attribution_of(factorial: Mapping[str, Sequence[Any]], result: CellResult) -
     """Which option of the filter makes the difference in this cell; None where too little is left to tell."""
     from stereo_slam_env.benchmark.statistics.attribution import attribute_runs
 
-    percent = result.cell.scenario.divergence_percent
     try:
-        return attribute_runs(factorial, result.runs, divergence_percent=percent)
+        return attribute_runs(factorial, result.figures)
     except ValueError as error:
         _log.warning("no attribution for %s: %s", result.cell.name, error)
         return None

@@ -13,14 +13,16 @@ from typing import Any
 
 from filters.registry import FilterFactory, label_of
 from stereo_slam_env.benchmark.metrics.results import FilterRun, FilterSummary
-from stereo_slam_env.benchmark.metrics.summary import summarise
+from stereo_slam_env.benchmark.metrics.run_figures import RunFigures, common_keys, figures_of
+from stereo_slam_env.benchmark.metrics.summary import summarise_all
 from stereo_slam_env.benchmark.recordings.sources import make_recording
 from stereo_slam_env.benchmark.running.runner import run_filter
 from stereo_slam_env.benchmark.scenarios.presets import preset
 from stereo_slam_env.benchmark.scenarios.scenario import Scenario, filter_choice
-from stereo_slam_env.benchmark.statistics.differences import Difference, signed
-from stereo_slam_env.benchmark.statistics.measures import MEASURES, POSITION, Measure, common_keys, figures_of
-from stereo_slam_env.benchmark.statistics.verdict import Consistency, consistency
+from stereo_slam_env.benchmark.statistics.differences import Difference
+from stereo_slam_env.benchmark.statistics.measures import MEASURES, POSITION, Measure
+from stereo_slam_env.benchmark.statistics.verdict import Consistency, consistency, pose_nees
+from stereo_slam_env.benchmark.statistics.words import signed
 from stereo_slam_env.recording import Recording
 
 FilterLike = str | FilterFactory
@@ -47,6 +49,8 @@ class HeadToHead:
         Of the filter, and of what it is held against.
     runs, reference_runs : tuple of FilterRun
         One a recording.
+    figures, reference_figures : RunFigures
+        Of the same runs.
     scenario : Scenario
         What they ran on.
     """
@@ -55,15 +59,15 @@ class HeadToHead:
     reference: FilterSummary
     runs: tuple[FilterRun, ...]
     reference_runs: tuple[FilterRun, ...]
+    figures: RunFigures
+    reference_figures: RunFigures
     scenario: Scenario
 
     def difference(self, measure: Measure = POSITION) -> Difference:
         """How much larger (worse) a measure of the filter is than that of the reference."""
-        limit = self.scenario.divergence_percent
-        (ours,) = figures_of(self.runs, divergence_percent=limit).values()
-        (theirs,) = figures_of(self.reference_runs, divergence_percent=limit).values()
-        keys = common_keys(ours, theirs)
-        return measure.difference(ours.values(measure, keys), theirs.values(measure, keys))
+        keys = common_keys(self.figures, self.reference_figures)
+        ours, theirs = (measure.by_run(side, keys) for side in (self.figures, self.reference_figures))
+        return measure.difference(ours, theirs)
 
     def assert_not_worse(self, percent: float = 5.0, *, measure: Measure = POSITION) -> None:
         """Assert that an error is shown to be at most `percent` larger than that of the reference.
@@ -108,12 +112,13 @@ class HeadToHead:
         state = consistency(self.summary)
         if state is Consistency.CONSISTENT or (or_cautious and state is Consistency.CAUTIOUS):
             return
-        low, high = self.summary.pose_anees_band or (float("nan"), float("nan"))
-        mean = float("nan") if self.summary.pose_anees is None else self.summary.pose_anees
-        words = "not known to be consistent" if state is Consistency.UNKNOWN else state.value
-        band = f"the band of {self.summary.runs} runs is {low:.2f} to {high:.2f}"
+        name = self.summary.filter_name
+        if state is Consistency.UNKNOWN:
+            raise AssertionError(f"{name} is not known to be consistent: it has no pose NEES.\n{self}")
+        mean, band = pose_nees(self.summary)
         raise AssertionError(
-            f"{self.summary.filter_name} is {words}: its mean pose NEES is {mean:.2f}, {band}.\n{self}"
+            f"{name} is {state.value}: its mean pose NEES / 6 is {mean}, the band of {self.summary.runs} runs is "
+            f"{band}.\n{self}"
         )
 
     def assert_faster_than(self, ms: float) -> None:
@@ -208,10 +213,9 @@ class Bench:
             for seed in which
         ]
         runs, reference_runs = (tuple(side) for side in zip(*pairs, strict=True))
-        summary, reference = (
-            summarise(side, divergence_percent=on.divergence_percent) for side in (runs, reference_runs)
-        )
-        return HeadToHead(summary, reference, runs, reference_runs, on)
+        figures = figures_of((*runs, *reference_runs), divergence_percent=on.divergence_percent)
+        summary, reference = summarise_all((*runs, *reference_runs), figures)
+        return HeadToHead(summary, reference, runs, reference_runs, figures[name], figures[other], on)
 
     def _run(
         self, tested: FilterLike, label: str, options: Mapping[str, Any] | None, scenario: Scenario, seed: int

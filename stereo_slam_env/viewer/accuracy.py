@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from filters.validation import FloatArray
 from stereo_slam_env.benchmark.metrics.limits import Bound
 from stereo_slam_env.benchmark.metrics.results import FilterRun, FilterSummary, SegmentError
-from stereo_slam_env.benchmark.metrics.summary import Bounds
+from stereo_slam_env.benchmark.metrics.run_figures import Bounds
 from stereo_slam_env.viewer import series
 from stereo_slam_env.viewer.style import (
     INK,

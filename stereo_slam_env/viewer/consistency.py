@@ -99,7 +99,7 @@ def plot_error_bounds(run: FilterRun, limits: FloatArray | None = None) -> Figur
 
 @styled
 def plot_nees(runs: Sequence[FilterRun]) -> Figure:
-    """NEES of the pose, averaged over runs, with its two-sided 95 % chi-square band.
+    """NEES / 6 of the pose, averaged over runs, with its two-sided 95 % chi-square band.
 
     Parameters
     ----------
@@ -110,17 +110,21 @@ def plot_nees(runs: Sequence[FilterRun]) -> Figure:
     -------
     matplotlib.figure.Figure
     """
-    tables = {name: series.stack(group, lambda run: run.pose_nees) for name, group in series.by_filter(runs).items()}
+    tables = {
+        name: series.stack(group, lambda run: run.pose_nees / POSE_DOF)
+        for name, group in series.by_filter(runs).items()
+    }
     curves = {name: series.column_mean(table) for name, table in tables.items()}
     most = max(tables.values(), key=lambda table: int(np.isfinite(table).sum()))
     count = np.isfinite(most).sum(axis=0)
-    low, high = _bands(POSE_DOF, count)
+    low, high = (end / POSE_DOF for end in _bands(POSE_DOF, count))
     time = series.elapsed(max(runs, key=len))
     figure = Figure(figsize=(WIDTH_INCHES, 3.3))
     ax = figure.add_axes((0.07, 0.14, 0.8, 0.76))
     runs_shown = int(count.max(initial=0))
-    ax.set_title(f"Pose NEES, mean of {runs_shown} runs (6 is ideal)" if runs_shown > 1 else "Pose NEES (6 is ideal)")
-    _draw_against_band(ax, time, curves, np.full(len(time), float(POSE_DOF)), (low, high))
+    of_runs = f", mean of {runs_shown} runs" if runs_shown > 1 else ""
+    ax.set_title(f"Pose NEES / 6{of_runs} (1 is ideal)")
+    _draw_against_band(ax, time, curves, (low, high))
     return figure
 
 
@@ -157,7 +161,7 @@ def plot_nis(runs: Sequence[FilterRun], points: int = 80) -> Figure:
     figure = Figure(figsize=(WIDTH_INCHES, 3.3))
     ax = figure.add_axes((0.07, 0.14, 0.8, 0.76))
     ax.set_title("NIS per degree of freedom (1 is ideal)")
-    _draw_against_band(ax, time[starts], curves, np.ones(len(starts)), (low, high))
+    _draw_against_band(ax, time[starts], curves, (low, high))
     return figure
 
 
@@ -216,15 +220,14 @@ def _draw_against_band(
     ax: Axes,
     time: FloatArray,
     curves: dict[str, FloatArray],
-    ideal: FloatArray,
     band: tuple[FloatArray, FloatArray],
 ) -> None:
-    """Curves on a log axis (twice too large and twice too small look alike) over the band."""
+    """Curves, of which 1 is ideal, on a log axis (twice too large and too small look alike) over the band."""
     low, high = band
     colours = filter_colours(curves)
     known = np.isfinite(low)
     ax.fill_between(time[known], low[known], high[known], color=BAND, linewidth=0, zorder=0, label="_95 % band")
-    ax.plot(time, ideal, color=MUTED, linewidth=0.8, linestyle=(0, (4, 3)), zorder=1)
+    ax.plot(time, np.ones(len(time)), color=MUTED, linewidth=0.8, linestyle=(0, (4, 3)), zorder=1)
     ax.set_yscale("log")
     limit = shared_limit({name: series.peak(curve) for name, curve in curves.items()}, spread=100.0)
     labels = []
@@ -233,7 +236,7 @@ def _draw_against_band(
         ax.plot(time[shown], curve[shown], color=colours[name], linewidth=1.2, label=name)
         labels.append(EndLabel(name, series.last_known(curve), colours[name]))
     floor = min((float(np.percentile(c[c > 0], 1)) for c in curves.values() if (c > 0).any()), default=0.1)
-    bottom = max(min(floor, float(low[known].min(initial=np.inf))), 0.02 * float(ideal[0]))
+    bottom = max(min(floor, float(low[known].min(initial=np.inf))), 0.02)
     top = max(limit.upper, float(high[known].max(initial=0.0)))
     margin = (top / bottom) ** 0.06
     ax.set(ylim=(bottom / margin, top * margin), xlim=(0, time[-1]), xlabel="time (s)")

@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from stereo_slam_env.benchmark.metrics.consistency_figures import LANDMARK_DOF
 from stereo_slam_env.benchmark.metrics.results import DepthConvergence, FilterSummary, RangeError
 from stereo_slam_env.viewer import series
 from stereo_slam_env.viewer.style import (
@@ -44,20 +45,20 @@ def plot_landmark_errors(summaries: Sequence[FilterSummary]) -> Figure:
     error, bias, nees = figure.subplots(1, 3, sharex=True)
     _draw_by_range(error, shown, colours, lambda e: (e.rmse_m, np.nan))
     _draw_by_range(bias, shown, colours, lambda e: (e.depth_bias_m, e.depth_bias_sigma_m))
-    _draw_by_range(nees, shown, colours, lambda e: (e.anees, np.nan))
+    _draw_by_range(nees, shown, colours, lambda e: (e.anees / LANDMARK_DOF, np.nan))
     bias.axhline(0, color=MUTED, linewidth=0.8, linestyle=(0, (4, 3)), zorder=0)
-    nees.axhline(3, color=MUTED, linewidth=0.8, linestyle=(0, (4, 3)), zorder=0)
+    nees.axhline(1, color=MUTED, linewidth=0.8, linestyle=(0, (4, 3)), zorder=0)
     error.set_yscale("log")
     plain_log_axis(error)
-    values = [e.anees for s in shown for e in s.landmark_by_range if np.isfinite(e.anees)]
+    values = [e.anees / LANDMARK_DOF for s in shown for e in s.landmark_by_range if np.isfinite(e.anees)]
     if values and max(values) > 30 * min(values):
         nees.set_yscale("log")
         plain_log_axis(nees)
     else:
-        nees.set_ylim(0, 1.15 * max([*values, 3.0]))
+        nees.set_ylim(0, 1.15 * max([*values, 1.0]))
     error.set_title("Landmark RMSE (m)")
     bias.set_title("Depth bias ± standard error (m)")
-    nees.set_title("Landmark NEES (3 is ideal)")
+    nees.set_title("Landmark NEES / 3 (1 is ideal)")
     for ax in (error, bias, nees):
         ax.set_xticks(range(len(ranges)), [_range_name(low, high) for low, high in ranges])
         ax.set(xlabel="true distance from the camera (m)", xlim=(-0.5, len(ranges) - 0.5))

@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 
 from filters.validation import FloatArray
 from stereo_slam_env.benchmark.metrics.results import FilterRun
+from stereo_slam_env.benchmark.metrics.trial_metrics import position_rmse
 from stereo_slam_env.viewer import series
 from stereo_slam_env.viewer.style import (
     INK,
@@ -93,7 +94,7 @@ def plot_error_by_run(runs: Sequence[FilterRun]) -> Figure:
     names = list(groups)
     failed = {name: sum(run.failure is not None for run in groups[name]) for name in names}
     notes = {name: f"({count} failed)" for name, count in failed.items() if count}
-    rmse = {(run.filter_name, run.recording_name, run.seed): series.position_rmse(run) for run in runs}
+    rmse = {(run.filter_name, run.recording_name, run.seed): position_rmse(run) for run in runs}
     figure = Figure(figsize=(WIDTH_INCHES, 0.9 + 0.42 * len(names)))
     ax = figure.add_axes((0.15, 0.5 / figure.get_figheight(), 0.82, 1 - 0.6 / figure.get_figheight()))
     for recording in dict.fromkeys((run.recording_name, run.seed) for run in runs):

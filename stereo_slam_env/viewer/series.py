@@ -9,7 +9,6 @@ from scipy.spatial.transform import Rotation
 
 from filters.validation import BoolArray, FloatArray
 from stereo_slam_env.benchmark.metrics.results import FilterRun
-from stereo_slam_env.benchmark.metrics.summary import summarise
 
 Quantity = Callable[[FilterRun], FloatArray]
 """A per-frame quantity of a run, (K,)."""
@@ -121,8 +120,3 @@ def last_known(values: FloatArray) -> float:
     """Last finite value, NaN if there is none."""
     finite = values[np.isfinite(values)]
     return float(finite[-1]) if finite.size else float("nan")
-
-
-def position_rmse(run: FilterRun) -> float:
-    """Return the position error of the result table for this run, m; NaN without truth or if the run failed."""
-    return summarise([run]).position_rmse_by_run[0]

@@ -11,7 +11,8 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from stereo_slam_env.benchmark.metrics.summary import summarise
+from stereo_slam_env.benchmark.metrics.run_figures import figures_of
+from stereo_slam_env.benchmark.metrics.summary import summarise_all
 
 BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
 
@@ -47,7 +48,8 @@ def test_consensus_keeps_a_filter_consistent_under_heavy_tails_and_wrong_associa
     heavy_tails = script("heavy_tails")
     labels = ["gate", "consensus", "consensus + re-weighting"]
     by_seed = [heavy_tails.run_seed(seed, 30, heavy_tails.ASSUMED_SIGMA, labels) for seed in range(2)]
-    figures = {label: summarise([runs[number] for runs in by_seed]) for number, label in enumerate(labels)}
+    runs = [run for of_seed in by_seed for run in of_seed]
+    figures = dict(zip(labels, summarise_all(runs, figures_of(runs, divergence_percent=10.0)), strict=True))
     for label in labels[1:]:
         assert figures[label].diverged == 0
         assert figures[label].pose_anees / 6 < 1.5

@@ -271,14 +271,14 @@ class FilterSummary:
     velocity_rmse_m_s : float
         Linear velocity error.
     pose_anees, pose_anees_band : float, pair of float
-        Mean over frames and runs of the pose NEES (6 degrees of freedom, so 6 is ideal), and the two-sided
+        Mean over frames and runs of the pose NEES (6 degrees of freedom, so 6 is ideal; shown by 6), and the two-sided
         95 % chi-square band of the mean over this number of runs.
     frames_in_band_percent : float
         Share of the frames whose NEES, averaged over runs, lies inside the band.
     nis : float
         NIS per degree of freedom (1 is ideal).
     landmark_anees : float
-        Landmark NEES in (u, v, d) space (3 is ideal), mean over landmarks, frames and runs.
+        Landmark NEES in (u, v, d) space (3 is ideal; shown by 3), mean over landmarks, frames and runs.
     landmark_rmse_m : float
         Landmark error relative to the camera, median over frames and runs.
     ms_per_frame : float

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from filters.validation import FloatArray
 from stereo_slam_env.benchmark.metrics.consistency_figures import consistency_figures
-from stereo_slam_env.benchmark.metrics.limits import Bound
 from stereo_slam_env.benchmark.metrics.map_figures import depth_convergence, range_errors
 from stereo_slam_env.benchmark.metrics.results import FilterRun, FilterSummary, SegmentError
+from stereo_slam_env.benchmark.metrics.run_figures import Figures, RunFigures
 from stereo_slam_env.benchmark.metrics.trajectory_metrics import SegmentErrors, root_mean_square
 from stereo_slam_env.benchmark.metrics.trial_metrics import (
     MEDIANS,
@@ -20,16 +20,10 @@ from stereo_slam_env.benchmark.metrics.trial_metrics import (
     number,
     pooled,
     segments,
-    trial_figures,
 )
 
-Bounds = Mapping[tuple[str, int | None], Bound]
-"""Theoretical limits by (recording_name, seed)."""
 
-
-def summarise(
-    runs: Sequence[FilterRun], *, divergence_percent: float = 10.0, bounds: Bounds | None = None
-) -> FilterSummary:
+def summarise(runs: Sequence[FilterRun], figures: RunFigures) -> FilterSummary:
     """Figures of one filter over its runs.
 
     The first frame only initialises and is not scored, nor are frames without truth. A run that failed counts as
@@ -39,10 +33,8 @@ def summarise(
     ----------
     runs : sequence of FilterRun
         Of one filter, one a seed.
-    divergence_percent : float
-        A run diverged if it ends farther from the truth than this share of the distance travelled.
-    bounds : mapping, optional
-        Theoretical limits of the recordings, as far as they are known.
+    figures : RunFigures
+        Of the same runs, see `figures_of`.
 
     Raises
     ------
@@ -54,11 +46,7 @@ def summarise(
     names = sorted({run.filter_name for run in runs})
     if len(names) > 1:
         raise ValueError(f"runs must be of one filter, got {', '.join(names)}")
-    limits = bounds or {}
-    trials = [
-        trial_figures(run, bound=limits.get((run.recording_name, run.seed)), divergence_percent=divergence_percent)
-        for run in runs
-    ]
+    trials = figures.of(runs)
 
     def column(name: str) -> FloatArray:
         return np.array([np.nan if trial[name] is None else trial[name] for trial in trials], dtype=np.float64)
@@ -73,6 +61,7 @@ def summarise(
     complete = [run for run in runs if run.failure is None]
     medians = {name: number(median(pooled(complete, series))) for name, series in MEDIANS.items()}
     consistency = consistency_figures(complete)
+    efficiencies = column("efficiency_percent")
     pose, nis, landmark = (consistency.get(what) for what in ("pose", "nis", "landmark"))
     relative = _together([segments(run) for run in complete])
     statistics = [run.landmark_statistics for run in complete]
@@ -107,7 +96,7 @@ def summarise(
         bound_position_m=root_mean_square_of("bound_position_m"),
         bound_rotation_deg=root_mean_square_of("bound_rotation_deg"),
         efficiency_percent=_efficiency(column("bound_position_m"), column("position_rmse_m")),
-        efficiency_by_run=tuple(column("efficiency_percent").tolist()) if bounds else (),
+        efficiency_by_run=tuple(efficiencies.tolist()) if np.isfinite(efficiencies).any() else (),
         consistency=consistency,
         rpe=_by_length(relative),
         rpe_translation_percent=number(mean(relative.translation_percent)),
@@ -123,14 +112,12 @@ def summarise(
     )
 
 
-def summarise_all(
-    runs: Sequence[FilterRun], *, divergence_percent: float = 10.0, bounds: Bounds | None = None
-) -> tuple[FilterSummary, ...]:
-    """One summary a filter, in order of first appearance."""
+def summarise_all(runs: Sequence[FilterRun], figures: Figures) -> tuple[FilterSummary, ...]:
+    """One summary a filter, in order of first appearance; `figures` are those of the same runs."""
     by_filter: dict[str, list[FilterRun]] = {}
     for run in runs:
         by_filter.setdefault(run.filter_name, []).append(run)
-    return tuple(summarise(group, divergence_percent=divergence_percent, bounds=bounds) for group in by_filter.values())
+    return tuple(summarise(group, figures[name]) for name, group in by_filter.items())
 
 
 def _efficiency(bounds: FloatArray, errors: FloatArray) -> float | None:

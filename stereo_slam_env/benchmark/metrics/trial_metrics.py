@@ -57,10 +57,10 @@ COLUMNS: Mapping[str, Column] = {
     "rpe_rotation_deg_per_100m": Column("deg/100 m", "r_rel: relative rotation error over the same segments"),
     "rpe_segments": Column("", "how many segments; 0 where the path is too short", "integer"),
     "landmark_rmse_m": Column("m", "median over frames of the error of landmarks within 40 m, relative to the camera"),
-    "landmark_anees": Column("", "mean NEES of landmarks in (u, v, d); 3 is ideal"),
-    "pose_anees": Column("", "mean NEES of the pose; 6 is ideal"),
-    "position_anees": Column("", "mean NEES of the position; 3 is ideal"),
-    "rotation_anees": Column("", "mean NEES of the rotation; 3 is ideal"),
+    "landmark_anees": Column("", "mean NEES of landmarks in (u, v, d); 3 is ideal, shown / 3"),
+    "pose_anees": Column("", "mean NEES of the pose; 6 is ideal, shown / 6"),
+    "position_anees": Column("", "mean NEES of the position; 3 is ideal, shown / 3"),
+    "rotation_anees": Column("", "mean NEES of the rotation; 3 is ideal, shown / 3"),
     "nis": Column("", "normalised innovation squared per degree of freedom; 1 is ideal"),
     "nis_dof": Column("", "degrees of freedom of all innovations together", "integer"),
     "bound_position_m": Column("m", "Cramer-Rao bound of position_rmse_m; null where truth is not complete"),
@@ -101,7 +101,7 @@ FEWEST_FRAMES = 3  # an alignment needs so many
 
 
 def trial_figures(
-    run: FilterRun, *, bound: Bound | None = None, divergence_percent: float = 10.0
+    run: FilterRun, *, divergence_percent: float, bound: Bound | None = None
 ) -> dict[str, float | int | str | None]:
     """The figures of one run: the columns of `COLUMNS`, in that order.
 
@@ -112,10 +112,10 @@ def trial_figures(
     ----------
     run : FilterRun
         One trial.
-    bound : Bound, optional
-        Theoretical limit on its recording.
     divergence_percent : float
         The run diverged if it ends farther from the truth than this share of the distance travelled.
+    bound : Bound, optional
+        Theoretical limit on its recording.
 
     Raises
     ------
@@ -149,6 +149,14 @@ def scored_frames(run: FilterRun) -> BoolArray:
     known = np.array(np.isfinite(run.positions).all(axis=1) & np.isfinite(run.true_positions).all(axis=1))
     known[:1] = False
     return known
+
+
+def position_rmse(run: FilterRun) -> float:
+    """Position error of a run, m; NaN if it failed or has fewer than `FEWEST_FRAMES` scored frames."""
+    at = scored_frames(run)
+    if run.failure is not None or at.sum() < FEWEST_FRAMES:
+        return float("nan")
+    return metrics.ate_unaligned(run.positions[at], run.true_positions[at])
 
 
 def segments(run: FilterRun) -> SegmentErrors:
@@ -209,7 +217,7 @@ def _errors(run: FilterRun, at: BoolArray) -> dict[str, float]:
     angles = metrics.rotation_errors(run.orientations[at], run.true_orientations[at])
     return figures | {
         "path_m": path,
-        "position_rmse_m": metrics.ate_unaligned(estimate, truth),
+        "position_rmse_m": position_rmse(run),
         "rotation_rmse_deg": float(np.rad2deg(metrics.root_mean_square(angles))),
         "ate_rigid_m": metrics.ate_rigid(estimate, truth),
         "end_error_m": end,

@@ -8,8 +8,10 @@ from html import escape
 
 import numpy as np
 
+from stereo_slam_env.benchmark.metrics.consistency_figures import DOF
 from stereo_slam_env.benchmark.metrics.results import FilterSummary
-from stereo_slam_env.benchmark.statistics.verdict import Consistency, consistency
+from stereo_slam_env.benchmark.statistics.measures import POSE_NEES
+from stereo_slam_env.benchmark.statistics.verdict import Consistency, consistency, loss
 from stereo_slam_env.viewer.figures import CSS_VARIABLES
 from stereo_slam_env.viewer.page_tables import UNKNOWN, Tone
 from stereo_slam_env.viewer.style import filter_colours
@@ -96,10 +98,10 @@ def _cell(answer: Answer | None) -> str:
 def consistency_question(summaries: Sequence[FilterSummary], *, with_share: bool = True) -> Question:
     """Whether NEES, or without truth NIS, is what a consistent filter has; `with_share`: and in how many frames."""
     if all(s.pose_anees is None for s in summaries):
-        return Question("Is it consistent?", "NIS, 1 is ideal", _innovations)
+        return Question("Is it consistent?", "NIS / dof, 1 is ideal", _innovations)
     bands = {s.pose_anees_band for s in summaries if s.pose_anees_band is not None}
-    band = " to ".join(f"{bound:.2f}" for bound in next(iter(bands))) if len(bands) == 1 else "of each"
-    return Question("Is it consistent?", f"pose NEES, band {band}", lambda s: _honesty(s, with_share))
+    band = " to ".join(f"{end / DOF['pose']:.2f}" for end in next(iter(bands))) if len(bands) == 1 else "of each"
+    return Question("Is it consistent?", f"pose NEES / 6, band {band}", lambda s: _honesty(s, with_share))
 
 
 def _honesty(summary: FilterSummary, with_share: bool) -> Answer | None:
@@ -109,7 +111,8 @@ def _honesty(summary: FilterSummary, with_share: bool) -> Answer | None:
     word = state.value
     if with_share and summary.frames_in_band_percent is not None:
         word += f", {summary.frames_in_band_percent:.0f} % of frames inside"
-    return Answer(short(summary.pose_anees), word, TONES[state], _band_mark(summary), summary.pose_anees)
+    mean = POSE_NEES.of(summary)
+    return Answer(short(mean), word, TONES[state], _band_mark(summary), mean)
 
 
 def _band_mark(summary: FilterSummary) -> str:
@@ -142,15 +145,9 @@ def drawn(shapes: str, width: int = MARK_WIDTH) -> str:
     return f'<svg aria-hidden="true" {size}>{shapes}</svg>'
 
 
-def signed_percent(percent: float, unit: str = " %") -> str:
-    """A change, such as "+1,200 %" or "−3 %"."""
-    text = f"{percent:+,.0f}" if abs(percent) < 1e5 else f"{percent:+.1e}"
-    return text.replace("-", "−") + unit
-
-
-def plain_percent(value: float) -> str:
-    """A share, such as "34 %" or "0.3 %"."""
-    return f"{value:.0f} %" if value >= 1 else f"{value:.1g} %"
+def lost(summary: FilterSummary) -> str:
+    """In how many runs a filter diverged or failed, in short: "diverged 3/10"."""
+    return f"{loss(summary)} {summary.diverged}/{summary.runs}"
 
 
 def short(value: float | None, unit: str = "") -> str:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from stereo_slam_env.benchmark.report.tables import finding_tone
 from stereo_slam_env.benchmark.statistics.comparison import Change, RunComparison
-from stereo_slam_env.benchmark.statistics.differences import signed
+from stereo_slam_env.benchmark.statistics.words import signed
 from stereo_slam_env.viewer.factor_figures import plot_changes
 from stereo_slam_env.viewer.page import figure_block, page
 from stereo_slam_env.viewer.page_tables import Cell, Column, filter_cell, number, table

@@ -7,7 +7,6 @@ from html import escape
 
 import numpy as np
 
-from stereo_slam_env.benchmark.metrics.limits import efficiency_interval
 from stereo_slam_env.benchmark.metrics.results import FilterSummary
 from stereo_slam_env.benchmark.report.answers import (
     MARK_HEIGHT,
@@ -17,12 +16,13 @@ from stereo_slam_env.benchmark.report.answers import (
     answers_table,
     consistency_question,
     drawn,
-    plain_percent,
+    lost,
     short,
-    signed_percent,
 )
-from stereo_slam_env.benchmark.statistics.differences import CONFIDENCE, MIN_PAIRS, Finding
+from stereo_slam_env.benchmark.statistics.differences import Finding
+from stereo_slam_env.benchmark.statistics.limit import limit_reached
 from stereo_slam_env.benchmark.statistics.verdict import Comparison, Verdict
+from stereo_slam_env.benchmark.statistics.words import signed
 from stereo_slam_env.viewer.page_tables import UNKNOWN, Tone
 
 
@@ -41,8 +41,9 @@ def overview(summaries: Sequence[FilterSummary], verdict: Verdict) -> str:
     str
         Markup.
     """
+    first = "Which is best?" if len(summaries) > 1 else "How accurate is it?"
     questions = [
-        Question("Which is best?", "position RMSE", lambda s: _accuracy(s, verdict)),
+        Question(first, "position RMSE", lambda s: _accuracy(s, verdict)),
         Question("By how much, is it sure?", _against(verdict), lambda s: _difference(s, verdict)),
         consistency_question(summaries),
         Question("How far from the limit?", _limit_of(summaries), _efficiency),
@@ -56,7 +57,7 @@ def overview(summaries: Sequence[FilterSummary], verdict: Verdict) -> str:
 
 def _accuracy(summary: FilterSummary, verdict: Verdict) -> Answer | None:
     if summary.position_rmse_m is None:
-        return Answer(UNKNOWN, f"diverged {summary.diverged}/{summary.runs}", "bad") if summary.diverged else None
+        return Answer(UNKNOWN, lost(summary), "bad") if summary.diverged else None
     value = short(summary.position_rmse_m, " m")
     word, tone = _standing(summary, verdict)
     return Answer(value, word, tone, key=summary.position_rmse_m)
@@ -64,10 +65,12 @@ def _accuracy(summary: FilterSummary, verdict: Verdict) -> Answer | None:
 
 def _standing(summary: FilterSummary, verdict: Verdict) -> tuple[str, Tone]:
     if summary.diverged:
-        return f"diverged {summary.diverged}/{summary.runs}", "bad"
-    if summary.filter_name == verdict.best:
-        alone = bool(verdict.comparisons) and all(c.shown for c in verdict.comparisons.values())
-        return ("best", "good") if alone else ("smallest" if verdict.comparisons else "", "none")
+        return lost(summary), "bad"
+    if summary.filter_name in verdict.leaders:
+        tied = len(verdict.leaders) > 1
+        if verdict.is_shown:
+            return "best, a tie" if tied else "best", "good"
+        return "tie" if tied else "smallest" if verdict.comparisons else "", "none"
     comparison = verdict.comparisons.get(summary.filter_name)
     return ("worse", "bad") if comparison is not None and comparison.shown else ("", "none")
 
@@ -85,14 +88,15 @@ def _difference(summary: FilterSummary, verdict: Verdict) -> Answer | None:
     if comparison is None or not np.isfinite(comparison.excess_percent):
         return None
     word, tone = _finding(comparison)
-    value = signed_percent(comparison.excess_percent)
-    if comparison.interval_percent is not None:
-        low, high = comparison.interval_percent
-        word = f"{word}, {signed_percent(low, '')} to {signed_percent(high)}"
+    value = f"{signed(comparison.excess_percent)} %"
+    if comparison.interval_percent is not None and not comparison.tied:
+        word = f"{word}, {comparison.difference.interval_words}"
     return Answer(value, word, tone, _interval_mark(comparison, verdict), comparison.excess_percent)
 
 
 def _finding(comparison: Comparison) -> tuple[str, Tone]:
+    if comparison.tied:
+        return f"tie, {comparison.difference.tie_words}", "none"
     if comparison.shown:
         return "worse", "bad"
     if comparison.finding is Finding.BETTER:
@@ -138,46 +142,23 @@ def _limit_of(summaries: Sequence[FilterSummary]) -> str:
 
 
 def _efficiency(summary: FilterSummary) -> Answer | None:
-    percent = summary.efficiency_percent
-    if percent is None or summary.bound_position_m is None or summary.position_rmse_m is None:
+    found = limit_reached(summary)
+    if found is None:
         return None
-    width, share = 90, float(np.clip(percent / 100, 0.0, 1.0))
+    width, share = 90, float(np.clip(found.percent / 100, 0.0, 1.0))
     shapes = (
         f'<rect x="0" y="3" width="{width}" height="6" rx="3" fill="var(--band)"/>'
         f'<rect x="0" y="3" width="{max(share * width, 2):.1f}" height="6" rx="3" fill="var(--series-0)"/>'
     )
-    word = _distance(summary.position_rmse_m / summary.bound_position_m, _efficiency_interval(summary))
-    return Answer(plain_percent(percent), word, "none", drawn(shapes, width), percent)
-
-
-def _distance(excess: float, interval: tuple[float, float] | None) -> str:
-    """How far from the limit, and how sure that is."""
-    times = f"{excess:.2f} × the least error" if excess < 10 else f"{excess:,.0f} × the least error"
-    if interval is None:
-        return times if excess > 1 else "at the limit"
-    low, high = interval
-    if low > 100:
-        return f"beyond it, {low:.0f} to {high:.0f} %"
-    return f"at the limit, {low:.0f} to {high:.0f} %" if high >= 100 else f"{times}, {low:.0f} to {high:.0f} %"
-
-
-def _efficiency_interval(summary: FilterSummary) -> tuple[float, float] | None:
-    """95 % interval of the efficiency, over runs."""
-    errors, efficiencies = np.array(summary.position_rmse_by_run), np.array(summary.efficiency_by_run)
-    if len(errors) != len(efficiencies):
-        return None
-    known = np.isfinite(errors) & np.isfinite(efficiencies)
-    if known.sum() < MIN_PAIRS:
-        return None
-    return efficiency_interval(0.01 * efficiencies[known] * errors[known], errors[known], CONFIDENCE)
+    return Answer(found.value, found.sureness, "none", drawn(shapes, width), found.percent)
 
 
 def _cost(summary: FilterSummary, summaries: Sequence[FilterSummary]) -> Answer | None:
     quickest = min((s.ms_per_frame for s in summaries if s.ms_per_frame), default=None)
     if summary.ms_per_frame is None or not quickest:
         return None
-    ratio = summary.ms_per_frame / quickest
-    words = ["quickest" if ratio == 1 else f"{ratio:.2f} ×"] if len(summaries) > 1 else []
+    excess = 100.0 * (summary.ms_per_frame / quickest - 1.0)
+    words = [f"{signed(excess)} %" if excess else "quickest"] if len(summaries) > 1 else []
     if summary.memory_mb is not None and summary.memory_mb >= 0.5:
         words.append(f"{summary.memory_mb:.0f} MB")
     return Answer(f"{summary.ms_per_frame:.2f} ms", ", ".join(words), "none", key=summary.ms_per_frame)

@@ -11,10 +11,11 @@ import numpy as np
 from stereo_slam_env.benchmark.metrics.results import FilterSummary
 from stereo_slam_env.benchmark.report.answers import Answer, Question, answers_table, consistency_question, short
 from stereo_slam_env.benchmark.report.tables import finding_tone
-from stereo_slam_env.benchmark.statistics.differences import Finding, signed
+from stereo_slam_env.benchmark.statistics.differences import Finding
 from stereo_slam_env.benchmark.statistics.measures import FINAL_ERROR, FINAL_LOGDET, FINAL_SIGMA, POSITION, Measure
 from stereo_slam_env.benchmark.statistics.policy_verdict import Agreement, PolicyVerdict
 from stereo_slam_env.benchmark.statistics.verdict import Consistency
+from stereo_slam_env.benchmark.statistics.words import signed
 from stereo_slam_env.viewer.page_tables import Tone
 
 _SAID: dict[Agreement, tuple[str, Tone]] = {

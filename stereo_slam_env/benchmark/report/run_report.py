@@ -12,14 +12,15 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from stereo_slam_env.benchmark.metrics.results import FilterRun, FilterSummary
-from stereo_slam_env.benchmark.metrics.summary import Bounds
+from stereo_slam_env.benchmark.metrics.run_figures import Bounds, Figures
 from stereo_slam_env.benchmark.report import tables
 from stereo_slam_env.benchmark.report.attribution_report import attribution_section, conclusions
 from stereo_slam_env.benchmark.report.overview import overview
 from stereo_slam_env.benchmark.report.policy_report import policy_overview
 from stereo_slam_env.benchmark.statistics.attribution import Attribution
+from stereo_slam_env.benchmark.statistics.pairwise import PairwiseTable, compare_all
 from stereo_slam_env.benchmark.statistics.policy_verdict import Looks, judge_policies
-from stereo_slam_env.benchmark.statistics.verdict import PairwiseTable, Verdict, compare_all, judge
+from stereo_slam_env.benchmark.statistics.verdict import Verdict, judge
 from stereo_slam_env.viewer import accuracy, cost, gaze_figures, map_figures, plots, series
 from stereo_slam_env.viewer import consistency as honesty
 from stereo_slam_env.viewer.page import figure_block, page
@@ -38,6 +39,7 @@ def write_report(
     title: str,
     runs: Sequence[FilterRun],
     summaries: Sequence[FilterSummary],
+    figures: Figures,
     settings: Mapping[str, Any],
     *,
     bounds: Bounds | None = None,
@@ -56,6 +58,8 @@ def write_report(
         All runs of all filters.
     summaries : sequence of FilterSummary
         One for each filter, of the same runs.
+    figures : mapping of str to RunFigures
+        Of the same runs, see `figures_of`.
     settings : mapping
         What was asked for (scenario, noise, gate, seeds, versions); JSON-able, may be nested.
     bounds : mapping of (recording_name, seed) to Bound, optional
@@ -79,15 +83,15 @@ def write_report(
         raise ValueError("runs and summaries must not be empty: there is nothing to report")
     folder = clean_figures(out)
     if looks is None:
-        verdict = judge(runs, summaries)
-        first_screen, pairs = overview(summaries, verdict), _pairs(runs, summaries, verdict)
+        verdict = judge(summaries, figures)
+        first_screen, pairs = overview(summaries, verdict), _pairs(summaries, figures, verdict)
     else:
-        found = judge_policies(runs, summaries, baseline=looks.baseline)
+        found = judge_policies(summaries, figures, baseline=looks.baseline)
         first_screen, pairs = policy_overview(summaries, found), _against(found.compared, found.baseline, "Policy")
     body = [
         *([conclusions(attribution)] if attribution is not None else []),
         first_screen,
-        f'<p class="quiet">{escape(_note(summaries))}</p>',
+        f'<p class="quiet">{escape(_note(summaries, looks))}</p>',
         *([attribution_section(attribution, folder)] if attribution is not None else []),
         *(_section(section, folder) for section in _sections(runs, summaries, bounds or {}, looks)),
         pairs,
@@ -120,12 +124,12 @@ def data_links(out: Path) -> str:
     )
 
 
-def _note(summaries: Sequence[FilterSummary]) -> str:
+def _note(summaries: Sequence[FilterSummary], looks: Looks | None) -> str:
     note = "Click a heading to sort by it."
-    if any(s.frames_in_band_percent is not None for s in summaries):
+    if looks is None and any(s.frames_in_band_percent is not None for s in summaries):
         note += (
-            " NEES is correlated in time, so even a consistent filter has fewer than 95 % of its frames in the band:"
-            " do not rank filters by it between about 88 and 96 %."
+            " NEES is correlated in time, so the share of the frames inside the band is a rough measure: consistent"
+            " filters have some 88 to 99 % of them, and within that it ranks nothing."
         )
     return note
 
@@ -136,7 +140,11 @@ def _subtitle(runs: Sequence[FilterRun], looks: Looks | None) -> str:
     length = series.last_known(series.distance(first))
     who = len(series.by_filter(runs))
     parts = [
-        f"{who} filters on identical measurements" if looks is None else f"{who} policies on identical drives",
+        f"{who} policies on identical drives"
+        if looks is not None
+        else f"{who} filters on identical measurements"
+        if who > 1
+        else "1 filter",
         f"{len(recordings)} recordings" if len(recordings) > 1 else f"1 recording ({first.recording_name})",
         f"{len(first)} frames" + (f" over {length:.0f} m" if np.isfinite(length) else ""),
     ]
@@ -199,8 +207,12 @@ def _gaze(runs: Sequence[FilterRun], looks: Looks, shown: str) -> _Section:
 
 def _accuracy(runs: Sequence[FilterRun], summaries: Sequence[FilterSummary], shown: str, who: str) -> _Section:
     figures = {}
-    if len({(run.recording_name, run.seed) for run in runs}) > 1:
-        caption = "A line joins the filters' errors on the same recording: look at its direction, not at the spread."
+    if len({(run.recording_name, run.seed) for run in runs}) > 1 and any(
+        s.position_rmse_m is not None for s in summaries
+    ):
+        caption = "The error of each run."
+        if len(summaries) > 1:
+            caption = "A line joins the errors on the same recording: look at its direction, not at the spread."
         figures["error_by_run"] = (_later(plots.plot_error_by_run, runs), caption)
     caption = f"Path on {shown}; errors of all runs, single ones thin, without alignment."
     figures["trajectory"] = (_later(plots.plot_trajectory, runs), caption)
@@ -221,9 +233,13 @@ def _limits(runs: Sequence[FilterRun], summaries: Sequence[FilterSummary], bound
         caption = "Root mean square over the runs with a bound, and the posterior Cramér–Rao bound below it."
         figures["error_and_limit"] = (_later(accuracy.plot_error_against_bound, runs, bounds), caption)
     if any(s.efficiency_percent is not None for s in summaries):
-        caption = "Bound over RMSE of each run; a single lucky run may exceed 100 %. The stroke is that of all runs."
+        caption = "Bound over RMSE of each run, which scatters about that of all runs, the stroke."
         figures["efficiency"] = (_later(accuracy.plot_efficiency, summaries), caption)
-    guide = "No unbiased filter can be better than the posterior Cramér–Rao bound along the true trajectory."
+    guide = (
+        "The posterior Cramér–Rao bound along the true trajectory: on average over such drives and noise, no unbiased"
+        " filter that knows no more has a smaller error. Over few runs bound / RMSE scatters, and where its 95 %"
+        " interval includes 100 %, a filter is at the limit."
+    )
     return [_Section("Distance from the limit", guide, figures=figures)] if figures else []
 
 
@@ -233,7 +249,7 @@ def _consistency(runs: Sequence[FilterRun], summaries: Sequence[FilterSummary], 
         caption = "Means by their degrees of freedom in their 95 % bands, and the share of the frames inside."
         figures["consistency"] = (_later(honesty.plot_consistency, summaries), caption)
     if with_truth and any(np.isfinite(run.pose_nees).any() for run in runs):
-        figures["nees"] = (_later(honesty.plot_nees, runs), "Pose NEES along the drive; the scale is logarithmic.")
+        figures["nees"] = (_later(honesty.plot_nees, runs), "Pose NEES / 6 along the drive; the scale is logarithmic.")
     caption = "Innovations along the drive, pooled over runs and short stretches of time."
     figures["nis"] = (_later(honesty.plot_nis, runs), caption)
     guide = "Above the band a filter is overconfident, below it too cautious."
@@ -243,7 +259,9 @@ def _consistency(runs: Sequence[FilterRun], summaries: Sequence[FilterSummary], 
 def _map(runs: Sequence[FilterRun], summaries: Sequence[FilterSummary], *, same_landmarks: bool) -> list[_Section]:
     figures = {}
     if any(s.landmark_by_range for s in summaries):
-        caption = "By true distance: error relative to the camera, mean depth error (Sibley's bias), NEES in (u, v, d)."
+        caption = (
+            "By true distance: error relative to the camera, mean depth error (Sibley's bias), NEES / 3 in (u, v, d)."
+        )
         figures["landmarks"] = (_later(map_figures.plot_landmark_errors, summaries), caption)
     if any(s.depth_convergence for s in summaries):
         caption = "All landmarks of that depth at first sight: the σ a filter claims should follow its true error."
@@ -280,12 +298,12 @@ def _section(section: _Section, folder: Path) -> str:
     return "\n".join([*parts, "</section>"])
 
 
-def _pairs(runs: Sequence[FilterRun], summaries: Sequence[FilterSummary], verdict: Verdict) -> str:
+def _pairs(summaries: Sequence[FilterSummary], figures: Figures, verdict: Verdict) -> str:
     """Each filter against each other one; of many filters, each against the best one."""
     if len(summaries) < 2:
         return ""
     baseline = verdict.best if len(summaries) > MOST_SHOWN else None
-    return _against(compare_all(runs, summaries, baseline=baseline), baseline, "Filter")
+    return _against(compare_all(summaries, figures, baseline=baseline), baseline, "Filter")
 
 
 def _against(compared: PairwiseTable, baseline: str | None, who: str) -> str:

@@ -13,13 +13,17 @@ import numpy as np
 from filters.validation import FloatArray
 from stereo_slam_env.benchmark.metrics.consistency import mean_band
 from stereo_slam_env.benchmark.metrics.results import FilterRun, FilterSummary
+from stereo_slam_env.benchmark.metrics.run_figures import Figures
+from stereo_slam_env.benchmark.report.answers import TONES, lost, short
 from stereo_slam_env.benchmark.report.attribution_report import attribution_section, conclusions
 from stereo_slam_env.benchmark.report.run_report import clean_figures, data_links
-from stereo_slam_env.benchmark.report.tables import finding_tone, percent_cell
+from stereo_slam_env.benchmark.report.tables import efficiency_cell, finding_tone, percent_cell
 from stereo_slam_env.benchmark.scenarios.study import Study
 from stereo_slam_env.benchmark.statistics.attribution import Attribution
 from stereo_slam_env.benchmark.statistics.differences import CONFIDENCE, MIN_PAIRS, Finding, mean_interval
-from stereo_slam_env.benchmark.statistics.verdict import Consistency, Verdict, consistency, judge
+from stereo_slam_env.benchmark.statistics.measures import EFFICIENCY, LANDMARK_NEES, POSE_NEES, POSITION, Measure
+from stereo_slam_env.benchmark.statistics.verdict import Verdict, consistency, judge
+from stereo_slam_env.benchmark.statistics.words import listed
 from stereo_slam_env.viewer import factor_figures
 from stereo_slam_env.viewer.factor_figures import FactorResponse
 from stereo_slam_env.viewer.page import figure_block, page
@@ -27,12 +31,6 @@ from stereo_slam_env.viewer.page_tables import Cell, Column, Tone, filter_cell, 
 from stereo_slam_env.viewer.style import filter_colours
 
 _POSE_DOF = 6
-_HONESTY: Mapping[Consistency, Tone] = {
-    Consistency.CONSISTENT: "good",
-    Consistency.OVERCONFIDENT: "bad",
-    Consistency.CAUTIOUS: "fair",
-    Consistency.UNKNOWN: "none",
-}
 
 
 class CellOutcome(Protocol):
@@ -45,6 +43,10 @@ class CellOutcome(Protocol):
     @property
     def summaries(self) -> Sequence[FilterSummary]:
         """One for each filter."""
+
+    @property
+    def figures(self) -> Figures:
+        """Of the same runs, see `figures_of`."""
 
 
 def write_study_report(
@@ -77,7 +79,7 @@ def write_study_report(
     if not results:
         raise ValueError("results must hold at least one cell of the study: there is nothing to report")
     folder = clean_figures(out)
-    verdicts = {name: judge(outcome.runs, outcome.summaries) for name, outcome in results.items()}
+    verdicts = {name: judge(outcome.summaries, outcome.figures) for name, outcome in results.items()}
     links = {name: _link(out, study, name) for name in results}
     names = list(dict.fromkeys(s.filter_name for outcome in results.values() for s in outcome.summaries))
     body = [
@@ -105,8 +107,8 @@ def _link(out: Path, study: Study, name: str) -> str:
 
 
 _MATRIX_NOTE = (
-    "Position RMSE, and pose NEES (6 is ideal) below it. Green: the smallest error, and shown to be; red: shown to be"
-    " larger than the smallest; plain: neither is shown. NEES: green in its band, red overconfident, brown too"
+    "Position RMSE, and pose NEES / 6 (1 is ideal) below it. Green: the smallest error, and shown to be; red: shown to"
+    " be larger than the smallest; plain: neither is shown. NEES: green in its band, red overconfident, brown too"
     " cautious. Links lead to the full report of each scenario."
 )
 
@@ -118,18 +120,38 @@ def _headline(verdicts: Mapping[str, Verdict], names: Sequence[str]) -> str:
 def _sentences(verdicts: Mapping[str, Verdict], names: Sequence[str]) -> list[str]:
     if len(verdicts) == 1:
         return [next(iter(verdicts.values())).headline]
+    if len(names) == 1:
+        return _of_one_filter(verdicts, names[0])
     sentences = []
-    for name in names:
-        best = [verdict for verdict in verdicts.values() if verdict.best == name]
-        sure = sum(all(c.shown for c in verdict.comparisons.values()) for verdict in best)
-        if best:
-            among = f"{len(best)} of {len(verdicts)} scenarios"
-            shown = f", shown against all others in {sure or 'none'}" if len(names) > 1 else ""
-            sentences.append(f"{name} has the smallest position error in {among}{shown}.")
-    unknown = sum(verdict.best is None for verdict in verdicts.values())
+    by_leaders: dict[tuple[str, ...], list[Verdict]] = {}
+    for verdict in verdicts.values():
+        by_leaders.setdefault(tuple(name for name in names if name in verdict.leaders), []).append(verdict)
+    unknown = by_leaders.pop((), [])
+    for leaders, found in sorted(by_leaders.items(), key=lambda item: -len(item[1])):
+        have = "tie for" if len(leaders) > 1 else "has"
+        shown = ""
+        if len(leaders) < len(names):
+            shown = f", shown against all others in {sum(verdict.is_shown for verdict in found) or 'none'}"
+        among = f"{len(found)} of {len(verdicts)} scenarios"
+        sentences.append(f"{listed(leaders)} {have} the smallest position error in {among}{shown}.")
     if unknown:
-        sentences.append(f"In {unknown} there is no best one: no ground truth, or all diverged.")
+        sentences.append(f"In {len(unknown)} there is no best one{_why(unknown)}")
     return sentences
+
+
+def _of_one_filter(verdicts: Mapping[str, Verdict], name: str) -> list[str]:
+    """Nothing to compare: how many scenarios it came through."""
+    unknown = [verdict for verdict in verdicts.values() if verdict.best is None]
+    through = f"{name} has a position error in {len(verdicts) - len(unknown)} of {len(verdicts)} scenarios"
+    return [f"{through}; nothing to compare it with."] + (
+        [f"In {len(unknown)} it has none{_why(unknown)}"] if unknown else []
+    )
+
+
+def _why(unknown: Sequence[Verdict]) -> str:
+    """What the scenarios without a best filter say of it, once."""
+    reasons = list(dict.fromkeys(verdict.headline for verdict in unknown))
+    return f": {reasons[0]}" if len(reasons) == 1 else ", for reasons that their reports say."
 
 
 def _matrix(
@@ -155,19 +177,18 @@ def _matrix(
 def _entry(summary: FilterSummary, verdict: Verdict) -> Cell:
     if summary.position_rmse_m is None:
         innovations = number(summary.nis, ".2f").text
-        return Cell(f"diverged {summary.diverged}/{summary.runs}" if summary.diverged else f"NIS {innovations}", None)
+        return Cell(lost(summary) if summary.diverged else f"NIS / dof: {innovations}", None)
     error = number(summary.position_rmse_m, ".3g", " m", _standing(summary, verdict))
-    note = f"NEES {summary.pose_anees:.3g}" if summary.pose_anees is not None else ""
+    note = f"NEES / 6: {short(POSE_NEES.of(summary))}" if summary.pose_anees is not None else ""
     if summary.diverged:
-        note = f"diverged {summary.diverged}/{summary.runs}"
-    tone: Tone = "bad" if summary.diverged else _HONESTY[consistency(summary)]
+        note = lost(summary)
+    tone: Tone = "bad" if summary.diverged else TONES[consistency(summary)]
     return Cell(error.text, error.key, error.tone, note=note, note_tone=tone)
 
 
 def _standing(summary: FilterSummary, verdict: Verdict) -> Tone:
-    if summary.filter_name == verdict.best:
-        alone = verdict.comparisons and all(c.shown for c in verdict.comparisons.values())
-        return "good" if alone else ""
+    if summary.filter_name in verdict.leaders:
+        return "good" if verdict.is_shown else ""
     comparison = verdict.comparisons.get(summary.filter_name)
     return "bad" if comparison is not None and comparison.shown else ""
 
@@ -215,18 +236,18 @@ def _responses(groups: Sequence[Sequence[CellOutcome]]) -> list[FactorResponse]:
     seeds = max(len(s.position_rmse_by_run) for group in groups for outcome in group for s in outcome.summaries)
     low, high = mean_band(_POSE_DOF, max(seeds, 1))
     kinds = (
-        ("Position RMSE (m)", _errors, None, True),
-        ("Pose NEES / 6, band of its mean in grey", _nees, (low / _POSE_DOF, high / _POSE_DOF), True),
-        ("Efficiency, bound / RMSE (%)", _efficiencies, None, False),
+        ("Position RMSE (m)", POSITION, None, True),
+        ("Pose NEES / 6, band of its mean in grey", POSE_NEES, (low / _POSE_DOF, high / _POSE_DOF), True),
+        ("Efficiency, bound / RMSE (%)", EFFICIENCY, None, False),
     )
     responses = []
-    for title, values, band, log in kinds:
+    for title, measure, band, log in kinds:
         means: dict[str, FloatArray] = {}
         lows: dict[str, FloatArray] = {}
         highs: dict[str, FloatArray] = {}
         names = list(dict.fromkeys(s.filter_name for group in groups for o in group for s in o.summaries))
         for name in names:
-            points = np.array([_mean_and_interval([values(o, name) for o in group]) for group in groups])
+            points = np.array([_mean_and_interval([_by_seed(o, name, measure) for o in group]) for group in groups])
             if np.isfinite(points[:, 0]).any():
                 means[name], lows[name], highs[name] = points.T
         if means:
@@ -234,7 +255,7 @@ def _responses(groups: Sequence[Sequence[CellOutcome]]) -> list[FactorResponse]:
     return responses
 
 
-def _mean_and_interval(cells: Sequence[Mapping[Any, float]]) -> tuple[float, float, float]:
+def _mean_and_interval(cells: Sequence[Mapping[int | None, float]]) -> tuple[float, float, float]:
     """Geometric mean over seeds of the geometric mean over cells, and its interval over seeds."""
     seeds = sorted(set.intersection(*(set(values) for values in cells)), key=str)
     table_of = np.array([[values[seed] for values in cells] for seed in seeds]).reshape(len(seeds), len(cells))
@@ -249,28 +270,11 @@ def _mean_and_interval(cells: Sequence[Mapping[Any, float]]) -> tuple[float, flo
     return mean, float(np.exp(low[0])), float(np.exp(high[0]))
 
 
-def _of_filter(outcome: CellOutcome, name: str) -> tuple[FilterSummary | None, list[FilterRun]]:
-    summary = next((s for s in outcome.summaries if s.filter_name == name), None)
-    return summary, [run for run in outcome.runs if run.filter_name == name]
-
-
-def _errors(outcome: CellOutcome, name: str) -> dict[Any, float]:
-    summary, runs = _of_filter(outcome, name)
-    errors = summary.position_rmse_by_run if summary is not None else ()
-    return {run.seed: error for run, error in zip(runs, errors, strict=True)}
-
-
-def _efficiencies(outcome: CellOutcome, name: str) -> dict[Any, float]:
-    summary, runs = _of_filter(outcome, name)
-    if summary is None or len(summary.efficiency_by_run) != len(runs):
-        return {}
-    return {run.seed: value for run, value in zip(runs, summary.efficiency_by_run, strict=True)}
-
-
-def _nees(outcome: CellOutcome, name: str) -> dict[Any, float]:
-    _, runs = _of_filter(outcome, name)
-    known = {run.seed: run.pose_nees[1:][np.isfinite(run.pose_nees[1:])] for run in runs if run.failure is None}
-    return {seed: float(values.mean()) / _POSE_DOF for seed, values in known.items() if len(values)}
+def _by_seed(outcome: CellOutcome, name: str, measure: Measure) -> dict[int | None, float]:
+    """The values of a measure in the runs of a filter, as far as they are known."""
+    of_run = outcome.figures[name].of_run if name in outcome.figures else {}
+    values = {seed: measure.of(figures) for (_, seed), figures in of_run.items()}
+    return {seed: value for seed, value in values.items() if np.isfinite(value)}
 
 
 # ---- the long table -------------------------------------------------------------------------------------------------
@@ -284,12 +288,12 @@ def _everything(results: Mapping[str, CellOutcome], verdicts: Mapping[str, Verdi
         Column("Against the best", "%, 95 % interval"),
         Column("Rotation", "RMSE, °"),
         Column("Drift", "end, %"),
-        Column("Pose NEES", "ideal 6"),
+        Column("Pose NEES / 6", "ideal 1"),
         Column("In band", "% frames"),
-        Column("NIS", "ideal 1"),
+        Column("NIS / dof", "ideal 1"),
         Column("Landmarks", "error, m"),
-        Column("Map NEES", "ideal 3"),
-        Column("Efficiency", "%"),
+        Column("Map NEES / 3", "ideal 1"),
+        Column("Efficiency", "95 % interval"),
         Column("Time", "ms/frame"),
         Column("Diverged", "runs"),
     ]
@@ -306,12 +310,12 @@ def _everything(results: Mapping[str, CellOutcome], verdicts: Mapping[str, Verdi
                     _against_best(s, verdicts[cell]),
                     number(s.rotation_rmse_deg, ".3f"),
                     number(s.end_drift_percent, ".3f"),
-                    number(s.pose_anees, ".2f", tone=_HONESTY[consistency(s)]),
+                    number(POSE_NEES.of(s), ".2f", tone=TONES[consistency(s)]),
                     number(s.frames_in_band_percent, ".0f"),
                     number(s.nis, ".2f"),
                     number(s.landmark_rmse_m, ".2f"),
-                    number(s.landmark_anees, ".2f"),
-                    number(s.efficiency_percent, ".0f"),
+                    number(LANDMARK_NEES.of(s), ".2f"),
+                    efficiency_cell(s),
                     number(s.ms_per_frame, ".2f"),
                     Cell(f"{s.diverged}/{s.runs}", float(s.diverged), "bad" if s.diverged else ""),
                 ]
@@ -324,9 +328,11 @@ def _everything(results: Mapping[str, CellOutcome], verdicts: Mapping[str, Verdi
 
 def _against_best(summary: FilterSummary, verdict: Verdict) -> Cell:
     if summary.filter_name == verdict.best:
-        return Cell("smallest", 0.0, "none")
+        return Cell("tie" if len(verdict.leaders) > 1 else "smallest", 0.0, "none")
     comparison = verdict.comparisons.get(summary.filter_name)
     if comparison is None or not np.isfinite(comparison.excess_percent):
         return number(None)
+    if comparison.tied:
+        return Cell("tie", 0.0, "none")
     tone = finding_tone(Finding.WORSE if comparison.shown else Finding.NOT_SHOWN)
     return percent_cell(comparison.excess_percent, comparison.interval_percent, tone)

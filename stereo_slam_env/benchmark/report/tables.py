@@ -8,8 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from stereo_slam_env.benchmark.metrics.results import ConsistencyFigure, FilterSummary
-from stereo_slam_env.benchmark.statistics.differences import Finding, signed
-from stereo_slam_env.benchmark.statistics.verdict import PairVerdict, PairwiseTable
+from stereo_slam_env.benchmark.statistics.differences import Finding
+from stereo_slam_env.benchmark.statistics.limit import limit_reached
+from stereo_slam_env.benchmark.statistics.pairwise import PairVerdict, PairwiseTable
+from stereo_slam_env.benchmark.statistics.words import signed
 from stereo_slam_env.viewer.page_tables import Cell, Column, Tone, filter_cell, number, table
 from stereo_slam_env.viewer.style import filter_colours
 
@@ -37,7 +39,7 @@ _ACCURACY = (
     _Figure("r_rel", "°/100 m", "relative rotation error over segments", lambda s: s.rpe_rotation_deg_per_100m, ".3f"),
     _Figure("Limit", "position, m", "posterior Cramér–Rao bound", lambda s: s.bound_position_m, ".3f"),
     _Figure("Limit", "rotation, °", "posterior Cramér–Rao bound", lambda s: s.bound_rotation_deg, ".3f"),
-    _Figure("Efficiency", "%", "bound over RMSE of the position", lambda s: s.efficiency_percent, ".0f"),
+    _Figure("Efficiency", "95 % interval", "bound over RMSE of the position", lambda s: s.efficiency_percent, ".0f"),
     _Figure("Landmarks", "error, m", "relative to the camera", lambda s: s.landmark_rmse_m, ".2f"),
 )
 
@@ -54,7 +56,13 @@ _COST = (
     _Figure("d ≤ 0", "count", "landmarks x frames with no positive depth", lambda s: s.negative_depth, "d"),
 )
 
-_QUANTITIES = {"pose": "Pose", "position": "Position", "rotation": "Rotation", "landmark": "Landmarks", "nis": "NIS"}
+_QUANTITIES = {
+    "pose": "Pose NEES",
+    "position": "Position NEES",
+    "rotation": "Rotation NEES",
+    "landmark": "Landmark NEES",
+    "nis": "NIS / dof",
+}
 
 
 def accuracy_table(summaries: Sequence[FilterSummary], who: str = "Filter") -> str:
@@ -76,8 +84,10 @@ def consistency_table(summaries: Sequence[FilterSummary], who: str = "Filter") -
     for key in keys:
         bands = {s.consistency[key].band for s in summaries if key in s.consistency}
         dof = next(s.consistency[key].dof for s in summaries if key in s.consistency)
-        band = f", {_band(next(iter(bands)))}" if len(bands) == 1 else ""
-        columns.append(Column(_QUANTITIES[key], f"ideal {dof:g}{band}", "mean over frames and runs, 95 % band"))
+        low, high = next(iter(bands))
+        band = f", {low / dof:.2f}–{high / dof:.2f}" if len(bands) == 1 else ""
+        what = _QUANTITIES[key] if key == "nis" else f"{_QUANTITIES[key]} / {dof:g}"
+        columns.append(Column(what, f"ideal 1{band}", "mean over frames and runs, 95 % band"))
         columns.append(Column("inside", "% frames", f"{_QUANTITIES[key]}: mean over runs inside the band of its frame"))
     colours = filter_colours(s.filter_name for s in summaries)
     rows = []
@@ -121,6 +131,8 @@ def pair_cell(verdict: PairVerdict | None) -> Cell:
     if verdict is None:
         return number(None)
     difference, tone = verdict.difference, finding_tone(verdict.finding)
+    if difference.tied:
+        return Cell("tie", difference.estimate, tone)
     if verdict.measure.ideal is not None:
         nearer = {Finding.BETTER: "nearer", Finding.WORSE: "farther"}.get(verdict.finding, Finding.NOT_SHOWN.value)
         return Cell(nearer, difference.estimate, tone)
@@ -148,18 +160,14 @@ def _in_band(figure: ConsistencyFigure | None) -> Cell:
         return number(None)
     low, high = figure.band
     tone: Tone = "bad" if figure.mean > high else "fair" if figure.mean < low else "good"
-    return number(figure.mean, ".2f", tone=tone)
-
-
-def _band(band: tuple[float, float]) -> str:
-    return f"{band[0]:.2f}–{band[1]:.2f}"
+    return number(figure.mean / figure.dof, ".2f", tone=tone)
 
 
 def _table(summaries: Sequence[FilterSummary], figures: Sequence[_Figure], who: str, *, diverged: bool = False) -> str:
     shown = [f for f in figures if any(_known(f.value(s)) for s in summaries)]
     columns = [Column(who, kind="text")] + [Column(f.heading, f.unit, f.explanation) for f in shown]
     colours = filter_colours(s.filter_name for s in summaries)
-    rows = [[filter_cell(s.filter_name, colours), *(number(f.value(s), f.form) for f in shown)] for s in summaries]
+    rows = [[filter_cell(s.filter_name, colours), *(_figure_cell(f, s) for f in shown)] for s in summaries]
     if diverged:
         columns.append(Column("Diverged", "runs", "failed, not finite, or far from the truth"))
         columns.append(Column("Alarms", "runs", "the divergence monitor warned, by innovations and events alone"))
@@ -167,6 +175,18 @@ def _table(summaries: Sequence[FilterSummary], figures: Sequence[_Figure], who: 
             row.append(Cell(f"{s.diverged}/{s.runs}", float(s.diverged), "bad" if s.diverged else ""))
             row.append(Cell(f"{s.alarmed}/{s.runs}", float(s.alarmed), "fair" if s.alarmed else ""))
     return table(columns, rows, wide=True)
+
+
+def _figure_cell(figure: _Figure, summary: FilterSummary) -> Cell:
+    if figure.heading == "Efficiency":
+        return efficiency_cell(summary)
+    return number(figure.value(summary), figure.form)
+
+
+def efficiency_cell(summary: FilterSummary) -> Cell:
+    """Bound over RMSE with its interval, or that it is at the limit."""
+    found = limit_reached(summary)
+    return number(None) if found is None else Cell(found.words, found.percent)
 
 
 def _known(value: float | None) -> bool:

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from filters.validation import BoolArray, FloatArray
-from stereo_slam_env.benchmark.metrics.results import FilterRun
+from stereo_slam_env.benchmark.metrics.run_figures import Figures
 from stereo_slam_env.benchmark.scenarios.study import factorial_label
 from stereo_slam_env.benchmark.statistics.effects import (
     Contrast,
@@ -29,7 +29,7 @@ from stereo_slam_env.benchmark.statistics.effects import (
     Share,
     explain,
 )
-from stereo_slam_env.benchmark.statistics.measures import POSE_NEES, POSITION, TIME, figures_of
+from stereo_slam_env.benchmark.statistics.measures import POSE_NEES, POSITION, TIME
 
 __all__ = [
     "Attribution",
@@ -72,19 +72,15 @@ class Attribution:
     conclusion: str
 
 
-def attribute_runs(
-    factorial: Mapping[str, Sequence[Any]], runs: Sequence[FilterRun], *, divergence_percent: float = 10.0
-) -> Attribution:
+def attribute_runs(factorial: Mapping[str, Sequence[Any]], figures: Figures) -> Attribution:
     """Effects of the options of a filter on position error, consistency and time.
 
     Parameters
     ----------
     factorial : mapping of str to sequence
         Levels of each option, see `benchmark.study`; the filters of the runs are named after `factorial_label`.
-    runs : sequence of FilterRun
-        Of all combinations, or of most; others are not looked at.
-    divergence_percent : float
-        As in `summarise`.
+    figures : mapping of str to RunFigures
+        Of the runs of all combinations, or of most, see `figures_of`; others are not looked at.
 
     Raises
     ------
@@ -93,7 +89,7 @@ def attribute_runs(
     """
     factors = {name: tuple(levels) for name, levels in factorial.items()}
     labels = [factorial_label(dict(zip(factors, levels, strict=True))) for levels in product(*factors.values())]
-    figures = figures_of([run for run in runs if run.filter_name in set(labels)], divergence_percent=divergence_percent)
+    figures = {name: of_filter for name, of_filter in figures.items() if name in set(labels)}
     if not figures:
         raise ValueError(f"runs must be of filters named after their options, like {labels[0]!r}: there are none")
     keys = list(dict.fromkeys(key for of_filter in figures.values() for key in of_filter.of_run))

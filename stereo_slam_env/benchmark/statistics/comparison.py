@@ -18,7 +18,9 @@ import numpy as np
 
 from filters.validation import BoolArray, FloatArray
 from stereo_slam_env.benchmark.metrics.results import FilterRun
+from stereo_slam_env.benchmark.metrics.run_figures import Figures, RunFigures, RunKey, common_keys, figures_of
 from stereo_slam_env.benchmark.statistics.differences import (
+    TIE_PERCENT,
     Difference,
     Finding,
     pairs_needed,
@@ -27,13 +29,9 @@ from stereo_slam_env.benchmark.statistics.measures import (
     MEASURES,
     TIME,
     Measure,
-    RunFigures,
-    RunKey,
-    common_keys,
-    figures_of,
 )
+from stereo_slam_env.benchmark.statistics.pairwise import change_words
 from stereo_slam_env.benchmark.statistics.shares import paired_share, unpaired_share
-from stereo_slam_env.benchmark.statistics.verdict import change_words
 from stereo_slam_env.benchmark.storage.store import pairing_digest
 from stereo_slam_env.benchmark.storage.study_store import read_study
 
@@ -41,11 +39,15 @@ _MACHINE = ("platform", "python", "numpy", "scipy")
 
 
 class HasRuns(Protocol):
-    """A `BenchmarkResult`, or anything else with runs."""
+    """A `BenchmarkResult`, or anything else with runs and their figures."""
 
     @property
     def runs(self) -> Sequence[FilterRun]:
         """All of them."""
+
+    @property
+    def figures(self) -> Figures:
+        """Of the same runs, see `figures_of`."""
 
 
 @dataclass(frozen=True)
@@ -205,7 +207,7 @@ def _opened(source: str | Path | HasRuns, name: str) -> _Side:
     if not isinstance(source, (str, Path)):
         out = getattr(source, "out", None)
         if out is None or not Path(out).is_dir():
-            return _Side(name, figures_of(source.runs), _trials("", source.runs))
+            return _Side(name, source.figures, _trials("", source.runs))
         source = Path(out)
     study = read_study(Path(source))
     figures: dict[str, RunFigures] = {}
@@ -269,7 +271,7 @@ class _Pair:
 
     def values(self, measure: Measure) -> tuple[FloatArray, FloatArray]:
         """After and before; of pairs, those that both know."""
-        after, before = self.after.values(measure, self.keys_after), self.before.values(measure, self.keys_before)
+        after, before = measure.by_run(self.after, self.keys_after), measure.by_run(self.before, self.keys_before)
         if not self.paired:
             return after[np.isfinite(after)], before[np.isfinite(before)]
         known = np.isfinite(after) & np.isfinite(before)
@@ -379,8 +381,10 @@ def _headline(changes: Sequence[Change]) -> str:
             sentences.append(f"{finding.value.capitalize()} after than before: {'; '.join(shown)}.")
     if sentences:
         return " ".join(sentences)
-    if all(c.words.startswith("the same") for c in changes if c.measure != TIME.words):
-        return "Nothing has changed but perhaps the time."
+    others = [c.words for c in changes if c.measure != TIME.words]
+    if all(words.startswith("the same") for words in others):
+        tied = any(words.startswith("the same to within") for words in others)
+        return f"Nothing has changed{f' by {TIE_PERCENT:g} % or more' if tied else ''} but perhaps the time."
     most, comparisons = max(c.count for c in changes), len(changes)
     if most < pairs_needed():
         return f"No difference is shown: {most} runs are too few, at least {pairs_needed()} are needed."

@@ -22,10 +22,13 @@ from numpy.typing import ArrayLike
 from scipy.stats import mannwhitneyu, wilcoxon
 
 from filters.validation import FloatArray
+from stereo_slam_env.benchmark.statistics.words import signed
 
 CONFIDENCE = 0.95
 MIN_PAIRS = 6
 """Below this a signed-rank test cannot reach 5 %, and an interval says nothing."""
+TIE_PERCENT = 0.1
+"""Two that differ by less than that on every recording are tied: no reader could do anything with the rest."""
 RESAMPLES = 4999
 _EXACT_PAIRS = 50
 _LARGEST_LOG = 50.0
@@ -66,6 +69,8 @@ class Difference:
         Whether both were measured on the same recordings.
     comparisons, confidence : int, float
         What interval and p value are corrected for, and the confidence of all of them together.
+    largest : float
+        Largest |log(a / b)|, or |a - b|, of a pair; NaN where nothing is paired.
     """
 
     count: int
@@ -77,11 +82,12 @@ class Difference:
     paired: bool = True
     comparisons: int = 1
     confidence: float = CONFIDENCE
+    largest: float = float("nan")
 
     @property
     def finding(self) -> Finding:
-        """Whether a is shown to be better (smaller) or worse than b: interval and test must agree."""
-        if self.interval is None or self.p_value > 1.0 - self.confidence:
+        """Whether a is shown to be better (smaller) or worse than b: interval and test must agree; a tie is neither."""
+        if self.tied or self.interval is None or self.p_value > 1.0 - self.confidence:
             return Finding.NOT_SHOWN
         if self.interval[1] < 0.0:
             return Finding.BETTER
@@ -128,14 +134,25 @@ class Difference:
     @property
     def identical(self) -> bool:
         """Whether no pair differs at all."""
-        return self.count > 0 and self.estimate == 0.0 and self.interval in (None, (0.0, 0.0)) and self.p_value == 1.0
+        return self.largest == 0.0
+
+    @property
+    def tied(self) -> bool:
+        """Whether no pair differs by as much as `TIE_PERCENT` (differences that are no ratios: at all)."""
+        return self.largest < math.log1p(TIE_PERCENT / 100.0) if self.is_ratio else self.identical
+
+    @property
+    def tie_words(self) -> str:
+        """How equal the two are where they are tied: "the same in all 8 runs"."""
+        runs = f"all {self.count} runs" if self.count > 1 else "the only run"
+        return f"the same in {runs}" if self.identical else f"the same to within {TIE_PERCENT:g} % in {runs}"
 
     @property
     def evidence(self) -> str:
         """Interval and number of runs, for brackets: "+12 to +19 % at 95 % confidence, 10 paired runs"."""
         runs = f"{self.count} {'paired' if self.paired else 'unpaired'} run{'' if self.count == 1 else 's'}"
-        if self.identical:
-            return f"identical, {runs}"
+        if self.tied:
+            return self.tie_words
         if self.too_few:
             also = f" for {self.comparisons} comparisons" if self.comparisons > 1 else ""
             runs = f"{runs} are too few{also}, {self.needed} are needed"
@@ -235,6 +252,7 @@ def differences_of(
             is_ratio=is_ratio,
             comparisons=comparisons,
             confidence=confidence,
+            largest=float(np.abs(column).max()) if count else float("nan"),
         )
         for column, interval, p_value in zip(gaps.T, intervals, signed_rank_p(gaps), strict=True)
     ]
@@ -348,22 +366,6 @@ def level(comparisons: int, confidence: float = CONFIDENCE) -> float:
 def as_percent(log_ratio: float) -> float:
     """+100 for a logarithm of 2."""
     return float(100.0 * np.expm1(np.clip(log_ratio, -_LARGEST_LOG, _LARGEST_LOG)))
-
-
-def signed(value: float, digits: int = 0) -> str:
-    """With its sign, as in print: "+1,200", "−3"."""
-    return f"{value:+,.{digits}f}".replace("-", "−")
-
-
-def larger(percent: float) -> str:
-    """In words: "20 % larger", "2.1 times as large", "4 % smaller"."""
-    if percent < 0.0:
-        return f"{-percent:.{0 if percent < -1 else 1}f} % smaller"
-    return (
-        f"{percent:.{0 if percent > 1 else 1}f} % larger"
-        if percent < 100.0
-        else f"{1 + percent / 100:.3g} times as large"
-    )
 
 
 def _check_level(comparisons: int, confidence: float) -> None:

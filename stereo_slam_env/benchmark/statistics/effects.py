@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 
 from filters.validation import FloatArray
-from stereo_slam_env.benchmark.statistics.differences import Difference, Finding, differences_of, larger
+from stereo_slam_env.benchmark.statistics.differences import Difference, Finding, differences_of
 from stereo_slam_env.benchmark.statistics.factorial_fit import FactorialFit, Term, fit_factorial
+from stereo_slam_env.benchmark.statistics.words import percent_words
 
 _WORTH_WORDS = 1.0
 """An interaction that explains less of the variance, %, is not put into words."""
@@ -228,13 +229,13 @@ def _contrasts(
 
 def _contrast_words(name: str, level: Any, instead_of: Any, difference: Difference) -> str:
     pair = f"{level!r} instead of {instead_of!r}"
-    if difference.identical:
-        return f"{pair} changes nothing"
+    if difference.tied:
+        return f"{pair} leaves the {name} {difference.tie_words}"
     if difference.too_few:
         return f"{pair}: {difference.count} seeds are too few, {difference.needed} are needed"
     if not difference.shown:
         return f"{pair}: {Finding.NOT_SHOWN.value} ({difference.interval_words})"
-    return f"{pair} makes the {name} {larger(difference.percent)} ({difference.interval_words})"
+    return f"{pair} makes the {name} {percent_words(difference.percent)} ({difference.interval_words})"
 
 
 def _conclusion(

@@ -2,26 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from filters.validation import BoolArray, FloatArray
-from stereo_slam_env.benchmark.metrics.consistency_figures import DOF
-from stereo_slam_env.benchmark.metrics.limits import Bound
-from stereo_slam_env.benchmark.metrics.results import FilterRun, FilterSummary
-from stereo_slam_env.benchmark.metrics.trial_metrics import trial_figures
+from filters.validation import FloatArray
+from stereo_slam_env.benchmark.metrics.consistency_figures import DOF, LANDMARK_DOF
+from stereo_slam_env.benchmark.metrics.results import FilterSummary
+from stereo_slam_env.benchmark.metrics.run_figures import RunFigures, RunKey
 from stereo_slam_env.benchmark.statistics.differences import (
     Difference,
     difference_of,
     paired_difference,
     unpaired_difference,
 )
-
-RunKey = tuple[str, int | None]
-"""What identifies a recording: its name and seed."""
 
 
 @dataclass(frozen=True)
@@ -58,6 +54,10 @@ class Measure:
         """The value in a summary or in the figures of a run; NaN where it is not known."""
         value = figures.get(self.key) if isinstance(figures, Mapping) else getattr(figures, self.key)
         return float("nan") if value is None else self.scale * float(value)
+
+    def by_run(self, figures: RunFigures, keys: Iterable[RunKey]) -> FloatArray:
+        """The values in the runs on these recordings, in this order; NaN where not known."""
+        return np.array([self.of(figures.of_run[key]) for key in keys])
 
     def over_runs(self, values: FloatArray) -> float:
         """One value for many runs: their geometric mean; of consistency and logarithms their mean; NaN without any."""
@@ -99,6 +99,7 @@ ROTATION = Measure("rotation_rmse_deg", "rotation error", "°")
 ATE = Measure("ate_rigid_m", "error after alignment", "m")
 LANDMARKS = Measure("landmark_rmse_m", "landmark error", "m")
 POSE_NEES = Measure("pose_anees", "pose NEES / 6", scale=1.0 / DOF["pose"], ideal=1.0)
+LANDMARK_NEES = Measure("landmark_anees", "landmark NEES / 3", scale=1.0 / LANDMARK_DOF, ideal=1.0)
 NIS = Measure("nis", "NIS / dof", ideal=1.0)
 EFFICIENCY = Measure("efficiency_percent", "efficiency", "%", larger_is_better=True)
 TIME = Measure("ms_per_frame", "time", "ms")
@@ -111,52 +112,6 @@ QUESTIONS = (POSITION, ROTATION, POSE_NEES, TIME)
 """What filters of one run are compared by: how accurate, how honest, how fast."""
 CLAIM_AND_TRUTH = (FINAL_SIGMA, FINAL_LOGDET, FINAL_ERROR, POSITION, ROTATION, POSE_NEES)
 """What policies are compared by: what their filters claim in the end, and what is true."""
-
-
-@dataclass(frozen=True)
-class RunFigures:
-    """The figures of every run of a filter.
-
-    Attributes
-    ----------
-    of_run : mapping of RunKey to mapping
-        Of each run alone, see `trial_metrics`; None where not known.
-    """
-
-    of_run: Mapping[RunKey, Mapping[str, Any]]
-
-    def values(self, measure: Measure, keys: Iterable[RunKey]) -> FloatArray:
-        """Of these recordings, in this order; NaN where not known."""
-        return np.array([measure.of(self.of_run[key]) for key in keys])
-
-    def diverged(self, keys: Iterable[RunKey]) -> BoolArray:
-        """Whether each run diverged or failed."""
-        return np.array([self.of_run[key]["diverged"] > 0 for key in keys], dtype=bool)
-
-
-def figures_of(
-    runs: Sequence[FilterRun], *, divergence_percent: float = 10.0, bounds: Mapping[RunKey, Bound] | None = None
-) -> dict[str, RunFigures]:
-    """The figures of every run, by label of the filter, in order of first appearance.
-
-    Parameters
-    ----------
-    runs : sequence of FilterRun
-        Of any filters, each recording once.
-    divergence_percent, bounds : float, mapping
-        As in `summarise`.
-    """
-    found: dict[str, dict[RunKey, Mapping[str, Any]]] = {}
-    for run in runs:
-        key = run.recording_name, run.seed
-        alone = trial_figures(run, bound=(bounds or {}).get(key), divergence_percent=divergence_percent)
-        found.setdefault(run.filter_name, {})[key] = alone
-    return {name: RunFigures(of_run) for name, of_run in found.items()}
-
-
-def common_keys(a: RunFigures, b: RunFigures) -> list[RunKey]:
-    """Recordings that both were run on, in the order of `a`."""
-    return [key for key in a.of_run if key in b.of_run]
 
 
 def _deviation(values: FloatArray) -> FloatArray:

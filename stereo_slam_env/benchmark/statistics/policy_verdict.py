@@ -11,24 +11,19 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 
-from stereo_slam_env.benchmark.metrics.consistency_figures import DOF
-from stereo_slam_env.benchmark.metrics.results import FilterRun, FilterSummary
+from stereo_slam_env.benchmark.metrics.results import FilterSummary
+from stereo_slam_env.benchmark.metrics.run_figures import Figures
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice
-from stereo_slam_env.benchmark.statistics.differences import Difference, Finding, larger, signed
+from stereo_slam_env.benchmark.statistics.differences import Difference, Finding
 from stereo_slam_env.benchmark.statistics.measures import (
     CLAIM_AND_TRUTH,
     FINAL_ERROR,
     FINAL_SIGMA,
     POSITION,
-    RunFigures,
 )
-from stereo_slam_env.benchmark.statistics.verdict import (
-    Consistency,
-    PairVerdict,
-    PairwiseTable,
-    compare_all,
-    consistency,
-)
+from stereo_slam_env.benchmark.statistics.pairwise import PairVerdict, PairwiseTable, compare_all
+from stereo_slam_env.benchmark.statistics.verdict import Consistency, consistency, lost_words, none_left, pose_nees
+from stereo_slam_env.benchmark.statistics.words import listed, percent_words, signed
 from stereo_slam_env.recording import Recording
 
 BASELINE = "fixed"
@@ -126,20 +121,14 @@ def baseline_of(competitors: Sequence[FilterChoice]) -> str:
     return next(looking, competitors[0].label)
 
 
-def judge_policies(
-    runs: Sequence[FilterRun],
-    summaries: Sequence[FilterSummary],
-    *,
-    baseline: str,
-    figures: Mapping[str, RunFigures] | None = None,
-) -> PolicyVerdict:
+def judge_policies(summaries: Sequence[FilterSummary], figures: Figures, *, baseline: str) -> PolicyVerdict:
     """Hold every policy against the baseline, by what is claimed and by what is true.
 
     Intervals and tests are corrected for the number of policies; each measure stands for itself.
 
     Parameters
     ----------
-    runs, summaries, figures : sequence, sequence, mapping
+    summaries, figures : sequence, mapping
         As `verdict.judge`.
     baseline : str
         Label of one of them.
@@ -149,7 +138,7 @@ def judge_policies(
     ValueError
         There is no such baseline.
     """
-    compared = compare_all(runs, summaries, baseline=baseline, measures=CLAIM_AND_TRUTH, figures=figures)
+    compared = compare_all(summaries, figures, baseline=baseline, measures=CLAIM_AND_TRUTH)
     comparisons = {}
     for summary in summaries:
         claim, final, path = (
@@ -198,24 +187,18 @@ def _claim(claim: PairVerdict) -> str:
     difference, who, other = claim.difference, claim.filter_name, claim.against
     if difference.identical:
         return f"{who} claims exactly the uncertainty of {other}"
+    if difference.tied:
+        return f"{who} claims the uncertainty of {other}, {difference.tie_words}"
     if not difference.shown:
         return f"{who} is not shown to claim another uncertainty than {other} ({_change(difference)})"
-    return f"{who} claims {_much(difference.percent)} {other} ({difference.evidence})"
-
-
-def _much(percent: float) -> str:
-    what = "uncertainty of the final position"
-    if percent < 0.0:
-        return f"{-percent:.{0 if percent < -1 else 1}f} % less {what} than"
-    if percent < 100.0:
-        return f"{percent:.{0 if percent > 1 else 1}f} % more {what} than"
-    return f"{1 + percent / 100:.3g} times as much {what} as"
+    much = percent_words(difference.percent, "more", "less")
+    return f"{who} claims {much} uncertainty of the final position than {other} ({difference.evidence})"
 
 
 def _truth(path: PairVerdict, final: PairVerdict) -> str:
     parts = [(path, "along the drive"), (final, "at the end")]
     shown = [
-        f"{larger(pair.difference.percent)} {where} ({pair.difference.interval_words})"
+        f"{percent_words(pair.difference.percent)} {where} ({pair.difference.interval_words})"
         for pair, where in parts
         if pair.difference.shown
     ]
@@ -233,10 +216,8 @@ def _honesty(summary: FilterSummary, state: Consistency, but: str) -> str:
 
 
 def _nees(summary: FilterSummary) -> str:
-    assert summary.pose_anees is not None
-    assert summary.pose_anees_band is not None
-    low, high = (end / DOF["pose"] for end in summary.pose_anees_band)
-    return f"NEES/6 {summary.pose_anees / DOF['pose']:.2f} where {low:.2f} to {high:.2f} is consistent"
+    mean, band = pose_nees(summary)
+    return f"pose NEES / 6 {mean} where {band} is consistent"
 
 
 def _change(difference: Difference) -> str:
@@ -262,7 +243,7 @@ def _headline(
     comparisons: Mapping[str, ClaimAndTruth],
 ) -> str:
     if best is None:
-        return "With every policy the filter diverged in at least one run."
+        return none_left(summaries)
     held_against = next(s for s in summaries if s.filter_name == baseline)
     others = "" if best is held_against else f"; {baseline}: {_account(held_against)}"
     sentences = [
@@ -273,15 +254,15 @@ def _headline(
         sentences.append(f"{agreement[:1].upper()}{agreement[1:]}.")
     doubtful = [c.policy for c in comparisons.values() if not c.is_sound]
     if doubtful:
-        sentences.append(f"Not to be taken at its word: {_listed(doubtful)}; the lines below say why.")
+        sentences.append(f"Not to be taken at its word: {listed(doubtful)}; the lines below say why.")
     unseen = [c.policy for c in comparisons.values() if c.is_sound and c.agreement is Agreement.OPEN]
     if unseen:
-        sentences.append(f"Claimed, and possible, but not shown by the true error of so many runs: {_listed(unseen)}.")
+        sentences.append(f"Claimed, and possible, but not shown by the true error of so many runs: {listed(unseen)}.")
     if consistency(held_against) is Consistency.OVERCONFIDENT:
         sentences.append(f"{baseline} itself is overconfident, {_nees(held_against)}.")
-    lost = [f"{s.filter_name} in {s.diverged} of {s.runs} runs" for s in summaries if s.diverged]
+    lost = [f"{s.filter_name} {lost_words(s)}" for s in summaries if s.diverged]
     if lost:
-        sentences.append(f"Diverged: {_listed(lost)}.")
+        sentences.append(f"Lost: {listed(lost)}.")
     return " ".join(sentences)
 
 
@@ -290,7 +271,3 @@ def _account(summary: FilterSummary) -> str:
     claimed = "nothing" if sigma is None else f"σ {sigma:.3g} m"
     claimed += "" if determinant is None else f", log det {determinant:.1f}".replace("-", "−")
     return claimed if error is None else f"{claimed}, true error {error:.3g} m"
-
-
-def _listed(words: Sequence[str]) -> str:
-    return " and ".join([", ".join(words[:-1]), words[-1]]) if len(words) > 1 else words[0]

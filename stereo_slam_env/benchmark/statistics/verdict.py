@@ -1,7 +1,7 @@
 """What may be said about the filters: who is better, by how much, and whether the runs show it.
 
 Filters are compared on the same recordings, see `benchmark.statistics`. The one with the smallest position error of
-those that never diverged is held against each of the others; `compare_all` holds each against each, by every question.
+those that never diverged is held against each of the others; `pairwise` holds each against each, by every question.
 """
 
 from __future__ import annotations
@@ -9,24 +9,16 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
-from itertools import combinations
 
-from stereo_slam_env.benchmark.metrics.results import FilterRun, FilterSummary
-from stereo_slam_env.benchmark.statistics.differences import (
-    Difference,
-    Finding,
-    larger,
-    signed,
-)
-from stereo_slam_env.benchmark.statistics.measures import (
-    POSITION,
-    QUESTIONS,
-    Measure,
-    RunFigures,
-    common_keys,
-    figures_of,
-)
+from stereo_slam_env.benchmark.metrics.consistency_figures import DOF
+from stereo_slam_env.benchmark.metrics.results import FilterSummary
+from stereo_slam_env.benchmark.metrics.run_figures import Figures, RunFigures, common_keys
+from stereo_slam_env.benchmark.metrics.trial_metrics import FEWEST_FRAMES
+from stereo_slam_env.benchmark.statistics.differences import Difference, Finding
+from stereo_slam_env.benchmark.statistics.limit import Reach, limit_reached
+from stereo_slam_env.benchmark.statistics.measures import POSITION
 from stereo_slam_env.benchmark.statistics.shares import ShareDifference, paired_share
+from stereo_slam_env.benchmark.statistics.words import listed, percent_words, signed
 
 
 class Consistency(Enum):
@@ -57,6 +49,8 @@ class Comparison:
         its root mean square).
     shown : bool
         Whether the runs show that the best one is better: in its error, or because the other one diverged.
+    tied : bool
+        Whether the other one never diverged and has the same error on every recording.
     difference : Difference
         The error of the other one by that of the best one.
     divergences : ShareDifference
@@ -75,6 +69,7 @@ class Comparison:
     difference: Difference
     divergences: ShareDifference
     words: str
+    tied: bool = False
 
 
 @dataclass(frozen=True)
@@ -84,7 +79,7 @@ class Verdict:
     Attributes
     ----------
     best : str, optional
-        Filter with the smallest position error of those that never diverged; None without truth or survivors.
+        Filter with the smallest position error of those that never diverged; None where there is none, or no error.
     comparisons : mapping of str to Comparison
         By name of the other filter.
     headline : str
@@ -99,95 +94,43 @@ class Verdict:
     headline: str
     answers: Mapping[str, str] = field(default_factory=dict)
 
-
-@dataclass(frozen=True)
-class PairVerdict:
-    """One filter against another one, by one measure.
-
-    Attributes
-    ----------
-    measure : Measure
-        What is compared.
-    filter_name, against : str
-        Who against whom.
-    difference : Difference
-        Of the measure; for consistency, of the distance from the ideal.
-    words : str
-        "12 % smaller (−15 to −9 % at 95 % confidence, 10 paired runs)", or that no difference is shown.
-    """
-
-    measure: Measure
-    filter_name: str
-    against: str
-    difference: Difference
-    words: str
+    @property
+    def leaders(self) -> tuple[str, ...]:
+        """The best one and those that tie with it."""
+        tied = (name for name, comparison in self.comparisons.items() if comparison.tied)
+        return () if self.best is None else (self.best, *tied)
 
     @property
-    def finding(self) -> Finding:
-        """Whether the filter is shown to be better or worse than the other one."""
-        return self.difference.finding
+    def is_shown(self) -> bool:
+        """Whether the runs show the leaders to be better than all others; False where there are no others."""
+        others = [comparison for comparison in self.comparisons.values() if not comparison.tied]
+        return bool(others) and all(comparison.shown for comparison in others)
 
 
-@dataclass(frozen=True)
-class PairwiseTable:
-    """Each filter against each other one, or all against a baseline.
-
-    Attributes
-    ----------
-    filters : tuple of str
-        In the order of the summaries.
-    measures : tuple of Measure
-        Those that some pair could be compared by.
-    cells : mapping of (key of the measure, filter, against) to PairVerdict
-        Both directions of every pair.
-    """
-
-    filters: tuple[str, ...]
-    measures: tuple[Measure, ...]
-    cells: Mapping[tuple[str, str, str], PairVerdict]
-
-    def cell(self, measure: Measure, filter_name: str, against: str) -> PairVerdict | None:
-        """The verdict on `filter_name`; None where the two were not compared."""
-        return self.cells.get((measure.key, filter_name, against))
-
-
-def judge(
-    runs: Sequence[FilterRun],
-    summaries: Sequence[FilterSummary],
-    *,
-    divergence_percent: float = 10.0,
-    figures: Mapping[str, RunFigures] | None = None,
-) -> Verdict:
+def judge(summaries: Sequence[FilterSummary], figures: Figures) -> Verdict:
     """Compare the filters on accuracy, and put consistency, distance from the limit and cost of the best one beside it.
 
     Parameters
     ----------
-    runs : sequence of FilterRun
-        All runs.
     summaries : sequence of FilterSummary
-        Of the same runs.
-    divergence_percent : float
-        As in `summarise`.
-    figures : mapping of str to RunFigures, optional
-        `figures_of(runs)`, where it is at hand.
+        One for each filter.
+    figures : mapping of str to RunFigures
+        Of the same runs, see `figures_of`.
     """
     scored = [s for s in summaries if s.position_rmse_m is not None]
     steady = [s for s in scored if s.diverged == 0]
-    if not scored:
-        return Verdict(None, {}, "There is no ground truth here: only innovations and cost can be compared.")
     if not steady:
-        return Verdict(None, {}, "Every filter diverged in at least one run.")
+        return Verdict(None, {}, _no_best(summaries, figures) if not scored else none_left(summaries))
     best = min(steady, key=lambda s: float(s.position_rmse_m or 0.0))
     rivals = [s for s in summaries if s is not best]
-    figures = figures_of(runs, divergence_percent=divergence_percent) if figures is None else figures
     comparisons = {
         s.filter_name: against_best(best, s, figures[best.filter_name], figures[s.filter_name], len(rivals))
         for s in rivals
     }
     answers = {
         "best": _accuracy(best, rivals, comparisons),
-        "consistent": _CONSISTENCY_WORDS[consistency(best)],
-        "limit": _limit(best),
+        "consistent": _consistency_words(best),
+        "limit": _limit_words(best),
         "cost": _cost(best, rivals),
     }
     answers = {question: words for question, words in answers.items() if words}
@@ -209,7 +152,7 @@ def against_best(
         Number of comparisons made at once.
     """
     keys = common_keys(best_figures, other_figures)
-    errors = (figures.values(POSITION, keys) for figures in (other_figures, best_figures))
+    errors = (POSITION.by_run(figures, keys) for figures in (other_figures, best_figures))
     difference = POSITION.difference(*errors, comparisons=comparisons)
     divergences = paired_share(other_figures.diverged(keys), best_figures.diverged(keys), comparisons=comparisons)
     return Comparison(
@@ -223,51 +166,8 @@ def against_best(
         difference=difference,
         divergences=divergences,
         words=_comparison_words(other, difference, divergences),
+        tied=difference.tied and not other.diverged,
     )
-
-
-def compare_all(
-    runs: Sequence[FilterRun],
-    summaries: Sequence[FilterSummary],
-    *,
-    baseline: str | None = None,
-    measures: Sequence[Measure] = QUESTIONS,
-    figures: Mapping[str, RunFigures] | None = None,
-) -> PairwiseTable:
-    """Compare each filter with each other one, question by question.
-
-    Intervals and tests are corrected for the number of pairs; each question stands for itself.
-
-    Parameters
-    ----------
-    runs, summaries, figures : sequence, sequence, mapping
-        As `judge`.
-    baseline : str, optional
-        Compare all with this one only.
-    measures : sequence of Measure
-        The questions: by default how accurate in position and rotation, how honest, how fast.
-
-    Raises
-    ------
-    ValueError
-        There is no such baseline.
-    """
-    names = tuple(s.filter_name for s in summaries)
-    if baseline is not None and baseline not in names:
-        raise ValueError(f"baseline must be one of {', '.join(names)}, got {baseline!r}")
-    pairs = [(a, b) for a, b in combinations(names, 2) if baseline in (None, a, b)]
-    figures = figures_of(runs) if figures is None else figures
-    cells: dict[tuple[str, str, str], PairVerdict] = {}
-    for measure in measures:
-        for a, b in pairs:
-            keys = common_keys(figures[a], figures[b])
-            values = (figures[name].values(measure, keys) for name in (a, b))
-            difference = measure.difference(*values, comparisons=len(pairs))
-            if difference.count:
-                cells[measure.key, a, b] = _pair_verdict(measure, a, b, difference)
-                cells[measure.key, b, a] = _pair_verdict(measure, b, a, difference.reversed)
-    known = {key for key, _, _ in cells}
-    return PairwiseTable(names, tuple(m for m in measures if m.key in known), cells)
 
 
 def consistency(summary: FilterSummary) -> Consistency:
@@ -280,42 +180,31 @@ def consistency(summary: FilterSummary) -> Consistency:
     return Consistency.CAUTIOUS if summary.pose_anees < low else Consistency.CONSISTENT
 
 
-def change_words(measure: Measure, difference: Difference) -> str:
-    """What a difference of a measure comes to, with its evidence in brackets."""
-    if difference.identical:
-        return f"the same in all {difference.count} runs"
-    if not difference.shown:
-        return f"{Finding.NOT_SHOWN.value} ({difference.evidence})"
-    if measure.ideal is not None:
-        nearer = "nearer to" if difference.estimate < 0.0 else "farther from"
-        return f"{nearer} its ideal ({difference.evidence})"
-    if not measure.is_ratio:
-        more = "less" if difference.estimate < 0.0 else "more"
-        return f"{abs(difference.estimate):.3g} {more} ({difference.evidence})"
-    if measure.larger_is_better:
-        return f"{larger(difference.reversed.percent)} ({difference.reversed.evidence})"
-    return f"{larger(difference.percent)} ({difference.evidence})"
+def loss(summary: FilterSummary) -> str:
+    """What became of the runs that a filter lost: "failed" where it raised in all of them, else "diverged"."""
+    return "failed" if summary.diverged == len(summary.failures) else "diverged"
 
 
-def _pair_verdict(measure: Measure, a: str, b: str, difference: Difference) -> PairVerdict:
-    return PairVerdict(measure, a, b, difference, change_words(measure, difference))
+def lost_words(summary: FilterSummary) -> str:
+    """In how many runs a filter diverged or failed."""
+    return f"{loss(summary)} in {summary.diverged} of {summary.runs} runs"
 
 
 def _comparison_words(other: FilterSummary, difference: Difference, divergences: ShareDifference) -> str:
     name = other.filter_name
     if difference.count == 0:
-        return f"{name} completed no run" if other.diverged else f"no run to compare with {name}"
+        return f"{name} {lost_words(other)}" if other.diverged else f"no run to compare with {name}"
     if other.diverged:
         chance = "" if divergences.finding is Finding.WORSE else ", which may be chance"
-        return f"{name} diverged in {other.diverged} of {other.runs} runs{chance}"
+        return f"{name} {lost_words(other)}{chance}"
+    if difference.tied:
+        return f"the error of {name} is {difference.tie_words}"
     if difference.finding is Finding.WORSE:
-        return f"the error of {name} is {larger(difference.percent)} ({difference.evidence})"
+        return f"the error of {name} is {percent_words(difference.percent)} ({difference.evidence})"
     if difference.finding is Finding.BETTER:
-        return f"run by run the error of {name} is {larger(difference.percent)} ({difference.evidence})"
+        return f"run by run the error of {name} is {percent_words(difference.percent)} ({difference.evidence})"
     if difference.count == 1:
         return f"one run shows no general difference ({name} is at {signed(difference.percent)} % in it)"
-    if difference.identical:
-        return f"{name} has the same errors in all {difference.count} runs"
     if difference.interval is None:
         return (
             f"{difference.count} runs are too few to show a difference to {name}, "
@@ -324,25 +213,73 @@ def _comparison_words(other: FilterSummary, difference: Difference, divergences:
     return f"no difference to {name} is shown ({difference.evidence})"
 
 
+# ---- the headline ---------------------------------------------------------------------------------------------------
+
+
+def _no_best(summaries: Sequence[FilterSummary], figures: Figures) -> str:
+    """Why no filter has an error."""
+    if all(len(s.failures) == s.runs for s in summaries):
+        return none_left(summaries)
+    scored = max(of_run["frames"] for s in summaries for of_run in figures[s.filter_name].of_run.values())
+    if scored:
+        return (
+            f"Too short for a verdict: {scored} frame{'s have' if scored > 1 else ' has'} ground truth after the first "
+            f"one, which is not scored, and at least {FEWEST_FRAMES} are needed."
+        )
+    return "There is no ground truth here: only innovations and cost can be compared."
+
+
+def none_left(summaries: Sequence[FilterSummary]) -> str:
+    """What became of filters none of which came through."""
+    lost = "; ".join(f"{s.filter_name} {lost_words(s)}" for s in summaries[:_MOST_WORDED])
+    if len(summaries) == 1:
+        return f"There is no verdict: {lost}."
+    more = f"; and {len(summaries) - _MOST_WORDED} more" if len(summaries) > _MOST_WORDED else ""
+    return f"None came through every run: {lost}{more}."
+
+
 def _accuracy(best: FilterSummary, rivals: Sequence[FilterSummary], comparisons: Mapping[str, Comparison]) -> str:
     error = f"{best.position_rmse_m:.3g} m"
-    undecided = _undecided([c for c in comparisons.values() if not c.shown])
-    settled = _nearest([c for c in comparisons.values() if c.shown])
     if not rivals:
         return f"{best.filter_name} has a position error of {error}."
+    tied = [c for c in comparisons.values() if c.tied]
+    undecided = _undecided([c for c in comparisons.values() if not (c.shown or c.tied)])
+    settled = _nearest([c for c in comparisons.values() if c.shown])
+    who = listed([best.filter_name, *(c.other for c in tied)])
+    if tied:
+        widest = max((c.difference for c in tied), key=lambda difference: difference.largest)
+        error = f"{error}, {widest.tie_words}"
     if undecided:
-        first = f"{best.filter_name} has the smallest position error, {error}, but {undecided}."
+        have = "tie for" if tied else "has"
+        first = f"{who} {have} the smallest position error, {error}, but {undecided}."
+    elif settled:
+        first = f"{who} {'tie as' if tied else 'is'} the most accurate, with a position error of {error}."
     else:
-        first = f"{best.filter_name} is the most accurate, with a position error of {error}."
-    return f"{first} Behind it: {settled}." if settled else first
+        first = f"{who} tie: their position error is {error}."
+    behind = "them" if tied else "it"
+    return f"{first} Behind {behind}: {settled}." if settled else first
 
 
 def _undecided(open_ones: Sequence[Comparison]) -> str:
     """With many rivals their names only: the figures are in the tables."""
-    if len(open_ones) <= _MOST_WORDED:
-        return "; ".join(c.words for c in open_ones)
-    names = ", ".join(c.other for c in open_ones[:_MOST_WORDED])
-    return f"no difference to {names} and {len(open_ones) - _MOST_WORDED} more is shown"
+    if len(open_ones) > _MOST_WORDED:
+        names = ", ".join(c.other for c in open_ones[:_MOST_WORDED])
+        return f"no difference to {names} and {len(open_ones) - _MOST_WORDED} more is shown"
+    if len(open_ones) > 1 and all(0 < c.runs == open_ones[0].runs and c.interval_percent is None for c in open_ones):
+        return _too_few(open_ones)
+    return "; ".join(c.words for c in open_ones)
+
+
+def _too_few(open_ones: Sequence[Comparison]) -> str:
+    """Several rivals that the same few runs cannot tell from the best one."""
+    first, *others = (percent_words(c.excess_percent) for c in open_ones)
+    errors = [f"the error of {open_ones[0].other} is {first}"]
+    errors += [f"that of {c.other} {words}" for c, words in zip(open_ones[1:], others, strict=True)]
+    runs = open_ones[0].runs
+    if runs == 1:
+        return f"one run shows no general difference (in it {listed(errors)})"
+    needed = open_ones[0].difference.needed
+    return f"{runs} runs are too few to show a difference, {needed} are needed (on average {listed(errors)})"
 
 
 def _nearest(settled: Sequence[Comparison]) -> str:
@@ -355,21 +292,49 @@ def _nearest(settled: Sequence[Comparison]) -> str:
 
 _MOST_WORDED = 3
 
-_CONSISTENCY_WORDS = {
-    Consistency.CONSISTENT: "It knows how wrong it is: its NEES lies inside its band.",
-    Consistency.OVERCONFIDENT: "It is overconfident: its NEES lies above its band.",
-    Consistency.CAUTIOUS: "It claims more uncertainty than it has: its NEES lies below its band.",
-    Consistency.UNKNOWN: "Its consistency is not known.",
+_HONESTY = {
+    Consistency.CONSISTENT: "inside its band ({band}): it knows how wrong it is",
+    Consistency.OVERCONFIDENT: "above its band ({band}): it is overconfident",
+    Consistency.CAUTIOUS: "below its band ({band}): it claims more uncertainty than it has",
 }
 
 
-def _limit(best: FilterSummary) -> str:
-    if best.efficiency_percent is None:
+def _consistency_words(best: FilterSummary) -> str:
+    state = consistency(best)
+    if state is Consistency.UNKNOWN:
+        return f"The consistency of {best.filter_name} is not known."
+    mean, band = pose_nees(best)
+    return f"The pose NEES / 6 of {best.filter_name} is {mean}, {_HONESTY[state].format(band=band)}."
+
+
+def pose_nees(summary: FilterSummary) -> tuple[str, str]:
+    """Mean pose NEES and its band, both by the degrees of freedom, so that 1 is ideal: "0.85", "0.37 to 1.94"."""
+    assert summary.pose_anees is not None
+    assert summary.pose_anees_band is not None
+    dof = DOF["pose"]
+    low, high = (end / dof for end in summary.pose_anees_band)
+    mean = summary.pose_anees / dof
+    return f"{mean:.2f}" if mean < 100.0 else f"{mean:,.0f}", f"{low:.2f} to {high:.2f}"
+
+
+def _limit_words(best: FilterSummary) -> str:
+    found, name = limit_reached(best), best.filter_name
+    if found is None:
         return ""
-    bound = f", {best.bound_position_m:.3g} m" if best.bound_position_m is not None else ""
-    if best.efficiency_percent >= 99.5:
-        return f"Its error is at the limit of what theory allows (Cramér–Rao bound{bound})."
-    return f"It reaches {best.efficiency_percent:.0f} % of what theory allows (Cramér–Rao bound{bound})."
+    bound = "the Cramér–Rao bound" + ("" if best.bound_position_m is None else f", {best.bound_position_m:.3g} m")
+    if found.reach in (Reach.SHORT, Reach.OPEN):
+        sure = found.sureness if found.interval is None else f"{found.sureness} at 95 % confidence"
+        open_ = ", so that it may be at the limit" if found.reach is Reach.OPEN else ""
+        return f"{name} reaches {found.value} of what theory allows ({sure}{open_}; {bound})."
+    if found.reach is Reach.AT:
+        return f"The error of {name} is {found.words}: the 95 % interval of bound over error includes 100 % ({bound})."
+    if found.reach is Reach.BEYOND:
+        return (
+            f"The error of {name} is below {bound} (bound over error {found.sureness}): the bound holds on average "
+            f"over drives of the assumed motion, and these were easier, or the filter knows more than was assumed."
+        )
+    few = "one run tells" if found.runs == 1 else f"{found.runs} runs tell"
+    return f"The error of {name} is not told from the limit, as far as {few} ({bound})."
 
 
 def _cost(best: FilterSummary, rivals: Sequence[FilterSummary]) -> str:
@@ -379,5 +344,6 @@ def _cost(best: FilterSummary, rivals: Sequence[FilterSummary]) -> str:
     quickest = min(quicker, key=lambda s: float(s.ms_per_frame or 0.0), default=None)
     beside = ""
     if quickest is not None and quickest.ms_per_frame:
-        beside = f", {best.ms_per_frame / quickest.ms_per_frame:.2g} times {quickest.filter_name}"
-    return f"It takes {best.ms_per_frame:.3g} ms a frame{beside}."
+        excess = 100.0 * (best.ms_per_frame / quickest.ms_per_frame - 1.0)
+        beside = f", {percent_words(excess, 'more')} than {quickest.filter_name}"
+    return f"{best.filter_name} takes {best.ms_per_frame:.3g} ms a frame{beside}."

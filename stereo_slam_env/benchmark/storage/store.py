@@ -34,6 +34,7 @@ import json
 import math
 import platform
 from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -42,6 +43,7 @@ from stereo_slam_env.array_files import read_arrays
 from stereo_slam_env.atomic_files import write_atomically
 from stereo_slam_env.benchmark.metrics.limits import Bound
 from stereo_slam_env.benchmark.metrics.results import FilterRun, FilterSummary
+from stereo_slam_env.benchmark.metrics.run_figures import Bounds, Figures, figures_of
 from stereo_slam_env.benchmark.metrics.summary import summarise_all
 from stereo_slam_env.benchmark.recordings.stream_identity import as_given, stream_key
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, Scenario
@@ -54,6 +56,28 @@ CELLS = "cells"
 STUDY = "study.json"
 MARKERS = ("settings.json", STUDY)
 _PACKAGES = ("stereo-slam-env", "numpy", "scipy", "gymnasium", "pybullet", "joblib")
+
+
+@dataclass(frozen=True, eq=False)
+class RunResults:
+    """What came out of a run.
+
+    Attributes
+    ----------
+    runs : tuple of FilterRun
+        All of them.
+    figures : mapping of str to RunFigures
+        Of every run, by label of the filter; what tables, summaries and verdicts speak of.
+    summaries : tuple of FilterSummary
+        One of each filter.
+    bounds : mapping of (str, seed) to Bound
+        By recording, where there are any.
+    """
+
+    runs: tuple[FilterRun, ...]
+    figures: Figures
+    summaries: tuple[FilterSummary, ...]
+    bounds: Bounds
 
 
 class RunDirectory:
@@ -207,10 +231,12 @@ class RunDirectory:
                 f"not to be compared: choose another output directory"
             )
 
-    def write_results(self) -> tuple[list[FilterRun], tuple[FilterSummary, ...]]:
+    def write_results(self) -> RunResults:
         """Write `summary.json`, `summary.csv` and the trajectories, and return what they say."""
         runs, recordings = self.load()
-        summaries = summarise_all(runs, divergence_percent=self.scenario.divergence_percent, bounds=self.bounds())
+        bounds = self.bounds()
+        figures = figures_of(runs, divergence_percent=self.scenario.divergence_percent, bounds=bounds)
+        summaries = summarise_all(runs, figures)
         rows = {summary.filter_name: summary_row(summary) for summary in summaries}
         write_json(
             self.out / "summary.json",
@@ -226,7 +252,7 @@ class RunDirectory:
             ):
                 write_tum(folder / f"{name}.tum", run.timestamps, positions, orientations)
                 write_kitti(folder / f"{name}.kitti", positions, orientations)
-        return runs, summaries
+        return RunResults(tuple(runs), figures, summaries, bounds)
 
     def settings(self) -> dict[str, Any]:
         """What `settings.json` says."""

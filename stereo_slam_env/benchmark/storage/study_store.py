@@ -15,20 +15,17 @@ A study of one scenario has `study.json` and `trials.sqlite` beside what `store`
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from stereo_slam_env.benchmark.metrics.limits import Bound
-from stereo_slam_env.benchmark.metrics.results import FilterRun, FilterSummary
 from stereo_slam_env.benchmark.scenarios.study import Cell, Study
 from stereo_slam_env.benchmark.storage import store
-from stereo_slam_env.benchmark.storage.store import CELLS, STUDY, RunDirectory
+from stereo_slam_env.benchmark.storage.store import CELLS, STUDY, RunDirectory, RunResults
 from stereo_slam_env.benchmark.storage.trial_table import write_trial_table
 
 
 @dataclass(frozen=True, eq=False)
-class CellResult:
+class CellResult(RunResults):
     """What came out in one cell.
 
     Attributes
@@ -37,17 +34,10 @@ class CellResult:
         What was run.
     directory : RunDirectory
         Where it is.
-    runs, summaries : tuple
-        All runs, and one summary of each filter.
-    bounds : mapping of (str, seed) to Bound
-        By recording, where there are any.
     """
 
     cell: Cell
     directory: RunDirectory
-    runs: tuple[FilterRun, ...]
-    summaries: tuple[FilterSummary, ...]
-    bounds: Mapping[tuple[str, int | None], Bound]
 
 
 class StudyDirectory:
@@ -69,8 +59,8 @@ class StudyDirectory:
         """Write tables and trajectories from the finished trials, and return what they say."""
         results = []
         for cell, directory in self.cells:
-            runs, summaries = directory.write_results()
-            results.append(CellResult(cell, directory, tuple(runs), summaries, directory.bounds()))
+            found = directory.write_results()
+            results.append(CellResult(**vars(found), cell=cell, directory=directory))
         if self.study.is_grid:
             cells = {
                 result.cell.name: {

@@ -24,7 +24,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from stereo_slam_env.atomic_files import unfinished_name
-from stereo_slam_env.benchmark.metrics.trial_metrics import COLUMNS, Column, trial_figures
+from stereo_slam_env.benchmark.metrics.run_figures import key_of
+from stereo_slam_env.benchmark.metrics.trial_metrics import COLUMNS, Column
 from stereo_slam_env.benchmark.scenarios.scenario import choice_as_dict
 
 if TYPE_CHECKING:
@@ -77,11 +78,7 @@ def _rows(root: Path, result: CellResult) -> list[dict[str, Any]]:
     rows = []
     competitors = {choice.label: choice for choice in result.cell.scenario.competitors}
     for run in result.runs:
-        figures = trial_figures(
-            run,
-            bound=result.bounds.get((run.recording_name, run.seed)),
-            divergence_percent=result.cell.scenario.divergence_percent,
-        )
+        figures = result.figures[run.filter_name].of_run[key_of(run)]
         choice = competitors[run.filter_name]
         rows.append(
             {

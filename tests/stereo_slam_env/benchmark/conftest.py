@@ -2,10 +2,9 @@
 
 import pytest
 
-from stereo_slam_env.benchmark.metrics.summary import summarise_all
 from stereo_slam_env.benchmark.report.run_report import write_report
 
-from ...synthetic_runs import THREE_ONE_DIVERGING, Behaviour, make_bounds, make_runs
+from ...synthetic_runs import THREE_ONE_DIVERGING, Behaviour, make_bounds, make_runs, scored
 from .report.browsing import BROWSER, PATIENCE
 
 SETTINGS = {"scenario": "made up", "noise": {"independent_pixels": 1.0}, "gate": None, "seeds": [0, 1, 2, 3, 4, 5]}
@@ -22,8 +21,9 @@ def report_of_five(five_filters, tmp_path_factory):
     """The page of five filters on six recordings."""
     runs = make_runs(five_filters, range(6), frames=240)
     bounds = make_bounds(runs)
-    summaries = summarise_all(runs, bounds=bounds)
-    return write_report(tmp_path_factory.mktemp("report"), "Wide turns", runs, summaries, SETTINGS, bounds=bounds)
+    summaries, figures = scored(runs, bounds=bounds)
+    out = tmp_path_factory.mktemp("report")
+    return write_report(out, "Wide turns", runs, summaries, figures, SETTINGS, bounds=bounds)
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,6 @@ import pytest
 from matplotlib.figure import Figure
 
 from stereo_slam_env.benchmark.metrics.results import RangeError
-from stereo_slam_env.benchmark.metrics.summary import summarise_all
 from stereo_slam_env.benchmark.statistics.attribution import attribute_runs
 from stereo_slam_env.viewer.accuracy import plot_efficiency, plot_error_against_bound, plot_segment_errors
 from stereo_slam_env.viewer.consistency import plot_consistency
@@ -20,7 +19,7 @@ from stereo_slam_env.viewer.interactive import plotly_figure
 from stereo_slam_env.viewer.map_figures import plot_depth_convergence, plot_landmark_errors
 from stereo_slam_env.viewer.style import filter_colours
 
-from ...synthetic_runs import THREE, THREE_ONE_DIVERGING, Behaviour, make_bounds, make_runs
+from ...synthetic_runs import THREE, THREE_ONE_DIVERGING, Behaviour, make_bounds, make_runs, scored
 
 
 @cache
@@ -30,7 +29,7 @@ def summaries(case):
         "one diverging": lambda: make_runs(THREE_ONE_DIVERGING, frames=60),
         "one filter, one run": lambda: make_runs(THREE[:1], seeds=[3], frames=60),
     }[case]()
-    return summarise_all(runs, bounds=make_bounds(runs))
+    return scored(runs, bounds=make_bounds(runs))[0]
 
 
 PLOTS = {
@@ -119,7 +118,7 @@ def test_effects_are_told_from_what_is_not_shown():
         for landmark in factors["landmark"]
         for error in factors["error"]
     ]
-    attribution = attribute_runs(factors, make_runs(filters, range(8), frames=40))
+    attribution = attribute_runs(factors, scored(make_runs(filters, range(8), frames=40))[1])
     figure = plot_effects(attribution)
     names = {entry["name"] for entry in plotly_figure(figure)["layout"]["meta"]["series"]}
     assert names == {"effect shown", "no effect shown"}

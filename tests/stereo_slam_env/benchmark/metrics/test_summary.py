@@ -7,9 +7,11 @@ import pytest
 
 from stereo_slam_env.benchmark.metrics.landmark_statistics import LandmarkStatistics
 from stereo_slam_env.benchmark.metrics.limits import Bound
-from stereo_slam_env.benchmark.metrics.summary import summarise, summarise_all
+from stereo_slam_env.benchmark.metrics.run_figures import RunFigures
+from stereo_slam_env.benchmark.metrics.summary import summarise
 from stereo_slam_env.benchmark.running.runner import run_filter
 
+from ....synthetic_runs import scored, summary_of
 from ..small_recordings import small_recording
 
 
@@ -24,7 +26,7 @@ def off_by(run, offset, **changes):
 
 
 def test_position_errors_are_combined_over_runs(plain):
-    row = summarise([off_by(plain, [0.3, 0, 0.4]), off_by(plain, [0, 0, 1.2], seed=1)])
+    row = summary_of([off_by(plain, [0.3, 0, 0.4]), off_by(plain, [0, 0, 1.2], seed=1)])
     assert row.position_rmse_by_run == pytest.approx((0.5, 1.2))
     assert row.position_rmse_m == pytest.approx(np.sqrt((0.25 + 1.44) / 2))
     assert row.ate_rigid_m == pytest.approx(0.0, abs=1e-6)
@@ -36,32 +38,32 @@ def test_position_errors_are_combined_over_runs(plain):
 def test_the_first_frame_is_not_scored(plain):
     positions = plain.true_positions.copy()
     positions[0] += 100.0
-    assert summarise([replace(plain, positions=positions)]).position_rmse_m == 0.0
+    assert summary_of([replace(plain, positions=positions)]).position_rmse_m == 0.0
 
 
 def test_nees_is_averaged_over_runs_before_it_is_compared_with_the_band(plain):
     low, high = (replace(plain, pose_nees=np.full(len(plain), value)) for value in (1.0, 11.0))
-    row = summarise([low, high])
+    row = summary_of([low, high])
     assert row.pose_anees == 6.0
     assert row.frames_in_band_percent == 100.0
     assert row.pose_anees_band == pytest.approx((2.20, 11.67), abs=0.01)
-    assert summarise([low]).frames_in_band_percent == 0.0
+    assert summary_of([low]).frames_in_band_percent == 0.0
 
 
 def test_nis_is_per_degree_of_freedom(plain):
-    row = summarise([replace(plain, nis=3.0 * plain.nis_dof)])
+    row = summary_of([replace(plain, nis=3.0 * plain.nis_dof)])
     assert row.nis == pytest.approx(3.0)
 
 
 def test_gated_is_a_share_of_the_known_measurements(plain):
     counts = dict(plain.counts, updated=np.full(len(plain), 9), gated=np.full(len(plain), 1))
-    assert summarise([replace(plain, counts=counts)]).gated_percent == pytest.approx(10.0)
+    assert summary_of([replace(plain, counts=counts)]).gated_percent == pytest.approx(10.0)
 
 
 def test_a_failed_run_counts_as_diverged_and_spoils_nothing(plain):
     failed = replace(plain, seed=3, positions=np.full_like(plain.positions, np.nan), failure="frame 2: oops")
-    row = summarise([plain, failed])
-    alone = summarise([plain])
+    row = summary_of([plain, failed])
+    alone = summary_of([plain])
     assert row.diverged == 1
     assert row.failures == ("seed 3, frame 2: oops",)
     assert row.position_rmse_m == alone.position_rmse_m
@@ -71,12 +73,12 @@ def test_a_failed_run_counts_as_diverged_and_spoils_nothing(plain):
 
 def test_far_from_the_truth_at_the_end_is_divergence(plain):
     lost = off_by(plain, [0.0, 0.0, 2.0])
-    assert summarise([lost], divergence_percent=10.0).diverged == 1
-    assert summarise([lost], divergence_percent=90.0).diverged == 0
+    assert summary_of([lost], divergence_percent=10.0).diverged == 1
+    assert summary_of([lost], divergence_percent=90.0).diverged == 0
 
 
 def test_what_is_not_known_is_none():
-    row = summarise([run_filter(small_recording(truth=False), "inverse-depth")])
+    row = summary_of([run_filter(small_recording(truth=False), "inverse-depth")])
     for name in (
         "position_rmse_m",
         "ate_rigid_m",
@@ -94,7 +96,7 @@ def test_what_is_not_known_is_none():
 
 
 def test_all_runs_failed(plain):
-    row = summarise([replace(plain, failure="start: no")])
+    row = summary_of([replace(plain, failure="start: no")])
     assert (row.diverged, row.position_rmse_m, row.pose_anees_band) == (1, None, None)
 
 
@@ -107,21 +109,21 @@ def limit(run, sigma):
 def test_efficiency_is_the_bound_over_the_error_where_both_are_known(plain):
     near, far = off_by(plain, [0.5, 0, 0]), off_by(plain, [0, 0, 1.0], seed=1)
     bounds = {("small", 0): limit(plain, 0.4 / np.sqrt(3))}
-    row = summarise([near, far], bounds=bounds)
+    row = summary_of([near, far], bounds=bounds)
     assert row.bound_position_m == pytest.approx(0.4)
     assert row.bound_rotation_deg == pytest.approx(0.4)
     assert row.efficiency_percent == pytest.approx(80.0)
     assert row.efficiency_by_run == pytest.approx((80.0, np.nan), nan_ok=True)
     bounds["small", 1] = limit(plain, 0.8 / np.sqrt(3))
-    assert summarise([near, far], bounds=bounds).efficiency_percent == pytest.approx(80.0)
-    row = summarise([near, far])
+    assert summary_of([near, far], bounds=bounds).efficiency_percent == pytest.approx(80.0)
+    row = summary_of([near, far])
     assert (row.bound_position_m, row.efficiency_percent, row.efficiency_by_run) == (None, None, ())
 
 
 def test_relative_errors_are_weighted_by_their_segments(plain):
     """Two drives of 15 m and 40 m: every segment counts once, whichever run it is of."""
     short, long = (drive(plain, rows, 1.0 + error) for rows, error in ((16, 0.01), (41, 0.04)))
-    row = summarise([short, long])
+    row = summary_of([short, long])
     assert [(part.length_m, part.segments) for part in row.rpe] == [(5.0, 1 + 4), (10.0, 3)]
     assert row.rpe[0].translation_percent == pytest.approx(6 / 5 * (1 * 1.0 + 4 * 4.0) / 5)
     every = [6 / 5 * 1.0] + 4 * [6 / 5 * 4.0] + 3 * [11 / 10 * 4.0]
@@ -148,7 +150,7 @@ def test_landmarks_are_weighted_by_their_number(plain):
         replace(plain, landmark_statistics=LandmarkStatistics(nees_count=count, nees=nees * count))
         for count, nees in ((np.full(5, 1.0), 2.0), (np.full(5, 9.0), 4.0))
     )
-    row = summarise([few, many])
+    row = summary_of([few, many])
     assert row.landmark_anees == pytest.approx(3.8)
     assert [part.anees for part in row.landmark_by_range] == pytest.approx([3.8] * 5)
 
@@ -159,14 +161,14 @@ def test_costs_are_medians_over_frames_and_the_largest_memory(plain):
         "update_milliseconds": np.full(len(plain), 4.0),
         "state_size": np.full(len(plain), 90.0),
     }
-    row = summarise([replace(plain, memory_mb=3.0, **slow), replace(plain, memory_mb=7.0, **slow)])
+    row = summary_of([replace(plain, memory_mb=3.0, **slow), replace(plain, memory_mb=7.0, **slow)])
     assert (row.ms_predict, row.ms_update, row.state_size, row.memory_mb) == (1.0, 4.0, 90.0, 7.0)
 
 
 def test_filters_are_summarised_apart_in_their_order(plain):
     other = replace(plain, filter_name="other")
-    assert [row.filter_name for row in summarise_all([other, plain, other])] == ["other", "inverse-depth"]
+    assert [row.filter_name for row in scored([other, plain, replace(other, seed=1)])[0]] == ["other", "inverse-depth"]
     with pytest.raises(ValueError, match="of one filter, got inverse-depth, other"):
-        summarise([plain, other])
+        summarise([plain, other], RunFigures({}))
     with pytest.raises(ValueError, match="at least one run"):
-        summarise([])
+        summarise([], RunFigures({}))

@@ -13,7 +13,6 @@ from xml.etree import ElementTree
 import pytest
 
 from stereo_slam_env.benchmark import compare
-from stereo_slam_env.benchmark.metrics.summary import summarise_all
 from stereo_slam_env.benchmark.report.comparison_report import write_comparison_report
 from stereo_slam_env.benchmark.report.run_report import write_report
 from stereo_slam_env.benchmark.report.study_report import write_study_report
@@ -23,7 +22,7 @@ from stereo_slam_env.benchmark.statistics.attribution import attribute_runs
 from stereo_slam_env.benchmark.statistics.policy_verdict import Looks
 from stereo_slam_env.viewer.page import _plotly_library, page
 
-from ....synthetic_runs import Behaviour, make_runs
+from ....synthetic_runs import Behaviour, make_runs, scored
 from ..small_recordings import small_recording
 from .browsing import Visit
 
@@ -42,6 +41,12 @@ EVIL = (
     "<a href='javascript:alert(8)'>x</a>",
     '<a href="https://stranger.invalid/">x</a>',
 )
+
+
+def result(runs):
+    """What a report asks of a cell."""
+    summaries, figures = scored(runs)
+    return SimpleNamespace(runs=runs, summaries=summaries, figures=figures)
 
 
 class Markup(HTMLParser):
@@ -106,24 +111,24 @@ def hostile_runs():
 def write_hostile_report(out, runs):
     (out / "<img src=x onerror=alert(7)>.json").write_text("{}")
     settings = {name: {"name": name, "list": [name], "tables": [{name: name}]} for name in EVIL}
-    return write_report(out, EVIL[0] + EVIL[7], runs, summarise_all(runs), settings)
+    return write_report(out, EVIL[0] + EVIL[7], runs, *scored(runs), settings)
 
 
 def write_hostile_policies(out, runs):
     names = list(dict.fromkeys(run.filter_name for run in runs))
     looks = Looks(names[0], {name: small_recording(frames=4) for name in names})
-    return write_report(out, EVIL[1], runs, summarise_all(runs), {}, looks=looks)
+    return write_report(out, EVIL[1], runs, *scored(runs), {}, looks=looks)
 
 
 def write_hostile_comparison(out, runs):
     changed = [replace(run, positions=run.positions + 0.3) for run in runs]
-    return write_comparison_report(out, compare(SimpleNamespace(runs=runs), SimpleNamespace(runs=changed)))
+    return write_comparison_report(out, compare(result(runs), result(changed)))
 
 
 def write_hostile_study(out, runs):
     levels = dict(zip(("a", "b"), EVIL[:2], strict=True))
     cells = tuple(Cell(name, {EVIL[2]: level}, SCENARIO) for name, level in levels.items())
-    results = dict.fromkeys(levels, SimpleNamespace(runs=runs, summaries=summarise_all(runs)))
+    results = dict.fromkeys(levels, result(runs))
     return write_study_report(out, Study(EVIL[0] + EVIL[4], cells), results)
 
 
@@ -131,9 +136,9 @@ def write_hostile_attribution(out, _):
     factors = {EVIL[0]: (EVIL[1], EVIL[2]), EVIL[8]: (EVIL[9], EVIL[10])}
     labels = [factorial_label(dict(zip(factors, levels, strict=True))) for levels in product(*factors.values())]
     runs = make_runs([Behaviour(label, 0.1 * (1 + n)) for n, label in enumerate(labels)], range(4), frames=40)
-    outcome = SimpleNamespace(runs=runs, summaries=summarise_all(runs))
+    outcome = result(runs)
     study = Study(EVIL[3], (Cell("a", {}, SCENARIO),), factors)
-    return write_study_report(out, study, {"a": outcome}, attribute_runs(factors, runs))
+    return write_study_report(out, study, {"a": outcome}, attribute_runs(factors, outcome.figures))
 
 
 WRITERS = {

@@ -8,14 +8,13 @@ from types import MappingProxyType
 import pytest
 from PIL import Image
 
-from stereo_slam_env.benchmark.metrics.summary import summarise_all
 from stereo_slam_env.benchmark.report import run_report as report_module
 from stereo_slam_env.benchmark.report.overview import overview
 from stereo_slam_env.benchmark.report.run_report import write_report
 from stereo_slam_env.benchmark.statistics.verdict import judge
 from stereo_slam_env.viewer.page import _plotly_library
 
-from ....synthetic_runs import THREE, Behaviour, make_bounds, make_runs
+from ....synthetic_runs import THREE, Behaviour, make_bounds, make_runs, scored
 
 VOID = {"meta", "link", "br", "img", "input"}
 
@@ -50,8 +49,8 @@ class Page(HTMLParser):
 
 def report(tmp_path, runs, title="Wide turns", settings=MappingProxyType({})):
     bounds = make_bounds(runs) if any(run.seed is not None for run in runs) else {}
-    summaries = summarise_all(runs, bounds=bounds)
-    return write_report(tmp_path / "out", title, runs, summaries, settings, bounds=bounds)
+    summaries, figures = scored(runs, bounds=bounds)
+    return write_report(tmp_path / "out", title, runs, summaries, figures, settings, bounds=bounds)
 
 
 @pytest.fixture(scope="module")
@@ -135,8 +134,8 @@ def test_the_diverged_filter_is_marked(page):
 
 def test_no_ranking_without_what_the_runs_show():
     runs = make_runs(THREE[:2], range(6), frames=40)
-    summaries = summarise_all(runs)
-    said = "".join(Page(overview(summaries, judge(runs, summaries))).text)
+    summaries, figures = scored(runs)
+    said = "".join(Page(overview(summaries, judge(summaries, figures))).text)
     assert "no difference shown" in said
     assert "worse" not in said
     assert re.search(r"[−+]\d+ to \+\d+ %", said)
@@ -144,16 +143,16 @@ def test_no_ranking_without_what_the_runs_show():
 
 def test_a_worse_filter_is_called_worse_with_its_interval():
     runs = make_runs((THREE[0], Behaviour("clumsy", 2.0)), range(10), frames=40)
-    summaries = summarise_all(runs)
-    said = "".join(Page(overview(summaries, judge(runs, summaries))).text)
+    summaries, figures = scored(runs)
+    said = "".join(Page(overview(summaries, judge(summaries, figures))).text)
     assert re.search(r"worse, \+[\d,]+ to \+[\d,]+ %", said)
     assert "best" in said
 
 
 def test_of_many_filters_the_headline_counts():
     runs = make_runs([Behaviour(f"filter-{i}", 0.1) for i in range(8)], range(6), frames=30)
-    summaries = summarise_all(runs)
-    said = "".join(Page(overview(summaries, judge(runs, summaries))).text)
+    summaries, figures = scored(runs)
+    said = "".join(Page(overview(summaries, judge(summaries, figures))).text)
     assert "and 4 more is shown" in said
 
 
@@ -180,7 +179,7 @@ def test_real_data_without_truth(tmp_path):
     path = report(tmp_path, make_runs(seeds=[None], frames=60, truth="none"))
     text = "".join(Page(path.read_text(encoding="utf-8")).text)
     assert "no ground truth" in text
-    assert "NIS, 1 is ideal" in text
+    assert "NIS / dof, 1 is ideal" in text
     for figure in ("error_by_run", "nees", "error_0", "efficiency"):
         assert figure not in text
 
@@ -212,4 +211,4 @@ def test_tables_beside_the_page_are_linked(tmp_path):
 
 def test_nothing_to_report_is_refused(tmp_path):
     with pytest.raises(ValueError, match="nothing to report"):
-        write_report(tmp_path, "empty", [], [], {})
+        write_report(tmp_path, "empty", [], [], {}, {})

@@ -5,7 +5,6 @@ from types import SimpleNamespace
 
 import pytest
 
-from stereo_slam_env.benchmark.metrics.summary import summarise_all
 from stereo_slam_env.benchmark.report import attribution_report, comparison_report, study_report
 from stereo_slam_env.benchmark.report.comparison_report import write_comparison_report
 from stereo_slam_env.benchmark.report.study_report import write_study_report
@@ -14,7 +13,7 @@ from stereo_slam_env.benchmark.scenarios.study import Cell, Study
 from stereo_slam_env.benchmark.statistics.attribution import attribute_runs
 from stereo_slam_env.benchmark.statistics.comparison import compare
 
-from ....synthetic_runs import THREE, Behaviour, make_bounds, make_runs
+from ....synthetic_runs import THREE, Behaviour, make_bounds, make_runs, scored
 from .test_run_report import Page
 
 SCENARIO = Scenario("made-up", "street", {"route": "town"}, seeds=(0,))
@@ -36,7 +35,8 @@ def drawn(monkeypatch):
 
 def outcome(behaviours=THREE, seeds=range(6), frames=40):
     runs = make_runs(behaviours, seeds, frames)
-    return SimpleNamespace(runs=runs, summaries=summarise_all(runs, bounds=make_bounds(runs)))
+    summaries, figures = scored(runs, bounds=make_bounds(runs))
+    return SimpleNamespace(runs=runs, summaries=summaries, figures=figures)
 
 
 def grid():
@@ -93,7 +93,7 @@ def test_attribution_is_said_first_and_tabulated(tmp_path, drawn):
     ]
     result = outcome(filters, range(8))
     study = Study("attribution", (Cell("attribution", {}, SCENARIO),), factors)
-    attribution = attribute_runs(factors, result.runs)
+    attribution = attribute_runs(factors, result.figures)
     page = read(write_study_report(tmp_path, study, {"attribution": result}, attribution))
     text = " ".join(page.text)
     assert text.index("'euclidean' instead of 'inverse-depth'") < text.index("Which choice makes the difference?")

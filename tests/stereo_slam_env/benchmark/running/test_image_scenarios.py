@@ -233,7 +233,9 @@ def test_landmarks_of_a_guided_search_are_not_judged_by_the_truth_of_other_track
     assert np.isnan(guided.landmark_rmse).all()
     assert guided.traces == ()
     assert np.isfinite(guided.pose_nees).all()
-    write_report(tmp_path, "guided", result.runs, result.summaries, result.cells[0].directory.settings())
+    write_report(
+        tmp_path, "guided", result.runs, result.summaries, result.figures, result.cells[0].directory.settings()
+    )
 
 
 def test_without_measurements_everything_else_of_a_drive_stays(folder):

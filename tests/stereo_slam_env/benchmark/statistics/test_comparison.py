@@ -14,7 +14,7 @@ from stereo_slam_env.benchmark.scenarios.study import Cell, Study
 from stereo_slam_env.benchmark.statistics.comparison import COLUMNS, compare
 from stereo_slam_env.benchmark.statistics.differences import Finding
 
-from ....synthetic_runs import THREE, make_runs
+from ....synthetic_runs import THREE, make_runs, scored
 
 SCENARIO = Scenario(
     "tiny",
@@ -37,7 +37,7 @@ def stored(tmp_path_factory):
 
 
 def result(runs):
-    return SimpleNamespace(runs=runs)
+    return SimpleNamespace(runs=runs, figures=scored(runs)[1])
 
 
 def worsened(runs, name, factor):

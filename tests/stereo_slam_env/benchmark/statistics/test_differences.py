@@ -10,15 +10,14 @@ from scipy.stats import wilcoxon
 from stereo_slam_env.benchmark.statistics.differences import (
     Finding,
     difference_of,
-    larger,
     level,
     mean_interval,
     paired_difference,
     pairs_needed,
-    signed,
     signed_rank_p,
     unpaired_difference,
 )
+from stereo_slam_env.benchmark.statistics.words import percent_words, signed
 
 DRAWS = {
     "normal": lambda rng, shape: rng.standard_normal(shape),
@@ -96,7 +95,7 @@ def test_what_differs_nowhere_is_identical():
     same = paired_difference(HARDNESS, HARDNESS)
     assert same.identical
     assert same.finding is Finding.NOT_SHOWN
-    assert same.evidence == "identical, 10 paired runs"
+    assert same.evidence == "the same in all 10 runs"
     assert same.not_worse_than(1.0)
     assert not paired_difference(HARDNESS, HARDNESS * SCATTER).identical
 
@@ -180,8 +179,22 @@ def test_impossible_levels_are_refused(kwargs, says):
 
 @pytest.mark.parametrize(
     ("percent", "words"),
-    [(20.4, "20 % larger"), (0.42, "0.4 % larger"), (110.0, "2.1 times as large"), (-30.0, "30 % smaller")],
+    [(20.4, "20 % larger"), (0.42, "0.4 % larger"), (110.0, "110 % larger"), (-30.0, "30 % smaller")],
 )
 def test_factors_have_words(percent, words):
-    assert larger(percent) == words
+    assert percent_words(percent) == words
     assert signed(-1234.4) == "−1,234"
+
+
+def test_a_tie_is_no_difference_however_sure_its_sign():
+    tie = paired_difference(1.0002 * HARDNESS, HARDNESS)
+    assert tie.tied
+    assert not tie.identical
+    assert tie.finding is Finding.NOT_SHOWN
+    assert tie.evidence == "the same to within 0.1 % in all 10 runs"
+    assert not paired_difference(1.002 * HARDNESS, HARDNESS).tied
+    assert not unpaired_difference(HARDNESS, HARDNESS).tied
+
+
+def test_what_is_rounded_to_zero_has_no_sign():
+    assert (signed(-0.4), signed(0.004, 2), signed(-0.0), signed(-0.6)) == ("0", "0.00", "0", "−1")

@@ -3,22 +3,21 @@
 import numpy as np
 import pytest
 
-from stereo_slam_env.benchmark.metrics.summary import summarise_all
+from stereo_slam_env.benchmark.metrics.run_figures import common_keys, figures_of
 from stereo_slam_env.benchmark.statistics.differences import Finding
-from stereo_slam_env.benchmark.statistics.measures import EFFICIENCY, POSE_NEES, POSITION, TIME, common_keys, figures_of
+from stereo_slam_env.benchmark.statistics.measures import EFFICIENCY, POSE_NEES, POSITION, TIME
 
-from ....synthetic_runs import THREE, make_runs
+from ....synthetic_runs import THREE, make_runs, scored
 
 
 def test_the_figures_of_the_runs_are_those_of_the_summary():
     runs = make_runs(THREE[:2], seeds=range(3), frames=40)
-    figures = figures_of(runs)
-    first = summarise_all(runs)[0]
+    (first, _), figures = scored(runs)
     keys = common_keys(*figures.values())
     assert keys == [("drive-0", 0), ("drive-1", 1), ("drive-2", 2)]
-    assert tuple(figures["inverse-depth"].values(POSITION, keys)) == first.position_rmse_by_run
-    assert figures["inverse-depth"].values(POSE_NEES, keys).mean() == pytest.approx(first.pose_anees / 6)
-    assert np.isnan(figures["inverse-depth"].values(EFFICIENCY, keys)).all()
+    assert tuple(POSITION.by_run(figures["inverse-depth"], keys)) == first.position_rmse_by_run
+    assert POSE_NEES.by_run(figures["inverse-depth"], keys).mean() == pytest.approx(first.pose_anees / 6)
+    assert np.isnan(EFFICIENCY.by_run(figures["inverse-depth"], keys)).all()
     assert not figures["inverse-depth"].diverged(keys).any()
 
 
@@ -54,3 +53,15 @@ def test_over_runs_is_the_geometric_mean_or_of_consistency_the_mean():
     assert POSITION.over_runs(np.array([1.0, 4.0, np.nan])) == pytest.approx(2.0)
     assert POSE_NEES.over_runs(np.array([1.0, 4.0])) == pytest.approx(2.5)
     assert np.isnan(TIME.over_runs(np.full(3, np.nan)))
+
+
+def test_which_runs_diverged_has_no_limit_of_its_own():
+    """A caller that forgets the limit of the scenario is told so, instead of being given another one."""
+    with pytest.raises(TypeError, match="divergence_percent"):
+        figures_of(make_runs(THREE[:1], seeds=range(1), frames=20))
+
+
+def test_a_recording_is_run_once_a_filter():
+    runs = make_runs(THREE[:1], seeds=range(1), frames=20)
+    with pytest.raises(ValueError, match=r"each recording once a filter: inverse-depth ran twice on \('drive-0', 0\)"):
+        figures_of([*runs, *runs], divergence_percent=10.0)

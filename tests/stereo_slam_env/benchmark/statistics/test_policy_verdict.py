@@ -3,13 +3,12 @@
 import numpy as np
 import pytest
 
-from stereo_slam_env.benchmark.metrics.summary import summarise_all
 from stereo_slam_env.benchmark.report.policy_report import policy_overview
 from stereo_slam_env.benchmark.statistics.differences import Difference
 from stereo_slam_env.benchmark.statistics.policy_verdict import Agreement, _agreement, judge_policies
 from stereo_slam_env.benchmark.statistics.verdict import Consistency
 
-from ....synthetic_runs import Behaviour, make_runs
+from ....synthetic_runs import Behaviour, make_runs, scored
 
 SEEDS = range(24)
 FIXED = Behaviour("fixed", 0.10)
@@ -22,8 +21,8 @@ SAME = Behaviour("other", 0.10)
 
 def judged(*behaviours, seeds=SEEDS):
     runs = make_runs((FIXED, *behaviours), seeds, frames=60)
-    summaries = summarise_all(runs)
-    return judge_policies(runs, summaries, baseline="fixed"), summaries
+    summaries, figures = scored(runs)
+    return judge_policies(summaries, figures, baseline="fixed"), summaries
 
 
 def test_a_policy_that_claims_less_and_is_better_is_believed():
@@ -45,7 +44,7 @@ def test_a_policy_that_claims_less_and_is_no_better_is_not():
     assert (found.agreement, found.consistency) == (Agreement.DISAGREE, Consistency.OVERCONFIDENT)
     assert "claims 50 % less uncertainty" in found.words
     assert "no difference of the true position error is shown" in found.words
-    assert "claim and truth disagree; and it is overconfident, NEES/6" in found.words
+    assert "claim and truth disagree; and it is overconfident, pose NEES / 6" in found.words
     assert "Claim and truth disagree." in verdict.headline
     assert "Not to be taken at its word: boasts;" in verdict.headline
 
@@ -61,8 +60,8 @@ def test_a_worse_policy_that_owns_up_to_it_agrees():
     verdict, _ = judged(WORSE)
     found = verdict.comparisons["dreams"]
     assert (verdict.best, found.agreement) == ("fixed", Agreement.AGREE)
-    assert "claims 3 times as much uncertainty of the final position as fixed" in found.words
-    assert "times as large along the drive" in found.words
+    assert "claims 200 % more uncertainty of the final position than fixed" in found.words
+    assert "% larger along the drive" in found.words
 
 
 @pytest.mark.parametrize(
@@ -104,15 +103,15 @@ def test_intervals_grow_with_the_number_of_policies():
 
 def test_policies_that_diverged_are_not_the_best():
     runs = make_runs((FIXED, Behaviour("lost", 0.02, diverges=True)), SEEDS, frames=240)
-    verdict = judge_policies(runs, summarise_all(runs, divergence_percent=1.0), baseline="fixed")
+    verdict = judge_policies(*scored(runs, divergence_percent=1.0), baseline="fixed")
     assert verdict.best == "fixed"
-    assert "Diverged: lost in " in verdict.headline
+    assert "Lost: lost diverged in " in verdict.headline
 
 
 def test_the_baseline_must_take_part():
     runs = make_runs((BETTER, SAME), range(2), frames=30)
     with pytest.raises(ValueError, match="baseline must be one of greedy, other, got 'fixed'"):
-        judge_policies(runs, summarise_all(runs), baseline="fixed")
+        judge_policies(*scored(runs), baseline="fixed")
 
 
 def test_the_first_screen_has_a_row_a_policy_and_a_sentence_for_each():

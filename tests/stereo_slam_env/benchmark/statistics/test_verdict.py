@@ -1,18 +1,20 @@
 """What the report may claim, from runs with a known answer (< 2 s)."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from stereo_slam_env.benchmark.metrics.summary import summarise_all
+from stereo_slam_env.benchmark.metrics.run_figures import RunFigures
 from stereo_slam_env.benchmark.statistics.differences import Finding
-from stereo_slam_env.benchmark.statistics.measures import POSITION, TIME, RunFigures
-from stereo_slam_env.benchmark.statistics.verdict import Consistency, against_best, compare_all, consistency, judge
+from stereo_slam_env.benchmark.statistics.measures import POSITION, TIME
+from stereo_slam_env.benchmark.statistics.pairwise import compare_all
+from stereo_slam_env.benchmark.statistics.verdict import Consistency, against_best, consistency, judge
 
-from ....synthetic_runs import THREE, THREE_ONE_DIVERGING, Behaviour, make_runs
+from ....synthetic_runs import THREE, THREE_ONE_DIVERGING, Behaviour, make_runs, scored
 
-ANY = summarise_all(make_runs(THREE[:1], frames=20))[0]
+ANY = scored(make_runs(THREE[:1], frames=20))[0][0]
 
 
 def summary(**changes):
@@ -65,7 +67,7 @@ def test_more_comparisons_need_more_evidence():
         ([0.10], [0.20], "one run shows no general difference (other is at +100 % in it)"),
         ([0.10, 0.14, 0.11], [0.12, 0.13, 0.15], "3 runs are too few to show a difference to other, 6 are needed"),
         ([0.10, 0.11, 0.12], [0.20, 0.22, 0.21], "3 runs are too few to show a difference to other, 6 are needed"),
-        ([0.10, 0.11, 0.12], [0.10, 0.11, 0.12], "other has the same errors in all 3 runs"),
+        ([0.10, 0.11, 0.12], [0.10, 0.11, 0.12], "the error of other is the same in all 3 runs"),
     ],
 )
 def test_few_runs_show_nothing(ours, theirs, says):
@@ -82,16 +84,16 @@ def test_a_gap_in_too_few_runs_for_so_many_comparisons_is_not_shown():
 
 
 def test_a_filter_that_completed_nothing_is_not_compared_by_number():
-    comparison = compared([0.1] * 6, [np.nan] * 6, diverged=6)
+    comparison = compared([0.1] * 6, [np.nan] * 6, runs=6, diverged=6, failures=("no",) * 6)
     assert np.isnan(comparison.excess_percent)
-    assert comparison.words == "other completed no run"
+    assert comparison.words == "other failed in 6 of 6 runs"
 
 
 @pytest.mark.parametrize(("lost", "words"), [(1, "in 1 of 8 runs, which may be chance"), (7, "7 of 8 runs")])
 def test_one_divergence_may_be_chance_and_many_are_not(lost, words):
     runs = make_runs((THREE[0], replace(THREE[2], name="wild")), seeds=range(8), frames=60)
     runs = [replace(r, failure="frame 3: gone") if r.filter_name == "wild" and r.seed < lost else r for r in runs]
-    comparison = judge(runs, summarise_all(runs)).comparisons["wild"]
+    comparison = judge(*scored(runs)).comparisons["wild"]
     assert comparison.shown
     assert comparison.divergences.only_a == lost
     assert comparison.words.endswith(words)
@@ -112,10 +114,10 @@ def test_without_truth_consistency_is_not_known():
 def test_a_filter_that_diverged_is_never_the_best():
     lucky = Behaviour("lucky", 0.001)
     runs = make_runs((lucky, *THREE[:2]), frames=60)
-    summaries = summarise_all(runs)
-    assert judge(runs, summaries).best == "lucky"
+    summaries, figures = scored(runs)
+    assert judge(summaries, figures).best == "lucky"
     summaries = [replace(s, diverged=1) if s.filter_name == "lucky" else s for s in summaries]
-    verdict = judge(runs, summaries)
+    verdict = judge(summaries, figures)
     assert verdict.best != "lucky"
     assert "lucky diverged in 1 of 5 runs" in verdict.headline
 
@@ -123,7 +125,7 @@ def test_a_filter_that_diverged_is_never_the_best():
 def test_the_headline_names_the_winner_its_consistency_and_its_cost():
     clear = (Behaviour("sharp", 0.02), Behaviour("blunt", 0.4))
     runs = make_runs(clear, seeds=range(8), frames=120)
-    headline = judge(runs, summarise_all(runs)).headline
+    headline = judge(*scored(runs)).headline
     assert headline.startswith("sharp is the most accurate")
     assert "NEES" in headline
     assert "ms a frame" in headline
@@ -131,16 +133,18 @@ def test_the_headline_names_the_winner_its_consistency_and_its_cost():
 
 def test_the_headline_answers_every_question_in_its_own_sentence():
     runs = make_runs((Behaviour("sharp", 0.02, milliseconds=6.0), Behaviour("quick", 0.4)), seeds=range(8), frames=120)
-    summaries = [replace(s, efficiency_percent=93.4, bound_position_m=0.0187) for s in summarise_all(runs)]
-    verdict = judge(runs, summaries)
+    found, figures = scored(runs)
+    summaries = [replace(s, efficiency_percent=93.4, bound_position_m=0.0187) for s in found]
+    verdict = judge(summaries, figures)
     assert list(verdict.answers) == ["best", "consistent", "limit", "cost"]
     assert "at 95 % confidence, 8 paired runs" in verdict.answers["best"]
-    assert verdict.answers["limit"] == "It reaches 93 % of what theory allows (Cramér–Rao bound, 0.0187 m)."
-    assert "1.5 times quick" in verdict.answers["cost"]
+    assert verdict.answers["limit"] == (
+        "sharp reaches 93 % of what theory allows (8 runs; the Cramér–Rao bound, 0.0187 m)."
+    )
+    assert re.search(r"ms a frame, 5\d % more than quick\.$", verdict.answers["cost"])
+    assert all("sharp" in answer for answer in verdict.answers.values())
     assert verdict.headline == " ".join(verdict.answers.values())
-    summaries = [replace(s, efficiency_percent=101.0, bound_position_m=None) for s in summaries]
-    assert judge(runs, summaries).answers["limit"].startswith("Its error is at the limit of what theory allows")
-    assert "limit" not in judge(runs, summarise_all(runs)).answers
+    assert "limit" not in judge(*scored(runs)).answers
 
 
 def test_many_rivals_do_not_make_a_long_headline():
@@ -148,14 +152,14 @@ def test_many_rivals_do_not_make_a_long_headline():
         Behaviour(f"far-{k}", 1.0 + 0.1 * k) for k in range(5)
     ]
     runs = make_runs(behaviours, seeds=range(10), frames=60)
-    best = judge(runs, summarise_all(runs)).answers["best"]
+    best = judge(*scored(runs)).answers["best"]
     assert "and 3 more is shown. Behind it: the error of far-" in best
     assert best.endswith("; and 2 more.")
 
 
 def test_each_filter_is_held_against_each_other_one_by_every_question():
     runs = make_runs((*THREE[:2], replace(THREE[2], error_m=0.6)), seeds=range(10), frames=120)
-    table = compare_all(runs, summarise_all(runs))
+    table = compare_all(*scored(runs))
     assert [m.words for m in table.measures] == ["position error", "rotation error", "pose NEES / 6", "time"]
     assert len(table.cells) == 4 * 3 * 2
     worse = table.cell(POSITION, "euclidean", "inverse-depth")
@@ -169,7 +173,7 @@ def test_each_filter_is_held_against_each_other_one_by_every_question():
 
 def test_all_may_be_held_against_a_baseline():
     runs = make_runs(THREE, seeds=range(8), frames=60)
-    table = compare_all(runs, summarise_all(runs), baseline="dual-bearing")
+    table = compare_all(*scored(runs), baseline="dual-bearing")
     assert {(name, against) for _, name, against in table.cells} == {
         ("inverse-depth", "dual-bearing"),
         ("dual-bearing", "inverse-depth"),
@@ -177,16 +181,67 @@ def test_all_may_be_held_against_a_baseline():
         ("dual-bearing", "euclidean"),
     }
     with pytest.raises(ValueError, match="baseline must be one of inverse-depth, dual-bearing, euclidean, got 'dual'"):
-        compare_all(runs, summarise_all(runs), baseline="dual")
+        compare_all(*scored(runs), baseline="dual")
 
 
 def test_near_equals_are_called_so():
     runs = make_runs(THREE[:2], seeds=range(8), frames=120)
-    assert "no difference to" in judge(runs, summarise_all(runs)).headline
+    assert "no difference to" in judge(*scored(runs)).headline
 
 
 def test_no_truth_and_no_survivor_have_their_own_words():
     runs = make_runs(seeds=[None], frames=60, truth="none")
-    assert "no ground truth" in judge(runs, summarise_all(runs)).headline
+    assert "no ground truth" in judge(*scored(runs)).headline
     runs = make_runs(THREE_ONE_DIVERGING[2:], frames=240)
-    assert judge(runs, summarise_all(runs)).headline == "Every filter diverged in at least one run."
+    assert judge(*scored(runs)).headline == "There is no verdict: euclidean diverged in 5 of 5 runs."
+    failed = [replace(run, failure="frame 3: gone") for run in make_runs(THREE, frames=20)]
+    assert judge(*scored(failed)).headline == (
+        "None came through every run: inverse-depth failed in 5 of 5 runs; dual-bearing failed in 5 of 5 runs; "
+        "euclidean failed in 5 of 5 runs."
+    )
+
+
+def test_a_run_of_three_frames_is_too_short_and_not_without_truth():
+    headline = judge(*scored(make_runs(frames=3))).headline
+    assert headline.startswith("Too short for a verdict: 2 frames have ground truth")
+    assert "no ground truth" not in headline
+
+
+def test_divergence_is_judged_by_the_limit_of_the_scenario():
+    """Errors of 5 % of the way: with a limit of 1 % all is lost, and that is no chance."""
+    off = Behaviour("off", 10.0)
+    runs = make_runs((THREE[0], off), seeds=range(10), frames=240)
+    strict, lenient = (judge(*scored(runs, divergence_percent=percent)) for percent in (1.0, 90.0))
+    assert strict.comparisons["off"].divergences.only_a == 10
+    assert strict.comparisons["off"].words == "off diverged in 10 of 10 runs"
+    assert lenient.comparisons["off"].divergences.only_a == 0
+    assert "diverged" not in lenient.headline
+
+
+def test_equal_filters_tie():
+    twin = Behaviour("twin", 0.1)
+    runs = make_runs((twin, Behaviour("clumsy", 0.4)), seeds=range(8), frames=60)
+    copies = [
+        replace(run, filter_name="copy", positions=run.true_positions + 1.0001 * (run.positions - run.true_positions))
+        for run in runs
+        if run.filter_name == "twin"
+    ]
+    verdict = judge(*scored([*runs, *copies]))
+    assert verdict.leaders == ("twin", "copy")
+    assert verdict.is_shown
+    assert verdict.answers["best"].startswith("twin and copy tie as the most accurate, with a position error of ")
+    assert "the same to within 0.1 % in all 8 runs" in verdict.headline
+    assert "Behind them: the error of clumsy is" in verdict.headline
+    assert not re.search(r"[+−]0\.?0* ", verdict.headline)
+    alone = judge(*scored([run for run in [*runs, *copies] if run.filter_name != "clumsy"]))
+    assert alone.answers["best"].startswith("twin and copy tie: their position error is ")
+    assert not alone.is_shown
+
+
+def test_the_headline_speaks_in_percent_and_in_one_unit_of_nees():
+    clear = (Behaviour("sharp", 0.02, milliseconds=9.0), Behaviour("blunt", 0.4))
+    headline = judge(*scored(make_runs(clear, seeds=range(8), frames=120))).headline
+    assert re.search(r"the error of blunt is [\d,]+ % larger \(\+", headline)
+    assert "times" not in headline
+    nees = r"The pose NEES / 6 of sharp is [01]\.\d\d, inside its band \(0\.\d\d to 1\.\d\d\)"
+    assert re.search(nees, headline)

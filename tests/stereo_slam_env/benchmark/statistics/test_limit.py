@@ -1,0 +1,62 @@
+"""How near filters come to what theory allows, in words that hold for these runs (< 1 s)."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from stereo_slam_env.benchmark.statistics.limit import Reach, limit_reached
+from stereo_slam_env.benchmark.statistics.verdict import judge
+
+from ....synthetic_runs import THREE, make_runs, scored
+
+RUNS = make_runs(THREE[:1], seeds=range(8), frames=40)
+SUMMARIES, FIGURES = scored(RUNS)
+
+
+def reached(efficiencies):
+    """A filter with these efficiencies run by run, and errors of 1 m."""
+    efficiencies = np.asarray(efficiencies, dtype=float)
+    return replace(
+        SUMMARIES[0],
+        position_rmse_by_run=(1.0,) * len(efficiencies),
+        efficiency_by_run=tuple(efficiencies),
+        efficiency_percent=float(np.sqrt(np.mean(efficiencies**2))),
+        bound_position_m=0.5,
+    )
+
+
+@pytest.mark.parametrize(
+    ("efficiencies", "reach", "words"),
+    [
+        (np.linspace(60, 80, 8), Reach.SHORT, r"7\d % \(6\d to 7\d %\)"),
+        (np.linspace(60, 150, 8), Reach.AT, r"at the limit \(8\d to 1\d\d %\)"),
+        (np.linspace(40, 125, 8), Reach.OPEN, r"8\d % \(\d\d to 10\d %\)"),
+        (np.linspace(110, 130, 8), Reach.BEYOND, r"beyond the limit \(11\d to 12\d %\)"),
+        ([70.0, 80.0], Reach.SHORT, r"75 % \(2 runs\)"),
+        ([112.0], Reach.UNSURE, r"not told from the limit \(1 run\)"),
+    ],
+)
+def test_an_interval_with_100_percent_in_it_is_at_the_limit(efficiencies, reach, words):
+    found = limit_reached(reached(efficiencies))
+    assert found.reach is reach
+    assert pytest.approx(found.percent) == reached(efficiencies).efficiency_percent
+    assert re.fullmatch(words, found.words)
+
+
+def test_an_interval_that_only_reaches_100_percent_leaves_it_open():
+    said = judge([reached(np.linspace(40, 125, 8))], FIGURES).answers["limit"]
+    assert "at 95 % confidence, so that it may be at the limit; the Cramér–Rao bound, 0.5 m" in said
+
+
+def test_no_more_than_100_percent_of_what_theory_allows_is_ever_claimed():
+    for efficiencies in (np.linspace(60, 150, 8), np.linspace(110, 130, 8), [112.0]):
+        said = judge([reached(efficiencies)], FIGURES).answers["limit"]
+        assert "reaches" not in said
+    assert "interval of bound over error includes 100 %" in judge([reached(np.linspace(60, 150, 8))], FIGURES).headline
+
+
+def test_without_a_bound_nothing_is_said():
+    assert limit_reached(SUMMARIES[0]) is None
+    assert "limit" not in judge(SUMMARIES, FIGURES).answers
