@@ -14,7 +14,7 @@ from filters.validation import FloatArray
 from stereo_slam_env.benchmark.metrics.consistency import mean_band
 from stereo_slam_env.benchmark.metrics.results import FilterRun, FilterSummary
 from stereo_slam_env.benchmark.report.attribution_report import attribution_section, conclusions
-from stereo_slam_env.benchmark.report.run_report import clean_figures, data_links
+from stereo_slam_env.benchmark.report.run_report import clean_figures, data_links, reference_banner
 from stereo_slam_env.benchmark.report.tables import finding_tone, percent_cell
 from stereo_slam_env.benchmark.scenarios.study import Study
 from stereo_slam_env.benchmark.statistics.attribution import Attribution
@@ -81,6 +81,7 @@ def write_study_report(
     links = {name: _link(out, study, name) for name in results}
     names = list(dict.fromkeys(s.filter_name for outcome in results.values() for s in outcome.summaries))
     body = [
+        reference_banner([run for outcome in results.values() for run in outcome.runs]),
         conclusions(attribution) if attribution is not None else _headline(verdicts, names),
         _matrix(results, verdicts, names, links),
         f'<p class="quiet">{escape(_MATRIX_NOTE)}</p>',

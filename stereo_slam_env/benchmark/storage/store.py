@@ -16,6 +16,7 @@ recordings, which cells share, beside them (see `study_store`). `summary.json`, 
 
     {"version": 2, "scenario": str,
      "recordings": [{"seed": int | null, "name": str, "frames": int, "stream_sha256": str, "assumed_R": 3x3,
+                     "reference": {"kind": str, "description": str},  # what estimates are held against, see `Reference`
                      "source": {...},           # with policies: "drive_sha256", and "streams" by label instead
                      "sensor_noise": [...]}],   # rendered images only: errors by range, see `sensor_noise`
      "filters": {<label>: {every field of `FilterSummary` but filter_name}}}
