@@ -141,7 +141,7 @@ class Reference:
 
 
 SIMULATION = Reference("independent truth", "Exact poses of the simulation.")
-GIVEN_TRUTH = Reference("independent truth", "The true poses of the recording, which says no more about them.")
+GIVEN_TRUTH = Reference("independent truth", "The recording calls its poses true and does not say where they are from.")
 NO_REFERENCE = Reference("none", "No true pose is known.")
 
 

@@ -95,7 +95,7 @@ def _cell(answer: Answer | None) -> str:
 
 
 def consistency_question(summaries: Sequence[FilterSummary], *, with_share: bool = True) -> Question:
-    """Whether NEES, or where there is none NIS, is what a consistent filter has; `with_share`: and in how many frames."""
+    """Whether NEES, or else NIS, is what a consistent filter has; `with_share`: and in how many frames."""
     if all(s.pose_anees is None for s in summaries):
         return Question("Is it consistent?", "NIS, 1 is ideal", _innovations)
     bands = {s.pose_anees_band for s in summaries if s.pose_anees_band is not None}

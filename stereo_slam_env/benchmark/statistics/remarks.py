@@ -40,7 +40,7 @@ def reference_remarks(runs: Sequence[FilterRun]) -> dict[Reference, str]:
 def innovation_factor(summary: FilterSummary) -> float | None:
     """By how much the innovations of a filter are larger than it claims, in sigma; None where its NIS is near 1."""
     figure = summary.consistency.get("nis")
-    if figure is None:
+    if figure is None or not figure.mean > 0.0:
         return None
     low, high = figure.band
     far = figure.mean < min(low, 1.0 / FAR) or figure.mean > max(high, FAR)
@@ -54,7 +54,8 @@ def innovation_remarks(summaries: Sequence[FilterSummary]) -> list[str]:
     larger = {name: factor for name, factor in factors.items() if factor > 1.0}
     remarks = []
     if smaller:
-        remarks.append(f"{_far(smaller)}: too much noise is assumed, of pixels or of the motion.")
+        causes = "too much noise is assumed, of pixels or of the motion, or errors last from frame to frame"
+        remarks.append(f"{_far(smaller)}: {causes}.")
     if larger:
         remarks.append(f"{_far(larger)}: too little noise is assumed, or outliers come in.")
     return remarks

@@ -289,9 +289,20 @@ def read_run(out: Path) -> RunDirectory:
         settings = json.loads(path.read_text(encoding="utf-8"))
         return RunDirectory(out, Scenario.from_dict(settings["scenario"]))
     except (FileNotFoundError, NotADirectoryError) as error:
-        raise ValueError(f"{out} holds no run: it has no settings.json") from error
+        raise ValueError(_no_run(out)) from error
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise ValueError(f"{path} is damaged: {error}") from error
+
+
+def _no_run(out: Path) -> str:
+    """Why there is no run to read, and what could be meant."""
+    if not out.is_dir():
+        what = "is a file" if out.exists() else "does not exist"
+        return f"{out} {what}: give the directory of a run"
+    inside = sorted({path.parent for name in MARKERS for path in out.glob(f"*/{name}")})
+    if inside:
+        return f"{out} holds no run itself, but {len(inside)}: give one of them, such as {inside[-1]}"
+    return f"{out} holds no run: it has no settings.json, give the directory of a run"
 
 
 def versions() -> dict[str, str]:
