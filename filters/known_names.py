@@ -35,4 +35,6 @@ def require_known(subject: str, given: Iterable[str], known: Iterable[str]) -> N
     names = list(known)
     for name in given:
         if name not in names:
-            raise ValueError(f"{subject} {name!r}{did_you_mean(name, names)} Known: {', '.join(names) or 'none'}")
+            raise ValueError(
+                f"{subject} {name!r}{did_you_mean(name, names) or '.'} Known: {', '.join(names) or 'none'}"
+            )

@@ -25,6 +25,7 @@ from stereo_slam_env.benchmark.scenarios.study import Study
 from stereo_slam_env.benchmark.statistics.comparison import COLUMNS, RunComparison
 from stereo_slam_env.benchmark.statistics.limit import limit_reached
 from stereo_slam_env.benchmark.statistics.policy_verdict import baseline_of, judge_policies
+from stereo_slam_env.benchmark.statistics.remarks import innovation_remarks, reference_remarks
 from stereo_slam_env.benchmark.statistics.verdict import judge, pose_nees
 from stereo_slam_env.benchmark.storage.study_store import CellResult
 from stereo_slam_env.frontend.settings import TrackerSettings
@@ -92,7 +93,7 @@ def show_recording(console: Console, recording: Recording) -> None:
     """Print what a real recording holds and how it was read."""
     frames = recording.frames
     observed = sum(len(frame.observation) for frame in frames)
-    with_truth = sum(frame.truth is not None for frame in frames)
+    referenced = sum(frame.truth is not None for frame in frames)
     noise = f"R = {json.dumps(recording.noise.R.round(6).tolist())} px² of (u, v, d)"
     if any(frame.observation.R is not None for frame in frames):
         R = np.concatenate([frame.observation.covariances(recording.noise) for frame in frames])
@@ -102,7 +103,8 @@ def show_recording(console: Console, recording: Recording) -> None:
     front_end = source.pop("front_end", None)
     lines = {
         "recording": f"{recording.name}: {len(frames)} frames, {frames[-1].timestamp - frames[0].timestamp:.1f} s, "
-        f"{observed / len(frames):.0f} landmarks a frame, {with_truth} frames with truth",
+        f"{observed / len(frames):.0f} landmarks a frame, {referenced} with a reference pose",
+        "reference": str(recording.reference),
         "its noise": noise,
         "read as": _listed(source),
     }
@@ -202,8 +204,8 @@ def show_cells(console: Console, results: Sequence[CellResult]) -> None:
         if result.cell.factors:
             console.print(f"\n[bold]{escape(result.cell.name)}[/bold]", highlight=False)
         show_results(console, result.summaries, claims=bool(result.cell.scenario.policies))
-        headline = _headline(result)
-        console.print(f"\n{escape(headline)}\n", highlight=False, soft_wrap=True)
+        words = [_headline(result), *reference_remarks(result.runs).values(), *innovation_remarks(result.summaries)]
+        console.print("\n" + escape("\n".join(words)) + "\n", highlight=False, soft_wrap=True)
 
 
 def _headline(result: CellResult) -> str:

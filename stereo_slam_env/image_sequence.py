@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from filters.camera import StereoCamera
 from filters.interface import BodyVelocity
-from stereo_slam_env.recording import Pose, Start
+from stereo_slam_env.recording import Pose, Reference, Start
 
 GreyImage = NDArray[np.uint8]
 """(H, W) uint8."""
@@ -58,6 +58,10 @@ class ImageSequence(Protocol):
     @property
     def source(self) -> Mapping[str, Any]:
         """Where the images come from; JSON-able."""
+
+    @property
+    def truth_from(self) -> Reference:
+        """What the truth of the pairs is, where they have one."""
 
     @property
     def skipped(self) -> Mapping[str, int]:

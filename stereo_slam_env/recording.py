@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -102,6 +102,49 @@ class Start:
     covariance: FloatArray | None = None
 
 
+ReferenceKind = Literal["independent truth", "odometry from the same images", "none"]
+
+
+@dataclass(frozen=True)
+class Reference:
+    """What the poses are that estimates are held against.
+
+    Attributes
+    ----------
+    kind : {"independent truth", "odometry from the same images", "none"}
+        An independent truth owes nothing to the images (simulation, motion capture, GPS/INS). Odometry from the same
+        images shares their errors with the filters: a distance to it is no error, so it has no NEES.
+    description : str
+        Where the poses come from and how good they are, one sentence.
+
+    Raises
+    ------
+    ValueError
+        There is no such kind.
+    """
+
+    kind: ReferenceKind
+    description: str
+
+    def __post_init__(self) -> None:
+        known = get_args(ReferenceKind)
+        if self.kind not in known:
+            raise ValueError(f"kind of a reference must be one of {', '.join(map(repr, known))}, got {self.kind!r}")
+
+    def __str__(self) -> str:
+        return f"{self.kind}. {self.description}"
+
+    @property
+    def is_independent(self) -> bool:
+        """Whether a distance to it is an error, which a filter's covariance can be held against."""
+        return self.kind == "independent truth"
+
+
+SIMULATION = Reference("independent truth", "Exact poses of the simulation.")
+GIVEN_TRUTH = Reference("independent truth", "The recording calls its poses true and does not say where they are from.")
+NO_REFERENCE = Reference("none", "No true pose is known.")
+
+
 @dataclass(frozen=True, eq=False)
 class Recording:
     """A measurement stream that any number of filters can be run on, identically.
@@ -122,6 +165,8 @@ class Recording:
         True map, where known.
     source : mapping
         Everything needed to say where the stream came from (scenario, seed, file, settings); JSON-able.
+    truth_from : Reference
+        What the truth of the frames is, where they have one.
     """
 
     name: str
@@ -131,6 +176,12 @@ class Recording:
     start: Start = field(default_factory=Start)
     landmarks: LandmarkTruth | None = None
     source: Mapping[str, Any] = field(default_factory=dict)
+    truth_from: Reference = GIVEN_TRUTH
+
+    @cached_property
+    def reference(self) -> Reference:
+        """What estimates are held against: `truth_from`, or none where no frame has a truth."""
+        return self.truth_from if any(frame.truth is not None for frame in self.frames) else NO_REFERENCE
 
     def __len__(self) -> int:
         return len(self.frames)

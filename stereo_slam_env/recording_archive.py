@@ -2,7 +2,7 @@
 
 What all frames have lies end to end in flat arrays. What a frame may lack (rows of the right image, covariances,
 odometry, truth) is kept for the frames that have it, and `has.*` says which those are. `about` is JSON: format version,
-name, camera and source.
+name, camera, source, and what the truth is.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from filters.noise import StereoNoise
 from filters.validation import FloatArray
 from stereo_slam_env.array_files import read_arrays
 from stereo_slam_env.atomic_files import write_atomically
-from stereo_slam_env.recording import Frame, LandmarkTruth, Pose, Recording, Start, Velocity
+from stereo_slam_env.recording import GIVEN_TRUTH, Frame, LandmarkTruth, Pose, Recording, Reference, Start, Velocity
 
 FORMAT = 1
 _PARTS: Mapping[str, tuple[type, Mapping[str, tuple[int, ...]]]] = {
@@ -68,7 +68,13 @@ def packed_recording(recording: Recording) -> bytes:
         The source of the recording is not JSON-able.
     """
     camera = {name: _plain(value) for name, value in dataclasses.asdict(recording.camera).items()}
-    about = {"format": FORMAT, "name": recording.name, "camera": camera, "source": dict(recording.source)}
+    about = {
+        "format": FORMAT,
+        "name": recording.name,
+        "camera": camera,
+        "source": dict(recording.source),
+        "truth_from": dataclasses.asdict(recording.truth_from),
+    }
     try:
         header = json.dumps(about, allow_nan=False)
     except (TypeError, ValueError) as error:
@@ -192,7 +198,13 @@ def _recording_of(about: Mapping[str, Any], arrays: Arrays) -> Recording:
         Start(**start, covariance=covariance),
         landmarks,
         about["source"],
+        reference_of(about),
     )
+
+
+def reference_of(about: Mapping[str, Any]) -> Reference:
+    """What the truth is by the header of a file; files of earlier versions do not say."""
+    return Reference(**about["truth_from"]) if "truth_from" in about else GIVEN_TRUTH
 
 
 def _joined(parts: Iterable[NDArray[Any]], shape: tuple[int, ...], dtype: type = np.float64) -> NDArray[Any]:

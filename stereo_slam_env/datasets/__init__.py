@@ -13,9 +13,16 @@ from typing import Any
 
 from filters.known_names import require_known
 from stereo_slam_env.datasets import gtsam_examples, kitti00_stereo_tracks, kitti07_tracks, starry_night
-from stereo_slam_env.datasets.images import known_image_layouts, open_image_sequence, recordings_in
-from stereo_slam_env.datasets.inside import is_there, require_folder, require_links_inside
+from stereo_slam_env.datasets.images import (
+    IMAGE_READERS,
+    folders_in,
+    known_image_layouts,
+    open_image_sequence,
+    recordings_in,
+)
+from stereo_slam_env.datasets.inside import is_there, require_links_inside
 from stereo_slam_env.datasets.known_options import keyword_options
+from stereo_slam_env.datasets.unknown_folder import no_known_layout, require_folder
 from stereo_slam_env.frontend.calibration import calibrated
 from stereo_slam_env.frontend.recorder import record_tracks
 from stereo_slam_env.frontend.settings import TrackerSettings
@@ -66,7 +73,7 @@ def read_recording(path: str | Path, **options: Any) -> Recording:
     if folder.suffix == ".npz" and is_there(folder) and folder.is_file():
         require_known("a recording in one file has no option", options, [])
         return load_recording(folder)
-    require_folder(folder, _layouts())
+    require_folder(folder, f", a recording in one file (NAME.npz) or {gtsam_examples.PREFIX!r}")
     for reader in READERS:
         if reader.recognises(folder):
             require_known("the reader has no option", options, keyword_options(reader.read))
@@ -74,7 +81,8 @@ def read_recording(path: str | Path, **options: Any) -> Recording:
             read: Callable[..., Recording] = reader.read
             return read(folder, **options)
     if not holds_images(folder):
-        raise ValueError(f"{folder} has no known layout: {_nearest(folder)}known are {_layouts()}")
+        layouts = {reader.NAME: reader.FILES for reader in (*READERS, *IMAGE_READERS)}
+        raise ValueError(no_known_layout(folder, folders_in(folder), layouts))
     return record_tracks(*open_for_front_end(folder, **options))
 
 
@@ -114,17 +122,3 @@ def front_end_settings(fields: Mapping[str, Any]) -> TrackerSettings:
     known = [field.name for field in dataclasses.fields(TrackerSettings)]
     require_known("the front end has no setting", fields, known)
     return TrackerSettings(**fields)
-
-
-def _layouts() -> str:
-    return "; ".join(f"{name}: {what}" for name, what in known_layouts().items())
-
-
-def _nearest(folder: Path) -> str:
-    """Say what is missing when the folder has a part of a layout."""
-    present = {reader: [name for name in reader.FILES if (folder / name).is_file()] for reader in READERS}
-    reader = max(READERS, key=lambda reader: len(present[reader]))
-    if not present[reader]:
-        return ""
-    missing = [name for name in reader.FILES if name not in present[reader]]
-    return f"for {reader.NAME} it lacks {', '.join(missing)}; "

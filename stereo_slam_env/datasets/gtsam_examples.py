@@ -18,9 +18,12 @@ from stereo_slam_env.datasets.kitti00_stereo_tracks import (
     tracks_recording,
 )
 from stereo_slam_env.datasets.tracks import ASSUMED_SIGMA_PX
-from stereo_slam_env.recording import Recording
+from stereo_slam_env.recording import Recording, Reference
 
 PREFIX = "gtsam"
+REFERENCE = Reference(
+    "odometry from the same images", "The stereo odometry that comes with the tracks and was fitted to the same pixels."
+)
 FRAME_INTERVAL = 0.1037  # s, of KITTI odometry 00; the wheel holds no times
 
 
@@ -75,11 +78,8 @@ def read(name: str = "kitti00", *, sigma_px: float = ASSUMED_SIGMA_PX, max_per_f
         image_size=example.image_size,
         sigma_px=sigma_px,
         max_per_frame=max_per_frame,
-        source={
-            "reader": f"{PREFIX}:{name}",
-            "truth": "stereo odometry that comes with the tracks (NOT ground truth, not independent of them)",
-            "frame_interval_s": FRAME_INTERVAL,
-        },
+        source={"reader": f"{PREFIX}:{name}", "frame_interval_s": FRAME_INTERVAL},
+        truth_from=REFERENCE,
     )
 
 

@@ -52,14 +52,6 @@ def is_plain_name(name: str) -> bool:
     return plain and len(os.fsencode(name)) <= _LONGEST_NAME
 
 
-def require_folder(folder: Path, known: str) -> None:
-    """Refuse what is no folder, in a line that says which are `known`; raises a `ValueError`."""
-    there = is_there(folder)
-    if not there or not folder.is_dir():
-        what = "is a file, not a folder" if there else "does not exist"
-        raise ValueError(f"{folder} {what}: give a folder of a known layout ({known})")
-
-
 def is_there(path: Path) -> bool:
     """Whether something has this path; a path that no file system takes, nothing has."""
     try:

@@ -19,12 +19,17 @@ from filters.noise import StereoNoise
 from filters.validation import FloatArray, IntArray
 from stereo_slam_env.datasets.tables import read_poses, read_table, require_rotations, split_poses
 from stereo_slam_env.datasets.tracks import ASSUMED_SIGMA_PX, Tracks, frames_of
-from stereo_slam_env.recording import Pose, Recording
+from stereo_slam_env.recording import Pose, Recording, Reference
 
 NAME = "kitti00_stereo_tracks"
 FILES = ("stereo_factors.txt", "calibration.txt", "vo_poses.txt", "poses.txt", "times.txt")
-IMAGE_SIZE = (1241, 376)  # rectified images of the drives of 2011_10_03
 FIRST_SCORED_FRAME = 16  # before it the INS was not yet recording: the ground truth is an extrapolation
+TRUTH = Reference(
+    "independent truth",
+    f"KITTI's ground truth (GPS/INS) from frame {FIRST_SCORED_FRAME} on, moved as a whole onto the stereo odometry of "
+    "that frame: its shape is independent of the images, its place is not.",
+)
+IMAGE_SIZE = (1241, 376)  # rectified images of the drives of 2011_10_03
 
 
 def recognises(path: Path) -> bool:
@@ -80,11 +85,8 @@ def read(path: Path, *, sigma_px: float = ASSUMED_SIGMA_PX, max_per_frame: int |
         image_size=IMAGE_SIZE,
         sigma_px=sigma_px,
         max_per_frame=max_per_frame,
-        source={
-            "reader": NAME,
-            "path": str(path),
-            "truth": f"KITTI ground truth (GPS/INS) from frame {FIRST_SCORED_FRAME} on, placed on the odometry there",
-        },
+        source={"reader": NAME, "path": str(path)},
+        truth_from=TRUTH,
     )
 
 
@@ -111,6 +113,7 @@ def tracks_recording(
     sigma_px: float,
     max_per_frame: int | None,
     source: Mapping[str, Any],
+    truth_from: Reference,
 ) -> Recording:
     """The recording of GTSAM's stereo factor files, whatever they are called.
 
@@ -152,6 +155,7 @@ def tracks_recording(
         frames_of(thinned, timestamps, truth),
         StereoNoise.independent_pixels(sigma_px),
         source={**source, **settings},
+        truth_from=truth_from,
     )
 
 

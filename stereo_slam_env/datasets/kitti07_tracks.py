@@ -17,11 +17,16 @@ from filters.noise import StereoNoise
 from filters.validation import FloatArray, positive
 from stereo_slam_env.datasets.tables import read_archive, read_poses
 from stereo_slam_env.datasets.tracks import ASSUMED_SIGMA_PX, frames_of, tracks_of_pixels
-from stereo_slam_env.recording import Pose, Recording
+from stereo_slam_env.recording import Pose, Recording, Reference
 
 NAME = "kitti07_tracks"
 FILES = ("tracks.npz", "poses.txt")
 ARRAYS = ("features", "time_stamps", "linear_velocity", "rotational_velocity", "K", "b", "cam_T_imu")
+TRUTH = Reference(
+    "independent truth",
+    "KITTI's ground truth: GPS/INS, to about 0.1 m where RTK held, noisier from frame to frame; the odometry is of the "
+    "same INS, with noise added.",
+)
 IMAGE_SIZE = (1226, 370)  # rectified images of the drives of 2011_09_30; the archive does not hold it
 
 
@@ -86,7 +91,6 @@ def read(
         "sigma_angular_rad_s": float(sigma_angular),
         "max_per_frame": max_per_frame,
         "dropped_non_positive_disparity": len(tracks) - len(positive_disparity),
-        "truth": "KITTI ground truth (GPS/INS)",
         "frames_without_truth": count - len(truth),
     }
     frames = frames_of(
@@ -95,7 +99,8 @@ def read(
         [*truth, *[None] * (count - len(truth))],
         odometry,
     )
-    return Recording(NAME, camera, frames, StereoNoise.independent_pixels(sigma_px), source=source)
+    noise = StereoNoise.independent_pixels(sigma_px)
+    return Recording(NAME, camera, frames, noise, source=source, truth_from=TRUTH)
 
 
 def camera_velocities(

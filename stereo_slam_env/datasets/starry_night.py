@@ -18,7 +18,7 @@ from filters.validation import FloatArray, positive
 from stereo_slam_env.datasets.kitti07_tracks import camera_velocities
 from stereo_slam_env.datasets.tables import read_archive, require_rotations
 from stereo_slam_env.datasets.tracks import Tracks, frames_of, tracks_of_pixels
-from stereo_slam_env.recording import LandmarkTruth, Pose, Recording
+from stereo_slam_env.recording import LandmarkTruth, Pose, Recording, Reference
 
 NAME = "starry_night"
 FILES = ("starry_night.npz",)
@@ -27,6 +27,7 @@ ARRAYS = (
     *("C_c_v", "rho_v_c_v", "fu", "fv", "cu", "cv", "b"),
 )
 IMAGE_SIZE = (646, 480)  # the archive does not hold it: the smallest that holds every measurement (u up to 644.4)
+TRUTH = Reference("independent truth", "Motion capture; its own errors are about 0.01 m and 0.01 to 0.03 rad.")
 GYRO_DELAY = 0.11  # s
 
 
@@ -115,8 +116,8 @@ def read(
             "max_row_difference_px": max_row_difference,
             "dropped_row_difference": len(seen) - len(used),
             "gyro": f"sign turned, read {GYRO_DELAY} s late: so the data say, see step_velocities",
-            "truth": "motion capture; its own errors are about 0.01 m and 0.01 to 0.03 rad",
         },
+        truth_from=TRUTH,
     )
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from stereo_slam_env.envs.drive import StereoDriveEnv
 from stereo_slam_env.envs.options import DriveOptions, StereoOptions
 from stereo_slam_env.envs.stereo_env import StereoEnv
-from stereo_slam_env.recording import Frame, Recording
+from stereo_slam_env.recording import SIMULATION, Frame, Recording
 from stereo_slam_env.rendering.backends import renderer_identity
 
 
@@ -95,6 +95,7 @@ def recording_of(
         start=env.start,
         landmarks=env.landmark_truth(),
         source={**described(env, seed), "frames": len(frames), **(about or {})},
+        truth_from=SIMULATION,
     )
 
 

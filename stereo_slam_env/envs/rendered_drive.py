@@ -12,7 +12,7 @@ from filters.camera import StereoCamera
 from stereo_slam_env.envs.drive import StereoDriveEnv
 from stereo_slam_env.envs.recorder import described
 from stereo_slam_env.image_sequence import StereoPair
-from stereo_slam_env.recording import Start
+from stereo_slam_env.recording import SIMULATION, Reference, Start
 from stereo_slam_env.rendering.images import grey
 
 
@@ -57,6 +57,11 @@ class RenderedDrive:
     def start(self) -> Start:
         """What filters are told at the start."""
         return self._start
+
+    @property
+    def truth_from(self) -> Reference:
+        """What is driven is known exactly."""
+        return SIMULATION
 
     @property
     def skipped(self) -> Mapping[str, int]:

@@ -79,6 +79,7 @@ def record_tracks(
             "front_end": dataclasses.asdict(settings),
             **({"skipped": dict(sequence.skipped)} if sequence.skipped else {}),
         },
+        truth_from=sequence.truth_from,
     )
 
 

@@ -159,7 +159,7 @@ class DrivePicture:
         self._way.set_title("The way, truth in grey (m)" if known.any() else "The way (m)")
 
     def _draw_strip(self) -> None:
-        """NEES where truth is known, else NIS, which needs none."""
+        """NEES where there is an independent truth, else NIS, which needs none."""
         strip = self._strip
         nees = np.array([moment.nees for moment in self._history]) / _POSE_DOF
         if np.isfinite(nees).any():
@@ -168,7 +168,7 @@ class DrivePicture:
             strip.axhspan(low, high, color=BAND, zorder=0)
         else:
             self._values = np.array([m.nis / m.nis_dof if m.nis_dof else np.nan for m in self._history])
-            title = "NIS / degrees of freedom: 1 is ideal (no truth, so no NEES)"
+            title = "NIS / degrees of freedom: 1 is ideal (no NEES without an independent truth)"
         self._values[0] = np.nan  # at the start nothing has been estimated
         strip.axhline(1.0, color=MUTED, linewidth=0.8, linestyle=(0, (4, 3)), zorder=1)
         strip.set_title(title)

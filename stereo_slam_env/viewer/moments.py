@@ -41,7 +41,7 @@ class Moment:
     truth : Pose, optional
         The true pose.
     nees : float
-        Of the pose, in the filter's own error (6 degrees of freedom); NaN without truth.
+        Of the pose, in the filter's own error (6 degrees of freedom); NaN without an independent truth.
     nis, nis_dof : float, int
         Of the update.
     """
@@ -74,6 +74,8 @@ def moment_of(
     observation: StereoObservation,
     report: UpdateReport,
     truth: Pose | None = None,
+    *,
+    independent: bool = True,
 ) -> Moment:
     """What there is to see of `slam` after its `update(observation)` returned `report`.
 
@@ -89,9 +91,11 @@ def moment_of(
         Of the update.
     truth : Pose, optional
         The true pose of the left camera.
+    independent : bool
+        Whether the truth owes nothing to the images, see `Reference`: else there is no NEES.
     """
     value = float("nan")
-    if truth is not None:
+    if truth is not None and independent:
         error, covariance = slam.pose_error(truth.position, truth.orientation)
         value = float(nees(error[None], covariance[None])[0])
     return Moment(
@@ -157,6 +161,8 @@ def drive_of(
     if len(recording) == 0:
         raise ValueError(f"recording {recording.name!r} has no frames")
 
+    independent = recording.reference.is_independent
+
     def moments() -> Iterator[Moment]:
         slam = make(recording.camera, recording.noise if noise is None else noise)
         slam.reset(**vars(recording.start))
@@ -167,7 +173,8 @@ def drive_of(
             if observe is not None:
                 frame = dataclasses.replace(frame, observation=observe(number, slam))
             report = slam.update(frame.observation)
-            yield moment_of(name, frame.timestamp, slam, frame.observation, report, frame.truth)
+            seen, truth = frame.observation, frame.truth
+            yield moment_of(name, frame.timestamp, slam, seen, report, truth, independent=independent)
             before = frame
 
     return Drive(f"{name} on {recording.name}", name, recording.camera, len(recording), moments, recording.landmarks)

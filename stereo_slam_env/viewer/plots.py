@@ -67,7 +67,7 @@ def plot_trajectory(runs: Sequence[FilterRun]) -> Figure:
         top_view.plot(x, y, color=colours[run.filter_name], linewidth=width, label=run.filter_name)
     frame_track(top_view, reference, across, up)
     axis_names = {0: "x, right (m)", 2: "z, forward (m)"}
-    title = "Seen from above, truth in grey" if known.any() else "Seen from above"
+    title = f"Seen from above, {series.reference_name(shown[0])} in grey" if known.any() else "Seen from above"
     top_view.set(xlabel=axis_names[across], ylabel=axis_names[up], title=title)
     if errors is None:
         colour_key(top_view, {run.filter_name: colours[run.filter_name] for run in shown})
@@ -149,7 +149,7 @@ def plot_velocity(runs: Sequence[FilterRun]) -> Figure:
         _draw_over_time(ax, shown, estimate, true, unit)
     panels[-1].set_xlabel("time (s)")
     colours = filter_colours(run.filter_name for run in shown)
-    key = {"truth": MUTED} if np.isfinite(shown[0].true_positions).any() else {}
+    key = {series.reference_name(shown[0]): MUTED} if np.isfinite(shown[0].true_positions).any() else {}
     colour_key(panels[0], key | {run.filter_name: colours[run.filter_name] for run in shown})
     return figure
 
@@ -272,7 +272,8 @@ def _draw_over_time(
     time, truth = series.elapsed(runs[0]), true(runs[0])
     known = np.isfinite(truth)
     if known.any():
-        ax.plot(time[known], truth[known], color=INK, alpha=0.18, linewidth=5, label="truth")
+        name = series.reference_name(runs[0])
+        ax.plot(time[known], truth[known], color=INK, alpha=0.18, linewidth=5, label=name)
     for run in runs:
         colour, name = colours[run.filter_name], run.filter_name
         ax.plot(series.elapsed(run), estimate(run), color=colour, linewidth=1, alpha=0.85, label=name)

@@ -39,6 +39,11 @@ def scored(run: FilterRun) -> BoolArray:
     return np.asarray(np.isfinite(np.hstack(poses)).all(axis=1), dtype=np.bool_)
 
 
+def reference_name(run: FilterRun) -> str:
+    """What the true poses of a run are called."""
+    return "truth" if run.reference.is_independent else "reference"
+
+
 def distance(run: FilterRun) -> FloatArray:
     """Measure the true distance travelled, m; (K,), NaN in frames without truth."""
     travelled = np.full(len(run), np.nan)

@@ -15,5 +15,5 @@ def test_the_first_unknown_name_is_refused_with_the_known_ones():
     require_known("there is no", ["a", "b"], ["b", "a"])
     with pytest.raises(ValueError, match=r"there is no 'sgima', did you mean 'sigma'\? Known: sigma, share"):
         require_known("there is no", ["share", "sgima", "x"], ["sigma", "share"])
-    with pytest.raises(ValueError, match=r"there is no 'x' Known: none"):
+    with pytest.raises(ValueError, match=r"there is no 'x'\. Known: none"):
         require_known("there is no", ["x"], [])

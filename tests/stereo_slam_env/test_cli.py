@@ -7,13 +7,17 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import pytest
 
 from stereo_slam_env import cli
 from stereo_slam_env.benchmark.storage.store import RunDirectory
+from stereo_slam_env.recording import SIMULATION, Reference
+from stereo_slam_env.recording_archive import save_recording
 
+from .benchmark.small_recordings import small_recording
 from .datasets.small_folders import kitti00, kitti07
 from .third_party import third_party  # noqa: F401 (a fixture)
 
@@ -227,6 +231,38 @@ def test_replay_runs_filters_over_a_folder(command, tmp_path, layout):
     assert (tmp_path / "run" / "trajectories" / "recording" / "inverse-depth.tum").is_file()
 
 
+def test_replay_against_an_odometry_from_the_same_images_claims_nothing_of_consistency(full_command, tmp_path):
+    """Nor does it keep silent on the innovations: 1 px of noise, and 8 px assumed."""
+    odometry = Reference("odometry from the same images", "By hand.")
+    for name, truth_from in (("true", SIMULATION), ("odometry", odometry)):
+        save_recording(tmp_path / f"{name}.npz", replace(small_recording(frames=40), truth_from=truth_from))
+
+    def said(name, *more):
+        common = ("--filters", "inverse-depth", "--jobs", 1, "--gate", "none", "--out", tmp_path / f"run-{name}")
+        code, out, _ = full_command("replay", tmp_path / f"{name}.npz", *common, *more)
+        assert code == 0
+        summary = json.loads((tmp_path / f"run-{name}" / "summary.json").read_text())
+        return out, summary, (tmp_path / f"run-{name}" / "report.html").read_text(encoding="utf-8")
+
+    out, summary, page = said("true")
+    assert "pose NEES / 6" in out
+    assert "Reference: independent truth. Exact poses of the simulation." in out
+    assert "than claimed" not in out
+    assert summary["recordings"][0]["reference"] == asdict(SIMULATION)
+    assert summary["filters"]["inverse-depth"]["pose_anees"] > 0
+
+    out, summary, page = said("odometry", "--sigma-px", 8)
+    for claim in ("NEES /", "knows how wrong", "its band", "that band"):
+        assert claim not in out
+        assert claim not in page
+    for text in (out, page):
+        assert "Reference: odometry from the same images. By hand. What is called error is the distance to it" in text
+        assert "smaller than claimed: too much noise is assumed" in text
+    assert summary["recordings"][0]["reference"] == asdict(odometry)
+    assert summary["filters"]["inverse-depth"]["pose_anees"] is None
+    assert summary["filters"]["inverse-depth"]["position_rmse_m"] > 0
+
+
 def test_replay_says_whether_odometry_was_used(command, tmp_path):
     kitti07(tmp_path / "with")
     kitti00(tmp_path / "without")
@@ -299,9 +335,13 @@ def test_scenes_are_listed_and_drawn(command, tmp_path):
         (("bench", "--gate", "2"), "gate must be a probability"),
         (("bench", "--sigma", "-1"), "must be a finite number > 0"),
         (("replay",), "argument"),
-        (("replay", "nowhere"), "does not exist"),
+        (("replay", "nowhere"), "nowhere does not exist: give a folder with a recording"),
+        (("view", "nowhere"), "nowhere does not exist: give the directory of a run"),
         (("replay", "gtsam:kiti00"), "did you mean 'gtsam:kitti00'?"),
-        (("report", "nowhere"), "holds no run"),
+        (("report", "nowhere"), "nowhere does not exist: give the directory of a run"),
+        (("report", "."), "holds no run: it has no settings.json"),
+        (("report", __file__), "is a file: give the directory of a run"),
+        (("report", "nowhere", "nor here"), "nowhere does not exist"),
         (("filters", "check", "inverse-dept"), "did you mean 'inverse-depth'?"),
         (("scenes", "render", "twon", "--out", "x.png"), "'town'"),
         (("scenes", "render", "town", "--out", "x.bmp"), ".png"),

@@ -252,7 +252,7 @@ def test_what_scenes_record_wrote_can_be_replayed(command, tmp_path):
     assert out.strip() == str(tmp_path / "mine" / "sequences" / "00")
     code, out, err = command("replay", tmp_path / "mine", *QUICK, "--out", tmp_path / "run")
     assert code == 0, err
-    assert "5 frames with truth" in out
+    assert "5 with a reference pose" in out
     error = json.loads((tmp_path / "run" / "summary.json").read_text())["filters"]["inverse-depth"]["position_rmse_m"]
     assert error < 0.1
     again = command("scenes", "record", *DRIVE, "--frames", 5, "--out", tmp_path / "mine")

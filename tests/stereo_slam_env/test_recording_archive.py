@@ -1,6 +1,7 @@
 """Recordings in one file: what goes in comes out, bit for bit, and damage is named (1 s)."""
 
 import dataclasses
+import json
 import time
 
 import numpy as np
@@ -10,7 +11,7 @@ from filters import StereoNoise, StereoObservation
 from stereo_slam_env.benchmark.recordings.reference_problem import long_drive
 from stereo_slam_env.benchmark.recordings.stream_identity import stream_digest
 from stereo_slam_env.datasets import read_recording
-from stereo_slam_env.recording import Recording, Start
+from stereo_slam_env.recording import GIVEN_TRUTH, Recording, Reference, Start
 from stereo_slam_env.recording_archive import load_recording, save_recording
 
 from .benchmark.small_recordings import small_recording
@@ -36,6 +37,7 @@ def with_everything() -> Recording:
         frames=tuple(frames),
         noise=StereoNoise.diagonal(1.0, 2.0, 3.0),
         source={"deep": [{"er": None}], "x": 0.1},
+        truth_from=Reference("odometry from the same images", "By hand."),
     )
 
 
@@ -112,6 +114,8 @@ def test_a_flipped_bit_is_noticed(tmp_path):
 def changed(path, **arrays):
     with np.load(path) as archive:
         kept = {name: archive[name] for name in archive.files}
+    if "truth_from" in arrays:
+        kept["about"] = np.array(json.dumps(json.loads(str(kept["about"])) | {"truth_from": arrays.pop("truth_from")}))
     np.savez(path, **{name: value for name, value in (kept | arrays).items() if value is not None})
 
 
@@ -126,6 +130,8 @@ def changed(path, **arrays):
         ({"about": np.array("{")}, "is not a recording"),
         ({"about": np.array('{"format": 9}')}, "is a recording of format 9, this version reads 1"),
         ({"about": np.array('{"format": 1, "name": "x"}')}, r"damaged \(lacks 'camera'\)"),
+        ({"truth_from": {"kind": "hearsay", "description": ""}}, r"damaged \(kind of a reference must be one of"),
+        ({"truth_from": "GPS"}, "is damaged"),
     ],
 )
 def test_what_does_not_fit_together_is_named(tmp_path, arrays, complaint):
@@ -160,3 +166,20 @@ def test_recordings_made_before_there_were_heads_have_none(tmp_path):
     with np.load(tmp_path / "new.npz") as archive:
         np.savez(tmp_path / "old.npz", **{name: archive[name] for name in archive.files if "head" not in name})
     assert [frame.head for frame in load_recording(tmp_path / "old.npz").frames] == [None] * 15
+
+
+def test_recordings_made_before_they_said_what_their_truth_is_have_a_true_one(tmp_path):
+    save_recording(tmp_path / "drive.npz", with_everything())
+    with np.load(tmp_path / "drive.npz") as archive:
+        arrays = {name: archive[name] for name in archive.files}
+    about = json.loads(str(arrays["about"]))
+    del about["truth_from"]
+    np.savez(tmp_path / "old.npz", **arrays | {"about": np.array(json.dumps(about))})
+    assert load_recording(tmp_path / "old.npz").reference == GIVEN_TRUTH
+
+
+def test_without_a_true_pose_there_is_no_reference_whatever_the_source_says():
+    recording = with_everything()
+    assert recording.reference.kind == "odometry from the same images"
+    assert dataclasses.replace(recording, frames=recording.frames[2:3]).reference.kind == "none"
+    assert small_recording(truth=False).reference.kind == "none"

@@ -10,6 +10,7 @@ import numpy as np
 
 from filters.validation import FloatArray, IntArray
 from stereo_slam_env.benchmark.metrics.landmark_statistics import LandmarkStatistics
+from stereo_slam_env.recording import GIVEN_TRUTH, NO_REFERENCE, Reference
 
 EVENTS = ("updated", "initialised", "dropped", "gated", "rejected", "behind_camera")
 COUNTS = (*EVENTS, "failed_factorisations", "negative_depth", "map_size")
@@ -77,7 +78,7 @@ class FilterRun:
     pose_errors : (K, 6)
         The filter's own `pose_error`.
     pose_nees : (K,)
-        e^T P^-1 e of that error (6 degrees of freedom).
+        e^T P^-1 e of that error (6 degrees of freedom); NaN where the truth is not independent of the images.
     landmark_nees : (K,)
         Mean over the landmarks of the frame, in (u, v, d) space (3 degrees of freedom).
     landmark_rmse : (K,)
@@ -107,6 +108,8 @@ class FilterRun:
         own; NaN where the system does not tell (Windows).
     landmark_statistics : LandmarkStatistics
         Errors of the map by distance and age.
+    truth_from : Reference
+        What the truth is, where there is one.
     """
 
     filter_name: str
@@ -141,6 +144,7 @@ class FilterRun:
     state_size: FloatArray = field(default_factory=_not_given)
     memory_mb: float = float("nan")
     landmark_statistics: LandmarkStatistics = field(default_factory=LandmarkStatistics)
+    truth_from: Reference = GIVEN_TRUTH
 
     def __post_init__(self) -> None:
         for name in ("position_nees", "rotation_nees", "predict_milliseconds", "update_milliseconds", "state_size"):
@@ -149,6 +153,11 @@ class FilterRun:
 
     def __len__(self) -> int:
         return len(self.timestamps)
+
+    @property
+    def reference(self) -> Reference:
+        """What the estimates are held against: `truth_from`, or none where no frame has a truth."""
+        return self.truth_from if np.isfinite(self.true_positions).any() else NO_REFERENCE
 
 
 @dataclass(frozen=True)

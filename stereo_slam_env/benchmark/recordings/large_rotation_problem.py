@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 
 from filters import BodyVelocity, StereoCamera, StereoNoise, StereoObservation
 from filters.validation import FloatArray, positive
-from stereo_slam_env.recording import Frame, LandmarkTruth, Pose, Recording, Start, Velocity
+from stereo_slam_env.recording import SIMULATION, Frame, LandmarkTruth, Pose, Recording, Start, Velocity
 
 CAMERA = StereoCamera(230.0, 230.0, 399.5, 399.5, 0.5, 800, 800)
 SIGHT = 35.0  # m
@@ -84,6 +84,7 @@ def relative_noise_loop(
         LandmarkTruth(np.arange(landmarks), points_w),
         {"problem": "relative-noise-loop", "seed": seed, "level": level, "frames": frames}
         | {"landmarks": landmarks, "sight": sight},
+        SIMULATION,
     )
 
 

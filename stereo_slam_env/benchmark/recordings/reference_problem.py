@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from filters.validation import FloatArray
-from stereo_slam_env.recording import Frame, LandmarkTruth, Recording, Start, Velocity
+from stereo_slam_env.recording import SIMULATION, Frame, LandmarkTruth, Recording, Start, Velocity
 from stereo_slam_env.sensing.landmark_sensor import LandmarkSensor, TrackingPolicy
 from stereo_slam_env.sensing.pixel_noise import NOISE_MODELS
 from stereo_slam_env.sensing.rigs import CAMERA_HEIGHT, RIGS
@@ -90,7 +90,7 @@ def _drive(name: str, route: Route, seed: int, noise: str, sigma: float, frames:
         "frames": frames,
         "landmarks": most,
     }
-    return Recording(name, camera, tuple(taken), pixel_noise.stereo_noise, start, landmarks, source)
+    return Recording(name, camera, tuple(taken), pixel_noise.stereo_noise, start, landmarks, source, SIMULATION)
 
 
 def _start(velocity: Velocity, rng: np.random.Generator) -> Start:

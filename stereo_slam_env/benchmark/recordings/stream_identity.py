@@ -40,6 +40,7 @@ def description_of(recording: Recording) -> dict[str, Any]:
         "frames": len(recording),
         "stream_sha256": stream_digest(recording),
         "R": recording.noise.R.tolist(),
+        "reference": dataclasses.asdict(recording.reference),
         "source": dict(recording.source),
     }
     measured = noise_of_images(recording)

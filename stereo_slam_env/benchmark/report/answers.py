@@ -11,6 +11,7 @@ import numpy as np
 from stereo_slam_env.benchmark.metrics.consistency_figures import DOF
 from stereo_slam_env.benchmark.metrics.results import FilterSummary
 from stereo_slam_env.benchmark.statistics.measures import POSE_NEES
+from stereo_slam_env.benchmark.statistics.remarks import innovation_factor, times_the_claim
 from stereo_slam_env.benchmark.statistics.verdict import Consistency, consistency, loss
 from stereo_slam_env.viewer.figures import CSS_VARIABLES
 from stereo_slam_env.viewer.page_tables import UNKNOWN, Tone
@@ -96,7 +97,7 @@ def _cell(answer: Answer | None) -> str:
 
 
 def consistency_question(summaries: Sequence[FilterSummary], *, with_share: bool = True) -> Question:
-    """Whether NEES, or without truth NIS, is what a consistent filter has; `with_share`: and in how many frames."""
+    """Whether NEES, or else NIS, is what a consistent filter has; `with_share`: and in how many frames."""
     if all(s.pose_anees is None for s in summaries):
         return Question("Is it consistent?", "NIS / dof, 1 is ideal", _innovations)
     bands = {s.pose_anees_band for s in summaries if s.pose_anees_band is not None}
@@ -136,7 +137,13 @@ def _band_mark(summary: FilterSummary) -> str:
 
 
 def _innovations(summary: FilterSummary) -> Answer | None:
-    return None if summary.nis is None else Answer(short(summary.nis), "", "none", key=summary.nis)
+    if summary.nis is None:
+        return None
+    factor = innovation_factor(summary)
+    if factor is None:
+        return Answer(short(summary.nis), key=summary.nis)
+    state = Consistency.CAUTIOUS if factor < 1.0 else Consistency.OVERCONFIDENT
+    return Answer(short(summary.nis), f"innovations {times_the_claim(factor)}", TONES[state], key=summary.nis)
 
 
 def drawn(shapes: str, width: int = MARK_WIDTH) -> str:

@@ -20,6 +20,7 @@ from stereo_slam_env.benchmark.report.policy_report import policy_overview
 from stereo_slam_env.benchmark.statistics.attribution import Attribution
 from stereo_slam_env.benchmark.statistics.pairwise import PairwiseTable, compare_all
 from stereo_slam_env.benchmark.statistics.policy_verdict import Looks, judge_policies
+from stereo_slam_env.benchmark.statistics.remarks import innovation_remarks, reference_remarks
 from stereo_slam_env.benchmark.statistics.verdict import Verdict, judge
 from stereo_slam_env.viewer import accuracy, cost, gaze_figures, map_figures, plots, series
 from stereo_slam_env.viewer import consistency as honesty
@@ -89,8 +90,10 @@ def write_report(
         found = judge_policies(summaries, figures, baseline=looks.baseline)
         first_screen, pairs = policy_overview(summaries, found), _against(found.compared, found.baseline, "Policy")
     body = [
+        reference_banner(runs),
         *([conclusions(attribution)] if attribution is not None else []),
         first_screen,
+        *(f'<p class="banner">{escape(remark)}</p>' for remark in innovation_remarks(summaries)),
         f'<p class="quiet">{escape(_note(summaries, looks))}</p>',
         *([attribution_section(attribution, folder)] if attribution is not None else []),
         *(_section(section, folder) for section in _sections(runs, summaries, bounds or {}, looks)),
@@ -102,6 +105,14 @@ def write_report(
     path = out / "report.html"
     path.write_text(page(title=title, subtitle=_subtitle(runs, looks), body="\n".join(body)), encoding="utf-8")
     return path
+
+
+def reference_banner(runs: Sequence[FilterRun]) -> str:
+    """What the runs are held against; what is no independent truth stands out."""
+    return "\n".join(
+        f'<p class="{"quiet" if reference.is_independent else "banner"}">{escape(words)}</p>'
+        for reference, words in reference_remarks(runs).items()
+    )
 
 
 def clean_figures(out: Path) -> Path:
@@ -169,13 +180,14 @@ def _sections(
 ) -> list[_Section]:
     who = "Filter" if looks is None else "Policy"
     with_truth = any(series.scored(run).any() for run in runs)
+    with_nees = any(np.isfinite(run.pose_nees).any() for run in runs)
     first = series.first_recording(runs)
     shown = f"{first[0].recording_name}" + (f", seed {first[0].seed}" if first[0].seed is not None else "")
     sections = [] if looks is None else [_gaze(runs, looks, shown)]
     sections += [_accuracy(runs, summaries, shown, who)] if with_truth else [_trajectory(runs, shown)]
     sections += _limits(runs, summaries, bounds)
-    sections.append(_consistency(runs, summaries, with_truth, who))
-    if with_truth:
+    sections.append(_consistency(runs, summaries, with_nees, who))
+    if with_nees:
         limits = honesty.error_limits(first)
         bounded = {
             f"error_{i}": (_later(honesty.plot_error_bounds, run, limits), f"{run.filter_name} on {shown}.")
@@ -243,12 +255,12 @@ def _limits(runs: Sequence[FilterRun], summaries: Sequence[FilterSummary], bound
     return [_Section("Distance from the limit", guide, figures=figures)] if figures else []
 
 
-def _consistency(runs: Sequence[FilterRun], summaries: Sequence[FilterSummary], with_truth: bool, who: str) -> _Section:
+def _consistency(runs: Sequence[FilterRun], summaries: Sequence[FilterSummary], with_nees: bool, who: str) -> _Section:
     figures = {}
     if any(s.consistency for s in summaries):
         caption = "Means by their degrees of freedom in their 95 % bands, and the share of the frames inside."
         figures["consistency"] = (_later(honesty.plot_consistency, summaries), caption)
-    if with_truth and any(np.isfinite(run.pose_nees).any() for run in runs):
+    if with_nees:
         figures["nees"] = (_later(honesty.plot_nees, runs), "Pose NEES / 6 along the drive; the scale is logarithmic.")
     caption = "Innovations along the drive, pooled over runs and short stretches of time."
     figures["nis"] = (_later(honesty.plot_nis, runs), caption)

@@ -16,7 +16,7 @@ from stereo_slam_env.benchmark.metrics.results import FilterRun, FilterSummary
 from stereo_slam_env.benchmark.metrics.run_figures import Figures
 from stereo_slam_env.benchmark.report.answers import TONES, lost, short
 from stereo_slam_env.benchmark.report.attribution_report import attribution_section, conclusions
-from stereo_slam_env.benchmark.report.run_report import clean_figures, data_links
+from stereo_slam_env.benchmark.report.run_report import clean_figures, data_links, reference_banner
 from stereo_slam_env.benchmark.report.tables import efficiency_cell, finding_tone, percent_cell
 from stereo_slam_env.benchmark.scenarios.study import Study
 from stereo_slam_env.benchmark.statistics.attribution import Attribution
@@ -83,6 +83,7 @@ def write_study_report(
     links = {name: _link(out, study, name) for name in results}
     names = list(dict.fromkeys(s.filter_name for outcome in results.values() for s in outcome.summaries))
     body = [
+        reference_banner([run for outcome in results.values() for run in outcome.runs]),
         conclusions(attribution) if attribution is not None else _headline(verdicts, names),
         _matrix(results, verdicts, names, links),
         f'<p class="quiet">{escape(_MATRIX_NOTE)}</p>',

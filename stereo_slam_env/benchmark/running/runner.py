@@ -140,6 +140,7 @@ class RunLog:
 
     def __init__(self, recording: Recording) -> None:
         self._recording = recording
+        self._has_independent_truth = recording.reference.is_independent
         count = len(recording)
 
         def unknown(*shape: int) -> FloatArray:
@@ -222,8 +223,10 @@ class RunLog:
         series["state_size"][k] = state_size
 
     def add_pose_error(self, k: int, error: FloatArray, covariance: FloatArray) -> None:
-        """Note the pose error (6,) with the covariance (6, 6) claimed for it."""
+        """Note the pose error (6,) and, where the truth is independent, its NEES by the covariance (6, 6) claimed."""
         self._series["pose_errors"][k] = error
+        if not self._has_independent_truth:
+            return
         for name, part in (
             ("pose_nees", slice(0, POSE_SIZE)),
             ("position_nees", POSITION),
@@ -234,7 +237,8 @@ class RunLog:
     def add_map(self, k: int, frame: Frame, estimator: StereoFilter) -> None:
         """Score the map and follow the traced landmarks."""
         series, camera = self._series, self._recording.camera
-        view = view_map(estimator, frame.truth, self._recording.landmarks)
+        landmarks = self._recording.landmarks if self._has_independent_truth else None
+        view = view_map(estimator, frame.truth, landmarks)
         score = score_map(view, camera)
         series["landmark_nees"][k] = mean_nees(score)
         series["landmark_rmse"][k] = position_rmse(score)
@@ -267,6 +271,7 @@ class RunLog:
             failure=failure,
             memory_mb=memory_mb,
             landmark_statistics=self._scorer.statistics,
+            truth_from=self._recording.truth_from,
             **self._series,
         )
 

@@ -16,10 +16,11 @@ from stereo_slam_env.atomic_files import write_atomically
 from stereo_slam_env.benchmark.metrics.landmark_statistics import SERIES as _LANDMARK_SERIES
 from stereo_slam_env.benchmark.metrics.landmark_statistics import LandmarkStatistics
 from stereo_slam_env.benchmark.metrics.results import FilterRun, LandmarkTrace
+from stereo_slam_env.recording_archive import reference_of
 
 FORMAT = 2
 _TEXT = ("filter_name", "recording_name", "options", "seed", "failure")
-_PARTS = ("counts", "traces", "memory_mb", "landmark_statistics")
+_PARTS = ("counts", "traces", "memory_mb", "landmark_statistics", "truth_from")
 _SERIES = tuple(f.name for f in dataclasses.fields(FilterRun) if f.name not in (*_TEXT, *_PARTS))
 _DAMAGE = (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError)
 _TRACE_SERIES = ("frames", "depth", "sigma", "true_depth", "measured_depth")
@@ -53,6 +54,7 @@ def packed_run(run: FilterRun, provenance: Mapping[str, Any]) -> bytes:
         "format": FORMAT,
         "run": {name: getattr(run, name) for name in _TEXT} | {"options": dict(run.options)},
         "traces": [[trace.landmark_id, trace.label] for trace in run.traces],
+        "truth_from": dataclasses.asdict(run.truth_from),
         "provenance": dict(provenance),
     }
     arrays["about"] = np.array(json.dumps(about, allow_nan=False))
@@ -101,6 +103,7 @@ def load_run(path: Path) -> tuple[FilterRun, dict[str, Any]]:
             traces=traces,
             memory_mb=float(arrays["memory_mb"]),
             landmark_statistics=LandmarkStatistics(*(arrays[f"landmarks.{name}"] for name in _LANDMARK_SERIES)),
+            truth_from=reference_of(about),
         )
         return run, about["provenance"]
     except _DAMAGE as error:

@@ -16,6 +16,7 @@ recordings, which cells share, beside them (see `study_store`). `summary.json`, 
 
     {"version": 2, "scenario": str,
      "recordings": [{"seed": int | null, "name": str, "frames": int, "stream_sha256": str, "assumed_R": 3x3,
+                     "reference": {"kind": str, "description": str},  # what estimates are held against, see `Reference`
                      "source": {...},           # with policies: "drive_sha256", and "streams" by label instead
                      "sensor_noise": [...]}],   # rendered images only: errors by range, see `sensor_noise`
      "filters": {<label>: {every field of `FilterSummary` but filter_name}}}
@@ -314,9 +315,20 @@ def read_run(out: Path) -> RunDirectory:
         settings = json.loads(path.read_text(encoding="utf-8"))
         return RunDirectory(out, Scenario.from_dict(settings["scenario"]))
     except (FileNotFoundError, NotADirectoryError) as error:
-        raise ValueError(f"{out} holds no run: it has no settings.json") from error
+        raise ValueError(_no_run(out)) from error
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise ValueError(f"{path} is damaged: {error}") from error
+
+
+def _no_run(out: Path) -> str:
+    """Why there is no run to read, and what could be meant."""
+    if not out.is_dir():
+        what = "is a file" if out.exists() else "does not exist"
+        return f"{out} {what}: give the directory of a run"
+    inside = sorted({path.parent for name in MARKERS for path in out.glob(f"*/{name}")})
+    if inside:
+        return f"{out} holds no run itself, but {len(inside)}: give one of them, such as {inside[-1]}"
+    return f"{out} holds no run: it has no settings.json, give the directory of a run"
 
 
 def versions() -> dict[str, str]:

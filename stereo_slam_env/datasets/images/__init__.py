@@ -14,8 +14,9 @@ from filters.known_names import require_known
 from stereo_slam_env.datasets.images import euroc, karlsruhe, kitti06_stereo51, kitti_odometry, kitti_raw
 from stereo_slam_env.datasets.images.broken import BrokenPair
 from stereo_slam_env.datasets.images.sequence import RecordedSequence
-from stereo_slam_env.datasets.inside import require_folder, require_inside, require_links_inside
+from stereo_slam_env.datasets.inside import require_inside, require_links_inside
 from stereo_slam_env.datasets.known_options import keyword_options
+from stereo_slam_env.datasets.unknown_folder import no_known_layout, require_folder
 
 IMAGE_READERS: tuple[ModuleType, ...] = (kitti06_stereo51, kitti_odometry, kitti_raw, karlsruhe, euroc)
 _DEPTH = 2
@@ -63,13 +64,14 @@ def open_image_sequence(path: str | Path, **options: Any) -> RecordedSequence:
         folder: one line that names it.
     """
     folder = Path(path)
-    require_folder(folder, _layouts())
+    require_folder(folder)
     inside = recordings_in(folder)
     if len(inside) > 1:
         names = ", ".join(str(found.relative_to(folder)) for found in inside)
         raise ValueError(f"{folder} holds {len(inside)} recordings, give one of them: {names}")
     if not inside:
-        raise ValueError(f"{folder} has no known layout: {_nearest(folder)}known are {_layouts()}")
+        layouts = {reader.NAME: reader.FILES for reader in IMAGE_READERS}
+        raise ValueError(no_known_layout(folder, folders_in(folder), layouts))
     folder = require_inside(inside[0], folder)
     require_links_inside(folder)
     reader = reader_of(folder)
@@ -84,37 +86,19 @@ def recordings_in(path: str | Path) -> list[Path]:
     folder = Path(path)
     if reader_of(folder) is not None:
         return [folder]
-    level, found = [folder], []
+    return [found for found in folders_in(folder) if reader_of(found)]
+
+
+def folders_in(folder: Path) -> list[Path]:
+    """The folder and those up to two levels below it, level by level."""
+    levels = [[folder]]
     for _ in range(_DEPTH):
-        level = [child for parent in level for child in _folders_in(parent)]
-        found += [child for child in level if reader_of(child)]
-    return found
+        levels.append([child for parent in levels[-1] for child in _children(parent)])
+    return [found for level in levels for found in level]
 
 
-def _folders_in(folder: Path) -> list[Path]:
+def _children(folder: Path) -> list[Path]:
     try:
         return sorted(child for child in folder.iterdir() if child.is_dir())
     except OSError:  # not ours to read
         return []
-
-
-def _layouts() -> str:
-    return "; ".join(f"{name}: {what}" for name, what in known_image_layouts().items())
-
-
-def _nearest(folder: Path) -> str:
-    """Say what is missing when the folder has a part of a layout."""
-    present = {reader: [name for name in reader.FILES if _holds(folder, name)] for reader in IMAGE_READERS}
-    reader = max(IMAGE_READERS, key=lambda reader: len(present[reader]) / len(reader.FILES))
-    if not present[reader]:
-        return ""
-    missing = [name for name in reader.FILES if name not in present[reader]]
-    return f"for {reader.NAME} it lacks {', '.join(missing)}; "
-
-
-def _holds(folder: Path, names: str) -> bool:
-    for name in names.split("|"):
-        parent = folder.parent if name.startswith("../") else folder
-        if any(parent.glob(name.removeprefix("../"))):
-            return True
-    return False

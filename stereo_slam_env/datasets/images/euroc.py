@@ -25,7 +25,7 @@ from stereo_slam_env.datasets.images.sequence import RecordedSequence
 from stereo_slam_env.datasets.inside import is_plain_name
 from stereo_slam_env.datasets.tables import finite_rows
 from stereo_slam_env.datasets.text_files import read_text
-from stereo_slam_env.recording import Pose
+from stereo_slam_env.recording import Pose, Reference
 
 NAME = "euroc"
 FILES = (
@@ -35,6 +35,9 @@ FILES = (
     "mav0/cam1/sensor.yaml|cam1/sensor.yaml",
 )
 TRUTH = "state_groundtruth_estimate0"
+TRUTH_FROM = Reference(
+    "independent truth", f"{TRUTH}: motion capture or laser tracker, smoothed with the IMU; no camera has a part in it."
+)
 LARGEST_TRUTH_GAP_NS = 100_000_000
 """Truth is interpolated between rows that are no further apart (it comes at 200 Hz)."""
 _LATEST_NS = np.iinfo(np.int64).max
@@ -83,7 +86,7 @@ def open_sequence(
     ns = np.array(stamps, dtype=np.int64)
     times = Times(root / "cam0" / "data.csv", 1e-9 * (ns - ns[0]))
     truth, table = None, root / TRUTH / "data.csv"
-    if known := use_truth and table.is_file():
+    if use_truth and table.is_file():
         poses, covered = _camera_poses(table, ns, sensors[0], turned)
         truth = Truth(table, poses)
         first = max(first or 0, covered[0])
@@ -103,11 +106,10 @@ def open_sequence(
         "first": frames[0].number,
         "last": frames[-1].number,
         "on_broken": on_broken,
-        "truth": TRUTH if known else None,
         "rectified": "cv2.stereoRectify, alpha 0",
     }
     return RecordedSequence(
-        f"{NAME}_{name}", rig.camera, frames, faults, source, stored_size=sensors[0].size, rectify=rectify
+        f"{NAME}_{name}", rig.camera, frames, faults, source, TRUTH_FROM, stored_size=sensors[0].size, rectify=rectify
     )
 
 

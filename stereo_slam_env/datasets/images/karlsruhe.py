@@ -35,7 +35,7 @@ from stereo_slam_env.datasets.images.image_files import image_size, numbered_ima
 from stereo_slam_env.datasets.images.sequence import RecordedSequence
 from stereo_slam_env.datasets.inside import require_inside
 from stereo_slam_env.datasets.tables import finite_rows, read_table
-from stereo_slam_env.recording import Pose
+from stereo_slam_env.recording import Pose, Reference
 
 NAME = "karlsruhe"
 FILES = ("I1_*", "I2_*", "*calib.txt|../*calib.txt", "insdata.txt")
@@ -123,10 +123,13 @@ def open_sequence(
         "first": frames[0].number,
         "last": frames[-1].number,
         "on_broken": on_broken,
-        "truth": None if truth is None else f"weak: GPS/IMU at the place of the camera, yaw {reading}",
         "times": "insdata.txt" if rate_hz is None else f"assumed {rate_hz:g} Hz",
     }
-    return RecordedSequence(f"{NAME}_{path.name}", rig.camera, frames, faults, source)
+    truth_from = Reference(
+        "independent truth",
+        f"The car's GPS/IMU unit, taken to sit at the left camera, its yaw counted {reading}: weak, to metres.",
+    )
+    return RecordedSequence(f"{NAME}_{path.name}", rig.camera, frames, faults, source, truth_from)
 
 
 def reading_of_yaw(table: FloatArray) -> str | None:

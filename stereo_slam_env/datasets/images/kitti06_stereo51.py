@@ -19,9 +19,15 @@ from stereo_slam_env.datasets.images.image_files import image_size, numbered_ima
 from stereo_slam_env.datasets.images.odometry import noisy_camera_velocities
 from stereo_slam_env.datasets.images.sequence import RecordedSequence
 from stereo_slam_env.datasets.tables import read_table
+from stereo_slam_env.recording import Reference
 
 NAME = "kitti06_stereo51"
 FILES = ("image_l", "image_r", "calib.txt", "poses.txt", "odometry_oxts.csv")
+TRUTH = Reference(
+    "independent truth",
+    "KITTI's ground truth: GPS/INS, which is still settling in frames 0 to 10; the odometry is of the same INS, with "
+    "noise added.",
+)
 R_CI = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 P_I = np.array([1.1, -0.3, 0.7])
 """How the camera sits in the IMU frame (m), to some centimetres and a degree: far below the noise of the odometry."""
@@ -92,10 +98,9 @@ def open_sequence(
         "first": frames[0].number,
         "last": frames[-1].number,
         "on_broken": on_broken,
-        "truth": "KITTI ground truth (GPS/INS)",
         "odometry": "INS velocities with white noise added",
         "sigma_linear_m_s": float(sigma_linear),
         "sigma_angular_rad_s": float(sigma_angular),
         "odometry_seed": int(odometry_seed),
     }
-    return RecordedSequence(NAME, rig.camera, frames, faults, source)
+    return RecordedSequence(NAME, rig.camera, frames, faults, source, TRUTH)

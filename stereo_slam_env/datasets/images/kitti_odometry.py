@@ -20,6 +20,7 @@ from stereo_slam_env.datasets.images.kitti_cameras import CAMERAS, chosen_camera
 from stereo_slam_env.datasets.images.sequence import RecordedSequence
 from stereo_slam_env.datasets.inside import require_inside
 from stereo_slam_env.datasets.tables import read_table
+from stereo_slam_env.recording import Reference
 
 NAME = "kitti_odometry"
 FILES = ("calib.txt", "times.txt", "image_0|image_2", "image_1|image_3")
@@ -75,8 +76,7 @@ def open_sequence(
     P_left, P_right = (entry(calibration, entries, f"P{n}", (3, 4)) for n in numbers)
     times = Times(path / "times.txt", read_table(path / "times.txt", 1, finite=False).reshape(-1))
     poses, truth = poses_file(path), None
-    known = use_truth and poses.is_file()
-    if known:
+    if use_truth and poses.is_file():
         require_inside(poses, path.parent.parent)
         truth = Truth(poses, poses_of_rows(read_table(poses, 12, finite=False)))
     frames = usable_pairs((left, right), times, faults, truth=truth, first=first, last=last)
@@ -88,9 +88,9 @@ def open_sequence(
         "first": frames[0].number,
         "last": frames[-1].number,
         "on_broken": on_broken,
-        "truth": f"poses/{poses.name}" if known else None,
     }
-    return RecordedSequence(f"{NAME}_{path.name}", rig.camera, rig.of_left(frames), faults, source)
+    truth_from = Reference("independent truth", f"poses/{poses.name} of the recording; KITTI made its own by GPS/INS.")
+    return RecordedSequence(f"{NAME}_{path.name}", rig.camera, rig.of_left(frames), faults, source, truth_from)
 
 
 def _folder_of(path: Path) -> Callable[[int], Path]:

@@ -32,9 +32,14 @@ from stereo_slam_env.datasets.images.sequence import RecordedSequence
 from stereo_slam_env.datasets.inside import require_inside
 from stereo_slam_env.datasets.tables import finite_rows
 from stereo_slam_env.datasets.text_files import read_text
-from stereo_slam_env.recording import Pose
+from stereo_slam_env.recording import Pose, Reference
 
 NAME = "kitti_raw"
+TRUTH = Reference(
+    "independent truth",
+    "The car's GPS/IMU unit, carried over to the left camera by the calibration; the odometry is of the same unit, "
+    "with noise added.",
+)
 CALIBRATION = "calib_cam_to_cam.txt"
 EXTRINSICS = ("calib_imu_to_velo.txt", "calib_velo_to_cam.txt")
 FILES = (
@@ -115,13 +120,12 @@ def open_sequence(
         "first": frames[0].number,
         "last": frames[-1].number,
         "on_broken": on_broken,
-        "truth": "GPS/IMU unit, moved to the left camera" if known else None,
         "odometry": "velocities of the GPS/IMU unit with white noise added" if known else None,
         "sigma_linear_m_s": float(sigma_linear),
         "sigma_angular_rad_s": float(sigma_angular),
         "odometry_seed": int(odometry_seed),
     }
-    return RecordedSequence(path.name, rig.camera, rig.of_left(frames), faults, source)
+    return RecordedSequence(path.name, rig.camera, rig.of_left(frames), faults, source, TRUTH)
 
 
 def read_timestamps(path: Path) -> Times:

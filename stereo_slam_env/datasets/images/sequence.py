@@ -14,7 +14,7 @@ from stereo_slam_env.datasets.images.broken import BrokenPair, Faults
 from stereo_slam_env.datasets.images.frames import FramePair
 from stereo_slam_env.datasets.images.image_files import read_grey
 from stereo_slam_env.image_sequence import GreyImage, StereoPair
-from stereo_slam_env.recording import Pose, Start
+from stereo_slam_env.recording import Pose, Reference, Start
 
 Rectify = Callable[[GreyImage, GreyImage], tuple[GreyImage, GreyImage]]
 
@@ -37,6 +37,8 @@ class RecordedSequence:
         What is done about broken pairs, with those met so far.
     source : mapping
         Where the images come from; JSON-able.
+    truth_from : Reference
+        What the truth of the frames is, where they have one.
     stored_size : (int, int), optional
         Width and height of the images on disk, px; that of the camera unless `rectify` changes it.
     rectify : callable, optional
@@ -50,12 +52,13 @@ class RecordedSequence:
         frames: Sequence[FramePair],
         faults: Faults,
         source: Mapping[str, Any],
+        truth_from: Reference,
         *,
         stored_size: tuple[int, int] | None = None,
         rectify: Rectify | None = None,
     ) -> None:
         self._name, self._camera = name, camera
-        self._frames, self._source = tuple(frames), dict(source)
+        self._frames, self._source, self._truth_from = tuple(frames), dict(source), truth_from
         self._found_at_opening = faults
         self._skipped = dict(faults.counts)
         self._stored_size = stored_size or (camera.width, camera.height)
@@ -80,6 +83,11 @@ class RecordedSequence:
     def source(self) -> Mapping[str, Any]:
         """Where the images come from; JSON-able."""
         return self._source
+
+    @property
+    def truth_from(self) -> Reference:
+        """What the truth of the pairs is, where they have one."""
+        return self._truth_from
 
     @property
     def skipped(self) -> Mapping[str, int]:

@@ -22,7 +22,7 @@ def test_the_wheel_holds_the_same_measurements_as_the_folder():
 
 def test_its_reference_says_that_it_is_no_ground_truth():
     pytest.importorskip("gtsam", reason='needs pip install "stereo-slam-env[gtsam]"')
-    assert "NOT ground truth" in read_recording("gtsam:kitti00").source["truth"]
+    assert read_recording("gtsam:kitti00").reference.kind == "odometry from the same images"
 
 
 def test_without_gtsam_the_message_says_what_to_install(monkeypatch):

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from filters import rotations
 from filters.camera import StereoCamera
 from stereo_slam_env.image_sequence import StereoPair
-from stereo_slam_env.recording import Pose, Start
+from stereo_slam_env.recording import SIMULATION, Pose, Start
 
 CAMERA = StereoCamera(300.0, 300.0, 239.5, 119.5, 0.6, 480, 240)
 DT = 0.1
@@ -77,6 +77,7 @@ class DrawnStreet:
     start = Start()
     source = {"drawn": True}  # noqa: RUF012 - as of every sequence: a mapping
     skipped = {}  # noqa: RUF012
+    truth_from = SIMULATION
 
     def __post_init__(self):
         rng = np.random.default_rng(self.seed)

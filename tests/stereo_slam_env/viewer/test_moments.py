@@ -9,6 +9,7 @@ from filters import InverseDepthStereoEKF
 from stereo_slam_env.benchmark.running.runner import run_filter
 from stereo_slam_env.benchmark.storage.run_archive import load_run, save_run
 from stereo_slam_env.benchmark.storage.store import RunDirectory, read_run
+from stereo_slam_env.recording import Reference
 from stereo_slam_env.viewer.moments import LARGEST, SIGMAS, drive_of, ellipsoids
 from stereo_slam_env.viewer.revisit import revisit
 
@@ -36,6 +37,13 @@ def test_without_truth_there_is_no_error_to_show():
     for moment in drive_of(small_recording(truth=False), InverseDepthStereoEKF, "mine").moments():
         assert np.isnan([moment.nees, moment.position_error]).all()
         assert moment.position_sigmas > 0
+
+
+def test_without_an_independent_truth_there_is_an_error_but_no_nees():
+    recording = replace(small_recording(), truth_from=Reference("odometry from the same images", "By hand."))
+    for moment in drive_of(recording, InverseDepthStereoEKF, "mine").moments():
+        assert np.isfinite(moment.position_error)
+        assert np.isnan(moment.nees)
 
 
 def test_a_recording_without_frames_is_refused():
@@ -67,9 +75,11 @@ def test_what_is_not_in_the_run_is_refused_by_name(finished_run, arguments, mess
         revisit(finished_run, *arguments)
 
 
-def test_a_folder_without_a_run_is_refused(tmp_path):
+def test_a_folder_without_a_run_and_none_are_told_apart(tmp_path):
     with pytest.raises(ValueError, match="holds no run"):
         revisit(tmp_path)
+    with pytest.raises(ValueError, match="nowhere does not exist: give the directory of a run"):
+        revisit(tmp_path / "nowhere")
 
 
 def test_a_run_that_failed_is_shown_as_far_as_it_came(finished_run):

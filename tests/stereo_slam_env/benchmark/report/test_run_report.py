@@ -5,13 +5,16 @@ from dataclasses import replace
 from html.parser import HTMLParser
 from types import MappingProxyType
 
+import numpy as np
 import pytest
 from PIL import Image
 
+from stereo_slam_env.benchmark.metrics.landmark_statistics import LandmarkStatistics
 from stereo_slam_env.benchmark.report import run_report as report_module
 from stereo_slam_env.benchmark.report.overview import overview
 from stereo_slam_env.benchmark.report.run_report import write_report
 from stereo_slam_env.benchmark.statistics.verdict import judge
+from stereo_slam_env.recording import Reference
 from stereo_slam_env.viewer.page import _plotly_library
 
 from ....synthetic_runs import THREE, Behaviour, make_bounds, make_runs, scored
@@ -130,6 +133,36 @@ def test_the_diverged_filter_is_marked(page):
     text = "".join(page.text)
     assert "diverged 6/6" in text
     assert "euclidean diverged in 6 of 6 runs" in text
+
+
+@pytest.mark.usefixtures("no_figures")
+def test_a_reference_that_is_no_truth_stands_out_and_no_nees_is_held_against_it(tmp_path):
+    """With the NEES that a run does not have then (see the runner), and an NIS of 0.04."""
+    from_images = Reference("odometry from the same images", "Made of <these> pixels.")
+    unknown = np.full(60, np.nan)
+    runs = [
+        replace(
+            run,
+            truth_from=from_images,
+            **dict.fromkeys(("pose_nees", "position_nees", "rotation_nees", "landmark_nees"), unknown),
+            landmark_statistics=LandmarkStatistics(),
+            nis=0.04 * run.nis_dof,
+        )
+        for run in make_runs(seeds=[None], frames=60)
+    ]
+    markup = report(tmp_path, runs).read_text(encoding="utf-8").replace(_plotly_library() or "-", "")
+    reference, innovations = re.findall('<p class="banner">(.*?)</p>', markup)
+    assert reference.startswith("Reference: odometry from the same images. Made of &lt;these&gt; pixels. ")
+    assert markup.index(reference) < markup.index('class="headline"')
+    assert "5.0 times smaller than claimed" in innovations
+    assert "innovations 5.0 times smaller than claimed" in markup  # in the table of answers, too
+    for claim in ("knows how wrong", "its band", "pose NEES", "3σ bounds", "<figure>nees", "<figure>error_0"):
+        assert claim not in markup
+
+
+def test_an_independent_truth_is_named_quietly(markup):
+    assert '<p class="quiet">Reference: independent truth. ' in markup
+    assert '<p class="banner">Reference' not in markup
 
 
 def test_no_ranking_without_what_the_runs_show():

@@ -9,6 +9,7 @@ from threadpoolctl import threadpool_limits
 from filters import StereoNoise, make_filter
 from stereo_slam_env.benchmark.metrics.results import COUNTS
 from stereo_slam_env.benchmark.running.runner import run_filter
+from stereo_slam_env.recording import Reference
 
 from ...third_party import third_party  # noqa: F401 (a fixture)
 from ..small_recordings import CAMERA, DT, SPEED, small_recording
@@ -52,6 +53,20 @@ def test_the_run_is_what_driving_the_filter_by_hand_gives():
     assert run.pose_nees[-1] == pytest.approx(error @ np.linalg.solve(covariance, error))
     for nees, part in ((run.position_nees, slice(0, 3)), (run.rotation_nees, slice(3, 6))):
         assert nees[-1] == pytest.approx(error[part] @ np.linalg.solve(covariance[part, part], error[part]))
+
+
+def test_only_an_independent_truth_gives_a_nees():
+    """An odometry from the same images is no truth: the distance to it is told, but no covariance is for that."""
+    recording = small_recording()
+    true = run_filter(recording, "inverse-depth")
+    from_images = replace(recording, truth_from=Reference("odometry from the same images", "By hand."))
+    run = run_filter(from_images, "inverse-depth")
+    np.testing.assert_array_equal(run.pose_errors, true.pose_errors)
+    for name in ("pose_nees", "position_nees", "rotation_nees", "landmark_nees"):
+        assert np.isfinite(getattr(true, name)[1:]).all()
+        assert np.isnan(getattr(run, name)).all()
+    assert run.landmark_statistics.nees_count.sum() == 0
+    assert run.reference == from_images.reference
 
 
 def test_every_array_has_a_row_a_frame_and_finite_values():

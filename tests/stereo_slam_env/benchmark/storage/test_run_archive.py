@@ -1,6 +1,7 @@
 """Runs on disk: what goes in comes out, and damage is named (0.5 s)."""
 
-from dataclasses import fields
+import json
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -8,13 +9,15 @@ import pytest
 from stereo_slam_env.benchmark.running.runner import run_filter
 from stereo_slam_env.benchmark.storage import run_archive
 from stereo_slam_env.benchmark.storage.run_archive import load_run, save_run
+from stereo_slam_env.recording import GIVEN_TRUTH, Reference
 
 from ..small_recordings import small_recording
 
 
 @pytest.fixture(scope="module")
 def run():
-    return run_filter(small_recording(), "euclidean", {"min_disparity": 5.0}, seed=7, label="xyz")
+    recording = replace(small_recording(), truth_from=Reference("odometry from the same images", "By hand."))
+    return run_filter(recording, "euclidean", {"min_disparity": 5.0}, seed=7, label="xyz")
 
 
 def same(a, b):
@@ -39,6 +42,16 @@ def test_a_run_comes_back_as_it_was(tmp_path, run):
     loaded, provenance = load_run(tmp_path / "deep" / "run.npz")
     same(run, loaded)
     assert provenance == {"from": "here", "n": 3}
+
+
+def test_a_run_kept_before_it_said_what_its_truth_is_has_a_true_one(tmp_path, run):
+    save_run(tmp_path / "run.npz", run, {})
+    with np.load(tmp_path / "run.npz") as archive:
+        arrays = {name: archive[name] for name in archive.files}
+    about = json.loads(str(arrays["about"]))
+    assert about.pop("truth_from")["kind"] == "odometry from the same images"
+    np.savez(tmp_path / "old.npz", **arrays | {"about": np.array(json.dumps(about))})
+    assert load_run(tmp_path / "old.npz")[0].reference == GIVEN_TRUTH
 
 
 @pytest.mark.parametrize("keep", [0, 100, -200])

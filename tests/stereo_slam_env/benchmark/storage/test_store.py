@@ -166,7 +166,7 @@ def test_a_directory_of_something_else_is_left_alone(tmp_path):
         store.open_run(tmp_path, SCENARIO)
     with pytest.raises(ValueError, match="is a file: give a directory"):
         store.open_run(tmp_path / "thesis.tex", SCENARIO)
-    with pytest.raises(ValueError, match=r"holds no run: it has no settings\.json"):
+    with pytest.raises(ValueError, match=r"holds no run: it has no settings\.json, give the directory of a run"):
         store.read_run(tmp_path)
 
 

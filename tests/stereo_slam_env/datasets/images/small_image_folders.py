@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from filters.camera import StereoCamera
 from stereo_slam_env.image_sequence import StereoPair
-from stereo_slam_env.recording import Pose, Start
+from stereo_slam_env.recording import SIMULATION, Pose, Start
 from stereo_slam_env.rendering.tiny import TinyRenderer
 from stereo_slam_env.world.frames import WorldFrame
 from stereo_slam_env.world.physics import PhysicsWorld
@@ -45,6 +45,7 @@ class Drive:
     """The rendered drive as an `ImageSequence`."""
 
     name, camera, start, source, skipped = "small", CAMERA, Start(), {"made": "for tests"}, {}
+    truth_from = SIMULATION
 
     def __init__(self, pairs: list[StereoPair]) -> None:
         self._pairs = pairs

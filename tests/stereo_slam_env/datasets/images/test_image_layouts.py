@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from stereo_slam_env.datasets.images import IMAGE_READERS, known_image_layouts, open_image_sequence
 from stereo_slam_env.datasets.images.kitti06_stereo51 import P_I, R_CI
+from stereo_slam_env.frontend.recorder import record_tracks
 from stereo_slam_env.recording import Pose
 
 from ...real_data import real_data
@@ -114,7 +115,17 @@ def test_colour_cameras_are_found_and_their_truth_is_their_own(tmp_path):
 def test_kitti_without_poses_has_no_truth(tmp_path):
     sequence = open_image_sequence(kitti_odometry(tmp_path, truth=False))
     assert all(pair.truth is None for pair in sequence.pairs())
-    assert sequence.source["truth"] is None
+    assert record_tracks(sequence, frames=2).reference.kind == "none"
+
+
+@pytest.mark.parametrize(
+    ("layout", "said"),
+    [("kitti_odometry", "poses/07.txt"), ("kitti_raw", "GPS"), ("karlsruhe", "weak"), ("kitti06_stereo51", "GPS/INS")],
+)
+def test_the_truth_is_independent_of_the_images_and_says_where_it_is_from(tmp_path, layout, said):
+    recording = record_tracks(open_image_sequence(LAYOUTS[layout](tmp_path), on_broken="skip"), frames=2)
+    assert recording.reference.is_independent
+    assert said in recording.reference.description
 
 
 @pytest.mark.parametrize(("cameras", "metres_left"), [(("00", "01"), 0.0), (("02", "03"), 0.06)])
@@ -169,8 +180,7 @@ def test_added_noise_is_of_the_stated_size_and_seeded(tmp_path):
 @pytest.mark.parametrize("yaw", ["east", "north"])
 def test_the_reading_of_yaw_is_told_from_the_course(tmp_path, yaw):
     sequence = open_image_sequence(karlsruhe(tmp_path, yaw=yaw), first=60)
-    assert f"yaw from {yaw}" in sequence.source["truth"]
-    assert "weak" in sequence.source["truth"]
+    assert f"yaw counted from {yaw}" in sequence.truth_from.description
     assert_same_poses([pair.truth for pair in sequence.pairs()], true_poses(), atol=1e-6)
 
 
@@ -208,7 +218,7 @@ def test_karlsruhe_times_in_another_unit_are_refused_and_can_be_replaced(tmp_pat
     sequence = open_image_sequence(folder, first=60, rate_hz=5)
     np.testing.assert_allclose(np.diff([pair.timestamp for pair in sequence.pairs()]), 0.2)
     assert sequence.source["times"] == "assumed 5 Hz"
-    assert "yaw from east" in sequence.source["truth"]
+    assert "yaw counted from east" in sequence.truth_from.description
 
 
 def test_the_one_recording_inside_a_folder_stands_for_it(tmp_path):
@@ -222,9 +232,10 @@ def test_the_one_recording_inside_a_folder_stands_for_it(tmp_path):
 
 
 def test_unknown_folders_options_and_paths_get_one_clear_line(tmp_path):
-    with pytest.raises(ValueError, match="has no known layout") as caught:
+    with pytest.raises(ValueError, match="is empty; known are ") as caught:
         open_image_sequence(tmp_path)
     assert all(name in str(caught.value) for name in known_image_layouts())
+    assert "kitti07_tracks" not in str(caught.value)
     assert "\n" not in str(caught.value)
     with pytest.raises(ValueError, match="does not exist"):
         open_image_sequence(tmp_path / "nowhere")
@@ -235,7 +246,7 @@ def test_unknown_folders_options_and_paths_get_one_clear_line(tmp_path):
     with pytest.raises(ValueError, match="no option 'frist', did you mean 'first'"):
         open_image_sequence(folder, frist=3)
     (folder / "times.txt").unlink()
-    with pytest.raises(ValueError, match=r"for kitti_odometry it lacks times\.txt"):
+    with pytest.raises(ValueError, match=r"nearest is kitti_odometry, which lacks times\.txt$"):
         open_image_sequence(folder)
 
 

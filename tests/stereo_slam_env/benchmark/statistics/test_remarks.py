@@ -1,0 +1,97 @@
+"""What a reader has to know besides the figures: the reference, and innovations far from the claim (1 s)."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from filters import StereoNoise
+from stereo_slam_env.benchmark.metrics.summary import summarise_all
+from stereo_slam_env.benchmark.running.runner import run_filter
+from stereo_slam_env.benchmark.statistics.remarks import innovation_remarks, reference_remarks
+from stereo_slam_env.recording import SIMULATION, Reference
+
+from ....synthetic_runs import THREE, make_runs
+from ..small_recordings import small_recording
+
+FROM_IMAGES = Reference("odometry from the same images", "Stereo odometry of the maker.")
+
+
+def with_nis(ratio, dof=180):
+    """The summary of a run of 20 frames whose NIS by its degrees of freedom is `ratio`."""
+    (run,) = make_runs(THREE[:1], (0,), frames=20)
+    dofs = np.where(run.nis_dof > 0, dof, 0)
+    return summarise_all([replace(run, nis=ratio * dofs, nis_dof=dofs)])[0]
+
+
+def test_independent_truth_is_named_without_a_warning():
+    runs = [replace(run, truth_from=SIMULATION) for run in make_runs(THREE, (0, 1), frames=20)]
+    assert reference_remarks(runs) == {SIMULATION: "Reference: independent truth. Exact poses of the simulation."}
+
+
+def test_odometry_from_the_same_images_is_called_no_truth():
+    (said,) = reference_remarks([replace(make_runs(frames=20)[0], truth_from=FROM_IMAGES)]).values()
+    assert said.startswith("Reference: odometry from the same images. Stereo odometry of the maker. ")
+    assert "there is no NEES" in said
+
+
+def test_without_truth_there_is_no_reference():
+    (said,) = reference_remarks(make_runs(frames=20, truth="none")).values()
+    assert said == "Reference: none. No true pose is known. There are neither errors nor NEES."
+
+
+def test_of_several_references_each_names_its_recordings():
+    runs = make_runs(THREE, (0, 1), frames=20)
+    runs = [replace(run, truth_from=FROM_IMAGES if run.seed else SIMULATION) for run in runs]
+    said = reference_remarks(runs)
+    assert said[SIMULATION].startswith("Reference of drive-0: independent truth.")
+    assert said[FROM_IMAGES].startswith("Reference of drive-1: odometry from the same images.")
+
+
+@pytest.mark.parametrize("ratio", [0.51, 0.9, 1.0, 1.2, 1.99])
+def test_an_nis_within_a_factor_of_two_of_its_dof_gets_no_remark(ratio):
+    assert innovation_remarks([with_nis(ratio)]) == []
+
+
+@pytest.mark.parametrize(
+    ("ratio", "size", "cause"),
+    [
+        (0.04, "5.0 times smaller", "too much noise"),
+        (0.49, "1.4 times smaller", "too much noise"),
+        (2.01, "1.4 times larger", "too little noise"),
+        (9.0, "3.0 times larger", "too little noise"),
+        (14400.0, "120 times larger", "too little noise"),
+    ],
+)
+def test_an_nis_far_from_its_dof_is_told_in_sigmas_with_its_cause(ratio, size, cause):
+    (said,) = innovation_remarks([with_nis(ratio)])
+    assert f"the innovations of inverse-depth are {size} than claimed: {cause} is assumed" in said
+
+
+def test_an_nis_that_chance_explains_gets_no_remark():
+    """One degree of freedom a frame, 19 frames: 95 % of consistent filters are between 0.47 and 1.73."""
+    one = with_nis(0.48, dof=1)
+    low, _ = one.consistency["nis"].band
+    assert low < 0.48 < 0.5
+    assert innovation_remarks([one]) == []
+    assert innovation_remarks([with_nis(0.2, dof=1)])
+
+
+def test_filters_are_named_together_and_the_farthest_is_told():
+    ratios = {"a": 1.0, "b": 0.04, "c": 0.25, "d": 4.0, "e": 0.2}
+    summaries = [replace(with_nis(ratio), filter_name=name) for name, ratio in ratios.items()]
+    smaller, larger = innovation_remarks(summaries)
+    assert "of b, c and e are up to 5.0 times smaller" in smaller
+    assert "of d are 2.0 times larger" in larger
+
+
+def test_a_real_filter_is_remarked_on_for_the_noise_it_assumes_wrongly_only():
+
+    def said(sigma):
+        noise = StereoNoise.independent_pixels(sigma)  # the true one is 1 px
+        runs = [run_filter(small_recording(seed), "inverse-depth", noise=noise) for seed in range(5)]
+        return " ".join(innovation_remarks(summarise_all(runs)))
+
+    assert said(1.0) == ""
+    assert "smaller than claimed: too much noise" in said(8.0)
+    assert "larger than claimed: too little noise" in said(0.1)
