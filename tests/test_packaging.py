@@ -16,7 +16,7 @@ from .newcomer import install, make_environment, run
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = ("filters", "stereo_slam_env")
 ALONGSIDE = ("pyproject.toml", "MANIFEST.in", "README.md", "LICENSE", "CHANGELOG.md", "CITATION.cff", "CONTRIBUTING.md")
-pytest.importorskip("build", reason="needs pip install stereo-slam-env[dev]")
+pytest.importorskip("build", reason="needs the extra dev")
 
 pytestmark = pytest.mark.slow
 
@@ -73,7 +73,7 @@ def test_the_source_archive_holds_what_belongs_to_it(built):
 
 
 def test_an_index_would_take_the_archives(built):
-    pytest.importorskip("twine", reason="needs pip install stereo-slam-env[dev]")
+    pytest.importorskip("twine", reason="needs the extra dev")
     printed = run(sys.executable, "-m", "twine", "check", "--strict", *built.iterdir(), cwd=built)
     assert printed.count("PASSED") == 2
 

@@ -163,7 +163,7 @@ def test_a_fork_that_would_hang_is_refused(monkeypatch):
 
 def test_without_moderngl_the_error_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "moderngl", None)
-    with pytest.raises(ImportError, match=r'pip install "stereo-slam-env\[gl\]"'):
+    with pytest.raises(ImportError, match=r' -m pip install "stereo-slam-env\[gl\]"$'):
         new_renderer()
 
 
