@@ -22,7 +22,7 @@ def _refuse_other_filters() -> None:
     """Raise an `ImportError` where `filters` is not the package that comes with this one, without importing it."""
     ours = (_Path(__file__).parent.parent / "filters" / "__init__.py").resolve()
     spec = _find_spec("filters")
-    place = spec and (spec.origin or next(iter(spec.submodule_search_locations or ()), None))
+    place = (spec.origin or next(iter(spec.submodule_search_locations or ()), None)) if spec else None
     # A package of that name that was installed after ours has overwritten it in the same place.
     if place is None or _Path(place).resolve() != ours or b"make_filter" not in ours.read_bytes():
         raise ImportError(
