@@ -2,11 +2,7 @@
 .DEFAULT_GOAL := help
 .PHONY: help bench test lint format docs clean
 
-# PyBullet has wheels for CPython up to 3.11, so 3.11 is preferred where several Pythons are installed. For newer ones
-# it is built, against a NumPy that must be there before: without it, images come back as tuples, slowly.
-ifndef PYTHON
-PYTHON := $(shell python3.11 -c 'print("python3.11")' 2>/dev/null || echo python3)
-endif
+PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
@@ -47,21 +43,14 @@ clean: ## Remove the virtual environment, builds and caches (results in runs/ st
 	find filters stereo_slam_env tests examples benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +
 
 $(BIN)/python:
-	@$(PYTHON) -c 'import sys; v = sys.version_info[:2]; sys.exit(v < (3, 10) and "Python %d.%d found, but 3.10 is the oldest that will do: make PYTHON=python3.11" % v)'
+	@$(PYTHON) -c 'import sys; v = sys.version_info[:2]; sys.exit(not (3, 10) <= v < (3, 14) and "Python %d.%d found, but 3.10 to 3.13 are what will do: make PYTHON=python3.13" % v)'
 	@echo "setting up $(VENV) with $(PYTHON) ..."
 	@$(PYTHON) -m venv $(VENV)
 
-$(VENV)/.pybullet: | $(BIN)/python
-	@if $(BIN)/python -c 'import sys; sys.exit(sys.version_info < (3, 12))'; then \
-		echo "building PyBullet for this Python, with the C++ compiler: about 15 minutes of one core (with PYTHON=python3.11: none) ..."; \
-		$(PIP) setuptools wheel numpy && $(PIP) --no-build-isolation pybullet; \
-	fi
-	@touch $@
-
-$(VENV)/.installed: pyproject.toml | $(VENV)/.pybullet
+$(VENV)/.installed: pyproject.toml | $(BIN)/python
 	@$(PIP) --editable '.[report]'
 	@touch $@
 
-$(VENV)/.installed-dev: pyproject.toml constraints.txt | $(VENV)/.pybullet
+$(VENV)/.installed-dev: pyproject.toml constraints.txt | $(BIN)/python
 	@$(PIP) --constraint constraints.txt --editable '.[dev,gtsam,evo,fast,gl,report,ray,dask,rl,video,docs,viewer]'
 	@touch $@ $(VENV)/.installed

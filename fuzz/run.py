@@ -1,6 +1,6 @@
 """Fuzz every reader of files: data sets, images, recordings, runs, scenario files, networks.
 
-    python fuzz/run.py --inputs 1000000                   # guided by coverage; needs: pip install atheris
+    python fuzz/run.py --inputs 1000000                   # guided by coverage; needs the extra fuzz
     python fuzz/run.py --seconds 600 --targets euroc,scenario
     python fuzz/run.py --engine random --inputs 20000     # without guidance, without atheris, deterministic
 
@@ -29,6 +29,7 @@ from rich.table import Table
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
+from filters.extras import install_command  # noqa: E402
 from fuzz.harness import Harness  # noqa: E402 (the folder of a script is not that of its package)
 from fuzz.mutations import mutated  # noqa: E402
 from fuzz.targets import targets  # noqa: E402
@@ -53,7 +54,7 @@ def main() -> int:
     if unknown := set(chosen) - set(names):
         parser.error(f"targets must be of {', '.join(names)}, got {', '.join(sorted(unknown))}")
     if given.engine == "guided" and find_spec("atheris") is None:
-        parser.error("--engine guided needs atheris: pip install atheris, or take --engine random")
+        parser.error(f"--engine guided needs atheris: {install_command('fuzz')}, or take --engine random")
     out = Path(given.out or tempfile.mkdtemp(prefix="fuzz-"))
     out.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=_MEMORY if _MEMORY.is_dir() else None, prefix="fuzz-") as folder:

@@ -5,6 +5,8 @@ Importing this package registers the Gymnasium environments.
 
 from __future__ import annotations
 
+from importlib.util import find_spec as _find_spec
+from pathlib import Path as _Path
 from typing import TYPE_CHECKING, Any
 
 import gymnasium as _gym
@@ -14,6 +16,22 @@ if TYPE_CHECKING:
     from stereo_slam_env.envs.drive_gaze import StereoDriveGazeEnv
     from stereo_slam_env.envs.gaze import StereoGazeEnv
     from stereo_slam_env.sensing.padding import stereo_observation
+
+
+def _refuse_other_filters() -> None:
+    """Raise an `ImportError` where `filters` is not the package that comes with this one, without importing it."""
+    ours = (_Path(__file__).parent.parent / "filters" / "__init__.py").resolve()
+    spec = _find_spec("filters")
+    place = (spec.origin or next(iter(spec.submodule_search_locations or ()), None)) if spec else None
+    # A package of that name that was installed after ours has overwritten it in the same place.
+    if place is None or _Path(place).resolve() != ours or b"make_filter" not in ours.read_bytes():
+        raise ImportError(
+            f"stereo_slam_env needs its own package filters, but Python finds {place or 'none'}: rename that or run "
+            "from another folder; if pip installed it, pip uninstall filters and install stereo-slam-env again"
+        )
+
+
+_refuse_other_filters()
 
 __all__ = ["StereoDriveEnv", "StereoDriveGazeEnv", "StereoGazeEnv", "stereo_observation"]
 

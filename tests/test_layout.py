@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from stereo_slam_env.benchmark.storage.code_identity import NO_RESULT
+
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = ("filters", "stereo_slam_env")
 MODULES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
@@ -94,6 +96,13 @@ def test_the_parts_of_the_benchmark_know_only_those_before_them(part):
     forbidden = [f"stereo_slam_env.benchmark.{name}" for name in (*later, *whole)]
     for path in modules_of(f"{home}/{part}"):
         assert imported_under(path, *forbidden) == [], name_of(path)
+
+
+def test_what_makes_results_imports_nothing_that_does_not_count_for_their_code():
+    apart = [path for path in MODULES if name_of(path).startswith(NO_RESULT)]
+    names = [name_of(path).removesuffix(".py").removesuffix("/__init__").replace("/", ".") for path in apart]
+    counted = [path for path in MODULES if path not in apart and path.name != "__init__.py"]
+    assert {name_of(path): found for path in counted if (found := imported_under(path, *names))} == {}
 
 
 def test_no_module_is_a_drawer_of_odds_and_ends():

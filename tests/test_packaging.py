@@ -10,13 +10,14 @@ import zipfile
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
 
 from .newcomer import install, make_environment, run
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = ("filters", "stereo_slam_env")
 ALONGSIDE = ("pyproject.toml", "MANIFEST.in", "README.md", "LICENSE", "CHANGELOG.md", "CITATION.cff", "CONTRIBUTING.md")
-pytest.importorskip("build", reason="needs pip install stereo-slam-env[dev]")
+pytest.importorskip("build", reason="needs the extra dev")
 
 pytestmark = pytest.mark.slow
 
@@ -73,7 +74,7 @@ def test_the_source_archive_holds_what_belongs_to_it(built):
 
 
 def test_an_index_would_take_the_archives(built):
-    pytest.importorskip("twine", reason="needs pip install stereo-slam-env[dev]")
+    pytest.importorskip("twine", reason="needs the extra dev")
     printed = run(sys.executable, "-m", "twine", "check", "--strict", *built.iterdir(), cwd=built)
     assert printed.count("PASSED") == 2
 
@@ -92,6 +93,27 @@ def test_the_wheel_names_its_licence_and_its_command(wheel):
     assert "License-Expression: MIT" in metadata
     assert any(name.endswith("/licenses/LICENSE") for name in names)
     assert "stereo-slam = stereo_slam_env.cli:main" in commands
+
+
+MACHINES = {
+    "Linux x86-64": {"sys_platform": "linux", "platform_machine": "x86_64"},
+    "Linux ARM": {"sys_platform": "linux", "platform_machine": "aarch64"},
+    "macOS ARM": {"sys_platform": "darwin", "platform_machine": "arm64"},
+    "macOS Intel": {"sys_platform": "darwin", "platform_machine": "x86_64"},
+    "Windows": {"sys_platform": "win32", "platform_machine": "AMD64"},
+}
+
+
+@pytest.mark.parametrize("machine", MACHINES)
+@pytest.mark.parametrize("version", ["3.10", "3.11", "3.12", "3.13"])
+def test_every_python_on_every_machine_gets_exactly_one_pybullet(wheel, version, machine):
+    """Both distributions own the module; PyBullet's own is taken where it has wheels: Linux x86-64, up to 3.11."""
+    with zipfile.ZipFile(wheel) as archive:
+        (metadata,) = (archive.read(name).decode() for name in archive.namelist() if name.endswith("/METADATA"))
+    required = map(Requirement, re.findall(r"^Requires-Dist: (pybullet.*)$", metadata, re.MULTILINE))
+    here = {"python_version": version, **MACHINES[machine]}
+    own = machine == "Linux x86-64" and version in ("3.10", "3.11")
+    assert [r.name for r in required if r.marker.evaluate(here)] == ["pybullet" if own else "pybullet-arm64"]
 
 
 def test_the_installed_packages_are_those_of_the_wheel(home, tmp_path):

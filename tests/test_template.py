@@ -12,7 +12,7 @@ from .newcomer import install, make_environment, run
 
 ROOT = Path(__file__).resolve().parent.parent
 TEMPLATE = ROOT / "templates" / "filter-package"
-pytest.importorskip("setuptools", minversion="77", reason="needs pip install stereo-slam-env[dev]")
+pytest.importorskip("setuptools", minversion="77", reason="needs the extra dev")
 
 pytestmark = pytest.mark.slow
 

@@ -12,6 +12,7 @@ from filters.engine.error_definition import StandardError
 from filters.engine.fates import FateArray
 from filters.engine.joint_state import JointState
 from filters.engine.kalman import Correction, LinearisedMeasurements
+from filters.extras import install_command
 from filters.landmarks.parametrisation import LandmarkModel, NewLandmarks
 from filters.measurements.model import Stage
 from filters.motion import CameraState, MotionModel
@@ -70,7 +71,7 @@ def arithmetic(compiled: bool) -> Arithmetic:
     if not compiled:
         return NUMPY
     if find_spec("numba") is None:
-        raise ValueError("compiled must be False without Numba: pip install 'stereo-slam-env[fast]'")
+        raise ValueError(f"compiled must be False without Numba: {install_command('fast')}")
     from filters.engine.compiled import COMPILED
 
     return COMPILED

@@ -16,6 +16,7 @@ from scipy.linalg import solve_triangular
 
 from filters import rotations
 from filters.camera import StereoCamera
+from filters.extras import install_command
 from filters.interface import BodyVelocity
 from filters.motion import POSE_SIZE, POSITION, ROTATION, CameraState, MotionModel
 from filters.validation import BoolArray, FloatArray, IntArray
@@ -41,7 +42,7 @@ def load_gtsam() -> ModuleType:
     try:
         import gtsam
     except ImportError as error:
-        raise ValueError('the batch smoother needs gtsam: pip install "stereo-slam-env[gtsam]"') from error
+        raise ValueError(f"the batch smoother needs gtsam: {install_command('gtsam')}") from error
     module: ModuleType = gtsam
     return module
 

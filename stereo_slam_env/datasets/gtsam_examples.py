@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from filters.extras import install_command
 from filters.known_names import require_known
 from stereo_slam_env.datasets.kitti00_stereo_tracks import (
     IMAGE_SIZE,
@@ -87,7 +88,7 @@ def _find(file_name: str) -> Path:
     try:
         import gtsam
     except ImportError as error:
-        raise ImportError('gtsam is not installed: pip install "stereo-slam-env[gtsam]"') from error
+        raise ImportError(f"gtsam is not installed: {install_command('gtsam')}") from error
     try:
         return Path(str(gtsam.findExampleDataFile(file_name)))  # type: ignore[no-untyped-call,unused-ignore]
     except (FileNotFoundError, RuntimeError) as error:

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from filters.extras import install_command
 from stereo_slam_env.rendering.images import Image
 
 _DRIVER = ("SDL_VIDEODRIVER", "SDL_VIDEO_DRIVER")
@@ -18,7 +19,6 @@ _REMEDY = (
     "use render_mode='rgb_array' with gymnasium.wrappers.RecordVideo, run under xvfb-run, "
     "or set SDL_VIDEODRIVER=dummy to draw into nothing"
 )
-_NO_PYGAME = "render_mode='human' needs pygame: pip install 'stereo-slam-env[video]'"
 
 
 def window_for(render_mode: str | None, fps: float) -> Window | None:
@@ -34,7 +34,7 @@ def window_for(render_mode: str | None, fps: float) -> Window | None:
     if render_mode != "human":
         return None
     if find_spec("pygame") is None:
-        raise ImportError(_NO_PYGAME)
+        raise ImportError(f"render_mode='human' needs pygame: {install_command('video')}")
     if not _display_named():
         raise RuntimeError(
             f"render_mode='human' needs a display, and neither {' nor '.join(_SCREENS)} is set: {_REMEDY}"

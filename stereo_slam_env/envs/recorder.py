@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +11,7 @@ import numpy as np
 from stereo_slam_env.envs.drive import StereoDriveEnv
 from stereo_slam_env.envs.options import DriveOptions, StereoOptions
 from stereo_slam_env.envs.stereo_env import StereoEnv
+from stereo_slam_env.package_versions import version_of
 from stereo_slam_env.recording import SIMULATION, Frame, Recording
 from stereo_slam_env.rendering.backends import renderer_identity
 
@@ -119,12 +119,5 @@ def described(env: StereoEnv, seed: int) -> dict[str, Any]:
         "arguments": env.options.as_dict(),
         "seed": seed,
         **drawn,
-        "versions": {name: _version(name) for name in ("stereo-slam-env", "numpy", "pybullet", "gymnasium")},
+        "versions": {name: version_of(name) for name in ("stereo-slam-env", "numpy", "pybullet", "gymnasium")},
     }
-
-
-def _version(package: str) -> str:
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return "not installed"

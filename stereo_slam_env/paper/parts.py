@@ -14,10 +14,12 @@ from threadpoolctl import threadpool_limits
 
 from stereo_slam_env.array_files import read_arrays
 from stereo_slam_env.atomic_files import write_atomically
-from stereo_slam_env.benchmark.storage.store import code_digest
+from stereo_slam_env.benchmark.storage.code_identity import code_digest
 
 Arrays = dict[str, NDArray[Any]]
 Progress = Callable[[float, int], None]
+NOT_COMPUTED = ("stereo_slam_env/cli", "stereo_slam_env/console.py", "stereo_slam_env/paper/report.py")
+"""Where the paths of modules begin that no part needs."""
 KEY = "made from"
 """Entry of a file that says of which inputs and code it is."""
 
@@ -60,7 +62,7 @@ def run_parts(
     progress : callable, optional
         Called with (parts done, parts).
     """
-    code = code_digest()
+    code = code_digest(NOT_COMPUTED)
     keys = {part.name: json.dumps({"code": code, "inputs": part.inputs}, sort_keys=True) for part in parts}
     found = {part.name: _kept(folder / f"{part.name}.npz", keys[part.name]) for part in parts}
     results = {name: arrays for name, arrays in found.items() if arrays is not None}

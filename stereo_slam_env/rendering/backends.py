@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from functools import cache
-from importlib import metadata
 
 from filters.camera import StereoCamera
+from stereo_slam_env.package_versions import version_of
 from stereo_slam_env.rendering.images import StereoRenderer
 from stereo_slam_env.rendering.tiny import TinyRenderer
 from stereo_slam_env.world.frames import WorldFrame
@@ -81,7 +81,7 @@ def renderer_identity(name: str) -> dict[str, str]:
     if name not in RENDERERS:
         raise ValueError(f"renderer must be one of {', '.join(RENDERERS)}, got {name!r}")
     if name == "tiny":
-        return {"name": name, "version": f"PyBullet {metadata.version('pybullet')}", "device": "CPU"}
+        return {"name": name, "version": f"PyBullet {version_of('pybullet')}", "device": "CPU"}
     from stereo_slam_env.rendering.gl_resources import device
 
     return {"name": name, **device()}

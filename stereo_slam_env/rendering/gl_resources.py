@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from filters.camera import StereoCamera
+from filters.extras import install_command
 from stereo_slam_env.rendering import pinhole
 from stereo_slam_env.rendering.draw_list import VERTEX_FORMAT, DrawList, ViewVolume
 from stereo_slam_env.rendering.images import StereoImages
@@ -56,7 +57,7 @@ def new_context() -> Any:
     try:
         moderngl: Any = import_module("moderngl")
     except ImportError as error:
-        raise ImportError('renderer "gl" needs moderngl: pip install "stereo-slam-env[gl]"') from error
+        raise ImportError(f'renderer "gl" needs moderngl: {install_command("gl")}') from error
     # Mesa on the CPU draws without threads: parallelism comes from whole runs.
     os.environ.setdefault("LP_NUM_THREADS", "0")
     check_process()

@@ -15,6 +15,7 @@ from types import ModuleType
 from typing import Any
 from urllib.parse import urlsplit
 
+from filters.extras import install_command
 from stereo_slam_env.viewer.output_files import checked_file
 
 _EXAMPLE = "rerun+http://127.0.0.1:9876/proxy"
@@ -31,7 +32,7 @@ def require_rerun() -> ModuleType:
         importlib.import_module("rerun.blueprint")
         return importlib.import_module("rerun")
     except ImportError as error:
-        raise ImportError("the Rerun viewer is missing: pip install 'stereo-slam-env[viewer]'") from error
+        raise ImportError(f"the Rerun viewer is missing: {install_command('viewer')}") from error
 
 
 def open_sink(stream: Any, layout: Any, save: str | Path | None = None, connect: str | None = None) -> None:

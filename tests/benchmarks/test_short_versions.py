@@ -68,7 +68,7 @@ def test_a_bootstrap_interval_knows_a_ratio_of_one_and_a_half() -> None:
 
 
 def test_a_filter_ends_where_smoothing_ends() -> None:
-    pytest.importorskip("gtsam", reason='needs pip install "stereo-slam-env[gtsam]"')
+    pytest.importorskip("gtsam", reason="needs the extra gtsam")
     against_batch = script("against_batch")
     found = against_batch.run_seed(0, 60, False, ["shared-anchor"])
     assert found["batch"].chi2 == pytest.approx(1.0, abs=0.05)

@@ -14,8 +14,8 @@ DOCS = ROOT / "docs"
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 ENVIRONMENTS = ("drive", "gaze", "drive_gaze")
 
-pytest.importorskip("mkdocs", reason="needs mkdocs (pip install 'stereo-slam-env[docs]')")
-pytest.importorskip("material", reason="needs mkdocs-material (pip install 'stereo-slam-env[docs]')")
+pytest.importorskip("mkdocs", reason="needs the extra docs")
+pytest.importorskip("material", reason="needs the extra docs")
 
 
 @pytest.fixture(scope="module")

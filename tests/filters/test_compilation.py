@@ -29,7 +29,8 @@ def test_the_default_is_numpy() -> None:
 
 def test_without_numba_a_compiled_filter_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(arithmetic_module, "find_spec", lambda name: None)
-    with pytest.raises(ValueError, match="compiled must be False without Numba: pip install"):
+    message = r'^compiled must be False without Numba: .* -m pip install "stereo-slam-env\[fast\]"$'
+    with pytest.raises(ValueError, match=message):
         make_filter("inverse-depth", camera=REFERENCE_CAMERA, noise=REFERENCE_NOISE, compiled=True)
 
 

@@ -18,7 +18,7 @@ LANDMARKS, BUDGET_MS = 100, 25.0
 @pytest.mark.parametrize("name", ["inverse-depth", "dual-bearing", "euclidean"])
 def test_a_frame_with_100_landmarks_takes_at_most_25_ms(name: str, compiled: bool) -> None:
     if compiled:
-        pytest.importorskip("numba", reason="Numba is not installed: pip install 'stereo-slam-env[fast]'")
+        pytest.importorskip("numba", reason="needs the extra fast")
     rng = np.random.default_rng(0)
     uvd = rng.uniform((400, 100, 5), (900, 300, 40), (LANDMARKS, 3))
     slam = make_filter(name, camera=REFERENCE_CAMERA, noise=REFERENCE_NOISE, compiled=compiled)

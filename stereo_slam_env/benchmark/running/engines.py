@@ -12,6 +12,8 @@ from typing import Any, TypeVar
 
 import joblib
 
+from filters.extras import install_command
+
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 
@@ -112,7 +114,7 @@ def _ray(jobs: int, address: str | None) -> Iterator[None]:
         import ray
         from ray.util.joblib import register_ray
     except ImportError as error:
-        raise ImportError("engine ray is not installed: pip install 'stereo-slam-env[ray]'") from error
+        raise ImportError(f"engine ray is not installed: {install_command('ray')}") from error
     ours, quietly = not ray.is_initialized(), {"log_to_driver": False, "logging_level": logging.ERROR}
     if ours:
         try:
@@ -139,7 +141,7 @@ def _dask(jobs: int, address: str | None) -> Iterator[None]:
         dask.config.set({"logging.distributed": "error"})  # read by what follows, here and in the workers
         from dask.distributed import Client, LocalCluster
     except ImportError as error:
-        raise ImportError("engine dask is not installed: pip install 'stereo-slam-env[dask]'") from error
+        raise ImportError(f"engine dask is not installed: {install_command('dask')}") from error
     with ExitStack() as stack:
         if address is None:
             cluster: Any = stack.enter_context(

@@ -28,15 +28,12 @@ from __future__ import annotations
 
 import csv
 import dataclasses
-import hashlib
-import importlib.metadata
 import io
 import json
 import math
 import platform
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -48,9 +45,11 @@ from stereo_slam_env.benchmark.metrics.run_figures import Bounds, Figures, figur
 from stereo_slam_env.benchmark.metrics.summary import summarise_all
 from stereo_slam_env.benchmark.recordings.stream_identity import as_given, stream_key
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, Scenario
+from stereo_slam_env.benchmark.storage.code_identity import code_digest
 from stereo_slam_env.benchmark.storage.run_archive import load_provenance, load_run
 from stereo_slam_env.benchmark.storage.trajectory_files import write_kitti, write_tum
 from stereo_slam_env.claimed_folder import is_occupied
+from stereo_slam_env.package_versions import version_of
 
 VERSION = 2
 CELLS = "cells"
@@ -333,23 +332,12 @@ def _no_run(out: Path) -> str:
 
 def versions() -> dict[str, str]:
     """What a run is run with."""
-    found = {"python": platform.python_version(), "platform": platform.platform(), "code": code_digest()}
-    for package in _PACKAGES:
-        try:
-            found[package] = importlib.metadata.version(package)
-        except importlib.metadata.PackageNotFoundError:
-            found[package] = "not installed"
-    return found
-
-
-@cache
-def code_digest() -> str:
-    """SHA-256 of the source of both packages, so that results of different code are never mixed."""
-    root = Path(__file__).resolve().parents[3]
-    digest = hashlib.sha256()
-    for path in sorted([*(root / "filters").rglob("*.py"), *(root / "stereo_slam_env").rglob("*.py")]):
-        digest.update(path.relative_to(root).as_posix().encode() + path.read_bytes())
-    return digest.hexdigest()[:16]
+    return {
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        "code": code_digest(),
+        **{package: version_of(package) for package in _PACKAGES},
+    }
 
 
 def _refuse_other_settings(out: Path, before: Mapping[str, Any], now: Mapping[str, Any]) -> None:

@@ -13,7 +13,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-pytest.importorskip("numba", reason="Numba is not installed: pip install 'stereo-slam-env[fast]'")
+pytest.importorskip("numba", reason="needs the extra fast")
 
 from filters import BodyVelocity, StereoEKF, UpdateReport, VelocityDriven
 from filters.engine import compiled, kalman, linearisation, symmetric

@@ -12,7 +12,7 @@ from filters import StereoEKF, StereoObservation
 from stereo_slam_env.benchmark.recordings.reference_problem import short_turn
 from stereo_slam_env.recording import Recording
 
-pytest.importorskip("gtsam", reason='needs pip install "stereo-slam-env[gtsam]"')
+pytest.importorskip("gtsam", reason="needs the extra gtsam")
 
 from stereo_slam_env.baselines.batch import BatchSmoother
 

@@ -23,7 +23,7 @@ def ate(run: FilterRun) -> float:
 @pytest.mark.parametrize("name", ["dead-reckoning", "frame-to-frame", "batch"])
 def test_every_baseline_keeps_the_contract(name: str) -> None:
     if name == "batch":
-        pytest.importorskip("gtsam", reason='needs pip install "stereo-slam-env[gtsam]"')
+        pytest.importorskip("gtsam", reason="needs the extra gtsam")
     check_filter(lambda camera, noise: make_filter(name, camera=camera, noise=noise))
 
 
@@ -41,7 +41,7 @@ def test_frame_to_frame_on_kitti_00_follows_the_drive() -> None:
 
 @pytest.mark.slow
 def test_smoothing_everything_is_no_worse_than_filtering() -> None:
-    pytest.importorskip("gtsam", reason='needs pip install "stereo-slam-env[gtsam]"')
+    pytest.importorskip("gtsam", reason="needs the extra gtsam")
     ends = {"batch": [], "inverse-depth": []}
     for seed in range(6):
         recording = short_turn(seed)

@@ -11,7 +11,7 @@ from ..real_data import real_data
 
 
 def test_the_wheel_holds_the_same_measurements_as_the_folder():
-    pytest.importorskip("gtsam", reason='needs pip install "stereo-slam-env[gtsam]"')
+    pytest.importorskip("gtsam", reason="needs the extra gtsam")
     wheel, folder = read_recording("gtsam"), read_recording(real_data("kitti00_stereo_tracks"))
     assert len(wheel) == len(folder)
     for a, b in zip(wheel.frames, folder.frames, strict=True):
@@ -21,13 +21,13 @@ def test_the_wheel_holds_the_same_measurements_as_the_folder():
 
 
 def test_its_reference_says_that_it_is_no_ground_truth():
-    pytest.importorskip("gtsam", reason='needs pip install "stereo-slam-env[gtsam]"')
+    pytest.importorskip("gtsam", reason="needs the extra gtsam")
     assert read_recording("gtsam:kitti00").reference.kind == "odometry from the same images"
 
 
 def test_without_gtsam_the_message_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "gtsam", None)
-    with pytest.raises(ImportError, match=r'pip install "stereo-slam-env\[gtsam\]"'):
+    with pytest.raises(ImportError, match=r' -m pip install "stereo-slam-env\[gtsam\]"$'):
         read_recording("gtsam")
 
 

@@ -54,7 +54,7 @@ def test_a_display_that_does_not_answer_is_none(no_display, monkeypatch):
 
 def test_without_pygame_human_names_the_extra(no_display, monkeypatch):
     monkeypatch.setitem(sys.modules, "pygame", None)
-    with pytest.raises(ImportError, match=r"pip install 'stereo-slam-env\[video\]'"):
+    with pytest.raises(ImportError, match=r' -m pip install "stereo-slam-env\[video\]"$'):
         make(render_mode="human")
 
 

@@ -153,7 +153,7 @@ def test_drawing_in_a_fork_is_refused_and_does_not_hang(used_before):
 
 def test_without_moderngl_the_error_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "moderngl", None)
-    with pytest.raises(ImportError, match=r'pip install "stereo-slam-env\[gl\]"'):
+    with pytest.raises(ImportError, match=r' -m pip install "stereo-slam-env\[gl\]"$'):
         new_renderer()
 
 

@@ -70,7 +70,7 @@ def test_without_the_extra_one_line_says_what_to_install(monkeypatch, tmp_path):
     from stereo_slam_env.training import extra
 
     monkeypatch.setattr(extra, "find_spec", lambda name: None)
-    with pytest.raises(ImportError, match=r"stable_baselines3 is missing: pip install 'stereo-slam-env\[rl\]'"):
+    with pytest.raises(ImportError, match=r'^stable_baselines3 is missing: .* -m pip install "stereo-slam-env\[rl\]"$'):
         train(TASK, SETTINGS, tmp_path)
     assert not list(tmp_path.iterdir())
 

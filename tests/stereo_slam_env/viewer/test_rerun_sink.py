@@ -105,5 +105,5 @@ def test_what_rerun_complains_of_is_one_line(stream, monkeypatch):
 def test_without_rerun_the_message_says_how_to_get_it(monkeypatch):
     monkeypatch.setitem(sys.modules, "rerun", None)
     monkeypatch.setitem(sys.modules, "rerun.blueprint", None)
-    with pytest.raises(ImportError, match=r"pip install 'stereo-slam-env\[viewer\]'"):
+    with pytest.raises(ImportError, match=r' -m pip install "stereo-slam-env\[viewer\]"$'):
         require_rerun()

@@ -9,6 +9,7 @@ import pytest
 
 from stereo_slam_env.rendering import pinhole
 from stereo_slam_env.sensing.rigs import RIGS
+from stereo_slam_env.world import physics
 from stereo_slam_env.world.frames import R_SW
 from stereo_slam_env.world.physics import PhysicsWorld
 from stereo_slam_env.world.scene import Box, Cylinder, Ground, Material, MovingBody, Scene, Sphere
@@ -190,6 +191,30 @@ def test_textures_tint_and_variants_are_drawn(world):
     np.testing.assert_allclose(red[..., 0], plain[..., 0], atol=1)
     np.testing.assert_allclose(red[..., 1], 0.3 * plain[..., 1], atol=2)
     assert np.abs(other - plain).mean() > 3
+
+
+@pytest.mark.parametrize("form", [np.ndarray.tolist, lambda flat: tuple(flat.tolist()), np.array])
+def test_pictures_are_the_same_arrays_from_a_pybullet_with_and_without_numpy(world, monkeypatch, form):
+    """Without NumPy, PyBullet gives flat tuples."""
+    scene = with_car(WALL)
+    world.build(scene, EGO)
+    world.dress(scene)
+    draw = physics.pybullet.getCameraImage
+    view = pinhole.view_matrix(np.array([0.0, 0.0, 1.65]), R_SW)
+    projection = pinhole.projection_matrix(RIGS["qvga"], 0.5, 300.0, pinhole.TINY_OFFSET)
+    rgb, depth = world.camera_image(view, projection, 320, 240, (-0.5, 0.0, 0.9))
+
+    def other_form(*arguments, **options):
+        width, height, rgba, buffer, segmentation = draw(*arguments, **options)
+        pixels, depths = np.ravel(np.asarray(rgba, np.uint8)), np.ravel(np.asarray(buffer, np.float32))
+        return width, height, form(pixels), form(depths), segmentation
+
+    monkeypatch.setattr(physics.pybullet, "getCameraImage", other_form)
+    again = world.camera_image(view, projection, 320, 240, (-0.5, 0.0, 0.9))
+    for array, other in zip((rgb, depth), again, strict=True):
+        assert (other.shape[:2], other.dtype) == ((240, 320), array.dtype)
+        np.testing.assert_array_equal(other, array)
+    assert rgb.std() > 10
 
 
 def test_memory_is_flat_over_dressed_worlds():

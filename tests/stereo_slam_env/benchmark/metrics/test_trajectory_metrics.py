@@ -131,7 +131,7 @@ def test_a_path_shorter_than_every_segment_has_none():
 
 def assert_evo_agrees(p, q, truth, true_q):
     """Absolute errors with and without alignment, rotation angles, and relative errors of the same pairs: to 1e-6."""
-    pytest.importorskip("evo", reason="needs pip install evo")
+    pytest.importorskip("evo", reason="needs the extra evo")
     from evo.core import lie_algebra, trajectory
     from evo.core import metrics as evo
 

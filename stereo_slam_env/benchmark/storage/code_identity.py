@@ -1,0 +1,111 @@
+"""Which code made a result: a digest of what the code says, not of how it is written down."""
+
+from __future__ import annotations
+
+import ast
+import gc
+import hashlib
+import json
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from functools import cache
+from pathlib import Path
+
+from stereo_slam_env.atomic_files import write_atomically
+
+ROOT = Path(__file__).resolve().parents[3]
+NO_RESULT = (
+    "filters/compilation.py",
+    "filters/conformance.py",
+    "stereo_slam_env/benchmark/campaign.py",
+    "stereo_slam_env/benchmark/certificate",
+    "stereo_slam_env/benchmark/head_to_head.py",
+    "stereo_slam_env/benchmark/report/",
+    "stereo_slam_env/benchmark/statistics/",
+    "stereo_slam_env/cli",
+    "stereo_slam_env/console.py",
+    "stereo_slam_env/faults/",
+    "stereo_slam_env/paper/",
+    "stereo_slam_env/pytest_plugin.py",
+    "stereo_slam_env/training/",
+    "stereo_slam_env/viewer/",
+)
+"""Where the paths of modules begin that neither make a recording nor run a filter. What is not named counts."""
+_UNSAID = {"ctx", "kind", "type_comment"}
+"""Fields of a syntax tree that follow from the others, or only from how the code is written."""
+
+
+@cache
+def code_digest(without: tuple[str, ...] = NO_RESULT, root: Path = ROOT) -> str:
+    """SHA-256 of both packages, so that results of different code are never mixed.
+
+    Comments, docstrings and formatting make no difference, nor does the version of Python. Trained networks count.
+
+    Parameters
+    ----------
+    without : tuple of str
+        Where the paths of modules begin, from `root`, that do not count.
+    root : Path
+        The folder of both packages.
+    """
+    files = [path for package in ("filters", "stereo_slam_env") for path in (root / package).rglob("*.*")]
+    paths = {path.relative_to(root).as_posix(): path for path in files if path.suffix in (".py", ".npz")}
+    kept = root / "filters" / "__pycache__" / f"code-{sys.implementation.cache_tag}.json"
+    meanings = _meanings({name: path.read_bytes() for name, path in paths.items()}, kept)
+    lines = sorted(f"{name} {digest}" for name, digest in meanings.items() if not name.startswith(without))
+    return hashlib.sha256("\n".join(lines).encode()).hexdigest()[:16]
+
+
+def _meanings(sources: Mapping[str, bytes], kept: Path) -> dict[str, str]:
+    """Digests of what files say, by name; those in `kept`, by digest of the source, are not computed again."""
+    try:
+        known: dict[str, str] = json.loads(kept.read_bytes())
+    except (OSError, ValueError):
+        known = {}
+    digests = {name: hashlib.sha256(source).hexdigest() for name, source in sources.items()}
+    with _no_collection():  # a third of the time
+        found = {
+            digest: known.get(digest) or (_meaning(sources[name]) if name.endswith(".py") else digest)
+            for name, digest in digests.items()
+        }
+    if found.keys() - known.keys() and not sys.dont_write_bytecode:
+        with suppress(OSError):  # not ours to write: then it is computed every time
+            write_atomically(kept, lambda stream: stream.write(json.dumps(found).encode()))
+    return {name: found[digest] for name, digest in digests.items()}
+
+
+def _meaning(source: bytes) -> str:
+    """Digest of the syntax tree without docstrings."""
+    said: list[str] = []
+
+    def say(node: object) -> None:
+        if isinstance(node, ast.AST):
+            said.append(type(node).__name__)
+            for name, value in ast.iter_fields(node):
+                # What is empty is not said: newer versions of Python have fields that older ones have not.
+                if name not in _UNSAID and value is not None and value != []:
+                    said.append(f"{name}:")
+                    say(value)
+            said.append(".")
+        elif isinstance(node, list):
+            for item in node:
+                if not (isinstance(item, ast.Expr) and isinstance(item.value, ast.Constant)):
+                    say(item)
+        else:
+            said.append(repr(node))
+
+    say(ast.parse(source))
+    return hashlib.sha256("\n".join(said).encode()).hexdigest()
+
+
+@contextmanager
+def _no_collection() -> Iterator[None]:
+    """Syntax trees are many objects without circles."""
+    was = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was:
+            gc.enable()
