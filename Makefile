@@ -23,7 +23,7 @@ bench: $(VENV)/.installed ## Compare the filters in the simulated world and writ
 	@$(BIN)/stereo-slam bench $(BENCH)
 
 test: lint ## Lint, types and tests
-	@$(BIN)/python -m pytest --numprocesses $(WORKERS) --dist loadfile $(PYTEST)
+	@$(BIN)/python -m pytest --numprocesses $(WORKERS) --dist loadfile --max-worker-restart 0 $(PYTEST)
 
 lint: $(VENV)/.installed-dev ## ruff and mypy
 	@$(BIN)/ruff check

@@ -41,7 +41,10 @@ def bench(slam_bench):
 """
 
 
-ALONE = [f"-pno:{name}" for name in ("hypothesispytest", "benchmark", "xdist", "cacheprovider", "stereo_slam")]
+ALONE = [
+    f"-pno:{name}"
+    for name in ("hypothesispytest", "benchmark", "xdist", "randomly", "timeout", "cacheprovider", "stereo_slam")
+]
 """Without what is installed: not even the plug-in itself, which is loaded from here."""
 
 
