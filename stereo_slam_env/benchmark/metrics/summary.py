@@ -80,6 +80,7 @@ def summarise(
     return FilterSummary(
         filter_name=names[0],
         options=runs[0].options,
+        not_given=next((run.not_given for run in runs if run.not_given), {}),
         runs=len(runs),
         frames=total("frames"),
         position_rmse_m=root_mean_square_of("position_rmse_m"),
