@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from filters.camera import StereoCamera
+from filters.constructor_calls import RecordedConstructors
 from filters.noise import StereoNoise
 from filters.validation import BoolArray, FloatArray, IntArray, covariance_matrix, finite_array, unique_ids
 
@@ -123,7 +124,7 @@ def _no_ids() -> IntArray:
 
 @dataclass(frozen=True, eq=False)
 class UpdateReport:
-    """What one `update` did with each measurement.
+    """What one `update` did with each measurement of its frame, or of earlier ones where updates are delayed.
 
     Attributes
     ----------
@@ -256,7 +257,7 @@ def check_rig(camera: StereoCamera, noise: StereoNoise) -> None:
         raise ValueError(f"noise must be a StereoNoise, got {noise!r}: see StereoNoise.independent_pixels")
 
 
-class StereoFilter(ABC):
+class StereoFilter(RecordedConstructors, ABC):
     """A stereo SLAM filter. Implement these members and any bench, environment or test here can run it.
 
     Bad input raises `ValueError` naming the argument, and leaves the state as it was.
@@ -297,7 +298,12 @@ class StereoFilter(ABC):
 
     @abstractmethod
     def update(self, observation: StereoObservation) -> UpdateReport:
-        """Use the frame: known ids correct the state (Eq. 13-18), then new ones enter the map (Eq. 19-25)."""
+        """Use the frame: known ids correct the state (Eq. 13-18), then new ones enter the map (Eq. 19-25).
+
+        A filter may delay that (fixed lag, multi-state constraint): it uses and reports a measurement in a later
+        update, or a whole track, by its id, once it has ended. The pose is that of the present frame all the same, and
+        a frame without measurements may then correct it, too.
+        """
 
     @abstractmethod
     def forecast(self, ids: Sequence[int] | IntArray | None = None) -> Forecast:

@@ -189,6 +189,74 @@ class VelocityDriven:
         return None
 
 
+def predict_camera(
+    motion: MotionModel, state: CameraState, dt: float, odometry: BodyVelocity | None
+) -> MotionPrediction:
+    """What a motion model predicts for one camera, its shapes checked.
+
+    Raises
+    ------
+    ValueError
+        The model returned something else than a `MotionPrediction` with the shapes of its documentation.
+    """
+    predicted = motion.predict(state, dt, odometry)
+    _require_type(motion, "a MotionPrediction from predict", predicted, MotionPrediction)
+    _require_type(motion, "its predicted state as a CameraState", predicted.state, CameraState)
+    noises = _rows(predicted.Q)
+    _require_shapes(
+        motion,
+        ("state.position", predicted.state.position, (3,)),
+        ("state.orientation", predicted.state.orientation, (4,)),
+        ("state.linear_velocity", predicted.state.linear_velocity, (3,)),
+        ("state.angular_velocity", predicted.state.angular_velocity, (3,)),
+        ("F", predicted.F, (CAMERA_SIZE, CAMERA_SIZE)),
+        ("Q", predicted.Q, (noises, noises)),
+        ("G", predicted.G, (CAMERA_SIZE, noises)),
+    )
+    return predicted
+
+
+def measure_odometry(
+    motion: MotionModel, state: CameraState, dt: float, odometry: BodyVelocity
+) -> LinearMeasurement | None:
+    """What a motion model has to learn from the odometry of one camera, its shapes checked; None: nothing.
+
+    Raises
+    ------
+    ValueError
+        The model returned something else than None or a `LinearMeasurement` with the shapes of its documentation.
+    """
+    measured = motion.odometry_measurement(state, dt, odometry)
+    if measured is not None:
+        _require_type(motion, "a LinearMeasurement or None from odometry_measurement", measured, LinearMeasurement)
+        rows = _rows(measured.innovation)
+        _require_shapes(
+            motion,
+            ("the innovation of odometry", measured.innovation, (rows,)),
+            ("the H of odometry", measured.H, (rows, CAMERA_SIZE)),
+            ("the R of odometry", measured.R, (rows, rows)),
+        )
+    return measured
+
+
+def _rows(array: FloatArray) -> int:
+    shape = getattr(array, "shape", ())
+    return shape[0] if shape else 0
+
+
+def _require_type(motion: MotionModel, wanted: str, returned: object, kind: type) -> None:
+    if not isinstance(returned, kind):
+        raise ValueError(f"motion model {type(motion).__name__} must return {wanted}, got {type(returned).__name__}")
+
+
+def _require_shapes(motion: MotionModel, *parts: tuple[str, FloatArray, tuple[int, ...]]) -> None:
+    for name, array, wanted in parts:
+        shape = getattr(array, "shape", None)
+        if shape != wanted:
+            got = type(array).__name__ if shape is None else shape
+            raise ValueError(f"motion model {type(motion).__name__} must return {name} of shape {wanted}, got {got}")
+
+
 def motion_model(value: MotionModel | None) -> MotionModel:
     """Return `value`, or `ConstantVelocity()` for None.
 

@@ -69,7 +69,7 @@ def make_filter(name: str | FilterFactory, *, camera: StereoCamera, noise: Stere
     ValueError
         Unknown name or option, an option's value is refused, or a third-party filter cannot be loaded.
     """
-    factory, name = _found(name) if isinstance(name, str) else name, label_of(name)
+    factory, name = filter_factory(name), label_of(name)
     _refuse_unknown_options(name, factory, options)
     made = factory(camera=camera, noise=noise, **options)
     if not isinstance(made, StereoFilter):
@@ -118,7 +118,16 @@ def label_of(filter_name: str | FilterFactory) -> str:
     return filter_name if isinstance(filter_name, str) else getattr(filter_name, "__name__", type(filter_name).__name__)
 
 
-def _found(name: str) -> FilterFactory:
+def filter_factory(name: str | FilterFactory) -> FilterFactory:
+    """What makes the filter of that name, or `name` itself if it is a class or a function.
+
+    Raises
+    ------
+    ValueError
+        Unknown name, or a third-party filter that cannot be loaded.
+    """
+    if not isinstance(name, str):
+        return name
     if name in _OWN:
         return _OWN[name]
     plugins = _plugins()

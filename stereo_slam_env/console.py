@@ -169,7 +169,7 @@ def progress_bar(console: Console, what: str = "trials") -> Iterator[ProgressCal
 
 
 def show_results(console: Console, summaries: Sequence[FilterSummary], *, claims: bool = False) -> None:
-    """Print the result table and a line for each run that failed.
+    """Print the result table, a line for each option a filter was not given and for each run that failed.
 
     A column a filter; of many filters, a row each, with the figures that matter most. `claims`: with what is claimed of
     the final pose.
@@ -192,6 +192,8 @@ def show_results(console: Console, summaries: Sequence[FilterSummary], *, claims
             table.add_row(escape(summary.filter_name), *(figures[name][row] for name in names))
     console.print(table, highlight=False)
     for summary in summaries:
+        for remark in summary.remarks:
+            console.print(f"[yellow]note[/yellow]: {escape(remark)}", highlight=False, soft_wrap=True)
         for failure in summary.failures:
             console.print(
                 f"[red]{escape(summary.filter_name)} failed[/red]: {escape(failure)}", highlight=False, soft_wrap=True

@@ -35,7 +35,7 @@ from filters.interface import (
 )
 from filters.landmarks.parametrisation import LandmarkModel
 from filters.measurements.model import MeasurementModel, Stage
-from filters.motion import CAMERA_SIZE, CameraState, MotionModel
+from filters.motion import CAMERA_SIZE, MotionModel, MotionPrediction, measure_odometry, predict_camera
 from filters.noise import StereoNoise
 from filters.start import start_belief
 from filters.validation import (
@@ -151,15 +151,19 @@ class StereoEKF(StereoFilter):
         if odometry is not None and not isinstance(odometry, BodyVelocity):
             raise ValueError(f"odometry must be a BodyVelocity or None, got {odometry!r}")
         at_once = self.parts.arithmetic.predict
-        moved = None if at_once is None or self.parts.error.constrains else at_once(self._state, self.parts.motion, dt)
+        motion, predicted = self.parts.motion, None
+        moved = None if at_once is None or self.parts.error.constrains else at_once(self._state, motion, dt)
         if moved is None:
-            moved = self._predict_step_by_step(dt, odometry)
+            predicted = predict_camera(motion, self._state.camera, dt, odometry)
+            moved = predicted.state
+        measured = None if odometry is None else measure_odometry(motion, moved, dt, odometry)
+        # The model has said all it has to say, in the right shapes: only now does the state change.
+        if predicted is not None:
+            self._move_covariance(predicted)
         self._state.camera = self._state.predicted = moved
-        if odometry is not None:
-            measured = self.parts.motion.odometry_measurement(moved, dt, odometry)
-            if measured is not None:
-                correction = self.parts.arithmetic.update(self._state.P, kalman.of_camera(measured))
-                self._retract(correction.delta)
+        if measured is not None:
+            correction = self.parts.arithmetic.update(self._state.P, kalman.of_camera(measured))
+            self._retract(correction.delta)
 
     def update(self, observation: StereoObservation) -> UpdateReport:
         """Known ids correct the state, unseen ones leave, new ones enter; see `StereoFilter.update`."""
@@ -275,14 +279,12 @@ class StereoEKF(StereoFilter):
         known = there[candidate] == ids
         return known, candidate[known]
 
-    def _predict_step_by_step(self, dt: float, odometry: BodyVelocity | None) -> CameraState:
-        """Move P, and return the camera it leads to."""
-        predicted = self.parts.motion.predict(self._state.camera, dt, odometry)
+    def _move_covariance(self, predicted: MotionPrediction) -> None:
+        """P of the predicted camera (Eq. 12)."""
         F = predicted.F
         if self.parts.error.constrains:
             F = self.parts.error.constrained(F, world_rotation_of_camera(predicted.state), self._state)
         self._state.transform_camera(F, predicted.G @ predicted.Q @ predicted.G.T)
-        return predicted.state
 
     def _linearise(self, state: JointState, index: IntArray, stage: Stage) -> kalman.LinearisedMeasurements:
         return self.parts.linearise(self.camera, state, index, stage, self.parts.error.linearisation_point(state))

@@ -22,7 +22,7 @@ from filters.interface import (
     VelocityBelief,
     check_rig,
 )
-from filters.motion import POSE_SIZE, CameraState, MotionModel, VelocityDriven, motion_model
+from filters.motion import POSE_SIZE, CameraState, MotionModel, VelocityDriven, motion_model, predict_camera
 from filters.noise import StereoNoise
 from filters.start import start_belief
 from filters.validation import (
@@ -44,7 +44,7 @@ class CameraBelief:
 
     def predicted(self, dt: float, odometry: BodyVelocity | None, motion: MotionModel) -> CameraBelief:
         """After `dt` seconds: driven by the odometry where there is one, by `motion` where not."""
-        step = (motion if odometry is None else VelocityDriven()).predict(self.state, dt, odometry)
+        step = predict_camera(motion if odometry is None else VelocityDriven(), self.state, dt, odometry)
         P = step.F @ self.P @ step.F.T + step.G @ step.Q @ step.G.T
         return CameraBelief(step.state, symmetrised(P))
 

@@ -18,7 +18,7 @@ from filters import rotations
 from filters.camera import StereoCamera
 from filters.extras import install_command
 from filters.interface import BodyVelocity
-from filters.motion import POSE_SIZE, POSITION, ROTATION, CameraState, MotionModel
+from filters.motion import POSE_SIZE, POSITION, ROTATION, CameraState, MotionModel, predict_camera
 from filters.validation import BoolArray, FloatArray, IntArray
 
 # How far a landmark may lie from where it starts, m: it decides nothing, and keeps a point whose depth is not told by
@@ -177,7 +177,7 @@ class SmoothingGraph:
         k = self.last + 1
         new = _velocity_jacobian(before, after, dt)
         for model in models:
-            prediction = model.predict(before, dt, odometry)
+            prediction = predict_camera(model, before, dt, odometry)
             F = prediction.F[POSE_SIZE:]
             covariance = (prediction.G @ prediction.Q @ prediction.G.T)[POSE_SIZE:, POSE_SIZE:]
             blocks = [(k, new[:, 6:], after)]

@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from filters import available_filters, make_filter
 from filters.camera import StereoCamera
+from filters.common_options import make_with_common_options
 from filters.noise import StereoNoise
 from stereo_slam_env.benchmark.metrics.results import FilterRun, FilterSummary
 from stereo_slam_env.benchmark.metrics.run_figures import Figures
 from stereo_slam_env.benchmark.recordings.sources import check_source
 from stereo_slam_env.benchmark.running.engines import Engine
 from stereo_slam_env.benchmark.running.tasks import RecordingTask, TrialTask, make, run_trial
-from stereo_slam_env.benchmark.scenarios.competitor import make_with_common_options
 from stereo_slam_env.benchmark.scenarios.presets import preset_study
 from stereo_slam_env.benchmark.scenarios.scenario import (
     FilterChoice,

@@ -138,7 +138,7 @@ class HeadToHead:
             raise AssertionError(f"{self.summary.filter_name} {lost}{why}.\n{self}")
 
     def __str__(self) -> str:
-        """The figures of both, as a table."""
+        """The figures of both, as a table; then what sets them apart, and why runs failed."""
         sides = (self.summary, self.reference)
         rows = [("", *(side.filter_name for side in sides))]
         for measure in MEASURES:
@@ -149,6 +149,8 @@ class HeadToHead:
         rows.append(("diverged runs", *(f"{side.diverged} of {side.runs}" for side in sides)))
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
         lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
+        lines += [f"note: {remark}" for side in sides for remark in side.remarks]
+        lines += [f"{side.filter_name} failed: {failure}" for side in sides for failure in side.failures]
         return "\n".join([f"{self.scenario.name}, {self.summary.runs} seeds", *lines])
 
 

@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from filters.common_options import make_with_common_options
 from filters.monitor import Cause, DivergenceMonitor
 from filters.validation import BoolArray
 from stereo_slam_env.benchmark.recordings.sources import Progress
 from stereo_slam_env.benchmark.running.engines import Engine
-from stereo_slam_env.benchmark.scenarios.competitor import make_with_common_options
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice
 from stereo_slam_env.faults.catalogue import FAULTS, NOMINAL, find_fault
 from stereo_slam_env.faults.session import Session, drive_through
@@ -276,9 +276,9 @@ def _run(filters: Sequence[FilterChoice], task: tuple[str, int]) -> list[Run]:
 def _runs(filters: Sequence[FilterChoice], fault: str, seed: int) -> Iterator[Run]:
     recording = FAULTS[fault].drive(seed)
     for choice in filters:
-        made, _ = make_with_common_options(
+        made = make_with_common_options(
             choice.name, recording.camera, recording.noise, choice.options, {"gate": GATE}
-        )
+        ).filter
         with threadpool_limits(limits=1), np.errstate(all="ignore"):
             session = drive_through(recording, made, DivergenceMonitor())
         yield judge(session, fault, choice.label, seed)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +15,7 @@ from filters import (
     Forecast,
     InverseDepthStereoEKF,
     StereoEKF,
+    StereoFilter,
     StereoObservation,
     UpdateReport,
     available_filters,
@@ -20,6 +23,8 @@ from filters import (
     make_filter,
 )
 from filters.conformance import CHECKS, REFERENCE_CAMERA, REFERENCE_NOISE
+
+from .delayed import DelayedEKF
 
 
 @pytest.mark.parametrize(
@@ -65,6 +70,42 @@ def test_every_combination_of_parts_conforms(landmark: str, measurement: str) ->
 )
 def test_other_options_conform(options: dict[str, Any]) -> None:
     check_filter(lambda camera, noise: InverseDepthStereoEKF(camera, noise, **options))
+
+
+@pytest.mark.parametrize("until_tracks_end", [False, True])
+def test_delayed_updates_conform(until_tracks_end: bool) -> None:
+    check_filter(lambda camera, noise: DelayedEKF(camera, noise, until_tracks_end=until_tracks_end))
+
+
+def test_a_filter_is_made_as_a_benchmark_makes_it() -> None:
+    """With the common options that it leaves open, and without those that it has chosen."""
+    heard: list[dict[str, Any]] = []
+
+    class MovesItsOwnWay(InverseDepthStereoEKF):
+        def __init__(self, camera: Any, noise: Any, **options: Any) -> None:
+            heard.append(options)
+            super().__init__(camera, noise, motion=ConstantVelocity(2.0, 0.4), **options)
+
+    check_filter(MovesItsOwnWay)
+    assert {"gate": 0.99} in heard
+    assert not any("motion" in options for options in heard)
+
+
+def test_a_filter_that_refuses_what_a_benchmark_gives_it_is_caught() -> None:
+    class Ungated(InverseDepthStereoEKF):
+        def __init__(self, camera: Any, noise: Any, *, gate: float | None = None) -> None:
+            if gate is not None:
+                raise ValueError("gate must be None: this filter has no gate")
+            super().__init__(camera, noise, gate=gate)
+
+    with pytest.raises(ConformanceError, match="this filter has no gate"):
+        check_filter(Ungated)
+
+
+def test_a_filter_is_known_by_name() -> None:
+    assert check_filter("euclidean").filter_name == "euclidean"
+    with pytest.raises(ValueError, match="did you mean 'euclidean'"):
+        check_filter("euclidian")
 
 
 def test_a_factory_without_arguments_is_accepted() -> None:
@@ -123,6 +164,58 @@ class _MixesUpItsLandmarks(InverseDepthStereoEKF):
         return super().joint_covariance(np.roll(self.landmarks.ids, 1))
 
 
+class _TrustsItsMotionTooMuch(InverseDepthStereoEKF):
+    """Twenty times the standard deviation for each measurement: ten times the position error, all else in order."""
+
+    def update(self, observation: StereoObservation) -> UpdateReport:
+        if isinstance(observation, StereoObservation):
+            R = 400.0 * observation.covariances(self.noise)
+            observation = StereoObservation(observation.ids, observation.uvd, R=R)
+        return super().update(observation)
+
+
+class _NeverSeesTwice(InverseDepthStereoEKF):
+    """Each landmark is new in each frame, so that no measurement ever corrects the pose."""
+
+    def update(self, observation: StereoObservation) -> UpdateReport:
+        if isinstance(observation, StereoObservation):
+            self.forget(self.landmarks.ids)
+        return super().update(observation)
+
+
+class _DelayedAndWorse(DelayedEKF):
+    """Delayed updates with the same fault."""
+
+    def update(self, observation: StereoObservation) -> UpdateReport:
+        if isinstance(observation, StereoObservation):
+            R = 400.0 * observation.covariances(self.noise)
+            observation = StereoObservation(observation.ids, observation.uvd, R=R)
+        return super().update(observation)
+
+
+class _DelaysAndForgetsToSay(DelayedEKF):
+    def update(self, observation: StereoObservation) -> UpdateReport:
+        report = super().update(observation)
+        updated, initialised = (ids[ids != 7] for ids in (report.updated, report.initialised))
+        return replace(report, updated=updated, initialised=initialised)
+
+
+class _DelaysAndSaysTwice(DelayedEKF):
+    _last = UpdateReport()
+
+    def update(self, observation: StereoObservation) -> UpdateReport:
+        self._last, before = super().update(observation), self._last
+        return self._last if len(observation) else before
+
+
+@pytest.mark.parametrize("worse", [_TrustsItsMotionTooMuch, _NeverSeesTwice, _DelayedAndWorse])
+def test_errors_ten_times_those_of_inverse_depth_are_the_only_complaint(worse: type[StereoFilter]) -> None:
+    report = check_filter(worse, raise_on_failure=False)
+    (only,) = report.failed
+    factor = float(re.search(r"position errors are ([0-9.]+) times those of inverse-depth", only)[1])
+    assert factor > 8.0
+
+
 @pytest.mark.parametrize(
     ("broken", "complaint"),
     [
@@ -134,9 +227,11 @@ class _MixesUpItsLandmarks(InverseDepthStereoEKF):
         (_MixesUpItsLandmarks, "the joint covariance of landmark 0 differs"),
         (_Random, "two filters differ"),
         (_HandsOutItsState, "the filter's state changed"),
+        (_DelaysAndForgetsToSay, "ids \\[7\\] were observed and are in no report 20 frames later"),
+        (_DelaysAndSaysTwice, "are reported more often than they were observed"),
     ],
 )
-def test_a_broken_filter_is_caught(broken: type[StereoEKF], complaint: str) -> None:
+def test_a_broken_filter_is_caught(broken: type[StereoFilter], complaint: str) -> None:
     with pytest.raises(ConformanceError, match=complaint):
         check_filter(broken)
 

@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from filters import BodyVelocity, ConstantVelocity, VelocityDriven
-from filters.motion import CameraState
+from filters import BodyVelocity, ConstantVelocity, InverseDepthStereoEKF, StereoEKF, VelocityDriven
+from filters.conformance import shown_arrays
+from filters.motion import CameraState, LinearMeasurement, MotionPrediction
+
+from .drives import CAMERA, INDEPENDENT_PIXELS, drive
 
 DT = 0.1
 
@@ -85,3 +88,68 @@ def test_odometry_of_a_state_that_agrees_with_it_has_no_innovation() -> None:
 def test_impossible_sigmas_are_refused(name: str, value: float) -> None:
     with pytest.raises(ValueError, match=f"{name} must be"):
         ConstantVelocity(**{name: value})
+
+
+def _grown(matrix: np.ndarray, rows: int, columns: int) -> np.ndarray:
+    """The matrix with so many zeros more."""
+    return np.pad(matrix, ((0, rows), (0, columns)))
+
+
+class _FifteenStates(ConstantVelocity):
+    """Has an acceleration, too, which is not in the state of the filters here."""
+
+    def predict(self, state: CameraState, dt: float, odometry: BodyVelocity | None) -> MotionPrediction:
+        usual = super().predict(state, dt, odometry)
+        return MotionPrediction(usual.state, _grown(usual.F, 3, 3) + np.diag([0.0] * 12 + [1.0] * 3), usual.G, usual.Q)
+
+
+class _NoiseOfOtherSize(ConstantVelocity):
+    def predict(self, state: CameraState, dt: float, odometry: BodyVelocity | None) -> MotionPrediction:
+        usual = super().predict(state, dt, odometry)
+        return MotionPrediction(usual.state, usual.F, usual.G, _grown(usual.Q, 3, 3))
+
+
+class _PositionAsColumn(ConstantVelocity):
+    def predict(self, state: CameraState, dt: float, odometry: BodyVelocity | None) -> MotionPrediction:
+        usual, moved = super().predict(state, dt, odometry), super().predict(state, dt, odometry).state
+        column = CameraState(moved.position[:, None], moved.orientation, moved.linear_velocity, moved.angular_velocity)
+        return MotionPrediction(column, usual.F, usual.G, usual.Q)
+
+
+class _ReturnsTheStateAlone(ConstantVelocity):
+    def predict(self, state: CameraState, dt: float, odometry: BodyVelocity | None) -> MotionPrediction:
+        return super().predict(state, dt, odometry).state  # type: ignore[return-value]
+
+
+class _OdometryOfFifteenStates(ConstantVelocity):
+    def odometry_measurement(self, state: CameraState, dt: float, odometry: BodyVelocity) -> LinearMeasurement | None:
+        usual = super().odometry_measurement(state, dt, odometry)
+        assert usual is not None
+        return LinearMeasurement(usual.innovation, _grown(usual.H, 0, 3), usual.R)
+
+
+@pytest.mark.parametrize("compiled", [False, True])
+@pytest.mark.parametrize(
+    ("motion", "complaint"),
+    [
+        (_FifteenStates(), r"_FifteenStates must return F of shape \(12, 12\), got \(15, 15\)"),
+        (_NoiseOfOtherSize(), r"_NoiseOfOtherSize must return G of shape \(12, 9\), got \(12, 6\)"),
+        (_PositionAsColumn(), r"_PositionAsColumn must return state.position of shape \(3,\), got \(3, 1\)"),
+        (
+            _ReturnsTheStateAlone(),
+            r"_ReturnsTheStateAlone must return a MotionPrediction from predict, got CameraState",
+        ),
+        (_OdometryOfFifteenStates(), r"must return the H of odometry of shape \(6, 12\), got \(6, 15\)"),
+    ],
+    ids=lambda value: type(value).__name__ if isinstance(value, ConstantVelocity) else "",
+)
+def test_a_motion_model_of_other_shapes_is_refused(motion: ConstantVelocity, complaint: str, compiled: bool) -> None:
+    if compiled:
+        pytest.importorskip("numba", reason="Numba is not installed")
+    slam: StereoEKF = InverseDepthStereoEKF(CAMERA, INDEPENDENT_PIXELS, motion=motion, compiled=compiled)
+    slam.update(drive(1)[0].observation)
+    before, P = shown_arrays(slam), slam.state.P.copy()
+    with pytest.raises(ValueError, match=complaint):
+        slam.predict(DT, BodyVelocity([0.0, 0.0, 5.0], np.zeros(3), np.eye(6)))
+    assert all(np.array_equal(a, b, equal_nan=True) for a, b in zip(before, shown_arrays(slam), strict=True))
+    np.testing.assert_array_equal(slam.state.P, P)

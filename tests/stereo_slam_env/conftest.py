@@ -4,6 +4,8 @@ import sys
 
 import pytest
 
+from filters.extras import install_command
+
 
 @pytest.fixture(params=["moderngl", "EGL"])
 def missing_gl(request, monkeypatch):
@@ -16,7 +18,7 @@ def missing_gl(request, monkeypatch):
     renderer_identity.cache_clear()  # it does not look again once it found both
     if request.param == "moderngl":
         monkeypatch.setitem(sys.modules, "moderngl", None)
-        return 'needs moderngl: pip install "stereo-slam-env[gl]"'
+        return f"needs moderngl: {install_command('gl')}"
     pytest.importorskip("moderngl")
     monkeypatch.setenv("GLCONTEXT_LINUX_LIBEGL", "/nowhere/libEGL.so")
     return 'apt install libegl1 libgl1-mesa-dri, or use renderer="tiny"'

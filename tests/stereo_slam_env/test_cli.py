@@ -294,6 +294,26 @@ def test_third_party_filters_are_listed_and_benchmarked(command, tmp_path):
     assert "raises failed: seed 0, frame 2: RuntimeError: the third frame is too much" in out
 
 
+@pytest.mark.usefixtures("third_party")
+def test_what_a_filter_does_not_get_is_in_console_and_summary(command, tmp_path):
+    code, out, _ = command(
+        *BENCH, "--out", tmp_path / "run", "--filters", "its-own-way,odometry-only,euclidean", "--gate", 0.99
+    )
+    assert code == 0
+    remarks = (
+        "its-own-way does not get the common motion: it has its own, Gliding.",
+        "odometry-only does not get the common gate: it has no such option.",
+        "odometry-only does not get the common motion: it has no such option.",
+    )
+    for remark in remarks:
+        assert f"note: {remark}" in out
+    assert "euclidean does not get" not in out
+    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
+    assert summary["filters"]["its-own-way"]["not_given"] == {"motion": "it has its own, Gliding"}
+    assert summary["filters"]["its-own-way"]["options"] == {"gate": 0.99}
+    assert summary["filters"]["its-own-way"]["failures"] == []
+
+
 def test_filters_are_checked(command):
     code, out, _ = command("filters", "check", "euclidean")
     assert (code, "0 failed" in out) == (0, True)

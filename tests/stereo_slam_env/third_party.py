@@ -2,7 +2,7 @@
 
 `odometry-only` integrates odometry and knows nothing of gates or motion models; `raises` fails in its third update;
 `returns-nan` loses its position in its third; `crashes` takes its process down in its third, `hangs` never returns from
-it; `listens` writes down a digest of everything it is given.
+it; `listens` writes down a digest of everything it is given; `its-own-way` is an EKF with a motion model of its own.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from filters import Forecast, LandmarkBelief, PoseBelief, StereoFilter, UpdateReport, VelocityBelief
+from filters import ConstantVelocity, Forecast, LandmarkBelief, PoseBelief, StereoEKF, StereoFilter
+from filters import UpdateReport, VelocityBelief
 
 
 class DeadReckoning(StereoFilter):
@@ -108,6 +109,21 @@ class Hangs(DeadReckoning):
         return super().update(observation)
 
 
+class ItsOwnWay(StereoEKF):
+    """Glides."""
+
+    def __init__(self, camera, noise, **options):
+        super().__init__(camera, noise, motion=Gliding(), **options)
+
+
+class Gliding:
+    def predict(self, state, dt, odometry):
+        return ConstantVelocity(2.0, 0.2).predict(state, dt, odometry)
+
+    def odometry_measurement(self, state, dt, odometry):
+        return None
+
+
 class Listens(DeadReckoning):
     """Writes down a digest of what it is given."""
 
@@ -136,6 +152,7 @@ class Listens(DeadReckoning):
 '''
 
 ENTRY_POINTS = {
+    "its-own-way": "ItsOwnWay",
     "odometry-only": "DeadReckoning",
     "raises": "Raises",
     "returns-nan": "ReturnsNaN",

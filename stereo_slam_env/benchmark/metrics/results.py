@@ -94,6 +94,8 @@ class FilterRun:
         landmarks seen in the frame and estimated at d <= 0, and the size of the map.
     traces : tuple of LandmarkTrace
         Depth histories of a near and a far landmark, the same ids for every filter of a recording.
+    not_given : mapping of str to str
+        Options common to the filters of a comparison that this one was not given, and why.
     failure : str, optional
         One line when the filter raised or returned nonsense; arrays are NaN from there on.
     position_nees, rotation_nees : (K,)
@@ -136,6 +138,7 @@ class FilterRun:
     milliseconds: FloatArray
     counts: Mapping[str, IntArray]
     traces: tuple[LandmarkTrace, ...] = ()
+    not_given: Mapping[str, str] = field(default_factory=dict)
     failure: str | None = None
     position_nees: FloatArray = field(default_factory=_not_given)
     rotation_nees: FloatArray = field(default_factory=_not_given)
@@ -300,6 +303,8 @@ class FilterSummary:
         Runs that failed, returned non-finite numbers, or ended farther from the truth than the divergence limit.
     failures : tuple of str
         One line for each run that raised.
+    not_given : mapping of str to str
+        Options common to all filters that this one was not given, and why.
     bound_position_m, bound_rotation_deg : float
         Posterior Cramer-Rao bound of the position and the rotation RMSE on these recordings, see `benchmark.limits`.
     efficiency_percent : float
@@ -376,3 +381,12 @@ class FilterSummary:
     final_position_sigma_m: float | None = None
     final_pose_logdet: float | None = None
     alarmed: int = 0
+    not_given: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What sets this filter apart from the others, a sentence each."""
+        return tuple(
+            f"{self.filter_name} does not get the common {option}: {reason}."
+            for option, reason in self.not_given.items()
+        )

@@ -69,6 +69,7 @@ def summarise(runs: Sequence[FilterRun], figures: RunFigures) -> FilterSummary:
     return FilterSummary(
         filter_name=names[0],
         options=runs[0].options,
+        not_given=next((run.not_given for run in runs if run.not_given), {}),
         runs=len(runs),
         frames=total("frames"),
         position_rmse_m=root_mean_square_of("position_rmse_m"),

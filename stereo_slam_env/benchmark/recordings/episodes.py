@@ -10,8 +10,8 @@ import gymnasium as gym
 from threadpoolctl import threadpool_limits
 
 import stereo_slam_env  # noqa: F401 (registers the environments)
+from filters.common_options import make_with_common_options
 from filters.known_names import did_you_mean
-from stereo_slam_env.benchmark.scenarios.competitor import make_with_common_options
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, Scenario
 from stereo_slam_env.envs.stereo_env import StereoEnv
 from stereo_slam_env.policies import make_policy
@@ -45,9 +45,9 @@ def drive_episode(
     core = make_environment(scenario)
     try:
         noise = scenario.assumed_noise(core.get_wrapper_attr("noise"))
-        _, options = make_with_common_options(
+        options = make_with_common_options(
             choice.name, core.get_wrapper_attr("camera"), noise, choice.options, scenario.common_options
-        )
+        ).options
         env = BeliefPanorama(
             BeliefObservation(
                 core,

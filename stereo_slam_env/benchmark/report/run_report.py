@@ -95,6 +95,7 @@ def write_report(
         first_screen,
         *(f'<p class="banner">{escape(remark)}</p>' for remark in innovation_remarks(summaries)),
         f'<p class="quiet">{escape(_note(summaries, looks))}</p>',
+        _remarks(summaries),
         *([attribution_section(attribution, folder)] if attribution is not None else []),
         *(_section(section, folder) for section in _sections(runs, summaries, bounds or {}, looks)),
         pairs,
@@ -331,6 +332,11 @@ def _against(compared: PairwiseTable, baseline: str | None, who: str) -> str:
 
 
 # ---- the rest -------------------------------------------------------------------------------------------------------
+
+
+def _remarks(summaries: Sequence[FilterSummary]) -> str:
+    lines = [f"<li>{escape(remark)}</li>" for s in summaries for remark in s.remarks]
+    return f'<ul class="failures fair">{"".join(lines)}</ul>' if lines else ""
 
 
 def _failures(summaries: Sequence[FilterSummary]) -> str:

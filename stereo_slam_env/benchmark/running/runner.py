@@ -19,6 +19,7 @@ from filters import (
     UpdateReport,
     VelocityBelief,
 )
+from filters.common_options import make_with_common_options
 from filters.motion import POSE_SIZE, POSITION, ROTATION
 from filters.registry import FilterFactory, label_of
 from filters.validation import FloatArray, IntArray
@@ -28,7 +29,6 @@ from stereo_slam_env.benchmark.metrics.map_scoring import mean_nees, position_rm
 from stereo_slam_env.benchmark.metrics.results import COUNTS, EVENTS, FilterRun
 from stereo_slam_env.benchmark.metrics.traces import TraceRecorder
 from stereo_slam_env.benchmark.running.memory import peak_memory_mb
-from stereo_slam_env.benchmark.scenarios.competitor import make_with_common_options
 from stereo_slam_env.recording import Frame, Recording
 
 Observe = Callable[[int, StereoFilter], StereoObservation]
@@ -67,7 +67,7 @@ def run_filter(
     label : str, optional
         Name in tables and files; None: that of the filter.
     common_options : mapping, optional
-        Options given to every filter of a comparison that knows them; `options` go first.
+        Options given to every filter of a comparison that leaves them open, see `filters.common_options`.
     noise : StereoNoise, optional
         Noise to assume; None: what the recording says.
     use_odometry : bool
@@ -98,16 +98,18 @@ def run_filter(
     log = RunLog(recording)
     memory = peak_memory_mb()
     used: dict[str, Any] = dict(options or {})
+    not_given: Mapping[str, str] = {}
     frame_number = -1
     with threadpool_limits(limits=1):
         try:
-            estimator, used = make_with_common_options(
+            made = make_with_common_options(
                 filter_name,
                 recording.camera,
                 recording.noise if noise is None else noise,
                 options or {},
                 common_options or {},
             )
+            estimator, used, not_given = made.filter, made.options, made.not_given
             start = recording.start
             estimator.reset(
                 start.position, start.orientation, start.linear_velocity, start.angular_velocity, start.covariance
@@ -132,7 +134,7 @@ def run_filter(
         except Exception as error:  # a stranger's filter may raise anything; the comparison goes on without it
             failure = failure_line(frame_number, error)
             _log.info("%s on %s failed at %s", name, recording.name, failure)
-    return log.result(name, used, seed, failure, peak_memory_mb() - memory)
+    return log.result(name, used, seed, failure, peak_memory_mb() - memory, not_given)
 
 
 class RunLog:
@@ -249,7 +251,13 @@ class RunLog:
         self._counts["map_size"][k] = len(view.ids)
 
     def result(
-        self, label: str, options: Mapping[str, Any], seed: int | None, failure: str | None, memory_mb: float
+        self,
+        label: str,
+        options: Mapping[str, Any],
+        seed: int | None,
+        failure: str | None,
+        memory_mb: float,
+        not_given: Mapping[str, str] | None = None,
     ) -> FilterRun:
         """The run so far."""
         frames = self._recording.frames
@@ -259,6 +267,7 @@ class RunLog:
             filter_name=label,
             recording_name=self._recording.name,
             options=options,
+            not_given=not_given or {},
             seed=seed,
             timestamps=np.array([f.timestamp for f in frames]),
             true_positions=np.array([nowhere if p is None else p.position for p in poses]),

@@ -10,11 +10,11 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from filters import PoseBelief, StereoEKF, StereoEKFTrials, StereoNoise, VelocityBelief
+from filters.common_options import make_with_common_options
 from filters.trials.series import TOGETHER
 from stereo_slam_env.benchmark.metrics.results import EVENTS, FilterRun
 from stereo_slam_env.benchmark.running.memory import peak_memory_mb
 from stereo_slam_env.benchmark.running.runner import RunLog, failure_line
-from stereo_slam_env.benchmark.scenarios.competitor import make_with_common_options
 from stereo_slam_env.recording import Recording
 
 
@@ -74,7 +74,8 @@ def run_filter_together(
     if type(together) is not int or together < 1:
         raise ValueError(f"together must be an integer >= 1, got {together!r}")
     assumed = first.noise if noise is None else noise
-    one, used = make_with_common_options(filter_name, first.camera, assumed, options or {}, common_options or {})
+    made = make_with_common_options(filter_name, first.camera, assumed, options or {}, common_options or {})
+    one = made.filter
     if not isinstance(one, StereoEKF):
         raise ValueError(f"filter {filter_name!r} is no StereoEKF and runs only one by one: use run_filter")
     runs = []
@@ -86,7 +87,7 @@ def run_filter_together(
             memory = (peak_memory_mb() - memory) / len(group)
             for number, (log, failure) in enumerate(zip(logs, failures, strict=True), start=begin):
                 seed = None if seeds is None else seeds[number]
-                runs.append(log.result(label or filter_name, used, seed, failure, memory))
+                runs.append(log.result(label or filter_name, made.options, seed, failure, memory, made.not_given))
     return runs
 
 

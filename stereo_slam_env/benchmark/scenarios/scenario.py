@@ -10,6 +10,7 @@ from numbers import Integral
 from typing import Any
 
 from filters.known_names import did_you_mean
+from filters.motion import ConstantVelocity
 from filters.noise import StereoNoise
 from filters.validation import finite_array, positive
 from stereo_slam_env.benchmark.scenarios.labels import require_label
@@ -25,7 +26,7 @@ KINDS: Mapping[str, str] = {
     "factory": 'any callable; options: call ("package.module:function", called with seed=) and its arguments',
 }
 
-_MOTION: Mapping[str, float] = {"sigma_acceleration": 3.0, "sigma_angular_acceleration": 0.6}
+_MOTION: Mapping[str, float] = dataclasses.asdict(ConstantVelocity())
 SEARCHES = ("flow", "forecast")
 
 METRICS: Mapping[str, str] = {
@@ -125,7 +126,8 @@ class Scenario:
     corruptions : tuple of mapping
         What happens to the measurements on their way to the filters, in this order; see `sensing.corruptions`.
     gate : float, optional
-        Probability per landmark of the chi-square gate; None: no gate.
+        Probability per landmark of the chi-square gate; None: no gate. Like `consensus` and `motion` it is for the
+        filters that leave it open: one that has made a choice keeps it, and the results say so.
     consensus : bool
         Whether filters that can test the frame as a whole (one-point RANSAC) do so; needs a gate.
     search : {"flow", "forecast"}
@@ -264,7 +266,7 @@ class Scenario:
 
     @property
     def common_options(self) -> dict[str, Any]:
-        """Options that every filter gets, if it knows them."""
+        """Options that every filter gets that leaves them open, see `filters.common_options`."""
         common: dict[str, Any] = {"gate": self.gate, "motion": dict(self.motion)}
         return {**common, "consensus": True} if self.consensus else common
 

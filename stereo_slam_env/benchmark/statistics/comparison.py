@@ -9,6 +9,7 @@ depends on the machine, among themselves.
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -169,7 +170,7 @@ def compare(before: str | Path | HasRuns, after: str | Path | HasRuns) -> RunCom
         )
     paired, about_streams = _same_streams(was, now)
     changes = _changes([_pair(was, now, name, paired) for name in filters])
-    warnings = [*about_streams, *_other_settings(was, now), *_other_machine(was, now)]
+    warnings = [*_failures(was), *_failures(now), *about_streams, *_other_settings(was, now), *_other_machine(was, now)]
     return RunComparison(
         before=was.name,
         after=now.name,
@@ -348,6 +349,14 @@ def _divergences(pair: _Pair, comparisons: int) -> Change:
     )
 
 
+def _failures(side: _Side) -> list[str]:
+    """How many runs of each filter failed, and why the first one did."""
+    failed = [(label, run.failure) for (label, _), run in side.trials.items() if run.failure is not None]
+    first = dict(reversed(failed))
+    counts = Counter(label for label, _ in failed)
+    return [f"{label} failed in {n} runs of {side.name}, first at {first[label]}." for label, n in counts.items()]
+
+
 def _other_settings(was: _Side, now: _Side) -> list[str]:
     other: dict[str, None] = {}
     for cell in was.settings.keys() & now.settings.keys():
@@ -360,7 +369,7 @@ def _other_settings(was: _Side, now: _Side) -> list[str]:
         ]
         changed = [label for label, how in made[0].items() if made[1].get(label, how) != how]
         other |= dict.fromkeys(f"the options of {label}" for label in changed)
-    return [f"The settings of the two runs differ in {_listed(list(other))}."] if other else []
+    return [f"The settings of the two runs differ in {', '.join(other)}."] if other else []
 
 
 def _other_machine(was: _Side, now: _Side) -> list[str]:
@@ -369,7 +378,7 @@ def _other_machine(was: _Side, now: _Side) -> list[str]:
         return ["Times are of one machine only if both runs were made on it."]
     other = [f"{key} ({a.get(key)} and {b.get(key)})" for key in _MACHINE if a.get(key) != b.get(key)]
     if other:
-        return [f"Times are not comparable: the two runs differ in {_listed(other)}."]
+        return [f"Times are not comparable: the two runs differ in {', '.join(other)}."]
     return ["Times were measured in two sessions: the load of the machine may differ."]
 
 
@@ -394,7 +403,3 @@ def _headline(changes: Sequence[Change]) -> str:
 def _recording(key: RunKey) -> str:
     name, seed = key
     return name if seed is None else f"{name} (seed {seed})"
-
-
-def _listed(words: Sequence[str]) -> str:
-    return ", ".join(words)

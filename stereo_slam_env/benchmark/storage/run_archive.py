@@ -19,7 +19,7 @@ from stereo_slam_env.benchmark.metrics.results import FilterRun, LandmarkTrace
 from stereo_slam_env.recording_archive import reference_of
 
 FORMAT = 2
-_TEXT = ("filter_name", "recording_name", "options", "seed", "failure")
+_TEXT = ("filter_name", "recording_name", "options", "not_given", "seed", "failure")
 _PARTS = ("counts", "traces", "memory_mb", "landmark_statistics", "truth_from")
 _SERIES = tuple(f.name for f in dataclasses.fields(FilterRun) if f.name not in (*_TEXT, *_PARTS))
 _DAMAGE = (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError)
@@ -52,7 +52,8 @@ def packed_run(run: FilterRun, provenance: Mapping[str, Any]) -> bytes:
     arrays["memory_mb"] = np.array(run.memory_mb)
     about = {
         "format": FORMAT,
-        "run": {name: getattr(run, name) for name in _TEXT} | {"options": dict(run.options)},
+        "run": {name: getattr(run, name) for name in _TEXT}
+        | {"options": dict(run.options), "not_given": dict(run.not_given)},
         "traces": [[trace.landmark_id, trace.label] for trace in run.traces],
         "truth_from": dataclasses.asdict(run.truth_from),
         "provenance": dict(provenance),

@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits
 
-from filters import StereoNoise, make_filter
+from filters import ConstantVelocity, StereoEKF, StereoNoise, make_filter
 from stereo_slam_env.benchmark.metrics.results import COUNTS
+from stereo_slam_env.benchmark.metrics.summary import summarise
 from stereo_slam_env.benchmark.running.runner import run_filter
 from stereo_slam_env.recording import Reference
 
+from ....filters.delayed import DelayedEKF
 from ...third_party import third_party  # noqa: F401 (a fixture)
 from ..small_recordings import CAMERA, DT, SPEED, small_recording
 
@@ -147,6 +149,58 @@ def test_common_options_go_to_the_filters_that_know_them():
     foreign = run_filter(recording, "odometry-only", {"spread": 0.2}, common_options=common)
     assert foreign.failure is None
     assert foreign.options == {"spread": 0.2}
+
+
+class _ItsOwnWay(StereoEKF):
+    """Has a motion model of its own, passed on beside the others' options."""
+
+    def __init__(self, camera, noise, **options):
+        super().__init__(camera, noise, motion=ConstantVelocity(2.0, 0.4), **options)
+
+
+class _Particular(StereoEKF):
+    """Has a gate, but will not take any."""
+
+    def __init__(self, camera, noise, *, gate=0.99, **options):
+        if gate < 0.95:
+            raise ValueError(f"gate must be >= 0.95, got {gate}")
+        super().__init__(camera, noise, gate=gate, **options)
+
+
+def test_a_filter_with_a_motion_model_of_its_own_keeps_it_and_the_result_says_so():
+    common = {"gate": 0.9, "motion": {"sigma_acceleration": 1.0, "sigma_angular_acceleration": 0.1}}
+    recording = small_recording()
+    run = run_filter(recording, _ItsOwnWay, common_options=common)
+    alone = run_filter(
+        recording,
+        "inverse-depth",
+        {"motion": {"sigma_acceleration": 2.0, "sigma_angular_acceleration": 0.4}, "gate": 0.9},
+    )
+    assert run.failure is None
+    np.testing.assert_allclose(run.positions, alone.positions, atol=1e-9)
+    assert run.options == {"gate": 0.9}
+    assert list(run.not_given) == ["motion"]
+    (remark,) = summarise([run]).remarks
+    assert remark == (
+        "_ItsOwnWay does not get the common motion: it has its own, "
+        "ConstantVelocity(sigma_acceleration=2.0, sigma_angular_acceleration=0.4)."
+    )
+
+
+def test_a_filter_that_refuses_a_common_value_fails_with_its_own_words():
+    """It used to lose the common gate without a word."""
+    run = run_filter(small_recording(), _Particular, common_options={"gate": 0.9})
+    assert run.failure == "start: ValueError: gate must be >= 0.95, got 0.9"
+
+
+@pytest.mark.parametrize("until_tracks_end", [False, True])
+def test_a_filter_with_delayed_updates_runs_like_any_other(until_tracks_end):
+    recording = small_recording()
+    run = run_filter(recording, DelayedEKF, {"until_tracks_end": until_tracks_end}, common_options={"gate": 0.99})
+    assert run.failure is None
+    assert run.options["gate"] == 0.99
+    usual = summarise([run_filter(recording, "inverse-depth", common_options={"gate": 0.99})])
+    assert summarise([run]).position_rmse_m < 5.0 * usual.position_rmse_m
 
 
 def test_progress_counts_frames():
