@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 from filters.registry import FilterFactory, label_of
@@ -19,8 +20,16 @@ from stereo_slam_env.benchmark.running.runner import run_filter
 from stereo_slam_env.benchmark.scenarios.presets import preset
 from stereo_slam_env.benchmark.scenarios.scenario import Scenario, filter_choice
 from stereo_slam_env.benchmark.statistics.differences import Difference, signed
-from stereo_slam_env.benchmark.statistics.measures import MEASURES, POSITION, Measure, common_keys, figures_of
-from stereo_slam_env.benchmark.statistics.verdict import Consistency, consistency
+from stereo_slam_env.benchmark.statistics.measures import (
+    MEASURES,
+    POSITION,
+    Measure,
+    RunFigures,
+    common_keys,
+    figures_of,
+)
+from stereo_slam_env.benchmark.statistics.shares import ShareDifference, paired_share
+from stereo_slam_env.benchmark.statistics.verdict import Consistency, consistency, finding_words
 from stereo_slam_env.recording import Recording
 
 FilterLike = str | FilterFactory
@@ -57,13 +66,25 @@ class HeadToHead:
     reference_runs: tuple[FilterRun, ...]
     scenario: Scenario
 
-    def difference(self, measure: Measure = POSITION) -> Difference:
-        """How much larger (worse) a measure of the filter is than that of the reference."""
+    @cached_property
+    def _figures(self) -> tuple[RunFigures, RunFigures]:
+        """Run by run, of the filter and of the reference."""
         limit = self.scenario.divergence_percent
         (ours,) = figures_of(self.runs, divergence_percent=limit).values()
         (theirs,) = figures_of(self.reference_runs, divergence_percent=limit).values()
+        return ours, theirs
+
+    def difference(self, measure: Measure = POSITION) -> Difference:
+        """How much larger (worse) a measure of the filter is than that of the reference."""
+        ours, theirs = self._figures
         keys = common_keys(ours, theirs)
         return measure.difference(ours.values(measure, keys), theirs.values(measure, keys))
+
+    def divergences(self) -> ShareDifference:
+        """Whether the filter diverges in more recordings than the reference."""
+        ours, theirs = self._figures
+        keys = common_keys(ours, theirs)
+        return paired_share(ours.diverged(keys), theirs.diverged(keys))
 
     def assert_not_worse(self, percent: float = 5.0, *, measure: Measure = POSITION) -> None:
         """Assert that an error is shown to be at most `percent` larger than that of the reference.
@@ -133,15 +154,17 @@ class HeadToHead:
             raise AssertionError(f"{self.summary.filter_name} {lost}{why}.\n{self}")
 
     def __str__(self) -> str:
-        """The figures of both, as a table."""
+        """The figures of both, and in words whether the filter is better, worse, or neither is shown; a table."""
         sides = (self.summary, self.reference)
-        rows = [("", *(side.filter_name for side in sides))]
+        rows = [("", *(side.filter_name for side in sides), f"{self.summary.filter_name} is")]
         for measure in MEASURES:
             values = [measure.of(side) for side in sides]
             if not all(value != value for value in values):
                 unit = f", {measure.unit}" if measure.unit else ""
-                rows.append((f"{measure.words}{unit}", *(f"{value:.4g}" for value in values)))
-        rows.append(("diverged runs", *(f"{side.diverged} of {side.runs}" for side in sides)))
+                words = finding_words(measure, self.difference(measure))
+                rows.append((f"{measure.words}{unit}", *(f"{value:.4g}" for value in values), words))
+        diverged = (f"{side.diverged} of {side.runs}" for side in sides)
+        rows.append(("diverged runs", *diverged, self.divergences().finding.value))
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
         lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
         return "\n".join([f"{self.scenario.name}, {self.summary.runs} seeds", *lines])
