@@ -21,6 +21,8 @@ from stereo_slam_env.benchmark.scenarios.presets import preset
 from stereo_slam_env.benchmark.scenarios.scenario import Scenario, filter_choice
 from stereo_slam_env.benchmark.statistics.differences import Difference
 from stereo_slam_env.benchmark.statistics.measures import MEASURES, POSITION, Measure
+from stereo_slam_env.benchmark.statistics.pairwise import finding_words
+from stereo_slam_env.benchmark.statistics.shares import ShareDifference, paired_share
 from stereo_slam_env.benchmark.statistics.verdict import Consistency, consistency, pose_nees
 from stereo_slam_env.benchmark.statistics.words import signed
 from stereo_slam_env.recording import Recording
@@ -68,6 +70,11 @@ class HeadToHead:
         keys = common_keys(self.figures, self.reference_figures)
         ours, theirs = (measure.by_run(side, keys) for side in (self.figures, self.reference_figures))
         return measure.difference(ours, theirs)
+
+    def divergences(self) -> ShareDifference:
+        """Whether the filter diverges in more recordings than the reference."""
+        keys = common_keys(self.figures, self.reference_figures)
+        return paired_share(self.figures.diverged(keys), self.reference_figures.diverged(keys))
 
     def assert_not_worse(self, percent: float = 5.0, *, measure: Measure = POSITION) -> None:
         """Assert that an error is shown to be at most `percent` larger than that of the reference.
@@ -138,15 +145,17 @@ class HeadToHead:
             raise AssertionError(f"{self.summary.filter_name} {lost}{why}.\n{self}")
 
     def __str__(self) -> str:
-        """The figures of both, as a table; then what sets them apart, and why runs failed."""
+        """The figures of both, in words whether the filter is better or worse, and why runs failed."""
         sides = (self.summary, self.reference)
-        rows = [("", *(side.filter_name for side in sides))]
+        rows = [("", *(side.filter_name for side in sides), f"{self.summary.filter_name} is")]
         for measure in MEASURES:
             values = [measure.of(side) for side in sides]
             if not all(value != value for value in values):
                 unit = f", {measure.unit}" if measure.unit else ""
-                rows.append((f"{measure.words}{unit}", *(f"{value:.4g}" for value in values)))
-        rows.append(("diverged runs", *(f"{side.diverged} of {side.runs}" for side in sides)))
+                words = finding_words(measure, self.difference(measure))
+                rows.append((f"{measure.words}{unit}", *(f"{value:.4g}" for value in values), words))
+        diverged = (f"{side.diverged} of {side.runs}" for side in sides)
+        rows.append(("diverged runs", *diverged, self.divergences().finding.value))
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
         lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
         lines += [f"note: {remark}" for side in sides for remark in side.remarks]

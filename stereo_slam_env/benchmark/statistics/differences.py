@@ -155,7 +155,7 @@ class Difference:
             return self.tie_words
         if self.too_few:
             also = f" for {self.comparisons} comparisons" if self.comparisons > 1 else ""
-            runs = f"{runs} are too few{also}, {self.needed} are needed"
+            runs = f"{runs} {'is' if self.count == 1 else 'are'} too few{also}, {self.needed} are needed"
         if self.interval is None:
             return runs
         return f"{self.interval_words} at {100 * self.confidence:g} % confidence, {runs}"

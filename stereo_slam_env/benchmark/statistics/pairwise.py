@@ -124,5 +124,11 @@ def change_words(measure: Measure, difference: Difference) -> str:
     return f"{percent_words(found.percent)} ({found.evidence})"
 
 
+def finding_words(measure: Measure, difference: Difference) -> str:
+    """The finding and what it comes to: "worse: 12 % larger (+9 to +15 % ...)", "no difference shown (...)"."""
+    words = change_words(measure, difference)
+    return f"{difference.finding.value}: {words}" if difference.shown else words
+
+
 def _pair_verdict(measure: Measure, a: str, b: str, difference: Difference) -> PairVerdict:
     return PairVerdict(measure, a, b, difference, change_words(measure, difference))
