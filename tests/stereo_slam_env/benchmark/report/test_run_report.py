@@ -225,7 +225,7 @@ def test_real_data_with_gaps_in_the_truth(tmp_path):
 
 @pytest.mark.usefixtures("no_figures")
 def test_options_that_a_filter_does_not_get_are_listed(tmp_path):
-    runs = make_runs((Behaviour("mine", 0.1), Behaviour("theirs", 0.2)), seeds=1)
+    runs = make_runs((Behaviour("mine", 0.1), Behaviour("theirs", 0.2)), seeds=[0])
     runs = [replace(run, not_given={"motion": "it has its own, <Mine>"}) for run in runs[:1]] + list(runs[1:])
     page = Page(report(tmp_path, runs).read_text(encoding="utf-8"))
     assert "mine does not get the common motion: it has its own, <Mine>." in page.text
