@@ -58,25 +58,25 @@ def code_digest(without: tuple[str, ...] = NO_RESULT, root: Path = ROOT) -> str:
 
 
 def _meanings(sources: Mapping[str, bytes], kept: Path) -> dict[str, str]:
-    """Digests of what files say, by name; those in `kept`, by digest of the source, are not computed again."""
+    """Digests of what files say, by name; `kept` has them by the source of the file and of this one."""
     try:
         known: dict[str, str] = json.loads(kept.read_bytes())
     except (OSError, ValueError):
         known = {}
-    digests = {name: hashlib.sha256(source).hexdigest() for name, source in sources.items()}
-    with _no_collection():  # a third of the time
-        found = {
-            digest: known.get(digest) or (_meaning(sources[name]) if name.endswith(".py") else digest)
-            for name, digest in digests.items()
-        }
+    rule = Path(__file__).read_bytes()
+    keys = {name: hashlib.sha256(rule + source).hexdigest() for name, source in sources.items()}
+    with _no_collection():  # half the time
+        found = {key: known.get(key) or _meaning(name, sources[name]) for name, key in keys.items()}
     if found.keys() - known.keys() and not sys.dont_write_bytecode:
         with suppress(OSError):  # not ours to write: then it is computed every time
             write_atomically(kept, lambda stream: stream.write(json.dumps(found).encode()))
-    return {name: found[digest] for name, digest in digests.items()}
+    return {name: found[key] for name, key in keys.items()}
 
 
-def _meaning(source: bytes) -> str:
-    """Digest of the syntax tree without docstrings."""
+def _meaning(name: str, content: bytes) -> str:
+    """Digest of a module's syntax tree without docstrings, or of the bytes of another file."""
+    if not name.endswith(".py"):
+        return hashlib.sha256(content).hexdigest()
     said: list[str] = []
 
     def say(node: object) -> None:
@@ -95,7 +95,7 @@ def _meaning(source: bytes) -> str:
         else:
             said.append(repr(node))
 
-    say(ast.parse(source))
+    say(ast.parse(content))
     return hashlib.sha256("\n".join(said).encode()).hexdigest()
 
 
