@@ -5,6 +5,8 @@ import sys
 
 import pytest
 
+from filters import InverseDepthStereoEKF, StereoNoise
+from stereo_slam_env.benchmark import Scenario
 from stereo_slam_env.benchmark.head_to_head import Bench
 
 pytest_plugins = ["pytester"]
@@ -39,6 +41,13 @@ def bench(slam_bench):
     tiny = Scenario("tiny", "reference", {"name": "short_turn", "landmarks": 15}, frames=6, gate=None)
     return lambda tested, **how: slam_bench(tested, **{"scenario": tiny, **how})
 """
+
+
+class Boastful(InverseDepthStereoEKF):
+    """It believes that its measurements are far better than they are."""
+
+    def __init__(self, camera, noise, **options):
+        super().__init__(camera, StereoNoise(noise.R / 9.0), **options)
 
 
 ALONE = [
@@ -112,6 +121,24 @@ def test_better(bench):
             "*pose NEES / 6 *",
         ]
     )
+
+
+def test_the_printed_comparison_says_better_worse_or_not_shown():
+    bench = Bench(seeds=7)
+    tiny = Scenario("tiny", "reference", {"name": "short_turn", "landmarks": 15}, frames=6, gate=None)
+
+    def line(measure, *filters, **how):
+        (found,) = (row for row in str(bench(*filters, scenario=tiny, **how)).splitlines() if row.startswith(measure))
+        return found
+
+    overconfident = {"tested": Boastful, "against": "inverse-depth"}
+    assert "worse: farther from its ideal (+" in line("NIS / dof", **overconfident)
+    assert "7 paired runs" in line("NIS / dof", **overconfident)
+    assert "better: nearer to its ideal (−" in line("NIS / dof", "inverse-depth", against=Boastful)
+    assert "the same in all 7 runs" in line("position error, m", "inverse-depth")
+    few = line("position error, m", Boastful, seeds=1)
+    assert few.endswith("no difference shown (1 paired run is too few, 6 are needed)")
+    assert line("diverged runs", **overconfident).endswith("no difference shown")
 
 
 def test_the_number_of_recordings_is_an_option_or_a_setting(pytester):

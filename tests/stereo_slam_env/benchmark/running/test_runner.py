@@ -8,11 +8,11 @@ from threadpoolctl import threadpool_limits
 
 from filters import ConstantVelocity, StereoEKF, StereoNoise, make_filter
 from stereo_slam_env.benchmark.metrics.results import COUNTS
-from stereo_slam_env.benchmark.metrics.summary import summarise
 from stereo_slam_env.benchmark.running.runner import run_filter
 from stereo_slam_env.recording import Reference
 
 from ....filters.delayed import DelayedEKF
+from ....synthetic_runs import summary_of
 from ...third_party import third_party  # noqa: F401 (a fixture)
 from ..small_recordings import CAMERA, DT, SPEED, small_recording
 
@@ -180,7 +180,7 @@ def test_a_filter_with_a_motion_model_of_its_own_keeps_it_and_the_result_says_so
     np.testing.assert_allclose(run.positions, alone.positions, atol=1e-9)
     assert run.options == {"gate": 0.9}
     assert list(run.not_given) == ["motion"]
-    (remark,) = summarise([run]).remarks
+    (remark,) = summary_of([run]).remarks
     assert remark == (
         "_ItsOwnWay does not get the common motion: it has its own, "
         "ConstantVelocity(sigma_acceleration=2.0, sigma_angular_acceleration=0.4)."
@@ -199,8 +199,8 @@ def test_a_filter_with_delayed_updates_runs_like_any_other(until_tracks_end):
     run = run_filter(recording, DelayedEKF, {"until_tracks_end": until_tracks_end}, common_options={"gate": 0.99})
     assert run.failure is None
     assert run.options["gate"] == 0.99
-    usual = summarise([run_filter(recording, "inverse-depth", common_options={"gate": 0.99})])
-    assert summarise([run]).position_rmse_m < 5.0 * usual.position_rmse_m
+    usual = summary_of([run_filter(recording, "inverse-depth", common_options={"gate": 0.99})])
+    assert summary_of([run]).position_rmse_m < 5.0 * usual.position_rmse_m
 
 
 def test_progress_counts_frames():

@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 
 from filters import StereoNoise
-from stereo_slam_env.benchmark.metrics.summary import summarise_all
 from stereo_slam_env.benchmark.running.runner import run_filter
 from stereo_slam_env.benchmark.statistics.remarks import innovation_remarks, reference_remarks
 from stereo_slam_env.recording import SIMULATION, Reference
 
-from ....synthetic_runs import THREE, make_runs
+from ....synthetic_runs import THREE, make_runs, scored, summary_of
 from ..small_recordings import small_recording
 
 FROM_IMAGES = Reference("odometry from the same images", "Stereo odometry of the maker.")
@@ -21,7 +20,7 @@ def with_nis(ratio, dof=180):
     """The summary of a run of 20 frames whose NIS by its degrees of freedom is `ratio`."""
     (run,) = make_runs(THREE[:1], (0,), frames=20)
     dofs = np.where(run.nis_dof > 0, dof, 0)
-    return summarise_all([replace(run, nis=ratio * dofs, nis_dof=dofs)])[0]
+    return summary_of([replace(run, nis=ratio * dofs, nis_dof=dofs)])
 
 
 def test_independent_truth_is_named_without_a_warning():
@@ -90,7 +89,7 @@ def test_a_real_filter_is_remarked_on_for_the_noise_it_assumes_wrongly_only():
     def said(sigma):
         noise = StereoNoise.independent_pixels(sigma)  # the true one is 1 px
         runs = [run_filter(small_recording(seed), "inverse-depth", noise=noise) for seed in range(5)]
-        return " ".join(innovation_remarks(summarise_all(runs)))
+        return " ".join(innovation_remarks(scored(runs)[0]))
 
     assert said(1.0) == ""
     assert "smaller than claimed: too much noise" in said(8.0)

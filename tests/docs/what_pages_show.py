@@ -1,0 +1,248 @@
+"""What the pages of the manual take from their readers (`GIVEN`), and what must come out of their code (`SHOWS`)."""
+
+import sqlite3
+from contextlib import closing
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from filters import make_filter
+from stereo_slam_env.benchmark import run, run_filter
+from stereo_slam_env.benchmark.recordings.reference_problem import long_drive, short_turn
+from stereo_slam_env.benchmark.scenarios.scenario_file import study_from
+from stereo_slam_env.datasets.images.kitti_writer import write_kitti_sequence
+from stereo_slam_env.envs.rendered_drive import RenderedDrive
+from stereo_slam_env.rendering.backends import make_renderer
+from stereo_slam_env.sensing.rigs import RIGS
+from stereo_slam_env.world.frames import WorldFrame
+from stereo_slam_env.world.physics import PhysicsWorld
+from stereo_slam_env.world.route_files import named_route
+from stereo_slam_env.world.surroundings import build_scene
+
+from ..stereo_slam_env.rendering.planes import AHEAD, CAR_SIZE, skip_where_missing
+from ..synthetic_runs import scored
+
+
+def given_baselines():
+    pytest.importorskip("gtsam", reason="needs the extra gtsam")
+    recording = short_turn(0, landmarks=20)
+    frames = iter(recording.frames)
+
+    def make_and_drive(name, **how):
+        """The drive that the page leaves to its reader."""
+        slam = make_filter(name, **how)
+        slam.reset(**vars(recording.start))
+        slam.update(next(frames).observation)
+        for frame in frames:
+            slam.predict(0.1)
+            slam.update(frame.observation)
+        return slam
+
+    return {"make_filter": make_and_drive, "camera": recording.camera, "noise": recording.noise}
+
+
+def given_benchmark():
+    pytest.importorskip("polars", reason="needs polars and pandas (extra dev)")
+    run("reference-turn", "runs/before", seeds=[0, 1], report=False)
+    recordings = [short_turn(seed, landmarks=15) for seed in range(2)]
+    return {
+        "camera": recordings[0].camera,
+        "noise": recordings[0].noise,
+        "sequences": [[frame.observation for frame in recording.frames] for recording in recordings],
+        "timestamps": [frame.timestamp for frame in recordings[0].frames],
+        "starts": [vars(recording.start) for recording in recordings],
+        "dt": 0.1,
+        "odometry": None,
+        "observations": [recording.frames[0].observation for recording in recordings],
+    }
+
+
+def given_environment():
+    skip_where_missing("gl")
+    return {"recording": short_turn(0)}
+
+
+def given_front_end():
+    drive = RenderedDrive({"route": "straight", "rig": "qvga"}, seed=0, frames=12)
+    write_kitti_sequence(drive, "PATH/kitti06_stereo51", "00")
+    return {}
+
+
+def given_rendering():
+    skip_where_missing("gl")
+    scene = build_scene("street", named_route("straight"), np.random.default_rng(0))
+    names = {"PhysicsWorld": PhysicsWorld, "WorldFrame": WorldFrame, "make_renderer": make_renderer}
+    return {**names, "scene": scene, "ego_size": CAR_SIZE, "camera": RIGS["qvga"], "pose": AHEAD}
+
+
+def given_statistics():
+    crossed = {"filter": "inverse-depth", "measurement": ["joint", "left"], "error": ["quaternion", "so3"]}
+    study = study_from(
+        {"name": "crossed", "kind": "reference", "options": {"name": "short_turn"}, "factorial": crossed}
+    )
+    choices = {choice.label: (choice.name, choice.options) for choice in study.cells[0].scenario.filters}
+    choices |= {"inverse-depth": ("inverse-depth", {}), "euclidean": ("euclidean", {"min_disparity": 5.0})}
+    runs = [
+        run_filter(long_drive(seed, frames=50, landmarks=20), name, options, label=label, seed=seed)
+        for seed in range(8)
+        for label, (name, options) in choices.items()
+    ]
+    for which in ("before", "after"):
+        run("reference-turn", f"runs/{which}", seeds=[0, 1], filters=["inverse-depth"], report=False)
+    summaries, _ = scored(runs)
+    return {"study": study, "result": SimpleNamespace(runs=runs, summaries=summaries)}
+
+
+GIVEN = {
+    "docs/baselines.md": given_baselines,
+    "docs/benchmark.md": given_benchmark,
+    "docs/environment.md": given_environment,
+    "docs/front_end.md": given_front_end,
+    "docs/rendering.md": given_rendering,
+    "docs/statistics.md": given_statistics,
+}
+"""Names (and files in the current folder) that a page takes from its reader."""
+
+
+def shows_readme(names, printed):
+    assert np.linalg.norm(names["slam"].pose.position - names["info"]["truth_position"]) < 0.5
+    assert "StackedEKF: " in printed
+    assert " 0 failed" in printed
+    names["env"].reset(seed=0)
+    assert np.isfinite(names["env"].step(names["env"].action_space.sample())[1])
+
+
+def shows_active_perception(names, printed):
+    assert "20 None" in printed  # frames, no failure
+    assert len(names["recording"].frames) == 21
+    assert np.isfinite(names["reward"]).all()
+
+
+def shows_baselines(names, printed):
+    smoothed = names["smoothed"]
+    assert 0.7 < smoothed.chi_square / smoothed.degrees_of_freedom < 1.3
+
+
+def shows_benchmark(names, printed):
+    assert "Nothing has changed but perhaps the time." in printed  # the same filters on the same recordings
+    assert len(names["trials"]) == 2 * len(names["result"].summaries)
+    assert names["series"].positions.shape == (2, 12, 3)
+    assert names["slam"].pose.position.shape == (2, 3)
+
+
+def shows_environment(names, printed):
+    as_it_was, worse = names["recording"].frames, names["worse"].frames
+    moved = [not np.array_equal(a.observation.uvd, b.observation.uvd) for a, b in zip(as_it_was, worse, strict=True)]
+    assert all(moved[1:])
+    assert len(names["drive"]) == 30
+    assert names["pair"].left.std() > 10.0  # grey levels: there is something in the picture
+
+
+def shows_faults(names, printed):
+    assert printed.startswith("innovations larger than claimed | ")
+
+
+def shows_front_end(names, printed):
+    run = names["run"]
+    assert np.linalg.norm(run.positions[-1] - run.true_positions[-1]) < 0.3
+    assert len(names["tracked"].observation.ids) > 20
+    (*_, last) = names["drive"].pairs()
+    assert np.linalg.norm(names["slam"].pose.position - last.truth.position) < 0.3
+
+
+def shows_nees(names, printed):
+    assert names["low"] < names["mean"] < names["high"]
+
+
+def shows_quick_start(names, printed):
+    by_hand, in_the_street = printed.split("used: ")
+    position = np.array(by_hand[by_hand.index("[") + 1 : by_hand.index("]")].split(), dtype=float)
+    assert np.linalg.norm(position - [0.0, 0.0, 0.5]) < 0.01
+    assert in_the_street.startswith("[0 1 2]")
+    error, covariance = names["error"], names["covariance"]
+    assert np.linalg.norm(error[:3]) < 0.5
+    assert error @ np.linalg.solve(covariance, error) < chi2(6).ppf(0.999)
+
+
+def shows_rendering(names, printed):
+    images = names["images"]
+    assert images.left.std() > 10.0
+    assert not np.array_equal(images.left, images.right)
+    assert np.isfinite(images.depth).mean() > 0.3
+
+
+def shows_report(names, printed):
+    assert names["block"] in names["out"].joinpath("mine.html").read_text(encoding="utf-8")
+    assert {path.suffix for path in (names["out"] / "figures").iterdir()} == {".png", ".svg"}
+
+
+def shows_scenes(names, printed):
+    assert len(names["scene"].moving) > 10
+    assert len(names["scene"].landmark_ids) > 500
+
+
+def shows_statistics(names, printed):
+    assert names["verdict"].best in names["verdict"].headline
+    assert "consistent" in names["verdict"].answers
+    words = names["table"].cells["position_rmse_m", "euclidean", "inverse-depth"].words
+    assert "8 paired runs" in words
+    assert "measurement: 'left' instead of 'joint' makes it" in names["attribution"].conclusion
+
+
+def shows_view(names, printed):
+    assert Path("drive.png").stat().st_size > 20_000
+
+
+def shows_wrappers(names, printed):
+    assert np.isfinite(names["reward"])
+    assert len(names["slam"].landmarks.ids) > 10
+
+
+def shows_write_a_filter(names, printed):
+    assert "abstract method" in printed
+    assert "MyFilter: " in printed
+    assert " 0 failed" in printed
+    table = printed[printed.index("MyFilter is\n") :]
+    assert "\nposition error, m " in table
+    assert ("worse: " in table) or ("better: " in table)
+    assert "0 of 10   0 of 10" in table
+
+
+def shows_your_data(names, printed):
+    run = names["run"]
+    assert np.linalg.norm(run.positions[-1] - [0.0, 0.0, 0.87]) < 0.02
+    assert 0.8 < np.nansum(run.nis) / run.nis_dof.sum() < 1.2
+    assert Path("mine.npz").exists()
+
+
+SHOWS = {
+    "README.md": shows_readme,
+    "docs/active_perception.md": shows_active_perception,
+    "docs/baselines.md": shows_baselines,
+    "docs/benchmark.md": shows_benchmark,
+    "docs/environment.md": shows_environment,
+    "docs/faults.md": shows_faults,
+    "docs/front_end.md": shows_front_end,
+    "docs/nees.md": shows_nees,
+    "docs/quick_start.md": shows_quick_start,
+    "docs/rendering.md": shows_rendering,
+    "docs/report.md": shows_report,
+    "docs/scenes.md": shows_scenes,
+    "docs/statistics.md": shows_statistics,
+    "docs/view.md": shows_view,
+    "docs/wrappers.md": shows_wrappers,
+    "docs/write_a_filter.md": shows_write_a_filter,
+    "docs/your_data.md": shows_your_data,
+}
+"""Called with the names that a page leaves behind and what it printed."""
+
+
+def diverged_and_failed(out):
+    """Shares of the trials of a finished run."""
+    with closing(sqlite3.connect(out / "trials.sqlite")) as table:
+        rows = table.execute("select diverged, failure from trials").fetchall()
+    assert rows
+    return np.mean([row[0] > 0 for row in rows]), np.mean([bool(row[1]) for row in rows])
