@@ -92,8 +92,9 @@ def given_statistics():
     ]
     for which in ("before", "after"):
         run("reference-turn", f"runs/{which}", seeds=[0, 1], filters=["inverse-depth"], report=False)
-    summaries, _ = scored(runs)
-    return {"study": study, "result": SimpleNamespace(runs=runs, summaries=summaries)}
+    summaries, figures = scored(runs)
+    cell = SimpleNamespace(runs=runs, summaries=summaries, figures=figures)
+    return {"study": study, "result": SimpleNamespace(runs=runs, cells=[cell])}
 
 
 GIVEN = {
