@@ -6,7 +6,7 @@ those that never diverged is held against each of the others; `pairwise` holds e
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, field
 from enum import Enum
 
@@ -48,7 +48,8 @@ class Comparison:
         About the other one, by its error: worse, or no difference shown (better, where the best one is that only by
         its root mean square).
     shown : bool
-        Whether the runs show that the best one is better: in its error, or because the other one diverged.
+        Whether the runs show that the best one is better: in its error, or because the other one diverges more often,
+        or completed nothing.
     tied : bool
         Whether the other one never diverged and has the same error on every recording.
     difference : Difference
@@ -162,7 +163,7 @@ def against_best(
         excess_percent=difference.percent,
         interval_percent=difference.interval_percent,
         finding=difference.finding,
-        shown=bool(other.diverged) or difference.finding is Finding.WORSE,
+        shown=Finding.WORSE in (difference.finding, divergences.finding) or (other.diverged > 0 == difference.count),
         difference=difference,
         divergences=divergences,
         words=_comparison_words(other, difference, divergences),
@@ -195,8 +196,11 @@ def _comparison_words(other: FilterSummary, difference: Difference, divergences:
     if difference.count == 0:
         return f"{name} {lost_words(other)}" if other.diverged else f"no run to compare with {name}"
     if other.diverged:
-        chance = "" if divergences.finding is Finding.WORSE else ", which may be chance"
-        return f"{name} {lost_words(other)}{chance}"
+        if divergences.finding is Finding.WORSE:
+            return f"{name} {lost_words(other)}"
+        worse = f", and its error is {percent_words(difference.percent)} ({difference.evidence})"
+        also = worse if difference.finding is Finding.WORSE else ""
+        return f"{name} {lost_words(other)}, which may be chance{also}"
     if difference.tied:
         return f"the error of {name} is {difference.tie_words}"
     if difference.finding is Finding.WORSE:
@@ -243,7 +247,8 @@ def _accuracy(best: FilterSummary, rivals: Sequence[FilterSummary], comparisons:
     if not rivals:
         return f"{best.filter_name} has a position error of {error}."
     tied = [c for c in comparisons.values() if c.tied]
-    undecided = _undecided([c for c in comparisons.values() if not (c.shown or c.tied)])
+    lost = {s.filter_name for s in rivals if s.diverged}
+    undecided = _undecided([c for c in comparisons.values() if not (c.shown or c.tied)], lost)
     settled = _nearest([c for c in comparisons.values() if c.shown])
     who = listed([best.filter_name, *(c.other for c in tied)])
     if tied:
@@ -260,13 +265,14 @@ def _accuracy(best: FilterSummary, rivals: Sequence[FilterSummary], comparisons:
     return f"{first} Behind {behind}: {settled}." if settled else first
 
 
-def _undecided(open_ones: Sequence[Comparison]) -> str:
-    """With many rivals their names only: the figures are in the tables."""
+def _undecided(open_ones: Sequence[Comparison], lost: Set[str]) -> str:
+    """With many rivals their names only: the figures are in the tables; `lost` are those that diverged."""
     if len(open_ones) > _MOST_WORDED:
         names = ", ".join(c.other for c in open_ones[:_MOST_WORDED])
         return f"no difference to {names} and {len(open_ones) - _MOST_WORDED} more is shown"
-    if len(open_ones) > 1 and all(0 < c.runs == open_ones[0].runs and c.interval_percent is None for c in open_ones):
-        return _too_few(open_ones)
+    few = [c for c in open_ones if c.runs and c.interval_percent is None and c.other not in lost]
+    if len(few) > 1 and len({c.runs for c in few}) == 1:
+        return "; ".join([_too_few(few), *(c.words for c in open_ones if c not in few)])
     return "; ".join(c.words for c in open_ones)
 
 

@@ -33,7 +33,6 @@ import json
 import math
 import platform
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -41,11 +40,12 @@ from stereo_slam_env.array_files import read_arrays
 from stereo_slam_env.atomic_files import write_atomically
 from stereo_slam_env.benchmark.metrics.limits import Bound
 from stereo_slam_env.benchmark.metrics.results import FilterRun, FilterSummary
-from stereo_slam_env.benchmark.metrics.run_figures import Bounds, Figures, figures_of
+from stereo_slam_env.benchmark.metrics.run_figures import figures_of
 from stereo_slam_env.benchmark.metrics.summary import summarise_all
 from stereo_slam_env.benchmark.recordings.stream_identity import as_given, stream_key
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, Scenario
 from stereo_slam_env.benchmark.storage.code_identity import code_digest
+from stereo_slam_env.benchmark.storage.results import RunResults
 from stereo_slam_env.benchmark.storage.run_archive import load_provenance, load_run
 from stereo_slam_env.benchmark.storage.trajectory_files import write_kitti, write_tum
 from stereo_slam_env.claimed_folder import is_occupied
@@ -56,28 +56,6 @@ CELLS = "cells"
 STUDY = "study.json"
 MARKERS = ("settings.json", STUDY)
 _PACKAGES = ("stereo-slam-env", "numpy", "scipy", "gymnasium", "pybullet", "joblib")
-
-
-@dataclass(frozen=True, eq=False)
-class RunResults:
-    """What came out of a run.
-
-    Attributes
-    ----------
-    runs : tuple of FilterRun
-        All of them.
-    figures : mapping of str to RunFigures
-        Of every run, by label of the filter; what tables, summaries and verdicts speak of.
-    summaries : tuple of FilterSummary
-        One of each filter.
-    bounds : mapping of (str, seed) to Bound
-        By recording, where there are any.
-    """
-
-    runs: tuple[FilterRun, ...]
-    figures: Figures
-    summaries: tuple[FilterSummary, ...]
-    bounds: Bounds
 
 
 class RunDirectory:
