@@ -30,7 +30,8 @@ from stereo_slam_env.benchmark.scenarios.scenario import (
 from stereo_slam_env.benchmark.scenarios.scenario_file import load_study
 from stereo_slam_env.benchmark.scenarios.study import Study
 from stereo_slam_env.benchmark.statistics.policy_verdict import Looks, baseline_of
-from stereo_slam_env.benchmark.storage.store import RunDirectory, refuse_foreign, root_of
+from stereo_slam_env.benchmark.storage.run_folder import refuse_foreign
+from stereo_slam_env.benchmark.storage.store import RunDirectory, root_of
 from stereo_slam_env.benchmark.storage.study_store import CellResult, StudyDirectory, open_study
 from stereo_slam_env.claimed_folder import claimed_folder
 from stereo_slam_env.recording_archive import load_recording

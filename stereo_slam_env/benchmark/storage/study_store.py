@@ -21,7 +21,8 @@ from pathlib import Path
 from stereo_slam_env.benchmark.scenarios.study import Cell, Study
 from stereo_slam_env.benchmark.storage import store
 from stereo_slam_env.benchmark.storage.results import RunResults
-from stereo_slam_env.benchmark.storage.store import CELLS, STUDY, RunDirectory
+from stereo_slam_env.benchmark.storage.run_folder import STUDY, refuse_foreign
+from stereo_slam_env.benchmark.storage.store import CELLS, RunDirectory
 from stereo_slam_env.benchmark.storage.trial_table import write_trial_table
 
 
@@ -100,7 +101,7 @@ def prepared_study(out: Path, study: Study) -> StudyDirectory:
     ValueError
         As `open_study`.
     """
-    store.refuse_foreign(out)
+    refuse_foreign(out)
     if (out / STUDY).exists():
         before = read_study(out).study
         if study.is_grid != before.is_grid:
