@@ -1,5 +1,6 @@
 """What the pages of the manual take from their readers (`GIVEN`), and what must come out of their code (`SHOWS`)."""
 
+import re
 import sqlite3
 from contextlib import closing
 from pathlib import Path
@@ -159,10 +160,11 @@ def shows_nees(names, printed):
 
 
 def shows_quick_start(names, printed):
-    by_hand, in_the_street = printed.split("used: ")
-    position = np.array(by_hand[by_hand.index("[") + 1 : by_hand.index("]")].split(), dtype=float)
-    assert np.linalg.norm(position - [0.0, 0.0, 0.5]) < 0.01
-    assert in_the_street.startswith("[0 1 2]")
+    numbers = np.array([float(found) for found in re.findall(r"-?[0-9][-+.e0-9]*", printed)])
+    position, sigma, used, (nis, dof) = np.split(numbers[:11], [3, 6, 9])
+    assert np.abs((position - [0.0, 0.0, 0.5]) / sigma).max() < 3.0
+    assert used.tolist() == [0, 1, 2]
+    assert chi2(dof).ppf(0.01) < nis < chi2(dof).ppf(0.99)
     error, covariance = names["error"], names["covariance"]
     assert np.linalg.norm(error[:3]) < 0.5
     assert error @ np.linalg.solve(covariance, error) < chi2(6).ppf(0.999)
