@@ -1,6 +1,6 @@
 # Set-up is done once, and again only when pyproject.toml changes. Nothing but Python and pip is needed.
 .DEFAULT_GOAL := help
-.PHONY: help bench test lint format docs clean
+.PHONY: help bench test test-slow test-all lint format docs clean
 
 PYTHON ?= python3
 VENV := .venv
@@ -8,6 +8,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 BENCH ?= --preset quick
 PYTEST ?=
+RUN_TESTS = $(BIN)/python -m pytest --numprocesses $(WORKERS) --dist loadfile --max-worker-restart 0
 WORKERS ?= 2
 
 # The matrices are small: a second BLAS thread never helps and can cost a lot. Parallelism comes from whole runs.
@@ -16,14 +17,19 @@ export OMP_NUM_THREADS := 1
 export MKL_NUM_THREADS := 1
 
 help: ## Show this help
-	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-8s %s\n", $$1, $$2}'
+	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-9s %s\n", $$1, $$2}'
 	@echo "  variables: PYTHON=$(PYTHON)  BENCH=\"$(BENCH)\" (arguments of stereo-slam bench)  PYTEST=\"...\" (of pytest)  WORKERS=$(WORKERS) (processes of pytest)"
 
 bench: $(VENV)/.installed ## Compare the filters in the simulated world and write the report (under 3 minutes)
 	@$(BIN)/stereo-slam bench $(BENCH)
 
-test: lint ## Lint, types and tests
-	@$(BIN)/python -m pytest --numprocesses $(WORKERS) --dist loadfile --max-worker-restart 0 $(PYTEST)
+test: lint ## Lint, types and the tests that show that the installation can be trusted
+	@$(RUN_TESTS) -m 'not slow' $(PYTEST)
+
+test-slow: $(VENV)/.installed-dev ## The other tests: examples, the manual, packaging, browser, clusters, long statistics
+	@$(RUN_TESTS) -m slow $(PYTEST)
+
+test-all: test test-slow ## All of them
 
 lint: $(VENV)/.installed-dev ## ruff and mypy
 	@$(BIN)/ruff check

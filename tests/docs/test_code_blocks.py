@@ -11,6 +11,8 @@ from stereo_slam_env.benchmark import run
 
 from .what_pages_show import GIVEN, SHOWS, diverged_and_failed
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = {
     path.relative_to(ROOT).as_posix(): path for path in [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]

@@ -139,11 +139,13 @@ def test_in_one_process(same_as_by_hand: Callable[..., None], mode: AutoresetMod
     same_as_by_hand(mode, vectorization_mode="sync")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", list(AutoresetMode), ids=lambda mode: mode.name)
 def test_in_forked_processes(same_as_by_hand: Callable[..., None], mode: AutoresetMode) -> None:
     same_as_by_hand(mode, vectorization_mode="async", context="fork")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("context", "mode"), [("spawn", SAME_STEP), ("forkserver", NEXT_STEP)])
 def test_in_fresh_processes(same_as_by_hand: Callable[..., None], context: str, mode: AutoresetMode) -> None:
     same_as_by_hand(mode, vectorization_mode="async", context=context)

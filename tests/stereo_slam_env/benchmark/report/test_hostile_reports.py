@@ -26,6 +26,8 @@ from ....synthetic_runs import Behaviour, make_runs, scored
 from ..small_recordings import small_recording
 from .browsing import Visit
 
+pytestmark = pytest.mark.slow
+
 SCENARIO = Scenario("made-up", "street", {"route": "town"}, seeds=(0,))
 
 EVIL = (

@@ -4,6 +4,8 @@ import pytest
 
 from .browsing import PATIENCE, Visit
 
+pytestmark = pytest.mark.slow
+
 pytest.importorskip("plotly", reason="needs plotly (extra report)")
 
 SCREENS = [(1366, 768), (1280, 800)]
