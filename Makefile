@@ -31,9 +31,10 @@ test-slow: $(VENV)/.installed-dev ## The other tests: examples, the manual, pack
 
 test-all: test test-slow ## All of them
 
-lint: $(VENV)/.installed-dev ## ruff and mypy
+lint: $(VENV)/.installed-dev ## ruff, the order of the rooms (import-linter), mypy
 	@$(BIN)/ruff check
 	@$(BIN)/ruff format --check
+	@$(BIN)/lint-imports --no-cache --no-logo >/dev/null || $(BIN)/lint-imports --no-cache --no-logo
 	@$(BIN)/mypy
 
 format: $(VENV)/.installed-dev ## Let ruff put the code in order

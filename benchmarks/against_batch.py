@@ -23,10 +23,10 @@ from rich.table import Table
 from threadpoolctl import threadpool_limits
 
 from stereo_slam_env.baselines.batch import BatchSmoother
-from stereo_slam_env.benchmark.metrics.trajectory_metrics import ate_rigid
 from stereo_slam_env.benchmark.recordings.reference_problem import long_drive
 from stereo_slam_env.benchmark.running.runner import run_filter
-from stereo_slam_env.recording import Recording
+from stereo_slam_env.evaluation.trajectory_metrics import ate_rigid
+from stereo_slam_env.recording.recording import Recording
 
 FILTERS: dict[str, tuple[str, dict[str, Any]]] = {
     "shared-anchor": ("shared-anchor", {}),

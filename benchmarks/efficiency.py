@@ -26,11 +26,11 @@ from rich.table import Table
 from threadpoolctl import threadpool_limits
 
 from filters import ConstantVelocity
-from stereo_slam_env.benchmark.metrics.limits import Bound, cramer_rao_bound, efficiency_interval
-from stereo_slam_env.benchmark.metrics.trial_metrics import trial_figures
 from stereo_slam_env.benchmark.recordings.reference_problem import long_drive
 from stereo_slam_env.benchmark.running.runner import run_filter
-from stereo_slam_env.recording import Recording
+from stereo_slam_env.evaluation.cramer_rao import Bound, cramer_rao_bound, efficiency_interval
+from stereo_slam_env.evaluation.trial_metrics import trial_figures
+from stereo_slam_env.recording.recording import Recording
 
 FILTERS: dict[str, tuple[str, dict[str, Any]]] = {
     "shared-anchor": ("shared-anchor", {}),

@@ -66,7 +66,7 @@ def start(scenario: Path, out: Path, jobs: int) -> BaseProcess:
 
 def _run(scenario: Path, out: Path, jobs: int) -> None:
     os.setsid()
-    run(scenario, out, jobs=jobs, report=False)
+    run(scenario, out, jobs=jobs)
 
 
 def results(out: Path) -> dict[Path, bytes]:

@@ -21,7 +21,7 @@ from rich.table import Table
 from stereo_slam_env.benchmark.running.runner import run_filter
 from stereo_slam_env.envs.drive import StereoDriveEnv
 from stereo_slam_env.envs.recorder import record
-from stereo_slam_env.recording import Recording
+from stereo_slam_env.recording.recording import Recording
 
 OPTIONS: dict[str, Any] = {
     "gate": 0.99,

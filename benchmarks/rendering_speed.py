@@ -28,7 +28,7 @@ from rich.table import Table
 
 from filters import rotations
 from filters.camera import StereoCamera
-from stereo_slam_env.recording import Pose
+from stereo_slam_env.recording.recording import Pose
 from stereo_slam_env.rendering import pinhole
 from stereo_slam_env.rendering.gl import GLRenderer
 from stereo_slam_env.rendering.images import StereoRenderer

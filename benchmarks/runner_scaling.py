@@ -29,7 +29,7 @@ def seconds(scenario: Scenario, jobs: int) -> float:
     """Wall-clock time of the run."""
     with tempfile.TemporaryDirectory() as folder:
         began = time.perf_counter()
-        run(scenario, Path(folder) / "out", jobs=jobs, report=False)
+        run(scenario, Path(folder) / "out", jobs=jobs)
         return time.perf_counter() - began
 
 

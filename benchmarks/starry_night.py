@@ -26,8 +26,8 @@ from filters.common_options import make_with_common_options
 from stereo_slam_env.benchmark.running.runner import run_filter
 from stereo_slam_env.datasets import read_recording
 from stereo_slam_env.datasets.starry_night import ARRAYS, step_velocities
-from stereo_slam_env.datasets.tables import read_archive
-from stereo_slam_env.recording import Recording
+from stereo_slam_env.files.tables import read_archive
+from stereo_slam_env.recording.recording import Recording
 
 FIRST, SPAN = 100, 20
 # A camera in a hand turns more abruptly than a car.

@@ -30,7 +30,7 @@ from threadpoolctl import threadpool_limits
 from filters import StereoEKF, StereoFilter, StereoNoise, StereoObservation
 from filters.conformance import REFERENCE_CAMERA as CAMERA
 from filters.submaps.submap_ekf import SubmapEKF
-from stereo_slam_env.benchmark.metrics.consistency import mean_band
+from stereo_slam_env.evaluation.consistency import mean_band
 
 NOISE = StereoNoise.independent_pixels(1.0)
 DT, SPEED, RADIUS = 0.1, 4.9, 15.0

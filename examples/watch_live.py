@@ -10,7 +10,7 @@ import gymnasium as gym
 
 from filters import make_filter
 from stereo_slam_env import stereo_observation
-from stereo_slam_env.recording import Pose
+from stereo_slam_env.recording.recording import Pose
 from stereo_slam_env.viewer.moments import moment_of
 from stereo_slam_env.viewer.rerun_view import RerunView
 

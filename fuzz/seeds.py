@@ -20,7 +20,7 @@ from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, Scenario
 from stereo_slam_env.benchmark.scenarios.study import Study
 from stereo_slam_env.benchmark.storage.run_archive import packed_run
 from stereo_slam_env.policies.network import Network
-from stereo_slam_env.recording_archive import packed_recording
+from stereo_slam_env.recording.archive import packed_recording
 
 Files = Mapping[str, bytes]
 

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from stereo_slam_env.benchmark.metrics.landmark_statistics import AGES, LandmarkStatistics
-from stereo_slam_env.benchmark.metrics.limits import Bound
-from stereo_slam_env.benchmark.metrics.results import FilterRun, FilterSummary, LandmarkTrace
-from stereo_slam_env.benchmark.metrics.run_figures import Bounds, RunFigures, figures_of
-from stereo_slam_env.benchmark.metrics.summary import summarise_all
+from stereo_slam_env.evaluation.cramer_rao import Bound
+from stereo_slam_env.evaluation.landmark_statistics import AGES, LandmarkStatistics
+from stereo_slam_env.evaluation.results import FilterRun, FilterSummary, LandmarkTrace
+from stereo_slam_env.evaluation.run_figures import Bounds, RunFigures, figures_of
+from stereo_slam_env.evaluation.summary import summarise_all
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ PACKAGES = ("filters", "stereo_slam_env")
 NEEDS = "ImportError: stereo_slam_env needs its own package filters, but Python finds {}: rename that or run from "
 NEEDS += "another folder; if pip installed it, pip uninstall filters and install stereo-slam-env again"
 USE = "import stereo_slam_env; from filters import make_filter; print(make_filter.__name__)"
-COMMAND = "import sys; from stereo_slam_env.cli import main; sys.exit(main(['--version']))"
+COMMAND = "import sys; from stereo_slam_env.cli.app import main; sys.exit(main(['--version']))"
 
 
 def python(*arguments, folder, path=ROOT):

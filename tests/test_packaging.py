@@ -61,7 +61,7 @@ def test_the_wheel_holds_both_packages_whole_and_nothing_else(wheel):
         if path.suffix in data
     }
     assert packed == wanted
-    assert {"filters/py.typed", "stereo_slam_env/py.typed", "stereo_slam_env/viewer/page.html"} <= packed
+    assert {"filters/py.typed", "stereo_slam_env/py.typed", "stereo_slam_env/report/page.html"} <= packed
 
 
 def test_the_source_archive_holds_what_belongs_to_it(built):
@@ -92,7 +92,7 @@ def test_the_wheel_names_its_licence_and_its_command(wheel):
         (commands,) = (archive.read(name).decode() for name in names if name.endswith("entry_points.txt"))
     assert "License-Expression: MIT" in metadata
     assert any(name.endswith("/licenses/LICENSE") for name in names)
-    assert "stereo-slam = stereo_slam_env.cli:main" in commands
+    assert "stereo-slam = stereo_slam_env.cli.app:main" in commands
 
 
 MACHINES = {

@@ -21,12 +21,12 @@ from scipy.stats import norm
 from filters import StereoCamera, StereoFilter, StereoNoise, StereoObservation, make_filter
 from filters.engine.gating import gate_limit, squared_distances
 from filters.motion import POSITION, ROTATION
-from stereo_slam_env.benchmark.metrics.results import FilterRun
 from stereo_slam_env.benchmark.recordings.reference_problem import long_drive
 from stereo_slam_env.benchmark.running.runner import run_filter
-from stereo_slam_env.viewer.consistency import plot_error_bounds, plot_nees
-from stereo_slam_env.viewer.figures import on_white, svg_of
-from stereo_slam_env.viewer.style import BAND, INK, MUTED, PALETTE, WIDTH_INCHES, styled
+from stereo_slam_env.evaluation.results import FilterRun
+from stereo_slam_env.report.charts.consistency import plot_error_bounds, plot_nees
+from stereo_slam_env.report.charts.figures import on_white, svg_of
+from stereo_slam_env.report.charts.style import BAND, INK, MUTED, PALETTE, WIDTH_INCHES, styled
 from stereo_slam_env.wrappers.information import InformationCriterion, log_det
 
 HERE = Path(__file__).resolve().parent

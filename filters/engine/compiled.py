@@ -8,7 +8,6 @@ import numpy as np
 
 from filters.camera import StereoCamera
 from filters.engine import linearisation
-from filters.engine.arithmetic import Arithmetic
 from filters.engine.error_definition import StandardError
 from filters.engine.fates import FateArray
 from filters.engine.joint_state import JointState
@@ -20,6 +19,7 @@ from filters.engine.kernels import kalman as kernel_kalman
 from filters.engine.kernels import linearisation as kernel_linearisation
 from filters.engine.kernels import stage as kernel_stage
 from filters.engine.retraction import AdditiveQuaternion
+from filters.engine.steps import Arithmetic
 from filters.landmarks.euclidean import Euclidean
 from filters.landmarks.inverse_depth import InverseDepth
 from filters.landmarks.parametrisation import LandmarkModel, NewLandmarks

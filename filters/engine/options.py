@@ -10,10 +10,11 @@ from typing import TypeVar, cast
 
 from filters.camera import StereoCamera
 from filters.engine import unscented
-from filters.engine.arithmetic import Arithmetic, arithmetic
+from filters.engine.arithmetic import arithmetic
 from filters.engine.error_definition import ERRORS, StandardError
 from filters.engine.joint_state import JointState
 from filters.engine.kalman import LinearisedMeasurements
+from filters.engine.steps import Arithmetic
 from filters.known_names import did_you_mean
 from filters.landmarks.euclidean import Euclidean
 from filters.landmarks.hybrid import Hybrid

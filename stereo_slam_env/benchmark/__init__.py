@@ -7,9 +7,6 @@
 """
 
 from stereo_slam_env.benchmark.campaign import BenchmarkResult, run_benchmark
-from stereo_slam_env.benchmark.metrics.results import FilterRun, FilterSummary, LandmarkTrace
-from stereo_slam_env.benchmark.metrics.run_figures import figures_of
-from stereo_slam_env.benchmark.metrics.summary import summarise, summarise_all
 from stereo_slam_env.benchmark.running.runner import run_filter
 from stereo_slam_env.benchmark.running.trials import run_filter_together
 from stereo_slam_env.benchmark.scenarios.presets import preset, preset_study, presets
@@ -17,6 +14,9 @@ from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, PolicyCho
 from stereo_slam_env.benchmark.scenarios.scenario_file import load_study
 from stereo_slam_env.benchmark.scenarios.study import Cell, Study
 from stereo_slam_env.benchmark.statistics.comparison import RunComparison, compare
+from stereo_slam_env.evaluation.results import FilterRun, FilterSummary, LandmarkTrace
+from stereo_slam_env.evaluation.run_figures import figures_of
+from stereo_slam_env.evaluation.summary import summarise, summarise_all
 
 run = run_benchmark
 

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import dataclasses
 import logging
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from filters import available_filters, make_filter
 from filters.camera import StereoCamera
 from filters.common_options import make_with_common_options
 from filters.noise import StereoNoise
-from stereo_slam_env.benchmark.metrics.results import FilterRun, FilterSummary
-from stereo_slam_env.benchmark.metrics.run_figures import Figures
 from stereo_slam_env.benchmark.recordings.sources import check_source
 from stereo_slam_env.benchmark.running.engines import Engine
 from stereo_slam_env.benchmark.running.tasks import RecordingTask, TrialTask, make, run_trial
@@ -29,17 +27,18 @@ from stereo_slam_env.benchmark.scenarios.scenario import (
 )
 from stereo_slam_env.benchmark.scenarios.scenario_file import load_study
 from stereo_slam_env.benchmark.scenarios.study import Study
-from stereo_slam_env.benchmark.statistics.policy_verdict import Looks, baseline_of
 from stereo_slam_env.benchmark.storage.run_folder import refuse_foreign
 from stereo_slam_env.benchmark.storage.store import RunDirectory, root_of
 from stereo_slam_env.benchmark.storage.study_store import CellResult, StudyDirectory, open_study
-from stereo_slam_env.claimed_folder import claimed_folder
-from stereo_slam_env.recording_archive import load_recording
+from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
+from stereo_slam_env.evaluation.run_figures import Figures
+from stereo_slam_env.files.claimed_folder import claimed_folder
 
 if TYPE_CHECKING:
-    from stereo_slam_env.benchmark.statistics.attribution import Attribution
+    pass
 
 Progress = Callable[[float, int], None]
+ReportWriter = Callable[[StudyDirectory, Sequence[CellResult]], Path]
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 
@@ -97,7 +96,7 @@ def run_benchmark(
     data: str | Path | None = None,
     allow_code: bool = False,
     progress: Progress | None = None,
-    report: bool = True,
+    write_report: ReportWriter | None = None,
 ) -> BenchmarkResult:
     """Compare filters on the recordings of a scenario, or of many.
 
@@ -129,8 +128,8 @@ def run_benchmark(
         Whether a scenario file may name a function to be called, see `load_study`.
     progress : callable, optional
         Called with (tasks done, tasks): recordings, bounds and trials; done has a fraction where they run one by one.
-    report : bool
-        Whether to write the report.
+    write_report : callable, optional
+        Writes the report of the results and returns its page: `report.benchmark_report.write_report_of`.
 
     Returns
     -------
@@ -160,7 +159,7 @@ def run_benchmark(
         directory = open_study(Path(out), study)
         _run_missing(directory, workers, progress or (lambda done, total: None))
         results = directory.write_results()
-        page = write_report_of(directory, results) if report else None
+        page = None if write_report is None else write_report(directory, results)
     return BenchmarkResult(directory.out, tuple(results), page)
 
 
@@ -214,51 +213,6 @@ def _try_to_make(scenario: Scenario, choice: FilterChoice, camera: StereoCamera,
         raise
     except Exception as error:  # a third-party constructor may raise anything; the run will record it
         _log.info("filter %s cannot be made: %s", choice.label, error)
-
-
-def write_report_of(directory: StudyDirectory, results: Sequence[CellResult]) -> Path:
-    """Write the report of every cell, and of a grid the one over all of them; returns the page to open."""
-    from stereo_slam_env.benchmark.report.run_report import write_report  # Matplotlib, only where it is needed
-
-    factorial = directory.study.factorial
-    pages = [
-        write_report(
-            result.directory.out,
-            f"Comparison: {result.cell.name}",
-            result.runs,
-            result.summaries,
-            result.figures,
-            result.directory.settings(),
-            bounds=result.bounds,
-            attribution=None if factorial is None else attribution_of(factorial, result),
-            looks=looks_of(result) if result.cell.scenario.policies else None,
-        )
-        for result in results
-    ]
-    if not directory.study.is_grid:
-        return pages[0]
-    from stereo_slam_env.benchmark.report.study_report import write_study_report
-
-    return write_study_report(directory.out, directory.study, {result.cell.name: result for result in results})
-
-
-def looks_of(result: CellResult) -> Looks:
-    """Who is held against whom, and where all looked in the first seed; recordings that are gone are left out."""
-    competitors, seed = result.cell.scenario.competitors, result.directory.seeds[0]
-    paths = {choice.label: result.directory.recording_path(seed, choice) for choice in competitors}
-    seen = {label: load_recording(path) for label, path in paths.items() if path.exists()}
-    return Looks(baseline_of(competitors), seen)
-
-
-def attribution_of(factorial: Mapping[str, Sequence[Any]], result: CellResult) -> Attribution | None:
-    """Which option of the filter makes the difference in this cell; None where too little is left to tell."""
-    from stereo_slam_env.benchmark.statistics.attribution import attribute_runs
-
-    try:
-        return attribute_runs(factorial, result.figures)
-    except ValueError as error:
-        _log.warning("no attribution for %s: %s", result.cell.name, error)
-        return None
 
 
 def _run_missing(directory: StudyDirectory, engine: Engine, progress: Progress) -> None:

@@ -18,13 +18,13 @@ from typing import Any
 
 from stereo_slam_env.benchmark.campaign import run_benchmark
 from stereo_slam_env.benchmark.certificate_episodes import VECTOR_WAYS, digest_of_episodes, has_environment
-from stereo_slam_env.benchmark.digest import Digest
-from stereo_slam_env.benchmark.metrics.results import FilterRun
 from stereo_slam_env.benchmark.running.engines import Engine
 from stereo_slam_env.benchmark.scenarios.scenario import Scenario
 from stereo_slam_env.benchmark.scenarios.study import Study
 from stereo_slam_env.benchmark.storage.store import pairing_digest
 from stereo_slam_env.benchmark.storage.study_store import CellResult
+from stereo_slam_env.evaluation.results import FilterRun
+from stereo_slam_env.files.digest import Digest
 
 ENGINE_WAYS: Mapping[str, Engine] = {
     "one process": Engine("processes", 1),
@@ -173,7 +173,7 @@ def _short(scenario: Scenario, seeds: int, frames: int) -> Scenario:
 def _runs(study: Study, engine: Engine) -> dict[str, Parts]:
     """The parts of each cell that a benchmark makes."""
     with TemporaryDirectory(prefix="certificate-") as folder:
-        result = run_benchmark(study, Path(folder) / "run", jobs=engine.jobs, engine=engine.name, report=False)
+        result = run_benchmark(study, Path(folder) / "run", jobs=engine.jobs, engine=engine.name)
         return {cell.cell.name: _parts(cell) for cell in result.cells}
 
 

@@ -8,10 +8,9 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-import stereo_slam_env  # noqa: F401 (registers the environments)
-from stereo_slam_env.benchmark.digest import Digest
 from stereo_slam_env.benchmark.recordings.episodes import DEFAULT_ENVIRONMENT
 from stereo_slam_env.benchmark.scenarios.scenario import Scenario
+from stereo_slam_env.files.digest import Digest
 
 VECTOR_WAYS = ("environment alone", "vector, sync", "vector, async")
 _KINDS = {"street": "StereoSlam/Drive-v0", "gaze": DEFAULT_ENVIRONMENT}

@@ -12,9 +12,6 @@ from dataclasses import dataclass
 from typing import Any
 
 from filters.registry import FilterFactory, label_of
-from stereo_slam_env.benchmark.metrics.results import FilterRun, FilterSummary
-from stereo_slam_env.benchmark.metrics.run_figures import RunFigures, common_keys, figures_of
-from stereo_slam_env.benchmark.metrics.summary import summarise_all
 from stereo_slam_env.benchmark.recordings.sources import make_recording
 from stereo_slam_env.benchmark.running.runner import run_filter
 from stereo_slam_env.benchmark.scenarios.presets import preset
@@ -25,7 +22,10 @@ from stereo_slam_env.benchmark.statistics.pairwise import finding_words
 from stereo_slam_env.benchmark.statistics.shares import ShareDifference, paired_share
 from stereo_slam_env.benchmark.statistics.verdict import Consistency, consistency, pose_nees
 from stereo_slam_env.benchmark.statistics.words import signed
-from stereo_slam_env.recording import Recording
+from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
+from stereo_slam_env.evaluation.run_figures import RunFigures, common_keys, figures_of
+from stereo_slam_env.evaluation.summary import summarise_all
+from stereo_slam_env.recording.recording import Recording
 
 FilterLike = str | FilterFactory
 """A name of `filters.available_filters()`, or what is called as `MyFilter(camera=..., noise=..., **options)`."""

@@ -20,15 +20,15 @@ from stereo_slam_env.datasets.images import (
     open_image_sequence,
     recordings_in,
 )
-from stereo_slam_env.datasets.inside import is_there, require_links_inside
 from stereo_slam_env.datasets.known_options import keyword_options
 from stereo_slam_env.datasets.unknown_folder import no_known_layout, require_folder
+from stereo_slam_env.files.inside import is_there, require_links_inside
 from stereo_slam_env.frontend.calibration import calibrated
 from stereo_slam_env.frontend.recorder import record_tracks
 from stereo_slam_env.frontend.settings import TrackerSettings
-from stereo_slam_env.image_sequence import ImageSequence
-from stereo_slam_env.recording import Recording
-from stereo_slam_env.recording_archive import load_recording
+from stereo_slam_env.recording.archive import load_recording
+from stereo_slam_env.recording.image_sequence import ImageSequence
+from stereo_slam_env.recording.recording import Recording
 
 READERS = (kitti07_tracks, kitti00_stereo_tracks, starry_night)
 

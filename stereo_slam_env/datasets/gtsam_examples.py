@@ -19,7 +19,7 @@ from stereo_slam_env.datasets.kitti00_stereo_tracks import (
     tracks_recording,
 )
 from stereo_slam_env.datasets.tracks import ASSUMED_SIGMA_PX
-from stereo_slam_env.recording import Recording, Reference
+from stereo_slam_env.recording.recording import Recording, Reference
 
 PREFIX = "gtsam"
 REFERENCE = Reference(

@@ -17,9 +17,9 @@ from scipy.spatial.transform import Rotation
 from filters.camera import StereoCamera
 from filters.noise import StereoNoise
 from filters.validation import FloatArray, IntArray
-from stereo_slam_env.datasets.tables import read_poses, read_table, require_rotations, split_poses
 from stereo_slam_env.datasets.tracks import ASSUMED_SIGMA_PX, Tracks, frames_of
-from stereo_slam_env.recording import Pose, Recording, Reference
+from stereo_slam_env.files.tables import read_poses, read_table, require_rotations, split_poses
+from stereo_slam_env.recording.recording import Pose, Recording, Reference
 
 NAME = "kitti00_stereo_tracks"
 FILES = ("stereo_factors.txt", "calibration.txt", "vo_poses.txt", "poses.txt", "times.txt")

@@ -15,9 +15,9 @@ from filters.camera import StereoCamera
 from filters.interface import BodyVelocity
 from filters.noise import StereoNoise
 from filters.validation import FloatArray, positive
-from stereo_slam_env.datasets.tables import read_archive, read_poses
 from stereo_slam_env.datasets.tracks import ASSUMED_SIGMA_PX, frames_of, tracks_of_pixels
-from stereo_slam_env.recording import Pose, Recording, Reference
+from stereo_slam_env.files.tables import read_archive, read_poses
+from stereo_slam_env.recording.recording import Pose, Recording, Reference
 
 NAME = "kitti07_tracks"
 FILES = ("tracks.npz", "poses.txt")

@@ -16,9 +16,9 @@ from filters.interface import BodyVelocity
 from filters.noise import StereoNoise
 from filters.validation import FloatArray, positive
 from stereo_slam_env.datasets.kitti07_tracks import camera_velocities
-from stereo_slam_env.datasets.tables import read_archive, require_rotations
 from stereo_slam_env.datasets.tracks import Tracks, frames_of, tracks_of_pixels
-from stereo_slam_env.recording import LandmarkTruth, Pose, Recording, Reference
+from stereo_slam_env.files.tables import read_archive, require_rotations
+from stereo_slam_env.recording.recording import LandmarkTruth, Pose, Recording, Reference
 
 NAME = "starry_night"
 FILES = ("starry_night.npz",)

@@ -10,7 +10,7 @@ import numpy as np
 
 from filters.interface import BodyVelocity, StereoObservation
 from filters.validation import BoolArray, FloatArray, IntArray
-from stereo_slam_env.recording import Frame, Pose
+from stereo_slam_env.recording.recording import Frame, Pose
 
 # Standard deviation to assume for the pixels of real tracks. Their core is sharper (0.2 to 0.6 px), but they drift:
 # 14 % of those of KITTI 07 end more than 10 px off, and a filter that believes them is led astray.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
-from stereo_slam_env.datasets.inside import is_there
+from stereo_slam_env.files.inside import is_there
 
 Layouts = Mapping[str, tuple[str, ...]]
 """Name of a layout -> the entries that tell a folder of it: `a|b` is either, `*` stands for anything."""

@@ -11,8 +11,8 @@ import numpy as np
 from stereo_slam_env.envs.drive import StereoDriveEnv
 from stereo_slam_env.envs.options import DriveOptions, StereoOptions
 from stereo_slam_env.envs.stereo_env import StereoEnv
-from stereo_slam_env.package_versions import version_of
-from stereo_slam_env.recording import SIMULATION, Frame, Recording
+from stereo_slam_env.files.package_versions import version_of
+from stereo_slam_env.recording.recording import SIMULATION, Frame, Recording
 from stereo_slam_env.rendering.backends import renderer_identity
 
 

@@ -17,10 +17,10 @@ import numpy as np
 from filters.camera import StereoCamera
 from stereo_slam_env.frontend.ego_motion import robust_step
 from stereo_slam_env.frontend.settings import TrackerSettings
+from stereo_slam_env.frontend.stereo_step import Pairs, Step, most_likely_step
 from stereo_slam_env.frontend.tracker import StereoTracker
 from stereo_slam_env.frontend.tracks import MEMORY
-from stereo_slam_env.image_sequence import ImageSequence
-from stereo_slam_env.stereo_step import Pairs, Step, most_likely_step
+from stereo_slam_env.recording.image_sequence import ImageSequence
 
 PRIOR_SIGMA = 0.25
 """What a careful calibration leaves, px."""

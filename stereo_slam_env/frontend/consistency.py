@@ -13,9 +13,9 @@ from filters.validation import IntArray
 from stereo_slam_env.frontend.ego_motion import chained
 from stereo_slam_env.frontend.finding import Found
 from stereo_slam_env.frontend.moving import STRIKES, moving_together
+from stereo_slam_env.frontend.stereo_step import Pairs, Step, squared_distances
 from stereo_slam_env.frontend.tracked import Outcome
 from stereo_slam_env.frontend.tracks import Tracks
-from stereo_slam_env.stereo_step import Pairs, Step, squared_distances
 
 
 def judged(

@@ -10,7 +10,7 @@ from filters import rotations
 from filters.camera import StereoCamera
 from filters.engine.gating import gate_limit
 from filters.validation import BoolArray, FloatArray
-from stereo_slam_env.stereo_step import (
+from stereo_slam_env.frontend.stereo_step import (
     Pairs,
     Step,
     StepEstimate,

@@ -12,8 +12,8 @@ from filters.interface import Forecast
 from filters.validation import BoolArray, FloatArray, IntArray, covariance_matrix, finite_array, unique_ids
 from stereo_slam_env.frontend.ego_motion import MIN_POINTS, predicted, robust_step
 from stereo_slam_env.frontend.settings import TrackerSettings
+from stereo_slam_env.frontend.stereo_step import Pairs, Step
 from stereo_slam_env.frontend.tracks import Tracks
-from stereo_slam_env.stereo_step import Pairs, Step
 
 Rows = tuple[IntArray, IntArray]
 """Positions of the same landmarks in the tracks and in a forecast."""

@@ -7,7 +7,7 @@ from scipy.stats import chi2
 
 from filters.camera import StereoCamera
 from filters.validation import BoolArray, FloatArray
-from stereo_slam_env.stereo_step import Step
+from stereo_slam_env.frontend.stereo_step import Step
 
 STRIKES = 2
 """Pairs in a row in which a landmark must move unlike the scene."""

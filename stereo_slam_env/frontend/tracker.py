@@ -25,10 +25,10 @@ from stereo_slam_env.frontend.finding import Found, PairFinder
 from stereo_slam_env.frontend.moving import STRIKES, beside_moving
 from stereo_slam_env.frontend.patches import SUPPORT, cut_patches
 from stereo_slam_env.frontend.settings import TrackerSettings
+from stereo_slam_env.frontend.stereo_step import Pairs, Step
 from stereo_slam_env.frontend.tracked import Outcome, Search, TrackedPair
 from stereo_slam_env.frontend.tracks import MEMORY, Tracks, new_tracks
-from stereo_slam_env.image_sequence import GreyImage
-from stereo_slam_env.stereo_step import Pairs, Step
+from stereo_slam_env.recording.image_sequence import GreyImage
 
 _REST = Step(np.eye(3), np.zeros(3))
 _SCOUTS = 24

@@ -13,7 +13,7 @@ import numpy as np
 from stereo_slam_env.envs.recorder import recording_of
 from stereo_slam_env.envs.stereo_env import StereoEnv
 from stereo_slam_env.policies.interface import Policy
-from stereo_slam_env.recording import Frame, Pose, Recording
+from stereo_slam_env.recording.recording import Frame, Pose, Recording
 
 _STREAM = 6
 """Keeps the randomness of policies apart from that of the environment, whose seed is the same."""

@@ -22,7 +22,7 @@ from filters.interface import StereoFilter
 from filters.motion import POSE_SIZE, POSITION, ROTATION
 from filters.noise import StereoNoise
 from filters.validation import BoolArray, FloatArray, IntArray
-from stereo_slam_env.recording import Pose
+from stereo_slam_env.recording.recording import Pose
 
 
 @dataclass(frozen=True, eq=False)

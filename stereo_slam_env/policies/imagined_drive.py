@@ -7,7 +7,7 @@ import numpy as np
 from filters import rotations
 from filters.validation import FloatArray
 from stereo_slam_env.policies.foresight import CameraPoses
-from stereo_slam_env.recording import Pose
+from stereo_slam_env.recording.recording import Pose
 from stereo_slam_env.world.head import Head, head_turn
 from stereo_slam_env.world.routes import FRAME_PERIOD, Route
 

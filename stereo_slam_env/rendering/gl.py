@@ -12,7 +12,7 @@ import numpy as np
 from filters import rotations
 from filters.camera import StereoCamera
 from filters.validation import FloatArray
-from stereo_slam_env.recording import Pose
+from stereo_slam_env.recording.recording import Pose
 from stereo_slam_env.rendering import gl_shaders, pinhole
 from stereo_slam_env.rendering.air import sky_slope
 from stereo_slam_env.rendering.draw_list import ViewVolume, draw_list

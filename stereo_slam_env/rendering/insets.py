@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from filters import rotations
 from filters.camera import StereoCamera
 from filters.validation import FloatArray
-from stereo_slam_env.recording import Pose
+from stereo_slam_env.recording.recording import Pose
 from stereo_slam_env.rendering.drawing import PAPER, SUBPIXEL, Color, disparity_colors, fixed_point, shade
 from stereo_slam_env.rendering.images import Image
 

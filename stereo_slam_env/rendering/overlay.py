@@ -10,7 +10,7 @@ import numpy as np
 from filters.camera import StereoCamera
 from filters.interface import StereoObservation
 from filters.validation import FloatArray
-from stereo_slam_env.recording import Pose
+from stereo_slam_env.recording.recording import Pose
 from stereo_slam_env.rendering.drawing import (
     INK,
     SUBPIXEL,

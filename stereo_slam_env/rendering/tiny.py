@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from filters import rotations
 from filters.camera import StereoCamera
 from filters.validation import FloatArray
-from stereo_slam_env.recording import Pose
+from stereo_slam_env.recording.recording import Pose
 from stereo_slam_env.rendering import pinhole
 from stereo_slam_env.rendering.air import Air
 from stereo_slam_env.rendering.images import StereoImages

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from filters import rotations
 from filters.camera import StereoCamera
 from filters.validation import FloatArray, finite_array
-from stereo_slam_env.recording import Pose
+from stereo_slam_env.recording.recording import Pose
 
 _BEND = 2e-4
 """Neighbouring values of 1/z that leave a straight line by more than this share are not on one surface."""

@@ -10,7 +10,7 @@ import numpy as np
 from filters import rotations
 from filters.interface import BodyVelocity, StereoObservation
 from filters.validation import FloatArray, positive, probability
-from stereo_slam_env.recording import Frame, Recording, Velocity
+from stereo_slam_env.recording.recording import Frame, Recording, Velocity
 
 
 @dataclass(frozen=True)

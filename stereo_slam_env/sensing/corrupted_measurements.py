@@ -11,7 +11,7 @@ from filters.camera import StereoCamera
 from filters.interface import StereoObservation
 from filters.noise import StereoNoise
 from filters.validation import BoolArray, FloatArray, IntArray, finite_number, positive, probability
-from stereo_slam_env.recording import Frame, LandmarkTruth, Recording
+from stereo_slam_env.recording.recording import Frame, LandmarkTruth, Recording
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from filters.known_names import require_known
-from stereo_slam_env.recording import Recording
+from stereo_slam_env.recording.recording import Recording
 from stereo_slam_env.sensing.corrupted_frames import Blackouts, DroppedFrames, DuplicatedFrames, Latency
 from stereo_slam_env.sensing.corrupted_measurements import (
     BiasedDisparity,

@@ -10,7 +10,7 @@ import numpy as np
 from filters.camera import StereoCamera
 from filters.interface import StereoObservation
 from filters.validation import BoolArray, FloatArray, IntArray, unchecked
-from stereo_slam_env.recording import LandmarkTruth, Pose
+from stereo_slam_env.recording.recording import LandmarkTruth, Pose
 from stereo_slam_env.sensing.pixel_noise import PixelNoise
 
 Occlusion = Callable[[Pose, FloatArray], BoolArray]

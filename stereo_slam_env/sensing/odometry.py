@@ -7,7 +7,7 @@ import numpy as np
 from filters import rotations
 from filters.interface import BodyVelocity
 from filters.validation import FloatArray, positive, unchecked
-from stereo_slam_env.recording import Pose, Velocity
+from stereo_slam_env.recording.recording import Pose, Velocity
 
 
 class OdometrySensor:

@@ -14,7 +14,7 @@ import numpy as np
 
 from stereo_slam_env.policies.episode import rng_of_policy, run_episode
 from stereo_slam_env.policies.interface import Action, Policy
-from stereo_slam_env.recording import Recording
+from stereo_slam_env.recording.recording import Recording
 from stereo_slam_env.training.extra import require_extra
 from stereo_slam_env.world.routes import FRAME_PERIOD
 

@@ -16,8 +16,8 @@ from joblib import cpu_count
 
 from filters.known_names import require_known
 from filters.validation import positive, probability
-from stereo_slam_env.atomic_files import write_atomically
-from stereo_slam_env.claimed_folder import claimed_folder
+from stereo_slam_env.files.atomic import write_atomically
+from stereo_slam_env.files.claimed_folder import claimed_folder
 from stereo_slam_env.training.curve import LearningCurve
 from stereo_slam_env.training.evaluation import evaluate
 from stereo_slam_env.training.export import network_of

@@ -66,7 +66,6 @@ class GazeTask:
 
     def make(self) -> gym.Env[Any, Any]:
         """The environment as classical policies and benchmarks see it: with the belief in the observation."""
-        import stereo_slam_env  # noqa: F401 (registers the ids, also in a process that was spawned)
         from stereo_slam_env.wrappers import BeliefObservation, BeliefPanorama
 
         env = gym.make(self.environment, **self.arguments)

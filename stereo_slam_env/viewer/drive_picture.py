@@ -17,15 +17,15 @@ from matplotlib.patches import Polygon
 
 from filters import rotations
 from filters.validation import FloatArray
-from stereo_slam_env.benchmark.metrics.consistency import mean_band
+from stereo_slam_env.evaluation.consistency import mean_band
+from stereo_slam_env.files.output import checked_file
 from stereo_slam_env.rendering.drawing import disparity_colors
 from stereo_slam_env.rendering.images import Image
-from stereo_slam_env.viewer.figures import save_png
+from stereo_slam_env.report.charts.figures import save_png
+from stereo_slam_env.report.charts.plots import frame_track, orientation
+from stereo_slam_env.report.charts.series import heading
+from stereo_slam_env.report.charts.style import BAND, INK, MUTED, filter_colours, plain_log_axis, style_context
 from stereo_slam_env.viewer.moments import SIGMAS, Drive, Moment, ellipsoids
-from stereo_slam_env.viewer.output_files import checked_file
-from stereo_slam_env.viewer.plots import frame_track, orientation
-from stereo_slam_env.viewer.series import heading
-from stereo_slam_env.viewer.style import BAND, INK, MUTED, filter_colours, plain_log_axis, style_context
 from stereo_slam_env.viewer.video import Recorder
 
 SIZE_INCHES, FILM_DPI = (12.8, 7.2), 100

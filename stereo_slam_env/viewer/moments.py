@@ -13,8 +13,8 @@ from scipy.spatial.transform import Rotation
 from filters import LandmarkBelief, PoseBelief, StereoFilter, StereoNoise, StereoObservation, UpdateReport
 from filters.camera import StereoCamera
 from filters.validation import BoolArray, FloatArray
-from stereo_slam_env.benchmark.metrics.consistency import nees
-from stereo_slam_env.recording import Frame, LandmarkTruth, Pose, Recording
+from stereo_slam_env.evaluation.consistency import nees
+from stereo_slam_env.recording.recording import Frame, LandmarkTruth, Pose, Recording
 
 SIGMAS = 3.0
 """Size of the ellipses and ellipsoids."""

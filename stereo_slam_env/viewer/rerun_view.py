@@ -23,13 +23,13 @@ import numpy as np
 
 from filters.camera import StereoCamera
 from filters.validation import FloatArray
-from stereo_slam_env.benchmark.metrics.consistency import mean_band
-from stereo_slam_env.recording import LandmarkTruth
+from stereo_slam_env.evaluation.consistency import mean_band
+from stereo_slam_env.recording.recording import LandmarkTruth
 from stereo_slam_env.rendering.drawing import disparity_colors
 from stereo_slam_env.rendering.images import Image
+from stereo_slam_env.report.charts.style import INK, MUTED, filter_colours
 from stereo_slam_env.viewer.moments import Moment, ellipsoids
 from stereo_slam_env.viewer.rerun_sink import close_sink, open_sink, require_rerun
-from stereo_slam_env.viewer.style import INK, MUTED, filter_colours
 
 TIMELINE = "time"
 FARTHEST = 500.0

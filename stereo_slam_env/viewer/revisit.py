@@ -13,15 +13,15 @@ import numpy as np
 from filters import StereoFilter, StereoNoise, make_filter
 from filters.camera import StereoCamera
 from filters.registry import filter_arguments
-from stereo_slam_env.benchmark.metrics.results import FilterRun
 from stereo_slam_env.benchmark.recordings.sources import make_sequence, without_measurements
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice
 from stereo_slam_env.benchmark.storage.run_archive import load_run
 from stereo_slam_env.benchmark.storage.store import RunDirectory
 from stereo_slam_env.benchmark.storage.study_store import read_study
+from stereo_slam_env.evaluation.results import FilterRun
 from stereo_slam_env.frontend.active_search import ActiveSearch
-from stereo_slam_env.recording import Recording
-from stereo_slam_env.recording_archive import load_recording
+from stereo_slam_env.recording.archive import load_recording
+from stereo_slam_env.recording.recording import Recording
 from stereo_slam_env.viewer.moments import Drive, drive_of
 
 

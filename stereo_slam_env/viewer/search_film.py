@@ -7,7 +7,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from stereo_slam_env.frontend.tracked import TrackedPair
-from stereo_slam_env.image_sequence import StereoPair
+from stereo_slam_env.recording.image_sequence import StereoPair
 from stereo_slam_env.rendering.images import Image
 from stereo_slam_env.viewer.live import LiveView
 from stereo_slam_env.viewer.search_view import search_picture

@@ -10,7 +10,7 @@ import numpy as np
 
 from filters.validation import FloatArray
 from stereo_slam_env.frontend.tracked import Outcome, Search, TrackedPair
-from stereo_slam_env.image_sequence import GreyImage
+from stereo_slam_env.recording.image_sequence import GreyImage
 from stereo_slam_env.rendering.drawing import (
     FONT,
     INK,

@@ -11,7 +11,7 @@ import numpy as np
 
 from filters import rotations
 from filters.validation import FloatArray
-from stereo_slam_env.recording import Pose, Velocity
+from stereo_slam_env.recording.recording import Pose, Velocity
 
 FRAME_PERIOD = 0.1
 """Seconds between two frames of every rig."""

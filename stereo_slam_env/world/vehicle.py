@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from filters.validation import FloatArray
-from stereo_slam_env.recording import Pose, Velocity
+from stereo_slam_env.recording.recording import Pose, Velocity
 from stereo_slam_env.world.routes import FRAME_PERIOD, Route
 
 

@@ -16,8 +16,8 @@ from filters.motion import POSE_SIZE, POSITION, ROTATION
 from filters.noise import StereoNoise
 from filters.registry import filter_arguments, make_filter
 from filters.validation import FloatArray, IntArray, positive
-from stereo_slam_env.benchmark.metrics.consistency import nees
-from stereo_slam_env.recording import Frame, Pose, Start
+from stereo_slam_env.evaluation.consistency import nees
+from stereo_slam_env.recording.recording import Frame, Pose, Start
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,7 @@ import gymnasium as gym
 import numpy as np
 
 from filters.validation import FloatArray
-from stereo_slam_env.benchmark.metrics.consistency import mean_band
+from stereo_slam_env.evaluation.consistency import mean_band
 from stereo_slam_env.wrappers.recorded_wrapper import RecordedWrapper
 
 PARTS = ("position", "rotation", "pose")

@@ -11,8 +11,8 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from stereo_slam_env.benchmark.metrics.run_figures import figures_of
-from stereo_slam_env.benchmark.metrics.summary import summarise_all
+from stereo_slam_env.evaluation.run_figures import figures_of
+from stereo_slam_env.evaluation.summary import summarise_all
 
 BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
 

@@ -49,7 +49,7 @@ def given_baselines():
 
 def given_benchmark():
     pytest.importorskip("polars", reason="needs polars and pandas (extra dev)")
-    run("reference-turn", "runs/before", seeds=[0, 1], report=False)
+    run("reference-turn", "runs/before", seeds=[0, 1])
     recordings = [short_turn(seed, landmarks=15) for seed in range(2)]
     return {
         "camera": recordings[0].camera,
@@ -102,7 +102,7 @@ def given_statistics():
         for label, (name, options) in choices.items()
     ]
     for which in ("before", "after"):
-        run("reference-turn", f"runs/{which}", seeds=[0, 1], filters=["inverse-depth"], report=False)
+        run("reference-turn", f"runs/{which}", seeds=[0, 1], filters=["inverse-depth"])
     summaries, figures = scored(runs)
     cell = SimpleNamespace(runs=runs, summaries=summaries, figures=figures)
     return {"study": study, "result": SimpleNamespace(runs=runs, cells=[cell])}

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 from filters import StereoNoise
-from stereo_slam_env.benchmark.metrics.consistency import mean_band
-from stereo_slam_env.benchmark.metrics.results import FilterRun
 from stereo_slam_env.benchmark.recordings.reference_problem import short_turn
 from stereo_slam_env.benchmark.running.runner import run_filter
-from stereo_slam_env.recording import Recording
+from stereo_slam_env.evaluation.consistency import mean_band
+from stereo_slam_env.evaluation.results import FilterRun
+from stereo_slam_env.recording.recording import Recording
 
 SEEDS = 50
 FULL_R = StereoNoise.independent_pixels(1.0)

@@ -9,7 +9,6 @@ from typing import Any
 import gymnasium as gym
 from threadpoolctl import threadpool_limits
 
-import stereo_slam_env  # noqa: F401 (registers the environments)
 from filters.common_options import make_with_common_options
 from filters.known_names import did_you_mean
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, Scenario

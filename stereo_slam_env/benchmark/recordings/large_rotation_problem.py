@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 
 from filters import BodyVelocity, StereoCamera, StereoNoise, StereoObservation
 from filters.validation import FloatArray, positive
-from stereo_slam_env.recording import SIMULATION, Frame, LandmarkTruth, Pose, Recording, Start, Velocity
+from stereo_slam_env.recording.recording import SIMULATION, Frame, LandmarkTruth, Pose, Recording, Start, Velocity
 
 CAMERA = StereoCamera(230.0, 230.0, 399.5, 399.5, 0.5, 800, 800)
 SIGHT = 35.0  # m

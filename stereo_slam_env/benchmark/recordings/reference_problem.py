@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from filters.validation import FloatArray
-from stereo_slam_env.recording import SIMULATION, Frame, LandmarkTruth, Recording, Start, Velocity
+from stereo_slam_env.recording.recording import SIMULATION, Frame, LandmarkTruth, Recording, Start, Velocity
 from stereo_slam_env.sensing.landmark_sensor import LandmarkSensor, TrackingPolicy
 from stereo_slam_env.sensing.pixel_noise import NOISE_MODELS
 from stereo_slam_env.sensing.rigs import CAMERA_HEIGHT, RIGS

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from filters.validation import FloatArray
-from stereo_slam_env.recording import Recording
+from stereo_slam_env.recording.recording import Recording
 
 RANGES = (0.0, 15.0, 30.0, 45.0, 70.0, 150.0, np.inf)
 """Bounds of the bins, m."""

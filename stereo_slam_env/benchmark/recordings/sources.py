@@ -17,8 +17,8 @@ from stereo_slam_env.benchmark.scenarios.scenario import Scenario
 from stereo_slam_env.datasets import holds_images, open_for_front_end, read_recording
 from stereo_slam_env.frontend.recorder import record_tracks
 from stereo_slam_env.frontend.settings import TrackerSettings
-from stereo_slam_env.image_sequence import ImageSequence
-from stereo_slam_env.recording import Recording
+from stereo_slam_env.recording.image_sequence import ImageSequence
+from stereo_slam_env.recording.recording import Recording
 from stereo_slam_env.sensing.corruptions import corrupted, make_corruption
 
 Progress = Callable[[int, int], None]

@@ -13,7 +13,7 @@ import numpy as np
 from filters.noise import StereoNoise
 from stereo_slam_env.benchmark.recordings.sensor_noise import noise_of_images
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, Scenario
-from stereo_slam_env.recording import Recording
+from stereo_slam_env.recording.recording import Recording
 
 
 def stream_key(scenario: Scenario, choice: FilterChoice | None = None) -> str:

@@ -12,10 +12,10 @@ from threadpoolctl import threadpool_limits
 from filters import PoseBelief, StereoEKF, StereoEKFTrials, StereoNoise, VelocityBelief
 from filters.common_options import make_with_common_options
 from filters.trials.series import TOGETHER
-from stereo_slam_env.benchmark.metrics.results import EVENTS, FilterRun
-from stereo_slam_env.benchmark.running.memory import peak_memory_mb
 from stereo_slam_env.benchmark.running.runner import RunLog, failure_line
-from stereo_slam_env.recording import Recording
+from stereo_slam_env.evaluation.memory import peak_memory_mb
+from stereo_slam_env.evaluation.results import EVENTS, FilterRun
+from stereo_slam_env.recording.recording import Recording
 
 
 def run_filter_together(

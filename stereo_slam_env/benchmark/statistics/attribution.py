@@ -19,7 +19,6 @@ from typing import Any
 import numpy as np
 
 from filters.validation import BoolArray, FloatArray
-from stereo_slam_env.benchmark.metrics.run_figures import Figures
 from stereo_slam_env.benchmark.scenarios.study import factorial_label
 from stereo_slam_env.benchmark.statistics.effects import (
     Contrast,
@@ -30,6 +29,7 @@ from stereo_slam_env.benchmark.statistics.effects import (
     explain,
 )
 from stereo_slam_env.benchmark.statistics.measures import POSE_NEES, POSITION, TIME
+from stereo_slam_env.evaluation.run_figures import Figures
 
 __all__ = [
     "Attribution",

@@ -18,8 +18,6 @@ from typing import Any, Protocol
 import numpy as np
 
 from filters.validation import BoolArray, FloatArray
-from stereo_slam_env.benchmark.metrics.results import FilterRun
-from stereo_slam_env.benchmark.metrics.run_figures import Figures, RunFigures, RunKey, common_keys, figures_of
 from stereo_slam_env.benchmark.statistics.differences import (
     TIE_PERCENT,
     Difference,
@@ -35,6 +33,8 @@ from stereo_slam_env.benchmark.statistics.pairwise import change_words
 from stereo_slam_env.benchmark.statistics.shares import paired_share, unpaired_share
 from stereo_slam_env.benchmark.storage.store import pairing_digest
 from stereo_slam_env.benchmark.storage.study_store import read_study
+from stereo_slam_env.evaluation.results import FilterRun
+from stereo_slam_env.evaluation.run_figures import Figures, RunFigures, RunKey, common_keys, figures_of
 
 _MACHINE = ("platform", "python", "numpy", "scipy")
 

@@ -7,9 +7,9 @@ from enum import Enum
 
 import numpy as np
 
-from stereo_slam_env.benchmark.metrics.limits import efficiency_interval
-from stereo_slam_env.benchmark.metrics.results import FilterSummary
 from stereo_slam_env.benchmark.statistics.differences import CONFIDENCE, MIN_PAIRS
+from stereo_slam_env.evaluation.cramer_rao import efficiency_interval
+from stereo_slam_env.evaluation.results import FilterSummary
 
 
 class Reach(Enum):

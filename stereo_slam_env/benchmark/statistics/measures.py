@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 
 from filters.validation import FloatArray
-from stereo_slam_env.benchmark.metrics.consistency_figures import DOF, LANDMARK_DOF
-from stereo_slam_env.benchmark.metrics.results import FilterSummary
-from stereo_slam_env.benchmark.metrics.run_figures import RunFigures, RunKey
 from stereo_slam_env.benchmark.statistics.differences import (
     Difference,
     difference_of,
     paired_difference,
     unpaired_difference,
 )
+from stereo_slam_env.evaluation.consistency_figures import DOF, LANDMARK_DOF
+from stereo_slam_env.evaluation.results import FilterSummary
+from stereo_slam_env.evaluation.run_figures import RunFigures, RunKey
 
 
 @dataclass(frozen=True)

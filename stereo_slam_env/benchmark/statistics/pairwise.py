@@ -6,11 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
-from stereo_slam_env.benchmark.metrics.results import FilterSummary
-from stereo_slam_env.benchmark.metrics.run_figures import Figures, common_keys
 from stereo_slam_env.benchmark.statistics.differences import Difference, Finding
 from stereo_slam_env.benchmark.statistics.measures import QUESTIONS, Measure
 from stereo_slam_env.benchmark.statistics.words import percent_words
+from stereo_slam_env.evaluation.results import FilterSummary
+from stereo_slam_env.evaluation.run_figures import Figures, common_keys
 
 
 @dataclass(frozen=True)

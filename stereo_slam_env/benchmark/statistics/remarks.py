@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from stereo_slam_env.benchmark.metrics.results import FilterRun, FilterSummary
-from stereo_slam_env.recording import Reference, ReferenceKind
+from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
+from stereo_slam_env.recording.recording import Reference, ReferenceKind
 
 FAR = 2.0
 """An NIS by its degrees of freedom beyond this factor of 1, and outside its band, is remarked on.

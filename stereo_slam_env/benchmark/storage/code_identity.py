@@ -12,7 +12,7 @@ from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 
-from stereo_slam_env.atomic_files import write_atomically
+from stereo_slam_env.files.atomic import write_atomically
 
 ROOT = Path(__file__).resolve().parents[3]
 NO_RESULT = (
@@ -21,13 +21,11 @@ NO_RESULT = (
     "stereo_slam_env/benchmark/campaign.py",
     "stereo_slam_env/benchmark/certificate",
     "stereo_slam_env/benchmark/head_to_head.py",
-    "stereo_slam_env/benchmark/report/",
+    "stereo_slam_env/report/",
     "stereo_slam_env/benchmark/statistics/",
     "stereo_slam_env/cli",
-    "stereo_slam_env/console.py",
-    "stereo_slam_env/faults/",
-    "stereo_slam_env/paper/",
-    "stereo_slam_env/pytest_plugin.py",
+    "stereo_slam_env/studies/",
+    "stereo_slam_env/benchmark/pytest_plugin.py",
     "stereo_slam_env/training/",
     "stereo_slam_env/viewer/",
 )

@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from stereo_slam_env.array_files import read_arrays
-from stereo_slam_env.atomic_files import write_atomically
-from stereo_slam_env.benchmark.metrics.landmark_statistics import SERIES as _LANDMARK_SERIES
-from stereo_slam_env.benchmark.metrics.landmark_statistics import LandmarkStatistics
-from stereo_slam_env.benchmark.metrics.results import FilterRun, LandmarkTrace
-from stereo_slam_env.recording_archive import reference_of
+from stereo_slam_env.evaluation.landmark_statistics import SERIES as _LANDMARK_SERIES
+from stereo_slam_env.evaluation.landmark_statistics import LandmarkStatistics
+from stereo_slam_env.evaluation.results import FilterRun, LandmarkTrace
+from stereo_slam_env.files.arrays import read_arrays
+from stereo_slam_env.files.atomic import write_atomically
+from stereo_slam_env.recording.archive import reference_of
 
 FORMAT = 2
 _TEXT = ("filter_name", "recording_name", "options", "not_given", "seed", "failure")

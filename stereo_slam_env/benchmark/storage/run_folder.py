@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from stereo_slam_env.claimed_folder import is_occupied
+from stereo_slam_env.files.claimed_folder import is_occupied
 
 STUDY = "study.json"
 MARKERS = ("settings.json", STUDY)

@@ -8,7 +8,7 @@ Layout::
     bounds/<seed>.npz                     the Cramer-Rao bound: pose (K, 6, 6); empty where there is none
     trajectories/<seed>/<filter>.tum      and truth.tum (<policy>-truth.tum): `t x y z qx qy qz qw`, as TUM RGB-D has it
     trajectories/<seed>/<filter>.kitti    the same as rows of 3x4 matrices, the format of KITTI odometry
-    recordings/<stream>/<seed>.npz        what every filter was given, see `stereo_slam_env.recording_archive`
+    recordings/<stream>/<seed>.npz        what every filter was given, see `stereo_slam_env.recording.archive`
     recordings/<stream>/<seed>.json       what there is to say of it; a policy has its own: <stream> is <label>-<...>
 
 `<seed>` is `seed-0007`, or `recording` for real data. A grid has such a directory for each of its cells, and the
@@ -36,12 +36,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from stereo_slam_env.array_files import read_arrays
-from stereo_slam_env.atomic_files import write_atomically
-from stereo_slam_env.benchmark.metrics.limits import Bound
-from stereo_slam_env.benchmark.metrics.results import FilterRun, FilterSummary
-from stereo_slam_env.benchmark.metrics.run_figures import figures_of
-from stereo_slam_env.benchmark.metrics.summary import summarise_all
 from stereo_slam_env.benchmark.recordings.stream_identity import as_given, stream_key
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, Scenario
 from stereo_slam_env.benchmark.storage.code_identity import code_digest
@@ -49,7 +43,13 @@ from stereo_slam_env.benchmark.storage.results import RunResults
 from stereo_slam_env.benchmark.storage.run_archive import load_provenance, load_run
 from stereo_slam_env.benchmark.storage.run_folder import refuse_foreign, why_no_run
 from stereo_slam_env.benchmark.storage.trajectory_files import write_kitti, write_tum
-from stereo_slam_env.package_versions import version_of
+from stereo_slam_env.evaluation.cramer_rao import Bound
+from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
+from stereo_slam_env.evaluation.run_figures import figures_of
+from stereo_slam_env.evaluation.summary import summarise_all
+from stereo_slam_env.files.arrays import read_arrays
+from stereo_slam_env.files.atomic import write_atomically
+from stereo_slam_env.files.package_versions import version_of
 
 VERSION = 2
 CELLS = "cells"

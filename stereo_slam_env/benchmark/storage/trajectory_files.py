@@ -8,7 +8,7 @@ import numpy as np
 
 from filters import rotations
 from filters.validation import FloatArray
-from stereo_slam_env.atomic_files import write_atomically
+from stereo_slam_env.files.atomic import write_atomically
 
 
 def write_tum(path: Path, timestamps: FloatArray, positions: FloatArray, orientations: FloatArray) -> None:

@@ -23,10 +23,10 @@ from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from stereo_slam_env.atomic_files import unfinished_name
-from stereo_slam_env.benchmark.metrics.run_figures import key_of
-from stereo_slam_env.benchmark.metrics.trial_metrics import COLUMNS, Column
 from stereo_slam_env.benchmark.scenarios.scenario import choice_as_dict
+from stereo_slam_env.evaluation.run_figures import key_of
+from stereo_slam_env.evaluation.trial_metrics import COLUMNS, Column
+from stereo_slam_env.files.atomic import unfinished_name
 
 if TYPE_CHECKING:
     from stereo_slam_env.benchmark.storage.study_store import CellResult

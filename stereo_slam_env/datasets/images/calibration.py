@@ -12,8 +12,8 @@ from filters import rotations
 from filters.camera import StereoCamera
 from filters.validation import FloatArray
 from stereo_slam_env.datasets.images.frames import FramePair
-from stereo_slam_env.datasets.text_files import read_text
-from stereo_slam_env.recording import Pose
+from stereo_slam_env.files.text import read_text
+from stereo_slam_env.recording.recording import Pose
 
 _SAME_K = 1e-6
 """Relative difference of the K of both eyes that is taken for rounding."""

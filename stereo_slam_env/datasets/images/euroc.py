@@ -22,10 +22,10 @@ from stereo_slam_env.datasets.images.broken import Faults, OnBroken
 from stereo_slam_env.datasets.images.euroc_rig import Sensor, read_sensor, read_transform, rectification
 from stereo_slam_env.datasets.images.frames import Eye, Times, Truth, usable_pairs
 from stereo_slam_env.datasets.images.sequence import RecordedSequence
-from stereo_slam_env.datasets.inside import is_plain_name
-from stereo_slam_env.datasets.tables import finite_rows
-from stereo_slam_env.datasets.text_files import read_text
-from stereo_slam_env.recording import Pose, Reference
+from stereo_slam_env.files.inside import is_plain_name
+from stereo_slam_env.files.tables import finite_rows
+from stereo_slam_env.files.text import read_text
+from stereo_slam_env.recording.recording import Pose, Reference
 
 NAME = "euroc"
 FILES = (

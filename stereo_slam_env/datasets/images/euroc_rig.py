@@ -17,9 +17,9 @@ from filters.validation import FloatArray
 from stereo_slam_env.datasets.images.calibration import RectifiedRig, rectified_rig
 from stereo_slam_env.datasets.images.image_files import MAX_PIXELS
 from stereo_slam_env.datasets.images.sequence import Rectify
-from stereo_slam_env.datasets.tables import first_line
-from stereo_slam_env.datasets.text_files import read_text
-from stereo_slam_env.image_sequence import GreyImage
+from stereo_slam_env.files.tables import first_line
+from stereo_slam_env.files.text import read_text
+from stereo_slam_env.recording.image_sequence import GreyImage
 
 
 @dataclass(frozen=True, eq=False)

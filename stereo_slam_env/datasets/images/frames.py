@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from filters.interface import BodyVelocity
 from filters.validation import FloatArray
 from stereo_slam_env.datasets.images.broken import BrokenPair, Faults
-from stereo_slam_env.recording import Pose
+from stereo_slam_env.recording.recording import Pose
 
 _ORTHONORMAL = 1e-2
 """Largest entry of R R^T - I of a pose that is believed to be one; files have as few as six digits."""

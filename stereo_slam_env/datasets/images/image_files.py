@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from stereo_slam_env.datasets.images.broken import BrokenPair
-from stereo_slam_env.image_sequence import GreyImage
+from stereo_slam_env.recording.image_sequence import GreyImage
 
 MAX_PIXELS = 40_000_000
 """Larger images are refused before they are decoded."""

@@ -33,9 +33,9 @@ from stereo_slam_env.datasets.images.calibration import entry, read_entries, rec
 from stereo_slam_env.datasets.images.frames import Eye, Times, Truth, usable_pairs
 from stereo_slam_env.datasets.images.image_files import image_size, numbered_images
 from stereo_slam_env.datasets.images.sequence import RecordedSequence
-from stereo_slam_env.datasets.inside import require_inside
-from stereo_slam_env.datasets.tables import finite_rows, read_table
-from stereo_slam_env.recording import Pose, Reference
+from stereo_slam_env.files.inside import require_inside
+from stereo_slam_env.files.tables import finite_rows, read_table
+from stereo_slam_env.recording.recording import Pose, Reference
 
 NAME = "karlsruhe"
 FILES = ("I1_*", "I2_*", "*calib.txt|../*calib.txt", "insdata.txt")

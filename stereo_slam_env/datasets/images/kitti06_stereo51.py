@@ -18,8 +18,8 @@ from stereo_slam_env.datasets.images.frames import Eye, Times, Truth, poses_of_r
 from stereo_slam_env.datasets.images.image_files import image_size, numbered_images
 from stereo_slam_env.datasets.images.odometry import noisy_camera_velocities
 from stereo_slam_env.datasets.images.sequence import RecordedSequence
-from stereo_slam_env.datasets.tables import read_table
-from stereo_slam_env.recording import Reference
+from stereo_slam_env.files.tables import read_table
+from stereo_slam_env.recording.recording import Reference
 
 NAME = "kitti06_stereo51"
 FILES = ("image_l", "image_r", "calib.txt", "poses.txt", "odometry_oxts.csv")

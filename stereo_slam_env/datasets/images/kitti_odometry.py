@@ -18,9 +18,9 @@ from stereo_slam_env.datasets.images.frames import Eye, Times, Truth, poses_of_r
 from stereo_slam_env.datasets.images.image_files import image_size, numbered_images
 from stereo_slam_env.datasets.images.kitti_cameras import CAMERAS, chosen_cameras, has_cameras
 from stereo_slam_env.datasets.images.sequence import RecordedSequence
-from stereo_slam_env.datasets.inside import require_inside
-from stereo_slam_env.datasets.tables import read_table
-from stereo_slam_env.recording import Reference
+from stereo_slam_env.files.inside import require_inside
+from stereo_slam_env.files.tables import read_table
+from stereo_slam_env.recording.recording import Reference
 
 NAME = "kitti_odometry"
 FILES = ("calib.txt", "times.txt", "image_0|image_2", "image_1|image_3")

@@ -29,10 +29,10 @@ from stereo_slam_env.datasets.images.image_files import image_size, numbered_ima
 from stereo_slam_env.datasets.images.kitti_cameras import CAMERAS, chosen_cameras, has_cameras
 from stereo_slam_env.datasets.images.odometry import noisy_camera_velocities
 from stereo_slam_env.datasets.images.sequence import RecordedSequence
-from stereo_slam_env.datasets.inside import require_inside
-from stereo_slam_env.datasets.tables import finite_rows
-from stereo_slam_env.datasets.text_files import read_text
-from stereo_slam_env.recording import Pose, Reference
+from stereo_slam_env.files.inside import require_inside
+from stereo_slam_env.files.tables import finite_rows
+from stereo_slam_env.files.text import read_text
+from stereo_slam_env.recording.recording import Pose, Reference
 
 NAME = "kitti_raw"
 TRUTH = Reference(

@@ -14,8 +14,8 @@ from filters import rotations
 from filters.camera import StereoCamera
 from filters.validation import FloatArray
 from stereo_slam_env.datasets.images.kitti_odometry import poses_file
-from stereo_slam_env.image_sequence import GreyImage, ImageSequence, StereoPair
-from stereo_slam_env.recording import Pose
+from stereo_slam_env.recording.image_sequence import GreyImage, ImageSequence, StereoPair
+from stereo_slam_env.recording.recording import Pose
 
 PARTIAL = ".partial"
 """Ending of the folder of a sequence that is not yet complete."""

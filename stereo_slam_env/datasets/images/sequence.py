@@ -13,8 +13,8 @@ from filters.interface import BodyVelocity
 from stereo_slam_env.datasets.images.broken import BrokenPair, Faults
 from stereo_slam_env.datasets.images.frames import FramePair
 from stereo_slam_env.datasets.images.image_files import read_grey
-from stereo_slam_env.image_sequence import GreyImage, StereoPair
-from stereo_slam_env.recording import Pose, Reference, Start
+from stereo_slam_env.recording.image_sequence import GreyImage, StereoPair
+from stereo_slam_env.recording.recording import Pose, Reference, Start
 
 Rectify = Callable[[GreyImage, GreyImage], tuple[GreyImage, GreyImage]]
 

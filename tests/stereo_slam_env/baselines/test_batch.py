@@ -10,7 +10,7 @@ import pytest
 
 from filters import StereoEKF, StereoObservation
 from stereo_slam_env.benchmark.recordings.reference_problem import short_turn
-from stereo_slam_env.recording import Recording
+from stereo_slam_env.recording.recording import Recording
 
 pytest.importorskip("gtsam", reason="needs the extra gtsam")
 

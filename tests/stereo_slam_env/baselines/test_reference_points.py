@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from filters import check_filter, make_filter
-from stereo_slam_env.benchmark.metrics.results import FilterRun
-from stereo_slam_env.benchmark.metrics.trajectory_metrics import ate_rigid
 from stereo_slam_env.benchmark.recordings.reference_problem import short_turn
 from stereo_slam_env.benchmark.running.runner import run_filter
 from stereo_slam_env.datasets import read_recording
+from stereo_slam_env.evaluation.results import FilterRun
+from stereo_slam_env.evaluation.trajectory_metrics import ate_rigid
 
 from ..real_data import real_data
 

@@ -7,11 +7,11 @@ import json
 import numpy as np
 import pytest
 
-from stereo_slam_env import cli
 from stereo_slam_env.benchmark import Scenario, Study, certificate, run_filter
 from stereo_slam_env.benchmark.certificate import WAYS, Certificate, certify, digest_of_run
 from stereo_slam_env.benchmark.recordings.reference_problem import short_turn
 from stereo_slam_env.benchmark.scenarios.scenario import filter_choice
+from stereo_slam_env.cli import app as cli
 
 FILTERS = (filter_choice("inverse-depth"),)
 STREET = Scenario("corner", "street", {"route": "right-turn", "rig": "qvga", "max_landmarks": 20}, filters=FILTERS)

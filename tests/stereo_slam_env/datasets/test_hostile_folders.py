@@ -14,8 +14,8 @@ from fuzz import seeds
 from stereo_slam_env.datasets import read_recording
 from stereo_slam_env.datasets.images import BrokenPair, open_image_sequence
 from stereo_slam_env.datasets.images.image_files import numbered_images, read_grey
-from stereo_slam_env.datasets.inside import require_inside, require_links_inside
-from stereo_slam_env.datasets.text_files import read_text
+from stereo_slam_env.files.inside import require_inside, require_links_inside
+from stereo_slam_env.files.text import read_text
 
 
 def lay_out(folder: Path, files: seeds.Files) -> Path:

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from stereo_slam_env.benchmark.metrics.trajectory_metrics import ate_rigid, path_length
 from stereo_slam_env.datasets import kitti07_tracks, read_recording
+from stereo_slam_env.evaluation.trajectory_metrics import ate_rigid, path_length
 
 from ..real_data import real_data
 from .small_folders import FRAMES, P_I, R_CI, kitti07

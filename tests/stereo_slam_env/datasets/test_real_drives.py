@@ -7,11 +7,11 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from stereo_slam_env.benchmark.metrics.results import FilterRun
-from stereo_slam_env.benchmark.metrics.trajectory_metrics import ate_rigid
 from stereo_slam_env.benchmark.running.runner import run_filter
 from stereo_slam_env.datasets import read_recording
-from stereo_slam_env.recording import Recording
+from stereo_slam_env.evaluation.results import FilterRun
+from stereo_slam_env.evaluation.trajectory_metrics import ate_rigid
+from stereo_slam_env.recording.recording import Recording
 
 from ..real_data import real_data
 

@@ -5,7 +5,7 @@ import pytest
 
 from filters import rotations
 from stereo_slam_env.frontend.ego_motion import chained, continued, predicted, robust_step
-from stereo_slam_env.stereo_step import Step, squared_distances
+from stereo_slam_env.frontend.stereo_step import Step, squared_distances
 
 from .synthetic_steps import CAMERA, STEP, Cloud
 

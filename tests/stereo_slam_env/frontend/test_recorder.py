@@ -8,7 +8,7 @@ import pytest
 
 from stereo_slam_env.frontend.recorder import record_tracks
 from stereo_slam_env.frontend.settings import TrackerSettings
-from stereo_slam_env.recording import Start
+from stereo_slam_env.recording.recording import Start
 
 from .drawn_street import DT, DrawnStreet
 

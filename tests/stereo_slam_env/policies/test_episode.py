@@ -7,7 +7,7 @@ import pytest
 from stereo_slam_env.benchmark.running.runner import run_filter
 from stereo_slam_env.policies import make_policy
 from stereo_slam_env.policies.episode import run_episode
-from stereo_slam_env.recording_archive import packed_recording, unpacked_recording
+from stereo_slam_env.recording.archive import packed_recording, unpacked_recording
 from stereo_slam_env.wrappers import BeliefObservation, BeliefPanorama
 
 OPTIONS = {"drop_unseen": False, "motion": "velocity-driven", "gate": None}

@@ -5,7 +5,7 @@ import pytest
 
 from filters import BodyVelocity, StereoFilter, rotations
 from stereo_slam_env.policies.foresight import CameraPoses, Knowledge
-from stereo_slam_env.recording import Pose
+from stereo_slam_env.recording.recording import Pose
 
 from .looking import eyes_of, looked_around
 

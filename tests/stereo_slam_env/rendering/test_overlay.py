@@ -5,7 +5,7 @@ import pytest
 
 from filters import rotations
 from filters.interface import StereoObservation
-from stereo_slam_env.recording import Pose
+from stereo_slam_env.recording.recording import Pose
 from stereo_slam_env.rendering.drawing import caption_bar
 from stereo_slam_env.rendering.images import StereoImages
 from stereo_slam_env.rendering.overlay import annotated_pair

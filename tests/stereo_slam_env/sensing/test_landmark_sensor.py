@@ -5,7 +5,7 @@ import pytest
 
 from filters import rotations
 from filters.camera import StereoCamera
-from stereo_slam_env.recording import LandmarkTruth, Pose
+from stereo_slam_env.recording.recording import LandmarkTruth, Pose
 from stereo_slam_env.sensing.landmark_sensor import LandmarkSensor, TrackingPolicy
 from stereo_slam_env.sensing.pixel_noise import IndependentPixels, IndependentUvd
 from stereo_slam_env.sensing.rigs import RIGS

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from filters import rotations
-from stereo_slam_env.recording import Pose, Velocity
+from stereo_slam_env.recording.recording import Pose, Velocity
 from stereo_slam_env.sensing.odometry import OdometrySensor
 from stereo_slam_env.world.routes import advance
 

@@ -14,5 +14,5 @@ def finished_run(tmp_path_factory):
     scenario = Scenario(
         "short turn", "reference", {"name": "short_turn"}, filters, seeds=(3, 4), frames=8, gate=0.99, metrics=("map",)
     )
-    run_benchmark(scenario, out, jobs=1, report=False)
+    run_benchmark(scenario, out, jobs=1)
     return out

@@ -9,7 +9,7 @@ from filters import InverseDepthStereoEKF
 from stereo_slam_env.benchmark.running.runner import run_filter
 from stereo_slam_env.benchmark.storage.run_archive import load_run, save_run
 from stereo_slam_env.benchmark.storage.store import RunDirectory, read_run
-from stereo_slam_env.recording import Reference
+from stereo_slam_env.recording.recording import Reference
 from stereo_slam_env.viewer.moments import LARGEST, SIGMAS, drive_of, ellipsoids
 from stereo_slam_env.viewer.revisit import revisit
 

@@ -4,7 +4,7 @@ import sys
 
 import pytest
 
-from stereo_slam_env import cli
+from stereo_slam_env.cli import app as cli
 
 
 @pytest.fixture

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from filters import rotations
-from stereo_slam_env.recording import Pose
+from stereo_slam_env.recording.recording import Pose
 from stereo_slam_env.world.head import Head, head_turn, velocity_between
 from stereo_slam_env.world.routes import advance
 

@@ -7,7 +7,7 @@ import numpy as np
 from gymnasium import spaces
 
 from stereo_slam_env.envs.options import StereoOptions
-from stereo_slam_env.recording import LandmarkTruth, Recording
+from stereo_slam_env.recording.recording import LandmarkTruth, Recording
 from stereo_slam_env.sensing.padding import padded
 
 from ..benchmark.small_recordings import small_recording

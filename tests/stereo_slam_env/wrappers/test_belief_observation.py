@@ -5,7 +5,7 @@ import pytest
 
 from filters import StereoFilter, make_filter, rotations
 from stereo_slam_env.benchmark.running.runner import run_filter
-from stereo_slam_env.recording import Recording
+from stereo_slam_env.recording.recording import Recording
 from stereo_slam_env.wrappers import BeliefObservation
 from stereo_slam_env.wrappers.belief import assumed_noise
 

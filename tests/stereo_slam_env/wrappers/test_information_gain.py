@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from filters import ConstantVelocity
-from stereo_slam_env.benchmark.metrics.limits import cramer_rao_bound
+from stereo_slam_env.evaluation.cramer_rao import cramer_rao_bound
 from stereo_slam_env.wrappers import BeliefObservation, InformationCriterion, InformationGain
 from stereo_slam_env.wrappers.information import CRITERIA
 

@@ -8,7 +8,7 @@ from rich.console import Console
 
 from filters import StereoObservation
 from stereo_slam_env.benchmark.recordings.sensor_noise import OUTLIER, measurement_errors, noise_by_range
-from stereo_slam_env.console import show_noise
+from stereo_slam_env.report.console import show_noise
 
 from ..small_recordings import small_recording
 

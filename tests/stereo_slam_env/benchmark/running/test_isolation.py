@@ -242,7 +242,7 @@ except ImportError:
 assert threading.active_count() > 1
 scenario = Scenario("busy", "street", options, filters=(filter_choice("inverse-depth"),), seeds=(0, 1), frames=3)
 for jobs in (1, 2):
-    result = run(scenario, os.path.join(sys.argv[1], str(jobs)), jobs=jobs, report=False)
+    result = run(scenario, os.path.join(sys.argv[1], str(jobs)), jobs=jobs)
     assert [r.failure for r in result.runs] == [None, None], result.runs
 print("done")
 """

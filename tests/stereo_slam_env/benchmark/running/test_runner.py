@@ -7,13 +7,12 @@ import pytest
 from threadpoolctl import threadpool_limits
 
 from filters import ConstantVelocity, StereoEKF, StereoNoise, make_filter
-from stereo_slam_env.benchmark.metrics.results import COUNTS
 from stereo_slam_env.benchmark.running.runner import run_filter
-from stereo_slam_env.recording import Reference
+from stereo_slam_env.evaluation.results import COUNTS
+from stereo_slam_env.recording.recording import Reference
 
 from ....filters.delayed import DelayedEKF
 from ....synthetic_runs import summary_of
-from ...third_party import third_party  # noqa: F401 (a fixture)
 from ..small_recordings import CAMERA, DT, SPEED, small_recording
 
 

@@ -28,7 +28,7 @@ SCENARIO = Scenario(
 
 
 def bench(out, **changes):
-    return run_benchmark(replace(SCENARIO, **changes), out, jobs=1, report=False).out
+    return run_benchmark(replace(SCENARIO, **changes), out, jobs=1).out
 
 
 @pytest.fixture(scope="module")
@@ -163,7 +163,7 @@ def test_a_grid_is_compared_cell_by_cell(tmp_path):
     cells = tuple(
         Cell(f"gate-{gate}", {"gate": gate}, replace(SCENARIO, gate=gate, seeds=(0, 1))) for gate in (0.9, 0.99)
     )
-    before = run_benchmark(Study("grid", cells), tmp_path / "before", jobs=1, report=False)
+    before = run_benchmark(Study("grid", cells), tmp_path / "before", jobs=1)
     comparison = compare(before, shutil.copytree(before.out, tmp_path / "after"))
     assert comparison.paired
     assert {change.filter_name for change in comparison.changes} == {"gate-0.9: ours", "gate-0.99: ours"}

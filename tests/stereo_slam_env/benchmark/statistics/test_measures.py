@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from stereo_slam_env.benchmark.metrics.run_figures import common_keys, figures_of
 from stereo_slam_env.benchmark.statistics.differences import Finding
 from stereo_slam_env.benchmark.statistics.measures import EFFICIENCY, POSE_NEES, POSITION, TIME
+from stereo_slam_env.evaluation.run_figures import common_keys, figures_of
 
 from ....synthetic_runs import THREE, make_runs, scored
 

@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from stereo_slam_env.benchmark.metrics.run_figures import RunFigures
 from stereo_slam_env.benchmark.statistics.differences import Finding
 from stereo_slam_env.benchmark.statistics.measures import POSITION, TIME
 from stereo_slam_env.benchmark.statistics.pairwise import compare_all
 from stereo_slam_env.benchmark.statistics.verdict import Consistency, against_best, consistency, judge
+from stereo_slam_env.evaluation.run_figures import RunFigures
 
 from ....synthetic_runs import THREE, THREE_ONE_DIVERGING, Behaviour, make_runs, scored
 

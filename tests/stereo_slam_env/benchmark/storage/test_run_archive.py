@@ -9,7 +9,7 @@ import pytest
 from stereo_slam_env.benchmark.running.runner import run_filter
 from stereo_slam_env.benchmark.storage import run_archive
 from stereo_slam_env.benchmark.storage.run_archive import load_run, save_run
-from stereo_slam_env.recording import GIVEN_TRUTH, Reference
+from stereo_slam_env.recording.recording import GIVEN_TRUTH, Reference
 
 from ..small_recordings import small_recording
 

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from filters import rotations
-from stereo_slam_env.benchmark.metrics.results import FilterSummary
 from stereo_slam_env.benchmark.recordings.stream_identity import stream_digest
 from stereo_slam_env.benchmark.running.runner import run_filter
 from stereo_slam_env.benchmark.scenarios.scenario import Scenario, filter_choice
 from stereo_slam_env.benchmark.storage import store
 from stereo_slam_env.benchmark.storage.run_archive import packed_run
-from stereo_slam_env.recording_archive import packed_recording
+from stereo_slam_env.evaluation.results import FilterSummary
+from stereo_slam_env.recording.archive import packed_recording
 
 from ..small_recordings import small_recording
 

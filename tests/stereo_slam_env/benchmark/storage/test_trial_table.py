@@ -6,10 +6,10 @@ from contextlib import closing
 import pytest
 
 from stereo_slam_env.benchmark import FilterChoice, Scenario, run
-from stereo_slam_env.benchmark.metrics.trial_metrics import COLUMNS
 from stereo_slam_env.benchmark.scenarios.scenario_file import study_from
 from stereo_slam_env.benchmark.storage import trial_table
 from stereo_slam_env.benchmark.storage.trial_table import SCHEMA, write_trial_table
+from stereo_slam_env.evaluation.trial_metrics import COLUMNS
 
 STUDY = study_from(
     {
@@ -24,7 +24,7 @@ STUDY = study_from(
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
-    return run(STUDY, tmp_path_factory.mktemp("table") / "out", jobs=1, report=False)
+    return run(STUDY, tmp_path_factory.mktemp("table") / "out", jobs=1)
 
 
 def rows(path, query):
@@ -71,7 +71,7 @@ def test_pandas_and_polars_read_it(finished):
 
 def test_what_is_not_known_is_null(tmp_path):
     scenario = Scenario("s", "reference", {"name": "short_turn"}, frames=3, metrics=())
-    run(scenario, tmp_path / "out", filters=[FilterChoice("e", "euclidean")], jobs=1, report=False)
+    run(scenario, tmp_path / "out", filters=[FilterChoice("e", "euclidean")], jobs=1)
     path = tmp_path / "out" / "trials.sqlite"
     assert rows(path, "SELECT landmark_rmse_m, bound_position_m, failure FROM trials") == [(None, None, None)]
 

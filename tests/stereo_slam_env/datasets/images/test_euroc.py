@@ -6,7 +6,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from stereo_slam_env.datasets.images import open_image_sequence
-from stereo_slam_env.recording import Pose
+from stereo_slam_env.recording.recording import Pose
 
 from .small_image_folders import cut_file, write_png
 

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from stereo_slam_env.datasets.images import IMAGE_READERS, known_image_layouts, open_image_sequence
 from stereo_slam_env.datasets.images.kitti06_stereo51 import P_I, R_CI
 from stereo_slam_env.frontend.recorder import record_tracks
-from stereo_slam_env.recording import Pose
+from stereo_slam_env.recording.recording import Pose
 
 from ...real_data import real_data
 from .small_image_folders import (

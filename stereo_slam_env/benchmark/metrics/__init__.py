@@ -1,1 +1,0 @@
-"""The figures of a run, and their theoretical limits."""

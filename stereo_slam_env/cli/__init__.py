@@ -1,0 +1,1 @@
+"""The command `stereo-slam`: one file a group of commands."""

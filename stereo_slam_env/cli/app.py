@@ -1,0 +1,166 @@
+"""The command `stereo-slam`. Heavy modules are imported where they are used, so that `--help` is quick."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from stereo_slam_env.cli import bench as cli_bench
+from stereo_slam_env.cli import certify as cli_certify
+from stereo_slam_env.cli import faults as cli_faults
+from stereo_slam_env.cli import paper as cli_paper
+from stereo_slam_env.cli import scenes as cli_scenes
+from stereo_slam_env.cli import train as cli_train
+from stereo_slam_env.cli import view as cli_view
+from stereo_slam_env.cli.parts import Interrupted, console, help_without_command, one_line_errors, refuse, show_place
+
+INTERRUPTED = 130
+
+app = typer.Typer(
+    help="Compare stereo EKF-SLAM filters on identical measurements, simulated or real.",
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+filters_app = typer.Typer(help="The filters: ours and installed third-party ones.")
+app.add_typer(filters_app, name="filters")
+policies_app = typer.Typer(help="The policies: who decides where to look, ours and installed third-party ones.")
+app.add_typer(policies_app, name="policies")
+app.add_typer(cli_scenes.app, name="scenes")
+app.command()(cli_bench.bench)
+app.command()(cli_bench.replay)
+app.command()(cli_certify.certify)
+app.command()(cli_faults.faults)
+app.command()(cli_paper.paper)
+app.command()(cli_train.train)
+app.command()(cli_view.view)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command; returns the exit code. Wrong use gets one line on stderr and exit code 2."""
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    try:
+        code = app(args=arguments, prog_name="stereo-slam", standalone_mode=False)
+    except typer.Abort:
+        return INTERRUPTED
+    except Interrupted as stopped:
+        resume = [*arguments, *([] if "--out" in shlex.join(arguments) else ["--out", str(stopped.directory)])]
+        typer.echo(f"interrupted: {stopped.kept} finished trials are kept in {stopped.directory}", err=True)
+        typer.echo(f"to go on: stereo-slam {shlex.join(resume)}", err=True)
+        return INTERRUPTED
+    except Exception as error:
+        # Usage errors of typer have no public base class in every version; what they share is this method.
+        explain = getattr(error, "format_message", None)
+        if explain is None:
+            raise
+        return refuse(explain())
+    return code if isinstance(code, int) else 0
+
+
+@app.callback(invoke_without_command=True)
+def _start(
+    context: typer.Context,
+    version: Annotated[bool, typer.Option("--version", help="Print the version and stop.")] = False,
+) -> None:
+    if version:
+        from importlib.metadata import PackageNotFoundError
+        from importlib.metadata import version as version_of
+
+        try:
+            typer.echo(f"stereo-slam {version_of('stereo-slam-env')}")
+        except PackageNotFoundError:
+            typer.echo("stereo-slam (not installed, run from source)")
+        raise typer.Exit()
+    help_without_command(context)
+
+
+@filters_app.callback(invoke_without_command=True)
+def _filters(context: typer.Context) -> None:
+    help_without_command(context)
+
+
+@policies_app.callback(invoke_without_command=True)
+def _policies(context: typer.Context) -> None:
+    help_without_command(context)
+
+
+@app.command()
+def report(
+    directory: Annotated[Path, typer.Argument(help="Directory of a finished run.")],
+    after: Annotated[
+        Path | None, typer.Argument(help="A second run: say what is different in it.", show_default=False)
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", help="Where the page of a comparison goes.", show_default="second run")
+    ] = None,
+) -> None:
+    """Write tables and report of a finished run again; with a second run, say what changed significantly."""
+    with one_line_errors():
+        from stereo_slam_env.benchmark.storage.store import root_of
+        from stereo_slam_env.benchmark.storage.study_store import read_study
+        from stereo_slam_env.files.claimed_folder import claimed_folder
+        from stereo_slam_env.report.benchmark_report import write_report_of
+        from stereo_slam_env.report.console import show_cells
+
+        if after is not None:
+            _compare(directory, after, out)
+            return
+        study = read_study(directory)
+        with claimed_folder(root_of(study.out)):
+            results = study.write_results()
+            page = write_report_of(study, results)
+        show_cells(console(), results)
+        show_place(page)
+
+
+def _compare(before: Path, after: Path, out: Path | None) -> None:
+    from stereo_slam_env.benchmark import compare
+    from stereo_slam_env.report.comparison_report import write_comparison_report
+    from stereo_slam_env.report.console import show_comparison
+
+    comparison = compare(before, after)
+    page = write_comparison_report(after if out is None else out, comparison)
+    show_comparison(console(), comparison)
+    typer.echo(f"report: {page.resolve()}")
+
+
+@filters_app.command("list")
+def list_filters() -> None:
+    """Names of all filters, with one line on each."""
+    from filters import available_filters
+
+    _list(available_filters())
+
+
+@policies_app.command("list")
+def list_policies() -> None:
+    """Names of all policies, with one line on each."""
+    with one_line_errors():
+        from stereo_slam_env.policies import available_policies
+
+        _list(available_policies())
+
+
+def _list(lines: Mapping[str, str]) -> None:
+    width = max(map(len, lines))
+    for name, line in lines.items():
+        typer.echo(f"{name:<{width}}  {line}")
+
+
+@filters_app.command("check")
+def check(name: Annotated[str, typer.Argument(help="Name of a filter.")]) -> None:
+    """Check that a filter keeps the contract; exit code 1 if it does not."""
+    with one_line_errors():
+        from filters import make_filter
+        from filters.conformance import REFERENCE_CAMERA, REFERENCE_NOISE, check_filter
+
+        make_filter(name, camera=REFERENCE_CAMERA, noise=REFERENCE_NOISE)
+        result = check_filter(name, raise_on_failure=False)
+        typer.echo(str(result))
+    if result.failed:
+        raise typer.Exit(1)

@@ -1,0 +1,324 @@
+"""The commands that run filters: `bench` on scenarios, `replay` on a real drive."""
+
+from __future__ import annotations
+
+import dataclasses
+import datetime
+import errno
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+
+import typer
+
+from stereo_slam_env.cli.parts import Interrupted, console, one_line_errors, show_place
+
+if TYPE_CHECKING:
+    from stereo_slam_env.benchmark import Scenario, Study
+    from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, PolicyChoice
+
+Choice = TypeVar("Choice", "FilterChoice", "PolicyChoice")
+FiltersOption = Annotated[str | None, typer.Option("--filters", help="Names, separated by commas.", metavar="A,B")]
+PolicyOption = Annotated[
+    str | None,
+    typer.Option(
+        "--policy",
+        "--policies",
+        help="Who looks, separated by commas (preset 'gaze' unless said); see 'policies list'.",
+        metavar="A,B",
+    ),
+]
+FramesOption = Annotated[int | None, typer.Option("--frames", help="Cut after so many frames.", min=2)]
+JobsOption = Annotated[int, typer.Option("--jobs", help="Processes, one BLAS thread each.", min=1)]
+OutOption = Annotated[
+    Path | None, typer.Option("--out", help="Run directory; an interrupted run in it is resumed.", show_default="new")
+]
+EngineOption = Annotated[
+    str, typer.Option("--engine", help="Where trials run: 'processes' here, or on a cluster with 'ray' or 'dask'.")
+]
+AddressOption = Annotated[
+    str | None,
+    typer.Option("--address", help="Scheduler of the Ray or Dask cluster.", show_default="one on this machine"),
+]
+SigmaOption = Annotated[
+    float | None,
+    typer.Option(
+        "--sigma-px", "--sigma", help="Pixel noise the filters assume, px.", show_default="what the recording says"
+    ),
+]
+SearchOption = Annotated[
+    str | None,
+    typer.Option(
+        "--search",
+        help="In images: 'flow', the same tracks for all, or 'forecast', guided by each filter (the paper's way).",
+        show_default="flow",
+    ),
+]
+RecordOption = Annotated[
+    Path | None, typer.Option("--record", help="Write the search in the images to a film, OUT.mp4.", metavar="OUT.mp4")
+]
+LiveOption = Annotated[
+    int | None, typer.Option("--live", help="Show the search in a browser at this port, 0: any.", metavar="PORT")
+]
+GateOption = Annotated[
+    str | None, typer.Option("--gate", help="Gate, a probability per landmark, or 'none'.", show_default="0.99")
+]
+
+
+def bench(
+    preset: Annotated[
+        str | None, typer.Option("--preset", help="A ready-made scenario, see --list.", show_default="quick")
+    ] = None,
+    scenario: Annotated[
+        Path | None, typer.Option("--scenario", help="A scenario file of your own, TOML, perhaps a grid.")
+    ] = None,
+    filters: FiltersOption = None,
+    policy: PolicyOption = None,
+    seeds: Annotated[int | None, typer.Option("--seeds", help="Number of recordings, seeds 0, 1, ...", min=1)] = None,
+    frames: FramesOption = None,
+    jobs: JobsOption = 2,
+    out: OutOption = None,
+    sigma_px: SigmaOption = None,
+    gate: GateOption = None,
+    odometry: Annotated[
+        bool | None, typer.Option("--odometry/--no-odometry", help="Give the filters the odometry.")
+    ] = None,
+    sensor: Annotated[
+        str | None,
+        typer.Option(
+            "--sensor",
+            help="'landmarks': geometry and noise; 'images': rendered pictures.",
+            show_default="what the scenario says",
+        ),
+    ] = None,
+    renderer: Annotated[
+        str | None,
+        typer.Option(
+            "--renderer", help="Who draws the images: 'tiny', everywhere, or 'gl', fast.", show_default="tiny"
+        ),
+    ] = None,
+    search: SearchOption = None,
+    record: RecordOption = None,
+    live: LiveOption = None,
+    data: Annotated[
+        Path | None,
+        typer.Option("--data", help="Folder of the real recordings a scenario asks for.", envvar="STEREO_SLAM_DATA"),
+    ] = None,
+    engine: EngineOption = "processes",
+    address: AddressOption = None,
+    allow_code: Annotated[
+        bool,
+        typer.Option("--allow-code", help="Let a scenario of kind 'factory' run the function that its file names."),
+    ] = False,
+    show_list: Annotated[bool, typer.Option("--list", help="List the ready-made scenarios and stop.")] = False,
+) -> None:
+    """Compare filters, or policies that decide where to look: scenarios x filters x seeds, one report."""
+    with one_line_errors():
+        from stereo_slam_env.benchmark import load_study, preset_study, presets
+        from stereo_slam_env.benchmark.scenarios.scenario import policy_choice
+
+        if show_list:
+            for name, description in presets().items():
+                typer.echo(f"{name:<16} {description}")
+            return
+        if preset is not None and scenario is not None:
+            raise ValueError("--preset and --scenario exclude each other: give one of them")
+        usual = "quick" if policy is None else "gaze"
+        if scenario is not None:
+            study = load_study(scenario, data=data, allow_code=allow_code)
+        else:
+            study = preset_study(preset or usual, data=data)
+
+        def adjusted(one: Scenario) -> Scenario:
+            if seeds is not None:
+                one = dataclasses.replace(one, seeds=tuple(range(seeds)))
+            if odometry is not None:
+                one = dataclasses.replace(one, use_odometry=odometry)
+            if policy is not None:
+                one = dataclasses.replace(one, policies=_chosen(policy, one.policies, policy_choice))
+            return _adjusted(_sensed(one, sensor, renderer), filters, frames, sigma_px, gate, search)
+
+        study = study.with_scenarios(adjusted)
+        directory = _ready(study, out)
+        with _film(study.name, record, live) as show:
+            show(study.cells[0].scenario)
+        _run(study, directory, jobs, engine, address)
+
+
+def replay(
+    path: Annotated[
+        str, typer.Argument(help="Folder of a real recording (known by its files), or 'gtsam' for the wheel's example.")
+    ],
+    filters: FiltersOption = None,
+    out: OutOption = None,
+    odometry: Annotated[bool, typer.Option("--odometry/--no-odometry", help="Use it where there is any.")] = True,
+    sigma_px: SigmaOption = None,
+    gate: GateOption = None,
+    consensus: Annotated[
+        bool | None,
+        typer.Option("--consensus/--no-consensus", help="Joint test over each frame.", show_default="with a gate"),
+    ] = None,
+    frames: FramesOption = None,
+    jobs: JobsOption = 2,
+    search: SearchOption = None,
+    record: RecordOption = None,
+    live: LiveOption = None,
+    engine: EngineOption = "processes",
+    address: AddressOption = None,
+    skip_broken: Annotated[
+        bool, typer.Option("--skip-broken", help="Leave out pairs with missing or damaged images, and count them.")
+    ] = False,
+) -> None:
+    """Run filters over a real drive, of tracks or of images."""
+    with one_line_errors():
+        from stereo_slam_env.benchmark import Scenario, Study
+        from stereo_slam_env.benchmark.campaign import check_study
+        from stereo_slam_env.benchmark.recordings.sources import make_recording
+        from stereo_slam_env.report.console import progress_bar, show_recording
+
+        where = path if path.partition(":")[0] == "gtsam" else str(Path(path).resolve())
+        options = {"path": where, "on_broken": "skip"} if skip_broken else {"path": where}
+        name = f"replay-{Path(where).name.replace(':', '-')}"
+        scenario = Scenario(name, "dataset", options, metrics=("map",))  # no bound: the true noise is not known
+        scenario = dataclasses.replace(scenario, use_odometry=odometry)
+        scenario = _adjusted(scenario, filters, frames, sigma_px, gate, search)
+        joint = scenario.gate is not None if consensus is None else consensus
+        scenario = dataclasses.replace(scenario, consensus=joint)
+        check_study(Study.of(scenario))
+        with _film(scenario.name, record, live) as show:
+            with progress_bar(console(stderr=True), "pairs") as progress:
+                recording = make_recording(scenario, None, progress)
+            show_recording(console(), recording)
+            # What is stored must be what happened.
+            if not any(frame.odometry is not None for frame in recording.frames):
+                scenario = dataclasses.replace(scenario, use_odometry=False)
+            study = Study.of(scenario)
+            directory = _ready(study, out)
+            show(scenario)
+        _run(study, directory, jobs, engine, address)
+
+
+def _adjusted(
+    scenario: Scenario,
+    filters: str | None,
+    frames: int | None,
+    sigma_px: float | None,
+    gate: str | None,
+    search: str | None,
+) -> Scenario:
+    """The scenario with the options of the command line in place of its own."""
+    from stereo_slam_env.benchmark.scenarios.scenario import filter_choice
+
+    changes: dict[str, Any] = {}
+    if filters is not None:
+        changes["filters"] = _chosen(filters, scenario.filters, filter_choice)
+    if frames is not None:
+        changes["frames"] = frames
+    if sigma_px is not None:
+        changes["noise"] = {"independent_pixels": sigma_px}
+    if gate is not None:
+        changes["gate"] = _gate(gate)
+        changes["consensus"] = scenario.consensus and changes["gate"] is not None
+    if search is not None:
+        changes["search"] = search
+    return dataclasses.replace(scenario, **changes)
+
+
+def _chosen(names: str, own: Sequence[Choice], usual: Callable[[str], Choice]) -> tuple[Choice, ...]:
+    """The choices that a scenario has under these labels, or else the usual ones of these names."""
+    labelled = {choice.label: choice for choice in own}
+    wanted = [name.strip() for name in names.split(",") if name.strip()]
+    return tuple(labelled.get(name) or usual(name) for name in wanted)
+
+
+def _gate(text: str) -> float | None:
+    if text.lower() == "none":
+        return None
+    try:
+        return float(text)
+    except ValueError:
+        raise ValueError(f"--gate must be a probability between 0 and 1, or 'none', got {text!r}") from None
+
+
+def _sensed(scenario: Scenario, sensor: str | None, renderer: str | None) -> Scenario:
+    """The scenario with the sensor of the command line."""
+    from stereo_slam_env.benchmark.recordings.sources import takes_images
+    from stereo_slam_env.benchmark.scenarios.presets import with_images
+
+    if sensor not in (None, "landmarks", "images"):
+        raise ValueError(f"--sensor must be 'landmarks' or 'images', got {sensor!r}")
+    seen = takes_images(scenario)
+    if sensor == "images" and not seen:
+        return with_images(scenario, renderer or "tiny")
+    changes: dict[str, Any] = {}
+    if sensor == "landmarks" and seen:
+        seen, changes["sensor"] = False, sensor
+    if renderer is not None:
+        if not seen:
+            raise ValueError("--renderer needs --sensor images: nothing is drawn for landmarks")
+        changes["renderer"] = renderer
+    return dataclasses.replace(scenario, options={**scenario.options, **changes})
+
+
+def _ready(study: Study, out: Path | None) -> Path:
+    """The run directory, once it is known that the study can be run into it."""
+    from stereo_slam_env.benchmark.campaign import check_study
+    from stereo_slam_env.benchmark.storage.study_store import prepared_study
+
+    check_study(study)
+    stamp = datetime.datetime.now().strftime("%Y%m%d-%H%M%S")
+    return prepared_study(Path("runs") / f"{study.name}-{stamp}" if out is None else out, study).out
+
+
+@contextmanager
+def _film(title: str, record: Path | None, live: int | None) -> Iterator[Callable[[Scenario], None]]:
+    """What shows the search in the images of a scenario, if that was asked for; a wrong file or port is known first."""
+    if record is None and live is None:
+        yield lambda scenario: None
+        return
+    from stereo_slam_env.benchmark.running.watch import watch_search
+    from stereo_slam_env.report.console import progress_bar
+    from stereo_slam_env.viewer.search_film import search_film
+
+    with search_film(title, record, live, on_live=lambda url: typer.echo(f"live view: {url}")) as watch:
+
+        def show(scenario: Scenario) -> None:
+            with progress_bar(console(stderr=True), "pairs") as progress:
+                watch_search(scenario, watch, progress)
+
+        yield show
+    if record is not None:
+        typer.echo(f"film: {record.resolve()}")
+
+
+def _run(study: Study, directory: Path, jobs: int, engine: str, address: str | None) -> None:
+    """Run, show the table, and say where everything is; when interrupted, say how to go on."""
+    from stereo_slam_env.benchmark.campaign import run_benchmark
+    from stereo_slam_env.report.benchmark_report import write_report_of
+    from stereo_slam_env.report.console import progress_bar, show_cells, show_study
+
+    show_study(console(), study)
+    try:
+        with progress_bar(console(stderr=True), "steps") as progress:
+            result = run_benchmark(
+                study,
+                directory,
+                jobs=jobs,
+                engine=engine,
+                address=address,
+                progress=progress,
+                write_report=write_report_of,
+            )
+    except KeyboardInterrupt:
+        raise Interrupted(directory) from None
+    except OSError as error:
+        if error.errno != errno.ENOSPC:
+            raise
+        kept = Interrupted(directory).kept
+        raise OSError(
+            f"the disk is full: {kept} finished trials are kept in {directory}; make room and run the same command "
+            f"again with --out {directory}"
+        ) from error
+    show_cells(console(), result.cells)
+    show_place(result.report or result.out)

@@ -1,0 +1,69 @@
+"""The command `stereo-slam train`."""
+
+from __future__ import annotations
+
+import dataclasses
+import datetime
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from stereo_slam_env.cli.parts import console, one_line_errors
+
+
+def train(
+    decisions: Annotated[
+        int, typer.Option("--decisions", help="How many the network makes; each holds for some steps.", min=1)
+    ] = 40_000,
+    seed: Annotated[int, typer.Option("--seed", help="Of network, actions and episodes.", min=0)] = 0,
+    minutes: Annotated[
+        float | None, typer.Option("--minutes", help="Stop after this time; the same command goes on.")
+    ] = None,
+    environments: Annotated[int, typer.Option("--environments", help="Processes, one environment each.", min=1)] = 8,
+    environment: Annotated[str, typer.Option("--environment", help="Id of one with a head.")] = "StereoSlam/Gaze-v0",
+    arguments: Annotated[str, typer.Option("--arguments", help="Of the environment, as JSON.")] = "{}",
+    filter_name: Annotated[str, typer.Option("--filter", help="The filter in the loop.")] = "shared-anchor",
+    out: Annotated[
+        Path | None, typer.Option("--out", help="Run directory; an interrupted run in it goes on.", show_default="new")
+    ] = None,
+) -> None:
+    """Train a network with PPO to look where a filter learns most; needs the extra rl."""
+    with one_line_errors():
+        from stereo_slam_env.report.charts.figures import save_png
+        from stereo_slam_env.report.charts.learning import plot_learning
+        from stereo_slam_env.report.console import progress_bar
+        from stereo_slam_env.training.curve import LearningCurve
+        from stereo_slam_env.training.evaluation import evaluate
+        from stereo_slam_env.training.ppo import VALIDATION_SEEDS, PPOSettings
+        from stereo_slam_env.training.ppo import train as train_network
+        from stereo_slam_env.training.task import GazeTask
+
+        task = GazeTask(environment, _arguments(arguments), filter_name)
+        settings = PPOSettings(decisions=decisions, seed=seed, environments=environments)
+        stamp = datetime.datetime.now().strftime("%Y%m%d-%H%M%S")
+        directory = Path("runs") / f"train-{stamp}" if out is None else out
+        try:
+            with progress_bar(console(stderr=True), "decisions") as progress:
+                network = train_network(task, settings, directory, minutes=minutes, progress=progress)
+        except KeyboardInterrupt:
+            typer.echo(f"interrupted: to go on, run the same command with --out {directory}", err=True)
+            raise typer.Exit(130) from None
+        straight = dataclasses.asdict(evaluate(None, task, VALIDATION_SEEDS))
+        rows = LearningCurve(directory / "learning_curve.csv").rows
+        save_png(plot_learning(rows, straight), directory / "learning_curve.png")
+        best = min(rows, key=lambda row: row["final_pose_logdet"])
+        for name, value in straight.items():
+            typer.echo(f"{name:<24} network {best[name]:8.3f}   straight ahead {value:8.3f}")
+        typer.echo(f"network: {network.resolve()}")
+
+
+def _arguments(text: str) -> dict[str, object]:
+    try:
+        arguments = json.loads(text)
+    except json.JSONDecodeError as error:
+        raise ValueError(f"--arguments must be JSON, got {text!r}: {error}") from None
+    if not isinstance(arguments, dict):
+        raise ValueError(f"--arguments must be a JSON object, got {text!r}")
+    return arguments

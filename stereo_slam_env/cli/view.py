@@ -1,0 +1,76 @@
+"""The command `stereo-slam view`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from stereo_slam_env.cli.parts import console, one_line_errors
+
+if TYPE_CHECKING:
+    from stereo_slam_env.viewer.drive_picture import Progress
+    from stereo_slam_env.viewer.moments import Drive
+
+
+def view(
+    run: Annotated[Path, typer.Argument(help="Directory of a run, or of a cell of a grid.")],
+    filter_name: Annotated[
+        str | None, typer.Option("--filter", help="Whose drive, as the report calls it.", show_default="the first")
+    ] = None,
+    seed: Annotated[
+        int | None, typer.Option("--seed", help="Of the recording to look at.", show_default="the first")
+    ] = None,
+    save: Annotated[
+        Path | None, typer.Option("--save", help="Write a file for Rerun's viewer.", metavar="OUT.rrd")
+    ] = None,
+    still: Annotated[Path | None, typer.Option("--still", help="Write a picture.", metavar="OUT.png")] = None,
+    frame: Annotated[
+        int | None, typer.Option("--frame", help="What the picture shows, from 0.", show_default="the last", min=0)
+    ] = None,
+    film: Annotated[Path | None, typer.Option("--film", help="Write a film.", metavar="OUT.mp4")] = None,
+    connect: Annotated[
+        str | None, typer.Option("--connect", help="Show it in a Rerun viewer that runs there.", metavar="ADDRESS")
+    ] = None,
+) -> None:
+    """Watch a filter drive through a finished run: cameras, map with its uncertainty, path, consistency.
+
+    Without an option it opens Rerun's viewer (extra viewer) and shows the drive while the filter computes it. Pictures
+    and films need no extra.
+    """
+    with one_line_errors():
+        from stereo_slam_env.report.console import progress_bar
+        from stereo_slam_env.viewer.drive_picture import save_film, save_still
+        from stereo_slam_env.viewer.revisit import revisit
+
+        if frame is not None and still is None:
+            raise ValueError("--frame needs --still OUT.png: it says what the picture shows")
+        drive = revisit(run, filter_name, seed)
+        typer.echo(f"{drive.title}, {drive.frames} frames")
+        try:
+            with progress_bar(console(stderr=True), "frames") as progress:
+                if still is not None:
+                    save_still(drive, still, frame, progress)
+                if film is not None:
+                    save_film(drive, film, progress)
+                if save is not None or connect is not None or (still is None and film is None):
+                    _show_in_rerun(drive, save, connect, progress)
+        except KeyboardInterrupt:
+            typer.echo("interrupted", err=True)
+            raise typer.Exit(130) from None
+        for what, path in (("picture", still), ("film", film), ("for Rerun", save)):
+            if path is not None:
+                typer.echo(f"{what}: {path.resolve()}")
+
+
+def _show_in_rerun(drive: Drive, save: Path | None, connect: str | None, progress: Progress) -> None:
+    from stereo_slam_env.viewer.rerun_view import RerunView
+
+    shown = RerunView(
+        drive.camera, [drive.name], save=save, connect=connect, landmarks=drive.landmarks, title=drive.title
+    )
+    with shown:
+        for number, moment in enumerate(drive.moments()):
+            shown.show(moment)
+            progress(number + 1, drive.frames)

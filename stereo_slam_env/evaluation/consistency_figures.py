@@ -1,0 +1,108 @@
+"""NEES and NIS of many runs against what a consistent filter has (Bar-Shalom, Li and Kirubarajan, 2001, section 5.4).
+
+Runs are independent, so the mean of a NEES over N of them is chi-square with N times its degrees of freedom, over N,
+frame by frame. The frames of one run are not: the mean over frames is hardly surer than that of one frame, and has the
+same band. Innovations of a consistent filter are white, so those of all frames count.
+
+The landmarks of one frame share the pose they are seen from and its past; on the reference drive the mean over 77 of
+them scatters like that over 14 independent ones, elsewhere like another number. So their band is what the scatter
+between the runs says (Student's t), but never wider than if each frame had one landmark only: a filter that goes
+astray in one run of many must not excuse itself by its scatter. A single run has the latter band.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from scipy.stats import t
+
+from filters.validation import FloatArray, IntArray
+from stereo_slam_env.evaluation.consistency import mean_band, mean_bands
+from stereo_slam_env.evaluation.results import ConsistencyFigure, FilterRun
+from stereo_slam_env.evaluation.trial_metrics import landmark_anees, mean, nis_per_dof, pooled
+
+PROBABILITY = 0.95
+DOF = {"pose": 6, "position": 3, "rotation": 3}
+LANDMARK_DOF = 3
+
+Bands = tuple[FloatArray, FloatArray]
+Band = Callable[[FloatArray, IntArray], Bands]
+"""(values (N, K) with NaN where there is none, how many there are in each column (K,)) -> low, high (K,)."""
+
+
+def consistency_figures(runs: Sequence[FilterRun]) -> dict[str, ConsistencyFigure]:
+    """The figures of one filter: "pose", "position", "rotation", "landmark", "nis"; what is not known is left out.
+
+    Parameters
+    ----------
+    runs : sequence of FilterRun
+        Its runs that went through.
+    """
+    found = {what: nees_figure(runs, f"{what}_nees", dof) for what, dof in DOF.items()}
+    found |= {"landmark": landmark_figure(runs), "nis": nis_figure(runs)}
+    return {what: figure for what, figure in found.items() if figure is not None}
+
+
+def nees_figure(runs: Sequence[FilterRun], series: str, dof: int) -> ConsistencyFigure | None:
+    """A NEES of `dof` degrees of freedom; None where no frame has one."""
+
+    def band(_: FloatArray, count: IntArray) -> Bands:
+        return mean_bands(dof, count)
+
+    return _figure(_by_run(runs, series), mean(pooled(runs, series)), dof, band)
+
+
+def landmark_figure(runs: Sequence[FilterRun]) -> ConsistencyFigure | None:
+    """NEES of the landmarks in (u, v, d); for the band see above."""
+    return _figure(_by_run(runs, "landmark_nees"), landmark_anees(runs), LANDMARK_DOF, _bands_by_scatter)
+
+
+def nis_figure(runs: Sequence[FilterRun]) -> ConsistencyFigure | None:
+    """NIS per degree of freedom; its band is for as many of them as there are."""
+    total = sum(int(run.nis_dof.sum()) for run in runs)
+    if not total:
+        return None
+    nis, dof = _by_run(runs, "nis"), _by_run(runs, "nis_dof")
+    dof_by_frame = np.nansum(dof, axis=0)
+    some = dof_by_frame > 0
+    by_frame = np.nansum(nis, axis=0)[some] / dof_by_frame[some]
+    inside = _percent_inside(by_frame, mean_bands(1, dof_by_frame[some]))
+    return ConsistencyFigure(nis_per_dof(runs), 1, mean_band(1, total), inside)
+
+
+def _figure(values: FloatArray, average: float, dof: int, band: Band) -> ConsistencyFigure | None:
+    """The average with the band of the means (N,) of the runs, and the share of frames inside theirs."""
+    known = np.isfinite(values)
+    runs, frames = known.any(axis=1), known.any(axis=0)
+    if not np.isfinite(average) or not runs.any():
+        return None
+    by_run = np.nanmean(values[runs], axis=1)[:, None]
+    low, high = band(by_run, np.array([len(by_run)]))
+    some = values[:, frames]
+    inside = _percent_inside(np.nanmean(some, axis=0), band(some, known[:, frames].sum(axis=0)))
+    return ConsistencyFigure(average, dof, (float(low[0]), float(high[0])), inside)
+
+
+def _bands_by_scatter(values: FloatArray, count: IntArray) -> Bands:
+    """Where the means of the columns of landmark NEES lie if their expectation is that of a consistent filter."""
+    low, high = mean_bands(LANDMARK_DOF, count)
+    several = count > 1
+    scatter = np.nanstd(values[:, several], axis=0, ddof=1) / np.sqrt(count[several])
+    reach = t.ppf(0.5 + 0.5 * PROBABILITY, count[several] - 1) * scatter
+    low[several] = np.maximum(low[several], LANDMARK_DOF - reach)
+    high[several] = np.minimum(high[several], LANDMARK_DOF + reach)
+    return low, high
+
+
+def _percent_inside(values: FloatArray, bands: Bands) -> float:
+    return float(100.0 * np.mean((values >= bands[0]) & (values <= bands[1])))
+
+
+def _by_run(runs: Sequence[FilterRun], name: str) -> FloatArray:
+    """A series without the first frame, one row a run; NaN behind the end of shorter ones."""
+    rows = [np.asarray(getattr(run, name)[1:], dtype=np.float64) for run in runs]
+    table = np.full((len(rows), max((len(row) for row in rows), default=0)), np.nan)
+    for row, values in zip(table, rows, strict=True):
+        row[: len(values)] = values
+    return table

@@ -1,0 +1,138 @@
+"""Errors of the map by distance and by age, added up while a filter runs: a few small arrays for each run.
+
+By distance: how wrong landmarks are, how honest, and whether their depth is biased (Sibley et al., 2005). By age: how
+the depth of a landmark converges once it has entered the map (the paper's section 4.3, over all landmarks instead of
+two). Sums, not means, so that runs can be put together with their true weights.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from filters.camera import StereoCamera
+from filters.validation import BoolArray, FloatArray, IntArray
+from stereo_slam_env.evaluation.map_scoring import MapScore
+
+RANGE_EDGES = (0.0, 10.0, 20.0, 40.0, 80.0, np.inf)  # m, true distance from the camera
+DEPTH_CLASSES = {"near": (15.0, 25.0), "far": (60.0, 90.0)}  # m, true depth at first sight; the paper's 20 m and 75 m
+AGES = 31  # frames since a landmark entered the map: 0 to 30
+AT_INFINITY = 3.0  # times the true distance: an estimate beyond it has lost its metric position, see `position_count`
+
+_RANGES, _CLASSES = len(RANGE_EDGES) - 1, len(DEPTH_CLASSES)
+
+
+def _by_range() -> FloatArray:
+    return np.zeros(_RANGES)
+
+
+def _by_age() -> FloatArray:
+    return np.zeros((_CLASSES, AGES))
+
+
+@dataclass(frozen=True, eq=False)
+class LandmarkStatistics:
+    """Sums over the landmarks truly in both images, over the frames of a run. All float64.
+
+    Attributes
+    ----------
+    nees_count, nees : (5,)
+        By the ranges of `RANGE_EDGES`: landmarks x frames with a NEES in (u, v, d), and its sum.
+    position_count : (5,)
+        Those of them with a metric position: 0 < d, and not farther than `AT_INFINITY` times the truth. Disparity is
+        nearly Gaussian and depth is its inverse, whose square has no mean: one estimate at d = 0 would be all there is
+        to see.
+    squared_error, depth_error : (5,)
+        Sums over them of the squared position error relative to the camera, m^2, and of estimated minus true depth, m.
+    age_count : (2, 31)
+        By the classes of `DEPTH_CLASSES` and the frames since the landmark entered the map: how many.
+    depth_variance, squared_depth_error : (2, 31)
+        Sums of the claimed variance of depth and of its squared error, m^2, both to first order at the true depth,
+        z^2 / (f b) times those of the disparity: defined for d <= 0, too, so nobody is left out.
+    """
+
+    nees_count: FloatArray = field(default_factory=_by_range)
+    nees: FloatArray = field(default_factory=_by_range)
+    position_count: FloatArray = field(default_factory=_by_range)
+    squared_error: FloatArray = field(default_factory=_by_range)
+    depth_error: FloatArray = field(default_factory=_by_range)
+    age_count: FloatArray = field(default_factory=_by_age)
+    depth_variance: FloatArray = field(default_factory=_by_age)
+    squared_depth_error: FloatArray = field(default_factory=_by_age)
+
+    @classmethod
+    def total(cls, parts: Iterable[LandmarkStatistics]) -> LandmarkStatistics:
+        """Sum of several runs."""
+        summed = cls()
+        for part in parts:
+            for name in SERIES:
+                getattr(summed, name)[...] += getattr(part, name)
+        return summed
+
+
+SERIES = tuple(f.name for f in dataclasses.fields(LandmarkStatistics))
+
+
+class LandmarkScorer:
+    """Collects the statistics of a run, a frame at a time.
+
+    Parameters
+    ----------
+    camera : StereoCamera
+        The rig.
+    """
+
+    def __init__(self, camera: StereoCamera) -> None:
+        self.statistics = LandmarkStatistics()
+        self._camera = camera
+        self._edges = np.array(RANGE_EDGES[1:-1])
+        self._ids: IntArray = np.zeros(0, dtype=np.int64)
+        self._age: IntArray = np.zeros(0, dtype=np.int64)
+        self._class: IntArray = np.zeros(0, dtype=np.int64)
+
+    def add(self, score: MapScore) -> None:
+        """Note the errors of the map in the next frame."""
+        self._grow_older(score)
+        if not score.in_view.any():
+            return
+        self._add_by_range(score)
+        known = np.isfinite(score.disparity_error) & np.isfinite(score.disparity_variance)
+        self._add_by_age(score, known & (self._class >= 0) & (self._age < AGES))
+
+    def _add_by_range(self, score: MapScore) -> None:
+        sums, bins = self.statistics, np.searchsorted(self._edges, score.distance, side="right")
+        known = np.isfinite(score.nees)
+        _add(sums.nees_count, bins[known])
+        _add(sums.nees, bins[known], score.nees[known])
+        with np.errstate(invalid="ignore"):
+            located = score.in_view & (np.linalg.norm(score.points, axis=1) <= AT_INFINITY * score.distance)
+        error = score.points[located] - score.true_points[located]
+        _add(sums.position_count, bins[located])
+        _add(sums.squared_error, bins[located], np.einsum("ij,ij->i", error, error))
+        _add(sums.depth_error, bins[located], error[:, 2])
+
+    def _add_by_age(self, score: MapScore, scored: BoolArray) -> None:
+        sums, cell = self.statistics, self._class[scored] * AGES + self._age[scored]
+        square = (score.true_points[scored, 2] ** 2 / self._camera.disparity_constant) ** 2
+        _add(sums.age_count.ravel(), cell)
+        _add(sums.depth_variance.ravel(), cell, square * score.disparity_variance[scored])
+        _add(sums.squared_depth_error.ravel(), cell, square * score.disparity_error[scored] ** 2)
+
+    def _grow_older(self, score: MapScore) -> None:
+        """Ages of the landmarks of this frame, and the class each has from the depth at which it entered the map."""
+        depth = score.true_points[:, 2]
+        entered = np.full(len(score.ids), -1)
+        for number, (low, high) in enumerate(DEPTH_CLASSES.values()):
+            entered[(depth >= low) & (depth < high)] = number
+        _, before, now = np.intersect1d(self._ids, score.ids, assume_unique=True, return_indices=True)
+        age = np.zeros(len(score.ids), dtype=np.int64)
+        age[now], entered[now] = self._age[before] + 1, self._class[before]
+        self._ids, self._age, self._class = score.ids, age, entered
+
+
+def _add(sums: FloatArray, cells: IntArray, values: FloatArray | None = None) -> None:
+    """Add the values, or ones, to their cells of a view of an array."""
+    sums += np.bincount(cells, weights=values, minlength=len(sums))

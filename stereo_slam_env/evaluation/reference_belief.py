@@ -1,0 +1,142 @@
+"""What the best estimator believes: the filters' own recursion with the truth as its state.
+
+The posterior Cramer-Rao recursion of Tichavsky, Muravchik and Nehorai (IEEE Trans. Signal Processing 46(5), 1998) is,
+in covariance form, that of an extended Kalman filter whose Jacobians are taken at the truth and whose estimates are
+never needed. So it is the filters' own algebra (`JointState`, `kalman.update`) with the true camera in the state: one
+belief that is the same whatever filter is judged by it, after the fact (`benchmark.limits`) or frame by frame.
+
+A landmark enters at its first sighting with what that says and no prior, exactly: (u, v, d) and the pose determine it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from filters import rotations
+from filters.camera import StereoCamera
+from filters.engine import kalman, symmetric
+from filters.engine.joint_state import JointState
+from filters.engine.linearisation import linearise
+from filters.engine.marginals import joint_covariance
+from filters.interface import BodyVelocity, StereoObservation
+from filters.landmarks.euclidean import Euclidean
+from filters.landmarks.parametrisation import LandmarkModel
+from filters.measurements.bearing import stacked_stage
+from filters.measurements.model import Stage
+from filters.motion import POSE_SIZE, CameraState, MotionModel
+from filters.noise import StereoNoise
+from filters.start import start_belief
+from filters.validation import FloatArray, IntArray
+from stereo_slam_env.recording.recording import Pose, Start
+
+_AS_MEASURED = np.eye(3)
+
+
+class ReferenceBelief:
+    """The covariance of the best estimator, with the true camera and map as its state.
+
+    Parameters
+    ----------
+    camera : StereoCamera
+        The rig.
+    noise : StereoNoise
+        R of measurements that bring none of their own: what it really is.
+    motion : MotionModel
+        The motion model the estimator knows.
+    start : Start
+        What the estimator is told of the start: its velocity and covariance.
+    truth : Pose
+        The true pose at the start.
+    landmark : LandmarkModel, optional
+        Parametrisation to calculate in; the result does not depend on it. None: XYZ.
+    right_row : bool
+        Whether the estimator is given the row of the right image, where it was measured.
+    """
+
+    def __init__(
+        self,
+        camera: StereoCamera,
+        noise: StereoNoise,
+        motion: MotionModel,
+        start: Start,
+        truth: Pose,
+        *,
+        landmark: LandmarkModel | None = None,
+        right_row: bool = True,
+    ) -> None:
+        self._rig, self._noise, self._motion, self._right_row = camera, noise, motion, right_row
+        told, P = start_belief(
+            start.position, start.orientation, start.linear_velocity, start.angular_velocity, start.covariance
+        )
+        there = CameraState(truth.position, truth.orientation, told.linear_velocity, told.angular_velocity)
+        self._state = JointState.without_map(there, P, Euclidean() if landmark is None else landmark)
+
+    @property
+    def ids(self) -> IntArray:
+        """Landmarks in the map, ascending."""
+        return np.sort(self._state.ids)
+
+    @property
+    def pose_covariance(self) -> FloatArray:
+        """Of the pose, (6, 6), as in `PoseBelief`."""
+        return symmetric.full(self._state.P[:POSE_SIZE, :POSE_SIZE])
+
+    def joint_covariance(self) -> FloatArray:
+        """Of the pose and the landmark positions in the order of `ids`, as `StereoFilter.joint_covariance`."""
+        return joint_covariance(self._state, np.argsort(self._state.ids))
+
+    def predict(self, truth: Pose, dt: float, odometry: BodyVelocity | None = None) -> None:
+        """Move to the true pose: Eq. 6 with the impulses that really were, so that it leads from pose to pose."""
+        before = self._state.camera
+        linear = (truth.position - before.position) / dt
+        angular = rotations.log(before.R_wc.T @ rotations.matrix(truth.orientation)) / dt
+        moving = CameraState(before.position, before.orientation, linear, angular)
+        step = self._motion.predict(moving, dt, None)
+        self._state.transform_camera(step.F, step.G @ step.Q @ step.G.T)
+        self._state.camera = CameraState(truth.position, truth.orientation, linear, angular)
+        if odometry is not None:
+            measured = self._motion.odometry_measurement(self._state.camera, dt, odometry)
+            if measured is not None:
+                kalman.update(self._state.P, kalman.of_camera(measured))
+
+    def see(self, observation: StereoObservation, points_w: FloatArray) -> None:
+        """Sightings of known landmarks and of new ones.
+
+        Parameters
+        ----------
+        observation : StereoObservation
+            Which landmarks, and how well; what was measured does not matter.
+        points_w : (M, 3) ndarray
+            Where they truly are, m in W.
+        """
+        state = self._state
+        points_c = (points_w - state.camera.position) @ state.camera.R_wc
+        # A point behind the camera is not what was measured: the id is wrong.
+        sound = points_c[:, 2] > 0
+        ids, R = observation.ids[sound], _noise_of_uvd(observation, self._noise, self._right_row)[sound]
+        uvd = self._rig.project(points_c[sound])
+        known = np.isin(ids, state.ids)
+        order = np.argsort(state.ids)
+        index = order[np.searchsorted(state.ids, ids[known], sorter=order)]
+        stage = Stage(uvd[known], _AS_MEASURED, R[known])
+        kalman.update(state.P, linearise(self._rig, state, index, stage))
+        new = ~known
+        if new.any():
+            camera = state.camera
+            started = state.model.initialise(self._rig, camera.position, camera.R_wc, uvd[new])
+            state.augment(ids[new], started, R[new])
+
+    def keep(self, ids: IntArray) -> None:
+        """Marginalise all other landmarks out; those never measured again take nothing with them."""
+        self._state.remove(~np.isin(self._state.ids, ids))
+
+
+def _noise_of_uvd(observation: StereoObservation, noise: StereoNoise, right_row: bool) -> FloatArray:
+    """Covariance of the best (u, v, d) that each sighting gives, (M, 3, 3): with the right row, v is an average."""
+    R = observation.covariances(noise)
+    if not right_row or observation.v_right is None:
+        return R
+    both = stacked_stage(observation, R)
+    information = both.T.T @ np.linalg.solve(both.R, np.broadcast_to(both.T, (len(R), *both.T.shape)))
+    best: FloatArray = np.linalg.inv(information)
+    return best

@@ -1,0 +1,75 @@
+"""The image sensor: looks at what the cameras see, and lets the front end measure landmarks in it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from filters.camera import StereoCamera
+from filters.interface import StereoObservation
+from filters.validation import BoolArray, FloatArray, IntArray
+from stereo_slam_env.frontend.settings import TrackerSettings
+from stereo_slam_env.frontend.tracked import TrackedPair
+from stereo_slam_env.frontend.tracker import StereoTracker
+from stereo_slam_env.recording.recording import LandmarkTruth, Pose
+from stereo_slam_env.rendering.images import StereoImages, grey
+from stereo_slam_env.rendering.truth import points_at
+from stereo_slam_env.world.routes import FRAME_PERIOD
+
+
+class ImageSensor:
+    """Measures landmarks in rendered pairs.
+
+    Parameters
+    ----------
+    camera : StereoCamera
+        The rig.
+    take_pair : callable
+        Returns what the rig sees now.
+    settings : TrackerSettings
+        Of the front end.
+    moves : callable, optional
+        Which points of W (N, 3) are on a body that moves now: they are no landmarks.
+    """
+
+    def __init__(
+        self,
+        camera: StereoCamera,
+        take_pair: Callable[[], StereoImages],
+        settings: TrackerSettings,
+        moves: Callable[[FloatArray], BoolArray] | None = None,
+    ) -> None:
+        self.camera = camera
+        self._take_pair, self._moves = take_pair, moves
+        self._tracker = StereoTracker(camera, settings)
+        self._ids: list[IntArray] = [np.zeros(0, dtype=np.int64)]
+        self._points: list[FloatArray] = [np.zeros((0, 3))]
+        self._moving_ids: list[IntArray] = [np.zeros(0, dtype=np.int64)]
+        self.tracked: TrackedPair | None = None
+        """What the front end found in the last pair."""
+
+    def observe(self, pose: Pose) -> StereoObservation:
+        """Follow the landmarks to the pair taken now, from `pose`, one frame after the previous one."""
+        images = self._take_pair()
+        self.tracked = self._tracker.track(grey(images.left), grey(images.right), FRAME_PERIOD)
+        corners = self.tracked.corners
+        points_w = points_at(self.camera, pose, images.depth, corners.uvd[:, :2])
+        known = np.isfinite(points_w).all(axis=1)
+        if self._moves is not None:
+            moving = self._moves(points_w)
+            self._moving_ids.append(corners.ids[moving])
+            known &= ~moving
+        self._ids.append(corners.ids[known])
+        self._points.append(points_w[known])
+        return self.tracked.observation
+
+    @property
+    def moving_ids(self) -> IntArray:
+        """Corners found so far that are truly on moving bodies; ascending."""
+        return np.concatenate(self._moving_ids)
+
+    @property
+    def landmarks(self) -> LandmarkTruth:
+        """Where the corners found so far truly are, as far as the render tells: not at the edges of things."""
+        return LandmarkTruth(np.concatenate(self._ids), np.concatenate(self._points))

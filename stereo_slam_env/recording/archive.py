@@ -1,0 +1,276 @@
+"""A `Recording` as one npz file and back, bit for bit, without pickles.
+
+What all frames have lies end to end in flat arrays. What a frame may lack (rows of the right image, covariances,
+odometry, truth) is kept for the frames that have it, and `has.*` says which those are. `about` is JSON: format version,
+name, camera, source, and what the truth is.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import io
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from filters.camera import StereoCamera
+from filters.interface import BodyVelocity, StereoObservation
+from filters.noise import StereoNoise
+from filters.validation import FloatArray
+from stereo_slam_env.files.arrays import read_arrays
+from stereo_slam_env.files.atomic import write_atomically
+from stereo_slam_env.recording.recording import (
+    GIVEN_TRUTH,
+    Frame,
+    LandmarkTruth,
+    Pose,
+    Recording,
+    Reference,
+    Start,
+    Velocity,
+)
+
+FORMAT = 1
+_PARTS: Mapping[str, tuple[type, Mapping[str, tuple[int, ...]]]] = {
+    "odometry": (BodyVelocity, {"linear": (3,), "angular": (3,), "covariance": (6, 6)}),
+    "truth": (Pose, {"position": (3,), "orientation": (4,)}),
+    "truth_velocity": (Velocity, {"linear": (3,), "angular": (3,)}),
+}
+"""What a frame may have besides its observation: its type, and the shapes of its arrays."""
+_START = {"position": (3,), "orientation": (4,), "linear_velocity": (3,), "angular_velocity": (3,)}
+
+Arrays = dict[str, NDArray[Any]]
+
+
+def save_recording(path: str | Path, recording: Recording) -> None:
+    """Write a recording; the file appears complete or not at all.
+
+    Parameters
+    ----------
+    path : str or Path
+        The npz file; its folder is made.
+    recording : Recording
+        What to keep.
+
+    Raises
+    ------
+    ValueError
+        `path` does not end in .npz, or the source of the recording is not JSON-able.
+    """
+    path = Path(path)
+    if path.suffix != ".npz":
+        raise ValueError(f"path of a recording must end in .npz, got {path}")
+    content = packed_recording(recording)
+    write_atomically(path, lambda stream: stream.write(content))
+
+
+def packed_recording(recording: Recording) -> bytes:
+    """What `save_recording` writes.
+
+    Raises
+    ------
+    ValueError
+        The source of the recording is not JSON-able.
+    """
+    camera = {name: _plain(value) for name, value in dataclasses.asdict(recording.camera).items()}
+    about = {
+        "format": FORMAT,
+        "name": recording.name,
+        "camera": camera,
+        "source": dict(recording.source),
+        "truth_from": dataclasses.asdict(recording.truth_from),
+    }
+    try:
+        header = json.dumps(about, allow_nan=False)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"recording.source must consist of JSON values: {error}") from error
+    arrays: dict[str, Any] = {"about": np.array(header), **_arrays_of(recording)}
+    stream = io.BytesIO()
+    np.savez(stream, **arrays)
+    return stream.getvalue()
+
+
+def unpacked_recording(content: bytes) -> Recording:
+    """The recording of `packed_recording`.
+
+    Raises
+    ------
+    ValueError
+        See `load_recording`.
+    """
+    return _read(io.BytesIO(content), "the recording")
+
+
+def load_recording(path: str | Path) -> Recording:
+    """Read what `save_recording` wrote.
+
+    Parameters
+    ----------
+    path : str or Path
+        The npz file.
+
+    Returns
+    -------
+    Recording
+        Bit for bit the one that was saved; tuples in `source` have become lists.
+
+    Raises
+    ------
+    ValueError
+        The file is missing, damaged, no recording, or of a format that this version does not know: one line.
+    """
+    return _read(path, path)
+
+
+def _read(source: str | Path | IO[bytes], path: str | Path) -> Recording:
+    try:
+        arrays: Arrays = read_arrays(source)
+    except FileNotFoundError as error:
+        raise ValueError(f"{path} does not exist: give a recording made by save_recording") from error
+    except ValueError as error:
+        raise _damaged(path, error) from error
+    if "about" not in arrays:
+        raise ValueError(f"{path} is not a recording: give a file made by save_recording")
+    try:
+        about = json.loads(str(arrays["about"]))
+        found = about["format"]
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        raise ValueError(f"{path} is not a recording: give a file made by save_recording") from error
+    if found != FORMAT:
+        raise ValueError(f"{path} is a recording of format {found}, this version reads {FORMAT}: record it again")
+    try:
+        return _recording_of(about, arrays)
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise _damaged(path, error) from error
+
+
+def _arrays_of(recording: Recording) -> Arrays:
+    frames = recording.frames
+    seen = [frame.observation for frame in frames]
+    arrays: Arrays = {
+        "noise": recording.noise.R,
+        "timestamps": np.array([frame.timestamp for frame in frames], dtype=np.float64),
+        "counts": np.array([len(observation) for observation in seen], dtype=np.int64),
+        "ids": _joined((observation.ids for observation in seen), (), np.int64),
+        "uvd": _joined((observation.uvd for observation in seen), (3,)),
+        **_some("v_right", [observation.v_right for observation in seen], ()),
+        **_some("R", [observation.R for observation in seen], (3, 3)),
+    }
+    for part, (_, shapes) in _PARTS.items():
+        present = [getattr(frame, part) for frame in frames]
+        arrays[f"has.{part}"] = np.array([entry is not None for entry in present], dtype=np.bool_)
+        for name, shape in shapes.items():
+            stacked = (getattr(entry, name)[None] for entry in present if entry is not None)
+            arrays[f"{part}.{name}"] = _joined(stacked, shape)
+    heads = [frame.head for frame in frames]
+    arrays["has.head"] = np.array([head is not None for head in heads], dtype=np.bool_)
+    arrays["head"] = _joined((head[None] for head in heads if head is not None), (2,))
+    arrays |= {f"start.{name}": np.asarray(getattr(recording.start, name)) for name in _START}
+    if recording.start.covariance is not None:
+        arrays["start.covariance"] = np.asarray(recording.start.covariance)
+    if recording.landmarks is not None:
+        arrays |= {"landmarks.ids": recording.landmarks.ids, "landmarks.positions": recording.landmarks.positions}
+    return arrays
+
+
+def _recording_of(about: Mapping[str, Any], arrays: Arrays) -> Recording:
+    timestamps = _shaped(arrays, "timestamps", (-1,))
+    counts = _shaped(arrays, "counts", (len(timestamps),))
+    ends = np.cumsum(counts)
+    total = int(counts.sum())
+    ids = _shaped(arrays, "ids", (total,))
+    uvd = _shaped(arrays, "uvd", (total, 3))
+    v_right = _parts(arrays, "v_right", (), counts)
+    R = _parts(arrays, "R", (3, 3), counts)
+    others = {part: _entries(arrays, part, len(timestamps)) for part in _PARTS}
+    others["head"] = _heads(arrays, len(timestamps))
+    frames = []
+    for k, (begin, end) in enumerate(zip((ends - counts).tolist(), ends.tolist(), strict=True)):
+        observation = StereoObservation(ids[begin:end], uvd[begin:end], v_right[k], R[k])
+        others_of_frame = {part: entries[k] for part, entries in others.items()}
+        frames.append(Frame(float(timestamps[k]), observation, **others_of_frame))
+    start = {name: _shaped(arrays, f"start.{name}", shape) for name, shape in _START.items()}
+    covariance = _shaped(arrays, "start.covariance", (12, 12)) if "start.covariance" in arrays else None
+    landmarks = None
+    if "landmarks.ids" in arrays:
+        known = _shaped(arrays, "landmarks.ids", (-1,))
+        landmarks = LandmarkTruth(known, _shaped(arrays, "landmarks.positions", (len(known), 3)))
+    return Recording(
+        str(about["name"]),
+        StereoCamera(**about["camera"]),
+        tuple(frames),
+        StereoNoise(arrays["noise"]),
+        Start(**start, covariance=covariance),
+        landmarks,
+        about["source"],
+        reference_of(about),
+    )
+
+
+def reference_of(about: Mapping[str, Any]) -> Reference:
+    """What the truth is by the header of a file; files of earlier versions do not say."""
+    return Reference(**about["truth_from"]) if "truth_from" in about else GIVEN_TRUTH
+
+
+def _joined(parts: Iterable[NDArray[Any]], shape: tuple[int, ...], dtype: type = np.float64) -> NDArray[Any]:
+    return np.concatenate([np.zeros((0, *shape), dtype=dtype), *parts])
+
+
+def _some(name: str, parts: Sequence[FloatArray | None], shape: tuple[int, ...]) -> Arrays:
+    """The parts that are there, end to end, and which those are."""
+    has = np.array([part is not None for part in parts], dtype=np.bool_)
+    return {f"has.{name}": has, name: _joined((part for part in parts if part is not None), shape)}
+
+
+def _parts(arrays: Arrays, name: str, shape: tuple[int, ...], counts: NDArray[Any]) -> list[NDArray[Any] | None]:
+    """The part of each frame, or None."""
+    has = _has(arrays, name, len(counts))
+    lengths = np.where(has, counts, 0)
+    joined = _shaped(arrays, name, (int(lengths.sum()), *shape))
+    parts = np.split(joined, np.cumsum(lengths)[:-1])
+    return [part if there else None for part, there in zip(parts, has, strict=True)] if len(has) else []
+
+
+def _entries(arrays: Arrays, part: str, frames: int) -> list[Any]:
+    """The pose or velocity of each frame, or None."""
+    made, shapes = _PARTS[part]
+    has = _has(arrays, part, frames)
+    columns = [_shaped(arrays, f"{part}.{name}", (int(has.sum()), *shape)) for name, shape in shapes.items()]
+    present = (made(**dict(zip(shapes, row, strict=True))) for row in zip(*columns, strict=True))
+    return [next(present) if there else None for there in has]
+
+
+def _heads(arrays: Arrays, frames: int) -> list[FloatArray | None]:
+    """Pan and tilt of each frame, or None; recordings made before there were heads have none."""
+    if "has.head" not in arrays:
+        return [None] * frames
+    has = _has(arrays, "head", frames)
+    angles = iter(_shaped(arrays, "head", (int(has.sum()), 2)))
+    return [next(angles) if there else None for there in has]
+
+
+def _has(arrays: Arrays, name: str, frames: int) -> NDArray[Any]:
+    return _shaped(arrays, f"has.{name}", (frames,))
+
+
+def _shaped(arrays: Arrays, name: str, shape: tuple[int, ...]) -> NDArray[Any]:
+    """The array, if its shape is that one; -1 stands for any length."""
+    array = arrays[name]
+    if array.ndim != len(shape) or any(want not in (-1, got) for want, got in zip(shape, array.shape, strict=True)):
+        raise ValueError(f"array {name} has shape {array.shape}, expected {shape}")
+    return array
+
+
+def _plain(value: Any) -> Any:
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def _damaged(path: str | Path, error: BaseException) -> ValueError:
+    reason = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
+    if isinstance(error, KeyError):
+        reason = f"lacks {reason}"
+    return ValueError(f"{path} is damaged ({reason}): copy or record it again")

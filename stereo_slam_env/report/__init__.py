@@ -1,0 +1,1 @@
+"""Console tables and HTML pages of runs, studies and comparisons."""

@@ -1,0 +1,130 @@
+"""The part of a study's report that says which choice of a filter makes the difference, and how much."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from html import escape
+from pathlib import Path
+from typing import Any
+
+from stereo_slam_env.benchmark.statistics.attribution import Attribution, Contrast, ResponseAttribution
+from stereo_slam_env.report.charts.factor_figures import plot_effects
+from stereo_slam_env.report.page import figure_block
+from stereo_slam_env.report.page_tables import Cell, Column, Tone, number, table
+from stereo_slam_env.report.tables import capital, finding_tone, percent_cell
+
+
+def conclusions(attribution: Attribution) -> str:
+    """What to know first: a line for each response."""
+    lines = "".join(f"<li>{escape(response.conclusion)}</li>" for response in attribution.responses)
+    return f'<ul class="headline">{lines}</ul>'
+
+
+def attribution_section(attribution: Attribution, folder: Path) -> str:
+    """Markup of the section: a figure of the main effects, and tables.
+
+    Parameters
+    ----------
+    attribution : Attribution
+        Effects of the options of a filter.
+    folder : Path
+        Where figures go, see `figure_block`.
+    """
+    figure = plot_effects(attribution)
+    caption = (
+        "Main effects: how many times the average over all combinations a response is with that choice, with intervals"
+        " corrected for their number. Blue: an effect is shown."
+    )
+    crossed = (
+        f"{attribution.combinations} combinations of options, {attribution.seeds} seeds, each on the same measurements."
+    )
+    parts = [
+        "<section><h2>Which choice makes the difference?</h2>",
+        f'<p class="quiet">{escape(crossed)}</p>',
+        figure_block(figure, "effects", caption, folder),
+    ]
+    parts.append("<h3>Instead of the first choice</h3>" + _contrasts(attribution.responses))
+    parts.append("<h3>Share of the differences explained</h3>" + _shares(attribution.responses))
+    if any(response.interactions for response in attribution.responses):
+        shown = sum(effect.shown for response in attribution.responses for effect in response.interactions)
+        total = sum(len(response.interactions) for response in attribution.responses)
+        said = f"Interactions of two options: {shown} of {total} shown"
+        parts.append(f"<details><summary>{said}</summary>{_interactions(attribution.responses)}</details>")
+    if any(attribution.diverged_percent.values()):
+        rows: list[list[Cell | str]] = [
+            [factor, str(level), number(percent, ".0f", tone="bad" if percent else "")]
+            for (factor, level), percent in attribution.diverged_percent.items()
+        ]
+        columns = [Column("Option", kind="text"), Column("Level", kind="text"), Column("Diverged", "% of runs")]
+        parts.append("<h3>Divergence</h3>" + table(columns, rows))
+    if attribution.notes:
+        notes = "".join(f"<li>{escape(note)}</li>" for note in attribution.notes)
+        parts.append(f'<h3>Left out</h3><ul class="failures">{notes}</ul>')
+    return "\n".join([*parts, "</section>"])
+
+
+def _contrasts(responses: Sequence[ResponseAttribution]) -> str:
+    columns = [
+        Column("Option", kind="text"),
+        Column("Choice", kind="text"),
+        Column("instead of", kind="text"),
+        *(Column(capital(response.response), "change, %") for response in responses),
+    ]
+    found: dict[tuple[str, Any], dict[str, Contrast]] = {}
+    for response in responses:
+        for contrast in response.contrasts:
+            found.setdefault((contrast.factor, contrast.level), {})[response.response] = contrast
+    rows: list[list[Cell | str]] = []
+    for (factor, level), contrasts in found.items():
+        reference = next(iter(contrasts.values())).instead_of
+        row: list[Cell | str] = [factor, str(level), str(reference)]
+        for response in responses:
+            row.append(_contrast_cell(contrasts.get(response.response)))
+        rows.append(row)
+    return table(columns, rows)
+
+
+def _contrast_cell(contrast: Contrast | None) -> Cell:
+    if contrast is None:
+        return number(None)
+    return percent_cell(contrast.percent, contrast.interval_percent, finding_tone(contrast.finding))
+
+
+def _interactions(responses: Sequence[ResponseAttribution]) -> str:
+    columns = [
+        Column("Response", kind="text"),
+        Column("Options", kind="text"),
+        Column("Levels", kind="text"),
+        Column("Together", "beyond each alone, %"),
+        Column("Shown", kind="text"),
+    ]
+    rows: list[list[Cell | str]] = []
+    for response in responses:
+        for effect in sorted(response.interactions, key=lambda e: (not e.shown, -abs(e.percent))):
+            tone: Tone = "" if effect.shown else "none"
+            rows.append(
+                [
+                    response.response,
+                    " × ".join(effect.factors),
+                    ", ".join(map(str, effect.levels)),
+                    percent_cell(effect.percent, effect.interval_percent, tone),
+                    Cell("yes" if effect.shown else "no", tone=tone),
+                ]
+            )
+    return table(columns, rows)
+
+
+def _shares(responses: Sequence[ResponseAttribution]) -> str:
+    keys = list(dict.fromkeys(share.factors for response in responses for share in response.shares))
+    columns = [
+        Column("Options", kind="text"),
+        *(Column(capital(r.response), "% of the variance") for r in responses),
+    ]
+    rows: list[list[Cell | str]] = []
+    for key in keys:
+        row: list[Cell | str] = [" × ".join(key) or "the rest"]
+        for response in responses:
+            percent = next((share.percent for share in response.shares if share.factors == key), None)
+            row.append(number(percent, ".1f"))
+        rows.append(row)
+    return table(columns, rows)

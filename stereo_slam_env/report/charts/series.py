@@ -1,0 +1,127 @@
+"""What the figures draw, computed from runs: time axes, errors, averages over runs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from filters.validation import BoolArray, FloatArray
+from stereo_slam_env.evaluation.results import FilterRun
+
+Quantity = Callable[[FilterRun], FloatArray]
+"""A per-frame quantity of a run, (K,)."""
+
+
+def by_filter(runs: Sequence[FilterRun]) -> dict[str, list[FilterRun]]:
+    """Group the runs by filter, both in order of appearance."""
+    groups: dict[str, list[FilterRun]] = {}
+    for run in runs:
+        groups.setdefault(run.filter_name, []).append(run)
+    return groups
+
+
+def first_recording(runs: Sequence[FilterRun]) -> list[FilterRun]:
+    """Pick the runs of all filters on the first recording."""
+    key = (runs[0].recording_name, runs[0].seed)
+    return [run for run in runs if (run.recording_name, run.seed) == key]
+
+
+def elapsed(run: FilterRun) -> FloatArray:
+    """Seconds since the first frame; (K,)."""
+    return np.asarray(run.timestamps - run.timestamps[0], dtype=np.float64)
+
+
+def scored(run: FilterRun) -> BoolArray:
+    """Frames with a true and an estimated pose; (K,)."""
+    poses = (run.positions, run.orientations, run.true_positions, run.true_orientations)
+    return np.asarray(np.isfinite(np.hstack(poses)).all(axis=1), dtype=np.bool_)
+
+
+def reference_name(run: FilterRun) -> str:
+    """What the true poses of a run are called."""
+    return "truth" if run.reference.is_independent else "reference"
+
+
+def distance(run: FilterRun) -> FloatArray:
+    """Measure the true distance travelled, m; (K,), NaN in frames without truth."""
+    travelled = np.full(len(run), np.nan)
+    known = np.isfinite(run.true_positions).all(axis=1)
+    steps = np.linalg.norm(np.diff(run.true_positions[known], axis=0), axis=1)
+    if known.any():
+        travelled[known] = np.concatenate([[0.0], np.cumsum(steps)])
+    return travelled
+
+
+def position_error(run: FilterRun) -> FloatArray:
+    """Length of the position error without alignment, m; (K,), NaN where it is unknown."""
+    return np.asarray(np.linalg.norm(run.true_positions - run.positions, axis=1), dtype=np.float64)
+
+
+def belief_error(run: FilterRun) -> tuple[FloatArray, FloatArray]:
+    """Error of the `PoseBelief` and the standard deviation it claims.
+
+    Returns
+    -------
+    error : (K, 6) ndarray
+        [p_true - p_est in W, m ; Log(R_est^T R_true) in the camera frame, rad]; NaN where unknown.
+    sigma : (K, 6) ndarray
+        Square root of the diagonal of the covariance.
+    """
+    error = np.full((len(run), 6), np.nan)
+    known = scored(run)
+    error[:, :3] = run.true_positions - run.positions
+    if known.any():
+        r_cw_est = Rotation.from_quat(run.orientations[known]).inv()
+        error[known, 3:] = (r_cw_est * Rotation.from_quat(run.true_orientations[known])).as_rotvec()
+    variance = np.diagonal(run.pose_covariances, axis1=1, axis2=2)
+    with np.errstate(invalid="ignore"):
+        return error, np.sqrt(variance)
+
+
+def heading(orientations: FloatArray) -> FloatArray:
+    """Return the yaw of the viewing direction about y, rad, without jumps; (K, 4) -> (K,), NaN if unknown."""
+    yaw = np.full(len(orientations), np.nan)
+    known = np.isfinite(orientations).all(axis=1)
+    if known.any():
+        forward = Rotation.from_quat(orientations[known]).apply([0.0, 0.0, 1.0])
+        yaw[known] = np.unwrap(np.arctan2(forward[:, 0], forward[:, 2]))
+    return yaw
+
+
+def stack(runs: Sequence[FilterRun], quantity: Quantity, frames: int | None = None) -> FloatArray:
+    """Make an (N, K) table of a per-frame quantity; runs shorter than `frames` end in NaN."""
+    table = np.full((len(runs), frames or max(len(run) for run in runs)), np.nan)
+    for row, run in zip(table, runs, strict=True):
+        row[: len(run)] = quantity(run)
+    return table
+
+
+def column_mean(table: FloatArray) -> FloatArray:
+    """Mean over runs of what is known; (N, K) -> (K,), NaN where nothing is."""
+    return _over_runs(np.nanmean, table)
+
+
+def column_median(table: FloatArray) -> FloatArray:
+    """Median over runs of what is known; (N, K) -> (K,), NaN where nothing is."""
+    return _over_runs(np.nanmedian, table)
+
+
+def _over_runs(average: Callable[..., FloatArray], table: FloatArray) -> FloatArray:
+    result = np.full(table.shape[1], np.nan)
+    known = np.isfinite(table).any(axis=0)
+    result[known] = average(np.where(np.isfinite(table), table, np.nan)[:, known], axis=0)
+    return result
+
+
+def peak(values: FloatArray) -> float:
+    """Largest finite absolute value, NaN if there is none."""
+    finite = np.abs(values[np.isfinite(values)])
+    return float(finite.max()) if finite.size else float("nan")
+
+
+def last_known(values: FloatArray) -> float:
+    """Last finite value, NaN if there is none."""
+    finite = values[np.isfinite(values)]
+    return float(finite[-1]) if finite.size else float("nan")

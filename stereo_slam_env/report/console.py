@@ -1,0 +1,283 @@
+"""What the command line shows: settings, the progress bar and the result table."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from functools import partial
+
+import numpy as np
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Table
+
+from stereo_slam_env.benchmark.campaign import Progress as ProgressCallback
+from stereo_slam_env.benchmark.recordings.sensor_noise import OUTLIER, NoiseOfRange
+from stereo_slam_env.benchmark.recordings.sources import takes_images
+from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, PolicyChoice, Scenario
+from stereo_slam_env.benchmark.scenarios.study import Study
+from stereo_slam_env.benchmark.statistics.comparison import COLUMNS, RunComparison
+from stereo_slam_env.benchmark.statistics.limit import limit_reached
+from stereo_slam_env.benchmark.statistics.policy_verdict import baseline_of, judge_policies
+from stereo_slam_env.benchmark.statistics.remarks import innovation_remarks, reference_remarks
+from stereo_slam_env.benchmark.statistics.verdict import judge, pose_nees
+from stereo_slam_env.benchmark.storage.study_store import CellResult
+from stereo_slam_env.evaluation.results import FilterSummary
+from stereo_slam_env.frontend.settings import TrackerSettings
+from stereo_slam_env.recording.recording import Recording
+
+NOTHING = "–"
+MOST_COLUMNS = 5
+_MATTER_MOST = ("position RMSE", "ATE", "pose NEES", "of the limit", "landmark error", "ms a frame", "diverged")
+_CLAIMS_MATTER_MOST = ("claimed", "true error", "position RMSE", "pose NEES", "diverged")
+
+
+def show_settings(console: Console, scenario: Scenario) -> None:
+    """Print what the filters will assume: nothing of it is hidden in the code."""
+    sees = takes_images(scenario)
+    noise = "as each measurement says" if sees else "as the recording says"
+    if scenario.noise is not None:
+        noise = f"{json.dumps(dict(scenario.noise))} px"
+    motion = scenario.motion
+    lines = {
+        "scenario": f"{scenario.name} ({scenario.kind} {json.dumps(dict(scenario.options))})",
+        "frames": "all" if scenario.frames is None else str(scenario.frames),
+        "assumed noise": noise,
+        "gate": "none" if scenario.gate is None else f"{scenario.gate:g} per landmark",
+        "consensus": "one-point RANSAC over the frame" if scenario.consensus else "no",
+        "odometry": "used" if scenario.use_odometry else "not used",
+        "motion": f"{motion['sigma_acceleration']:g} m/s², {motion['sigma_angular_acceleration']:g} rad/s²",
+        "filters": _choices(scenario.filters),
+    }
+    if scenario.policies:
+        lines["policies"] = _choices(scenario.policies)
+    if sees:
+        lines["search"] = {"flow": "the same for all filters", "forecast": "guided by each filter"}[scenario.search]
+    if scenario.kind != "dataset":
+        lines["seeds"] = f"{len(scenario.seeds)} ({_ranges(scenario.seeds)})"
+    for name, value in lines.items():
+        console.print(f"[dim]{name:>14}[/dim]  {value}", highlight=False, soft_wrap=True)
+
+
+def _choices(choices: Sequence[FilterChoice] | Sequence[PolicyChoice]) -> str:
+    if len(choices) > MOST_COLUMNS:
+        return f"{len(choices)}: {', '.join(choice.label for choice in choices)}"
+    return ", ".join(
+        choice.label + (f" {json.dumps(dict(choice.options))}" if choice.options else "") for choice in choices
+    )
+
+
+def show_study(console: Console, study: Study) -> None:
+    """Print what is going to be run."""
+    first = study.cells[0]
+    if study.factorial is not None:
+        factors = "; ".join(f"{name}: {', '.join(map(str, levels))}" for name, levels in study.factorial.items())
+        console.print(f"[dim]{'crossed':>14}[/dim]  {factors}", highlight=False, soft_wrap=True)
+    if not study.is_grid:
+        show_settings(console, first.scenario)
+        return
+    console.print(f"[dim]{'study':>14}[/dim]  {study.name}: {len(study.cells)} scenarios", highlight=False)
+    for factor in first.factors:
+        levels = dict.fromkeys(str(cell.factors.get(factor)) for cell in study.cells)
+        console.print(f"[dim]{factor:>14}[/dim]  {', '.join(levels)}", highlight=False, soft_wrap=True)
+    console.print(f"[dim]{'':>14}[/dim]  the first of them:", highlight=False)
+    show_settings(console, first.scenario)
+
+
+def show_recording(console: Console, recording: Recording) -> None:
+    """Print what a real recording holds and how it was read."""
+    frames = recording.frames
+    observed = sum(len(frame.observation) for frame in frames)
+    referenced = sum(frame.truth is not None for frame in frames)
+    noise = f"R = {json.dumps(recording.noise.R.round(6).tolist())} px² of (u, v, d)"
+    if any(frame.observation.R is not None for frame in frames):
+        R = np.concatenate([frame.observation.covariances(recording.noise) for frame in frames])
+        median = " / ".join(f"{sigma:.2f}" for sigma in np.median(np.sqrt(np.einsum("nii->ni", R)), axis=0))
+        noise = f"an R for each measurement, its median sigma {median} px of u / v / d"
+    source = dict(recording.source)
+    front_end = source.pop("front_end", None)
+    lines = {
+        "recording": f"{recording.name}: {len(frames)} frames, {frames[-1].timestamp - frames[0].timestamp:.1f} s, "
+        f"{observed / len(frames):.0f} landmarks a frame, {referenced} with a reference pose",
+        "reference": str(recording.reference),
+        "its noise": noise,
+        "read as": _listed(source),
+    }
+    if front_end is not None:
+        usual = dataclasses.asdict(TrackerSettings())
+        changed = {key: value for key, value in front_end.items() if value != usual[key]}
+        lines["front end"] = _listed(changed) if changed else "default settings"
+    for name, value in lines.items():
+        console.print(f"[dim]{name:>14}[/dim]  {value}", highlight=False, soft_wrap=True)
+
+
+def show_noise(console: Console, name: str, rows: Sequence[NoiseOfRange]) -> None:
+    """Print the errors of measurements, a block a range, a line a coordinate."""
+    console.print(f"errors of the measurements of {name}, px", highlight=False)
+    if not rows:
+        console.print("none of them has a known truth")
+        return
+    table = Table(box=SIMPLE_HEAD, pad_edge=False)
+    table.add_column("depth, m")
+    for heading in ("count", "", "bias", "sigma (MAD)", "claimed sigma", f"beyond {OUTLIER:g} px"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for row in rows:
+        depths = f"{row.low:g}–{row.high:g}" if math.isfinite(row.high) else f"{row.low:g} and more"
+        about = ("all" if row is rows[-1] else depths, str(row.count))
+        for axis, coordinate in enumerate("uvd"):
+            table.add_row(
+                *(about if axis == 0 else ("", "")),
+                coordinate,
+                f"{row.bias[axis]:+.3f}",
+                f"{row.sigma[axis]:.3f}",
+                f"{row.claimed[axis]:.3f}",
+                f"{row.outliers[axis]:.1%}",
+                end_section=axis == 2,
+            )
+    console.print(table, highlight=False)
+
+
+@contextmanager
+def progress_bar(console: Console, what: str = "trials") -> Iterator[ProgressCallback]:
+    """A bar with the time left, to be used as `progress=`; `what` are counted."""
+    columns = (
+        TextColumn("running"),
+        BarColumn(),
+        TextColumn("{task.fields[count]}"),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+    )
+    bar = Progress(*columns, console=console)
+    task = bar.add_task("running", total=None, count="")
+
+    def tell(done: float, total: int) -> None:
+        if not bar.live.is_started:  # not before there is something to tell: wrong input is refused before that
+            bar.start()
+        bar.update(task, completed=done, total=total, count=f"{math.floor(done)} of {total} {what}")
+
+    try:
+        yield tell
+    finally:
+        if bar.live.is_started:
+            bar.stop()
+
+
+def show_results(console: Console, summaries: Sequence[FilterSummary], *, claims: bool = False) -> None:
+    """Print the result table, a line for each option a filter was not given and for each run that failed.
+
+    A column a filter; of many filters, a row each, with the figures that matter most. `claims`: with what is claimed of
+    the final pose.
+    """
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    table.add_column("", no_wrap=True)
+    rows = {**(_claims(summaries) if claims else {}), **_rows(summaries)}
+    figures = {name: cells for name, cells in rows.items() if set(cells) != {NOTHING}}
+    if len(summaries) <= MOST_COLUMNS:
+        for summary in summaries:
+            table.add_column(escape(summary.filter_name), justify="right")
+        for name, cells in figures.items():
+            table.add_row(name, *cells)
+    else:
+        matter = _CLAIMS_MATTER_MOST if claims else _MATTER_MOST
+        names = [name for name in figures if name.startswith(matter)]
+        for name in names:
+            table.add_column(name, justify="right", min_width=max(map(len, figures[name])))
+        for row, summary in enumerate(summaries):
+            table.add_row(escape(summary.filter_name), *(figures[name][row] for name in names))
+    console.print(table, highlight=False)
+    for summary in summaries:
+        for remark in summary.remarks:
+            console.print(f"[yellow]note[/yellow]: {escape(remark)}", highlight=False, soft_wrap=True)
+        for failure in summary.failures:
+            console.print(
+                f"[red]{escape(summary.filter_name)} failed[/red]: {escape(failure)}", highlight=False, soft_wrap=True
+            )
+
+
+def show_cells(console: Console, results: Sequence[CellResult]) -> None:
+    """Print the table of every cell."""
+    for result in results:
+        if result.cell.factors:
+            console.print(f"\n[bold]{escape(result.cell.name)}[/bold]", highlight=False)
+        show_results(console, result.summaries, claims=bool(result.cell.scenario.policies))
+        words = [_headline(result), *reference_remarks(result.runs).values(), *innovation_remarks(result.summaries)]
+        console.print("\n" + escape("\n".join(words)) + "\n", highlight=False, soft_wrap=True)
+
+
+def _headline(result: CellResult) -> str:
+    scenario = result.cell.scenario
+    if not scenario.policies:
+        return judge(result.summaries, result.figures).headline
+    verdict = judge_policies(result.summaries, result.figures, baseline=baseline_of(scenario.competitors))
+    return "\n".join([verdict.headline, *(f"- {found.words}" for found in verdict.comparisons.values())])
+
+
+def show_comparison(console: Console, comparison: RunComparison) -> None:
+    """Print what changed between two runs, what did not, and what to bear in mind."""
+    console.print(comparison.headline, highlight=False, soft_wrap=True)
+    for warning in comparison.warnings:
+        console.print(f"[yellow]note[/yellow]: {escape(warning)}", highlight=False, soft_wrap=True)
+    table = Table(box=SIMPLE_HEAD, pad_edge=False)
+    for heading in COLUMNS:
+        table.add_column(heading, justify="right" if heading in ("before", "after") else "left")
+    for row in comparison.as_rows():
+        table.add_row(*map(escape, row))
+    console.print(table, highlight=False)
+
+
+def _row(summaries: Sequence[FilterSummary], field: str, digits: int, scale: float = 1.0) -> list[str]:
+    return [_number(getattr(summary, field), digits, scale) for summary in summaries]
+
+
+def _claims(summaries: Sequence[FilterSummary]) -> dict[str, list[str]]:
+    return {
+        "claimed σ at the end, m": _row(summaries, "final_position_sigma_m", 3),
+        "claimed log det": _row(summaries, "final_pose_logdet", 2),
+        "true error at the end, m": _row(summaries, "end_error_m", 3),
+    }
+
+
+def _rows(summaries: Sequence[FilterSummary]) -> dict[str, list[str]]:
+    row = partial(_row, summaries)
+    bands = {pose_nees(s)[1] for s in summaries if s.pose_anees_band is not None}
+    band = f" (95 %: {next(iter(bands))})" if len(bands) == 1 else ""
+    limits = [limit_reached(summary) for summary in summaries]
+    return {
+        "position RMSE, m": row("position_rmse_m", 3),
+        "ATE (rigidly aligned), m": row("ate_rigid_m", 3),
+        "rotation RMSE, °": row("rotation_rmse_deg", 3),
+        "drift at the end, %": row("end_drift_percent", 3),
+        "of the limit reached": [NOTHING if found is None else found.value for found in limits],
+        "95 % interval of that": [NOTHING if found is None else found.sureness for found in limits],
+        f"pose NEES / 6{band}": row("pose_anees", 2, 1.0 / 6.0),
+        "frames inside its band, %": row("frames_in_band_percent", 0),
+        "NIS / dof": row("nis", 2),
+        "landmark NEES / 3": row("landmark_anees", 2, 1.0 / 3.0),
+        "landmark error, m": row("landmark_rmse_m", 3),
+        "gated, %": row("gated_percent", 1),
+        "ms a frame": row("ms_per_frame", 2),
+        "diverged runs": [f"{summary.diverged} of {summary.runs}" for summary in summaries],
+        "runs with an alarm": [f"{summary.alarmed} of {summary.runs}" for summary in summaries],
+    }
+
+
+def _number(value: float | None, digits: int, scale: float = 1.0) -> str:
+    if value is None:
+        return NOTHING
+    scaled = value * scale
+    return f"{scaled:.{digits}f}" if abs(scaled) < 1e4 else f"{scaled:.1e}"
+
+
+def _listed(entries: Mapping[str, object]) -> str:
+    return ", ".join(f"{key} = {value}" for key, value in entries.items())
+
+
+def _ranges(seeds: Sequence[int]) -> str:
+    consecutive = list(seeds) == list(range(seeds[0], seeds[0] + len(seeds)))
+    return f"{seeds[0]} to {seeds[-1]}" if consecutive and len(seeds) > 1 else ", ".join(map(str, seeds))

@@ -1,0 +1,144 @@
+"""Section 4.1: which parametrisation describes the cloud of a triangulated point, near and far.
+
+A point straight ahead is measured many times; each measurement puts the landmark somewhere (Eq. 21). How well does
+the covariance that first-order propagation gives (J_R R J_R^T of Eq. 25) describe that cloud?
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2, norm
+
+from filters import StereoNoise
+from filters.engine.options import LANDMARKS
+from filters.validation import FloatArray
+from stereo_slam_env.benchmark.statistics.differences import CONFIDENCE
+from stereo_slam_env.sensing.rigs import RIGS
+from stereo_slam_env.studies.paper import limits, sentences
+from stereo_slam_env.studies.paper.claims import Claim, Finding, Interval, Range
+from stereo_slam_env.studies.paper.intervals import share_interval
+from stereo_slam_env.studies.paper.settings import (
+    ASSUMED_NAMES,
+    COUPLED,
+    DIAGONAL,
+    EUCLIDEAN,
+    JOINT,
+    NOISES,
+    PIXELS,
+    UVD,
+)
+
+CAMERA = RIGS["reference"]
+FIGURE_1, FIGURE_2 = 70.0, (15.0, 30.0, 45.0)
+"""Depths of the paper's figures, m."""
+BEYOND = 150.0
+"""A depth that the paper does not show, m: it says "for any distance"."""
+DEPTHS = (*FIGURE_2, FIGURE_1, BEYOND)
+
+DIAGONAL_OF_4_1 = StereoNoise.diagonal(1.0, 1.0, 2.0)
+ASSUMED: Mapping[str, StereoNoise] = {DIAGONAL: DIAGONAL_OF_4_1, COUPLED: StereoNoise.independent_pixels(1.0)}
+"""R that the covariance is made of; in this section the paper's has sigma_d = 2 px."""
+TRUE = {UVD: DIAGONAL_OF_4_1, PIXELS: ASSUMED[COUPLED]}
+"""Covariance of the measurements."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """How a parametrisation describes a cloud.
+
+    Attributes
+    ----------
+    coverage : Interval
+        Share of the cloud in the region that is meant to hold 95 % of it.
+    distance : float
+        Kolmogorov-Smirnov distance of the distribution of depth from the one claimed.
+    """
+
+    coverage: Interval
+    distance: float
+
+
+def measurements(depth: float, noise: str, samples: int) -> FloatArray:
+    """Noisy (u, v, d) of the point at that depth, (samples, 3) px; the same at every call."""
+    exact = CAMERA.project([0.0, 0.0, depth])
+    rng = np.random.default_rng([int(depth), list(NOISES).index(noise)])
+    return rng.multivariate_normal(exact, TRUE[noise].R, samples)
+
+
+def landmark(parametrisation: str, uvd: FloatArray, R: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Parameters (3,) of the landmark that a measurement (3,) starts, and their covariance (3, 3)."""
+    new = LANDMARKS[parametrisation].initialise(CAMERA, np.zeros(3), np.eye(3), uvd[None])
+    J_R = new.by_measurement[0]
+    return new.parameters[0], J_R @ R @ J_R.T
+
+
+def places(parametrisation: str, uvd: FloatArray) -> FloatArray:
+    """Where measurements (N, 3) put the landmark, in the parameters; for XYZ the literal Eq. 21, also for d < 0."""
+    if parametrisation == JOINT:
+        return LANDMARKS[JOINT].initialise(CAMERA, np.zeros(3), np.eye(3), uvd).parameters
+    points: FloatArray = CAMERA.ray(uvd) * (CAMERA.disparity_constant / uvd[:, 2])[:, None]
+    return points
+
+
+def fit(parametrisation: str, depth: float, uvd: FloatArray, R: FloatArray) -> Fit:
+    """How the covariance at the true point, for that R, describes the cloud of the measurements (N, 3)."""
+    centre, P = landmark(parametrisation, CAMERA.project([0.0, 0.0, depth]), R)
+    cloud = places(parametrisation, uvd)
+    offset = cloud - centre
+    inside = np.einsum("si,ij,sj->s", offset, np.linalg.inv(P), offset) <= chi2.ppf(CONFIDENCE, 3)
+    carriers = cloud[:, 2]  # of the depth: rho, or Z
+    if parametrisation == EUCLIDEAN:
+        carriers = np.where(uvd[:, 2] > 0, carriers, np.inf)  # beyond infinity
+    claimed = norm.cdf(np.sort((carriers - centre[2]) / np.sqrt(P[2, 2])))
+    steps = np.arange(len(uvd) + 1) / len(uvd)
+    distance = max(np.max(steps[1:] - claimed), np.max(claimed - steps[:-1]))
+    return Fit(share_interval(int(inside.sum()), len(uvd)), float(distance))
+
+
+def fits(samples: int) -> dict[tuple[str, str, float, str], Fit]:
+    """(noise, assumed R, depth, parametrisation) -> how it fits."""
+    found = {}
+    for noise in NOISES:
+        for depth in DEPTHS:
+            uvd = measurements(depth, noise, samples)
+            for assumed, R in ASSUMED.items():
+                for parametrisation in (JOINT, EUCLIDEAN):
+                    found[noise, assumed, depth, parametrisation] = fit(parametrisation, depth, uvd, R.R)
+    return found
+
+
+def claims(samples: int) -> tuple[Claim, ...]:
+    """The claims of section 4.1, judged."""
+    found = fits(samples)
+
+    def coverage(parametrisation: str, asked: Range, depths: tuple[float, ...]) -> tuple[Finding, ...]:
+        return tuple(
+            Finding(_condition(noise, assumed, depth), one.coverage, asked)
+            for (noise, assumed, depth, name), one in found.items()
+            if name == parametrisation and depth in depths
+        )
+
+    # Dvoretzky, Kiefer and Wolfowitz: with 95 % the cloud is nowhere farther from its distribution than half of this.
+    slack = 2.0 * np.sqrt(np.log(2.0 / (1.0 - CONFIDENCE)) / (2.0 * samples))
+
+    def closer(noise: str, assumed: str, depth: float) -> Finding:
+        inverse_depth, euclidean = (found[noise, assumed, depth, name].distance for name in (JOINT, EUCLIDEAN))
+        gain = euclidean - inverse_depth
+        return Finding(_condition(noise, assumed, depth), Interval(gain, gain - slack, gain + slack), Range(low=0.0))
+
+    return (
+        Claim(sentences.REGION_70M, coverage(JOINT, limits.REGION, (FIGURE_1,))),
+        Claim(sentences.REGION_70M_XYZ, coverage(EUCLIDEAN, limits.NOT_REGION, (FIGURE_1,))),
+        Claim(sentences.REGION_ANY, coverage(JOINT, limits.REGION, DEPTHS)),
+        Claim(
+            sentences.HISTOGRAM,
+            tuple(closer(noise, assumed, FIGURE_1) for noise in NOISES for assumed in ASSUMED),
+        ),
+    )
+
+
+def _condition(noise: str, assumed: str, depth: float) -> dict[str, str]:
+    return {"noise": NOISES[noise], "R": ASSUMED_NAMES[assumed], "depth": f"{depth:g} m"}

@@ -1,0 +1,135 @@
+"""The claim of speed: one update with (u, v, d) against two with bearings, over sizes of the map.
+
+All n landmarks are seen in every frame. The filters are timed in turns in one process with one BLAS thread, and each
+round gives one ratio. What is measured is processor time, so that a busy machine does as little harm as possible.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from filters import StereoFilter, StereoNoise, StereoObservation, make_filter
+from filters.engine.options import MEASUREMENTS
+from filters.validation import FloatArray
+from stereo_slam_env.sensing.rigs import RIGS
+from stereo_slam_env.studies.paper import sentences
+from stereo_slam_env.studies.paper.claims import Claim, Finding, Interval, Range
+from stereo_slam_env.studies.paper.intervals import ratio_interval
+from stereo_slam_env.studies.paper.limits import BETTER
+from stereo_slam_env.studies.paper.parts import Arrays, Part
+from stereo_slam_env.studies.paper.settings import COMPILED, DUAL, JOINT, PaperSettings
+
+CAMERA = RIGS["reference"]
+NOISE = StereoNoise.independent_pixels(1.0)
+FORMS: Mapping[str, Mapping[str, Any]] = {
+    "6-D, as in the paper": {"landmark": "inverse-depth"},
+    "shared anchors": {"landmark": "shared-anchor"},
+} | (
+    {
+        "6-D, compiled": {"landmark": "inverse-depth", "compiled": True},
+        "shared anchors, compiled": {"landmark": "shared-anchor", "compiled": True},
+    }
+    if COMPILED
+    else {}
+)
+"""How the state is stored and computed; the same for both filters."""
+GROUPS = 10
+"""Frames in which the landmarks enter the map."""
+DT, SPEED = 0.1, 0.05
+"""s, m/s: so slow that every landmark stays in view."""
+BURST = 3
+"""Frames of one filter in a row: in use it does not share the processor's caches with its rival."""
+
+
+class SlowDrive:
+    """A filter on a slow drive towards n points that it sees in every frame."""
+
+    def __init__(self, n: int, filter_name: str, options: Mapping[str, Any]) -> None:
+        rng = np.random.default_rng(n)
+        low, high = (400.0, 100.0, 5.0), (900.0, 300.0, 40.0)
+        self._points = CAMERA.backproject(rng.uniform(low, high, (n, 3)))
+        self._ids, self._frame, self._rng = np.arange(n), 0, rng
+        self._slam: StereoFilter = make_filter(filter_name, camera=CAMERA, noise=NOISE, gate=None, **options)
+        self._slam.reset(linear_velocity=(0.0, 0.0, SPEED))
+        for group in range(1, GROUPS + 1):
+            self._slam.update(self._observe(n * group // GROUPS))
+            self._slam.predict(DT)
+            self._frame += 1
+
+    def milliseconds(self) -> float:
+        """Mean processor time of predict + update over a burst."""
+        elapsed = 0.0
+        for _ in range(BURST):
+            self._frame += 1
+            observation = self._observe(len(self._ids))
+            began = time.process_time()
+            self._slam.predict(DT)
+            self._slam.update(observation)
+            elapsed += time.process_time() - began
+        return 1000.0 * elapsed / BURST
+
+    def _observe(self, count: int) -> StereoObservation:
+        uvd = CAMERA.project(self._points[:count] - (0.0, 0.0, SPEED * DT * self._frame))
+        return StereoObservation(self._ids[:count], uvd + self._rng.multivariate_normal(np.zeros(3), NOISE.R, count))
+
+
+def parts(settings: PaperSettings) -> list[Part]:
+    """The work of this section."""
+    return [
+        Part(
+            f"speed-{n:04d}",
+            {"n": n, "repeats": settings.repeats, "forms": {name: dict(options) for name, options in FORMS.items()}},
+            partial(compute, n, settings.repeats),
+            alone=True,
+        )
+        for n in settings.sizes
+    ]
+
+
+def compute(n: int, repeats: int) -> Arrays:
+    """Milliseconds a frame of each form and filter in each round, (repeats,), at n landmarks."""
+    drives = {
+        f"{form}.{name}": SlowDrive(n, name, options) for form, options in FORMS.items() for name in (JOINT, DUAL)
+    }
+    for drive in drives.values():
+        drive.milliseconds()  # what is done once is no part of a frame
+    times: dict[str, list[float]] = {name: [] for name in drives}
+    for _ in range(repeats):
+        for name, drive in drives.items():
+            times[name].append(drive.milliseconds())
+    return {name: np.array(values) for name, values in times.items()}
+
+
+def milliseconds(results: Mapping[str, Arrays]) -> dict[int, dict[str, FloatArray]]:
+    """Size of the map -> "form.filter" -> milliseconds of each round."""
+    found = {int(name.removeprefix("speed-")): arrays for name, arrays in results.items() if name.startswith("speed-")}
+    return dict(sorted(found.items()))
+
+
+def claims(results: Mapping[str, Arrays]) -> tuple[Claim, ...]:
+    """The claims of speed, judged."""
+    measured = milliseconds(results)
+    faster = tuple(
+        Finding(
+            {"state": form, "landmarks": str(n)},
+            ratio_interval(times[f"{form}.{JOINT}"], times[f"{form}.{DUAL}"]),
+            BETTER,
+        )
+        for form in FORMS
+        for n, times in measured.items()
+    )
+    observation = StereoObservation(np.arange(1), np.array([[600.0, 200.0, 10.0]]))
+    updates = {
+        name: len(MEASUREMENTS[model].stages(observation, NOISE.R[None]))
+        for name, model in (("ours", "joint"), ("rival", "sequential"))
+    }
+    counted = tuple(
+        Finding({"filter": name}, Interval(count, count, count), Range(wanted, wanted))
+        for (name, count), wanted in zip(updates.items(), (1, 2), strict=True)
+    )
+    return (Claim(sentences.FASTER, faster), Claim(sentences.ONE_UPDATE, counted))

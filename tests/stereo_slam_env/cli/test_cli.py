@@ -1,0 +1,445 @@
+"""The command, as a user meets it: in this process where possible (30 s, most of it starting processes)."""
+
+import errno
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import pytest
+
+from stereo_slam_env.benchmark.storage.store import RunDirectory
+from stereo_slam_env.cli import app as cli
+from stereo_slam_env.recording.archive import save_recording
+from stereo_slam_env.recording.recording import SIMULATION, Reference
+
+from ..benchmark.small_recordings import small_recording
+from ..datasets.small_folders import kitti00, kitti07
+
+ROOT = Path(__file__).resolve().parents[2]
+BENCH = ("bench", "--preset", "reference-turn", "--seeds", "2", "--frames", "4", "--jobs", "1")
+
+
+@pytest.fixture
+def command(full_command, monkeypatch):
+    """Run the command with a report that costs no time."""
+
+    def write_report(out, *_, **__):
+        (out / "report.html").write_text("a report")
+        return out / "report.html"
+
+    monkeypatch.setattr("stereo_slam_env.report.benchmark_report.write_report", write_report)
+    return full_command
+
+
+@pytest.fixture
+def full_command(capsys, monkeypatch):
+    """Run the command: exit code, stdout, stderr."""
+    monkeypatch.setenv("COLUMNS", "160")
+
+    def run(*arguments):
+        code = cli.main([str(argument) for argument in arguments])
+        captured = capsys.readouterr()
+        return code, captured.out, captured.err
+
+    return run
+
+
+def process(*arguments, **options):
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONDONTWRITEBYTECODE": "1"}
+    return subprocess.Popen(
+        [sys.executable, "-m", "stereo_slam_env.cli", *map(str, arguments)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=environment,
+        **options,
+    )
+
+
+def test_bench_compares_and_says_where_everything_is(full_command, tmp_path):
+    code, out, _ = full_command(*BENCH, "--out", tmp_path / "run", "--filters", "inverse-depth,euclidean")
+    assert code == 0
+    for said in (
+        "ATE",
+        "ms a frame",
+        "inverse-depth",
+        "euclidean",
+        "min_disparity",
+        "independent_pixels",
+        "gate  none",
+    ):
+        assert said in out, said
+    assert str(tmp_path / "run" / "report.html") in out
+    assert (tmp_path / "run" / "report.html").is_file()
+    filters = json.loads((tmp_path / "run" / "summary.json").read_text())["filters"]
+    assert list(filters) == ["inverse-depth", "euclidean"]
+    assert filters["euclidean"]["frames"] == 2 * 3
+
+
+def test_options_of_the_command_line_are_stored(command, tmp_path):
+    code, out, _ = command(*BENCH, "--out", tmp_path / "run", "--sigma", "2.5", "--gate", "0.95", "--odometry")
+    assert code == 0
+    assert "0.95 per landmark" in out
+    scenario = json.loads((tmp_path / "run" / "settings.json").read_text())["scenario"]
+    assert scenario["noise"] == {"independent_pixels": 2.5}
+    assert scenario["gate"] == 0.95
+    assert scenario["use_odometry"] is True
+
+
+def test_a_scenario_of_your_own(command, tmp_path):
+    spelt_out = {"name": "mine", "kind": "reference", "options": {"name": "short_turn"}, "frames": 4, "gate": None}
+    (tmp_path / "mine.json").write_text(json.dumps({**spelt_out, "filters": ["euclidean"]}))
+    code, out, _ = command("bench", "--scenario", tmp_path / "mine.json", "--jobs", 1, "--out", tmp_path / "run")
+    assert code == 0
+    assert "mine" in out
+
+
+def test_a_grid_of_your_own_has_a_report_over_all_its_cells(full_command, tmp_path):
+    (tmp_path / "mine.toml").write_text(
+        'name = "mine"\nkind = "reference"\nseeds = 1\nframes = 4\ngate = false\nfilters = ["inverse-depth"]\n'
+        'metrics = []\noptions = { name = "short_turn" }\n[grid]\n"options.sigma" = [1.0, 2.0]\n'
+    )
+    code, out, _ = full_command("bench", "--scenario", tmp_path / "mine.toml", "--jobs", 1, "--out", tmp_path / "run")
+    assert code == 0
+    for said in ("mine: 2 scenarios", "options.sigma  1.0, 2.0", "sigma-2.0", str(tmp_path / "run" / "report.html")):
+        assert said in out, said
+    page = (tmp_path / "run" / "report.html").read_text()
+    assert "cells/sigma-2.0/report.html" in page
+    assert (tmp_path / "run" / "cells" / "sigma-2.0" / "report.html").is_file()
+    assert (tmp_path / "run" / "trials.sqlite").is_file()
+
+
+def test_the_presets_are_listed(command):
+    code, out, _ = command("bench", "--list")
+    assert code == 0
+    for name in ("quick", "attribution", "mismatch", "real", "limits", "gaze"):
+        assert f"\n{name} " in f"\n{out}"
+
+
+def test_a_reader_that_has_seen_enough_is_no_error():
+    asked = [sys.executable, "-m", "stereo_slam_env.cli", "bench", "--list"]
+    with subprocess.Popen(asked, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as listing:
+        listing.stdout.close()
+        assert listing.stderr.read() == b""
+
+
+def test_policies_are_listed(command):
+    code, out, _ = command("policies", "list")
+    assert code == 0
+    for line in ("fixed", "Look in one direction, straight ahead by default.", "sweep", "random"):
+        assert line in out, line
+
+
+def test_policies_are_compared(command, tmp_path):
+    (tmp_path / "mine.toml").write_text(
+        'name = "mine"\nkind = "gaze"\nframes = 6\ngate = false\nuse_odometry = true\npolicies = ["random"]\n'
+        'filters = [{ name = "shared-anchor", options = { motion = "velocity-driven" } }]\n'
+        'options = { route = "right-turn", rig = "qvga" }\n'
+    )
+    code, out, _ = command(
+        *("bench", "--scenario", tmp_path / "mine.toml", "--policy", "fixed,sweep", "--seeds", 2),
+        *("--jobs", 1, "--out", tmp_path / "run"),
+    )
+    assert code == 0
+    for said in (
+        "policies  fixed, sweep",
+        "claimed σ at the end, m",
+        "true error at the end, m",
+        "leaves the pose least uncertain at the end",
+        "- sweep is not shown to claim another uncertainty than fixed",
+        str(tmp_path / "run" / "report.html"),
+    ):
+        assert said in out, said
+    code, again, _ = command("report", tmp_path / "run")
+    assert code == 0
+    assert "leaves the pose least uncertain at the end" in again
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("--policy", "swep"), "did you mean 'sweep'?"),
+        (("--policy", "sweep", "--preset", "turn"), "policies need a scenario of kind 'gaze'"),
+        (("--policy", ","), "must name at least one policy"),
+        (("--policy", "sweep", "--frames", "5000"), "frames must be at most 200"),
+    ],
+)
+def test_policies_that_cannot_be_compared_get_one_line(command, tmp_path, arguments, said):
+    code, _, err = command("bench", *arguments, "--out", tmp_path / "run")
+    assert (code, err.count("\n")) == (2, 1)
+    assert said in err
+    assert not (tmp_path / "run").exists()
+
+
+def test_two_runs_are_compared(command, tmp_path):
+    for name, sigma in (("before", "3"), ("after", "1")):
+        bench = (
+            "bench",
+            "--preset",
+            "reference-turn",
+            "--seeds",
+            "8",
+            "--frames",
+            "6",
+            "--jobs",
+            "1",
+            "--sigma",
+            sigma,
+        )
+        assert command(*bench, "--out", tmp_path / name, "--filters", "inverse-depth")[0] == 0
+    code, out, _ = command("report", tmp_path / "before", tmp_path / "after")
+    assert code == 0
+    assert "pose NEES" in out
+    assert "no difference shown" in out
+    code, _, err = command("report", tmp_path / "before", tmp_path / "nothing")
+    assert (code, err.count("\n")) == (2, 1)
+
+
+def test_a_full_disk_is_told_in_one_line_with_what_is_kept(command, tmp_path, monkeypatch):
+    write = RunDirectory.save_trial
+
+    def until_full(self, *trial):
+        if len(list(tmp_path.glob("run/trials/*/*.npz"))) == 2:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        write(self, *trial)
+
+    monkeypatch.setattr(RunDirectory, "save_trial", until_full)
+    code, _, err = command(*BENCH, "--out", tmp_path / "run")
+    assert (code, err.splitlines()[-1].count("error: ")) == (2, 1)
+    assert "the disk is full: 2 finished trials are kept" in err
+    monkeypatch.undo()
+
+
+@pytest.mark.parametrize("layout", [kitti07, kitti00])
+def test_replay_runs_filters_over_a_folder(command, tmp_path, layout):
+    layout(tmp_path / "drive")
+    code, out, _ = command(
+        "replay", tmp_path / "drive", "--filters", "inverse-depth", "--jobs", 1, "--out", tmp_path / "run"
+    )
+    assert code == 0
+    assert "sigma_px = 2.0" in out
+    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
+    assert summary["recordings"][0]["seed"] is None
+    assert summary["recordings"][0]["source"]["reader"].startswith(layout.__name__)
+    assert "inverse-depth" in summary["filters"]
+    assert (tmp_path / "run" / "trajectories" / "recording" / "inverse-depth.tum").is_file()
+
+
+def test_replay_against_an_odometry_from_the_same_images_claims_nothing_of_consistency(full_command, tmp_path):
+    """Nor does it keep silent on the innovations: 1 px of noise, and 8 px assumed."""
+    odometry = Reference("odometry from the same images", "By hand.")
+    for name, truth_from in (("true", SIMULATION), ("odometry", odometry)):
+        save_recording(tmp_path / f"{name}.npz", replace(small_recording(frames=40), truth_from=truth_from))
+
+    def said(name, *more):
+        common = ("--filters", "inverse-depth", "--jobs", 1, "--gate", "none", "--out", tmp_path / f"run-{name}")
+        code, out, _ = full_command("replay", tmp_path / f"{name}.npz", *common, *more)
+        assert code == 0
+        summary = json.loads((tmp_path / f"run-{name}" / "summary.json").read_text())
+        return out, summary, (tmp_path / f"run-{name}" / "report.html").read_text(encoding="utf-8")
+
+    out, summary, page = said("true")
+    assert "pose NEES / 6" in out
+    assert "Reference: independent truth. Exact poses of the simulation." in out
+    assert "than claimed" not in out
+    assert summary["recordings"][0]["reference"] == asdict(SIMULATION)
+    assert summary["filters"]["inverse-depth"]["pose_anees"] > 0
+
+    out, summary, page = said("odometry", "--sigma-px", 8)
+    for claim in ("NEES /", "knows how wrong", "its band", "that band"):
+        assert claim not in out
+        assert claim not in page
+    for text in (out, page):
+        assert "Reference: odometry from the same images. By hand. What is called error is the distance to it" in text
+        assert "smaller than claimed: too much noise is assumed" in text
+    assert summary["recordings"][0]["reference"] == asdict(odometry)
+    assert summary["filters"]["inverse-depth"]["pose_anees"] is None
+    assert summary["filters"]["inverse-depth"]["position_rmse_m"] > 0
+
+
+def test_replay_says_whether_odometry_was_used(command, tmp_path):
+    kitti07(tmp_path / "with")
+    kitti00(tmp_path / "without")
+    common = ("--filters", "euclidean", "--jobs", 1)
+    assert "odometry  used" in command("replay", tmp_path / "with", *common, "--out", tmp_path / "a")[1]
+    assert "odometry  not used" in command("replay", tmp_path / "without", *common, "--out", tmp_path / "b")[1]
+    withheld = command("replay", tmp_path / "with", *common, "--out", tmp_path / "c", "--no-odometry")[1]
+    assert "odometry  not used" in withheld
+
+
+def test_report_is_written_again_from_the_directory(command, tmp_path):
+    command(*BENCH, "--out", tmp_path / "run", "--filters", "euclidean")
+    (tmp_path / "run" / "report.html").unlink()
+    before = (tmp_path / "run" / "summary.json").read_text()
+    code, out, _ = command("report", tmp_path / "run")
+    assert code == 0
+    assert "euclidean" in out
+    assert (tmp_path / "run" / "report.html").is_file()
+    assert (tmp_path / "run" / "summary.json").read_text() == before
+
+
+@pytest.mark.usefixtures("third_party")
+def test_third_party_filters_are_listed_and_benchmarked(command, tmp_path):
+    listed = command("filters", "list")[1]
+    assert "odometry-only" in listed
+    assert "Integrates the odometry and maps nothing." in listed
+    code, out, _ = command(*BENCH, "--out", tmp_path / "run", "--filters", "odometry-only,raises")
+    assert code == 0
+    assert "raises failed: seed 0, frame 2: RuntimeError: the third frame is too much" in out
+
+
+@pytest.mark.usefixtures("third_party")
+def test_what_a_filter_does_not_get_is_in_console_and_summary(command, tmp_path):
+    code, out, _ = command(
+        *BENCH, "--out", tmp_path / "run", "--filters", "its-own-way,odometry-only,euclidean", "--gate", 0.99
+    )
+    assert code == 0
+    remarks = (
+        "its-own-way does not get the common motion: it has its own, Gliding.",
+        "odometry-only does not get the common gate: it has no such option.",
+        "odometry-only does not get the common motion: it has no such option.",
+    )
+    for remark in remarks:
+        assert f"note: {remark}" in out
+    assert "euclidean does not get" not in out
+    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
+    assert summary["filters"]["its-own-way"]["not_given"] == {"motion": "it has its own, Gliding"}
+    assert summary["filters"]["its-own-way"]["options"] == {"gate": 0.99}
+    assert summary["filters"]["its-own-way"]["failures"] == []
+
+
+def test_filters_are_checked(command):
+    code, out, _ = command("filters", "check", "euclidean")
+    assert (code, "0 failed" in out) == (0, True)
+
+
+@pytest.mark.usefixtures("third_party")
+def test_a_filter_that_breaks_the_contract_gives_exit_code_1(command):
+    code, out, _ = command("filters", "check", "odometry-only")
+    assert code == 1
+    assert "failed:" in out
+
+
+def test_scenes_are_listed_and_drawn(command, tmp_path):
+    from PIL import Image
+
+    listed = command("scenes", "list")[1]
+    assert "town" in listed
+    assert "quick" in listed
+    code, _, _ = command("scenes", "render", "right-turn", "--out", tmp_path / "scene.png", "--seed", 1)
+    assert code == 0
+    with Image.open(tmp_path / "scene.png") as image:
+        assert image.width > 600
+        assert len(set(image.convert("L").resize((40, 20)).tobytes())) > 20
+
+
+@pytest.mark.parametrize(
+    ("arguments", "hint"),
+    [
+        (("bnch",), "Did you mean 'bench'?"),
+        (("bench", "--seds", "3"), "--seeds"),
+        (("bench", "--seeds", "many"), "--seeds"),
+        (("bench", "--seeds", "0"), "--seeds"),
+        (("bench", "--preset", "quik"), "did you mean 'quick'?"),
+        (("bench", "--preset", "quick", "--scenario", "x.json"), "exclude each other"),
+        (("bench", "--scenario", "no.json"), "no.json does not exist"),
+        (("bench", "--filters", "inverse-dept"), "did you mean 'inverse-depth'?"),
+        (("bench", "--filters", ","), "at least one filter"),
+        (("bench", "--gate", "tight"), "--gate must be a probability"),
+        (("bench", "--gate", "2"), "gate must be a probability"),
+        (("bench", "--sigma", "-1"), "must be a finite number > 0"),
+        (("replay",), "argument"),
+        (("replay", "nowhere"), "nowhere does not exist: give a folder with a recording"),
+        (("view", "nowhere"), "nowhere does not exist: give the directory of a run"),
+        (("replay", "gtsam:kiti00"), "did you mean 'gtsam:kitti00'?"),
+        (("report", "nowhere"), "nowhere does not exist: give the directory of a run"),
+        (("report", "."), "holds no run: it has no settings.json"),
+        (("report", __file__), "is a file: give the directory of a run"),
+        (("report", "nowhere", "nor here"), "nowhere does not exist"),
+        (("filters", "check", "inverse-dept"), "did you mean 'inverse-depth'?"),
+        (("scenes", "render", "twon", "--out", "x.png"), "'town'"),
+        (("scenes", "render", "town", "--out", "x.bmp"), ".png"),
+    ],
+)
+def test_wrong_use_gets_one_line_and_exit_code_2(command, tmp_path, monkeypatch, arguments, hint):
+    monkeypatch.chdir(tmp_path)
+    code, _, err = command(*arguments)
+    assert code == 2
+    assert err.startswith("error: ")
+    assert err.count("\n") == 1
+    assert hint in err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_damaged_recording_and_a_damaged_result_are_named(command, tmp_path):
+    folder = kitti07(tmp_path / "drive")
+    (folder / "tracks.npz").write_bytes((folder / "tracks.npz").read_bytes()[:1000])
+    code, _, err = command("replay", folder, "--out", tmp_path / "run")
+    assert (code, err.count("\n")) == (2, 1)
+    assert "tracks.npz is damaged" in err
+    command(*BENCH, "--out", tmp_path / "bench", "--filters", "euclidean")
+    trial = tmp_path / "bench" / "trials" / "seed-0001" / "euclidean.npz"
+    trial.write_bytes(trial.read_bytes()[:1000])
+    for again in (("report", tmp_path / "bench"), (*BENCH, "--out", tmp_path / "bench", "--filters", "euclidean")):
+        code, _, err = command(*again)
+        assert (code, err.count("\n")) == (2, 1)
+        assert "seed-0001/euclidean.npz is damaged" in err
+
+
+def test_other_settings_never_overwrite_results(command, tmp_path):
+    command(*BENCH, "--out", tmp_path / "run", "--filters", "euclidean")
+    code, _, err = command(*BENCH, "--out", tmp_path / "run", "--filters", "euclidean", "--sigma", "2")
+    assert code == 2
+    assert "choose another output directory" in err
+
+
+@pytest.mark.parametrize("arguments", [(), ("filters",), ("scenes",), ("--help",), ("bench", "--help")])
+def test_help_is_there_when_it_is_needed(command, arguments):
+    code, out, err = command(*arguments)
+    assert (code, err) == (0, "")
+    assert "Usage: stereo-slam" in out
+
+
+def test_the_version_is_told(command):
+    assert command("--version")[1].startswith("stereo-slam ")
+
+
+def test_help_loads_nothing_heavy():
+    code = (
+        "import sys; from stereo_slam_env import cli; cli.main(['--help']); "
+        "heavy = {'matplotlib', 'pybullet', 'joblib', 'cv2', 'rich.progress', 'stereo_slam_env.benchmark'}; "
+        "sys.exit(str(heavy & set(sys.modules)) if heavy & set(sys.modules) else 0)"
+    )
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.slow
+def test_ctrl_c_says_what_is_kept_and_the_same_command_goes_on(tmp_path):
+    arguments = ("bench", "--preset", "reference-drive", "--seeds", 4, "--frames", 40, "--jobs", 1)
+    arguments = (*arguments, "--filters", "inverse-depth,euclidean", "--out", tmp_path / "run")
+    running = process(*arguments)
+    deadline = time.monotonic() + 60
+    while not list((tmp_path / "run").glob("trials/*/*.npz")):
+        assert running.poll() is None, running.communicate()[1]
+        assert time.monotonic() < deadline, "no trial was finished in a minute"
+        time.sleep(0.02)
+    running.send_signal(signal.SIGINT)
+    _, err = running.communicate(timeout=60)
+    assert running.returncode == 130
+    assert "Traceback" not in err
+    assert "finished trials are kept in" in err
+    (resume,) = [line.removeprefix("to go on: stereo-slam ") for line in err.splitlines() if "to go on" in line]
+    kept = {path: path.stat().st_mtime_ns for path in (tmp_path / "run").glob("trials/*/*.npz")}
+    assert 1 <= len(kept) < 8
+    again = process(*resume.split())
+    out, err = again.communicate(timeout=120)
+    assert again.returncode == 0, err
+    assert "report.html" in out
+    assert len(list((tmp_path / "run").glob("trials/*/*.npz"))) == 8

@@ -1,0 +1,124 @@
+"""Errors of the map by range and by age, against errors put in (0.3 s)."""
+
+import numpy as np
+import pytest
+
+from stereo_slam_env.evaluation.landmark_statistics import AT_INFINITY, LandmarkScorer, LandmarkStatistics
+from stereo_slam_env.evaluation.map_figures import depth_convergence, range_errors
+from stereo_slam_env.evaluation.map_scoring import MapView, score_map
+
+from ..benchmark.small_recordings import CAMERA
+
+F_B = CAMERA.disparity_constant
+
+
+def ahead(depths):
+    """Points straight ahead."""
+    return np.column_stack([np.zeros(len(depths)), np.zeros(len(depths)), depths])
+
+
+def scored(points, estimated, ids=None, variance=1.0):
+    """Score of a map whose points are believed elsewhere, by (u, v, d) with this variance each."""
+    ids = np.arange(len(points)) if ids is None else np.asarray(ids)
+    uvd = CAMERA.project(np.asarray(estimated, dtype=float))
+    return score_map(MapView(ids, uvd, np.tile(variance * np.eye(3), (len(ids), 1, 1)), points), CAMERA)
+
+
+def statistics(*frames):
+    scorer = LandmarkScorer(CAMERA)
+    for frame in frames:
+        scorer.add(frame)
+    return scorer.statistics
+
+
+def test_errors_go_to_the_range_of_the_true_distance():
+    depths = np.array([5.0, 10.0, 19.0, 39.0, 50.0, 79.0, 80.0])
+    found = range_errors([statistics(scored(ahead(depths), ahead(depths + 0.5)))])
+    assert [(part.low_m, part.count) for part in found] == [(0.0, 1), (10.0, 2), (20.0, 1), (40.0, 2), (80.0, 1)]
+    for part in found:
+        assert part.rmse_m == pytest.approx(0.5)
+        assert part.depth_bias_m == pytest.approx(0.5)
+        assert np.isnan(part.depth_bias_sigma_m)
+    assert found[0].anees == pytest.approx((F_B / 5.0 - F_B / 5.5) ** 2)
+
+
+def test_a_landmark_at_infinity_has_a_nees_and_no_position():
+    depths = np.array([100.0, 100.0, 100.0])
+    estimated = ahead([101.0, AT_INFINITY * 100.0 + 1.0, -100.0])
+    (part,) = range_errors([statistics(scored(ahead(depths), estimated))])
+    assert part.count == 3
+    assert part.rmse_m == pytest.approx(1.0)
+    assert part.anees == pytest.approx(np.mean((F_B / depths - F_B / estimated[:, 2]) ** 2))
+
+
+def test_landmarks_out_of_view_or_without_truth_are_left_out():
+    points = np.array([[0.0, 0.0, -20.0], [30.0, 0.0, 1.0], [np.nan] * 3])
+    total = statistics(scored(points, ahead([20.0, 20.0, 20.0])))
+    assert total.nees_count.sum() == total.position_count.sum() == total.age_count.sum() == 0
+    assert range_errors([total]) == depth_convergence([total]) == ()
+
+
+def test_convergence_is_by_class_at_entry_and_by_frames_since():
+    """A near and a far landmark; the far one is out of the map for a frame and begins anew, nearer than far."""
+    near, far = 20.0, 64.0
+    frames = [
+        scored(ahead([near, far]), ahead([near, far]), [3, 8], variance=4.0),
+        scored(ahead([near - 8, far - 8]), ahead([near - 8, far - 8]), [3, 8], variance=1.0),
+        scored(ahead([near - 9]), ahead([near - 9]), [3], variance=1.0),
+        scored(ahead([far - 10]), ahead([far - 10]), [8], variance=1.0),
+    ]
+    first, second = depth_convergence([statistics(*frames)])
+    assert (first.label, first.frames, first.count) == ("near", (0, 1, 2), (1, 1, 1))
+    assert (second.label, second.frames, second.count) == ("far", (0, 1), (1, 1))
+    assert first.sigma_m == pytest.approx((near**2 / F_B * 2.0, (near - 8) ** 2 / F_B, (near - 9) ** 2 / F_B))
+    assert second.sigma_m == pytest.approx((far**2 / F_B * 2.0, (far - 8) ** 2 / F_B))
+    assert second.rmse_m == pytest.approx((0.0, 0.0), abs=1e-9)
+
+
+def test_the_order_of_the_map_does_not_matter_and_nonsense_spoils_nothing():
+    depths = np.array([20.0, 70.0, 22.0])
+    frame, other = scored(ahead(depths), ahead(depths), [9, 4, 6]), scored(ahead(depths), ahead(depths + 1), [9, 4, 6])
+    turned = scored(ahead(depths[[1, 2, 0]]), ahead(depths[[1, 2, 0]] + 1), [4, 6, 9])
+    lost = scored(ahead([20.0]), ahead([20.0]), [11], variance=np.nan)
+    for name, wanted in vars(statistics(frame, other)).items():
+        np.testing.assert_allclose(getattr(statistics(frame, turned), name), wanted, err_msg=name)
+        assert np.isfinite(getattr(statistics(frame, lost), name)).all(), name
+
+
+def test_the_error_of_depth_is_defined_behind_infinity():
+    (curve,) = depth_convergence([statistics(scored(ahead([75.0]), ahead([-1000.0])))])
+    assert curve.rmse_m == pytest.approx((75.0**2 / F_B * (F_B / 75.0 + F_B / 1000.0),))
+
+
+def test_runs_count_by_their_landmarks_and_the_bias_scatters_between_runs():
+    biases, counts = np.array([0.1, 0.3, -0.2]), np.array([10.0, 20.0, 10.0])
+    runs = [
+        LandmarkStatistics(
+            nees_count=np.full(5, n), position_count=np.full(5, n), depth_error=np.full(5, n * bias), nees=np.full(5, n)
+        )
+        for bias, n in zip(biases, counts, strict=True)
+    ]
+    part = range_errors(runs)[2]
+    mean = np.average(biases, weights=counts)
+    assert part.depth_bias_m == pytest.approx(mean)
+    scatter = np.sqrt(np.sum((counts * (biases - mean)) ** 2) * 3 / 2) / 40
+    assert part.depth_bias_sigma_m == pytest.approx(scatter)
+
+
+def test_the_standard_error_of_the_bias_is_that_of_runs_with_a_bias_of_their_own():
+    rng = np.random.default_rng(0)
+    means, errors = [], []
+    for _ in range(500):
+        counts = rng.integers(20, 60, 8).astype(float)
+        biases = 0.3 * rng.standard_normal(8)
+        part = range_errors(
+            [
+                LandmarkStatistics(
+                    nees_count=np.full(5, n), position_count=np.full(5, n), depth_error=np.full(5, n * b)
+                )
+                for n, b in zip(counts, biases, strict=True)
+            ]
+        )[0]
+        means.append(part.depth_bias_m)
+        errors.append(part.depth_bias_sigma_m)
+    assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(np.std(means), rel=0.1)

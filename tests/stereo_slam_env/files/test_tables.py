@@ -1,0 +1,58 @@
+"""Damaged and missing files are named in one line (0.1 s)."""
+
+import numpy as np
+import pytest
+
+from stereo_slam_env.files.tables import read_archive, read_poses, read_table
+
+
+def test_a_table_is_read_as_it_is(tmp_path):
+    path = tmp_path / "t.txt"
+    path.write_text("1 2 3\n4 5 6\n")
+    np.testing.assert_array_equal(read_table(path, 3), [[1, 2, 3], [4, 5, 6]])
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("1 2 3\n4 nan 6\n", r"t\.txt has NaN or infinity in 1 rows, the first is row 1"),
+        ("1 2\n", r"t\.txt has 2 columns where 3 were expected"),
+        ("", r"t\.txt is empty"),
+        ("1 2 3\n4 x 6\n", r"t\.txt is not a table of 3 numbers a row"),
+    ],
+)
+@pytest.mark.filterwarnings("error")
+def test_a_wrong_table_is_named(tmp_path, text, complaint):
+    (tmp_path / "t.txt").write_text(text)
+    with pytest.raises(ValueError, match=complaint) as caught:
+        read_table(tmp_path / "t.txt", 3)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("keep", [0, 10, 300])
+def test_a_truncated_archive_is_named(tmp_path, keep):
+    path = tmp_path / "a.npz"
+    np.savez(path, x=np.zeros(100))
+    path.write_bytes(path.read_bytes()[:keep])
+    with pytest.raises(ValueError, match=r"a\.npz is damaged"):
+        read_archive(path, ("x",))
+
+
+def test_a_missing_array_is_named(tmp_path):
+    np.savez(tmp_path / "a.npz", x=np.zeros(3))
+    with pytest.raises(ValueError, match=r"a\.npz lacks the array y"):
+        read_archive(tmp_path / "a.npz", ("x", "y"))
+
+
+def test_pickles_are_not_opened(tmp_path):
+    np.savez(tmp_path / "a.npz", x=np.array([{"evil": 1}], dtype=object))
+    with pytest.raises(ValueError, match="cannot be read"):
+        read_archive(tmp_path / "a.npz", ("x",))
+
+
+def test_poses_are_camera_to_world(tmp_path):
+    # A quarter turn to the right about y (down): the camera's z axis becomes the world's x axis.
+    np.savetxt(tmp_path / "p.txt", [[0, 0, 1, 7, 0, 1, 0, 8, -1, 0, 0, 9]])
+    positions, orientations = read_poses(tmp_path / "p.txt")
+    np.testing.assert_allclose(positions, [[7, 8, 9]])
+    np.testing.assert_allclose(np.abs(orientations), [[0, np.sqrt(0.5), 0, np.sqrt(0.5)]], atol=1e-12)

@@ -1,0 +1,185 @@
+"""Recordings in one file: what goes in comes out, bit for bit, and damage is named (1 s)."""
+
+import dataclasses
+import json
+import time
+
+import numpy as np
+import pytest
+
+from filters import StereoNoise, StereoObservation
+from stereo_slam_env.benchmark.recordings.reference_problem import long_drive
+from stereo_slam_env.benchmark.recordings.stream_identity import stream_digest
+from stereo_slam_env.datasets import read_recording
+from stereo_slam_env.recording.archive import load_recording, save_recording
+from stereo_slam_env.recording.recording import GIVEN_TRUTH, Recording, Reference, Start
+
+from ..benchmark.small_recordings import small_recording
+
+
+def with_everything() -> Recording:
+    """Frames with and without each thing that a frame can have, one of them without any landmark."""
+    recording = small_recording(3, 6)
+    frames = list(recording.frames)
+    rng = np.random.default_rng(0)
+    for k in (1, 4):
+        seen = frames[k].observation
+        root = rng.standard_normal((len(seen), 3, 3))
+        R = root @ root.transpose(0, 2, 1) + np.eye(3)
+        changed = StereoObservation(seen.ids[::-1], seen.uvd, rng.uniform(0, 100, len(seen)), R)
+        frames[k] = dataclasses.replace(frames[k], observation=changed, odometry=None)
+    nothing = StereoObservation([], np.zeros((0, 3)), [], np.zeros((0, 3, 3)))
+    frames[2] = dataclasses.replace(frames[2], observation=nothing, truth=None, truth_velocity=None)
+    for k in (0, 3):
+        frames[k] = dataclasses.replace(frames[k], head=rng.standard_normal(2))
+    return dataclasses.replace(
+        recording,
+        frames=tuple(frames),
+        noise=StereoNoise.diagonal(1.0, 2.0, 3.0),
+        source={"deep": [{"er": None}], "x": 0.1},
+        truth_from=Reference("odometry from the same images", "By hand."),
+    )
+
+
+def leaves(value, name="recording"):
+    """Every array and scalar of a recording, with its path."""
+    if dataclasses.is_dataclass(value):
+        for field in dataclasses.fields(value):
+            yield from leaves(getattr(value, field.name), f"{name}.{field.name}")
+    elif isinstance(value, tuple):
+        for k, entry in enumerate(value):
+            yield from leaves(entry, f"{name}[{k}]")
+    elif isinstance(value, np.ndarray):
+        yield name, (value.dtype.str, value.shape, value.tobytes())
+    else:
+        yield name, value
+
+
+@pytest.mark.parametrize(
+    "recording",
+    [
+        with_everything(),
+        small_recording(truth=False, odometry=False),
+        dataclasses.replace(small_recording(), frames=(), start=Start()),
+        long_drive(0, frames=10),
+    ],
+    ids=["everything", "bare", "no-frames", "right-rows"],
+)
+def test_a_recording_comes_back_bit_for_bit(tmp_path, recording):
+    save_recording(tmp_path / "deep" / "drive.npz", recording)
+    loaded = load_recording(tmp_path / "deep" / "drive.npz")
+    assert dict(leaves(loaded)) == dict(leaves(recording))
+    assert stream_digest(loaded) == stream_digest(recording)
+
+
+def test_a_file_is_read_like_any_recording(tmp_path):
+    path = tmp_path / "drive.npz"
+    save_recording(path, small_recording())
+    assert stream_digest(read_recording(str(path))) == stream_digest(small_recording())
+    with pytest.raises(ValueError, match="a recording in one file has no option 'sigma_px'"):
+        read_recording(path, sigma_px=2.0)
+
+
+def test_a_long_drive_is_written_and_read_in_a_moment(tmp_path):
+    short = long_drive(0, frames=100)
+    frames = tuple(
+        dataclasses.replace(frame, timestamp=80.0 * i + frame.timestamp) for i in range(8) for frame in short.frames
+    )
+    began = time.process_time()
+    save_recording(tmp_path / "drive.npz", dataclasses.replace(short, frames=frames))
+    assert len(load_recording(tmp_path / "drive.npz")) == 800
+    assert time.process_time() - began < 1.0
+
+
+@pytest.mark.parametrize("keep", [0, 100, -200])
+def test_a_truncated_file_is_named_with_the_remedy(tmp_path, keep):
+    path = tmp_path / "drive.npz"
+    save_recording(path, small_recording())
+    path.write_bytes(path.read_bytes()[:keep])
+    with pytest.raises(ValueError, match=r"drive\.npz is damaged \(.*\): copy or record it again") as caught:
+        load_recording(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_flipped_bit_is_noticed(tmp_path):
+    path = tmp_path / "drive.npz"
+    save_recording(path, small_recording())
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 1
+    path.write_bytes(content)
+    with pytest.raises(ValueError, match=r"drive\.npz is damaged"):
+        load_recording(path)
+
+
+def changed(path, **arrays):
+    with np.load(path) as archive:
+        kept = {name: archive[name] for name in archive.files}
+    if "truth_from" in arrays:
+        kept["about"] = np.array(json.dumps(json.loads(str(kept["about"])) | {"truth_from": arrays.pop("truth_from")}))
+    np.savez(path, **{name: value for name, value in (kept | arrays).items() if value is not None})
+
+
+@pytest.mark.parametrize(
+    ("arrays", "complaint"),
+    [
+        ({"uvd": None}, r"damaged \(lacks 'uvd'\)"),
+        ({"uvd": np.zeros((3, 3))}, r"damaged \(array uvd has shape \(3, 3\), expected"),
+        ({"truth.position": np.zeros((1, 3))}, r"damaged \(array truth\.position has shape"),
+        ({"ids": np.zeros(3)}, r"damaged \(array ids has shape"),
+        ({"about": None}, "is not a recording"),
+        ({"about": np.array("{")}, "is not a recording"),
+        ({"about": np.array('{"format": 9}')}, "is a recording of format 9, this version reads 1"),
+        ({"about": np.array('{"format": 1, "name": "x"}')}, r"damaged \(lacks 'camera'\)"),
+        ({"truth_from": {"kind": "hearsay", "description": ""}}, r"damaged \(kind of a reference must be one of"),
+        ({"truth_from": "GPS"}, "is damaged"),
+    ],
+)
+def test_what_does_not_fit_together_is_named(tmp_path, arrays, complaint):
+    path = tmp_path / "drive.npz"
+    save_recording(path, small_recording())
+    changed(path, **arrays)
+    with pytest.raises(ValueError, match=complaint) as caught:
+        load_recording(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_other_files_and_none_are_told_apart(tmp_path):
+    np.save(tmp_path / "array.npy", np.zeros(3))
+    (tmp_path / "array.npy").rename(tmp_path / "array.npz")
+    with pytest.raises(ValueError, match=r"array\.npz is damaged"):
+        load_recording(tmp_path / "array.npz")
+    with pytest.raises(ValueError, match="does not exist"):
+        load_recording(tmp_path / "nowhere.npz")
+
+
+def test_what_cannot_be_kept_is_refused_before_anything_is_written(tmp_path):
+    recording = dataclasses.replace(small_recording(), source={"when": object()})
+    with pytest.raises(ValueError, match=r"recording\.source must consist of JSON values"):
+        save_recording(tmp_path / "drive.npz", recording)
+    with pytest.raises(ValueError, match=r"must end in \.npz"):
+        save_recording(tmp_path / "drive.dat", small_recording())
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_recordings_made_before_there_were_heads_have_none(tmp_path):
+    save_recording(tmp_path / "new.npz", small_recording())
+    with np.load(tmp_path / "new.npz") as archive:
+        np.savez(tmp_path / "old.npz", **{name: archive[name] for name in archive.files if "head" not in name})
+    assert [frame.head for frame in load_recording(tmp_path / "old.npz").frames] == [None] * 15
+
+
+def test_recordings_made_before_they_said_what_their_truth_is_have_a_true_one(tmp_path):
+    save_recording(tmp_path / "drive.npz", with_everything())
+    with np.load(tmp_path / "drive.npz") as archive:
+        arrays = {name: archive[name] for name in archive.files}
+    about = json.loads(str(arrays["about"]))
+    del about["truth_from"]
+    np.savez(tmp_path / "old.npz", **arrays | {"about": np.array(json.dumps(about))})
+    assert load_recording(tmp_path / "old.npz").reference == GIVEN_TRUTH
+
+
+def test_without_a_true_pose_there_is_no_reference_whatever_the_source_says():
+    recording = with_everything()
+    assert recording.reference.kind == "odometry from the same images"
+    assert dataclasses.replace(recording, frames=recording.frames[2:3]).reference.kind == "none"
+    assert small_recording(truth=False).reference.kind == "none"

@@ -1,0 +1,129 @@
+"""Every figure draws for every kind of run, and shows what it says (about 10 s)."""
+
+import io
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from scipy.spatial.transform import Rotation
+
+from stereo_slam_env.report.charts import series
+from stereo_slam_env.report.charts.consistency import error_limits, plot_depth, plot_error_bounds, plot_nees, plot_nis
+from stereo_slam_env.report.charts.plots import (
+    plot_error_by_run,
+    plot_time_per_frame,
+    plot_trajectory,
+    plot_velocity,
+)
+from stereo_slam_env.report.charts.style import filter_colours
+
+from ....synthetic_runs import THREE, THREE_ONE_DIVERGING, make_runs
+
+
+def failed(run, at):
+    """The run as the runner leaves it when the filter raises at frame `at`."""
+    cut = {
+        name: np.where(np.arange(len(run)).reshape(-1, *[1] * (value.ndim - 1)) < at, value, np.nan)
+        for name, value in vars(run).items()
+        if isinstance(value, np.ndarray) and value.dtype.kind == "f" and not name.startswith(("true_", "time"))
+    }
+    return replace(run, failure=f"frame {at}: ValueError: singular", **cut)
+
+
+def one_failed():
+    runs = make_runs(frames=60)
+    return [failed(run, 30) if run.filter_name == "euclidean" and run.seed == 0 else run for run in runs]
+
+
+CASES = {
+    "five seeds": lambda: make_runs(frames=60),
+    "one diverging": lambda: make_runs(THREE_ONE_DIVERGING, frames=60),
+    "one failed": one_failed,
+    "real data, gaps in the truth": lambda: make_runs(seeds=[None], frames=60, truth="gaps"),
+    "no truth": lambda: make_runs(seeds=[None], frames=60, truth="none"),
+    "one filter": lambda: make_runs(THREE[:1], frames=60),
+    "no traces": lambda: [replace(run, traces=()) for run in make_runs(seeds=[3], frames=60)],
+}
+PLOTS = {
+    "trajectory": plot_trajectory,
+    "error by run": plot_error_by_run,
+    "velocity": plot_velocity,
+    "time": plot_time_per_frame,
+    "nees": plot_nees,
+    "nis": plot_nis,
+    "error bounds": lambda runs: plot_error_bounds(runs[-1], error_limits(runs)),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("name", PLOTS)
+def test_every_figure_draws_without_a_warning(name, case):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        figure = PLOTS[name](CASES[case]())
+        figure.savefig(io.BytesIO(), format="svg")
+    assert isinstance(figure, Figure)
+    assert figure.axes
+
+
+def test_a_diverging_filter_does_not_flatten_the_others():
+    figure = plot_trajectory(make_runs(THREE_ONE_DIVERGING, frames=240))
+    errors = figure.axes[1]
+    assert errors.get_ylim()[1] < 1.0
+    assert "euclidean" in errors.get_title(loc="right")
+
+
+def test_trajectories_have_equal_scales():
+    assert plot_trajectory(make_runs(frames=60)).axes[0].get_aspect() == 1.0
+
+
+def test_a_line_has_the_colour_of_its_filter():
+    runs = make_runs(seeds=[0], frames=60)
+    drawn = [line.get_color() for line in plot_velocity(runs).axes[0].lines]
+    assert drawn[1:] == [filter_colours(run.filter_name for run in runs)[run.filter_name] for run in runs]
+
+
+def test_the_nees_band_narrows_with_the_number_of_runs():
+    def band_height(seeds):
+        band = plot_nees(make_runs(THREE[:1], seeds=range(seeds), frames=20)).axes[0].collections[0]
+        return np.ptp(band.get_paths()[0].vertices[:, 1])
+
+    assert band_height(8) < band_height(2)
+
+
+def test_depth_shows_estimate_truth_and_raw_measurements():
+    figure = plot_depth(make_runs(frames=60))
+    near, far = figure.axes[0], figure.axes[1]
+    assert near.get_title(loc="left").startswith("Near")
+    assert far.get_title(loc="left").startswith("Far")
+    assert len(near.lines) == 1 + len(THREE)
+    assert len(near.collections[0].get_offsets()) == 11
+
+
+def test_depth_without_a_trace_says_so():
+    with pytest.raises(ValueError, match="trace"):
+        plot_depth([replace(run, traces=()) for run in make_runs(seeds=[0], frames=60)])
+
+
+def test_belief_error_is_the_contract_of_the_pose_belief():
+    run = make_runs(THREE[:1], seeds=[0], frames=60)[0]
+    error, sigma = series.belief_error(run)
+    np.testing.assert_allclose(error, run.pose_errors, atol=1e-12)
+    np.testing.assert_allclose(sigma**2, np.diagonal(run.pose_covariances, axis1=1, axis2=2))
+
+
+def test_heading_turns_to_the_right_and_does_not_jump():
+    angles = np.linspace(0.0, 3 * np.pi, 50)
+    orientations = Rotation.from_rotvec(angles[:, None] * [0.0, 1.0, 0.0]).as_quat()
+    np.testing.assert_allclose(series.heading(orientations), angles, atol=1e-9)
+
+
+def test_distance_is_measured_over_frames_with_truth():
+    run = make_runs(THREE[:1], seeds=[0], frames=60, truth="gaps")[0]
+    travelled = series.distance(run)
+    assert np.isnan(travelled[1])
+    assert series.last_known(travelled) == pytest.approx(
+        np.linalg.norm(np.diff(run.true_positions[::3], axis=0), axis=1).sum()
+    )

@@ -1,0 +1,97 @@
+"""The decision rule, in every direction, on made-up numbers (< 1 s)."""
+
+from itertools import product
+
+import pytest
+
+from stereo_slam_env.studies.paper.claims import Claim, Finding, Interval, Range, Sentence, Verdict, decide, describe
+
+NAN, INFINITY = float("nan"), float("inf")
+SENTENCE = Sentence("key", "4.3", "what the paper says", "what is measured", "figure-4")
+HOLDS, FAILS, OPEN = Interval(0.8, 0.7, 0.9), Interval(1.3, 1.2, 1.4), Interval(1.0, 0.9, 1.1)
+BELOW_ONE = Range(high=1.0)
+
+
+def claim(measured, conditions):
+    return Claim(SENTENCE, tuple(Finding(c, m, BELOW_ONE) for c, m in zip(conditions, measured, strict=True)))
+
+
+def grid(**factors):
+    return [dict(zip(factors, levels, strict=True)) for levels in product(*factors.values())]
+
+
+@pytest.mark.parametrize(
+    ("measured", "asked", "verdict"),
+    [
+        (Interval(0.8, 0.7, 0.9), Range(high=1.0), Verdict.HOLDS),
+        (Interval(0.8, 0.7, 1.0), Range(high=1.0), Verdict.HOLDS),  # the limit belongs to the range
+        (Interval(1.2, 1.1, 1.3), Range(high=1.0), Verdict.DOES_NOT_HOLD),
+        (Interval(0.9, 0.7, 1.1), Range(high=1.0), Verdict.NOT_SHOWN),
+        (Interval(1.1, 0.9, 1.3), Range(high=1.0), Verdict.NOT_SHOWN),
+        (Interval(0.95, 0.945, 0.955), Range(0.94, 0.96), Verdict.HOLDS),
+        (Interval(0.97, 0.965, 0.975), Range(0.94, 0.96), Verdict.DOES_NOT_HOLD),
+        (Interval(0.84, 0.83, 0.85), Range(0.94, 0.96), Verdict.DOES_NOT_HOLD),
+        (Interval(0.95, 0.90, 1.00), Range(0.94, 0.96), Verdict.NOT_SHOWN),  # true or not: too little was measured
+        (Interval(5.0, 3.0, INFINITY), Range(low=1.21), Verdict.HOLDS),
+        (Interval(0.5, NAN, NAN), Range(high=1.0), Verdict.NOT_SHOWN),
+        (Interval(NAN, NAN, NAN), Range(), Verdict.NOT_SHOWN),
+    ],
+)
+def test_one_condition(measured, asked, verdict):
+    assert decide(measured, asked) is verdict
+
+
+@pytest.mark.parametrize(
+    ("measured", "verdict", "says"),
+    [
+        ([HOLDS, HOLDS], Verdict.HOLDS, "holds"),
+        ([FAILS, FAILS], Verdict.DOES_NOT_HOLD, "does not hold"),
+        ([OPEN, OPEN], Verdict.NOT_SHOWN, "not shown"),
+        ([HOLDS, FAILS], Verdict.HOLDS_ONLY_IF, "holds only if noise: a"),
+        ([FAILS, HOLDS], Verdict.HOLDS_ONLY_IF, "holds only if noise: b"),
+        ([HOLDS, OPEN], Verdict.HOLDS_ONLY_IF, "holds only if noise: a (not shown under 1 of 2 conditions)"),
+        ([FAILS, OPEN], Verdict.DOES_NOT_HOLD, "does not hold (not shown under 1 of 2 conditions)"),
+    ],
+)
+def test_all_conditions_of_a_claim(measured, verdict, says):
+    judged = claim(measured, grid(noise="ab"))
+    assert judged.verdict is verdict
+    assert judged.says == says
+
+
+def test_a_claim_that_nothing_was_found_about_is_not_shown():
+    assert Claim(SENTENCE, ()).verdict is Verdict.NOT_SHOWN
+    assert Claim(SENTENCE, ()).says == "not shown"
+
+
+def test_conditions_are_named_by_what_they_share():
+    every = grid(noise=["uvd", "pixels"], R=["diagonal", "full"], landmark=["near", "far"])
+
+    def named(*wanted):
+        return describe([c for c in every if tuple(c.values()) in wanted], every)
+
+    assert named(("uvd", "diagonal", "near"), ("uvd", "diagonal", "far")) == "noise: uvd, R: diagonal"
+    assert named(("uvd", "diagonal", "near")) == "noise: uvd, R: diagonal, landmark: near"
+    right = [
+        (noise, R, landmark) for noise, R in (("uvd", "diagonal"), ("pixels", "full")) for landmark in ("near", "far")
+    ]
+    assert named(*right) == "noise: uvd, R: diagonal; or noise: pixels, R: full"
+
+
+def test_several_levels_of_a_factor_are_listed():
+    every = grid(noise=["a", "b"], depth=["15 m", "30 m", "45 m"])
+    chosen = [c for c in every if c["noise"] == "a" and c["depth"] != "15 m"]
+    assert describe(chosen, every) == "noise: a, depth: 30 m or 45 m"
+
+
+@pytest.mark.parametrize(
+    ("asked", "words"),
+    [
+        (Range(high=2.0), "at most 2"),
+        (Range(low=1.21), "at least 1.21"),
+        (Range(0.94, 0.96), "0.94 to 0.96"),
+        (Range(2, 2), "2"),
+    ],
+)
+def test_a_range_says_what_is_asked(asked, words):
+    assert str(asked) == words
