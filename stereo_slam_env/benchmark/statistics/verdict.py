@@ -341,8 +341,8 @@ def _limit_words(best: FilterSummary) -> str:
         return f"The error of {name} is {found.words}: the 95 % interval of bound over error includes 100 % ({bound})."
     if found.reach is Reach.BEYOND:
         return (
-            f"The error of {name} is below {bound} (bound over error {found.sureness}): the bound holds on average over "
-            f"drives of the assumed motion; these were easier, perhaps by chance, or the filter knows more than it does."
+            f"The error of {name} is below {bound} (bound over error {found.sureness}): the bound is an average over "
+            f"drives of the assumed motion; these were easier, perhaps by chance, or the filter is told more."
         )
     few = "one run tells" if found.runs == 1 else f"{found.runs} runs tell"
     return f"The error of {name} is not told from the limit, as far as {few} ({bound})."
