@@ -6,7 +6,7 @@ those that never diverged is held against each of the others; `pairwise` holds e
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence, Set
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 
@@ -48,8 +48,7 @@ class Comparison:
         About the other one, by its error: worse, or no difference shown (better, where the best one is that only by
         its root mean square).
     shown : bool
-        Whether the runs show that the best one is better: in its error, or because the other one diverges more often,
-        or completed nothing.
+        Whether the best one is better: its error is shown to be smaller, or the other one diverged, be it by chance.
     tied : bool
         Whether the other one never diverged and has the same error on every recording.
     difference : Difference
@@ -71,6 +70,11 @@ class Comparison:
     divergences: ShareDifference
     words: str
     tied: bool = False
+
+    @property
+    def is_sure(self) -> bool:
+        """Whether it is better by more than a divergence that may be chance."""
+        return self.runs == 0 or Finding.WORSE in (self.difference.finding, self.divergences.finding)
 
 
 @dataclass(frozen=True)
@@ -105,7 +109,7 @@ class Verdict:
     def is_shown(self) -> bool:
         """Whether the runs show the leaders to be better than all others; False where there are no others."""
         others = [comparison for comparison in self.comparisons.values() if not comparison.tied]
-        return bool(others) and all(comparison.shown for comparison in others)
+        return bool(others) and all(comparison.shown and comparison.is_sure for comparison in others)
 
 
 def judge(summaries: Sequence[FilterSummary], figures: Figures) -> Verdict:
@@ -163,7 +167,7 @@ def against_best(
         excess_percent=difference.percent,
         interval_percent=difference.interval_percent,
         finding=difference.finding,
-        shown=Finding.WORSE in (difference.finding, divergences.finding) or (other.diverged > 0 == difference.count),
+        shown=bool(other.diverged) or difference.finding is Finding.WORSE,
         difference=difference,
         divergences=divergences,
         words=_comparison_words(other, difference, divergences),
@@ -247,30 +251,31 @@ def _accuracy(best: FilterSummary, rivals: Sequence[FilterSummary], comparisons:
     if not rivals:
         return f"{best.filter_name} has a position error of {error}."
     tied = [c for c in comparisons.values() if c.tied]
-    lost = {s.filter_name for s in rivals if s.diverged}
-    undecided = _undecided([c for c in comparisons.values() if not (c.shown or c.tied)], lost)
+    undecided = _undecided([c for c in comparisons.values() if not (c.shown or c.tied)])
     settled = _nearest([c for c in comparisons.values() if c.shown])
     who = listed([best.filter_name, *(c.other for c in tied)])
     if tied:
         widest = max((c.difference for c in tied), key=lambda difference: difference.largest)
         error = f"{error}, {widest.tie_words}"
+    smallest = f"{who} {'tie for' if tied else 'has'} the smallest position error"
     if undecided:
-        have = "tie for" if tied else "has"
-        first = f"{who} {have} the smallest position error, {error}, but {undecided}."
-    elif settled:
+        first = f"{smallest}, {error}, but {undecided}."
+    elif not settled:
+        first = f"{who} tie: their position error is {error}."
+    elif all(c.is_sure for c in comparisons.values() if c.shown):
         first = f"{who} {'tie as' if tied else 'is'} the most accurate, with a position error of {error}."
     else:
-        first = f"{who} tie: their position error is {error}."
+        first = f"{smallest} of the filters that never diverged, {error}."
     behind = "them" if tied else "it"
     return f"{first} Behind {behind}: {settled}." if settled else first
 
 
-def _undecided(open_ones: Sequence[Comparison], lost: Set[str]) -> str:
-    """With many rivals their names only: the figures are in the tables; `lost` are those that diverged."""
+def _undecided(open_ones: Sequence[Comparison]) -> str:
+    """With many rivals their names only: the figures are in the tables."""
     if len(open_ones) > _MOST_WORDED:
         names = ", ".join(c.other for c in open_ones[:_MOST_WORDED])
         return f"no difference to {names} and {len(open_ones) - _MOST_WORDED} more is shown"
-    few = [c for c in open_ones if c.runs and c.interval_percent is None and c.other not in lost]
+    few = [c for c in open_ones if c.runs and c.interval_percent is None]
     if len(few) > 1 and len({c.runs for c in few}) == 1:
         return "; ".join([_too_few(few), *(c.words for c in open_ones if c not in few)])
     return "; ".join(c.words for c in open_ones)
@@ -336,8 +341,8 @@ def _limit_words(best: FilterSummary) -> str:
         return f"The error of {name} is {found.words}: the 95 % interval of bound over error includes 100 % ({bound})."
     if found.reach is Reach.BEYOND:
         return (
-            f"The error of {name} is below {bound} (bound over error {found.sureness}): the bound holds on average "
-            f"over drives of the assumed motion, and these were easier, or the filter knows more than was assumed."
+            f"The error of {name} is below {bound} (bound over error {found.sureness}): the bound is an average over "
+            f"drives of the assumed motion; these were easier, perhaps by chance, or the filter is told more."
         )
     few = "one run tells" if found.runs == 1 else f"{found.runs} runs tell"
     return f"The error of {name} is not told from the limit, as far as {few} ({bound})."

@@ -255,4 +255,5 @@ def test_a_divergence_that_may_be_chance_makes_nobody_the_most_accurate():
     runs = [replace(r, failure="frame 3: gone") if r.filter_name == "unlucky" and r.seed == 0 else r for r in runs]
     best = judge(*scored(runs)).answers["best"]
     assert "most accurate" not in best
-    assert best.endswith("but unlucky failed in 1 of 8 runs, which may be chance.")
+    assert "has the smallest position error of the filters that never diverged, " in best
+    assert best.endswith(" Behind it: unlucky failed in 1 of 8 runs, which may be chance.")
