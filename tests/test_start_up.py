@@ -12,7 +12,7 @@ import filters
 
 ROOT = Path(__file__).resolve().parent.parent
 HEAVY = {"cv2", "distributed", "filterpy", "joblib", "matplotlib", "numba", "pybullet", "ray", "scipy", "torch"}
-HELP = "from stereo_slam_env import cli; cli.main(['--help'])"
+HELP = "from stereo_slam_env.cli import app; app.main(['--help'])"
 
 
 def loaded_by(code):

@@ -18,12 +18,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from filters.validation import BoolArray, FloatArray
-from stereo_slam_env.benchmark.statistics.differences import (
-    TIE_PERCENT,
-    Difference,
-    Finding,
-    pairs_needed,
-)
+from stereo_slam_env.benchmark.statistics.differences import TIE_PERCENT, Difference, Finding, pairs_needed
 from stereo_slam_env.benchmark.statistics.measures import (
     MEASURES,
     TIME,

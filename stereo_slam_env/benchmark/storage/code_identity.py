@@ -25,7 +25,7 @@ NO_RESULT = (
     "stereo_slam_env/benchmark/statistics/",
     "stereo_slam_env/cli",
     "stereo_slam_env/studies/",
-    "stereo_slam_env/benchmark/pytest_plugin.py",
+    "stereo_slam_env/pytest_plugin.py",
     "stereo_slam_env/training/",
     "stereo_slam_env/viewer/",
 )

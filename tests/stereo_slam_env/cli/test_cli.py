@@ -19,8 +19,9 @@ from stereo_slam_env.recording.recording import SIMULATION, Reference
 
 from ..benchmark.small_recordings import small_recording
 from ..datasets.small_folders import kitti00, kitti07
+from ..third_party import third_party  # noqa: F401 (a fixture)
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 BENCH = ("bench", "--preset", "reference-turn", "--seeds", "2", "--frames", "4", "--jobs", "1")
 
 
@@ -411,7 +412,7 @@ def test_the_version_is_told(command):
 
 def test_help_loads_nothing_heavy():
     code = (
-        "import sys; from stereo_slam_env import cli; cli.main(['--help']); "
+        "import sys; from stereo_slam_env.cli import app; app.main(['--help']); "
         "heavy = {'matplotlib', 'pybullet', 'joblib', 'cv2', 'rich.progress', 'stereo_slam_env.benchmark'}; "
         "sys.exit(str(heavy & set(sys.modules)) if heavy & set(sys.modules) else 0)"
     )

@@ -80,6 +80,6 @@ def test_a_bound_of_another_recording_is_refused(plain):
 
 
 def test_the_manual_has_the_table_of_the_columns():
-    manual = (Path(__file__).parents[4] / "docs" / "metrics.md").read_text(encoding="utf-8")
+    manual = (Path(__file__).parents[3] / "docs" / "metrics.md").read_text(encoding="utf-8")
     rows = [f"| `{name}` | {column.unit} | {column.kind} | {column.meaning} |" for name, column in COLUMNS.items()]
     assert "\n".join(rows) + "\n" in manual

@@ -60,7 +60,7 @@ ALONE = [
 def run_tests(pytester, body, *arguments):
     pytester.makepyfile(my_filters=FILTERS)
     pytester.makepyfile(f"from my_filters import *\n{SCENARIO}\n{body}")
-    return pytester.runpytest_inprocess("-p", "stereo_slam_env.benchmark.pytest_plugin", *ALONE, *arguments)
+    return pytester.runpytest_inprocess("-p", "stereo_slam_env.pytest_plugin", *ALONE, *arguments)
 
 
 def test_a_good_filter_passes_in_a_few_lines(pytester):
@@ -152,7 +152,7 @@ def test_the_number_of_recordings_is_an_option_or_a_setting(pytester):
 
 def test_nothing_of_the_benchmark_is_imported_before_a_test_asks_for_it():
     code = (
-        "import sys; import stereo_slam_env.benchmark.pytest_plugin;"
+        "import sys; import stereo_slam_env.pytest_plugin;"
         "late = ('scipy', 'cv2', 'pybullet', 'filters', 'stereo_slam_env.benchmark', 'stereo_slam_env.envs');"
         "print([name for name in sys.modules if name.startswith(late)])"
     )
