@@ -51,7 +51,7 @@ class CameraBelief:
 
 def symmetrised(P: FloatArray) -> FloatArray:
     """The mean of P and its transpose: rounding leaves no asymmetry behind."""
-    mean: FloatArray = 0.5 * (P + P.T)
+    mean: FloatArray = 0.5 * (P + P.swapaxes(-1, -2))
     return mean
 
 
