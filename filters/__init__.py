@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from filters.conformance import ConformanceError as ConformanceError
     from filters.conformance import ConformanceReport as ConformanceReport
     from filters.conformance import check_filter as check_filter
+    from filters.conformance_pytest import parametrize_with_checks as parametrize_with_checks
     from filters.dual_bearing import DualBearingEKF as DualBearingEKF
     from filters.engine.ekf import StereoEKF as StereoEKF
     from filters.euclidean_xyz import EuclideanEKF as EuclideanEKF
@@ -76,6 +77,7 @@ _HOMES = {
     "available_filters": "registry",
     "check_filter": "conformance",
     "make_filter": "registry",
+    "parametrize_with_checks": "conformance_pytest",
     "run_trials": "trials.series",
 }
 

@@ -86,7 +86,7 @@ def check_filter(factory: str | FilterFactory, *, raise_on_failure: bool = True)
     ValueError
         There is no filter of that name.
     """
-    make = _maker(filter_factory(factory))
+    make = as_benchmarks_make_it(factory)
     passed, failed = [], []
     name = label_of(factory)
     for check in CHECKS:
@@ -105,8 +105,9 @@ def check_filter(factory: str | FilterFactory, *, raise_on_failure: bool = True)
     return report
 
 
-def _maker(factory: FilterFactory) -> Make:
-    """Makes the filter as a benchmark does."""
+def as_benchmarks_make_it(factory: str | FilterFactory) -> Make:
+    """What makes the filter as a benchmark does; takes what `check_filter` takes."""
+    factory = filter_factory(factory)
     if _takes(factory) and not _takes(factory, camera=REFERENCE_CAMERA, noise=REFERENCE_NOISE):
         return factory
     return lambda: make_with_common_options(factory, REFERENCE_CAMERA, REFERENCE_NOISE, {}, USUAL).filter

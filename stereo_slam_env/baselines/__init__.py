@@ -1,4 +1,4 @@
-"""What a user would otherwise take, as filters: `dead-reckoning`, `frame-to-frame` and `batch`.
+"""What a user would otherwise take, as filters: `dead-reckoning`, `frame-to-frame`, `batch` and `filterpy-ekf`.
 
 They implement `filters.StereoFilter` and are found by their entry points, like anybody's filter. They live here and not
 in `filters` because they need more than numpy and scipy.
@@ -6,6 +6,7 @@ in `filters` because they need more than numpy and scipy.
 
 from stereo_slam_env.baselines.batch import BatchSmoother
 from stereo_slam_env.baselines.dead_reckoning import DeadReckoning
+from stereo_slam_env.baselines.filterpy_ekf import FilterpyEKF
 from stereo_slam_env.baselines.frame_to_frame import FrameToFrame
 
-__all__ = ["BatchSmoother", "DeadReckoning", "FrameToFrame"]
+__all__ = ["BatchSmoother", "DeadReckoning", "FilterpyEKF", "FrameToFrame"]

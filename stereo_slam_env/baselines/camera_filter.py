@@ -50,8 +50,8 @@ class CameraBelief:
 
 
 def symmetrised(P: FloatArray) -> FloatArray:
-    """The mean of P and its transpose: rounding leaves no asymmetry behind."""
-    mean: FloatArray = 0.5 * (P + P.T)
+    """The mean of P (..., n, n) and its transpose: rounding leaves no asymmetry behind."""
+    mean: FloatArray = 0.5 * (P + P.swapaxes(-1, -2))
     return mean
 
 

@@ -17,7 +17,7 @@ from stereo_slam_env.files.atomic import write_atomically
 ROOT = Path(__file__).resolve().parents[3]
 NO_RESULT = (
     "filters/compilation.py",
-    "filters/conformance.py",
+    "filters/conformance",
     "stereo_slam_env/benchmark/campaign.py",
     "stereo_slam_env/benchmark/certificate",
     "stereo_slam_env/benchmark/head_to_head.py",

@@ -1,11 +1,13 @@
 """The contract, and the figures that this filter is meant to have."""
 
-from filters import available_filters, check_filter
+from filters import available_filters, parametrize_with_checks
 from my_slam_filter import MyFilter
 
 
-def test_the_contract_of_a_filter_is_kept():
-    check_filter(MyFilter)
+@parametrize_with_checks([MyFilter])
+def test_the_contract_of_a_filter_is_kept(filter, check):
+    """One case for each check; the name of a case says which."""
+    check(filter)
 
 
 def test_the_bench_knows_it_by_name():

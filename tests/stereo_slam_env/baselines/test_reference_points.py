@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+import sys
+from importlib.metadata import EntryPoint
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from filters import check_filter, make_filter
+from filters.registry import ENTRY_POINT_GROUP
+from stereo_slam_env import baselines
 from stereo_slam_env.benchmark.recordings.reference_problem import short_turn
 from stereo_slam_env.benchmark.running.runner import run_filter
 from stereo_slam_env.datasets import read_recording
@@ -13,6 +19,13 @@ from stereo_slam_env.evaluation.results import FilterRun
 from stereo_slam_env.evaluation.trajectory_metrics import ate_rigid
 
 from ..real_data import real_data
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+ROOT = Path(__file__).resolve().parents[3]
 
 
 def ate(run: FilterRun) -> float:
@@ -25,6 +38,15 @@ def test_every_baseline_keeps_the_contract(name: str) -> None:
     if name == "batch":
         pytest.importorskip("gtsam", reason="needs the extra gtsam")
     check_filter(lambda camera, noise: make_filter(name, camera=camera, noise=noise))
+
+
+def test_every_baseline_has_an_entry_point() -> None:
+    """In `pyproject.toml`, since what is installed may be older."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    named = project["entry-points"][ENTRY_POINT_GROUP]
+    made = {EntryPoint(name, value, ENTRY_POINT_GROUP).load() for name, value in named.items()}
+    assert made == {getattr(baselines, name) for name in baselines.__all__}
+    assert named["filterpy-ekf"] == "stereo_slam_env.baselines.filterpy_ekf:FilterpyEKF"
 
 
 def test_dead_reckoning_on_kitti_07_is_as_far_off_as_published_with_the_data() -> None:

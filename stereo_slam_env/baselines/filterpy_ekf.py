@@ -1,0 +1,234 @@
+"""Textbook EKF-SLAM on filterpy's `ExtendedKalmanFilter`: dense matrices, six inverse-depth numbers a landmark."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from filterpy.kalman import ExtendedKalmanFilter
+from numpy.typing import ArrayLike
+from scipy.linalg import block_diag
+from scipy.stats import chi2
+
+from filters import rotations
+from filters.camera import StereoCamera
+from filters.interface import BodyVelocity, Forecast, LandmarkBelief, StereoObservation, UpdateReport
+from filters.landmarks.inverse_depth import InverseDepth
+from filters.motion import (
+    ANGULAR,
+    CAMERA_SIZE,
+    LINEAR,
+    POSE_SIZE,
+    POSITION,
+    ROTATION,
+    CameraState,
+    MotionModel,
+    measure_odometry,
+    predict_camera,
+)
+from filters.noise import StereoNoise
+from filters.validation import BoolArray, FloatArray, IntArray, gate_probability, positive, unique_ids
+from stereo_slam_env.baselines.camera_filter import CameraBelief, CameraFilter, symmetrised
+
+LANDMARK_SIZE = 6
+_MODEL = InverseDepth()
+
+
+class FilterpyEKF(CameraFilter):
+    """EKF-SLAM as in a textbook, on filterpy's `ExtendedKalmanFilter`: inverse depth, dense matrices, slow.
+
+    The estimates are those of `inverse-depth`; the cost of a frame grows with the cube of the number of landmarks.
+    filterpy's `x` is the error of the state: 12 numbers of the camera, then (anchor, theta, phi, rho) of each landmark.
+    It is zero before each update and is moved into the state after it. A landmark that is not seen leaves the map.
+
+    Parameters
+    ----------
+    camera, noise, motion
+        See `CameraFilter`; odometry is used as the motion model says.
+    gate : float or None
+        Probability with which a consistent measurement of a landmark passes the chi-square gate; None: no gate.
+
+    Raises
+    ------
+    ValueError
+        An option has an impossible value.
+
+    References
+    ----------
+    R. Labbe, "Kalman and Bayesian Filters in Python", chapter 11, and filterpy, https://github.com/rlabbe/filterpy.
+    J. Civera, A. J. Davison, J. M. M. Montiel, "Inverse Depth Parametrization for Monocular SLAM", T-RO 24(5), 2008.
+    """
+
+    def __init__(
+        self,
+        camera: StereoCamera,
+        noise: StereoNoise,
+        *,
+        motion: MotionModel | None = None,
+        gate: float | None = 0.99,
+    ) -> None:
+        self._gate = gate_probability(gate)
+        super().__init__(camera, noise, motion=motion)
+
+    def _restart(self) -> None:
+        self._ids: IntArray = np.zeros(0, dtype=np.int64)  # ascending
+        self._map = np.zeros((0, LANDMARK_SIZE))
+        self._P = self._belief.P
+
+    def predict(self, dt: float, odometry: BodyVelocity | None = None) -> None:
+        """Move the belief forward (Eq. 6, 11, 12), then fuse what odometry adds."""
+        dt = positive("dt", dt)
+        if odometry is not None and not isinstance(odometry, BodyVelocity):
+            raise ValueError(f"odometry must be a BodyVelocity or None, got {odometry!r}")
+        step = predict_camera(self._motion, self._belief.state, dt, odometry)
+        measured = None if odometry is None else measure_odometry(self._motion, step.state, dt, odometry)
+        ekf, rest = self._kalman_filter(), self._map.size
+        ekf.F = block_diag(step.F, np.eye(rest))
+        ekf.Q = block_diag(step.G @ step.Q @ step.G.T, np.zeros((rest, rest)))
+        ekf.predict()
+        self._move_to(step.state, ekf.P)
+        if measured is not None:
+            self._correct(measured.innovation, np.pad(measured.H, ((0, 0), (0, rest))), measured.R)
+
+    def forecast(self, ids: Sequence[int] | IntArray | None = None) -> Forecast:
+        """Predicted (u, v, d) and S of landmarks at the current pose."""
+        wanted, index = self._wanted(ids)
+        uvd, H, forward = self._linearised(index)
+        S = H @ self._P @ H.transpose(0, 2, 1) + self.noise.R
+        return Forecast(wanted, uvd, symmetrised(S), forward & self.camera.in_view(uvd))
+
+    def forget(self, ids: Sequence[int] | IntArray) -> None:
+        """Marginalise landmarks out; ids not in the map are ignored."""
+        self._keep(np.flatnonzero(~np.isin(self._ids, unique_ids("ids", np.asarray(ids)))))
+
+    @property
+    def landmarks(self) -> LandmarkBelief:
+        """The map, in ascending order of ids."""
+        positions = _MODEL.points(self._map[:, :3], self._map[:, 3:]).positions
+        joint, rows = self.joint_covariance(), POSE_SIZE + np.arange(positions.size).reshape(-1, 3)
+        covariances = joint[rows[:, :, None], rows[:, None, :]]
+        variances = np.diag(self._P)[CAMERA_SIZE + 5 :: LANDMARK_SIZE]
+        return LandmarkBelief(self._ids.copy(), positions, covariances, self._map[:, 5].copy(), variances.copy())
+
+    def joint_covariance(self, ids: Sequence[int] | IntArray | None = None) -> FloatArray:
+        """Covariance of the pose error and landmark positions, correlations included; see `StereoFilter`."""
+        _, index = self._wanted(ids)
+        by_map = _MODEL.points(self._map[index, :3], self._map[index, 3:]).by_map
+        J = np.concatenate([np.eye(POSE_SIZE, len(self._P)), *self._placed(by_map, index)])
+        with np.errstate(invalid="ignore", over="ignore"):
+            return symmetrised(J @ self._P @ J.T)
+
+    def _use(self, observation: StereoObservation) -> UpdateReport:
+        """Correct with known landmarks (Eq. 13-18), drop those not seen, add the new ones (Eq. 19-25)."""
+        ids, R = observation.ids, observation.covariances(self.noise)
+        known = np.isin(ids, self._ids)
+        index = np.searchsorted(self._ids, ids[known])
+        uvd, H, forward = self._linearised(index)
+        innovations = observation.uvd[known] - uvd
+        used = forward & self._believable(innovations, H, R[known])
+        nis = 0.0
+        if used.any():
+            nis = self._correct(innovations[used].ravel(), np.concatenate(H[used]), block_diag(*R[known][used]))
+        dropped = self._ids[~np.isin(self._ids, ids)]
+        self.forget(dropped)
+        new = ~known & _MODEL.can_initialise(self.camera, self._belief.state.R_wc, observation.uvd)
+        if new.any():
+            self._add(ids[new], observation.uvd[new], R[new])
+        return UpdateReport(
+            updated=ids[known][used],
+            initialised=ids[new],
+            dropped=dropped,
+            gated=ids[known][forward & ~used],
+            rejected=ids[~known & ~new],
+            behind_camera=ids[known][~forward],
+            nis=nis,
+            nis_dof=3 * int(used.sum()),
+        )
+
+    def _kalman_filter(self, rows: int = 1) -> ExtendedKalmanFilter:
+        """filterpy's filter of the error, at zero; a new one each time, because the map grows and shrinks."""
+        ekf = ExtendedKalmanFilter(dim_x=len(self._P), dim_z=rows)
+        ekf.x, ekf.P = np.zeros(len(self._P)), self._P
+        return ekf
+
+    def _correct(self, innovation: FloatArray, H: FloatArray, R: FloatArray) -> float:
+        """Estimate the error (Eq. 15-18) and move it into the state; the NIS of the innovation."""
+        ekf = self._kalman_filter(len(innovation))
+        ekf.update(innovation, lambda error: H, lambda error: np.zeros(len(innovation)), R)
+        state, delta = self._belief.state, ekf.x
+        half_turn = 0.5 * delta[ROTATION]
+        moved = CameraState(
+            state.position + delta[POSITION],
+            rotations.multiply(state.orientation, np.append(half_turn, 1.0)),  # q + dq, normalised
+            state.linear_velocity + delta[LINEAR],
+            state.angular_velocity + delta[ANGULAR],
+        )
+        self._map = self._map + delta[CAMERA_SIZE:].reshape(-1, LANDMARK_SIZE)
+        by_error = np.eye(len(delta))  # of the error at the moved state by that at the old one
+        by_error[ROTATION, ROTATION] = (np.eye(3) - rotations.skew(half_turn)) / (1.0 + half_turn @ half_turn)
+        self._move_to(moved, by_error @ ekf.P @ by_error.T)
+        return float(ekf.y @ ekf.SI @ ekf.y)
+
+    def _move_to(self, state: CameraState, P: FloatArray) -> None:
+        self._P = symmetrised(P)
+        self._belief = CameraBelief(state, self._P[:CAMERA_SIZE, :CAMERA_SIZE])
+
+    def _linearised(self, index: IntArray) -> tuple[FloatArray, FloatArray, BoolArray]:
+        """Predicted (u, v, d) (M, 3), H (M, 3, 12 + 6 N), and whether the rays point forward (Eq. 8-10, 13)."""
+        R_wc = self._belief.state.R_wc
+        seen = _MODEL.relative_to(self._belief.state.position, self._map[index, :3], self._map[index, 3:])
+        h_c, scale = seen.homogeneous[:, :3] @ R_wc, seen.homogeneous[:, 3]
+        by_camera = self.camera.project_scaled_jacobian(h_c, scale)
+        by_world = np.concatenate([by_camera[:, :, :3] @ R_wc.T, by_camera[:, :, 3:]], axis=2)
+        H = self._placed(by_world @ seen.by_map, index)
+        H[:, :, POSITION] = by_world @ seen.by_position
+        H[:, :, ROTATION] = by_camera[:, :, :3] @ rotations.skew(h_c)
+        return self.camera.project_scaled(h_c, scale), H, h_c[:, 2] > 0
+
+    def _believable(self, innovations: FloatArray, H: FloatArray, R: FloatArray) -> BoolArray:
+        """Which innovations (M, 3) pass the chi-square gate."""
+        if self._gate is None:
+            return np.ones(len(innovations), dtype=bool)
+        S = H @ self._P @ H.transpose(0, 2, 1) + R
+        distances = (innovations * np.linalg.solve(S, innovations[:, :, None])[:, :, 0]).sum(axis=1)
+        inside: BoolArray = distances <= chi2.ppf(self._gate, 3)
+        return inside
+
+    def _keep(self, index: IntArray) -> None:
+        """Only the landmarks at `index`, in that order."""
+        rows = np.concatenate([np.arange(CAMERA_SIZE), _rows(index).ravel()])
+        self._ids, self._map, self._P = self._ids[index], self._map[index], self._P[np.ix_(rows, rows)]
+
+    def _add(self, ids: IntArray, uvd: FloatArray, R: FloatArray) -> None:
+        """Enter new landmarks with their correlations to all others (Eq. 25)."""
+        position = self._belief.state.position
+        new = _MODEL.initialise(self.camera, position, self._belief.state.R_wc, uvd)
+        by_state = np.zeros((len(ids), LANDMARK_SIZE, len(self._P)))
+        by_state[:, :3, POSITION] = np.eye(3)  # the anchor is the camera
+        by_state[:, 3:, ROTATION] = new.by_rotation
+        by_uvd = np.pad(new.by_measurement, ((0, 0), (3, 0), (0, 0)))
+        J, own = np.concatenate(by_state), block_diag(*(by_uvd @ R @ by_uvd.transpose(0, 2, 1)))
+        self._P = np.block([[self._P, self._P @ J.T], [J @ self._P, symmetrised(J @ self._P @ J.T + own)]])
+        self._map = np.concatenate([self._map, np.insert(new.parameters, [0, 0, 0], position, axis=1)])
+        self._ids = np.concatenate([self._ids, ids])
+        self._keep(np.argsort(self._ids))
+
+    def _placed(self, by_landmark: FloatArray, index: IntArray) -> FloatArray:
+        """Jacobians (M, k, 6), each by its own landmark, as Jacobians (M, k, 12 + 6 N) by all errors."""
+        placed = np.zeros((*by_landmark.shape[:2], len(self._P)))
+        np.put_along_axis(placed, _rows(index)[:, None, :], by_landmark, axis=2)
+        return placed
+
+    def _wanted(self, ids: ArrayLike | None) -> tuple[IntArray, IntArray]:
+        """The landmarks asked for (None: all), and where they are; refuses those that are not there."""
+        wanted = self._ids if ids is None else unique_ids("ids", np.asarray(ids))
+        missing = wanted[~np.isin(wanted, self._ids)]
+        if len(missing):
+            raise ValueError(f"ids must be in the map, not there: {missing[:5].tolist()}: see landmarks.ids")
+        return wanted.copy(), np.searchsorted(self._ids, wanted)
+
+
+def _rows(index: IntArray) -> IntArray:
+    """Rows of P of the landmarks at `index`; (M,) -> (M, 6)."""
+    rows: IntArray = CAMERA_SIZE + LANDMARK_SIZE * index[:, None] + np.arange(LANDMARK_SIZE)
+    return rows
