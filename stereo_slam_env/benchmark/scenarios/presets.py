@@ -112,7 +112,7 @@ def _with_rig(cell: Cell, given: Mapping[str, Any]) -> Cell:
     varied = {}
     for key, value in cell.factors.items():
         if key == "options.rig" or key in [f"options.rig.{number}" for number in given]:
-            raise ValueError(f"--rig must not give {key}: {scenario.name!r} varies it in its grid")
+            raise ValueError(f"--rig must not give {key}: the grid varies it")
         if key.startswith("options.rig."):
             varied[key.removeprefix("options.rig.")] = value
     own = scenario.options.get("rig", {})
