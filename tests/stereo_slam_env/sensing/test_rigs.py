@@ -64,6 +64,7 @@ WRONG = [
     ({"baseline": "0.2"}, r"rig\.baseline must be a finite number, got '0\.2'"),
     ({"baseline": True}, r"rig\.baseline must be a finite number, got True"),
     ({"fx": float("nan")}, r"rig\.fx must be a finite number, got nan"),
+    ({"fx": 10**400}, r"rig\.fx must be a finite number, got 1000"),
     ({"width": 640.0}, r"rig\.width must be a whole number from 1 to 8192, px, got 640\.0"),
     ({"height": 1_000_000}, r"rig\.height must be a whole number from 1 to 8192, px, got 1000000"),
     ({"width": 640}, r"rig\.cx must be a number from 0 to 639 px, inside the image: give it with the size, got 672\.0"),
