@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from typing import Any, TypeVar
 
 import numpy as np
@@ -75,7 +76,8 @@ def positive(name: str, value: Any, *, allow_zero: bool = False) -> float:
 
 def finite_number(name: str, value: Any) -> float:
     """Return `value` as a finite float."""
-    if isinstance(value, bool) or not isinstance(value, float | int | np.number) or not math.isfinite(value):
+    number = not isinstance(value, bool) and isinstance(value, float | int | np.number)
+    if not number or not abs(value) <= sys.float_info.max:  # a whole number can be larger
         raise ValueError(f"{name} must be a finite number, got {value!r}")
     return float(value)
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
-from stereo_slam_env.cli.parts import Interrupted, console, one_line_errors, show_place
+from stereo_slam_env.cli.parts import Interrupted, console, one_line_errors, rig_from, show_place
 
 if TYPE_CHECKING:
     from stereo_slam_env.benchmark import Scenario, Study
@@ -45,6 +45,14 @@ SigmaOption = Annotated[
     float | None,
     typer.Option(
         "--sigma-px", "--sigma", help="Pixel noise the filters assume, px.", show_default="what the recording says"
+    ),
+]
+RigOption = Annotated[
+    str | None,
+    typer.Option(
+        "--rig",
+        help="Rig of simulated drives: 'reference', 'vga', 'qvga'; or numbers: baseline=0.2 or vga,baseline=0.2.",
+        show_default="what the scenario says",
     ),
 ]
 SearchOption = Annotated[
@@ -98,6 +106,7 @@ def bench(
             "--renderer", help="Who draws the images: 'tiny', everywhere, or 'gl', fast.", show_default="tiny"
         ),
     ] = None,
+    rig: RigOption = None,
     search: SearchOption = None,
     record: RecordOption = None,
     live: LiveOption = None,
@@ -116,6 +125,7 @@ def bench(
     """Compare filters, or policies that decide where to look: scenarios x filters x seeds, one report."""
     with one_line_errors():
         from stereo_slam_env.benchmark import load_study, preset_study, presets
+        from stereo_slam_env.benchmark.scenarios.presets import with_rig
         from stereo_slam_env.benchmark.scenarios.scenario import policy_choice
 
         if show_list:
@@ -140,6 +150,8 @@ def bench(
             return _adjusted(_sensed(one, sensor, renderer), filters, frames, sigma_px, gate, search)
 
         study = study.with_scenarios(adjusted)
+        if rig is not None:
+            study = with_rig(study, rig_from(rig))
         directory = _ready(study, out)
         with _film(study.name, record, live) as show:
             show(study.cells[0].scenario)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -46,6 +46,29 @@ def one_line_errors() -> Iterator[None]:
         raise
     except (ValueError, OSError, ImportError) as error:
         raise typer.Exit(refuse(str(error))) from error
+
+
+def rig_from(text: str) -> str | dict[str, Any]:
+    """The rig that `--rig` says: NAME, KEY=NUMBER,... or NAME,KEY=NUMBER,... .
+
+    Raises
+    ------
+    ValueError
+        The text has another form.
+    """
+    rig: dict[str, Any] = {}
+    for part in text.split(","):
+        key, equals, value = (piece.strip() for piece in part.partition("="))
+        if not equals:
+            key, value = "name", key
+        try:
+            number = value if key == "name" else int(value) if value.lstrip("+-").isdecimal() else float(value)
+        except ValueError:
+            raise ValueError(f"--rig must be a name, numbers or both, as vga,baseline=0.2, got {text!r}") from None
+        if key in rig:
+            raise ValueError(f"--rig must give each number and the name once, got {text!r}")
+        rig[key] = number
+    return text.strip() if set(rig) == {"name"} else rig
 
 
 def show_place(page: Path) -> None:

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from stereo_slam_env.cli.parts import console, help_without_command, one_line_errors
+from stereo_slam_env.cli.parts import console, help_without_command, one_line_errors, rig_from
 
 app = typer.Typer(help="The simulated scenes: list, render, record, noise.")
 
@@ -18,7 +18,9 @@ SeedOption = Annotated[int, typer.Option("--seed", help="Of scene and drive.", m
 FramesOption = Annotated[int | None, typer.Option("--frames", help="Stop after so many.", min=2)]
 SurroundingsOption = Annotated[str, typer.Option("--surroundings", help="What stands along the route.")]
 RendererOption = Annotated[str, typer.Option("--renderer", help="'tiny', everywhere, or 'gl', fast.")]
-RigOption = Annotated[str, typer.Option("--rig", help="'reference' 1344x391, 'vga' or 'qvga'.")]
+RigOption = Annotated[
+    str, typer.Option("--rig", help="'reference' 1344x391, 'vga' or 'qvga'; numbers of your own: vga,baseline=0.2.")
+]
 CarsOption = Annotated[int, typer.Option("--moving-cars", help="Cars that drive.", min=0)]
 PedestriansOption = Annotated[int, typer.Option("--pedestrians", help="People that walk.", min=0)]
 RandomiseOption = Annotated[bool, typer.Option("--randomise", help="Textures, light, air and cameras by the seed too.")]
@@ -154,7 +156,7 @@ def _arguments(
         "route": route,
         "surroundings": surroundings,
         "renderer": renderer,
-        "rig": rig,
+        "rig": rig_from(rig),
         "moving_cars": moving_cars,
         "pedestrians": pedestrians,
         "randomise": randomise,

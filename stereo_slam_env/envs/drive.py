@@ -106,6 +106,9 @@ class StereoDriveEnv(StereoEnv):
     | `goal_weight` | `10.0` | of the reward |
     | `render_mode` | `None` | `"rgb_array"`: both views with the observed landmarks; `"human"`: in a window |
 
+    `rig` is a name, a `StereoCamera` or some of its numbers (`fx`, `fy`, `cx`, `cy`, `baseline`, `width`, `height`):
+    `{"baseline": 0.2}` differs from the default in one, `{"name": "qvga", "baseline": 0.2}` from the rig of that name.
+
     Noise of landmarks: `"pixels"`: u, v of both eyes have independent Gaussian errors; `"heavy-tailed"`: the same with
     rare gross errors, as in rendered images; `"quantised"`: rounded to whole pixels; `"uvd"`: u, v, d are independent.
 

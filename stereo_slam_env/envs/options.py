@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from filters.camera import StereoCamera
 from filters.known_names import require_known
 from filters.validation import positive
 from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.rendering.backends import RENDERERS
 from stereo_slam_env.sensing.landmark_sensor import TrackingPolicy
 from stereo_slam_env.sensing.pixel_noise import NOISE_MODELS
-from stereo_slam_env.sensing.rigs import RIGS
+from stereo_slam_env.sensing.rigs import Rig, camera_of
 from stereo_slam_env.world.head import Head
 from stereo_slam_env.world.route_files import named_route
 from stereo_slam_env.world.surroundings import SURROUNDINGS
@@ -31,7 +32,7 @@ correlation does not see it. Measured with `stereo-slam scenes noise`."""
 
 @dataclass(frozen=True)
 class StereoOptions:
-    """Arguments that every environment takes, described there; all are JSON-able.
+    """Arguments that every environment takes, described there; `as_dict` is JSON-able.
 
     Raises
     ------
@@ -46,7 +47,7 @@ class StereoOptions:
     randomise: bool = False
     visibility: float = TrackingPolicy.farthest
     blank_from: float | None = None
-    rig: str = "reference"
+    rig: Rig = "reference"
     sensor: str = "landmarks"
     renderer: str = "tiny"
     render_images: bool = False
@@ -68,7 +69,10 @@ class StereoOptions:
         _one_of("randomise", self.randomise, (True, False))
         _whole("moving_cars", self.moving_cars, 0, 100)
         _whole("pedestrians", self.pedestrians, 0, 100)
-        _one_of("rig", self.rig, RIGS)
+        if isinstance(self.rig, str):
+            camera_of(self.rig)
+        else:  # numbers that are not given are those of the usual rig
+            object.__setattr__(self, "rig", camera_of(self.rig, str(type(self).rig)))
         _one_of("sensor", self.sensor, SENSORS)
         _one_of("noise", self.noise, NOISE_MODELS)
         _one_of("render_images", self.render_images, (True, False))
@@ -90,6 +94,11 @@ class StereoOptions:
         """From keyword arguments; an unknown name is refused with the nearest known one."""
         require_known("there is no argument", given, [field.name for field in fields(cls)])
         return cls(**given)
+
+    @property
+    def camera(self) -> StereoCamera:
+        """What `rig` stands for."""
+        return camera_of(self.rig)
 
     @property
     def tracking(self) -> TrackingPolicy:
@@ -141,7 +150,7 @@ class HeadOptions(StereoOptions):
     route: str = "straight"
     surroundings: str = "groves"
     visibility: float = 30.0
-    rig: str = "vga"
+    rig: Rig = "vga"
     max_landmarks: int = 24
     revisit: bool = True
     max_pan: float = 2.0

@@ -28,7 +28,6 @@ from stereo_slam_env.sensing.landmark_sensor import LandmarkSensor
 from stereo_slam_env.sensing.odometry import OdometrySensor
 from stereo_slam_env.sensing.padding import NO_LANDMARK, padded, padded_extras
 from stereo_slam_env.sensing.pixel_noise import NOISE_MODELS
-from stereo_slam_env.sensing.rigs import RIGS
 from stereo_slam_env.world.head import Head, velocity_between
 from stereo_slam_env.world.route_files import named_route
 from stereo_slam_env.world.routes import FRAME_PERIOD, Driver, Route, RouteDriver, advance
@@ -72,7 +71,7 @@ class StereoEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
         self.render_mode = render_mode
         self.metadata = modes_here(self.metadata)
         self._window = window_for(render_mode, self.metadata["render_fps"])
-        self.camera: StereoCamera = RIGS[self.options.rig]
+        self.camera: StereoCamera = self.options.camera
         self.head: Head | None = None
         """What carries the eyes; None: they are fixed to the car."""
         if isinstance(self.options, HeadOptions):

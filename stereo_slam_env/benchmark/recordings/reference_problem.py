@@ -7,13 +7,15 @@ section 4.4 (800 frames, about 350 m, two wide turns), `short_turn` its section 
 
 from __future__ import annotations
 
+from dataclasses import asdict
+
 import numpy as np
 
 from filters.validation import FloatArray
 from stereo_slam_env.recording.recording import SIMULATION, Frame, LandmarkTruth, Recording, Start, Velocity
 from stereo_slam_env.sensing.landmark_sensor import LandmarkSensor, TrackingPolicy
 from stereo_slam_env.sensing.pixel_noise import NOISE_MODELS
-from stereo_slam_env.sensing.rigs import CAMERA_HEIGHT, RIGS
+from stereo_slam_env.sensing.rigs import CAMERA_HEIGHT, Rig, camera_of
 from stereo_slam_env.world.routes import FRAME_PERIOD, ROUTES, Route, RouteDriver, advance
 
 # What a filter knows at the start: the pose, and the velocity to this (m/s, rad/s).
@@ -21,7 +23,12 @@ START_SIGMAS = np.repeat([1e-6, 1e-6, 0.5, 0.05], 3)
 
 
 def long_drive(
-    seed: int, noise: str = "pixels", sigma: float = 1.0, frames: int = 800, landmarks: int = 90
+    seed: int,
+    noise: str = "pixels",
+    sigma: float = 1.0,
+    frames: int = 800,
+    landmarks: int = 90,
+    rig: Rig = "reference",
 ) -> Recording:
     """800 frames, about 350 m, one wide turn to the left and one to the right (the paper's 4.4).
 
@@ -38,34 +45,41 @@ def long_drive(
         Length.
     landmarks : int
         Most landmarks in one frame; refilled when fewer than 65 of 90 are left.
+    rig : str, StereoCamera or mapping
+        The stereo camera, see `sensing.rigs.camera_of`.
 
     Raises
     ------
     ValueError
-        No such noise, more frames than the route has, or no landmarks.
+        No such noise or rig, more frames than the route has, or no landmarks.
     """
-    return _drive("long-drive", ROUTES["town"](), seed, noise, sigma, frames, landmarks)
+    return _drive("long-drive", ROUTES["town"](), seed, noise, sigma, frames, landmarks, rig)
 
 
 def short_turn(
-    seed: int, noise: str = "pixels", sigma: float = 1.0, frames: int = 12, landmarks: int = 90
+    seed: int,
+    noise: str = "pixels",
+    sigma: float = 1.0,
+    frames: int = 12,
+    landmarks: int = 90,
+    rig: Rig = "reference",
 ) -> Recording:
     """12 frames into a right turn (the paper's 4.3); arguments as for `long_drive`."""
-    return _drive("short-turn", ROUTES["right-turn"](), seed, noise, sigma, frames, landmarks)
+    return _drive("short-turn", ROUTES["right-turn"](), seed, noise, sigma, frames, landmarks, rig)
 
 
-def _drive(name: str, route: Route, seed: int, noise: str, sigma: float, frames: int, most: int) -> Recording:
+def _drive(name: str, route: Route, seed: int, noise: str, sigma: float, frames: int, most: int, rig: Rig) -> Recording:
     if noise not in NOISE_MODELS:
         raise ValueError(f"noise must be one of {', '.join(NOISE_MODELS)}, got {noise!r}")
     if not 2 <= frames <= route.frames:
         raise ValueError(f"frames must be between 2 and {route.frames} on this route, got {frames!r}")
     if type(most) is not int or most < 1:
         raise ValueError(f"landmarks must be an integer >= 1, got {most!r}")
+    camera = camera_of(rig)
     cloud_rng, drive_rng, sensor_rng, start_rng = np.random.default_rng(seed).spawn(4)
     positions = _points_along(route, cloud_rng)
     landmarks = LandmarkTruth(np.arange(len(positions)), positions)
     pixel_noise = NOISE_MODELS[noise](sigma)
-    camera = RIGS["reference"]
     sensor = LandmarkSensor(
         camera,
         pixel_noise,
@@ -89,6 +103,7 @@ def _drive(name: str, route: Route, seed: int, noise: str, sigma: float, frames:
         "sigma": sigma,
         "frames": frames,
         "landmarks": most,
+        "rig": rig if isinstance(rig, str) else asdict(camera),
     }
     return Recording(name, camera, tuple(taken), pixel_noise.stereo_noise, start, landmarks, source, SIMULATION)
 

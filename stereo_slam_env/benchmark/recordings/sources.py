@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import importlib
+import inspect
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any
@@ -13,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from filters.interface import StereoObservation
+from filters.known_names import require_known
 from stereo_slam_env.benchmark.scenarios.scenario import Scenario
 from stereo_slam_env.datasets import holds_images, open_for_front_end, read_recording
 from stereo_slam_env.frontend.recorder import record_tracks
@@ -20,6 +22,7 @@ from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.recording.image_sequence import ImageSequence
 from stereo_slam_env.recording.recording import Recording
 from stereo_slam_env.sensing.corruptions import corrupted, make_corruption
+from stereo_slam_env.sensing.rigs import camera_of
 
 Progress = Callable[[int, int], None]
 
@@ -109,6 +112,9 @@ def check_source(scenario: Scenario) -> None:
 
         options = DriveOptions.checked(scenario.options)
         drawn_by = options.renderer if options.draws else None
+    elif scenario.kind == "reference":
+        _reference_problem(scenario.options)
+        return
     else:
         return
     if drawn_by is not None:
@@ -170,6 +176,15 @@ def _street(
 
 
 def _reference(options: dict[str, Any], seed: int | None, frames: int | None) -> Recording:
+    problem = _reference_problem(options)
+    del options["name"]
+    if frames is not None:
+        options["frames"] = frames
+    return problem(seed=seed or 0, **options)
+
+
+def _reference_problem(options: Mapping[str, Any]) -> Callable[..., Recording]:
+    """The function that a scenario of kind "reference" calls; an unknown option or rig is refused."""
     from stereo_slam_env.benchmark.recordings.large_rotation_problem import relative_noise_loop
     from stereo_slam_env.benchmark.recordings.reference_problem import long_drive, short_turn
 
@@ -178,12 +193,14 @@ def _reference(options: dict[str, Any], seed: int | None, frames: int | None) ->
         "short_turn": short_turn,
         "relative_noise_loop": relative_noise_loop,
     }
-    name = options.pop("name", None)
+    name = options.get("name")
     if name not in problems:
         raise ValueError(f"option name of a 'reference' scenario must be one of {', '.join(problems)}, got {name!r}")
-    if frames is not None:
-        options["frames"] = frames
-    return problems[name](seed=seed or 0, **options)
+    known = [key for key in inspect.signature(problems[name]).parameters if key != "seed"]
+    require_known(f"the problem {name} has no option", options, ("name", *known))
+    if "rig" in options:
+        camera_of(options["rig"])
+    return problems[name]
 
 
 def _called(options: dict[str, Any], seed: int | None) -> Recording:

@@ -7,11 +7,12 @@ from collections.abc import Mapping
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
 from filters.known_names import did_you_mean
 from stereo_slam_env.benchmark.scenarios.scenario import Scenario
 from stereo_slam_env.benchmark.scenarios.scenario_file import description_of, load_study
-from stereo_slam_env.benchmark.scenarios.study import Study
+from stereo_slam_env.benchmark.scenarios.study import Cell, Study
 
 _FOLDER = Path(str(files(__package__)))
 _FIRST = ("quick", "town", "turn", "straight", "reference-drive", "reference-turn")  # the others follow by name
@@ -79,3 +80,43 @@ def with_images(scenario: Scenario, renderer: str) -> Scenario:
         gate=0.99,
         consensus=True,
     )
+
+
+def with_rig(study: Study, rig: str | Mapping[str, Any]) -> Study:
+    """A study of simulated drives with another stereo rig.
+
+    Parameters
+    ----------
+    study : Study
+        Where it varies numbers of the rig, it still does.
+    rig : str or mapping
+        A name, or numbers as for `sensing.rigs.camera_of`: with a `name` they are a rig of their own, else they are
+        put in place of those of each scenario's own rig.
+
+    Raises
+    ------
+    ValueError
+        A scenario has no simulated camera, or the study varies what is given.
+    """
+    given = {"name": rig} if isinstance(rig, str) else dict(rig)
+    return dataclasses.replace(study, cells=tuple(_with_rig(cell, given) for cell in study.cells))
+
+
+def _with_rig(cell: Cell, given: Mapping[str, Any]) -> Cell:
+    scenario = cell.scenario
+    if scenario.kind not in ("street", "gaze", "reference"):
+        raise ValueError(
+            f"--rig needs a simulated camera, that is a scenario of kind 'street', 'gaze' or 'reference': "
+            f"{scenario.name!r} is of kind {scenario.kind!r}"
+        )
+    varied = {}
+    for key, value in cell.factors.items():
+        if key == "options.rig" or key in [f"options.rig.{number}" for number in given]:
+            raise ValueError(f"--rig must not give {key}: the grid varies it")
+        if key.startswith("options.rig."):
+            varied[key.removeprefix("options.rig.")] = value
+    own = scenario.options.get("rig", {})
+    own = {"name": own} if isinstance(own, str) else own
+    rig = {**(varied if "name" in given else own), **given}
+    options = {**scenario.options, "rig": rig["name"] if set(rig) == {"name"} else rig}
+    return dataclasses.replace(cell, scenario=dataclasses.replace(scenario, options=options))

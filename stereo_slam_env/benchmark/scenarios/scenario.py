@@ -5,10 +5,11 @@ from __future__ import annotations
 import dataclasses
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from numbers import Integral
 from typing import Any
 
+from filters.camera import StereoCamera
 from filters.known_names import did_you_mean
 from filters.motion import ConstantVelocity
 from filters.noise import StereoNoise
@@ -109,7 +110,7 @@ class Scenario:
     kind : str
         Where the stream comes from, a key of `KINDS`.
     options : mapping
-        Arguments of that source; JSON-able.
+        Arguments of that source; JSON-able, or a `StereoCamera`, which becomes a table of its numbers.
     filters : tuple of FilterChoice
         Who takes part.
     policies : tuple of PolicyChoice
@@ -177,6 +178,8 @@ class Scenario:
         object.__setattr__(self, "policies", tuple(self.policies))
         if not isinstance(self.options, Mapping):
             raise ValueError(f"options must be a table, got {self.options!r}")
+        options = {key: asdict(v) if isinstance(v, StereoCamera) else v for key, v in self.options.items()}
+        object.__setattr__(self, "options", options)
         if not all(isinstance(seed, Integral) for seed in self.seeds):
             raise ValueError(f"seeds must be whole numbers, got {self.seeds!r}")
         object.__setattr__(self, "seeds", tuple(int(seed) for seed in self.seeds))

@@ -18,6 +18,7 @@ The keys are the fields of `Scenario`, and four more that make many scenarios of
     [grid]                                # every combination; keys are fields, dots go into tables
     "options.noise" = ["pixels", "uvd"]
     "noise.independent_pixels" = [0.5, 1.0, 2.0]
+    "options.rig.baseline" = [0.2, 0.4]   # a table over a name, as in rig = "vga", keeps it as the table's `name`
 
 `[[cells]]`, instead of a grid, lists scenarios one by one: each has a name and the fields in which it differs.
 `[factorial]` crosses options of one filter: `filter` names it, every other key is an option with its levels.
@@ -218,10 +219,15 @@ def _with_data(values: dict[str, Any], data: str | Path | None) -> dict[str, Any
 
 
 def _merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """`base` with `changes` in its tables; a value that is no table takes the old one's place."""
+    """`base` with `changes` in its tables; a value that is no table takes the old one's place.
+
+    A name is short for a table with that `name`, so "vga" with {"baseline": 0.2} is {"name": "vga", "baseline": 0.2}.
+    """
     merged = copy.deepcopy(dict(base))
     for key, value in changes.items():
         before = merged.get(key)
+        if isinstance(before, str) and isinstance(value, Mapping):
+            before = {"name": before}
         if isinstance(before, Mapping) and isinstance(value, Mapping) and key != "noise":  # which has one key
             value = _merged(before, value)
         merged[key] = copy.copy(value)

@@ -118,7 +118,7 @@ def test_a_grid_of_your_own_has_a_report_over_all_its_cells(full_command, tmp_pa
 def test_the_presets_are_listed(command):
     code, out, _ = command("bench", "--list")
     assert code == 0
-    for name in ("quick", "attribution", "mismatch", "real", "limits", "gaze"):
+    for name in ("quick", "attribution", "baseline", "mismatch", "real", "limits", "gaze"):
         assert f"\n{name} " in f"\n{out}"
 
 
