@@ -189,7 +189,9 @@ class Scenario:
         if self.frames is not None and (not isinstance(self.frames, int) or self.frames < 2):
             raise ValueError(f"frames must be a whole number >= 2, got {self.frames!r}")
         if self.gate is not None and not (isinstance(self.gate, (int, float)) and 0.0 < self.gate < 1.0):
-            raise ValueError(f"gate must be a probability between 0 and 1, or none (in files: false), got {self.gate!r}")
+            raise ValueError(
+                f"gate must be a probability between 0 and 1, or none (in files: false), got {self.gate!r}"
+            )
         if not isinstance(self.consensus, bool):
             raise ValueError(f"consensus must be true or false, got {self.consensus!r}")
         if self.consensus and self.gate is None:

@@ -1,10 +1,14 @@
 """What is printed of one filter against another one (2 s)."""
 
+from dataclasses import replace
+
 import pytest
 
 from filters import ConstantVelocity, StereoEKF
 from stereo_slam_env.benchmark import Scenario, compare
 from stereo_slam_env.benchmark.head_to_head import Bench
+
+from ...synthetic_runs import scored
 
 TINY = Scenario("tiny", "reference", {"name": "short_turn", "landmarks": 15}, frames=6, gate=0.99)
 
@@ -38,11 +42,11 @@ def test_the_reason_of_a_failure_is_printed(bench):
     result = bench(NotReady, scenario=TINY)
     assert f"NotReady failed: seed 0, {reason}" in str(result)
     before = bench(ItsOwnWay, scenario=TINY)
-    named = [type(run)(**{**vars(run), "filter_name": "mine"}) for run in (*result.runs, *before.runs)]
-    changed = compare(_Runs(named[2:]), _Runs(named[:2]))
+    was, now = ([replace(run, filter_name="mine") for run in side.runs] for side in (before, result))
+    changed = compare(_Runs(was), _Runs(now))
     assert f"mine failed in 2 runs of after, first at {reason}." in str(changed)
 
 
 class _Runs:
     def __init__(self, runs):
-        self.runs = runs
+        self.runs, self.figures = runs, scored(runs)[1]

@@ -53,7 +53,10 @@ def test_the_assumed_noise_is_that_of_the_recording_unless_said_otherwise():
         ({"name": "s", "sede": [1]}, "no key 'sede', did you mean 'seeds'"),
         ({}, "must have a name"),
         ({"name": "s", "kind": "streat"}, "did you mean 'street'"),
-        ({"name": "s", "gate": 1.5}, r"gate must be a probability between 0 and 1, or none \(in files: false\), got 1.5"),
+        (
+            {"name": "s", "gate": 1.5},
+            r"gate must be a probability between 0 and 1, or none \(in files: false\), got 1.5",
+        ),
         ({"name": "s", "gate": "none"}, "gate must be a probability between 0 and 1, .* got 'none'"),
         ({"name": "s", "seeds": []}, "seeds must be different whole numbers"),
         ({"name": "s", "seeds": [1, 1]}, "seeds must be different"),

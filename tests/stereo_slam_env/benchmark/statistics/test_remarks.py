@@ -85,10 +85,9 @@ def test_filters_are_named_together_and_the_farthest_is_told():
 
 
 def test_a_real_filter_is_remarked_on_for_the_noise_it_assumes_wrongly_only():
-
     def said(sigma):
         noise = StereoNoise.independent_pixels(sigma)  # the true one is 1 px
-        runs = [run_filter(small_recording(seed), "inverse-depth", noise=noise) for seed in range(5)]
+        runs = [run_filter(small_recording(seed), "inverse-depth", noise=noise, seed=seed) for seed in range(5)]
         return " ".join(innovation_remarks(scored(runs)[0]))
 
     assert said(1.0) == ""

@@ -5,7 +5,7 @@ import pytest
 from stereo_slam_env.report.run_report import write_report
 
 from ...synthetic_runs import THREE_ONE_DIVERGING, Behaviour, make_bounds, make_runs, scored
-from ..report.browsing import BROWSER, PATIENCE
+from .browsing import BROWSER, PATIENCE
 
 SETTINGS = {"scenario": "made up", "noise": {"independent_pixels": 1.0}, "gate": None, "seeds": [0, 1, 2, 3, 4, 5]}
 
