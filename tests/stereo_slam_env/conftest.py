@@ -4,6 +4,8 @@ import sys
 
 import pytest
 
+from .third_party import third_party as third_party
+
 
 @pytest.fixture(params=["moderngl", "EGL"])
 def missing_gl(request, monkeypatch):

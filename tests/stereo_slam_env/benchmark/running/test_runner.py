@@ -9,7 +9,6 @@ from filters import StereoNoise, make_filter
 from stereo_slam_env.benchmark.metrics.results import COUNTS
 from stereo_slam_env.benchmark.running.runner import run_filter
 
-from ...third_party import third_party  # noqa: F401 (a fixture)
 from ..small_recordings import CAMERA, DT, SPEED, small_recording
 
 
