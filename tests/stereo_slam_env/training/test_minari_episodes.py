@@ -114,9 +114,9 @@ def test_one_clear_line_where_it_cannot_be(dataset, folder):
     assert [path.name for path in (folder / "gaze").iterdir() if path.is_dir()] == ["random-v0"]
 
 
-def test_frames_that_were_skipped_make_no_recording(folder):
+def test_frames_that_were_skipped_make_no_recording(tmp_path):
     env = RepeatAction(gym.make("StereoSlam/Gaze-v0", route="right-turn"), 2)
-    dataset = export_episodes(env, make_policy("sweep"), [0], "gaze/skips-v0", folder, steps=3)
+    dataset = export_episodes(env, make_policy("sweep"), [0], "gaze/skips-v0", tmp_path, steps=3)
     env.close()
     with pytest.raises(ValueError, match="skips frames: export without RepeatAction"):
         recording_of_episode(dataset, 0)
