@@ -6,6 +6,8 @@ import pytest
 
 from filters.extras import install_command
 
+from .third_party import third_party as third_party
+
 
 @pytest.fixture(params=["moderngl", "EGL"])
 def missing_gl(request, monkeypatch):

@@ -2,7 +2,8 @@
 
 `odometry-only` integrates odometry and knows nothing of gates or motion models; `raises` fails in its third update;
 `returns-nan` loses its position in its third; `crashes` takes its process down in its third, `hangs` never returns from
-it; `listens` writes down a digest of everything it is given; `its-own-way` is an EKF with a motion model of its own.
+it, `waits` leaves a file "waiting" and waits for a file "go"; `listens` writes down a digest of everything it is given;
+`its-own-way` is an EKF with a motion model of its own.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ MODULE = '''
 
 import hashlib
 import os
+import time
 from pathlib import Path
 
 import numpy as np
@@ -124,6 +126,16 @@ class Gliding:
         return None
 
 
+class Waits(DeadReckoning):
+    """Says in the working directory that it waits, until it is told there to go on."""
+
+    def update(self, observation):
+        Path("waiting").touch()
+        while not Path("go").exists():
+            time.sleep(0.01)
+        return super().update(observation)
+
+
 class Listens(DeadReckoning):
     """Writes down a digest of what it is given."""
 
@@ -158,6 +170,7 @@ ENTRY_POINTS = {
     "returns-nan": "ReturnsNaN",
     "crashes": "Crashes",
     "hangs": "Hangs",
+    "waits": "Waits",
     "listens": "Listens",
 }
 

@@ -13,7 +13,7 @@ from stereo_slam_env.benchmark.scenarios.scenario import filter_choice
 from stereo_slam_env.benchmark.scenarios.scenario_file import study_from
 from stereo_slam_env.benchmark.storage.study_store import read_study
 
-from ..third_party import install, third_party  # noqa: F401 (a fixture)
+from ..third_party import install
 
 SHORT = Scenario("short", "reference", {"name": "short_turn"}, seeds=(0, 1), frames=5, gate=None, metrics=("map",))
 

@@ -17,10 +17,19 @@ def path(report_of_five):
 
 
 @pytest.fixture(scope="module")
-def visit(browser, path):
-    visit = Visit(browser, path, color_scheme="light")
+def opened(browser, path):
+    visit = Visit(browser, path)
+    visit.see_everything()
     yield visit
     visit.page.close()
+
+
+@pytest.fixture
+def visit(opened):
+    """The page with all its charts drawn, in a light window whatever the test before made of it."""
+    opened.page.emulate_media(media="screen", color_scheme="light")
+    opened.page.set_viewport_size({"width": 1366, "height": 768})
+    return opened
 
 
 @pytest.mark.parametrize(("width", "height"), SCREENS)
@@ -38,7 +47,6 @@ def test_the_first_screen_holds_headline_and_answers(visit, five_filters, width,
 
 
 def test_every_chart_is_drawn_without_a_complaint_or_a_request(visit, path):
-    visit.see_everything()
     assert visit.value("document.querySelectorAll('figure .main-svg').length") > 0
     assert visit.value("document.querySelectorAll('figure').length") == 19
     assert visit.complaints == []
@@ -95,7 +103,6 @@ def test_colours_follow_the_page_from_light_to_dark(visit):
     dark = visit.value(colours)
     assert all(a != b for a, b in zip(light, dark, strict=True))
     assert visit.complaints == []
-    visit.page.emulate_media(color_scheme="light")
 
 
 def test_a_phone_does_not_scroll_sideways(visit):

@@ -13,7 +13,6 @@ from stereo_slam_env.recording.recording import Reference
 
 from ....filters.delayed import DelayedEKF
 from ....synthetic_runs import summary_of
-from ...third_party import third_party  # noqa: F401 (a fixture)
 from ..small_recordings import CAMERA, DT, SPEED, small_recording
 
 
