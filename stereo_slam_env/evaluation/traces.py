@@ -29,7 +29,7 @@ def choose_landmarks(recording: Recording) -> dict[str, int]:
     ids = np.concatenate([observation.ids for observation in seen])
     disparities = np.concatenate([observation.uvd[:, 2] for observation in seen])
     landmarks, first, lengths = np.unique(ids, return_index=True, return_counts=True)
-    long = lengths >= min(ENOUGH_FRAMES, lengths.max())
+    long = lengths >= min(ENOUGH_FRAMES, int(lengths.max()))
     landmarks, first = landmarks[long], first[long]
     chosen: dict[str, int] = {}
     for label, depth in DEPTHS.items():

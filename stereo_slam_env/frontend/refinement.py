@@ -92,7 +92,7 @@ def _normalised(stack: Patches) -> tuple[Patches, Patches]:
     """Patches (11, 11, N) as columns (121, N) with zero mean and unit length, and the length they had (N,)."""
     columns = stack.reshape(_PIXELS, -1)
     columns = columns - columns.sum(axis=0) * np.float32(1.0 / _PIXELS)
-    length = np.maximum(np.sqrt((columns * columns).sum(axis=0)), np.float32(FLAT * PATCH))
+    length: Patches = np.maximum(np.sqrt((columns * columns).sum(axis=0)), np.float32(FLAT * PATCH))
     return columns / length, length
 
 

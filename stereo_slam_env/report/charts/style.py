@@ -226,4 +226,5 @@ def _spread(wanted: FloatArray, gap: float) -> FloatArray:
         return wanted
     offsets = gap * np.arange(len(wanted))
     # With places = offsets + t, "at least gap apart" reads "t does not decrease".
-    return np.asarray(isotonic_regression(wanted - offsets).x, dtype=np.float64) + offsets
+    places: FloatArray = np.asarray(isotonic_regression(wanted - offsets).x, dtype=np.float64) + offsets
+    return places
