@@ -39,11 +39,21 @@ def require_inside(path: Path, root: Path) -> Path:
     """
     try:
         target = path.resolve()
-    except (OSError, RuntimeError) as error:  # a circle of links
+        _refuse_circle(path)
+    except (OSError, RuntimeError) as error:
         raise ValueError(f"{path} is a link that leads nowhere: put the file itself there") from error
     if not target.is_relative_to(root.resolve()):
         raise ValueError(f"{path} is a link out of the recording, to {target}: put the file itself there")
     return path
+
+
+def _refuse_circle(path: Path) -> None:
+    """Raise for a circle of links, which Python 3.13 and newer resolve without an error."""
+    try:
+        path.stat()
+    except OSError as error:
+        if error.errno == errno.ELOOP:
+            raise
 
 
 def is_plain_name(name: str) -> bool:

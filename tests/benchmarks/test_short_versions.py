@@ -14,6 +14,8 @@ import pytest
 from stereo_slam_env.evaluation.run_figures import figures_of
 from stereo_slam_env.evaluation.summary import summarise_all
 
+pytestmark = pytest.mark.slow
+
 BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
 
 
@@ -83,7 +85,6 @@ def test_sky_and_haze_cost_little_beside_the_bare_calls() -> None:
     assert np.median(np.divide(times[speed.TINY], times[speed.BARE])) < 1.25
 
 
-@pytest.mark.slow
 def test_kills_lose_nothing() -> None:
     """Two kills; the benchmark has as many as one likes."""
     tally = script("kill_anywhere").disturb(kills=2, jobs=1)
