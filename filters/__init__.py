@@ -39,9 +39,6 @@ if TYPE_CHECKING:
     from filters.right_invariant import RightInvariantEKF as RightInvariantEKF
     from filters.shared_anchor_stereo import SharedAnchorEKF as SharedAnchorEKF
     from filters.submaps.submap_ekf import SubmapEKF as SubmapEKF
-    from filters.trials.ekf import StereoEKFTrials as StereoEKFTrials
-    from filters.trials.series import TrialSeries as TrialSeries
-    from filters.trials.series import run_trials as run_trials
     from filters.unscented_stereo import UnscentedStereoFilter as UnscentedStereoFilter
 
 _HOMES = {
@@ -64,12 +61,10 @@ _HOMES = {
     "SharedAnchorEKF": "shared_anchor_stereo",
     "StereoCamera": "camera",
     "StereoEKF": "engine.ekf",
-    "StereoEKFTrials": "trials.ekf",
     "StereoFilter": "interface",
     "StereoNoise": "noise",
     "StereoObservation": "interface",
     "SubmapEKF": "submaps.submap_ekf",
-    "TrialSeries": "trials.series",
     "UnscentedStereoFilter": "unscented_stereo",
     "UpdateReport": "interface",
     "VelocityBelief": "interface",
@@ -78,7 +73,6 @@ _HOMES = {
     "check_filter": "conformance",
     "make_filter": "registry",
     "parametrize_with_checks": "conformance_pytest",
-    "run_trials": "trials.series",
 }
 
 __all__ = list(_HOMES)

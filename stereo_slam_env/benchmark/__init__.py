@@ -8,7 +8,6 @@
 
 from stereo_slam_env.benchmark.campaign import BenchmarkResult, run_benchmark
 from stereo_slam_env.benchmark.running.runner import run_filter
-from stereo_slam_env.benchmark.running.trials import run_filter_together
 from stereo_slam_env.benchmark.scenarios.presets import preset, preset_study, presets
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, PolicyChoice, Scenario
 from stereo_slam_env.benchmark.scenarios.scenario_file import load_study
@@ -40,7 +39,6 @@ __all__ = [
     "run",
     "run_benchmark",
     "run_filter",
-    "run_filter_together",
     "summarise",
     "summarise_all",
 ]

@@ -1,4 +1,4 @@
-"""What a scenario's environment returns to an agent, alone and in a vector, as a digest."""
+"""Digest of what a scenario's environment returns to an agent, alone and in a vector."""
 
 from __future__ import annotations
 
@@ -12,18 +12,13 @@ from stereo_slam_env.benchmark.recordings.episodes import DEFAULT_ENVIRONMENT
 from stereo_slam_env.benchmark.scenarios.scenario import Scenario
 from stereo_slam_env.files.digest import Digest
 
-VECTOR_WAYS = ("environment alone", "vector, sync", "vector, async")
+WAYS = ("environment alone", "vector, sync", "vector, async")
 _KINDS = {"street": "StereoSlam/Drive-v0", "gaze": DEFAULT_ENVIRONMENT}
 _VECTORS: Mapping[str, Mapping[str, Any]] = {
     "vector, sync": {"vectorization_mode": "sync"},
     # New processes, which share nothing with this one but their arguments.
     "vector, async": {"vectorization_mode": "async", "vector_kwargs": {"context": "spawn"}},
 }
-
-
-def has_environment(scenario: Scenario) -> bool:
-    """Whether there is an environment that an agent could act in."""
-    return scenario.kind in _KINDS
 
 
 def digest_of_episodes(scenario: Scenario, way: str) -> str:
@@ -34,7 +29,7 @@ def digest_of_episodes(scenario: Scenario, way: str) -> str:
     scenario : Scenario
         One that has an environment, and `frames`.
     way : str
-        One of `VECTOR_WAYS`.
+        One of `WAYS`.
     """
     arguments = dict(scenario.options)
     name = arguments.pop("environment", _KINDS[scenario.kind])
