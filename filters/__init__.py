@@ -34,10 +34,12 @@ if TYPE_CHECKING:
     from filters.motion import ConstantVelocity as ConstantVelocity
     from filters.motion import VelocityDriven as VelocityDriven
     from filters.noise import StereoNoise as StereoNoise
+    from filters.poses import Pose as Pose
     from filters.registry import available_filters as available_filters
     from filters.registry import make_filter as make_filter
     from filters.right_invariant import RightInvariantEKF as RightInvariantEKF
     from filters.shared_anchor_stereo import SharedAnchorEKF as SharedAnchorEKF
+    from filters.start import Start as Start
     from filters.submaps.submap_ekf import SubmapEKF as SubmapEKF
     from filters.unscented_stereo import UnscentedStereoFilter as UnscentedStereoFilter
 
@@ -56,9 +58,11 @@ _HOMES = {
     "InverseDepthStereoEKF": "inverse_depth_stereo",
     "LandmarkBelief": "interface",
     "MonocularEKF": "monocular",
+    "Pose": "poses",
     "PoseBelief": "interface",
     "RightInvariantEKF": "right_invariant",
     "SharedAnchorEKF": "shared_anchor_stereo",
+    "Start": "start",
     "StereoCamera": "camera",
     "StereoEKF": "engine.ekf",
     "StereoFilter": "interface",

@@ -37,7 +37,7 @@ def given_baselines():
     def make_and_drive(name, **how):
         """The drive that the page leaves to its reader."""
         slam = make_filter(name, **how)
-        slam.reset(**vars(recording.start))
+        slam.reset(recording.start)
         slam.update(next(frames).observation)
         for frame in frames:
             slam.predict(0.1)
