@@ -146,6 +146,10 @@ class Recording:
     def __len__(self) -> int:
         return len(self.frames)
 
+    def __getitem__(self, frames: slice) -> Recording:
+        """The recording of some frames, such as `recording[:40]`."""
+        return replace(self, frames=self.frames[frames])
+
     def with_observations(self, observations: Iterable[StereoObservation]) -> Recording:
         """The same drive, seen differently: one observation for each frame."""
         pairs = zip(self.frames, observations, strict=True)
