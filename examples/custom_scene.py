@@ -13,10 +13,9 @@ import gymnasium as gym
 import numpy as np
 
 import stereo_slam_env  # noqa: F401 (registers the ids)
-from stereo_slam_env.world.layout import Layout
+from stereo_slam_env.world.layout import Layout, facing_points
 from stereo_slam_env.world.road import ASPHALT_HEIGHT, RoadNetwork, Strip, paved, road_along
 from stereo_slam_env.world.scene import Material, Scene, Sphere
-from stereo_slam_env.world.surface_points import facing_points
 from stereo_slam_env.world.surroundings import SURROUNDINGS, Surroundings
 
 GRASS = Material((1.0, 1.0, 1.0), "grass", (6.0, 6.0))

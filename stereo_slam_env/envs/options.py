@@ -16,9 +16,9 @@ from stereo_slam_env.rendering.backends import RENDERERS
 from stereo_slam_env.sensing.landmark_sensor import TrackingPolicy
 from stereo_slam_env.sensing.pixel_noise import NOISE_MODELS
 from stereo_slam_env.sensing.rigs import Rig, camera_of
-from stereo_slam_env.world.head import Head
-from stereo_slam_env.world.route_files import named_route
+from stereo_slam_env.world.routes import named_route
 from stereo_slam_env.world.surroundings import SURROUNDINGS
+from stereo_slam_env.world.vehicle import Head
 
 if TYPE_CHECKING:
     from typing import Self

@@ -28,10 +28,8 @@ from stereo_slam_env.sensing.landmark_sensor import LandmarkSensor
 from stereo_slam_env.sensing.odometry import OdometrySensor
 from stereo_slam_env.sensing.padding import NO_LANDMARK, padded, padded_extras
 from stereo_slam_env.sensing.pixel_noise import NOISE_MODELS
-from stereo_slam_env.world.head import Head, velocity_between
-from stereo_slam_env.world.route_files import named_route
-from stereo_slam_env.world.routes import FRAME_PERIOD, Driver, Route, RouteDriver, advance
-from stereo_slam_env.world.vehicle import AgentDriver, Car
+from stereo_slam_env.world.routes import FRAME_PERIOD, Route, named_route
+from stereo_slam_env.world.vehicle import AgentDriver, Car, Driver, Head, RouteDriver, advance, velocity_between
 
 _ARENA = 60.0
 """m from the route: what is farther away has left the arena."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from filters.known_names import did_you_mean
 from stereo_slam_env.world import corridor, field, groves, street
-from stereo_slam_env.world.randomise import with_other_look
+from stereo_slam_env.world.looks import with_other_look
 from stereo_slam_env.world.road import road_along
 from stereo_slam_env.world.routes import Route
 from stereo_slam_env.world.scene import Scene
