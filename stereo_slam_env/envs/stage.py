@@ -11,8 +11,8 @@ from stereo_slam_env.recording.recording import LandmarkTruth, Pose
 from stereo_slam_env.rendering.backends import make_renderer
 from stereo_slam_env.rendering.camera_effects import CameraEffects
 from stereo_slam_env.rendering.images import StereoImages, StereoRenderer
-from stereo_slam_env.sensing.landmark_sensor import TrackingPolicy
 from stereo_slam_env.sensing.rigs import CAMERA_HEIGHT
+from stereo_slam_env.sensing.sensors import TrackingPolicy
 from stereo_slam_env.world.frames import R_SW, WorldFrame
 from stereo_slam_env.world.looks import in_fog, without_texture
 from stereo_slam_env.world.physics import PhysicsWorld

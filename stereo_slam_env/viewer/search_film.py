@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
-from stereo_slam_env.frontend.tracked import TrackedPair
+from stereo_slam_env.frontend.tracks import TrackedPair
 from stereo_slam_env.recording.image_sequence import StereoPair
 from stereo_slam_env.rendering.images import Image
 from stereo_slam_env.viewer.live import LiveView

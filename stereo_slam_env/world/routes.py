@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from functools import cached_property
+import logging
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import cache, cached_property
+from importlib.metadata import entry_points
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
@@ -15,9 +19,12 @@ from filters.known_names import did_you_mean
 from filters.validation import FloatArray, positive
 from stereo_slam_env.files.tables import read_poses
 
+ENTRY_POINT_GROUP = "stereo_slam.scenes"
+"""Functions of installed packages that register scenes and routes."""
 FRAME_PERIOD = 0.1
 """Seconds between two frames of every rig."""
 _REACH = 30.0
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,12 +167,61 @@ def loop() -> Route:
     return Route("loop", speeds, yaw_rates)
 
 
-ROUTES: dict[str, Callable[[], Route]] = {
+_ROUTES: dict[str, Callable[[], Route]] = {
     "straight": straight,
     "right-turn": right_turn,
     "town": town,
     "loop": loop,
 }
+ROUTES: Mapping[str, Callable[[], Route]] = MappingProxyType(_ROUTES)
+"""Registered routes by name; read-only, see `register_route`."""
+
+
+def register_route(name: str, route: Route | Callable[[], Route]) -> None:
+    """Give a route a name that `gym.make(..., route=name)`, scenarios and commands take.
+
+    A name is known in the process that registers it. For commands and worker processes, an installed package names a
+    function that registers its scenes and routes as an entry point in the group `stereo_slam.scenes`.
+
+    Parameters
+    ----------
+    name : str
+        A new one, of letters, digits, ".", "_" and "-".
+    route : Route or callable
+        The route, or a function that makes it.
+
+    Raises
+    ------
+    ValueError
+        The name is taken or has other characters.
+    """
+    require_new("route", name, ROUTES)
+    _ROUTES[name] = (lambda: replace(route, name=name)) if isinstance(route, Route) else route
+
+
+def available_routes() -> dict[str, str]:
+    """Names of the registered routes and one line on each."""
+    load_registrations()
+    routes = {name: make() for name, make in ROUTES.items()}
+    return {name: f"{route.frames} frames, {route.length:.0f} m" for name, route in routes.items()}
+
+
+def require_new(kind: str, name: str, taken: Mapping[str, object]) -> None:
+    """Refuse a name to register that is taken or not plain; it becomes part of file names."""
+    if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z0-9][\w.-]*", name):
+        raise ValueError(f"name must be letters, digits, '.', '_' and '-', got {name!r}")
+    if name in taken:
+        raise ValueError(f"name must be new, got {name!r}: there is such a {kind}, register yours by another name")
+
+
+@cache
+def load_registrations() -> None:
+    """Let installed packages register their scenes and routes; one that fails is logged by name."""
+    for entry_point in entry_points(group=ENTRY_POINT_GROUP):
+        try:
+            entry_point.load()()
+        except Exception as error:
+            _log.warning("scenes of %r are not available: %s: %s", entry_point.name, type(error).__name__, error)
 
 
 KITTI_PERIOD = 0.1037
@@ -242,6 +298,8 @@ def named_route(name: str) -> Route:
     ValueError
         Neither; the message lists the names and the nearest one. Or the file is not a usable pose file.
     """
+    if name not in ROUTES:
+        load_registrations()
     if name in ROUTES:
         return ROUTES[name]()
     if Path(name).is_file():

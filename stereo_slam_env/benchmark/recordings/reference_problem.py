@@ -13,9 +13,9 @@ import numpy as np
 
 from filters.validation import FloatArray
 from stereo_slam_env.recording.recording import SIMULATION, Frame, LandmarkTruth, Recording, Start, Velocity
-from stereo_slam_env.sensing.landmark_sensor import LandmarkSensor, TrackingPolicy
 from stereo_slam_env.sensing.pixel_noise import NOISE_MODELS
 from stereo_slam_env.sensing.rigs import CAMERA_HEIGHT, Rig, camera_of
+from stereo_slam_env.sensing.sensors import LandmarkSensor, TrackingPolicy
 from stereo_slam_env.world.routes import FRAME_PERIOD, ROUTES, Route
 from stereo_slam_env.world.vehicle import RouteDriver, advance
 

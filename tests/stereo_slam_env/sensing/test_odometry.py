@@ -5,7 +5,7 @@ import pytest
 
 from filters import rotations
 from stereo_slam_env.recording.recording import Pose, Velocity
-from stereo_slam_env.sensing.odometry import OdometrySensor
+from stereo_slam_env.sensing.sensors import OdometrySensor
 from stereo_slam_env.world.vehicle import advance
 
 BEFORE = Pose(np.array([1.0, 2.0, 3.0]), rotations.exp_quaternion([0.1, -0.4, 0.2]))
