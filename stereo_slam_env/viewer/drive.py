@@ -21,7 +21,7 @@ from stereo_slam_env.benchmark.storage.run_archive import load_run
 from stereo_slam_env.benchmark.storage.store import RunDirectory
 from stereo_slam_env.benchmark.storage.study_store import read_study
 from stereo_slam_env.evaluation.results import FilterRun
-from stereo_slam_env.frontend.active_search import ActiveSearch
+from stereo_slam_env.frontend.recorder import ActiveSearch
 from stereo_slam_env.loop import Moment, Observe, run
 from stereo_slam_env.recording.archive import load_recording
 from stereo_slam_env.recording.recording import LandmarkTruth, Recording

@@ -25,7 +25,7 @@ from stereo_slam_env.benchmark.storage.run_archive import packed_run
 from stereo_slam_env.evaluation.cramer_rao import Bound, cramer_rao_bound
 from stereo_slam_env.evaluation.filter_run import failed_run, run_filter
 from stereo_slam_env.evaluation.results import FilterRun
-from stereo_slam_env.frontend.active_search import ActiveSearch
+from stereo_slam_env.frontend.recorder import ActiveSearch
 from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.loop import Observe
 from stereo_slam_env.recording.archive import packed_recording, unpacked_recording
