@@ -105,7 +105,14 @@ def cramer_rao_bound(
     start, truth = recording.start, recording.landmarks
     assert truth is not None
     best = ReferenceBelief(
-        recording.camera, recording.noise, motion, start, poses[0], landmark=landmark, right_row=right_row
+        recording.camera,
+        recording.noise,
+        motion,
+        start,
+        poses[0],
+        landmark=landmark,
+        right_row=right_row,
+        use_odometry=use_odometry,
     )
     last_seen = np.full(len(truth.ids), -1)
     for k, frame in enumerate(recording.frames):
@@ -113,11 +120,7 @@ def cramer_rao_bound(
     covariances = np.empty((len(recording), POSE_SIZE, POSE_SIZE))
     with threadpool_limits(limits=1):
         for k, frame in enumerate(recording.frames):
-            if k:
-                dt = frame.timestamp - recording.frames[k - 1].timestamp
-                best.predict(poses[k], dt, frame.odometry if use_odometry else None)
-            seen = frame.observation
-            best.see(seen, truth.positions[np.searchsorted(truth.ids, seen.ids)])
+            best.step(frame, truth)
             best.keep(truth.ids[last_seen > k])
             covariances[k] = best.pose_covariance
             if progress is not None:

@@ -10,6 +10,8 @@ A landmark enters at its first sighting with what that says and no prior, exactl
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from filters import rotations
@@ -26,7 +28,7 @@ from filters.measurements.model import Stage
 from filters.motion import POSE_SIZE, CameraState, MotionModel
 from filters.noise import StereoNoise
 from filters.validation import FloatArray, IntArray
-from stereo_slam_env.recording.recording import Pose, Start
+from stereo_slam_env.recording.recording import Frame, LandmarkTruth, Pose, Start
 
 _AS_MEASURED = np.eye(3)
 
@@ -50,6 +52,8 @@ class ReferenceBelief:
         Parametrisation to calculate in; the result does not depend on it. None: XYZ.
     right_row : bool
         Whether the estimator is given the row of the right image, where it was measured.
+    use_odometry : bool
+        Whether `step` gives it the odometry.
     """
 
     def __init__(
@@ -62,8 +66,10 @@ class ReferenceBelief:
         *,
         landmark: LandmarkModel | None = None,
         right_row: bool = True,
+        use_odometry: bool = True,
     ) -> None:
         self._rig, self._noise, self._motion, self._right_row = camera, noise, motion, right_row
+        self._use_odometry, self._time = use_odometry, math.nan
         there = CameraState(truth.position, truth.orientation, start.linear_velocity, start.angular_velocity)
         self._state = JointState.without_map(
             there, start.assumed_covariance, Euclidean() if landmark is None else landmark
@@ -82,6 +88,25 @@ class ReferenceBelief:
     def joint_covariance(self) -> FloatArray:
         """Of the pose and the landmark positions in the order of `ids`, as `StereoFilter.joint_covariance`."""
         return joint_covariance(self._state, np.argsort(self._state.ids))
+
+    def step(self, frame: Frame, landmarks: LandmarkTruth) -> None:
+        """Use the next frame: move to its true pose (not for the first one), then see what was seen in it.
+
+        Parameters
+        ----------
+        frame : Frame
+            With the true pose.
+        landmarks : LandmarkTruth
+            The true map; sightings of what is not in it are left out.
+        """
+        assert frame.truth is not None
+        if not math.isnan(self._time):
+            self.predict(frame.truth, frame.timestamp - self._time, frame.odometry if self._use_odometry else None)
+        self._time, seen = frame.timestamp, frame.observation
+        known = np.isin(seen.ids, landmarks.ids)
+        if not known.all():
+            seen = seen.select(known)
+        self.see(seen, landmarks.positions[np.searchsorted(landmarks.ids, seen.ids)])
 
     def predict(self, truth: Pose, dt: float, odometry: BodyVelocity | None = None) -> None:
         """Move to the true pose: Eq. 6 with the impulses that really were, so that it leads from pose to pose."""
