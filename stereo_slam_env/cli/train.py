@@ -34,8 +34,7 @@ def train(
         from stereo_slam_env.report.charts.figures import save_png
         from stereo_slam_env.report.charts.learning import plot_learning
         from stereo_slam_env.report.console import progress_bar
-        from stereo_slam_env.training.curve import LearningCurve
-        from stereo_slam_env.training.evaluation import evaluate
+        from stereo_slam_env.training.evaluation import LearningCurve, evaluate
         from stereo_slam_env.training.ppo import VALIDATION_SEEDS, PPOSettings
         from stereo_slam_env.training.ppo import train as train_network
         from stereo_slam_env.training.task import GazeTask
