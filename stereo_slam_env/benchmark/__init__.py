@@ -8,10 +8,8 @@
 
 from stereo_slam_env.benchmark.campaign import BenchmarkResult, run_benchmark
 from stereo_slam_env.benchmark.running.runner import run_filter
-from stereo_slam_env.benchmark.scenarios.presets import preset, preset_study, presets
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, PolicyChoice, Scenario
-from stereo_slam_env.benchmark.scenarios.scenario_file import load_study
-from stereo_slam_env.benchmark.scenarios.study import Cell, Study
+from stereo_slam_env.benchmark.scenarios.study import Cell, Study, load_study, preset, preset_study, presets
 from stereo_slam_env.benchmark.statistics.comparison import RunComparison, compare
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary, LandmarkTrace
 from stereo_slam_env.evaluation.run_figures import figures_of
