@@ -36,10 +36,11 @@ class Broken(InverseDepthStereoEKF):
 SCENARIO = """
 import pytest
 from stereo_slam_env.benchmark import Scenario
+from stereo_slam_env.benchmark.recordings.sources import ReferenceSource
 
 @pytest.fixture
 def bench(slam_bench):
-    tiny = Scenario("tiny", "reference", {"name": "short_turn", "landmarks": 15}, frames=6, gate=None)
+    tiny = Scenario("tiny", ReferenceSource("short_turn", {"landmarks": 15}), frames=6, gate=None)
     return lambda tested, **how: slam_bench(tested, **{"scenario": tiny, **how})
 """
 

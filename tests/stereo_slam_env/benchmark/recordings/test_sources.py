@@ -97,8 +97,7 @@ def test_a_source_of_somebody_elses_is_one_class():
 
 def test_an_installed_source_is_found_by_its_entry_point(tmp_path, monkeypatch):
     module = (
-        "from stereo_slam_env.benchmark.scenarios import ReferenceSource\n"
-        "class Mine(ReferenceSource, tag='mine'):\n    pass\n"
+        "from stereo_slam_env.benchmark import ReferenceSource\nclass Mine(ReferenceSource, tag='mine'):\n    pass\n"
     )
     points = {"mine": "Mine", "broken": "Nothing"}
     install(tmp_path, "my_source_package", module, points, group="stereo_slam.sources")

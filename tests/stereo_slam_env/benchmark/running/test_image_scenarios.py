@@ -13,7 +13,6 @@ from stereo_slam_env.benchmark.recordings import sources
 from stereo_slam_env.benchmark.recordings.description import stream_digest
 from stereo_slam_env.benchmark.recordings.sources import DatasetSource, StreetSource
 from stereo_slam_env.benchmark.running import tasks
-from stereo_slam_env.benchmark.running.runner import run_filter
 from stereo_slam_env.benchmark.running.watch import watch_search
 from stereo_slam_env.benchmark.scenarios.scenario import Scenario, filter_choice
 from stereo_slam_env.benchmark.scenarios.streams import (
@@ -27,6 +26,7 @@ from stereo_slam_env.benchmark.storage.store import open_run
 from stereo_slam_env.benchmark.storage.study_store import read_study
 from stereo_slam_env.envs import recorder
 from stereo_slam_env.envs.rendered_drive import RenderedDrive
+from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.rendering.backends import renderer_identity
 from stereo_slam_env.report.benchmark_report import write_report_of

@@ -1,4 +1,4 @@
-"""From a run directory back to the drive: the filter runs again over what was recorded, and can be watched.
+"""A drive to watch: a filter over a recording, or again over that of a finished run.
 
 A run keeps what a filter was given and its pose, not its map; a filter is deterministic, so it says all of it again.
 """
@@ -6,23 +6,90 @@ A run keeps what a filter was given and its pose, not its map; a filter is deter
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from filters import StereoFilter, StereoNoise, make_filter
 from filters.camera import StereoCamera
-from filters.registry import filter_arguments
+from filters.registry import FilterFactory, filter_arguments, label_of
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice
 from stereo_slam_env.benchmark.scenarios.streams import make_sequence, without_measurements
 from stereo_slam_env.benchmark.storage.run_archive import load_run
 from stereo_slam_env.benchmark.storage.store import RunDirectory
 from stereo_slam_env.benchmark.storage.study_store import read_study
 from stereo_slam_env.evaluation.results import FilterRun
-from stereo_slam_env.frontend.active_search import ActiveSearch
+from stereo_slam_env.frontend.recorder import ActiveSearch
+from stereo_slam_env.loop import Moment, Observe, run
 from stereo_slam_env.recording.archive import load_recording
-from stereo_slam_env.recording.recording import Recording
-from stereo_slam_env.viewer.moments import Drive, drive_of
+from stereo_slam_env.recording.recording import LandmarkTruth, Recording
+
+
+@dataclass(frozen=True, eq=False)
+class Drive:
+    """A drive to watch: the filter runs as its moments are asked for.
+
+    Attributes
+    ----------
+    title : str
+        One line.
+    label : str
+        The filter's name in legends.
+    camera : StereoCamera
+        The rig.
+    frames : int
+        Number of moments.
+    moments : callable
+        Runs the filter from the start, yields a `Moment` a frame; they may be kept.
+    landmarks : LandmarkTruth, optional
+        The true map.
+    """
+
+    title: str
+    label: str
+    camera: StereoCamera
+    frames: int
+    moments: Callable[[], Iterator[Moment]]
+    landmarks: LandmarkTruth | None = None
+
+    @classmethod
+    def of(
+        cls,
+        recording: Recording,
+        slam: str | FilterFactory,
+        *,
+        label: str | None = None,
+        title: str | None = None,
+        **settings: Any,
+    ) -> Drive:
+        """A filter's drive over a recording.
+
+        Parameters
+        ----------
+        recording : Recording
+            The stream.
+        slam : str or callable
+            As of `stereo_slam_env.run`.
+        label, title : str, optional
+            None: the name of the filter; that and the name of the recording.
+        **settings
+            The other arguments of `stereo_slam_env.run`.
+
+        Raises
+        ------
+        ValueError
+            See `stereo_slam_env.run`.
+        """
+        run(slam, recording, **settings)  # what is impossible is refused now
+        label = label or label_of(slam)
+
+        def moments() -> Iterator[Moment]:
+            return (moment.hold() for moment in run(slam, recording, **settings))
+
+        title = title or f"{label} on {recording.name}"
+        return cls(title, label, recording.camera, len(recording), moments, recording.landmarks)
 
 
 def revisit(directory: Path, filter_name: str | None = None, seed: int | None = None) -> Drive:
@@ -43,37 +110,35 @@ def revisit(directory: Path, filter_name: str | None = None, seed: int | None = 
         No run there, a grid of several, no such filter or seed, or a trial that is not finished or whose recording is
         missing: one line.
     """
-    run = _only_cell(directory)
-    choice = _chosen(run, filter_name)
-    which = _seed(run, seed)
-    scenario = run.scenario
-    path = run.trial_path(which, choice)
+    kept = _only_cell(directory)
+    choice = _chosen(kept, filter_name)
+    which = _seed(kept, seed)
+    scenario = kept.scenario
+    path = kept.trial_path(which, choice)
     if not path.exists():
         raise ValueError(f"{path} is missing: the run is not finished, run the same command again")
     done, _ = load_run(path)
-    recording = load_recording(run.recording_path(which, choice))
+    recording = load_recording(kept.recording_path(which, choice))
     failed = ""
     if done.failure is not None:
         recording = _until_failure(recording, done)
         failed = f", until it failed in {done.failure}"
-    observe = None
+    observe: Observe | None = None
     if scenario.search == "forecast":
         observe = ActiveSearch(*make_sequence(scenario, which)).observe
         recording = without_measurements(recording)
 
-    def make(camera: StereoCamera, noise: StereoNoise) -> StereoFilter:
-        return make_filter(choice.name, camera=camera, noise=noise, **filter_arguments(done.options))
-
-    drive = drive_of(
+    about = "" if which is None else f", seed {which}"
+    return Drive.of(
         recording,
-        make,
-        choice.label,
+        choice.name,
+        label=choice.label,
+        title=f"{choice.label}: {scenario.name}{about}{failed}",
         noise=scenario.assumed_noise(recording.noise),
         use_odometry=scenario.use_odometry,
         observe=observe,
+        **filter_arguments(done.options),
     )
-    about = "" if which is None else f", seed {which}"
-    return dataclasses.replace(drive, title=f"{choice.label}: {scenario.name}{about}{failed}")
 
 
 def _until_failure(recording: Recording, done: FilterRun) -> Recording:

@@ -1,4 +1,4 @@
-"""The same layout in another light: colours, textures, sun, sky and air drawn at random."""
+"""The same scene in another look: drawn at random, in fog, or without texture."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from filters.validation import positive
 from stereo_slam_env.world.scene import Look, Material, Scene, Vector
 from stereo_slam_env.world.textures import VARIANTS
 
@@ -54,3 +55,54 @@ def _relit(look: Look, rng: np.random.Generator) -> Look:
         zenith=zenith,
         haze_range=look.haze_range * float(np.exp(rng.uniform(np.log(0.5), np.log(2.3)))),
     )
+
+
+_RANGES = 3.0
+"""The visibility is so many haze ranges: exp(-3) = 5 % of the contrast is left, the limit of what is seen."""
+_DEPTH = 60.0
+"""How thick the layer of fog is overhead, m: what it leaves of the blue of the sky."""
+
+
+def in_fog(scene: Scene, visibility: float) -> Scene:
+    """The scene in fog; layout, colours and sun stay.
+
+    The sky fades to the grey of its horizon. Call it after `with_other_look`, which draws air of its own.
+
+    Parameters
+    ----------
+    scene : Scene
+        Any.
+    visibility : float
+        Distance at which 5 % of the contrast is left (Koschmieder's law, C = exp(-3 d / visibility)), m. Where the
+        scene is hazier already, that stays.
+
+    Raises
+    ------
+    ValueError
+        `visibility` is not positive.
+    """
+    look = scene.look
+    haze_range = min(look.haze_range, positive("visibility", visibility) / _RANGES)
+    clear = float(np.exp(-_DEPTH / haze_range))
+    fog = (float(np.mean(look.horizon)),) * 3
+    horizon, zenith = _mixed(fog, look.horizon, clear), _mixed(fog, look.zenith, clear)
+    return replace(scene, look=replace(look, horizon=horizon, zenith=zenith, haze_range=haze_range))
+
+
+def _mixed(one: Vector, other: Vector, share: float) -> Vector:
+    """`one` with a share of `other`."""
+    red, green, blue = (np.array(one) + share * (np.array(other) - np.array(one))).tolist()
+    return red, green, blue
+
+
+BLANK = Material((0.75, 0.75, 0.75))
+"""Light grey, so that the sunny side is not yet white."""
+
+
+def without_texture(scene: Scene) -> Scene:
+    """The scene with everything in it of one plain colour; shapes, landmarks, light and air stay.
+
+    What is left to see is light and shade: where two surfaces meet that the sun lights differently, and outlines
+    against what is hazier.
+    """
+    return scene.repainted(lambda material: BLANK)

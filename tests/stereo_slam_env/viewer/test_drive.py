@@ -1,17 +1,17 @@
-"""A drive moment by moment, anew and out of a run directory (8 s)."""
+"""A drive to watch, of a recording and of a finished run (8 s)."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_limits
 
 from filters import InverseDepthStereoEKF
-from stereo_slam_env.benchmark.running.runner import run_filter
 from stereo_slam_env.benchmark.storage.run_archive import load_run, save_run
 from stereo_slam_env.benchmark.storage.store import RunDirectory, read_run
-from stereo_slam_env.recording.recording import Reference
-from stereo_slam_env.viewer.moments import LARGEST, SIGMAS, drive_of, ellipsoids
-from stereo_slam_env.viewer.revisit import revisit
+from stereo_slam_env.evaluation.filter_run import run_filter
+from stereo_slam_env.viewer.drive import Drive, revisit
+from stereo_slam_env.viewer.ellipsoids import LARGEST, SIGMAS, ellipsoids
 
 from ..benchmark.small_recordings import small_recording
 
@@ -25,37 +25,26 @@ def stored(directory, name, seed):
 def test_a_drive_is_what_the_benchmark_makes_of_the_recording():
     recording = small_recording()
     run = run_filter(recording, InverseDepthStereoEKF)
-    moments = list(drive_of(recording, InverseDepthStereoEKF, "mine").moments())
-    assert {moment.name for moment in moments} == {"mine"}
+    drive = Drive.of(recording, InverseDepthStereoEKF, label="mine")
+    assert (drive.label, drive.title, drive.frames) == ("mine", f"mine on {recording.name}", len(recording))
+    with threadpool_limits(limits=1):  # as in a benchmark, for the same bits
+        moments = list(drive.moments())
     np.testing.assert_array_equal([m.pose.position for m in moments], run.positions)
     np.testing.assert_array_equal([m.nees for m in moments], run.pose_nees)
-    np.testing.assert_array_equal([m.nis for m in moments], run.nis)
+    np.testing.assert_array_equal([m.report.nis for m in moments], run.nis)
     np.testing.assert_array_equal([len(m.landmarks.ids) for m in moments], run.counts["map_size"])
-
-
-def test_without_truth_there_is_no_error_to_show():
-    for moment in drive_of(small_recording(truth=False), InverseDepthStereoEKF, "mine").moments():
-        assert np.isnan([moment.nees, moment.position_error]).all()
-        assert moment.position_sigmas > 0
-
-
-def test_without_an_independent_truth_there_is_an_error_but_no_nees():
-    recording = replace(small_recording(), truth_from=Reference("odometry from the same images", "By hand."))
-    for moment in drive_of(recording, InverseDepthStereoEKF, "mine").moments():
-        assert np.isfinite(moment.position_error)
-        assert np.isnan(moment.nees)
 
 
 def test_a_recording_without_frames_is_refused():
     with pytest.raises(ValueError, match="has no frames"):
-        drive_of(replace(small_recording(), frames=()), InverseDepthStereoEKF, "mine")
+        Drive.of(replace(small_recording(), frames=()), InverseDepthStereoEKF)
 
 
 @pytest.mark.parametrize(("name", "seed"), [("inverse-depth", 3), ("euclidean", 4)])
 def test_a_run_is_revisited_to_the_bit(finished_run, name, seed):
     _, (run, _) = stored(finished_run, name, seed)
     drive = revisit(finished_run, name, seed)
-    assert (drive.name, drive.frames) == (name, 8)
+    assert (drive.label, drive.frames) == (name, 8)
     np.testing.assert_array_equal([m.nees for m in drive.moments()], run.pose_nees)
 
 

@@ -7,13 +7,13 @@ import pytest
 from threadpoolctl import threadpool_limits
 
 from filters import ConstantVelocity, StereoEKF, StereoNoise, make_filter
-from stereo_slam_env.benchmark.running.runner import run_filter
+from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.evaluation.results import COUNTS
 from stereo_slam_env.recording.recording import Reference
 
-from ....filters.delayed import DelayedEKF
-from ....synthetic_runs import summary_of
-from ..small_recordings import CAMERA, DT, SPEED, small_recording
+from ...filters.delayed import DelayedEKF
+from ...synthetic_runs import summary_of
+from ..benchmark.small_recordings import CAMERA, DT, SPEED, small_recording
 
 
 @pytest.mark.usefixtures("third_party")
@@ -38,7 +38,7 @@ def test_the_run_is_what_driving_the_filter_by_hand_gives():
     run = run_filter(recording, "inverse-depth", {"gate": None}, use_odometry=False)
     by_hand = make_filter("inverse-depth", camera=CAMERA, noise=recording.noise, gate=None)
     start = recording.start
-    by_hand.reset(start.position, start.orientation, start.linear_velocity, start.angular_velocity, start.covariance)
+    by_hand.reset(start)
     with threadpool_limits(limits=1):  # as in the run: several threads add up in another order
         for k, frame in enumerate(recording.frames):
             if k:

@@ -1,4 +1,4 @@
-"""The landmark sensor: which landmarks a stereo front end would track, and where it would measure them."""
+"""Simulated sensors: tracked landmarks and odometry."""
 
 from __future__ import annotations
 
@@ -7,10 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from filters import rotations
 from filters.camera import StereoCamera
-from filters.interface import StereoObservation
-from filters.validation import BoolArray, FloatArray, IntArray, unchecked
-from stereo_slam_env.recording.recording import LandmarkTruth, Pose
+from filters.interface import BodyVelocity, StereoObservation
+from filters.validation import BoolArray, FloatArray, IntArray, positive, unchecked
+from stereo_slam_env.recording.recording import LandmarkTruth, Pose, Velocity
 from stereo_slam_env.sensing.pixel_noise import PixelNoise
 
 Occlusion = Callable[[Pose, FloatArray], BoolArray]
@@ -129,3 +130,32 @@ class LandmarkSensor:
             chosen.append(found)
             wanted -= len(found)
         return np.concatenate(chosen) if chosen else np.zeros(0, dtype=np.int64)
+
+
+class OdometrySensor:
+    """Measures the mean velocity of the left camera over a step.
+
+    Parameters
+    ----------
+    sigma_linear, sigma_angular : float
+        Standard deviation of each component, m/s and rad/s; 0 is allowed.
+    """
+
+    def __init__(self, sigma_linear: float, sigma_angular: float) -> None:
+        sigmas = [
+            positive("odometry_sigma_linear", sigma_linear, allow_zero=True),
+            positive("odometry_sigma_angular", sigma_angular, allow_zero=True),
+        ]
+        self._sigmas: FloatArray = np.repeat(sigmas, 3)
+        self._covariance: FloatArray = np.diag(self._sigmas**2)
+        self._covariance.flags.writeable = False
+
+    def measure(self, before: Pose, velocity: Velocity, dt: float, rng: np.random.Generator) -> BodyVelocity:
+        """Measure the step of `dt` s that left `before` with `velocity`.
+
+        The linear part is in the camera frame half-way through the turn, as filters expect it.
+        """
+        half_way = before.R_wc @ rotations.exp(0.5 * dt * velocity.angular)
+        true = np.concatenate([half_way.T @ velocity.linear, velocity.angular])
+        measured = true + self._sigmas * rng.standard_normal(6)
+        return unchecked(BodyVelocity, linear=measured[:3], angular=measured[3:], covariance=self._covariance)

@@ -1,37 +1,27 @@
-"""Run one filter over one recording, and note everything metrics and reports need."""
+"""Run of one filter over one recording, with everything that metrics and reports need."""
 
 from __future__ import annotations
 
-import dataclasses
 import logging
-import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from filters import (
-    PoseBelief,
-    StereoFilter,
-    StereoNoise,
-    StereoObservation,
-    UpdateReport,
-    VelocityBelief,
-)
+from filters import StereoNoise
 from filters.common_options import make_with_common_options
+from filters.consistency import nees
 from filters.motion import POSE_SIZE, POSITION, ROTATION
 from filters.registry import FilterFactory, label_of
 from filters.validation import FloatArray, IntArray
-from stereo_slam_env.evaluation.consistency import nees
 from stereo_slam_env.evaluation.landmark_statistics import LandmarkScorer
 from stereo_slam_env.evaluation.map_scoring import mean_nees, position_rmse, score_map, view_map
 from stereo_slam_env.evaluation.memory import peak_memory_mb
 from stereo_slam_env.evaluation.results import COUNTS, EVENTS, FilterRun
 from stereo_slam_env.evaluation.traces import TraceRecorder
-from stereo_slam_env.recording.recording import Frame, Recording
-
-Observe = Callable[[int, StereoFilter], StereoObservation]
+from stereo_slam_env.loop import Moment, Observe, run
+from stereo_slam_env.recording.recording import Recording
 
 _log = logging.getLogger(__name__)
 
@@ -50,10 +40,7 @@ def run_filter(
     observe: Observe | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> FilterRun:
-    """Feed a recording to a filter.
-
-    The filter starts from `recording.start`; the first frame only initialises; every later one is predict, then
-    update. Only those two calls are timed, with one BLAS thread.
+    """Run a filter over a recording with `stereo_slam_env.loop.run`, timed with one BLAS thread.
 
     Parameters
     ----------
@@ -77,8 +64,7 @@ def run_filter(
     seed : int, optional
         Of the recording, for the result.
     observe : callable, optional
-        What measures instead of the recording: called after `predict` with the number of the frame and the filter,
-        whose `forecast` may guide it, returns a `StereoObservation`. It is not timed.
+        Measures instead of the recording, see `FilterLoop.step`.
     progress : callable, optional
         Called with (frames done, frames) after each frame.
 
@@ -109,27 +95,16 @@ def run_filter(
                 options or {},
                 common_options or {},
             )
-            estimator, used, not_given = made.filter, made.options, made.not_given
-            start = recording.start
-            estimator.reset(
-                start.position, start.orientation, start.linear_velocity, start.angular_velocity, start.covariance
-            )
-            for frame_number, frame in enumerate(recording.frames):
-                dt = frame.timestamp - recording.frames[frame_number - 1].timestamp if frame_number else None
-                began = time.perf_counter()
-                if dt is not None:
-                    estimator.predict(dt, frame.odometry if use_odometry else None)
-                predicting = time.perf_counter() - began
-                if observe is not None:
-                    frame = dataclasses.replace(frame, observation=observe(frame_number, estimator))
-                began = time.perf_counter()
-                report = estimator.update(frame.observation)
-                updating = time.perf_counter() - began
-                log.add(frame_number, frame, estimator, report, 1000.0 * predicting, 1000.0 * updating)
+            used, not_given = made.options, made.not_given
+            moments = run(made.filter, recording, use_odometry=use_odometry, observe=observe)
+            frame_number = 0
+            for moment in moments:
+                log.add(moment)
                 if score_map:
-                    log.add_map(frame_number, frame, estimator)
+                    log.add_map(moment)
+                frame_number = moment.number + 1
                 if progress is not None:
-                    progress(frame_number + 1, len(recording))
+                    progress(frame_number, len(recording))
             failure = None
         except Exception as error:  # a stranger's filter may raise anything; the comparison goes on without it
             failure = failure_line(frame_number, error)
@@ -172,34 +147,15 @@ class RunLog:
         self._traces = TraceRecorder(recording)
         self._scorer = LandmarkScorer(recording.camera)
 
-    def add(
-        self,
-        k: int,
-        frame: Frame,
-        estimator: StereoFilter,
-        report: UpdateReport,
-        predict_milliseconds: float,
-        update_milliseconds: float,
-    ) -> None:
-        """Note what an estimator believes after frame `k`; raises ArithmeticError where that is not finite."""
-        counts = {name: len(getattr(report, name)) for name in EVENTS}
-        counts["failed_factorisations"] = report.failed_factorisations
-        self.add_belief(k, estimator.pose, estimator.velocity, report.nis, report.nis_dof, counts)
-        self.add_cost(k, predict_milliseconds, update_milliseconds, getattr(estimator, "state_size", np.nan))
-        if frame.truth is not None:
-            self.add_pose_error(k, *estimator.pose_error(frame.truth.position, frame.truth.orientation))
-
-    def add_belief(
-        self,
-        k: int,
-        pose: PoseBelief,
-        velocity: VelocityBelief,
-        nis: float,
-        nis_dof: int,
-        counts: Mapping[str, int],
-    ) -> None:
-        """Note pose and velocity, and what became of the measurements; raises ArithmeticError where not finite."""
-        series = self._series
+    def add(self, moment: Moment) -> None:
+        """Note what a filter believes after a frame; raises ArithmeticError where that is not finite."""
+        k, series, pose, velocity, report = (
+            moment.number,
+            self._series,
+            moment.pose,
+            moment.slam.velocity,
+            moment.report,
+        )
         belief = {
             "positions": pose.position,
             "orientations": pose.orientation,
@@ -213,18 +169,18 @@ class RunLog:
                 raise ArithmeticError(f"the filter returned NaN or infinity in its {name.replace('_', ' ')}")
         for name, value in belief.items():
             series[name][k] = value
-        series["nis"][k], self._nis_dof[k] = nis, nis_dof
-        for name, count in counts.items():
-            self._counts[name][k] = count
+        series["nis"][k], self._nis_dof[k] = report.nis, report.nis_dof
+        for name in EVENTS:
+            self._counts[name][k] = len(getattr(report, name))
+        self._counts["failed_factorisations"][k] = report.failed_factorisations
+        predicting, updating = 1000.0 * moment.predict_seconds, 1000.0 * moment.update_seconds
+        series["predict_milliseconds"][k], series["update_milliseconds"][k] = predicting, updating
+        series["milliseconds"][k] = predicting + updating
+        series["state_size"][k] = getattr(moment.slam, "state_size", np.nan)
+        if moment.pose_error is not None:
+            self._add_pose_error(k, *moment.pose_error)
 
-    def add_cost(self, k: int, predict_milliseconds: float, update_milliseconds: float, state_size: float) -> None:
-        """Note what the frame took, and the dimension of the error state (NaN: the filter does not say)."""
-        series = self._series
-        series["predict_milliseconds"][k], series["update_milliseconds"][k] = predict_milliseconds, update_milliseconds
-        series["milliseconds"][k] = predict_milliseconds + update_milliseconds
-        series["state_size"][k] = state_size
-
-    def add_pose_error(self, k: int, error: FloatArray, covariance: FloatArray) -> None:
+    def _add_pose_error(self, k: int, error: FloatArray, covariance: FloatArray) -> None:
         """Note the pose error (6,) and, where the truth is independent, its NEES by the covariance (6, 6) claimed."""
         self._series["pose_errors"][k] = error
         if not self._has_independent_truth:
@@ -236,18 +192,18 @@ class RunLog:
         ):
             self._series[name][k] = nees(error[None, part], covariance[None, part, part])[0]
 
-    def add_map(self, k: int, frame: Frame, estimator: StereoFilter) -> None:
+    def add_map(self, moment: Moment) -> None:
         """Score the map and follow the traced landmarks."""
-        series, camera = self._series, self._recording.camera
+        k, series, camera = moment.number, self._series, self._recording.camera
         landmarks = self._recording.landmarks if self._has_independent_truth else None
-        view = view_map(estimator, frame.truth, landmarks)
+        view = view_map(moment.slam, moment.truth, landmarks)
         score = score_map(view, camera)
         series["landmark_nees"][k] = mean_nees(score)
         series["landmark_rmse"][k] = position_rmse(score)
         self._scorer.add(score)
-        self._traces.add(k, view, frame.observation)
+        self._traces.add(k, view, moment.observation)
         behind = view.ids[view.uvd[:, 2] <= 0]
-        self._counts["negative_depth"][k] = int(np.isin(behind, frame.observation.ids).sum()) if len(behind) else 0
+        self._counts["negative_depth"][k] = int(np.isin(behind, moment.observation.ids).sum()) if len(behind) else 0
         self._counts["map_size"][k] = len(view.ids)
 
     def result(

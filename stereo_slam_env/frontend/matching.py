@@ -1,4 +1,4 @@
-"""Disparities: patches of the left image found along the rows of the right one."""
+"""Matching of patches: inside innovation ellipses (active search), and along the rows of a stereo pair."""
 
 from __future__ import annotations
 
@@ -7,15 +7,112 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from filters.validation import BoolArray, FloatArray, finite_array
-from stereo_slam_env.frontend.correlation import best_peaks
-from stereo_slam_env.frontend.patches import PATCH, Image, cut_patches
-from stereo_slam_env.frontend.refinement import refine
+from filters.validation import BoolArray, FloatArray, IntArray, finite_array
+from stereo_slam_env.frontend.correlation import best_peaks, refine
+from stereo_slam_env.frontend.patches import PATCH, Image, Patches, cut_patches
 
+_FAR = 1e9
+"""Outside of any ellipse, px."""
 _ROW_SIGMAS = 3.0
 """Standard deviations of the rows' offset within the tolerance."""
 _RETURNS_WITHIN = 1.0
 """How far a match back from the right image may end from where it began, px."""
+
+
+@dataclass(frozen=True, eq=False)
+class SearchResult:
+    """Where templates were found.
+
+    Attributes
+    ----------
+    position : (N, 2)
+        (u, v), px; NaN where there was no candidate inside the image.
+    score : (N,)
+        Correlation there; -1 where there was no candidate.
+    second : (N,)
+        Best correlation of another peak inside the ellipse, near `score` if the match is not unique; -1 if none is
+        above 1/2.
+    on_border : (N,) bool
+        The correlation is still rising where the ellipse ends: the landmark may be outside it.
+    covariance : (N, 2, 2)
+        Of the position, px^2; NaN where there was no candidate.
+    """
+
+    position: FloatArray
+    score: FloatArray
+    second: FloatArray
+    on_border: BoolArray
+    covariance: FloatArray
+
+
+def search(
+    image: Image,
+    templates: Patches,
+    centers: ArrayLike,
+    S: ArrayLike,
+    *,
+    gate: float = 3.0,
+    max_radius: float = 40.0,
+) -> SearchResult:
+    """Find templates inside their innovation ellipses.
+
+    Parameters
+    ----------
+    image : (H, W) uint8
+        Grey image.
+    templates : (N, 11, 11) float32
+        How the surroundings of the landmarks should look.
+    centers : (N, 2) array_like
+        Expected (u, v), px.
+    S : (N, 2, 2) array_like
+        Innovation covariance, px^2.
+    gate : float
+        Radius of the ellipse in standard deviations: candidates x have (x - c)^T S^-1 (x - c) <= gate^2, with half a
+        pixel's diagonal added, so that there is always one.
+    max_radius : float
+        No candidate is further away than this in u or v, px.
+
+    Returns
+    -------
+    SearchResult
+
+    Raises
+    ------
+    ValueError
+        Wrong shapes, NaN or infinity, an S that is not positive semi-definite.
+    """
+    c = finite_array("centers", centers, (len(templates), 2))
+    covariance = finite_array("S", S, (len(templates), 2, 2))
+    reach = covariance + (np.sqrt(0.5) / gate) ** 2 * np.eye(2)
+    try:  # d^T S^-1 d <= gate^2 as |B d| <= 1, with B upper triangular
+        whiten = np.linalg.inv(gate * np.linalg.cholesky(reach[:, ::-1, ::-1])[:, ::-1, ::-1])
+    except np.linalg.LinAlgError as error:
+        raise ValueError("S must be positive semi-definite: a landmark has an impossible ellipse") from error
+    extent = np.minimum(gate * np.sqrt(np.diagonal(reach, axis1=1, axis2=2)), max_radius)
+
+    def within(difference: FloatArray, limit: FloatArray) -> Patches:
+        return np.where(np.abs(difference) <= limit, difference, _FAR).astype(np.float32)
+
+    def inside(index: IntArray, u: IntArray, v: IntArray) -> BoolArray:
+        (a, b), (_, d) = whiten[index].transpose(1, 2, 0).astype(np.float32)[..., None]
+        du, dv = (within(u - c[index, :1], extent[index, :1]), within(v - c[index, 1:], extent[index, 1:]))
+        squared = (b * dv)[:, :, None] + (a * du)[:, None, :]
+        squared *= squared
+        squared += ((d * dv) ** 2)[:, :, None]
+        allowed: BoolArray = squared <= 1.0
+        return allowed
+
+    peaks = best_peaks(image, templates, np.ceil(c - extent), np.floor(c + extent), inside)
+    found = peaks.score > -1.0
+    position, score = np.full(c.shape, np.nan), np.full(len(c), -1.0)
+    spread = np.full((len(c), 2, 2), np.nan)
+    refined = refine(image, templates[found], peaks.pixel[found], peaks.offset[found])
+    position[found], score[found], spread[found] = refined.position, refined.score, refined.covariance
+    away = position - c
+    with np.errstate(invalid="ignore"):
+        outside = (np.einsum("nij,nj->ni", whiten, away) ** 2).sum(axis=1) > 1.0
+    outside[found] |= peaks.rising[found] & ~refined.converged
+    return SearchResult(position, score, peaks.second, outside, spread)
 
 
 @dataclass(frozen=True, eq=False)
