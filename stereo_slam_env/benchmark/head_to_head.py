@@ -12,9 +12,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from filters.registry import FilterFactory, label_of
-from stereo_slam_env.benchmark.recordings.sources import make_recording
-from stereo_slam_env.benchmark.scenarios.presets import preset
+from stereo_slam_env.benchmark.recordings.sources import ReferenceSource
 from stereo_slam_env.benchmark.scenarios.scenario import Scenario, filter_choice
+from stereo_slam_env.benchmark.scenarios.streams import make_recording
+from stereo_slam_env.benchmark.scenarios.study import preset
 from stereo_slam_env.benchmark.statistics.differences import Difference
 from stereo_slam_env.benchmark.statistics.measures import MEASURES, POSITION, Measure
 from stereo_slam_env.benchmark.statistics.pairwise import finding_words
@@ -32,8 +33,7 @@ FilterLike = str | FilterFactory
 
 QUICK = Scenario(
     "8 s of pure geometry",
-    "reference",
-    {"name": "long_drive", "landmarks": 30},
+    ReferenceSource("long_drive", {"landmarks": 30}),
     frames=80,
     noise={"independent_pixels": 1.0},
     gate=None,
