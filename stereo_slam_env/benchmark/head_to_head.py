@@ -16,15 +16,11 @@ from stereo_slam_env.benchmark.recordings.sources import make_recording
 from stereo_slam_env.benchmark.running.runner import run_filter
 from stereo_slam_env.benchmark.scenarios.presets import preset
 from stereo_slam_env.benchmark.scenarios.scenario import Scenario, filter_choice
-from stereo_slam_env.benchmark.statistics.differences import Difference
-from stereo_slam_env.benchmark.statistics.measures import MEASURES, POSITION, Measure
-from stereo_slam_env.benchmark.statistics.pairwise import finding_words
-from stereo_slam_env.benchmark.statistics.shares import ShareDifference, paired_share
+from stereo_slam_env.benchmark.statistics.differences import Difference, ShareDifference, paired_share, signed
+from stereo_slam_env.benchmark.statistics.measures import MEASURES, POSITION, Measure, finding_words
 from stereo_slam_env.benchmark.statistics.verdict import Consistency, consistency, pose_nees
-from stereo_slam_env.benchmark.statistics.words import signed
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
-from stereo_slam_env.evaluation.run_figures import RunFigures, common_keys, figures_of
-from stereo_slam_env.evaluation.summary import summarise_all
+from stereo_slam_env.evaluation.run_figures import RunFigures, common_keys, figures_of, summarise_all
 from stereo_slam_env.recording.recording import Recording
 
 FilterLike = str | FilterFactory

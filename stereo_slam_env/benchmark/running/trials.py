@@ -13,8 +13,7 @@ from filters import PoseBelief, StereoEKF, StereoEKFTrials, StereoNoise, Velocit
 from filters.common_options import make_with_common_options
 from filters.trials.series import TOGETHER
 from stereo_slam_env.benchmark.running.runner import RunLog, failure_line
-from stereo_slam_env.evaluation.memory import peak_memory_mb
-from stereo_slam_env.evaluation.results import EVENTS, FilterRun
+from stereo_slam_env.evaluation.results import EVENTS, FilterRun, peak_memory_mb
 from stereo_slam_env.recording.recording import Recording
 
 

@@ -45,8 +45,7 @@ from stereo_slam_env.benchmark.storage.run_folder import refuse_foreign, why_no_
 from stereo_slam_env.benchmark.storage.trajectory_files import write_kitti, write_tum
 from stereo_slam_env.evaluation.cramer_rao import Bound
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
-from stereo_slam_env.evaluation.run_figures import figures_of
-from stereo_slam_env.evaluation.summary import summarise_all
+from stereo_slam_env.evaluation.run_figures import figures_of, summarise_all
 from stereo_slam_env.files.arrays import read_arrays
 from stereo_slam_env.files.atomic import write_atomically
 from stereo_slam_env.files.package_versions import version_of
@@ -335,8 +334,7 @@ def seed_name(seed: int | None) -> str:
 
 def summary_row(summary: FilterSummary) -> dict[str, Any]:
     """JSON-able form of a summary, without its name."""
-    row: dict[str, Any] = without_nan(dataclasses.asdict(summary))
-    del row["filter_name"]
+    row: dict[str, Any] = without_nan(summary.as_dict())
     return row
 
 

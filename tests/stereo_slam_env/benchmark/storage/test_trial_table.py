@@ -9,7 +9,7 @@ from stereo_slam_env.benchmark import FilterChoice, Scenario, run
 from stereo_slam_env.benchmark.scenarios.scenario_file import study_from
 from stereo_slam_env.benchmark.storage import trial_table
 from stereo_slam_env.benchmark.storage.trial_table import SCHEMA, write_trial_table
-from stereo_slam_env.evaluation.trial_metrics import COLUMNS
+from stereo_slam_env.evaluation.figures import trial_columns
 
 STUDY = study_from(
     {
@@ -48,7 +48,7 @@ def test_every_column_is_explained(finished):
     names = [row[1] for row in rows(path, "PRAGMA table_info(trials)")]
     meanings = {name: (unit, meaning) for name, unit, meaning in rows(path, "SELECT * FROM columns")}
     assert list(meanings) == names
-    assert set(COLUMNS) <= set(names)
+    assert {figure.name for figure in trial_columns()} <= set(names)
     assert all(meaning for _, meaning in meanings.values())
     assert meanings["position_rmse_m"][0] == "m"
     assert rows(path, "PRAGMA user_version") == [(SCHEMA,)]
