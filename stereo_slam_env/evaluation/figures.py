@@ -369,7 +369,7 @@ _TABLE = (
            None, Combination("number", lambda s, _: len(s.known("alarm_s"))), digits=0, per_runs=True),
     Figure("failure", "", "", "trial", "what the filter raised; null where it went through",
            lambda t: t.run.failure, **_TEXT),
-    Figure("alarm_s", "first alarm", "s", "events",
+    Figure("alarm_s", "alarm", "s", "events",
            "first alarm of the divergence monitor, from the first frame on; null: never",
            lambda t: None if t.alarm is None else t.alarm.time, of_failed=True, places=()),
     Figure("alarm", "", "", "trial", "why, in one line",

@@ -107,7 +107,7 @@ def console_columns(summaries: Sequence[FilterSummary]) -> list[Figure]:
 
 def figure_column(figure: Figure) -> Column:
     """Heading of a figure."""
-    unit = "95 % interval" if figure is EFFICIENCY.figure else "runs" if figure.per_runs else figure.unit
+    unit = "95 % interval" if figure is EFFICIENCY.figure else figure.unit
     return _column(figure, "ideal 1" if figure.ideal is not None else unit)
 
 
@@ -123,7 +123,8 @@ def figure_cell(figure: Figure, summary: FilterSummary, tone: Tone = "") -> Cell
 
 def _column(figure: Figure, unit: str) -> Column:
     over_runs = f"; over runs: {figure.over_runs.words}" if figure.over_runs else ""
-    return Column(capital(figure.label), unit, f"{figure.meaning}{over_runs}")
+    heading = figure.label if "_" in figure.label else capital(figure.label)  # t_rel is a symbol
+    return Column(heading, unit, f"{figure.meaning}{over_runs}")
 
 
 def _is_known(figure: Figure, summaries: Sequence[FilterSummary]) -> bool:

@@ -27,6 +27,7 @@ from stereo_slam_env.benchmark.statistics.differences import (
     unpaired_share,
 )
 from stereo_slam_env.benchmark.statistics.measures import (
+    DIVERGED,
     MEASURES,
     TIME,
     Measure,
@@ -338,7 +339,7 @@ def _divergences(pair: _Pair, comparisons: int) -> Change:
         words = f"{words}, which may be chance"
     return Change(
         filter_name=pair.name,
-        measure="diverged runs",
+        measure=DIVERGED.words,
         unit="",
         before=float(before.sum()),
         after=float(after.sum()),

@@ -116,11 +116,11 @@ def _deviation(values: FloatArray) -> FloatArray:
 
 
 MEASURES = tuple(Measure(figure) for figure in FIGURES.values() if figure.compared)
-POSITION, ROTATION, POSE_NEES, EFFICIENCY, TIME, FINAL_SIGMA, FINAL_LOGDET, FINAL_ERROR = (
+POSITION, ROTATION, POSE_NEES, EFFICIENCY, TIME, FINAL_SIGMA, FINAL_LOGDET, FINAL_ERROR, DIVERGED = (
     Measure(FIGURES[name])
     for name in (
         *("position_rmse_m", "rotation_rmse_deg", "pose_anees", "efficiency_percent"),
-        *("ms_per_frame", "final_position_sigma_m", "final_pose_logdet", "end_error_m"),
+        *("ms_per_frame", "final_position_sigma_m", "final_pose_logdet", "end_error_m", "diverged"),
     )
 )
 QUESTIONS = (POSITION, ROTATION, POSE_NEES, TIME)
