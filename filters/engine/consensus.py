@@ -4,7 +4,8 @@ A single landmark is enough to fix the camera, because the filter's prior knows 
 measurement proposes a correction, and the proposal that explains most of the others, up to their measurement noise,
 wins. A measurement that agrees with the prediction only because the prediction is vague does not pass this test.
 
-Source: Civera, Grasa, Davison and Montiel, "1-point RANSAC for extended Kalman filtering", J. Field Robotics 27(5), 2010.
+Source: Civera, Grasa, Davison and Montiel, "1-point RANSAC for extended Kalman filtering", J. Field Robotics 27(5),
+2010.
 """
 
 from __future__ import annotations

@@ -11,7 +11,8 @@ definitions apart is how they move the state, how P is carried along, and where 
 `RightInvariant`
     the correction is exp(xi) of a group that rotates camera and map together about the origin of W
     (Zhang et al. 2017; Barrau and Bonnabel 2015). In standard coordinates that is: another retraction, and P carried
-    along by delta+ = delta + (Gamma+ - Gamma) theta, with Gamma the effect of a rotation of the world on the error state.
+    along by delta+ = delta + (Gamma+ - Gamma) theta, with Gamma the effect of a rotation of the world on the error
+    state.
 
 Both of the latter rest on Gamma, `JointState.world_rotation`.
 
