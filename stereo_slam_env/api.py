@@ -22,8 +22,7 @@ from stereo_slam_env.benchmark.statistics.verdict import Verdict, judge
 from stereo_slam_env.envs.recorder import record as record_route
 from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
-from stereo_slam_env.evaluation.run_figures import Figures, figures_of
-from stereo_slam_env.evaluation.summary import summarise_all
+from stereo_slam_env.evaluation.run_figures import Figures, figures_of, summarise_all
 from stereo_slam_env.policies.episode import run_episode
 from stereo_slam_env.policies.registry import make_policy
 from stereo_slam_env.recording.recording import Recording

@@ -19,9 +19,9 @@ from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, PolicyCho
 from stereo_slam_env.benchmark.scenarios.study import Cell, Study, load_study, preset, preset_study, presets
 from stereo_slam_env.benchmark.statistics.comparison import RunComparison, compare
 from stereo_slam_env.evaluation.filter_run import run_filter
-from stereo_slam_env.evaluation.results import FilterRun, FilterSummary, LandmarkTrace
-from stereo_slam_env.evaluation.run_figures import figures_of
-from stereo_slam_env.evaluation.summary import summarise, summarise_all
+from stereo_slam_env.evaluation.map_scoring import LandmarkTrace
+from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
+from stereo_slam_env.evaluation.run_figures import figures_of, summarise, summarise_all
 
 run = run_benchmark
 

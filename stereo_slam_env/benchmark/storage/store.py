@@ -43,8 +43,7 @@ from stereo_slam_env.benchmark.storage.results import RunResults
 from stereo_slam_env.benchmark.storage.run_archive import load_provenance, load_run, write_kitti, write_tum
 from stereo_slam_env.evaluation.cramer_rao import Bound
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
-from stereo_slam_env.evaluation.run_figures import figures_of
-from stereo_slam_env.evaluation.summary import summarise_all
+from stereo_slam_env.evaluation.run_figures import figures_of, summarise_all
 from stereo_slam_env.files.arrays import read_arrays
 from stereo_slam_env.files.atomic import write_atomically
 from stereo_slam_env.files.claimed_folder import is_occupied
@@ -355,8 +354,7 @@ def seed_name(seed: int | None) -> str:
 
 def summary_row(summary: FilterSummary) -> dict[str, Any]:
     """JSON-able form of a summary, without its name."""
-    row: dict[str, Any] = without_nan(dataclasses.asdict(summary))
-    del row["filter_name"]
+    row: dict[str, Any] = without_nan(summary.as_dict())
     return row
 
 

@@ -63,7 +63,7 @@ def test_only_what_was_changed_is_said_to_have_changed():
     comparison = compare(result(runs), result(worsened(runs, "dual-bearing", 1.3)))
     assert {(c.filter_name, c.measure) for c in comparison.shown} == {
         ("dual-bearing", "position error"),
-        ("dual-bearing", "error after alignment"),
+        ("dual-bearing", "rigid ATE"),
     }
     (position,) = changes_of(comparison, filter_name="dual-bearing", measure="position error")
     assert position.finding is Finding.WORSE

@@ -10,7 +10,7 @@ from stereo_slam_env.benchmark.recordings.sources import ReferenceSource
 from stereo_slam_env.benchmark.scenarios.study import study_from
 from stereo_slam_env.benchmark.storage import trial_table
 from stereo_slam_env.benchmark.storage.trial_table import SCHEMA, write_trial_table
-from stereo_slam_env.evaluation.trial_metrics import COLUMNS
+from stereo_slam_env.evaluation.figures import trial_columns
 
 STUDY = study_from(
     {
@@ -49,7 +49,7 @@ def test_every_column_is_explained(finished):
     names = [row[1] for row in rows(path, "PRAGMA table_info(trials)")]
     meanings = {name: (unit, meaning) for name, unit, meaning in rows(path, "SELECT * FROM columns")}
     assert list(meanings) == names
-    assert set(COLUMNS) <= set(names)
+    assert {figure.name for figure in trial_columns()} <= set(names)
     assert all(meaning for _, meaning in meanings.values())
     assert meanings["position_rmse_m"][0] == "m"
     assert rows(path, "PRAGMA user_version") == [(SCHEMA,)]
