@@ -25,7 +25,7 @@ from ..third_party import install
 
 SHORT = dataclasses.replace(
     preset("gaze"),
-    options={"route": "right-turn", "rig": "qvga"},
+    source=GazeSource({"route": "right-turn", "rig": "qvga"}),
     seeds=(0, 1),
     frames=8,
     policies=(PolicyChoice("fixed", "fixed"), PolicyChoice("sweep", "sweep", {"period": 2.0})),

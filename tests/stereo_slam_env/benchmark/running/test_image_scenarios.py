@@ -146,8 +146,7 @@ def test_the_renderer_is_part_of_the_source():
 
 def test_the_images_of_a_scenario_are_those_its_recording_was_made_of():
     """Without a filter, tracks through the sequence are the stream, bit by bit."""
-    options = {**STREET.source.options, "refill_below": 30}
-    scenario = replace(STREET, options=options, frames=3)
+    scenario = replace(STREET, source=STREET.source.replaced(refill_below=30), frames=3)
     sequence, settings = make_sequence(scenario, 7)
     assert isinstance(sequence, RenderedDrive)
     assert (settings.max_landmarks, settings.refill_below, len(sequence)) == (40, 30, 3)
@@ -160,11 +159,11 @@ def test_the_images_of_a_scenario_are_those_its_recording_was_made_of():
 
 
 def test_settings_of_the_front_end_are_options_of_a_recording(folder):
-    sequence, settings = make_sequence(of(folder, options={"path": str(folder), "front_end": {"max_misses": 1}}), None)
+    sequence, settings = make_sequence(of(folder, source=DatasetSource(str(folder), {"front_end": {"max_misses": 1}})), None)
     assert len(sequence) == FRAMES
     assert settings == TrackerSettings(max_misses=1)
     with pytest.raises(ValueError, match="no setting 'max_mises', did you mean 'max_misses'"):
-        make_sequence(of(folder, options={"path": str(folder), "front_end": {"max_mises": 1}}), None)
+        make_sequence(of(folder, source=DatasetSource(str(folder), {"front_end": {"max_mises": 1}})), None)
 
 
 @pytest.mark.usefixtures("in_this_process")
