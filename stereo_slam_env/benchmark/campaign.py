@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TypeVar
+from typing import Literal, TypeVar
 
 from filters import available_filters, make_filter
 from filters.camera import StereoCamera
@@ -31,6 +31,7 @@ from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
 from stereo_slam_env.evaluation.run_figures import Figures
 from stereo_slam_env.files.claimed_folder import claimed_folder
 
+EngineName = Literal["processes", "ray", "dask"]
 Progress = Callable[[float, int], None]
 ReportWriter = Callable[[StudyDirectory, Sequence[CellResult]], Path]
 Task = TypeVar("Task")
@@ -85,7 +86,7 @@ def run_benchmark(
     policies: Sequence[str | PolicyChoice] | None = None,
     seeds: Sequence[int] | None = None,
     jobs: int = 2,
-    engine: str = "processes",
+    engine: EngineName = "processes",
     address: str | None = None,
     data: str | Path | None = None,
     allow_code: bool = False,
