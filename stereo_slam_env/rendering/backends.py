@@ -13,7 +13,7 @@ from stereo_slam_env.world.frames import WorldFrame
 from stereo_slam_env.world.physics import PhysicsWorld
 
 RendererName = Literal["tiny", "gl"]
-RENDERERS: dict[RendererName, str] = {
+RENDERERS: dict[str, str] = {
     "tiny": "PyBullet's own, on the CPU: everywhere, the same bits every time, slow",
     "gl": "OpenGL without a display: fast; needs EGL and the extra gl",
 }

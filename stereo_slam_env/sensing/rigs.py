@@ -13,7 +13,7 @@ from filters.known_names import require_known
 from filters.validation import finite_number
 
 RigName = Literal["reference", "vga", "qvga"]
-Rig = RigName | str | StereoCamera | Mapping[str, Any]
+Rig = RigName | StereoCamera | Mapping[str, Any]
 """A name of `RIGS`, a camera, or its numbers: see `camera_of`."""
 
 RIGS: dict[str, StereoCamera] = {
