@@ -20,7 +20,7 @@ PAGES = {
 OPTIONAL = ("pandas", "polars", "minari", "rerun")
 SHORTER = {
     "docs/benchmark.md": ('run("quick", ', 'run("reference-turn", '),
-    "docs/image_sequences.md": ("first=100, last=200", "first=0, last=3"),
+    "docs/your_data.md": ("first=100, last=200", "first=0, last=3"),
 }
 """A piece of code that takes minutes or a long recording, and what is run in its place."""
 
