@@ -1,4 +1,4 @@
-"""What can go wrong between the world and a filter, applied to a `Recording` after the fact.
+"""Corruptions: faults between the world and a filter, applied to a `Recording` after the fact.
 
 A corruption is a small frozen dataclass with one method; any number of them can be applied one after the other. They
 change what a filter is given (measurements, what it is told about them, the order of frames) and never the truth of the
@@ -170,22 +170,12 @@ def _mean_odometry(steps: list[BodyVelocity], durations: FloatArray) -> BodyVelo
 
 
 class Corruption(Protocol):
-    """One thing that goes wrong."""
+    """One fault."""
 
     def applied_to(self, recording: Recording, rng: np.random.Generator) -> Recording:
-        """Return the recording as it is with this gone wrong; `recording` itself stays as it was.
+        """The recording with this fault, everything random from `rng`; `recording` itself stays as it was.
 
-        Parameters
-        ----------
-        recording : Recording
-            What was measured.
-        rng : numpy.random.Generator
-            Source of everything random.
-
-        Raises
-        ------
-        ValueError
-            The recording lacks what this needs, such as the truth.
+        A `ValueError` where the recording lacks what is needed, such as the truth.
         """
 
 

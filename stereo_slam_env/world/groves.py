@@ -138,19 +138,9 @@ _LOW: tuple[_Prop, ...] = (
 
 
 def build_groves(route: Route, rng: np.random.Generator) -> Scene:
-    """Lay out groups of trees, huts, woodpiles, boulders, signs, ... along `route`, on either side in turn.
+    """Groups of trees, huts, woodpiles, boulders, signs, ... along `route`, mostly left and right in turn.
 
-    Parameters
-    ----------
-    route : Route
-        Path of the camera. Nothing stands within 5 m of the centreline of its road.
-    rng : numpy.random.Generator
-        Source of the layout.
-
-    Returns
-    -------
-    Scene
-        In S, with about 12 landmarks a group, on surfaces that face the road.
+    Each has about 12 landmarks, on surfaces that face the road; nothing stands within 5 m of the centreline.
     """
     road = road_along(route)
     network = RoadNetwork([road])
@@ -172,13 +162,7 @@ def build_groves(route: Route, rng: np.random.Generator) -> Scene:
             side = _place(layout, road, station, side, group, rng)
             station += SPACING * float(rng.uniform(*_STRETCH))
     landmarks = np.concatenate(points)
-    return Scene(
-        network.ground(320.0, MEADOW),
-        tuple(layout.primitives),
-        paved([road], [LANE]),
-        np.arange(len(landmarks), dtype=np.int64),
-        landmarks,
-    )
+    return Scene(network.ground(320.0, MEADOW), tuple(layout.primitives), paved([road], [LANE]), landmarks)
 
 
 def _place(

@@ -1,4 +1,4 @@
-"""Scenes by name: what stands around a route, what moves on it, and in what light."""
+"""Scenes by name: what stands along a route, what moves there, and the light."""
 
 from __future__ import annotations
 
@@ -115,7 +115,7 @@ def build_scene(
     Parameters
     ----------
     surroundings : str
-        Name in `SURROUNDINGS`.
+        A registered name.
     route : Route
         Path of the camera, in the right-hand lane of a road.
     rng : numpy.random.Generator

@@ -17,17 +17,11 @@ from stereo_slam_env.world.routes import FRAME_PERIOD, Route, pulse
 from stereo_slam_env.world.scene import Box, Cylinder, MovingBody, Primitive
 
 _TALL = 1.8
-"""Height of a person: what is above is in nobody's way, m."""
+"""Height of a person, m: what is above is not in the way."""
 
 
 class Obstacles:
-    """The outlines on the ground of solids lower than a person: rectangles, and circles around the rest.
-
-    Parameters
-    ----------
-    solids : iterable of Box, Cylinder or Sphere
-        What stands.
-    """
+    """Outlines on the ground of solids lower than a person, as rectangles."""
 
     def __init__(self, solids: Iterable[Primitive]) -> None:
         rectangles = []
@@ -85,7 +79,7 @@ _TIGHT = 0.8
 
 @dataclass(frozen=True, eq=False)
 class _Way:
-    """Where on the road a body is at each time (K,): station, offset to the left, turn to the road (rad)."""
+    """Path of a body on the road at each time (K,): station, offset to the left, turn to the road (rad)."""
 
     stations: FloatArray
     left: FloatArray
@@ -105,23 +99,9 @@ def traffic(
     """Bodies that move around the nominal drive, come into its view, and never touch it or each other.
 
     Cars drive ahead in the same lane with a changing gap, or come along the other lane; some of these stop for a
-    while. Pedestrians walk along the road or cross it ahead of the ego car. More cars than there is room for are
-    left out, which is logged.
-
-    Parameters
-    ----------
-    route : Route
-        The nominal drive.
-    road : Road
-        The road along it, see `road_along`.
-    solids : tuple of Box, Cylinder or Sphere
-        What stands in the way of pedestrians; lanes are free.
-    walkway : float
-        Where pedestrians walk, m to either side of the centreline.
-    rng : numpy.random.Generator
-        Source of everything; the first bodies stay the same when more are asked for.
-    cars, pedestrians : int
-        How many.
+    while. Pedestrians walk along the road, `walkway` m from its centreline and clear of the `solids`, or cross it
+    ahead of the ego car. Bodies without room are left out, which is logged. The first bodies stay the same when more
+    are asked for.
     """
     car_rng, walker_rng = rng.spawn(2)
     cast = _Cast(route, road)
@@ -259,13 +239,7 @@ _SKIN = 0.15
 
 
 class MovingPoints:
-    """Tells points on moving bodies, by the boxes around them.
-
-    Parameters
-    ----------
-    bodies : sequence of MovingBody
-        Of a scene.
-    """
+    """Tells which points are on moving bodies, by the boxes around these."""
 
     def __init__(self, bodies: Sequence[MovingBody]) -> None:
         self._bodies = tuple(bodies)

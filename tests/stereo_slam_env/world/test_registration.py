@@ -50,7 +50,7 @@ def test_lists_name_them_with_a_line_each():
     register_scene("a", build_groves)
     register_scene("b", build_groves, description="mine", walkway=3.0)
     register_route("slalom", lambda: SLALOM)
-    assert available_scenes()["a"].startswith("Lay out groups of trees")
+    assert available_scenes()["a"].startswith("Groups of trees")
     assert available_scenes()["b"] == "mine"
     assert SURROUNDINGS["b"].walkway == 3.0
     assert available_routes()["slalom"] == "41 frames, 20 m"
@@ -116,7 +116,7 @@ def test_commands_know_what_installed_packages_register(tmp_path):
         return subprocess.run(line, capture_output=True, text=True, timeout=120, check=True)
 
     listed = run("scenes", "list")
-    assert "theirs           Lay out groups" in listed.stdout
+    assert "theirs           Groups of trees" in listed.stdout
     assert "short            31 frames" in listed.stdout
     assert "'broken' are not available: ModuleNotFoundError" in listed.stderr + listed.stdout
     out = tmp_path / "drive"
