@@ -37,7 +37,7 @@ def drive(env, rule, seed):
     rig = env.unwrapped
     observation, info = env.reset(seed=seed)
     slam = make_filter("shared-anchor", camera=rig.camera, noise=rig.noise, **OPTIONS)
-    slam.reset(**vars(rig.start))
+    slam.reset(rig.start)
     slam.update(stereo_slam_env.stereo_observation(observation, info))
     over = False
     while not over:

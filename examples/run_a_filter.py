@@ -13,7 +13,7 @@ env = gym.make("StereoSlam/Drive-v0", route="right-turn", policy="route")
 observation, info = env.reset(seed=0)
 rig, start = env.unwrapped, env.unwrapped.start
 slam = make_filter("inverse-depth", camera=rig.camera, noise=rig.noise)
-slam.reset(start.position, start.orientation, start.linear_velocity, start.angular_velocity, start.covariance)
+slam.reset(start)
 slam.update(stereo_observation(observation, info))
 over = False
 while not over:

@@ -14,7 +14,7 @@ drive = RenderedDrive({"route": "right-turn", "rig": "qvga"}, seed=0, frames=40)
 tracker = StereoTracker(drive.camera)
 slam = make_filter("inverse-depth", camera=drive.camera, noise=TYPICAL_NOISE, gate=0.99, consensus=True)
 start = drive.start
-slam.reset(start.position, start.orientation, start.linear_velocity, start.angular_velocity, start.covariance)
+slam.reset(start)
 
 before = None
 for pair in drive.pairs():

@@ -26,7 +26,7 @@ if __name__ == "__main__":
     recording = short_turn(seed=0)
     slam = StackedEKF(recording.camera, recording.noise)
     start = recording.start
-    slam.reset(start.position, start.orientation, start.linear_velocity, start.angular_velocity, start.covariance)
+    slam.reset(start)
     for k, frame in enumerate(recording.frames):
         if k > 0:
             slam.predict(frame.timestamp - recording.frames[k - 1].timestamp)

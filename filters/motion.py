@@ -16,6 +16,7 @@ import numpy as np
 
 from filters import rotations
 from filters.interface import BodyVelocity
+from filters.start import Start
 from filters.validation import FloatArray, positive
 
 POSITION, ROTATION, LINEAR, ANGULAR = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
@@ -44,6 +45,11 @@ class CameraState:
     orientation: FloatArray
     linear_velocity: FloatArray
     angular_velocity: FloatArray
+
+    @classmethod
+    def at(cls, start: Start) -> CameraState:
+        """The state that a filter is told at the start."""
+        return cls(start.position, start.orientation, start.linear_velocity, start.angular_velocity)
 
     @cached_property
     def R_wc(self) -> FloatArray:

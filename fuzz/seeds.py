@@ -15,10 +15,10 @@ import numpy as np
 
 from filters.camera import StereoCamera
 from stereo_slam_env.benchmark.recordings.reference_problem import short_turn
-from stereo_slam_env.benchmark.running.runner import run_filter
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, Scenario
 from stereo_slam_env.benchmark.scenarios.study import Study
 from stereo_slam_env.benchmark.storage.run_archive import packed_run
+from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.policies.network import Network
 from stereo_slam_env.recording.archive import packed_recording
 

@@ -18,7 +18,7 @@ from stereo_slam_env.datasets import read_recording
 from stereo_slam_env.datasets.images import open_image_sequence
 from stereo_slam_env.policies.network import Network
 from stereo_slam_env.recording.archive import load_recording
-from stereo_slam_env.world.route_files import kitti_route
+from stereo_slam_env.world.routes import kitti_route
 
 Read = Callable[[Path], object]
 

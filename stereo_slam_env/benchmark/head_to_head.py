@@ -13,7 +13,6 @@ from typing import Any
 
 from filters.registry import FilterFactory, label_of
 from stereo_slam_env.benchmark.recordings.sources import make_recording
-from stereo_slam_env.benchmark.running.runner import run_filter
 from stereo_slam_env.benchmark.scenarios.presets import preset
 from stereo_slam_env.benchmark.scenarios.scenario import Scenario, filter_choice
 from stereo_slam_env.benchmark.statistics.differences import Difference
@@ -22,6 +21,7 @@ from stereo_slam_env.benchmark.statistics.pairwise import finding_words
 from stereo_slam_env.benchmark.statistics.shares import ShareDifference, paired_share
 from stereo_slam_env.benchmark.statistics.verdict import Consistency, consistency, pose_nees
 from stereo_slam_env.benchmark.statistics.words import signed
+from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
 from stereo_slam_env.evaluation.run_figures import RunFigures, common_keys, figures_of
 from stereo_slam_env.evaluation.summary import summarise_all
@@ -53,7 +53,7 @@ class HeadToHead:
         One a recording.
     figures, reference_figures : RunFigures
         Of the same runs.
-    scenario : Scenario
+    title : str
         What they ran on.
     """
 
@@ -63,7 +63,7 @@ class HeadToHead:
     reference_runs: tuple[FilterRun, ...]
     figures: RunFigures
     reference_figures: RunFigures
-    scenario: Scenario
+    title: str
 
     def difference(self, measure: Measure = POSITION) -> Difference:
         """How much larger (worse) a measure of the filter is than that of the reference."""
@@ -160,7 +160,7 @@ class HeadToHead:
         lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
         lines += [f"note: {remark}" for side in sides for remark in side.remarks]
         lines += [f"{side.filter_name} failed: {failure}" for side in sides for failure in side.failures]
-        return "\n".join([f"{self.scenario.name}, {self.summary.runs} seeds", *lines])
+        return "\n".join([f"{self.title}, {self.summary.runs} seeds", *lines])
 
 
 class Bench:
@@ -226,7 +226,7 @@ class Bench:
         runs, reference_runs = (tuple(side) for side in zip(*pairs, strict=True))
         figures = figures_of((*runs, *reference_runs), divergence_percent=on.divergence_percent)
         summary, reference = summarise_all((*runs, *reference_runs), figures)
-        return HeadToHead(summary, reference, runs, reference_runs, figures[name], figures[other], on)
+        return HeadToHead(summary, reference, runs, reference_runs, figures[name], figures[other], on.name)
 
     def _run(
         self, tested: FilterLike, label: str, options: Mapping[str, Any] | None, scenario: Scenario, seed: int

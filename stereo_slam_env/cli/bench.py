@@ -66,9 +66,6 @@ SearchOption = Annotated[
 RecordOption = Annotated[
     Path | None, typer.Option("--record", help="Write the search in the images to a film, OUT.mp4.", metavar="OUT.mp4")
 ]
-LiveOption = Annotated[
-    int | None, typer.Option("--live", help="Show the search in a browser at this port, 0: any.", metavar="PORT")
-]
 GateOption = Annotated[
     str | None, typer.Option("--gate", help="Gate, a probability per landmark, or 'none'.", show_default="0.99")
 ]
@@ -109,7 +106,6 @@ def bench(
     rig: RigOption = None,
     search: SearchOption = None,
     record: RecordOption = None,
-    live: LiveOption = None,
     data: Annotated[
         Path | None,
         typer.Option("--data", help="Folder of the real recordings a scenario asks for.", envvar="STEREO_SLAM_DATA"),
@@ -153,7 +149,7 @@ def bench(
         if rig is not None:
             study = with_rig(study, rig_from(rig))
         directory = _ready(study, out)
-        with _film(study.name, record, live) as show:
+        with _film(study.name, record) as show:
             show(study.cells[0].scenario)
         _run(study, directory, jobs, engine, address)
 
@@ -175,7 +171,6 @@ def replay(
     jobs: JobsOption = 2,
     search: SearchOption = None,
     record: RecordOption = None,
-    live: LiveOption = None,
     engine: EngineOption = "processes",
     address: AddressOption = None,
     skip_broken: Annotated[
@@ -198,7 +193,7 @@ def replay(
         joint = scenario.gate is not None if consensus is None else consensus
         scenario = dataclasses.replace(scenario, consensus=joint)
         check_study(Study.of(scenario))
-        with _film(scenario.name, record, live) as show:
+        with _film(scenario.name, record) as show:
             with progress_bar(console(stderr=True), "pairs") as progress:
                 recording = make_recording(scenario, None, progress)
             show_recording(console(), recording)
@@ -284,24 +279,23 @@ def _ready(study: Study, out: Path | None) -> Path:
 
 
 @contextmanager
-def _film(title: str, record: Path | None, live: int | None) -> Iterator[Callable[[Scenario], None]]:
-    """What shows the search in the images of a scenario, if that was asked for; a wrong file or port is known first."""
-    if record is None and live is None:
+def _film(title: str, record: Path | None) -> Iterator[Callable[[Scenario], None]]:
+    """Film of the search in the images of a scenario, if that was asked for; a wrong file is known first."""
+    if record is None:
         yield lambda scenario: None
         return
     from stereo_slam_env.benchmark.running.watch import watch_search
     from stereo_slam_env.report.console import progress_bar
-    from stereo_slam_env.viewer.search_film import search_film
+    from stereo_slam_env.viewer.search_view import search_film
 
-    with search_film(title, record, live, on_live=lambda url: typer.echo(f"live view: {url}")) as watch:
+    with search_film(title, record) as watch:
 
         def show(scenario: Scenario) -> None:
             with progress_bar(console(stderr=True), "pairs") as progress:
                 watch_search(scenario, watch, progress)
 
         yield show
-    if record is not None:
-        typer.echo(f"film: {record.resolve()}")
+    typer.echo(f"film: {record.resolve()}")
 
 
 def _run(study: Study, directory: Path, jobs: int, engine: str, address: str | None) -> None:

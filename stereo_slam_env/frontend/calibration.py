@@ -15,9 +15,8 @@ from itertools import islice
 import numpy as np
 
 from filters.camera import StereoCamera
-from stereo_slam_env.frontend.ego_motion import robust_step
+from stereo_slam_env.frontend.ego_motion import Pairs, Step, most_likely_step, robust_step
 from stereo_slam_env.frontend.settings import TrackerSettings
-from stereo_slam_env.frontend.stereo_step import Pairs, Step, most_likely_step
 from stereo_slam_env.frontend.tracker import StereoTracker
 from stereo_slam_env.frontend.tracks import MEMORY
 from stereo_slam_env.recording.image_sequence import ImageSequence

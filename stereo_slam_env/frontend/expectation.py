@@ -10,9 +10,8 @@ from filters.camera import StereoCamera
 from filters.engine.gating import gate_limit
 from filters.interface import Forecast
 from filters.validation import BoolArray, FloatArray, IntArray, covariance_matrix, finite_array, unique_ids
-from stereo_slam_env.frontend.ego_motion import MIN_POINTS, predicted, robust_step
+from stereo_slam_env.frontend.ego_motion import MIN_POINTS, Pairs, Step, predicted, robust_step
 from stereo_slam_env.frontend.settings import TrackerSettings
-from stereo_slam_env.frontend.stereo_step import Pairs, Step
 from stereo_slam_env.frontend.tracks import Tracks
 
 Rows = tuple[IntArray, IntArray]

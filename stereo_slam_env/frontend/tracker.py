@@ -10,8 +10,16 @@ import numpy as np
 from filters.camera import StereoCamera
 from filters.interface import Forecast, StereoObservation
 from filters.validation import BoolArray, FloatArray, IntArray, positive
-from stereo_slam_env.frontend.consistency import judged
-from stereo_slam_env.frontend.ego_motion import MIN_POINTS, RobustStep, chained, continued, predicted, robust_step
+from stereo_slam_env.frontend.ego_motion import (
+    MIN_POINTS,
+    Pairs,
+    RobustStep,
+    Step,
+    chained,
+    continued,
+    predicted,
+    robust_step,
+)
 from stereo_slam_env.frontend.expectation import (
     Expectation,
     by_forecast,
@@ -22,12 +30,10 @@ from stereo_slam_env.frontend.expectation import (
     sure_rows,
 )
 from stereo_slam_env.frontend.finding import Found, PairFinder
-from stereo_slam_env.frontend.moving import STRIKES, beside_moving
+from stereo_slam_env.frontend.moving_objects import STRIKES, beside_moving, judged
 from stereo_slam_env.frontend.patches import SUPPORT, cut_patches
 from stereo_slam_env.frontend.settings import TrackerSettings
-from stereo_slam_env.frontend.stereo_step import Pairs, Step
-from stereo_slam_env.frontend.tracked import Outcome, Search, TrackedPair
-from stereo_slam_env.frontend.tracks import MEMORY, Tracks, new_tracks
+from stereo_slam_env.frontend.tracks import MEMORY, Outcome, Search, TrackedPair, Tracks, new_tracks
 from stereo_slam_env.recording.image_sequence import GreyImage
 
 _REST = Step(np.eye(3), np.zeros(3))

@@ -13,15 +13,79 @@ from filters import rotations
 from filters.camera import StereoCamera
 from filters.validation import FloatArray
 from stereo_slam_env.recording.recording import Pose
-from stereo_slam_env.rendering import gl_shaders, pinhole
-from stereo_slam_env.rendering.air import sky_slope
-from stereo_slam_env.rendering.draw_list import ViewVolume, draw_list
-from stereo_slam_env.rendering.gl_resources import FrameBuffer, MeshBuffer, TextureArray, check_process, new_context
+from stereo_slam_env.rendering import pinhole
+from stereo_slam_env.rendering.gl_resources import (
+    FrameBuffer,
+    MeshBuffer,
+    TextureArray,
+    ViewVolume,
+    check_process,
+    draw_list,
+    new_context,
+)
 from stereo_slam_env.rendering.images import StereoImages
-from stereo_slam_env.rendering.pinhole import FAR, NEAR
+from stereo_slam_env.rendering.pinhole import FAR, NEAR, sky_slope
 from stereo_slam_env.world.frames import WorldFrame
 from stereo_slam_env.world.meshes import body_meshes, scene_meshes
 from stereo_slam_env.world.scene import Look, MovingBody, Scene
+
+SURFACE_VERTEX = """
+#version 330
+uniform mat3 R_sb;         // from the frame of the body to S; the identity for what stands still
+uniform vec3 from_camera;  // origin of the body minus the left camera, in S; in two parts so that single precision
+uniform vec3 remainder;    // is enough far from the origin
+uniform mat3 R_cs;
+uniform float eye;         // where the eye is along the camera's x axis
+uniform mat4 projection;
+uniform vec3 sun;          // unit vector in S
+uniform vec2 light;        // ambient, diffuse
+in vec3 position;
+in vec3 normal;
+in vec3 texel;             // u, v, layer
+in vec3 color;
+out vec3 at_texel;
+out vec3 tint;
+void main() {
+    vec3 p_c = R_cs * ((R_sb * position + from_camera) + remainder);
+    gl_Position = projection * vec4(p_c.x - eye, p_c.yz, 1.0);
+    at_texel = texel;
+    tint = color * (light.x + light.y * max(0.0, dot(R_sb * normal, sun)));
+}
+"""
+
+SURFACE_FRAGMENT = """
+#version 330
+uniform sampler2DArray textures;
+uniform vec3 horizon;
+uniform float haze;        // 1/m
+in vec3 at_texel;
+in vec3 tint;
+out vec4 shade;
+void main() {
+    vec3 lit = min(texture(textures, at_texel).rgb * tint, 1.0);
+    shade = vec4(mix(horizon, lit, exp(-haze / gl_FragCoord.w)), 1.0);
+}
+"""
+
+SKY_VERTEX = """
+#version 330
+void main() {  // one triangle over everything, as far away as can be
+    gl_Position = vec4(gl_VertexID == 2 ? 3.0 : -1.0, gl_VertexID == 1 ? 3.0 : -1.0, 1.0, 1.0);
+}
+"""
+
+SKY_FRAGMENT = """
+#version 330
+uniform vec3 slope;        // of the ray through a place in the frame buffer: slope.x * x + slope.y * y + slope.z
+uniform vec3 horizon;
+uniform vec3 zenith;
+out vec4 shade;
+void main() {
+    float height = sqrt(clamp(dot(slope, vec3(gl_FragCoord.xy, 1.0)), 0.0, 1.0));
+    shade = vec4(mix(horizon, zenith, height), 1.0);
+}
+"""
+
 
 Placed = tuple[MeshBuffer, FloatArray, FloatArray]
 """A mesh with R_sb of its frame, and the origin of that minus the left camera, in S."""
@@ -67,8 +131,8 @@ class GLRenderer:
         with self._context as context:
             self._frame_buffer = FrameBuffer(context, camera, supersample, samples)
             self._textures = TextureArray(context)
-            self._surface = context.program(gl_shaders.SURFACE_VERTEX, gl_shaders.SURFACE_FRAGMENT)
-            self._sky = context.program(gl_shaders.SKY_VERTEX, gl_shaders.SKY_FRAGMENT)
+            self._surface = context.program(SURFACE_VERTEX, SURFACE_FRAGMENT)
+            self._sky = context.program(SKY_VERTEX, SKY_FRAGMENT)
             self._everywhere = context.vertex_array(self._sky, [])
             self._surface["projection"].write(_single(_projection(camera)))
         self._standing: MeshBuffer | None = None

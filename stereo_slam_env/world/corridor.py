@@ -9,11 +9,11 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from filters.validation import BoolArray, FloatArray
+from stereo_slam_env.world.layout import facing_points
 from stereo_slam_env.world.props import LAMP, STEEL, Placed
 from stereo_slam_env.world.road import ASPHALT_HEIGHT, Road, RoadNetwork, Strip, paved, road_along
 from stereo_slam_env.world.routes import Route
 from stereo_slam_env.world.scene import Box, Look, Material, Primitive, Scene
-from stereo_slam_env.world.surface_points import facing_points
 
 WALKWAY = 3.5
 """Where pedestrians walk: along the walls, m from the centreline."""

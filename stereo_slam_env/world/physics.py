@@ -6,11 +6,11 @@ import math
 import os
 import shutil
 import tempfile
+import threading
 import weakref
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cache
-from multiprocessing.util import Finalize
 from pathlib import Path
 from typing import Any
 
@@ -92,9 +92,10 @@ class PhysicsWorld:
 
     def dress(self, scene: Scene) -> None:
         """Add what `camera_image` draws to the built `scene`; without pictures that can be spared."""
-        self._draw(scene_meshes(scene))
-        for body, parts in self._moving:
-            parts += self._draw(body_meshes(body))
+        with _exchange_folder() as folder:
+            self._draw(scene_meshes(scene), folder)
+            for body, parts in self._moving:
+                parts += self._draw(body_meshes(body), folder)
         self.set_time(self._time)
         self._drawn = True
 
@@ -246,8 +247,8 @@ class PhysicsWorld:
         """A speck below everything: without a visual, TinyRenderer would draw the collision shape."""
         return int(
             pybullet.createVisualShape(
-                pybullet.GEOM_MESH,
-                fileName=str(_speck(os.getpid())),
+                pybullet.GEOM_BOX,
+                halfExtents=[0.001, 0.001, 0.001],
                 visualFramePosition=_BELOW_EVERYTHING,
                 physicsClientId=self._connected,
             )
@@ -262,13 +263,13 @@ class PhysicsWorld:
         pybullet.setCollisionFilterGroupMask(ego, -1, _EGO_GROUP, _NOT_EGO, physicsClientId=client)
         return ego
 
-    def _draw(self, meshes: Mapping[Material, Mesh]) -> list[int]:
+    def _draw(self, meshes: Mapping[Material, Mesh], folder: Path) -> list[int]:
         """Visual bodies of some meshes, one for each material."""
-        client, folder = self._connected, _exchange_folder(os.getpid())
+        client = self._connected
         file = folder / f"{client}.obj"
         bodies = []
         for material, mesh in meshes.items():
-            # Through a file for the reason that `_speck` gives.
+            # Through a file: PyBullet leaks vertices that are passed as Python objects.
             file.write_text(obj_text(mesh, _library(folder, material)), encoding="ascii")
             visual = pybullet.createVisualShape(
                 pybullet.GEOM_MESH, fileName=str(file), rgbaColor=[*material.color, 1.0], physicsClientId=client
@@ -280,20 +281,26 @@ class PhysicsWorld:
         return bodies
 
 
-@cache
-def _exchange_folder(process: int) -> Path:
-    """Where PyBullet finds meshes and pictures: one folder a process, since it keeps a picture under its path."""
-    folder = Path(tempfile.mkdtemp(prefix=f"stereo-slam-{process}-"))
-    Finalize(None, shutil.rmtree, (folder, True), exitpriority=0)
-    return folder
+@contextmanager
+def _exchange_folder() -> Iterator[Path]:
+    """A folder for PyBullet to read meshes and pictures from; it is gone afterwards.
+
+    It has the same path every time in one process, since PyBullet keeps each picture under its path for ever.
+    """
+    folder, one_at_a_time = _exchange_place(os.getpid())
+    with one_at_a_time:
+        folder.mkdir(mode=0o700)
+        try:
+            yield folder
+        finally:
+            shutil.rmtree(folder)
 
 
 @cache
-def _speck(process: int) -> Path:
-    """One tiny triangle, as a file: PyBullet leaks vertices that are passed as Python objects."""
-    file = _exchange_folder(process) / "speck.obj"
-    file.write_text("v 0 0 0\nv 0.001 0 0\nv 0 0.001 0\nvn 0 0 1\nf 1//1 2//1 3//1\n", encoding="ascii")
-    return file
+def _exchange_place(process: int) -> tuple[Path, threading.Lock]:
+    """A path where nothing is, for one process, and the lock of who uses it."""
+    with tempfile.TemporaryDirectory(prefix=f"stereo-slam-{process}-") as unused:
+        return Path(unused), threading.Lock()
 
 
 def _library(folder: Path, material: Material) -> str | None:
@@ -303,10 +310,15 @@ def _library(folder: Path, material: Material) -> str | None:
     name = f"{material.texture}-{material.variant}"
     library = folder / f"{name}.mtl"
     if not library.exists():
-        pixels = texture(material.texture, material.variant)
-        cv2.imwrite(str(folder / f"{name}.png"), cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR))
+        (folder / f"{name}.png").write_bytes(_png(material.texture, material.variant))
         library.write_text(mtl_text(f"{name}.png"), encoding="ascii")
     return library.name
+
+
+@cache
+def _png(name: str, variant: int) -> bytes:
+    _, encoded = cv2.imencode(".png", cv2.cvtColor(texture(name, variant), cv2.COLOR_RGB2BGR))
+    return bytes(encoded)
 
 
 def _neighbours(shapes: Iterable[dict[str, Any]]) -> list[list[dict[str, Any]]]:

@@ -8,11 +8,10 @@ import numpy as np
 
 from filters.validation import FloatArray
 from stereo_slam_env.world import props
-from stereo_slam_env.world.layout import Layout, Make
+from stereo_slam_env.world.layout import Layout, Make, facing_points
 from stereo_slam_env.world.road import ASPHALT_HEIGHT, Road, RoadNetwork, Strip, paved, road_along
 from stereo_slam_env.world.routes import Route
 from stereo_slam_env.world.scene import Material, Primitive, Scene
-from stereo_slam_env.world.surface_points import facing_points
 
 HALF_WIDTH = 5.75
 """Two lanes of 3.5 m between two parking strips of 2.25 m."""

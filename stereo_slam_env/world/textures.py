@@ -8,10 +8,8 @@ from zlib import crc32
 import numpy as np
 from numpy.typing import NDArray
 
-from stereo_slam_env.world.body_textures import BODY_PAINTERS
-from stereo_slam_env.world.painting import Painter
-from stereo_slam_env.world.plain_textures import PLAIN_PAINTERS
-from stereo_slam_env.world.street_textures import STREET_PAINTERS
+from stereo_slam_env.world.painting import PLAIN_PAINTERS, Painter
+from stereo_slam_env.world.street_textures import BODY_PAINTERS, STREET_PAINTERS
 
 Image = NDArray[np.uint8]
 _PAINTERS: dict[str, Painter] = STREET_PAINTERS | BODY_PAINTERS | PLAIN_PAINTERS

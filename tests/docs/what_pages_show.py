@@ -21,7 +21,7 @@ from stereo_slam_env.rendering.backends import make_renderer
 from stereo_slam_env.sensing.rigs import RIGS
 from stereo_slam_env.world.frames import WorldFrame
 from stereo_slam_env.world.physics import PhysicsWorld
-from stereo_slam_env.world.route_files import named_route
+from stereo_slam_env.world.routes import named_route
 from stereo_slam_env.world.surroundings import build_scene
 
 from ..stereo_slam_env.rendering.planes import AHEAD, CAR_SIZE, skip_where_missing
@@ -36,7 +36,7 @@ def given_baselines():
     def make_and_drive(name, **how):
         """The drive that the page leaves to its reader."""
         slam = make_filter(name, **how)
-        slam.reset(**vars(recording.start))
+        slam.reset(recording.start)
         slam.update(next(frames).observation)
         for frame in frames:
             slam.predict(0.1)

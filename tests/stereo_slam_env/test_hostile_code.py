@@ -11,13 +11,13 @@ import pytest
 
 from stereo_slam_env.benchmark.campaign import as_study
 from stereo_slam_env.benchmark.recordings.reference_problem import short_turn
-from stereo_slam_env.benchmark.running.runner import run_filter
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, Scenario
 from stereo_slam_env.benchmark.scenarios.scenario_file import MOST_TRIALS, load_study
 from stereo_slam_env.benchmark.storage.run_archive import load_run, save_run
 from stereo_slam_env.benchmark.storage.store import open_run, read_run
 from stereo_slam_env.benchmark.storage.study_store import read_study
 from stereo_slam_env.cli.app import main
+from stereo_slam_env.evaluation.filter_run import run_filter
 
 ROOT = Path(__file__).resolve().parents[2]
 MODULES = sorted(

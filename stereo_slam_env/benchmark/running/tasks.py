@@ -20,13 +20,14 @@ from filters import ConstantVelocity
 from stereo_slam_env.benchmark.recordings.sources import make_recording, make_sequence, without_measurements
 from stereo_slam_env.benchmark.recordings.stream_identity import as_given, description_of
 from stereo_slam_env.benchmark.running.isolation import Tell, WorkDied, WorkTooSlow, run_isolated
-from stereo_slam_env.benchmark.running.runner import Observe, failed_run, run_filter
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, Scenario
 from stereo_slam_env.benchmark.storage.run_archive import packed_run
 from stereo_slam_env.evaluation.cramer_rao import Bound, cramer_rao_bound
+from stereo_slam_env.evaluation.filter_run import failed_run, run_filter
 from stereo_slam_env.evaluation.results import FilterRun
-from stereo_slam_env.frontend.active_search import ActiveSearch
+from stereo_slam_env.frontend.recorder import ActiveSearch
 from stereo_slam_env.frontend.settings import TrackerSettings
+from stereo_slam_env.loop import Observe
 from stereo_slam_env.recording.archive import packed_recording, unpacked_recording
 from stereo_slam_env.recording.image_sequence import ImageSequence
 from stereo_slam_env.recording.recording import Recording

@@ -13,11 +13,11 @@ from stereo_slam_env.benchmark.campaign import check_study
 from stereo_slam_env.benchmark.recordings.episodes import drive_episode
 from stereo_slam_env.benchmark.recordings.sources import make_recording
 from stereo_slam_env.benchmark.recordings.stream_identity import stream_digest
-from stereo_slam_env.benchmark.running.runner import run_filter
 from stereo_slam_env.benchmark.scenarios.scenario_file import load_study
 from stereo_slam_env.benchmark.scenarios.study import Study
 from stereo_slam_env.benchmark.statistics.policy_verdict import baseline_of
 from stereo_slam_env.benchmark.storage.study_store import read_study
+from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.policies import available_policies
 from stereo_slam_env.recording.archive import load_recording
 from stereo_slam_env.report.benchmark_report import write_report_of

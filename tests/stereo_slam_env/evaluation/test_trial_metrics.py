@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stereo_slam_env.benchmark.running.runner import run_filter
 from stereo_slam_env.evaluation.cramer_rao import cramer_rao_bound
+from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.evaluation.trial_metrics import COLUMNS, trial_figures
 
 from ...synthetic_runs import scored

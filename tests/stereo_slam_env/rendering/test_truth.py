@@ -5,7 +5,7 @@ import pytest
 
 from filters import rotations
 from stereo_slam_env.recording.recording import Pose
-from stereo_slam_env.rendering.truth import depth_at, measurements_of, points_at
+from stereo_slam_env.rendering.pinhole import depth_at, measurements_of, points_at
 
 from .planes import AHEAD, CAMERA, Wall, both_back_ends, drawing, scene_of
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from filters import StereoFilter, make_filter, rotations
-from stereo_slam_env.benchmark.running.runner import run_filter
+from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.recording.recording import Recording
 from stereo_slam_env.wrappers import BeliefObservation
 from stereo_slam_env.wrappers.belief import assumed_noise

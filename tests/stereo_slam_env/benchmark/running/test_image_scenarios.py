@@ -19,7 +19,6 @@ from stereo_slam_env.benchmark.recordings.sources import (
 )
 from stereo_slam_env.benchmark.recordings.stream_identity import stream_digest
 from stereo_slam_env.benchmark.running import tasks
-from stereo_slam_env.benchmark.running.runner import run_filter
 from stereo_slam_env.benchmark.running.watch import watch_search
 from stereo_slam_env.benchmark.scenarios.presets import preset, with_images
 from stereo_slam_env.benchmark.scenarios.scenario import Scenario, filter_choice
@@ -27,6 +26,7 @@ from stereo_slam_env.benchmark.storage.store import open_run
 from stereo_slam_env.benchmark.storage.study_store import read_study
 from stereo_slam_env.envs import recorder
 from stereo_slam_env.envs.rendered_drive import RenderedDrive
+from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.rendering.backends import renderer_identity
 from stereo_slam_env.report.benchmark_report import write_report_of

@@ -9,10 +9,10 @@ import pytest
 
 from filters import rotations
 from stereo_slam_env.benchmark.recordings.stream_identity import stream_digest
-from stereo_slam_env.benchmark.running.runner import run_filter
 from stereo_slam_env.benchmark.scenarios.scenario import Scenario, filter_choice
 from stereo_slam_env.benchmark.storage import store
 from stereo_slam_env.benchmark.storage.run_archive import packed_run
+from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.evaluation.results import FilterSummary
 from stereo_slam_env.recording.archive import packed_recording
 
