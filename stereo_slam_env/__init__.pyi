@@ -28,3 +28,5 @@ from .recording.recording import Reference as Reference
 from .recording.recording import Velocity as Velocity
 from .report.benchmark_report import write_report_of as write_report_of
 from .sensing.padding import stereo_observation as stereo_observation
+from .world.routes import register_route as register_route
+from .world.surroundings import register_scene as register_scene

@@ -10,11 +10,10 @@ import pytest
 
 from stereo_slam_env.benchmark import PolicyChoice, Scenario, campaign, compare, preset, run
 from stereo_slam_env.benchmark.campaign import check_study
-from stereo_slam_env.benchmark.recordings.episodes import drive_episode
-from stereo_slam_env.benchmark.recordings.sources import make_recording
-from stereo_slam_env.benchmark.recordings.stream_identity import stream_digest
-from stereo_slam_env.benchmark.scenarios.scenario_file import load_study
-from stereo_slam_env.benchmark.scenarios.study import Study
+from stereo_slam_env.benchmark.recordings.description import stream_digest
+from stereo_slam_env.benchmark.recordings.sources import GazeSource
+from stereo_slam_env.benchmark.scenarios.streams import drive_episode, make_recording
+from stereo_slam_env.benchmark.scenarios.study import Study, load_study
 from stereo_slam_env.benchmark.statistics.policy_verdict import baseline_of
 from stereo_slam_env.benchmark.storage.study_store import read_study
 from stereo_slam_env.evaluation.filter_run import run_filter
@@ -103,7 +102,7 @@ def test_a_scenario_file_with_policies_is_read_and_stored(tmp_path):
 
 
 def test_with_several_filters_a_competitor_has_both_names():
-    two = Scenario("two", "gaze", filters=SHORT.filters + preset("quick").filters[:1], policies=SHORT.policies)
+    two = Scenario("two", GazeSource(), filters=SHORT.filters + preset("quick").filters[:1], policies=SHORT.policies)
     assert [choice.label for choice in two.competitors] == [
         "fixed+shared-anchor",
         "fixed+inverse-depth",

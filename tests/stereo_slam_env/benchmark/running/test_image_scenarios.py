@@ -10,18 +10,18 @@ import pytest
 
 from stereo_slam_env.benchmark import run
 from stereo_slam_env.benchmark.recordings import sources
-from stereo_slam_env.benchmark.recordings.sources import (
+from stereo_slam_env.benchmark.recordings.description import stream_digest
+from stereo_slam_env.benchmark.recordings.sources import DatasetSource, StreetSource
+from stereo_slam_env.benchmark.running import tasks
+from stereo_slam_env.benchmark.running.watch import watch_search
+from stereo_slam_env.benchmark.scenarios.scenario import Scenario, filter_choice
+from stereo_slam_env.benchmark.scenarios.streams import (
     check_source,
     make_recording,
     make_sequence,
-    takes_images,
     without_measurements,
 )
-from stereo_slam_env.benchmark.recordings.stream_identity import stream_digest
-from stereo_slam_env.benchmark.running import tasks
-from stereo_slam_env.benchmark.running.watch import watch_search
-from stereo_slam_env.benchmark.scenarios.presets import preset, with_images
-from stereo_slam_env.benchmark.scenarios.scenario import Scenario, filter_choice
+from stereo_slam_env.benchmark.scenarios.study import preset
 from stereo_slam_env.benchmark.storage.store import open_run
 from stereo_slam_env.benchmark.storage.study_store import read_study
 from stereo_slam_env.envs import recorder
@@ -36,8 +36,7 @@ from ...datasets.images.small_image_folders import FRAMES, kitti_odometry
 
 STREET = Scenario(
     "seen",
-    "street",
-    {"route": "right-turn", "rig": "qvga", "sensor": "images", "max_landmarks": 40},
+    StreetSource({"route": "right-turn", "rig": "qvga", "sensor": "images", "max_landmarks": 40}),
     filters=(filter_choice("inverse-depth"), filter_choice("euclidean")),
     frames=4,
 )
@@ -63,7 +62,7 @@ def in_this_process(monkeypatch):
 
 def of(folder, **changes):
     filters = (filter_choice("inverse-depth"), filter_choice("euclidean"))
-    return replace(Scenario("seen", "dataset", {"path": str(folder)}, filters=filters), **changes)
+    return replace(Scenario("seen", DatasetSource(str(folder)), filters=filters), **changes)
 
 
 def counted(monkeypatch, module, name):
@@ -82,20 +81,20 @@ def counted(monkeypatch, module, name):
 
 
 def test_scenarios_that_take_images_are_told_apart(folder, tmp_path):
-    assert takes_images(STREET)
-    assert takes_images(of(folder))
-    assert not takes_images(of(tmp_path / "nowhere"))
-    assert not takes_images(preset("quick"))
-    assert not takes_images(preset("reference-turn"))
+    assert STREET.source.takes_images
+    assert of(folder).source.takes_images
+    assert not of(tmp_path / "nowhere").source.takes_images
+    assert not preset("quick").source.takes_images
+    assert not preset("reference-turn").source.takes_images
 
 
 def test_a_scenario_of_the_simulated_world_can_be_measured_in_images():
-    seen = with_images(preset("turn"), "gl")
-    assert (seen.options["sensor"], seen.options["renderer"], seen.options["route"]) == ("images", "gl", "right-turn")
+    seen = preset("turn").with_sensor("images", "gl")
+    assert [seen.source.options[key] for key in ("sensor", "renderer", "route")] == ["images", "gl", "right-turn"]
     assert (seen.noise, seen.gate, seen.consensus) == (None, 0.99, True)
     assert seen.name == "turn-gl-images"
     with pytest.raises(ValueError, match="needs a scenario of kind 'street', 'reference-turn' is a 'reference'"):
-        with_images(preset("reference-turn"), "tiny")
+        preset("reference-turn").with_sensor("images", "tiny")
 
 
 @pytest.mark.parametrize(

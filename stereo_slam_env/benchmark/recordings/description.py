@@ -1,8 +1,9 @@
-"""How good the measurements of a recording are: their errors against the truth, by range."""
+"""Description of a recording: digest of what filters are given, and errors of its measurements by range."""
 
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -58,6 +59,41 @@ class MeasurementErrors:
     R: FloatArray
 
 
+def description_of(recording: Recording) -> dict[str, Any]:
+    """What is kept of a recording beside it; JSON-able."""
+    description: dict[str, Any] = {
+        "name": recording.name,
+        "frames": len(recording),
+        "stream_sha256": stream_digest(recording),
+        "R": recording.noise.R.tolist(),
+        "reference": dataclasses.asdict(recording.reference),
+        "source": dict(recording.source),
+    }
+    measured = noise_of_images(recording)
+    return description if measured is None else {**description, "sensor_noise": measured}
+
+
+def stream_digest(recording: Recording) -> str:
+    """SHA-256 of everything a filter is given: equal digests mean bit-identical input."""
+    digest = hashlib.sha256(repr(recording.camera).encode())
+    start = recording.start
+    parts: list[Any] = [
+        recording.noise.R,
+        start.position,
+        start.orientation,
+        start.linear_velocity,
+        start.angular_velocity,
+        start.covariance,
+    ]
+    for frame in recording.frames:
+        seen, odometry = frame.observation, frame.odometry
+        parts += [np.float64(frame.timestamp), seen.ids, seen.uvd, seen.v_right, seen.R]
+        parts += [None] if odometry is None else [odometry.linear, odometry.angular, odometry.covariance]
+    for part in parts:
+        digest.update(b"-" if part is None else np.ascontiguousarray(part).tobytes() + b"|")
+    return digest.hexdigest()
+
+
 def measurement_errors(recording: Recording) -> MeasurementErrors:
     """Measured minus true (u, v, d) wherever pose and landmark are known.
 
@@ -95,7 +131,8 @@ def noise_by_range(errors: MeasurementErrors, ranges: Sequence[float] = RANGES) 
         sigma = _MAD_TO_SIGMA * np.median(np.abs(error - bias), axis=0)
         outliers = (np.abs(error) > OUTLIER).mean(axis=0)
         claimed = np.median(np.sqrt(np.einsum("nii->ni", errors.R[inside])), axis=0)
-        rows.append(NoiseOfRange(low, high, int(inside.sum()), *(_triple(x) for x in (bias, sigma, outliers, claimed))))
+        triples = (tuple(values.tolist()) for values in (bias, sigma, outliers, claimed))
+        rows.append(NoiseOfRange(low, high, int(inside.sum()), *triples))
     return tuple(rows)
 
 
@@ -109,8 +146,3 @@ def noise_of_images(recording: Recording) -> list[dict[str, Any]] | None:
         return None
     rows = [dataclasses.asdict(row) for row in noise_by_range(measurement_errors(recording))]
     return [{**row, "high": row["high"] if np.isfinite(row["high"]) else None} for row in rows]
-
-
-def _triple(values: FloatArray) -> tuple[float, float, float]:
-    u, v, d = values.tolist()
-    return u, v, d
