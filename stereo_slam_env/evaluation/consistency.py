@@ -9,19 +9,9 @@ from filters.validation import FloatArray, IntArray
 
 
 def nees(errors: FloatArray, covariances: FloatArray) -> FloatArray:
-    """Normalised estimation error squared e^T P^-1 e.
+    """Normalised estimation error squared e^T P^-1 e of errors (..., n) and claimed covariances (..., n, n).
 
-    Parameters
-    ----------
-    errors : (..., n) ndarray
-        Estimation errors.
-    covariances : (..., n, n) ndarray
-        What the filter claims for them.
-
-    Returns
-    -------
-    (...) ndarray
-        NaN where the covariance is not positive definite or something is not finite.
+    NaN where the covariance is not positive definite or something is not finite.
     """
     errors, covariances = np.asarray(errors), np.asarray(covariances)
     usable = np.array(np.isfinite(errors).all(axis=-1) & np.isfinite(covariances).all(axis=(-2, -1)))
@@ -35,20 +25,8 @@ def nees(errors: FloatArray, covariances: FloatArray) -> FloatArray:
 def mean_band(dof: float, runs: int, probability: float = 0.95) -> tuple[float, float]:
     """Two-sided band of the mean of `runs` independent chi-square variables of `dof` degrees of freedom.
 
-    The sum over N runs is chi-square with N * dof degrees of freedom.
-
-    Parameters
-    ----------
-    dof : float
-        Degrees of freedom of one variable (6 for a pose).
-    runs : int
-        Number of independent runs N.
-    probability : float
-        Of a consistent filter to lie inside.
-
-    Returns
-    -------
-    (low, high)
+    A consistent filter is inside with this probability; the sum over N runs is chi-square with N * dof degrees of
+    freedom.
 
     Raises
     ------
