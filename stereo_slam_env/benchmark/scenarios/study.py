@@ -156,7 +156,7 @@ class Study:
                 {"name": cell.name, "factors": dict(cell.factors), "scenario": cell.scenario.as_dict()}
                 for cell in self.cells
             ],
-            "factorial": self.factorial and {key: list(levels) for key, levels in self.factorial.items()},
+            "factorial": None if self.factorial is None else {key: [*levels] for key, levels in self.factorial.items()},
         }
 
     @classmethod
