@@ -101,17 +101,10 @@ def summarise_all(runs: Sequence[FilterRun], figures: Figures) -> tuple[FilterSu
 
 
 def summarise(runs: Sequence[FilterRun], figures: RunFigures) -> FilterSummary:
-    """Figures of one filter over its runs.
+    """Figures of one filter over its runs, one a seed; `figures` are those of the same runs.
 
     A run that failed counts as diverged and has no part in the other figures but the event counts; one that diverged
     with finite numbers has.
-
-    Parameters
-    ----------
-    runs : sequence of FilterRun
-        Of one filter, one a seed.
-    figures : RunFigures
-        Of the same runs, see `figures_of`.
 
     Raises
     ------

@@ -18,7 +18,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable, Iterator, Mapping
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeVar, get_args, get_origin
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args, get_origin
 
 import msgspec
 
@@ -35,8 +35,6 @@ if TYPE_CHECKING:
 Progress = Callable[[int, int], None]
 OpenedImages = tuple[ImageSequence, TrackerSettings]
 Renderer = Literal["tiny", "gl"]
-T = TypeVar("T")
-
 _PLAIN = {"array": "a list", "object": "a table", "str": "text", "int": "a whole number", "float": "a number"}
 _PLAIN |= {"bool": "true or false", "null": "none"}
 
@@ -182,7 +180,7 @@ class Source(msgspec.Struct, frozen=True, tag_field="kind", forbid_unknown_field
         raise ValueError(f"a source of kind {self.kind!r} has no environment for policies")
 
 
-def checked(what: str, value: object, kind: type[T] | Any) -> T:
+def checked(what: str, value: object, kind: Any) -> Any:
     """The value as `kind`, a type that `msgspec` knows.
 
     Raises
@@ -191,10 +189,9 @@ def checked(what: str, value: object, kind: type[T] | Any) -> T:
         It cannot be: one line that begins with `what`.
     """
     try:
-        converted: T = msgspec.convert(value, kind)
+        return msgspec.convert(value, kind)
     except msgspec.ValidationError as error:
         raise ValueError(_in_words(what, value, kind, str(error))) from error
-    return converted
 
 
 def _in_words(what: str, value: Any, kind: Any, message: str) -> str:

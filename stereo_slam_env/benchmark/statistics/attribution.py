@@ -78,9 +78,9 @@ def attribute_runs(factorial: Mapping[str, Sequence[Any]], figures: Figures) -> 
     Parameters
     ----------
     factorial : mapping of str to sequence
-        Levels of each option, see `benchmark.study`; the filters of the runs are named after `factorial_label`.
+        Levels of each option; the filters of the runs are named after `factorial_label`.
     figures : mapping of str to RunFigures
-        Of the runs of all combinations, or of most, see `figures_of`; others are not looked at.
+        Of the runs of all combinations, or of most; others are not looked at.
 
     Raises
     ------

@@ -189,10 +189,7 @@ def compare(before: str | Path | HasRuns, after: str | Path | HasRuns) -> RunCom
 
 @dataclass(frozen=True)
 class _Side:
-    """A run of the benchmark, as far as it is compared.
-
-    Filters go by their labels, in a grid by "cell: label"; a trial is one of them on one recording.
-    """
+    """A run of the benchmark, as far as it is compared: filters go by their labels, in a grid by "cell: label"."""
 
     name: str
     figures: Mapping[str, RunFigures]

@@ -151,19 +151,7 @@ def explain(
 ) -> tuple[ResponseAttribution, tuple[Term, ...]]:
     """Effects on a response, and the interactions that cannot be estimated (numbers of the factors).
 
-    Parameters
-    ----------
-    name : str
-        Of the response.
-    response : Response
-        Its values.
-    factors : mapping of str to sequence
-        Names and levels, at least two each, in the order of the axes.
-
-    Raises
-    ------
-    ValueError
-        As `fit_factorial`.
+    `factors` has names and levels, at least two each, in the order of the axes. Raises as `fit_factorial`.
     """
     fit = fit_factorial(response.logarithms)
     names = list(factors)

@@ -127,13 +127,6 @@ def judge_policies(summaries: Sequence[FilterSummary], figures: Figures, *, base
 
     Intervals and tests are corrected for the number of policies; each measure stands for itself.
 
-    Parameters
-    ----------
-    summaries, figures : sequence, mapping
-        As `verdict.judge`.
-    baseline : str
-        Label of one of them.
-
     Raises
     ------
     ValueError

@@ -119,15 +119,7 @@ class Verdict:
 
 
 def judge(summaries: Sequence[FilterSummary], figures: Figures) -> Verdict:
-    """Compare the filters on accuracy, and put consistency, distance from the limit and cost of the best one beside it.
-
-    Parameters
-    ----------
-    summaries : sequence of FilterSummary
-        One for each filter.
-    figures : mapping of str to RunFigures
-        Of the same runs, see `figures_of`.
-    """
+    """Compare the filters on accuracy; consistency, distance from the limit and cost of the best one beside it."""
     scored = [s for s in summaries if s.position_rmse_m is not None]
     steady = [s for s in scored if s.diverged == 0]
     if not steady:
@@ -151,17 +143,7 @@ def judge(summaries: Sequence[FilterSummary], figures: Figures) -> Verdict:
 def against_best(
     best: FilterSummary, other: FilterSummary, best_figures: RunFigures, other_figures: RunFigures, comparisons: int = 1
 ) -> Comparison:
-    """Compare another filter with the best one, by position error, on the recordings that both completed.
-
-    Parameters
-    ----------
-    best, other : FilterSummary
-        Of the two.
-    best_figures, other_figures : RunFigures
-        Run by run.
-    comparisons : int
-        Number of comparisons made at once.
-    """
+    """Compare another filter with the best one, by position error, on the recordings that both completed."""
     keys = common_keys(best_figures, other_figures)
     errors = (POSITION.by_run(figures, keys) for figures in (other_figures, best_figures))
     difference = POSITION.difference(*errors, comparisons=comparisons)
