@@ -27,9 +27,9 @@ from threadpoolctl import threadpool_limits
 
 from filters import ConstantVelocity
 from stereo_slam_env.benchmark.recordings.reference_problem import long_drive
-from stereo_slam_env.benchmark.running.runner import run_filter
 from stereo_slam_env.evaluation.cramer_rao import Bound, cramer_rao_bound, efficiency_interval
 from stereo_slam_env.evaluation.figures import trial_figures
+from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.evaluation.trial import Trial
 from stereo_slam_env.recording.recording import Recording
 
@@ -79,7 +79,7 @@ def run_batch(recording: Recording) -> Outcome:
 
     start = recording.start
     smoother = BatchSmoother(recording.camera, recording.noise, gate=None, right_row=False)
-    smoother.reset(start.position, start.orientation, start.linear_velocity, start.angular_velocity, start.covariance)
+    smoother.reset(start)
     with threadpool_limits(1):
         for k, frame in enumerate(recording.frames):
             if k:

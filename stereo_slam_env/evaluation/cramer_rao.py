@@ -38,7 +38,6 @@ from filters.measurements.bearing import stacked_stage
 from filters.measurements.model import Stage
 from filters.motion import POSE_SIZE, CameraState, ConstantVelocity, MotionModel
 from filters.noise import StereoNoise
-from filters.start import start_belief
 from filters.validation import BoolArray, FloatArray, IntArray
 from stereo_slam_env.recording.recording import Pose, Recording, Start
 
@@ -171,11 +170,10 @@ class ReferenceBelief:
         right_row: bool = True,
     ) -> None:
         self._rig, self._noise, self._motion, self._right_row = camera, noise, motion, right_row
-        told, P = start_belief(
-            start.position, start.orientation, start.linear_velocity, start.angular_velocity, start.covariance
+        there = CameraState(truth.position, truth.orientation, start.linear_velocity, start.angular_velocity)
+        self._state = JointState.without_map(
+            there, start.assumed_covariance, Euclidean() if landmark is None else landmark
         )
-        there = CameraState(truth.position, truth.orientation, told.linear_velocity, told.angular_velocity)
-        self._state = JointState.without_map(there, P, Euclidean() if landmark is None else landmark)
 
     @property
     def ids(self) -> IntArray:

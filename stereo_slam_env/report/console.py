@@ -16,8 +16,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 from rich.table import Table
 
 from stereo_slam_env.benchmark.campaign import Progress as ProgressCallback
-from stereo_slam_env.benchmark.recordings.sensor_noise import OUTLIER, NoiseOfRange
-from stereo_slam_env.benchmark.recordings.sources import takes_images
+from stereo_slam_env.benchmark.recordings.description import OUTLIER, NoiseOfRange
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, PolicyChoice, Scenario
 from stereo_slam_env.benchmark.scenarios.study import Study
 from stereo_slam_env.benchmark.statistics.comparison import COLUMNS, RunComparison
@@ -39,13 +38,13 @@ _CLAIMS_MATTER_MOST = (
 
 def show_settings(console: Console, scenario: Scenario) -> None:
     """Print what the filters will assume: nothing of it is hidden in the code."""
-    sees = takes_images(scenario)
+    sees = scenario.source.takes_images
     noise = "as each measurement says" if sees else "as the recording says"
     if scenario.noise is not None:
         noise = f"{json.dumps(dict(scenario.noise))} px"
     motion = scenario.motion
     lines = {
-        "scenario": f"{scenario.name} ({scenario.kind} {json.dumps(dict(scenario.options))})",
+        "scenario": f"{scenario.name} ({scenario.source})",
         "frames": "all" if scenario.frames is None else str(scenario.frames),
         "assumed noise": noise,
         "gate": "none" if scenario.gate is None else f"{scenario.gate:g} per landmark",
@@ -58,7 +57,7 @@ def show_settings(console: Console, scenario: Scenario) -> None:
         lines["policies"] = _choices(scenario.policies)
     if sees:
         lines["search"] = {"flow": "the same for all filters", "forecast": "guided by each filter"}[scenario.search]
-    if scenario.kind != "dataset":
+    if scenario.source.seeded:
         lines["seeds"] = f"{len(scenario.seeds)} ({_ranges(scenario.seeds)})"
     for name, value in lines.items():
         console.print(f"[dim]{name:>14}[/dim]  {value}", highlight=False, soft_wrap=True)

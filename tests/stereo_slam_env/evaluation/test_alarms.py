@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from filters import Cause, DivergenceMonitor, make_filter
-from stereo_slam_env.benchmark.running.runner import run_filter
 from stereo_slam_env.evaluation.figures import trial_figures
+from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.evaluation.trial import Trial
 
 from ...synthetic_runs import summary_of
@@ -65,7 +65,7 @@ def test_it_is_what_a_monitor_beside_the_filter_says(run):
     recording = small_recording(frames=40)
     noise = type(recording.noise)(recording.noise.R / 9.0)
     slam, monitor = make_filter("inverse-depth", camera=recording.camera, noise=noise, gate=0.99), DivergenceMonitor()
-    slam.reset(**vars(recording.start))
+    slam.reset(recording.start)
     before = recording.frames[0].timestamp
     for k, frame in enumerate(recording.frames):
         dt, before = frame.timestamp - before, frame.timestamp
