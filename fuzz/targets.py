@@ -15,7 +15,7 @@ from stereo_slam_env.benchmark.scenarios.scenario_file import description_of, lo
 from stereo_slam_env.benchmark.storage.run_archive import load_provenance, load_run
 from stereo_slam_env.benchmark.storage.study_store import read_study
 from stereo_slam_env.datasets import read_recording
-from stereo_slam_env.datasets.images import open_image_sequence
+from stereo_slam_env.datasets.image_sequences import open_image_sequence
 from stereo_slam_env.policies.network import Network
 from stereo_slam_env.recording.archive import load_recording
 from stereo_slam_env.world.route_files import kitti_route

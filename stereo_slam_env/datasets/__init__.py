@@ -1,7 +1,7 @@
 """Readers of real recordings. Each yields the same `Recording` that the environment yields.
 
 To add a layout: a module with `NAME`, `FILES`, `recognises(path)` and `read(path, **options)`, listed in `READERS`;
-for one of images see `datasets.images`, whose sequences go through the front end.
+for one of images see `datasets.image_sequences`, whose sequences go through the front end.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Any
 
 from filters.known_names import require_known
 from stereo_slam_env.datasets import gtsam_examples, kitti00_stereo_tracks, kitti07_tracks, starry_night
-from stereo_slam_env.datasets.images import (
+from stereo_slam_env.datasets.image_sequences import (
     IMAGE_READERS,
     folders_in,
     known_image_layouts,

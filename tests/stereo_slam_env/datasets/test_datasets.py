@@ -5,7 +5,7 @@ import re
 import pytest
 
 from stereo_slam_env.datasets import READERS, read_recording
-from stereo_slam_env.datasets.images import IMAGE_READERS
+from stereo_slam_env.datasets.image_sequences import IMAGE_READERS
 
 from .small_folders import kitti00, kitti07, starry_night
 

@@ -12,8 +12,8 @@ import pytest
 
 from fuzz import seeds
 from stereo_slam_env.datasets import read_recording
-from stereo_slam_env.datasets.images import BrokenPair, open_image_sequence
-from stereo_slam_env.datasets.images.image_files import numbered_images, read_grey
+from stereo_slam_env.datasets.image_files import numbered_images, read_grey
+from stereo_slam_env.datasets.image_sequences import BrokenPair, open_image_sequence
 from stereo_slam_env.files.inside import require_inside, require_links_inside
 from stereo_slam_env.files.text import read_text
 

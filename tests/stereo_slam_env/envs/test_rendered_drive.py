@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from stereo_slam_env.datasets import read_recording
-from stereo_slam_env.datasets.images.kitti_writer import write_kitti_sequence
+from stereo_slam_env.datasets.kitti_writer import write_kitti_sequence
 from stereo_slam_env.envs.drive import StereoDriveEnv
 from stereo_slam_env.envs.rendered_drive import RenderedDrive
 from stereo_slam_env.frontend.recorder import record_tracks

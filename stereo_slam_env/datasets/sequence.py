@@ -10,9 +10,9 @@ import numpy as np
 from filters import rotations
 from filters.camera import StereoCamera
 from filters.interface import BodyVelocity
-from stereo_slam_env.datasets.images.broken import BrokenPair, Faults
-from stereo_slam_env.datasets.images.frames import FramePair
-from stereo_slam_env.datasets.images.image_files import read_grey
+from stereo_slam_env.datasets.broken import BrokenPair, Faults
+from stereo_slam_env.datasets.frames import FramePair
+from stereo_slam_env.datasets.image_files import read_grey
 from stereo_slam_env.recording.image_sequence import GreyImage, StereoPair
 from stereo_slam_env.recording.recording import Pose, Reference, Start
 

@@ -5,7 +5,7 @@ import logging
 import numpy as np
 import pytest
 
-from stereo_slam_env.datasets.images import BrokenPair, open_image_sequence
+from stereo_slam_env.datasets.image_sequences import BrokenPair, open_image_sequence
 
 from .small_image_folders import (
     FRAMES,

@@ -11,7 +11,7 @@ import numpy as np
 from filters import rotations
 from filters.camera import StereoCamera
 from filters.validation import FloatArray
-from stereo_slam_env.datasets.images.frames import FramePair
+from stereo_slam_env.datasets.frames import FramePair
 from stereo_slam_env.files.text import read_text
 from stereo_slam_env.recording.recording import Pose
 

@@ -18,10 +18,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from filters.validation import FloatArray, IntArray
-from stereo_slam_env.datasets.images.broken import Faults, OnBroken
-from stereo_slam_env.datasets.images.euroc_rig import Sensor, read_sensor, read_transform, rectification
-from stereo_slam_env.datasets.images.frames import Eye, Times, Truth, usable_pairs
-from stereo_slam_env.datasets.images.sequence import RecordedSequence
+from stereo_slam_env.datasets.broken import Faults, OnBroken
+from stereo_slam_env.datasets.euroc_rig import Sensor, read_sensor, read_transform, rectification
+from stereo_slam_env.datasets.frames import Eye, Times, Truth, usable_pairs
+from stereo_slam_env.datasets.sequence import RecordedSequence
 from stereo_slam_env.files.inside import is_plain_name
 from stereo_slam_env.files.tables import finite_rows
 from stereo_slam_env.files.text import read_text

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from filters.interface import BodyVelocity
 from filters.validation import FloatArray
-from stereo_slam_env.datasets.images.broken import BrokenPair, Faults
+from stereo_slam_env.datasets.broken import BrokenPair, Faults
 from stereo_slam_env.recording.recording import Pose
 
 _ORTHONORMAL = 1e-2

@@ -27,12 +27,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from filters.validation import FloatArray, positive
-from stereo_slam_env.datasets.images import oxts
-from stereo_slam_env.datasets.images.broken import Faults, OnBroken
-from stereo_slam_env.datasets.images.calibration import entry, read_entries, rectified_rig
-from stereo_slam_env.datasets.images.frames import Eye, Times, Truth, usable_pairs
-from stereo_slam_env.datasets.images.image_files import image_size, numbered_images
-from stereo_slam_env.datasets.images.sequence import RecordedSequence
+from stereo_slam_env.datasets import oxts
+from stereo_slam_env.datasets.broken import Faults, OnBroken
+from stereo_slam_env.datasets.calibration import entry, read_entries, rectified_rig
+from stereo_slam_env.datasets.frames import Eye, Times, Truth, usable_pairs
+from stereo_slam_env.datasets.image_files import image_size, numbered_images
+from stereo_slam_env.datasets.sequence import RecordedSequence
 from stereo_slam_env.files.inside import require_inside
 from stereo_slam_env.files.tables import finite_rows, read_table
 from stereo_slam_env.recording.recording import Pose, Reference

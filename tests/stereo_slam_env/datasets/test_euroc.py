@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from stereo_slam_env.datasets.images import open_image_sequence
+from stereo_slam_env.datasets.image_sequences import open_image_sequence
 from stereo_slam_env.recording.recording import Pose
 
 from .small_image_folders import cut_file, write_png

@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
-from stereo_slam_env.datasets.images import image_files
-from stereo_slam_env.datasets.images.broken import BrokenPair
-from stereo_slam_env.datasets.images.image_files import image_size, numbered_images, read_grey
+from stereo_slam_env.datasets import image_files
+from stereo_slam_env.datasets.broken import BrokenPair
+from stereo_slam_env.datasets.image_files import image_size, numbered_images, read_grey
 
 from .small_image_folders import cut_file, drive, png_bomb, write_png
 

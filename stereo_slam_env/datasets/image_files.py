@@ -14,7 +14,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from stereo_slam_env.datasets.images.broken import BrokenPair
+from stereo_slam_env.datasets.broken import BrokenPair
 from stereo_slam_env.recording.image_sequence import GreyImage
 
 MAX_PIXELS = 40_000_000

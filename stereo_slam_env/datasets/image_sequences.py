@@ -11,10 +11,10 @@ from types import ModuleType
 from typing import Any
 
 from filters.known_names import require_known
-from stereo_slam_env.datasets.images import euroc, karlsruhe, kitti06_stereo51, kitti_odometry, kitti_raw
-from stereo_slam_env.datasets.images.broken import BrokenPair
-from stereo_slam_env.datasets.images.sequence import RecordedSequence
+from stereo_slam_env.datasets import euroc, karlsruhe, kitti06_stereo51, kitti_odometry, kitti_raw
+from stereo_slam_env.datasets.broken import BrokenPair
 from stereo_slam_env.datasets.known_options import keyword_options
+from stereo_slam_env.datasets.sequence import RecordedSequence
 from stereo_slam_env.datasets.unknown_folder import no_known_layout, require_folder
 from stereo_slam_env.files.inside import require_inside, require_links_inside
 

@@ -14,9 +14,9 @@ import cv2
 import numpy as np
 
 from filters.validation import FloatArray
-from stereo_slam_env.datasets.images.calibration import RectifiedRig, rectified_rig
-from stereo_slam_env.datasets.images.image_files import MAX_PIXELS
-from stereo_slam_env.datasets.images.sequence import Rectify
+from stereo_slam_env.datasets.calibration import RectifiedRig, rectified_rig
+from stereo_slam_env.datasets.image_files import MAX_PIXELS
+from stereo_slam_env.datasets.sequence import Rectify
 from stereo_slam_env.files.tables import first_line
 from stereo_slam_env.files.text import read_text
 from stereo_slam_env.recording.image_sequence import GreyImage

@@ -12,12 +12,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from stereo_slam_env.datasets.images.broken import Faults, OnBroken
-from stereo_slam_env.datasets.images.calibration import entry, read_entries, rectified_rig
-from stereo_slam_env.datasets.images.frames import Eye, Times, Truth, poses_of_rows, usable_pairs
-from stereo_slam_env.datasets.images.image_files import image_size, numbered_images
-from stereo_slam_env.datasets.images.kitti_cameras import CAMERAS, chosen_cameras, has_cameras
-from stereo_slam_env.datasets.images.sequence import RecordedSequence
+from stereo_slam_env.datasets.broken import Faults, OnBroken
+from stereo_slam_env.datasets.calibration import entry, read_entries, rectified_rig
+from stereo_slam_env.datasets.frames import Eye, Times, Truth, poses_of_rows, usable_pairs
+from stereo_slam_env.datasets.image_files import image_size, numbered_images
+from stereo_slam_env.datasets.kitti_cameras import CAMERAS, chosen_cameras, has_cameras
+from stereo_slam_env.datasets.sequence import RecordedSequence
 from stereo_slam_env.files.inside import require_inside
 from stereo_slam_env.files.tables import read_table
 from stereo_slam_env.recording.recording import Reference

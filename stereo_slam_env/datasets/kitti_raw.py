@@ -21,14 +21,14 @@ from scipy.spatial.transform import Rotation
 
 from filters.interface import BodyVelocity
 from filters.validation import FloatArray
-from stereo_slam_env.datasets.images import oxts
-from stereo_slam_env.datasets.images.broken import Faults, OnBroken
-from stereo_slam_env.datasets.images.calibration import entry, eye_position, read_entries, rectified_rig
-from stereo_slam_env.datasets.images.frames import Eye, Times, Truth, usable_pairs
-from stereo_slam_env.datasets.images.image_files import image_size, numbered_images
-from stereo_slam_env.datasets.images.kitti_cameras import CAMERAS, chosen_cameras, has_cameras
-from stereo_slam_env.datasets.images.odometry import noisy_camera_velocities
-from stereo_slam_env.datasets.images.sequence import RecordedSequence
+from stereo_slam_env.datasets import oxts
+from stereo_slam_env.datasets.broken import Faults, OnBroken
+from stereo_slam_env.datasets.calibration import entry, eye_position, read_entries, rectified_rig
+from stereo_slam_env.datasets.frames import Eye, Times, Truth, usable_pairs
+from stereo_slam_env.datasets.image_files import image_size, numbered_images
+from stereo_slam_env.datasets.kitti_cameras import CAMERAS, chosen_cameras, has_cameras
+from stereo_slam_env.datasets.odometry import noisy_camera_velocities
+from stereo_slam_env.datasets.sequence import RecordedSequence
 from stereo_slam_env.files.inside import require_inside
 from stereo_slam_env.files.tables import finite_rows
 from stereo_slam_env.files.text import read_text

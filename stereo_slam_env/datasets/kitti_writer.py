@@ -13,7 +13,7 @@ import numpy as np
 from filters import rotations
 from filters.camera import StereoCamera
 from filters.validation import FloatArray
-from stereo_slam_env.datasets.images.kitti_odometry import poses_file
+from stereo_slam_env.datasets.kitti_odometry import poses_file
 from stereo_slam_env.recording.image_sequence import GreyImage, ImageSequence, StereoPair
 from stereo_slam_env.recording.recording import Pose
 
