@@ -8,7 +8,7 @@ from filters.interface import StereoFilter, StereoObservation
 from stereo_slam_env.frontend.recorder import Watch
 from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.frontend.tracker import StereoTracker
-from stereo_slam_env.recording.image_sequence import ImageSequence, StereoPair
+from stereo_slam_env.recording.recording import ImageSequence, StereoPair
 
 
 class ActiveSearch:

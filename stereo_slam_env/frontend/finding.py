@@ -17,7 +17,7 @@ from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.frontend.stereo_matching import match_rows
 from stereo_slam_env.frontend.tracked import Outcome
 from stereo_slam_env.frontend.tracks import Tracks
-from stereo_slam_env.recording.image_sequence import GreyImage
+from stereo_slam_env.recording.recording import GreyImage
 
 _ROW_SLACK = 1.0
 """Added to the range of disparities that is searched, px."""

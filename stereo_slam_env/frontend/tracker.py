@@ -28,7 +28,7 @@ from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.frontend.stereo_step import Pairs, Step
 from stereo_slam_env.frontend.tracked import Outcome, Search, TrackedPair
 from stereo_slam_env.frontend.tracks import MEMORY, Tracks, new_tracks
-from stereo_slam_env.recording.image_sequence import GreyImage
+from stereo_slam_env.recording.recording import GreyImage
 
 _REST = Step(np.eye(3), np.zeros(3))
 _SCOUTS = 24

@@ -10,7 +10,7 @@ from scipy.ndimage import gaussian_filter1d
 from filters import rotations
 from filters.known_names import did_you_mean
 from filters.validation import FloatArray, positive
-from stereo_slam_env.files.tables import read_poses
+from stereo_slam_env.files.readers import read_poses
 from stereo_slam_env.world.routes import FRAME_PERIOD, ROUTES, Route
 
 KITTI_PERIOD = 0.1037

@@ -16,11 +16,10 @@ import numpy as np
 from filters.interface import StereoObservation
 from filters.known_names import require_known
 from stereo_slam_env.benchmark.scenarios.scenario import Scenario
-from stereo_slam_env.datasets import holds_images, open_for_front_end, read_recording
+from stereo_slam_env.datasets import holds_images, load, open_for_front_end
 from stereo_slam_env.frontend.recorder import record_tracks
 from stereo_slam_env.frontend.settings import TrackerSettings
-from stereo_slam_env.recording.image_sequence import ImageSequence
-from stereo_slam_env.recording.recording import Recording
+from stereo_slam_env.recording.recording import ImageSequence, Recording
 from stereo_slam_env.sensing.corruptions import corrupted, make_corruption
 from stereo_slam_env.sensing.rigs import camera_of
 
@@ -50,7 +49,7 @@ def make_recording(scenario: Scenario, seed: int | None, progress: Progress | No
     elif scenario.kind == "dataset":
         if "path" not in options:
             raise ValueError("a scenario of kind 'dataset' needs the option path")
-        recording = read_recording(options.pop("path"), **options)
+        recording = load(options.pop("path"), **options)
     else:
         recording = _called(options, seed)
     if scenario.frames is not None:

@@ -41,8 +41,8 @@ from typing import Any
 from stereo_slam_env.benchmark.scenarios.labels import require_label
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, Scenario, choice_as_dict, require_keys
 from stereo_slam_env.benchmark.scenarios.study import Cell, Study, factorial_label
-from stereo_slam_env.files.inside import is_there, require_inside
-from stereo_slam_env.files.text import read_text
+from stereo_slam_env.files.paths import is_there, require_inside
+from stereo_slam_env.files.readers import read_text
 
 if sys.version_info >= (3, 11):
     import tomllib

@@ -10,7 +10,8 @@ import numpy as np
 
 from stereo_slam_env.benchmark.recordings.episodes import DEFAULT_ENVIRONMENT
 from stereo_slam_env.benchmark.scenarios.scenario import Scenario
-from stereo_slam_env.files.digest import Digest
+
+from ..digest import Digest
 
 WAYS = ("environment alone", "vector, sync", "vector, async")
 _KINDS = {"street": "StereoSlam/Drive-v0", "gaze": DEFAULT_ENVIRONMENT}
