@@ -42,7 +42,7 @@ format: $(VENV)/.installed-dev ## Let ruff put the code in order
 	@$(BIN)/ruff check --fix
 	@$(BIN)/ruff format
 
-docs: $(VENV)/.installed-dev ## Build the manual into site/ (open site/index.html; nothing is fetched)
+docs: $(VENV)/.installed-docs ## Build the manual into site/ (open site/index.html; nothing is fetched)
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet --strict
 	@echo "the manual: site/index.html"
 
@@ -61,4 +61,8 @@ $(VENV)/.installed: pyproject.toml | $(BIN)/python
 
 $(VENV)/.installed-dev: pyproject.toml constraints.txt | $(BIN)/python
 	@$(PIP) --constraint constraints.txt --editable '.[dev,gtsam,evo,fast,gl,report,ray,dask,rl,video,docs,viewer]'
-	@touch $@ $(VENV)/.installed
+	@touch $@ $(VENV)/.installed $(VENV)/.installed-docs
+
+$(VENV)/.installed-docs: pyproject.toml | $(BIN)/python
+	@$(PIP) --editable '.[docs]'
+	@touch $@

@@ -36,9 +36,7 @@ def run(recording: Recording, options: dict[str, Any]) -> tuple[np.ndarray, floa
     """Pose NEES of each frame, end error in % of the way, and the mean number of states."""
     slam = StereoEKF(recording.camera, recording.noise, gate=None, **options)
     begin = recording.start
-    slam.reset(
-        linear_velocity=begin.linear_velocity, angular_velocity=begin.angular_velocity, covariance=begin.covariance
-    )
+    slam.reset(begin)
     values, sizes, positions = [], [], []
     for number, frame in enumerate(recording.frames):
         if number:

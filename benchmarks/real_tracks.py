@@ -24,11 +24,10 @@ from rich.console import Console
 from rich.table import Table
 
 from filters import StereoNoise
-from stereo_slam_env.benchmark.running.runner import run_filter
 from stereo_slam_env.datasets import TRACK_LAYOUTS, layout_of, load
+from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.evaluation.results import FilterSummary
-from stereo_slam_env.evaluation.run_figures import figures_of
-from stereo_slam_env.evaluation.summary import summarise_all
+from stereo_slam_env.evaluation.run_figures import figures_of, summarise_all
 from stereo_slam_env.recording.recording import Recording
 
 SETTINGS = {"gate": 0.99, "consensus": True}

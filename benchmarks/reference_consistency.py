@@ -23,8 +23,8 @@ from scipy.stats import chi2
 
 from filters import StereoNoise
 from stereo_slam_env.benchmark.recordings.reference_problem import long_drive, short_turn
-from stereo_slam_env.benchmark.running.runner import run_filter
 from stereo_slam_env.evaluation.consistency import mean_band
+from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.evaluation.results import FilterRun
 
 PAPER_R = StereoNoise.diagonal(1.0, 1.0, 1.0)

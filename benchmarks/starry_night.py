@@ -23,9 +23,9 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from filters.common_options import make_with_common_options
-from stereo_slam_env.benchmark.running.runner import run_filter
 from stereo_slam_env.datasets import load
 from stereo_slam_env.datasets.starry_night import SHAPES, step_velocities
+from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.files.readers import read_archive
 from stereo_slam_env.recording.recording import Recording
 
@@ -130,7 +130,7 @@ def measurements(folder: Path) -> Table:
 def map_error(recording: Recording, name: str, own: dict[str, Any], odometry: bool) -> str:
     """RMS error in W of the landmarks in the map at the end, m, and how many those are."""
     slam = make_with_common_options(name, recording.camera, recording.noise, own, SETTINGS).filter
-    slam.reset(**vars(recording.start))
+    slam.reset(recording.start)
     slam.update(recording.frames[0].observation)
     for before, frame in pairwise(recording.frames):
         slam.predict(frame.timestamp - before.timestamp, frame.odometry if odometry else None)

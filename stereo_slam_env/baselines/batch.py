@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from filters import rotations
+from filters import Start, rotations
 from filters.camera import StereoCamera
 from filters.engine.ekf import StereoEKF
 from filters.interface import BodyVelocity, Forecast, LandmarkBelief, StereoObservation, UpdateReport
@@ -94,7 +94,7 @@ class BatchSmoother(CameraFilter):
 
     def _restart(self) -> None:
         start, P = self._belief.state, self._belief.P
-        self._guide.reset(start.position, start.orientation, start.linear_velocity, start.angular_velocity, P)
+        self._guide.reset(Start(start.position, start.orientation, start.linear_velocity, start.angular_velocity, P))
         self._graph = SmoothingGraph(self.camera, start, P, self._tail_dof)
         self._turn, self._shift = np.eye(3), np.zeros(3)  # p_w = turn p_guide + shift
         self._steps: list[_Step] = []

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from filters import rotations
 from filters.camera import StereoCamera
 from filters.interface import (
+    AT_ORIGIN,
     BodyVelocity,
     Forecast,
     LandmarkBelief,
@@ -21,10 +22,11 @@ from filters.interface import (
     UpdateReport,
     VelocityBelief,
     check_rig,
+    check_start,
 )
 from filters.motion import POSE_SIZE, CameraState, MotionModel, VelocityDriven, motion_model, predict_camera
 from filters.noise import StereoNoise
-from filters.start import start_belief
+from filters.start import Start
 from filters.validation import (
     FloatArray,
     IntArray,
@@ -82,16 +84,10 @@ class CameraFilter(StereoFilter):
         self._motion = motion_model(motion)
         self.reset()
 
-    def reset(
-        self,
-        position: ArrayLike = (0.0, 0.0, 0.0),
-        orientation: ArrayLike = (0.0, 0.0, 0.0, 1.0),
-        linear_velocity: ArrayLike = (0.0, 0.0, 0.0),
-        angular_velocity: ArrayLike = (0.0, 0.0, 0.0),
-        covariance: ArrayLike | None = None,
-    ) -> None:
+    def reset(self, start: Start = AT_ORIGIN) -> None:
         """Start again; see `StereoFilter.reset`."""
-        self._belief = CameraBelief(*start_belief(position, orientation, linear_velocity, angular_velocity, covariance))
+        check_start(start)
+        self._belief = CameraBelief(CameraState.at(start), start.assumed_covariance)
         self._restart()
 
     def _restart(self) -> None:

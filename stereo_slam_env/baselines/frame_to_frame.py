@@ -15,7 +15,7 @@ from filters.motion import ANGULAR, LINEAR, POSE_SIZE, POSITION, ROTATION, Camer
 from filters.noise import StereoNoise
 from filters.validation import FloatArray, IntArray, gate_probability, positive, unique_ids
 from stereo_slam_env.baselines.dead_reckoning import CameraBelief, CameraFilter, symmetrised
-from stereo_slam_env.frontend.stereo_step import (
+from stereo_slam_env.frontend.ego_motion import (
     Pairs,
     StepEstimate,
     left_pixel_step,

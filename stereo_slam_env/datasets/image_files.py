@@ -16,7 +16,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from PIL import Image
+from PIL import Image, UnidentifiedImageError
 
 from stereo_slam_env.files.readers import first_line
 from stereo_slam_env.recording.recording import GreyImage
@@ -145,7 +145,7 @@ def _checked_size(path: Path, data: bytes) -> tuple[int, int]:
         raise BrokenPair("image too large", f"{path} is too large to be decoded ({first_line(error)})") from error
     except BrokenPair:
         raise
-    except Image.UnidentifiedImageError as error:
+    except UnidentifiedImageError as error:
         raise _damaged(path, "it is no whole PNG or JPEG") from error
     except _DAMAGE as error:
         raise _damaged(path, first_line(error)) from error

@@ -1,11 +1,11 @@
-"""How far a trajectory is from another one: pure functions of positions and orientations.
+"""Trajectory errors: pure functions of positions and orientations.
 
 Rows are paired: row k of both trajectories belongs to the same instant. Rows with NaN must be removed first.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,6 +37,12 @@ class SegmentErrors:
 
     def __len__(self) -> int:
         return len(self.lengths)
+
+    @classmethod
+    def together(cls, parts: Iterable[SegmentErrors]) -> SegmentErrors:
+        """The segments of several runs."""
+        columns = zip(*((p.lengths, p.translation_percent, p.rotation_deg_per_100m) for p in parts), strict=True)
+        return cls(*(np.concatenate(column) for column in columns))
 
 
 def align_rigid(estimate: FloatArray, reference: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -201,6 +207,11 @@ def root_mean_square(errors: FloatArray) -> float:
     """Root of the mean squared length of (K, n) vectors or (K,) numbers."""
     squared = np.square(errors)
     return float(np.sqrt(np.mean(squared.sum(axis=1) if squared.ndim == 2 else squared)))
+
+
+def mean(values: FloatArray) -> float:
+    """Mean; NaN of none."""
+    return float(values.mean()) if len(values) else float("nan")
 
 
 def _motion(

@@ -13,39 +13,12 @@ from typing import Any, Literal, Protocol, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from filters import rotations
 from filters.camera import StereoCamera
 from filters.interface import BodyVelocity, StereoObservation
 from filters.noise import StereoNoise
+from filters.poses import Pose as Pose
+from filters.start import Start as Start
 from filters.validation import FloatArray, IntArray
-
-
-@dataclass(frozen=True, eq=False)
-class Pose:
-    """A pose of the left camera in W.
-
-    Attributes
-    ----------
-    position : (3,)
-        r^WC, m.
-    orientation : (4,)
-        q^WC, unit quaternion xyzw.
-    """
-
-    position: FloatArray
-    orientation: FloatArray
-
-    @cached_property
-    def R_wc(self) -> FloatArray:
-        """Takes camera vectors into W; (3, 3), read-only."""
-        R_wc = rotations.matrix(self.orientation)
-        R_wc.flags.writeable = False
-        return R_wc
-
-    def to_camera(self, points_w: FloatArray) -> FloatArray:
-        """Points of W in the camera frame; (..., 3) m -> (..., 3) m."""
-        points_c: FloatArray = (points_w - self.position) @ self.R_wc
-        return points_c
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,17 +63,6 @@ class LandmarkTruth:
 
     ids: IntArray
     positions: FloatArray
-
-
-@dataclass(frozen=True, eq=False)
-class Start:
-    """What the filter is told before the first frame: arguments of `StereoFilter.reset`."""
-
-    position: FloatArray = field(default_factory=lambda: np.zeros(3))
-    orientation: FloatArray = field(default_factory=lambda: np.array([0.0, 0.0, 0.0, 1.0]))
-    linear_velocity: FloatArray = field(default_factory=lambda: np.zeros(3))
-    angular_velocity: FloatArray = field(default_factory=lambda: np.zeros(3))
-    covariance: FloatArray | None = None
 
 
 ReferenceKind = Literal["independent truth", "odometry from the same images", "none"]
@@ -186,6 +148,10 @@ class Recording:
 
     def __len__(self) -> int:
         return len(self.frames)
+
+    def __getitem__(self, frames: slice) -> Recording:
+        """The recording of some frames, such as `recording[:40]`."""
+        return replace(self, frames=self.frames[frames])
 
     def with_observations(self, observations: Iterable[StereoObservation]) -> Recording:
         """The same drive, seen differently: one observation for each frame."""

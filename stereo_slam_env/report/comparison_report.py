@@ -6,7 +6,7 @@ from html import escape
 from pathlib import Path
 
 from stereo_slam_env.benchmark.statistics.comparison import Change, RunComparison
-from stereo_slam_env.benchmark.statistics.words import signed
+from stereo_slam_env.benchmark.statistics.differences import signed
 from stereo_slam_env.report.charts.factor_figures import plot_changes
 from stereo_slam_env.report.charts.style import filter_colours
 from stereo_slam_env.report.page import figure_block, page

@@ -7,10 +7,9 @@ from html import escape
 
 import numpy as np
 
-from stereo_slam_env.benchmark.statistics.differences import Finding
-from stereo_slam_env.benchmark.statistics.limit import limit_reached
+from stereo_slam_env.benchmark.statistics.differences import Finding, signed
+from stereo_slam_env.benchmark.statistics.remarks import limit_reached
 from stereo_slam_env.benchmark.statistics.verdict import Comparison, Verdict
-from stereo_slam_env.benchmark.statistics.words import signed
 from stereo_slam_env.evaluation.results import FilterSummary
 from stereo_slam_env.report.answers import (
     MARK_HEIGHT,

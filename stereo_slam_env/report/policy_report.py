@@ -8,11 +8,10 @@ from html import escape
 
 import numpy as np
 
-from stereo_slam_env.benchmark.statistics.differences import Finding
+from stereo_slam_env.benchmark.statistics.differences import Finding, signed
 from stereo_slam_env.benchmark.statistics.measures import FINAL_ERROR, FINAL_LOGDET, FINAL_SIGMA, POSITION, Measure
 from stereo_slam_env.benchmark.statistics.policy_verdict import Agreement, PolicyVerdict
 from stereo_slam_env.benchmark.statistics.verdict import Consistency
-from stereo_slam_env.benchmark.statistics.words import signed
 from stereo_slam_env.evaluation.results import FilterSummary
 from stereo_slam_env.report.answers import Answer, Question, answers_table, consistency_question, short
 from stereo_slam_env.report.page_tables import Tone

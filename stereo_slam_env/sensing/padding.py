@@ -1,4 +1,4 @@
-"""Between a `StereoObservation` and the fixed-shape arrays of a Gymnasium observation."""
+"""Conversion between a `StereoObservation` and the fixed-shape arrays of a Gymnasium observation."""
 
 from __future__ import annotations
 

@@ -62,6 +62,14 @@ def test_links_to_code_lead_to_pages_with_that_code(site):
     assert "StackedEKF" in (site / "code" / "examples" / "write_a_filter.py.html").read_text(encoding="utf-8")
 
 
+def test_equations_are_typeset(site):
+    derivations = sorted((site / "derivations").glob("*.html"))
+    assert len(derivations) == 6
+    for path in derivations:
+        assert '<math xmlns="http://www.w3.org/1998/Math/MathML" display="block">' in path.read_text(encoding="utf-8")
+    assert [path.name for path in pages(site) if 'class="arithmatex"' in path.read_text(encoding="utf-8")] == []
+
+
 @pytest.mark.skipif(BROWSER is None, reason="needs the browser chromium (apt install chromium)")
 def test_opened_from_a_file_it_asks_for_nothing_and_its_search_finds(site):
     playwright = pytest.importorskip("playwright.sync_api", reason="needs playwright (extra dev)")

@@ -18,14 +18,21 @@ from typing import Any, Protocol
 import numpy as np
 
 from filters.validation import BoolArray, FloatArray
-from stereo_slam_env.benchmark.statistics.differences import TIE_PERCENT, Difference, Finding, pairs_needed
+from stereo_slam_env.benchmark.statistics.differences import (
+    TIE_PERCENT,
+    Difference,
+    Finding,
+    paired_share,
+    pairs_needed,
+    unpaired_share,
+)
 from stereo_slam_env.benchmark.statistics.measures import (
+    DIVERGED,
     MEASURES,
     TIME,
     Measure,
+    change_words,
 )
-from stereo_slam_env.benchmark.statistics.pairwise import change_words
-from stereo_slam_env.benchmark.statistics.shares import paired_share, unpaired_share
 from stereo_slam_env.benchmark.storage.store import pairing_digest
 from stereo_slam_env.benchmark.storage.study_store import read_study
 from stereo_slam_env.evaluation.results import FilterRun
@@ -307,7 +314,7 @@ def _changes(pairs: Sequence[_Pair]) -> tuple[Change, ...]:
 
 
 def _change(name: str, measure: Measure, after: FloatArray, before: FloatArray, difference: Difference) -> Change:
-    percent = difference.reversed if measure.larger_is_better else difference
+    percent = difference.reversed if measure.figure.larger_is_better else difference
     return Change(
         filter_name=name,
         measure=measure.words,
@@ -332,7 +339,7 @@ def _divergences(pair: _Pair, comparisons: int) -> Change:
         words = f"{words}, which may be chance"
     return Change(
         filter_name=pair.name,
-        measure="diverged runs",
+        measure=DIVERGED.words,
         unit="",
         before=float(before.sum()),
         after=float(after.sum()),

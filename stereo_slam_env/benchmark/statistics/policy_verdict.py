@@ -12,16 +12,17 @@ from dataclasses import dataclass
 from enum import Enum
 
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice
-from stereo_slam_env.benchmark.statistics.differences import Difference, Finding
+from stereo_slam_env.benchmark.statistics.differences import Difference, Finding, listed, percent_words, signed
 from stereo_slam_env.benchmark.statistics.measures import (
     CLAIM_AND_TRUTH,
     FINAL_ERROR,
     FINAL_SIGMA,
     POSITION,
+    PairVerdict,
+    PairwiseTable,
+    compare_all,
 )
-from stereo_slam_env.benchmark.statistics.pairwise import PairVerdict, PairwiseTable, compare_all
 from stereo_slam_env.benchmark.statistics.verdict import Consistency, consistency, lost_words, none_left, pose_nees
-from stereo_slam_env.benchmark.statistics.words import listed, percent_words, signed
 from stereo_slam_env.evaluation.results import FilterSummary
 from stereo_slam_env.evaluation.run_figures import Figures
 from stereo_slam_env.recording.recording import Recording

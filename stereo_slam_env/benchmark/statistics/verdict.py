@@ -10,15 +10,21 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 
-from stereo_slam_env.benchmark.statistics.differences import Difference, Finding
-from stereo_slam_env.benchmark.statistics.limit import Reach, limit_reached
+from stereo_slam_env.benchmark.statistics.differences import (
+    Difference,
+    Finding,
+    ShareDifference,
+    listed,
+    paired_share,
+    percent_words,
+    signed,
+)
 from stereo_slam_env.benchmark.statistics.measures import POSITION
-from stereo_slam_env.benchmark.statistics.shares import ShareDifference, paired_share
-from stereo_slam_env.benchmark.statistics.words import listed, percent_words, signed
+from stereo_slam_env.benchmark.statistics.remarks import Reach, limit_reached
 from stereo_slam_env.evaluation.consistency_figures import DOF
 from stereo_slam_env.evaluation.results import FilterSummary
 from stereo_slam_env.evaluation.run_figures import Figures, RunFigures, common_keys
-from stereo_slam_env.evaluation.trial_metrics import FEWEST_FRAMES
+from stereo_slam_env.evaluation.trial import FEWEST_FRAMES
 
 
 class Consistency(Enum):

@@ -10,7 +10,8 @@ from matplotlib.figure import Figure
 
 from filters.validation import FloatArray
 from stereo_slam_env.evaluation.consistency import mean_band
-from stereo_slam_env.evaluation.results import FilterRun, FilterSummary, LandmarkTrace
+from stereo_slam_env.evaluation.map_scoring import LandmarkTrace
+from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
 from stereo_slam_env.report.charts import series
 from stereo_slam_env.report.charts.style import (
     BAND,

@@ -8,8 +8,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from stereo_slam_env.evaluation.consistency_figures import LANDMARK_DOF
-from stereo_slam_env.evaluation.results import DepthConvergence, FilterSummary, RangeError
+from stereo_slam_env.evaluation.consistency_figures import DOF
+from stereo_slam_env.evaluation.landmark_statistics import DepthConvergence, RangeError
+from stereo_slam_env.evaluation.results import FilterSummary
 from stereo_slam_env.report.charts import series
 from stereo_slam_env.report.charts.style import (
     MUTED,
@@ -45,12 +46,12 @@ def plot_landmark_errors(summaries: Sequence[FilterSummary]) -> Figure:
     error, bias, nees = figure.subplots(1, 3, sharex=True)
     _draw_by_range(error, shown, colours, lambda e: (e.rmse_m, np.nan))
     _draw_by_range(bias, shown, colours, lambda e: (e.depth_bias_m, e.depth_bias_sigma_m))
-    _draw_by_range(nees, shown, colours, lambda e: (e.anees / LANDMARK_DOF, np.nan))
+    _draw_by_range(nees, shown, colours, lambda e: (e.anees / DOF["landmark"], np.nan))
     bias.axhline(0, color=MUTED, linewidth=0.8, linestyle=(0, (4, 3)), zorder=0)
     nees.axhline(1, color=MUTED, linewidth=0.8, linestyle=(0, (4, 3)), zorder=0)
     error.set_yscale("log")
     plain_log_axis(error)
-    values = [e.anees / LANDMARK_DOF for s in shown for e in s.landmark_by_range if np.isfinite(e.anees)]
+    values = [e.anees / DOF["landmark"] for s in shown for e in s.landmark_by_range if np.isfinite(e.anees)]
     if values and max(values) > 30 * min(values):
         nees.set_yscale("log")
         plain_log_axis(nees)

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from filters.validation import FloatArray
 from stereo_slam_env.evaluation.results import FilterRun
-from stereo_slam_env.evaluation.trial_metrics import position_rmse
+from stereo_slam_env.evaluation.trial import position_rmse
 from stereo_slam_env.report.charts import series
 from stereo_slam_env.report.charts.style import (
     INK,

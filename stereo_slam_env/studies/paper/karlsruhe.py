@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 
 from filters.validation import FloatArray
-from stereo_slam_env.benchmark.running.runner import run_filter
 from stereo_slam_env.datasets import layout_of, open_for_front_end
+from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.evaluation.trajectory_metrics import ate_rigid
 from stereo_slam_env.frontend.recorder import record_tracks
 from stereo_slam_env.recording.recording import Recording

@@ -13,8 +13,8 @@ from filters import check_filter, make_filter
 from filters.registry import ENTRY_POINT_GROUP
 from stereo_slam_env import baselines
 from stereo_slam_env.benchmark.recordings.reference_problem import short_turn
-from stereo_slam_env.benchmark.running.runner import run_filter
 from stereo_slam_env.datasets import load
+from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.evaluation.results import FilterRun
 from stereo_slam_env.evaluation.trajectory_metrics import ate_rigid
 

@@ -64,7 +64,7 @@ def drive() -> Drive:
         Box((9.0, -1.0, 0.8), (2.0, 1.0, 1.6), 0.6, Material((0.9, 0.3, 0.2), "bark", (1.0, 1.0))),
     )
     ground = Ground((-60.3, -60.3), (60.3, 60.3), Material((0.6, 0.6, 0.6), "paving", (1.5, 1.5)))
-    scene = Scene(ground, walls, (), np.zeros(0, dtype=np.int64), np.zeros((0, 3)))
+    scene = Scene(ground, walls, (), np.zeros((0, 3)))
     world = PhysicsWorld()
     try:
         world.build(scene, (4.0, 1.8, 1.0))

@@ -7,8 +7,8 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from stereo_slam_env.benchmark.running.runner import run_filter
 from stereo_slam_env.datasets import load
+from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.evaluation.results import FilterRun
 from stereo_slam_env.evaluation.trajectory_metrics import ate_rigid
 from stereo_slam_env.recording.recording import Recording

@@ -1,4 +1,4 @@
-"""A street of textured boards, drawn by homographies: both eyes, exact truth, a few milliseconds a pair."""
+"""A street of textured boards, drawn by homographies: both views, exact truth, a few milliseconds a pair."""
 
 from __future__ import annotations
 

@@ -8,17 +8,20 @@ import numpy as np
 import pytest
 
 from filters import rotations
-from stereo_slam_env.benchmark.recordings.stream_identity import stream_digest
-from stereo_slam_env.benchmark.running.runner import run_filter
+from stereo_slam_env.benchmark.recordings.description import stream_digest
+from stereo_slam_env.benchmark.recordings.sources import ReferenceSource
 from stereo_slam_env.benchmark.scenarios.scenario import Scenario, filter_choice
 from stereo_slam_env.benchmark.storage import store
 from stereo_slam_env.benchmark.storage.run_archive import packed_run
+from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.evaluation.results import FilterSummary
 from stereo_slam_env.recording.archive import packed_recording
 
 from ..small_recordings import small_recording
 
-SCENARIO = Scenario("small", "reference", filters=(filter_choice("euclidean"),), seeds=(0, 1), metrics=("map",))
+SCENARIO = Scenario(
+    "small", ReferenceSource("short_turn"), filters=(filter_choice("euclidean"),), seeds=(0, 1), metrics=("map",)
+)
 DESIGNED_KEYS = {
     "position_rmse_m",
     "ate_rigid_m",

@@ -10,7 +10,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from stereo_slam_env.benchmark.statistics.attribution import attribute_runs
-from stereo_slam_env.evaluation.results import RangeError
+from stereo_slam_env.evaluation.landmark_statistics import RangeError
 from stereo_slam_env.report.charts.accuracy import plot_efficiency, plot_error_against_bound, plot_segment_errors
 from stereo_slam_env.report.charts.consistency import plot_consistency
 from stereo_slam_env.report.charts.cost import plot_cost
@@ -19,7 +19,7 @@ from stereo_slam_env.report.charts.interactive import plotly_figure
 from stereo_slam_env.report.charts.map_figures import plot_depth_convergence, plot_landmark_errors
 from stereo_slam_env.report.charts.style import filter_colours
 
-from ....synthetic_runs import THREE, THREE_ONE_DIVERGING, Behaviour, make_bounds, make_runs, scored
+from ....synthetic_runs import THREE, THREE_ONE_DIVERGING, Behaviour, changed, make_bounds, make_runs, scored
 
 
 @cache
@@ -56,8 +56,8 @@ def test_every_figure_draws_without_a_warning_and_as_a_chart(name, case):
 
 def test_a_figure_of_partly_known_summaries_leaves_the_rest_out():
     first, *others = summaries("three filters")
-    poor = replace(first, rpe=(), landmark_by_range=(), depth_convergence=(), consistency={}, memory_mb=None)
-    poor = replace(poor, efficiency_percent=None, ms_predict=None, ms_update=None, state_size=None)
+    poor = replace(first, rpe=(), landmark_by_range=(), depth_convergence=(), consistency={})
+    poor = changed(poor, memory_mb=None, efficiency_percent=None, ms_predict=None, ms_update=None, state_size=None)
     for plot in PLOTS.values():
         plot([poor, *others]).savefig(io.BytesIO(), format="svg")
 
