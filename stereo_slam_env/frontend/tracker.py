@@ -39,7 +39,7 @@ from stereo_slam_env.frontend.tracks import (
     step_of_forecast,
     sure_rows,
 )
-from stereo_slam_env.recording.image_sequence import GreyImage
+from stereo_slam_env.recording.recording import GreyImage
 
 _REST = Step(np.eye(3), np.zeros(3))
 _SCOUTS = 24
