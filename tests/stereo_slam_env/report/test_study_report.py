@@ -4,6 +4,7 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
+from markupsafe import Markup
 
 from stereo_slam_env.benchmark.scenarios.scenario import Scenario
 from stereo_slam_env.benchmark.scenarios.study import Cell, Study
@@ -26,7 +27,7 @@ def drawn(monkeypatch):
 
     def figure_block(_, name, *__):
         names.append(name)
-        return f"<figure>{name}</figure>"
+        return Markup(f"<figure>{name}</figure>")
 
     for module in (study_report, attribution_report, comparison_report):
         monkeypatch.setattr(module, "figure_block", figure_block)
