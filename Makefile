@@ -56,11 +56,11 @@ $(BIN)/python:
 	@$(PYTHON) -m venv $(VENV)
 
 $(VENV)/.installed: pyproject.toml | $(BIN)/python
-	@$(PIP) --editable '.[report]'
+	@$(PIP) --editable .
 	@touch $@
 
 $(VENV)/.installed-dev: pyproject.toml constraints.txt | $(BIN)/python
-	@$(PIP) --constraint constraints.txt --editable '.[dev,gtsam,evo,fast,gl,report,ray,dask,rl,video,docs,viewer]'
+	@$(PIP) --constraint constraints.txt --editable '.[dev,gtsam,evo,fast,gl,ray,dask,rl,video,docs,viewer]'
 	@touch $@ $(VENV)/.installed $(VENV)/.installed-docs
 
 $(VENV)/.installed-docs: pyproject.toml | $(BIN)/python
