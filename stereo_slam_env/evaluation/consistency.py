@@ -1,11 +1,10 @@
-"""Is a filter as sure as it is right? NEES / NIS against their chi-square bands (Bar-Shalom, ch. 5.4)."""
+"""Chi-square bands of NEES and NIS (Bar-Shalom, Li and Kirubarajan, 2001, section 5.4)."""
 
 from __future__ import annotations
 
 import numpy as np
 from scipy.stats import chi2
 
-from filters.consistency import nees as nees
 from filters.validation import FloatArray, IntArray
 
 

@@ -182,11 +182,11 @@ class ReferenceBelief:
 
     @property
     def pose_covariance(self) -> FloatArray:
-        """Of the pose, (6, 6), as in `PoseBelief`."""
+        """Covariance of the pose, (6, 6), as in `PoseBelief`."""
         return symmetric.full(self._state.P[:POSE_SIZE, :POSE_SIZE])
 
     def joint_covariance(self) -> FloatArray:
-        """Of the pose and the landmark positions in the order of `ids`, as `StereoFilter.joint_covariance`."""
+        """Covariance of the pose and the landmark positions, in the order of `ids`."""
         return joint_covariance(self._state, np.argsort(self._state.ids))
 
     def predict(self, truth: Pose, dt: float, odometry: BodyVelocity | None = None) -> None:

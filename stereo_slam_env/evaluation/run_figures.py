@@ -17,7 +17,7 @@ from stereo_slam_env.evaluation.trajectory_metrics import SegmentErrors
 from stereo_slam_env.evaluation.trial import Sample, Trial
 
 RunKey = tuple[str, int | None]
-"""What identifies a recording: its name and seed."""
+"""Identity of a recording: its name and seed."""
 
 Bounds = Mapping[RunKey, Bound]
 """Theoretical limits of recordings."""

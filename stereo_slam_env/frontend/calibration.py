@@ -19,7 +19,7 @@ from stereo_slam_env.frontend.ego_motion import Pairs, Step, most_likely_step, r
 from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.frontend.tracker import StereoTracker
 from stereo_slam_env.frontend.tracks import MEMORY
-from stereo_slam_env.recording.image_sequence import ImageSequence
+from stereo_slam_env.recording.recording import ImageSequence
 
 PRIOR_SIGMA = 0.25
 """What a careful calibration leaves, px."""

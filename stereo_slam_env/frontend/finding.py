@@ -15,7 +15,7 @@ from stereo_slam_env.frontend.matching import match_rows, search
 from stereo_slam_env.frontend.patches import Image, local_affine, parallax, warped_patches
 from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.frontend.tracks import Expectation, Outcome, Tracks
-from stereo_slam_env.recording.image_sequence import GreyImage
+from stereo_slam_env.recording.recording import GreyImage
 
 _BLOCK = 5
 """Side of the window that a corner is judged by, px of the half-size image: 10 px, about a patch."""

@@ -39,7 +39,7 @@ from stereo_slam_env.frontend.tracks import (
     step_of_forecast,
     sure_rows,
 )
-from stereo_slam_env.recording.image_sequence import GreyImage
+from stereo_slam_env.recording.recording import GreyImage
 
 _REST = Step(np.eye(3), np.zeros(3))
 _SCOUTS = 24
@@ -123,10 +123,6 @@ class StereoTracker:
             Time since the previous pair, s; needed from the second pair on.
         forecast : Forecast, optional
             Where a filter expects its landmarks after `predict`; None: where the motion so far leads.
-
-        Returns
-        -------
-        TrackedPair
 
         Raises
         ------

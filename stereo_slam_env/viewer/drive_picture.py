@@ -18,7 +18,7 @@ from matplotlib.patches import Polygon
 from filters import rotations
 from filters.validation import FloatArray
 from stereo_slam_env.evaluation.consistency import mean_band
-from stereo_slam_env.files.output import checked_file
+from stereo_slam_env.files.paths import checked_file
 from stereo_slam_env.loop import Moment
 from stereo_slam_env.rendering.drawing import disparity_colors
 from stereo_slam_env.rendering.images import Image

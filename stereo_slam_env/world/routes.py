@@ -17,7 +17,7 @@ from scipy.ndimage import gaussian_filter1d
 from filters import rotations
 from filters.known_names import did_you_mean
 from filters.validation import FloatArray, positive
-from stereo_slam_env.files.tables import read_poses
+from stereo_slam_env.files.readers import read_poses
 
 ENTRY_POINT_GROUP = "stereo_slam.scenes"
 """Functions of installed packages that register scenes and routes."""

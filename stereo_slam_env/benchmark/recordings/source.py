@@ -24,8 +24,7 @@ import msgspec
 
 from filters.known_names import did_you_mean, require_known
 from stereo_slam_env.frontend.settings import TrackerSettings
-from stereo_slam_env.recording.image_sequence import ImageSequence
-from stereo_slam_env.recording.recording import Recording
+from stereo_slam_env.recording.recording import ImageSequence, Recording
 
 if TYPE_CHECKING:
     from typing import Self

@@ -15,7 +15,7 @@ import msgspec
 
 from filters.known_names import did_you_mean, require_known
 from stereo_slam_env.benchmark.recordings.source import OpenedImages, Progress, Renderer, Source, checked
-from stereo_slam_env.datasets import holds_images, open_for_front_end, read_recording
+from stereo_slam_env.datasets import holds_images, load, open_for_front_end
 from stereo_slam_env.frontend.recorder import record_tracks
 from stereo_slam_env.recording.recording import Recording
 from stereo_slam_env.sensing.rigs import camera_of
@@ -189,7 +189,7 @@ class DatasetSource(Source, frozen=True, tag="dataset"):
     Attributes
     ----------
     path : str
-        See `datasets.read_recording`.
+        See `datasets.load`.
     arguments : dict
         Of the reader.
     """
@@ -203,7 +203,7 @@ class DatasetSource(Source, frozen=True, tag="dataset"):
     def record(self, seed: int | None, frames: int | None = None, progress: Progress | None = None) -> Recording:
         """Read it, or track landmarks through its images."""
         if not self.takes_images:
-            return read_recording(self.path, **self.arguments)
+            return load(self.path, **self.arguments)
 
         def look(tell: Progress) -> Recording:
             return record_tracks(*self.sequence(seed), frames=frames, progress=tell)

@@ -41,8 +41,8 @@ from msgspec import Meta
 from filters.known_names import did_you_mean, require_known
 from stereo_slam_env.benchmark.recordings.source import checked
 from stereo_slam_env.benchmark.scenarios.scenario import KEYS, FilterChoice, Label, Scenario, choice_as_dict
-from stereo_slam_env.files.inside import is_there, require_inside
-from stereo_slam_env.files.text import read_text
+from stereo_slam_env.files.paths import is_there, require_inside
+from stereo_slam_env.files.readers import read_text
 
 if sys.version_info >= (3, 11):
     import tomllib

@@ -1,4 +1,4 @@
-"""Paired differences with intervals and tests: what the runs show, and what they do not.
+"""Differences between filters, and between shares of runs, with intervals and tests.
 
 Errors of two filters differ by a factor rather than by an amount (a hard recording is hard for both), so what is
 averaged is the logarithm of their ratio on the same recording. Intervals are those of the symmetric studentised
@@ -36,7 +36,7 @@ _MOST_DIGITS = 1e6
 
 
 class Finding(Enum):
-    """What a comparison shows about the first of two."""
+    """Result of a comparison for the first of two."""
 
     BETTER = "better"
     WORSE = "worse"

@@ -22,7 +22,7 @@ _WORTH_WORDS = 1.0
 
 @dataclass(frozen=True, eq=False)
 class Response:
-    """What is explained.
+    """Response of an experiment: the values that the factors explain.
 
     Attributes
     ----------
@@ -41,7 +41,7 @@ class Response:
 
 @dataclass(frozen=True)
 class Effect:
-    """What a level does against the average of all, or two levels together beyond what each does alone.
+    """Effect of a level against the average of all, or of two levels together beyond what each does alone.
 
     Attributes
     ----------
@@ -247,7 +247,7 @@ def _conclusion(
 
 @dataclass(frozen=True, eq=False)
 class FactorialFit:
-    """What a fit found.
+    """Result of a fit: effects, and the variance they explain.
 
     Attributes
     ----------

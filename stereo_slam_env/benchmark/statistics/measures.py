@@ -42,7 +42,7 @@ class Measure:
 
     @property
     def words(self) -> str:
-        """What it is called: "position error"."""
+        """Name in tables and sentences: "position error"."""
         return self.figure.label
 
     @property
@@ -52,7 +52,7 @@ class Measure:
 
     @property
     def ideal(self) -> float | None:
-        """Of a measure of consistency, the value of a consistent filter: 1; None: the smaller the better."""
+        """Value of a consistent filter, 1, for a measure of consistency; None: the smaller the better."""
         return None if self.figure.ideal is None else 1.0
 
     def of(self, figures: FilterSummary | Mapping[str, Any]) -> float:
@@ -209,7 +209,7 @@ def compare_all(
 
 
 def change_words(measure: Measure, difference: Difference) -> str:
-    """What a difference of a measure comes to, with its evidence in brackets."""
+    """A difference of a measure in words, with its evidence in brackets."""
     if difference.tied:
         return difference.tie_words
     if not difference.shown:

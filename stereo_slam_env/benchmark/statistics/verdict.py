@@ -1,4 +1,4 @@
-"""What may be said about the filters: who is better, by how much, and whether the runs show it.
+"""Verdict on the filters: the best one, by how much, and whether the runs show it.
 
 Filters are compared on the same recordings, see `benchmark.statistics`. The one with the smallest position error of
 those that never diverged is held against each of the others; `pairwise` holds each against each, by every question.
@@ -85,7 +85,7 @@ class Comparison:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What the report says first.
+    """Verdict on all filters: the first lines of a report.
 
     Attributes
     ----------
@@ -174,7 +174,7 @@ def consistency(summary: FilterSummary) -> Consistency:
 
 
 def loss(summary: FilterSummary) -> str:
-    """What became of the runs that a filter lost: "failed" where it raised in all of them, else "diverged"."""
+    """Fate of the runs that a filter lost: "failed" where it raised in all of them, else "diverged"."""
     return "failed" if summary.diverged == len(summary.failures) else "diverged"
 
 
@@ -226,7 +226,7 @@ def _no_best(summaries: Sequence[FilterSummary], figures: Figures) -> str:
 
 
 def none_left(summaries: Sequence[FilterSummary]) -> str:
-    """What became of filters none of which came through."""
+    """Headline where no filter came through every run."""
     lost = "; ".join(f"{s.filter_name} {lost_words(s)}" for s in summaries[:_MOST_WORDED])
     if len(summaries) == 1:
         return f"There is no verdict: {lost}."

@@ -10,7 +10,7 @@ import pytest
 from stereo_slam_env.benchmark.recordings import sources
 from stereo_slam_env.cli import app as cli
 
-from ..datasets.images.small_image_folders import FRAMES, kitti_odometry
+from ..datasets.small_image_folders import FRAMES, kitti_odometry
 from ..rendering.planes import skip_where_missing
 
 DRIVE = ("right-turn", "--rig", "qvga")

@@ -32,7 +32,7 @@ from stereo_slam_env.rendering.backends import renderer_identity
 from stereo_slam_env.report.benchmark_report import write_report_of
 from stereo_slam_env.report.run_report import write_report
 
-from ...datasets.images.small_image_folders import FRAMES, kitti_odometry
+from ...datasets.small_image_folders import FRAMES, kitti_odometry
 
 STREET = Scenario(
     "seen",

@@ -5,7 +5,7 @@ import logging
 import numpy as np
 import pytest
 
-from stereo_slam_env.datasets.images import BrokenPair, open_image_sequence
+from stereo_slam_env.datasets import BrokenPair, open_image_sequence
 
 from .small_image_folders import (
     FRAMES,
@@ -58,12 +58,12 @@ BROKEN = {
     ),
     "truncated PNG": (
         lambda root: cut_file(root / "sequences/07/image_0/000003.png"),
-        r"image_0/000003\.png is damaged, it is cut off after \d+ bytes: copy it again",
+        r"image_0/000003\.png is damaged, .*: copy it again",
         {"image damaged": 1},
     ),
     "image bomb": (
         lambda root: png_bomb(root / "sequences/07/image_0/000003.png", 100_000, 100_000),
-        r"image_0/000003\.png says that it is 100000x100000: images above",
+        r"image_0/000003\.png is too large to be decoded",
         {"image too large": 1},
     ),
     "unsorted times": (
@@ -196,7 +196,7 @@ def test_fewer_poses_than_frames(tmp_path):
     [
         (lambda text: text.replace("P1:", "Q1:"), r"calib\.txt lacks the entry 'P1:' \(it has P0, Q1, P2, P3, Tr\)"),
         (lambda text: text.replace("P1: ", "P1: 1.0 "), r"entry 'P1:' has 13 numbers where 12 were expected"),
-        (lambda text: text.replace("P1: 1.2", "P1: 1.3"), "both eyes must have the same focal lengths"),
+        (lambda text: text.replace("P1: 1.2", "P1: 1.3"), "both cameras must have the same focal lengths"),
         (
             lambda text: text.replace("P0:", "X:").replace("P1:", "P0:").replace("X:", "P1:"),
             "are left and right swapped",

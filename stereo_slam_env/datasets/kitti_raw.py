@@ -6,13 +6,14 @@
 `data/NNNNNNNNNN.txt`: one line of 30 numbers a frame from the GPS/IMU unit.
 
 Truth is the pose of that unit, carried over to the left camera by the calibration (that of the odometry benchmark was
-made in the same way). Its velocities are given along forward, left and up of the level surface and are turned into the
+made in the same way); x east, y north, z up, by the formulas of the development kit (`readme.txt` and
+`convertOxtsToPose.m`). Its velocities are given along forward, left and up of the level surface and are turned into the
 unit's frame by roll and pitch. Row k is taken for the step from frame k - 1 to k, which suits the ground truth best.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -21,17 +22,14 @@ from scipy.spatial.transform import Rotation
 
 from filters.interface import BodyVelocity
 from filters.validation import FloatArray
-from stereo_slam_env.datasets.images import oxts
-from stereo_slam_env.datasets.images.broken import Faults, OnBroken
-from stereo_slam_env.datasets.images.calibration import entry, eye_position, read_entries, rectified_rig
-from stereo_slam_env.datasets.images.frames import Eye, Times, Truth, usable_pairs
-from stereo_slam_env.datasets.images.image_files import image_size, numbered_images
-from stereo_slam_env.datasets.images.kitti_cameras import CAMERAS, chosen_cameras, has_cameras
-from stereo_slam_env.datasets.images.odometry import noisy_camera_velocities
-from stereo_slam_env.datasets.images.sequence import RecordedSequence
-from stereo_slam_env.files.inside import require_inside
-from stereo_slam_env.files.tables import finite_rows
-from stereo_slam_env.files.text import read_text
+from stereo_slam_env.datasets.calibration import camera_position, entry, read_entries, rectified_rig
+from stereo_slam_env.datasets.frames import Faults, OnBroken, Times, Truth, usable_pairs
+from stereo_slam_env.datasets.image_files import image_size
+from stereo_slam_env.datasets.kitti_odometry import CAMERAS, chosen_cameras
+from stereo_slam_env.datasets.odometry import camera_velocities
+from stereo_slam_env.datasets.sequence import RecordedSequence
+from stereo_slam_env.files.paths import require_inside
+from stereo_slam_env.files.readers import finite_rows, read_text
 from stereo_slam_env.recording.recording import Pose, Reference
 
 NAME = "kitti_raw"
@@ -43,20 +41,15 @@ TRUTH = Reference(
 CALIBRATION = "calib_cam_to_cam.txt"
 EXTRINSICS = ("calib_imu_to_velo.txt", "calib_velo_to_cam.txt")
 FILES = (
-    f"../{CALIBRATION}",
-    "image_00/data|image_02/data",
-    "image_01/data|image_03/data",
-    "image_00/timestamps.txt|image_02/timestamps.txt",
+    (f"../{CALIBRATION}", "image_00/data", "image_01/data"),
+    (f"../{CALIBRATION}", "image_02/data", "image_03/data"),
 )
+EARTH_RADIUS = 6378137.0
+"""m, as in the development kit."""
 OXTS_NUMBERS = 30
 LAT, LON, ALT, ROLL, PITCH, YAW = range(6)
 LEVEL_VELOCITY, BODY_RATES = slice(8, 11), slice(17, 20)
 """Columns vf, vl, vu (m/s) and wx, wy, wz (rad/s)."""
-
-
-def recognises(path: Path) -> bool:
-    """Whether the folder is one drive of this layout."""
-    return (path.parent / CALIBRATION).is_file() and any(has_cameras(_folder_of(path), cameras) for cameras in CAMERAS)
 
 
 def open_sequence(
@@ -77,10 +70,8 @@ def open_sequence(
     ----------
     path : Path
         The folder of the drive.
-    first, last : int, optional
-        Frame numbers to start and to end with, both included.
-    on_broken : {"raise", "skip"}
-        What to do about a pair that cannot be used.
+    first, last, on_broken
+        See `open_image_sequence`.
     cameras : {"grey", "colour"}, optional
         Which pair of cameras; None takes grey where present.
     use_oxts : bool
@@ -97,12 +88,10 @@ def open_sequence(
     """
     path = path.resolve()
     faults = Faults(on_broken)
-    chosen = chosen_cameras(_folder_of(path), cameras)
-    numbers = CAMERAS[chosen]
-    left, right = (Eye(folder := _folder_of(path)(n), numbered_images(folder)) for n in numbers)
+    chosen, (left, right) = chosen_cameras(lambda number: path / f"image_{number:02d}" / "data", cameras)
     calibration = require_inside(path.parent / CALIBRATION, path.parent)
     entries = read_entries(calibration)
-    P_left, P_right = (entry(calibration, entries, f"P_rect_{n:02d}", (3, 4)) for n in numbers)
+    P_left, P_right = (entry(calibration, entries, f"P_rect_{n:02d}", (3, 4)) for n in CAMERAS[chosen])
     times = read_timestamps(left.folder.parent / "timestamps.txt")
     truth, odometry = None, []
     if known := use_oxts and _has_oxts(path):
@@ -110,16 +99,13 @@ def open_sequence(
         T_ci = _imu_to_reference_camera(path.parent, calibration, entries)
         truth = Truth(path / "oxts" / "data", _reference_camera_poses(packets, T_ci))
         noise = sigma_linear, sigma_angular, odometry_seed
-        odometry = _odometry(packets, T_ci, eye_position(P_left), *noise)
+        odometry = _odometry(packets, T_ci, camera_position(P_left), *noise)
     frames = usable_pairs((left, right), times, faults, truth=truth, odometry=odometry, first=first, last=last)
     rig = rectified_rig(calibration, P_left, P_right, image_size(frames[0].left))
     source: dict[str, Any] = {
         "reader": NAME,
         "path": str(path),
         "cameras": chosen,
-        "first": frames[0].number,
-        "last": frames[-1].number,
-        "on_broken": on_broken,
         "odometry": "velocities of the GPS/IMU unit with white noise added" if known else None,
         "sigma_linear_m_s": float(sigma_linear),
         "sigma_angular_rad_s": float(sigma_angular),
@@ -155,10 +141,6 @@ def _stamp(line: str) -> np.datetime64:
         return np.datetime64(line.strip(), "ns")
     except ValueError:
         return np.datetime64("NaT", "ns")
-
-
-def _folder_of(path: Path) -> Callable[[int], Path]:
-    return lambda number: path / f"image_{number:02d}" / "data"
 
 
 def _has_oxts(path: Path) -> bool:
@@ -197,8 +179,8 @@ def _imu_to_reference_camera(folder: Path, calibration: Path, entries: Mapping[s
 def _reference_camera_poses(packets: FloatArray, T_ci: FloatArray) -> list[Pose | None]:
     good = finite_rows(packets[:, :6])
     usable = np.where(good[:, None], packets[:, :6], 0.0)
-    positions = oxts.mercator_positions(*np.where(good[:, None], packets[:, :3], np.nan).T)
-    R_wi = oxts.attitudes(usable[:, ROLL], usable[:, PITCH], usable[:, YAW])
+    positions = _mercator_positions(*np.where(good[:, None], packets[:, :3], np.nan).T)
+    R_wi = Rotation.from_euler("ZYX", usable[:, [YAW, PITCH, ROLL]])
     R_ci, t_ci = T_ci[:3, :3], T_ci[:3, 3]
     camera_positions = positions + R_wi.apply(-R_ci.T @ t_ci)
     orientations = (R_wi * Rotation.from_matrix(R_ci.T)).as_quat()
@@ -216,8 +198,8 @@ def _odometry(
     good = finite_rows(packets[:, :20])
     usable = np.where(good[:, None], packets[:, :20], 0.0)
     R_ci = T_ci[:3, :3]
-    steps = noisy_camera_velocities(
-        oxts.levelled_to_body(usable[:, LEVEL_VELOCITY], usable[:, ROLL], usable[:, PITCH]),
+    steps = camera_velocities(
+        _levelled_to_body(usable[:, LEVEL_VELOCITY], usable[:, ROLL], usable[:, PITCH]),
         usable[:, BODY_RATES],
         R_ci,
         R_ci.T @ (left_in_reference - T_ci[:3, 3]),
@@ -226,3 +208,19 @@ def _odometry(
         seed=seed,
     )
     return [step if ok else None for step, ok in zip(steps, good, strict=True)]
+
+
+def _mercator_positions(latitude: FloatArray, longitude: FloatArray, altitude: FloatArray) -> FloatArray:
+    """Positions (K, 3), m, of (K,) degrees, degrees and m; true to scale at the first finite latitude."""
+    finite = latitude[np.isfinite(latitude)]
+    scale = np.cos(np.deg2rad(finite[0])) if finite.size else 1.0
+    x = scale * EARTH_RADIUS * np.deg2rad(longitude)
+    y = scale * EARTH_RADIUS * np.log(np.tan(np.deg2rad(90.0 + latitude) / 2.0))
+    return np.column_stack([x, y, altitude])
+
+
+def _levelled_to_body(vectors: FloatArray, roll: FloatArray, pitch: FloatArray) -> FloatArray:
+    """Vectors (K, 3) along forward, left and up of the level earth's surface, in the unit's tilted frame."""
+    tilt = Rotation.from_euler("YX", np.column_stack([pitch, roll]))
+    body: FloatArray = tilt.inv().apply(vectors)
+    return body

@@ -12,17 +12,16 @@ from typing import Any
 
 import numpy as np
 
-from stereo_slam_env.datasets.images.broken import Faults, OnBroken
-from stereo_slam_env.datasets.images.calibration import rectified_rig
-from stereo_slam_env.datasets.images.frames import Eye, Times, Truth, poses_of_rows, usable_pairs
-from stereo_slam_env.datasets.images.image_files import image_size, numbered_images
-from stereo_slam_env.datasets.images.odometry import noisy_camera_velocities
-from stereo_slam_env.datasets.images.sequence import RecordedSequence
-from stereo_slam_env.files.tables import read_table
+from stereo_slam_env.datasets.calibration import rectified_rig
+from stereo_slam_env.datasets.frames import CameraFiles, Faults, OnBroken, Times, Truth, poses_of_rows, usable_pairs
+from stereo_slam_env.datasets.image_files import image_size, numbered_images
+from stereo_slam_env.datasets.odometry import camera_velocities
+from stereo_slam_env.datasets.sequence import RecordedSequence
+from stereo_slam_env.files.readers import read_table
 from stereo_slam_env.recording.recording import Reference
 
 NAME = "kitti06_stereo51"
-FILES = ("image_l", "image_r", "calib.txt", "poses.txt", "odometry_oxts.csv")
+FILES = (("image_l", "image_r", "calib.txt", "poses.txt", "odometry_oxts.csv"),)
 TRUTH = Reference(
     "independent truth",
     "KITTI's ground truth: GPS/INS, which is still settling in frames 0 to 10; the odometry is of the same INS, with "
@@ -31,11 +30,6 @@ TRUTH = Reference(
 R_CI = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 P_I = np.array([1.1, -0.3, 0.7])
 """How the camera sits in the IMU frame (m), to some centimetres and a degree: far below the noise of the odometry."""
-
-
-def recognises(path: Path) -> bool:
-    """Whether the folder has this layout."""
-    return all((path / name).exists() for name in FILES)
 
 
 def open_sequence(
@@ -54,10 +48,8 @@ def open_sequence(
     ----------
     path : Path
         Folder with the files named in `FILES`.
-    first, last : int, optional
-        Frame numbers to start and to end with, both included.
-    on_broken : {"raise", "skip"}
-        What to do about a pair that cannot be used.
+    first, last, on_broken
+        See `open_image_sequence`.
     sigma_linear, sigma_angular : float
         White noise that is added to the velocities, m/s and rad/s per axis.
     odometry_seed : int
@@ -69,7 +61,7 @@ def open_sequence(
         Something is missing, damaged or contradictory: one line that names the file.
     """
     faults = Faults(on_broken)
-    left, right = (Eye(folder := path / name, numbered_images(folder)) for name in FILES[:2])
+    left, right = (CameraFiles(folder := path / name, numbered_images(folder)) for name in ("image_l", "image_r"))
     calibration, velocities = path / "calib.txt", path / "odometry_oxts.csv"
     projections = read_table(calibration, 12)
     if len(projections) != 2:
@@ -78,7 +70,7 @@ def open_sequence(
     frames_stored = max([*left.files, *right.files], default=-1) + 1
     times = Times(velocities, table[:frames_stored, 0])  # one row more than frames
     truth = Truth(path / "poses.txt", poses_of_rows(read_table(path / "poses.txt", 12, finite=False)))
-    odometry = noisy_camera_velocities(
+    odometry = camera_velocities(
         np.nan_to_num(table[:, 1:4]),
         np.nan_to_num(table[:, 4:7]),
         R_CI,
@@ -95,9 +87,6 @@ def open_sequence(
     source: dict[str, Any] = {
         "reader": NAME,
         "path": str(path),
-        "first": frames[0].number,
-        "last": frames[-1].number,
-        "on_broken": on_broken,
         "odometry": "INS velocities with white noise added",
         "sigma_linear_m_s": float(sigma_linear),
         "sigma_angular_rad_s": float(sigma_angular),

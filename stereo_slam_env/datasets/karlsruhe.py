@@ -27,18 +27,16 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from filters.validation import FloatArray, positive
-from stereo_slam_env.datasets.images import oxts
-from stereo_slam_env.datasets.images.broken import Faults, OnBroken
-from stereo_slam_env.datasets.images.calibration import entry, read_entries, rectified_rig
-from stereo_slam_env.datasets.images.frames import Eye, Times, Truth, usable_pairs
-from stereo_slam_env.datasets.images.image_files import image_size, numbered_images
-from stereo_slam_env.datasets.images.sequence import RecordedSequence
-from stereo_slam_env.files.inside import require_inside
-from stereo_slam_env.files.tables import finite_rows, read_table
+from stereo_slam_env.datasets.calibration import entry, read_entries, rectified_rig
+from stereo_slam_env.datasets.frames import CameraFiles, Faults, OnBroken, Times, Truth, usable_pairs
+from stereo_slam_env.datasets.image_files import image_size, numbered_images
+from stereo_slam_env.datasets.sequence import RecordedSequence
+from stereo_slam_env.files.paths import require_inside
+from stereo_slam_env.files.readers import finite_rows, read_table
 from stereo_slam_env.recording.recording import Pose, Reference
 
 NAME = "karlsruhe"
-FILES = ("I1_*", "I2_*", "*calib.txt|../*calib.txt", "insdata.txt")
+FILES = (("I1_*", "I2_*", "*calib.txt"), ("I1_*", "I2_*", "../*calib.txt"))
 INS_COLUMNS = 10
 POSITION, ATTITUDE = slice(4, 7), slice(7, 10)
 DEFAULT_RATE_HZ = 10.0
@@ -60,11 +58,6 @@ _AGREES = np.deg2rad(15.0)
 log = logging.getLogger(__name__)
 
 
-def recognises(path: Path) -> bool:
-    """Whether the folder is one sequence of this layout."""
-    return any(path.glob("I1_*")) and any(path.glob("I2_*")) and bool(_calibrations(path))
-
-
 def open_sequence(
     path: Path,
     *,
@@ -80,10 +73,8 @@ def open_sequence(
     ----------
     path : Path
         For example `2009_09_08_drive_0010`.
-    first, last : int, optional
-        Frame numbers to start and to end with, both included (the paper's right turn is 61 to 72 of drive 0010).
-    on_broken : {"raise", "skip"}
-        What to do about a pair that cannot be used.
+    first, last, on_broken
+        See `open_image_sequence` (the paper's right turn is frames 61 to 72 of drive 0010).
     use_truth : bool
         Whether to take the poses of the GPS/IMU unit as (weak) truth.
     rate_hz : float, optional
@@ -96,7 +87,7 @@ def open_sequence(
     """
     path = path.resolve()
     faults = Faults(on_broken)
-    left, right = (Eye(path, numbered_images(path, prefix)) for prefix in ("I1_", "I2_"))
+    left, right = (CameraFiles(path, numbered_images(path, prefix)) for prefix in ("I1_", "I2_"))
     calibration = _calibration(path)
     entries = read_entries(calibration)
     P_left, P_right = (entry(calibration, entries, name, (3, 4)) for name in ("P1_roi", "P2_roi"))
@@ -120,9 +111,6 @@ def open_sequence(
         "reader": NAME,
         "path": str(path),
         "calibration": str(calibration),
-        "first": frames[0].number,
-        "last": frames[-1].number,
-        "on_broken": on_broken,
         "times": "insdata.txt" if rate_hz is None else f"assumed {rate_hz:g} Hz",
     }
     truth_from = Reference(
@@ -162,7 +150,8 @@ def camera_poses(table: FloatArray, reading: str) -> list[Pose | None]:
     good = finite_rows(table)
     roll, pitch, yaw = np.where(good[:, None], table[:, ATTITUDE], 0.0).T
     sign, offset = _YAW[reading]
-    orientations = (oxts.attitudes(roll, pitch, sign * yaw + offset) * Rotation.from_matrix(R_UNIT_CAMERA)).as_quat()
+    R_wu = Rotation.from_euler("ZYX", np.column_stack([sign * yaw + offset, pitch, roll]))
+    orientations = (R_wu * Rotation.from_matrix(R_UNIT_CAMERA)).as_quat()
     positions = table[:, POSITION]
     return [Pose(r.copy(), q) if ok else None for r, q, ok in zip(positions, orientations, good, strict=True)]
 

@@ -1,37 +1,50 @@
 """Grey images from PNG and JPEG files, with everything checked that a decoder would hide.
 
-Decoders fill up what is missing in a cut file and return it as an image, and allocate whatever size the header asks
-for. So the size is read from the header first, and the file is walked through to its end mark.
+OpenCV fills up what is missing in a cut file and returns it as an image, and allocates whatever size the header asks
+for. So Pillow reads the size from the header first, and looks at the file to its end.
 """
 
 from __future__ import annotations
 
+import io
 import re
 import stat
+import struct
+import warnings
 import zlib
 from pathlib import Path
 
 import cv2
 import numpy as np
+from PIL import Image, UnidentifiedImageError
 
-from stereo_slam_env.datasets.images.broken import BrokenPair
-from stereo_slam_env.recording.image_sequence import GreyImage
+from stereo_slam_env.files.readers import first_line
+from stereo_slam_env.recording.recording import GreyImage
 
 MAX_PIXELS = 40_000_000
 """Larger images are refused before they are decoded."""
-
 MAX_BYTES = 256_000_000
 """Larger files are refused before they are read."""
-
 MOST_FRAMES = 1_000_000
 """Images with a number from here on are refused: tables have a row for every number up to the last."""
+_DAMAGE = (OSError, SyntaxError, ValueError, TypeError, LookupError, EOFError, OverflowError, struct.error, zlib.error)
+"""What Pillow raises where a file is not what it says."""
 
-_PNG = b"\x89PNG\r\n\x1a\n"
-_JPEG = b"\xff\xd8"
-_SIZED_FRAMES = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}
-_WITHOUT_LENGTH = {0x01, *range(0xD0, 0xD9)}
-_END_OF_SCAN = 0xD9
-_START_OF_SCAN = 0xDA
+
+class BrokenPair(ValueError):
+    """A pair cannot be used.
+
+    Parameters
+    ----------
+    reason : str
+        A few words to count by, the same for all pairs with that fault.
+    message : str
+        One line that names the file and the remedy.
+    """
+
+    def __init__(self, reason: str, message: str) -> None:
+        super().__init__(message)
+        self.reason = reason
 
 
 def numbered_images(folder: Path, prefix: str = "") -> dict[int, Path]:
@@ -102,80 +115,41 @@ def _content(path: Path) -> bytes:
             raise _damaged(path, "it is no file")
         if found.st_size > MAX_BYTES:
             raise BrokenPair("image too large", f"{path} has {found.st_size} bytes: more than {MAX_BYTES} are refused")
-        data = path.read_bytes()
+        return path.read_bytes()
     except FileNotFoundError:
         raise BrokenPair("image missing", f"{path} is missing: copy it again, or skip broken pairs") from None
     except OSError as error:
         reason = error.strerror or type(error).__name__
         raise BrokenPair("image unreadable", f"{path} cannot be read ({reason}): check the file") from error
-    if not data:
-        raise _damaged(path, "it is empty")
-    return data
 
 
 def _checked_size(path: Path, data: bytes) -> tuple[int, int]:
-    if data.startswith(_PNG):
-        size = _png_size(path, data)
-    elif data.startswith(_JPEG):
-        size = _jpeg_size(path, data)
-    else:
-        raise _damaged(path, "it is no PNG and no JPEG")
-    width, height = size
-    if width < 1 or height < 1:
-        raise _damaged(path, f"its header says {width}x{height}")
-    if width * height > MAX_PIXELS:
-        raise BrokenPair(
-            "image too large",
-            f"{path} says that it is {width}x{height}: images above {MAX_PIXELS / 1e6:.0f} million pixels are refused",
-        )
-    return size
-
-
-def _png_size(path: Path, data: bytes) -> tuple[int, int]:
-    """Width and height, after every chunk up to the end mark was found whole."""
-    size, at = None, len(_PNG)
-    while at + 12 <= len(data):
-        length = int.from_bytes(data[at : at + 4], "big")
-        kind, end = data[at + 4 : at + 8], at + 12 + length
-        if end > len(data):
-            break
-        if zlib.crc32(data[at + 4 : end - 4]) != int.from_bytes(data[end - 4 : end], "big"):
-            raise _damaged(path, f"the check sum of a part ({kind.decode('latin-1')}) is wrong")
-        if size is None:
-            if kind != b"IHDR" or length != 13:
-                raise _damaged(path, "it has no header")
-            size = int.from_bytes(data[at + 8 : at + 12], "big"), int.from_bytes(data[at + 12 : at + 16], "big")
-        if kind == b"IEND":
-            return size
-        at = end
-    raise _cut(path, len(data))
-
-
-def _jpeg_size(path: Path, data: bytes) -> tuple[int, int]:
-    """Width and height, after the end mark was found behind the first scan."""
-    size, at = None, len(_JPEG)
-    while at + 4 <= len(data):
-        if data[at] != 0xFF:
-            raise _damaged(path, "its parts do not follow each other")
-        marker = data[at + 1]
-        if marker == 0xFF or marker in _WITHOUT_LENGTH:
-            at += 1 if marker == 0xFF else 2
-            continue
-        if marker in _SIZED_FRAMES and at + 9 <= len(data):
-            size = int.from_bytes(data[at + 7 : at + 9], "big"), int.from_bytes(data[at + 5 : at + 7], "big")
-        if marker == _START_OF_SCAN:
-            # Inside a scan 0xFF is always followed by 0, so this can only be the end mark.
-            if data.find(bytes([0xFF, _END_OF_SCAN]), at) < 0:
-                break
-            if size is None:
-                raise _damaged(path, "it has no header")
-            return size
-        at += 2 + int.from_bytes(data[at + 2 : at + 4], "big")
-    raise _cut(path, len(data))
-
-
-def _cut(path: Path, length: int) -> BrokenPair:
-    return _damaged(path, f"it is cut off after {length} bytes")
+    """Width and height, after the file was looked at to its end."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # its limit is wider than ours
+            with Image.open(io.BytesIO(data), formats=("PNG", "JPEG")) as image:
+                width, height = image.size
+                if width * height > MAX_PIXELS:
+                    raise BrokenPair(
+                        "image too large",
+                        f"{path} says that it is {width}x{height}: "
+                        f"images above {MAX_PIXELS / 1e6:.0f} million pixels are refused",
+                    )
+                if image.format == "PNG":
+                    image.verify()  # the check sums of all parts, up to the end mark
+                else:
+                    image.draft("L", (1, 1))  # all of the file, an eighth of the size
+                    image.load()
+    except Image.DecompressionBombError as error:
+        raise BrokenPair("image too large", f"{path} is too large to be decoded ({first_line(error)})") from error
+    except BrokenPair:
+        raise
+    except UnidentifiedImageError as error:
+        raise _damaged(path, "it is no whole PNG or JPEG") from error
+    except _DAMAGE as error:
+        raise _damaged(path, first_line(error)) from error
+    return width, height
 
 
 def _damaged(path: Path, what: str) -> BrokenPair:

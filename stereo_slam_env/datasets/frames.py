@@ -1,26 +1,65 @@
-"""From what a folder holds to the frames that can be used."""
+"""The frames of a recording of images that can be used, and what is done about those that cannot."""
 
 from __future__ import annotations
 
+import logging
 from bisect import bisect_left
+from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from filters.interface import BodyVelocity
 from filters.validation import FloatArray
-from stereo_slam_env.datasets.images.broken import BrokenPair, Faults
+from stereo_slam_env.datasets.image_files import BrokenPair
 from stereo_slam_env.recording.recording import Pose
 
 _ORTHONORMAL = 1e-2
 """Largest entry of R R^T - I of a pose that is believed to be one; files have as few as six digits."""
 
+OnBroken = Literal["raise", "skip"]
+
+log = logging.getLogger(__name__)
+
+
+@dataclass
+class Faults:
+    """Broken pairs: each raises, or is logged and counted.
+
+    Parameters
+    ----------
+    on_broken : {"raise", "skip"}
+        Which of the two.
+    counts : Counter
+        Faults met so far, reason -> number of pairs.
+
+    Raises
+    ------
+    ValueError
+        `on_broken` is something else.
+    """
+
+    on_broken: OnBroken
+    counts: Counter[str] = field(default_factory=Counter)
+
+    def __post_init__(self) -> None:
+        if self.on_broken not in ("raise", "skip"):
+            raise ValueError(f"on_broken must be 'raise' or 'skip', got {self.on_broken!r}")
+
+    def meet(self, fault: BrokenPair) -> None:
+        """Raise `fault`, or log and count it."""
+        if self.on_broken == "raise":
+            raise fault
+        self.counts[fault.reason] += 1
+        log.warning("pair skipped: %s", fault)
+
 
 @dataclass(frozen=True, eq=False)
-class Eye:
+class CameraFiles:
     """The images of one camera: frame number -> file, and the folder for messages."""
 
     folder: Path
@@ -70,7 +109,7 @@ class FramePair:
 
 
 def usable_pairs(
-    eyes: tuple[Eye, Eye],
+    cameras: tuple[CameraFiles, CameraFiles],
     times: Times,
     faults: Faults,
     *,
@@ -83,7 +122,7 @@ def usable_pairs(
 
     Parameters
     ----------
-    eyes : (Eye, Eye)
+    cameras : (CameraFiles, CameraFiles)
         Left and right.
     times : Times
         One row a frame.
@@ -103,22 +142,26 @@ def usable_pairs(
     ValueError
         `first` and `last` select nothing, or nothing is left.
     """
-    numbers = _selected({*eyes[0].files, *eyes[1].files, *range(len(times.seconds))}, first, last, eyes[0].folder)
+    numbers = _selected(
+        {*cameras[0].files, *cameras[1].files, *range(len(times.seconds))}, first, last, cameras[0].folder
+    )
     pairs = []
     for number in numbers:
         try:
-            _require_images(number, eyes, times)
-            _require_time(number, eyes[0], times)
+            _require_images(number, cameras, times)
+            _require_time(number, cameras[0], times)
             pose = None if truth is None else _pose(number, truth)
         except BrokenPair as fault:
             faults.meet(fault)
             continue
         step = odometry[number] if number < len(odometry) else None
-        left, right = (eye.files[number] for eye in eyes)
+        left, right = (camera.files[number] for camera in cameras)
         pairs.append(FramePair(number, float(times.seconds[number]), left, right, pose, step))
     pairs = _in_time_order(pairs, times, faults)
     if not pairs:
-        raise ValueError(f"{eyes[0].folder} has no usable pair among its {len(numbers)} frames: check the files in it")
+        raise ValueError(
+            f"{cameras[0].folder} has no usable pair among its {len(numbers)} frames: check the files in it"
+        )
     return pairs
 
 
@@ -148,22 +191,22 @@ def _selected(numbers: set[int], first: int | None, last: int | None, folder: Pa
     return chosen
 
 
-def _require_images(number: int, eyes: tuple[Eye, Eye], times: Times) -> None:
-    for name, eye in zip(("left", "right"), eyes, strict=True):
-        if number not in eye.files:
-            counts = ", ".join(f"{len(e.files)} {n} images" for n, e in zip(("left", "right"), eyes, strict=True))
+def _require_images(number: int, cameras: tuple[CameraFiles, CameraFiles], times: Times) -> None:
+    for name, camera in zip(("left", "right"), cameras, strict=True):
+        if number not in camera.files:
             raise BrokenPair(
                 f"{name} image missing",
-                f"{eye.folder} has no image of frame {number} ({counts}, {len(times.seconds)} times in "
-                f"{times.path.name}): copy it again, choose others with first and last, or skip broken pairs",
+                f"{camera.folder} has no image of frame {number} ({len(cameras[0].files)} left images, "
+                f"{len(cameras[1].files)} right images, {len(times.seconds)} times in {times.path.name}): "
+                "copy it again, choose others with first and last, or skip broken pairs",
             )
 
 
-def _require_time(number: int, eye: Eye, times: Times) -> None:
+def _require_time(number: int, left: CameraFiles, times: Times) -> None:
     if number >= len(times.seconds):
         raise BrokenPair(
             "no time stamp",
-            f"{times.path} has {len(times.seconds)} times where {eye.folder.name} has {len(eye.files)} images "
+            f"{times.path} has {len(times.seconds)} times where {left.folder.name} has {len(left.files)} images "
             f"(frame {number} has none): complete it, or skip broken pairs",
         )
     if not np.isfinite(times.seconds[number]):
@@ -190,18 +233,14 @@ def _pose(number: int, truth: Truth) -> Pose:
 def _in_time_order(pairs: list[FramePair], times: Times, faults: Faults) -> list[FramePair]:
     """As many pairs as possible whose time stamps increase; the others are faults."""
     kept = _longest_increase([pair.timestamp for pair in pairs])
-    before = -1
     for at, pair in enumerate(pairs):
-        if at in kept:
-            continue
-        before = at - 1 if at else 1
-        faults.meet(
-            BrokenPair(
-                "time stamp does not increase",
+        if at not in kept:
+            other = pairs[at - 1 if at else 1]
+            message = (
                 f"{times.path}: times must increase, frame {pair.number} has {pair.timestamp:.9g} s next to "
-                f"{pairs[before].timestamp:.9g} s of frame {pairs[before].number}: correct it, or skip broken pairs",
+                f"{other.timestamp:.9g} s of frame {other.number}: correct it, or skip broken pairs"
             )
-        )
+            faults.meet(BrokenPair("time stamp does not increase", message))
     return [pair for at, pair in enumerate(pairs) if at in kept]
 
 

@@ -12,8 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from filters.camera import StereoCamera
-from stereo_slam_env.recording.image_sequence import StereoPair
-from stereo_slam_env.recording.recording import SIMULATION, Pose, Start
+from stereo_slam_env.recording.recording import SIMULATION, Pose, Start, StereoPair
 from stereo_slam_env.rendering.tiny import TinyRenderer
 from stereo_slam_env.world.frames import WorldFrame
 from stereo_slam_env.world.physics import PhysicsWorld

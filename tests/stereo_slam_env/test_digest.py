@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from stereo_slam_env.files.digest import Digest
+from .digest import Digest
 
 
 def digest(value):

@@ -11,12 +11,12 @@ import numpy as np
 from filters import rotations
 from filters.camera import StereoCamera
 from filters.validation import FloatArray
-from stereo_slam_env.datasets.images.frames import FramePair
-from stereo_slam_env.files.text import read_text
+from stereo_slam_env.datasets.frames import FramePair
+from stereo_slam_env.files.readers import read_text
 from stereo_slam_env.recording.recording import Pose
 
 _SAME_K = 1e-6
-"""Relative difference of the K of both eyes that is taken for rounding."""
+"""Relative difference of the K of both cameras that is taken for rounding."""
 
 
 def read_entries(path: Path) -> dict[str, FloatArray]:
@@ -64,7 +64,7 @@ def entry(path: Path, entries: Mapping[str, FloatArray], name: str, shape: tuple
 
 @dataclass(frozen=True, eq=False)
 class RectifiedRig:
-    """A rectified pair.
+    """A rectified pair of cameras.
 
     Attributes
     ----------
@@ -89,7 +89,7 @@ class RectifiedRig:
 
 
 def rectified_rig(path: Path, P_left: FloatArray, P_right: FloatArray, size: tuple[int, int]) -> RectifiedRig:
-    """The rig of two projection matrices P = K [I | t] (3, 4) with one common K; the eyes are at -t.
+    """The rig of two projection matrices P = K [I | t] (3, 4) with one common K; the cameras are at -t.
 
     Parameters
     ----------
@@ -111,8 +111,8 @@ def rectified_rig(path: Path, P_left: FloatArray, P_right: FloatArray, size: tup
     if not (np.abs(K - form) <= _SAME_K * scale).all() or K[0, 0] <= 0 or K[1, 1] <= 0:
         raise ValueError(f"{path}: the left projection matrix is not [fx 0 cx; 0 fy cy; 0 0 1 | ...]: not rectified")
     if not (np.abs(P_right[:, :3] - K) <= _SAME_K * scale).all():
-        raise ValueError(f"{path}: both eyes must have the same focal lengths and principal point: not rectified")
-    left, right = eye_position(P_left), eye_position(P_right)
+        raise ValueError(f"{path}: both cameras must have the same focal lengths and principal point: not rectified")
+    left, right = camera_position(P_left), camera_position(P_right)
     baseline = float(right[0] - left[0])
     if baseline <= 0:
         raise ValueError(f"{path}: the baseline is {baseline:.6g} m, it must be > 0: are left and right swapped?")
@@ -120,6 +120,6 @@ def rectified_rig(path: Path, P_left: FloatArray, P_right: FloatArray, size: tup
     return RectifiedRig(StereoCamera(fx, fy, cx, cy, baseline, *size), left)
 
 
-def eye_position(P: FloatArray) -> FloatArray:
+def camera_position(P: FloatArray) -> FloatArray:
     """Where the camera of P = K [I | t] is in the one that P refers to, m: -t."""
     return np.asarray(-np.linalg.solve(P[:, :3], P[:, 3]), dtype=np.float64)

@@ -1,4 +1,4 @@
-"""Nothing is read outside the folder that was given, wherever links in it point and whatever names files hold."""
+"""Checks of paths: nothing is read outside the folder that was given, and what is to be written can be."""
 
 from __future__ import annotations
 
@@ -70,3 +70,13 @@ def is_there(path: Path) -> bool:
         if error.errno == errno.ENAMETOOLONG:
             return False
         raise
+
+
+def checked_file(what: str, path: str | Path, ending: str) -> Path:
+    """The path, if a file of that ending can have it; else a `ValueError` that says `what` cannot be written."""
+    path = Path(path)
+    if path.suffix.lower() != ending:
+        raise ValueError(f"{what} {path} must end in {ending}")
+    if path.is_dir() or not path.parent.is_dir():
+        raise ValueError(f"{what} {path} cannot be written: {path.parent} must be a folder, and {path.name} none")
+    return path

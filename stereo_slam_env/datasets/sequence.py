@@ -1,4 +1,4 @@
-"""A recording on disk as an `ImageSequence`: images are read pair by pair."""
+"""A recording of images on disk as an `ImageSequence`."""
 
 from __future__ import annotations
 
@@ -10,17 +10,15 @@ import numpy as np
 from filters import rotations
 from filters.camera import StereoCamera
 from filters.interface import BodyVelocity
-from stereo_slam_env.datasets.images.broken import BrokenPair, Faults
-from stereo_slam_env.datasets.images.frames import FramePair
-from stereo_slam_env.datasets.images.image_files import read_grey
-from stereo_slam_env.recording.image_sequence import GreyImage, StereoPair
-from stereo_slam_env.recording.recording import Pose, Reference, Start
+from stereo_slam_env.datasets.frames import Faults, FramePair
+from stereo_slam_env.datasets.image_files import BrokenPair, read_grey
+from stereo_slam_env.recording.recording import GreyImage, Pose, Reference, Start, StereoPair
 
 Rectify = Callable[[GreyImage, GreyImage], tuple[GreyImage, GreyImage]]
 
 
 class RecordedSequence:
-    """An `ImageSequence` of files.
+    """An `ImageSequence` of files; images are read pair by pair.
 
     W is the left camera at the first pair that is used, and truth is told in it. Where that pair has no true pose, no
     pair has one: it could not be told in W.
@@ -36,7 +34,7 @@ class RecordedSequence:
     faults : Faults
         What is done about broken pairs, with those met so far.
     source : mapping
-        Where the images come from; JSON-able.
+        Reader, path and settings; JSON-able. The range of frames and what is done about broken ones are added.
     truth_from : Reference
         What the truth of the frames is, where they have one.
     stored_size : (int, int), optional
@@ -57,37 +55,14 @@ class RecordedSequence:
         stored_size: tuple[int, int] | None = None,
         rectify: Rectify | None = None,
     ) -> None:
-        self._name, self._camera = name, camera
-        self._frames, self._source, self._truth_from = tuple(frames), dict(source), truth_from
+        self.name, self.camera, self.start, self.truth_from = name, camera, Start(), truth_from
+        selected = {"first": frames[0].number, "last": frames[-1].number, "on_broken": faults.on_broken}
+        self.source: Mapping[str, Any] = {**source, **selected}
+        self._frames = tuple(frames)
         self._found_at_opening = faults
         self._skipped = dict(faults.counts)
         self._stored_size = stored_size or (camera.width, camera.height)
         self._rectify = rectify
-
-    @property
-    def name(self) -> str:
-        """Short name for tables and files."""
-        return self._name
-
-    @property
-    def camera(self) -> StereoCamera:
-        """The rectified rig that all pairs were taken with."""
-        return self._camera
-
-    @property
-    def start(self) -> Start:
-        """At the origin of W, velocity unknown."""
-        return Start()
-
-    @property
-    def source(self) -> Mapping[str, Any]:
-        """Where the images come from; JSON-able."""
-        return self._source
-
-    @property
-    def truth_from(self) -> Reference:
-        """What the truth of the pairs is, where they have one."""
-        return self._truth_from
 
     @property
     def skipped(self) -> Mapping[str, int]:
@@ -111,7 +86,7 @@ class RecordedSequence:
         BrokenPair
             An image is missing, damaged or of another size, and broken pairs are not skipped.
         """
-        faults = self._found_at_opening.copy()
+        faults = Faults(self._found_at_opening.on_broken, self._found_at_opening.counts.copy())
         origin: Pose | None = None
         before: FramePair | None = None
         left_out: list[FramePair] = []

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from stereo_slam_env.datasets.images import IMAGE_READERS, known_image_layouts, open_image_sequence
-from stereo_slam_env.datasets.images.kitti06_stereo51 import P_I, R_CI
+from stereo_slam_env.datasets import IMAGE_LAYOUTS, open_image_sequence
+from stereo_slam_env.datasets.kitti06_stereo51 import P_I, R_CI
 from stereo_slam_env.frontend.recorder import record_tracks
 from stereo_slam_env.recording.recording import Pose
 
-from ...real_data import real_data
+from ..real_data import real_data
 from .small_image_folders import (
     CAMERA,
     DT,
@@ -234,7 +234,7 @@ def test_the_one_recording_inside_a_folder_stands_for_it(tmp_path):
 def test_unknown_folders_options_and_paths_get_one_clear_line(tmp_path):
     with pytest.raises(ValueError, match="is empty; known are ") as caught:
         open_image_sequence(tmp_path)
-    assert all(name in str(caught.value) for name in known_image_layouts())
+    assert all(layout.NAME in str(caught.value) for layout in IMAGE_LAYOUTS)
     assert "kitti07_tracks" not in str(caught.value)
     assert "\n" not in str(caught.value)
     with pytest.raises(ValueError, match="does not exist"):
@@ -250,9 +250,8 @@ def test_unknown_folders_options_and_paths_get_one_clear_line(tmp_path):
         open_image_sequence(folder)
 
 
-@pytest.mark.parametrize("reader", IMAGE_READERS, ids=lambda reader: reader.NAME)
+@pytest.mark.parametrize("reader", IMAGE_LAYOUTS, ids=lambda reader: reader.NAME)
 def test_every_reader_says_what_it_takes(reader):
-    assert reader.NAME in known_image_layouts()
     assert reader.FILES
     assert "Layout" in reader.__doc__ or "layout" in reader.__doc__
 

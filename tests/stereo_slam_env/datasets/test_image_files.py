@@ -6,9 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from stereo_slam_env.datasets.images import image_files
-from stereo_slam_env.datasets.images.broken import BrokenPair
-from stereo_slam_env.datasets.images.image_files import image_size, numbered_images, read_grey
+from stereo_slam_env.datasets import BrokenPair, image_files
+from stereo_slam_env.datasets.image_files import image_size, numbered_images, read_grey
 
 from .small_image_folders import cut_file, drive, png_bomb, write_png
 
@@ -49,7 +48,7 @@ def test_a_cut_file_is_found_wherever_it_is_cut(tmp_path, picture, suffix, share
     path = tmp_path / f"a.{suffix}"
     write_png(path, picture)
     cut_file(path, share)
-    with pytest.raises(BrokenPair, match="is damaged, it") as caught:
+    with pytest.raises(BrokenPair, match="is damaged, ") as caught:
         read_grey(path)
     assert str(path) in str(caught.value)
     assert "\n" not in str(caught.value)
@@ -61,15 +60,19 @@ def test_one_wrong_byte_in_a_png_is_found(tmp_path, picture):
     data = bytearray(path.read_bytes())
     data[len(data) // 2] ^= 0x10
     path.write_bytes(data)
-    with pytest.raises(BrokenPair, match=r"a\.png is damaged, the check sum of a part \(IDAT\) is wrong"):
+    with pytest.raises(BrokenPair, match=r"a\.png is damaged, .*checksum in b'IDAT'"):
         read_grey(path)
 
 
 def test_a_huge_image_is_refused_before_it_is_decoded(tmp_path, monkeypatch):
     monkeypatch.setattr(cv2, "imdecode", lambda *_: pytest.fail("decoded"))
-    png_bomb(tmp_path / "a.png", 60_000, 60_000)
-    with pytest.raises(BrokenPair, match=r"a\.png says that it is 60000x60000: images above 40 million pixels"):
-        read_grey(tmp_path / "a.png")
+    for side, what in (
+        (60_000, "is too large to be decoded"),
+        (8_000, "says that it is 8000x8000: images above 40 million"),
+    ):
+        png_bomb(tmp_path / "a.png", side, side)
+        with pytest.raises(BrokenPair, match=rf"a\.png {what}"):
+            read_grey(tmp_path / "a.png")
 
 
 def test_other_faults_are_named(tmp_path, picture):
@@ -77,10 +80,10 @@ def test_other_faults_are_named(tmp_path, picture):
     with pytest.raises(BrokenPair, match=r"a\.png is missing"):
         read_grey(path)
     path.write_bytes(b"")
-    with pytest.raises(BrokenPair, match="it is empty"):
+    with pytest.raises(BrokenPair, match="it is no whole PNG or JPEG"):
         read_grey(path)
     path.write_bytes(b"GIF89a.........")
-    with pytest.raises(BrokenPair, match="no PNG and no JPEG"):
+    with pytest.raises(BrokenPair, match="it is no whole PNG or JPEG"):
         read_grey(path)
     png_bomb(path, 40, 40)  # a whole file of too few pixels
     with pytest.raises(BrokenPair, match="cannot be decoded"):

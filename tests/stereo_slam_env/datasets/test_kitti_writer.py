@@ -5,9 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from stereo_slam_env.datasets.images import open_image_sequence
-from stereo_slam_env.datasets.images.kitti_writer import write_kitti_sequence
-from stereo_slam_env.files.tables import read_table
+from stereo_slam_env.datasets import open_image_sequence, write_kitti_sequence
+from stereo_slam_env.files.readers import read_table
 
 from .small_image_folders import CAMERA, FRAMES, Drive, drive
 
