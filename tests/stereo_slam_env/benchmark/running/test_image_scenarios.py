@@ -93,7 +93,7 @@ def test_a_scenario_of_the_simulated_world_can_be_measured_in_images():
     assert [seen.source.options[key] for key in ("sensor", "renderer", "route")] == ["images", "gl", "right-turn"]
     assert (seen.noise, seen.gate, seen.consensus) == (None, 0.99, True)
     assert seen.name == "turn-gl-images"
-    with pytest.raises(ValueError, match="needs a scenario of kind 'street', 'reference-turn' is a 'reference'"):
+    with pytest.raises(ValueError, match="needs a scenario of kind 'street', this one is of kind 'reference'"):
         preset("reference-turn").with_sensor("images", "tiny")
 
 
