@@ -43,7 +43,7 @@ format: $(VENV)/.installed-dev ## Let ruff put the code in order
 	@$(BIN)/ruff format
 
 docs: $(VENV)/.installed-docs ## Build the manual into site/ (open site/index.html; nothing is fetched)
-	@NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet --strict
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
 	@echo "the manual: site/index.html"
 
 clean: ## Remove the virtual environment, builds and caches (results in runs/ stay)

@@ -198,16 +198,12 @@ def check_filters(scenario: Scenario) -> None:
         if choice.name not in known:
             make_filter(choice.name, camera=camera, noise=noise)
         if not known[choice.name].startswith("not available"):
-            _try_to_make(scenario, choice, camera, noise)
-
-
-def _try_to_make(scenario: Scenario, choice: FilterChoice, camera: StereoCamera, noise: StereoNoise) -> None:
-    try:
-        make_with_common_options(choice.name, camera, noise, choice.options, scenario.common_options)
-    except ValueError:
-        raise
-    except Exception as error:  # a third-party constructor may raise anything; the run will record it
-        _log.info("filter %s cannot be made: %s", choice.label, error)
+            try:
+                make_with_common_options(choice.name, camera, noise, choice.options, scenario.common_options)
+            except ValueError:
+                raise
+            except Exception as error:  # a third-party constructor may raise anything; the run will record it
+                _log.info("filter %s cannot be made: %s", choice.label, error)
 
 
 def _run_missing(directory: StudyDirectory, engine: Engine, progress: Progress) -> None:

@@ -29,25 +29,9 @@ _STACKED = 1000
 
 
 def cut_patches(image: Image, centers: ArrayLike, size: int = SUPPORT) -> Patches:
-    """Patches centred on sub-pixel positions, by Catmull-Rom interpolation.
+    """Patches (N, size, size) centred on sub-pixel positions (N, 2), px, by Catmull-Rom interpolation; `size` is odd.
 
-    Parameters
-    ----------
-    image : (H, W) uint8
-        Grey image; pixels beyond its border repeat those on it.
-    centers : (N, 2) array_like
-        (u, v), px.
-    size : int
-        Odd side, px.
-
-    Returns
-    -------
-    (N, size, size) float32
-
-    Raises
-    ------
-    ValueError
-        `centers` is not (N, 2) or not finite.
+    Pixels beyond the border repeat those on it. A `ValueError` where `centers` is not (N, 2) or not finite.
     """
     at = finite_array("centers", centers, ("N", 2))
     return np.ascontiguousarray(cut_stack(image, at, size).transpose(2, 0, 1))

@@ -124,10 +124,6 @@ class StereoTracker:
         forecast : Forecast, optional
             Where a filter expects its landmarks after `predict`; None: where the motion so far leads.
 
-        Returns
-        -------
-        TrackedPair
-
         Raises
         ------
         ValueError

@@ -196,17 +196,9 @@ CORRUPTIONS: Mapping[str, type[Any]] = {
 
 
 def make_corruption(entry: Mapping[str, Any]) -> Corruption:
-    """A corruption from its JSON form.
+    """A corruption from its JSON form: `kind`, a key of `CORRUPTIONS`, and the fields of that class.
 
-    Parameters
-    ----------
-    entry : mapping
-        `kind`, a key of `CORRUPTIONS`, and the fields of that class.
-
-    Raises
-    ------
-    ValueError
-        No or an unknown kind, an unknown or missing field, or an impossible value: the message names it.
+    A `ValueError` names an unknown kind, an unknown or missing field, or an impossible value.
     """
     if not isinstance(entry, Mapping) or "kind" not in entry:
         raise ValueError(f"a corruption must have a kind, one of {', '.join(CORRUPTIONS)}, got {entry!r}")

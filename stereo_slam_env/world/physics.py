@@ -309,34 +309,25 @@ def _stands_at(shape: dict[str, Any]) -> tuple[float, float]:
 
 def _collision_shape(shape: Primitive) -> dict[str, Any]:
     """Arguments of `createCollisionShapeArray` for one shape."""
-    arguments: dict[str, Any] = {
-        "shapeTypes": pybullet.GEOM_SPHERE,
-        "halfExtents": [1.0, 1.0, 1.0],
-        "radii": 1.0,
-        "lengths": 1.0,
-        "collisionFramePositions": [0.0, 0.0, 0.0],
-        "collisionFrameOrientations": [0.0, 0.0, 0.0, 1.0],
-    }
+    kind, half_extents, radius, length, turn = pybullet.GEOM_SPHERE, [1.0, 1.0, 1.0], 1.0, 1.0, [0.0, 0.0, 0.0, 1.0]
     if isinstance(shape, Box):
-        arguments |= {
-            "shapeTypes": pybullet.GEOM_BOX,
-            "halfExtents": [0.5 * s for s in shape.size],
-            "collisionFramePositions": list(shape.center),
-            "collisionFrameOrientations": [0.0, 0.0, math.sin(0.5 * shape.yaw), math.cos(0.5 * shape.yaw)],
-        }
+        kind, half_extents, middle = pybullet.GEOM_BOX, [0.5 * s for s in shape.size], list(shape.center)
+        turn = [0.0, 0.0, math.sin(0.5 * shape.yaw), math.cos(0.5 * shape.yaw)]
     elif isinstance(shape, Cylinder):
         start, end = np.array(shape.start), np.array(shape.end)
         length = float(np.linalg.norm(end - start))
-        arguments |= {
-            "shapeTypes": pybullet.GEOM_CYLINDER,
-            "radii": shape.radius,
-            "lengths": length,
-            "collisionFramePositions": (0.5 * (start + end)).tolist(),
-            "collisionFrameOrientations": _turn_from_z((end - start) / length),
-        }
+        kind, radius, middle = pybullet.GEOM_CYLINDER, shape.radius, (0.5 * (start + end)).tolist()
+        turn = _turn_from_z((end - start) / length)
     else:
-        arguments |= {"radii": shape.radius, "collisionFramePositions": list(shape.center)}
-    return arguments
+        radius, middle = shape.radius, list(shape.center)
+    return {
+        "shapeTypes": kind,
+        "halfExtents": half_extents,
+        "radii": radius,
+        "lengths": length,
+        "collisionFramePositions": middle,
+        "collisionFrameOrientations": turn,
+    }
 
 
 def _turn_from_z(axis: FloatArray) -> list[float]:

@@ -39,17 +39,15 @@ def build_street(route: Route, rng: np.random.Generator) -> Scene:
     roads = [road_along(route), *_side_streets(route)]
     network = RoadNetwork(roads)
     street = _Street(network, rng)
-    for road in roads:
-        for side in (1.0, -1.0):
-            street.line_with_houses(road, side)
+    sides = [(road, side) for road in roads for side in (1.0, -1.0)]
+    for road, side in sides:
+        street.line_with_houses(road, side)
     houses = len(street.primitives)
-    for road in roads:
-        for side in (1.0, -1.0):
-            street.line_with_towers(road, side)
+    for road, side in sides:
+        street.line_with_towers(road, side)
     towers = len(street.primitives)
-    for road in roads:
-        for side in (1.0, -1.0):
-            street.furnish(road, side)
+    for road, side in sides:
+        street.furnish(road, side)
     built = street.primitives
     points = _landmarks(built[:houses] + built[towers:], built[houses:towers], roads, network, rng)
     ground = network.ground(320.0, _GRASS)

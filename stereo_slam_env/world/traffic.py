@@ -12,7 +12,7 @@ import numpy as np
 from filters.validation import BoolArray, FloatArray
 from stereo_slam_env.world import props
 from stereo_slam_env.world.meshes import body_meshes
-from stereo_slam_env.world.road import LANE_OFFSET, Road, stations_of
+from stereo_slam_env.world.road import LANE_OFFSET, road_along, stations_of
 from stereo_slam_env.world.routes import FRAME_PERIOD, Route, pulse
 from stereo_slam_env.world.scene import Box, Cylinder, MovingBody, Primitive
 
@@ -88,7 +88,6 @@ class _Way:
 
 def traffic(
     route: Route,
-    road: Road,
     solids: tuple[Primitive, ...],
     walkway: float,
     rng: np.random.Generator,
@@ -104,7 +103,7 @@ def traffic(
     are asked for.
     """
     car_rng, walker_rng = rng.spawn(2)
-    cast = _Cast(route, road)
+    cast = _Cast(route)
     for own in car_rng.spawn(cars):
         parts = props.vehicle(own)
         long = props.length_of(parts)
@@ -120,12 +119,12 @@ def traffic(
 class _Cast:
     """The bodies so far and where they are, so that the next one keeps clear of them and of the ego car."""
 
-    def __init__(self, route: Route, road: Road) -> None:
-        self._road, self._duration = road, route.duration
+    def __init__(self, route: Route) -> None:
+        self._road, self._duration = road_along(route), route.duration
         self._times = np.arange(0.0, route.duration + _AFTER, FRAME_PERIOD)
         frames = np.minimum(np.arange(len(self._times)), route.frames - 1)
         over = np.maximum(self._times - route.duration, 0.0)
-        self._ego = stations_of(route, road)[frames] + max(float(route.speeds[-1]), 1.0) * over
+        self._ego = stations_of(route, self._road)[frames] + max(float(route.speeds[-1]), 1.0) * over
         self._eyes = (route.positions[:, [2, 0]] * [1.0, -1.0])[frames]
         self._gaze = -route.headings[frames]
         self._taken = [(_circles(self._eyes, self._gaze, _EGO_CIRCLES), _EGO_RADIUS + _SWAY)]

@@ -59,14 +59,9 @@ class AgentDriver:
         return pose, Velocity(np.array([0.0, 0.0, self.speed]), np.zeros(3))
 
     def drive(self, pose: Pose, action: FloatArray) -> Velocity:
-        """Mean velocity (v in W, omega in the camera frame) of the next step.
+        """Mean velocity (v in W, omega in the camera frame) of the next step from the camera pose.
 
-        Parameters
-        ----------
-        pose : Pose
-            Current camera pose.
-        action : (2,)
-            Acceleration and steering angle in -1..1 of their limits; positive steers right.
+        The action (2,) is acceleration and steering angle in -1..1 of their limits; positive steers right.
         """
         car, dt = self.car, FRAME_PERIOD
         before = self.speed

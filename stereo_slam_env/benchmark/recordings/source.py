@@ -3,7 +3,7 @@
 A source is tagged data: `kind` names its class, and its fields are the table `options` of a scenario file. A new source
 is a subclass of `Source` with a tag, its fields and `record`::
 
-    class BagSource(Source, tag="bag"):
+    class BagSource(Source, frozen=True, tag="bag"):
         path: str
         topic: str = "/stereo"
 

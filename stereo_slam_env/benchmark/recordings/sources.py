@@ -29,7 +29,7 @@ ENTRY_POINT_GROUP = "stereo_slam.sources"
 GAZE = "StereoSlam/Gaze-v0"
 
 
-class StreetSource(Source, tag="street"):
+class StreetSource(Source, frozen=True, tag="street"):
     """The PyBullet street of the environment.
 
     Attributes
@@ -80,7 +80,7 @@ class StreetSource(Source, tag="street"):
         return self.replaced(sensor="images", renderer=renderer)
 
 
-class GazeSource(Source, tag="gaze"):
+class GazeSource(Source, frozen=True, tag="gaze"):
     """An environment in which a policy decides where to look.
 
     Attributes
@@ -141,7 +141,7 @@ class GazeSource(Source, tag="gaze"):
         return env
 
 
-class ReferenceSource(Source, tag="reference"):
+class ReferenceSource(Source, frozen=True, tag="reference"):
     """Pure geometry, in which the filters' models hold.
 
     Attributes
@@ -183,7 +183,7 @@ class ReferenceSource(Source, tag="reference"):
         return problems[self.name]
 
 
-class DatasetSource(Source, tag="dataset"):
+class DatasetSource(Source, frozen=True, tag="dataset"):
     """A real recording, of tracks or of images, or a stored one.
 
     Attributes
@@ -220,7 +220,7 @@ class DatasetSource(Source, tag="dataset"):
         return _opened(json.dumps(self.options, sort_keys=True))
 
 
-class FactorySource(Source, tag="factory"):
+class FactorySource(Source, frozen=True, tag="factory"):
     """Any function that returns a `Recording`.
 
     Attributes

@@ -159,9 +159,8 @@ def test_the_images_of_a_scenario_are_those_its_recording_was_made_of():
 
 
 def test_settings_of_the_front_end_are_options_of_a_recording(folder):
-    sequence, settings = make_sequence(
-        of(folder, source=DatasetSource(str(folder), {"front_end": {"max_misses": 1}})), None
-    )
+    given = DatasetSource(str(folder), {"front_end": {"max_misses": 1}})
+    sequence, settings = make_sequence(of(folder, source=given), None)
     assert len(sequence) == FRAMES
     assert settings == TrackerSettings(max_misses=1)
     with pytest.raises(ValueError, match="no setting 'max_mises', did you mean 'max_misses'"):
