@@ -56,14 +56,9 @@ def open_sequence(
     path : Path
         For example `MH_01_easy`.
     first, last, on_broken
-        See `open_image_sequence`.
+        See `open_image_sequence`, also for what is raised.
     use_truth : bool
         Whether to read the truth, where there is one, and to leave out the frames that it does not cover.
-
-    Raises
-    ------
-    ValueError
-        Something is missing, damaged or contradictory: one line that names the file.
     """
     root = _root(path.resolve())
     faults = Faults(on_broken)

@@ -79,11 +79,6 @@ def open_sequence(
         Whether to take the poses of the GPS/IMU unit as (weak) truth.
     rate_hz : float, optional
         Frame rate to take instead of the times in `insdata.txt`; None takes those, and 10 Hz where there are none.
-
-    Raises
-    ------
-    ValueError
-        Something is missing, damaged or contradictory: one line that names the file.
     """
     path = path.resolve()
     faults = Faults(on_broken)

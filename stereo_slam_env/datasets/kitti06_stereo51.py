@@ -49,16 +49,11 @@ def open_sequence(
     path : Path
         Folder with the files named in `FILES`.
     first, last, on_broken
-        See `open_image_sequence`.
+        See `open_image_sequence`, also for what is raised.
     sigma_linear, sigma_angular : float
         White noise that is added to the velocities, m/s and rad/s per axis.
     odometry_seed : int
         Of that noise.
-
-    Raises
-    ------
-    ValueError
-        Something is missing, damaged or contradictory: one line that names the file.
     """
     faults = Faults(on_broken)
     left, right = (CameraFiles(folder := path / name, numbered_images(folder)) for name in ("image_l", "image_r"))

@@ -6,18 +6,19 @@ Layout: `tracks.npz` (features, time_stamps, linear_velocity, rotational_velocit
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 from filters.camera import StereoCamera
 from filters.noise import StereoNoise
 from stereo_slam_env.datasets.odometry import camera_velocities
 from stereo_slam_env.datasets.tracks import ASSUMED_SIGMA_PX, frames_of, tracks_of_pixels
-from stereo_slam_env.files.readers import read_archive, read_poses
+from stereo_slam_env.files.readers import Shape, read_archive, read_poses
 from stereo_slam_env.recording.recording import Pose, Recording, Reference
 
 NAME = "kitti07_tracks"
 FILES = (("tracks.npz", "poses.txt"),)
-SHAPES = {
+SHAPES: Mapping[str, Shape] = {
     "time_stamps": "k",
     "features": (4, "n", "k"),
     "linear_velocity": (3, "k"),

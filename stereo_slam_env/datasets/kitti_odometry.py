@@ -59,16 +59,11 @@ def open_sequence(
     path : Path
         The folder of the sequence.
     first, last, on_broken
-        See `open_image_sequence`.
+        See `open_image_sequence`, also for what is raised.
     cameras : {"grey", "colour"}, optional
         Which pair of cameras; None takes grey where present.
     use_truth : bool
         Whether to read the true poses, where there are any.
-
-    Raises
-    ------
-    ValueError
-        Something is missing, damaged or contradictory: one line that names the file.
     """
     path = path.resolve()
     faults = Faults(on_broken)

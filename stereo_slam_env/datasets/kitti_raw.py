@@ -71,7 +71,7 @@ def open_sequence(
     path : Path
         The folder of the drive.
     first, last, on_broken
-        See `open_image_sequence`.
+        See `open_image_sequence`, also for what is raised.
     cameras : {"grey", "colour"}, optional
         Which pair of cameras; None takes grey where present.
     use_oxts : bool
@@ -80,11 +80,6 @@ def open_sequence(
         White noise that is added to the velocities of the GPS/IMU unit, m/s and rad/s per axis.
     odometry_seed : int
         Of that noise.
-
-    Raises
-    ------
-    ValueError
-        Something is missing, damaged or contradictory: one line that names the file.
     """
     path = path.resolve()
     faults = Faults(on_broken)

@@ -6,6 +6,7 @@ with the arrays of the original file, see `SHAPES`: k steps, n landmarks, i the 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -16,12 +17,12 @@ from filters.noise import StereoNoise
 from filters.validation import FloatArray, positive
 from stereo_slam_env.datasets.odometry import camera_velocities
 from stereo_slam_env.datasets.tracks import frames_of, tracks_of_pixels
-from stereo_slam_env.files.readers import read_archive, require_rotations
+from stereo_slam_env.files.readers import Shape, read_archive, require_rotations
 from stereo_slam_env.recording.recording import LandmarkTruth, Pose, Recording, Reference
 
 NAME = "starry_night"
 FILES = (("starry_night.npz",),)
-SHAPES = {
+SHAPES: Mapping[str, Shape] = {
     "t": "k",
     **dict.fromkeys(("r_i_vk_i", "theta_vk_i", "v_vk_vk_i", "w_vk_vk_i"), (3, "k")),
     "rho_i_pj_i": (3, "n"),

@@ -42,6 +42,10 @@ _DAMAGE = (
 """What `zipfile`, `zlib` and the header's parser raise where a file is not what it says."""
 
 
+Shape = int | str | tuple[int | str, ...]
+"""Of an array in an archive, see `read_archive`."""
+
+
 class DamagedArchive(ValueError):
     """The file is no npz archive of plain arrays, or unpacks to too much; the message does not name the file."""
 
@@ -154,7 +158,7 @@ def require_rotations(path: Path, matrices: FloatArray) -> None:
         raise ValueError(f"{path} holds no rotation in pose {bad[0]}: correct it")
 
 
-def read_archive(path: Path, shapes: Mapping[str, int | str | tuple[int | str, ...]]) -> dict[str, FloatArray]:
+def read_archive(path: Path, shapes: Mapping[str, Shape]) -> dict[str, FloatArray]:
     """Read float64 arrays of known shapes from an npz archive (no pickles).
 
     Parameters
@@ -210,11 +214,6 @@ def read_arrays(source: str | Path | IO[bytes], names: Collection[str] | None = 
         The npz archive.
     names : collection of str, optional
         Arrays to read, those of them that there are; None reads all.
-
-    Returns
-    -------
-    dict
-        Name -> array.
 
     Raises
     ------
