@@ -6,10 +6,7 @@ from .conformance import ConformanceReport as ConformanceReport
 from .conformance import check_filter as check_filter
 from .conformance_pytest import parametrize_with_checks as parametrize_with_checks
 from .consistency import nees as nees
-from .dual_bearing import DualBearingEKF as DualBearingEKF
 from .engine.ekf import StereoEKF as StereoEKF
-from .euclidean_xyz import EuclideanEKF as EuclideanEKF
-from .hybrid_stereo import HybridEKF as HybridEKF
 from .interface import BodyVelocity as BodyVelocity
 from .interface import Forecast as Forecast
 from .interface import LandmarkBelief as LandmarkBelief
@@ -18,7 +15,6 @@ from .interface import StereoFilter as StereoFilter
 from .interface import StereoObservation as StereoObservation
 from .interface import UpdateReport as UpdateReport
 from .interface import VelocityBelief as VelocityBelief
-from .inverse_depth_stereo import InverseDepthStereoEKF as InverseDepthStereoEKF
 from .landmarks.euclidean import Euclidean as Euclidean
 from .landmarks.hybrid import Hybrid as Hybrid
 from .landmarks.inverse_depth import InverseDepth as InverseDepth
@@ -37,7 +33,6 @@ from .measurements.range_bearing import RangeBearing as RangeBearing
 from .monitor import Alarm as Alarm
 from .monitor import Cause as Cause
 from .monitor import DivergenceMonitor as DivergenceMonitor
-from .monocular import MonocularEKF as MonocularEKF
 from .motion import CameraState as CameraState
 from .motion import ConstantVelocity as ConstantVelocity
 from .motion import LinearMeasurement as LinearMeasurement
@@ -46,10 +41,15 @@ from .motion import MotionPrediction as MotionPrediction
 from .motion import VelocityDriven as VelocityDriven
 from .noise import StereoNoise as StereoNoise
 from .poses import Pose as Pose
+from .presets import DualBearingEKF as DualBearingEKF
+from .presets import EuclideanEKF as EuclideanEKF
+from .presets import HybridEKF as HybridEKF
+from .presets import InverseDepthStereoEKF as InverseDepthStereoEKF
+from .presets import MonocularEKF as MonocularEKF
+from .presets import RightInvariantEKF as RightInvariantEKF
+from .presets import SharedAnchorEKF as SharedAnchorEKF
+from .presets import UnscentedStereoFilter as UnscentedStereoFilter
 from .registry import available_filters as available_filters
 from .registry import make_filter as make_filter
-from .right_invariant import RightInvariantEKF as RightInvariantEKF
-from .shared_anchor_stereo import SharedAnchorEKF as SharedAnchorEKF
 from .start import Start as Start
 from .submaps.submap_ekf import SubmapEKF as SubmapEKF
-from .unscented_stereo import UnscentedStereoFilter as UnscentedStereoFilter

@@ -15,15 +15,14 @@ from rich.console import Console
 from filters.noise import StereoNoise
 from filters.registry import FilterFactory, filter_factory, label_of
 from stereo_slam_env.benchmark.head_to_head import HeadToHead
-from stereo_slam_env.benchmark.recordings import sources
-from stereo_slam_env.benchmark.scenarios.presets import preset
+from stereo_slam_env.benchmark.scenarios import streams
 from stereo_slam_env.benchmark.scenarios.scenario import Scenario, filter_choice
+from stereo_slam_env.benchmark.scenarios.study import preset
 from stereo_slam_env.benchmark.statistics.verdict import Verdict, judge
 from stereo_slam_env.envs.recorder import record as record_route
 from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
-from stereo_slam_env.evaluation.run_figures import Figures, figures_of
-from stereo_slam_env.evaluation.summary import summarise_all
+from stereo_slam_env.evaluation.run_figures import Figures, figures_of, summarise_all
 from stereo_slam_env.policies.episode import run_episode
 from stereo_slam_env.policies.registry import make_policy
 from stereo_slam_env.recording.recording import Recording
@@ -102,7 +101,7 @@ def make_recording(scenario: str | Scenario, seed: int | None = 0) -> Recording:
     ValueError
         An unknown preset, or a source that cannot be used.
     """
-    return sources.make_recording(preset(scenario) if isinstance(scenario, str) else scenario, seed)
+    return streams.make_recording(preset(scenario) if isinstance(scenario, str) else scenario, seed)
 
 
 @dataclass(frozen=True, eq=False)
@@ -276,7 +275,7 @@ def compare(
         if not which:
             raise ValueError(f"seeds must be at least one, got {seeds!r}")
         recordings: Iterator[tuple[int | None, Recording]] = (
-            (seed, sources.make_recording(on, seed)) for seed in which
+            (seed, streams.make_recording(on, seed)) for seed in which
         )
         count, title, about = len(which), on.name, on.as_dict()
         settings: dict[str, Any] = {"common_options": on.common_options, "use_odometry": on.use_odometry}

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import dataclasses
 import datetime
 import errno
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
@@ -15,8 +15,7 @@ import typer
 from stereo_slam_env.cli.parts import Interrupted, console, one_line_errors, rig_from, show_place
 
 if TYPE_CHECKING:
-    from stereo_slam_env.benchmark import Scenario, Study
-    from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, PolicyChoice
+    from stereo_slam_env.benchmark import FilterChoice, PolicyChoice, Scenario, Study
 
 Choice = TypeVar("Choice", "FilterChoice", "PolicyChoice")
 FiltersOption = Annotated[str | None, typer.Option("--filters", help="Names, separated by commas.", metavar="A,B")]
@@ -121,8 +120,8 @@ def bench(
     """Compare filters, or policies that decide where to look: scenarios x filters x seeds, one report."""
     with one_line_errors():
         from stereo_slam_env.benchmark import load_study, preset_study, presets
-        from stereo_slam_env.benchmark.scenarios.presets import with_rig
-        from stereo_slam_env.benchmark.scenarios.scenario import policy_choice
+        from stereo_slam_env.benchmark.recordings.source import Renderer, checked
+        from stereo_slam_env.benchmark.scenarios.scenario import Sensor, policy_choice
 
         if show_list:
             for name, description in presets().items():
@@ -136,18 +135,21 @@ def bench(
         else:
             study = preset_study(preset or usual, data=data)
 
+        measured: Sensor | None = checked("--sensor", sensor, Sensor | None)
+        drawn: Renderer | None = checked("--renderer", renderer, Renderer | None)
+
         def adjusted(one: Scenario) -> Scenario:
-            if seeds is not None:
-                one = dataclasses.replace(one, seeds=tuple(range(seeds)))
+            changes: dict[str, Any] = {} if seeds is None else {"seeds": range(seeds)}
             if odometry is not None:
-                one = dataclasses.replace(one, use_odometry=odometry)
+                changes["use_odometry"] = odometry
             if policy is not None:
-                one = dataclasses.replace(one, policies=_chosen(policy, one.policies, policy_choice))
-            return _adjusted(_sensed(one, sensor, renderer), filters, frames, sigma_px, gate, search)
+                changes["policies"] = _chosen(policy, one.policies, policy_choice)
+            one = replace(one, **changes).with_sensor(measured, drawn)
+            return _adjusted(one, filters, frames, sigma_px, gate, search)
 
         study = study.with_scenarios(adjusted)
         if rig is not None:
-            study = with_rig(study, rig_from(rig))
+            study = study.with_rig(rig_from(rig))
         directory = _ready(study, out)
         with _film(study.name, record) as show:
             show(study.cells[0].scenario)
@@ -181,17 +183,18 @@ def replay(
     with one_line_errors():
         from stereo_slam_env.benchmark import Scenario, Study
         from stereo_slam_env.benchmark.campaign import check_study
-        from stereo_slam_env.benchmark.recordings.sources import make_recording
+        from stereo_slam_env.benchmark.recordings.sources import DatasetSource
+        from stereo_slam_env.benchmark.scenarios.streams import make_recording
         from stereo_slam_env.report.console import progress_bar, show_recording
 
         where = path if path.partition(":")[0] == "gtsam" else str(Path(path).resolve())
-        options = {"path": where, "on_broken": "skip"} if skip_broken else {"path": where}
+        source = DatasetSource(where, {"on_broken": "skip"} if skip_broken else {})
         name = f"replay-{Path(where).name.replace(':', '-')}"
-        scenario = Scenario(name, "dataset", options, metrics=("map",))  # no bound: the true noise is not known
-        scenario = dataclasses.replace(scenario, use_odometry=odometry)
+        # No bound: the true noise is not known.
+        scenario = Scenario(name, source, use_odometry=odometry, metrics=("map",))
         scenario = _adjusted(scenario, filters, frames, sigma_px, gate, search)
         joint = scenario.gate is not None if consensus is None else consensus
-        scenario = dataclasses.replace(scenario, consensus=joint)
+        scenario = replace(scenario, consensus=joint)
         check_study(Study.of(scenario))
         with _film(scenario.name, record) as show:
             with progress_bar(console(stderr=True), "pairs") as progress:
@@ -199,7 +202,7 @@ def replay(
             show_recording(console(), recording)
             # What is stored must be what happened.
             if not any(frame.odometry is not None for frame in recording.frames):
-                scenario = dataclasses.replace(scenario, use_odometry=False)
+                scenario = replace(scenario, use_odometry=False)
             study = Study.of(scenario)
             directory = _ready(study, out)
             show(scenario)
@@ -229,7 +232,7 @@ def _adjusted(
         changes["consensus"] = scenario.consensus and changes["gate"] is not None
     if search is not None:
         changes["search"] = search
-    return dataclasses.replace(scenario, **changes)
+    return replace(scenario, **changes)
 
 
 def _chosen(names: str, own: Sequence[Choice], usual: Callable[[str], Choice]) -> tuple[Choice, ...]:
@@ -246,26 +249,6 @@ def _gate(text: str) -> float | None:
         return float(text)
     except ValueError:
         raise ValueError(f"--gate must be a probability between 0 and 1, or 'none', got {text!r}") from None
-
-
-def _sensed(scenario: Scenario, sensor: str | None, renderer: str | None) -> Scenario:
-    """The scenario with the sensor of the command line."""
-    from stereo_slam_env.benchmark.recordings.sources import takes_images
-    from stereo_slam_env.benchmark.scenarios.presets import with_images
-
-    if sensor not in (None, "landmarks", "images"):
-        raise ValueError(f"--sensor must be 'landmarks' or 'images', got {sensor!r}")
-    seen = takes_images(scenario)
-    if sensor == "images" and not seen:
-        return with_images(scenario, renderer or "tiny")
-    changes: dict[str, Any] = {}
-    if sensor == "landmarks" and seen:
-        seen, changes["sensor"] = False, sensor
-    if renderer is not None:
-        if not seen:
-            raise ValueError("--renderer needs --sensor images: nothing is drawn for landmarks")
-        changes["renderer"] = renderer
-    return dataclasses.replace(scenario, options={**scenario.options, **changes})
 
 
 def _ready(study: Study, out: Path | None) -> Path:
@@ -300,7 +283,8 @@ def _film(title: str, record: Path | None) -> Iterator[Callable[[Scenario], None
 
 def _run(study: Study, directory: Path, jobs: int, engine: str, address: str | None) -> None:
     """Run, show the table, and say where everything is; when interrupted, say how to go on."""
-    from stereo_slam_env.benchmark.campaign import run_benchmark
+    from stereo_slam_env.benchmark.campaign import EngineName, run_benchmark
+    from stereo_slam_env.benchmark.recordings.source import checked
     from stereo_slam_env.report.benchmark_report import write_report_of
     from stereo_slam_env.report.console import progress_bar, show_cells, show_study
 
@@ -311,7 +295,7 @@ def _run(study: Study, directory: Path, jobs: int, engine: str, address: str | N
                 study,
                 directory,
                 jobs=jobs,
-                engine=engine,
+                engine=checked("engine", engine, EngineName),
                 address=address,
                 progress=progress,
                 write_report=write_report_of,

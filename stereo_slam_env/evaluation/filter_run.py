@@ -16,10 +16,8 @@ from filters.motion import POSE_SIZE, POSITION, ROTATION
 from filters.registry import FilterFactory, label_of
 from filters.validation import FloatArray, IntArray
 from stereo_slam_env.evaluation.landmark_statistics import LandmarkScorer
-from stereo_slam_env.evaluation.map_scoring import mean_nees, position_rmse, score_map, view_map
-from stereo_slam_env.evaluation.memory import peak_memory_mb
-from stereo_slam_env.evaluation.results import COUNTS, EVENTS, FilterRun
-from stereo_slam_env.evaluation.traces import TraceRecorder
+from stereo_slam_env.evaluation.map_scoring import TraceRecorder, mean_nees, position_rmse, score_map, view_map
+from stereo_slam_env.evaluation.results import COUNTS, EVENTS, FilterRun, peak_memory_mb
 from stereo_slam_env.loop import Moment, Observe, run
 from stereo_slam_env.recording.recording import Recording
 

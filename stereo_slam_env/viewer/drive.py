@@ -15,8 +15,8 @@ import numpy as np
 
 from filters.camera import StereoCamera
 from filters.registry import FilterFactory, filter_arguments, label_of
-from stereo_slam_env.benchmark.recordings.sources import make_sequence, without_measurements
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice
+from stereo_slam_env.benchmark.scenarios.streams import make_sequence, without_measurements
 from stereo_slam_env.benchmark.storage.run_archive import load_run
 from stereo_slam_env.benchmark.storage.store import RunDirectory
 from stereo_slam_env.benchmark.storage.study_store import read_study

@@ -13,7 +13,7 @@ from filters.known_names import one_of
 from filters.motion import ConstantVelocity
 from filters.validation import IntArray, finite_number, whole_number
 from stereo_slam_env.evaluation.consistency import mean_band
-from stereo_slam_env.evaluation.reference_belief import ReferenceBelief
+from stereo_slam_env.evaluation.cramer_rao import ReferenceBelief
 from stereo_slam_env.wrappers.information import Criterion, InformationCriterion, Subject
 from stereo_slam_env.wrappers.recorded_wrapper import RecordedWrapper
 

@@ -24,7 +24,7 @@ from filters.conformance import _same
 from filters.conformance import assert_healthy as assert_contract
 from filters.engine.error_definition import ERRORS
 from filters.engine.options import LANDMARKS, MEASUREMENTS
-from filters.registry import _OWN as NAMED
+from filters.presets import PRESETS as NAMED
 
 from .drives import CAMERA, INDEPENDENT_PIXELS
 

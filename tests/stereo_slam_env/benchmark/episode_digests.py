@@ -8,12 +8,12 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from stereo_slam_env.benchmark.recordings.episodes import DEFAULT_ENVIRONMENT
 from stereo_slam_env.benchmark.scenarios.scenario import Scenario
-from stereo_slam_env.files.digest import Digest
+
+from ..digest import Digest
 
 WAYS = ("environment alone", "vector, sync", "vector, async")
-_KINDS = {"street": "StereoSlam/Drive-v0", "gaze": DEFAULT_ENVIRONMENT}
+_KINDS = {"street": "StereoSlam/Drive-v0", "gaze": "StereoSlam/Gaze-v0"}
 _VECTORS: Mapping[str, Mapping[str, Any]] = {
     "vector, sync": {"vectorization_mode": "sync"},
     # New processes, which share nothing with this one but their arguments.
@@ -31,8 +31,8 @@ def digest_of_episodes(scenario: Scenario, way: str) -> str:
     way : str
         One of `WAYS`.
     """
-    arguments = dict(scenario.options)
-    name = arguments.pop("environment", _KINDS[scenario.kind])
+    arguments = scenario.source.options
+    name = arguments.pop("environment", _KINDS[scenario.source.kind])
     seeds, steps = [int(seed) for seed in scenario.seeds], (scenario.frames or 2) - 1
     if way in _VECTORS:
         episodes = _in_a_vector(name, arguments, seeds, steps, _VECTORS[way])

@@ -10,18 +10,21 @@ import pytest
 from stereo_slam_env.benchmark import Scenario, Study, run_filter
 from stereo_slam_env.benchmark.campaign import run_benchmark
 from stereo_slam_env.benchmark.recordings.reference_problem import short_turn
+from stereo_slam_env.benchmark.recordings.sources import GazeSource, ReferenceSource, StreetSource
 from stereo_slam_env.benchmark.scenarios.scenario import filter_choice, policy_choice
 from stereo_slam_env.benchmark.storage.store import pairing_digest
-from stereo_slam_env.files.digest import Digest
 
+from ..digest import Digest
 from .episode_digests import WAYS, digest_of_episodes
 
 FILTERS = (filter_choice("inverse-depth"),)
 SHORT = {"filters": FILTERS, "seeds": (0, 1), "frames": 3}
 SCENARIOS = {
-    "street": Scenario("corner", "street", {"route": "right-turn", "rig": "qvga", "max_landmarks": 20}, **SHORT),
-    "reference": Scenario("reference", "reference", {"name": "short_turn"}, **SHORT),
-    "gaze": Scenario("gaze", "gaze", {"rig": "qvga"}, policies=(policy_choice("sweep"),), metrics=("map",), **SHORT),
+    "street": Scenario("corner", StreetSource({"route": "right-turn", "rig": "qvga", "max_landmarks": 20}), **SHORT),
+    "reference": Scenario("reference", ReferenceSource("short_turn"), **SHORT),
+    "gaze": Scenario(
+        "gaze", GazeSource({"rig": "qvga"}), policies=(policy_choice("sweep"),), metrics=("map",), **SHORT
+    ),
 }
 MEASURED_BY_A_CLOCK = ("milliseconds", "predict_milliseconds", "update_milliseconds", "memory_mb")
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from filters import ConstantVelocity, make_filter
-from stereo_slam_env.evaluation.reference_belief import ReferenceBelief
+from stereo_slam_env.evaluation.cramer_rao import ReferenceBelief
 
 from ..benchmark.small_recordings import small_recording
 

@@ -3,8 +3,7 @@
 import numpy as np
 
 from filters import Start, StereoNoise, StereoObservation, make_filter
-from stereo_slam_env.evaluation.map_scoring import view_map
-from stereo_slam_env.evaluation.traces import TraceRecorder, choose_landmarks
+from stereo_slam_env.evaluation.map_scoring import TraceRecorder, choose_landmarks, view_map
 from stereo_slam_env.recording.recording import Frame, Recording
 
 from ..benchmark.small_recordings import CAMERA, small_recording

@@ -4,7 +4,9 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
+from markupsafe import Markup
 
+from stereo_slam_env.benchmark.recordings.sources import StreetSource
 from stereo_slam_env.benchmark.scenarios.scenario import Scenario
 from stereo_slam_env.benchmark.scenarios.study import Cell, Study
 from stereo_slam_env.benchmark.statistics.attribution import attribute_runs
@@ -16,7 +18,7 @@ from stereo_slam_env.report.study_report import write_study_report
 from ...synthetic_runs import THREE, Behaviour, make_bounds, make_runs, scored
 from .test_run_report import Page
 
-SCENARIO = Scenario("made-up", "street", {"route": "town"}, seeds=(0,))
+SCENARIO = Scenario("made-up", StreetSource({"route": "town"}), seeds=(0,))
 
 
 @pytest.fixture
@@ -26,7 +28,7 @@ def drawn(monkeypatch):
 
     def figure_block(_, name, *__):
         names.append(name)
-        return f"<figure>{name}</figure>"
+        return Markup(f"<figure>{name}</figure>")
 
     for module in (study_report, attribution_report, comparison_report):
         monkeypatch.setattr(module, "figure_block", figure_block)

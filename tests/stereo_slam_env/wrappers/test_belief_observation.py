@@ -148,7 +148,7 @@ class Broken(StereoFilter):
     ],
 )
 def test_a_filter_that_breaks_down_is_named_with_frame_and_cause(monkeypatch, what, message):
-    monkeypatch.setitem(__import__("filters.registry", fromlist=["_OWN"])._OWN, "broken", Broken)
+    monkeypatch.setitem(__import__("filters.presets", fromlist=["PRESETS"]).PRESETS, "broken", Broken)
     env = BeliefObservation(ReplayEnv(), "broken", options={"what": what})
     with pytest.raises(RuntimeError) as caught:
         episode(env)
