@@ -12,6 +12,7 @@ from .benchmark.scenarios.scenario import FilterChoice as FilterChoice
 from .benchmark.scenarios.scenario import PolicyChoice as PolicyChoice
 from .benchmark.scenarios.scenario import Scenario as Scenario
 from .benchmark.scenarios.study import Study as Study
+from .datasets import load as load
 from .envs.drive import StereoDriveEnv as StereoDriveEnv
 from .envs.drive_gaze import StereoDriveGazeEnv as StereoDriveGazeEnv
 from .envs.gaze import StereoGazeEnv as StereoGazeEnv
