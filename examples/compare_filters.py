@@ -7,7 +7,7 @@ Each seed is a drive that all filters are given, bit for bit; differences are ta
 import argparse
 
 from filters import StereoEKF
-from stereo_slam_env.benchmark import figures_of, run_filter, summarise_all
+from stereo_slam_env.evaluation import figures_of, run_filter, summarise_all
 from stereo_slam_env.benchmark.recordings.reference_problem import short_turn
 from stereo_slam_env.benchmark.statistics.differences import paired_difference
 

@@ -10,7 +10,7 @@ Run it: python examples/replay_kitti.py PATH/sequences/07 --frames 200
 import argparse
 import tempfile
 
-from stereo_slam_env.benchmark import figures_of, run_filter, summarise_all
+from stereo_slam_env.evaluation import figures_of, run_filter, summarise_all
 from stereo_slam_env.datasets import open_for_front_end
 from stereo_slam_env.datasets.images.kitti_writer import write_kitti_sequence
 from stereo_slam_env.envs.rendered_drive import RenderedDrive

@@ -1,1 +1,5 @@
 """The vision front end: from stereo images to (u, v, d) with ids."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

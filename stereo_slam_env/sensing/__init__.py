@@ -1,1 +1,5 @@
 """Sensors: from the true world to what a filter is given."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
