@@ -43,7 +43,7 @@ format: $(VENV)/.installed-dev ## Let ruff put the code in order
 	@$(BIN)/ruff format
 
 docs: $(VENV)/.installed-docs ## Build the manual into site/ (open site/index.html; nothing is fetched)
-	@NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet --strict
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
 	@echo "the manual: site/index.html"
 
 clean: ## Remove the virtual environment, builds and caches (results in runs/ stay)
@@ -56,11 +56,11 @@ $(BIN)/python:
 	@$(PYTHON) -m venv $(VENV)
 
 $(VENV)/.installed: pyproject.toml | $(BIN)/python
-	@$(PIP) --editable '.[report]'
+	@$(PIP) --editable .
 	@touch $@
 
 $(VENV)/.installed-dev: pyproject.toml constraints.txt | $(BIN)/python
-	@$(PIP) --constraint constraints.txt --editable '.[dev,gtsam,evo,fast,gl,report,ray,dask,rl,video,docs,viewer]'
+	@$(PIP) --constraint constraints.txt --editable '.[dev,gtsam,evo,fast,gl,ray,dask,rl,video,docs,viewer]'
 	@touch $@ $(VENV)/.installed $(VENV)/.installed-docs
 
 $(VENV)/.installed-docs: pyproject.toml | $(BIN)/python

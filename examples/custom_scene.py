@@ -34,7 +34,7 @@ def build_avenue(route, rng):
             layout.claim(place, yaw, (1.4, 1.4), room=1.0, clearance=6.0, make=column)
     points = facing_points(layout.primitives, 25 * len(layout.primitives), 12.0, network.nearest, rng)
     ground, lane = network.ground(150.0, GRASS), paved([road], [LANE])
-    return Scene(ground, tuple(layout.primitives), lane, np.arange(len(points)), points)
+    return Scene(ground, tuple(layout.primitives), lane, points)
 
 
 def column(at):

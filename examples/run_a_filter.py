@@ -1,4 +1,4 @@
-"""Run a filter in the environment and see whether it knows how wrong it is.
+"""Run a filter in the environment and compare its errors with its covariance.
 
 Run it: python examples/run_a_filter.py
 """

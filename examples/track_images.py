@@ -1,4 +1,4 @@
-"""From rendered images to a trajectory: a drive, the front end, and a filter that says where to look.
+"""From rendered images to a trajectory: a drive, the front end, and a filter whose forecast guides the search.
 
 Run it: python examples/track_images.py
 """

@@ -1,4 +1,4 @@
-"""`check_filter`: what any filter must pass, ours and third parties' (after scikit-learn's `check_estimator`).
+"""`check_filter`: the checks that every filter must pass (after scikit-learn's `check_estimator`).
 
 Most checks use a short drive past a cloud of points and need no reference implementation; accuracy is held against
 `inverse-depth` on longer drives. Camera and noise are the filter's own.

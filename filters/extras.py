@@ -1,4 +1,4 @@
-"""Installing what an option needs beyond the core: the extras of the distribution."""
+"""Install commands of the extras of the distribution."""
 
 from __future__ import annotations
 

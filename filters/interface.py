@@ -1,4 +1,4 @@
-"""What every filter offers, and what goes in and out of it.
+"""The interface of filters, and the value types of its inputs and outputs.
 
 Frames: W is the world (the left camera at `reset`), C the left camera (x right, y down, z forward).
 Orientations are unit quaternions xyzw; R_wc takes camera vectors into W. SI units, float64.

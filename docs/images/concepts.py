@@ -8,6 +8,7 @@ Everything in them is computed by the package: its camera, its filters, its gate
 from __future__ import annotations
 
 import copy
+import io
 import sys
 from collections.abc import Callable
 from functools import cache
@@ -25,8 +26,9 @@ from stereo_slam_env.benchmark.recordings.reference_problem import long_drive
 from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.evaluation.results import FilterRun
 from stereo_slam_env.report.charts.consistency import plot_error_bounds, plot_nees
-from stereo_slam_env.report.charts.figures import on_white, svg_of
-from stereo_slam_env.report.charts.style import BAND, INK, MUTED, PALETTE, WIDTH_INCHES, styled
+from stereo_slam_env.report.charts.drawing import Chart, on_white
+from stereo_slam_env.report.charts.style import BAND, INK, MUTED, PALETTE
+from stereo_slam_env.viewer.picture_style import WIDTH_INCHES, style_context, styled
 from stereo_slam_env.wrappers.information import InformationCriterion, log_det
 
 HERE = Path(__file__).resolve().parent
@@ -241,17 +243,17 @@ def _unknown(slam: StereoFilter) -> dict[str, float]:
     }
 
 
-def nees() -> Figure:
+def nees() -> Chart:
     """A filter that knows how wrong it is, and three that do not."""
     return plot_nees(runs())
 
 
-def error_bounds_consistent() -> Figure:
+def error_bounds_consistent() -> Chart:
     """Errors of one drive inside the 3 sigma that the filter claims."""
     return plot_error_bounds(next(run for run in runs() if run.filter_name == RIGHT))
 
 
-def error_bounds_overconfident() -> Figure:
+def error_bounds_overconfident() -> Chart:
     """Errors of the same drive, of a filter that is too sure."""
     return plot_error_bounds(next(run for run in runs() if run.filter_name == XYZ))
 
@@ -279,7 +281,7 @@ def runs(seeds: int = 12, frames: int = 240, landmarks: int = 30) -> tuple[Filte
     return tuple(made)
 
 
-FIGURES: tuple[Callable[[], Figure], ...] = (
+FIGURES: tuple[Callable[[], Figure | Chart], ...] = (
     stereo_geometry,
     depth_not_gaussian,
     inverse_depth,
@@ -313,11 +315,21 @@ def _two_densities(ax: Axes, x: np.ndarray, true: np.ndarray, claimed: np.ndarra
     ax.set(yticks=[], ylim=(0, None), xlim=(x[0], x[-1]))
 
 
+def svg_of(figure: Figure | Chart) -> str:
+    """The drawing on white, with its texts as text."""
+    if isinstance(figure, Chart):
+        return on_white(figure.svg())
+    buffer = io.StringIO()
+    with style_context():
+        figure.savefig(buffer, format="svg", facecolor="white", metadata={"Date": None, "Creator": None})
+    return buffer.getvalue()
+
+
 def main(names: list[str]) -> None:
     """Write the figures named, or all."""
     for draw in FIGURES:
         if not names or draw.__name__ in names:
-            (HERE / f"concept_{draw.__name__}.svg").write_text(on_white(svg_of(draw())), encoding="utf-8")
+            (HERE / f"concept_{draw.__name__}.svg").write_text(svg_of(draw()), encoding="utf-8")
 
 
 if __name__ == "__main__":

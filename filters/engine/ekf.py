@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from filters.camera import StereoCamera
 from filters.engine import gating, kalman, symmetric
 from filters.engine.consensus import largest_agreement
-from filters.engine.fates import BEHIND, FAILED, GATED, USED, FateArray
+from filters.engine.gating import BEHIND, FAILED, GATED, USED, FateArray
 from filters.engine.heavy_tails import reweighted
 from filters.engine.joint_state import JointState, world_rotation_of_camera
 from filters.engine.linearisation import in_front, linearise, project

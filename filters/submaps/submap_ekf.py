@@ -1,4 +1,4 @@
-"""`SubmapEKF`: a `StereoEKF` as active map, and behind it a chain of submaps at rest."""
+"""`SubmapEKF`: a `StereoEKF` as active map, and a chain of inactive submaps."""
 
 from __future__ import annotations
 

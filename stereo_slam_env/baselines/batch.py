@@ -15,7 +15,7 @@ from filters.interface import BodyVelocity, Forecast, LandmarkBelief, StereoObse
 from filters.motion import CAMERA_SIZE, POSE_SIZE, CameraState, ConstantVelocity, MotionModel, VelocityDriven
 from filters.noise import StereoNoise
 from filters.validation import FloatArray, IntArray, positive
-from stereo_slam_env.baselines.camera_filter import CameraBelief, CameraFilter
+from stereo_slam_env.baselines.dead_reckoning import CameraBelief, CameraFilter
 from stereo_slam_env.baselines.smoothing_graph import Sightings, Smoothed, SmoothingGraph, load_gtsam
 
 # A landmark enters the graph once its inverse distance is so many standard deviations from zero, and then with all its

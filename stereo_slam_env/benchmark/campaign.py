@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TypeVar
+from typing import Literal, TypeVar
 
 from filters import available_filters, make_filter
 from filters.camera import StereoCamera
@@ -31,6 +31,7 @@ from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
 from stereo_slam_env.evaluation.run_figures import Figures
 from stereo_slam_env.files.claimed_folder import claimed_folder
 
+EngineName = Literal["processes", "ray", "dask"]
 Progress = Callable[[float, int], None]
 ReportWriter = Callable[[StudyDirectory, Sequence[CellResult]], Path]
 Task = TypeVar("Task")
@@ -85,7 +86,7 @@ def run_benchmark(
     policies: Sequence[str | PolicyChoice] | None = None,
     seeds: Sequence[int] | None = None,
     jobs: int = 2,
-    engine: str = "processes",
+    engine: EngineName = "processes",
     address: str | None = None,
     data: str | Path | None = None,
     allow_code: bool = False,
@@ -197,16 +198,12 @@ def check_filters(scenario: Scenario) -> None:
         if choice.name not in known:
             make_filter(choice.name, camera=camera, noise=noise)
         if not known[choice.name].startswith("not available"):
-            _try_to_make(scenario, choice, camera, noise)
-
-
-def _try_to_make(scenario: Scenario, choice: FilterChoice, camera: StereoCamera, noise: StereoNoise) -> None:
-    try:
-        make_with_common_options(choice.name, camera, noise, choice.options, scenario.common_options)
-    except ValueError:
-        raise
-    except Exception as error:  # a third-party constructor may raise anything; the run will record it
-        _log.info("filter %s cannot be made: %s", choice.label, error)
+            try:
+                make_with_common_options(choice.name, camera, noise, choice.options, scenario.common_options)
+            except ValueError:
+                raise
+            except Exception as error:  # a third-party constructor may raise anything; the run will record it
+                _log.info("filter %s cannot be made: %s", choice.label, error)
 
 
 def _run_missing(directory: StudyDirectory, engine: Engine, progress: Progress) -> None:

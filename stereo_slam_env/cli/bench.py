@@ -120,7 +120,8 @@ def bench(
     """Compare filters, or policies that decide where to look: scenarios x filters x seeds, one report."""
     with one_line_errors():
         from stereo_slam_env.benchmark import load_study, preset_study, presets
-        from stereo_slam_env.benchmark.scenarios.scenario import policy_choice
+        from stereo_slam_env.benchmark.recordings.source import Renderer, checked
+        from stereo_slam_env.benchmark.scenarios.scenario import Sensor, policy_choice
 
         if show_list:
             for name, description in presets().items():
@@ -134,13 +135,16 @@ def bench(
         else:
             study = preset_study(preset or usual, data=data)
 
+        measured: Sensor | None = checked("--sensor", sensor, Sensor | None)
+        drawn: Renderer | None = checked("--renderer", renderer, Renderer | None)
+
         def adjusted(one: Scenario) -> Scenario:
             changes: dict[str, Any] = {} if seeds is None else {"seeds": range(seeds)}
             if odometry is not None:
                 changes["use_odometry"] = odometry
             if policy is not None:
                 changes["policies"] = _chosen(policy, one.policies, policy_choice)
-            one = replace(one, **changes).with_sensor(sensor, renderer)
+            one = replace(one, **changes).with_sensor(measured, drawn)
             return _adjusted(one, filters, frames, sigma_px, gate, search)
 
         study = study.with_scenarios(adjusted)
@@ -279,7 +283,8 @@ def _film(title: str, record: Path | None) -> Iterator[Callable[[Scenario], None
 
 def _run(study: Study, directory: Path, jobs: int, engine: str, address: str | None) -> None:
     """Run, show the table, and say where everything is; when interrupted, say how to go on."""
-    from stereo_slam_env.benchmark.campaign import run_benchmark
+    from stereo_slam_env.benchmark.campaign import EngineName, run_benchmark
+    from stereo_slam_env.benchmark.recordings.source import checked
     from stereo_slam_env.report.benchmark_report import write_report_of
     from stereo_slam_env.report.console import progress_bar, show_cells, show_study
 
@@ -290,7 +295,7 @@ def _run(study: Study, directory: Path, jobs: int, engine: str, address: str | N
                 study,
                 directory,
                 jobs=jobs,
-                engine=engine,
+                engine=checked("engine", engine, EngineName),
                 address=address,
                 progress=progress,
                 write_report=write_report_of,

@@ -105,7 +105,7 @@ def record_scene(
 ) -> None:
     """Write a rendered drive as a KITTI odometry sequence, for other people's SLAM systems (and `replay`)."""
     with one_line_errors():
-        from stereo_slam_env.datasets.images.kitti_writer import write_kitti_sequence
+        from stereo_slam_env.datasets import write_kitti_sequence
         from stereo_slam_env.envs.rendered_drive import RenderedDrive
         from stereo_slam_env.report.console import progress_bar
 

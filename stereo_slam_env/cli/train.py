@@ -31,8 +31,7 @@ def train(
 ) -> None:
     """Train a network with PPO to look where a filter learns most; needs the extra rl."""
     with one_line_errors():
-        from stereo_slam_env.report.charts.figures import save_png
-        from stereo_slam_env.report.charts.learning import plot_learning
+        from stereo_slam_env.report.charts.policies import plot_learning
         from stereo_slam_env.report.console import progress_bar
         from stereo_slam_env.training.curve import LearningCurve
         from stereo_slam_env.training.evaluation import evaluate
@@ -52,7 +51,7 @@ def train(
             raise typer.Exit(130) from None
         straight = dataclasses.asdict(evaluate(None, task, VALIDATION_SEEDS))
         rows = LearningCurve(directory / "learning_curve.csv").rows
-        save_png(plot_learning(rows, straight), directory / "learning_curve.png")
+        plot_learning(rows, straight).save(directory / "learning_curve.png")
         best = min(rows, key=lambda row: row["final_pose_logdet"])
         for name, value in straight.items():
             typer.echo(f"{name:<24} network {best[name]:8.3f}   straight ahead {value:8.3f}")

@@ -12,8 +12,8 @@ from filters.camera import StereoCamera
 from filters.known_names import require_known
 from filters.validation import positive
 from stereo_slam_env.frontend.settings import TrackerSettings
-from stereo_slam_env.rendering.backends import RENDERERS
-from stereo_slam_env.sensing.pixel_noise import NOISE_MODELS
+from stereo_slam_env.rendering.backends import RENDERERS, RendererName
+from stereo_slam_env.sensing.pixel_noise import NOISE_MODELS, NoiseName
 from stereo_slam_env.sensing.rigs import Rig, camera_of
 from stereo_slam_env.sensing.sensors import TrackingPolicy
 from stereo_slam_env.world.routes import named_route
@@ -49,9 +49,9 @@ class StereoOptions:
     blank_from: float | None = None
     rig: Rig = "reference"
     sensor: str = "landmarks"
-    renderer: str = "tiny"
+    renderer: RendererName = "tiny"
     render_images: bool = False
-    noise: str = "pixels"
+    noise: NoiseName = "pixels"
     sigma: float = 1.0
     max_landmarks: int = 90
     refill_below: int | None = None

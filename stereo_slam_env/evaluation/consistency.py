@@ -1,31 +1,18 @@
-"""Is a filter as sure as it is right? NEES / NIS against their chi-square bands (Bar-Shalom, ch. 5.4)."""
+"""Chi-square bands of NEES and NIS (Bar-Shalom, Li and Kirubarajan, 2001, section 5.4)."""
 
 from __future__ import annotations
 
 import numpy as np
 from scipy.stats import chi2
 
-from filters.consistency import nees as nees
 from filters.validation import FloatArray, IntArray
 
 
 def mean_band(dof: float, runs: int, probability: float = 0.95) -> tuple[float, float]:
     """Two-sided band of the mean of `runs` independent chi-square variables of `dof` degrees of freedom.
 
-    The sum over N runs is chi-square with N * dof degrees of freedom.
-
-    Parameters
-    ----------
-    dof : float
-        Degrees of freedom of one variable (6 for a pose).
-    runs : int
-        Number of independent runs N.
-    probability : float
-        Of a consistent filter to lie inside.
-
-    Returns
-    -------
-    (low, high)
+    A consistent filter is inside with this probability; the sum over N runs is chi-square with N * dof degrees of
+    freedom.
 
     Raises
     ------

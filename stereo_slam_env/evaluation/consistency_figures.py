@@ -33,13 +33,7 @@ Band = Callable[[FloatArray, IntArray], Bands]
 
 
 def consistency_figures(runs: Sequence[FilterRun]) -> dict[str, ConsistencyFigure]:
-    """The figures of one filter: "pose", "position", "rotation", "landmark", "nis"; what is not known is left out.
-
-    Parameters
-    ----------
-    runs : sequence of FilterRun
-        Its runs that went through.
-    """
+    """NEES and NIS of runs that went through, against their bands, by quantity; what is not known is left out."""
     found = {what: _nees_figure(runs, what) for what in ("pose", "position", "rotation")}
     found |= {"landmark": _landmark_figure(runs), "nis": _nis_figure(runs)}
     return {what: figure for what, figure in found.items() if figure is not None}

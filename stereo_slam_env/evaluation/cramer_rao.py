@@ -62,14 +62,7 @@ def efficiency_interval(bounds: FloatArray, errors: FloatArray, confidence: floa
     """Bootstrap interval of the efficiency over runs, the ratio of both root mean squares, in percent.
 
     By percentiles, seeded: a ratio of means of squares, which are far from Gaussian, has no useful standard error. With
-    ten runs it is a rough one.
-
-    Parameters
-    ----------
-    bounds, errors : (N,) ndarray
-        Bound and root mean square error of each run, in one unit.
-    confidence : float
-        Of the interval.
+    ten runs it is a rough one. `bounds` and `errors` (N,) are of each run, in one unit.
     """
     drawn = np.random.default_rng(0).integers(len(bounds), size=(RESAMPLES, len(bounds)))
     ratios = np.sqrt(np.square(bounds)[drawn].sum(axis=1) / np.square(errors)[drawn].sum(axis=1))
@@ -189,11 +182,11 @@ class ReferenceBelief:
 
     @property
     def pose_covariance(self) -> FloatArray:
-        """Of the pose, (6, 6), as in `PoseBelief`."""
+        """Covariance of the pose, (6, 6), as in `PoseBelief`."""
         return symmetric.full(self._state.P[:POSE_SIZE, :POSE_SIZE])
 
     def joint_covariance(self) -> FloatArray:
-        """Of the pose and the landmark positions in the order of `ids`, as `StereoFilter.joint_covariance`."""
+        """Covariance of the pose and the landmark positions, in the order of `ids`."""
         return joint_covariance(self._state, np.argsort(self._state.ids))
 
     def predict(self, truth: Pose, dt: float, odometry: BodyVelocity | None = None) -> None:
@@ -211,14 +204,9 @@ class ReferenceBelief:
                 kalman.update(self._state.P, kalman.of_camera(measured))
 
     def see(self, observation: StereoObservation, points_w: FloatArray) -> None:
-        """Sightings of known landmarks and of new ones.
+        """Sightings of known landmarks and of new ones, which truly are at `points_w` (M, 3), m in W.
 
-        Parameters
-        ----------
-        observation : StereoObservation
-            Which landmarks, and how well; what was measured does not matter.
-        points_w : (M, 3) ndarray
-            Where they truly are, m in W.
+        What was measured does not matter, only which landmarks, and how well.
         """
         state = self._state
         points_c = (points_w - state.camera.position) @ state.camera.R_wc

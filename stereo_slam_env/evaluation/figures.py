@@ -25,7 +25,7 @@ Place = Literal["brief", "console", "report"]
 Kind = Literal["real", "integer", "text"]
 
 UNKNOWN = "–"
-"""What a table shows in place of a figure that is not known."""
+"""Shown in place of a figure that is not known."""
 
 
 @dataclass(frozen=True)

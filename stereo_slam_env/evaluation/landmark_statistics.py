@@ -242,7 +242,7 @@ def depth_convergence(runs: Sequence[LandmarkStatistics]) -> tuple[DepthConverge
 
 
 def _standard_error(sums: Sequence[FloatArray], counts: Sequence[FloatArray], mean: FloatArray) -> FloatArray:
-    """Of a mean (B,) over all runs, sum of their sums over sum of their counts: runs are independent, landmarks not.
+    """Standard error of a mean (B,) over all runs, sum of sums over sum of counts: only runs are independent.
 
     Source: ratio estimator, Cochran, Sampling Techniques, 1977, section 6.4. NaN for a single run.
     """

@@ -13,9 +13,9 @@ import numpy as np
 
 from filters import rotations
 from filters.camera import StereoCamera
+from filters.consistency import nees
 from filters.interface import StereoFilter, StereoObservation
 from filters.validation import BoolArray, FloatArray, IntArray
-from stereo_slam_env.evaluation.consistency import nees
 from stereo_slam_env.recording.recording import Frame, LandmarkTruth, Pose, Recording
 
 TRACED_DEPTHS: Mapping[str, float] = {"near": 20.0, "far": 75.0}  # m, the paper's

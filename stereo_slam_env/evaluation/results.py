@@ -134,7 +134,7 @@ class FilterRun:
 
     @property
     def reference(self) -> Reference:
-        """What the estimates are held against: `truth_from`, or none where no frame has a truth."""
+        """Reference of the errors: `truth_from`, or none where no frame has a truth."""
         return self.truth_from if np.isfinite(self.true_positions).any() else NO_REFERENCE
 
 
@@ -243,7 +243,7 @@ class FilterSummary:
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What sets this filter apart from the others, a sentence each."""
+        """Common options that this filter was not given, a sentence each."""
         return tuple(
             f"{self.filter_name} does not get the common {option}: {reason}."
             for option, reason in self.not_given.items()

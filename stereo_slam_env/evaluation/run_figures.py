@@ -17,7 +17,7 @@ from stereo_slam_env.evaluation.trajectory_metrics import SegmentErrors
 from stereo_slam_env.evaluation.trial import Sample, Trial
 
 RunKey = tuple[str, int | None]
-"""What identifies a recording: its name and seed."""
+"""Identity of a recording: its name and seed."""
 
 Bounds = Mapping[RunKey, Bound]
 """Theoretical limits of recordings."""
@@ -101,17 +101,10 @@ def summarise_all(runs: Sequence[FilterRun], figures: Figures) -> tuple[FilterSu
 
 
 def summarise(runs: Sequence[FilterRun], figures: RunFigures) -> FilterSummary:
-    """Figures of one filter over its runs.
+    """Figures of one filter over its runs, one a seed; `figures` are those of the same runs.
 
     A run that failed counts as diverged and has no part in the other figures but the event counts; one that diverged
     with finite numbers has.
-
-    Parameters
-    ----------
-    runs : sequence of FilterRun
-        Of one filter, one a seed.
-    figures : RunFigures
-        Of the same runs, see `figures_of`.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What figures are computed from: one run, and all runs of a filter, with the intermediate results figures share."""
+"""Input of the figures: one run, and all runs of a filter, with the intermediate results that figures share."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The vision front end: from stereo images to (u, v, d) with ids."""
+"""Vision front end: (u, v, d) with ids from stereo images."""
 
 import lazy_loader
 

@@ -1,4 +1,8 @@
-"""Zero-mean normalised cross-correlation of patches with an image: its peaks, and their place between the pixels."""
+"""Zero-mean normalised cross-correlation of patches with an image: its peaks, and their places between the pixels.
+
+`best_peaks` correlates every template with a window of its own, windows of similar size together, by the fast Fourier
+transform.
+"""
 
 from __future__ import annotations
 
@@ -57,20 +61,8 @@ def best_peaks(
 ) -> Peaks:
     """The best pixel of each template in a box, or in a part of it.
 
-    Parameters
-    ----------
-    image : (H, W) uint8
-        Grey image. Only pixels with the whole patch inside are candidates.
-    templates : (N, 11, 11) float32
-        What to look for.
-    low, high : (N, 2)
-        First and last (u, v) of the box, whole px.
-    candidates : callable, optional
-        Which pixels count, none of them outside the box; None: all in the box.
-
-    Returns
-    -------
-    Peaks
+    `low` and `high` (N, 2) are the first and the last (u, v) of the boxes, whole px. Only pixels with the whole patch
+    inside the image count and, where `candidates` is given, only those it allows, none of them outside the box.
     """
     n, size = len(templates), np.array([image.shape[1], image.shape[0]])
     first = np.maximum(low, _RADIUS).astype(np.int64)
@@ -114,18 +106,9 @@ def _blocks(sizes: IntArray, members: IntArray) -> Iterator[IntArray]:
 
 
 def correlation_maps(windows: Image, templates: Patches) -> Patches:
-    """Zero-mean normalised cross-correlation of each template with its window, at every position inside.
+    """Zero-mean normalised cross-correlation of each template with its window (n, H, W), at every position inside.
 
-    Parameters
-    ----------
-    windows : (n, H, W) uint8
-        H and W at least 11.
-    templates : (n, 11, 11) float32
-
-    Returns
-    -------
-    (n, H - 10, W - 10) float32
-        In -1..1; [i, y, x] compares the patch whose first pixel is window[y, x].
+    Returns (n, H - 10, W - 10) in -1..1; [i, y, x] compares the patch whose first pixel is window[y, x].
     """
     n, height, width = windows.shape
     template = templates - templates.mean(axis=(1, 2), keepdims=True)
@@ -235,20 +218,7 @@ def refine(image: Image, templates: Patches, pixel: IntArray, offset: FloatArray
     to gain: Gauss-Newton steps are -(g g^T)^-1 g i / (t . i). The noise of t is not correlated with its own central
     differences, so the steps end without bias. Equal white noise in both patches makes 2 (1 - t . i) / 121 the
     variance of a difference, hence 2 (1 - t . i) / 121 (g g^T)^-1 the covariance of p while noise has little part in g.
-    Where the steps lead away from the pixel, the top of the parabolas is kept.
-
-    Parameters
-    ----------
-    image : (H, W) uint8
-        Grey image.
-    templates : (N, 11, 11) float32
-        What was found.
-    pixel, offset : (N, 2)
-        Best pixel and where the parabolas have their top, from `best_peaks`.
-
-    Returns
-    -------
-    Refined
+    Where the steps lead away from the pixel, the top of the parabolas is kept; both are from `best_peaks`.
     """
     stack = np.ascontiguousarray(templates.transpose(1, 2, 0))
     t, length = _normalised(stack)

@@ -1,4 +1,11 @@
-"""Camera motion between two stereo pairs, in spite of moving landmarks and wrong matches."""
+"""Camera motion between two stereo frames, from measurements of the same landmarks in both.
+
+A step is the pose (R, t) of the camera of the second frame in that of the first: p_1 = R p_2 + t. Its error is six
+numbers: t (frame of the first camera, m), then the rotation on the right of R (rad).
+
+With w = d / (f b), the point of a measurement is ray(u, v) / w, so its measurement in the second frame is the
+projection of R^T (ray - w t) at the scale w: no point is ever formed, and d <= 0 is nothing special.
+"""
 
 from __future__ import annotations
 
@@ -146,21 +153,8 @@ def most_likely_step(
     The true measurements of the first frame are unknowns too, eliminated pair by pair. Jacobians are taken at their
     estimates: at the noisy measurements themselves the step would be biased, and the bias of every step adds up.
 
-    Parameters
-    ----------
-    camera : StereoCamera
-        The rig.
-    pairs : Pairs
-        All of the same motion.
-    start : Step
-        About that motion.
-    converged : float
-        It ends with a correction smaller than this, m and rad.
-
-    Returns
-    -------
-    StepEstimate or None
-        None where the pairs do not determine the step.
+    It starts near the motion, with `start`, and ends with a correction smaller than `converged`, m and rad. None where
+    the pairs do not determine the step.
     """
     step, true_first = start, pairs.first
     for _ in range(MAX_ITERATIONS):
@@ -210,22 +204,8 @@ def perspective_n_point(
 ) -> tuple[Step, IntArray] | None:
     """OpenCV's PnP with RANSAC: points of the first frame, pixels of the second; needs no idea of the step.
 
-    Parameters
-    ----------
-    camera : StereoCamera
-        The rig.
-    pairs : Pairs
-        All disparities positive.
-    min_points : int
-        Inliers without which there is no step.
-    polished : bool
-        Whether `cv2.solvePnPRefineLM` refines the step on the inliers.
-
-    Returns
-    -------
-    step : Step
-    inliers : (K,) int64
-        Ascending positions in `pairs`; None for both where there is no step.
+    All disparities have to be positive. With `polished`, `cv2.solvePnPRefineLM` refines the step on the inliers.
+    Returns the step and the ascending positions (K,) of the inliers, or None with fewer than `min_points` of them.
     """
     K = np.array([[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]])
     points, pixels = camera.backproject(pairs.first), np.ascontiguousarray(pairs.second[:, :2])
@@ -300,23 +280,8 @@ def robust_step(camera: StereoCamera, pairs: Pairs, start: Step | None, *, gate:
     """The most likely step of the largest consistent part of `pairs`.
 
     From `start` the gate closes in with the median distance; where that leaves less than 85 % of the pairs, or there
-    is no start, PnP with RANSAC gives another one, and the larger consensus wins.
-
-    Parameters
-    ----------
-    camera : StereoCamera
-        The rig.
-    pairs : Pairs
-        Measurements in both frames.
-    start : Step or None
-        Expected motion.
-    gate : float
-        Probability with which a consistent pair is an inlier.
-
-    Returns
-    -------
-    RobustStep or None
-        None where fewer than `MIN_POINTS` pairs agree.
+    is no start, PnP with RANSAC gives another one, and the larger consensus wins. A consistent pair is an inlier with
+    the probability `gate`. None where fewer than `MIN_POINTS` pairs agree.
     """
     if len(pairs) < MIN_POINTS:
         return None
@@ -365,25 +330,9 @@ def chained(first: Step, second: Step) -> Step:
 def predicted(
     camera: StereoCamera, uvd: FloatArray, R: FloatArray, step: Step, step_covariance: FloatArray
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Where measurements will be after a step, and how well that is known.
+    """Measurements (N, 3) with covariances (N, 3, 3), px, carried over by a step whose error has a covariance (6, 6).
 
-    Parameters
-    ----------
-    camera : StereoCamera
-        The rig.
-    uvd, R : (N, 3), (N, 3, 3)
-        Measurements before the step with their covariances, px.
-    step : Step
-        Expected motion.
-    step_covariance : (6, 6)
-        Of its error: t (m), then the rotation on the right (rad).
-
-    Returns
-    -------
-    uvd : (N, 3) ndarray
-    covariances : (N, 3, 3) ndarray
-        Of the landmark's true image, without the noise of the next measurement.
-    in_front : (N,) ndarray of bool
+    Returns uvd, their covariances, without the noise of the next measurement, and which are in front of the camera.
     """
     moved = transfer(camera, uvd, step)
     covariances = moved.by_first @ R @ moved.by_first.transpose(0, 2, 1)

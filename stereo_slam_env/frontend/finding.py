@@ -11,12 +11,11 @@ from numpy.typing import ArrayLike, NDArray
 from filters.camera import StereoCamera
 from filters.engine.gating import gate_limit
 from filters.validation import BoolArray, FloatArray, IntArray, finite_array
-from stereo_slam_env.frontend.expectation import Expectation
 from stereo_slam_env.frontend.matching import match_rows, search
 from stereo_slam_env.frontend.patches import Image, local_affine, parallax, warped_patches
 from stereo_slam_env.frontend.settings import TrackerSettings
-from stereo_slam_env.frontend.tracks import Outcome, Tracks
-from stereo_slam_env.recording.image_sequence import GreyImage
+from stereo_slam_env.frontend.tracks import Expectation, Outcome, Tracks
+from stereo_slam_env.recording.recording import GreyImage
 
 _BLOCK = 5
 """Side of the window that a corner is judged by, px of the half-size image: 10 px, about a patch."""
@@ -166,7 +165,7 @@ noise nor relief matters, on rendered streets (`stereo-slam scenes noise`), in u
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """What was found of N landmarks: uvd (N, 3) px (NaN: nothing), R (N, 3, 3) px^2, an `Outcome` each (N,)."""
+    """Results of a search for N landmarks: uvd (N, 3) px (NaN: nothing), R (N, 3, 3) px^2, an `Outcome` each (N,)."""
 
     uvd: FloatArray
     R: FloatArray
@@ -188,17 +187,7 @@ class Found:
 
 @dataclass(frozen=True, eq=False)
 class PairFinder:
-    """Looks into one pair.
-
-    Attributes
-    ----------
-    camera : StereoCamera
-        The rig.
-    settings : TrackerSettings
-        Of the front end.
-    left, right : (H, W) uint8
-        The pair.
-    """
+    """Search for landmarks in one pair."""
 
     camera: StereoCamera
     settings: TrackerSettings
@@ -287,7 +276,7 @@ class PairFinder:
 
         What was found in the left image and the match along the row have independent noise. But both compare a patch
         that is taken for a plane; where it is off that plane by r, a match is displaced by the share r / z of all
-        parallax: that since the landmark was first seen, and that between the eyes, the disparity.
+        parallax: that since the landmark was first seen, and that between the cameras, the disparity.
         """
         floor = self.settings.sigma_floor**2
         R = np.zeros((len(disparity), 3, 3))

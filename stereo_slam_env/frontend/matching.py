@@ -72,10 +72,6 @@ def search(
     max_radius : float
         No candidate is further away than this in u or v, px.
 
-    Returns
-    -------
-    SearchResult
-
     Raises
     ------
     ValueError
@@ -170,10 +166,6 @@ def match_rows(
         The second best peak must stay below this share of the best.
     left_right_check : bool
         Match back from the right image over the same range; it must return to within 1 px.
-
-    Returns
-    -------
-    RowMatch
 
     Raises
     ------

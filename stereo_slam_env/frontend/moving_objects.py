@@ -27,22 +27,10 @@ _ALIKE = float(chi2.ppf(0.99, 3))
 def moving_together(
     camera: StereoCamera, before: FloatArray, now: FloatArray, R_before: FloatArray, R_now: FloatArray, step: Step
 ) -> BoolArray:
-    """Which of N landmarks that disagree with the scene move like at least `NEIGHBOURS` others beside them.
+    """Which of N landmarks that disagree with the scene move like at least `NEIGHBOURS` others beside them; (N,).
 
-    Parameters
-    ----------
-    camera : StereoCamera
-        The rig.
-    before, now : (N, 3)
-        Measured (u, v, d), d > 0, in the previous pair and in this one, px.
-    R_before, R_now : (N, 3, 3)
-        Their covariances, px^2.
-    step : Step
-        Motion of the camera.
-
-    Returns
-    -------
-    (N,) ndarray of bool
+    `before` and `now` are their (u, v, d) (N, 3) px, d > 0, in both pairs, with covariances (N, 3, 3) px^2, and `step`
+    is the motion of the camera.
     """
     if len(now) <= NEIGHBOURS:
         return np.zeros(len(now), dtype=bool)
@@ -78,7 +66,7 @@ def _point_covariances(camera: StereoCamera, points_c: FloatArray, R: FloatArray
 
 
 def _depth_sigma(covariances: FloatArray) -> FloatArray:
-    """Of each pair of points, that of the less certain one; (N, N) m."""
+    """Depth sigma of the less certain one of each pair of points; (N, N) m."""
     sigma = np.sqrt(covariances[:, 2, 2])
     return np.maximum(sigma[:, None], sigma[None])
 
@@ -86,30 +74,10 @@ def _depth_sigma(covariances: FloatArray) -> FloatArray:
 def judged(
     camera: StereoCamera, tracks: Tracks, found: Found, steps: Sequence[Step], gate: float
 ) -> tuple[Tracks, IntArray]:
-    """Enter what was found, and say who was found where no standing landmark would be.
+    """Enter what was found into the tracks, and judge which landmarks do not stand still: an `Outcome` each (N,).
 
-    A slow body is told from the scene over several pairs only, so each measurement is compared with all that are
-    remembered.
-
-    Parameters
-    ----------
-    camera : StereoCamera
-        The rig.
-    tracks : Tracks
-        With the memory moved on: nothing measured yet in this pair.
-    found : Found
-        In this pair.
-    steps : sequence of Step
-        Motion of the camera, newest first; empty where it is not known.
-    gate : float
-        Probability with which a standing landmark passes.
-
-    Returns
-    -------
-    tracks : Tracks
-        With the measurements, ages, misses, strikes and moving ones of this pair.
-    outcome : (N,) int64
-        An `Outcome` each.
+    A slow body differs from the scene over several pairs only, so each measurement is compared with the remembered ones
+    over the `steps` of the camera, newest first. A standing landmark passes with the probability `gate`.
     """
     measured, measured_R = tracks.measured.copy(), tracks.measured_R.copy()
     measured[:, 0], measured_R[:, 0] = found.uvd, found.R
@@ -124,10 +92,8 @@ def judged(
         off = squared_distances(camera, pairs, over) > limit
         unlike[known] |= off
         off &= (pairs.first[:, 2] > 0) & (pairs.second[:, 2] > 0)
-        strange = pairs.select(off)
-        together[known[off]] |= moving_together(
-            camera, strange.first, strange.second, strange.R_first, strange.R_second, over
-        )
+        moved = pairs.select(off)
+        together[known[off]] |= moving_together(camera, moved.first, moved.second, moved.R_first, moved.R_second, over)
     strikes = np.where(matched, np.where(unlike, tracks.strikes + 1, 0), tracks.strikes)
     moving = tracks.moving | (together & (strikes >= STRIKES))
     outcome = found.outcome.copy()

@@ -15,8 +15,7 @@ from stereo_slam_env.frontend.ego_motion import Step
 from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.frontend.tracker import StereoTracker
 from stereo_slam_env.frontend.tracks import TrackedPair
-from stereo_slam_env.recording.image_sequence import ImageSequence, StereoPair
-from stereo_slam_env.recording.recording import Frame, Recording, Start
+from stereo_slam_env.recording.recording import Frame, ImageSequence, Recording, Start, StereoPair
 
 TYPICAL_NOISE = StereoNoise.diagonal(0.3, 0.3, 0.3)
 """What a filter is told beforehand; every measurement then comes with a covariance of its own."""

@@ -1,4 +1,7 @@
-"""Stereo images by OpenGL, on a graphics card or by Mesa on the CPU: fast, without a display. Needs moderngl."""
+"""Stereo images by OpenGL, on a graphics card or by Mesa on the CPU: fast, without a display. Needs moderngl.
+
+Row 0 of the frame buffer is row 0 of the image, so nothing has to be flipped when it is read.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +38,7 @@ uniform mat3 R_sb;         // from the frame of the body to S; the identity for 
 uniform vec3 from_camera;  // origin of the body minus the left camera, in S; in two parts so that single precision
 uniform vec3 remainder;    // is enough far from the origin
 uniform mat3 R_cs;
-uniform float eye;         // where the eye is along the camera's x axis
+uniform float shift;       // of the camera that looks along the x axis of the left one
 uniform mat4 projection;
 uniform vec3 sun;          // unit vector in S
 uniform vec2 light;        // ambient, diffuse
@@ -47,7 +50,7 @@ out vec3 at_texel;
 out vec3 tint;
 void main() {
     vec3 p_c = R_cs * ((R_sb * position + from_camera) + remainder);
-    gl_Position = projection * vec4(p_c.x - eye, p_c.yz, 1.0);
+    gl_Position = projection * vec4(p_c.x - shift, p_c.yz, 1.0);
     at_texel = texel;
     tint = color * (light.x + light.y * max(0.0, dot(R_sb * normal, sun)));
 }
@@ -92,30 +95,10 @@ Placed = tuple[MeshBuffer, FloatArray, FloatArray]
 
 
 class GLRenderer:
-    """Draws scenes with OpenGL, both eyes in one frame buffer.
+    """Draws scenes with OpenGL, both views in one frame buffer; see `make_renderer` for arguments and errors.
 
     Several can live in one process. In a process that was forked from one that had drawn with OpenGL, drawing is
     refused.
-
-    Parameters
-    ----------
-    camera : StereoCamera
-        The rig.
-    frame : WorldFrame
-        Where W sits in the scene.
-    supersample : int
-        Draw this many times finer and average: smoother texture and edges, for the square of the time.
-    samples : int
-        Samples a pixel at the edges of things, at most what the driver can (4 in Mesa on the CPU).
-
-    Raises
-    ------
-    ImportError
-        moderngl is not installed.
-    RuntimeError
-        There is no EGL.
-    ValueError
-        The driver cannot take so many samples.
     """
 
     def __init__(self, camera: StereoCamera, frame: WorldFrame, supersample: int = 1, samples: int = 1) -> None:
@@ -165,21 +148,21 @@ class GLRenderer:
         RuntimeError
             There is no scene yet, or the renderer is closed.
         """
-        eye = self._frame.to_scene(pose.position)
+        position = self._frame.to_scene(pose.position)
         R_sc = self._frame.rotation_to_scene(rotations.matrix(pose.orientation))
-        view = ViewVolume.of(self.camera, eye, R_sc, NEAR, FAR)
+        view = ViewVolume.of(self.camera, position, R_sc, NEAR, FAR)
         with self._current() as context:
             if self._standing is None:
                 raise RuntimeError("there is nothing to draw: call build(scene) first")
             self._standing.select(view)
-            things = [(self._standing, np.eye(3), -eye), *self._moving_in(view, time)]
+            things = [(self._standing, np.eye(3), -position), *self._moving_in(view, time)]
             context.enable_only(context.DEPTH_TEST | context.CULL_FACE)
             context.depth_func, context.front_face = "<=", "cw"  # clockwise because the picture is upside down
             self._textures.use()
             self._surface["R_cs"].write(_single(R_sc.T))
             self._frame_buffer.clear()
             for index in (0, 1):
-                self._frame_buffer.draw_eye(index)
+                self._frame_buffer.draw_view(index)
                 self._draw_surfaces(things, index)
                 self._draw_sky(R_sc, index)
             if self._frame_buffer.separate_depth:
@@ -207,11 +190,11 @@ class GLRenderer:
             if view.touches(position, np.full(3, mesh.content.radius)):
                 cos, sin = np.cos(yaw), np.sin(yaw)
                 R_sb = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
-                placed.append((mesh, R_sb, position - view.eye))
+                placed.append((mesh, R_sb, position - view.position))
         return placed
 
-    def _draw_surfaces(self, things: Sequence[Placed], eye_index: int) -> None:
-        self._surface["eye"].value = eye_index * self.camera.baseline
+    def _draw_surfaces(self, things: Sequence[Placed], side: int) -> None:
+        self._surface["shift"].value = side * self.camera.baseline
         for mesh, R_sb, from_camera in things:
             coarse = from_camera.astype(np.float32)
             self._surface["R_sb"].write(_single(R_sb))
@@ -219,9 +202,9 @@ class GLRenderer:
             self._surface["remainder"].write((from_camera - coarse).astype(np.float32))
             mesh.draw()
 
-    def _draw_sky(self, R_sc: FloatArray, eye_index: int) -> None:
+    def _draw_sky(self, R_sc: FloatArray, side: int) -> None:
         a, b, c = sky_slope(self._fine, R_sc)
-        top = eye_index * self._fine.height
+        top = side * self._fine.height
         self._sky["slope"].value = (a, b, c - 0.5 * a - (0.5 + top) * b)
         self._everywhere.render(vertices=3)
 
@@ -241,11 +224,11 @@ class GLRenderer:
 
 
 def _projection(camera: StereoCamera) -> FloatArray:
-    """From the camera frame to clip coordinates, with row 0 of the image at the bottom; (4, 4)."""
+    """Matrix from the camera frame to clip coordinates, with row 0 of the image at the bottom; (4, 4)."""
     opengl = pinhole.projection_matrix(camera, NEAR, FAR, pinhole.OPENGL_OFFSET)
     return np.diag([1.0, -1.0, 1.0, 1.0]) @ opengl @ np.diag([1.0, -1.0, -1.0, 1.0])
 
 
 def _single(matrix: FloatArray) -> bytes:
-    """In single precision, columns first."""
+    """The matrix in single precision, columns first."""
     return matrix.astype(np.float32).tobytes(order="F")

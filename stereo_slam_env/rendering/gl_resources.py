@@ -53,7 +53,7 @@ class DrawList:
 
     @cached_property
     def radius(self) -> float:
-        """Of a ball around the origin with everything in it, m."""
+        """Radius of a ball around the origin with everything in it, m."""
         return float(np.linalg.norm(self.vertices["position"], axis=1).max())
 
     def front_to_back(self, view: ViewVolume) -> NDArray[np.uint32]:
@@ -66,24 +66,24 @@ class DrawList:
 
 @dataclass(frozen=True, eq=False)
 class ViewVolume:
-    """What at least one of two eyes may see: points with normals (6, 3) . p >= offsets (6,)."""
+    """Volume that at least one of the two cameras may see: points with normals (6, 3) . p >= offsets (6,)."""
 
     normals: FloatArray
     offsets: FloatArray
-    eye: FloatArray
+    position: FloatArray
 
     @classmethod
-    def of(cls, camera: StereoCamera, eye: FloatArray, R_sc: FloatArray, near: float, far: float) -> ViewVolume:
-        """Of a rig whose left camera is at `eye` (3,) with rotation `R_sc` (3, 3)."""
+    def of(cls, camera: StereoCamera, position: FloatArray, R_sc: FloatArray, near: float, far: float) -> ViewVolume:
+        """Volume of a rig whose left camera is at `position` (3,) with rotation `R_sc` (3, 3)."""
         left = (-0.5 - camera.cx) / camera.fx
         right = (camera.width - 0.5 - camera.cx) / camera.fx
         top = (-0.5 - camera.cy) / camera.fy
         bottom = (camera.height - 0.5 - camera.cy) / camera.fy
         normals_c = np.array([[1, 0, -left], [-1, 0, right], [0, 1, -top], [0, -1, bottom], [0, 0, 1], [0, 0, -1]])
-        # The right eye sees further to the right, from a baseline further to the right.
+        # The right camera sees further to the right, from a baseline further to the right.
         offsets_c = np.array([0.0, -camera.baseline, 0.0, 0.0, near, -far])
         normals = normals_c @ R_sc.T
-        return cls(normals, offsets_c + normals @ eye, eye)
+        return cls(normals, offsets_c + normals @ position, position)
 
     def touches(self, centers: FloatArray, half_sizes: FloatArray) -> BoolArray:
         """Which upright boxes (..., 3) may reach into it; (...)."""
@@ -91,20 +91,12 @@ class ViewVolume:
         return np.asarray((reach >= self.offsets).all(axis=-1))
 
     def distance(self, points: FloatArray) -> FloatArray:
-        """From the left eye to points (N, 3); (N,) m."""
-        return np.asarray(np.linalg.norm(points - self.eye, axis=1))
+        """From the left camera to points (N, 3); (N,) m."""
+        return np.asarray(np.linalg.norm(points - self.position, axis=1))
 
 
 def draw_list(meshes: Mapping[Material, Mesh], layer: Callable[[Material], int]) -> DrawList:
-    """Pack meshes into one list.
-
-    Parameters
-    ----------
-    meshes : mapping from Material to Mesh
-        As from `world.meshes`.
-    layer : callable
-        Layer of the texture array that a material is painted with.
-    """
+    """Pack meshes into one list; `layer` tells in which layer of the texture array a material is."""
     vertices = np.concatenate([_packed(mesh, material, layer(material)) for material, mesh in meshes.items()])
     shifts = np.cumsum([0] + [len(mesh.vertices) for mesh in meshes.values()])
     triangles = np.concatenate([m.triangles + s for m, s in zip(meshes.values(), shifts[:-1], strict=True)])
@@ -260,7 +252,7 @@ class TextureArray:
 
 
 def _rgba(image: Image) -> Image:
-    """With the bottom row first, as OpenGL wants it."""
+    """The image with alpha and the bottom row first, as OpenGL wants it."""
     return np.asarray(cv2.cvtColor(image[::-1], cv2.COLOR_RGB2RGBA), dtype=np.uint8)
 
 
@@ -276,19 +268,7 @@ def _enlarged(image: Image, size: int) -> Image:
 
 
 class FrameBuffer:
-    """Where both eyes are drawn, the left one above the right one.
-
-    Parameters
-    ----------
-    context : moderngl.Context
-        Current.
-    camera : StereoCamera
-        Size of the images that come out.
-    supersample : int
-        Drawn so many times finer and averaged.
-    samples : int
-        Samples a pixel of what is drawn.
-    """
+    """Frame buffer for both views, the left one above the right one."""
 
     def __init__(self, context: Any, camera: StereoCamera, supersample: int, samples: int) -> None:
         self._context, self._factor = context, supersample
@@ -312,18 +292,18 @@ class FrameBuffer:
         for buffer in {self._drawn, self._centres}:
             buffer.clear(depth=1.0)
 
-    def draw_eye(self, index: int) -> None:
-        """From now on, draw the left (0) or the right (1) eye."""
+    def draw_view(self, index: int) -> None:
+        """From now on, draw the left (0) or the right (1) view."""
         self._drawn.use()
         self._drawn.viewport = (0, index * self._fine[1], *self._fine)
 
     def draw_depth(self) -> None:
-        """From now on, draw the depth of the left eye."""
+        """From now on, draw the depth of the left view."""
         self._centres.use()
         self._centres.viewport = (0, 0, *self._size)
 
     def read(self) -> StereoImages:
-        """What was drawn."""
+        """The drawn pair."""
         if self._resolved is not self._drawn:
             self._context.copy_framebuffer(self._resolved, self._drawn)
         width, height = self._fine

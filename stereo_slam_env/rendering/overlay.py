@@ -39,18 +39,9 @@ _FAINT = 0.35
 
 
 def inset_map(image: Image, path: FloatArray, pose: Pose, pan: float = 0.0) -> None:
-    """The route from above (forward is up), with the car on it, in the lower right corner.
+    """Draw the route (K, 3) from above (forward is up), with the car on it, into the lower right corner.
 
-    Parameters
-    ----------
-    image : (H, W, 3) uint8
-        Is drawn on.
-    path : (K, 3)
-        The route in W, m.
-    pose : Pose
-        Of the camera.
-    pan : float
-        How far the camera is turned from the car, positive to the right, rad.
+    `pan` is how far the camera at `pose` is turned from the car, positive to the right, rad.
     """
     window = _window(image)
     size = len(window)
@@ -70,22 +61,9 @@ def inset_map(image: Image, path: FloatArray, pose: Pose, pan: float = 0.0) -> N
 def inset_gaze(
     image: Image, path: FloatArray, pose: Pose, camera: StereoCamera, uvd: FloatArray, pan: float = 0.0
 ) -> None:
-    """What is around the car from above (its direction is up) and which part the camera sees; lower right corner.
+    """Draw the surroundings of the car from above (its direction is up), the field of view and the landmarks `uvd`.
 
-    Parameters
-    ----------
-    image : (H, W, 3) uint8
-        Is drawn on.
-    path : (K, 3)
-        The route in W, m.
-    pose : Pose
-        Of the camera.
-    camera : StereoCamera
-        Its field of view, and how far the landmarks are.
-    uvd : (M, 3)
-        The landmarks seen now, px.
-    pan : float
-        How far the camera is turned from the car, positive to the right, rad.
+    Into the lower right corner; `path` and `pan` as for `inset_map`.
     """
     window = _window(image)
     size = len(window)

@@ -31,20 +31,7 @@ _SAME_SURFACE = 0.05
 
 
 def view_matrix(position: FloatArray, R_sc: FloatArray) -> FloatArray:
-    """OpenGL view matrix of a camera (x right, y down, z forward) in a scene.
-
-    Parameters
-    ----------
-    position : (3,)
-        Camera position in the scene, m.
-    R_sc : (3, 3)
-        Takes camera vectors into the scene.
-
-    Returns
-    -------
-    (4, 4) ndarray
-        Row-major.
-    """
+    """OpenGL view matrix (4, 4), row-major, of a camera at `position` (3,) m in S with rotation `R_sc` (3, 3)."""
     view = np.eye(4)
     view[:3, :3] = np.diag([1.0, -1.0, -1.0]) @ R_sc.T
     view[:3, 3] = -view[:3, :3] @ position
@@ -52,21 +39,10 @@ def view_matrix(position: FloatArray, R_sc: FloatArray) -> FloatArray:
 
 
 def projection_matrix(camera: StereoCamera, near: float, far: float, offset: tuple[float, float]) -> FloatArray:
-    """OpenGL projection matrix of one eye.
+    """OpenGL projection matrix (4, 4), row-major, of one camera.
 
-    Parameters
-    ----------
-    camera : StereoCamera
-        Intrinsics and image size.
-    near, far : float
-        Clipping distances, m.
-    offset : tuple of float
-        Sampling position of the renderer: `OPENGL_OFFSET` or `TINY_OFFSET`.
-
-    Returns
-    -------
-    (4, 4) ndarray
-        Row-major.
+    `near` and `far` are the clipping distances, m; `offset` is where the renderer samples a pixel, `OPENGL_OFFSET` or
+    `TINY_OFFSET`.
     """
     w, h, (ox, oy) = camera.width, camera.height, offset
     return np.array(
@@ -174,24 +150,7 @@ def depth_at(depth: FloatArray, uv: ArrayLike) -> FloatArray:
 
 
 def points_at(camera: StereoCamera, pose: Pose, depth: FloatArray, uv: ArrayLike) -> FloatArray:
-    """Points of the world behind pixels of the left image.
-
-    Parameters
-    ----------
-    camera : StereoCamera
-        The rig.
-    pose : Pose
-        From where `depth` was rendered.
-    depth : (H, W)
-        m.
-    uv : (N, 2) array_like
-        px.
-
-    Returns
-    -------
-    (N, 3) ndarray
-        p_w in m; NaN where `depth_at` is not finite.
-    """
+    """Points p_w (N, 3), m, behind pixels `uv` (N, 2) of a left image rendered from `pose`; NaN as in `depth_at`."""
     places = finite_array("uv", uv, ("N", 2))
     z = depth_at(depth, places)
     z = np.where(np.isfinite(z), z, np.nan)
@@ -200,37 +159,8 @@ def points_at(camera: StereoCamera, pose: Pose, depth: FloatArray, uv: ArrayLike
     return points
 
 
-def measurements_of(camera: StereoCamera, pose: Pose, points_w: FloatArray) -> FloatArray:
-    """Where points of the world are seen from a pose, without noise or occlusion.
-
-    Parameters
-    ----------
-    camera : StereoCamera
-        The rig.
-    pose : Pose
-        Of the left camera.
-    points_w : (N, 3)
-        m; NaN stays NaN.
-
-    Returns
-    -------
-    (N, 3) ndarray
-        (u, v, d) in px; NaN for points behind the camera.
-    """
-    points_c = pose.to_camera(points_w)
-    return np.where(points_c[:, 2:] > 0, camera.project(points_c), np.nan)
-
-
 def sky_slope(camera: StereoCamera, R_sc: FloatArray) -> tuple[float, float, float]:
-    """How steeply the ray through a pixel rises, in units of `ZENITH_SLOPE`: (a, b, c) of a u + b v + c.
-
-    Parameters
-    ----------
-    camera : StereoCamera
-        The rig.
-    R_sc : (3, 3)
-        Takes camera vectors into the scene.
-    """
+    """How steeply the ray through a pixel rises, in units of `ZENITH_SLOPE`: (a, b, c) of a u + b v + c."""
     right, down, forward = R_sc[2] / ZENITH_SLOPE
     a, b = right / camera.fx, down / camera.fy
     return float(a), float(b), float(forward - a * camera.cx - b * camera.cy)

@@ -19,15 +19,7 @@ from stereo_slam_env.world.scene import Look, Scene
 
 
 class Air:
-    """What lies between the camera and the things, and behind them.
-
-    Parameters
-    ----------
-    camera : StereoCamera
-        Its image size and lens.
-    look : Look
-        Colours and haze.
-    """
+    """Sky and haze of a look, laid over pictures of a camera on the CPU."""
 
     def __init__(self, camera: StereoCamera, look: Look) -> None:
         horizon, zenith = (np.array(color, dtype=np.float64) for color in (look.horizon, look.zenith))
@@ -39,17 +31,7 @@ class Air:
         self._rows = np.arange(camera.height, dtype=np.float32)
 
     def over(self, rgb: NDArray[np.uint8], depth: NDArray[np.floating], R_sc: FloatArray) -> NDArray[np.uint8]:
-        """Blend a picture into the haze with distance, and put the sky where nothing was drawn.
-
-        Parameters
-        ----------
-        rgb : (H, W, 3) uint8
-            What was drawn.
-        depth : (H, W)
-            m; infinity where there is nothing.
-        R_sc : (3, 3)
-            Takes camera vectors into the scene.
-        """
+        """Blend a picture (H, W, 3) into the haze with `depth` (H, W), m, and put the sky where that is infinite."""
         clear = np.multiply(depth, np.float32(-1.0 / self._haze_range), dtype=np.float32)
         cv2.exp(clear, dst=clear)
         seen = cv2.blendLinear(rgb, self._horizon, clear, 1.0 - clear)
@@ -68,19 +50,7 @@ class Air:
 
 
 class TinyRenderer:
-    """Draws a built `PhysicsWorld`.
-
-    Parameters
-    ----------
-    world : PhysicsWorld
-        Built; `build` adds what is drawn.
-    camera : StereoCamera
-        The rig.
-    frame : WorldFrame
-        Where W sits in the scene.
-    supersample : int
-        Draw this many times finer and average: smoother edges, for the square of the time.
-    """
+    """Draws a built `PhysicsWorld`; see `make_renderer` for the arguments."""
 
     def __init__(self, world: PhysicsWorld, camera: StereoCamera, frame: WorldFrame, supersample: int = 1) -> None:
         self.camera = camera

@@ -1,20 +1,20 @@
-"""The table of a report's first screen: a row for each competitor, a column for each question."""
+"""Table of a report's first screen: a row for each competitor, a column for each question."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from html import escape
 
 import numpy as np
+from markupsafe import Markup
 
 from stereo_slam_env.benchmark.statistics.measures import POSE_NEES
 from stereo_slam_env.benchmark.statistics.remarks import innovation_factor, times_the_claim
 from stereo_slam_env.benchmark.statistics.verdict import Consistency, consistency, loss
 from stereo_slam_env.evaluation.consistency_figures import DOF
 from stereo_slam_env.evaluation.results import FilterSummary
-from stereo_slam_env.report.charts.figures import CSS_VARIABLES
 from stereo_slam_env.report.charts.style import filter_colours
+from stereo_slam_env.report.page import part
 from stereo_slam_env.report.page_tables import UNKNOWN, Tone
 
 TONES: dict[Consistency, Tone] = {
@@ -43,8 +43,13 @@ class Answer:
     value: str
     word: str = ""
     tone: Tone = "none"
-    mark: str = ""
+    mark: Markup | None = None
     key: float | None = None
+
+    @property
+    def sorted_by(self) -> str:
+        """The key as text, "" where it is not known."""
+        return "" if self.key is None or not np.isfinite(self.key) else repr(float(self.key))
 
 
 @dataclass(frozen=True)
@@ -56,7 +61,7 @@ class Question:
     answer: Callable[[FilterSummary], Answer | None]
 
 
-def answers_table(who: str, questions: Sequence[Question], summaries: Sequence[FilterSummary]) -> str:
+def answers_table(who: str, questions: Sequence[Question], summaries: Sequence[FilterSummary]) -> Markup:
     """Markup; questions that nobody has an answer to are left out.
 
     Parameters
@@ -71,29 +76,10 @@ def answers_table(who: str, questions: Sequence[Question], summaries: Sequence[F
     colours = filter_colours(s.filter_name for s in summaries)
     answers = [[question.answer(summary) for summary in summaries] for question in questions]
     shown = [(q, column) for q, column in zip(questions, answers, strict=True) if any(a is not None for a in column)]
-    heads = "".join(f'<th scope="col">{q.words}<small>{escape(q.measure)}</small></th>' for q, _ in shown)
-    rows = "".join(
-        f"<tr>{_name(summary.filter_name, colours)}{''.join(_cell(column[i]) for _, column in shown)}</tr>"
-        for i, summary in enumerate(summaries)
-    )
-    return (
-        '<div class="scroll"><table class="sortable answers"><thead><tr>'
-        f'<th scope="col">{who}<small>&nbsp;</small></th>{heads}</tr></thead><tbody>{rows}</tbody></table></div>'
-    )
-
-
-def _name(name: str, colours: dict[str, str]) -> str:
-    variable = CSS_VARIABLES[colours[name]]
-    label = escape(name)
-    return f'<th scope="row" class="filter" style="--colour: var({variable})" data-value="{label}">{label}</th>'
-
-
-def _cell(answer: Answer | None) -> str:
-    if answer is None:
-        return f'<td class="none" data-value="">{UNKNOWN}</td>'
-    key = "" if answer.key is None or not np.isfinite(answer.key) else repr(float(answer.key))
-    word = f'<span class="{answer.tone}">{escape(answer.word)}</span>' if answer.word else ""
-    return f'<td data-value="{key}"><div><b>{escape(answer.value)}</b>{answer.mark}</div>{word}</td>'
+    rows = [
+        (s.filter_name, colours[s.filter_name], [column[i] for _, column in shown]) for i, s in enumerate(summaries)
+    ]
+    return part("answers", who, [question for question, _ in shown], rows)
 
 
 def consistency_question(summaries: Sequence[FilterSummary], *, with_share: bool = True) -> Question:
@@ -116,10 +102,10 @@ def _honesty(summary: FilterSummary, with_share: bool) -> Answer | None:
     return Answer(short(mean), word, TONES[state], _band_mark(summary), mean)
 
 
-def _band_mark(summary: FilterSummary) -> str:
+def _band_mark(summary: FilterSummary) -> Markup:
     """Where the NEES lies, on a logarithmic scale around its band."""
     if summary.pose_anees is None or summary.pose_anees_band is None:
-        return ""
+        return Markup()
     low, high = np.log(summary.pose_anees_band)
     centre, reach = 0.5 * (low + high), max(2.2 * (high - low), 0.8)
     width = 90
@@ -127,13 +113,16 @@ def _band_mark(summary: FilterSummary) -> str:
     def place(value: float) -> float:
         return float(round(np.clip(0.5 + 0.5 * (value - centre) / reach, 0.04, 0.96) * width, 1))
 
-    shapes = (
-        f'<rect x="0" y="5.25" width="{width}" height="1.5" fill="var(--grid)"/>'
-        f'<rect x="{place(low)}" y="1" width="{place(high) - place(low):.1f}" height="10" rx="2" fill="var(--band)"/>'
-        f'<circle cx="{place(float(np.log(summary.pose_anees)))}" cy="6" r="3.5" '
-        f'fill="var(--{TONES[consistency(summary)]})"/>'
+    at = place(float(np.log(summary.pose_anees)))
+    return drawn(
+        ("rect", {"x": 0, "y": 5.25, "width": width, "height": 1.5, "fill": "var(--grid)"}),
+        (
+            "rect",
+            {"x": place(low), "y": 1, "width": place(high) - place(low), "height": 10, "rx": 2, "fill": "var(--band)"},
+        ),
+        ("circle", {"cx": at, "cy": 6, "r": 3.5, "fill": f"var(--{TONES[consistency(summary)]})"}),
+        width=width,
     )
-    return drawn(shapes, width)
 
 
 def _innovations(summary: FilterSummary) -> Answer | None:
@@ -146,10 +135,13 @@ def _innovations(summary: FilterSummary) -> Answer | None:
     return Answer(short(summary.nis), f"innovations {times_the_claim(factor)}", TONES[state], key=summary.nis)
 
 
-def drawn(shapes: str, width: int = MARK_WIDTH) -> str:
-    """A small drawing beside a value, from SVG shapes."""
-    size = f'width="{width}" height="{MARK_HEIGHT}" viewBox="0 0 {width} {MARK_HEIGHT}"'
-    return f'<svg aria-hidden="true" {size}>{shapes}</svg>'
+def drawn(*shapes: tuple[str, Mapping[str, object]], width: int = MARK_WIDTH) -> Markup:
+    """A small drawing beside a value, from the elements of SVG and their attributes."""
+    plain = [
+        (name, {key: value if isinstance(value, str) else f"{value:.4g}" for key, value in values.items()})
+        for name, values in shapes
+    ]
+    return part("mark", width, MARK_HEIGHT, plain)
 
 
 def lost(summary: FilterSummary) -> str:

@@ -1,26 +1,26 @@
-"""The part of a study's report that says which choice of a filter makes the difference, and how much."""
+"""Section of a report on which choice of a filter makes the difference, and how much."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from html import escape
 from pathlib import Path
 from typing import Any
 
+from markupsafe import Markup
+
 from stereo_slam_env.benchmark.statistics.attribution import Attribution, Contrast, ResponseAttribution
-from stereo_slam_env.report.charts.factor_figures import plot_effects
-from stereo_slam_env.report.page import figure_block
+from stereo_slam_env.report.charts.factors import plot_effects
+from stereo_slam_env.report.page import figure_block, part
 from stereo_slam_env.report.page_tables import Cell, Column, Tone, number, table
 from stereo_slam_env.report.tables import capital, finding_tone, percent_cell
 
 
-def conclusions(attribution: Attribution) -> str:
+def conclusions(attribution: Attribution) -> Markup:
     """What to know first: a line for each response."""
-    lines = "".join(f"<li>{escape(response.conclusion)}</li>" for response in attribution.responses)
-    return f'<ul class="headline">{lines}</ul>'
+    return part("items", [response.conclusion for response in attribution.responses], "headline")
 
 
-def attribution_section(attribution: Attribution, folder: Path) -> str:
+def attribution_section(attribution: Attribution, folder: Path) -> Markup:
     """Markup of the section: a figure of the main effects, and tables.
 
     Parameters
@@ -30,7 +30,6 @@ def attribution_section(attribution: Attribution, folder: Path) -> str:
     folder : Path
         Where figures go, see `figure_block`.
     """
-    figure = plot_effects(attribution)
     caption = (
         "Main effects: how many times the average over all combinations a response is with that choice, with intervals"
         " corrected for their number. Blue: an effect is shown."
@@ -39,31 +38,28 @@ def attribution_section(attribution: Attribution, folder: Path) -> str:
         f"{attribution.combinations} combinations of options, {attribution.seeds} seeds, each on the same measurements."
     )
     parts = [
-        "<section><h2>Which choice makes the difference?</h2>",
-        f'<p class="quiet">{escape(crossed)}</p>',
-        figure_block(figure, "effects", caption, folder),
+        figure_block(plot_effects(attribution), "effects", caption, folder),
+        part("titled", "Instead of the first choice", _contrasts(attribution.responses)),
+        part("titled", "Share of the differences explained", _shares(attribution.responses)),
     ]
-    parts.append("<h3>Instead of the first choice</h3>" + _contrasts(attribution.responses))
-    parts.append("<h3>Share of the differences explained</h3>" + _shares(attribution.responses))
     if any(response.interactions for response in attribution.responses):
         shown = sum(effect.shown for response in attribution.responses for effect in response.interactions)
         total = sum(len(response.interactions) for response in attribution.responses)
         said = f"Interactions of two options: {shown} of {total} shown"
-        parts.append(f"<details><summary>{said}</summary>{_interactions(attribution.responses)}</details>")
+        parts.append(part("folded", said, _interactions(attribution.responses)))
     if any(attribution.diverged_percent.values()):
         rows: list[list[Cell | str]] = [
             [factor, str(level), number(percent, ".0f", tone="bad" if percent else "")]
             for (factor, level), percent in attribution.diverged_percent.items()
         ]
         columns = [Column("Option", kind="text"), Column("Level", kind="text"), Column("Diverged", "% of runs")]
-        parts.append("<h3>Divergence</h3>" + table(columns, rows))
+        parts.append(part("titled", "Divergence", table(columns, rows)))
     if attribution.notes:
-        notes = "".join(f"<li>{escape(note)}</li>" for note in attribution.notes)
-        parts.append(f'<h3>Left out</h3><ul class="failures">{notes}</ul>')
-    return "\n".join([*parts, "</section>"])
+        parts.append(part("titled", "Left out", part("items", attribution.notes)))
+    return part("section", "Which choice makes the difference?", crossed, parts)
 
 
-def _contrasts(responses: Sequence[ResponseAttribution]) -> str:
+def _contrasts(responses: Sequence[ResponseAttribution]) -> Markup:
     columns = [
         Column("Option", kind="text"),
         Column("Choice", kind="text"),
@@ -90,7 +86,7 @@ def _contrast_cell(contrast: Contrast | None) -> Cell:
     return percent_cell(contrast.percent, contrast.interval_percent, finding_tone(contrast.finding))
 
 
-def _interactions(responses: Sequence[ResponseAttribution]) -> str:
+def _interactions(responses: Sequence[ResponseAttribution]) -> Markup:
     columns = [
         Column("Response", kind="text"),
         Column("Options", kind="text"),
@@ -114,7 +110,7 @@ def _interactions(responses: Sequence[ResponseAttribution]) -> str:
     return table(columns, rows)
 
 
-def _shares(responses: Sequence[ResponseAttribution]) -> str:
+def _shares(responses: Sequence[ResponseAttribution]) -> Markup:
     keys = list(dict.fromkeys(share.factors for response in responses for share in response.shares))
     columns = [
         Column("Options", kind="text"),

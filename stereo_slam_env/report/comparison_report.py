@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from html import escape
 from pathlib import Path
+
+from markupsafe import Markup
 
 from stereo_slam_env.benchmark.statistics.comparison import Change, RunComparison
 from stereo_slam_env.benchmark.statistics.differences import signed
-from stereo_slam_env.report.charts.factor_figures import plot_changes
+from stereo_slam_env.report.charts.factors import plot_changes
 from stereo_slam_env.report.charts.style import filter_colours
-from stereo_slam_env.report.page import figure_block, page
+from stereo_slam_env.report.page import FIGURES, figure_block, html_page, joined, part
 from stereo_slam_env.report.page_tables import Cell, Column, filter_cell, number, table
 from stereo_slam_env.report.tables import finding_tone
 
@@ -29,20 +30,21 @@ def write_comparison_report(out: Path, comparison: RunComparison) -> Path:
     Path
         The page.
     """
-    folder = out / "figures"
-    body = [f'<p class="headline">{escape(comparison.headline)}</p>']
-    if comparison.warnings:
-        body.append(f'<ul class="failures fair">{_items(comparison.warnings)}</ul>')
-    body.append(_table(comparison.changes))
-    body.append(f'<p class="quiet">{escape(_guide(comparison))}</p>')
+    folder = out / FIGURES
+    body = [
+        part("paragraph", comparison.headline, "headline"),
+        part("items", comparison.warnings, "failures fair"),
+        _table(comparison.changes),
+        part("paragraph", _guide(comparison)),
+    ]
     if any(change.interval_percent is not None for change in comparison.changes):
         caption = "Change of every measure with its 95 % interval; left of the line it became smaller."
         body.append(figure_block(plot_changes(comparison.changes), "changes", caption, folder))
-    body += [_only(comparison)]
+    body.append(_only(comparison))
     out.mkdir(parents=True, exist_ok=True)
     path = out / "comparison.html"
     subtitle = f"Before: {comparison.before} · After: {comparison.after}"
-    path.write_text(page(title="What changed", subtitle=subtitle, body="\n".join(body)), encoding="utf-8")
+    path.write_text(html_page(title="What changed", subtitle=subtitle, body=joined(body)), encoding="utf-8")
     return path
 
 
@@ -54,7 +56,7 @@ def _guide(comparison: RunComparison) -> str:
     )
 
 
-def _table(changes: tuple[Change, ...]) -> str:
+def _table(changes: tuple[Change, ...]) -> Markup:
     columns = [
         Column("Filter", kind="text"),
         Column("Measure", kind="text"),
@@ -88,7 +90,7 @@ def _table(changes: tuple[Change, ...]) -> str:
     return table(columns, rows, wide=True)
 
 
-def _only(comparison: RunComparison) -> str:
+def _only(comparison: RunComparison) -> Markup:
     """Filters and recordings that one of the runs has and the other one has not."""
     parts = (
         ("filters", "before", comparison.filters_before),
@@ -97,8 +99,4 @@ def _only(comparison: RunComparison) -> str:
         ("recordings", "after", comparison.recordings_after),
     )
     lines = [f"Only {when}: {kind} {', '.join(names)}" for kind, when, names in parts if names]
-    return f'<h2>Not compared</h2><ul class="failures">{_items(lines)}</ul>' if lines else ""
-
-
-def _items(lines: list[str] | tuple[str, ...]) -> str:
-    return "".join(f"<li>{escape(line)}</li>" for line in lines)
+    return part("section", "Not compared", "", [part("items", lines)]) if lines else Markup()

@@ -28,45 +28,29 @@ for (const table of document.querySelectorAll("table.sortable")) {
 
 addEventListener("beforeprint", () => document.querySelectorAll("details").forEach(part => { part.open = true; }));
 
-// ---- figures: the drawing becomes a chart when it comes into sight
-const charts = new Map();  // figure -> {specification, hidden, element}
+// ---- figures: where Vega is part of the page, the drawing becomes a chart when it comes into sight; colours follow the page by CSS
+const hint = document.createElement("div");
+hint.className = "hint";
+hint.hidden = true;
+document.body.append(hint);
 
-function coloured(specification) {
-  const style = getComputedStyle(document.documentElement);
-  const paint = (_, name) => style.getPropertyValue(name).trim();
-  const walk = value => {
-    if (typeof value === "string") return value.includes("var(--") ? value.replace(/var\((--[\w-]+)\)/g, paint) : value;
-    if (Array.isArray(value)) return typeof value[0] === "number" ? value : value.map(walk);
-    if (value && typeof value === "object") {
-      return Object.fromEntries(Object.entries(value).map(([key, inner]) => [key, walk(inner)]));
-    }
-    return value;
-  };
-  const {data, layout} = walk(specification);
-  layout.font = {family: getComputedStyle(document.body).fontFamily};
-  const label = {bgcolor: style.getPropertyValue("--card").trim(), bordercolor: style.getPropertyValue("--grid").trim()};
-  layout.hoverlabel = {...label, font: {color: style.getPropertyValue("--ink").trim(), size: 13}, namelength: -1};
-  layout.modebar = {bgcolor: "rgba(0,0,0,0)", color: style.getPropertyValue("--muted").trim(),
-    activecolor: style.getPropertyValue("--ink").trim()};
-  return {data, layout};
+function say(_, event, item, value) {
+  hint.hidden = !value;
+  if (!value) return;
+  const lines = Object.entries(value).filter(([, text]) => text !== "" && text !== "null");
+  hint.replaceChildren(...lines.map(([name, text]) => {
+    const line = document.createElement("div");
+    line.textContent = name.trim() ? `${name}: ${text}` : text;
+    return line;
+  }));
+  hint.style.left = `${Math.max(4, Math.min(event.pageX + 14, scrollX + innerWidth - hint.offsetWidth - 8))}px`;
+  hint.style.top = `${event.pageY + 18}px`;
 }
 
-function draw(chart) {
-  const {data, layout} = coloured(chart.specification);
-  for (const trace of data) if (chart.hidden.has(trace.name)) trace.visible = false;
-  layout.annotations = layout.annotations.filter(note => !chart.hidden.has(note.name));
-  layout.uirevision = "kept";  // zoom survives a change of colours or series
-  layout.height = Math.round(chart.element.parentElement.clientWidth / layout.meta.aspect);
-  layout.dragmode = matchMedia("(pointer: coarse)").matches ? false : "zoom";
-  return Plotly.react(chart.element, data, layout, {
-    responsive: false, displaylogo: false, modeBarButtonsToRemove: ["select2d", "lasso2d", "autoScale2d"],
-  });
-}
-
-function keys(chart) {
-  const {series} = chart.specification.layout.meta;
+function keys(view, series) {
   const list = document.createElement("div");
   if (series.length < 2) return list;
+  const hidden = new Set();
   list.className = "keys";
   list.setAttribute("role", "group");
   list.setAttribute("aria-label", "Show or hide series");
@@ -78,43 +62,41 @@ function keys(chart) {
     button.setAttribute("aria-pressed", "true");
     button.addEventListener("click", () => {
       const hide = button.getAttribute("aria-pressed") === "true";
-      chart.hidden[hide ? "add" : "delete"](name);
+      hidden[hide ? "add" : "delete"](name);
       button.setAttribute("aria-pressed", String(!hide));
-      draw(chart);
+      view.signal("hidden", [...hidden]).runAsync();
     });
     list.append(button);
   }
   return list;
 }
 
-function enliven(figure) {
+async function enliven(figure) {
   const specification = JSON.parse(figure.querySelector("script.chart-data").textContent);
+  const drawing = figure.querySelector(".stage > svg");
   const element = document.createElement("div");
   element.className = "chart";
-  const stage = figure.querySelector(".stage");
-  const chart = {specification, element, hidden: new Set()};
-  charts.set(figure, chart);
-  stage.append(element);
-  draw(chart).then(() => {
-    figure.prepend(keys(chart));
-    figure.classList.add("live");
-  });
+  element.setAttribute("role", "img");
+  element.setAttribute("aria-label", drawing.getAttribute("aria-label"));
+  figure.querySelector(".stage").append(element);
+  const names = (specification.params ?? []).map(parameter => parameter.name);
+  const options = {renderer: "svg", actions: false, defaultStyle: false, tooltip: say};
+  const {view} = await vegaEmbed(element, specification, options);
+  if (names.includes("live")) await view.signal("live", true).runAsync();
+  if (names.includes("hidden")) figure.prepend(keys(view, specification.usermeta?.series ?? []));
+  element.querySelector("svg").style.maxWidth = drawing.style.maxWidth;
+  figure.view = view;
+  figure.classList.add("live");
 }
 
-if (window.Plotly) {
-  const visible = new Set(), stale = new Set();
+// Fingers scroll the page: without a mouse the drawing stays.
+if (window.vegaEmbed && matchMedia("(hover: hover)").matches) {
   const watch = new IntersectionObserver(entries => {
     for (const {isIntersecting, target} of entries) {
-      visible[isIntersecting ? "add" : "delete"](target);
       if (!isIntersecting) continue;
-      if (!charts.has(target)) enliven(target);
-      else if (stale.delete(target)) draw(charts.get(target));
+      watch.unobserve(target);
+      enliven(target);
     }
   }, {rootMargin: "600px"});
   for (const script of document.querySelectorAll("script.chart-data")) watch.observe(script.parentElement);
-  // Charts out of sight wait until they come into it.
-  const redraw = () => charts.forEach((chart, figure) => visible.has(figure) ? draw(chart) : stale.add(figure));
-  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
-  let pending;
-  addEventListener("resize", () => { clearTimeout(pending); pending = setTimeout(redraw, 150); });
 }

@@ -1,25 +1,31 @@
-"""The page that reports are written on: self-contained, light and dark, printable, with live tables and figures."""
+"""The page that reports are written on: self-contained, light and dark, printable, with live tables and charts."""
 
 from __future__ import annotations
 
 import json
-import logging
+import re
+from contextlib import suppress
 from functools import cache
-from html import escape
+from importlib.metadata import version
 from importlib.resources import files
 from pathlib import Path
-from string import Template
+from typing import Any
 
-from matplotlib.figure import Figure
+import vl_convert
+from jinja2 import Environment, FunctionLoader, StrictUndefined
+from markupsafe import Markup, escape
 
-from stereo_slam_env.report.charts.figures import in_page_colours, inline_svg, on_white, save_png, svg_of
-from stereo_slam_env.report.charts.interactive import plotly_figure
-from stereo_slam_env.report.charts.style import WIDTH_INCHES
+from stereo_slam_env.files.atomic import write_atomically
+from stereo_slam_env.report.charts.drawing import Chart
+from stereo_slam_env.report.charts.style import in_page_colours
 
-_log = logging.getLogger(__name__)
+FIGURES = "figures"
+"""Folder of the figures, beside the page."""
+_DATA_FILES = (".json", ".csv", ".parquet", ".toml")
+_KEPT_LIBRARY = Path(__file__).parent / "__pycache__" / f"vega-{version('vl-convert-python')}.js"
 
 
-def page(*, title: str, subtitle: str, body: str) -> str:
+def html_page(*, title: str, subtitle: str, body: str) -> str:
     """Put a body into the page that all reports share.
 
     Parameters
@@ -32,30 +38,40 @@ def page(*, title: str, subtitle: str, body: str) -> str:
     Returns
     -------
     str
-        The HTML document; it needs no other file and no network. Figures are interactive where the package plotly
-        is installed, else the page says how to get it.
+        The HTML document; it needs no other file and no network.
     """
-    with_charts = 'class="chart-data"' in body
-    library = _plotly_library() if with_charts else None
-    missing = with_charts and library is None
-    return Template(_resource("page.html")).substitute(
-        title=escape(title),
-        subtitle=escape(subtitle),
-        css=_resource("page.css"),
-        body=body,
-        note=_STATIC_NOTE if missing else "",
-        library=f"<script>{library}</script>" if library else "",
-        script=_resource("page.js"),
+    return (
+        _templates()
+        .get_template("page.html")
+        .render(
+            title=title,
+            subtitle=subtitle,
+            body=Markup(body),
+            css=Markup(_resource("page.css")),
+            library=Markup(_vega()) if 'class="chart-data"' in body else "",
+            script=Markup(_resource("page.js")),
+        )
     )
 
 
-def figure_block(figure: Figure, name: str, description: str, folder: Path) -> str:
-    """Save a figure as PNG and SVG, and return it as markup for a page.
+def part(name: str, /, *arguments: Any, **named: Any) -> Markup:
+    """A part of a page, a macro of `parts.html`; plain text is escaped there, `Markup` is not."""
+    macro = getattr(_templates().get_template("parts.html").module, name)
+    return Markup(macro(*arguments, **named).strip())
+
+
+def joined(parts: list[Markup] | list[str]) -> Markup:
+    """Parts one below the other; plain text is escaped."""
+    return Markup("\n").join(parts)
+
+
+def figure_block(chart: Chart, name: str, description: str, folder: Path) -> Markup:
+    """Save a chart as PNG and SVG, and return it as markup for a page.
 
     Parameters
     ----------
-    figure : matplotlib.figure.Figure
-        Drawn with the colours of `style`; labels of its artists name the series (see `interactive`).
+    chart : Chart
+        Drawn with the colours of `style`.
     name : str
         Of the files, and of the figure in the page: letters, digits, "_" and "-", unique in the page.
     description : str
@@ -65,39 +81,84 @@ def figure_block(figure: Figure, name: str, description: str, folder: Path) -> s
 
     Returns
     -------
-    str
-        A `<figure>` with the drawing inline and, where it can be read as one, its interactive chart.
+    Markup
+        A `<figure>` with the drawing inline, and the chart that takes its place where there is JavaScript.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    save_png(figure, folder / f"{name}.png")
-    svg = svg_of(figure)
-    (folder / f"{name}.svg").write_text(on_white(svg), encoding="utf-8")
-    drawing = inline_svg(svg, name, description)
-    share = min(figure.get_figwidth() / WIDTH_INCHES, 1.0)
-    place = escape(f"{folder.name}/{name}", quote=True)
-    links = f'<a href="{place}.png" download>PNG</a><a href="{place}.svg" download>SVG</a>'
-    return (
-        f'<figure id="figure-{name}"><div class="scroll"><div class="stage" style="--share: {share:.3f}">{drawing}'
-        f"</div></div><figcaption><span>{escape(description)}</span>"
-        f'<span class="files">{links}</span></figcaption>{_chart_data(figure, name)}</figure>'
+    svg = chart.save(folder / f"{name}.png", folder / f"{name}.svg")
+    # Inside a script element "<" could end it.
+    data = json.dumps(chart.spec, ensure_ascii=False, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+    return part(
+        "figure",
+        name=name,
+        place=f"{folder.name}/{name}",
+        description=description,
+        drawing=inline_svg(svg, name, description),
+        data=Markup(in_page_colours(data)),
     )
 
 
-def _chart_data(figure: Figure, name: str) -> str:
-    try:
-        chart = plotly_figure(figure, drawn=True)
-    except ValueError as reason:
-        _log.debug("%s stays a drawing: %s", name, reason)
-        return ""
-    # Inside a script element "<" could end it.
-    text = json.dumps(chart, ensure_ascii=False, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
-    return f'<script type="application/json" class="chart-data">{in_page_colours(text)}</script>'
+def inline_svg(svg: str, name: str, description: str) -> Markup:
+    """Turn an SVG document into an `<svg>` element that takes colours and font from the page around it.
+
+    Parameters
+    ----------
+    svg : str
+        From `Chart.svg`, drawn with the colours of `style`.
+    name : str
+        Prefix of the ids inside, unique in the page.
+    description : str
+        What a screen reader says, plain text.
+
+    Returns
+    -------
+    Markup
+        Without any reference to the outside.
+    """
+
+    def of_page(found: re.Match[str]) -> str:
+        tag = re.sub(
+            r' (?:class|role|aria-[a-z]+|font-family|pointer-events|xmlns(?::\w+)?|version)="[^"]*"', "", found[0]
+        )
+        tag = re.sub(r' id="([^"]*)"', rf' id="{name}-\1"', tag)
+        return re.sub(r"url\(#(\w+)\)", rf"url(#{name}-\1)", tag)
+
+    markup = re.sub(r"<[^>]*>", of_page, svg[svg.index("<svg") :])
+    head, rest = markup.split(">", 1)
+    width = re.search(r' width="([\d.]+)"', head)
+    box = re.search(r' viewBox="[^"]*"', head)
+    if width is None or box is None:
+        raise ValueError(f"the drawing {name!r} must have a width and a viewBox, got {head!r}")
+    style = f' style="max-width: {width[1]}px"'
+    label = f' role="img" aria-label="{escape(description)}"'
+    return Markup(in_page_colours(f"<svg{label}{box[0]}{style}>{rest}"))
 
 
-_STATIC_NOTE = (
-    '<p class="quiet screen">The figures are drawings here. With <code>pip install "stereo-slam-env[report]"</code> '
-    "and the report written again they can be zoomed, read off and switched.</p>"
-)
+def clean_figures(out: Path) -> Path:
+    """The folder of the figures, without those of an earlier report."""
+    folder = out / FIGURES
+    folder.mkdir(parents=True, exist_ok=True)
+    for stale in (*folder.glob("*.png"), *folder.glob("*.svg")):
+        stale.unlink()
+    return folder
+
+
+def data_links(out: Path) -> Markup:
+    """A line of links to the tables and settings beside the page; empty where there are none."""
+    return part("data_links", sorted(file.name for file in out.iterdir() if file.suffix in _DATA_FILES))
+
+
+@cache
+def _templates() -> Environment:
+    templates = Environment(
+        loader=FunctionLoader(_resource),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=StrictUndefined,
+    )
+    templates.filters["paint"] = in_page_colours
+    return templates
 
 
 @cache
@@ -106,9 +167,12 @@ def _resource(name: str) -> str:
 
 
 @cache
-def _plotly_library() -> str | None:
-    try:
-        from plotly.offline import get_plotlyjs
-    except ImportError:
-        return None
-    return str(get_plotlyjs()).replace("</script", "<\\/script")
+def _vega() -> str:
+    """Vega, Vega-Lite and Vega-Embed as one script; making it takes seconds: it is kept beside the compiled modules."""
+    with suppress(OSError):
+        return _KEPT_LIBRARY.read_text(encoding="utf-8")
+    script = vl_convert.javascript_bundle("window.vegaEmbed = vegaEmbed;").replace("</script", "<\\/script")
+    script = f"(() => {{{script}}})();"  # its names stay its own
+    with suppress(OSError):
+        write_atomically(_KEPT_LIBRARY, lambda stream: stream.write(script.encode()))
+    return script

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from html import escape
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+from markupsafe import Markup
 
-from stereo_slam_env.report.charts.figures import CSS_VARIABLES
+from stereo_slam_env.report.page import part
 
 Tone = Literal["", "good", "fair", "bad", "none"]
 
@@ -84,7 +84,7 @@ def filter_cell(name: str, colours: Mapping[str, str], link: str = "") -> Cell:
     return Cell(name, name, dot=colours[name], link=link)
 
 
-def table(columns: Sequence[Column], rows: Sequence[Sequence[Cell | str]], *, wide: bool = False) -> str:
+def table(columns: Sequence[Column], rows: Sequence[Sequence[Cell | str]], *, wide: bool = False) -> Markup:
     """Markup of a sortable table.
 
     Parameters
@@ -104,41 +104,10 @@ def table(columns: Sequence[Column], rows: Sequence[Sequence[Cell | str]], *, wi
     for row in rows:
         if len(row) != len(columns):
             raise ValueError(f"rows must have {len(columns)} cells each, got one with {len(row)}")
-    heads = "".join(_head(column) for column in columns)
-    body = "".join(f"<tr>{_row(columns, row)}</tr>" for row in rows)
-    kind = "sortable wide" if wide else "sortable"
-    return (
-        f'<div class="scroll"><table class="{kind}"><thead><tr>{heads}</tr></thead><tbody>{body}</tbody></table></div>'
-    )
+    return part("table", columns, [[_placed(cell) for cell in row] for row in rows], wide)
 
 
-def _head(column: Column) -> str:
-    title = f' title="{escape(column.explanation)}"' if column.explanation else ""
-    kind = "" if column.kind == "number" else f' class="{column.kind}"'
-    below = escape(column.unit) or "&nbsp;"
-    # A heading is a button: a link inside it would not be valid.
-    link = f'<a href="{escape(column.link)}">report</a>' if column.link else ""
-    return f'<th scope="col"{kind}{title}>{escape(column.heading)}<small>{link or below}</small></th>'
-
-
-def _row(columns: Sequence[Column], row: Sequence[Cell | str]) -> str:
-    return "".join(_cell(cell, column, first=i == 0) for i, (cell, column) in enumerate(zip(row, columns, strict=True)))
-
-
-def _cell(cell: Cell | str, column: Column, *, first: bool) -> str:
+def _placed(cell: Cell | str) -> Cell:
+    """A cell with what sorting goes by as text."""
     cell = Cell(cell) if isinstance(cell, str) else cell
-    content = escape(cell.text)
-    if cell.link:
-        content = f'<a href="{escape(cell.link)}">{content}</a>'
-    if cell.note:
-        content += f'<small class="{cell.note_tone}">{escape(cell.note)}</small>'
-    kinds: list[str] = [kind for kind in ("" if column.kind == "number" else column.kind, cell.tone) if kind]
-    style = ""
-    if cell.dot:
-        kinds.append("filter")
-        variable = CSS_VARIABLES.get(cell.dot)
-        style = f' style="--colour: {f"var({variable})" if variable else escape(cell.dot)}"'
-    shown = f' class="{" ".join(kinds)}"' if kinds else ""
-    key = cell.text if cell.key == "" else "" if cell.key is None else str(cell.key)
-    tag = 'th scope="row"' if first else "td"
-    return f'<{tag}{shown}{style} data-value="{escape(key)}">{content}</{tag.split()[0]}>'
+    return replace(cell, key=cell.text if cell.key == "" else "" if cell.key is None else str(cell.key))

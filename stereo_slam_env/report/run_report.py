@@ -1,15 +1,14 @@
-"""The report: one self-contained page that says who did best, by how much, how honestly and at what cost."""
+"""Report of a run: one self-contained page on which filter is best, by how much, how consistent and at what cost."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from html import escape
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
+from markupsafe import Markup
 
 from stereo_slam_env.benchmark.statistics.attribution import Attribution
 from stereo_slam_env.benchmark.statistics.measures import PairwiseTable, compare_all
@@ -20,19 +19,13 @@ from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
 from stereo_slam_env.evaluation.run_figures import Bounds, Figures
 from stereo_slam_env.report import tables
 from stereo_slam_env.report.attribution_report import attribution_section, conclusions
-from stereo_slam_env.report.charts import accuracy, cost, gaze_figures, map_figures, plots, series
-from stereo_slam_env.report.charts import consistency as honesty
-from stereo_slam_env.report.overview import overview
-from stereo_slam_env.report.page import figure_block, page
-from stereo_slam_env.report.policy_report import policy_overview
-
-FIGURES = "figures"
-"""Folder of the figures, beside the page."""
+from stereo_slam_env.report.charts import accuracy, consistency, cost, landmarks, policies, series
+from stereo_slam_env.report.charts.drawing import Chart
+from stereo_slam_env.report.overview import overview, policy_overview
+from stereo_slam_env.report.page import clean_figures, data_links, figure_block, html_page, joined, part
 
 MOST_SHOWN = 6
 """Of more filters than that, each is compared with the best one only, and the first ones have figures of their own."""
-
-_DATA_FILES = (".json", ".csv", ".parquet", ".toml")
 
 
 def write_report(
@@ -93,46 +86,28 @@ def write_report(
         reference_banner(runs),
         *([conclusions(attribution)] if attribution is not None else []),
         first_screen,
-        *(f'<p class="banner">{escape(remark)}</p>' for remark in innovation_remarks(summaries)),
-        f'<p class="quiet">{escape(_note(summaries, looks))}</p>',
-        _remarks(summaries),
+        *(part("paragraph", remark, "banner") for remark in innovation_remarks(summaries)),
+        part("paragraph", _note(summaries, looks)),
+        part("items", [remark for s in summaries for remark in s.remarks], "failures fair"),
         *([attribution_section(attribution, folder)] if attribution is not None else []),
-        *(_section(section, folder) for section in _sections(runs, summaries, bounds or {}, looks)),
+        *(_drawn(section, folder) for section in _sections(runs, summaries, bounds or {}, looks)),
         pairs,
         _failures(summaries),
-        f"<section><h2>Settings</h2>{settings_list(settings)}</section>",
+        part("section", "Settings", "", [part("settings", settings)]),
         data_links(out),
     ]
     path = out / "report.html"
-    path.write_text(page(title=title, subtitle=_subtitle(runs, looks), body="\n".join(body)), encoding="utf-8")
+    path.write_text(html_page(title=title, subtitle=_subtitle(runs, looks), body=joined(body)), encoding="utf-8")
     return path
 
 
-def reference_banner(runs: Sequence[FilterRun]) -> str:
+def reference_banner(runs: Sequence[FilterRun]) -> Markup:
     """What the runs are held against; what is no independent truth stands out."""
-    return "\n".join(
-        f'<p class="{"quiet" if reference.is_independent else "banner"}">{escape(words)}</p>'
-        for reference, words in reference_remarks(runs).items()
-    )
-
-
-def clean_figures(out: Path) -> Path:
-    """The folder of the figures, without those of an earlier report."""
-    folder = out / FIGURES
-    folder.mkdir(parents=True, exist_ok=True)
-    for stale in (*folder.glob("*.png"), *folder.glob("*.svg")):
-        stale.unlink()
-    return folder
-
-
-def data_links(out: Path) -> str:
-    """A line of links to the tables and settings beside the page; "" where there are none."""
-    names = sorted(file.name for file in out.iterdir() if file.suffix in _DATA_FILES)
-    links = " · ".join(f'<a href="{escape(name)}">{escape(name)}</a>' for name in names)
-    return (
-        f'<section class="screen"><h2>Data</h2><p class="quiet">Beside this page: {links}</p></section>'
-        if links
-        else ""
+    return joined(
+        [
+            part("paragraph", words, "quiet" if reference.is_independent else "banner")
+            for reference, words in reference_remarks(runs).items()
+        ]
     )
 
 
@@ -173,7 +148,7 @@ class _Section:
     heading: str
     guide: str = ""
     table: str = ""
-    figures: Mapping[str, tuple[Callable[[], Figure], str]] | None = None
+    figures: Mapping[str, tuple[Callable[[], Chart], str]] | None = None
 
 
 def _sections(
@@ -189,9 +164,9 @@ def _sections(
     sections += _limits(runs, summaries, bounds)
     sections.append(_consistency(runs, summaries, with_nees, who))
     if with_nees:
-        limits = honesty.error_limits(first)
+        limits = consistency.error_limits(first)
         bounded = {
-            f"error_{i}": (_later(honesty.plot_error_bounds, run, limits), f"{run.filter_name} on {shown}.")
+            f"error_{i}": (_later(consistency.plot_error_bounds, run, limits), f"{run.filter_name} on {shown}.")
             for i, run in enumerate(first[:MOST_SHOWN])
         }
         guide = "Position in the world, rotation in the camera frame; equal scales for all filters."
@@ -201,21 +176,23 @@ def _sections(
     sections += _map(runs, summaries, same_landmarks=looks is None)
     caption = f"Velocity in the world and heading on {shown}."
     sections.append(
-        _Section("Velocity and heading", figures={"velocity": (_later(plots.plot_velocity, runs), caption)})
+        _Section("Velocity and heading", figures={"velocity": (_later(accuracy.plot_velocity, runs), caption)})
     )
     sections.append(_cost(runs, summaries, who))
     return sections
 
 
 def _gaze(runs: Sequence[FilterRun], looks: Looks, shown: str) -> _Section:
-    caption = "Root mean squares over the runs, on one scale: who claims less than its true error is overconfident."
-    figures = {"claim_and_truth": (_later(gaze_figures.plot_claim_and_truth, runs), caption)}
+    caption = (
+        "Root mean squares over the runs, on one scale: a policy that claims less than its true error is overconfident."
+    )
+    figures = {"claim_and_truth": (_later(policies.plot_claim_and_truth, runs), caption)}
     if looks.recordings:
         caption = f"Pan and tilt of the head on {shown}."
-        figures["gaze"] = (_later(gaze_figures.plot_gaze, looks.recordings), caption)
+        figures["gaze"] = (_later(policies.plot_gaze, looks.recordings), caption)
         caption = f"{shown} from above: path, landmarks seen (the others are faint), lines of sight twice a second."
-        figures["gaze_map"] = (_later(gaze_figures.plot_gaze_map, looks.recordings), caption)
-    return _Section("Where they look, and what that is worth", figures=figures)
+        figures["gaze_map"] = (_later(policies.plot_gaze_map, looks.recordings), caption)
+    return _Section("Where policies look, and what that is worth", figures=figures)
 
 
 def _accuracy(runs: Sequence[FilterRun], summaries: Sequence[FilterSummary], shown: str, who: str) -> _Section:
@@ -226,9 +203,9 @@ def _accuracy(runs: Sequence[FilterRun], summaries: Sequence[FilterSummary], sho
         caption = "The error of each run."
         if len(summaries) > 1:
             caption = "A line joins the errors on the same recording: look at its direction, not at the spread."
-        figures["error_by_run"] = (_later(plots.plot_error_by_run, runs), caption)
+        figures["error_by_run"] = (_later(accuracy.plot_error_by_run, runs), caption)
     caption = f"Path on {shown}; errors of all runs, single ones thin, without alignment."
-    figures["trajectory"] = (_later(plots.plot_trajectory, runs), caption)
+    figures["trajectory"] = (_later(accuracy.plot_trajectory, runs), caption)
     if any(s.rpe for s in summaries):
         caption = "Relative error over segments of the path, averaged over segments and runs."
         figures["relative_error"] = (_later(accuracy.plot_segment_errors, summaries), caption)
@@ -236,14 +213,17 @@ def _accuracy(runs: Sequence[FilterRun], summaries: Sequence[FilterSummary], sho
 
 
 def _trajectory(runs: Sequence[FilterRun], shown: str) -> _Section:
-    figures = {"trajectory": (_later(plots.plot_trajectory, runs), f"Path on {shown}.")}
+    figures = {"trajectory": (_later(accuracy.plot_trajectory, runs), f"Path on {shown}.")}
     return _Section("Trajectory", "There is no ground truth to hold it against.", figures=figures)
 
 
 def _limits(runs: Sequence[FilterRun], summaries: Sequence[FilterSummary], bounds: Bounds) -> list[_Section]:
     figures = {}
     if any((run.recording_name, run.seed) in bounds for run in runs):
-        caption = "Root mean square over the runs with a bound, and the posterior Cramér–Rao bound below it."
+        caption = (
+            "Root mean square over the runs with a bound, and the posterior Cramér–Rao bound, dashed: a lower limit on"
+            " average, which the mean of few runs may fall below."
+        )
         figures["error_and_limit"] = (_later(accuracy.plot_error_against_bound, runs, bounds), caption)
     if any(s.efficiency_percent is not None for s in summaries):
         caption = "Bound over RMSE of each run, which scatters about that of all runs, the stroke."
@@ -260,11 +240,14 @@ def _consistency(runs: Sequence[FilterRun], summaries: Sequence[FilterSummary], 
     figures = {}
     if any(s.consistency for s in summaries):
         caption = "Means by their degrees of freedom in their 95 % bands, and the share of the frames inside."
-        figures["consistency"] = (_later(honesty.plot_consistency, summaries), caption)
+        figures["consistency"] = (_later(consistency.plot_consistency, summaries), caption)
     if with_nees:
-        figures["nees"] = (_later(honesty.plot_nees, runs), "Pose NEES / 6 along the drive; the scale is logarithmic.")
+        figures["nees"] = (
+            _later(consistency.plot_nees, runs),
+            "Pose NEES / 6 along the drive; the scale is logarithmic.",
+        )
     caption = "Innovations along the drive, pooled over runs and short stretches of time."
-    figures["nis"] = (_later(honesty.plot_nis, runs), caption)
+    figures["nis"] = (_later(consistency.plot_nis, runs), caption)
     guide = "Above the band a filter is overconfident, below it too cautious."
     return _Section("Consistency", guide, tables.consistency_table(summaries, who), figures)
 
@@ -275,93 +258,59 @@ def _map(runs: Sequence[FilterRun], summaries: Sequence[FilterSummary], *, same_
         caption = (
             "By true distance: error relative to the camera, mean depth error (Sibley's bias), NEES / 3 in (u, v, d)."
         )
-        figures["landmarks"] = (_later(map_figures.plot_landmark_errors, summaries), caption)
+        figures["landmarks"] = (_later(landmarks.plot_landmark_errors, summaries), caption)
     if any(s.depth_convergence for s in summaries):
         caption = "All landmarks of that depth at first sight: the σ a filter claims should follow its true error."
-        figures["convergence"] = (_later(map_figures.plot_depth_convergence, summaries), caption)
+        figures["convergence"] = (_later(landmarks.plot_depth_convergence, summaries), caption)
     if same_landmarks and any(run.traces for run in runs):
         caption = (
             "Two landmarks. Dots: the frame's own disparity. A narrow band that misses the truth is false confidence."
         )
-        figures["depth"] = (_later(honesty.plot_depth, runs), caption)
+        figures["depth"] = (_later(landmarks.plot_depth, runs), caption)
     return [_Section("Map and depth", figures=figures)] if figures else []
 
 
 def _cost(runs: Sequence[FilterRun], summaries: Sequence[FilterSummary], who: str) -> _Section:
     figures = {}
     if any(s.ms_per_frame is not None for s in summaries):
-        figures["cost"] = (_later(cost.plot_cost, summaries), "Medians over frames and runs.")
+        figures["cost"] = (
+            _later(cost.plot_cost, summaries),
+            "Medians over frames and runs; of the memory, the largest growth in a run.",
+        )
     caption = "Predict and update, median over runs, along the drive and by the size of the map."
-    figures["time_per_frame"] = (_later(plots.plot_time_per_frame, runs), caption)
+    figures["time_per_frame"] = (_later(cost.plot_time_per_frame, runs), caption)
     guide = "Compare filters within a report, not across machines."
     return _Section("Cost and events", guide, tables.cost_table(summaries, who), figures)
 
 
-def _later(plot: Callable[..., Figure], *arguments: Any) -> Callable[[], Figure]:
+def _later(plot: Callable[..., Chart], *arguments: Any) -> Callable[[], Chart]:
     return lambda: plot(*arguments)
 
 
-def _section(section: _Section, folder: Path) -> str:
-    parts = [f"<section><h2>{section.heading}</h2>"]
-    if section.guide:
-        parts.append(f'<p class="quiet">{escape(section.guide)}</p>')
-    parts.append(section.table)
-    for name, (plot, caption) in (section.figures or {}).items():
-        parts.append(figure_block(plot(), name, caption, folder))
-    return "\n".join([*parts, "</section>"])
+def _drawn(section: _Section, folder: Path) -> Markup:
+    blocks = [figure_block(plot(), name, caption, folder) for name, (plot, caption) in (section.figures or {}).items()]
+    return part("section", section.heading, section.guide, [Markup(section.table), *blocks])
 
 
-def _pairs(summaries: Sequence[FilterSummary], figures: Figures, verdict: Verdict) -> str:
+def _pairs(summaries: Sequence[FilterSummary], figures: Figures, verdict: Verdict) -> Markup:
     """Each filter against each other one; of many filters, each against the best one."""
     if len(summaries) < 2:
-        return ""
+        return Markup()
     baseline = verdict.best if len(summaries) > MOST_SHOWN else None
     return _against(compare_all(summaries, figures, baseline=baseline), baseline, "Filter")
 
 
-def _against(compared: PairwiseTable, baseline: str | None, who: str) -> str:
+def _against(compared: PairwiseTable, baseline: str | None, who: str) -> Markup:
     if not compared.cells:
-        return ""
+        return Markup()
     guide = (
         f"The first {who.lower()} by the second one, on the same recordings: difference in %, and its 95 % interval, "
         "corrected for the number of pairs. A colour means that interval and signed-rank test both show the difference."
     )
     heading = f"Each against {baseline}" if baseline else "Each against each"
-    markup = tables.pair_table(compared, who)
-    return f'<section><h2>{escape(heading)}</h2><p class="quiet">{guide}</p>{markup}</section>'
+    return part("section", heading, guide, [Markup(tables.pair_table(compared, who))])
 
 
-# ---- the rest -------------------------------------------------------------------------------------------------------
-
-
-def _remarks(summaries: Sequence[FilterSummary]) -> str:
-    lines = [f"<li>{escape(remark)}</li>" for s in summaries for remark in s.remarks]
-    return f'<ul class="failures fair">{"".join(lines)}</ul>' if lines else ""
-
-
-def _failures(summaries: Sequence[FilterSummary]) -> str:
-    lines = [f"<li>{escape(f'{s.filter_name}: {failure}')}</li>" for s in summaries for failure in s.failures]
-    if not lines:
-        return ""
-    return f'<section><h2>Failures</h2><ul class="failures">{"".join(lines)}</ul></section>'
-
-
-def settings_list(settings: Mapping[str, Any]) -> str:
-    """Nested settings as a list of names and values."""
-    entries = "".join(f"<dt>{escape(str(key))}</dt><dd>{_setting(value)}</dd>" for key, value in settings.items())
-    return f'<dl class="settings">{entries}</dl>'
-
-
-def _setting(value: Any) -> str:
-    if isinstance(value, Mapping):
-        return settings_list(value) if value else "none"
-    if isinstance(value, (list, tuple)):
-        if value and all(isinstance(item, Mapping) for item in value):
-            return "<br>".join(escape(_in_one_line(item)) for item in value)
-        return escape(", ".join(map(str, value))) or "none"
-    return escape("none" if value is None else str(value))
-
-
-def _in_one_line(value: Mapping[str, Any]) -> str:
-    parts = (f"{key} {_in_one_line(v) if isinstance(v, Mapping) else v}" for key, v in value.items())
-    return ", ".join(parts) or "none"
+def _failures(summaries: Sequence[FilterSummary]) -> Markup:
+    lines = [f"{s.filter_name}: {failure}" for s in summaries for failure in s.failures]
+    return part("section", "Failures", "", [part("items", lines)]) if lines else Markup()

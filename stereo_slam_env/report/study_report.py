@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from html import escape
 from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
+from markupsafe import Markup
 
 from filters.validation import FloatArray
 from stereo_slam_env.benchmark.scenarios.study import Study
@@ -20,12 +20,11 @@ from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
 from stereo_slam_env.evaluation.run_figures import Figures
 from stereo_slam_env.report.answers import TONES, lost, short
 from stereo_slam_env.report.attribution_report import attribution_section, conclusions
-from stereo_slam_env.report.charts import factor_figures
-from stereo_slam_env.report.charts.factor_figures import FactorResponse
+from stereo_slam_env.report.charts.factors import FactorResponse, plot_factor
 from stereo_slam_env.report.charts.style import filter_colours
-from stereo_slam_env.report.page import figure_block, page
+from stereo_slam_env.report.page import clean_figures, data_links, figure_block, html_page, joined, part
 from stereo_slam_env.report.page_tables import Cell, Column, Tone, filter_cell, number, table
-from stereo_slam_env.report.run_report import clean_figures, data_links, reference_banner
+from stereo_slam_env.report.run_report import reference_banner
 from stereo_slam_env.report.tables import (
     capital,
     console_columns,
@@ -87,11 +86,11 @@ def write_study_report(
     verdicts = {name: judge(outcome.summaries, outcome.figures) for name, outcome in results.items()}
     links = {name: _link(out, study, name) for name in results}
     names = list(dict.fromkeys(s.filter_name for outcome in results.values() for s in outcome.summaries))
-    body = [
+    body: list[Markup] = [
         reference_banner([run for outcome in results.values() for run in outcome.runs]),
         conclusions(attribution) if attribution is not None else _headline(verdicts, names),
         _matrix(results, verdicts, names, links),
-        f'<p class="quiet">{escape(_MATRIX_NOTE)}</p>',
+        part("paragraph", _MATRIX_NOTE),
         *([attribution_section(attribution, folder)] if attribution is not None else []),
         *_factors(study, results, folder),
         _everything(results, verdicts, links),
@@ -100,7 +99,7 @@ def write_study_report(
     path = out / "report.html"
     cells, filters = len(results), len(names)
     subtitle = f"{cells} scenario{'s' * (cells > 1)} · {filters} filter{'s' * (filters > 1)} on identical measurements"
-    path.write_text(page(title=f"Study: {study.name}", subtitle=subtitle, body="\n".join(body)), encoding="utf-8")
+    path.write_text(html_page(title=f"Study: {study.name}", subtitle=subtitle, body=joined(body)), encoding="utf-8")
     return path
 
 
@@ -119,8 +118,8 @@ _MATRIX_NOTE = (
 )
 
 
-def _headline(verdicts: Mapping[str, Verdict], names: Sequence[str]) -> str:
-    return f'<p class="headline">{escape(" ".join(_sentences(verdicts, names)))}</p>'
+def _headline(verdicts: Mapping[str, Verdict], names: Sequence[str]) -> Markup:
+    return part("paragraph", " ".join(_sentences(verdicts, names)), "headline")
 
 
 def _sentences(verdicts: Mapping[str, Verdict], names: Sequence[str]) -> list[str]:
@@ -162,7 +161,7 @@ def _why(unknown: Sequence[Verdict]) -> str:
 
 def _matrix(
     results: Mapping[str, CellOutcome], verdicts: Mapping[str, Verdict], names: Sequence[str], links: Mapping[str, str]
-) -> str:
+) -> Markup:
     """Scenarios down and filters across, or the other way round where there are more filters."""
     colours = filter_colours(names)
     found = {(cell, s.filter_name): s for cell, outcome in results.items() for s in outcome.summaries}
@@ -202,7 +201,7 @@ def _standing(summary: FilterSummary, verdict: Verdict) -> Tone:
 # ---- factors --------------------------------------------------------------------------------------------------------
 
 
-def _factors(study: Study, results: Mapping[str, CellOutcome], folder: Path) -> list[str]:
+def _factors(study: Study, results: Mapping[str, CellOutcome], folder: Path) -> list[Markup]:
     factors = list(dict.fromkeys(name for cell in study.cells for name in cell.factors))
     sections = []
     for i, factor in enumerate(factors):
@@ -222,10 +221,10 @@ def _factors(study: Study, results: Mapping[str, CellOutcome], folder: Path) -> 
             continue
         averaged = ", over seeds and the other factors" if len(factors) > 1 else ", over seeds"
         caption = f"Geometric means{averaged}, with 95 % intervals over seeds where there are at least {MIN_PAIRS}."
-        figure = factor_figures.plot_factor("" if factor == "cell" else factor, shown, responses)
+        figure = plot_factor("" if factor == "cell" else factor, shown, responses)
         block = figure_block(figure, f"factor_{i}", caption, folder)
         heading = "Side by side" if factor == "cell" else f"Effect of {factor}"
-        sections.append(f"<section><h2>{escape(heading)}</h2>{block}</section>")
+        sections.append(part("section", heading, "", [block]))
     return sections
 
 
@@ -286,7 +285,9 @@ def _by_seed(outcome: CellOutcome, name: str, measure: Measure) -> dict[int | No
 # ---- the long table -------------------------------------------------------------------------------------------------
 
 
-def _everything(results: Mapping[str, CellOutcome], verdicts: Mapping[str, Verdict], links: Mapping[str, str]) -> str:
+def _everything(
+    results: Mapping[str, CellOutcome], verdicts: Mapping[str, Verdict], links: Mapping[str, str]
+) -> Markup:
     summaries = [s for outcome in results.values() for s in outcome.summaries]
     figures = console_columns(summaries)
     columns = [
@@ -309,7 +310,7 @@ def _everything(results: Mapping[str, CellOutcome], verdicts: Mapping[str, Verdi
                 _against_best(s, verdicts[cell]),
             ]
             rows.append([*first, *(figure_cell(figure, s, tones.get(figure.name, "")) for figure in figures)])
-    return f"<section><h2>All figures</h2>{table(columns, rows, wide=True)}</section>"
+    return part("section", "All figures", "", [table(columns, rows, wide=True)])
 
 
 def _against_best(summary: FilterSummary, verdict: Verdict) -> Cell:

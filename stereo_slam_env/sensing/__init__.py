@@ -1,4 +1,4 @@
-"""Sensors: from the true world to what a filter is given."""
+"""Simulated sensors, their noise and their faults."""
 
 import lazy_loader
 

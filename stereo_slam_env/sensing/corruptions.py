@@ -1,4 +1,4 @@
-"""What can go wrong between the world and a filter, applied to a `Recording` after the fact.
+"""Corruptions: faults between the world and a filter, applied to a `Recording` after the fact.
 
 A corruption is a small frozen dataclass with one method; any number of them can be applied one after the other. They
 change what a filter is given (measurements, what it is told about them, the order of frames) and never the truth of the
@@ -170,22 +170,12 @@ def _mean_odometry(steps: list[BodyVelocity], durations: FloatArray) -> BodyVelo
 
 
 class Corruption(Protocol):
-    """One thing that goes wrong."""
+    """One fault."""
 
     def applied_to(self, recording: Recording, rng: np.random.Generator) -> Recording:
-        """Return the recording as it is with this gone wrong; `recording` itself stays as it was.
+        """The recording with this fault, everything random from `rng`; `recording` itself stays as it was.
 
-        Parameters
-        ----------
-        recording : Recording
-            What was measured.
-        rng : numpy.random.Generator
-            Source of everything random.
-
-        Raises
-        ------
-        ValueError
-            The recording lacks what this needs, such as the truth.
+        A `ValueError` where the recording lacks what is needed, such as the truth.
         """
 
 
@@ -206,17 +196,9 @@ CORRUPTIONS: Mapping[str, type[Any]] = {
 
 
 def make_corruption(entry: Mapping[str, Any]) -> Corruption:
-    """A corruption from its JSON form.
+    """A corruption from its JSON form: `kind`, a key of `CORRUPTIONS`, and the fields of that class.
 
-    Parameters
-    ----------
-    entry : mapping
-        `kind`, a key of `CORRUPTIONS`, and the fields of that class.
-
-    Raises
-    ------
-    ValueError
-        No or an unknown kind, an unknown or missing field, or an impossible value: the message names it.
+    A `ValueError` names an unknown kind, an unknown or missing field, or an impossible value.
     """
     if not isinstance(entry, Mapping) or "kind" not in entry:
         raise ValueError(f"a corruption must have a kind, one of {', '.join(CORRUPTIONS)}, got {entry!r}")

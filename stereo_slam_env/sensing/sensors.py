@@ -15,7 +15,7 @@ from stereo_slam_env.recording.recording import LandmarkTruth, Pose, Velocity
 from stereo_slam_env.sensing.pixel_noise import PixelNoise
 
 Occlusion = Callable[[Pose, FloatArray], BoolArray]
-"""(left camera pose, points in W (N, 3)) -> which points both eyes see (N,)."""
+"""(left camera pose, points in W (N, 3)) -> which points both cameras see (N,)."""
 
 
 @dataclass(frozen=True)
@@ -47,23 +47,8 @@ class TrackingPolicy:
 class LandmarkSensor:
     """Tracks landmarks from frame to frame and measures them with noise.
 
-    A landmark is kept as long as both eyes see it. New ones are drawn with a probability proportional to their
-    disparity, so near ones are preferred.
-
-    Parameters
-    ----------
-    camera : StereoCamera
-        The rig.
-    noise : PixelNoise
-        Noise of the measurements.
-    landmarks : LandmarkTruth
-        All landmarks of the scene.
-    visible : callable
-        Whether anything is in between, see `Occlusion`.
-    policy : TrackingPolicy
-        What is tracked.
-    rng : numpy.random.Generator
-        Source of the choice and of the noise.
+    A landmark is kept as long as both cameras see it. New ones are drawn with a probability proportional to their
+    disparity, so near ones are preferred. The generator is the source of the choice and of the noise.
     """
 
     def __init__(

@@ -18,16 +18,15 @@ from matplotlib.patches import Polygon
 from filters import rotations
 from filters.validation import FloatArray
 from stereo_slam_env.evaluation.consistency import mean_band
-from stereo_slam_env.files.output import checked_file
+from stereo_slam_env.files.paths import checked_file
 from stereo_slam_env.loop import Moment
 from stereo_slam_env.rendering.drawing import disparity_colors
 from stereo_slam_env.rendering.images import Image
-from stereo_slam_env.report.charts.figures import save_png
-from stereo_slam_env.report.charts.plots import frame_track, orientation
-from stereo_slam_env.report.charts.series import heading
-from stereo_slam_env.report.charts.style import BAND, INK, MUTED, filter_colours, plain_log_axis, style_context
+from stereo_slam_env.report.charts.series import heading, map_axes
+from stereo_slam_env.report.charts.style import BAND, INK, MUTED, filter_colours
 from stereo_slam_env.viewer.drive import Drive
 from stereo_slam_env.viewer.ellipsoids import SIGMAS, ellipsoids
+from stereo_slam_env.viewer.picture_style import frame_track, plain_log_axis, save_png, style_context
 from stereo_slam_env.viewer.video import Recorder
 
 SIZE_INCHES, FILM_DPI = (12.8, 7.2), 100
@@ -151,7 +150,7 @@ class DrivePicture:
     def _draw_way(self) -> None:
         known = np.isfinite(self._truth).all(axis=1)
         reference = self._truth[known] if known.any() else self._estimate
-        self._across, self._up = orientation(reference)
+        self._across, self._up = map_axes(reference)
         if known.any():
             truth = self._truth[known]
             self._way.plot(truth[:, self._across], truth[:, self._up], color=INK, alpha=0.18, linewidth=5)

@@ -12,7 +12,7 @@ import numpy as np
 
 from filters.validation import FloatArray
 from stereo_slam_env.frontend.tracks import Outcome, Search, TrackedPair
-from stereo_slam_env.recording.image_sequence import GreyImage, StereoPair
+from stereo_slam_env.recording.recording import GreyImage, StereoPair
 from stereo_slam_env.rendering.drawing import (
     FONT,
     INK,

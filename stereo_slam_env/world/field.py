@@ -129,20 +129,7 @@ MEADOW = Material((1.0, 1.0, 1.0), "meadow", (61.3, 61.3))
 
 
 def build_field(route: Route, rng: np.random.Generator) -> Scene:
-    """Lay out tree lines, hedges, farms, pylons, water towers and wooded hills far from `route`.
-
-    Parameters
-    ----------
-    route : Route
-        Path of the camera. Nothing solid stands within 60 m of it.
-    rng : numpy.random.Generator
-        Source of the layout.
-
-    Returns
-    -------
-    Scene
-        In S, with its landmarks, all on things far away.
-    """
+    """Tree lines, hedges, farms, pylons, water towers and wooded hills, nothing solid within 60 m of `route`."""
     road = road_along(route)
     network = RoadNetwork([road])
     layout = Layout(network)
@@ -156,13 +143,7 @@ def build_field(route: Route, rng: np.random.Generator) -> Scene:
     built += sum(_put_something(layout, xy, rng) for xy in places[len(hills) :])
     solids = [p for p in layout.primitives if p.solid]
     points = facing_points(solids, _PER_THING * built, 25.0, network.nearest, rng)
-    return Scene(
-        network.ground(FARTHEST + 320.0, MEADOW),
-        tuple(layout.primitives),
-        paved([road], [LANE]),
-        np.arange(len(points), dtype=np.int64),
-        points,
-    )
+    return Scene(network.ground(FARTHEST + 320.0, MEADOW), tuple(layout.primitives), paved([road], [LANE]), points)
 
 
 def _put_something(layout: Layout, xy: FloatArray, rng: np.random.Generator) -> bool:

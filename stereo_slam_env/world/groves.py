@@ -8,7 +8,7 @@ import numpy as np
 
 from filters.validation import FloatArray
 from stereo_slam_env.world.field import LANE, MEADOW
-from stereo_slam_env.world.layout import Layout, facing_points
+from stereo_slam_env.world.layout import Layout, Make, facing_points
 from stereo_slam_env.world.props import STEEL, Placed
 from stereo_slam_env.world.road import LANE_OFFSET, LEAD_IN, Road, RoadNetwork, paved, road_along
 from stereo_slam_env.world.routes import Route
@@ -128,29 +128,13 @@ _BEYOND = LEAD_IN - 1.0
 _ROOM, _TRIES = 0.3, 6
 _Prop = Callable[[Placed, np.random.Generator], list[Primitive]]
 _TALL: tuple[_Prop, ...] = (tree, tree, hut, woodpile, bales)
-_LOW: tuple[_Prop, ...] = (
-    boulder,
-    bush,
-    milestone,
-    signpost,
-    fence,
-)
+_LOW: tuple[_Prop, ...] = (boulder, bush, milestone, signpost, fence)
 
 
 def build_groves(route: Route, rng: np.random.Generator) -> Scene:
-    """Lay out groups of trees, huts, woodpiles, boulders, signs, ... along `route`, on either side in turn.
+    """Groups of trees, huts, woodpiles, boulders, signs, ... along `route`, mostly left and right in turn.
 
-    Parameters
-    ----------
-    route : Route
-        Path of the camera. Nothing stands within 5 m of the centreline of its road.
-    rng : numpy.random.Generator
-        Source of the layout.
-
-    Returns
-    -------
-    Scene
-        In S, with about 12 landmarks a group, on surfaces that face the road.
+    Each has about 12 landmarks, on surfaces that face the road; nothing stands within 5 m of the centreline.
     """
     road = road_along(route)
     network = RoadNetwork([road])
@@ -172,23 +156,10 @@ def build_groves(route: Route, rng: np.random.Generator) -> Scene:
             side = _place(layout, road, station, side, group, rng)
             station += SPACING * float(rng.uniform(*_STRETCH))
     landmarks = np.concatenate(points)
-    return Scene(
-        network.ground(320.0, MEADOW),
-        tuple(layout.primitives),
-        paved([road], [LANE]),
-        np.arange(len(landmarks), dtype=np.int64),
-        landmarks,
-    )
+    return Scene(network.ground(320.0, MEADOW), tuple(layout.primitives), paved([road], [LANE]), landmarks)
 
 
-def _place(
-    layout: Layout,
-    road: Road,
-    station: float,
-    side: float,
-    group: Callable[[Placed], list[Primitive]],
-    rng: np.random.Generator,
-) -> float:
+def _place(layout: Layout, road: Road, station: float, side: float, group: Make, rng: np.random.Generator) -> float:
     """Put a group near `station` where there is room, most likely not on `side`; return its side (1 is left)."""
     for _ in range(_TRIES):
         side = -side if rng.random() < _OTHER_SIDE else side

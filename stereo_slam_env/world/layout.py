@@ -1,4 +1,4 @@
-"""Where things stand, off the roads and clear of each other, and landmarks on their surfaces."""
+"""Layout of things off the roads and clear of each other, and landmarks on their surfaces."""
 
 from __future__ import annotations
 
@@ -19,13 +19,7 @@ Make = Callable[[Placed], list[Primitive]]
 
 
 class Layout:
-    """Puts things where there is room.
-
-    Parameters
-    ----------
-    network : RoadNetwork
-        What to stay off.
-    """
+    """Puts things where there is room beside the roads of a network."""
 
     def __init__(self, network: RoadNetwork) -> None:
         self._network = network
@@ -35,13 +29,7 @@ class Layout:
         """Centre and radius of each footprint, with room for more."""
 
     def claim(
-        self,
-        xy: FloatArray,
-        yaw: float,
-        size: tuple[float, float],
-        room: float,
-        clearance: float,
-        make: Make,
+        self, xy: FloatArray, yaw: float, size: tuple[float, float], room: float, clearance: float, make: Make
     ) -> bool:
         """Build if the footprint is `clearance` m off every centreline and free; return whether it was."""
         wanted = Footprint(xy, yaw, size)
@@ -79,7 +67,7 @@ class Footprint:
 
     @cached_property
     def radius(self) -> float:
-        """Of the circle around it, m."""
+        """Radius of the circle around it, m."""
         return 0.5 * float(np.hypot(*self.size))
 
     @cached_property
@@ -109,13 +97,7 @@ def _grid(size: tuple[float, float]) -> FloatArray:
 
 
 def sample_surface(shape: Primitive, count: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
-    """Points uniform on the side (and, for balls, the whole) surface, and the outward normals there.
-
-    Returns
-    -------
-    points, normals : (count, 3) ndarray
-        m in S; unit.
-    """
+    """Points uniform on the side (of balls: the whole) surface, m in S, and unit outward normals; (count, 3) each."""
     if isinstance(shape, Box):
         return _sample_box(shape, count, rng)
     if isinstance(shape, Cylinder):
@@ -146,7 +128,7 @@ def facing_points(
 
 
 def sampling_weight(shape: Primitive) -> float:
-    """How many points a shape deserves, relative to others: the root of its side area, so that poles count too."""
+    """Share of the points for a shape, relative to others: the root of its side area, so that poles count too."""
     if isinstance(shape, Box):
         return float(np.sqrt(max(shape.size[:2]) * min(shape.size[2], 9.0)))
     if isinstance(shape, Cylinder):

@@ -22,15 +22,7 @@ _TINT, _SHADE = 0.08, 0.18
 
 
 def with_other_look(scene: Scene, rng: np.random.Generator) -> Scene:
-    """The scene with other textures, colours, light and air; shapes and landmarks stay.
-
-    Parameters
-    ----------
-    scene : Scene
-        Any.
-    rng : numpy.random.Generator
-        Source of the look. Equal materials stay equal.
-    """
+    """The scene with other textures, colours, light and air; shapes and landmarks stay, equal materials stay equal."""
     look_rng, paint_rng = rng.spawn(2)
     repainted = scene.repainted(lambda material: _repainted(material, paint_rng))
     return replace(repainted, look=_relit(scene.look, look_rng))
@@ -71,7 +63,6 @@ def in_fog(scene: Scene, visibility: float) -> Scene:
     Parameters
     ----------
     scene : Scene
-        Any.
     visibility : float
         Distance at which 5 % of the contrast is left (Koschmieder's law, C = exp(-3 d / visibility)), m. Where the
         scene is hazier already, that stays.

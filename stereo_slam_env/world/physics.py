@@ -1,4 +1,4 @@
-"""The physics engine: rays, collisions and pictures of a scene. The only file that imports pybullet."""
+"""Physics engine: rays, collisions and pictures of a scene. The only file that imports pybullet."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from stereo_slam_env.world.textures import texture
 
 @contextmanager
 def _without_banner() -> Iterator[None]:
-    """Keep the native standard error to ourselves: PyBullet prints its build time to it on import."""
+    """Silence the native standard error: PyBullet prints its build time to it on import."""
     kept = os.dup(2)
     nowhere = os.open(os.devnull, os.O_WRONLY)
     try:
@@ -108,28 +108,16 @@ class PhysicsWorld:
             for part in parts:
                 pybullet.resetBasePositionAndOrientation(part, place, turn, physicsClientId=self._connected)
 
-    def visible(self, eyes: FloatArray, points: FloatArray) -> BoolArray:
-        """Which points are seen from every eye: nothing but the driving car is in between.
-
-        Parameters
-        ----------
-        eyes : (E, 3)
-            Positions, m.
-        points : (N, 3)
-            Points on surfaces, m.
-
-        Returns
-        -------
-        (N,) ndarray of bool
-        """
-        rays = points - eyes[:, None]
+    def visible(self, cameras: FloatArray, points: FloatArray) -> BoolArray:
+        """Which points (N, 3) on surfaces are seen from all `cameras` (C, 3), m; the ego car hides nothing."""
+        rays = points - cameras[:, None]
         lengths = np.sqrt(np.einsum("eni,eni->en", rays, rays))
         ends = points - rays * (_SURFACE_GAP / lengths)[..., None]
         seen = list(range(len(points)))
-        for start, targets in zip(eyes.tolist(), ends.tolist(), strict=True):
+        for start, targets in zip(cameras.tolist(), ends.tolist(), strict=True):
             if not seen:
                 break
-            # A ray that hits is the dearest: none from the second eye to what the first does not see.
+            # A ray that hits is the dearest: none from the second camera to what the first does not see.
             hits = pybullet.rayTestBatch(
                 [start] * len(seen),
                 [targets[i] for i in seen],
@@ -171,27 +159,8 @@ class PhysicsWorld:
     ) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
         """Draw with TinyRenderer.
 
-        Parameters
-        ----------
-        view, projection : (4, 4)
-            OpenGL matrices, row-major.
-        width, height : int
-            px.
-        light : (3,)
-            Direction towards the sun.
-        ambient, diffuse : float
-            Shares of the light, see `Look`.
-
-        Returns
-        -------
-        rgb : (H, W, 3) uint8
-        depth : (H, W) float32
-            Depth buffer in 0..1; at the far end (to float32) there is nothing.
-
-        Raises
-        ------
-        RuntimeError
-            The world was built without pictures.
+        Takes row-major OpenGL matrices (4, 4), the size in px, the direction towards the sun (3,) and the shares of
+        the light (see `Look`); returns RGB (H, W, 3) and the depth buffer (H, W) in 0..1, whose far end is nothing.
         """
         if not self._drawn:
             raise RuntimeError("the scene was built without pictures: call dress first")
@@ -298,7 +267,7 @@ def _exchange_folder() -> Iterator[Path]:
 
 @cache
 def _exchange_place(process: int) -> tuple[Path, threading.Lock]:
-    """A path where nothing is, for one process, and the lock of who uses it."""
+    """An unused path for one process, and the lock for using it."""
     with tempfile.TemporaryDirectory(prefix=f"stereo-slam-{process}-") as unused:
         return Path(unused), threading.Lock()
 
@@ -340,34 +309,25 @@ def _stands_at(shape: dict[str, Any]) -> tuple[float, float]:
 
 def _collision_shape(shape: Primitive) -> dict[str, Any]:
     """Arguments of `createCollisionShapeArray` for one shape."""
-    arguments: dict[str, Any] = {
-        "shapeTypes": pybullet.GEOM_SPHERE,
-        "halfExtents": [1.0, 1.0, 1.0],
-        "radii": 1.0,
-        "lengths": 1.0,
-        "collisionFramePositions": [0.0, 0.0, 0.0],
-        "collisionFrameOrientations": [0.0, 0.0, 0.0, 1.0],
-    }
+    kind, half_extents, radius, length, turn = pybullet.GEOM_SPHERE, [1.0, 1.0, 1.0], 1.0, 1.0, [0.0, 0.0, 0.0, 1.0]
     if isinstance(shape, Box):
-        arguments |= {
-            "shapeTypes": pybullet.GEOM_BOX,
-            "halfExtents": [0.5 * s for s in shape.size],
-            "collisionFramePositions": list(shape.center),
-            "collisionFrameOrientations": [0.0, 0.0, math.sin(0.5 * shape.yaw), math.cos(0.5 * shape.yaw)],
-        }
+        kind, half_extents, middle = pybullet.GEOM_BOX, [0.5 * s for s in shape.size], list(shape.center)
+        turn = [0.0, 0.0, math.sin(0.5 * shape.yaw), math.cos(0.5 * shape.yaw)]
     elif isinstance(shape, Cylinder):
         start, end = np.array(shape.start), np.array(shape.end)
         length = float(np.linalg.norm(end - start))
-        arguments |= {
-            "shapeTypes": pybullet.GEOM_CYLINDER,
-            "radii": shape.radius,
-            "lengths": length,
-            "collisionFramePositions": (0.5 * (start + end)).tolist(),
-            "collisionFrameOrientations": _turn_from_z((end - start) / length),
-        }
+        kind, radius, middle = pybullet.GEOM_CYLINDER, shape.radius, (0.5 * (start + end)).tolist()
+        turn = _turn_from_z((end - start) / length)
     else:
-        arguments |= {"radii": shape.radius, "collisionFramePositions": list(shape.center)}
-    return arguments
+        radius, middle = shape.radius, list(shape.center)
+    return {
+        "shapeTypes": kind,
+        "halfExtents": half_extents,
+        "radii": radius,
+        "lengths": length,
+        "collisionFramePositions": middle,
+        "collisionFrameOrientations": turn,
+    }
 
 
 def _turn_from_z(axis: FloatArray) -> list[float]:

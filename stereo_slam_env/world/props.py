@@ -203,7 +203,7 @@ def vehicle(rng: np.random.Generator) -> tuple[Primitive, ...]:
 
 
 def length_of(parts: tuple[Primitive, ...]) -> float:
-    """Of the boxes of a body along its x axis, m."""
+    """Length of the boxes of a body along its x axis, m."""
     boxes = [part for part in parts if isinstance(part, Box)]
     return max(b.center[0] + 0.5 * b.size[0] for b in boxes) - min(b.center[0] - 0.5 * b.size[0] for b in boxes)
 

@@ -17,7 +17,7 @@ from scipy.ndimage import gaussian_filter1d
 from filters import rotations
 from filters.known_names import did_you_mean
 from filters.validation import FloatArray, positive
-from stereo_slam_env.files.tables import read_poses
+from stereo_slam_env.files.readers import read_poses
 
 ENTRY_POINT_GROUP = "stereo_slam.scenes"
 """Functions of installed packages that register scenes and routes."""
@@ -34,7 +34,7 @@ class Route:
     Attributes
     ----------
     name : str
-        Key in `ROUTES`, or path of a pose file: what `route_files.named_route` takes.
+        What `named_route` takes: a registered name, or the path of a pose file.
     speeds : (K - 1,)
         Speed of each step, m/s.
     yaw_rates : (K - 1,)
@@ -92,7 +92,7 @@ class Route:
 
     @property
     def duration(self) -> float:
-        """Of the whole drive, s."""
+        """Time of the whole drive, s."""
         return len(self.speeds) * FRAME_PERIOD
 
     def turns(self, least: float) -> list[tuple[int, int]]:
@@ -103,15 +103,10 @@ class Route:
         return [(int(first), int(last)) for first, last in edges[turned > least]]
 
     def nearest(self, position: FloatArray, around: int | None = None) -> int:
-        """Index of the frame whose nominal position is nearest to `position` (3,) in W.
+        """Index of the frame whose nominal position is nearest to `position` (3,), m in W.
 
-        Parameters
-        ----------
-        position : (3,)
-            m in W.
-        around : int, optional
-            Consider only frames less than 30 m along the route from this one: which pass it is where a route
-            crosses or retraces itself.
+        With `around`, only of those less than 30 m along the route from that frame: where a route crosses or retraces
+        itself, this is the pass.
         """
         first, last = 0, self.frames
         if around is not None:

@@ -1,4 +1,4 @@
-"""Scenes by name: what stands around a route, what moves on it, and in what light."""
+"""Scenes by name: what stands along a route, what moves there, and the light."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from filters.known_names import did_you_mean
 from filters.validation import positive
 from stereo_slam_env.world import corridor, field, groves, street
 from stereo_slam_env.world.looks import with_other_look
-from stereo_slam_env.world.road import road_along
 from stereo_slam_env.world.routes import Route, load_registrations, require_new
 from stereo_slam_env.world.scene import Scene
 from stereo_slam_env.world.traffic import traffic
@@ -108,18 +107,16 @@ def build_scene(
     pedestrians: int = 0,
     randomise: bool = False,
 ) -> Scene:
-    """Build a scene along a route.
+    """Build the scene of that name along a route, the path of the camera in the right-hand lane of a road.
 
     Layout, traffic and look have streams of their own: asking for traffic or another look leaves the layout as it is.
 
     Parameters
     ----------
     surroundings : str
-        Name in `SURROUNDINGS`.
+        A registered name.
     route : Route
-        Path of the camera, in the right-hand lane of a road.
     rng : numpy.random.Generator
-        Source of the layout; its children are those of the rest.
     moving_cars, pedestrians : int
         How many are to move near the nominal drive; fewer where there is no room for more.
     randomise : bool
@@ -137,14 +134,6 @@ def build_scene(
     traffic_rng, look_rng = rng.spawn(2)
     scene = chosen.build(route, rng)
     if moving_cars or pedestrians:
-        moving = traffic(
-            route,
-            road_along(route),
-            scene.solids,
-            chosen.walkway,
-            traffic_rng,
-            cars=moving_cars,
-            pedestrians=pedestrians,
-        )
+        moving = traffic(route, scene.solids, chosen.walkway, traffic_rng, cars=moving_cars, pedestrians=pedestrians)
         scene = replace(scene, moving=moving)
     return with_other_look(scene, look_rng) if randomise else scene

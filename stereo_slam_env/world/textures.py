@@ -25,17 +25,8 @@ VARIANTS = 4
 def texture(name: str, variant: int = 0) -> Image:
     """The texture as RGB uint8 (H, W, 3), top row first; read-only.
 
-    Parameters
-    ----------
-    name : str
-        One of `TEXTURES`.
-    variant : int
-        0 is the standard; others differ from it in details, contrast and brightness.
-
-    Raises
-    ------
-    ValueError
-        There is no such texture or variant.
+    Variant 0 is the standard; others differ from it in details, contrast and brightness. A `ValueError` where there is
+    no such texture or variant.
     """
     if name not in _PAINTERS:
         raise ValueError(f"texture must be one of {', '.join(TEXTURES)}, got {name!r}")

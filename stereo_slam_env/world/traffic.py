@@ -12,22 +12,16 @@ import numpy as np
 from filters.validation import BoolArray, FloatArray
 from stereo_slam_env.world import props
 from stereo_slam_env.world.meshes import body_meshes
-from stereo_slam_env.world.road import LANE_OFFSET, Road, stations_of
+from stereo_slam_env.world.road import LANE_OFFSET, road_along, stations_of
 from stereo_slam_env.world.routes import FRAME_PERIOD, Route, pulse
 from stereo_slam_env.world.scene import Box, Cylinder, MovingBody, Primitive
 
 _TALL = 1.8
-"""Height of a person: what is above is in nobody's way, m."""
+"""Height of a person, m: what is above is not in the way."""
 
 
 class Obstacles:
-    """The outlines on the ground of solids lower than a person: rectangles, and circles around the rest.
-
-    Parameters
-    ----------
-    solids : iterable of Box, Cylinder or Sphere
-        What stands.
-    """
+    """Outlines on the ground of solids lower than a person, as rectangles."""
 
     def __init__(self, solids: Iterable[Primitive]) -> None:
         rectangles = []
@@ -85,7 +79,7 @@ _TIGHT = 0.8
 
 @dataclass(frozen=True, eq=False)
 class _Way:
-    """Where on the road a body is at each time (K,): station, offset to the left, turn to the road (rad)."""
+    """Path of a body on the road at each time (K,): station, offset to the left, turn to the road (rad)."""
 
     stations: FloatArray
     left: FloatArray
@@ -94,7 +88,6 @@ class _Way:
 
 def traffic(
     route: Route,
-    road: Road,
     solids: tuple[Primitive, ...],
     walkway: float,
     rng: np.random.Generator,
@@ -105,26 +98,12 @@ def traffic(
     """Bodies that move around the nominal drive, come into its view, and never touch it or each other.
 
     Cars drive ahead in the same lane with a changing gap, or come along the other lane; some of these stop for a
-    while. Pedestrians walk along the road or cross it ahead of the ego car. More cars than there is room for are
-    left out, which is logged.
-
-    Parameters
-    ----------
-    route : Route
-        The nominal drive.
-    road : Road
-        The road along it, see `road_along`.
-    solids : tuple of Box, Cylinder or Sphere
-        What stands in the way of pedestrians; lanes are free.
-    walkway : float
-        Where pedestrians walk, m to either side of the centreline.
-    rng : numpy.random.Generator
-        Source of everything; the first bodies stay the same when more are asked for.
-    cars, pedestrians : int
-        How many.
+    while. Pedestrians walk along the road, `walkway` m from its centreline and clear of the `solids`, or cross it
+    ahead of the ego car. Bodies without room are left out, which is logged. The first bodies stay the same when more
+    are asked for.
     """
     car_rng, walker_rng = rng.spawn(2)
-    cast = _Cast(route, road)
+    cast = _Cast(route)
     for own in car_rng.spawn(cars):
         parts = props.vehicle(own)
         long = props.length_of(parts)
@@ -140,12 +119,12 @@ def traffic(
 class _Cast:
     """The bodies so far and where they are, so that the next one keeps clear of them and of the ego car."""
 
-    def __init__(self, route: Route, road: Road) -> None:
-        self._road, self._duration = road, route.duration
+    def __init__(self, route: Route) -> None:
+        self._road, self._duration = road_along(route), route.duration
         self._times = np.arange(0.0, route.duration + _AFTER, FRAME_PERIOD)
         frames = np.minimum(np.arange(len(self._times)), route.frames - 1)
         over = np.maximum(self._times - route.duration, 0.0)
-        self._ego = stations_of(route, road)[frames] + max(float(route.speeds[-1]), 1.0) * over
+        self._ego = stations_of(route, self._road)[frames] + max(float(route.speeds[-1]), 1.0) * over
         self._eyes = (route.positions[:, [2, 0]] * [1.0, -1.0])[frames]
         self._gaze = -route.headings[frames]
         self._taken = [(_circles(self._eyes, self._gaze, _EGO_CIRCLES), _EGO_RADIUS + _SWAY)]
@@ -259,13 +238,7 @@ _SKIN = 0.15
 
 
 class MovingPoints:
-    """Tells points on moving bodies, by the boxes around them.
-
-    Parameters
-    ----------
-    bodies : sequence of MovingBody
-        Of a scene.
-    """
+    """Tells which points are on moving bodies, by the boxes around these."""
 
     def __init__(self, bodies: Sequence[MovingBody]) -> None:
         self._bodies = tuple(bodies)

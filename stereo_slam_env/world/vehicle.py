@@ -1,4 +1,4 @@
-"""The car: its pan-tilt head, and the drivers that move it along a route or by actions."""
+"""The car, its pan-tilt head, and the drivers that move it along a route or by actions."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from stereo_slam_env.world.routes import FRAME_PERIOD, Route
 
 @dataclass(frozen=True)
 class Car:
-    """What the car can do, and how big it is.
+    """Limits and size of the car.
 
     Attributes
     ----------
@@ -42,15 +42,7 @@ class Car:
 
 
 class AgentDriver:
-    """Turns actions into camera motion.
-
-    Parameters
-    ----------
-    car : Car
-        Limits and geometry.
-    route : Route
-        Where the street is; the car starts at its first point with its first speed.
-    """
+    """Kinematic bicycle model: turns actions into camera motion from the first point and speed of a route on."""
 
     def __init__(self, car: Car, route: Route) -> None:
         self.car, self.route = car, route
@@ -67,14 +59,9 @@ class AgentDriver:
         return pose, Velocity(np.array([0.0, 0.0, self.speed]), np.zeros(3))
 
     def drive(self, pose: Pose, action: FloatArray) -> Velocity:
-        """Mean velocity (v in W, omega in the camera frame) of the next step.
+        """Mean velocity (v in W, omega in the camera frame) of the next step from the camera pose.
 
-        Parameters
-        ----------
-        pose : Pose
-            Current camera pose.
-        action : (2,)
-            Acceleration and steering angle in -1..1 of their limits; positive steers right.
+        The action (2,) is acceleration and steering angle in -1..1 of their limits; positive steers right.
         """
         car, dt = self.car, FRAME_PERIOD
         before = self.speed
@@ -98,7 +85,7 @@ def _direction(heading: float) -> FloatArray:
 
 
 class Driver(Protocol):
-    """What moves the camera."""
+    """A driver: moves the camera."""
 
     @property
     def finished(self) -> bool:
@@ -112,19 +99,10 @@ class Driver(Protocol):
 
 
 class RouteDriver:
-    """Drives the camera along a route with small, bounded perturbations.
+    """Drives the camera along a route with small, bounded perturbations; scale 0 drives the nominal route exactly.
 
     The velocity of each step is the nominal one, plus an Ornstein-Uhlenbeck process on the three linear and the three
     angular components, minus a pull back to the nominal pose that keeps height, roll, pitch and the lane.
-
-    Parameters
-    ----------
-    route : Route
-        The nominal drive.
-    perturbation : float
-        Scale of the perturbations: 0 drives the nominal route exactly.
-    rng : numpy.random.Generator
-        Source of the perturbations.
     """
 
     _SIGMAS = np.array([0.08, 0.08, 0.15, 0.012, 0.008, 0.012])
@@ -181,7 +159,7 @@ def advance(pose: Pose, velocity: Velocity, dt: float) -> Pose:
 
 @dataclass(frozen=True)
 class Head:
-    """A pan-tilt head whose axes meet half-way between the eyes.
+    """A pan-tilt head whose axes meet half-way between the two cameras.
 
     R_wc = R_wb R_y(pan) R_x(tilt), where B is where the left camera is when the head looks straight ahead: positive
     pan looks right, positive tilt looks up.
@@ -189,7 +167,7 @@ class Head:
     Attributes
     ----------
     baseline : float
-        Distance of the eyes, m.
+        Distance of the cameras, m.
     max_angles : (2,) tuple
         Largest pan and tilt to either side, rad.
     max_rates : (2,) tuple
@@ -201,16 +179,9 @@ class Head:
     max_rates: tuple[float, float]
 
     def turned(self, angles: FloatArray, command: FloatArray, dt: float | FloatArray) -> FloatArray:
-        """Angles after `dt` s of turning towards a command, as fast as the head can; arguments are broadcast.
+        """Pan and tilt, rad, after `dt` s of turning from `angles` (2,) towards a command (2,) in -1..1 of the limits.
 
-        Parameters
-        ----------
-        angles : (2,)
-            Pan and tilt now, rad.
-        command : (2,)
-            Wanted pan and tilt in -1..1 of their limits.
-        dt : float
-            s.
+        Arguments are broadcast.
         """
         most = np.array(self.max_rates) * dt
         after: FloatArray = angles + np.clip(command * self.max_angles - angles, -most, most)

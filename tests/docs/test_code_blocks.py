@@ -19,6 +19,7 @@ PAGES = {
 }
 OPTIONAL = ("pandas", "polars", "minari", "rerun")
 SHORTER = {
+    "README.md": ('scenario="turn", seeds=6', 'scenario="reference-turn", seeds=2'),
     "docs/benchmark.md": ('run_benchmark("quick", ', 'run_benchmark("reference-turn", '),
     "docs/your_data.md": ("first=100, last=200", "first=0, last=3"),
 }

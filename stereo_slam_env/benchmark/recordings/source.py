@@ -3,7 +3,7 @@
 A source is tagged data: `kind` names its class, and its fields are the table `options` of a scenario file. A new source
 is a subclass of `Source` with a tag, its fields and `record`::
 
-    class BagSource(Source, tag="bag"):
+    class BagSource(Source, frozen=True, tag="bag"):
         path: str
         topic: str = "/stereo"
 
@@ -18,14 +18,13 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable, Iterator, Mapping
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeVar, get_args, get_origin
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args, get_origin
 
 import msgspec
 
 from filters.known_names import did_you_mean, require_known
 from stereo_slam_env.frontend.settings import TrackerSettings
-from stereo_slam_env.recording.image_sequence import ImageSequence
-from stereo_slam_env.recording.recording import Recording
+from stereo_slam_env.recording.recording import ImageSequence, Recording
 
 if TYPE_CHECKING:
     from typing import Self
@@ -35,8 +34,6 @@ if TYPE_CHECKING:
 Progress = Callable[[int, int], None]
 OpenedImages = tuple[ImageSequence, TrackerSettings]
 Renderer = Literal["tiny", "gl"]
-T = TypeVar("T")
-
 _PLAIN = {"array": "a list", "object": "a table", "str": "text", "int": "a whole number", "float": "a number"}
 _PLAIN |= {"bool": "true or false", "null": "none"}
 
@@ -182,7 +179,7 @@ class Source(msgspec.Struct, frozen=True, tag_field="kind", forbid_unknown_field
         raise ValueError(f"a source of kind {self.kind!r} has no environment for policies")
 
 
-def checked(what: str, value: object, kind: type[T] | Any) -> T:
+def checked(what: str, value: object, kind: Any) -> Any:
     """The value as `kind`, a type that `msgspec` knows.
 
     Raises
@@ -191,10 +188,9 @@ def checked(what: str, value: object, kind: type[T] | Any) -> T:
         It cannot be: one line that begins with `what`.
     """
     try:
-        converted: T = msgspec.convert(value, kind)
+        return msgspec.convert(value, kind)
     except msgspec.ValidationError as error:
         raise ValueError(_in_words(what, value, kind, str(error))) from error
-    return converted
 
 
 def _in_words(what: str, value: Any, kind: Any, message: str) -> str:

@@ -15,7 +15,7 @@ import msgspec
 
 from filters.known_names import did_you_mean, require_known
 from stereo_slam_env.benchmark.recordings.source import OpenedImages, Progress, Renderer, Source, checked
-from stereo_slam_env.datasets import holds_images, open_for_front_end, read_recording
+from stereo_slam_env.datasets import holds_images, load, open_for_front_end
 from stereo_slam_env.frontend.recorder import record_tracks
 from stereo_slam_env.recording.recording import Recording
 from stereo_slam_env.sensing.rigs import camera_of
@@ -29,7 +29,7 @@ ENTRY_POINT_GROUP = "stereo_slam.sources"
 GAZE = "StereoSlam/Gaze-v0"
 
 
-class StreetSource(Source, tag="street"):
+class StreetSource(Source, frozen=True, tag="street"):
     """The PyBullet street of the environment.
 
     Attributes
@@ -80,7 +80,7 @@ class StreetSource(Source, tag="street"):
         return self.replaced(sensor="images", renderer=renderer)
 
 
-class GazeSource(Source, tag="gaze"):
+class GazeSource(Source, frozen=True, tag="gaze"):
     """An environment in which a policy decides where to look.
 
     Attributes
@@ -141,7 +141,7 @@ class GazeSource(Source, tag="gaze"):
         return env
 
 
-class ReferenceSource(Source, tag="reference"):
+class ReferenceSource(Source, frozen=True, tag="reference"):
     """Pure geometry, in which the filters' models hold.
 
     Attributes
@@ -183,13 +183,13 @@ class ReferenceSource(Source, tag="reference"):
         return problems[self.name]
 
 
-class DatasetSource(Source, tag="dataset"):
+class DatasetSource(Source, frozen=True, tag="dataset"):
     """A real recording, of tracks or of images, or a stored one.
 
     Attributes
     ----------
     path : str
-        See `datasets.read_recording`.
+        See `datasets.load`.
     arguments : dict
         Of the reader.
     """
@@ -203,7 +203,7 @@ class DatasetSource(Source, tag="dataset"):
     def record(self, seed: int | None, frames: int | None = None, progress: Progress | None = None) -> Recording:
         """Read it, or track landmarks through its images."""
         if not self.takes_images:
-            return read_recording(self.path, **self.arguments)
+            return load(self.path, **self.arguments)
 
         def look(tell: Progress) -> Recording:
             return record_tracks(*self.sequence(seed), frames=frames, progress=tell)
@@ -220,7 +220,7 @@ class DatasetSource(Source, tag="dataset"):
         return _opened(json.dumps(self.options, sort_keys=True))
 
 
-class FactorySource(Source, tag="factory"):
+class FactorySource(Source, frozen=True, tag="factory"):
     """Any function that returns a `Recording`.
 
     Attributes

@@ -257,7 +257,6 @@ class Scenario:
         ValueError
             The source draws no images, or there is nothing to draw for the renderer.
         """
-        checked("--sensor", sensor, Sensor | None)
         sees = self.source.takes_images
         if sensor == "images" and not sees:
             source = self.source.with_images(renderer or "tiny")

@@ -6,15 +6,11 @@ and `options`, and four more that make many scenarios of one file::
     name = "noise-mismatch"
     kind = "reference"
     seeds = 20                            # 0 to 19; or a list
+    filters = ["dual-bearing", { name = "inverse-depth", label = "paper", options = { error = "so3" } }]
     gate = false                          # TOML has no null: false is none
 
     [options]
     name = "long_drive"
-
-    [[filters]]                           # or: filters = ["inverse-depth", "dual-bearing"]
-    name = "inverse-depth"
-    label = "paper"
-    options = { error = "so3" }
 
     [grid]                                # every combination; keys are fields, dots go into tables
     "options.noise" = ["pixels", "uvd"]
@@ -45,8 +41,8 @@ from msgspec import Meta
 from filters.known_names import did_you_mean, require_known
 from stereo_slam_env.benchmark.recordings.source import checked
 from stereo_slam_env.benchmark.scenarios.scenario import KEYS, FilterChoice, Label, Scenario, choice_as_dict
-from stereo_slam_env.files.inside import is_there, require_inside
-from stereo_slam_env.files.text import read_text
+from stereo_slam_env.files.paths import is_there, require_inside
+from stereo_slam_env.files.readers import read_text
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -160,7 +156,7 @@ class Study:
                 {"name": cell.name, "factors": dict(cell.factors), "scenario": cell.scenario.as_dict()}
                 for cell in self.cells
             ],
-            "factorial": self.factorial and {key: list(levels) for key, levels in self.factorial.items()},
+            "factorial": None if self.factorial is None else {key: [*levels] for key, levels in self.factorial.items()},
         }
 
     @classmethod
@@ -182,10 +178,7 @@ def presets() -> Mapping[str, str]:
 
 
 def preset_study(name: str, *, data: str | Path | None = None) -> Study:
-    """A preset, whether of one scenario or of many; `data` is the folder of real recordings.
-
-    Raises a `ValueError` where there is no such preset, with those there are, or where it needs `data`.
-    """
+    """A preset of one scenario or of many; a `ValueError` for an unknown name, or without the `data` it needs."""
     known = _presets()
     if name not in known:
         raise ValueError(f"preset must be one of {', '.join(known)}, got {name!r}{did_you_mean(name, known)}")

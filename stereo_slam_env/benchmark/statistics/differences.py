@@ -1,4 +1,4 @@
-"""Paired differences with intervals and tests: what the runs show, and what they do not.
+"""Differences between filters, and between shares of runs, with intervals and tests.
 
 Errors of two filters differ by a factor rather than by an amount (a hard recording is hard for both), so what is
 averaged is the logarithm of their ratio on the same recording. Intervals are those of the symmetric studentised
@@ -36,7 +36,7 @@ _MOST_DIGITS = 1e6
 
 
 class Finding(Enum):
-    """What a comparison shows about the first of two."""
+    """Result of a comparison for the first of two."""
 
     BETTER = "better"
     WORSE = "worse"
@@ -229,15 +229,7 @@ def differences_of(
     seed: int = 0,
     is_ratio: bool = True,
 ) -> list[Difference]:
-    """The differences that m columns of gaps show.
-
-    Parameters
-    ----------
-    gaps : (n, m) ndarray
-        log(a / b), or a - b, one row a recording; finite.
-    comparisons, confidence, seed, is_ratio : int, float, int, bool
-        As `paired_difference`.
-    """
+    """The differences that m columns of gaps (n, m) show, one row a recording; options as `paired_difference`."""
     count, columns = gaps.shape
     intervals: list[tuple[float, float] | None] = [None] * columns
     if count >= MIN_PAIRS:
@@ -264,12 +256,7 @@ def unpaired_difference(
 ) -> Difference:
     """Compare two positive quantities measured on different recordings: Welch's t by bootstrap, Mann-Whitney.
 
-    Parameters
-    ----------
-    a, b : (n,), (m,) array_like
-        Values that are not finite and positive are left out.
-    comparisons, confidence, seed : int, float, int
-        As `paired_difference`.
+    Values that are not finite and positive are left out; options as `paired_difference`.
     """
     _check_level(comparisons, confidence)
     groups = [np.asarray(values, dtype=np.float64) for values in (a, b)]
@@ -299,22 +286,10 @@ def unpaired_difference(
 
 
 def mean_interval(values: FloatArray, confidence: float, seed: int = 0) -> tuple[FloatArray, FloatArray]:
-    """Interval of the mean of each column: the symmetric studentised bootstrap.
+    """Interval of the mean of each column of (n, m) values: the symmetric studentised bootstrap; low and high (m,).
 
-    Rows are resampled; half the width is the standard error times the `confidence` quantile of |mean* - mean| / error*.
-
-    Parameters
-    ----------
-    values : (n, m) ndarray
-        n >= 2 independent rows.
-    confidence : float
-        Of each column by itself.
-    seed : int
-        Of the resamples, which are the same for all columns.
-
-    Returns
-    -------
-    low, high : (m,) ndarray
+    Rows are resampled, the same for all columns; half the width is the standard error times the `confidence` quantile
+    of |mean* - mean| / error*. n >= 2.
     """
     values = np.asarray(values, dtype=np.float64)
     shift, spread = _resampled(values, seed)
@@ -325,18 +300,9 @@ def mean_interval(values: FloatArray, confidence: float, seed: int = 0) -> tuple
 
 
 def signed_rank_p(gaps: FloatArray) -> FloatArray:
-    """Two-sided p value of Wilcoxon's signed-rank test of each column.
+    """Two-sided p value of Wilcoxon's signed-rank test of each column of (n, m) gaps.
 
     Gaps of exactly zero say nothing and are left out.
-
-    Parameters
-    ----------
-    gaps : (n, m) ndarray
-        One row a recording.
-
-    Returns
-    -------
-    (m,) ndarray
     """
     count, columns = gaps.shape
     p_values = np.ones(columns)

@@ -22,7 +22,7 @@ _WORTH_WORDS = 1.0
 
 @dataclass(frozen=True, eq=False)
 class Response:
-    """What is explained.
+    """Response of an experiment: the values that the factors explain.
 
     Attributes
     ----------
@@ -41,7 +41,7 @@ class Response:
 
 @dataclass(frozen=True)
 class Effect:
-    """What a level does against the average of all, or two levels together beyond what each does alone.
+    """Effect of a level against the average of all, or of two levels together beyond what each does alone.
 
     Attributes
     ----------
@@ -151,19 +151,7 @@ def explain(
 ) -> tuple[ResponseAttribution, tuple[Term, ...]]:
     """Effects on a response, and the interactions that cannot be estimated (numbers of the factors).
 
-    Parameters
-    ----------
-    name : str
-        Of the response.
-    response : Response
-        Its values.
-    factors : mapping of str to sequence
-        Names and levels, at least two each, in the order of the axes.
-
-    Raises
-    ------
-    ValueError
-        As `fit_factorial`.
+    `factors` has names and levels, at least two each, in the order of the axes. Raises as `fit_factorial`.
     """
     fit = fit_factorial(response.logarithms)
     names = list(factors)
@@ -259,7 +247,7 @@ def _conclusion(
 
 @dataclass(frozen=True, eq=False)
 class FactorialFit:
-    """What a fit found.
+    """Result of a fit: effects, and the variance they explain.
 
     Attributes
     ----------

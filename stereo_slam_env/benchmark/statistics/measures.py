@@ -42,7 +42,7 @@ class Measure:
 
     @property
     def words(self) -> str:
-        """What it is called: "position error"."""
+        """Name in tables and sentences: "position error"."""
         return self.figure.label
 
     @property
@@ -52,7 +52,7 @@ class Measure:
 
     @property
     def ideal(self) -> float | None:
-        """Of a measure of consistency, the value of a consistent filter: 1; None: the smaller the better."""
+        """Value of a consistent filter, 1, for a measure of consistency; None: the smaller the better."""
         return None if self.figure.ideal is None else 1.0
 
     def of(self, figures: FilterSummary | Mapping[str, Any]) -> float:
@@ -74,18 +74,10 @@ class Measure:
         return float(np.exp(np.log(finite).mean()))
 
     def difference(self, a: FloatArray, b: FloatArray, *, paired: bool = True, comparisons: int = 1) -> Difference:
-        """How much worse a is than b, from the values of both in each run.
+        """How much worse a is than b, from the values of both in each run; NaN where not known.
 
-        Of a measure of consistency: how much farther a's mean is from the ideal, as a factor.
-
-        Parameters
-        ----------
-        a, b : (n,) ndarray
-            Run by run; NaN where not known.
-        paired : bool
-            Whether a run of a and the same one of b had the same measurements.
-        comparisons : int
-            Made at once.
+        Of a measure of consistency: how much farther a's mean is from the ideal, as a factor. `paired`: whether a run
+        of a and the same one of b had the same measurements; `comparisons`: made at once.
         """
         if not paired:
             return unpaired_difference(self._badness(a), self._badness(b), comparisons=comparisons)
@@ -190,20 +182,9 @@ def compare_all(
     baseline: str | None = None,
     measures: Sequence[Measure] = QUESTIONS,
 ) -> PairwiseTable:
-    """Compare each filter with each other one, question by question.
+    """Compare each filter with each other one, or all with a baseline, question by question.
 
-    Intervals and tests are corrected for the number of pairs; each question stands for itself.
-
-    Parameters
-    ----------
-    summaries : sequence of FilterSummary
-        One for each filter.
-    figures : mapping of str to RunFigures
-        Of the same runs, see `figures_of`.
-    baseline : str, optional
-        Compare all with this one only.
-    measures : sequence of Measure
-        The questions: by default how accurate in position and rotation, how honest, how fast.
+    Intervals and tests are corrected for the number of pairs; each measure stands for itself.
 
     Raises
     ------
@@ -228,7 +209,7 @@ def compare_all(
 
 
 def change_words(measure: Measure, difference: Difference) -> str:
-    """What a difference of a measure comes to, with its evidence in brackets."""
+    """A difference of a measure in words, with its evidence in brackets."""
     if difference.tied:
         return difference.tie_words
     if not difference.shown:

@@ -1,4 +1,4 @@
-"""What has to be known to read the figures of a run: what they are held against, and innovations far from the claim."""
+"""Remarks on the figures of a run: its reference, innovations far from the claim, distance from the limit."""
 
 from __future__ import annotations
 

@@ -44,10 +44,10 @@ from stereo_slam_env.benchmark.storage.run_archive import load_provenance, load_
 from stereo_slam_env.evaluation.cramer_rao import Bound
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
 from stereo_slam_env.evaluation.run_figures import figures_of, summarise_all
-from stereo_slam_env.files.arrays import read_arrays
 from stereo_slam_env.files.atomic import write_atomically
 from stereo_slam_env.files.claimed_folder import is_occupied
 from stereo_slam_env.files.package_versions import version_of
+from stereo_slam_env.files.readers import read_arrays
 
 VERSION = 2
 CELLS = "cells"

@@ -54,6 +54,14 @@ def distance(run: FilterRun) -> FloatArray:
     return travelled
 
 
+def map_axes(track: FloatArray) -> tuple[int, int]:
+    """Axes of W to draw across and up for a track (N, 3) seen from above: long drives lie on their side."""
+    if not len(track):
+        return 0, 2
+    extent_x, _, extent_z = np.ptp(track, axis=0)
+    return (2, 0) if extent_z > extent_x else (0, 2)
+
+
 def position_error(run: FilterRun) -> FloatArray:
     """Length of the position error without alignment, m; (K,), NaN where it is unknown."""
     return np.asarray(np.linalg.norm(run.true_positions - run.positions, axis=1), dtype=np.float64)

@@ -229,9 +229,7 @@ class MovingTruck:
             observations.append(seen_elsewhere(frame, recording.camera, concerned, static, moved))
         return recording.with_observations(observations)
 
-    def _on_truck(
-        self, recording: Recording, landmarks: LandmarkTruth, rng: np.random.Generator
-    ) -> NDArray[np.bool_]:
+    def _on_truck(self, recording: Recording, landmarks: LandmarkTruth, rng: np.random.Generator) -> NDArray[np.bool_]:
         """Which landmarks (N,): in every view about that share, not none or all by chance."""
         ids = np.concatenate([frame.observation.ids for frame in recording.frames])
         seen, first = np.unique(ids, return_index=True)

@@ -134,7 +134,10 @@ def run_paper(
     about = {"version": VERSION, "settings": asdict(settings), "versions": versions()}
     _write_json(out / SETTINGS, about)
 
-    drives, place = long_drive.study(settings.drive_seeds, settings.drive_frames), out / f"{DRIVES}-{settings.drive_frames}"
+    drives, place = (
+        long_drive.study(settings.drive_seeds, settings.drive_frames),
+        out / f"{DRIVES}-{settings.drive_frames}",
+    )
     untimed = {**convergence.experiments(settings.turn_seeds), **karlsruhe.experiments(sequences)}
     timed = speed.experiments(settings.sizes, settings.repeats)
     trials = sum(len(cell.scenario.filters) * len(cell.scenario.seeds) for cell in drives.cells)
@@ -183,7 +186,9 @@ def run_experiments(
     own_code = b"".join(path.read_bytes() for path in sorted(Path(__file__).parent.glob("*.py")))
     code = [versions()["code"], hashlib.sha256(own_code).hexdigest()]
     keys = {name: json.dumps([*code, work.args, work.keywords]) for name, work in experiments.items()}
-    results = {name: arrays for name in experiments if (arrays := _kept(folder / f"{name}.npz", keys[name])) is not None}
+    results = {
+        name: arrays for name in experiments if (arrays := _kept(folder / f"{name}.npz", keys[name])) is not None
+    }
     progress(len(results), len(experiments))
     missing = [(folder / f"{name}.npz", keys[name], work) for name, work in experiments.items() if name not in results]
     with engine.started() as run_all:

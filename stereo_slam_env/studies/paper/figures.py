@@ -1,33 +1,45 @@
-"""The paper's figures, in its layout, from what was measured here. Pure: results in, Figure out."""
+"""Charts of the paper, in its layout, from what was measured here."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from scipy.stats import chi2, norm
 
-from filters.landmarks.inverse_depth import ray_direction
-from filters.validation import FloatArray
-from stereo_slam_env.benchmark.statistics.differences import CONFIDENCE
-from stereo_slam_env.evaluation.consistency import mean_band
-from stereo_slam_env.report.charts.style import (
+from stereo_slam_env.benchmark import CONFIDENCE
+from stereo_slam_env.evaluation import mean_band
+from stereo_slam_env.report import (
     BAND,
+    DASHED,
     INK,
     MUTED,
-    WIDTH_INCHES,
-    EndLabel,
-    colour_key,
+    WIDTH,
+    Axis,
+    Box,
+    Chart,
+    Curve,
+    Panel,
+    figure,
     filter_colours,
-    label_ends,
-    plain_log_axis,
-    styled,
+    label_room,
+    log_axis,
+    panel_width,
 )
 from stereo_slam_env.studies.paper import convergence, long_drive, speed
-from stereo_slam_env.studies.paper.intervals import ratio_interval
+from stereo_slam_env.studies.paper.claims import (
+    COUPLED,
+    DIAGONAL,
+    DUAL,
+    EUCLIDEAN,
+    JOINT,
+    NOISES,
+    RIGHT,
+    UVD,
+    Arrays,
+    FloatArray,
+    ratio_interval,
+)
 from stereo_slam_env.studies.paper.landmark_uncertainty import (
     ASSUMED,
     CAMERA,
@@ -36,203 +48,221 @@ from stereo_slam_env.studies.paper.landmark_uncertainty import (
     landmark,
     measurements,
     places,
+    points,
 )
-from stereo_slam_env.studies.paper.parts import Arrays
-from stereo_slam_env.studies.paper.settings import COUPLED, DIAGONAL, DUAL, EUCLIDEAN, JOINT, NOISES, RIGHT, UVD
 
 COLOURS = filter_colours((JOINT, DUAL, EUCLIDEAN))
 NAMES = {JOINT: "inverse depth, (u, v, d)", DUAL: "two bearing updates", EUCLIDEAN: "XYZ"}
 SHOWN = 1000
 """Points of a cloud that are drawn: all of them would make the picture heavy, not clearer."""
+_FORM_DASHES: tuple[tuple[float, ...], ...] = ((), DASHED, (7, 3, 1, 3), (2, 3))
+_DEPTHS = (0.0, 260.0)
+"""What figure 1 shows, m."""
 
 
-@styled
-def figure_1(samples: int) -> Figure:
+def figure_1(samples: int) -> Chart:
     """Cloud and regions of a point at 70 m, and the histogram of its depth; one row a noise, each with its right R."""
-    figure = Figure(figsize=(WIDTH_INCHES, 5.6))
-    figure.subplots_adjust(left=0.06, right=0.985, top=0.95, bottom=0.085, hspace=0.34, wspace=0.16)
-    for (left, right), (noise, name) in zip(figure.subplots(2, 2), NOISES.items(), strict=True):
+    panels = []
+    width = panel_width(2, 10.0)
+    for noise, name in NOISES.items():
         uvd, R = measurements(FIGURE_1, noise, samples), ASSUMED[RIGHT[noise]].R
-        _draw_cloud(left, FIGURE_1, uvd, R, (JOINT, EUCLIDEAN))
-        left.set(xlim=(0, 260), ylabel="X, right (m)")
-        left.set_title(f"Points measured at {FIGURE_1:g} m, noise: {name}")
-        _draw_histogram(right, FIGURE_1, uvd, R)
-        right.set(xlim=(0, 260), title="Depth (m): share of the points for 5 m each")
-    return figure
+        cloud = _cloud_panel(FIGURE_1, uvd, R, (JOINT, EUCLIDEAN), width, f"At {FIGURE_1:g} m, noise: {name}", _DEPTHS)
+        panels += [cloud, _histogram(FIGURE_1, uvd, R, width)]
+    return figure(panels, {NAMES[name]: COLOURS[name] for name in (JOINT, EUCLIDEAN)}, columns=2)
 
 
-@styled
-def figure_2(samples: int) -> Figure:
+def figure_2(samples: int) -> Chart:
     """Cloud and our region at 15, 30 and 45 m, under the paper's noise."""
-    figure = Figure(figsize=(WIDTH_INCHES, 3.1))
-    figure.subplots_adjust(left=0.05, right=0.985, top=0.9, bottom=0.155, wspace=0.2)
-    for ax, depth, letter in zip(figure.subplots(1, 3), FIGURE_2, "abc", strict=True):
-        _draw_cloud(ax, depth, measurements(depth, UVD, samples), ASSUMED[RIGHT[UVD]].R, (JOINT,))
-        ax.set_title(f"({letter}) {depth:g} m: X, right, over Z (m)")
-    return figure
+    panels = []
+    for depth, letter in zip(FIGURE_2, "abc", strict=True):
+        uvd, R = measurements(depth, UVD, samples), ASSUMED[RIGHT[UVD]].R
+        panels.append(_cloud_panel(depth, uvd, R, (JOINT,), panel_width(3, 10.0), f"({letter}) {depth:g} m"))
+    return figure(panels)
 
 
-@styled
-def figure_4(results: Mapping[str, Arrays]) -> Figure:
+def figure_4(results: Mapping[str, Arrays]) -> Chart:
     """Claimed sigma of the depth against the number of updates, and the true error; left near, right far."""
 
-    def draw(ax: Axes, depths: convergence.Depths, label: str) -> None:
+    def draw(depths: convergence.Depths, label: str, title: str, width: float) -> Panel:
         used = depths.label == label
-        updates = np.arange(depths.true.shape[1])
-        labels = []
+        updates = np.arange(1, depths.true.shape[1])
+        claims, errors = [], []
         for (name, R), history in depths.filters.items():
             z, sigma = (values[used] for values in depths.depth(history))
-            claimed = np.sqrt(np.nanmean(sigma**2, axis=0))
-            error = np.sqrt(np.nanmean((z - depths.true[used]) ** 2, axis=0))
-            ax.plot(updates[1:], claimed[1:], _style(R), color=COLOURS[name], label=f"{NAMES[name]}, R = {R} (m)")
-            ax.plot(
-                updates[1:],
-                error[1:],
-                marker="o" if R == DIAGONAL else "D",
-                markerfacecolor=COLOURS[name] if R == DIAGONAL else "white",
-                linestyle="none",
-                color=COLOURS[name],
-                markersize=4,
-                label=f"_{NAMES[name]}, R = {R}",
-            )
-            labels.append(EndLabel(_called(name, R), claimed[-1], COLOURS[name]))
-        ax.set_yscale("log")
-        plain_log_axis(ax)
-        label_ends(ax, labels)
+            claimed = np.sqrt(np.nanmean(sigma**2, axis=0))[1:]
+            error = np.sqrt(np.nanmean((z - depths.true[used]) ** 2, axis=0))[1:]
+            called = _called(name, R)
+            claims.append((R, Curve(called, updates, claimed, COLOURS[name], said=f"{called}: claimed σ")))
+            errors.append((R, Curve(called, updates, error, COLOURS[name], said=f"{called}: true error")))
+        y = log_axis(np.asarray(curve.y) for _, curve in (*claims, *errors))
+        panel = Panel(Axis(0, float(updates[-1]), "update"), y, width, 190.0, title)
+        for R, dash in ((DIAGONAL, ()), (COUPLED, DASHED)):
+            panel.lines([curve for of, curve in claims if (of == DIAGONAL) == (R == DIAGONAL)], dash)
+            panel.dots([curve for of, curve in errors if (of == DIAGONAL) == (R == DIAGONAL)], hollow=R != DIAGONAL)
+        panel.end_labels((curve.key, float(np.asarray(curve.y)[-1]), curve.colour) for _, curve in claims)
+        return panel
 
-    return _near_and_far(results, draw, "claimed σ of the depth, lines, and true RMS error, markers (m)")
+    return _near_and_far(results, draw, "Claimed σ of the depth, lines, and true RMS error, markers (m)")
 
 
-@styled
-def figure_5(results: Mapping[str, Arrays]) -> Figure:
+def figure_5(results: Mapping[str, Arrays]) -> Chart:
     """Depth of one landmark against the number of updates, beside the raw measurements; left near, right far."""
 
-    def draw(ax: Axes, depths: convergence.Depths, label: str) -> None:
+    def draw(depths: convergence.Depths, label: str, title: str, width: float) -> Panel:
         at = convergence.example(depths, label)
-        _draw_landmark(ax, depths, at, depths.true[at], "truth")
+        return _landmark_panel(depths, at, depths.true[at], "truth", title, width)
 
-    return _near_and_far(results, draw, "estimated minus true depth of one landmark (m)")
+    return _near_and_far(results, draw, "Estimated minus true depth of one landmark (m)")
 
 
-@styled
-def figure_karlsruhe(depths: convergence.Depths) -> Figure:
+def figure_karlsruhe(depths: convergence.Depths) -> Chart:
     """As figures 4 and 5, on real images: claimed sigma, and the depth of one landmark; left near, right far."""
-    figure = Figure(figsize=(WIDTH_INCHES, 6.0))
-    figure.subplots_adjust(left=0.05, right=0.86, top=0.95, bottom=0.075, hspace=0.25, wspace=0.45)
-    for (upper, lower), label in zip(figure.subplots(2, 2).T, convergence.RANGES, strict=True):
+    keys = _keys(depths)
+    room = label_room([*keys, "mean of raw"])
+    width = panel_width(2, room, 62 + room)
+    upper, lower = [], []
+    ours = next(history for (name, R), history in depths.filters.items() if name == JOINT and R != DIAGONAL)
+    for label in convergence.RANGES:
         used = np.flatnonzero(depths.label == label)
-        upper.set_title(f"{label.capitalize()}: claimed σ of the depth (m), median of {len(used)} landmarks")
-        lower.set_title("Depth of one of them against where ours sees it in the end (m)")
-        lower.set_xlabel("update")
         if not len(used):
             continue
-        labels = []
-        for (name, R), history in depths.filters.items():
-            sigma = np.nanmedian(depths.depth(history)[1][used], axis=0)
-            upper.plot(np.arange(len(sigma)), sigma, _style(R), color=COLOURS[name], label=_called(name, R))
-            labels.append(EndLabel(_called(name, R), float(sigma[-1]), COLOURS[name]))
-        upper.set_yscale("log")
-        plain_log_axis(upper)
-        label_ends(upper, labels)
-        ours = next(history for (name, R), history in depths.filters.items() if name == JOINT and R != DIAGONAL)
-        _draw_landmark(lower, depths, used[0], ours.hindsight[used[0]], "in the end")
-    return figure
+        claims = {
+            (name, R): np.nanmedian(depths.depth(history)[1][used], axis=0)
+            for (name, R), history in depths.filters.items()
+        }
+        title = f"{label.capitalize()}: claimed σ of the depth (m), median of {len(used)}"
+        last = max(len(sigma) for sigma in claims.values()) - 1.0
+        panel = Panel(Axis(0, last), log_axis(claims.values()), width, 200.0, title)
+        for (name, R), sigma in claims.items():
+            key = _called(name, R)
+            panel.lines([Curve(key, np.arange(len(sigma)), sigma, COLOURS[name])], _dash(R))
+        panel.end_labels((_called(name, R), float(sigma[-1]), COLOURS[name]) for (name, R), sigma in claims.items())
+        upper.append(panel)
+        title = "Depth of one, less where ours sees it in the end (m)"
+        lower.append(_landmark_panel(depths, used[0], ours.hindsight[used[0]], "in the end", title, width))
+    return figure([*upper, *lower], keys, columns=len(upper), column=62 + room)
 
 
-@styled
-def figure_6(said: Mapping[str, FloatArray], true: Mapping[str, FloatArray]) -> Figure:
-    """Trajectory on the left; yaw, Vx and Vz over the frames on the right: what a filter says of a drive, and truth."""
-    figure = Figure(figsize=(WIDTH_INCHES, 4.6))
-    track = figure.add_axes((0.055, 0.105, 0.36, 0.83))
-    rows = [figure.add_axes((0.5, 0.105 + 0.295 * (2 - row), 0.37, 0.225)) for row in range(3)]
-    for series, colour, width, name in ((true, INK, 5.0, "truth"), (said, COLOURS[JOINT], 1.2, NAMES[JOINT])):
-        alpha = 0.18 if name == "truth" else 1.0
-        drawn: dict[str, Any] = {"color": colour, "linewidth": width, "alpha": alpha, "label": name}
-        x, _, z = series["positions"].T
-        track.plot(x, z, **drawn)
-        frames = np.arange(len(x))
-        for ax, values in zip(
-            rows, (np.rad2deg(series["yaw"]), series["velocities"][:, 0], series["velocities"][:, 2]), strict=True
-        ):
-            ax.plot(frames, values, **drawn)
-    track.set_aspect("equal", adjustable="datalim")
-    track.set(xlabel="x, right (m)", ylabel="z, forward (m)", title="Trajectory, seen from above")
-    for ax, title in zip(rows, ("Yaw (°)", "Vx (m/s)", "Vz (m/s)"), strict=True):
-        ax.set(title=title, xlim=(0, len(said["yaw"]) - 1))
-        ax.tick_params(labelbottom=ax is rows[-1])
-    rows[-1].set_xlabel("frame")
-    colour_key(rows[0], {"truth": MUTED, "inverse depth": COLOURS[JOINT]})
-    return figure
+def figure_6(said: Mapping[str, FloatArray], true: Mapping[str, FloatArray]) -> Chart:
+    """Trajectory; yaw, Vx and Vz over the frames below it: what a filter says of a drive, and truth."""
+    keys = {"truth": MUTED, NAMES[JOINT]: COLOURS[JOINT]}
+    room = label_room(keys)
+    both = ((true, INK, "truth", 6.0, 0.18), (said, COLOURS[JOINT], NAMES[JOINT], 1.5, 1.0))
+    x, _, z = np.concatenate([true["positions"], said["positions"]]).T
+    scale = min(420.0 / (np.ptp(x) + 4.0), 420.0 / (np.ptp(z) + 4.0))
+    track = Panel(
+        _around(x, "x, right (m)"),
+        _around(z, "z, forward (m)"),
+        max(scale * (np.ptp(x) + 4.0), 120.0),
+        max(scale * (np.ptp(z) + 4.0), 120.0),
+        "Trajectory, seen from above",
+    )
+    for series, colour, name, width, opacity in both:
+        places_w = series["positions"]
+        track.lines([Curve(name, places_w[:, 0], places_w[:, 2], colour, width=width, opacity=opacity)])
+    panels = [track]
+    rows: tuple[tuple[str, Callable[[Mapping[str, FloatArray]], FloatArray]], ...] = (
+        ("Yaw (°)", lambda series: np.rad2deg(series["yaw"])),
+        ("Vx (m/s)", lambda series: series["velocities"][:, 0]),
+        ("Vz (m/s)", lambda series: series["velocities"][:, 2]),
+    )
+    for title, values in rows:
+        curves = [
+            Curve(name, np.arange(len(values(series))), values(series), colour, width=width, opacity=opacity)
+            for series, colour, name, width, opacity in both
+        ]
+        last = len(said["yaw"]) - 1.0
+        y = _around(np.concatenate([np.asarray(curve.y) for curve in curves]), "")
+        panel = Panel(Axis(0, last, "frame"), y, WIDTH - 60 - room, 110.0, title)
+        panel.lines(curves)
+        panels.append(panel)
+    panels[1].colour_key(keys)
+    return figure(panels, keys, columns=1)
 
 
-@styled
-def figure_nees(results: Mapping[str, Arrays]) -> Figure:
+def figure_nees(runs: long_drive.Runs) -> Chart:
     """Pose NEES of all filters, mean over the drives, with the band of a consistent one."""
-    figure = Figure(figsize=(WIDTH_INCHES, 5.4))
-    figure.subplots_adjust(left=0.05, right=0.845, top=0.95, bottom=0.085, hspace=0.3)
-    panels = figure.subplots(2, 1, sharex=True)
-    for ax, (noise, name) in zip(panels, NOISES.items(), strict=True):
-        drives = long_drive.drives(results, noise)
-        low, high = mean_band(6, len(drives))
-        ax.axhspan(low / 6, high / 6, color=BAND, linewidth=0, zorder=0)
-        labels = [EndLabel("95 % band", float(np.sqrt(low * high)) / 6, MUTED)]
-        for filter_name, R in long_drive.cases(noise):
-            nees = np.array([long_drive.one(arrays, f"{filter_name}.{R}")["pose_nees"] for arrays in drives])
+    keys: dict[str, str] = {}
+    rows = []
+    for noise, name in NOISES.items():
+        cases = long_drive.cases(long_drive.DRIVE, noise)
+        drives = len(runs[cases[0]])
+        low, high = (end / 6 for end in mean_band(6, drives))
+        curves = []
+        for case in cases:
+            filter_name, R = case[2:]
+            nees = np.array([run.pose_nees for run in runs[case]])
+            text = {JOINT: f"ours, R = {R}", DUAL: "competitor, 1 px an image", EUCLIDEAN: "XYZ"}[filter_name]
             mean = _smoothed(nees.mean(axis=0)[1:]) / 6
-            style = "--" if filter_name == JOINT and R == COUPLED else "-"
-            text = {JOINT: f"ours, R = {R}", DUAL: "rival, 1 px an eye", EUCLIDEAN: "XYZ"}[filter_name]
-            ax.plot(np.arange(1, len(mean) + 1), mean, style, color=COLOURS[filter_name], label=text)
-            labels.append(EndLabel(text, float(mean[-1]), COLOURS[filter_name]))
-        ax.set_yscale("log")
-        ax.set_title(f"Pose NEES / 6, mean of {len(drives)} drives, noise: {name}")
-        ax.set_xlim(left=0)
-        plain_log_axis(ax)
-        label_ends(ax, labels)
-    panels[-1].set_xlabel("frame")
-    return figure
+            curve = Curve(text, np.arange(1, len(mean) + 1), mean, COLOURS[filter_name])
+            curves.append((curve, DASHED if filter_name == JOINT and R == COUPLED else ()))
+            keys[text] = COLOURS[filter_name]
+        rows.append((f"Pose NEES / 6, mean of {drives} drives, noise: {name}", curves, low, high))
+    panels = []
+    for title, curves, low, high in rows:
+        y = log_axis([*(np.asarray(curve.y) for curve, _ in curves), np.array([low, high])])
+        last = max(len(np.asarray(curve.y)) for curve, _ in curves)
+        panel = Panel(Axis(0, last, "frame"), y, panel_width(1, label_room([*keys, "95 % band"])), 200.0, title)
+        panel.boxes([Box(0, last, low, high, BAND)])
+        for curve, dash in curves:
+            panel.lines([curve], dash)
+        ends = [(curve.key, float(np.asarray(curve.y)[-1]), curve.colour) for curve, _ in curves]
+        panel.end_labels([*ends, ("95 % band", float(np.sqrt(low * high)), MUTED)])
+        panels.append(panel)
+    return figure(panels, keys, columns=1)
 
 
-@styled
-def figure_speed(results: Mapping[str, Arrays]) -> Figure:
+def figure_speed(results: Mapping[str, Arrays]) -> Chart:
     """Time of a frame by size of the map, and the ratio of one update with (u, v, d) to two with bearings."""
     measured = speed.milliseconds(results)
-    sizes = np.array(list(measured))
-    figure = Figure(figsize=(WIDTH_INCHES, 3.6))
-    figure.subplots_adjust(left=0.05, right=0.83, top=0.9, bottom=0.14, wspace=0.16)
-    times, ratios = figure.subplots(1, 2)
-    labels = []
+    sizes = np.array(list(measured), dtype=np.float64)
+    times, ratios = [], []
     for number, form in enumerate(speed.FORMS):
-        style = ("-", "--", "-.", ":")[number]
         for name in (JOINT, DUAL):
             medians = [float(np.median(measured[n][f"{form}.{name}"])) for n in measured]
-            times.plot(
-                sizes, medians, style, color=COLOURS[name], marker="o", markersize=3, label=f"{form}, {name} (ms)"
-            )
+            said = f"{form}, {NAMES[name]}"
+            times.append((number, Curve(form, sizes, medians, COLOURS[name], said=said)))
         found = [ratio_interval(measured[n][f"{form}.{JOINT}"], measured[n][f"{form}.{DUAL}"]) for n in measured]
-        values = np.array([one.value for one in found])
-        spread = np.nan_to_num([[one.value - one.low, one.high - one.value] for one in found]).T
-        shifted = sizes * 1.015 ** (number - 1.5)
-        ratios.errorbar(shifted, values, spread, fmt=style, color=COLOURS[JOINT], marker="o", markersize=3, label=form)
-        labels.append(EndLabel(form, values[-1], COLOURS[JOINT]))
-    for ax in (times, ratios):
-        ax.set_xscale("log")
-        ax.set_xlabel("landmarks")
-        ax.set_xticks(sizes, [str(n) for n in sizes])
-        ax.minorticks_off()
-    times.set_yscale("log")
-    plain_log_axis(times)
-    times.set_title("Predict + update (ms), ours in blue, rival in red")
-    ratios.axhline(1.0, color=MUTED, linewidth=0.9)
-    ratios.set_title("Ours over rival, with 95 % interval: below 1 is faster")
-    label_ends(ratios, labels)
-    return figure
+        ends = np.array([(one.value, one.low, one.high) for one in found]).T
+        low, high = (np.where(np.isfinite(end), end, ends[0]) for end in ends[1:])
+        ratios.append(Curve(form, sizes * 1.015 ** (number - 1.5), ends[0], COLOURS[JOINT], low, high))
+    width = panel_width(2, label_room(speed.FORMS))
+    margin = (sizes.max() / sizes.min()) ** 0.05 if len(sizes) > 1 else 1.1
+    x = Axis(sizes.min() / margin, sizes.max() * margin, "landmarks", log=True, ticks=sizes.tolist())
+    title = "Predict + update (ms), ours in blue, competitor in red"
+    left = Panel(x, log_axis(np.asarray(curve.y) for _, curve in times), width, 240.0, title)
+    everything = np.concatenate([np.ravel([curve.low, curve.high]) for curve in ratios] + [np.ones(1)])
+    top = 0.08 * float(np.ptp(everything)) + 0.02
+    y = Axis(max(float(everything.min()) - top, 0.0), float(everything.max()) + top)
+    right = Panel(x, y, width, 240.0, "Ours over competitor, with 95 % interval: below 1 is faster")
+    right.rule(y=1.0)
+    for number, dash in enumerate(_FORM_DASHES[: len(speed.FORMS)]):
+        left.lines([curve for of, curve in times if of == number], dash)
+        right.lines([ratios[number]], dash)
+    left.dots([curve for _, curve in times], 22)
+    right.intervals(ratios)
+    right.dots(ratios, 22)
+    right.end_labels((curve.key, float(np.asarray(curve.y)[-1]), curve.colour) for curve in ratios)
+    return figure([left, right])
 
 
-def _draw_cloud(ax: Axes, depth: float, uvd: FloatArray, R: FloatArray, regions: tuple[str, ...]) -> None:
+def _cloud_panel(
+    depth: float,
+    uvd: FloatArray,
+    R: FloatArray,
+    regions: tuple[str, ...],
+    width: float,
+    title: str,
+    depths: tuple[float, float] | None = None,
+) -> Panel:
     """The measured points seen from above, depth to the right, with the 95 % regions of (X, Z)."""
-    shown = places(EUCLIDEAN, uvd[:SHOWN])
-    shown = shown[uvd[:SHOWN, 2] > 0]
-    ax.plot(shown[:, 2], shown[:, 0], ".", color=INK, markersize=1.6, alpha=0.5, label="measured (m)")
+    shown = places(EUCLIDEAN, uvd[:SHOWN])[uvd[:SHOWN, 2] > 0]
+    low, high = np.percentile(shown[:, [0, 2]], [0.3, 99.7], axis=0)
+    margin = 0.25 * (high - low)
+    x = depths or (float(low[1] - margin[1]), float(high[1] + margin[1]))
+    y = Axis(float(low[0] - margin[0]), float(high[0] + margin[0]), "X, right (m)")
+    panel = Panel(Axis(*x, "Z, forward (m)"), y, width, 210.0, title)
+    panel.dots([Curve("", shown[:, 2], shown[:, 0], INK, opacity=0.45, said="measured")], 3)
     angle = np.linspace(0.0, 2 * np.pi, 400)
     circle = np.sqrt(chi2.ppf(CONFIDENCE, 2)) * np.stack([np.cos(angle), np.sin(angle)])
     for name in regions:
@@ -241,77 +271,101 @@ def _draw_cloud(ax: Axes, depth: float, uvd: FloatArray, R: FloatArray, regions:
         edge = np.tile(centre[:, None], len(angle))
         edge[[first, last]] += np.linalg.cholesky(P[np.ix_([first, last], [first, last])]) @ circle
         if name == JOINT:
-            edge = np.where(edge[2] > 0, (ray_direction(edge.T) / edge[2][:, None]).T, np.nan)
-        ax.plot(edge[2], edge[0], color=COLOURS[name], label=f"95 %, {NAMES[name]} (m)")
-    ax.plot(depth, 0.0, "o", color=INK, markerfacecolor="white", markersize=6, label="truth (m)")
-    low, high = np.percentile(shown[:, [0, 2]], [0.3, 99.7], axis=0)
-    margin = 0.25 * (high - low)
-    ax.set(ylim=(low[0] - margin[0], high[0] + margin[0]), xlim=(low[1] - margin[1], high[1] + margin[1]))
-    ax.set(xlabel="Z, forward (m)")
+            edge = np.where(edge[2] > 0, points(edge.T).T, np.nan)
+        panel.lines([Curve(NAMES[name], edge[2], edge[0], COLOURS[name], said=f"95 %, {NAMES[name]}")])
+    panel.dots([Curve("", [depth], [0.0], INK, said="truth")], 50, hollow=True)
+    return panel
 
 
-def _draw_landmark(ax: Axes, depths: convergence.Depths, at: int, reference: FloatArray, name: str) -> None:
-    """Raw and estimated depths of one landmark over the updates, less the reference (K,)."""
-    updates = np.arange(len(reference))
-    raw = depths.raw[at] - reference
-    mean = float(np.nanmean(raw))
-    ax.axhline(0.0, color=INK, alpha=0.18, linewidth=4)
-    ax.plot(updates, raw, "o", color=MUTED, markersize=4, label="raw (m)")
-    ax.axhline(mean, color=MUTED, linewidth=0.9, linestyle=":")
-    labels = [EndLabel(name, 0.0, MUTED), EndLabel("mean of raw", mean, MUTED)]
-    for (filter_name, R), history in depths.filters.items():
-        depth = depths.depth(history)[0][at] - reference
-        ax.plot(updates, depth, _style(R), color=COLOURS[filter_name], label=_called(filter_name, R))
-        labels.append(EndLabel(_called(filter_name, R), float(depth[-1]), COLOURS[filter_name]))
-    label_ends(ax, labels)
-
-
-def _style(R: str) -> str:
-    return "-" if R == DIAGONAL else "--"
-
-
-def _called(filter_name: str, R: str) -> str:
-    return f"{'ours' if filter_name == JOINT else 'rival'}, {R}"
-
-
-def _draw_histogram(ax: Axes, depth: float, uvd: FloatArray, R: FloatArray) -> None:
+def _histogram(depth: float, uvd: FloatArray, R: FloatArray, width: float) -> Panel:
+    """Shares of the points by depth, and what both parametrisations claim of them."""
     edges = np.arange(0.0, 305.0, 5.0)
-    middle = 0.5 * (edges[1:] + edges[:-1])
     z = places(EUCLIDEAN, uvd)[:, 2]
     counts, _ = np.histogram(z[uvd[:, 2] > 0], edges)
-    ax.bar(middle, 100 * counts / len(uvd), 5.0, color=MUTED, alpha=0.35, label="measured (%)")
+    measured = 100 * counts / len(uvd)
+    claims = {}
     for name in (JOINT, EUCLIDEAN):
         centre, P = landmark(name, CAMERA.project([0.0, 0.0, depth]), R)
         with np.errstate(divide="ignore"):
             carriers = 1.0 / edges[::-1] if name == JOINT else edges
         shares = np.diff(norm.cdf((carriers - centre[2]) / np.sqrt(P[2, 2])))
-        shares = shares[::-1] if name == JOINT else shares
-        ax.step(edges, 100 * np.r_[shares[:1], shares], color=COLOURS[name], label=f"{NAMES[name]} (%)")
-    ax.set_xlabel("Z, forward (m)")
-    claimed = {"claimed, inverse depth": COLOURS[JOINT], "claimed, XYZ": COLOURS[EUCLIDEAN]}
-    _colour_key_inside(ax, {"measured": MUTED} | claimed)
+        claims[name] = 100 * (shares[::-1] if name == JOINT else shares)
+    top = 1.08 * max(float(measured.max()), *(float(share.max()) for share in claims.values()))
+    title = "Depth: share of the points for 5 m each (%)"
+    panel = Panel(Axis(*_DEPTHS, "Z, forward (m)"), Axis(0, top), width, 210.0, title)
+    panel.boxes(
+        Box(low, low + 5.0, 0.0, float(share), MUTED, opacity=0.35)
+        for low, share in zip(edges[:-1], measured, strict=True)
+        if share > 0
+    )
+    for name, shares in claims.items():
+        stairs = np.repeat(edges, 2)[1:-1], np.repeat(shares, 2)
+        panel.lines([Curve(NAMES[name], *stairs, COLOURS[name], said=f"claimed, {NAMES[name]}")])
+    words = {"measured": MUTED, "claimed, inverse depth": COLOURS[JOINT], "claimed, XYZ": COLOURS[EUCLIDEAN]}
+    for row, (text, colour) in enumerate(words.items()):
+        panel.text(text, width - 8, 14 + 18 * row, colour, align="right")
+    return panel
 
 
-def _colour_key_inside(ax: Axes, colours: Mapping[str, str]) -> None:
-    """Names one below the other in the upper right corner."""
-    for row, (name, colour) in enumerate(colours.items()):
-        ax.text(0.98, 0.95 - 0.09 * row, name, transform=ax.transAxes, color=colour, ha="right", va="top")
+def _landmark_panel(
+    depths: convergence.Depths, at: int, reference: FloatArray, name: str, title: str, width: float
+) -> Panel:
+    """Raw and estimated depths of one landmark over the updates, less the reference (K,)."""
+    updates = np.arange(len(reference))
+    raw = depths.raw[at] - reference
+    mean = float(np.nanmean(raw))
+    curves = [
+        (Curve(_called(of, R), updates, depths.depth(history)[0][at] - reference, COLOURS[of]), _dash(R))
+        for (of, R), history in depths.filters.items()
+    ]
+    y = _around(np.concatenate([raw, *(np.asarray(curve.y) for curve, _ in curves)]), "")
+    panel = Panel(Axis(0, float(updates[-1]), "update"), y, width, 190.0, title)
+    panel.rule(y=0.0, colour=INK, width=5.0, opacity=0.18)
+    panel.rule(y=mean, dash=(1, 3), width=1.2)
+    panel.dots([Curve("", updates, raw, MUTED, said="raw")], 20)
+    for curve, dash in curves:
+        panel.lines([curve], dash)
+    ends = [(curve.key, float(np.asarray(curve.y)[-1]), curve.colour) for curve, _ in curves]
+    panel.end_labels([(name, 0.0, MUTED), ("mean of raw", mean, MUTED), *ends])
+    return panel
 
 
 def _near_and_far(
-    results: Mapping[str, Arrays], draw: Callable[[Axes, convergence.Depths, str], None], what: str
-) -> Figure:
+    results: Mapping[str, Arrays], draw: Callable[[convergence.Depths, str, str, float], Panel], what: str
+) -> Chart:
     """Rows are noises, columns near and far."""
-    figure = Figure(figsize=(WIDTH_INCHES, 6.2))
-    figure.subplots_adjust(left=0.05, right=0.9, top=0.9, bottom=0.075, hspace=0.3, wspace=0.4)
-    figure.text(0.05, 0.985, what[0].upper() + what[1:], color=MUTED, va="top")
-    for row, (noise, name) in zip(figure.subplots(2, 2), NOISES.items(), strict=True):
-        depths = convergence.gathered(results, noise)
-        for ax, (label, (low, high)) in zip(row, convergence.RANGES.items(), strict=True):
-            draw(ax, depths, label)
-            ax.set_title(f"{label.capitalize()}, {low:g}–{high:g} m, noise: {name}")
-            ax.set_xlabel("update")
-    return figure
+    keys: dict[str, str] = {}
+    panels = []
+    gathered = {name: convergence.gathered(results, noise) for noise, name in NOISES.items()}
+    for depths in gathered.values():
+        keys |= _keys(depths)
+    room = label_room([*keys, "mean of raw"])
+    for name, depths in gathered.items():
+        for label, (low, high) in convergence.RANGES.items():
+            title = f"{label.capitalize()}, {low:g}–{high:g} m, noise: {name}"
+            panels.append(draw(depths, label, title, panel_width(2, room, 62 + room)))
+    panels[0].text(what, 0, -34)
+    return figure(panels, keys, columns=len(convergence.RANGES), column=62 + room)
+
+
+def _keys(depths: convergence.Depths) -> dict[str, str]:
+    return {_called(name, R): COLOURS[name] for name, R in depths.filters}
+
+
+def _around(values: FloatArray, title: str) -> Axis:
+    """An axis around all values that are known."""
+    known = values[np.isfinite(values)]
+    low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
+    margin = 0.06 * (high - low) + 1e-3
+    return Axis(low - margin, high + margin, title)
+
+
+def _dash(R: str) -> tuple[float, ...]:
+    return () if R == DIAGONAL else DASHED
+
+
+def _called(filter_name: str, R: str) -> str:
+    return f"{'ours' if filter_name == JOINT else 'competitor'}, {R}"
 
 
 def _smoothed(values: FloatArray, frames: int = 10) -> FloatArray:

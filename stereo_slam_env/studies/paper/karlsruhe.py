@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from stereo_slam_env import Recording, evaluate
-from stereo_slam_env.datasets import holds_images, open_for_front_end
+from stereo_slam_env.datasets import layout_of, open_for_front_end
 from stereo_slam_env.evaluation import FilterRun, ate_rigid
 from stereo_slam_env.frontend import record_tracks
 from stereo_slam_env.studies.paper import claims, convergence, long_drive
@@ -66,7 +66,7 @@ def sequences(path: Path) -> dict[str, Path]:
         name: folder
         for name in (TURN, DRIVE)
         for folder in (path / name, path)
-        if folder.name == name and folder.is_dir() and holds_images(folder)
+        if folder.name == name and folder.is_dir() and layout_of(folder) == "karlsruhe"
     }
     if not found:
         raise ValueError(
@@ -209,9 +209,7 @@ def _claims_of_drive(results: Mapping[str, Arrays]) -> list[Claim]:
     if f"{JOINT}.{OWN}.position" not in arrays:  # too short to be a drive
         return judged
     for key, (sentence, _, asked) in QUANTITIES.items():
-        of_ours = tuple(
-            Finding({"R": words}, _as_it_is(value(JOINT, R, key)), asked) for R, words in R_NAMES.items()
-        )
+        of_ours = tuple(Finding({"R": words}, _as_it_is(value(JOINT, R, key)), asked) for R, words in R_NAMES.items())
         judged.append(Claim(_here(sentence, "karlsruhe-6"), of_ours))
     ratios = tuple(
         Finding({"R": words}, _as_it_is(value(JOINT, R, "position") / value(DUAL, R, "position")), claims.BETTER)
@@ -237,7 +235,9 @@ def _known(run: FilterRun) -> FilterRun:
     run = replace(run, true_linear_velocities=np.vstack([steps[:1], steps]))
     known = np.isfinite(run.true_positions).all(axis=1)
     series = ("positions", "orientations", "linear_velocities")
-    return replace(run, **{f"{who}{name}": getattr(run, f"{who}{name}")[known] for who in ("", "true_") for name in series})
+    return replace(
+        run, **{f"{who}{name}": getattr(run, f"{who}{name}")[known] for who in ("", "true_") for name in series}
+    )
 
 
 def _without_own_R(recording: Recording) -> Recording:

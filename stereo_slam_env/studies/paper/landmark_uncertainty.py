@@ -82,8 +82,16 @@ def places(parametrisation: str, uvd: FloatArray) -> FloatArray:
     """Where measurements (N, 3) put the landmark, in the parameters; for XYZ the literal Eq. 21, also for d < 0."""
     if parametrisation == JOINT:
         return LANDMARKS[JOINT].initialise(CAMERA, np.zeros(3), np.eye(3), uvd).parameters
-    points: FloatArray = CAMERA.ray(uvd) * (CAMERA.disparity_constant / uvd[:, 2])[:, None]
-    return points
+    placed: FloatArray = CAMERA.ray(uvd) * (CAMERA.disparity_constant / uvd[:, 2])[:, None]
+    return placed
+
+
+def points(inverse_depths: FloatArray) -> FloatArray:
+    """Points (N, 3), m, of parameters theta, phi, rho (N, 3): Eq. 5 over rho."""
+    theta, phi, rho = inverse_depths.T
+    ray = np.array([np.cos(phi) * np.sin(theta), -np.sin(phi), np.cos(phi) * np.cos(theta)])
+    found: FloatArray = (ray / rho).T
+    return found
 
 
 def fit(parametrisation: str, depth: float, uvd: FloatArray, R: FloatArray) -> Fit:

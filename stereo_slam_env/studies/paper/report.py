@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stereo_slam_env.evaluation import mean_band, share_inside
-from stereo_slam_env.report import Cell, Column, Tone, figure_block, number, page, table
+from stereo_slam_env.report import Cell, Column, Tone, figure_block, html_page, number, table
 from stereo_slam_env.studies.paper import convergence, figures, karlsruhe, landmark_uncertainty, long_drive, speed
 from stereo_slam_env.studies.paper.claims import (
     ASSUMED_NAMES,
@@ -134,8 +134,7 @@ def write_report(
                 (
                     figures.figure_6(long_drive.course(ours), true_course),
                     "figure-6",
-                    "Figure 6. Trajectory, yaw and velocity of the first drive; noise: "
-                    f"{NOISES[PIXELS]}, the right R.",
+                    f"Figure 6. Trajectory, yaw and velocity of the first drive; noise: {NOISES[PIXELS]}, the right R.",
                 ),
                 (
                     figures.figure_nees(runs),
@@ -170,7 +169,7 @@ def write_report(
         f"{settings.drive_frames} frames for each noise{', compiled' if COMPILED else ''}."
     )
     path = out / "report.html"
-    path.write_text(page(title="The paper, judged", subtitle=subtitle, body="\n".join(sections)), encoding="utf-8")
+    path.write_text(html_page(title="The paper, judged", subtitle=subtitle, body="\n".join(sections)), encoding="utf-8")
     return path
 
 
@@ -267,7 +266,9 @@ def _numbers(heads: Sequence[str], rows: Sequence[Row]) -> str:
         Column(head, kind="text" if isinstance(value, str) else "number")
         for head, value in zip(heads, rows[0], strict=True)
     ]
-    return table(columns, [[value if isinstance(value, str) else number(value, ".3g") for value in row] for row in rows])
+    return table(
+        columns, [[value if isinstance(value, str) else number(value, ".3g") for value in row] for row in rows]
+    )
 
 
 # What was measured, in absolute numbers.
@@ -324,9 +325,7 @@ def drive_table(runs: long_drive.Runs) -> Numbers:
                 drives = runs[case]
                 band = mean_band(6, len(drives))
                 nees = np.mean([run.pose_nees for run in drives], axis=0)
-                means = [
-                    float(np.nanmean(long_drive.of_runs(drives, quantity))) for quantity in (*before, *after)
-                ]
+                means = [float(np.nanmean(long_drive.of_runs(drives, quantity))) for quantity in (*before, *after)]
                 rows.append(
                     (
                         *(f"{len(drives)} {where}", NOISES[noise], NAMES[case[2]], ASSUMED_NAMES[case[3]]),

@@ -9,7 +9,8 @@ import gymnasium as gym
 import numpy as np
 
 from stereo_slam_env.benchmark.scenarios.scenario import Scenario
-from stereo_slam_env.files.digest import Digest
+
+from ..digest import Digest
 
 WAYS = ("environment alone", "vector, sync", "vector, async")
 _KINDS = {"street": "StereoSlam/Drive-v0", "gaze": "StereoSlam/Gaze-v0"}

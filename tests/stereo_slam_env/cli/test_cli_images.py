@@ -10,7 +10,7 @@ import pytest
 from stereo_slam_env.benchmark.recordings import sources
 from stereo_slam_env.cli import app as cli
 
-from ..datasets.images.small_image_folders import FRAMES, kitti_odometry
+from ..datasets.small_image_folders import FRAMES, kitti_odometry
 from ..rendering.planes import skip_where_missing
 
 DRIVE = ("right-turn", "--rig", "qvga")
@@ -117,8 +117,8 @@ def test_bench_with_gl(command, street, tmp_path):
 @pytest.mark.parametrize(
     ("options", "hint"),
     [
-        (("--sensor", "foo"), "--sensor must be 'landmarks' or 'images', got 'foo'"),
-        (("--sensor", "images", "--renderer", "foo"), "renderer must be one of 'tiny', 'gl', got 'foo'"),
+        (("--sensor", "foo"), "--sensor must be one of landmarks, images, got 'foo'"),
+        (("--sensor", "images", "--renderer", "foo"), "--renderer must be one of tiny, gl, got 'foo'"),
         (("--renderer", "gl"), "--renderer needs --sensor images"),
         (("--sensor", "images", "--search", "foo"), "search must be one of flow, forecast, got 'foo'"),
         (("--search", "forecast"), "search 'forecast' needs images"),

@@ -14,7 +14,7 @@ import pytest
 from rich.console import Console
 
 import stereo_slam_env
-from stereo_slam_env.benchmark import FilterChoice, Scenario, run_benchmark
+from stereo_slam_env.benchmark import FilterChoice, ReferenceSource, Scenario, run_benchmark
 from stereo_slam_env.evaluation.cramer_rao import cramer_rao_bound
 from stereo_slam_env.evaluation.figures import FIGURES, LARGEST, Figure, trial_columns, trial_figures
 from stereo_slam_env.evaluation.filter_run import run_filter
@@ -117,7 +117,7 @@ GAP = Figure(
 
 def test_a_figure_added_to_the_table_is_everywhere(tmp_path, monkeypatch):
     monkeypatch.setitem(FIGURES, GAP.name, GAP)
-    scenario = Scenario("tiny", "reference", {"name": "short_turn", "landmarks": 12}, seeds=(0, 1), frames=5, gate=None)
+    scenario = Scenario("tiny", ReferenceSource("short_turn", {"landmarks": 12}), seeds=(0, 1), frames=5, gate=None)
     result = run_benchmark(scenario, tmp_path / "out", filters=[FilterChoice("ours", "euclidean")], jobs=1)
     largest = result.summaries[0].largest_error_m
     assert largest > result.summaries[0].position_rmse_m

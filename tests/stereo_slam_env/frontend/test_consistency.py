@@ -1,4 +1,4 @@
-"""Who moves unlike the scene (< 1 s)."""
+"""Moving-object rejection (< 1 s)."""
 
 import dataclasses
 

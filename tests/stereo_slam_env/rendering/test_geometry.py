@@ -1,4 +1,4 @@
-"""Every back end draws where the camera model says: planes, both eyes, moving bodies. About 10 s."""
+"""Every back end draws where the camera model says: planes, both views, moving bodies. About 10 s."""
 
 import cv2
 import numpy as np

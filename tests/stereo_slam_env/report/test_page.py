@@ -1,24 +1,24 @@
 """The page that reports are written on, and its tables (about 2 s)."""
 
 import re
-import sys
+from html.parser import HTMLParser
 
-import numpy as np
 import pytest
-from matplotlib.figure import Figure
+from markupsafe import Markup
 from PIL import Image
 
 from stereo_slam_env.report import page as page_module
-from stereo_slam_env.report.charts.style import PALETTE, styled
-from stereo_slam_env.report.page import figure_block, page
+from stereo_slam_env.report.charts.axes import Axis
+from stereo_slam_env.report.charts.drawing import Curve, Panel, figure
+from stereo_slam_env.report.charts.style import PALETTE
+from stereo_slam_env.report.page import figure_block, html_page, part
 from stereo_slam_env.report.page_tables import Cell, Column, filter_cell, number, table
 
 
-@styled
-def line():
-    figure = Figure(figsize=(5.2, 2))
-    figure.subplots().plot([0, 1], [0, 1], color=PALETTE[0], label="a")
-    return figure
+def line(name="a", width=500):
+    panel = Panel(Axis(0, 1), Axis(0, 1), width, 200)
+    panel.lines([Curve(name, [0, 1], [0, 1], PALETTE[0])])
+    return figure([panel], {name: PALETTE[0]})
 
 
 @pytest.fixture(scope="module")
@@ -47,39 +47,38 @@ def test_a_figure_is_in_the_page_as_drawing_and_as_chart_in_the_colours_of_the_p
     assert "A &lt;line&gt; &amp; more." in markup
 
 
-def test_a_figure_without_a_chart_stays_a_drawing(tmp_path):
-    figure = Figure(figsize=(3, 2))
-    figure.subplots().imshow(np.zeros((2, 2)))
-    markup = figure_block(figure, "image", "A picture.", tmp_path / "figures")
-    assert "<svg" in markup
-    assert "chart-data" not in markup
-
-
 def test_data_in_a_page_cannot_end_its_script(tmp_path):
-    figure = Figure(figsize=(3, 2))
-    figure.subplots().plot([0, 1], label="</script><script>alert(1)</script>")
-    markup = figure_block(figure, "evil", "x", tmp_path / "figures")
+    markup = figure_block(line("</script><script>alert(1)</script>"), "evil", "x", tmp_path / "figures")
     assert markup.count("</script>") == 1
 
 
 def test_title_and_subtitle_are_escaped_and_the_page_points_nowhere(block):
-    markup = page(title="a < b", subtitle="<i>", body=block[0]).replace(page_module._plotly_library() or "-", "")
+    markup = html_page(title="a < b", subtitle="<i>", body=block[0]).replace(page_module._vega() or "-", "")
     assert "<title>a &lt; b</title>" in markup
     assert "&lt;i&gt;" in markup
     assert not re.search(r'(src|href)="(https?:)?//|@import', markup)
 
 
-def test_without_plotly_the_page_says_how_to_get_it(block, monkeypatch):
-    monkeypatch.setitem(sys.modules, "plotly.offline", None)
-    page_module._plotly_library.cache_clear()
-    markup = page(title="t", subtitle="s", body=block[0])
-    page_module._plotly_library.cache_clear()
-    assert "stereo-slam-env[report]" in markup
-    assert len(markup) < 200_000
+def test_a_page_with_figures_carries_the_script_for_them_once(block):
+    markup = html_page(title="t", subtitle="s", body=block[0] + block[0])
+    assert markup.count("vegaEmbed=") == 1
+    assert len(markup) < 1_200_000
+
+
+def test_the_script_is_kept_and_a_folder_that_cannot_be_written_does_not_matter(tmp_path, monkeypatch):
+    made = []
+    monkeypatch.setattr(page_module.vl_convert, "javascript_bundle", lambda snippet: made.append(snippet) or "x")
+    monkeypatch.setattr(page_module, "_KEPT_LIBRARY", tmp_path / "kept.js")
+    for place in (tmp_path / "kept.js", tmp_path / "kept.js", tmp_path / "kept.js" / "under a file"):
+        monkeypatch.setattr(page_module, "_KEPT_LIBRARY", place)
+        page_module._vega.cache_clear()
+        assert page_module._vega() == "(() => {x})();"
+    page_module._vega.cache_clear()
+    assert len(made) == 2
 
 
 def test_a_page_without_figures_carries_no_library():
-    assert len(page(title="t", subtitle="s", body="<p>x</p>")) < 50_000
+    assert len(html_page(title="t", subtitle="s", body="<p>x</p>")) < 50_000
 
 
 def test_a_table_sorts_by_values_and_shows_text():
@@ -102,3 +101,46 @@ def test_what_is_not_known_is_a_dash_and_sorts_last(value):
 def test_a_row_of_the_wrong_length_is_refused():
     with pytest.raises(ValueError, match="2 cells each, got one with 1"):
         table([Column("A"), Column("B")], [["x"]])
+
+
+class Text(HTMLParser):
+    """What a reader sees."""
+
+    def __init__(self, markup):
+        super().__init__()
+        self.items = []
+        self.feed(markup)
+
+    def handle_data(self, data):
+        self.items.append(data)
+
+
+def test_settings_are_said_whatever_they_are():
+    settings = {"a": {"b": 1, "c": {}}, "d": [1, 2], "e": [{"f": {"g": 2}}, {}], "h": None, "i": [], "<j>": "<k>"}
+    said = [item.strip() for item in Text(part("settings", settings)).items if item.strip()]
+    assert said == [
+        "a",
+        "b",
+        "1",
+        "c",
+        "none",
+        "d",
+        "1, 2",
+        "e",
+        "f g 2",
+        "none",
+        "h",
+        "none",
+        "i",
+        "none",
+        "<j>",
+        "<k>",
+    ]
+
+
+def test_plain_text_is_escaped_in_every_part_and_markup_is_not():
+    assert part("section", "<a>", "<b>", [Markup("<p>c</p>"), "<d>"]) == Markup(
+        '<section><h2>&lt;a&gt;</h2>\n<p class="quiet">&lt;b&gt;</p><p>c</p>\n&lt;d&gt;\n</section>'
+    )
+    assert part("items", ["<a>"]) == Markup('<ul class="failures"><li>&lt;a&gt;</li></ul>')
+    assert part("items", []) == ""

@@ -4,6 +4,7 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
+from markupsafe import Markup
 
 from stereo_slam_env.benchmark.recordings.sources import StreetSource
 from stereo_slam_env.benchmark.scenarios.scenario import Scenario
@@ -27,7 +28,7 @@ def drawn(monkeypatch):
 
     def figure_block(_, name, *__):
         names.append(name)
-        return f"<figure>{name}</figure>"
+        return Markup(f"<figure>{name}</figure>")
 
     for module in (study_report, attribution_report, comparison_report):
         monkeypatch.setattr(module, "figure_block", figure_block)

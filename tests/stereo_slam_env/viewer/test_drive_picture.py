@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from filters import InverseDepthStereoEKF
-from stereo_slam_env.report.charts.style import style_context
 from stereo_slam_env.viewer.drive import Drive
 from stereo_slam_env.viewer.drive_picture import DrivePicture, save_film, save_still
+from stereo_slam_env.viewer.picture_style import style_context
 
 from ..benchmark.small_recordings import small_recording
 

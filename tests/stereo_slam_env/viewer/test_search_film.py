@@ -6,7 +6,7 @@ import pytest
 from stereo_slam_env.frontend.tracker import StereoTracker
 from stereo_slam_env.viewer.search_view import search_film
 
-from ..datasets.images.small_image_folders import CAMERA, drive
+from ..datasets.small_image_folders import CAMERA, drive
 
 
 def show(watch, pairs=3):

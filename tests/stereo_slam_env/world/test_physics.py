@@ -23,7 +23,7 @@ EGO = (4.0, 1.8, 1.0)
 
 def scene_of(*solids):
     ground = Ground((-50.3, -50.3), (50.3, 50.3), GREY)
-    return Scene(ground, solids, (), np.zeros(0, dtype=np.int64), np.zeros((0, 3)))
+    return Scene(ground, solids, (), np.zeros((0, 3)))
 
 
 WALL = Box((10.0, 0.0, 2.0), (0.2, 4.0, 4.0), 0.0, GREY)

@@ -64,7 +64,7 @@ def test_a_grid_has_a_cell_for_every_combination():
         "sigma-0.5_independent_pixels-3.0",
     ]
     last = study.cells[-1].scenario
-    assert last.options == {"name": "short_turn", "sigma": 2.0}
+    assert last.source.options == {"name": "short_turn", "sigma": 2.0}
     assert last.assumed_noise(StereoNoise.independent_pixels(9.0)) == StereoNoise.independent_pixels(3.0)
 
 

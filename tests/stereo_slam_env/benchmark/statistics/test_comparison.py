@@ -140,7 +140,7 @@ def test_stored_runs_are_paired_by_the_digest_of_their_measurements(stored, tmp_
 
 
 def test_other_measurements_are_not_paired_and_the_reader_is_told(stored, tmp_path):
-    other = bench(tmp_path / "out", options={**SCENARIO.options, "sigma": 4.0})
+    other = bench(tmp_path / "out", source=SCENARIO.source.replaced(sigma=4.0))
     comparison = compare(str(stored), other)
     assert not comparison.paired
     assert "short-turn (seed 0) and 8 more are not the same in both runs" in comparison.warnings[0]

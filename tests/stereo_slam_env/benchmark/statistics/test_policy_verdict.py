@@ -6,7 +6,7 @@ import pytest
 from stereo_slam_env.benchmark.statistics.differences import Difference
 from stereo_slam_env.benchmark.statistics.policy_verdict import Agreement, _agreement, judge_policies
 from stereo_slam_env.benchmark.statistics.verdict import Consistency
-from stereo_slam_env.report.policy_report import policy_overview
+from stereo_slam_env.report.overview import policy_overview
 
 from ....synthetic_runs import Behaviour, make_runs, scored
 

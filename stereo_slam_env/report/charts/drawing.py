@@ -1,0 +1,442 @@
+"""Building blocks of charts: panels with two axes, what is drawn on them, and how a chart is saved.
+
+A plot function makes panels, draws on them and puts them into one chart with `figure`. A chart is a Vega-Lite
+specification, which the page draws with Vega and `vl_convert` draws into files, without a browser. Everything that is
+drawn belongs to a series (its key), which the page can switch off, or to none.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+import vl_convert
+from numpy.typing import ArrayLike
+
+from filters.validation import IntArray
+from stereo_slam_env.report.charts.axes import Axis, short, spread_out
+from stereo_slam_env.report.charts.style import GRID, INK, MUTED, PAPER, Limit
+
+Spec: TypeAlias = dict[str, Any]
+
+PNG_SCALE = 1.6
+ROW = 30.0
+"""Height of a row that belongs to one filter, px."""
+MOST_POINTS = 420
+"""Of one curve: longer ones are thinned, with their peaks kept."""
+DASHED = (5.0, 4.0)
+
+THEME: Spec = {
+    "aria": False,  # the page says what a chart shows
+    "background": None,
+    "font": "Arial, Helvetica, 'Liberation Sans', sans-serif",
+    "padding": 3,
+    "view": {"stroke": None},
+    "axis": {
+        "domainColor": GRID,
+        "gridColor": GRID,
+        "labelColor": MUTED,
+        "labelFlush": False,
+        "labelFontSize": 11.5,
+        "tickColor": GRID,
+        "tickSize": 4,
+        "titleColor": MUTED,
+        "titleFontSize": 12,
+        "titleFontWeight": "normal",
+        "titlePadding": 7,
+    },
+}
+"""Look of every chart."""
+_COLOURED: Spec = {
+    "color": {"field": "colour", "type": "nominal", "scale": None, "legend": None},
+    "opacity": {"field": "opacity", "type": "quantitative", "scale": None, "legend": None},
+}
+_UPRIGHT: Spec = {"size": 12.0, "angle": 0.0, "baseline": "middle"}
+_ID: Spec = {"field": "id", "type": "ordinal"}
+_SAID: Spec = {"field": "said", "type": "nominal", "title": " "}
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """Points of one series, to be drawn as a line, as dots, as a band or with intervals.
+
+    Attributes
+    ----------
+    key : str
+        The series it belongs to and is switched off with; "" for background.
+    x, y : (K,) array_like
+        NaN is a gap.
+    colour : str
+        One of `style`.
+    low, high : (K,) array_like, optional
+        Ends of a band or of an interval.
+    width, opacity : float
+        Of the line, px.
+    said : str, optional
+        What hovering says besides the values, instead of the key; None says nothing at all.
+    """
+
+    key: str
+    x: ArrayLike
+    y: ArrayLike
+    colour: str
+    low: ArrayLike | None = None
+    high: ArrayLike | None = None
+    width: float = 1.6
+    opacity: float = 1.0
+    said: str | None = ""
+
+
+@dataclass(frozen=True)
+class Box:
+    """A filled rectangle between (x0, y0) and (x1, y1), in the units of the axes."""
+
+    x0: float
+    x1: float
+    y0: float
+    y1: float
+    colour: str
+    key: str = ""
+    opacity: float = 1.0
+    said: str | None = None
+
+
+@dataclass
+class Panel:
+    """One pair of axes, and the layers drawn on it, from the lowest to the highest.
+
+    Attributes
+    ----------
+    x, y : Axis
+        To the right and up.
+    width, height : float
+        Of the field between the axes, px.
+    title : str
+        Above it, with the unit of `y` where that has no title of its own.
+    title_colour : str
+        Of the title.
+    zoom : bool
+        Whether dragging and Ctrl + wheel move and zoom it in the page.
+    """
+
+    x: Axis
+    y: Axis
+    width: float
+    height: float
+    title: str = ""
+    title_colour: str = INK
+    zoom: bool = True
+    _layers: list[Spec] = field(default_factory=list)
+    _texts: list[Spec] = field(default_factory=list)
+
+    def lines(self, curves: Iterable[Curve], dash: Sequence[float] = ()) -> None:
+        """Draw each curve as a line."""
+        rows = [_row(number, curve, thinned(curve)) for number, curve in enumerate(curves)]
+        mark = {
+            "type": "line",
+            "strokeDash": list(dash),
+            "strokeCap": "butt" if dash else "round",
+            "strokeJoin": "round",
+        }
+        width = {"field": "width", "type": "quantitative", "scale": None, "legend": None}
+        self._layer(rows, mark, **_COLOURED, strokeWidth=width, detail=_ID)
+        if any(row["said"] is not None for row in rows):
+            # Points that cannot be seen say the values; `live` is set where there is a pointer.
+            point = {"type": "point", "opacity": 0, "size": 110}
+            self._layer(rows, point, where="live && datum.said != null", tooltip=self._tooltip())
+
+    def dots(self, curves: Iterable[Curve], size: float = 30.0, *, hollow: bool = False, shape: str = "circle") -> None:
+        """Draw a dot, an area of `size` px², at each point."""
+        rows = [_row(number, curve, _known(curve)) for number, curve in enumerate(curves)]
+        mark = {"type": "point", "size": size, "shape": shape, "filled": not hollow and shape == "circle"}
+        mark |= {"strokeWidth": 2.0} | ({"fill": PAPER} if hollow else {})
+        self._layer(rows, mark, **_COLOURED, tooltip=self._tooltip())
+
+    def intervals(self, curves: Iterable[Curve], *, across: bool = False) -> None:
+        """Draw a stroke from `low` to `high` of each point: upright, or `across` (then they are values of x)."""
+        rows = [_row(number, curve, _known(curve), "low", "high") for number, curve in enumerate(curves)]
+        fields = {"x": "low", "x2": "high"} if across else {"y": "low", "y2": "high"}
+        self._layer(rows, {"type": "rule", "strokeWidth": 1.8}, fields, **_COLOURED)
+
+    def bands(self, curves: Iterable[Curve]) -> None:
+        """Fill between `low` and `high` of each curve."""
+        rows = [_row(number, curve, thinned(curve), "low", "high") for number, curve in enumerate(curves)]
+        self._layer(rows, {"type": "area"}, {"y": "low", "y2": "high"}, **_COLOURED, detail=_ID)
+
+    def boxes(self, boxes: Iterable[Box]) -> None:
+        """Fill rectangles."""
+        ends = ("x0", "x1", "y0", "y1")
+        rows = [
+            {"key": b.key, "said": b.said, "colour": b.colour, "opacity": b.opacity}
+            | {end: short(getattr(b, end)) for end in ends}
+            for b in boxes
+        ]
+        said: Spec = {"tooltip": [_SAID]} if any(row["said"] for row in rows) else {}
+        self._layer(rows, {"type": "rect"}, {"x": "x0", "x2": "x1", "y": "y0", "y2": "y1"}, **_COLOURED, **said)
+
+    def rule(
+        self,
+        *,
+        x: float | None = None,
+        y: float | None = None,
+        colour: str = MUTED,
+        width: float = 0.9,
+        dash: Sequence[float] = (),
+        opacity: float = 1.0,
+    ) -> None:
+        """Draw a straight line through the whole panel at a value of x or of y."""
+        at = (x, x, self.y.low, self.y.high) if y is None else (self.x.low, self.x.high, y, y)
+        ends = Curve("", at[:2], at[2:], colour, width=width, opacity=opacity, said=None)  # type: ignore[arg-type]
+        self.lines([ends], dash)
+
+    def text(
+        self, text: str, x: float, y: float, colour: str = MUTED, *, key: str = "", align: str = "left", **more: Any
+    ) -> None:
+        """Write at (x, y), px from the upper left corner of the panel; `bold`, `size` and `angle` as wanted."""
+        place = {"text": text, "x": short(x), "y": short(y), "colour": colour, "key": key, "align": align}
+        self._texts.append(place | {"bold": False} | _UPRIGHT | more)
+
+    def place(self, x: float, y: float) -> tuple[float, float]:
+        """Where a point of the data lies, px from the upper left corner."""
+        return self.x.share(x) * self.width, (1.0 - self.y.share(y)) * self.height
+
+    def note(self, text: str, colour: str = MUTED) -> None:
+        """Write above the right end."""
+        if text:
+            self.text(text, self.width, -11, colour, align="right")
+
+    def note_beyond(self, limit: Limit, colours: Mapping[str, str], unit: str = "") -> None:
+        """Say above the right end which filters leave the panel, and how far they go."""
+        self.note(limit.note(unit), limit.note_colour(colours))
+
+    def end_labels(self, labels: Iterable[tuple[str, float, str]], gap: float = 14.5) -> None:
+        """Write (name, value of y, colour) in the right margin, moved apart where lines end close together."""
+        known = [(self.y.share(value), name, colour) for name, value, colour in labels if np.isfinite(value)]
+        inside = sorted(known)
+        places = spread_out([float(np.clip(share, 0.0, 1.0)) for share, *_ in inside], gap / self.height)
+        for place, (_, name, colour) in zip(places, inside, strict=True):
+            self.text(name, self.width + 7, (1.0 - place) * self.height, colour, key=name)
+
+    def colour_key(self, colours: Mapping[str, str], gap: float = 16.0) -> None:
+        """Write the names one below the other in the right margin, for lines that lie on top of each other."""
+        for row, (name, colour) in enumerate(colours.items()):
+            self.text(name, self.width + 7, (row + 0.5) * gap, colour, key=name)
+
+    def row_names(
+        self, names: Sequence[str], colours: Mapping[str, str], notes: Mapping[str, str] | None = None
+    ) -> None:
+        """Write names at y = 0, 1, ... in the left margin, each in its colour, perhaps with a note behind it."""
+        for row, name in enumerate(names):
+            text = f"{name} {notes[name]}" if notes and name in notes else name
+            self.text(text, -9, self.place(self.x.low, row)[1], colours.get(name, INK), align="right", key=name)
+
+    def column_names(self, places: Sequence[float], names: Sequence[str], *, tilted: bool = False) -> None:
+        """Write names below the panel, where x has no numbers."""
+        style: Spec = {"align": "right", "angle": -30.0} if tilted else {"align": "center"}
+        for place, name in zip(places, names, strict=True):
+            self.text(name, self.place(place, self.y.low)[0] + 6 * tilted, self.height + 13, **style)
+
+    def layered(self, number: int) -> Spec:
+        """The panel as a view of Vega-Lite; `number` tells it from the other ones of its chart."""
+        title = {
+            "text": self.title,
+            "x": 0,
+            "y": -11,
+            "colour": self.title_colour,
+            "key": "",
+            "align": "left",
+            "bold": True,
+        }
+        texts = [*self._texts, {**title, **_UPRIGHT}] if self.title else self._texts
+        layers = self._layers or [self._drawn([{"x": None, "y": None}], {"type": "point", "opacity": 0})]
+        if self.zoom:
+            # Ctrl, or two fingers: the wheel alone goes on scrolling the page.
+            select = {"type": "interval", "zoom": "wheel![event.ctrlKey]"}
+            zoom = {"params": [{"name": f"zoom_{number}", "select": select, "bind": "scales"}]}
+            layers = [layers[0] | zoom, *layers[1:]]
+        return {"width": round(self.width), "height": round(self.height), "layer": [*layers, *_texts(texts)]}
+
+    def _layer(self, rows: Sequence[Spec], mark: Spec, fields: Mapping[str, str] | None = None, **more: Any) -> None:
+        if rows:
+            self._layers.append(self._drawn(rows, mark, fields, **more))
+
+    def _drawn(
+        self,
+        rows: Sequence[Spec],
+        mark: Spec,
+        fields: Mapping[str, str] | None = None,
+        *,
+        where: str = "",
+        **encoding: Any,
+    ) -> Spec:
+        """What is drawn of the rows, whose lists are the points of a curve."""
+        at = {"x": "x", "y": "y"} | dict(fields or {})
+        sides: Spec = {
+            "x": self.x.channel(at["x"], max(2, round(self.width / 75))),
+            "y": self.y.channel(at["y"], max(2, round(self.height / 38))),
+        } | {end: {"field": at[end]} for end in ("x2", "y2") if end in at}
+        return _drawn(rows, {**mark, "clip": True}, {**sides, **encoding}, where)
+
+    def _tooltip(self) -> list[Spec]:
+        values = {"x": self.x.title or "at"}
+        if self.y.ticks != ():
+            values["y"] = self.y.title or self.title
+        number = {"type": "quantitative", "format": ".4~g"}
+        return [_SAID, *({"field": name, "title": title, **number} for name, title in values.items())]
+
+
+@dataclass(frozen=True)
+class Chart:
+    """A drawing that can be used: a Vega-Lite specification, which notebooks show, and files.
+
+    Attributes
+    ----------
+    spec : dict
+        Of Vega-Lite, with its data.
+    """
+
+    spec: Spec
+
+    @property
+    def series(self) -> list[dict[str, str]]:
+        """Name and colour of what can be switched off."""
+        found: list[dict[str, str]] = self.spec.get("usermeta", {}).get("series", [])
+        return found
+
+    def svg(self) -> str:
+        """Draw it as an SVG document, with its texts as text, on no background."""
+        return vl_convert.vegalite_to_svg(self.spec)
+
+    def save(self, *paths: Path) -> str:
+        """Draw it on white into files, by their ending .svg or .png; returns the drawing without a background."""
+        svg = self.svg()
+        white = on_white(svg)
+        for path in paths:
+            if path.suffix == ".png":
+                path.write_bytes(vl_convert.svg_to_png(white, scale=PNG_SCALE))
+            else:
+                path.write_text(white, encoding="utf-8")
+        return svg
+
+    def _repr_mimebundle_(self, **_: Any) -> dict[str, Spec]:
+        return {"application/vnd.vegalite.v6+json": self.spec}
+
+
+def on_white(svg: str) -> str:
+    """The SVG document with a white sheet below everything."""
+    return re.sub(r"(<svg[^>]*>)", r'\1<rect width="100%" height="100%" fill="#ffffff"/>', svg, count=1)
+
+
+def figure(
+    panels: Sequence[Panel],
+    series: Mapping[str, str] | None = None,
+    *,
+    columns: int = 0,
+    row: float = 66.0,
+    column: float = 62.0,
+) -> Chart:
+    """Put panels side by side into one chart.
+
+    Parameters
+    ----------
+    panels : sequence of Panel
+        From left to right, row by row.
+    series : mapping of str to str, optional
+        Series that the page offers to switch, with their colours.
+    columns : int
+        Panels in a row; 0: all.
+    row, column : float
+        Between the fields of two panels, px.
+    """
+    data: Spec = {}
+    views = [_with_shared_data(panel.layered(number), data) for number, panel in enumerate(panels)]
+    keys = [{"name": name, "colour": colour} for name, colour in (series or {}).items()]
+    return Chart(
+        {
+            "$schema": "https://vega.github.io/schema/vega-lite/v6.json",
+            "config": THEME,
+            "usermeta": {"series": keys},
+            "params": [{"name": "hidden", "value": []}, {"name": "live", "value": False}],
+            "datasets": data,
+            "concat": views,
+            "columns": columns or len(panels),
+            "bounds": "flush",
+            "spacing": {"row": row, "column": column},
+        }
+    )
+
+
+def thinned(curve: Curve, most: int = MOST_POINTS) -> IntArray:
+    """Indices of the points to draw: of each stretch the first, the lowest and the highest, so that no peak is lost."""
+    y = np.asarray(curve.y if curve.high is None else curve.high, dtype=np.float64)
+    if len(y) <= most:
+        return np.arange(len(y))
+    keep = {0, len(y) - 1}
+    for stretch in np.array_split(np.arange(len(y)), most // 3):
+        gaps = ~np.isfinite(y[stretch])
+        keep.add(int(stretch[np.argmax(gaps)]))  # a gap, where there is one
+        if not gaps.all():
+            keep |= {int(stretch[np.nanargmin(y[stretch])]), int(stretch[np.nanargmax(y[stretch])])}
+    return np.array(sorted(keep), dtype=np.int64)
+
+
+# ---- rows of data ---------------------------------------------------------------------------------------------------
+
+
+def _known(curve: Curve) -> IntArray:
+    finite = np.isfinite(np.asarray(curve.x, dtype=np.float64)) & np.isfinite(np.asarray(curve.y, dtype=np.float64))
+    return np.asarray(np.flatnonzero(finite), dtype=np.int64)
+
+
+def _row(number: int, curve: Curve, kept: IntArray, *ends: str) -> Spec:
+    said = None if curve.said is None else curve.said or curve.key
+    head = {"id": number, "key": curve.key, "said": said, "colour": curve.colour}
+    values = {name: _numbers(getattr(curve, name), kept) for name in ("x", "y", *ends)}
+    return head | {"width": curve.width, "opacity": curve.opacity} | values
+
+
+def _numbers(values: ArrayLike, kept: IntArray) -> list[float | None]:
+    chosen = np.asarray(values, dtype=np.float64)[kept]
+    return [short(value) if np.isfinite(value) else None for value in chosen.tolist()]
+
+
+def _drawn(rows: Sequence[Spec], mark: Spec, encoding: Spec, where: str = "") -> Spec:
+    """One layer of a view: rows, of which lists are points, a mark, and where what goes."""
+    lists = [name for name, value in rows[0].items() if isinstance(value, list)]
+    transform: list[Spec] = [{"filter": "indexof(hidden, datum.key) < 0" + (f" && {where}" if where else "")}]
+    if lists:
+        transform.append({"flatten": lists})
+    return {"data": {"values": list(rows)}, "transform": transform, "mark": mark, "encoding": encoding}
+
+
+def _texts(texts: Sequence[Spec]) -> list[Spec]:
+    """One layer for each way of writing."""
+    ways: dict[tuple[str, bool, str], list[Spec]] = {}
+    for text in texts:
+        ways.setdefault((text["align"], text["bold"], text["baseline"]), []).append(text)
+    layers = []
+    for (align, bold, baseline), rows in ways.items():
+        weight = "bold" if bold else "normal"
+        mark = {"type": "text", "clip": False, "align": align, "baseline": baseline, "fontWeight": weight}
+        places = {name: {"field": name, "type": "quantitative", "scale": None, "axis": None} for name in ("x", "y")}
+        styles = {
+            name: {"field": name, "type": "quantitative", "scale": None, "legend": None} for name in ("size", "angle")
+        }
+        written = {"text": {"field": "text", "type": "nominal"}, "color": _COLOURED["color"]}
+        layers.append(_drawn(rows, mark, places | styles | written))
+    return layers
+
+
+def _with_shared_data(view: Spec, data: Spec) -> Spec:
+    """The view with names in the place of its data, which goes to `data`, each set of it once."""
+    layers = []
+    for layer in view["layer"]:
+        rows = layer["data"]["values"]
+        name = next((known for known, found in data.items() if found == rows), f"rows_{len(data)}")
+        data[name] = rows
+        layers.append(layer | {"data": {"name": name}})
+    return view | {"layer": layers}

@@ -1,0 +1,185 @@
+"""Charts of studies: what a factor does, which choice of a filter makes the difference, what changed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from filters.validation import FloatArray
+from stereo_slam_env.benchmark.statistics.attribution import Attribution, Effect, ResponseAttribution
+from stereo_slam_env.benchmark.statistics.comparison import Change
+from stereo_slam_env.report.charts.axes import WIDTH, Axis, label_room, log_axis, panel_width
+from stereo_slam_env.report.charts.drawing import Box, Chart, Curve, Panel, figure
+from stereo_slam_env.report.charts.style import BAND, INK, MUTED, PALETTE, filter_colours
+
+_SHOWN = {True: ("effect shown", PALETTE[0]), False: ("no effect shown", MUTED)}
+
+
+@dataclass(frozen=True, eq=False)
+class FactorResponse:
+    """One response of every filter at every level of a factor.
+
+    Attributes
+    ----------
+    title : str
+        With its unit in brackets.
+    means, lows, highs : mapping of str to (L,) ndarray
+        Of each filter: mean over seeds and the other factors, and its interval; NaN where not known.
+    band : pair of float, optional
+        Where a consistent filter would be.
+    log : bool
+        Whether the axis is logarithmic.
+    """
+
+    title: str
+    means: Mapping[str, FloatArray]
+    lows: Mapping[str, FloatArray]
+    highs: Mapping[str, FloatArray]
+    band: tuple[float, float] | None = None
+    log: bool = True
+
+
+def plot_factor(factor: str, levels: Sequence[Any], responses: Sequence[FactorResponse]) -> Chart:
+    """Draw every response against the levels of a factor, one line for each filter."""
+    names = list(dict.fromkeys(name for response in responses for name in response.means))
+    colours = filter_colours(names)
+    to_scale = all(isinstance(level, (int, float)) and not isinstance(level, bool) for level in levels)
+    places = np.array(levels, dtype=np.float64) if to_scale else np.arange(float(len(levels)))
+    width = panel_width(len(responses), label_room(names), 56.0)
+    words = [f"{level:g}" if to_scale else str(level) for level in levels]
+    tilted = not to_scale and 7.0 * max(len(word) for word in words) > width / len(levels)
+    x = _level_axis("" if tilted else factor, places, to_scale=to_scale)
+    panels = []
+    for response in responses:
+        curves = _response_curves(response, names, colours, x, places, joined=to_scale)
+        ends = [np.concatenate([np.asarray(c.low), np.asarray(c.high)]) for c in curves]
+        if response.band is not None:
+            ends.append(np.array(response.band))
+        top = max((float(np.max(end, initial=0.0)) for end in ends), default=0.0)
+        y = log_axis(ends) if response.log else Axis(0.0, 1.08 * top or 1.0)
+        panel = Panel(x, y, width, 220.0, response.title)
+        if response.band is not None:
+            panel.boxes([Box(x.low, x.high, max(response.band[0], y.low), response.band[1], BAND)])
+        if to_scale:
+            panel.lines(Curve(c.key, c.x, c.y, c.colour, said=None) for c in curves)
+        panel.intervals(curves)
+        panel.dots(curves, 40)
+        if not to_scale:
+            panel.zoom = False
+            panel.column_names(places.tolist(), words, tilted=tilted)
+        panels.append(panel)
+    panels[-1].colour_key({name: colours[name] for name in names[:18]})
+    return figure(panels, colours, column=56)
+
+
+def _level_axis(title: str, places: FloatArray, *, to_scale: bool) -> Axis:
+    low, high = float(places.min()), float(places.max())
+    if not to_scale:
+        return Axis(low - 0.5, high + 0.5, title, ticks=(), grid=False)
+    if low > 0 and high > 8 * low:
+        margin = (high / low) ** 0.05
+        return Axis(low / margin, high * margin, title, log=True, ticks=places.tolist())
+    margin = 0.05 * (high - low)
+    return Axis(low - margin, high + margin, title, ticks=places.tolist())
+
+
+def _response_curves(
+    response: FactorResponse,
+    names: Sequence[str],
+    colours: Mapping[str, str],
+    x: Axis,
+    places: FloatArray,
+    *,
+    joined: bool,
+) -> list[Curve]:
+    """Filters side by side, so that no interval hides another one."""
+    beside = np.linspace(-1.0, 1.0, len(names)) if len(names) > 1 else np.zeros(1)
+    curves = []
+    for name, share in zip(names, beside, strict=True):
+        if name not in response.means:
+            continue
+        if not joined:
+            at = places + 0.3 * share
+        elif x.log:
+            at = places * (places.max() / places.min()) ** (0.008 * share)
+        else:
+            at = places + 0.008 * share * float(np.ptp(places))
+        mean = response.means[name]
+        known = np.isfinite(mean) & ((mean > 0) | (not response.log))
+        low, high = (
+            np.where(np.isfinite(ends), ends, mean)[known] for ends in (response.lows[name], response.highs[name])
+        )
+        if known.any():
+            curves.append(Curve(name, at[known], mean[known], colours[name], low, high))
+    return curves
+
+
+def plot_effects(attribution: Attribution) -> Chart:
+    """Main effects of every choice on every response, with their intervals."""
+    rows = [(factor, level) for factor, levels in attribution.factors.items() for level in levels]
+    names = [f"{factor}: {level}" for factor, level in rows]
+    left = label_room(names)
+    width = (WIDTH - left - 34.0 * len(attribution.responses)) / len(attribution.responses)
+    panels = [_effects_panel(rows, response, width) for response in attribution.responses]
+    panels[0].row_names(names, {})
+    return figure(panels, dict(_SHOWN.values()), column=34)
+
+
+def _effects_panel(rows: Sequence[tuple[str, Any]], response: ResponseAttribution, width: float) -> Panel:
+    effects = {(effect.factors[0], effect.levels[0]): effect for effect in response.effects}
+    found = [(row, effects[choice]) for row, choice in enumerate(rows) if choice in effects]
+    curves = [_effect_curve(row, effect, names=rows) for row, effect in found]
+    ends = [np.concatenate([np.asarray(c.low), np.asarray(c.high)]) for c in curves] + [np.array([0.98, 1.02])]
+    title = response.response[:1].upper() + response.response[1:]
+    y = Axis(-0.5, len(rows) - 0.5, ticks=(), reverse=True)
+    around = log_axis(ends, "times the average")
+    panel = Panel(around, y, width, 24.0 * len(rows), title, zoom=False)
+    start = 0
+    for factor in dict.fromkeys(name for name, _ in rows):  # a rule between factors
+        start += sum(name == factor for name, _ in rows)
+        panel.rule(y=start - 0.5, colour=BAND)
+    panel.boxes(
+        Box(1.0, float(np.asarray(c.x)[0]), row - 0.28, row + 0.28, c.colour, c.key, 0.35)
+        for c, (row, _) in zip(curves, found, strict=True)
+    )
+    panel.rule(x=1.0, colour=INK)
+    panel.intervals(curves, across=True)
+    panel.dots(curves, 40)
+    return panel
+
+
+def _effect_curve(row: int, effect: Effect, names: Sequence[tuple[str, Any]]) -> Curve:
+    ratio = 1 + effect.percent / 100
+    low, high = (1 + end / 100 for end in effect.interval_percent or (effect.percent, effect.percent))
+    key, colour = _SHOWN[bool(effect.shown)]
+    return Curve(key, [ratio], [row], colour, [low], [high], said=": ".join(map(str, names[row])) + f", {key}")
+
+
+def plot_changes(changes: Sequence[Change]) -> Chart:
+    """Draw how much every measure of every filter changed, with its interval."""
+    shown = [change for change in changes if change.interval_percent is not None]
+    names = list(dict.fromkeys(change.filter_name for change in shown))
+    measures = list(dict.fromkeys(change.measure for change in shown))
+    colours = filter_colours(names)
+    curves = []
+    for i, name in enumerate(names):
+        own = [change for change in shown if change.filter_name == name]
+        rows = [measures.index(change.measure) - 0.3 + 0.6 * (i + 0.5) / len(names) for change in own]
+        ends = 1 + np.array([change.interval_percent for change in own], dtype=np.float64) / 100
+        curves.append(Curve(name, np.sqrt(ends[:, 0] * ends[:, 1]), rows, colours[name], ends[:, 0], ends[:, 1]))
+    title = "after / before; of consistency: distance from the ideal"
+    x = log_axis(
+        [*(np.concatenate([np.asarray(c.low), np.asarray(c.high)]) for c in curves), np.array([0.98, 1.02])], title
+    )
+    left, right = label_room(measures), label_room(names)
+    y = Axis(-0.5, len(measures) - 0.5, ticks=(), reverse=True)
+    panel = Panel(x, y, WIDTH - left - right - 20, 15.0 * len(measures) * max(len(names), 2), zoom=False)
+    panel.rule(x=1.0, colour=INK)
+    panel.intervals(curves, across=True)
+    panel.dots(curves, 34)
+    panel.row_names(measures, {})
+    panel.colour_key(colours)
+    return figure([panel], colours)
