@@ -42,8 +42,8 @@ format: $(VENV)/.installed-dev ## Let ruff put the code in order
 	@$(BIN)/ruff check --fix
 	@$(BIN)/ruff format
 
-docs: $(VENV)/.installed-dev ## Build the manual into site/ (open site/index.html; nothing is fetched)
-	@NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet --strict
+docs: $(VENV)/.installed-docs ## Build the manual into site/ (open site/index.html; nothing is fetched)
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
 	@echo "the manual: site/index.html"
 
 clean: ## Remove the virtual environment, builds and caches (results in runs/ stay)
@@ -61,4 +61,8 @@ $(VENV)/.installed: pyproject.toml | $(BIN)/python
 
 $(VENV)/.installed-dev: pyproject.toml constraints.txt | $(BIN)/python
 	@$(PIP) --constraint constraints.txt --editable '.[dev,gtsam,evo,fast,gl,ray,dask,rl,video,docs,viewer]'
-	@touch $@ $(VENV)/.installed
+	@touch $@ $(VENV)/.installed $(VENV)/.installed-docs
+
+$(VENV)/.installed-docs: pyproject.toml | $(BIN)/python
+	@$(PIP) --editable '.[docs]'
+	@touch $@

@@ -24,7 +24,7 @@ from threadpoolctl import threadpool_limits
 
 from stereo_slam_env.baselines.batch import BatchSmoother
 from stereo_slam_env.benchmark.recordings.reference_problem import long_drive
-from stereo_slam_env.benchmark.running.runner import run_filter
+from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.evaluation.trajectory_metrics import ate_rigid
 from stereo_slam_env.recording.recording import Recording
 
@@ -62,7 +62,7 @@ def run_batch(recording: Recording, right_row: bool) -> Outcome:
     """All frames, solved now and then and at the end."""
     start = recording.start
     smoother = BatchSmoother(recording.camera, recording.noise, gate=None, right_row=right_row)
-    smoother.reset(start.position, start.orientation, start.linear_velocity, start.angular_velocity, start.covariance)
+    smoother.reset(start)
     last = None
     with threadpool_limits(1):
         for frame in recording.frames:

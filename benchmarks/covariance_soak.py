@@ -27,7 +27,7 @@ from rich.console import Console
 from rich.table import Table
 from threadpoolctl import threadpool_limits
 
-from filters import ConstantVelocity, StereoEKF, StereoNoise, StereoObservation, rotations
+from filters import ConstantVelocity, Start, StereoEKF, StereoNoise, StereoObservation, rotations
 from filters.conformance import REFERENCE_CAMERA as CAMERA
 from filters.engine import symmetric
 
@@ -130,7 +130,7 @@ def soak(case: Case, updates: int) -> tuple[Health, float, float]:
         min_disparity=guard,
     )
     position, R_wc = pose_at(0.0)
-    stereo_filter.reset(position, covariance=np.diag(START_SIGMAS**2))
+    stereo_filter.reset(Start(position, covariance=np.diag(START_SIGMAS**2)))
     ids, points = np.arange(LANDMARKS), new_points(rng, LANDMARKS)
     if guard is not None:
         points *= np.minimum(1.0, CAMERA.disparity_constant / (2 * guard) / points[:, 2:])

@@ -27,9 +27,10 @@ from threadpoolctl import threadpool_limits
 
 from filters import ConstantVelocity
 from stereo_slam_env.benchmark.recordings.reference_problem import long_drive
-from stereo_slam_env.benchmark.running.runner import run_filter
 from stereo_slam_env.evaluation.cramer_rao import Bound, cramer_rao_bound, efficiency_interval
-from stereo_slam_env.evaluation.trial_metrics import trial_figures
+from stereo_slam_env.evaluation.figures import trial_figures
+from stereo_slam_env.evaluation.filter_run import run_filter
+from stereo_slam_env.evaluation.trial import Trial
 from stereo_slam_env.recording.recording import Recording
 
 FILTERS: dict[str, tuple[str, dict[str, Any]]] = {
@@ -78,7 +79,7 @@ def run_batch(recording: Recording) -> Outcome:
 
     start = recording.start
     smoother = BatchSmoother(recording.camera, recording.noise, gate=None, right_row=False)
-    smoother.reset(start.position, start.orientation, start.linear_velocity, start.angular_velocity, start.covariance)
+    smoother.reset(start)
     with threadpool_limits(1):
         for k, frame in enumerate(recording.frames):
             if k:
@@ -104,7 +105,7 @@ def run_seed(seed: int, frames: int, noise: str, batch: bool) -> dict[str, Outco
         found[label] = of_bound(bound)
     for label, (name, options) in FILTERS.items():
         run = run_filter(recording, name, options, common_options={"gate": None})
-        row: dict[str, Any] = trial_figures(run, divergence_percent=10.0)
+        row: dict[str, Any] = trial_figures(Trial(run, divergence_percent=10.0))
         found[label] = Outcome(row["position_rmse_m"], row["rotation_rmse_deg"], row["end_error_m"], row["pose_anees"])
     if batch:
         found[BATCH] = run_batch(recording)

@@ -59,7 +59,7 @@ class FilterInTheLoop(gym.Wrapper[Any, Any, Any, Any]):
         result = self.env.reset(**arguments)
         drive = self.env.unwrapped
         self.slam = make_filter("shared-anchor", camera=drive.camera, noise=drive.noise)
-        self.slam.reset(**vars(drive.start))
+        self.slam.reset(drive.start)
         self.slam.update(drive.frame.observation)
         return result
 

@@ -18,7 +18,7 @@ from rich.console import Console
 from rich.table import Table
 from threadpoolctl import threadpool_limits
 
-from filters import StereoEKF, StereoNoise, StereoObservation
+from filters import Start, StereoEKF, StereoNoise, StereoObservation
 from filters.conformance import REFERENCE_CAMERA as CAMERA
 
 NOISE = StereoNoise.independent_pixels(1.0)
@@ -42,7 +42,7 @@ def main() -> None:
         table.add_column(head, justify="right")
     rng = np.random.default_rng(0)
     slam = StereoEKF(CAMERA, NOISE, landmark="shared-anchor", compiled=arguments.compiled)
-    slam.reset(linear_velocity=(0, 0, SPEED))
+    slam.reset(Start(linear_velocity=(0, 0, SPEED)))
     ids, p_w = np.zeros(0, dtype=np.int64), np.zeros((0, 3))
     next_id, every = 0, max(1, arguments.frames // 10)
     with threadpool_limits(1):

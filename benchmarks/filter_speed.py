@@ -33,7 +33,7 @@ from rich.table import Table
 from scipy.linalg import blas, lapack
 from threadpoolctl import threadpool_limits
 
-from filters import StereoEKF, StereoNoise, StereoObservation
+from filters import Start, StereoEKF, StereoNoise, StereoObservation
 from filters.conformance import REFERENCE_CAMERA as CAMERA
 from filters.engine import kalman
 
@@ -65,7 +65,7 @@ class Drive:
         self.points = self.cloud(n)
         self.ids = np.arange(n)
         self.slam = StereoEKF(CAMERA, NOISE, **options)  # type: ignore[arg-type]
-        self.slam.reset(linear_velocity=(0, 0, SPEED))
+        self.slam.reset(Start(linear_velocity=(0, 0, SPEED)))
         for group in range(1, ANCHORS + 1):
             self.slam.update(self.observe(n * group // ANCHORS))
             self.slam.predict(DT)

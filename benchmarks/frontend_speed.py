@@ -32,11 +32,10 @@ from threadpoolctl import threadpool_limits
 
 from filters.camera import StereoCamera
 from stereo_slam_env.frontend import finding, tracker
-from stereo_slam_env.frontend.correlation import search
-from stereo_slam_env.frontend.detection import detect_corners
+from stereo_slam_env.frontend.finding import detect_corners
+from stereo_slam_env.frontend.matching import match_rows, search
 from stereo_slam_env.frontend.patches import Image, cut_patches, warped_patches
 from stereo_slam_env.frontend.settings import TrackerSettings
-from stereo_slam_env.frontend.stereo_matching import match_rows
 
 WIDTH, HEIGHT = 1344, 391
 SIGMA = (2.0, 3.0)  # of the forecast, px

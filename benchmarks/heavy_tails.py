@@ -23,11 +23,10 @@ from rich.table import Table
 
 from filters import StereoNoise, StereoObservation
 from stereo_slam_env.benchmark.recordings.reference_problem import long_drive
-from stereo_slam_env.benchmark.running.runner import run_filter
 from stereo_slam_env.evaluation.consistency import mean_band
+from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.evaluation.results import FilterRun
-from stereo_slam_env.evaluation.run_figures import figures_of
-from stereo_slam_env.evaluation.summary import summarise_all
+from stereo_slam_env.evaluation.run_figures import figures_of, summarise_all
 from stereo_slam_env.recording.recording import Recording
 from stereo_slam_env.sensing.pixel_noise import matching_errors
 

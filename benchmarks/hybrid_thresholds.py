@@ -17,9 +17,10 @@ from rich.console import Console
 from rich.table import Table
 
 from filters import StereoEKF
+from filters.consistency import nees
 from filters.landmarks.hybrid import Hybrid
 from stereo_slam_env.benchmark.recordings.reference_problem import long_drive
-from stereo_slam_env.evaluation.consistency import mean_band, nees, share_inside
+from stereo_slam_env.evaluation.consistency import mean_band, share_inside
 from stereo_slam_env.recording.recording import Recording
 
 LIMITS = (0.02, 0.03, 0.05, 0.1)
@@ -36,9 +37,7 @@ def run(recording: Recording, options: dict[str, Any]) -> tuple[np.ndarray, floa
     """Pose NEES of each frame, end error in % of the way, and the mean number of states."""
     slam = StereoEKF(recording.camera, recording.noise, gate=None, **options)
     begin = recording.start
-    slam.reset(
-        linear_velocity=begin.linear_velocity, angular_velocity=begin.angular_velocity, covariance=begin.covariance
-    )
+    slam.reset(begin)
     values, sizes, positions = [], [], []
     for number, frame in enumerate(recording.frames):
         if number:

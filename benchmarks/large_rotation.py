@@ -18,8 +18,8 @@ from rich.console import Console
 from rich.table import Table
 
 from stereo_slam_env.benchmark.recordings.large_rotation_problem import SIGHT, relative_noise_loop
-from stereo_slam_env.benchmark.running.runner import run_filter
 from stereo_slam_env.evaluation.consistency import mean_band
+from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.evaluation.results import FilterRun
 
 OPTIONS = {"motion": "velocity-driven", "gate": None, "drop_unseen": False}

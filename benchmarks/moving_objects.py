@@ -18,9 +18,9 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from stereo_slam_env.benchmark.running.runner import run_filter
 from stereo_slam_env.envs.drive import StereoDriveEnv
 from stereo_slam_env.envs.recorder import record
+from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.recording.recording import Recording
 
 OPTIONS: dict[str, Any] = {

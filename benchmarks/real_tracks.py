@@ -24,11 +24,10 @@ from rich.console import Console
 from rich.table import Table
 
 from filters import StereoNoise
-from stereo_slam_env.benchmark.running.runner import run_filter
-from stereo_slam_env.datasets import READERS, read_recording
+from stereo_slam_env.datasets import TRACK_LAYOUTS, layout_of, load
+from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.evaluation.results import FilterSummary
-from stereo_slam_env.evaluation.run_figures import figures_of
-from stereo_slam_env.evaluation.summary import summarise_all
+from stereo_slam_env.evaluation.run_figures import figures_of, summarise_all
 from stereo_slam_env.recording.recording import Recording
 
 SETTINGS = {"gate": 0.99, "consensus": True}
@@ -56,10 +55,10 @@ def recordings(data: Path) -> dict[str, Recording]:
     folders = [folder for folder in sorted(data.iterdir()) if folder.is_dir()]
     found: dict[str, Recording] = {}
     for folder in folders:
-        if any(reader.recognises(folder) for reader in READERS):
-            found[folder.name] = read_recording(folder)
+        if layout_of(folder) in [layout.NAME for layout in TRACK_LAYOUTS]:
+            found[folder.name] = load(folder)
     with contextlib.suppress(ImportError):
-        found["gtsam (against its odometry)"] = read_recording("gtsam")
+        found["gtsam (against its odometry)"] = load("gtsam")
     return found
 
 

@@ -2,7 +2,6 @@
 
     python benchmarks/reference_consistency.py turn --seeds 50      # 12 frames into a right turn, 20 s
     python benchmarks/reference_consistency.py long --seeds 50      # 800 frames, 350 m, 10 min on two cores
-    python benchmarks/reference_consistency.py turn --seeds 500 --landmarks 25 --together   # all seeds in lock-step
 
 Prints, for independent pixel noise and for the paper's noise (u, v, d independent), what each filter's errors are and
 what it claims they are. ANEES/6 has a two-sided 95 % band for the number of seeds; so has the sum of NIS over the seeds
@@ -24,9 +23,8 @@ from scipy.stats import chi2
 
 from filters import StereoNoise
 from stereo_slam_env.benchmark.recordings.reference_problem import long_drive, short_turn
-from stereo_slam_env.benchmark.running.runner import run_filter
-from stereo_slam_env.benchmark.running.trials import run_filter_together
 from stereo_slam_env.evaluation.consistency import mean_band
+from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.evaluation.results import FilterRun
 
 PAPER_R = StereoNoise.diagonal(1.0, 1.0, 1.0)
@@ -59,16 +57,6 @@ def run_seed(problem: str, noise: str, landmarks: int, seed: int) -> list[Filter
         run_filter(recording, case.filter_name, {**case.options, "gate": None}, noise=case.noise, seed=seed)
         for case in CASES
     ]
-
-
-def run_together(problem: str, noise: str, landmarks: int, seeds: range) -> list[tuple[FilterRun, ...]]:
-    """The same for all seeds, in lock-step: for small maps several times faster on one core."""
-    recordings = [PROBLEMS[problem](seed, noise, landmarks=landmarks) for seed in seeds]
-    by_case = [
-        run_filter_together(recordings, case.filter_name, {**case.options, "gate": None}, noise=case.noise, seeds=seeds)
-        for case in CASES
-    ]
-    return list(zip(*by_case, strict=True))
 
 
 def depth_error(runs: list[FilterRun], label: str) -> str:
@@ -125,17 +113,13 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=50)
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--landmarks", type=int, default=90, help="most in one frame")
-    parser.add_argument("--together", action="store_true", help="all seeds in lock-step, in one process")
     arguments = parser.parse_args()
     band = mean_band(6, arguments.seeds)
     console = Console(width=200)
     for noise in ("pixels", "uvd"):
         seeds = range(arguments.seeds)
         problem = (arguments.problem, noise, arguments.landmarks)
-        if arguments.together:
-            by_seed = run_together(*problem, seeds)
-        else:
-            by_seed = Parallel(arguments.jobs)(delayed(run_seed)(*problem, seed) for seed in seeds)
+        by_seed = Parallel(arguments.jobs)(delayed(run_seed)(*problem, seed) for seed in seeds)
         title = f"{arguments.problem}, {noise} noise, {arguments.seeds} seeds"
         table = Table(title=f"{title}; ANEES/6 band [{band[0] / 6:.2f}, {band[1] / 6:.2f}]")
         heads = (

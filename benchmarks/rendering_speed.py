@@ -53,7 +53,6 @@ def street_of_boxes(bodies: int, seed: int = 0) -> Scene:
         Ground((-20.3, -80.3), (LENGTH + 150.3, 80.3), Material((1.0, 1.0, 1.0), "asphalt", (7.0, 7.0))),
         tuple(_box(rng, kind) for kind in kinds),
         (),
-        np.zeros(0, dtype=np.int64),
         np.zeros((0, 3)),
     )
 

@@ -24,7 +24,7 @@ from rich.console import Console
 from rich.table import Table
 from threadpoolctl import threadpool_limits
 
-from filters import StereoEKF, StereoNoise, StereoObservation
+from filters import Start, StereoEKF, StereoNoise, StereoObservation
 from filters.conformance import REFERENCE_CAMERA as CAMERA
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -73,7 +73,7 @@ class Ours:
 
     def __init__(self, **options: object) -> None:
         self.slam = StereoEKF(CAMERA, NOISE, **options)  # type: ignore[arg-type]
-        self.slam.reset(linear_velocity=(0, 0, SPEED))
+        self.slam.reset(Start(linear_velocity=(0, 0, SPEED)))
 
     def step(self, observation: StereoObservation) -> dict[str, float]:
         """Seconds."""

@@ -19,6 +19,7 @@ from rich.console import Console
 from rich.table import Table
 
 from stereo_slam_env.benchmark import Scenario, run
+from stereo_slam_env.benchmark.recordings.sources import ReferenceSource
 from stereo_slam_env.benchmark.running.isolation import run_isolated
 from stereo_slam_env.benchmark.scenarios.scenario import filter_choice
 
@@ -52,8 +53,7 @@ def main() -> None:
     arguments = parser.parse_args()
     scenario = Scenario(
         "scaling",
-        "reference",
-        {"name": "long_drive"},
+        ReferenceSource("long_drive"),
         filters=FILTERS,
         seeds=tuple(range(arguments.seeds)),
         frames=arguments.frames,

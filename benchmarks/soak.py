@@ -34,7 +34,7 @@ from rich.table import Table
 from threadpoolctl import threadpool_limits
 
 import stereo_slam_env  # noqa: F401 (registers the environments)
-from filters import ConstantVelocity, StereoFilter, StereoNoise, StereoObservation, make_filter, rotations
+from filters import ConstantVelocity, Start, StereoFilter, StereoNoise, StereoObservation, make_filter, rotations
 from filters.conformance import REFERENCE_CAMERA as CAMERA
 
 LOOKS, LANDMARKS, TURNOVER, DT = 100, 12, 5, 0.1
@@ -140,7 +140,7 @@ def soak_filter(name: str, updates: int, options: dict[str, Any] | None = None) 
     def made() -> StereoFilter:
         slam = make_filter(name, camera=CAMERA, noise=NOISE, motion=MOTION, **(options or {}))
         position, R_wc = world.pose()
-        slam.reset(position, rotations.from_matrix(R_wc))
+        slam.reset(Start(position, rotations.from_matrix(R_wc)))
         return slam
 
     def step() -> None:

@@ -23,10 +23,10 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from filters.common_options import make_with_common_options
-from stereo_slam_env.benchmark.running.runner import run_filter
-from stereo_slam_env.datasets import read_recording
-from stereo_slam_env.datasets.starry_night import ARRAYS, step_velocities
-from stereo_slam_env.files.tables import read_archive
+from stereo_slam_env.datasets import load
+from stereo_slam_env.datasets.starry_night import SHAPES, step_velocities
+from stereo_slam_env.evaluation.filter_run import run_filter
+from stereo_slam_env.files.readers import read_archive
 from stereo_slam_env.recording.recording import Recording
 
 FIRST, SPAN = 100, 20
@@ -114,7 +114,7 @@ def residuals(recording: Recording, fitted: bool) -> np.ndarray:
 def measurements(folder: Path) -> Table:
     """How well measurements fit the truth."""
     table = Table("residuals px of u, v, d", "rms", "MAD sigma", "mean", title="measurements")
-    everything, used = read_recording(folder, max_row_difference=None), read_recording(folder)
+    everything, used = load(folder, max_row_difference=None), load(folder)
     for label, errors in (
         ("all, by motion capture", residuals(everything, False)),
         ("used (rows agree to 1 px), by motion capture", residuals(used, False)),
@@ -130,7 +130,7 @@ def measurements(folder: Path) -> Table:
 def map_error(recording: Recording, name: str, own: dict[str, Any], odometry: bool) -> str:
     """RMS error in W of the landmarks in the map at the end, m, and how many those are."""
     slam = make_with_common_options(name, recording.camera, recording.noise, own, SETTINGS).filter
-    slam.reset(**vars(recording.start))
+    slam.reset(recording.start)
     slam.update(recording.frames[0].observation)
     for before, frame in pairwise(recording.frames):
         slam.predict(frame.timestamp - before.timestamp, frame.odometry if odometry else None)
@@ -184,9 +184,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     folder = parser.parse_args().folder
-    recording = read_recording(folder)
+    recording = load(folder)
     console = Console(width=160)
-    console.print(readings(read_archive(folder / "starry_night.npz", ARRAYS)))
+    console.print(readings(read_archive(folder / "starry_night.npz", SHAPES)))
     console.print(
         f"dead reckoning ends {dead_reckoning(recording):.2f} m off, "
         f"{dead_reckoning(recording, -1.0):.2f} m with the sign as stored"

@@ -27,7 +27,7 @@ from rich.table import Table
 from scipy.spatial.transform import Rotation
 from threadpoolctl import threadpool_limits
 
-from filters import StereoEKF, StereoFilter, StereoNoise, StereoObservation
+from filters import Start, StereoEKF, StereoFilter, StereoNoise, StereoObservation
 from filters.conformance import REFERENCE_CAMERA as CAMERA
 from filters.submaps.submap_ekf import SubmapEKF
 from stereo_slam_env.evaluation.consistency import mean_band
@@ -73,7 +73,7 @@ def cost(console: Console, landmarks: int, seed: int, max_unseen: int) -> None:
     in_view = StereoEKF(CAMERA, NOISE, landmark="shared-anchor")
     whole_map = SubmapEKF(CAMERA, NOISE, max_unseen=max_unseen)
     for slam in (in_view, whole_map):
-        slam.reset(linear_velocity=(0, 0, SPEED), covariance=START)
+        slam.reset(Start(linear_velocity=(0, 0, SPEED), covariance=START))
     table = Table(title=f"a frame with {IN_VIEW} landmarks in view, all kept by submaps (max_unseen={max_unseen})")
     for column in ("in the map", "submaps", "MB", "ms, in view only", "ms, submaps", "median ratio", "mean ratio"):
         table.add_column(column, justify="right")
@@ -135,7 +135,7 @@ def circle(seed: int, laps: float, points: int) -> list[Frame]:
 
 def followed(slam: StereoFilter, frames: list[Frame]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """NEES (F,), positions (F, 3) with standard deviations, and times (F,) of a drive."""
-    slam.reset(linear_velocity=(0, 0, SPEED), angular_velocity=(0, SPEED / RADIUS, 0), covariance=START)
+    slam.reset(Start(linear_velocity=(0, 0, SPEED), angular_velocity=(0, SPEED / RADIUS, 0), covariance=START))
     nees, positions, times = [], [], []
     for number, frame in enumerate(frames):
         began = time.process_time()

@@ -1,9 +1,9 @@
-"""Decide where to look with a filter and a rule: plain Gymnasium, no learning.
+"""Active gaze with a filter and a rule: plain Gymnasium, no learning.
 
-The rule: turn the head to the nearest landmark in the filter's map that is not too far to the side. Looking straight
-ahead is tried on the same seeds, so in the same world, on the same drive.
+The rule turns the head to the nearest landmark in the filter's map that is not too far to the side. A head that looks
+straight ahead gets the same seeds: the same world, the same drive.
 Run it: python examples/active_gaze.py --seeds 8
-It prints, for either, what the filter claims of its final position (1 sigma) and how far off it truly is, m.
+It prints, for either, the claimed standard deviation and the true error of the final position, m.
 """
 
 import argparse
@@ -20,7 +20,7 @@ SIDEWAYS = 0.9  # rad; what is farther round has almost been passed
 
 
 def straight_ahead(slam, head):
-    """Pan and tilt, rad."""
+    """Pan and tilt of a fixed gaze, rad."""
     return np.zeros(2)
 
 
@@ -33,11 +33,11 @@ def nearest_landmark(slam, head):
 
 
 def drive(env, rule, seed):
-    """One episode: claimed standard deviation and true error of the final position, m."""
+    """Claimed standard deviation and true error of the final position, m."""
     rig = env.unwrapped
     observation, info = env.reset(seed=seed)
     slam = make_filter("shared-anchor", camera=rig.camera, noise=rig.noise, **OPTIONS)
-    slam.reset(**vars(rig.start))
+    slam.reset(rig.start)
     slam.update(stereo_slam_env.stereo_observation(observation, info))
     over = False
     while not over:

@@ -1,12 +1,12 @@
-"""Proximal policy optimisation in one file of PyTorch: where the head should look so that the filter learns most.
+"""Proximal policy optimisation in one file of PyTorch: an agent turns the head so that the filter gains information.
 
-The environments of a vector environment go on by themselves in Gymnasium's mode NEXT_STEP (the default of `make_vec`):
-the step after the end of an episode is its reset, which ignores the action and pays nothing. Such steps are kept in
-the rollout, as what is observed then begins the next episode, but nothing is learnt from them.
+In Gymnasium's autoreset mode NEXT_STEP (the default of `make_vec`) the step after the end of an episode is its reset:
+it ignores the action and its reward is 0. The rollout keeps such steps, because their observation begins the next
+episode, but they are left out of the loss.
 
 Run it: python examples/cleanrl_ppo.py --steps 60000 --environments 4 --vectorization async     (needs the extra rl)
-It prints the mean return of the episodes that ended in each rollout: the information gained, in nats (the pose grows
-less certain all the way, so it is negative), and at last what a fixed gaze has and the network, on other seeds.
+It prints the mean return of the episodes that ended in each rollout: the information gained, in nats (negative, as the
+pose becomes less certain along the drive); at the end the returns of a fixed gaze and of the network on other seeds.
 """
 
 import argparse
@@ -26,7 +26,7 @@ VALUE_WEIGHT, MAX_GRADIENT, REWARD_SCALE = 0.5, 0.5, 0.1
 
 
 def with_belief(env):
-    """A filter in the loop, paid for what it learns of the pose; a decision holds for 0.4 s."""
+    """Environment with the filter's information about the pose as reward; a decision holds for 0.4 s."""
     options = {"drop_unseen": False, "motion": "velocity-driven", "iterations": 2}
     env = BeliefPanorama(BeliefObservation(env, options=options))
     env = RepeatAction(InformationGain(env, of="pose", resolution=(0.01, 0.001)), 4)
@@ -34,7 +34,7 @@ def with_belief(env):
 
 
 class Agent(nn.Module):
-    """A Gaussian policy and a value."""
+    """A Gaussian policy and a value function."""
 
     def __init__(self, observations, actions):
         super().__init__()
@@ -57,7 +57,7 @@ def perceptron(inputs, outputs, last_gain, width=64):
 
 
 def advantages(reward, value, next_value, terminated, ended):
-    """Generalised advantage estimation, (T, E); `next_value` is that of what each step led to."""
+    """Generalised advantage estimates (T, E); `next_value` is the value after each step."""
     gains, following = torch.zeros_like(reward), torch.zeros(reward.shape[1])
     for t in reversed(range(len(reward))):
         surprise = reward[t] + DISCOUNT * next_value[t] * ~terminated[t] - value[t]  # a truncated episode has a future
@@ -66,7 +66,7 @@ def advantages(reward, value, next_value, terminated, ended):
 
 
 def learn(agent, optimizer, batch):
-    """Some passes over a rollout with the clipped objective."""
+    """Train on a rollout with the clipped objective, in several passes."""
     size = len(batch["gain"])
     for _ in range(EPOCHS):
         for rows in torch.randperm(size).chunk(MINIBATCHES):
@@ -82,7 +82,7 @@ def learn(agent, optimizer, batch):
 
 
 def mean_return(envs, seed, look):
-    """Of the first episode of each environment."""
+    """Mean return of the first episode of each environment."""
     observation, _ = envs.reset(seed=seed)
     total, running = np.zeros(envs.num_envs), np.ones(envs.num_envs, bool)
     while running.any():

@@ -1,7 +1,7 @@
-"""Compare filters, one of them your own, on the same drives, and tell a difference from luck.
+"""Compare filters, one of them your own, on the same drives, with a test of significance.
 
-Each seed is a drive that all filters are given, bit for bit; differences are taken drive by drive. What the command
-`stereo-slam bench` does with more scenarios, and a report. Run it: python examples/compare_filters.py --seeds 8
+Each seed is a drive; all filters get the same bits, and differences are taken drive by drive. The command
+`stereo-slam bench` does this with more scenarios and a report. Run it: python examples/compare_filters.py --seeds 8
 """
 
 import argparse
@@ -13,7 +13,7 @@ from stereo_slam_env.benchmark.statistics.differences import paired_difference
 
 
 class Stacked(StereoEKF):
-    """A filter of your own: any class that `make_filter` could make will do."""
+    """A filter of your own: any class that `make_filter` can make."""
 
     def __init__(self, camera, noise, **options):
         super().__init__(camera, noise, landmark="shared-anchor", measurement="stacked", error="so3", **options)

@@ -1,7 +1,7 @@
-"""A scene of your own: an avenue of columns and balls, driven like any other.
+"""A scene and a route of your own, by names that the environment takes like any other.
 
-Surroundings are a function from a route to a plain description; it knows no physics engine and no renderer, and works
-along every route. Give it a name, and the environment takes it as `surroundings=`.
+A scene is a function from a route and a random generator to a plain description; it knows no physics engine and no
+renderer, and works along every route. A route is a speed and a yaw rate for each step of 0.1 s.
 
 Run it: python examples/custom_scene.py --picture avenue.png
 """
@@ -12,60 +12,47 @@ import cv2
 import gymnasium as gym
 import numpy as np
 
-import stereo_slam_env  # noqa: F401 (registers the ids)
-from stereo_slam_env.world.layout import Layout
+from stereo_slam_env.world.layout import Layout, facing_points
 from stereo_slam_env.world.road import ASPHALT_HEIGHT, RoadNetwork, Strip, paved, road_along
+from stereo_slam_env.world.routes import Route, register_route
 from stereo_slam_env.world.scene import Material, Scene, Sphere
-from stereo_slam_env.world.surface_points import facing_points
-from stereo_slam_env.world.surroundings import SURROUNDINGS, Surroundings
+from stereo_slam_env.world.surroundings import register_scene
 
 GRASS = Material((1.0, 1.0, 1.0), "grass", (6.0, 6.0))
 LANE = Strip(4.0, ASPHALT_HEIGHT, Material((1.0, 1.0, 1.0), "asphalt", (7.0, 7.0)))
 STONE = Material((0.95, 0.9, 0.8), "brick", (4.0, 4.0))
-EVERY, ASIDE, HEIGHT, PER_COLUMN = 8.0, 9.0, 6.0, 25
 
 
 def build_avenue(route, rng):
-    """A column with a ball on top every few metres, on both sides of the road."""
+    """Columns with a ball on top, every 8 m on both sides of the road."""
     road = road_along(route)
     network = RoadNetwork([road])
     layout = Layout(network)  # keeps things off the road and clear of each other
-    for at in np.arange(0, len(road.points), round(EVERY / 0.5)):
-        across = np.array([-road.tangents[at, 1], road.tangents[at, 0]])
+    for station in np.arange(0.0, road.length, 8.0):
         for side in (-1, 1):
-            place = road.points[at] + side * (ASIDE + rng.uniform(0, 4)) * across
-            layout.claim(place, 0.0, (1.4, 1.4), room=1.0, clearance=6.0, make=column)
-    points = facing_points(layout.primitives, PER_COLUMN * len(layout.primitives), 12.0, network.nearest, rng)
-    return Scene(
-        network.ground(150.0, GRASS), tuple(layout.primitives), paved([road], [LANE]), np.arange(len(points)), points
-    )
+            place, yaw = road.place(station, side * rng.uniform(9.0, 13.0))
+            layout.claim(place, yaw, (1.4, 1.4), room=1.0, clearance=6.0, make=column)
+    points = facing_points(layout.primitives, 25 * len(layout.primitives), 12.0, network.nearest, rng)
+    ground, lane = network.ground(150.0, GRASS), paved([road], [LANE])
+    return Scene(ground, tuple(layout.primitives), lane, points)
 
 
-def column(placed):
+def column(at):
     """What stands at a place."""
-    ball = Sphere(placed.point(0.0, 0.0, HEIGHT + 0.7), 0.8, STONE)
-    return [placed.rod((0.0, 0.0, 0.0), (0.0, 0.0, HEIGHT), 0.6, STONE), ball]
+    return [at.rod((0.0, 0.0, 0.0), (0.0, 0.0, 6.0), 0.6, STONE), Sphere(at.point(0.0, 0.0, 6.7), 0.8, STONE)]
 
 
-SURROUNDINGS["avenue"] = Surroundings("columns on both sides", build_avenue, walkway=5.0)
+register_scene("avenue", build_avenue)
+register_route("slalom", Route("slalom", np.full(60, 5.0), 0.2 * np.sin(np.arange(60) / 8.0)))
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--picture", help="PNG file to write of what is seen half-way")
+    parser.add_argument("--picture", help="PNG file to write of the view half-way")
     given = parser.parse_args()
-    env = gym.make(
-        "StereoSlam/Drive-v0",
-        surroundings="avenue",
-        route="right-turn",
-        policy="route",
-        rig="vga",
-        render_mode="rgb_array",
-    )
+    scene = {"surroundings": "avenue", "route": "slalom", "policy": "route", "rig": "vga"}
+    env = gym.make("StereoSlam/Drive-v0", **scene, render_mode="rgb_array")
     env.reset(seed=0)
-    seen = []
-    for _ in range(40):
-        observation, *_ = env.step(env.action_space.sample())
-        seen.append(observation["mask"].sum())
+    seen = [env.step(env.action_space.sample())[0]["mask"].sum() for _ in range(30)]
     if given.picture:
         cv2.imwrite(given.picture, env.render()[..., ::-1])
     print(f"{min(seen)} to {max(seen)} landmarks in a frame of the avenue")

@@ -1,8 +1,8 @@
-"""Only the package `filters`, in your own robot's loop: no simulator, no Gymnasium, numpy and scipy.
+"""The package `filters` in the loop of a robot: no simulator, no Gymnasium, only NumPy and SciPy.
 
-What the loop needs: pixels and disparities with ids that stay (your tracker's), the wheels' velocities, and the time.
-What it gets: a pose with its covariance, where to look for each landmark next, and a warning where the measurements
-do not fit what the filter believes. Replace `Robot` by yours.
+The loop needs pixels and disparities with lasting ids (from your tracker), the velocities of the wheels, and the time.
+It gets a pose with its covariance, a forecast of each landmark, and an alarm where the measurements do not fit the
+belief. Replace `Robot` by yours.
 
 Run it: python examples/filters_in_your_robot.py
 """
@@ -19,7 +19,7 @@ ODOMETRY_SIGMAS = np.array([0.03, 0.03, 0.03, 0.01, 0.01, 0.01])  # m/s, rad/s
 
 
 class Robot:
-    """Stands for your hardware: wheels, a stereo camera, and a tracker that keeps ids."""
+    """A stand-in for your hardware: wheels, a stereo camera, and a tracker that keeps ids."""
 
     def __init__(self, rng):
         self.rng, self.position, self.R_wc = rng, np.zeros(3), np.eye(3)
@@ -28,7 +28,7 @@ class Robot:
         self.points = np.column_stack([distances * np.sin(angles), heights, distances * np.cos(angles)])
 
     def drive(self):
-        """Move for a period; what the wheels say of it."""
+        """Move for a period; the measured body velocity."""
         half = rotations.exp(np.array([0.0, 0.5 * YAW_RATE * PERIOD, 0.0]))
         self.position = self.position + self.R_wc @ half @ [0.0, 0.0, SPEED * PERIOD]
         self.R_wc = self.R_wc @ half @ half

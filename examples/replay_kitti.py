@@ -1,7 +1,7 @@
-"""From a folder of KITTI images to trajectories and their errors: front end, then two filters on the same measurements.
+"""Replay of a folder of KITTI images: the front end, then two filters on the same measurements, and their errors.
 
-Give it a sequence of KITTI odometry (the folder with image_0 and image_1, or image_2 and image_3). Without one it draws
-a short drive and writes that in KITTI's layout first, so that there is something to try.
+Give it a sequence of KITTI odometry (the folder with image_0 and image_1, or image_2 and image_3). Without one it
+renders a short drive and writes it in KITTI's layout first.
 The command `stereo-slam replay FOLDER` does this with a report.
 
 Run it: python examples/replay_kitti.py PATH/sequences/07 --frames 200
@@ -11,8 +11,7 @@ import argparse
 import tempfile
 
 from stereo_slam_env.benchmark import figures_of, run_filter, summarise_all
-from stereo_slam_env.datasets import open_for_front_end
-from stereo_slam_env.datasets.images.kitti_writer import write_kitti_sequence
+from stereo_slam_env.datasets import open_for_front_end, write_kitti_sequence
 from stereo_slam_env.envs.rendered_drive import RenderedDrive
 from stereo_slam_env.frontend.recorder import record_tracks
 

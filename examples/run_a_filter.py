@@ -1,4 +1,4 @@
-"""Run a filter in the environment and see whether it knows how wrong it is.
+"""Run a filter in the environment and compare its errors with its covariance.
 
 Run it: python examples/run_a_filter.py
 """
@@ -13,7 +13,7 @@ env = gym.make("StereoSlam/Drive-v0", route="right-turn", policy="route")
 observation, info = env.reset(seed=0)
 rig, start = env.unwrapped, env.unwrapped.start
 slam = make_filter("inverse-depth", camera=rig.camera, noise=rig.noise)
-slam.reset(start.position, start.orientation, start.linear_velocity, start.angular_velocity, start.covariance)
+slam.reset(start)
 slam.update(stereo_observation(observation, info))
 over = False
 while not over:

@@ -1,4 +1,4 @@
-"""Unit-test your own filter: not worse than the paper's by more than 5 %, consistent, quick.
+"""Unit test of your own filter: at most 5 % worse than the paper's, consistent, fast.
 
 The fixture `slam_bench` comes with the package (a pytest plug-in). It runs your filter and another one on the same
 recordings, 8 s of pure geometry unless you say otherwise, and its assertions show the figures when they fail.
@@ -13,14 +13,14 @@ from filters import StereoCamera, StereoEKF, StereoNoise
 
 
 class MyFilter(StereoEKF):
-    """The error on SO(3) instead of the quaternion's; landmarks of a frame share their anchor."""
+    """Errors on SO(3) instead of the quaternion's; landmarks of a frame share their anchor."""
 
     def __init__(self, camera: StereoCamera, noise: StereoNoise, **options: Any) -> None:
         super().__init__(camera, noise, landmark="shared-anchor", error="so3", **options)
 
 
 def test_my_filter(slam_bench: Any) -> None:
-    """A class will do; a name of `stereo-slam filters list`, too."""
+    """Takes a class or a name of `stereo-slam filters list`."""
     result = slam_bench(MyFilter, against="inverse-depth")
     result.assert_not_worse(percent=5)
     result.assert_consistent()

@@ -1,4 +1,4 @@
-"""From rendered images to a trajectory: a drive, the front end, and a filter that says where to look.
+"""From rendered images to a trajectory: a drive, the front end, and a filter whose forecast guides the search.
 
 Run it: python examples/track_images.py
 """
@@ -14,7 +14,7 @@ drive = RenderedDrive({"route": "right-turn", "rig": "qvga"}, seed=0, frames=40)
 tracker = StereoTracker(drive.camera)
 slam = make_filter("inverse-depth", camera=drive.camera, noise=TYPICAL_NOISE, gate=0.99, consensus=True)
 start = drive.start
-slam.reset(start.position, start.orientation, start.linear_velocity, start.angular_velocity, start.covariance)
+slam.reset(start)
 
 before = None
 for pair in drive.pairs():

@@ -1,4 +1,4 @@
-"""Train a network to look where a filter learns most (stable-baselines3); compare it with looking straight ahead.
+"""Train a network to look where a filter gains most (stable-baselines3), and compare it with a fixed gaze.
 
 Run it (extra rl): python examples/train_ppo.py --decisions 30000. It prints both final sigmas of the position, m.
 """
@@ -14,7 +14,7 @@ from stereo_slam_env.wrappers import BeliefObservation, BeliefPanorama, Informat
 
 
 def make(**arguments):
-    """A filter in the loop, paid for what it learns of the pose; one of nine directions, for 0.4 s."""
+    """Environment with the information about the pose as reward; one of nine directions, for 0.4 s."""
     env = gym.make("StereoSlam/Gaze-v0", **arguments)
     env = BeliefObservation(env, options={"drop_unseen": False, "motion": "velocity-driven", "iterations": 2})
     env = InformationGain(BeliefPanorama(env), of="pose", resolution=(0.01, 0.001))

@@ -8,10 +8,8 @@ import argparse
 
 import gymnasium as gym
 
+import stereo_slam_env as sse
 from filters import make_filter
-from stereo_slam_env import stereo_observation
-from stereo_slam_env.recording.recording import Pose
-from stereo_slam_env.viewer.moments import moment_of
 from stereo_slam_env.viewer.rerun_view import RerunView
 
 parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
@@ -23,18 +21,14 @@ given = parser.parse_args()
 env = gym.make("StereoSlam/Drive-v0", route="right-turn", policy="route")
 observation, info = env.reset(seed=0)
 rig = env.unwrapped
-slam = make_filter("inverse-depth", camera=rig.camera, noise=rig.noise)
-slam.reset(**vars(rig.start))
+loop = sse.FilterLoop(make_filter("inverse-depth", camera=rig.camera, noise=rig.noise), use_odometry=False)
+loop.reset(rig.start)
 landmarks = rig.landmark_truth()
 with RerunView(rig.camera, ["inverse-depth"], save=given.save, connect=given.connect, landmarks=landmarks) as view:
     for frame in range(given.frames):
         if frame:
             observation, _, over, cut, info = env.step(env.action_space.sample())
-            slam.predict(0.1)
-        seen = stereo_observation(observation, info)
-        report = slam.update(seen)
-        truth = Pose(info["truth_position"], info["truth_orientation"])
-        view.show(moment_of("inverse-depth", info["time"], slam, seen, report, truth))
+        view.show("inverse-depth", loop.step(rig.frame))
         if frame and (over or cut):
             break
 print(f"{frame + 1} frames shown")

@@ -1,7 +1,7 @@
 """Write a filter, check it, and compare it with the paper's.
 
-A filter is any `StereoFilter`; this one composes the engine's parts: the two eyes' pixels in one update, on the SO(3)
-error state, with landmarks of a frame sharing their anchor. Put it into your own package and name it in
+A filter is any `StereoFilter`; this one composes parts of the engine: the pixels of both images in one update, errors
+on SO(3), landmarks of a frame with a shared anchor. Put it into your own package and name it in
 `[project.entry-points."stereo_slam.filters"]`, and `stereo-slam bench --filters inverse-depth,stacked` knows it.
 
 Run it: python examples/write_a_filter.py
@@ -14,7 +14,7 @@ from stereo_slam_env.benchmark.recordings.reference_problem import short_turn
 
 
 class StackedEKF(StereoEKF):
-    """Both eyes' pixels at once, on SO(3), with shared anchors."""
+    """The pixels of both images in one update, on SO(3), with shared anchors."""
 
     def __init__(self, camera: StereoCamera, noise: StereoNoise, **options: Any) -> None:
         super().__init__(camera, noise, landmark="shared-anchor", measurement="stacked", error="so3", **options)
@@ -26,7 +26,7 @@ if __name__ == "__main__":
     recording = short_turn(seed=0)
     slam = StackedEKF(recording.camera, recording.noise)
     start = recording.start
-    slam.reset(start.position, start.orientation, start.linear_velocity, start.angular_velocity, start.covariance)
+    slam.reset(start)
     for k, frame in enumerate(recording.frames):
         if k > 0:
             slam.predict(frame.timestamp - recording.frames[k - 1].timestamp)

@@ -1,4 +1,4 @@
-"""Options that all filters of a comparison share, such as gate and motion model: given to those that leave them open.
+"""Common options of the filters of a comparison, such as gate and motion model, for those that leave them open.
 
 A filter's own choice stands. What decides is the first constructor with a parameter of that name, on the way that
 `**options` take from the one that is called (`filters.constructor_calls`):

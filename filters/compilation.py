@@ -1,4 +1,4 @@
-"""Compile the machine code of filters made with `compiled=True` (Numba, extra `fast`), once on a machine.
+"""Compilation of the kernels of filters made with `compiled=True` (Numba, extra `fast`), once on a machine.
 
 ::
 

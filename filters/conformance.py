@@ -1,4 +1,4 @@
-"""`check_filter`: what any filter must pass, ours and third parties' (after scikit-learn's `check_estimator`).
+"""`check_filter`: the checks that every filter must pass (after scikit-learn's `check_estimator`).
 
 Most checks use a short drive past a cloud of points and need no reference implementation; accuracy is held against
 `inverse-depth` on longer drives. Camera and noise are the filter's own.
@@ -21,12 +21,14 @@ from filters.conformance_drives import DT, SPEED, StraightDrive, WindingDrive
 from filters.interface import Forecast, PoseBelief, StereoFilter, StereoObservation, UpdateReport
 from filters.noise import StereoNoise
 from filters.registry import FilterFactory, filter_factory, label_of
+from filters.start import Start
 from filters.validation import FloatArray
 
 REFERENCE_CAMERA = StereoCamera(721.5, 721.5, 672.0, 195.5, 0.571, 1344, 391)
 REFERENCE_NOISE = StereoNoise.independent_pixels(1.0)
 
 START_COVARIANCE = np.diag(np.repeat([1e-6, 1e-6, 0.5, 0.05], 3) ** 2)
+START = Start(linear_velocity=np.array([0.0, 0.0, SPEED]), covariance=START_COVARIANCE)
 
 WORST_FACTOR = 6.0
 """Errors so many times those of `inverse-depth` fail. `monocular` has 3 times, ten times the pixel noise gives 11."""
@@ -123,7 +125,7 @@ def _takes(factory: Callable[..., StereoFilter], **arguments: object) -> bool:
 
 def _started(make: Make) -> StereoFilter:
     stereo_filter = make()
-    stereo_filter.reset(linear_velocity=(0.0, 0.0, SPEED), covariance=START_COVARIANCE)
+    stereo_filter.reset(START)
     return stereo_filter
 
 
@@ -203,7 +205,9 @@ def check_reset(make: Make) -> None:
     orientation = np.array([0.1, -0.2, 0.3, 0.9])
     orientation /= np.linalg.norm(orientation)
     covariance = np.diag(np.linspace(0.1, 1.2, 12))
-    stereo_filter.reset((1, 2, 3), orientation, (4, 5, 6), (0.1, 0.2, 0.3), covariance)
+    stereo_filter.reset(
+        Start(np.array([1, 2, 3]), orientation, np.array([4, 5, 6]), np.array([0.1, 0.2, 0.3]), covariance)
+    )
     pose, velocity = stereo_filter.pose, stereo_filter.velocity
     assert np.allclose(pose.position, (1, 2, 3)), f"position is {pose.position}"
     assert np.allclose(np.abs(pose.orientation @ orientation), 1), f"orientation is {pose.orientation}"
@@ -319,9 +323,11 @@ def _errors_on_long_drives(stereo_filter: StereoFilter) -> tuple[tuple[float, fl
     for seed in range(2):
         drive = WindingDrive.simulated(stereo_filter.camera, stereo_filter.noise, seed)
         stereo_filter.reset(
-            linear_velocity=drive.linear_velocity,
-            angular_velocity=drive.angular_velocity,
-            covariance=START_COVARIANCE,
+            Start(
+                linear_velocity=drive.linear_velocity,
+                angular_velocity=drive.angular_velocity,
+                covariance=START_COVARIANCE,
+            )
         )
         for number, frame in enumerate(drive.frames):
             if number:
@@ -421,7 +427,7 @@ def check_determinism(make: Make) -> None:
     first, drive = _driven(make)
     second, _ = _driven(make)
     assert _same(first, second), "two filters differ"
-    second.reset(linear_velocity=(0.0, 0.0, SPEED), covariance=START_COVARIANCE)
+    second.reset(START)
     _drive_on(second, drive, range(5))
     assert _same(first, second), "after reset it does not start afresh"
 
@@ -430,10 +436,6 @@ def check_bad_input(make: Make) -> None:
     """Bad input raises ValueError and leaves the state unchanged."""
     stereo_filter, _ = _driven(make)
     before = copy.deepcopy(stereo_filter)
-    indefinite = np.eye(12)
-    indefinite[0, 0] = -1.0
-    asymmetric = np.eye(12)
-    asymmetric[0, 1] = 0.5
     nan3 = (np.nan, 0.0, 0.0)
     attempts: dict[str, Callable[[], object]] = {
         "predict(0)": lambda: stereo_filter.predict(0.0),
@@ -442,13 +444,7 @@ def check_bad_input(make: Make) -> None:
         "predict(inf)": lambda: stereo_filter.predict(float("inf")),
         "predict with a wrong odometry": lambda: stereo_filter.predict(DT, odometry=np.zeros(6)),  # type: ignore[arg-type]
         "update(None)": lambda: stereo_filter.update(None),  # type: ignore[arg-type]
-        "reset with NaN position": lambda: stereo_filter.reset(position=nan3),
-        "reset with a position of wrong shape": lambda: stereo_filter.reset(position=(0.0, 0.0)),
-        "reset with a zero quaternion": lambda: stereo_filter.reset(orientation=(0, 0, 0, 0)),
-        "reset with NaN velocity": lambda: stereo_filter.reset(linear_velocity=nan3),
-        "reset with an indefinite covariance": lambda: stereo_filter.reset(covariance=indefinite),
-        "reset with an asymmetric covariance": lambda: stereo_filter.reset(covariance=asymmetric),
-        "reset with a (6, 6) covariance": lambda: stereo_filter.reset(covariance=np.eye(6)),
+        "reset with a position": lambda: stereo_filter.reset((0.0, 0.0, 0.0)),  # type: ignore[arg-type]
         "forecast of an unknown id": lambda: stereo_filter.forecast([10**9]),
         "pose_error with NaN": lambda: stereo_filter.pose_error(nan3, (0, 0, 0, 1)),
     }

@@ -1,4 +1,4 @@
-"""The drives of `check_filter`: simulated with the camera and the noise of the filter that is checked."""
+"""Simulated drives for `check_filter`, with the camera and the noise of the filter that is checked."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A record of the calls of filter constructors, from the outermost to the innermost.
+"""Record of the constructor calls of a filter, from the outermost to the innermost class.
 
 It shows which options a filter sets itself, however it is written: as a default, beside `**options`, in a dict.
 """

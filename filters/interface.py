@@ -1,4 +1,4 @@
-"""What every filter offers, and what goes in and out of it.
+"""The interface of filters, and the value types of its inputs and outputs.
 
 Frames: W is the world (the left camera at `reset`), C the left camera (x right, y down, z forward).
 Orientations are unit quaternions xyzw; R_wc takes camera vectors into W. SI units, float64.
@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from filters.camera import StereoCamera
 from filters.constructor_calls import RecordedConstructors
 from filters.noise import StereoNoise
+from filters.start import Start
 from filters.validation import BoolArray, FloatArray, IntArray, covariance_matrix, finite_array, unique_ids
 
 
@@ -257,6 +258,16 @@ def check_rig(camera: StereoCamera, noise: StereoNoise) -> None:
         raise ValueError(f"noise must be a StereoNoise, got {noise!r}: see StereoNoise.independent_pixels")
 
 
+AT_ORIGIN = Start()
+"""At the origin of W, looking along z, with an unknown velocity."""
+
+
+def check_start(start: object) -> None:
+    """Raise a `ValueError` if this is not what `StereoFilter.reset` takes."""
+    if not isinstance(start, Start):
+        raise ValueError(f"start must be a filters.Start, got {start!r}")
+
+
 class StereoFilter(RecordedConstructors, ABC):
     """A stereo SLAM filter. Implement these members and any bench, environment or test here can run it.
 
@@ -267,30 +278,8 @@ class StereoFilter(RecordedConstructors, ABC):
     noise: StereoNoise
 
     @abstractmethod
-    def reset(
-        self,
-        position: ArrayLike = (0.0, 0.0, 0.0),
-        orientation: ArrayLike = (0.0, 0.0, 0.0, 1.0),
-        linear_velocity: ArrayLike = (0.0, 0.0, 0.0),
-        angular_velocity: ArrayLike = (0.0, 0.0, 0.0),
-        covariance: ArrayLike | None = None,
-    ) -> None:
-        """Start again with an empty map.
-
-        Parameters
-        ----------
-        position : (3,)
-            r^WC, m.
-        orientation : (4,)
-            q^WC, unit quaternion xyzw.
-        linear_velocity : (3,)
-            m/s, in W.
-        angular_velocity : (3,)
-            rad/s, camera frame.
-        covariance : (12, 12), optional
-            Of position (W), rotation (camera frame, rad), linear velocity (W), angular velocity (camera).
-            None: a known start pose (standard deviation 1e-6) and a broad velocity.
-        """
+    def reset(self, start: Start = AT_ORIGIN) -> None:
+        """Start again from `start`, with an empty map. Raises `ValueError` if that is no `Start`."""
 
     @abstractmethod
     def predict(self, dt: float, odometry: BodyVelocity | None = None) -> None:

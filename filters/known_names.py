@@ -1,4 +1,4 @@
-"""Unknown words are refused, with the nearest known one."""
+"""Refusal of unknown names, with the nearest known one."""
 
 from __future__ import annotations
 

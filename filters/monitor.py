@@ -1,4 +1,4 @@
-"""Whether a filter has lost its way, told from what its updates report: for any filter, without truth.
+"""Divergence monitor: detects without truth, from the reports of updates, that a filter has diverged.
 
 Two cumulative sums of log-likelihood ratios (Page's CUSUM, Biometrika 41, 1954), each of "gone wrong" against "as it
 should be": of the normalised innovations squared, and of the share of known landmarks that could not be used. A sum

@@ -1,4 +1,4 @@
-"""The camera state (Eq. 2) and how it moves (Eq. 6, 11, 12), with or without odometry.
+"""Camera state (Eq. 2) and motion models (Eq. 6, 11, 12), with or without odometry.
 
 Errors of a camera state are 12 numbers: position (W, m), rotation (camera frame, rad, on the right),
 linear velocity (W, m/s), angular velocity (camera frame, rad/s). Every Jacobian here is with respect to them.
@@ -16,6 +16,7 @@ import numpy as np
 
 from filters import rotations
 from filters.interface import BodyVelocity
+from filters.start import Start
 from filters.validation import FloatArray, positive
 
 POSITION, ROTATION, LINEAR, ANGULAR = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
@@ -44,6 +45,11 @@ class CameraState:
     orientation: FloatArray
     linear_velocity: FloatArray
     angular_velocity: FloatArray
+
+    @classmethod
+    def at(cls, start: Start) -> CameraState:
+        """The state that a filter is told at the start."""
+        return cls(start.position, start.orientation, start.linear_velocity, start.angular_velocity)
 
     @cached_property
     def R_wc(self) -> FloatArray:
@@ -84,13 +90,19 @@ class LinearMeasurement:
 
 @runtime_checkable
 class MotionModel(Protocol):
-    """How the camera moves between two frames."""
+    """Motion of the camera between two frames.
+
+    References
+    ----------
+    Davison, Reid, Molton and Stasse, "MonoSLAM", IEEE PAMI 29(6), 2007, section 3.4 (constant velocity).
+    Sola, Deray and Atchuthan, "A micro Lie theory for state estimation in robotics", 2018 (Jacobians).
+    """
 
     def predict(self, state: CameraState, dt: float, odometry: BodyVelocity | None) -> MotionPrediction:
-        """Move `state` by `dt` seconds."""
+        """Predicted state, its Jacobians and its noise after `dt` > 0 seconds (Eq. 6, 12)."""
 
     def odometry_measurement(self, state: CameraState, dt: float, odometry: BodyVelocity) -> LinearMeasurement | None:
-        """What is left to learn from the odometry of the step, given the predicted state; None: nothing."""
+        """Odometry of the step as a measurement of the predicted state; None where the prediction has used it up."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Names of filters, ours and other people's.
+"""Registry of filters: the named ones of this package, and those of third parties.
 
 A third party adds a filter with an entry point in the group `stereo_slam.filters`::
 
@@ -18,36 +18,16 @@ from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
 from filters.camera import StereoCamera
-from filters.dual_bearing import DualBearingEKF
-from filters.euclidean_xyz import EuclideanEKF
-from filters.hybrid_stereo import HybridEKF
 from filters.interface import StereoFilter
-from filters.inverse_depth_stereo import InverseDepthStereoEKF
 from filters.known_names import did_you_mean, require_known
-from filters.monocular import MonocularEKF
 from filters.motion import ConstantVelocity, VelocityDriven
 from filters.noise import StereoNoise
-from filters.right_invariant import RightInvariantEKF
-from filters.shared_anchor_stereo import SharedAnchorEKF
-from filters.submaps.submap_ekf import SubmapEKF
-from filters.unscented_stereo import UnscentedStereoFilter
+from filters.presets import PRESETS
 
 ENTRY_POINT_GROUP = "stereo_slam.filters"
 FilterFactory = Callable[..., StereoFilter]
 
 _log = logging.getLogger(__name__)
-
-_OWN: dict[str, FilterFactory] = {
-    "inverse-depth": InverseDepthStereoEKF,
-    "dual-bearing": DualBearingEKF,
-    "euclidean": EuclideanEKF,
-    "shared-anchor": SharedAnchorEKF,
-    "hybrid": HybridEKF,
-    "right-invariant": RightInvariantEKF,
-    "unscented": UnscentedStereoFilter,
-    "monocular": MonocularEKF,
-    "submaps": SubmapEKF,
-}
 
 
 def make_filter(name: str | FilterFactory, *, camera: StereoCamera, noise: StereoNoise, **options: Any) -> StereoFilter:
@@ -103,7 +83,7 @@ def filter_arguments(options: Mapping[str, Any]) -> dict[str, Any]:
 
 def available_filters() -> dict[str, str]:
     """Names and one line on each; a third-party filter that cannot be loaded says why instead."""
-    lines = {name: _first_line(factory) for name, factory in _OWN.items()}
+    lines = {name: _first_line(factory) for name, factory in PRESETS.items()}
     for name, entry_point in _plugins().items():
         try:
             lines[name] = _first_line(_load(entry_point))
@@ -128,19 +108,19 @@ def filter_factory(name: str | FilterFactory) -> FilterFactory:
     """
     if not isinstance(name, str):
         return name
-    if name in _OWN:
-        return _OWN[name]
+    if name in PRESETS:
+        return PRESETS[name]
     plugins = _plugins()
     if name in plugins:
         return _load(plugins[name])
-    names = sorted({*_OWN, *plugins})
+    names = sorted({*PRESETS, *plugins})
     raise ValueError(f"filter must be one of {', '.join(names)}, got {name!r}{did_you_mean(name, names)}")
 
 
 def _plugins() -> dict[str, EntryPoint]:
     found: dict[str, EntryPoint] = {}
     for entry_point in entry_points(group=ENTRY_POINT_GROUP):
-        if entry_point.name in _OWN:
+        if entry_point.name in PRESETS:
             _log.warning("filter %r of %s is hidden by the built-in one", entry_point.name, entry_point.value)
         else:
             found[entry_point.name] = entry_point

@@ -15,10 +15,11 @@ import numpy as np
 
 from filters.camera import StereoCamera
 from stereo_slam_env.benchmark.recordings.reference_problem import short_turn
-from stereo_slam_env.benchmark.running.runner import run_filter
+from stereo_slam_env.benchmark.recordings.sources import ReferenceSource
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, Scenario
 from stereo_slam_env.benchmark.scenarios.study import Study
 from stereo_slam_env.benchmark.storage.run_archive import packed_run
+from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.policies.network import Network
 from stereo_slam_env.recording.archive import packed_recording
 
@@ -258,7 +259,7 @@ error = ["so3", "quaternion"]
 
 def results() -> Files:
     """What a run directory says about itself."""
-    one = Scenario("one", "reference", {"name": "short_turn"}, (FilterChoice("paper", "inverse-depth"),))
+    one = Scenario("one", ReferenceSource("short_turn"), (FilterChoice("paper", "inverse-depth"),))
     two = dataclasses.replace(one, name="two", seeds=(0, 1))
     study = Study.of(one).as_dict()
     study["cells"] += [{"name": "two", "factors": {"seeds": "0, 1"}, "scenario": two.as_dict()}]

@@ -11,14 +11,13 @@ from functools import cache
 from pathlib import Path
 
 from fuzz import seeds
-from stereo_slam_env.benchmark.scenarios.scenario_file import description_of, load_study
+from stereo_slam_env.benchmark.scenarios.study import load_study
 from stereo_slam_env.benchmark.storage.run_archive import load_provenance, load_run
 from stereo_slam_env.benchmark.storage.study_store import read_study
-from stereo_slam_env.datasets import read_recording
-from stereo_slam_env.datasets.images import open_image_sequence
+from stereo_slam_env.datasets import load, open_image_sequence
 from stereo_slam_env.policies.network import Network
 from stereo_slam_env.recording.archive import load_recording
-from stereo_slam_env.world.route_files import kitti_route
+from stereo_slam_env.world.routes import kitti_route
 
 Read = Callable[[Path], object]
 
@@ -49,9 +48,9 @@ class Target:
 def targets() -> tuple[Target, ...]:
     """All of them."""
     return (
-        Target("kitti07_tracks", seeds.kitti07(), read_recording),
-        Target("kitti00_stereo_tracks", seeds.kitti00(), read_recording),
-        Target("starry_night", seeds.starry_night(), read_recording),
+        Target("kitti07_tracks", seeds.kitti07(), load),
+        Target("kitti00_stereo_tracks", seeds.kitti00(), load),
+        Target("starry_night", seeds.starry_night(), load),
         Target("kitti06_stereo51", seeds.kitti06(), _pairs),
         Target("kitti_odometry", seeds.kitti_odometry(), lambda folder: _pairs(folder / "sequences" / "07")),
         Target("kitti_raw", seeds.kitti_raw(), _pairs),
@@ -85,11 +84,11 @@ def _scenarios(folder: Path) -> object:
         called = load_study(folder / "called.toml")
     except ValueError:
         called = None
-    if called is not None and any(cell.scenario.kind == "factory" for cell in called.cells):
+    if called is not None and any(cell.scenario.source.runs_code for cell in called.cells):
         raise AssertionError("a scenario file may call a function without consent")
     found = []
     for name in ("grid.toml", "crossed.toml", "cells.json"):
-        found += [description_of(folder / name), load_study(folder / name, data=folder)]
+        found.append(load_study(folder / name, data=folder))
     return found
 
 

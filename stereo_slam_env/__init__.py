@@ -1,21 +1,18 @@
 """A simulated world with a stereo camera, and the evaluation of stereo SLAM filters in it.
 
-Importing this package registers the Gymnasium environments.
+Importing this package registers the Gymnasium environments. `__init__.pyi` lists the public names; each is imported
+when it is first used. The rooms that users work in have public names of their own: `stereo_slam_env.wrappers`,
+`.policies`, `.frontend`, `.datasets`, `.world`, `.sensing`, `.rendering`, `.evaluation`, `.benchmark`, `.training`,
+`.viewer`.
 """
 
 from __future__ import annotations
 
 from importlib.util import find_spec as _find_spec
 from pathlib import Path as _Path
-from typing import TYPE_CHECKING, Any
 
 import gymnasium as _gym
-
-if TYPE_CHECKING:
-    from stereo_slam_env.envs.drive import StereoDriveEnv
-    from stereo_slam_env.envs.drive_gaze import StereoDriveGazeEnv
-    from stereo_slam_env.envs.gaze import StereoGazeEnv
-    from stereo_slam_env.sensing.padding import stereo_observation
+import lazy_loader as _lazy_loader
 
 
 def _refuse_other_filters() -> None:
@@ -24,7 +21,7 @@ def _refuse_other_filters() -> None:
     spec = _find_spec("filters")
     place = (spec.origin or next(iter(spec.submodule_search_locations or ()), None)) if spec else None
     # A package of that name that was installed after ours has overwritten it in the same place.
-    if place is None or _Path(place).resolve() != ours or b"make_filter" not in ours.read_bytes():
+    if place is None or _Path(place).resolve() != ours or b"Stereo EKF-SLAM filters" not in ours.read_bytes():
         raise ImportError(
             f"stereo_slam_env needs its own package filters, but Python finds {place or 'none'}: rename that or run "
             "from another folder; if pip installed it, pip uninstall filters and install stereo-slam-env again"
@@ -32,15 +29,6 @@ def _refuse_other_filters() -> None:
 
 
 _refuse_other_filters()
-
-__all__ = ["StereoDriveEnv", "StereoDriveGazeEnv", "StereoGazeEnv", "stereo_observation"]
-
-_HOMES = {
-    "StereoDriveEnv": "stereo_slam_env.envs.drive",
-    "StereoGazeEnv": "stereo_slam_env.envs.gaze",
-    "StereoDriveGazeEnv": "stereo_slam_env.envs.drive_gaze",
-    "stereo_observation": "stereo_slam_env.sensing.padding",
-}
 
 
 def _register(name: str, entry_point: str, max_episode_steps: int) -> None:
@@ -52,11 +40,4 @@ _register("StereoSlam/Drive-v0", "stereo_slam_env.envs.drive:StereoDriveEnv", 30
 _register("StereoSlam/Gaze-v0", "stereo_slam_env.envs.gaze:StereoGazeEnv", 3000)
 _register("StereoSlam/DriveGaze-v0", "stereo_slam_env.envs.drive_gaze:StereoDriveGazeEnv", 3000)
 
-
-def __getattr__(name: str) -> Any:
-    """Import what is asked for when it is asked for: the physics engine and scipy take their time."""
-    if name not in _HOMES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from importlib import import_module
-
-    return getattr(import_module(_HOMES[name]), name)
+__getattr__, __dir__, __all__ = _lazy_loader.attach_stub(__name__, __file__)

@@ -11,9 +11,9 @@ from scipy.spatial.transform import Rotation
 
 from stereo_slam_env.evaluation.cramer_rao import Bound
 from stereo_slam_env.evaluation.landmark_statistics import AGES, LandmarkStatistics
-from stereo_slam_env.evaluation.results import FilterRun, FilterSummary, LandmarkTrace
-from stereo_slam_env.evaluation.run_figures import Bounds, RunFigures, figures_of
-from stereo_slam_env.evaluation.summary import summarise_all
+from stereo_slam_env.evaluation.map_scoring import LandmarkTrace
+from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
+from stereo_slam_env.evaluation.run_figures import Bounds, RunFigures, figures_of, summarise_all
 
 
 @dataclass(frozen=True)
@@ -51,6 +51,12 @@ def scored(
     """Summaries and figures of runs, as the benchmark makes them."""
     figures = figures_of(runs, divergence_percent=divergence_percent, bounds=bounds)
     return summarise_all(runs, figures), figures
+
+
+def changed(summary: FilterSummary, **figures: float | None) -> FilterSummary:
+    """The summary with other figures."""
+    assert set(figures) <= set(summary.figures)
+    return replace(summary, figures={**summary.figures, **figures})
 
 
 def summary_of(runs: Sequence[FilterRun], **options: Any) -> FilterSummary:

@@ -19,11 +19,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy.stats import norm
 
-from filters import StereoCamera, StereoFilter, StereoNoise, StereoObservation, make_filter
+from filters import Start, StereoCamera, StereoFilter, StereoNoise, StereoObservation, make_filter
 from filters.engine.gating import gate_limit, squared_distances
 from filters.motion import POSITION, ROTATION
 from stereo_slam_env.benchmark.recordings.reference_problem import long_drive
-from stereo_slam_env.benchmark.running.runner import run_filter
+from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.evaluation.results import FilterRun
 from stereo_slam_env.report.charts.consistency import plot_error_bounds, plot_nees
 from stereo_slam_env.report.charts.drawing import Chart, on_white
@@ -213,7 +213,7 @@ def look_gains() -> dict[str, dict[str, float]]:
     known = np.array([[-3.0, 0.5, 10.0], [4.0, -1.0, 35.0], [-15.0, -2.0, 120.0]])
     new = np.array([[3.0, 0.5, 10.0]])
     slam = make_filter("shared-anchor", camera=CAMERA, noise=FULL_R, drop_unseen=False)
-    slam.reset(linear_velocity=(0.0, 0.0, 5.0))
+    slam.reset(Start(linear_velocity=(0.0, 0.0, 5.0)))
     for _ in range(5):  # some looks at all three, then a second in the dark
         slam.update(StereoObservation(np.arange(3), CAMERA.project(known - slam.pose.position)))
         slam.predict(0.02)

@@ -1,1 +1,1 @@
-"""The EKF machinery: joint state, linear algebra of the update, error definitions, and the filter composed of them."""
+"""The EKF: joint state, linear algebra of the update, error definitions, and the filter composed of them."""

@@ -1,4 +1,4 @@
-"""The choice of the steps: NumPy's, or machine code that computes the same numbers."""
+"""Choice of the implementation of the EKF's steps: NumPy, or compiled kernels that compute the same numbers."""
 
 from __future__ import annotations
 

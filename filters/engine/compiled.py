@@ -1,4 +1,4 @@
-"""`Arithmetic` by the kernels: the arrays they want out of the engine's data, and back. Importing it imports Numba."""
+"""`Arithmetic` by the compiled kernels: the engine's data as arrays, and back. Importing it imports Numba."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from filters.camera import StereoCamera
 from filters.engine import linearisation
 from filters.engine.error_definition import StandardError
-from filters.engine.fates import FateArray
+from filters.engine.gating import FateArray
 from filters.engine.joint_state import JointState
 from filters.engine.kalman import Correction, LinearisedMeasurements
 from filters.engine.kernels import camera as kernel_camera

@@ -1,8 +1,11 @@
-"""The joint test over a frame: one-point RANSAC (Civera, Grasa, Davison and Montiel 2010), every hypothesis at once.
+"""Joint compatibility test of a frame: one-point RANSAC with all hypotheses at once.
 
 A single landmark is enough to fix the camera, because the filter's prior knows the rest. So each believable
 measurement proposes a correction, and the proposal that explains most of the others, up to their measurement noise,
 wins. A measurement that agrees with the prediction only because the prediction is vague does not pass this test.
+
+Source: Civera, Grasa, Davison and Montiel, "1-point RANSAC for extended Kalman filtering", J. Field Robotics 27(5),
+2010.
 """
 
 from __future__ import annotations

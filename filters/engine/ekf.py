@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from filters.camera import StereoCamera
 from filters.engine import gating, kalman, symmetric
 from filters.engine.consensus import largest_agreement
-from filters.engine.fates import BEHIND, FAILED, GATED, USED, FateArray
+from filters.engine.gating import BEHIND, FAILED, GATED, USED, FateArray
 from filters.engine.heavy_tails import reweighted
 from filters.engine.joint_state import JointState, world_rotation_of_camera
 from filters.engine.linearisation import in_front, linearise, project
@@ -23,6 +23,7 @@ from filters.engine.map_policy import MapPolicy
 from filters.engine.marginals import joint_covariance, pose_landmark_covariances
 from filters.engine.options import checked_parts
 from filters.interface import (
+    AT_ORIGIN,
     BodyVelocity,
     Forecast,
     LandmarkBelief,
@@ -32,12 +33,13 @@ from filters.interface import (
     UpdateReport,
     VelocityBelief,
     check_rig,
+    check_start,
 )
 from filters.landmarks.parametrisation import LandmarkModel
 from filters.measurements.model import MeasurementModel, Stage
-from filters.motion import CAMERA_SIZE, MotionModel, MotionPrediction, measure_odometry, predict_camera
+from filters.motion import CAMERA_SIZE, CameraState, MotionModel, MotionPrediction, measure_odometry, predict_camera
 from filters.noise import StereoNoise
-from filters.start import start_belief
+from filters.start import Start
 from filters.validation import (
     BoolArray,
     FloatArray,
@@ -133,16 +135,10 @@ class StereoEKF(StereoFilter):
         self._policy = MapPolicy(camera, noise, self.parts)
         self.reset()
 
-    def reset(
-        self,
-        position: ArrayLike = (0.0, 0.0, 0.0),
-        orientation: ArrayLike = (0.0, 0.0, 0.0, 1.0),
-        linear_velocity: ArrayLike = (0.0, 0.0, 0.0),
-        angular_velocity: ArrayLike = (0.0, 0.0, 0.0),
-        covariance: ArrayLike | None = None,
-    ) -> None:
+    def reset(self, start: Start = AT_ORIGIN) -> None:
         """Start again with an empty map; see `StereoFilter.reset`."""
-        camera, P = start_belief(position, orientation, linear_velocity, angular_velocity, covariance)
+        check_start(start)
+        camera, P = CameraState.at(start), start.assumed_covariance
         self._state = JointState.without_map(camera, P, self.parts.landmark, self.parts.arithmetic.transform_leading)
 
     def predict(self, dt: float, odometry: BodyVelocity | None = None) -> None:

@@ -1,4 +1,4 @@
-"""Error definitions of the joint state: what a correction means, and where Jacobians are taken.
+"""Error definitions of the joint state: its retraction, and the points at which Jacobians are evaluated.
 
 P is always kept in the standard coordinates (position, rotation on the right, velocities, parameters). What sets the
 definitions apart is how they move the state, how P is carried along, and where they linearise:
@@ -10,12 +10,19 @@ definitions apart is how they move the state, how P is carried along, and where 
     constrained to agree with that, so that a rotation of the world stays unobservable (Huang et al. 2010).
 `RightInvariant`
     the correction is exp(xi) of a group that rotates camera and map together about the origin of W
-    (Zhang et al. 2017). In standard coordinates that is: another retraction, and P carried along by
-    delta+ = delta + (Gamma+ - Gamma) theta, with Gamma the effect of a rotation of the world on the error state.
+    (Zhang et al. 2017; Barrau and Bonnabel 2015). In standard coordinates that is: another retraction, and P carried
+    along by delta+ = delta + (Gamma+ - Gamma) theta, with Gamma the effect of a rotation of the world on the error
+    state.
 
 Both of the latter rest on Gamma, `JointState.world_rotation`.
 
 Derivation: docs/derivations/errors.md.
+
+References
+----------
+Huang, Mourikis and Roumeliotis, IJRR 29(5), 2010. Barrau and Bonnabel, "An EKF-SLAM algorithm with consistency
+properties", arXiv 1510.06263, 2015. Zhang, Wu, Song, Huang and Dissanayake, "Convergence and consistency analysis for a
+3-D invariant-EKF SLAM", IEEE RA-L 2(2), 2017.
 """
 
 from __future__ import annotations

@@ -1,13 +1,18 @@
-"""The chi-square gate: which innovations are believable."""
+"""The chi-square gate, and the outcome of each measurement in an update."""
 
 from __future__ import annotations
 
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from filters.validation import BoolArray, FloatArray
+
+FateArray = NDArray[np.uint8]
+USED, BEHIND, GATED, FAILED = range(4)
+"""Outcome of a known landmark's measurement: used, predicted behind the camera, gated, no Cholesky factor of S."""
 
 
 @lru_cache

@@ -1,4 +1,4 @@
-"""Robust re-weighting: measurements with surprising innovations get a larger R instead of a larger say.
+"""Robust re-weighting of measurements by Student's t distribution (iteratively re-weighted least squares).
 
 If the noise is Student's t with a few degrees of freedom instead of Gaussian, the expected precision of a
 measurement given its innovation is w R^-1 with w = (dof + k) / (dof + d^2), d the Mahalanobis distance. Weights above

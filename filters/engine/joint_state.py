@@ -1,4 +1,4 @@
-"""The joint state x = (x_C, y_1, ..., y_n) of Eq. 1 with its covariance, and how it grows, shrinks and moves.
+"""The joint state x = (x_C, y_1, ..., y_n) of Eq. 1 with its covariance: augmentation, marginalisation, correction.
 
 The error state is the 12 numbers of the camera followed by blocks of three: landmark parameters and anchors.
 Only the lower triangle of P is valid. Each operation checks nothing: the filter has done so.

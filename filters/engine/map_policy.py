@@ -1,4 +1,4 @@
-"""Who leaves the map and who enters it, once a frame has corrected the state."""
+"""Map management: the landmarks that leave and enter the map after the correction of a frame."""
 
 from __future__ import annotations
 

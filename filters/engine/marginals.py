@@ -1,4 +1,4 @@
-"""What the joint state says of landmark positions and of the pose together."""
+"""Marginals of the joint state: landmark positions, and their covariance with the pose."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The options of `StereoEKF`: what can be asked for by name, and the checked parts that come of it."""
+"""Options of `StereoEKF`: the names of its parts, and the checked parts themselves."""
 
 from __future__ import annotations
 

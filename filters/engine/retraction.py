@@ -1,4 +1,4 @@
-"""Retractions of the orientation: how a correction of the rotation (three numbers, camera frame) moves the orientation.
+"""Retractions of the orientation: corrections by three numbers in the camera frame.
 
 `retract` applies it, `local` is the inverse, and `transport` is the Jacobian that carries the covariance from the
 old orientation to the new one. All take one camera or many at once.
@@ -20,7 +20,14 @@ _EYE = np.eye(3)
 
 
 class Retraction(Protocol):
-    """A retraction of the orientation."""
+    """Retraction of the orientation, for one camera or many.
+
+    References
+    ----------
+    Absil, Mahony and Sepulchre, "Optimization Algorithms on Matrix Manifolds", 2008, section 4.1.
+    Hertzberg et al., "Integrating generic sensor fusion algorithms with sound state representations through
+    encapsulation of manifolds", Information Fusion 14(1), 2013.
+    """
 
     def retract(self, orientation: FloatArray, delta: FloatArray) -> FloatArray:
         """Corrected orientation; (..., 4), (..., 3) rad -> (..., 4)."""

@@ -1,4 +1,4 @@
-"""Which landmarks to keep when there may only be so many: those that leave the next pose least uncertain.
+"""Selection of landmarks for a map of limited size: those that leave the next pose least uncertain.
 
 Looking one frame ahead: the camera makes a step, every candidate is measured once more, and the measure is the
 determinant of the covariance of the pose then (D-optimality). It counts what a landmark says about the step, and what

@@ -1,4 +1,4 @@
-"""The steps of a frame in which the time goes, as functions that can be exchanged."""
+"""The steps of a frame that NumPy or compiled kernels implement."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from filters.camera import StereoCamera
 from filters.engine.error_definition import StandardError
-from filters.engine.fates import FateArray
+from filters.engine.gating import FateArray
 from filters.engine.joint_state import JointState
 from filters.engine.kalman import Correction, LinearisedMeasurements
 from filters.landmarks.parametrisation import LandmarkModel, NewLandmarks

@@ -1,4 +1,4 @@
-"""Symmetric matrices of which only the lower triangle is kept up to date (column-major, as BLAS wants it)."""
+"""Symmetric matrices stored in their lower triangle (column-major, as in BLAS)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Euclidean XYZ: a landmark is its position in W. Simple, but far from Gaussian for distant points.
+"""Euclidean XYZ: a landmark is its position in W, which is far from Gaussian for distant points.
 
 Derivation: docs/derivations/euclidean.md.
 """

@@ -1,4 +1,4 @@
-"""What a landmark parametrisation offers to the engine.
+"""Interface of landmark parametrisations.
 
 Every landmark is one block of three parameters in the state, plus, where it is anchored, one block for the
 anchor position. All functions take many landmarks at once.
@@ -74,11 +74,19 @@ class InverseDistances:
 
 @runtime_checkable
 class LandmarkModel(Protocol):
-    """A parametrisation of landmarks.
+    """Parametrisation of landmarks: initialisation, position relative to a camera, and their Jacobians.
 
     Everywhere below, `parameters` are (M, 3) and `anchors` (M, 3), or None where the model has none; a row of NaN
     stands for a landmark without one. The camera is one for all landmarks, `position` (3,) and `R_wc` (3, 3), or one
     for each, (M, 3) and (M, 3, 3).
+
+    References
+    ----------
+    Civera, Davison and Montiel, "Inverse depth parametrization for monocular SLAM", IEEE TRO 24(5), 2008.
+    Sola, Vidal-Calleja, Civera and Montiel, "Impact of landmark parametrization on monocular EKF-SLAM with points and
+    lines", IJCV 97(3), 2012.
+    Huang, Mourikis and Roumeliotis, "Observability-based rules for designing consistent EKF SLAM estimators", IJRR
+    29(5), 2010 (`first_estimates`).
     """
 
     @property

@@ -1,4 +1,4 @@
-"""Bearing only: each eye as a pixel observer, u_right = u - d.
+"""Bearing measurements: the pixel of each camera, with u_right = u - d.
 
 The noise is derived from the R of (u, v, d): left T_l R T_l^T, right T_r R T_r^T. Where the right row is not
 measured on its own it is the left one, and carries no information: it is not counted twice, unless a

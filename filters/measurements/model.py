@@ -1,4 +1,4 @@
-"""What a measurement model offers to the engine: it says how a frame's measurements enter the update.
+"""Interface of measurement models: how the measurements of a frame enter the update.
 
 Every model here is linear in the stereo triple (u, v, d): z = T (u, v, d). So Eq. 7-10 and its Jacobian are
 written once, and the models differ in T, in the noise, and in the order of the updates.
@@ -36,7 +36,12 @@ class Stage:
 
 @runtime_checkable
 class MeasurementModel(Protocol):
-    """Turns a frame into updates."""
+    """Turns the measurements of a frame into the stages of its update.
+
+    References
+    ----------
+    Chen, Lin and Shih, "Using range and bearing observation in stereo-based EKF SLAM", Eq. 7 to 10, section 4.
+    """
 
     def stages(self, observation: StereoObservation, R: FloatArray) -> tuple[Stage, ...]:
         """Updates to be made one after the other, each linearised at the state the previous one left.

@@ -1,4 +1,4 @@
-"""The chain of submaps at rest behind the active map: p(all) = p(active) p(last | active) ... p(first | second).
+"""Chain of inactive submaps behind the active map: p(all) = p(active) p(last | active) ... p(first | second).
 
 Each has blocks in common with the next; the held blocks of the active map are those of the last submap. The chain says
 what moves along it: landmarks that come to rest, landmarks brought forward at a loop, corrections carried back.

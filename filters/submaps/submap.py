@@ -1,4 +1,4 @@
-"""A submap at rest: what is known of its own blocks, given those it has in common with the next one.
+"""An inactive submap: the distribution of its own blocks given those that it shares with the next one.
 
 The error state is linear Gaussian and future measurements touch the blocks at rest only through the common ones. So
 p(own | common) is fixed for good: own = values + gain (common - values) + N(0, covariance). Whatever is learnt of the

@@ -1,4 +1,4 @@
-"""`SubmapEKF`: a `StereoEKF` as active map, and behind it a chain of submaps at rest."""
+"""`SubmapEKF`: a `StereoEKF` as active map, and a chain of inactive submaps."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from filters.camera import StereoCamera
 from filters.engine.ekf import StereoEKF
 from filters.interface import (
+    AT_ORIGIN,
     BodyVelocity,
     Forecast,
     LandmarkBelief,
@@ -24,6 +25,7 @@ from filters.interface import (
     VelocityBelief,
 )
 from filters.noise import StereoNoise
+from filters.start import Start
 from filters.submaps.chain import SubmapChain
 from filters.validation import FloatArray, IntArray, unique_ids
 
@@ -90,16 +92,9 @@ class SubmapEKF(StereoFilter):
         self._chain = SubmapChain()
         self._recent: deque[IntArray] = deque(maxlen=patience)
 
-    def reset(
-        self,
-        position: ArrayLike = (0.0, 0.0, 0.0),
-        orientation: ArrayLike = (0.0, 0.0, 0.0, 1.0),
-        linear_velocity: ArrayLike = (0.0, 0.0, 0.0),
-        angular_velocity: ArrayLike = (0.0, 0.0, 0.0),
-        covariance: ArrayLike | None = None,
-    ) -> None:
+    def reset(self, start: Start = AT_ORIGIN) -> None:
         """Start again with an empty map; see `StereoFilter.reset`."""
-        self._active.reset(position, orientation, linear_velocity, angular_velocity, covariance)
+        self._active.reset(start)
         self._chain = SubmapChain()
         self._recent.clear()
 

@@ -8,14 +8,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from filters import rotations
+from filters import Start, rotations
 from filters.camera import StereoCamera
 from filters.engine.ekf import StereoEKF
 from filters.interface import BodyVelocity, Forecast, LandmarkBelief, StereoObservation, UpdateReport
 from filters.motion import CAMERA_SIZE, POSE_SIZE, CameraState, ConstantVelocity, MotionModel, VelocityDriven
 from filters.noise import StereoNoise
 from filters.validation import FloatArray, IntArray, positive
-from stereo_slam_env.baselines.camera_filter import CameraBelief, CameraFilter
+from stereo_slam_env.baselines.dead_reckoning import CameraBelief, CameraFilter
 from stereo_slam_env.baselines.smoothing_graph import Sightings, Smoothed, SmoothingGraph, load_gtsam
 
 # A landmark enters the graph once its inverse distance is so many standard deviations from zero, and then with all its
@@ -94,7 +94,7 @@ class BatchSmoother(CameraFilter):
 
     def _restart(self) -> None:
         start, P = self._belief.state, self._belief.P
-        self._guide.reset(start.position, start.orientation, start.linear_velocity, start.angular_velocity, P)
+        self._guide.reset(Start(start.position, start.orientation, start.linear_velocity, start.angular_velocity, P))
         self._graph = SmoothingGraph(self.camera, start, P, self._tail_dof)
         self._turn, self._shift = np.eye(3), np.zeros(3)  # p_w = turn p_guide + shift
         self._steps: list[_Step] = []

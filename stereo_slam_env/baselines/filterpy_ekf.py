@@ -12,6 +12,7 @@ from scipy.stats import chi2
 
 from filters import rotations
 from filters.camera import StereoCamera
+from filters.engine.retraction import AdditiveQuaternion
 from filters.interface import BodyVelocity, Forecast, LandmarkBelief, StereoObservation, UpdateReport
 from filters.landmarks.inverse_depth import InverseDepth
 from filters.motion import (
@@ -27,11 +28,12 @@ from filters.motion import (
     predict_camera,
 )
 from filters.noise import StereoNoise
-from filters.validation import BoolArray, FloatArray, IntArray, gate_probability, positive, unique_ids
-from stereo_slam_env.baselines.camera_filter import CameraBelief, CameraFilter, symmetrised
+from filters.validation import BoolArray, FloatArray, IntArray, gate_probability, unique_ids
+from stereo_slam_env.baselines.dead_reckoning import CameraBelief, CameraFilter, symmetrised
 
 LANDMARK_SIZE = 6
 _MODEL = InverseDepth()
+_ROTATION_ERROR = AdditiveQuaternion()
 
 
 class FilterpyEKF(CameraFilter):
@@ -75,11 +77,8 @@ class FilterpyEKF(CameraFilter):
         self._map = np.zeros((0, LANDMARK_SIZE))
         self._P = self._belief.P
 
-    def predict(self, dt: float, odometry: BodyVelocity | None = None) -> None:
+    def _move(self, dt: float, odometry: BodyVelocity | None) -> None:
         """Move the belief forward (Eq. 6, 11, 12), then fuse what odometry adds."""
-        dt = positive("dt", dt)
-        if odometry is not None and not isinstance(odometry, BodyVelocity):
-            raise ValueError(f"odometry must be a BodyVelocity or None, got {odometry!r}")
         step = predict_camera(self._motion, self._belief.state, dt, odometry)
         measured = None if odometry is None else measure_odometry(self._motion, step.state, dt, odometry)
         ekf, rest = self._kalman_filter(), self._map.size
@@ -156,16 +155,15 @@ class FilterpyEKF(CameraFilter):
         ekf = self._kalman_filter(len(innovation))
         ekf.update(innovation, lambda error: H, lambda error: np.zeros(len(innovation)), R)
         state, delta = self._belief.state, ekf.x
-        half_turn = 0.5 * delta[ROTATION]
         moved = CameraState(
             state.position + delta[POSITION],
-            rotations.multiply(state.orientation, np.append(half_turn, 1.0)),  # q + dq, normalised
+            _ROTATION_ERROR.retract(state.orientation, delta[ROTATION]),
             state.linear_velocity + delta[LINEAR],
             state.angular_velocity + delta[ANGULAR],
         )
         self._map = self._map + delta[CAMERA_SIZE:].reshape(-1, LANDMARK_SIZE)
         by_error = np.eye(len(delta))  # of the error at the moved state by that at the old one
-        by_error[ROTATION, ROTATION] = (np.eye(3) - rotations.skew(half_turn)) / (1.0 + half_turn @ half_turn)
+        by_error[ROTATION, ROTATION] = _ROTATION_ERROR.transport(delta[ROTATION])
         self._move_to(moved, by_error @ ekf.P @ by_error.T)
         return float(ekf.y @ ekf.SI @ ekf.y)
 

@@ -14,8 +14,8 @@ from filters.interface import BodyVelocity, StereoObservation, UpdateReport
 from filters.motion import ANGULAR, LINEAR, POSE_SIZE, POSITION, ROTATION, CameraState, MotionModel
 from filters.noise import StereoNoise
 from filters.validation import FloatArray, IntArray, gate_probability, positive, unique_ids
-from stereo_slam_env.baselines.camera_filter import CameraBelief, CameraFilter, symmetrised
-from stereo_slam_env.frontend.stereo_step import (
+from stereo_slam_env.baselines.dead_reckoning import CameraBelief, CameraFilter, symmetrised
+from stereo_slam_env.frontend.ego_motion import (
     Pairs,
     StepEstimate,
     left_pixel_step,

@@ -7,29 +7,40 @@
 """
 
 from stereo_slam_env.benchmark.campaign import BenchmarkResult, run_benchmark
-from stereo_slam_env.benchmark.running.runner import run_filter
-from stereo_slam_env.benchmark.running.trials import run_filter_together
-from stereo_slam_env.benchmark.scenarios.presets import preset, preset_study, presets
+from stereo_slam_env.benchmark.recordings.source import Source
+from stereo_slam_env.benchmark.recordings.sources import (
+    DatasetSource,
+    FactorySource,
+    GazeSource,
+    ReferenceSource,
+    StreetSource,
+)
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, PolicyChoice, Scenario
-from stereo_slam_env.benchmark.scenarios.scenario_file import load_study
-from stereo_slam_env.benchmark.scenarios.study import Cell, Study
+from stereo_slam_env.benchmark.scenarios.study import Cell, Study, load_study, preset, preset_study, presets
 from stereo_slam_env.benchmark.statistics.comparison import RunComparison, compare
-from stereo_slam_env.evaluation.results import FilterRun, FilterSummary, LandmarkTrace
-from stereo_slam_env.evaluation.run_figures import figures_of
-from stereo_slam_env.evaluation.summary import summarise, summarise_all
+from stereo_slam_env.evaluation.filter_run import run_filter
+from stereo_slam_env.evaluation.map_scoring import LandmarkTrace
+from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
+from stereo_slam_env.evaluation.run_figures import figures_of, summarise, summarise_all
 
 run = run_benchmark
 
 __all__ = [
     "BenchmarkResult",
     "Cell",
+    "DatasetSource",
+    "FactorySource",
     "FilterChoice",
     "FilterRun",
     "FilterSummary",
+    "GazeSource",
     "LandmarkTrace",
     "PolicyChoice",
+    "ReferenceSource",
     "RunComparison",
     "Scenario",
+    "Source",
+    "StreetSource",
     "Study",
     "compare",
     "figures_of",
@@ -40,7 +51,6 @@ __all__ = [
     "run",
     "run_benchmark",
     "run_filter",
-    "run_filter_together",
     "summarise",
     "summarise_all",
 ]

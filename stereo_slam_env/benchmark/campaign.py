@@ -8,16 +8,14 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import Literal, TypeVar
 
 from filters import available_filters, make_filter
 from filters.camera import StereoCamera
 from filters.common_options import make_with_common_options
 from filters.noise import StereoNoise
-from stereo_slam_env.benchmark.recordings.sources import check_source
 from stereo_slam_env.benchmark.running.engines import Engine
 from stereo_slam_env.benchmark.running.tasks import RecordingTask, TrialTask, make, run_trial
-from stereo_slam_env.benchmark.scenarios.presets import preset_study
 from stereo_slam_env.benchmark.scenarios.scenario import (
     FilterChoice,
     PolicyChoice,
@@ -25,18 +23,15 @@ from stereo_slam_env.benchmark.scenarios.scenario import (
     filter_choice,
     policy_choice,
 )
-from stereo_slam_env.benchmark.scenarios.scenario_file import load_study
-from stereo_slam_env.benchmark.scenarios.study import Study
-from stereo_slam_env.benchmark.storage.run_folder import refuse_foreign
-from stereo_slam_env.benchmark.storage.store import RunDirectory, root_of
+from stereo_slam_env.benchmark.scenarios.streams import check_source
+from stereo_slam_env.benchmark.scenarios.study import Study, load_study, preset_study
+from stereo_slam_env.benchmark.storage.store import RunDirectory, refuse_foreign, root_of
 from stereo_slam_env.benchmark.storage.study_store import CellResult, StudyDirectory, open_study
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
 from stereo_slam_env.evaluation.run_figures import Figures
 from stereo_slam_env.files.claimed_folder import claimed_folder
 
-if TYPE_CHECKING:
-    pass
-
+EngineName = Literal["processes", "ray", "dask"]
 Progress = Callable[[float, int], None]
 ReportWriter = Callable[[StudyDirectory, Sequence[CellResult]], Path]
 Task = TypeVar("Task")
@@ -91,7 +86,7 @@ def run_benchmark(
     policies: Sequence[str | PolicyChoice] | None = None,
     seeds: Sequence[int] | None = None,
     jobs: int = 2,
-    engine: str = "processes",
+    engine: EngineName = "processes",
     address: str | None = None,
     data: str | Path | None = None,
     allow_code: bool = False,
@@ -203,16 +198,12 @@ def check_filters(scenario: Scenario) -> None:
         if choice.name not in known:
             make_filter(choice.name, camera=camera, noise=noise)
         if not known[choice.name].startswith("not available"):
-            _try_to_make(scenario, choice, camera, noise)
-
-
-def _try_to_make(scenario: Scenario, choice: FilterChoice, camera: StereoCamera, noise: StereoNoise) -> None:
-    try:
-        make_with_common_options(choice.name, camera, noise, choice.options, scenario.common_options)
-    except ValueError:
-        raise
-    except Exception as error:  # a third-party constructor may raise anything; the run will record it
-        _log.info("filter %s cannot be made: %s", choice.label, error)
+            try:
+                make_with_common_options(choice.name, camera, noise, choice.options, scenario.common_options)
+            except ValueError:
+                raise
+            except Exception as error:  # a third-party constructor may raise anything; the run will record it
+                _log.info("filter %s cannot be made: %s", choice.label, error)
 
 
 def _run_missing(directory: StudyDirectory, engine: Engine, progress: Progress) -> None:

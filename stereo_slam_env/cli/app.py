@@ -11,7 +11,6 @@ from typing import Annotated
 import typer
 
 from stereo_slam_env.cli import bench as cli_bench
-from stereo_slam_env.cli import certify as cli_certify
 from stereo_slam_env.cli import faults as cli_faults
 from stereo_slam_env.cli import paper as cli_paper
 from stereo_slam_env.cli import scenes as cli_scenes
@@ -34,7 +33,6 @@ app.add_typer(policies_app, name="policies")
 app.add_typer(cli_scenes.app, name="scenes")
 app.command()(cli_bench.bench)
 app.command()(cli_bench.replay)
-app.command()(cli_certify.certify)
 app.command()(cli_faults.faults)
 app.command()(cli_paper.paper)
 app.command()(cli_train.train)

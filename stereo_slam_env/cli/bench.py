@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import dataclasses
 import datetime
 import errno
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
@@ -15,8 +15,7 @@ import typer
 from stereo_slam_env.cli.parts import Interrupted, console, one_line_errors, rig_from, show_place
 
 if TYPE_CHECKING:
-    from stereo_slam_env.benchmark import Scenario, Study
-    from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, PolicyChoice
+    from stereo_slam_env.benchmark import FilterChoice, PolicyChoice, Scenario, Study
 
 Choice = TypeVar("Choice", "FilterChoice", "PolicyChoice")
 FiltersOption = Annotated[str | None, typer.Option("--filters", help="Names, separated by commas.", metavar="A,B")]
@@ -66,9 +65,6 @@ SearchOption = Annotated[
 RecordOption = Annotated[
     Path | None, typer.Option("--record", help="Write the search in the images to a film, OUT.mp4.", metavar="OUT.mp4")
 ]
-LiveOption = Annotated[
-    int | None, typer.Option("--live", help="Show the search in a browser at this port, 0: any.", metavar="PORT")
-]
 GateOption = Annotated[
     str | None, typer.Option("--gate", help="Gate, a probability per landmark, or 'none'.", show_default="0.99")
 ]
@@ -109,7 +105,6 @@ def bench(
     rig: RigOption = None,
     search: SearchOption = None,
     record: RecordOption = None,
-    live: LiveOption = None,
     data: Annotated[
         Path | None,
         typer.Option("--data", help="Folder of the real recordings a scenario asks for.", envvar="STEREO_SLAM_DATA"),
@@ -125,8 +120,8 @@ def bench(
     """Compare filters, or policies that decide where to look: scenarios x filters x seeds, one report."""
     with one_line_errors():
         from stereo_slam_env.benchmark import load_study, preset_study, presets
-        from stereo_slam_env.benchmark.scenarios.presets import with_rig
-        from stereo_slam_env.benchmark.scenarios.scenario import policy_choice
+        from stereo_slam_env.benchmark.recordings.source import Renderer, checked
+        from stereo_slam_env.benchmark.scenarios.scenario import Sensor, policy_choice
 
         if show_list:
             for name, description in presets().items():
@@ -140,20 +135,23 @@ def bench(
         else:
             study = preset_study(preset or usual, data=data)
 
+        measured: Sensor | None = checked("--sensor", sensor, Sensor | None)
+        drawn: Renderer | None = checked("--renderer", renderer, Renderer | None)
+
         def adjusted(one: Scenario) -> Scenario:
-            if seeds is not None:
-                one = dataclasses.replace(one, seeds=tuple(range(seeds)))
+            changes: dict[str, Any] = {} if seeds is None else {"seeds": range(seeds)}
             if odometry is not None:
-                one = dataclasses.replace(one, use_odometry=odometry)
+                changes["use_odometry"] = odometry
             if policy is not None:
-                one = dataclasses.replace(one, policies=_chosen(policy, one.policies, policy_choice))
-            return _adjusted(_sensed(one, sensor, renderer), filters, frames, sigma_px, gate, search)
+                changes["policies"] = _chosen(policy, one.policies, policy_choice)
+            one = replace(one, **changes).with_sensor(measured, drawn)
+            return _adjusted(one, filters, frames, sigma_px, gate, search)
 
         study = study.with_scenarios(adjusted)
         if rig is not None:
-            study = with_rig(study, rig_from(rig))
+            study = study.with_rig(rig_from(rig))
         directory = _ready(study, out)
-        with _film(study.name, record, live) as show:
+        with _film(study.name, record) as show:
             show(study.cells[0].scenario)
         _run(study, directory, jobs, engine, address)
 
@@ -175,7 +173,6 @@ def replay(
     jobs: JobsOption = 2,
     search: SearchOption = None,
     record: RecordOption = None,
-    live: LiveOption = None,
     engine: EngineOption = "processes",
     address: AddressOption = None,
     skip_broken: Annotated[
@@ -186,25 +183,26 @@ def replay(
     with one_line_errors():
         from stereo_slam_env.benchmark import Scenario, Study
         from stereo_slam_env.benchmark.campaign import check_study
-        from stereo_slam_env.benchmark.recordings.sources import make_recording
+        from stereo_slam_env.benchmark.recordings.sources import DatasetSource
+        from stereo_slam_env.benchmark.scenarios.streams import make_recording
         from stereo_slam_env.report.console import progress_bar, show_recording
 
         where = path if path.partition(":")[0] == "gtsam" else str(Path(path).resolve())
-        options = {"path": where, "on_broken": "skip"} if skip_broken else {"path": where}
+        source = DatasetSource(where, {"on_broken": "skip"} if skip_broken else {})
         name = f"replay-{Path(where).name.replace(':', '-')}"
-        scenario = Scenario(name, "dataset", options, metrics=("map",))  # no bound: the true noise is not known
-        scenario = dataclasses.replace(scenario, use_odometry=odometry)
+        # No bound: the true noise is not known.
+        scenario = Scenario(name, source, use_odometry=odometry, metrics=("map",))
         scenario = _adjusted(scenario, filters, frames, sigma_px, gate, search)
         joint = scenario.gate is not None if consensus is None else consensus
-        scenario = dataclasses.replace(scenario, consensus=joint)
+        scenario = replace(scenario, consensus=joint)
         check_study(Study.of(scenario))
-        with _film(scenario.name, record, live) as show:
+        with _film(scenario.name, record) as show:
             with progress_bar(console(stderr=True), "pairs") as progress:
                 recording = make_recording(scenario, None, progress)
             show_recording(console(), recording)
             # What is stored must be what happened.
             if not any(frame.odometry is not None for frame in recording.frames):
-                scenario = dataclasses.replace(scenario, use_odometry=False)
+                scenario = replace(scenario, use_odometry=False)
             study = Study.of(scenario)
             directory = _ready(study, out)
             show(scenario)
@@ -234,7 +232,7 @@ def _adjusted(
         changes["consensus"] = scenario.consensus and changes["gate"] is not None
     if search is not None:
         changes["search"] = search
-    return dataclasses.replace(scenario, **changes)
+    return replace(scenario, **changes)
 
 
 def _chosen(names: str, own: Sequence[Choice], usual: Callable[[str], Choice]) -> tuple[Choice, ...]:
@@ -253,26 +251,6 @@ def _gate(text: str) -> float | None:
         raise ValueError(f"--gate must be a probability between 0 and 1, or 'none', got {text!r}") from None
 
 
-def _sensed(scenario: Scenario, sensor: str | None, renderer: str | None) -> Scenario:
-    """The scenario with the sensor of the command line."""
-    from stereo_slam_env.benchmark.recordings.sources import takes_images
-    from stereo_slam_env.benchmark.scenarios.presets import with_images
-
-    if sensor not in (None, "landmarks", "images"):
-        raise ValueError(f"--sensor must be 'landmarks' or 'images', got {sensor!r}")
-    seen = takes_images(scenario)
-    if sensor == "images" and not seen:
-        return with_images(scenario, renderer or "tiny")
-    changes: dict[str, Any] = {}
-    if sensor == "landmarks" and seen:
-        seen, changes["sensor"] = False, sensor
-    if renderer is not None:
-        if not seen:
-            raise ValueError("--renderer needs --sensor images: nothing is drawn for landmarks")
-        changes["renderer"] = renderer
-    return dataclasses.replace(scenario, options={**scenario.options, **changes})
-
-
 def _ready(study: Study, out: Path | None) -> Path:
     """The run directory, once it is known that the study can be run into it."""
     from stereo_slam_env.benchmark.campaign import check_study
@@ -284,29 +262,29 @@ def _ready(study: Study, out: Path | None) -> Path:
 
 
 @contextmanager
-def _film(title: str, record: Path | None, live: int | None) -> Iterator[Callable[[Scenario], None]]:
-    """What shows the search in the images of a scenario, if that was asked for; a wrong file or port is known first."""
-    if record is None and live is None:
+def _film(title: str, record: Path | None) -> Iterator[Callable[[Scenario], None]]:
+    """Film of the search in the images of a scenario, if that was asked for; a wrong file is known first."""
+    if record is None:
         yield lambda scenario: None
         return
     from stereo_slam_env.benchmark.running.watch import watch_search
     from stereo_slam_env.report.console import progress_bar
-    from stereo_slam_env.viewer.search_film import search_film
+    from stereo_slam_env.viewer.search_view import search_film
 
-    with search_film(title, record, live, on_live=lambda url: typer.echo(f"live view: {url}")) as watch:
+    with search_film(title, record) as watch:
 
         def show(scenario: Scenario) -> None:
             with progress_bar(console(stderr=True), "pairs") as progress:
                 watch_search(scenario, watch, progress)
 
         yield show
-    if record is not None:
-        typer.echo(f"film: {record.resolve()}")
+    typer.echo(f"film: {record.resolve()}")
 
 
 def _run(study: Study, directory: Path, jobs: int, engine: str, address: str | None) -> None:
     """Run, show the table, and say where everything is; when interrupted, say how to go on."""
-    from stereo_slam_env.benchmark.campaign import run_benchmark
+    from stereo_slam_env.benchmark.campaign import EngineName, run_benchmark
+    from stereo_slam_env.benchmark.recordings.source import checked
     from stereo_slam_env.report.benchmark_report import write_report_of
     from stereo_slam_env.report.console import progress_bar, show_cells, show_study
 
@@ -317,7 +295,7 @@ def _run(study: Study, directory: Path, jobs: int, engine: str, address: str | N
                 study,
                 directory,
                 jobs=jobs,
-                engine=engine,
+                engine=checked("engine", engine, EngineName),
                 address=address,
                 progress=progress,
                 write_report=write_report_of,

@@ -36,13 +36,12 @@ def list_scenes() -> None:
     """Routes, surroundings and renderers, and the ready-made scenarios of `bench`."""
     from stereo_slam_env.benchmark import presets
     from stereo_slam_env.rendering.backends import RENDERERS
-    from stereo_slam_env.world.routes import ROUTES
-    from stereo_slam_env.world.surroundings import SURROUNDINGS
+    from stereo_slam_env.world.routes import available_routes
+    from stereo_slam_env.world.surroundings import available_scenes
 
-    routes = {name: make() for name, make in ROUTES.items()}
     lists = {
-        "routes (or a KITTI pose file)": {name: f"{r.frames} frames, {r.length:.0f} m" for name, r in routes.items()},
-        "surroundings": {name: kind.description for name, kind in SURROUNDINGS.items()},
+        "routes (or a KITTI pose file)": available_routes(),
+        "surroundings": available_scenes(),
         "renderers": RENDERERS,
         "presets of bench": dict(presets()),
     }
@@ -106,7 +105,7 @@ def record_scene(
 ) -> None:
     """Write a rendered drive as a KITTI odometry sequence, for other people's SLAM systems (and `replay`)."""
     with one_line_errors():
-        from stereo_slam_env.datasets.images.kitti_writer import write_kitti_sequence
+        from stereo_slam_env.datasets import write_kitti_sequence
         from stereo_slam_env.envs.rendered_drive import RenderedDrive
         from stereo_slam_env.report.console import progress_bar
 
@@ -131,7 +130,7 @@ def scene_noise(
 ) -> None:
     """Measure the noise of the front end: bias, spread and outliers of u, v and d by range, against the render."""
     with one_line_errors():
-        from stereo_slam_env.benchmark.recordings.sensor_noise import measurement_errors, noise_by_range
+        from stereo_slam_env.benchmark.recordings.description import measurement_errors, noise_by_range
         from stereo_slam_env.envs.recorder import record
         from stereo_slam_env.report.console import progress_bar, show_noise
 

@@ -10,8 +10,8 @@ import typer
 from stereo_slam_env.cli.parts import console, one_line_errors
 
 if TYPE_CHECKING:
+    from stereo_slam_env.viewer.drive import Drive
     from stereo_slam_env.viewer.drive_picture import Progress
-    from stereo_slam_env.viewer.moments import Drive
 
 
 def view(
@@ -41,8 +41,8 @@ def view(
     """
     with one_line_errors():
         from stereo_slam_env.report.console import progress_bar
+        from stereo_slam_env.viewer.drive import revisit
         from stereo_slam_env.viewer.drive_picture import save_film, save_still
-        from stereo_slam_env.viewer.revisit import revisit
 
         if frame is not None and still is None:
             raise ValueError("--frame needs --still OUT.png: it says what the picture shows")
@@ -68,9 +68,9 @@ def _show_in_rerun(drive: Drive, save: Path | None, connect: str | None, progres
     from stereo_slam_env.viewer.rerun_view import RerunView
 
     shown = RerunView(
-        drive.camera, [drive.name], save=save, connect=connect, landmarks=drive.landmarks, title=drive.title
+        drive.camera, [drive.label], save=save, connect=connect, landmarks=drive.landmarks, title=drive.title
     )
     with shown:
         for number, moment in enumerate(drive.moments()):
-            shown.show(moment)
+            shown.show(drive.label, moment)
             progress(number + 1, drive.frames)

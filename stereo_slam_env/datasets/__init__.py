@@ -1,60 +1,75 @@
-"""Readers of real recordings. Each yields the same `Recording` that the environment yields.
+"""Readers of real recordings: `load` gives a `Recording` of tracks or of images, whatever layout a folder has.
 
-To add a layout: a module with `NAME`, `FILES`, `recognises(path)` and `read(path, **options)`, listed in `READERS`;
-for one of images see `datasets.images`, whose sequences go through the front end.
+A layout is a module with `NAME`, `FILES` and a reader: `read(path, **options)` gives the recording of a layout of
+tracks (`TRACK_LAYOUTS`), `open_sequence(path, **options)` the sequence of a layout of images (`IMAGE_LAYOUTS`), which
+then goes through the front end. `FILES` holds one or more sets of entries, any of which tells a folder of this layout;
+`*` stands for anything, `../` for the folder around.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping
+import inspect
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 from filters.known_names import require_known
-from stereo_slam_env.datasets import gtsam_examples, kitti00_stereo_tracks, kitti07_tracks, starry_night
-from stereo_slam_env.datasets.images import (
-    IMAGE_READERS,
-    folders_in,
-    known_image_layouts,
-    open_image_sequence,
-    recordings_in,
+from stereo_slam_env.datasets import (
+    euroc,
+    karlsruhe,
+    kitti00_stereo_tracks,
+    kitti06_stereo51,
+    kitti07_tracks,
+    kitti_odometry,
+    kitti_raw,
+    starry_night,
 )
-from stereo_slam_env.datasets.known_options import keyword_options
-from stereo_slam_env.datasets.unknown_folder import no_known_layout, require_folder
-from stereo_slam_env.files.inside import is_there, require_links_inside
+from stereo_slam_env.datasets.image_files import BrokenPair
+from stereo_slam_env.datasets.kitti_odometry import write_kitti_sequence
+from stereo_slam_env.datasets.sequence import RecordedSequence
+from stereo_slam_env.files.paths import is_there, require_inside, require_links_inside
 from stereo_slam_env.frontend.calibration import calibrated
 from stereo_slam_env.frontend.recorder import record_tracks
 from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.recording.archive import load_recording
-from stereo_slam_env.recording.image_sequence import ImageSequence
-from stereo_slam_env.recording.recording import Recording
+from stereo_slam_env.recording.recording import ImageSequence, Recording
 
-READERS = (kitti07_tracks, kitti00_stereo_tracks, starry_night)
+TRACK_LAYOUTS: tuple[ModuleType, ...] = (kitti07_tracks, kitti00_stereo_tracks, starry_night)
+IMAGE_LAYOUTS: tuple[ModuleType, ...] = (kitti06_stereo51, kitti_odometry, kitti_raw, karlsruhe, euroc)
+EXAMPLE = "gtsam"
+_DEPTH = 2
+"""How many levels below the given folder recordings of images are looked for."""
 
-__all__ = ["READERS", "holds_images", "known_layouts", "open_for_front_end", "read_recording"]
+__all__ = [
+    "IMAGE_LAYOUTS",
+    "TRACK_LAYOUTS",
+    "BrokenPair",
+    "holds_images",
+    "layout_of",
+    "load",
+    "open_for_front_end",
+    "open_image_sequence",
+    "write_kitti_sequence",
+]
 
 
-def known_layouts() -> dict[str, str]:
-    """What `read_recording` takes: name -> the files that tell a folder of this layout, or what to write."""
-    layouts = {reader.NAME: "folder with " + ", ".join(reader.FILES) for reader in READERS}
-    layouts |= known_image_layouts()
-    for name in gtsam_examples.EXAMPLES:
-        layouts[f"{gtsam_examples.PREFIX}:{name}"] = "example data of the gtsam wheel, no folder needed"
-    layouts["recording"] = "file NAME.npz written by save_recording"
-    return layouts
-
-
-def read_recording(path: str | Path, **options: Any) -> Recording:
-    """Read a real recording; the layout is recognised by the files in the folder.
+def load(source: str | Path, **options: Any) -> Recording:
+    """Load a real recording, whatever `stereo-slam replay` takes.
 
     Parameters
     ----------
-    path : str or Path
-        A folder, or `gtsam` / `gtsam:NAME` for the example data of the gtsam wheel, or a file of `save_recording`.
+    source : str or Path
+        A folder, whose layout is recognised by its files; a file of `save_recording` (`NAME.npz`); or `gtsam`, the
+        example data inside the gtsam wheel (`gtsam:NAME` for one of several).
     **options
-        Options of the reader, see its `read`; for images those of `open_image_sequence`, and `front_end`, a mapping
-        with fields of `TrackerSettings`.
+        Options of the reader, see its `read`; for images those of `open_for_front_end`.
+
+    Returns
+    -------
+    Recording
+        The measurements in time order, with what is known of truth and odometry.
 
     Raises
     ------
@@ -64,61 +79,155 @@ def read_recording(path: str | Path, **options: Any) -> Recording:
     ImportError
         The example data needs gtsam, which is not installed.
     """
-    text = str(path)
-    prefix, _, name = text.partition(":")
-    if prefix == gtsam_examples.PREFIX and not is_there(Path(text)):
-        require_known("the reader has no option", options, keyword_options(gtsam_examples.read))
-        return gtsam_examples.read(name or "kitti00", **options)
-    folder = Path(path)
-    if folder.suffix == ".npz" and is_there(folder) and folder.is_file():
+    path = Path(source)
+    prefix, _, name = str(source).partition(":")
+    if prefix == EXAMPLE and not is_there(path):
+        _require_options(EXAMPLE, kitti00_stereo_tracks.read_example, options)
+        return kitti00_stereo_tracks.read_example(name or "kitti00", **options)
+    if path.suffix == ".npz" and is_there(path) and path.is_file():
         require_known("a recording in one file has no option", options, [])
-        return load_recording(folder)
-    require_folder(folder, f", a recording in one file (NAME.npz) or {gtsam_examples.PREFIX!r}")
-    for reader in READERS:
-        if reader.recognises(folder):
-            require_known("the reader has no option", options, keyword_options(reader.read))
-            require_links_inside(folder)
-            read: Callable[..., Recording] = reader.read
-            return read(folder, **options)
-    if not holds_images(folder):
-        layouts = {reader.NAME: reader.FILES for reader in (*READERS, *IMAGE_READERS)}
-        raise ValueError(no_known_layout(folder, folders_in(folder), layouts))
-    return record_tracks(*open_for_front_end(folder, **options))
+        return load_recording(path)
+    _require_folder(path, f", a recording in one file (NAME.npz) or {EXAMPLE!r}")
+    layout = _recognised(path, TRACK_LAYOUTS)
+    if layout is None:
+        if not holds_images(path):
+            raise _unknown_layout(path, (*TRACK_LAYOUTS, *IMAGE_LAYOUTS))
+        return record_tracks(*open_for_front_end(path, **options))
+    _require_options(layout.NAME, layout.read, options)
+    require_links_inside(path)
+    recording: Recording = layout.read(path, **options)
+    return recording
 
 
 def open_for_front_end(path: str | Path, **options: Any) -> tuple[ImageSequence, TrackerSettings]:
-    """A recording of images, and how the front end is to look at it.
+    """Open a recording of images, with settings of the front end for it.
 
     Parameters
     ----------
     path : str or Path
         Folder of a layout of images.
     **options
-        Options of the reader, and `front_end`, a mapping with fields of `TrackerSettings`. Where that does not say
-        `disparity_offset`, the first pairs are looked at to find what the rectification left.
-    """
-    given = options.pop("front_end", {})
-    settings = front_end_settings(given)
-    sequence = open_image_sequence(path, **options)
-    return sequence, settings if "disparity_offset" in given else calibrated(sequence, settings)
-
-
-def holds_images(path: str | Path) -> bool:
-    """Whether the folder is a recording of images, or one of tracks (or none at all)."""
-    folder = Path(path)
-    if not folder.is_dir() or any(reader.recognises(folder) for reader in READERS):
-        return False
-    return bool(recordings_in(folder))
-
-
-def front_end_settings(fields: Mapping[str, Any]) -> TrackerSettings:
-    """Settings of the front end from their JSON form.
+        Those of `open_image_sequence`, and `front_end`, a mapping with fields of `TrackerSettings`. Where that does
+        not say `disparity_offset`, the first pairs are measured to find what the rectification left.
 
     Raises
     ------
     ValueError
-        An unknown field, or an impossible value.
+        As `open_image_sequence`, or an unknown field of the front end, or an impossible value of one.
     """
-    known = [field.name for field in dataclasses.fields(TrackerSettings)]
-    require_known("the front end has no setting", fields, known)
-    return TrackerSettings(**fields)
+    given: Mapping[str, Any] = options.pop("front_end", {})
+    fields = [field.name for field in dataclasses.fields(TrackerSettings)]
+    require_known("the front end has no setting", given, fields)
+    settings = TrackerSettings(**given)
+    sequence = open_image_sequence(path, **options)
+    return sequence, settings if "disparity_offset" in given else calibrated(sequence, settings)
+
+
+def open_image_sequence(path: str | Path, **options: Any) -> RecordedSequence:
+    """Open a recording of stereo images; the layout is recognised by the files in the folder.
+
+    Parameters
+    ----------
+    path : str or Path
+        A folder of a known layout, or one that holds exactly one such folder, up to two levels down.
+    **options
+        Options of the reader, see its `open_sequence`. All readers have `first`, `last` (frame numbers to start and to
+        end with, both included) and `on_broken` ("raise", or "skip" to leave out pairs that cannot be used and count
+        them in `skipped`).
+
+    Raises
+    ------
+    ValueError
+        No such folder, no known layout, an unknown option, something is missing or damaged, or a link leads out of the
+        folder: one line that names it.
+    """
+    given = Path(path)
+    _require_folder(given)
+    found = _image_recordings(given)
+    if len(found) > 1:
+        names = ", ".join(str(folder.relative_to(given)) for folder in found)
+        raise ValueError(f"{given} holds {len(found)} recordings, give one of them: {names}")
+    layout = _recognised(found[0], IMAGE_LAYOUTS) if found else None
+    if layout is None:
+        raise _unknown_layout(given, IMAGE_LAYOUTS)
+    folder = require_inside(found[0], given)
+    require_links_inside(folder)
+    _require_options(layout.NAME, layout.open_sequence, options)
+    sequence: RecordedSequence = layout.open_sequence(folder, **options)
+    return sequence
+
+
+def holds_images(path: str | Path) -> bool:
+    """Whether the folder is a recording of images, and not one of tracks or none at all."""
+    folder = Path(path)
+    return folder.is_dir() and _recognised(folder, TRACK_LAYOUTS) is None and bool(_image_recordings(folder))
+
+
+def layout_of(folder: Path) -> str | None:
+    """Name of the layout that the folder itself has; None where it has none of those known."""
+    layout = _recognised(folder, (*TRACK_LAYOUTS, *IMAGE_LAYOUTS))
+    return None if layout is None else str(layout.NAME)
+
+
+def _recognised(folder: Path, layouts: Iterable[ModuleType]) -> ModuleType | None:
+    return next((layout for layout in layouts if not _lacking(folder, layout)), None)
+
+
+def _lacking(folder: Path, layout: ModuleType) -> list[str]:
+    """The entries that the folder lacks to have the layout, of the set that comes nearest."""
+    sets: Sequence[Sequence[str]] = layout.FILES
+    return min(([entry for entry in entries if not _holds(folder, entry)] for entries in sets), key=len)
+
+
+def _holds(folder: Path, entry: str) -> bool:
+    parent = folder.resolve().parent if entry.startswith("../") else folder
+    return any(parent.glob(entry.removeprefix("../")))
+
+
+def _image_recordings(folder: Path) -> list[Path]:
+    """The folder itself if it has a layout of images, else those up to two levels below it that have one."""
+    if _recognised(folder, IMAGE_LAYOUTS) is not None:
+        return [folder]
+    return [below for below in _folders(folder) if _recognised(below, IMAGE_LAYOUTS)]
+
+
+def _folders(folder: Path) -> list[Path]:
+    """The folder and those up to two levels below it, level by level."""
+    levels = [[folder]]
+    for _ in range(_DEPTH):
+        levels.append([below for parent in levels[-1] for below in _subfolders(parent)])
+    return [found for level in levels for found in level]
+
+
+def _subfolders(folder: Path) -> list[Path]:
+    try:
+        return sorted(below for below in folder.iterdir() if below.is_dir())
+    except OSError:  # not ours to read
+        return []
+
+
+def _require_folder(path: Path, others: str = "") -> None:
+    there = is_there(path)
+    if not there or not path.is_dir():
+        what = "is a file, not a folder" if there else "does not exist"
+        raise ValueError(f"{path} {what}: give a folder with a recording{others}")
+
+
+def _require_options(reader: str, read: Callable[..., Any], options: Mapping[str, Any]) -> None:
+    parameters = inspect.signature(read).parameters.values()
+    known = [parameter.name for parameter in parameters if parameter.kind is parameter.KEYWORD_ONLY]
+    require_known(f"the reader {reader} has no option", options, known)
+
+
+def _unknown_layout(path: Path, layouts: Sequence[ModuleType]) -> ValueError:
+    """The error for a folder without a known layout: one line with the nearest one and what it lacks of it."""
+    for folder in _folders(path):
+        lacking = {layout: _lacking(folder, layout) for layout in layouts}
+        nearest = min(layouts, key=lambda layout: len(lacking[layout]) / len(layout.FILES[0]))
+        if len(lacking[nearest]) < len(nearest.FILES[0]):
+            where = "" if folder == path else f", in {folder.relative_to(path)}"
+            missing = ", ".join(lacking[nearest])
+            return ValueError(f"{path} has no known layout: nearest is {nearest.NAME}{where}, which lacks {missing}")
+    what = "has no known layout: it holds no file of one" if any(path.iterdir()) else "is empty"
+    known = ", ".join(layout.NAME for layout in layouts)
+    return ValueError(f"{path} {what}; known are {known} (their files: docs/real_data.md)")

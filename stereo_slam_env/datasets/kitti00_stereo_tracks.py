@@ -1,6 +1,7 @@
-"""Dense stereo feature tracks over the first frames of KITTI odometry 00 (from GTSAM's example data).
+"""Dense stereo feature tracks over the first frames of KITTI odometry 00, from GTSAM's example data.
 
-Layout: `stereo_factors.txt` (frame_id landmark_id uL uR v X Y Z), `calibration.txt` (fx fy skew cx cy baseline),
+`read_example` reads those inside the gtsam wheel (135 frames, 110 m, one 90 degree turn), `read` a folder with true
+poses. Layout: `stereo_factors.txt` (frame_id landmark_id uL uR v X Y Z), `calibration.txt` (fx fy skew cx cy baseline),
 `vo_poses.txt` (frame_id, 4x4 T_world_cam by stereo odometry), and, for scoring, `poses.txt` (KITTI ground truth)
 and `times.txt`.
 """
@@ -15,26 +16,29 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from filters.camera import StereoCamera
+from filters.extras import install_command
+from filters.known_names import require_known
 from filters.noise import StereoNoise
 from filters.validation import FloatArray, IntArray
 from stereo_slam_env.datasets.tracks import ASSUMED_SIGMA_PX, Tracks, frames_of
-from stereo_slam_env.files.tables import read_poses, read_table, require_rotations, split_poses
+from stereo_slam_env.files.readers import read_poses, read_table, require_rotations, split_poses
 from stereo_slam_env.recording.recording import Pose, Recording, Reference
 
 NAME = "kitti00_stereo_tracks"
-FILES = ("stereo_factors.txt", "calibration.txt", "vo_poses.txt", "poses.txt", "times.txt")
+FILES = (("stereo_factors.txt", "calibration.txt", "vo_poses.txt", "poses.txt", "times.txt"),)
 FIRST_SCORED_FRAME = 16  # before it the INS was not yet recording: the ground truth is an extrapolation
 TRUTH = Reference(
     "independent truth",
     f"KITTI's ground truth (GPS/INS) from frame {FIRST_SCORED_FRAME} on, moved as a whole onto the stereo odometry of "
     "that frame: its shape is independent of the images, its place is not.",
 )
+EXAMPLES = {"kitti00": ("VO_stereo_factors00.txt", "VO_calibration00.txt", "VO_camera_poses00.txt")}
+"""Stereo factors, calibration and poses of each example in the gtsam wheel."""
+EXAMPLE_INTERVAL = 0.1037  # s between frames; the wheel holds no times
+EXAMPLE_REFERENCE = Reference(
+    "odometry from the same images", "The stereo odometry that comes with the tracks and was fitted to the same pixels."
+)
 IMAGE_SIZE = (1241, 376)  # rectified images of the drives of 2011_10_03
-
-
-def recognises(path: Path) -> bool:
-    """Whether the folder has this layout."""
-    return all((path / name).is_file() for name in FILES)
 
 
 def read(path: Path, *, sigma_px: float = ASSUMED_SIGMA_PX, max_per_frame: int | None = 100) -> Recording:
@@ -63,7 +67,7 @@ def read(path: Path, *, sigma_px: float = ASSUMED_SIGMA_PX, max_per_frame: int |
     ValueError
         A file is damaged, has the wrong shape, or holds NaN: the message names it.
     """
-    frame_ids, odometry_poses = read_odometry_poses(path / "vo_poses.txt")
+    frame_ids, odometry_poses = _read_odometry_poses(path / "vo_poses.txt")
     times = read_table(path / "times.txt", 1).reshape(-1)
     positions, orientations = read_poses(path / "poses.txt")
     known = min(len(times), len(positions))
@@ -72,17 +76,15 @@ def read(path: Path, *, sigma_px: float = ASSUMED_SIGMA_PX, max_per_frame: int |
     first = int(np.searchsorted(frame_ids, FIRST_SCORED_FRAME))
     truth: list[Pose | None] = [None] * len(frame_ids)
     if first < len(frame_ids):
-        anchor, scored = odometry_poses[first], frame_ids[first:]
-        moved = _moved_to(anchor, positions[scored], orientations[scored])
-        truth[first:] = moved
-    return tracks_recording(
+        scored = frame_ids[first:]
+        truth[first:] = _moved_to(odometry_poses[first], positions[scored], orientations[scored])
+    return _tracks_recording(
         NAME,
         stereo_factors=path / "stereo_factors.txt",
         calibration=path / "calibration.txt",
         frame_ids=frame_ids,
         timestamps=times[frame_ids],
         truth=truth,
-        image_size=IMAGE_SIZE,
         sigma_px=sigma_px,
         max_per_frame=max_per_frame,
         source={"reader": NAME, "path": str(path)},
@@ -90,7 +92,60 @@ def read(path: Path, *, sigma_px: float = ASSUMED_SIGMA_PX, max_per_frame: int |
     )
 
 
-def read_odometry_poses(path: Path) -> tuple[IntArray, FloatArray]:
+def read_example(
+    name: str = "kitti00", *, sigma_px: float = ASSUMED_SIGMA_PX, max_per_frame: int | None = 100
+) -> Recording:
+    """Read an example inside the gtsam wheel.
+
+    Parameters
+    ----------
+    name : str
+        A key of `EXAMPLES`.
+    sigma_px, max_per_frame
+        As for `read`.
+
+    Returns
+    -------
+    Recording
+        The wheel has no ground truth: the reference is the stereo odometry that comes with the tracks, which was
+        fitted to the same pixels. It shows gross errors, not which filter is better by centimetres.
+
+    Raises
+    ------
+    ValueError
+        No such example.
+    ImportError
+        gtsam is not installed.
+    """
+    require_known("there is no example", [f"gtsam:{name}"], [f"gtsam:{known}" for known in EXAMPLES])
+    stereo_factors, calibration, poses = (_in_wheel(file_name) for file_name in EXAMPLES[name])
+    frame_ids, odometry_poses = _read_odometry_poses(poses)
+    return _tracks_recording(
+        f"gtsam_{name}",
+        stereo_factors=stereo_factors,
+        calibration=calibration,
+        frame_ids=frame_ids,
+        timestamps=EXAMPLE_INTERVAL * frame_ids.astype(np.float64),
+        truth=[Pose(r, q) for r, q in zip(*split_poses(odometry_poses), strict=True)],
+        sigma_px=sigma_px,
+        max_per_frame=max_per_frame,
+        source={"reader": f"gtsam:{name}", "frame_interval_s": EXAMPLE_INTERVAL},
+        truth_from=EXAMPLE_REFERENCE,
+    )
+
+
+def _in_wheel(file_name: str) -> Path:
+    try:
+        import gtsam
+    except ImportError as error:
+        raise ImportError(f"gtsam is not installed: {install_command('gtsam')}") from error
+    try:
+        return Path(str(gtsam.findExampleDataFile(file_name)))  # type: ignore[no-untyped-call,unused-ignore]
+    except (FileNotFoundError, RuntimeError) as error:
+        raise ValueError(f"the installed gtsam has no example file {file_name}: install gtsam 4.3 or newer") from error
+
+
+def _read_odometry_poses(path: Path) -> tuple[IntArray, FloatArray]:
     """Frame ids (K,), ascending, and T_world_cam (K, 4, 4) of a table `frame_id T00 ... T33`."""
     table = read_table(path, 17)
     frame_ids = table[:, 0].astype(np.int64)
@@ -101,7 +156,7 @@ def read_odometry_poses(path: Path) -> tuple[IntArray, FloatArray]:
     return frame_ids, matrices
 
 
-def tracks_recording(
+def _tracks_recording(
     name: str,
     *,
     stereo_factors: Path,
@@ -109,25 +164,12 @@ def tracks_recording(
     frame_ids: IntArray,
     timestamps: FloatArray,
     truth: list[Pose | None],
-    image_size: tuple[int, int],
     sigma_px: float,
     max_per_frame: int | None,
     source: Mapping[str, Any],
     truth_from: Reference,
 ) -> Recording:
-    """The recording of GTSAM's stereo factor files, whatever they are called.
-
-    Parameters
-    ----------
-    stereo_factors, calibration : Path
-        Files as described at the top of this module.
-    frame_ids : (K,) ndarray
-        Frames to use, ascending; every frame of `stereo_factors` must be among them.
-    timestamps : (K,) ndarray
-        s.
-    truth : list of K
-        Poses to score against, or None.
-    """
+    """The recording of the frames `frame_ids` (K,), ascending, at `timestamps` (K,), s."""
     fx, fy, _, cx, cy, baseline = read_table(calibration, 6)[0].tolist()
     table = read_table(stereo_factors, 8)
     ids = table[:, 0].astype(np.int64)
@@ -151,7 +193,7 @@ def tracks_recording(
     }
     return Recording(
         name,
-        StereoCamera(fx, fy, cx, cy, baseline, *image_size),
+        StereoCamera(fx, fy, cx, cy, baseline, *IMAGE_SIZE),
         frames_of(thinned, timestamps, truth),
         StereoNoise.independent_pixels(sigma_px),
         source={**source, **settings},
@@ -165,8 +207,3 @@ def _moved_to(anchor: FloatArray, positions: FloatArray, orientations: FloatArra
     turn = Rotation.from_matrix(anchor[:3, :3]) * rotations[0].inv()
     moved = turn.apply(positions - positions[0]) + anchor[:3, 3]
     return [Pose(r, q) for r, q in zip(moved, (turn * rotations).as_quat(), strict=True)]
-
-
-def odometry_truth(odometry_poses: FloatArray) -> list[Pose | None]:
-    """The stereo odometry as reference, where there is nothing better."""
-    return [Pose(r, q) for r, q in zip(*split_poses(odometry_poses), strict=True)]

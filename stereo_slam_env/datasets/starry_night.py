@@ -1,39 +1,39 @@
 """Stereo measurements of 20 surveyed landmarks by a camera in a motion-capture room, with velocities ("Starry Night").
 
 The third data set of T. D. Barfoot's course on state estimation (University of Toronto). Layout: `starry_night.npz`
-with the arrays of the original file, see `ARRAYS`: K steps, N landmarks, i the room, v_k the vehicle at step k.
+with the arrays of the original file, see `SHAPES`: k steps, n landmarks, i the room, v_k the vehicle at step k.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from filters.camera import StereoCamera
-from filters.interface import BodyVelocity
 from filters.noise import StereoNoise
 from filters.validation import FloatArray, positive
-from stereo_slam_env.datasets.kitti07_tracks import camera_velocities
-from stereo_slam_env.datasets.tracks import Tracks, frames_of, tracks_of_pixels
-from stereo_slam_env.files.tables import read_archive, require_rotations
+from stereo_slam_env.datasets.odometry import camera_velocities
+from stereo_slam_env.datasets.tracks import frames_of, tracks_of_pixels
+from stereo_slam_env.files.readers import Shape, read_archive, require_rotations
 from stereo_slam_env.recording.recording import LandmarkTruth, Pose, Recording, Reference
 
 NAME = "starry_night"
-FILES = ("starry_night.npz",)
-ARRAYS = (
-    *("t", "r_i_vk_i", "theta_vk_i", "v_vk_vk_i", "w_vk_vk_i", "rho_i_pj_i", "y_k_j"),
-    *("C_c_v", "rho_v_c_v", "fu", "fv", "cu", "cv", "b"),
-)
+FILES = (("starry_night.npz",),)
+SHAPES: Mapping[str, Shape] = {
+    "t": "k",
+    **dict.fromkeys(("r_i_vk_i", "theta_vk_i", "v_vk_vk_i", "w_vk_vk_i"), (3, "k")),
+    "rho_i_pj_i": (3, "n"),
+    "y_k_j": (4, "k", "n"),
+    "C_c_v": (3, 3),
+    "rho_v_c_v": 3,
+    **dict.fromkeys(("fu", "fv", "cu", "cv", "b"), 1),
+}
 IMAGE_SIZE = (646, 480)  # the archive does not hold it: the smallest that holds every measurement (u up to 644.4)
 TRUTH = Reference("independent truth", "Motion capture; its own errors are about 0.01 m and 0.01 to 0.03 rad.")
 GYRO_DELAY = 0.11  # s
-
-
-def recognises(path: Path) -> bool:
-    """Whether the folder has this layout."""
-    return all((path / name).is_file() for name in FILES)
 
 
 def read(
@@ -64,8 +64,8 @@ def read(
         White noise of the velocities, m/s and rad/s per axis. The defaults are what the errors over 20 steps amount
         to. (The published `v_var` and `w_var` are those of single steps, `w_var` with the wrong sign.)
     max_row_difference : float, optional
-        Measurements whose rows in the two images differ by more are left out and counted, px: there the two eyes
-        took different points, and d is off by several px in half of them. None keeps all.
+        Measurements whose rows in the two images differ by more are left out and counted, px: there the two cameras
+        took different points, and d is wrong by several px in half of them. None keeps all.
 
     Returns
     -------
@@ -79,16 +79,15 @@ def read(
     ValueError
         A file is damaged, has the wrong shape, or holds NaN, or an option is impossible: the message names it.
     """
-    archive = path / FILES[0]
-    arrays = read_archive(archive, ARRAYS)
-    timestamps = arrays["t"].reshape(-1)
-    _check(archive, arrays, len(timestamps))
+    archive = path / FILES[0][0]
+    arrays = read_archive(archive, SHAPES)
+    timestamps = arrays["t"]
+    require_rotations(archive, arrays["C_c_v"][None])
     if type(first) is not int or not 0 <= first <= len(timestamps) - 2:
         raise ValueError(f"first must be a whole number from 0 to {len(timestamps) - 2}, got {first!r}")
     noise = StereoNoise.diagonal(sigma_u, sigma_v, sigma_d)
-    sigmas = positive("sigma_linear", sigma_linear), positive("sigma_angular", sigma_angular)
 
-    R_cv, camera_v = arrays["C_c_v"], arrays["rho_v_c_v"].reshape(3)
+    R_cv, camera_v = arrays["C_c_v"], arrays["rho_v_c_v"]
     turn_iv = Rotation.from_rotvec(arrays["theta_vk_i"].T[first:])
     positions_i = arrays["r_i_vk_i"].T[first:] + turn_iv.apply(camera_v)
     turn_ic = turn_iv * Rotation.from_matrix(R_cv.T)
@@ -98,11 +97,18 @@ def read(
     points_w = to_w.apply(arrays["rho_i_pj_i"].T - positions_i[0])
 
     seen = tracks_of_pixels(arrays["y_k_j"][:, first:])
-    used = seen if max_row_difference is None else _same_row(seen, positive("max_row_difference", max_row_difference))
-    odometry = _odometry(arrays, R_cv, camera_v, *sigmas)
+    used = seen
+    if max_row_difference is not None:
+        assert seen.v_right is not None
+        used = seen.select(np.abs(seen.uvd[:, 1] - seen.v_right) <= positive("max_row_difference", max_row_difference))
+    linear, angular = step_velocities(timestamps, arrays["v_vk_vk_i"].T, arrays["w_vk_vk_i"].T)
+    odometry = camera_velocities(
+        linear, angular, R_cv, camera_v, sigma_linear=sigma_linear, sigma_angular=sigma_angular
+    )
+    fx, fy, cx, cy, baseline = (float(arrays[key][0]) for key in ("fu", "fv", "cu", "cv", "b"))
     return Recording(
         NAME,
-        _camera(archive, arrays),
+        StereoCamera(fx, fy, cx, cy, baseline, *IMAGE_SIZE),
         frames_of(used, timestamps[first:], truth, [None, *odometry[first + 1 :]]),
         noise,
         landmarks=LandmarkTruth(np.arange(len(points_w)), points_w),
@@ -111,8 +117,8 @@ def read(
             "path": str(path),
             "first": first,
             "sigma_uvd_px": [float(sigma_u), float(sigma_v), float(sigma_d)],
-            "sigma_linear_m_s": sigmas[0],
-            "sigma_angular_rad_s": sigmas[1],
+            "sigma_linear_m_s": float(sigma_linear),
+            "sigma_angular_rad_s": float(sigma_angular),
             "max_row_difference_px": max_row_difference,
             "dropped_row_difference": len(seen) - len(used),
             "gyro": f"sign turned, read {GYRO_DELAY} s late: so the data say, see step_velocities",
@@ -149,42 +155,3 @@ def step_velocities(
     linear[1:] = linear_v[:-1]
     angular[1:] = -0.5 * (late[:-1] + late[1:])
     return linear, angular
-
-
-def _odometry(
-    arrays: dict[str, FloatArray], R_cv: FloatArray, camera_v: FloatArray, sigma_linear: float, sigma_angular: float
-) -> list[BodyVelocity | None]:
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = R_cv, camera_v
-    linear, angular = step_velocities(arrays["t"].reshape(-1), arrays["v_vk_vk_i"].T, arrays["w_vk_vk_i"].T)
-    return camera_velocities(linear, angular, T, sigma_linear, sigma_angular)
-
-
-def _same_row(tracks: Tracks, most: float) -> Tracks:
-    assert tracks.v_right is not None
-    return tracks.select(np.abs(tracks.uvd[:, 1] - tracks.v_right) <= most)
-
-
-def _camera(archive: Path, arrays: dict[str, FloatArray]) -> StereoCamera:
-    fx, fy, cx, cy, baseline = (float(arrays[key].reshape(-1)[0]) for key in ("fu", "fv", "cu", "cv", "b"))
-    return StereoCamera(fx, fy, cx, cy, baseline, *IMAGE_SIZE)
-
-
-def _check(archive: Path, arrays: dict[str, FloatArray], steps: int) -> None:
-    landmarks = arrays["rho_i_pj_i"].shape[-1] if arrays["rho_i_pj_i"].ndim else -1
-    wanted: dict[str, tuple[int, ...]] = {
-        **dict.fromkeys(("r_i_vk_i", "theta_vk_i", "v_vk_vk_i", "w_vk_vk_i"), (3, steps)),
-        "rho_i_pj_i": (3, landmarks),
-        "y_k_j": (4, steps, landmarks),
-        "C_c_v": (3, 3),
-    }
-    for key, shape in wanted.items():
-        if arrays[key].shape != shape:
-            raise ValueError(f"{archive}: array {key} has shape {arrays[key].shape}, expected {shape}")
-    for key, size in {"rho_v_c_v": 3, **dict.fromkeys(("fu", "fv", "cu", "cv", "b"), 1)}.items():
-        if arrays[key].size != size:
-            raise ValueError(f"{archive}: array {key} has {arrays[key].size} numbers, expected {size}")
-    for key in ARRAYS:
-        if not np.isfinite(arrays[key]).all():
-            raise ValueError(f"{archive}: array {key} has NaN or infinity: mark unseen landmarks with -1")
-    require_rotations(archive, arrays["C_c_v"][None])

@@ -1,4 +1,4 @@
-"""From one flat list of observations to the frames of a recording."""
+"""Feature tracks as a flat list of observations, and the frames of a recording made of them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from filters.validation import BoolArray, FloatArray, IntArray
 from stereo_slam_env.recording.recording import Frame, Pose
 
 # Standard deviation to assume for the pixels of real tracks. Their core is sharper (0.2 to 0.6 px), but they drift:
-# 14 % of those of KITTI 07 end more than 10 px off, and a filter that believes them is led astray.
+# 14 % of those of KITTI 07 end more than 10 px off, and a filter that believes them diverges.
 ASSUMED_SIGMA_PX = 2.0
 
 

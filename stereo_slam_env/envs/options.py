@@ -12,13 +12,13 @@ from filters.camera import StereoCamera
 from filters.known_names import require_known
 from filters.validation import positive
 from stereo_slam_env.frontend.settings import TrackerSettings
-from stereo_slam_env.rendering.backends import RENDERERS
-from stereo_slam_env.sensing.landmark_sensor import TrackingPolicy
-from stereo_slam_env.sensing.pixel_noise import NOISE_MODELS
+from stereo_slam_env.rendering.backends import RENDERERS, RendererName
+from stereo_slam_env.sensing.pixel_noise import NOISE_MODELS, NoiseName
 from stereo_slam_env.sensing.rigs import Rig, camera_of
-from stereo_slam_env.world.head import Head
-from stereo_slam_env.world.route_files import named_route
-from stereo_slam_env.world.surroundings import SURROUNDINGS
+from stereo_slam_env.sensing.sensors import TrackingPolicy
+from stereo_slam_env.world.routes import named_route
+from stereo_slam_env.world.surroundings import named_surroundings
+from stereo_slam_env.world.vehicle import Head
 
 if TYPE_CHECKING:
     from typing import Self
@@ -49,9 +49,9 @@ class StereoOptions:
     blank_from: float | None = None
     rig: Rig = "reference"
     sensor: str = "landmarks"
-    renderer: str = "tiny"
+    renderer: RendererName = "tiny"
     render_images: bool = False
-    noise: str = "pixels"
+    noise: NoiseName = "pixels"
     sigma: float = 1.0
     max_landmarks: int = 90
     refill_below: int | None = None
@@ -64,7 +64,7 @@ class StereoOptions:
 
     def __post_init__(self) -> None:
         named_route(self.route)
-        _one_of("surroundings", self.surroundings, SURROUNDINGS)
+        named_surroundings(self.surroundings)
         _one_of("renderer", self.renderer, RENDERERS)
         _one_of("randomise", self.randomise, (True, False))
         _whole("moving_cars", self.moving_cars, 0, 100)

@@ -11,8 +11,7 @@ import numpy as np
 from filters.camera import StereoCamera
 from stereo_slam_env.envs.drive import StereoDriveEnv
 from stereo_slam_env.envs.recorder import described
-from stereo_slam_env.recording.image_sequence import StereoPair
-from stereo_slam_env.recording.recording import SIMULATION, Reference, Start
+from stereo_slam_env.recording.recording import SIMULATION, Reference, Start, StereoPair
 from stereo_slam_env.rendering.images import grey
 
 

@@ -11,16 +11,15 @@ from stereo_slam_env.recording.recording import LandmarkTruth, Pose
 from stereo_slam_env.rendering.backends import make_renderer
 from stereo_slam_env.rendering.camera_effects import CameraEffects
 from stereo_slam_env.rendering.images import StereoImages, StereoRenderer
-from stereo_slam_env.sensing.landmark_sensor import TrackingPolicy
 from stereo_slam_env.sensing.rigs import CAMERA_HEIGHT
-from stereo_slam_env.world.blank import without_texture
-from stereo_slam_env.world.fog import in_fog
+from stereo_slam_env.sensing.sensors import TrackingPolicy
 from stereo_slam_env.world.frames import R_SW, WorldFrame
-from stereo_slam_env.world.moving_points import MovingPoints
+from stereo_slam_env.world.looks import in_fog, without_texture
 from stereo_slam_env.world.physics import PhysicsWorld
 from stereo_slam_env.world.routes import FRAME_PERIOD, Route
 from stereo_slam_env.world.scene import Scene
 from stereo_slam_env.world.surroundings import build_scene
+from stereo_slam_env.world.traffic import MovingPoints
 from stereo_slam_env.world.vehicle import Car
 
 

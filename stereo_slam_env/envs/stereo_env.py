@@ -20,18 +20,15 @@ from stereo_slam_env.envs.rewards import TERMS, Outcome
 from stereo_slam_env.envs.stage import Stage
 from stereo_slam_env.frontend.image_sensor import ImageSensor
 from stereo_slam_env.frontend.recorder import TYPICAL_NOISE
-from stereo_slam_env.frontend.tracked import TrackedPair
+from stereo_slam_env.frontend.tracks import TrackedPair
 from stereo_slam_env.recording.recording import Frame, LandmarkTruth, Pose, Start, Velocity
 from stereo_slam_env.rendering.images import StereoImages
 from stereo_slam_env.rendering.overlay import annotated_pair
-from stereo_slam_env.sensing.landmark_sensor import LandmarkSensor
-from stereo_slam_env.sensing.odometry import OdometrySensor
 from stereo_slam_env.sensing.padding import NO_LANDMARK, padded, padded_extras
 from stereo_slam_env.sensing.pixel_noise import NOISE_MODELS
-from stereo_slam_env.world.head import Head, velocity_between
-from stereo_slam_env.world.route_files import named_route
-from stereo_slam_env.world.routes import FRAME_PERIOD, Driver, Route, RouteDriver, advance
-from stereo_slam_env.world.vehicle import AgentDriver, Car
+from stereo_slam_env.sensing.sensors import LandmarkSensor, OdometrySensor
+from stereo_slam_env.world.routes import FRAME_PERIOD, Route, named_route
+from stereo_slam_env.world.vehicle import AgentDriver, Car, Driver, Head, RouteDriver, advance, velocity_between
 
 _ARENA = 60.0
 """m from the route: what is farther away has left the arena."""

@@ -1,4 +1,4 @@
-"""Is a filter as sure as it is right? NEES / NIS against their chi-square bands (Bar-Shalom, ch. 5.4)."""
+"""Chi-square bands of NEES and NIS (Bar-Shalom, Li and Kirubarajan, 2001, section 5.4)."""
 
 from __future__ import annotations
 
@@ -8,47 +8,11 @@ from scipy.stats import chi2
 from filters.validation import FloatArray, IntArray
 
 
-def nees(errors: FloatArray, covariances: FloatArray) -> FloatArray:
-    """Normalised estimation error squared e^T P^-1 e.
-
-    Parameters
-    ----------
-    errors : (..., n) ndarray
-        Estimation errors.
-    covariances : (..., n, n) ndarray
-        What the filter claims for them.
-
-    Returns
-    -------
-    (...) ndarray
-        NaN where the covariance is not positive definite or something is not finite.
-    """
-    errors, covariances = np.asarray(errors), np.asarray(covariances)
-    usable = np.array(np.isfinite(errors).all(axis=-1) & np.isfinite(covariances).all(axis=(-2, -1)))
-    usable[usable] = np.linalg.eigvalsh(covariances[usable])[..., 0] > 0
-    values = np.full(errors.shape[:-1], np.nan)
-    solved = np.linalg.solve(covariances[usable], errors[usable][..., None])[..., 0]
-    values[usable] = np.sum(errors[usable] * solved, axis=-1)
-    return values
-
-
 def mean_band(dof: float, runs: int, probability: float = 0.95) -> tuple[float, float]:
     """Two-sided band of the mean of `runs` independent chi-square variables of `dof` degrees of freedom.
 
-    The sum over N runs is chi-square with N * dof degrees of freedom.
-
-    Parameters
-    ----------
-    dof : float
-        Degrees of freedom of one variable (6 for a pose).
-    runs : int
-        Number of independent runs N.
-    probability : float
-        Of a consistent filter to lie inside.
-
-    Returns
-    -------
-    (low, high)
+    A consistent filter is inside with this probability; the sum over N runs is chi-square with N * dof degrees of
+    freedom.
 
     Raises
     ------

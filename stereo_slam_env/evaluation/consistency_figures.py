@@ -1,4 +1,4 @@
-"""NEES and NIS of many runs against what a consistent filter has (Bar-Shalom, Li and Kirubarajan, 2001, section 5.4).
+"""NEES and NIS of many runs and their bands (Bar-Shalom, Li and Kirubarajan, 2001, section 5.4).
 
 Runs are independent, so the mean of a NEES over N of them is chi-square with N times its degrees of freedom, over N,
 frame by frame. The frames of one run are not: the mean over frames is hardly surer than that of one frame, and has the
@@ -19,12 +19,13 @@ from scipy.stats import t
 
 from filters.validation import FloatArray, IntArray
 from stereo_slam_env.evaluation.consistency import mean_band, mean_bands
+from stereo_slam_env.evaluation.landmark_statistics import LandmarkStatistics
 from stereo_slam_env.evaluation.results import ConsistencyFigure, FilterRun
-from stereo_slam_env.evaluation.trial_metrics import landmark_anees, mean, nis_per_dof, pooled
+from stereo_slam_env.evaluation.trajectory_metrics import mean
 
 PROBABILITY = 0.95
-DOF = {"pose": 6, "position": 3, "rotation": 3}
-LANDMARK_DOF = 3
+DOF = {"pose": 6, "position": 3, "rotation": 3, "landmark": 3}
+"""Degrees of freedom of a NEES."""
 
 Bands = tuple[FloatArray, FloatArray]
 Band = Callable[[FloatArray, IntArray], Bands]
@@ -32,34 +33,41 @@ Band = Callable[[FloatArray, IntArray], Bands]
 
 
 def consistency_figures(runs: Sequence[FilterRun]) -> dict[str, ConsistencyFigure]:
-    """The figures of one filter: "pose", "position", "rotation", "landmark", "nis"; what is not known is left out.
-
-    Parameters
-    ----------
-    runs : sequence of FilterRun
-        Its runs that went through.
-    """
-    found = {what: nees_figure(runs, f"{what}_nees", dof) for what, dof in DOF.items()}
-    found |= {"landmark": landmark_figure(runs), "nis": nis_figure(runs)}
+    """NEES and NIS of runs that went through, against their bands, by quantity; what is not known is left out."""
+    found = {what: _nees_figure(runs, what) for what in ("pose", "position", "rotation")}
+    found |= {"landmark": _landmark_figure(runs), "nis": _nis_figure(runs)}
     return {what: figure for what, figure in found.items() if figure is not None}
 
 
-def nees_figure(runs: Sequence[FilterRun], series: str, dof: int) -> ConsistencyFigure | None:
-    """A NEES of `dof` degrees of freedom; None where no frame has one."""
-
-    def band(_: FloatArray, count: IntArray) -> Bands:
-        return mean_bands(dof, count)
-
-    return _figure(_by_run(runs, series), mean(pooled(runs, series)), dof, band)
+def pooled(runs: Sequence[FilterRun], name: str) -> FloatArray:
+    """Finite values of a series of all runs, without their first frames."""
+    values: FloatArray = np.concatenate([np.zeros(0), *(getattr(run, name)[1:] for run in runs)])
+    return values[np.isfinite(values)]
 
 
-def landmark_figure(runs: Sequence[FilterRun]) -> ConsistencyFigure | None:
-    """NEES of the landmarks in (u, v, d); for the band see above."""
-    return _figure(_by_run(runs, "landmark_nees"), landmark_anees(runs), LANDMARK_DOF, _bands_by_scatter)
+def nis_per_dof(runs: Sequence[FilterRun]) -> float:
+    """NIS per degree of freedom over all innovations of all runs; NaN where there are none."""
+    dof = sum(int(run.nis_dof.sum()) for run in runs)
+    return sum(float(np.nansum(run.nis)) for run in runs) / dof if dof else float("nan")
 
 
-def nis_figure(runs: Sequence[FilterRun]) -> ConsistencyFigure | None:
-    """NIS per degree of freedom; its band is for as many of them as there are."""
+def landmark_anees(runs: Sequence[FilterRun]) -> float:
+    """Mean NEES over all landmarks, frames and runs; NaN without truth."""
+    total = LandmarkStatistics.total(run.landmark_statistics for run in runs)
+    count = total.nees_count.sum()
+    return float(total.nees.sum() / count) if count else float("nan")
+
+
+def _nees_figure(runs: Sequence[FilterRun], what: str) -> ConsistencyFigure | None:
+    series, dof = f"{what}_nees", DOF[what]
+    return _figure(_by_run(runs, series), mean(pooled(runs, series)), dof, lambda _, count: mean_bands(dof, count))
+
+
+def _landmark_figure(runs: Sequence[FilterRun]) -> ConsistencyFigure | None:
+    return _figure(_by_run(runs, "landmark_nees"), landmark_anees(runs), DOF["landmark"], _bands_by_scatter)
+
+
+def _nis_figure(runs: Sequence[FilterRun]) -> ConsistencyFigure | None:
     total = sum(int(run.nis_dof.sum()) for run in runs)
     if not total:
         return None
@@ -86,12 +94,13 @@ def _figure(values: FloatArray, average: float, dof: int, band: Band) -> Consist
 
 def _bands_by_scatter(values: FloatArray, count: IntArray) -> Bands:
     """Where the means of the columns of landmark NEES lie if their expectation is that of a consistent filter."""
-    low, high = mean_bands(LANDMARK_DOF, count)
+    dof = DOF["landmark"]
+    low, high = mean_bands(dof, count)
     several = count > 1
     scatter = np.nanstd(values[:, several], axis=0, ddof=1) / np.sqrt(count[several])
     reach = t.ppf(0.5 + 0.5 * PROBABILITY, count[several] - 1) * scatter
-    low[several] = np.maximum(low[several], LANDMARK_DOF - reach)
-    high[several] = np.minimum(high[several], LANDMARK_DOF + reach)
+    low[several] = np.maximum(low[several], dof - reach)
+    high[several] = np.minimum(high[several], dof + reach)
     return low, high
 
 

@@ -1,20 +1,20 @@
-"""How good any filter could be: the posterior Cramer-Rao bound along the true trajectory.
+"""Posterior Cramer-Rao bound along the true trajectory: the smallest error covariance that any filter can have.
 
-It is the recursion of `ReferenceBelief` over a recording:
+The recursion of Tichavsky, Muravchik and Nehorai (IEEE Trans. Signal Processing 46(5), 1998) is, in covariance form,
+that of an extended Kalman filter whose Jacobians are taken at the truth and whose estimates are never needed. So it is
+the filters' own algebra with the true camera in the state (`ReferenceBelief`), after the fact over a recording
+(`cramer_rao_bound`) or frame by frame:
 
 - start covariance of the recording; motion of Eq. 6 with the impulses of `ConstantVelocity`;
 - every sighting of the recording with the noise it really has (of the observation, or else of the recording), and
   with the row of the right image where that was measured: a second measurement of v, which not every filter uses;
-- a landmark leaves after its last sighting; marginalising what is never measured again loses nothing. One that comes
-  back is kept until then, so the bound also holds for filters that recognise places.
+- a landmark enters at its first sighting with what that says and no prior: (u, v, d) and the pose determine it;
+- it leaves after its last sighting; marginalising what is never measured again loses nothing. One that comes back is
+  kept until then, so the bound also holds for filters that recognise places.
 
-**What it bounds.** The mean square error of filters that know this motion model and this noise, on average over noise
-and drives drawn from the model. A car accelerates less than the white 3 m/s^2 assumed of it: given such a drive, the
-part of the bound that comes from the motion is too large, and an estimator may come out a little better than the bound
-(by up to 1 % in position and 8 % in rotation on the reference drive, where landmarks say nearly all there is to say,
-see docs/metrics.md). A filter that assumes a smaller acceleration and is right knows more, and has a bound of its own.
-Jacobians at one true drive stand for their expectation over drives. With heavy-tailed noise of covariance R it bounds
-estimators that know only R.
+What it bounds, and how far it is to be trusted, is in docs/metrics.md: it holds on average over noise and drives drawn
+from the motion model, with Jacobians at one true drive for their expectation; with heavy-tailed noise of covariance R
+it bounds estimators that know only R.
 """
 
 from __future__ import annotations
@@ -25,13 +25,24 @@ from dataclasses import dataclass
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from filters import rotations
+from filters.camera import StereoCamera
+from filters.engine import kalman, symmetric
+from filters.engine.joint_state import JointState
+from filters.engine.linearisation import linearise
+from filters.engine.marginals import joint_covariance
+from filters.interface import BodyVelocity, StereoObservation
+from filters.landmarks.euclidean import Euclidean
 from filters.landmarks.parametrisation import LandmarkModel
-from filters.motion import POSE_SIZE, ConstantVelocity
-from filters.validation import BoolArray, FloatArray
-from stereo_slam_env.evaluation.reference_belief import ReferenceBelief
-from stereo_slam_env.recording.recording import Recording
+from filters.measurements.bearing import stacked_stage
+from filters.measurements.model import Stage
+from filters.motion import POSE_SIZE, CameraState, ConstantVelocity, MotionModel
+from filters.noise import StereoNoise
+from filters.validation import BoolArray, FloatArray, IntArray
+from stereo_slam_env.recording.recording import Pose, Recording, Start
 
 RESAMPLES = 10_000
+_AS_MEASURED = np.eye(3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,14 +62,7 @@ def efficiency_interval(bounds: FloatArray, errors: FloatArray, confidence: floa
     """Bootstrap interval of the efficiency over runs, the ratio of both root mean squares, in percent.
 
     By percentiles, seeded: a ratio of means of squares, which are far from Gaussian, has no useful standard error. With
-    ten runs it is a rough one.
-
-    Parameters
-    ----------
-    bounds, errors : (N,) ndarray
-        Bound and root mean square error of each run, in one unit.
-    confidence : float
-        Of the interval.
+    ten runs it is a rough one. `bounds` and `errors` (N,) are of each run, in one unit.
     """
     drawn = np.random.default_rng(0).integers(len(bounds), size=(RESAMPLES, len(bounds)))
     ratios = np.sqrt(np.square(bounds)[drawn].sum(axis=1) / np.square(errors)[drawn].sum(axis=1))
@@ -131,3 +135,107 @@ def _every_landmark_is_known(recording: Recording) -> bool:
     seen = [frame.observation.ids for frame in recording.frames]
     known: BoolArray = np.isin(np.concatenate(seen), recording.landmarks.ids)
     return bool(known.all())
+
+
+class ReferenceBelief:
+    """The covariance of the best estimator, with the true camera and map as its state.
+
+    Parameters
+    ----------
+    camera : StereoCamera
+        The rig.
+    noise : StereoNoise
+        R of measurements that bring none of their own: what it really is.
+    motion : MotionModel
+        The motion model the estimator knows.
+    start : Start
+        What the estimator is told of the start: its velocity and covariance.
+    truth : Pose
+        The true pose at the start.
+    landmark : LandmarkModel, optional
+        Parametrisation to calculate in; the result does not depend on it. None: XYZ.
+    right_row : bool
+        Whether the estimator is given the row of the right image, where it was measured.
+    """
+
+    def __init__(
+        self,
+        camera: StereoCamera,
+        noise: StereoNoise,
+        motion: MotionModel,
+        start: Start,
+        truth: Pose,
+        *,
+        landmark: LandmarkModel | None = None,
+        right_row: bool = True,
+    ) -> None:
+        self._rig, self._noise, self._motion, self._right_row = camera, noise, motion, right_row
+        there = CameraState(truth.position, truth.orientation, start.linear_velocity, start.angular_velocity)
+        self._state = JointState.without_map(
+            there, start.assumed_covariance, Euclidean() if landmark is None else landmark
+        )
+
+    @property
+    def ids(self) -> IntArray:
+        """Landmarks in the map, ascending."""
+        return np.sort(self._state.ids)
+
+    @property
+    def pose_covariance(self) -> FloatArray:
+        """Covariance of the pose, (6, 6), as in `PoseBelief`."""
+        return symmetric.full(self._state.P[:POSE_SIZE, :POSE_SIZE])
+
+    def joint_covariance(self) -> FloatArray:
+        """Covariance of the pose and the landmark positions, in the order of `ids`."""
+        return joint_covariance(self._state, np.argsort(self._state.ids))
+
+    def predict(self, truth: Pose, dt: float, odometry: BodyVelocity | None = None) -> None:
+        """Move to the true pose: Eq. 6 with the impulses that really were, so that it leads from pose to pose."""
+        before = self._state.camera
+        linear = (truth.position - before.position) / dt
+        angular = rotations.log(before.R_wc.T @ rotations.matrix(truth.orientation)) / dt
+        moving = CameraState(before.position, before.orientation, linear, angular)
+        step = self._motion.predict(moving, dt, None)
+        self._state.transform_camera(step.F, step.G @ step.Q @ step.G.T)
+        self._state.camera = CameraState(truth.position, truth.orientation, linear, angular)
+        if odometry is not None:
+            measured = self._motion.odometry_measurement(self._state.camera, dt, odometry)
+            if measured is not None:
+                kalman.update(self._state.P, kalman.of_camera(measured))
+
+    def see(self, observation: StereoObservation, points_w: FloatArray) -> None:
+        """Sightings of known landmarks and of new ones, which truly are at `points_w` (M, 3), m in W.
+
+        What was measured does not matter, only which landmarks, and how well.
+        """
+        state = self._state
+        points_c = (points_w - state.camera.position) @ state.camera.R_wc
+        # A point behind the camera is not what was measured: the id is wrong.
+        sound = points_c[:, 2] > 0
+        ids, R = observation.ids[sound], _noise_of_uvd(observation, self._noise, self._right_row)[sound]
+        uvd = self._rig.project(points_c[sound])
+        known = np.isin(ids, state.ids)
+        order = np.argsort(state.ids)
+        index = order[np.searchsorted(state.ids, ids[known], sorter=order)]
+        stage = Stage(uvd[known], _AS_MEASURED, R[known])
+        kalman.update(state.P, linearise(self._rig, state, index, stage))
+        new = ~known
+        if new.any():
+            camera = state.camera
+            started = state.model.initialise(self._rig, camera.position, camera.R_wc, uvd[new])
+            state.augment(ids[new], started, R[new])
+
+    def keep(self, ids: IntArray) -> None:
+        """Marginalise all other landmarks out; those never measured again take nothing with them."""
+        self._state.remove(~np.isin(self._state.ids, ids))
+
+
+def _noise_of_uvd(observation: StereoObservation, noise: StereoNoise, right_row: bool) -> FloatArray:
+    """Covariance of the best (u, v, d) that each sighting gives, (M, 3, 3): with the right row, v is an average."""
+    R = observation.covariances(noise)
+    if not right_row or observation.v_right is None:
+        return R
+    both = stacked_stage(observation, R)
+    information = both.T.T @ np.linalg.solve(both.R, np.broadcast_to(both.T, (len(R), *both.T.shape)))
+    best: FloatArray = np.linalg.inv(information)
+    return best

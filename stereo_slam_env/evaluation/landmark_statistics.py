@@ -1,14 +1,14 @@
-"""Errors of the map by distance and by age, added up while a filter runs: a few small arrays for each run.
+"""Errors of the map by distance and by age: sums that a run collects, and the figures of many runs.
 
-By distance: how wrong landmarks are, how honest, and whether their depth is biased (Sibley et al., 2005). By age: how
-the depth of a landmark converges once it has entered the map (the paper's section 4.3, over all landmarks instead of
-two). Sums, not means, so that runs can be put together with their true weights.
+By distance: error, NEES and depth bias of landmarks (Sibley et al., 2005). By age: convergence of depth since a
+landmark entered the map (the paper's section 4.3, over all landmarks instead of two). Sums, not means, so that runs are
+combined with their true weights.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -136,3 +136,119 @@ class LandmarkScorer:
 def _add(sums: FloatArray, cells: IntArray, values: FloatArray | None = None) -> None:
     """Add the values, or ones, to their cells of a view of an array."""
     sums += np.bincount(cells, weights=values, minlength=len(sums))
+
+
+@dataclass(frozen=True)
+class RangeError:
+    """Landmarks of one range of true distance from the camera, over frames and runs.
+
+    Attributes
+    ----------
+    low_m, high_m : float
+        The range; high_m is infinity for the last one.
+    count : int
+        Landmarks x frames.
+    rmse_m : float
+        Position error relative to the camera; estimates at d <= 0, or far beyond the truth, have no metric position and
+        are left out, see `LandmarkStatistics`. NaN where nothing is left.
+    depth_bias_m, depth_bias_sigma_m : float
+        Mean of estimated minus true depth of the same ones (Sibley's bias), and its standard error over runs; that is
+        NaN for a single run.
+    anees : float
+        Mean NEES in (u, v, d), 3 is ideal.
+    """
+
+    low_m: float
+    high_m: float
+    count: int
+    rmse_m: float
+    depth_bias_m: float
+    depth_bias_sigma_m: float
+    anees: float
+
+
+@dataclass(frozen=True)
+class DepthConvergence:
+    """Depth of the landmarks that began near or far, by number of frames since they entered the map.
+
+    Attributes
+    ----------
+    label : str
+        "near" or "far".
+    low_m, high_m : float
+        True depth at first sight.
+    frames : tuple of int
+        Frames since then, 0 at first sight.
+    count : tuple of int
+        Landmarks still there.
+    sigma_m, rmse_m : tuple of float
+        Root mean square of the claimed standard deviation of depth, and of its true error, both to first order at the
+        true depth, so that estimates at d <= 0 have theirs, too.
+    """
+
+    label: str
+    low_m: float
+    high_m: float
+    frames: tuple[int, ...]
+    count: tuple[int, ...]
+    sigma_m: tuple[float, ...]
+    rmse_m: tuple[float, ...]
+
+
+def range_errors(runs: Sequence[LandmarkStatistics]) -> tuple[RangeError, ...]:
+    """One figure for each range in which there was a landmark, ascending; NaN for what nothing is known of."""
+    total = LandmarkStatistics.total(runs)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        rmse = np.sqrt(total.squared_error / total.position_count)
+        bias = total.depth_error / total.position_count
+        anees = total.nees / total.nees_count
+    sigma = _standard_error([run.depth_error for run in runs], [run.position_count for run in runs], bias)
+    return tuple(
+        RangeError(
+            low_m=RANGE_EDGES[i],
+            high_m=RANGE_EDGES[i + 1],
+            count=int(total.nees_count[i]),
+            rmse_m=float(rmse[i]),
+            depth_bias_m=float(bias[i]),
+            depth_bias_sigma_m=float(sigma[i]),
+            anees=float(anees[i]),
+        )
+        for i in np.flatnonzero(total.nees_count)
+    )
+
+
+def depth_convergence(runs: Sequence[LandmarkStatistics]) -> tuple[DepthConvergence, ...]:
+    """The curves of the classes of which landmarks were seen: near, then far."""
+    total = LandmarkStatistics.total(runs)
+    curves = []
+    for (label, (low, high)), count, variance, square in zip(
+        DEPTH_CLASSES.items(), total.age_count, total.depth_variance, total.squared_depth_error, strict=True
+    ):
+        ages = np.arange(AGES)[count > 0]
+        if not len(ages):
+            continue
+        curves.append(
+            DepthConvergence(
+                label=label,
+                low_m=low,
+                high_m=high,
+                frames=tuple(ages.tolist()),
+                count=tuple(count[ages].astype(int).tolist()),
+                sigma_m=tuple(np.sqrt(variance[ages] / count[ages]).tolist()),
+                rmse_m=tuple(np.sqrt(square[ages] / count[ages]).tolist()),
+            )
+        )
+    return tuple(curves)
+
+
+def _standard_error(sums: Sequence[FloatArray], counts: Sequence[FloatArray], mean: FloatArray) -> FloatArray:
+    """Standard error of a mean (B,) over all runs, sum of sums over sum of counts: only runs are independent.
+
+    Source: ratio estimator, Cochran, Sampling Techniques, 1977, section 6.4. NaN for a single run.
+    """
+    n = np.reshape(counts, (-1, len(mean)))
+    runs = (n > 0).sum(axis=0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        scatter = np.sum(np.square(np.reshape(sums, n.shape) - mean * n), axis=0)
+        error: FloatArray = np.sqrt(scatter * runs / (runs - 1)) / n.sum(axis=0)
+    return np.where(runs > 1, error, np.nan)

@@ -1,20 +1,23 @@
-"""The figures of every run, computed once: tables, summaries, verdicts and reports all speak of these."""
+"""Figures of every run of every filter, computed once, and the summary of each filter over its runs."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from filters.validation import BoolArray
 from stereo_slam_env.evaluation.cramer_rao import Bound
-from stereo_slam_env.evaluation.results import FilterRun
-from stereo_slam_env.evaluation.trial_metrics import trial_figures
+from stereo_slam_env.evaluation.figures import FIGURES, trial_figures
+from stereo_slam_env.evaluation.landmark_statistics import depth_convergence, range_errors
+from stereo_slam_env.evaluation.results import FilterRun, FilterSummary, SegmentError
+from stereo_slam_env.evaluation.trajectory_metrics import SegmentErrors
+from stereo_slam_env.evaluation.trial import Sample, Trial
 
 RunKey = tuple[str, int | None]
-"""What identifies a recording: its name and seed."""
+"""Identity of a recording: its name and seed."""
 
 Bounds = Mapping[RunKey, Bound]
 """Theoretical limits of recordings."""
@@ -22,19 +25,18 @@ Bounds = Mapping[RunKey, Bound]
 
 @dataclass(frozen=True)
 class RunFigures:
-    """The figures of every run of a filter.
+    """Figures of every run of a filter.
 
     Attributes
     ----------
     of_run : mapping of RunKey to mapping
-        Of each run alone, see `trial_metrics`; None where not known.
+        Of each run alone, see `trial_figures`; None where not known.
+    segments : mapping of RunKey to SegmentErrors
+        Relative errors of each run.
     """
 
     of_run: Mapping[RunKey, Mapping[str, Any]]
-
-    def of(self, runs: Iterable[FilterRun]) -> list[Mapping[str, Any]]:
-        """The figures of these runs, in this order."""
-        return [self.of_run[key_of(run)] for run in runs]
+    segments: Mapping[RunKey, SegmentErrors] = field(default_factory=dict)
 
     def diverged(self, keys: Iterable[RunKey]) -> BoolArray:
         """Whether each run diverged or failed."""
@@ -50,10 +52,15 @@ def key_of(run: FilterRun) -> RunKey:
     return run.recording_name, run.seed
 
 
+def common_keys(a: RunFigures, b: RunFigures) -> list[RunKey]:
+    """Recordings that both were run on, in the order of `a`."""
+    return [key for key in a.of_run if key in b.of_run]
+
+
 def figures_of(
     runs: Sequence[FilterRun], *, divergence_percent: float, bounds: Bounds | None = None
 ) -> dict[str, RunFigures]:
-    """The figures of every run, by label of the filter, in order of first appearance.
+    """Figures of every run, by label of the filter, in order of first appearance.
 
     Parameters
     ----------
@@ -68,17 +75,80 @@ def figures_of(
     Raises
     ------
     ValueError
-        A filter ran twice on the same recording.
+        A filter ran twice on the same recording, or a bound is of another number of frames than the run.
     """
-    found: dict[str, dict[RunKey, Mapping[str, Any]]] = {}
+    trials: dict[str, dict[RunKey, Trial]] = {}
     for run in runs:
-        of_filter, key = found.setdefault(run.filter_name, {}), key_of(run)
+        of_filter, key = trials.setdefault(run.filter_name, {}), key_of(run)
         if key in of_filter:
             raise ValueError(f"runs must have each recording once a filter: {run.filter_name} ran twice on {key}")
-        of_filter[key] = trial_figures(run, bound=(bounds or {}).get(key), divergence_percent=divergence_percent)
-    return {name: RunFigures(of_run) for name, of_run in found.items()}
+        of_filter[key] = Trial(run, divergence_percent, (bounds or {}).get(key))
+    return {
+        name: RunFigures(
+            {key: trial_figures(trial) for key, trial in of_filter.items()},
+            {key: trial.segments for key, trial in of_filter.items()},
+        )
+        for name, of_filter in trials.items()
+    }
 
 
-def common_keys(a: RunFigures, b: RunFigures) -> list[RunKey]:
-    """Recordings that both were run on, in the order of `a`."""
-    return [key for key in a.of_run if key in b.of_run]
+def summarise_all(runs: Sequence[FilterRun], figures: Figures) -> tuple[FilterSummary, ...]:
+    """One summary a filter, in order of first appearance; `figures` are those of the same runs."""
+    by_filter: dict[str, list[FilterRun]] = {}
+    for run in runs:
+        by_filter.setdefault(run.filter_name, []).append(run)
+    return tuple(summarise(group, figures[name]) for name, group in by_filter.items())
+
+
+def summarise(runs: Sequence[FilterRun], figures: RunFigures) -> FilterSummary:
+    """Figures of one filter over its runs, one a seed; `figures` are those of the same runs.
+
+    A run that failed counts as diverged and has no part in the other figures but the event counts; one that diverged
+    with finite numbers has.
+
+    Raises
+    ------
+    ValueError
+        No runs, or runs of different filters.
+    """
+    names = sorted({run.filter_name for run in runs})
+    if len(names) != 1:
+        raise ValueError(f"runs must hold at least one run, and be of one filter, got {', '.join(names) or 'none'}")
+    keys = [key_of(run) for run in runs]
+    segments = SegmentErrors.together([figures.segments[key] for key in keys])
+    sample = Sample(runs, [figures.of_run[key] for key in keys], segments)
+    over_runs = {f.name: f.over_runs.of(sample, f.name) for f in FIGURES.values() if f.over_runs is not None}
+    pose, statistics = sample.consistency.get("pose"), [run.landmark_statistics for run in sample.completed]
+    bounded = len(sample.known("efficiency_percent")) > 0
+    return FilterSummary(
+        filter_name=names[0],
+        options=runs[0].options,
+        runs=len(runs),
+        figures=over_runs,
+        position_rmse_by_run=tuple(sample.column("position_rmse_m").tolist()),
+        efficiency_by_run=tuple(sample.column("efficiency_percent").tolist()) if bounded else (),
+        pose_anees_band=None if pose is None else pose.band,
+        consistency=sample.consistency,
+        rpe=_by_length(segments),
+        landmark_by_range=range_errors(statistics),
+        depth_convergence=depth_convergence(statistics),
+        failures=tuple(
+            run.failure if run.seed is None else f"seed {run.seed}, {run.failure}"
+            for run in runs
+            if run.failure is not None
+        ),
+        not_given=next((run.not_given for run in runs if run.not_given), {}),
+    )
+
+
+def _by_length(relative: SegmentErrors) -> tuple[SegmentError, ...]:
+    """Means over the segments of each length, ascending."""
+    lengths, which, counts = np.unique(relative.lengths, return_inverse=True, return_counts=True)
+    translation, rotation = (
+        np.bincount(which, weights=values, minlength=len(lengths)) / counts
+        for values in (relative.translation_percent, relative.rotation_deg_per_100m)
+    )
+    return tuple(
+        SegmentError(*row)
+        for row in zip(lengths.tolist(), counts.tolist(), translation.tolist(), rotation.tolist(), strict=True)
+    )

@@ -1,11 +1,11 @@
-"""How far a trajectory is from another one: pure functions of positions and orientations.
+"""Trajectory errors: pure functions of positions and orientations.
 
 Rows are paired: row k of both trajectories belongs to the same instant. Rows with NaN must be removed first.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -38,22 +38,17 @@ class SegmentErrors:
     def __len__(self) -> int:
         return len(self.lengths)
 
+    @classmethod
+    def together(cls, parts: Iterable[SegmentErrors]) -> SegmentErrors:
+        """The segments of several runs."""
+        columns = zip(*((p.lengths, p.translation_percent, p.rotation_deg_per_100m) for p in parts), strict=True)
+        return cls(*(np.concatenate(column) for column in columns))
+
 
 def align_rigid(estimate: FloatArray, reference: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Rotation and translation (no scale) that bring `estimate` nearest to `reference`.
+    """Rotation R (3, 3) and translation t (3,), no scale, that bring `estimate` (K, 3) to `reference`.
 
     Source: Umeyama, PAMI 1991, with the scale held at 1.
-
-    Parameters
-    ----------
-    estimate, reference : (K, 3) array_like
-        Positions, m.
-
-    Returns
-    -------
-    R : (3, 3) ndarray
-    t : (3,) ndarray
-        So that R @ estimate + t is near `reference`.
 
     Raises
     ------
@@ -117,23 +112,10 @@ def segment_lengths(path_m: float) -> tuple[float, ...]:
 def segment_pairs(
     positions: FloatArray, lengths: Sequence[float], step: int = SEGMENT_STEP
 ) -> tuple[FloatArray, IntArray, IntArray]:
-    """First and last rows of the segments of a path: from every `step`-th row to the first one beyond the length.
+    """First and last rows of segments: from every `step`-th row to the first one beyond the length.
 
-    Source: KITTI odometry development kit (Geiger et al., CVPR 2012).
-
-    Parameters
-    ----------
-    positions : (K, 3)
-        The reference, m.
-    lengths : sequence of float
-        m.
-    step : int
-        Rows.
-
-    Returns
-    -------
-    lengths, first, last : (S,)
-        One entry a segment, by length.
+    Source: KITTI odometry development kit (Geiger et al., CVPR 2012). `positions` (K, 3) and `lengths` in m; returns
+    lengths, first and last (S,), by length.
     """
     distance = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(positions, axis=0), axis=1))])
     starts = np.arange(0, len(positions), step)
@@ -151,21 +133,9 @@ def relative_errors(
     first: IntArray,
     last: IntArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Error of the motion from row `first` to row `last`, as seen from the pose at `first`.
+    """Error of the motion from row `first` to row `last`, as seen from the pose at `first`: (S,) m and rad.
 
-    Parameters
-    ----------
-    positions, orientations : (K, 3), (K, 4)
-        Estimate, m and xyzw.
-    true_positions, true_orientations : (K, 3), (K, 4)
-        Reference.
-    first, last : (S,)
-        Rows.
-
-    Returns
-    -------
-    translation, rotation : (S,)
-        m and rad.
+    Positions (K, 3) in m, orientations (K, 4) xyzw.
     """
     moved, turned = _motion(positions, orientations, first, last)
     truly_moved, truly_turned = _motion(true_positions, true_orientations, first, last)
@@ -181,12 +151,7 @@ def segment_errors(
 ) -> SegmentErrors:
     """Relative errors by segment length, as KITTI measures them; t_rel and r_rel are their means.
 
-    Parameters
-    ----------
-    positions, orientations, true_positions, true_orientations
-        As of `relative_errors`.
-    lengths : sequence of float, optional
-        m; None: `segment_lengths` of the reference.
+    Poses as of `relative_errors`; `lengths` in m, None: `segment_lengths` of the reference.
     """
     if lengths is None:
         lengths = segment_lengths(path_length(true_positions))
@@ -201,6 +166,11 @@ def root_mean_square(errors: FloatArray) -> float:
     """Root of the mean squared length of (K, n) vectors or (K,) numbers."""
     squared = np.square(errors)
     return float(np.sqrt(np.mean(squared.sum(axis=1) if squared.ndim == 2 else squared)))
+
+
+def mean(values: FloatArray) -> float:
+    """Mean; NaN of none."""
+    return float(values.mean()) if len(values) else float("nan")
 
 
 def _motion(

@@ -1,1 +1,1 @@
-"""The vision front end: from stereo images to (u, v, d) with ids."""
+"""Vision front end: (u, v, d) with ids from stereo images."""

@@ -1,8 +1,8 @@
-"""The residual of the rectification along the rows: all disparities of a real rig are wrong by the same little.
+"""Offset of all disparities that a rectification leaves, estimated from the motion of the camera.
 
-A yaw of a quarter of a milliradian between the eyes, far below what a calibration promises, shifts every disparity by
-0.2 px: 1 % of the depth, and so of the distance driven, at 20 px. A moving camera sees it: between two pairs, points
-come nearer by what the step says, the same for all, while a wrong offset brings near and far ones nearer by
+A yaw of a quarter of a milliradian between the cameras, far below what a calibration promises, shifts every disparity
+by 0.2 px: 1 % of the depth, and so of the distance driven, at 20 px. A moving camera shows it: between two pairs,
+points come nearer by what the step says, the same for all, while a wrong offset brings near and far ones nearer by
 different amounts.
 """
 
@@ -15,12 +15,11 @@ from itertools import islice
 import numpy as np
 
 from filters.camera import StereoCamera
-from stereo_slam_env.frontend.ego_motion import robust_step
+from stereo_slam_env.frontend.ego_motion import Pairs, Step, most_likely_step, robust_step
 from stereo_slam_env.frontend.settings import TrackerSettings
-from stereo_slam_env.frontend.stereo_step import Pairs, Step, most_likely_step
 from stereo_slam_env.frontend.tracker import StereoTracker
 from stereo_slam_env.frontend.tracks import MEMORY
-from stereo_slam_env.recording.image_sequence import ImageSequence
+from stereo_slam_env.recording.recording import ImageSequence
 
 PRIOR_SIGMA = 0.25
 """What a careful calibration leaves, px."""
@@ -37,21 +36,7 @@ _log = logging.getLogger(__name__)
 def calibrated(
     sequence: ImageSequence, settings: TrackerSettings | None = None, pairs: int = CALIBRATION_PAIRS
 ) -> TrackerSettings:
-    """The settings with the disparity offset that the first `pairs` pairs of a recording show.
-
-    Parameters
-    ----------
-    sequence : ImageSequence
-        The recording.
-    settings : TrackerSettings, optional
-        Of the front end.
-    pairs : int
-        How many to look at.
-
-    Returns
-    -------
-    TrackerSettings
-    """
+    """The settings with the disparity offset that the first `pairs` pairs of a sequence show."""
     settings = TrackerSettings() if settings is None else settings
     tracker = StereoTracker(sequence.camera, settings)
     offset = DisparityOffset(sequence.camera)
@@ -66,13 +51,7 @@ def calibrated(
 
 
 class DisparityOffset:
-    """A recursive estimate of what must be added to measured disparities.
-
-    Parameters
-    ----------
-    camera : StereoCamera
-        The rig.
-    """
+    """Recursive estimate of what must be added to measured disparities."""
 
     def __init__(self, camera: StereoCamera) -> None:
         self._camera = camera
@@ -91,16 +70,9 @@ class DisparityOffset:
         return float(self._information**-0.5)
 
     def learn(self, pairs: Pairs, step: Step, *, shared: int = 1) -> None:
-        """Learn from a step and the pairs that agree with it.
+        """Learn from pairs as measured and the approximate step between them.
 
-        Parameters
-        ----------
-        pairs : Pairs
-            Measurements as they came.
-        step : Step
-            About the motion between them.
-        shared : int
-            So many calls look at overlapping parts of the drive: each counts for one part in so many.
+        Where `shared` calls look at overlapping parts of the drive, each counts for one part in so many.
         """
         found = robust_step(self._camera, self._shifted(pairs, self.value), step)
         if found is None:

@@ -1,7 +1,7 @@
-"""Finding patches in an image by zero-mean normalised cross-correlation.
+"""Zero-mean normalised cross-correlation of patches with an image: its peaks, and their places between the pixels.
 
 `best_peaks` correlates every template with a window of its own, windows of similar size together, by the fast Fourier
-transform. `search` is active search: the candidates of a landmark are the pixels of its innovation ellipse.
+transform.
 """
 
 from __future__ import annotations
@@ -11,12 +11,10 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy import fft
 
-from filters.validation import BoolArray, FloatArray, IntArray, finite_array
-from stereo_slam_env.frontend.patches import FLAT, PATCH, Image, Patches, windows_at
-from stereo_slam_env.frontend.refinement import refine
+from filters.validation import BoolArray, FloatArray, IntArray
+from stereo_slam_env.frontend.patches import FLAT, PATCH, Image, Patches, cut_stack, windows_at
 
 Candidates = Callable[[IntArray, IntArray, IntArray], BoolArray]
 """(index (n,), u (n, w), v (n, h)) -> (n, h, w): which pixels the landmarks `index` may be found at."""
@@ -27,8 +25,6 @@ _BLOCK = 1 << 17
 """Pixels in the windows of one block: they stay in the processor's cache."""
 _SIMILAR = 2.5
 """Windows in a block differ by no more than this in their number of pixels."""
-_FAR = 1e9
-"""Outside of any ellipse, px."""
 _RIVAL = 0.5
 """A second peak lower than this is not looked at."""
 _NEIGHBOURHOOD = 2
@@ -60,121 +56,13 @@ class Peaks:
     rising: BoolArray
 
 
-@dataclass(frozen=True, eq=False)
-class SearchResult:
-    """Where templates were found.
-
-    Attributes
-    ----------
-    position : (N, 2)
-        (u, v), px; NaN where there was no candidate inside the image.
-    score : (N,)
-        Correlation there; -1 where there was no candidate.
-    second : (N,)
-        Best correlation of another peak inside the ellipse, near `score` if the match is not unique; -1 if none is
-        above 1/2.
-    on_border : (N,) bool
-        The correlation is still rising where the ellipse ends: the landmark may be outside it.
-    covariance : (N, 2, 2)
-        Of the position, px^2; NaN where there was no candidate.
-    """
-
-    position: FloatArray
-    score: FloatArray
-    second: FloatArray
-    on_border: BoolArray
-    covariance: FloatArray
-
-
-def search(
-    image: Image,
-    templates: Patches,
-    centers: ArrayLike,
-    S: ArrayLike,
-    *,
-    gate: float = 3.0,
-    max_radius: float = 40.0,
-) -> SearchResult:
-    """Find templates inside their innovation ellipses.
-
-    Parameters
-    ----------
-    image : (H, W) uint8
-        Grey image.
-    templates : (N, 11, 11) float32
-        How the surroundings of the landmarks should look.
-    centers : (N, 2) array_like
-        Expected (u, v), px.
-    S : (N, 2, 2) array_like
-        Innovation covariance, px^2.
-    gate : float
-        Radius of the ellipse in standard deviations: candidates x have (x - c)^T S^-1 (x - c) <= gate^2, with half a
-        pixel's diagonal added, so that there is always one.
-    max_radius : float
-        No candidate is further away than this in u or v, px.
-
-    Returns
-    -------
-    SearchResult
-
-    Raises
-    ------
-    ValueError
-        Wrong shapes, NaN or infinity, an S that is not positive semi-definite.
-    """
-    c = finite_array("centers", centers, (len(templates), 2))
-    covariance = finite_array("S", S, (len(templates), 2, 2))
-    reach = covariance + (np.sqrt(0.5) / gate) ** 2 * np.eye(2)
-    try:  # d^T S^-1 d <= gate^2 as |B d| <= 1, with B upper triangular
-        whiten = np.linalg.inv(gate * np.linalg.cholesky(reach[:, ::-1, ::-1])[:, ::-1, ::-1])
-    except np.linalg.LinAlgError as error:
-        raise ValueError("S must be positive semi-definite: a landmark has an impossible ellipse") from error
-    extent = np.minimum(gate * np.sqrt(np.diagonal(reach, axis1=1, axis2=2)), max_radius)
-
-    def within(difference: FloatArray, limit: FloatArray) -> Patches:
-        return np.where(np.abs(difference) <= limit, difference, _FAR).astype(np.float32)
-
-    def inside(index: IntArray, u: IntArray, v: IntArray) -> BoolArray:
-        (a, b), (_, d) = whiten[index].transpose(1, 2, 0).astype(np.float32)[..., None]
-        du, dv = (within(u - c[index, :1], extent[index, :1]), within(v - c[index, 1:], extent[index, 1:]))
-        squared = (b * dv)[:, :, None] + (a * du)[:, None, :]
-        squared *= squared
-        squared += ((d * dv) ** 2)[:, :, None]
-        allowed: BoolArray = squared <= 1.0
-        return allowed
-
-    peaks = best_peaks(image, templates, np.ceil(c - extent), np.floor(c + extent), inside)
-    found = peaks.score > -1.0
-    position, score = np.full(c.shape, np.nan), np.full(len(c), -1.0)
-    spread = np.full((len(c), 2, 2), np.nan)
-    refined = refine(image, templates[found], peaks.pixel[found], peaks.offset[found])
-    position[found], score[found], spread[found] = refined.position, refined.score, refined.covariance
-    away = position - c
-    with np.errstate(invalid="ignore"):
-        outside = (np.einsum("nij,nj->ni", whiten, away) ** 2).sum(axis=1) > 1.0
-    outside[found] |= peaks.rising[found] & ~refined.converged
-    return SearchResult(position, score, peaks.second, outside, spread)
-
-
 def best_peaks(
     image: Image, templates: Patches, low: FloatArray, high: FloatArray, candidates: Candidates | None = None
 ) -> Peaks:
     """The best pixel of each template in a box, or in a part of it.
 
-    Parameters
-    ----------
-    image : (H, W) uint8
-        Grey image. Only pixels with the whole patch inside are candidates.
-    templates : (N, 11, 11) float32
-        What to look for.
-    low, high : (N, 2)
-        First and last (u, v) of the box, whole px.
-    candidates : callable, optional
-        Which pixels count, none of them outside the box; None: all in the box.
-
-    Returns
-    -------
-    Peaks
+    `low` and `high` (N, 2) are the first and the last (u, v) of the boxes, whole px. Only pixels with the whole patch
+    inside the image count and, where `candidates` is given, only those it allows, none of them outside the box.
     """
     n, size = len(templates), np.array([image.shape[1], image.shape[0]])
     first = np.maximum(low, _RADIUS).astype(np.int64)
@@ -218,18 +106,9 @@ def _blocks(sizes: IntArray, members: IntArray) -> Iterator[IntArray]:
 
 
 def correlation_maps(windows: Image, templates: Patches) -> Patches:
-    """Zero-mean normalised cross-correlation of each template with its window, at every position inside.
+    """Zero-mean normalised cross-correlation of each template with its window (n, H, W), at every position inside.
 
-    Parameters
-    ----------
-    windows : (n, H, W) uint8
-        H and W at least 11.
-    templates : (n, 11, 11) float32
-
-    Returns
-    -------
-    (n, H - 10, W - 10) float32
-        In -1..1; [i, y, x] compares the patch whose first pixel is window[y, x].
+    Returns (n, H - 10, W - 10) in -1..1; [i, y, x] compares the patch whose first pixel is window[y, x].
     """
     n, height, width = windows.shape
     template = templates - templates.mean(axis=(1, 2), keepdims=True)
@@ -296,3 +175,116 @@ def _parabola_top(padded: Patches, which: IntArray, y: IntArray, x: IntArray) ->
     peaked = (bend > 1e-6) & (np.abs(slope) <= 0.5 * bend)
     offset = np.where(peaked, slope / np.where(peaked, bend, 1.0), 0.0)
     return np.minimum(middle + 0.5 * (slope * offset).sum(axis=1), 1.0), offset
+
+
+_ITERATIONS = 2
+_LEAST_TEXTURE = 1e-5
+"""Share of the gradients that is taken to lie along a perfect edge: more than rounding, less than noise."""
+_STAYS_WITHIN = 1.5
+"""Further from the best pixel than this the steps have gone astray, px."""
+_NOISE_GAIN = (0.5 * (PATCH - 2) + 2.0 * 2) / PATCH
+"""Energy of the differences of white noise, over its own: 1/2 for central ones, 2 for those at both ends of a row."""
+_SIGMA_FLOOR = 0.03
+"""What interpolation and warping leave even without noise, px."""
+
+
+@dataclass(frozen=True, eq=False)
+class Refined:
+    """Positions between the pixels.
+
+    Attributes
+    ----------
+    position : (N, 2)
+        (u, v), px.
+    score : (N,)
+        Correlation there.
+    covariance : (N, 2, 2)
+        Of the position, px^2.
+    converged : (N,) bool
+        The correlation has its maximum near the pixel; where not, the position is the top of the parabolas.
+    """
+
+    position: FloatArray
+    score: FloatArray
+    covariance: FloatArray
+    converged: BoolArray
+
+
+def refine(image: Image, templates: Patches, pixel: IntArray, offset: FloatArray) -> Refined:
+    """Maximise the correlation over positions between the pixels (Lucas-Kanade, inverse compositional).
+
+    A template t and a patch i(p), both brought to zero mean and unit length, have correlation t . i(p). With g the
+    derivative of t by a shift, orthogonal to t, a patch taken a little off the best position is t + g (p - p_best), up
+    to gain: Gauss-Newton steps are -(g g^T)^-1 g i / (t . i). The noise of t is not correlated with its own central
+    differences, so the steps end without bias. Equal white noise in both patches makes 2 (1 - t . i) / 121 the
+    variance of a difference, hence 2 (1 - t . i) / 121 (g g^T)^-1 the covariance of p while noise has little part in g.
+    Where the steps lead away from the pixel, the top of the parabolas is kept; both are from `best_peaks`.
+    """
+    stack = np.ascontiguousarray(templates.transpose(1, 2, 0))
+    t, length = _normalised(stack)
+    g_u, g_v = (_derivative(gradient, t, length) for gradient in _gradients(stack))
+    texture = np.array([[_dot(g_u, g_u), _dot(g_u, g_v)], [_dot(g_v, g_u), _dot(g_v, g_v)]])
+    texture[[0, 1], [0, 1]] += _LEAST_TEXTURE * (texture[0, 0] + texture[1, 1] + _LEAST_TEXTURE)
+    away, stays = offset.copy(), np.ones(len(pixel), dtype=np.bool_)
+    inverse = _inverse(texture)
+    for _ in range(_ITERATIONS):
+        i, _ = _normalised(cut_stack(image, pixel + away, PATCH))
+        slope = np.array([_dot(g_u, i), _dot(g_v, i)]) / np.maximum(_dot(t, i), 0.1)
+        away = away - np.einsum("ijn,jn->ni", inverse, slope)
+        stays &= (np.abs(away) <= _STAYS_WITHIN).all(axis=1)
+        away[~stays] = offset[~stays]
+    i, _ = _normalised(cut_stack(image, pixel + away, PATCH))
+    score = _dot(t, i)
+    variance = 2.0 * (1.0 - np.minimum(score, 1.0)) / _PIXELS
+    # The noise in g does not help to find the place, but it adds to the noise of g i.
+    gain = _inverse(_without_noise(texture, 1.0 - score))
+    covariance = (variance * np.einsum("ijn,jkn,kln->iln", gain, texture, gain)).transpose(2, 0, 1)
+    return Refined(pixel + away, score, covariance + _SIGMA_FLOOR**2 * np.eye(2), stays)
+
+
+def _normalised(stack: Patches) -> tuple[Patches, Patches]:
+    """Patches (11, 11, N) as columns (121, N) with zero mean and unit length, and the length they had (N,)."""
+    columns = stack.reshape(_PIXELS, -1)
+    columns = columns - columns.sum(axis=0) * np.float32(1.0 / _PIXELS)
+    length: Patches = np.maximum(np.sqrt((columns * columns).sum(axis=0)), np.float32(FLAT * PATCH))
+    return columns / length, length
+
+
+def _gradients(stack: Patches) -> tuple[Patches, Patches]:
+    """Differences of (11, 11, N) along u and v: central ones, and at both ends those of neighbours."""
+    along_u, along_v = np.empty_like(stack), np.empty_like(stack)
+    for image, out in ((stack.swapaxes(0, 1), along_u.swapaxes(0, 1)), (stack, along_v)):
+        np.subtract(image[2:], image[:-2], out=out[1:-1])
+        out[1:-1] *= np.float32(0.5)
+        np.subtract(image[1], image[0], out=out[0])
+        np.subtract(image[-1], image[-2], out=out[-1])
+    return along_u, along_v
+
+
+def _derivative(gradient: Patches, t: Patches, length: Patches) -> Patches:
+    """Derivative of the normalised patches `t` (121, N), from that of the patches (11, 11, N)."""
+    g = gradient.reshape(_PIXELS, -1) / length
+    g -= g.sum(axis=0) * np.float32(1.0 / _PIXELS)
+    g -= (g * t).sum(axis=0) * t
+    return g
+
+
+def _without_noise(texture: FloatArray, noise: FloatArray) -> FloatArray:
+    """Gradient matrices (2, 2, N) less what noise of energy `noise` (N,) has added, but at least a fifth of them."""
+    half_trace, half_gap = 0.5 * (texture[0, 0] + texture[1, 1]), 0.5 * (texture[0, 0] - texture[1, 1])
+    smallest = half_trace - np.sqrt(half_gap**2 + texture[0, 1] ** 2)
+    signal = texture.copy()
+    signal[[0, 1], [0, 1]] -= np.clip(_NOISE_GAIN * noise, 0.0, 0.8 * np.maximum(smallest, 0.0))
+    return signal
+
+
+def _dot(a: Patches, b: Patches) -> FloatArray:
+    product: FloatArray = (a * b).sum(axis=0).astype(np.float64)
+    return product
+
+
+def _inverse(G: FloatArray) -> FloatArray:
+    """Inverses of symmetric matrices (2, 2, N)."""
+    adjugate = np.array([[G[1, 1], -G[0, 1]], [-G[0, 1], G[0, 0]]])
+    inverse: FloatArray = adjugate / (G[0, 0] * G[1, 1] - G[0, 1] ** 2)
+    return inverse

@@ -1,4 +1,4 @@
-"""The image sensor: looks at what the cameras see, and lets the front end measure landmarks in it."""
+"""Image sensor of the environment: landmarks measured in rendered pairs by the front end."""
 
 from __future__ import annotations
 
@@ -10,27 +10,18 @@ from filters.camera import StereoCamera
 from filters.interface import StereoObservation
 from filters.validation import BoolArray, FloatArray, IntArray
 from stereo_slam_env.frontend.settings import TrackerSettings
-from stereo_slam_env.frontend.tracked import TrackedPair
 from stereo_slam_env.frontend.tracker import StereoTracker
+from stereo_slam_env.frontend.tracks import TrackedPair
 from stereo_slam_env.recording.recording import LandmarkTruth, Pose
 from stereo_slam_env.rendering.images import StereoImages, grey
-from stereo_slam_env.rendering.truth import points_at
+from stereo_slam_env.rendering.pinhole import points_at
 from stereo_slam_env.world.routes import FRAME_PERIOD
 
 
 class ImageSensor:
-    """Measures landmarks in rendered pairs.
+    """Measures landmarks in the pairs that `take_pair` renders.
 
-    Parameters
-    ----------
-    camera : StereoCamera
-        The rig.
-    take_pair : callable
-        Returns what the rig sees now.
-    settings : TrackerSettings
-        Of the front end.
-    moves : callable, optional
-        Which points of W (N, 3) are on a body that moves now: they are no landmarks.
+    `moves` tells which points of W (N, 3) are on a moving body now: they are no landmarks.
     """
 
     def __init__(

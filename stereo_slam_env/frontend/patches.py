@@ -29,25 +29,9 @@ _STACKED = 1000
 
 
 def cut_patches(image: Image, centers: ArrayLike, size: int = SUPPORT) -> Patches:
-    """Patches centred on sub-pixel positions, by Catmull-Rom interpolation.
+    """Patches (N, size, size) centred on sub-pixel positions (N, 2), px, by Catmull-Rom interpolation; `size` is odd.
 
-    Parameters
-    ----------
-    image : (H, W) uint8
-        Grey image; pixels beyond its border repeat those on it.
-    centers : (N, 2) array_like
-        (u, v), px.
-    size : int
-        Odd side, px.
-
-    Returns
-    -------
-    (N, size, size) float32
-
-    Raises
-    ------
-    ValueError
-        `centers` is not (N, 2) or not finite.
+    Pixels beyond the border repeat those on it. A `ValueError` where `centers` is not (N, 2) or not finite.
     """
     at = finite_array("centers", centers, ("N", 2))
     return np.ascontiguousarray(cut_stack(image, at, size).transpose(2, 0, 1))
@@ -84,12 +68,7 @@ def _catmull_rom(f: FloatArray) -> Patches:
 
 
 def windows_at(image: Image, origin: IntArray, height: int, width: int) -> Image:
-    """Windows of an image with their first pixel at `origin` (N, 2) (u, v); beyond the border it is repeated.
-
-    Returns
-    -------
-    (N, height, width) uint8
-    """
+    """Windows (N, height, width) with their first pixel at `origin` (N, 2) (u, v); beyond the border it is repeated."""
     if len(origin) == 0:  # of an image that may be smaller than a window
         return np.zeros((0, height, width), dtype=np.uint8)
     pad_low = max(0, -int(origin.min(initial=0)))
@@ -201,17 +180,9 @@ def local_affine(camera: StereoCamera, uvd_then: ArrayLike, R: ArrayLike, t: Arr
 
 
 def parallax(camera: StereoCamera, uvd_then: ArrayLike, R: ArrayLike, t: ArrayLike) -> FloatArray:
-    """How far depth has moved landmarks in the image between two views: derivative of (u, v) by the logarithm of 1/z.
+    """Derivative of (u, v) by the logarithm of 1/z: how far depth has moved landmarks between two views; (N, 2) px.
 
-    Parameters
-    ----------
-    camera, uvd_then, R, t
-        As in `local_affine`.
-
-    Returns
-    -------
-    (N, 2) ndarray
-        px; without meaning where the landmark is behind the camera.
+    Arguments as of `local_affine`; without meaning where the landmark is behind the camera.
     """
     uvd = np.asarray(uvd_then, dtype=np.float64)
     shift = uvd[:, 2:] / camera.disparity_constant * np.asarray(t, dtype=np.float64)

@@ -1,21 +1,21 @@
-"""From images to a recording: the same tracks for every filter."""
+"""Measurements from image sequences: recorded once for every filter, or by active search of one."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from itertools import islice
 
 import numpy as np
 
 from filters import rotations
+from filters.interface import StereoFilter, StereoObservation
 from filters.noise import StereoNoise
+from stereo_slam_env.frontend.ego_motion import Step
 from stereo_slam_env.frontend.settings import TrackerSettings
-from stereo_slam_env.frontend.stereo_step import Step
-from stereo_slam_env.frontend.tracked import TrackedPair
 from stereo_slam_env.frontend.tracker import StereoTracker
-from stereo_slam_env.recording.image_sequence import ImageSequence, StereoPair
-from stereo_slam_env.recording.recording import Frame, Recording, Start
+from stereo_slam_env.frontend.tracks import TrackedPair
+from stereo_slam_env.recording.recording import Frame, ImageSequence, Recording, Start, StereoPair
 
 TYPICAL_NOISE = StereoNoise.diagonal(0.3, 0.3, 0.3)
 """What a filter is told beforehand; every measurement then comes with a covariance of its own."""
@@ -92,3 +92,56 @@ def _moving_start(start: Start, step: Step, dt: float) -> Start:
         angular_velocity=rotations.log(step.R) / dt,
         covariance=np.diag(_START_SIGMAS**2),
     )
+
+
+class ActiveSearch:
+    """Measures for one run of one filter: the images, and a front end that the filter guides.
+
+    Two filters get different measurements this way; for identical ones see `frontend.recorder`.
+
+    Parameters
+    ----------
+    sequence : ImageSequence
+        The images.
+    settings : TrackerSettings, optional
+        Of the front end.
+    watch : callable, optional
+        Called with each pair and what was found in it.
+    """
+
+    def __init__(
+        self, sequence: ImageSequence, settings: TrackerSettings | None = None, watch: Watch | None = None
+    ) -> None:
+        self._sequence = sequence
+        self._settings = TrackerSettings() if settings is None else settings
+        self._tracker = StereoTracker(sequence.camera, self._settings)
+        self._pairs: Iterator[StereoPair] = iter(())
+        self._ahead: StereoPair | None = None  # taken from the sequence, but not yet searched
+        self._number = -1
+        self._time = 0.0
+        self._watch = watch
+
+    def observe(self, number: int, estimator: StereoFilter) -> StereoObservation:
+        """Search pair `number` where `estimator`, already predicted, expects its landmarks; 0 starts again.
+
+        Raises
+        ------
+        ValueError
+            `number` does not follow the last one, the sequence has ended, or the filter's forecast is refused; the
+            same number may be asked for again.
+        """
+        if number == 0:
+            self._tracker.reset()
+            self._pairs, self._ahead, self._number = self._sequence.pairs(), None, -1
+        if number != self._number + 1:
+            raise ValueError(f"number must be 0 or {self._number + 1}, the next pair, got {number}")
+        pair = self._ahead = next(self._pairs, None) if self._ahead is None else self._ahead
+        if pair is None:
+            raise ValueError(f"number must be less than {number}: the sequence has no more pairs")
+        forecast = estimator.forecast() if number else None
+        dt = pair.timestamp - self._time if number else None
+        tracked = self._tracker.track(pair.left, pair.right, dt, forecast)
+        self._ahead, self._number, self._time = None, number, pair.timestamp
+        if self._watch is not None:
+            self._watch(pair, tracked)
+        return tracked.observation

@@ -1,4 +1,4 @@
-"""What can be set of the front end."""
+"""Settings of the front end."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class TrackerSettings:
         environment takes more for the renderer `tiny`, whose textures are not filtered.
     sigma_relief : float
         How far a patch is from the plane that it is taken for, m along the ray: the more its landmark has moved by
-        parallax, in time or between the eyes, the more that displaces a match.
+        parallax, in time or between the cameras, the more that displaces a match.
     """
 
     max_landmarks: int = 100
@@ -83,13 +83,8 @@ class TrackerSettings:
     sigma_relief: float = 0.04
 
     def __post_init__(self) -> None:
-        for name, low in (
-            ("max_landmarks", 1),
-            ("refill_below", 0),
-            ("probation", 0),
-            ("max_misses", 0),
-            ("margin", 8),
-        ):
+        lowest = {"max_landmarks": 1, "refill_below": 0, "probation": 0, "max_misses": 0, "margin": 8}
+        for name, low in lowest.items():
             value = getattr(self, name)
             if type(value) is not int or value < low:
                 raise ValueError(f"{name} must be a whole number >= {low}, got {value!r}")

@@ -1,4 +1,4 @@
-"""The front end: follows landmarks through stereo pairs by active search (section 4.2 of the paper)."""
+"""Tracker of landmarks through stereo pairs by active search (section 4.2 of the paper)."""
 
 from __future__ import annotations
 
@@ -10,25 +10,36 @@ import numpy as np
 from filters.camera import StereoCamera
 from filters.interface import Forecast, StereoObservation
 from filters.validation import BoolArray, FloatArray, IntArray, positive
-from stereo_slam_env.frontend.consistency import judged
-from stereo_slam_env.frontend.ego_motion import MIN_POINTS, RobustStep, chained, continued, predicted, robust_step
-from stereo_slam_env.frontend.expectation import (
+from stereo_slam_env.frontend.ego_motion import (
+    MIN_POINTS,
+    Pairs,
+    RobustStep,
+    Step,
+    chained,
+    continued,
+    predicted,
+    robust_step,
+)
+from stereo_slam_env.frontend.finding import Found, PairFinder
+from stereo_slam_env.frontend.moving_objects import STRIKES, beside_moving, judged
+from stereo_slam_env.frontend.patches import SUPPORT, cut_patches
+from stereo_slam_env.frontend.settings import TrackerSettings
+from stereo_slam_env.frontend.tracks import (
+    MEMORY,
     Expectation,
+    Outcome,
+    Search,
+    TrackedPair,
+    Tracks,
     by_forecast,
     by_motion,
     constant_velocity_covariance,
+    new_tracks,
     require_legal,
     step_of_forecast,
     sure_rows,
 )
-from stereo_slam_env.frontend.finding import Found, PairFinder
-from stereo_slam_env.frontend.moving import STRIKES, beside_moving
-from stereo_slam_env.frontend.patches import SUPPORT, cut_patches
-from stereo_slam_env.frontend.settings import TrackerSettings
-from stereo_slam_env.frontend.stereo_step import Pairs, Step
-from stereo_slam_env.frontend.tracked import Outcome, Search, TrackedPair
-from stereo_slam_env.frontend.tracks import MEMORY, Tracks, new_tracks
-from stereo_slam_env.recording.image_sequence import GreyImage
+from stereo_slam_env.recording.recording import GreyImage
 
 _REST = Step(np.eye(3), np.zeros(3))
 _SCOUTS = 24
@@ -43,8 +54,8 @@ _JUDGED = 3
 """So many pairs back a measurement is compared with the motion: slow bodies need some time to be told."""
 _GIVE_UP_STRIKES = 4
 _MODELLED = (1e-3, 10.0)
-"""The model of the motion is asked about times within this, s: velocities from shorter ones are all noise, and after
-longer ones nobody knows."""
+"""The model of the motion is asked about times within this, s: velocities from shorter ones are all noise, and it says
+nothing about longer ones."""
 _SPARE = 1.4
 """Landmarks followed for each one that the filter may have: some are on probation."""
 
@@ -113,10 +124,6 @@ class StereoTracker:
         forecast : Forecast, optional
             Where a filter expects its landmarks after `predict`; None: where the motion so far leads.
 
-        Returns
-        -------
-        TrackedPair
-
         Raises
         ------
         ValueError
@@ -165,8 +172,6 @@ class StereoTracker:
         gone = tracks.released & (~kept | tracks.moving) & ~self._tracks.moving
         return tracks.select(kept), searched, tracks.ids[gone]
 
-    # Where landmarks are expected.
-
     def _expected(self, finder: PairFinder, tracks: Tracks, dt: float, forecast: Forecast | None) -> Expectation:
         """By the filter's forecast, else by constant velocity, else by optical flow."""
         step = None
@@ -212,8 +217,6 @@ class StereoTracker:
         found = robust_step(self.camera, Pairs(before[accepted], now, tracks.R[seen[accepted]], R), None)
         return None if found is None else found.step
 
-    # Finding them.
-
     def _searched(
         self, finder: PairFinder, tracks: Tracks, expected: Expectation
     ) -> tuple[Expectation, Found, RobustStep | None]:
@@ -240,8 +243,6 @@ class StereoTracker:
         pairs = Pairs(tracks.uvd[usable], found.uvd[usable], tracks.R[usable], found.R[usable])
         return robust_step(self.camera, pairs, start)
 
-    # What they tell.
-
     def _moved(self, step: Step, dt: float) -> None:
         self._position_v = self._position_v + self._R_vc @ step.t
         self._R_vc = self._R_vc @ step.R
@@ -264,8 +265,6 @@ class StereoTracker:
         gone |= standing & (tracks.strikes >= np.where(tracks.released, _GIVE_UP_STRIKES, STRIKES))
         return np.asarray(~gone)
 
-    # New ones.
-
     def _new_corners(self, finder: PairFinder, tracks: Tracks) -> Tracks:
         standing = int((~tracks.moving).sum())
         if standing >= _SPARE * self.settings.refill_below:
@@ -279,7 +278,7 @@ class StereoTracker:
         return new_tracks(ids, patches, uvd, R, self._R_vc, self._position_v)
 
     def _release(self, tracks: Tracks, *, first: bool) -> tuple[StereoObservation, Tracks, IntArray]:
-        """What the filter gets: found in this pair, standing, and past probation (in the first pair: all)."""
+        """Observation for the filter: found in this pair, standing, past probation (in the first pair: all)."""
         here = np.isfinite(tracks.measured[:, 0, 0]) & ~tracks.moving & (tracks.strikes == 0)
         here &= tracks.released | (tracks.age >= self.settings.probation) | first
         candidates = np.flatnonzero(here)
@@ -296,7 +295,7 @@ class StereoTracker:
 
 
 def _scouts(tracks: Tracks, expected: Expectation) -> BoolArray:
-    """Who is searched for first: standing landmarks followed for long, from all over the range of disparities."""
+    """Landmarks to search for first: standing, followed for long, from all over the range of disparities."""
     fit = np.flatnonzero(expected.in_view & ~tracks.moving & (tracks.misses == 0) & (tracks.strikes == 0))
     oldest = fit[np.argsort(-tracks.age[fit], kind="stable")[: 2 * _SCOUTS]]
     near_to_far = oldest[np.argsort(tracks.uvd[oldest, 2], kind="stable")]

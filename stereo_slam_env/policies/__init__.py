@@ -1,6 +1,5 @@
-"""Who decides where to look: rules, planning on the belief of a filter, and a trained network; one interface."""
+"""Policies that decide where to look: rules, planning on the belief of a filter, a trained network."""
 
-from stereo_slam_env.policies.interface import Policy
-from stereo_slam_env.policies.registry import available_policies, make_policy
+import lazy_loader
 
-__all__ = ["Policy", "available_policies", "make_policy"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

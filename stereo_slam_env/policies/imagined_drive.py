@@ -8,8 +8,8 @@ from filters import rotations
 from filters.validation import FloatArray
 from stereo_slam_env.policies.foresight import CameraPoses
 from stereo_slam_env.recording.recording import Pose
-from stereo_slam_env.world.head import Head, head_turn
 from stereo_slam_env.world.routes import FRAME_PERIOD, Route
+from stereo_slam_env.world.vehicle import Head, head_turn
 
 
 def planned_bodies(body: Pose, route: Route, step: int, steps: int) -> CameraPoses:

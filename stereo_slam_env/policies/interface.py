@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from filters.validation import FloatArray
-from stereo_slam_env.world.head import Head
+from stereo_slam_env.world.vehicle import Head
 
 Action = NDArray[np.float32]
 

@@ -12,8 +12,8 @@ import gymnasium as gym
 import numpy as np
 
 from filters.validation import FloatArray
-from stereo_slam_env.files.arrays import read_arrays
 from stereo_slam_env.files.atomic import write_atomically
+from stereo_slam_env.files.readers import read_arrays
 from stereo_slam_env.policies.interface import Action, gaze_action, require_head
 
 CHECKPOINT = Path(__file__).with_name("checkpoints") / "gaze-ppo.npz"

@@ -16,9 +16,9 @@ from stereo_slam_env.policies.imagined_drive import planned_bodies, seen_from
 from stereo_slam_env.policies.interface import require_head
 from stereo_slam_env.policies.unseen_places import UnseenPlaces
 from stereo_slam_env.recording.recording import Pose
-from stereo_slam_env.sensing.landmark_sensor import TrackingPolicy
-from stereo_slam_env.world.head import Head
+from stereo_slam_env.sensing.sensors import TrackingPolicy
 from stereo_slam_env.world.routes import FRAME_PERIOD, Route
+from stereo_slam_env.world.vehicle import Head
 
 _THERE = 1e-3
 """rad: nearer than this the head is where it was turned to."""

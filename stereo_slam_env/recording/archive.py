@@ -21,8 +21,8 @@ from filters.camera import StereoCamera
 from filters.interface import BodyVelocity, StereoObservation
 from filters.noise import StereoNoise
 from filters.validation import FloatArray
-from stereo_slam_env.files.arrays import read_arrays
 from stereo_slam_env.files.atomic import write_atomically
+from stereo_slam_env.files.readers import read_arrays
 from stereo_slam_env.recording.recording import (
     GIVEN_TRUTH,
     Frame,

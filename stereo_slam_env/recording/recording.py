@@ -1,50 +1,24 @@
-"""The one currency between sensors, real data and filters: frames, and recordings made of them.
+"""Recordings, which environments and readers of data sets make and filters are run on, and the images behind them.
 
-Data flows one way: an environment or a dataset reader yields a `Recording`; the benchmark feeds it to filters.
+An `ImageSequence` yields stereo pairs, the front end makes the frames of a `Recording` of them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Literal, get_args
+from typing import Any, Literal, Protocol, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
-from filters import rotations
 from filters.camera import StereoCamera
 from filters.interface import BodyVelocity, StereoObservation
 from filters.noise import StereoNoise
+from filters.poses import Pose as Pose
+from filters.start import Start as Start
 from filters.validation import FloatArray, IntArray
-
-
-@dataclass(frozen=True, eq=False)
-class Pose:
-    """A pose of the left camera in W.
-
-    Attributes
-    ----------
-    position : (3,)
-        r^WC, m.
-    orientation : (4,)
-        q^WC, unit quaternion xyzw.
-    """
-
-    position: FloatArray
-    orientation: FloatArray
-
-    @cached_property
-    def R_wc(self) -> FloatArray:
-        """Takes camera vectors into W; (3, 3), read-only."""
-        R_wc = rotations.matrix(self.orientation)
-        R_wc.flags.writeable = False
-        return R_wc
-
-    def to_camera(self, points_w: FloatArray) -> FloatArray:
-        """Points of W in the camera frame; (..., 3) m -> (..., 3) m."""
-        points_c: FloatArray = (points_w - self.position) @ self.R_wc
-        return points_c
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,17 +63,6 @@ class LandmarkTruth:
 
     ids: IntArray
     positions: FloatArray
-
-
-@dataclass(frozen=True, eq=False)
-class Start:
-    """What the filter is told before the first frame: arguments of `StereoFilter.reset`."""
-
-    position: FloatArray = field(default_factory=lambda: np.zeros(3))
-    orientation: FloatArray = field(default_factory=lambda: np.array([0.0, 0.0, 0.0, 1.0]))
-    linear_velocity: FloatArray = field(default_factory=lambda: np.zeros(3))
-    angular_velocity: FloatArray = field(default_factory=lambda: np.zeros(3))
-    covariance: FloatArray | None = None
 
 
 ReferenceKind = Literal["independent truth", "odometry from the same images", "none"]
@@ -186,7 +149,72 @@ class Recording:
     def __len__(self) -> int:
         return len(self.frames)
 
+    def __getitem__(self, frames: slice) -> Recording:
+        """The recording of some frames, such as `recording[:40]`."""
+        return replace(self, frames=self.frames[frames])
+
     def with_observations(self, observations: Iterable[StereoObservation]) -> Recording:
         """The same drive, seen differently: one observation for each frame."""
         pairs = zip(self.frames, observations, strict=True)
         return replace(self, frames=tuple(replace(frame, observation=seen) for frame, seen in pairs))
+
+
+GreyImage = NDArray[np.uint8]
+"""(H, W) uint8."""
+
+
+@dataclass(frozen=True, eq=False)
+class StereoPair:
+    """Both images of one instant, rectified.
+
+    Attributes
+    ----------
+    timestamp : float
+        s.
+    left, right : (H, W) uint8
+        Grey.
+    truth : Pose, optional
+        True pose of the left camera in W.
+    odometry : BodyVelocity, optional
+        Mean body velocity of the step from the previous pair to this one.
+    """
+
+    timestamp: float
+    left: GreyImage
+    right: GreyImage
+    truth: Pose | None = None
+    odometry: BodyVelocity | None = None
+
+
+class ImageSequence(Protocol):
+    """A drive as stereo images; the images are made or read one pair at a time."""
+
+    @property
+    def name(self) -> str:
+        """Short name for tables and files."""
+
+    @property
+    def camera(self) -> StereoCamera:
+        """The rectified rig that all pairs were taken with."""
+
+    @property
+    def start(self) -> Start:
+        """What filters are told at the start."""
+
+    @property
+    def source(self) -> Mapping[str, Any]:
+        """Where the images come from; JSON-able."""
+
+    @property
+    def truth_from(self) -> Reference:
+        """What the truth of the pairs is, where they have one."""
+
+    @property
+    def skipped(self) -> Mapping[str, int]:
+        """Why pairs were left out, and how many; known after they have been iterated over."""
+
+    def __len__(self) -> int:
+        """Number of pairs."""
+
+    def pairs(self) -> Iterator[StereoPair]:
+        """The pairs in time order; may be called again."""

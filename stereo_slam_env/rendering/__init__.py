@@ -1,1 +1,1 @@
-"""From a scene and a pose to stereo images."""
+"""Rendering: stereo images of a scene from a pose."""

@@ -1,8 +1,9 @@
-"""The renderers by name."""
+"""Renderers by name."""
 
 from __future__ import annotations
 
 from functools import cache
+from typing import Literal
 
 from filters.camera import StereoCamera
 from stereo_slam_env.files.package_versions import version_of
@@ -11,7 +12,8 @@ from stereo_slam_env.rendering.tiny import TinyRenderer
 from stereo_slam_env.world.frames import WorldFrame
 from stereo_slam_env.world.physics import PhysicsWorld
 
-RENDERERS = {
+RendererName = Literal["tiny", "gl"]
+RENDERERS: dict[str, str] = {
     "tiny": "PyBullet's own, on the CPU: everywhere, the same bits every time, slow",
     "gl": "OpenGL without a display: fast; needs EGL and the extra gl",
 }
@@ -27,7 +29,7 @@ def make_renderer(
     supersample: int = 1,
     samples: int = 1,
 ) -> StereoRenderer:
-    """A back end that draws both eyes.
+    """A back end that draws both views.
 
     Parameters
     ----------
@@ -51,8 +53,7 @@ def make_renderer(
     ImportError, RuntimeError
         What "gl" needs is missing; the text says what to install.
     """
-    if name not in RENDERERS:
-        raise ValueError(f"renderer must be one of {', '.join(RENDERERS)}, got {name!r}")
+    _require_known(name)
     if not isinstance(supersample, int) or supersample < 1:
         raise ValueError(f"supersample must be a whole number from 1, got {supersample!r}")
     if name == "tiny":
@@ -66,22 +67,18 @@ def make_renderer(
 
 @cache
 def renderer_identity(name: str) -> dict[str, str]:
-    """What made the pictures, for the identity of a scenario: results with different ones are not to be compared.
+    """`name`, `version` and `device` of what made the pictures: results with different ones are not to be compared.
 
-    Returns
-    -------
-    dict
-        `name`, `version` and `device`.
-
-    Raises
-    ------
-    ValueError, ImportError, RuntimeError
-        As `make_renderer`.
+    Raises as `make_renderer`.
     """
-    if name not in RENDERERS:
-        raise ValueError(f"renderer must be one of {', '.join(RENDERERS)}, got {name!r}")
+    _require_known(name)
     if name == "tiny":
         return {"name": name, "version": f"PyBullet {version_of('pybullet')}", "device": "CPU"}
     from stereo_slam_env.rendering.gl_resources import device
 
     return {"name": name, **device()}
+
+
+def _require_known(name: str) -> None:
+    if name not in RENDERERS:
+        raise ValueError(f"renderer must be one of {', '.join(RENDERERS)}, got {name!r}")

@@ -1,4 +1,4 @@
-"""What a real camera adds to a perfect picture: optics, exposure and noise, the same for the same seed and frame."""
+"""Camera effects on rendered pictures: optics, exposure and noise, the same for the same seed and frame."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class CameraEffects:
     """Effects of a pair of cameras, in the order of the light: lens (blur, vignetting), exposure, tone curve, noise.
 
     Noise is the same in all colours of a pixel, as if the camera were a grey one, and independent between pixels,
-    eyes and frames. The default is a perfect camera.
+    cameras and frames. The default is a perfect camera.
 
     Parameters
     ----------
@@ -77,25 +77,12 @@ class CameraEffects:
         return cls(**drawn, seed=int(rng.integers(2**31)))
 
     def apply(self, images: StereoImages, frame: int) -> StereoImages:
-        """The pair as the cameras would give it.
-
-        Parameters
-        ----------
-        images : StereoImages
-            Perfect ones; not touched.
-        frame : int
-            Number of the frame, >= 0: with the seed it determines the noise.
-
-        Returns
-        -------
-        StereoImages
-            With the same depth.
-        """
-        left, right = (self.on(image, frame, eye) for eye, image in enumerate((images.left, images.right)))
+        """The pair as real cameras would give it; the number of the `frame` and the seed determine the noise."""
+        left, right = (self.on(image, frame, side) for side, image in enumerate((images.left, images.right)))
         return replace(images, left=left, right=right)
 
-    def on(self, image: Image, frame: int, eye: int) -> Image:
-        """One picture, (H, W, 3) or (H, W) uint8, of the left (0) or the right (1) eye."""
+    def on(self, image: Image, frame: int, side: int) -> Image:
+        """One picture, (H, W, 3) or (H, W) uint8, of the left (0) or the right (1) camera."""
         seen = image
         if self.blur > 0:
             seen = np.asarray(cv2.GaussianBlur(seen, (0, 0), self.blur), dtype=np.uint8)
@@ -105,7 +92,7 @@ class CameraEffects:
         if self.gain != 1 or self.gamma != 1:
             seen = np.asarray(cv2.LUT(seen, self._tone_curve), dtype=np.uint8)
         if self.read_noise > 0 or self.shot_noise > 0:
-            seen = self._noisy(seen, np.random.SFC64([self.seed, frame, eye]))
+            seen = self._noisy(seen, np.random.SFC64([self.seed, frame, side]))
         return seen.copy() if seen is image else seen
 
     @cached_property

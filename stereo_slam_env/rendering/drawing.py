@@ -1,4 +1,4 @@
-"""What pictures of stereo views are made of: colours of disparities, labels, captions, two views in one."""
+"""Drawing on stereo pictures: colours of disparities, labels, captions, two views in one."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Stereo images by OpenGL, on a graphics card or by Mesa on the CPU: fast, without a display. Needs moderngl."""
+"""Stereo images by OpenGL, on a graphics card or by Mesa on the CPU: fast, without a display. Needs moderngl.
+
+Row 0 of the frame buffer is row 0 of the image, so nothing has to be flipped when it is read.
+"""
 
 from __future__ import annotations
 
@@ -13,45 +16,89 @@ from filters import rotations
 from filters.camera import StereoCamera
 from filters.validation import FloatArray
 from stereo_slam_env.recording.recording import Pose
-from stereo_slam_env.rendering import gl_shaders, pinhole
-from stereo_slam_env.rendering.air import sky_slope
-from stereo_slam_env.rendering.draw_list import ViewVolume, draw_list
-from stereo_slam_env.rendering.gl_resources import FrameBuffer, MeshBuffer, TextureArray, check_process, new_context
+from stereo_slam_env.rendering import pinhole
+from stereo_slam_env.rendering.gl_resources import (
+    FrameBuffer,
+    MeshBuffer,
+    TextureArray,
+    ViewVolume,
+    check_process,
+    draw_list,
+    new_context,
+)
 from stereo_slam_env.rendering.images import StereoImages
-from stereo_slam_env.rendering.pinhole import FAR, NEAR
+from stereo_slam_env.rendering.pinhole import FAR, NEAR, sky_slope
 from stereo_slam_env.world.frames import WorldFrame
 from stereo_slam_env.world.meshes import body_meshes, scene_meshes
 from stereo_slam_env.world.scene import Look, MovingBody, Scene
+
+SURFACE_VERTEX = """
+#version 330
+uniform mat3 R_sb;         // from the frame of the body to S; the identity for what stands still
+uniform vec3 from_camera;  // origin of the body minus the left camera, in S; in two parts so that single precision
+uniform vec3 remainder;    // is enough far from the origin
+uniform mat3 R_cs;
+uniform float shift;       // of the camera that looks along the x axis of the left one
+uniform mat4 projection;
+uniform vec3 sun;          // unit vector in S
+uniform vec2 light;        // ambient, diffuse
+in vec3 position;
+in vec3 normal;
+in vec3 texel;             // u, v, layer
+in vec3 color;
+out vec3 at_texel;
+out vec3 tint;
+void main() {
+    vec3 p_c = R_cs * ((R_sb * position + from_camera) + remainder);
+    gl_Position = projection * vec4(p_c.x - shift, p_c.yz, 1.0);
+    at_texel = texel;
+    tint = color * (light.x + light.y * max(0.0, dot(R_sb * normal, sun)));
+}
+"""
+
+SURFACE_FRAGMENT = """
+#version 330
+uniform sampler2DArray textures;
+uniform vec3 horizon;
+uniform float haze;        // 1/m
+in vec3 at_texel;
+in vec3 tint;
+out vec4 shade;
+void main() {
+    vec3 lit = min(texture(textures, at_texel).rgb * tint, 1.0);
+    shade = vec4(mix(horizon, lit, exp(-haze / gl_FragCoord.w)), 1.0);
+}
+"""
+
+SKY_VERTEX = """
+#version 330
+void main() {  // one triangle over everything, as far away as can be
+    gl_Position = vec4(gl_VertexID == 2 ? 3.0 : -1.0, gl_VertexID == 1 ? 3.0 : -1.0, 1.0, 1.0);
+}
+"""
+
+SKY_FRAGMENT = """
+#version 330
+uniform vec3 slope;        // of the ray through a place in the frame buffer: slope.x * x + slope.y * y + slope.z
+uniform vec3 horizon;
+uniform vec3 zenith;
+out vec4 shade;
+void main() {
+    float height = sqrt(clamp(dot(slope, vec3(gl_FragCoord.xy, 1.0)), 0.0, 1.0));
+    shade = vec4(mix(horizon, zenith, height), 1.0);
+}
+"""
+
 
 Placed = tuple[MeshBuffer, FloatArray, FloatArray]
 """A mesh with R_sb of its frame, and the origin of that minus the left camera, in S."""
 
 
 class GLRenderer:
-    """Draws scenes with OpenGL, both eyes in one frame buffer.
+    """Draws scenes with OpenGL, both views in one frame buffer; see `make_renderer` for arguments and errors.
 
     Several can live in one process. In a process that was forked from one that had drawn with OpenGL, drawing is
     refused.
-
-    Parameters
-    ----------
-    camera : StereoCamera
-        The rig.
-    frame : WorldFrame
-        Where W sits in the scene.
-    supersample : int
-        Draw this many times finer and average: smoother texture and edges, for the square of the time.
-    samples : int
-        Samples a pixel at the edges of things, at most what the driver can (4 in Mesa on the CPU).
-
-    Raises
-    ------
-    ImportError
-        moderngl is not installed.
-    RuntimeError
-        There is no EGL.
-    ValueError
-        The driver cannot take so many samples.
     """
 
     def __init__(self, camera: StereoCamera, frame: WorldFrame, supersample: int = 1, samples: int = 1) -> None:
@@ -67,8 +114,8 @@ class GLRenderer:
         with self._context as context:
             self._frame_buffer = FrameBuffer(context, camera, supersample, samples)
             self._textures = TextureArray(context)
-            self._surface = context.program(gl_shaders.SURFACE_VERTEX, gl_shaders.SURFACE_FRAGMENT)
-            self._sky = context.program(gl_shaders.SKY_VERTEX, gl_shaders.SKY_FRAGMENT)
+            self._surface = context.program(SURFACE_VERTEX, SURFACE_FRAGMENT)
+            self._sky = context.program(SKY_VERTEX, SKY_FRAGMENT)
             self._everywhere = context.vertex_array(self._sky, [])
             self._surface["projection"].write(_single(_projection(camera)))
         self._standing: MeshBuffer | None = None
@@ -101,21 +148,21 @@ class GLRenderer:
         RuntimeError
             There is no scene yet, or the renderer is closed.
         """
-        eye = self._frame.to_scene(pose.position)
+        position = self._frame.to_scene(pose.position)
         R_sc = self._frame.rotation_to_scene(rotations.matrix(pose.orientation))
-        view = ViewVolume.of(self.camera, eye, R_sc, NEAR, FAR)
+        view = ViewVolume.of(self.camera, position, R_sc, NEAR, FAR)
         with self._current() as context:
             if self._standing is None:
                 raise RuntimeError("there is nothing to draw: call build(scene) first")
             self._standing.select(view)
-            things = [(self._standing, np.eye(3), -eye), *self._moving_in(view, time)]
+            things = [(self._standing, np.eye(3), -position), *self._moving_in(view, time)]
             context.enable_only(context.DEPTH_TEST | context.CULL_FACE)
             context.depth_func, context.front_face = "<=", "cw"  # clockwise because the picture is upside down
             self._textures.use()
             self._surface["R_cs"].write(_single(R_sc.T))
             self._frame_buffer.clear()
             for index in (0, 1):
-                self._frame_buffer.draw_eye(index)
+                self._frame_buffer.draw_view(index)
                 self._draw_surfaces(things, index)
                 self._draw_sky(R_sc, index)
             if self._frame_buffer.separate_depth:
@@ -143,11 +190,11 @@ class GLRenderer:
             if view.touches(position, np.full(3, mesh.content.radius)):
                 cos, sin = np.cos(yaw), np.sin(yaw)
                 R_sb = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
-                placed.append((mesh, R_sb, position - view.eye))
+                placed.append((mesh, R_sb, position - view.position))
         return placed
 
-    def _draw_surfaces(self, things: Sequence[Placed], eye_index: int) -> None:
-        self._surface["eye"].value = eye_index * self.camera.baseline
+    def _draw_surfaces(self, things: Sequence[Placed], side: int) -> None:
+        self._surface["shift"].value = side * self.camera.baseline
         for mesh, R_sb, from_camera in things:
             coarse = from_camera.astype(np.float32)
             self._surface["R_sb"].write(_single(R_sb))
@@ -155,9 +202,9 @@ class GLRenderer:
             self._surface["remainder"].write((from_camera - coarse).astype(np.float32))
             mesh.draw()
 
-    def _draw_sky(self, R_sc: FloatArray, eye_index: int) -> None:
+    def _draw_sky(self, R_sc: FloatArray, side: int) -> None:
         a, b, c = sky_slope(self._fine, R_sc)
-        top = eye_index * self._fine.height
+        top = side * self._fine.height
         self._sky["slope"].value = (a, b, c - 0.5 * a - (0.5 + top) * b)
         self._everywhere.render(vertices=3)
 
@@ -177,11 +224,11 @@ class GLRenderer:
 
 
 def _projection(camera: StereoCamera) -> FloatArray:
-    """From the camera frame to clip coordinates, with row 0 of the image at the bottom; (4, 4)."""
+    """Matrix from the camera frame to clip coordinates, with row 0 of the image at the bottom; (4, 4)."""
     opengl = pinhole.projection_matrix(camera, NEAR, FAR, pinhole.OPENGL_OFFSET)
     return np.diag([1.0, -1.0, 1.0, 1.0]) @ opengl @ np.diag([1.0, -1.0, -1.0, 1.0])
 
 
 def _single(matrix: FloatArray) -> bytes:
-    """In single precision, columns first."""
+    """The matrix in single precision, columns first."""
     return matrix.astype(np.float32).tobytes(order="F")

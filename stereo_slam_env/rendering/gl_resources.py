@@ -1,10 +1,11 @@
-"""What the GL back end keeps on the card: a context, textures, meshes and a frame buffer."""
+"""Resources of the GL back end: meshes packed in chunks, textures, a context and a frame buffer."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
-from functools import cache
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from functools import cache, cached_property
 from importlib import import_module
 from typing import Any
 
@@ -14,11 +15,108 @@ from numpy.typing import NDArray
 
 from filters.camera import StereoCamera
 from filters.extras import install_command
+from filters.validation import BoolArray, FloatArray
 from stereo_slam_env.rendering import pinhole
-from stereo_slam_env.rendering.draw_list import VERTEX_FORMAT, DrawList, ViewVolume
 from stereo_slam_env.rendering.images import StereoImages
+from stereo_slam_env.world.meshes import Mesh
 from stereo_slam_env.world.scene import Material
 from stereo_slam_env.world.textures import Image, texture
+
+VERTEX = np.dtype([("position", "f4", 3), ("normal", "f4", 3), ("texel", "f4", 3), ("color", "u1", 4)])
+VERTEX_FORMAT = "3f 3f 3f 3f1 1x1"
+"""`VERTEX` in the notation of moderngl."""
+_CELL = 6.0
+"""m: triangles with their middles in the same square of the ground make a chunk."""
+
+
+@dataclass(frozen=True, eq=False)
+class DrawList:
+    """Triangles, ordered by chunk.
+
+    Attributes
+    ----------
+    vertices : (V,) `VERTEX`
+        In the frame of the meshes.
+    triangles : (T, 3) uint32
+        Vertex indices.
+    starts : (C + 1,) int
+        Chunk i has the triangles from starts[i] to starts[i + 1] - 1.
+    centers, half_sizes : (C, 3)
+        Bounding box of each chunk, m.
+    """
+
+    vertices: NDArray[np.void]
+    triangles: NDArray[np.uint32]
+    starts: NDArray[np.int64]
+    centers: FloatArray
+    half_sizes: FloatArray
+
+    @cached_property
+    def radius(self) -> float:
+        """Radius of a ball around the origin with everything in it, m."""
+        return float(np.linalg.norm(self.vertices["position"], axis=1).max())
+
+    def front_to_back(self, view: ViewVolume) -> NDArray[np.uint32]:
+        """Triangles of the chunks that reach into `view`, the nearest chunks first; (K, 3)."""
+        seen = np.flatnonzero(view.touches(self.centers, self.half_sizes))
+        order = seen[np.argsort(view.distance(self.centers[seen]), kind="stable")]
+        parts = [self.triangles[self.starts[i] : self.starts[i + 1]] for i in order]
+        return np.concatenate(parts) if parts else self.triangles[:0]
+
+
+@dataclass(frozen=True, eq=False)
+class ViewVolume:
+    """Volume that at least one of the two cameras may see: points with normals (6, 3) . p >= offsets (6,)."""
+
+    normals: FloatArray
+    offsets: FloatArray
+    position: FloatArray
+
+    @classmethod
+    def of(cls, camera: StereoCamera, position: FloatArray, R_sc: FloatArray, near: float, far: float) -> ViewVolume:
+        """Volume of a rig whose left camera is at `position` (3,) with rotation `R_sc` (3, 3)."""
+        left = (-0.5 - camera.cx) / camera.fx
+        right = (camera.width - 0.5 - camera.cx) / camera.fx
+        top = (-0.5 - camera.cy) / camera.fy
+        bottom = (camera.height - 0.5 - camera.cy) / camera.fy
+        normals_c = np.array([[1, 0, -left], [-1, 0, right], [0, 1, -top], [0, -1, bottom], [0, 0, 1], [0, 0, -1]])
+        # The right camera sees further to the right, from a baseline further to the right.
+        offsets_c = np.array([0.0, -camera.baseline, 0.0, 0.0, near, -far])
+        normals = normals_c @ R_sc.T
+        return cls(normals, offsets_c + normals @ position, position)
+
+    def touches(self, centers: FloatArray, half_sizes: FloatArray) -> BoolArray:
+        """Which upright boxes (..., 3) may reach into it; (...)."""
+        reach = centers @ self.normals.T + half_sizes @ np.abs(self.normals.T)
+        return np.asarray((reach >= self.offsets).all(axis=-1))
+
+    def distance(self, points: FloatArray) -> FloatArray:
+        """From the left camera to points (N, 3); (N,) m."""
+        return np.asarray(np.linalg.norm(points - self.position, axis=1))
+
+
+def draw_list(meshes: Mapping[Material, Mesh], layer: Callable[[Material], int]) -> DrawList:
+    """Pack meshes into one list; `layer` tells in which layer of the texture array a material is."""
+    vertices = np.concatenate([_packed(mesh, material, layer(material)) for material, mesh in meshes.items()])
+    shifts = np.cumsum([0] + [len(mesh.vertices) for mesh in meshes.values()])
+    triangles = np.concatenate([m.triangles + s for m, s in zip(meshes.values(), shifts[:-1], strict=True)])
+    corners = vertices["position"][triangles].astype(np.float64)
+    cells = np.floor(corners[:, :, :2].mean(axis=1) / _CELL).astype(np.int64)
+    order = np.lexsort((cells[:, 1], cells[:, 0]))
+    cells, corners = cells[order], corners[order]
+    starts = np.flatnonzero(np.concatenate([[True], (np.diff(cells, axis=0) != 0).any(axis=1)]))
+    low = np.minimum.reduceat(corners.min(axis=1), starts)
+    high = np.maximum.reduceat(corners.max(axis=1), starts)
+    ends = np.concatenate([starts, [len(triangles)]])
+    return DrawList(vertices, triangles[order].astype(np.uint32), ends, 0.5 * (low + high), 0.5 * (high - low))
+
+
+def _packed(mesh: Mesh, material: Material, layer: int) -> NDArray[np.void]:
+    packed = np.zeros(len(mesh.vertices), dtype=VERTEX)
+    packed["position"], packed["normal"] = mesh.vertices, mesh.normals
+    packed["texel"][:, :2], packed["texel"][:, 2] = mesh.uvs, layer
+    packed["color"][:, :3] = np.rint(255 * np.clip(material.color, 0.0, 1.0))
+    return packed
 
 
 @cache
@@ -154,7 +252,7 @@ class TextureArray:
 
 
 def _rgba(image: Image) -> Image:
-    """With the bottom row first, as OpenGL wants it."""
+    """The image with alpha and the bottom row first, as OpenGL wants it."""
     return np.asarray(cv2.cvtColor(image[::-1], cv2.COLOR_RGB2RGBA), dtype=np.uint8)
 
 
@@ -170,19 +268,7 @@ def _enlarged(image: Image, size: int) -> Image:
 
 
 class FrameBuffer:
-    """Where both eyes are drawn, the left one above the right one.
-
-    Parameters
-    ----------
-    context : moderngl.Context
-        Current.
-    camera : StereoCamera
-        Size of the images that come out.
-    supersample : int
-        Drawn so many times finer and averaged.
-    samples : int
-        Samples a pixel of what is drawn.
-    """
+    """Frame buffer for both views, the left one above the right one."""
 
     def __init__(self, context: Any, camera: StereoCamera, supersample: int, samples: int) -> None:
         self._context, self._factor = context, supersample
@@ -206,18 +292,18 @@ class FrameBuffer:
         for buffer in {self._drawn, self._centres}:
             buffer.clear(depth=1.0)
 
-    def draw_eye(self, index: int) -> None:
-        """From now on, draw the left (0) or the right (1) eye."""
+    def draw_view(self, index: int) -> None:
+        """From now on, draw the left (0) or the right (1) view."""
         self._drawn.use()
         self._drawn.viewport = (0, index * self._fine[1], *self._fine)
 
     def draw_depth(self) -> None:
-        """From now on, draw the depth of the left eye."""
+        """From now on, draw the depth of the left view."""
         self._centres.use()
         self._centres.viewport = (0, 0, *self._size)
 
     def read(self) -> StereoImages:
-        """What was drawn."""
+        """The drawn pair."""
         if self._resolved is not self._drawn:
             self._context.copy_framebuffer(self._resolved, self._drawn)
         width, height = self._fine

@@ -1,4 +1,4 @@
-"""What every renderer returns."""
+"""Rendered stereo pairs, and what a renderer does."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class StereoImages:
 
 
 class StereoRenderer(Protocol):
-    """A back end that draws both eyes."""
+    """A back end that draws both views."""
 
     def build(self, scene: Scene) -> None:
         """Replace whatever was drawn by `scene`."""

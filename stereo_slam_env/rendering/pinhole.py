@@ -1,7 +1,4 @@
-"""View and projection matrices of a pinhole camera, as pure functions.
-
-Pixels: integer (u, v) is the centre of a pixel, u = fx x/z + cx, v = fy y/z + cy.
-"""
+"""Pinhole geometry: view and projection matrices, depth buffers, and the exact surface behind a pixel."""
 
 from __future__ import annotations
 
@@ -10,16 +7,20 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import DTypeLike, NDArray
+from numpy.typing import ArrayLike, DTypeLike, NDArray
 
+from filters import rotations
 from filters.camera import StereoCamera
-from filters.validation import FloatArray
+from filters.validation import FloatArray, finite_array
+from stereo_slam_env.recording.recording import Pose
 
 OPENGL_OFFSET = (0.5, 0.5)
 """Where OpenGL samples a pixel, relative to its corner, px."""
 TINY_OFFSET = (0.0, 1.0)
 """TinyRenderer samples at the corners and then flips the rows."""
 
+ZENITH_SLOPE = 0.45
+"""Upward slope of a ray at which the sky has its full colour."""
 NEAR, FAR = 0.5, 300.0
 """Clipping distances of every back end, m."""
 
@@ -30,20 +31,7 @@ _SAME_SURFACE = 0.05
 
 
 def view_matrix(position: FloatArray, R_sc: FloatArray) -> FloatArray:
-    """OpenGL view matrix of a camera (x right, y down, z forward) in a scene.
-
-    Parameters
-    ----------
-    position : (3,)
-        Camera position in the scene, m.
-    R_sc : (3, 3)
-        Takes camera vectors into the scene.
-
-    Returns
-    -------
-    (4, 4) ndarray
-        Row-major.
-    """
+    """OpenGL view matrix (4, 4), row-major, of a camera at `position` (3,) m in S with rotation `R_sc` (3, 3)."""
     view = np.eye(4)
     view[:3, :3] = np.diag([1.0, -1.0, -1.0]) @ R_sc.T
     view[:3, 3] = -view[:3, :3] @ position
@@ -51,21 +39,10 @@ def view_matrix(position: FloatArray, R_sc: FloatArray) -> FloatArray:
 
 
 def projection_matrix(camera: StereoCamera, near: float, far: float, offset: tuple[float, float]) -> FloatArray:
-    """OpenGL projection matrix of one eye.
+    """OpenGL projection matrix (4, 4), row-major, of one camera.
 
-    Parameters
-    ----------
-    camera : StereoCamera
-        Intrinsics and image size.
-    near, far : float
-        Clipping distances, m.
-    offset : tuple of float
-        Sampling position of the renderer: `OPENGL_OFFSET` or `TINY_OFFSET`.
-
-    Returns
-    -------
-    (4, 4) ndarray
-        Row-major.
+    `near` and `far` are the clipping distances, m; `offset` is where the renderer samples a pixel, `OPENGL_OFFSET` or
+    `TINY_OFFSET`.
     """
     w, h, (ox, oy) = camera.width, camera.height, offset
     return np.array(
@@ -122,3 +99,68 @@ def centre_depth(depth: FloatArray, factor: int) -> FloatArray:
     inverse = corners.mean(axis=0)
     on_surface = np.ptp(corners, axis=0) < _SAME_SURFACE * inverse
     return np.where(on_surface, 1.0 / np.where(on_surface, inverse, 1.0), here)
+
+
+_BEND = 2e-4
+"""Neighbouring values of 1/z that leave a straight line by more than this share are not on one surface."""
+_RESOLUTION = 1e-6
+"""1/m: the same for surfaces far away, where the depth buffer's steps show."""
+
+
+def depth_at(depth: FloatArray, uv: ArrayLike) -> FloatArray:
+    """Depth of the surface seen at sub-pixel places.
+
+    Parameters
+    ----------
+    depth : (H, W)
+        As in `StereoImages`, m: of the pixel centres, infinity where there is nothing.
+    uv : (N, 2) array_like
+        px; integers are pixel centres.
+
+    Returns
+    -------
+    (N,) ndarray
+        z in m; infinity in the sky; NaN where the 4x4 pixels around are not on one smooth surface (an edge), and
+        less than 1 px from the border or outside.
+
+    Raises
+    ------
+    ValueError
+        `uv` has another shape or is not finite.
+    """
+    places = finite_array("uv", uv, ("N", 2))
+    height, width = depth.shape
+    corner = np.floor(places).astype(np.int64)
+    inside = (corner >= 1).all(axis=1) & (corner[:, 0] < width - 2) & (corner[:, 1] < height - 2)
+    z = np.full(len(places), np.nan)
+    corner, part = corner[inside], (places - corner)[inside]
+    around = np.arange(-1, 3)
+    with np.errstate(divide="ignore"):
+        inverse = 1.0 / depth[corner[:, 1, None, None] + around[:, None], corner[:, 0, None, None] + around]
+    tolerance = _BEND * inverse.max(axis=(1, 2)) + _RESOLUTION
+    bend = np.maximum(np.abs(np.diff(inverse, 2, axis=1)).max(axis=(1, 2)),
+                      np.abs(np.diff(inverse, 2, axis=2)).max(axis=(1, 2)))  # fmt: skip
+    u, v = part.T
+    top = (1 - u) * inverse[:, 1, 1] + u * inverse[:, 1, 2]
+    bottom = (1 - u) * inverse[:, 2, 1] + u * inverse[:, 2, 2]
+    mixed = (inverse == 0).any(axis=(1, 2)) & (inverse > 0).any(axis=(1, 2))
+    with np.errstate(divide="ignore"):
+        z[inside] = np.where((bend <= tolerance) & ~mixed, 1.0 / ((1 - v) * top + v * bottom), np.nan)
+    return z
+
+
+def points_at(camera: StereoCamera, pose: Pose, depth: FloatArray, uv: ArrayLike) -> FloatArray:
+    """Points p_w (N, 3), m, behind pixels `uv` (N, 2) of a left image rendered from `pose`; NaN as in `depth_at`."""
+    places = finite_array("uv", uv, ("N", 2))
+    z = depth_at(depth, places)
+    z = np.where(np.isfinite(z), z, np.nan)
+    rays = camera.ray(np.column_stack([places, np.ones(len(places))]))
+    points: FloatArray = pose.position + (rays * z[:, None]) @ rotations.matrix(pose.orientation).T
+    return points
+
+
+def sky_slope(camera: StereoCamera, R_sc: FloatArray) -> tuple[float, float, float]:
+    """How steeply the ray through a pixel rises, in units of `ZENITH_SLOPE`: (a, b, c) of a u + b v + c."""
+    right, down, forward = R_sc[2] / ZENITH_SLOPE
+    a, b = right / camera.fx, down / camera.fy
+    return float(a), float(b), float(forward - a * camera.cx - b * camera.cy)

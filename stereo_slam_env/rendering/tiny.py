@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -10,7 +11,6 @@ from filters.camera import StereoCamera
 from filters.validation import FloatArray
 from stereo_slam_env.recording.recording import Pose
 from stereo_slam_env.rendering import pinhole
-from stereo_slam_env.rendering.air import Air
 from stereo_slam_env.rendering.images import StereoImages
 from stereo_slam_env.rendering.pinhole import FAR, NEAR
 from stereo_slam_env.world.frames import WorldFrame
@@ -18,20 +18,39 @@ from stereo_slam_env.world.physics import PhysicsWorld
 from stereo_slam_env.world.scene import Look, Scene
 
 
-class TinyRenderer:
-    """Draws a built `PhysicsWorld`.
+class Air:
+    """Sky and haze of a look, laid over pictures of a camera on the CPU."""
 
-    Parameters
-    ----------
-    world : PhysicsWorld
-        Built; `build` adds what is drawn.
-    camera : StereoCamera
-        The rig.
-    frame : WorldFrame
-        Where W sits in the scene.
-    supersample : int
-        Draw this many times finer and average: smoother edges, for the square of the time.
-    """
+    def __init__(self, camera: StereoCamera, look: Look) -> None:
+        horizon, zenith = (np.array(color, dtype=np.float64) for color in (look.horizon, look.zenith))
+        ramp = horizon + np.linspace(0.0, 1.0, 256)[:, None] * (zenith - horizon)
+        self._camera, self._haze_range = camera, look.haze_range
+        self._ramp = np.rint(ramp).astype(np.uint8).reshape(256, 1, 3)
+        self._horizon = np.full((camera.height, camera.width, 3), np.rint(horizon), dtype=np.uint8)
+        self._columns = np.arange(camera.width, dtype=np.float32)
+        self._rows = np.arange(camera.height, dtype=np.float32)
+
+    def over(self, rgb: NDArray[np.uint8], depth: NDArray[np.floating], R_sc: FloatArray) -> NDArray[np.uint8]:
+        """Blend a picture (H, W, 3) into the haze with `depth` (H, W), m, and put the sky where that is infinite."""
+        clear = np.multiply(depth, np.float32(-1.0 / self._haze_range), dtype=np.float32)
+        cv2.exp(clear, dst=clear)
+        seen = cv2.blendLinear(rgb, self._horizon, clear, 1.0 - clear)
+        nothing = np.isinf(depth)
+        rows = np.flatnonzero(nothing.any(axis=1))
+        if len(rows):
+            band = slice(int(rows[0]), int(rows[-1]) + 1)
+            cv2.copyTo(self._sky(R_sc, band), nothing[band].view(np.uint8), seen[band])
+        return np.asarray(seen, dtype=np.uint8)
+
+    def _sky(self, R_sc: FloatArray, band: slice) -> NDArray[np.uint8]:
+        a, b, c = pinhole.sky_slope(self._camera, R_sc)
+        slope = np.add.outer(np.float32(b) * self._rows[band] + np.float32(c), np.float32(a) * self._columns)
+        level = cv2.convertScaleAbs(cv2.sqrt(np.maximum(slope, 0.0)), alpha=255.0)
+        return np.asarray(cv2.applyColorMap(level, self._ramp), dtype=np.uint8)
+
+
+class TinyRenderer:
+    """Draws a built `PhysicsWorld`; see `make_renderer` for the arguments."""
 
     def __init__(self, world: PhysicsWorld, camera: StereoCamera, frame: WorldFrame, supersample: int = 1) -> None:
         self.camera = camera

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping, Sequence
-from itertools import compress
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -14,11 +13,10 @@ from markupsafe import Markup
 from filters.validation import FloatArray
 from stereo_slam_env.benchmark.scenarios.study import Study
 from stereo_slam_env.benchmark.statistics.attribution import Attribution, attribute_runs
-from stereo_slam_env.benchmark.statistics.differences import CONFIDENCE, MIN_PAIRS, Finding, mean_interval
-from stereo_slam_env.benchmark.statistics.measures import EFFICIENCY, LANDMARK_NEES, POSE_NEES, POSITION, Measure
+from stereo_slam_env.benchmark.statistics.differences import CONFIDENCE, MIN_PAIRS, Finding, listed, mean_interval
+from stereo_slam_env.benchmark.statistics.measures import EFFICIENCY, POSE_NEES, POSITION, Measure
 from stereo_slam_env.benchmark.statistics.policy_verdict import Looks, baseline_of
 from stereo_slam_env.benchmark.statistics.verdict import Verdict, consistency, judge
-from stereo_slam_env.benchmark.statistics.words import listed
 from stereo_slam_env.benchmark.storage.study_store import CellResult, StudyDirectory
 from stereo_slam_env.evaluation.consistency import mean_band
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
@@ -28,10 +26,17 @@ from stereo_slam_env.report.charts.factors import FactorResponse, plot_factor
 from stereo_slam_env.report.charts.style import filter_colours
 from stereo_slam_env.report.comparison_report import attribution_section, conclusions
 from stereo_slam_env.report.overview import TONES, lost, short
-from stereo_slam_env.report.page import clean_figures, data_links, figure_block, joined, page, part
+from stereo_slam_env.report.page import clean_figures, data_links, figure_block, html_page, joined, part
 from stereo_slam_env.report.page_tables import Cell, Column, Tone, filter_cell, number, table
 from stereo_slam_env.report.run_report import reference_banner, write_report
-from stereo_slam_env.report.tables import efficiency_cell, finding_tone, percent_cell
+from stereo_slam_env.report.tables import (
+    capital,
+    console_columns,
+    figure_cell,
+    figure_column,
+    finding_tone,
+    percent_cell,
+)
 
 _POSE_DOF = 6
 _log = logging.getLogger(__name__)
@@ -99,7 +104,7 @@ def write_study_report(
     path = out / "report.html"
     cells, filters = len(results), len(names)
     subtitle = f"{cells} scenario{'s' * (cells > 1)} · {filters} filter{'s' * (filters > 1)} on identical measurements"
-    path.write_text(page(title=f"Study: {study.name}", subtitle=subtitle, body=joined(body)), encoding="utf-8")
+    path.write_text(html_page(title=f"Study: {study.name}", subtitle=subtitle, body=joined(body)), encoding="utf-8")
     return path
 
 
@@ -241,9 +246,9 @@ def _responses(groups: Sequence[Sequence[CellOutcome]]) -> list[FactorResponse]:
     seeds = max(len(s.position_rmse_by_run) for group in groups for outcome in group for s in outcome.summaries)
     low, high = mean_band(_POSE_DOF, max(seeds, 1))
     kinds = (
-        ("Position RMSE (m)", POSITION, None, True),
-        ("Pose NEES / 6, band of its mean in grey", POSE_NEES, (low / _POSE_DOF, high / _POSE_DOF), True),
-        ("Efficiency, bound / RMSE (%)", EFFICIENCY, None, False),
+        (f"{capital(POSITION.words)} ({POSITION.unit})", POSITION, None, True),
+        (f"{capital(POSE_NEES.words)}, band of its mean in grey", POSE_NEES, (low / _POSE_DOF, high / _POSE_DOF), True),
+        (f"{capital(EFFICIENCY.words)}, bound / RMSE ({EFFICIENCY.unit})", EFFICIENCY, None, False),
     )
     responses = []
     for title, measure, band, log in kinds:
@@ -288,49 +293,29 @@ def _by_seed(outcome: CellOutcome, name: str, measure: Measure) -> dict[int | No
 def _everything(
     results: Mapping[str, CellOutcome], verdicts: Mapping[str, Verdict], links: Mapping[str, str]
 ) -> Markup:
+    summaries = [s for outcome in results.values() for s in outcome.summaries]
+    figures = console_columns(summaries)
     columns = [
         Column("Scenario", kind="text"),
         Column("Filter", kind="text"),
-        Column("Position", "RMSE, m"),
         Column("Against the best", "%, 95 % interval"),
-        Column("Rotation", "RMSE, °"),
-        Column("Drift", "end, %"),
-        Column("Pose NEES / 6", "ideal 1"),
-        Column("In band", "% frames"),
-        Column("NIS / dof", "ideal 1"),
-        Column("Landmarks", "error, m"),
-        Column("Map NEES / 3", "ideal 1"),
-        Column("Efficiency", "95 % interval"),
-        Column("Time", "ms/frame"),
-        Column("Diverged", "runs"),
+        *map(figure_column, figures),
     ]
-    names = [s.filter_name for outcome in results.values() for s in outcome.summaries]
-    colours = filter_colours(names)
+    colours = filter_colours(s.filter_name for s in summaries)
     rows: list[list[Cell]] = []
     for cell, outcome in results.items():
         for s in outcome.summaries:
-            rows.append(
-                [
-                    Cell(cell, link=links[cell]),
-                    filter_cell(s.filter_name, colours),
-                    number(s.position_rmse_m, ".3f", tone=_standing(s, verdicts[cell])),
-                    _against_best(s, verdicts[cell]),
-                    number(s.rotation_rmse_deg, ".3f"),
-                    number(s.end_drift_percent, ".3f"),
-                    number(POSE_NEES.of(s), ".2f", tone=TONES[consistency(s)]),
-                    number(s.frames_in_band_percent, ".0f"),
-                    number(s.nis, ".2f"),
-                    number(s.landmark_rmse_m, ".2f"),
-                    number(LANDMARK_NEES.of(s), ".2f"),
-                    efficiency_cell(s),
-                    number(s.ms_per_frame, ".2f"),
-                    Cell(f"{s.diverged}/{s.runs}", float(s.diverged), "bad" if s.diverged else ""),
-                ]
-            )
-    known = [any(row[i].key is not None for row in rows) for i in range(len(columns))]
-    columns = list(compress(columns, known))
-    shown = [list(compress(row, known)) for row in rows]
-    return part("section", "All figures", "", [table(columns, shown, wide=True)])
+            tones = {
+                POSITION.key: _standing(s, verdicts[cell]),
+                POSE_NEES.key: TONES[consistency(s)],
+            }
+            first = [
+                Cell(cell, link=links[cell]),
+                filter_cell(s.filter_name, colours),
+                _against_best(s, verdicts[cell]),
+            ]
+            rows.append([*first, *(figure_cell(figure, s, tones.get(figure.name, "")) for figure in figures)])
+    return part("section", "All figures", "", [table(columns, rows, wide=True)])
 
 
 def _against_best(summary: FilterSummary, verdict: Verdict) -> Cell:

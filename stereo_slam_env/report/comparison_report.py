@@ -10,10 +10,10 @@ from markupsafe import Markup
 
 from stereo_slam_env.benchmark.statistics.attribution import Attribution, Contrast, ResponseAttribution
 from stereo_slam_env.benchmark.statistics.comparison import Change, RunComparison
-from stereo_slam_env.benchmark.statistics.words import signed
+from stereo_slam_env.benchmark.statistics.differences import signed
 from stereo_slam_env.report.charts.factors import plot_changes, plot_effects
 from stereo_slam_env.report.charts.style import filter_colours
-from stereo_slam_env.report.page import FIGURES, figure_block, joined, page, part
+from stereo_slam_env.report.page import FIGURES, figure_block, html_page, joined, part
 from stereo_slam_env.report.page_tables import Cell, Column, Tone, filter_cell, number, table
 from stereo_slam_env.report.tables import capital, finding_tone, percent_cell
 
@@ -47,7 +47,7 @@ def write_comparison_report(out: Path, comparison: RunComparison) -> Path:
     out.mkdir(parents=True, exist_ok=True)
     path = out / "comparison.html"
     subtitle = f"Before: {comparison.before} · After: {comparison.after}"
-    path.write_text(page(title="What changed", subtitle=subtitle, body=joined(body)), encoding="utf-8")
+    path.write_text(html_page(title="What changed", subtitle=subtitle, body=joined(body)), encoding="utf-8")
     return path
 
 

@@ -1,4 +1,4 @@
-"""What the command line shows: settings, the progress bar and the result table."""
+"""Output of the command line: settings, the progress bar and the result table."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from functools import partial
 
 import numpy as np
 from rich.box import SIMPLE_HEAD
@@ -17,35 +16,35 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 from rich.table import Table
 
 from stereo_slam_env.benchmark.campaign import Progress as ProgressCallback
-from stereo_slam_env.benchmark.recordings.sensor_noise import OUTLIER, NoiseOfRange
-from stereo_slam_env.benchmark.recordings.sources import takes_images
+from stereo_slam_env.benchmark.recordings.description import OUTLIER, NoiseOfRange
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, PolicyChoice, Scenario
 from stereo_slam_env.benchmark.scenarios.study import Study
 from stereo_slam_env.benchmark.statistics.comparison import COLUMNS, RunComparison
-from stereo_slam_env.benchmark.statistics.limit import limit_reached
+from stereo_slam_env.benchmark.statistics.measures import EFFICIENCY, POSE_NEES
 from stereo_slam_env.benchmark.statistics.policy_verdict import baseline_of, judge_policies
-from stereo_slam_env.benchmark.statistics.remarks import innovation_remarks, reference_remarks
+from stereo_slam_env.benchmark.statistics.remarks import innovation_remarks, limit_reached, reference_remarks
 from stereo_slam_env.benchmark.statistics.verdict import judge, pose_nees
 from stereo_slam_env.benchmark.storage.study_store import CellResult
+from stereo_slam_env.evaluation.figures import FIGURES, UNKNOWN, Figure
 from stereo_slam_env.evaluation.results import FilterSummary
 from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.recording.recording import Recording
 
-NOTHING = "–"
 MOST_COLUMNS = 5
-_MATTER_MOST = ("position RMSE", "ATE", "pose NEES", "of the limit", "landmark error", "ms a frame", "diverged")
-_CLAIMS_MATTER_MOST = ("claimed", "true error", "position RMSE", "pose NEES", "diverged")
+_CLAIMS_MATTER_MOST = (
+    *("final_position_sigma_m", "final_pose_logdet", "end_error_m", "position_rmse_m", "pose_anees", "diverged"),
+)
 
 
 def show_settings(console: Console, scenario: Scenario) -> None:
     """Print what the filters will assume: nothing of it is hidden in the code."""
-    sees = takes_images(scenario)
+    sees = scenario.source.takes_images
     noise = "as each measurement says" if sees else "as the recording says"
     if scenario.noise is not None:
         noise = f"{json.dumps(dict(scenario.noise))} px"
     motion = scenario.motion
     lines = {
-        "scenario": f"{scenario.name} ({scenario.kind} {json.dumps(dict(scenario.options))})",
+        "scenario": f"{scenario.name} ({scenario.source})",
         "frames": "all" if scenario.frames is None else str(scenario.frames),
         "assumed noise": noise,
         "gate": "none" if scenario.gate is None else f"{scenario.gate:g} per landmark",
@@ -58,7 +57,7 @@ def show_settings(console: Console, scenario: Scenario) -> None:
         lines["policies"] = _choices(scenario.policies)
     if sees:
         lines["search"] = {"flow": "the same for all filters", "forecast": "guided by each filter"}[scenario.search]
-    if scenario.kind != "dataset":
+    if scenario.source.seeded:
         lines["seeds"] = f"{len(scenario.seeds)} ({_ranges(scenario.seeds)})"
     for name, value in lines.items():
         console.print(f"[dim]{name:>14}[/dim]  {value}", highlight=False, soft_wrap=True)
@@ -176,20 +175,18 @@ def show_results(console: Console, summaries: Sequence[FilterSummary], *, claims
     """
     table = Table(box=None, pad_edge=False, header_style="bold")
     table.add_column("", no_wrap=True)
-    rows = {**(_claims(summaries) if claims else {}), **_rows(summaries)}
-    figures = {name: cells for name, cells in rows.items() if set(cells) != {NOTHING}}
-    if len(summaries) <= MOST_COLUMNS:
+    brief = len(summaries) > MOST_COLUMNS
+    figures = _cells(summaries, claims=claims, brief=brief)
+    if not brief:
         for summary in summaries:
             table.add_column(escape(summary.filter_name), justify="right")
         for name, cells in figures.items():
             table.add_row(name, *cells)
     else:
-        matter = _CLAIMS_MATTER_MOST if claims else _MATTER_MOST
-        names = [name for name in figures if name.startswith(matter)]
-        for name in names:
-            table.add_column(name, justify="right", min_width=max(map(len, figures[name])))
-        for row, summary in enumerate(summaries):
-            table.add_row(escape(summary.filter_name), *(figures[name][row] for name in names))
+        for name, cells in figures.items():
+            table.add_column(name, justify="right", min_width=max(map(len, cells)))
+        for summary, *row in zip(summaries, *figures.values(), strict=True):
+            table.add_row(escape(summary.filter_name), *row)
     console.print(table, highlight=False)
     for summary in summaries:
         for remark in summary.remarks:
@@ -231,47 +228,38 @@ def show_comparison(console: Console, comparison: RunComparison) -> None:
     console.print(table, highlight=False)
 
 
-def _row(summaries: Sequence[FilterSummary], field: str, digits: int, scale: float = 1.0) -> list[str]:
-    return [_number(getattr(summary, field), digits, scale) for summary in summaries]
+def _cells(summaries: Sequence[FilterSummary], *, claims: bool, brief: bool) -> dict[str, list[str]]:
+    """Cells of each figure by its title, one a filter; figures that no filter has are left out."""
+    figures = [f for f in FIGURES.values() if "console" in f.places and (claims or f.group != "claim")]
+    figures.sort(key=lambda figure: figure.group != "claim")
+    if brief:
+        figures = [f for f in figures if f.name in _CLAIMS_MATTER_MOST] if claims else figures
+        figures = [f for f in figures if claims or "brief" in f.places]
+    rows = {}
+    for figure in figures:
+        rows[_title(figure, summaries)] = [_cell(figure, summary) for summary in summaries]
+        if figure is EFFICIENCY.figure and not brief:
+            limits = [limit_reached(summary) for summary in summaries]
+            rows["95 % interval of that"] = [UNKNOWN if found is None else found.sureness for found in limits]
+    return {title: cells for title, cells in rows.items() if set(cells) != {UNKNOWN}}
 
 
-def _claims(summaries: Sequence[FilterSummary]) -> dict[str, list[str]]:
-    return {
-        "claimed σ at the end, m": _row(summaries, "final_position_sigma_m", 3),
-        "claimed log det": _row(summaries, "final_pose_logdet", 2),
-        "true error at the end, m": _row(summaries, "end_error_m", 3),
-    }
-
-
-def _rows(summaries: Sequence[FilterSummary]) -> dict[str, list[str]]:
-    row = partial(_row, summaries)
+def _title(figure: Figure, summaries: Sequence[FilterSummary]) -> str:
+    """With the band of the pose NEES, where it is the same for all."""
     bands = {pose_nees(s)[1] for s in summaries if s.pose_anees_band is not None}
-    band = f" (95 %: {next(iter(bands))})" if len(bands) == 1 else ""
-    limits = [limit_reached(summary) for summary in summaries]
-    return {
-        "position RMSE, m": row("position_rmse_m", 3),
-        "ATE (rigidly aligned), m": row("ate_rigid_m", 3),
-        "rotation RMSE, °": row("rotation_rmse_deg", 3),
-        "drift at the end, %": row("end_drift_percent", 3),
-        "of the limit reached": [NOTHING if found is None else found.value for found in limits],
-        "95 % interval of that": [NOTHING if found is None else found.sureness for found in limits],
-        f"pose NEES / 6{band}": row("pose_anees", 2, 1.0 / 6.0),
-        "frames inside its band, %": row("frames_in_band_percent", 0),
-        "NIS / dof": row("nis", 2),
-        "landmark NEES / 3": row("landmark_anees", 2, 1.0 / 3.0),
-        "landmark error, m": row("landmark_rmse_m", 3),
-        "gated, %": row("gated_percent", 1),
-        "ms a frame": row("ms_per_frame", 2),
-        "diverged runs": [f"{summary.diverged} of {summary.runs}" for summary in summaries],
-        "runs with an alarm": [f"{summary.alarmed} of {summary.runs}" for summary in summaries],
-    }
+    return (
+        f"{figure.title} (95 %: {next(iter(bands))})"
+        if figure is POSE_NEES.figure and len(bands) == 1
+        else figure.title
+    )
 
 
-def _number(value: float | None, digits: int, scale: float = 1.0) -> str:
-    if value is None:
-        return NOTHING
-    scaled = value * scale
-    return f"{scaled:.{digits}f}" if abs(scaled) < 1e4 else f"{scaled:.1e}"
+def _cell(figure: Figure, summary: FilterSummary) -> str:
+    value = summary.figures[figure.name]
+    if figure.per_runs:
+        return f"{value} of {summary.runs}"
+    found = limit_reached(summary) if figure is EFFICIENCY.figure else None
+    return figure.text(value) if found is None else found.value.removesuffix(" %")
 
 
 def _listed(entries: Mapping[str, object]) -> str:

@@ -9,8 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from markupsafe import Markup
 
-from stereo_slam_env.benchmark.statistics.differences import Finding
-from stereo_slam_env.benchmark.statistics.limit import limit_reached
+from stereo_slam_env.benchmark.statistics.differences import Finding, signed
 from stereo_slam_env.benchmark.statistics.measures import (
     FINAL_ERROR,
     FINAL_LOGDET,
@@ -20,9 +19,8 @@ from stereo_slam_env.benchmark.statistics.measures import (
     Measure,
 )
 from stereo_slam_env.benchmark.statistics.policy_verdict import Agreement, PolicyVerdict
-from stereo_slam_env.benchmark.statistics.remarks import innovation_factor, times_the_claim
+from stereo_slam_env.benchmark.statistics.remarks import innovation_factor, limit_reached, times_the_claim
 from stereo_slam_env.benchmark.statistics.verdict import Comparison, Consistency, Verdict, consistency, loss
-from stereo_slam_env.benchmark.statistics.words import signed
 from stereo_slam_env.evaluation.consistency_figures import DOF
 from stereo_slam_env.evaluation.results import FilterSummary
 from stereo_slam_env.report.charts.style import filter_colours

@@ -11,7 +11,7 @@ import numpy as np
 from markupsafe import Markup
 
 from stereo_slam_env.benchmark.statistics.attribution import Attribution
-from stereo_slam_env.benchmark.statistics.pairwise import PairwiseTable, compare_all
+from stereo_slam_env.benchmark.statistics.measures import PairwiseTable, compare_all
 from stereo_slam_env.benchmark.statistics.policy_verdict import Looks, judge_policies
 from stereo_slam_env.benchmark.statistics.remarks import innovation_remarks, reference_remarks
 from stereo_slam_env.benchmark.statistics.verdict import Verdict, judge

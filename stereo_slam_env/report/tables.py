@@ -1,110 +1,55 @@
-"""Tables of a report: every figure of every filter, sortable."""
+"""Tables of a report: every figure of every filter, by the table of figures."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import numpy as np
 
-from stereo_slam_env.benchmark.statistics.differences import Finding
-from stereo_slam_env.benchmark.statistics.limit import limit_reached
-from stereo_slam_env.benchmark.statistics.pairwise import PairVerdict, PairwiseTable
-from stereo_slam_env.benchmark.statistics.words import signed
+from stereo_slam_env.benchmark.statistics.differences import Finding, signed
+from stereo_slam_env.benchmark.statistics.measures import EFFICIENCY, PairVerdict, PairwiseTable
+from stereo_slam_env.benchmark.statistics.remarks import limit_reached
+from stereo_slam_env.evaluation.figures import FIGURES, Figure, Group
 from stereo_slam_env.evaluation.results import ConsistencyFigure, FilterSummary
 from stereo_slam_env.report.charts.style import filter_colours
 from stereo_slam_env.report.page_tables import Cell, Column, Tone, filter_cell, number, table
 
-_Value = Callable[[FilterSummary], float | None]
-
-
-@dataclass(frozen=True)
-class _Figure:
-    heading: str
-    unit: str
-    explanation: str
-    value: _Value
-    form: str
-
-
-_ACCURACY = (
-    _Figure("Position", "RMSE, m", "without alignment", lambda s: s.position_rmse_m, ".3f"),
-    _Figure("Rotation", "RMSE, °", "angle of the rotation error", lambda s: s.rotation_rmse_deg, ".3f"),
-    _Figure("Velocity", "RMSE, m/s", "linear velocity", lambda s: s.velocity_rmse_m_s, ".3f"),
-    _Figure("ATE", "rigid, m", "after rigid alignment, median over runs", lambda s: s.ate_rigid_m, ".3f"),
-    _Figure("Drift", "end, %", "final error over distance, mean", lambda s: s.end_drift_percent, ".3f"),
-    _Figure(
-        "t_rel", "%", "relative translation error over segments, KITTI", lambda s: s.rpe_translation_percent, ".3f"
-    ),
-    _Figure("r_rel", "°/100 m", "relative rotation error over segments", lambda s: s.rpe_rotation_deg_per_100m, ".3f"),
-    _Figure("Limit", "position, m", "posterior Cramér–Rao bound", lambda s: s.bound_position_m, ".3f"),
-    _Figure("Limit", "rotation, °", "posterior Cramér–Rao bound", lambda s: s.bound_rotation_deg, ".3f"),
-    _Figure("Efficiency", "95 % interval", "bound over RMSE of the position", lambda s: s.efficiency_percent, ".0f"),
-    _Figure("Landmarks", "error, m", "relative to the camera", lambda s: s.landmark_rmse_m, ".2f"),
-)
-
-_COST = (
-    _Figure("Time", "ms/frame", "median of predict + update", lambda s: s.ms_per_frame, ".2f"),
-    _Figure("Predict", "ms", "median", lambda s: s.ms_predict, ".2f"),
-    _Figure("Update", "ms", "median", lambda s: s.ms_update, ".2f"),
-    _Figure("State", "dimension", "median of the error state", lambda s: s.state_size, ".0f"),
-    _Figure("Memory", "MB", "largest growth of a trial's resident memory", lambda s: s.memory_mb, ".1f"),
-    _Figure("Gated", "%", "known measurements refused", lambda s: s.gated_percent, ".1f"),
-    _Figure("Rejected", "count", "measurements that could not start a landmark", lambda s: s.rejected, "d"),
-    _Figure("Behind", "count", "landmarks behind the camera", lambda s: s.behind_camera, "d"),
-    _Figure("Failed", "factorisations", "Cholesky factors that failed", lambda s: s.failed_factorisations, "d"),
-    _Figure("d ≤ 0", "count", "landmarks x frames with no positive depth", lambda s: s.negative_depth, "d"),
-)
-
-_QUANTITIES = {
-    "pose": "Pose NEES",
-    "position": "Position NEES",
-    "rotation": "Rotation NEES",
-    "landmark": "Landmark NEES",
-    "nis": "NIS / dof",
-}
-
 
 def accuracy_table(summaries: Sequence[FilterSummary], who: str = "Filter") -> str:
     """Errors of pose, velocity and map, and the distance from the limit; a row is called `who`."""
-    return _table(summaries, _ACCURACY, who)
+    return _table(summaries, ("accuracy",), who)
 
 
 def cost_table(summaries: Sequence[FilterSummary], who: str = "Filter") -> str:
     """Time, memory and events."""
-    return _table(summaries, _COST, who, diverged=True)
+    return _table(summaries, ("cost", "events"), who)
 
 
 def consistency_table(summaries: Sequence[FilterSummary], who: str = "Filter") -> str:
-    """Mean NEES and NIS in their bands, and how much of the time they are inside; "" where nothing is known."""
-    keys = [key for key in _QUANTITIES if any(key in s.consistency for s in summaries)]
-    if not keys:
+    """Mean NEES and NIS in their bands, and the share of the frames inside theirs; "" where nothing is known."""
+    figures = _shown(summaries, ("consistency",))
+    if not figures:
         return ""
-    columns = [Column(who, kind="text")]
-    for key in keys:
-        bands = {s.consistency[key].band for s in summaries if key in s.consistency}
-        dof = next(s.consistency[key].dof for s in summaries if key in s.consistency)
-        low, high = next(iter(bands))
-        band = f", {low / dof:.2f}–{high / dof:.2f}" if len(bands) == 1 else ""
-        what = _QUANTITIES[key] if key == "nis" else f"{_QUANTITIES[key]} / {dof:g}"
-        columns.append(Column(what, f"ideal 1{band}", "mean over frames and runs, 95 % band"))
-        columns.append(Column("inside", "% frames", f"{_QUANTITIES[key]}: mean over runs inside the band of its frame"))
-    colours = filter_colours(s.filter_name for s in summaries)
-    rows = []
-    for s in summaries:
-        row = [filter_cell(s.filter_name, colours)]
-        for key in keys:
-            found = s.consistency.get(key)
-            row += [_in_band(found), number(found.inside_percent if found else None, ".0f")]
-        rows.append(row)
-    return table(columns, rows, wide=True)
+    columns, cells = [], []
+    for figure in figures:
+        found = [s.consistency.get(figure.name.removesuffix("_anees")) for s in summaries]
+        ideal = figure.ideal or 1.0
+        bands = {f"{f.band[0] / ideal:.2f}–{f.band[1] / ideal:.2f}" for f in found if f is not None}
+        columns.append(_column(figure, "ideal 1" + (f", {next(iter(bands))}" if len(bands) == 1 else "")))
+        cells.append([_banded_cell(figure, s, f) for s, f in zip(summaries, found, strict=True)])
+        if bands:
+            columns.append(
+                Column("inside", "% frames", f"{figure.heading}: mean over runs inside the band of its frame")
+            )
+            cells.append([number(f.inside_percent if f else None, ".0f") for f in found])
+    return _rows(summaries, who, columns, list(zip(*cells, strict=True)))
 
 
 def pair_table(compared: PairwiseTable, who: str = "Filter") -> str:
     """A row for each pair of filters, a column for each question."""
     columns = [Column(who, kind="text"), Column("against", kind="text")]
     for measure in compared.measures:
-        unit = "nearness to 1" if measure.ideal is not None else "%" if measure.is_ratio else "difference"
+        unit = "nearness to 1" if measure.ideal is not None else "%" if measure.figure.is_ratio else "difference"
         columns.append(Column(capital(measure.words), unit))
     colours = filter_colours(compared.filters)
     pairs = list(dict.fromkeys((a, b) for _, a, b in compared.cells))
@@ -136,7 +81,7 @@ def pair_cell(verdict: PairVerdict | None) -> Cell:
     if verdict.measure.ideal is not None:
         nearer = {Finding.BETTER: "nearer", Finding.WORSE: "farther"}.get(verdict.finding, Finding.NOT_SHOWN.value)
         return Cell(nearer, difference.estimate, tone)
-    if not verdict.measure.is_ratio:
+    if not verdict.measure.figure.is_ratio:
         interval = f" ({difference.interval_words})" if difference.interval is not None else ""
         return Cell(f"{signed(difference.estimate, 2)}{interval}", difference.estimate, tone)
     return percent_cell(difference.percent, difference.interval_percent, tone)
@@ -155,39 +100,66 @@ def capital(words: str) -> str:
     return words[:1].upper() + words[1:]
 
 
-def _in_band(figure: ConsistencyFigure | None) -> Cell:
-    if figure is None:
-        return number(None)
-    low, high = figure.band
-    tone: Tone = "bad" if figure.mean > high else "fair" if figure.mean < low else "good"
-    return number(figure.mean / figure.dof, ".2f", tone=tone)
+def console_columns(summaries: Sequence[FilterSummary]) -> list[Figure]:
+    """Figures that the console shows, too, as far as any of the filters has them: those that matter most."""
+    return [f for f in FIGURES.values() if "console" in f.places and f.group != "claim" and _is_known(f, summaries)]
 
 
-def _table(summaries: Sequence[FilterSummary], figures: Sequence[_Figure], who: str, *, diverged: bool = False) -> str:
-    shown = [f for f in figures if any(_known(f.value(s)) for s in summaries)]
-    columns = [Column(who, kind="text")] + [Column(f.heading, f.unit, f.explanation) for f in shown]
-    colours = filter_colours(s.filter_name for s in summaries)
-    rows = [[filter_cell(s.filter_name, colours), *(_figure_cell(f, s) for f in shown)] for s in summaries]
-    if diverged:
-        columns.append(Column("Diverged", "runs", "failed, not finite, or far from the truth"))
-        columns.append(Column("Alarms", "runs", "the divergence monitor warned, by innovations and events alone"))
-        for s, row in zip(summaries, rows, strict=True):
-            row.append(Cell(f"{s.diverged}/{s.runs}", float(s.diverged), "bad" if s.diverged else ""))
-            row.append(Cell(f"{s.alarmed}/{s.runs}", float(s.alarmed), "fair" if s.alarmed else ""))
-    return table(columns, rows, wide=True)
+def figure_column(figure: Figure) -> Column:
+    """Heading of a figure."""
+    unit = "95 % interval" if figure is EFFICIENCY.figure else figure.unit
+    return _column(figure, "ideal 1" if figure.ideal is not None else unit)
 
 
-def _figure_cell(figure: _Figure, summary: FilterSummary) -> Cell:
-    if figure.heading == "Efficiency":
+def figure_cell(figure: Figure, summary: FilterSummary, tone: Tone = "") -> Cell:
+    """Value of a figure."""
+    value = summary.figures[figure.name]
+    if figure is EFFICIENCY.figure:
         return efficiency_cell(summary)
-    return number(figure.value(summary), figure.form)
+    if figure.per_runs:
+        return Cell(f"{value}/{summary.runs}", value, "bad" if value else "")
+    return number(figure.shown(value), f".{figure.digits}f", tone=tone)
+
+
+def _column(figure: Figure, unit: str) -> Column:
+    over_runs = f"; over runs: {figure.over_runs.words}" if figure.over_runs else ""
+    heading = figure.label if "_" in figure.label else capital(figure.label)  # t_rel is a symbol
+    return Column(heading, unit, f"{figure.meaning}{over_runs}")
+
+
+def _is_known(figure: Figure, summaries: Sequence[FilterSummary]) -> bool:
+    return any(np.isfinite(figure.shown(s.figures.get(figure.name))) for s in summaries)
+
+
+def _shown(summaries: Sequence[FilterSummary], groups: Sequence[Group]) -> list[Figure]:
+    """Figures of these groups that reports show and that any of the filters has."""
+    return [f for f in FIGURES.values() if f.group in groups and "report" in f.places and _is_known(f, summaries)]
+
+
+def _table(summaries: Sequence[FilterSummary], groups: Sequence[Group], who: str) -> str:
+    figures = _shown(summaries, groups)
+    cells = [[figure_cell(figure, s) for figure in figures] for s in summaries]
+    return _rows(summaries, who, [figure_column(figure) for figure in figures], cells)
+
+
+def _rows(
+    summaries: Sequence[FilterSummary], who: str, columns: Sequence[Column], cells: Sequence[Sequence[Cell]]
+) -> str:
+    """Markup of a table with a row a filter."""
+    colours = filter_colours(s.filter_name for s in summaries)
+    rows = [[filter_cell(s.filter_name, colours), *row] for s, row in zip(summaries, cells, strict=True)]
+    return table([Column(who, kind="text"), *columns], rows, wide=True)
+
+
+def _banded_cell(figure: Figure, summary: FilterSummary, found: ConsistencyFigure | None) -> Cell:
+    tone: Tone = ""
+    if found is not None:
+        low, high = found.band
+        tone = "bad" if found.mean > high else "fair" if found.mean < low else "good"
+    return figure_cell(figure, summary, tone)
 
 
 def efficiency_cell(summary: FilterSummary) -> Cell:
     """Bound over RMSE with its interval, or that it is at the limit."""
     found = limit_reached(summary)
     return number(None) if found is None else Cell(found.words, found.percent)
-
-
-def _known(value: float | None) -> bool:
-    return value is not None and bool(np.isfinite(value))

@@ -1,1 +1,1 @@
-"""Sensors: from the true world to what a filter is given."""
+"""Simulated sensors, their noise and their faults."""

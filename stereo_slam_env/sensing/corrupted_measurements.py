@@ -1,4 +1,4 @@
-"""Corruptions of single measurements, see `stereo_slam_env.sensing.corruptions`."""
+"""Corruptions of single measurements; `sensing.corruptions` lists them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Between a `StereoObservation` and the fixed-shape arrays of a Gymnasium observation."""
+"""Conversion between a `StereoObservation` and the fixed-shape arrays of a Gymnasium observation."""
 
 from __future__ import annotations
 
@@ -50,10 +50,6 @@ def stereo_observation(observation: Mapping[str, Any], info: Mapping[str, Any] |
         From `reset` or `step`: `uvd`, `ids` and `mask`.
     info : mapping, optional
         From the same call; its `v_right` and `R` are used where they were measured.
-
-    Returns
-    -------
-    StereoObservation
     """
     seen = np.asarray(observation["mask"]).astype(bool)
     measured: dict[str, Any] = {}

@@ -1,10 +1,10 @@
-"""Noise on stereo measurements. Each model knows its covariance R, which says everything where it is Gaussian."""
+"""Noise models of stereo measurements, each with its covariance R."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Protocol
+from collections.abc import Callable, Mapping
+from typing import Literal, Protocol
 
 import numpy as np
 
@@ -24,21 +24,9 @@ class PixelNoise(Protocol):
         """No error of u, v or d is ever that large, px."""
 
     def corrupt(self, uvd: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, FloatArray | None]:
-        """Add noise to true measurements.
+        """Add noise to true measurements (M, 3), px: left pixel and disparity.
 
-        Parameters
-        ----------
-        uvd : (M, 3)
-            True left pixel and disparity, px.
-        rng : numpy.random.Generator
-            Source of the noise.
-
-        Returns
-        -------
-        uvd : (M, 3) ndarray
-            Measured.
-        v_right : (M,) ndarray or None
-            Row measured in the right image, where the model has one of its own.
+        Returns the measured ones, and the rows (M,) measured in the right image where the model has such, else None.
         """
 
 
@@ -52,8 +40,11 @@ class IndependentPixels:
 
     def corrupt(self, uvd: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
         """See `PixelNoise.corrupt`; `v_right` is measured."""
-        u_left, v_left, u_right, v_right = self.sigma * rng.standard_normal((4, len(uvd)))
+        u_left, v_left, u_right, v_right = self._errors(rng, (4, len(uvd)))
         return uvd + np.stack([u_left, v_left, u_left - u_right], axis=1), uvd[:, 1] + v_right
+
+    def _errors(self, rng: np.random.Generator, shape: tuple[int, ...]) -> FloatArray:
+        return self.sigma * rng.standard_normal(shape)
 
 
 class IndependentUvd:
@@ -69,7 +60,7 @@ class IndependentUvd:
         return uvd + self.sigma * rng.standard_normal((len(uvd), 3)), None
 
 
-class HeavyTailedPixels:
+class HeavyTailedPixels(IndependentPixels):
     """As `IndependentPixels`, but each coordinate has the error of a correlation matcher: sharp, with rare mismatches.
 
     The shape is that of `matching_errors`, scaled so that its standard deviation is `sigma`; R is then that of
@@ -78,14 +69,11 @@ class HeavyTailedPixels:
     """
 
     def __init__(self, sigma: float) -> None:
-        self.sigma = positive("sigma", sigma)
-        self.stereo_noise = StereoNoise.independent_pixels(sigma)
+        super().__init__(sigma)
         self.largest_error = 20.0 * self.sigma
 
-    def corrupt(self, uvd: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
-        """See `PixelNoise.corrupt`; `v_right` is measured."""
-        u_left, v_left, u_right, v_right = self.sigma / MATCHING_SIGMA * matching_errors(rng, (4, len(uvd)))
-        return uvd + np.stack([u_left, v_left, u_left - u_right], axis=1), uvd[:, 1] + v_right
+    def _errors(self, rng: np.random.Generator, shape: tuple[int, ...]) -> FloatArray:
+        return self.sigma / MATCHING_SIGMA * matching_errors(rng, shape)
 
 
 _WEIGHTS, _SIGMAS, _REACH = (0.60, 0.36, 0.04), (0.07, 0.45), 20.0
@@ -124,7 +112,8 @@ class QuantisedPixels:
         return np.stack([u_left, v_left, u_left - u_right], axis=1), np.rint(v_right)
 
 
-NOISE_MODELS: dict[str, Callable[[float], PixelNoise]] = {
+NoiseName = Literal["pixels", "uvd", "heavy-tailed", "quantised"]
+NOISE_MODELS: Mapping[str, Callable[[float], PixelNoise]] = {
     "pixels": IndependentPixels,
     "uvd": IndependentUvd,
     "heavy-tailed": HeavyTailedPixels,

@@ -1,10 +1,10 @@
-"""The stereo rigs: three by name, any other by its numbers. All take 10 frames a second."""
+"""Stereo rigs: three by name, any other by its numbers. All take 10 frames a second."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, fields
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -12,7 +12,8 @@ from filters.camera import StereoCamera
 from filters.known_names import require_known
 from filters.validation import finite_number
 
-Rig = str | StereoCamera | Mapping[str, Any]
+RigName = Literal["reference", "vga", "qvga"]
+Rig = RigName | StereoCamera | Mapping[str, Any]
 """A name of `RIGS`, a camera, or its numbers: see `camera_of`."""
 
 RIGS: dict[str, StereoCamera] = {
@@ -23,7 +24,7 @@ RIGS: dict[str, StereoCamera] = {
 """`reference` is like the cars of Karlsruhe and KITTI; the others are cheaper to render."""
 
 CAMERA_HEIGHT = 1.65
-"""Of both eyes above the ground, m."""
+"""Of both cameras above the ground, m."""
 LONGEST_SIDE = 8192
 """Of an image, px: memory is allocated for what a scenario file asks for."""
 _BOUNDS = {"fx": (1.0, 1e5, "px"), "fy": (1.0, 1e5, "px"), "baseline": (0.001, 10.0, "m")}
@@ -59,11 +60,7 @@ def camera_of(rig: Rig, default: str = "reference") -> StereoCamera:
     numbers = {**asdict(base), **{key: value for key, value in given.items() if key != "name"}}
     width, height = _whole("rig.width", numbers["width"]), _whole("rig.height", numbers["height"])
     inside = "px, inside the image: give it with the size"
-    bounds = {
-        **_BOUNDS,
-        "cx": (0.0, width - 1.0, inside),
-        "cy": (0.0, height - 1.0, inside),
-    }
+    bounds = {**_BOUNDS, "cx": (0.0, width - 1.0, inside), "cy": (0.0, height - 1.0, inside)}
     checked = {key: _within(f"rig.{key}", numbers[key], *bounds[key]) for key in bounds}
     return StereoCamera(**checked, width=width, height=height)
 

@@ -18,12 +18,14 @@ from matplotlib.patches import Polygon
 from filters import rotations
 from filters.validation import FloatArray
 from stereo_slam_env.evaluation.consistency import mean_band
-from stereo_slam_env.files.output import checked_file
+from stereo_slam_env.files.paths import checked_file
+from stereo_slam_env.loop import Moment
 from stereo_slam_env.rendering.drawing import disparity_colors
 from stereo_slam_env.rendering.images import Image
 from stereo_slam_env.report.charts.series import heading, map_axes
 from stereo_slam_env.report.charts.style import BAND, INK, MUTED, filter_colours
-from stereo_slam_env.viewer.moments import SIGMAS, Drive, Moment, ellipsoids
+from stereo_slam_env.viewer.drive import Drive
+from stereo_slam_env.viewer.ellipsoids import SIGMAS, ellipsoids
 from stereo_slam_env.viewer.picture_style import frame_track, plain_log_axis, save_png, style_context
 from stereo_slam_env.viewer.video import Recorder
 
@@ -116,7 +118,7 @@ class DrivePicture:
         if not history:
             raise ValueError("history must hold at least one moment: the drive has none")
         self._drive, self._history = drive, history
-        self._colour = filter_colours([history[0].name])[history[0].name]
+        self._colour = filter_colours([drive.label])[drive.label]
         self._estimate = np.array([moment.pose.position for moment in history])
         self._time = np.array([moment.time for moment in history]) - history[0].time
         nowhere = np.full(3, np.nan)
@@ -134,7 +136,7 @@ class DrivePicture:
     def at(self, frame: int) -> Figure:
         """The figure at a frame of the history."""
         moment = self._history[frame]
-        error = "" if moment.truth is None else f"   off by {moment.position_error:.2f} m"
+        error = "" if moment.truth is None else f"   position error {moment.position_error:.2f} m"
         self._heading.set_text(f"{self._drive.title}   t = {self._time[frame]:.1f} s{error}")
         self._draw_close(moment, frame)
         self._draw_eye(moment)
@@ -166,7 +168,9 @@ class DrivePicture:
             low, high = (bound / _POSE_DOF for bound in mean_band(_POSE_DOF, 1))
             strip.axhspan(low, high, color=BAND, zorder=0)
         else:
-            self._values = np.array([m.nis / m.nis_dof if m.nis_dof else np.nan for m in self._history])
+            self._values = np.array(
+                [m.nis / m.nis_dof if m.nis_dof else np.nan for m in (moment.report for moment in self._history)]
+            )
             title = "NIS / degrees of freedom: 1 is ideal (no NEES without an independent truth)"
         self._values[0] = np.nan  # at the start nothing has been estimated
         strip.axhline(1.0, color=MUTED, linewidth=0.8, linestyle=(0, (4, 3)), zorder=1)

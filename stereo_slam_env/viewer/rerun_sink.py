@@ -16,7 +16,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from filters.extras import install_command
-from stereo_slam_env.files.output import checked_file
+from stereo_slam_env.files.paths import checked_file
 
 _EXAMPLE = "rerun+http://127.0.0.1:9876/proxy"
 _SCHEMES = ("rerun", "rerun+http", "rerun+https")

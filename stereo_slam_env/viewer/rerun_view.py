@@ -24,11 +24,12 @@ import numpy as np
 from filters.camera import StereoCamera
 from filters.validation import FloatArray
 from stereo_slam_env.evaluation.consistency import mean_band
+from stereo_slam_env.loop import Moment
 from stereo_slam_env.recording.recording import LandmarkTruth
 from stereo_slam_env.rendering.drawing import disparity_colors
 from stereo_slam_env.rendering.images import Image
 from stereo_slam_env.report.charts.style import INK, MUTED, filter_colours
-from stereo_slam_env.viewer.moments import Moment, ellipsoids
+from stereo_slam_env.viewer.ellipsoids import claimed_position_error, ellipsoids
 from stereo_slam_env.viewer.rerun_sink import close_sink, open_sink, require_rerun
 
 TIMELINE = "time"
@@ -46,8 +47,8 @@ class RerunView:
     ----------
     camera : StereoCamera
         The rig.
-    names : sequence of str
-        Of the filters whose moments will be shown.
+    labels : sequence of str
+        Names of the filters in legends.
     save : str or Path, optional
         An .rrd file to write; it can be opened with `rerun FILE`. What was shown before an error stays in it.
     connect : str, optional
@@ -63,7 +64,7 @@ class RerunView:
     ImportError
         Rerun is not installed: the message says how to get it.
     ValueError
-        No names, `save` and `connect` together, a file that cannot be written, an address that is none, or a viewer to
+        No labels, `save` and `connect` together, a file that cannot be written, an address that is none, or a viewer to
         open without a display.
     ConnectionError
         No viewer answers at the address, or none could be opened.
@@ -72,39 +73,39 @@ class RerunView:
     def __init__(
         self,
         camera: StereoCamera,
-        names: Sequence[str],
+        labels: Sequence[str],
         *,
         save: str | Path | None = None,
         connect: str | None = None,
         landmarks: LandmarkTruth | None = None,
         title: str = "stereo-slam",
     ) -> None:
-        if not names:
-            raise ValueError("names must hold the names of the filters to show, got none")
+        if not labels:
+            raise ValueError("labels must name the filters to show, got none")
         self._rr = require_rerun()
         self._camera = camera
-        self._colours = filter_colours(names)
+        self._colours = filter_colours(labels)
         self._last: dict[str, FloatArray] = {}
         self._stream = self._rr.RecordingStream("stereo-slam")
-        open_sink(self._stream, _layout(self._rr, list(names)), save, connect)
+        open_sink(self._stream, _layout(self._rr, list(labels)), save, connect)
         self._stream.send_recording_name(title)
         self._describe(landmarks)
 
-    def show(self, moment: Moment, left: Image | None = None) -> None:
-        """Add a moment of one of the filters, perhaps with what its left eye saw, (H, W, 3) uint8 RGB.
+    def show(self, label: str, moment: Moment, left: Image | None = None) -> None:
+        """Add a moment of the filter with that label, perhaps with its left image, (H, W, 3) uint8 RGB.
 
         Raises
         ------
         ValueError
-            The filter is not among `names`.
+            The label is not among `labels`.
         """
-        if moment.name not in self._colours:
-            raise ValueError(f"moment must be of one of {', '.join(self._colours)}, got one of {moment.name!r}")
+        if label not in self._colours:
+            raise ValueError(f"label must be one of {', '.join(self._colours)}, got {label!r}")
         self._stream.set_time(TIMELINE, duration=moment.time)
-        self._show_camera(moment, left)
-        self._show_map(moment)
-        self._show_figures(moment)
-        self._extend(("world", moment.name, "path"), moment.pose.position, self._colours[moment.name], 0.06)
+        self._show_camera(label, moment, left)
+        self._show_map(label, moment)
+        self._show_figures(label, moment)
+        self._extend(("world", label, "path"), moment.pose.position, self._colours[label], 0.06)
         if moment.truth is not None:
             self._extend(("world", "truth", "path"), moment.truth.position, MUTED, 0.12)
 
@@ -157,28 +158,28 @@ class RerunView:
     def _style(self, path: tuple[str, ...], name: str, colour: str, width: float) -> None:
         self._log(path, self._rr.SeriesLines(colors=[_rgb(colour)], names=[name], widths=[width]), static=True)
 
-    def _show_camera(self, moment: Moment, left: Image | None) -> None:
-        rr, name, pose = self._rr, moment.name, moment.pose
+    def _show_camera(self, label: str, moment: Moment, left: Image | None) -> None:
+        rr, pose = self._rr, moment.pose
         self._log(
-            ("world", name, "camera"),
+            ("world", label, "camera"),
             rr.Transform3D(translation=pose.position, quaternion=rr.Quaternion(xyzw=pose.orientation)),
         )
         uvd = moment.observation.uvd
         # Rerun puts the centre of a pixel at half numbers.
         seen = rr.Points2D(uvd[:, :2] + 0.5, colors=disparity_colors(uvd[:, 2]), radii=[3.0])
-        self._log(("world", name, "camera", "left", "measured"), seen)
+        self._log(("world", label, "camera", "left", "measured"), seen)
         if left is not None:
-            self._log(("world", name, "camera", "left"), rr.Image(left).compress(jpeg_quality=85))
-        self._ellipsoids(("world", name, "position"), pose.position[None], pose.covariance[None, :3, :3], INK)
+            self._log(("world", label, "camera", "left"), rr.Image(left).compress(jpeg_quality=85))
+        self._ellipsoids(("world", label, "position"), pose.position[None], pose.covariance[None, :3, :3], INK)
 
-    def _show_map(self, moment: Moment) -> None:
-        colour, belief = self._colours[moment.name], moment.landmarks
+    def _show_map(self, label: str, moment: Moment) -> None:
+        colour, belief = self._colours[label], moment.landmarks
         with np.errstate(invalid="ignore"):
             near = np.linalg.norm(belief.positions - moment.pose.position, axis=1) < FARTHEST  # not where NaN, infinite
         positions = belief.positions[near]
         points = self._rr.Points3D(positions, colors=[_rgb(colour)], radii=[0.12])
-        self._log(("world", moment.name, "landmarks"), points)
-        self._ellipsoids(("world", moment.name, "ellipsoids"), positions, belief.covariances[near], colour)
+        self._log(("world", label, "landmarks"), points)
+        self._ellipsoids(("world", label, "ellipsoids"), positions, belief.covariances[near], colour)
 
     def _ellipsoids(self, path: tuple[str, ...], centers: FloatArray, covariances: FloatArray, colour: str) -> None:
         shape = ellipsoids(covariances)
@@ -191,16 +192,16 @@ class RerunView:
         )
         self._log(path, what)
 
-    def _show_figures(self, moment: Moment) -> None:
-        rr, name = self._rr, moment.name
+    def _show_figures(self, label: str, moment: Moment) -> None:
+        rr = self._rr
         if np.isfinite(moment.nees):
-            self._log(("consistency", name), rr.Scalars([moment.nees / _POSE_DOF]))
+            self._log(("consistency", label), rr.Scalars([moment.nees / _POSE_DOF]))
             for bound, value in zip(("low", "high"), mean_band(_POSE_DOF, 1), strict=True):
                 self._log(("consistency", bound), rr.Scalars([value / _POSE_DOF]))
         if moment.truth is not None:
-            self._log(("error", name), rr.Scalars([moment.position_error]))
-            self._log(("error", f"{name} claims"), rr.Scalars([moment.position_sigmas]))
-        self._log(("map", name), rr.Scalars([len(moment.landmarks.ids)]))
+            self._log(("error", label), rr.Scalars([moment.position_error]))
+            self._log(("error", f"{label} claims"), rr.Scalars([claimed_position_error(moment.pose)]))
+        self._log(("map", label), rr.Scalars([len(moment.landmarks.ids)]))
 
     def _extend(self, path: tuple[str, ...], position: FloatArray, colour: str, radius: float) -> None:
         """Log the newest piece of a path; the layout shows all pieces up to the time that is looked at."""

@@ -1,16 +1,18 @@
-"""The picture of active search: where the front end looked, what it found and what it turned down."""
+"""Pictures and films of the active search: searched regions, matches and failed searches."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 
 from filters.validation import FloatArray
-from stereo_slam_env.frontend.tracked import Outcome, Search, TrackedPair
-from stereo_slam_env.recording.image_sequence import GreyImage
+from stereo_slam_env.frontend.tracks import Outcome, Search, TrackedPair
+from stereo_slam_env.recording.recording import GreyImage, StereoPair
 from stereo_slam_env.rendering.drawing import (
     FONT,
     INK,
@@ -24,6 +26,7 @@ from stereo_slam_env.rendering.drawing import (
     line_scale,
 )
 from stereo_slam_env.rendering.images import Image
+from stereo_slam_env.viewer.video import Recorder
 
 SIGMAS = 3.0
 """Size of the ellipses."""
@@ -42,6 +45,33 @@ class _Mark(NamedTuple):
     words: str
     color: Color
     draw: Draw
+
+
+@contextmanager
+def search_film(title: str, record: str | Path) -> Iterator[Callable[[StereoPair, TrackedPair], None]]:
+    """A function that adds a pair and what was found in it to a film, for the `watch` of the front end.
+
+    Parameters
+    ----------
+    title : str
+        First words of the caption.
+    record : str or Path
+        An mp4 file to write; it appears when it is complete.
+
+    Raises
+    ------
+    ValueError
+        The file cannot be written.
+    """
+    with Recorder(record) as recorder:
+        started: list[float] = []
+
+        def watch(pair: StereoPair, tracked: TrackedPair) -> None:
+            started.append(pair.timestamp)
+            caption = (title, f"pair {len(started) - 1}", f"t = {pair.timestamp - started[0]:.1f} s")
+            recorder.write(search_picture(pair.left, pair.right, tracked, caption))
+
+        yield watch
 
 
 def search_picture(

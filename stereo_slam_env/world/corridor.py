@@ -1,4 +1,4 @@
-"""An underpass: long smooth walls with a door, a lamp or a sign now and then, and a ceiling; little to track."""
+"""Corridor: long smooth walls with a ceiling, few doors, lamps and signs; little to track."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from filters.validation import BoolArray, FloatArray
+from stereo_slam_env.world.layout import facing_points
 from stereo_slam_env.world.props import LAMP, STEEL, Placed
 from stereo_slam_env.world.road import ASPHALT_HEIGHT, Road, RoadNetwork, Strip, paved, road_along
 from stereo_slam_env.world.routes import Route
 from stereo_slam_env.world.scene import Box, Look, Material, Primitive, Scene
-from stereo_slam_env.world.surface_points import facing_points
 
 WALKWAY = 3.5
 """Where pedestrians walk: along the walls, m from the centreline."""
@@ -43,20 +43,7 @@ _Free = Callable[[FloatArray], BoolArray]
 
 
 def build_corridor(route: Route, rng: np.random.Generator) -> Scene:
-    """Lay out walls, ceiling, doors, lamps and signs along `route`.
-
-    Parameters
-    ----------
-    route : Route
-        Path of the camera, in the right half of the corridor.
-    rng : numpy.random.Generator
-        Source of the layout.
-
-    Returns
-    -------
-    Scene
-        In S, with its few landmarks: on doors, their frames, lamps and signs.
-    """
+    """Walls, ceiling, doors, lamps and signs along `route`; its few landmarks are on doors, frames, lamps and signs."""
     road = road_along(route)
     network = RoadNetwork([road])
 
@@ -80,7 +67,6 @@ def build_corridor(route: Route, rng: np.random.Generator) -> Scene:
         network.ground(60.0, _FLOOR),
         (*shell, *details),
         paved([road], [Strip(HALF_WIDTH + 0.1, ASPHALT_HEIGHT, _FLOOR)]),
-        np.arange(len(points), dtype=np.int64),
         points,
         look=_DIM,
     )

@@ -1,4 +1,4 @@
-"""An open field: a lane through plain meadows, and everything there is to see far away."""
+"""Open field: a lane through plain meadows, and everything there is to see far away."""
 
 from __future__ import annotations
 
@@ -7,12 +7,111 @@ from functools import partial
 import numpy as np
 
 from filters.validation import FloatArray
-from stereo_slam_env.world import country_props as country
-from stereo_slam_env.world.layout import Layout, Make
+from stereo_slam_env.world.layout import Layout, Make, facing_points
+from stereo_slam_env.world.props import STEEL, Placed
 from stereo_slam_env.world.road import ASPHALT_HEIGHT, RoadNetwork, Strip, paved, road_along
 from stereo_slam_env.world.routes import Route
-from stereo_slam_env.world.scene import Material, Scene
-from stereo_slam_env.world.surface_points import facing_points
+from stereo_slam_env.world.scene import Material, Primitive, Scene, Sphere
+
+_HEDGE = Material((0.62, 0.72, 0.50), "leaves", (3.1, 3.1))
+_CROWNS = (
+    Material((0.80, 0.92, 0.70), "leaves", (4.1, 4.1)),
+    Material((0.66, 0.72, 0.48), "leaves", (4.7, 4.7)),
+    Material((0.55, 0.66, 0.52), "leaves", (3.7, 3.7)),
+)
+_TRUNK = Material((0.7, 0.65, 0.6), "bark", (1.2, 2.0))
+_TILES = (Material((0.72, 0.34, 0.26), "roof", (4.0, 4.0)), Material((0.45, 0.42, 0.42), "roof", (4.0, 4.0)))
+_WALLS = ((0.94, 0.90, 0.80), (0.86, 0.62, 0.48), (0.90, 0.92, 0.94))
+_BOARDS = ((0.85, 0.36, 0.28), (0.80, 0.64, 0.46), (0.62, 0.58, 0.52))
+_SHEETS = Material((0.86, 0.90, 0.92), "panels", (6.0, 6.0))
+_WOODS = Material((0.85, 0.95, 0.85), "woods", (38.0, 38.0))
+HILL_RADIUS, HILL_HEIGHT = 95.0, 17.0
+HILL_FOOT = 2 * float(np.sqrt(2 * HILL_RADIUS * HILL_HEIGHT - HILL_HEIGHT**2))
+"""Width of a hill where it comes out of the ground, m."""
+
+
+def tree_line(at: Placed, length: float, rng: np.random.Generator) -> list[Primitive]:
+    """Trees in a row along local x."""
+    crown = _CROWNS[rng.integers(len(_CROWNS))]
+    trees: list[Primitive] = []
+    for x in np.arange(-0.5 * length + 2.5, 0.5 * length - 2.0, 5.0).tolist():
+        height, radius = float(rng.uniform(2.5, 4.0)), float(rng.uniform(1.8, 2.6))
+        y = float(rng.uniform(-0.6, 0.6))
+        trees += [
+            at.rod((x, y, 0.0), (x, y, height), 0.25, _TRUNK),
+            Sphere(at.point(x, y, height + 0.6 * radius), radius, crown),
+            Sphere(at.point(x, y, height + 1.7 * radius), 0.75 * radius, crown),
+        ]
+    return trees
+
+
+def hedge(at: Placed, length: float, rng: np.random.Generator) -> list[Primitive]:
+    """A hedge along local x with a few bushes that stand out."""
+    height = float(rng.uniform(1.6, 2.8))
+    bushes: list[Primitive] = [
+        Sphere(at.point(float(rng.uniform(-0.45, 0.45)) * length, 0.0, height), float(rng.uniform(1.0, 1.8)), _HEDGE)
+        for _ in range(int(length / 12))
+    ]
+    return [at.box((0, 0, 0), (length, 1.6, height), _HEDGE), *bushes]
+
+
+def farm(at: Placed, rng: np.random.Generator) -> list[Primitive]:
+    """A house, a barn and sometimes a silo on a yard of 36 x 16 m."""
+    wall = Material(_WALLS[rng.integers(len(_WALLS))], "plaster", (12.8, 12.8))
+    board = Material(_BOARDS[rng.integers(len(_BOARDS))], "planks", (14.0, 6.5))
+    house_roof, barn_roof = (_TILES[i] for i in rng.permutation(2))
+    built = [
+        at.box((-10, 0, 0), (12.8, 9.0, 6.4), wall),
+        *_roof(at, -10.0, 6.4, (12.8, 9.0), house_roof),
+        at.box((7, 1, 0), (14.0, 11.0, 6.5), board),
+        *_roof(at, 7.0, 6.5, (14.0, 11.0), barn_roof, y=1.0),
+    ]
+    if rng.random() < 0.6:
+        built.append(at.rod((15.8, 0, 0), (15.8, 0, 11.0), 2.0, _SHEETS))
+        built.append(Sphere(at.point(15.8, 0, 11.0), 2.0, _SHEETS))
+    return built
+
+
+def _roof(
+    at: Placed, x: float, z: float, size: tuple[float, float], material: Material, y: float = 0.0
+) -> list[Primitive]:
+    """A pitched roof in steps."""
+    return [
+        at.box((x, y, z + 0.8 * i), (size[0] + 0.6, (size[1] + 1.2) * (1 - 0.24 * i), 0.8), material) for i in range(4)
+    ]
+
+
+def pylon(at: Placed) -> list[Primitive]:
+    """A mast of a power line, 26 m tall; its arms along local y."""
+    legs: list[Primitive] = [
+        at.rod((2.4 * x, 2.4 * y, 0), (0.5 * x, 0.5 * y, 20), 0.16, STEEL) for x in (-1, 1) for y in (-1, 1)
+    ]
+    braces: list[Primitive] = [
+        at.rod((x * 2.0, -2.0, z), (x * 1.6, 1.6, z + 4), 0.10, STEEL, solid=False) for x in (-1, 1) for z in (4, 10)
+    ]
+    arms: list[Primitive] = [
+        at.box((0, 0, z), (0.5, width, 0.5), STEEL) for z, width in ((16.0, 11.0), (19.5, 14.0), (23.0, 9.0))
+    ]
+    isolators: list[Primitive] = [
+        at.rod((0, y, 18.0), (0, y, 19.5), 0.18, _SHEETS, solid=False) for y in (-6.4, -3.4, 3.4, 6.4)
+    ]
+    return [*legs, *braces, at.rod((0, 0, 16), (0, 0, 26), 0.45, STEEL), *arms, *isolators]
+
+
+def water_tower(at: Placed) -> list[Primitive]:
+    """A tank on a column, 26 m tall."""
+    return [
+        at.rod((0, 0, 0), (0, 0, 17), 1.8, Material((0.86, 0.80, 0.72), "brick", (4.0, 4.0))),
+        at.rod((0, 0, 17), (0, 0, 24), 5.0, _SHEETS),
+        at.rod((0, 0, 24), (0, 0, 25), 3.2, _TILES[0]),
+        at.rod((0, 0, 25), (0, 0, 26.5), 0.3, STEEL),
+    ]
+
+
+def hill(at: Placed) -> list[Primitive]:
+    """A wooded hill."""
+    return [Sphere(at.point(0.0, 0.0, HILL_HEIGHT - HILL_RADIUS), HILL_RADIUS, _WOODS)]
+
 
 WALKWAY = 4.2
 """Where pedestrians walk: at the edge of the lane, m from the centreline."""
@@ -30,20 +129,7 @@ MEADOW = Material((1.0, 1.0, 1.0), "meadow", (61.3, 61.3))
 
 
 def build_field(route: Route, rng: np.random.Generator) -> Scene:
-    """Lay out tree lines, hedges, farms, pylons, water towers and wooded hills far from `route`.
-
-    Parameters
-    ----------
-    route : Route
-        Path of the camera. Nothing solid stands within 60 m of it.
-    rng : numpy.random.Generator
-        Source of the layout.
-
-    Returns
-    -------
-    Scene
-        In S, with its landmarks, all on things far away.
-    """
+    """Tree lines, hedges, farms, pylons, water towers and wooded hills, nothing solid within 60 m of `route`."""
     road = road_along(route)
     network = RoadNetwork([road])
     layout = Layout(network)
@@ -53,27 +139,21 @@ def build_field(route: Route, rng: np.random.Generator) -> Scene:
     places = places[(away > NEAREST) & (away < FARTHEST)]
     # Hills first, while there is room.
     hills = places[: int(_HILLS * len(places))]
-    built = sum(layout.claim(xy, 0.0, (country.HILL_FOOT,) * 2, _ROOM, NEAREST, country.hill) for xy in hills)
+    built = sum(layout.claim(xy, 0.0, (HILL_FOOT,) * 2, _ROOM, NEAREST, hill) for xy in hills)
     built += sum(_put_something(layout, xy, rng) for xy in places[len(hills) :])
     solids = [p for p in layout.primitives if p.solid]
     points = facing_points(solids, _PER_THING * built, 25.0, network.nearest, rng)
-    return Scene(
-        network.ground(FARTHEST + 320.0, MEADOW),
-        tuple(layout.primitives),
-        paved([road], [LANE]),
-        np.arange(len(points), dtype=np.int64),
-        points,
-    )
+    return Scene(network.ground(FARTHEST + 320.0, MEADOW), tuple(layout.primitives), paved([road], [LANE]), points)
 
 
 def _put_something(layout: Layout, xy: FloatArray, rng: np.random.Generator) -> bool:
     length, yaw = float(rng.uniform(25.0, 55.0)), float(rng.uniform(0.0, np.pi))
     kinds: tuple[tuple[Make, tuple[float, float], float], ...] = (  # what, its footprint, its share
-        (partial(country.tree_line, length=length, rng=rng), (length, 5.0), 0.38),
-        (partial(country.hedge, length=length, rng=rng), (length, 3.6), 0.24),
-        (partial(country.farm, rng=rng), (36.0, 16.0), 0.22),
-        (country.pylon, (6.0, 14.0), 0.12),
-        (country.water_tower, (10.0, 10.0), 0.04),
+        (partial(tree_line, length=length, rng=rng), (length, 5.0), 0.38),
+        (partial(hedge, length=length, rng=rng), (length, 3.6), 0.24),
+        (partial(farm, rng=rng), (36.0, 16.0), 0.22),
+        (pylon, (6.0, 14.0), 0.12),
+        (water_tower, (10.0, 10.0), 0.04),
     )
     make, size, _ = kinds[rng.choice(len(kinds), p=[share for _, _, share in kinds])]
     return layout.claim(xy, yaw, size, _ROOM, NEAREST, make)

@@ -1,4 +1,4 @@
-"""The two frames of the simulated world, and the only place that changes between them.
+"""Coordinate frames of the simulated world, S and W, and the only place that changes between them.
 
 S, the scene frame: x forward at the start, y left, z up, origin on the ground below the first camera.
 W, the world frame of filters and truth: the left camera at reset (x right, y down, z forward).

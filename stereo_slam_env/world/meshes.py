@@ -1,4 +1,4 @@
-"""Triangle meshes of a scene, merged by material: what a renderer draws."""
+"""Triangle meshes of a scene for renderers, one for each material."""
 
 from __future__ import annotations
 

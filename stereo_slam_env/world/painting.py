@@ -1,4 +1,4 @@
-"""What the painters of textures have in common: noise and tints."""
+"""Painters of textures: noise and tints, and the surfaces of open country and corridor."""
 
 from __future__ import annotations
 
@@ -37,3 +37,116 @@ def grain(rng: np.random.Generator, size: int, level: float, strength: float) ->
     """Grey with noise of all scales."""
     return grey(level + noise(rng, size, 1, 0.4 * strength) + noise(rng, size, 4, 0.5 * strength)
                  + noise(rng, size, 32, strength))  # fmt: skip
+
+
+def _meadow(rng: np.random.Generator) -> FloatArray:
+    """Grass with hardly any contrast, in large smooth patches."""
+    return tinted((0.46, 0.56, 0.30), 1.0 + noise(rng, 256, 64, 0.025) + noise(rng, 256, 16, 0.006))
+
+
+def _track(rng: np.random.Generator) -> FloatArray:
+    """A lane of fine gravel, smooth from a car."""
+    return tinted((0.62, 0.59, 0.53), 1.0 + noise(rng, 256, 64, 0.02) + noise(rng, 256, 16, 0.006))
+
+
+def _woods(rng: np.random.Generator) -> FloatArray:
+    """The crowns of a forest from afar."""
+    shade = noise(rng, 256, 4, 0.10) + noise(rng, 256, 8, 0.12) + noise(rng, 256, 32, 0.10)
+    return tinted((0.45, 0.60, 0.34), np.clip(0.8 + shade, 0.25, 1.15))
+
+
+def _planks(rng: np.random.Generator) -> FloatArray:
+    """The wall of a barn: boards, a gate, two hatches."""
+    image = grain(rng, 256, 0.86, 0.03) * np.repeat(rng.uniform(0.75, 1.1, 32), 8)[None, :, None]
+    image[:, ::8] *= 0.55
+    image[120:, 84:172] *= 0.45
+    image[124:, 90:126] *= 1.5
+    image[124:, 130:166] *= 1.5
+    for hatch in (28, 204):
+        image[70:100, hatch : hatch + 26] = 0.16
+        image[66:70, hatch - 3 : hatch + 29] = 0.95
+    return image
+
+
+def _panels(rng: np.random.Generator) -> FloatArray:
+    """Sheets of painted metal with seams and rust."""
+    image = grain(rng, 128, 0.9, 0.02)
+    image *= np.kron(rng.uniform(0.8, 1.1, (4, 4)), np.ones((32, 32)))[..., None]
+    image[::32] = image[:, ::32] = 0.4
+    streaks: FloatArray = np.asarray(cv2.GaussianBlur(rng.standard_normal((128, 128)), (3, 31), 0))
+    image *= np.clip(1.0 - 1.2 * np.abs(streaks), 0.5, 1.0)[..., None] * np.array([1.0, 0.97, 0.93])
+    return image
+
+
+def _rock(rng: np.random.Generator) -> FloatArray:
+    """Weathered stone: patches, grains and cracks."""
+    level = 0.8 + noise(rng, 128, 32, 0.10) + noise(rng, 128, 8, 0.09) + noise(rng, 128, 2, 0.05)
+    level -= 0.3 * (np.abs(noise(rng, 128, 16, 1.0)) < 0.06)
+    return tinted((0.72, 0.70, 0.66), np.clip(level, 0.2, 1.1))
+
+
+def _logs(rng: np.random.Generator) -> FloatArray:
+    """The sawn ends of stacked logs."""
+    image = np.full((256, 256, 3), 0.2)
+    for row in range(8):
+        for column in range(8):
+            at = (32 * column + 16 * (row % 2) + int(rng.integers(6, 11)), 32 * row + int(rng.integers(14, 19)))
+            wood = rng.uniform(0.75, 1.1) * np.array([0.82, 0.63, 0.42])
+            for radius, shade in ((16, 0.6), (13, 1.15), (9, 0.95), (8, 1.15), (5, 0.9), (4, 1.15), (1, 0.7)):
+                for wrapped in (at[0], at[0] - 256):
+                    cv2.circle(image, (wrapped, at[1]), radius, tuple((shade * wood).tolist()), -1, cv2.LINE_AA)
+    return image
+
+
+def _straw(rng: np.random.Generator) -> FloatArray:
+    """Pressed straw, bound with twine."""
+    stalks: FloatArray = np.asarray(cv2.GaussianBlur(rng.standard_normal((128, 128)), (15, 1), 0))
+    image = tinted((0.86, 0.72, 0.40), np.clip(0.85 + 0.45 * stalks + noise(rng, 128, 32, 0.06), 0.3, 1.15))
+    image[:, 30:33] = image[:, 94:97] = 0.25
+    return image
+
+
+def _concrete(rng: np.random.Generator) -> FloatArray:
+    """Smooth wall, nearly uniform."""
+    return grey(0.80 + noise(rng, 256, 64, 0.008))
+
+
+def _door(rng: np.random.Generator) -> FloatArray:
+    """A steel door with a handle, a small window and a number."""
+    image = grain(rng, 128, 0.85, 0.01)[:, :64]
+    image[20:46, 20:44] = 0.25
+    image[20:46, 31:33] = 0.8
+    image[68:72, 46:58] = 0.15
+    image[104:120, 8:56] *= 0.8
+    ink = np.zeros((128, 64), dtype=np.uint8)
+    cv2.putText(ink, str(int(rng.integers(10, 99))), (16, 64), cv2.FONT_HERSHEY_SIMPLEX, 0.5, 255, 1)
+    image[ink > 127] = 0.1
+    return image
+
+
+def _notice(rng: np.random.Generator) -> FloatArray:
+    """A sign: an arrow and two lines of print on a coloured ground."""
+    grounds = np.array([[0.1, 0.45, 0.25], [0.15, 0.3, 0.65], [0.75, 0.6, 0.1]])
+    image: FloatArray = np.ones((64, 128, 3)) * grounds[rng.integers(3)]
+    image[:3] = image[-3:] = image[:, :3] = image[:, -3:] = 0.95
+    ink = np.zeros((64, 128), dtype=np.uint8)
+    cv2.arrowedLine(ink, (40, 32), (12, 32), 255, 5, tipLength=0.5)
+    cv2.putText(ink, f"EXIT {int(rng.integers(1, 9))}", (50, 28), cv2.FONT_HERSHEY_SIMPLEX, 0.55, 255, 2)
+    cv2.putText(ink, f"{int(rng.integers(20, 400))} m", (50, 52), cv2.FONT_HERSHEY_SIMPLEX, 0.5, 255, 1)
+    image[ink > 127] = 0.95
+    return image
+
+
+PLAIN_PAINTERS: dict[str, Painter] = {
+    "meadow": _meadow,
+    "track": _track,
+    "woods": _woods,
+    "planks": _planks,
+    "panels": _panels,
+    "rock": _rock,
+    "logs": _logs,
+    "straw": _straw,
+    "concrete": _concrete,
+    "door": _door,
+    "notice": _notice,
+}

@@ -1,4 +1,4 @@
-"""The physics engine: rays, collisions and pictures of a scene. The only file that imports pybullet."""
+"""Physics engine: rays, collisions and pictures of a scene. The only file that imports pybullet."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ import math
 import os
 import shutil
 import tempfile
+import threading
 import weakref
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cache
-from multiprocessing.util import Finalize
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +27,7 @@ from stereo_slam_env.world.textures import texture
 
 @contextmanager
 def _without_banner() -> Iterator[None]:
-    """Keep the native standard error to ourselves: PyBullet prints its build time to it on import."""
+    """Silence the native standard error: PyBullet prints its build time to it on import."""
     kept = os.dup(2)
     nowhere = os.open(os.devnull, os.O_WRONLY)
     try:
@@ -92,9 +92,10 @@ class PhysicsWorld:
 
     def dress(self, scene: Scene) -> None:
         """Add what `camera_image` draws to the built `scene`; without pictures that can be spared."""
-        self._draw(scene_meshes(scene))
-        for body, parts in self._moving:
-            parts += self._draw(body_meshes(body))
+        with _exchange_folder() as folder:
+            self._draw(scene_meshes(scene), folder)
+            for body, parts in self._moving:
+                parts += self._draw(body_meshes(body), folder)
         self.set_time(self._time)
         self._drawn = True
 
@@ -107,28 +108,16 @@ class PhysicsWorld:
             for part in parts:
                 pybullet.resetBasePositionAndOrientation(part, place, turn, physicsClientId=self._connected)
 
-    def visible(self, eyes: FloatArray, points: FloatArray) -> BoolArray:
-        """Which points are seen from every eye: nothing but the driving car is in between.
-
-        Parameters
-        ----------
-        eyes : (E, 3)
-            Positions, m.
-        points : (N, 3)
-            Points on surfaces, m.
-
-        Returns
-        -------
-        (N,) ndarray of bool
-        """
-        rays = points - eyes[:, None]
+    def visible(self, cameras: FloatArray, points: FloatArray) -> BoolArray:
+        """Which points (N, 3) on surfaces are seen from all `cameras` (C, 3), m; the ego car hides nothing."""
+        rays = points - cameras[:, None]
         lengths = np.sqrt(np.einsum("eni,eni->en", rays, rays))
         ends = points - rays * (_SURFACE_GAP / lengths)[..., None]
         seen = list(range(len(points)))
-        for start, targets in zip(eyes.tolist(), ends.tolist(), strict=True):
+        for start, targets in zip(cameras.tolist(), ends.tolist(), strict=True):
             if not seen:
                 break
-            # A ray that hits is the dearest: none from the second eye to what the first does not see.
+            # A ray that hits is the dearest: none from the second camera to what the first does not see.
             hits = pybullet.rayTestBatch(
                 [start] * len(seen),
                 [targets[i] for i in seen],
@@ -170,27 +159,8 @@ class PhysicsWorld:
     ) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
         """Draw with TinyRenderer.
 
-        Parameters
-        ----------
-        view, projection : (4, 4)
-            OpenGL matrices, row-major.
-        width, height : int
-            px.
-        light : (3,)
-            Direction towards the sun.
-        ambient, diffuse : float
-            Shares of the light, see `Look`.
-
-        Returns
-        -------
-        rgb : (H, W, 3) uint8
-        depth : (H, W) float32
-            Depth buffer in 0..1; at the far end (to float32) there is nothing.
-
-        Raises
-        ------
-        RuntimeError
-            The world was built without pictures.
+        Takes row-major OpenGL matrices (4, 4), the size in px, the direction towards the sun (3,) and the shares of
+        the light (see `Look`); returns RGB (H, W, 3) and the depth buffer (H, W) in 0..1, whose far end is nothing.
         """
         if not self._drawn:
             raise RuntimeError("the scene was built without pictures: call dress first")
@@ -246,8 +216,8 @@ class PhysicsWorld:
         """A speck below everything: without a visual, TinyRenderer would draw the collision shape."""
         return int(
             pybullet.createVisualShape(
-                pybullet.GEOM_MESH,
-                fileName=str(_speck(os.getpid())),
+                pybullet.GEOM_BOX,
+                halfExtents=[0.001, 0.001, 0.001],
                 visualFramePosition=_BELOW_EVERYTHING,
                 physicsClientId=self._connected,
             )
@@ -262,13 +232,13 @@ class PhysicsWorld:
         pybullet.setCollisionFilterGroupMask(ego, -1, _EGO_GROUP, _NOT_EGO, physicsClientId=client)
         return ego
 
-    def _draw(self, meshes: Mapping[Material, Mesh]) -> list[int]:
+    def _draw(self, meshes: Mapping[Material, Mesh], folder: Path) -> list[int]:
         """Visual bodies of some meshes, one for each material."""
-        client, folder = self._connected, _exchange_folder(os.getpid())
+        client = self._connected
         file = folder / f"{client}.obj"
         bodies = []
         for material, mesh in meshes.items():
-            # Through a file for the reason that `_speck` gives.
+            # Through a file: PyBullet leaks vertices that are passed as Python objects.
             file.write_text(obj_text(mesh, _library(folder, material)), encoding="ascii")
             visual = pybullet.createVisualShape(
                 pybullet.GEOM_MESH, fileName=str(file), rgbaColor=[*material.color, 1.0], physicsClientId=client
@@ -280,20 +250,26 @@ class PhysicsWorld:
         return bodies
 
 
-@cache
-def _exchange_folder(process: int) -> Path:
-    """Where PyBullet finds meshes and pictures: one folder a process, since it keeps a picture under its path."""
-    folder = Path(tempfile.mkdtemp(prefix=f"stereo-slam-{process}-"))
-    Finalize(None, shutil.rmtree, (folder, True), exitpriority=0)
-    return folder
+@contextmanager
+def _exchange_folder() -> Iterator[Path]:
+    """A folder for PyBullet to read meshes and pictures from; it is gone afterwards.
+
+    It has the same path every time in one process, since PyBullet keeps each picture under its path for ever.
+    """
+    folder, one_at_a_time = _exchange_place(os.getpid())
+    with one_at_a_time:
+        folder.mkdir(mode=0o700)
+        try:
+            yield folder
+        finally:
+            shutil.rmtree(folder)
 
 
 @cache
-def _speck(process: int) -> Path:
-    """One tiny triangle, as a file: PyBullet leaks vertices that are passed as Python objects."""
-    file = _exchange_folder(process) / "speck.obj"
-    file.write_text("v 0 0 0\nv 0.001 0 0\nv 0 0.001 0\nvn 0 0 1\nf 1//1 2//1 3//1\n", encoding="ascii")
-    return file
+def _exchange_place(process: int) -> tuple[Path, threading.Lock]:
+    """An unused path for one process, and the lock for using it."""
+    with tempfile.TemporaryDirectory(prefix=f"stereo-slam-{process}-") as unused:
+        return Path(unused), threading.Lock()
 
 
 def _library(folder: Path, material: Material) -> str | None:
@@ -303,10 +279,15 @@ def _library(folder: Path, material: Material) -> str | None:
     name = f"{material.texture}-{material.variant}"
     library = folder / f"{name}.mtl"
     if not library.exists():
-        pixels = texture(material.texture, material.variant)
-        cv2.imwrite(str(folder / f"{name}.png"), cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR))
+        (folder / f"{name}.png").write_bytes(_png(material.texture, material.variant))
         library.write_text(mtl_text(f"{name}.png"), encoding="ascii")
     return library.name
+
+
+@cache
+def _png(name: str, variant: int) -> bytes:
+    _, encoded = cv2.imencode(".png", cv2.cvtColor(texture(name, variant), cv2.COLOR_RGB2BGR))
+    return bytes(encoded)
 
 
 def _neighbours(shapes: Iterable[dict[str, Any]]) -> list[list[dict[str, Any]]]:
@@ -328,34 +309,25 @@ def _stands_at(shape: dict[str, Any]) -> tuple[float, float]:
 
 def _collision_shape(shape: Primitive) -> dict[str, Any]:
     """Arguments of `createCollisionShapeArray` for one shape."""
-    arguments: dict[str, Any] = {
-        "shapeTypes": pybullet.GEOM_SPHERE,
-        "halfExtents": [1.0, 1.0, 1.0],
-        "radii": 1.0,
-        "lengths": 1.0,
-        "collisionFramePositions": [0.0, 0.0, 0.0],
-        "collisionFrameOrientations": [0.0, 0.0, 0.0, 1.0],
-    }
+    kind, half_extents, radius, length, turn = pybullet.GEOM_SPHERE, [1.0, 1.0, 1.0], 1.0, 1.0, [0.0, 0.0, 0.0, 1.0]
     if isinstance(shape, Box):
-        arguments |= {
-            "shapeTypes": pybullet.GEOM_BOX,
-            "halfExtents": [0.5 * s for s in shape.size],
-            "collisionFramePositions": list(shape.center),
-            "collisionFrameOrientations": [0.0, 0.0, math.sin(0.5 * shape.yaw), math.cos(0.5 * shape.yaw)],
-        }
+        kind, half_extents, middle = pybullet.GEOM_BOX, [0.5 * s for s in shape.size], list(shape.center)
+        turn = [0.0, 0.0, math.sin(0.5 * shape.yaw), math.cos(0.5 * shape.yaw)]
     elif isinstance(shape, Cylinder):
         start, end = np.array(shape.start), np.array(shape.end)
         length = float(np.linalg.norm(end - start))
-        arguments |= {
-            "shapeTypes": pybullet.GEOM_CYLINDER,
-            "radii": shape.radius,
-            "lengths": length,
-            "collisionFramePositions": (0.5 * (start + end)).tolist(),
-            "collisionFrameOrientations": _turn_from_z((end - start) / length),
-        }
+        kind, radius, middle = pybullet.GEOM_CYLINDER, shape.radius, (0.5 * (start + end)).tolist()
+        turn = _turn_from_z((end - start) / length)
     else:
-        arguments |= {"radii": shape.radius, "collisionFramePositions": list(shape.center)}
-    return arguments
+        radius, middle = shape.radius, list(shape.center)
+    return {
+        "shapeTypes": kind,
+        "halfExtents": half_extents,
+        "radii": radius,
+        "lengths": length,
+        "collisionFramePositions": middle,
+        "collisionFrameOrientations": turn,
+    }
 
 
 def _turn_from_z(axis: FloatArray) -> list[float]:

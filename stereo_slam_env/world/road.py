@@ -1,4 +1,4 @@
-"""A road along a centreline: where things are across it, and how near they are to it."""
+"""Roads along a centreline: places beside them, paving, distances."""
 
 from __future__ import annotations
 
@@ -33,15 +33,7 @@ _LIFTS = 0.011
 
 
 class Road:
-    """A road on the plane z = 0 of S.
-
-    Parameters
-    ----------
-    lane : (K, 2) array_like
-        Path of a car in the right-hand lane, m; consecutive points differ.
-    before, after : float
-        Straight extensions at both ends, m.
-    """
+    """A road on the plane z = 0 of S, by the path (K, 2) of a car in its right lane, m, with straight extensions."""
 
     def __init__(self, lane: ArrayLike, before: float, after: float) -> None:
         path = np.asarray(lane, dtype=np.float64)
@@ -58,7 +50,7 @@ class Road:
 
     @property
     def length(self) -> float:
-        """From end to end, m."""
+        """Length from end to end, m."""
         return float(self.stations[-1])
 
     @cached_property
@@ -128,7 +120,7 @@ class Road:
 
     @cached_property
     def tree(self) -> cKDTree:
-        """Of the points."""
+        """Search tree of the points."""
         return cKDTree(self.points)
 
 
@@ -139,7 +131,7 @@ def road_along(route: Route) -> Road:
 
 
 def stations_of(route: Route, road: Road) -> FloatArray:
-    """Where the camera nominally is on the road along its route at each frame, m; (K,)."""
+    """Nominal station of the camera on the road along its route at each frame, m; (K,)."""
     return np.interp(route.arc_length, route.arc_length[_moved(route)], road.lane_stations)
 
 
@@ -150,7 +142,7 @@ def _moved(route: Route) -> IntArray:
 
 @dataclass(frozen=True)
 class Strip:
-    """What a road is paved with, from the middle outwards: half width and height, m."""
+    """Paving of a road, from the middle outwards: half width and height, m."""
 
     half_width: float
     height: float
@@ -173,20 +165,14 @@ def paved(roads: Sequence[Road], strips: Sequence[Strip]) -> tuple[Ribbon, ...]:
 
 
 class RoadNetwork:
-    """Distance to the nearest of several roads.
-
-    Parameters
-    ----------
-    roads : sequence of Road
-        At least one.
-    """
+    """Distance to the nearest of several roads."""
 
     def __init__(self, roads: list[Road]) -> None:
         self.points = np.concatenate([road.points for road in roads])
         self._tree = cKDTree(self.points)
 
     def distance(self, xy: FloatArray) -> FloatArray:
-        """From each point to the nearest centreline, m; (..., 2) -> (...)."""
+        """Distance of each point to the nearest centreline, m; (..., 2) -> (...)."""
         return np.asarray(self._tree.query(xy)[0])
 
     def clear(self, xy: FloatArray, distance: float) -> bool:

@@ -1,21 +1,30 @@
-"""Scripted routes: speed and yaw rate over time, and the camera motion that follows them (Eq. 6)."""
+"""Routes: speed and yaw rate over time, by name or along a recorded drive."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from functools import cached_property
-from typing import Protocol
+import logging
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import cache, cached_property
+from importlib.metadata import entry_points
+from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
+from scipy.ndimage import gaussian_filter1d
 
 from filters import rotations
-from filters.validation import FloatArray
-from stereo_slam_env.recording.recording import Pose, Velocity
+from filters.known_names import did_you_mean
+from filters.validation import FloatArray, positive
+from stereo_slam_env.files.readers import read_poses
 
+ENTRY_POINT_GROUP = "stereo_slam.scenes"
+"""Functions of installed packages that register scenes and routes."""
 FRAME_PERIOD = 0.1
 """Seconds between two frames of every rig."""
 _REACH = 30.0
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,7 +34,7 @@ class Route:
     Attributes
     ----------
     name : str
-        Key in `ROUTES`, or path of a pose file: what `route_files.named_route` takes.
+        What `named_route` takes: a registered name, or the path of a pose file.
     speeds : (K - 1,)
         Speed of each step, m/s.
     yaw_rates : (K - 1,)
@@ -83,7 +92,7 @@ class Route:
 
     @property
     def duration(self) -> float:
-        """Of the whole drive, s."""
+        """Time of the whole drive, s."""
         return len(self.speeds) * FRAME_PERIOD
 
     def turns(self, least: float) -> list[tuple[int, int]]:
@@ -94,15 +103,10 @@ class Route:
         return [(int(first), int(last)) for first, last in edges[turned > least]]
 
     def nearest(self, position: FloatArray, around: int | None = None) -> int:
-        """Index of the frame whose nominal position is nearest to `position` (3,) in W.
+        """Index of the frame whose nominal position is nearest to `position` (3,), m in W.
 
-        Parameters
-        ----------
-        position : (3,)
-            m in W.
-        around : int, optional
-            Consider only frames less than 30 m along the route from this one: which pass it is where a route
-            crosses or retraces itself.
+        With `around`, only of those less than 30 m along the route from that frame: where a route crosses or retraces
+        itself, this is the pass.
         """
         first, last = 0, self.frames
         if around is not None:
@@ -158,91 +162,195 @@ def loop() -> Route:
     return Route("loop", speeds, yaw_rates)
 
 
-ROUTES: dict[str, Callable[[], Route]] = {
+_ROUTES: dict[str, Callable[[], Route]] = {
     "straight": straight,
     "right-turn": right_turn,
     "town": town,
     "loop": loop,
 }
+ROUTES: Mapping[str, Callable[[], Route]] = MappingProxyType(_ROUTES)
+"""Registered routes by name; read-only, see `register_route`."""
 
 
-class Driver(Protocol):
-    """What moves the camera."""
+def register_route(name: str, route: Route | Callable[[], Route]) -> None:
+    """Give a route a name that `gym.make(..., route=name)`, scenarios and commands take.
 
-    @property
-    def finished(self) -> bool:
-        """Whether the end of the route is reached."""
-
-    def start(self) -> tuple[Pose, Velocity]:
-        """Pose and velocity of the first frame."""
-
-    def drive(self, pose: Pose, action: FloatArray) -> Velocity:
-        """Velocity (v in W, omega in the camera frame) of the next step from `pose`."""
-
-
-class RouteDriver:
-    """Drives the camera along a route with small, bounded perturbations.
-
-    The velocity of each step is the nominal one, plus an Ornstein-Uhlenbeck process on the three linear and the three
-    angular components, minus a pull back to the nominal pose that keeps height, roll, pitch and the lane.
+    A name is known in the process that registers it. For commands and worker processes, an installed package names a
+    function that registers its scenes and routes as an entry point in the group `stereo_slam.scenes`.
 
     Parameters
     ----------
-    route : Route
-        The nominal drive.
-    perturbation : float
-        Scale of the perturbations: 0 drives the nominal route exactly.
-    rng : numpy.random.Generator
-        Source of the perturbations.
+    name : str
+        A new one, of letters, digits, ".", "_" and "-".
+    route : Route or callable
+        The route, or a function that makes it.
+
+    Raises
+    ------
+    ValueError
+        The name is taken or has other characters.
     """
-
-    _SIGMAS = np.array([0.08, 0.08, 0.15, 0.012, 0.008, 0.012])
-    _TIME_CONSTANTS = np.array([1.0, 1.0, 1.0, 0.5, 0.5, 0.5])
-    _PULL = 0.5
-    """1/s."""
-
-    def __init__(self, route: Route, perturbation: float, rng: np.random.Generator) -> None:
-        self.route = route
-        self._rng = rng
-        self._sigmas = perturbation * self._SIGMAS
-        self._decay = np.exp(-FRAME_PERIOD / self._TIME_CONSTANTS)
-        self._fresh = np.sqrt(1.0 - self._decay**2) * self._sigmas
-        self._disturbance = self._sigmas * rng.standard_normal(6)
-        self._step = 0
-
-    def start(self) -> tuple[Pose, Velocity]:
-        """Pose and velocity of the first frame."""
-        pose = Pose(np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]))
-        return pose, self._velocity(pose, 0)
-
-    @property
-    def finished(self) -> bool:
-        """Whether the route has no step left."""
-        return self._step >= len(self.route.speeds)
-
-    def drive(self, pose: Pose, action: FloatArray) -> Velocity:
-        """Velocity (v in W, omega in the camera frame) of the next step from `pose`; the action is not used."""
-        self._disturbance = self._decay * self._disturbance + self._fresh * self._rng.standard_normal(6)
-        velocity = self._velocity(pose, self._step)
-        self._step += 1
-        return velocity
-
-    def _velocity(self, pose: Pose, step: int) -> Velocity:
-        route = self.route
-        R_travel, R_nominal, R_wc = route.travel[step], route.attitudes[step], pose.R_wc
-        offset = R_travel.T @ (pose.position - route.positions[step])
-        tilt = rotations.log(R_nominal.T @ R_wc)
-        along = np.array([0.0, 0.0, route.speeds[step]])
-        turn = R_wc.T @ np.array([0.0, route.yaw_rates[step], 0.0])
-        return Velocity(
-            R_travel @ (along + self._disturbance[:3] - self._PULL * offset),
-            turn + self._disturbance[3:] - self._PULL * tilt,
-        )
+    require_new("route", name, ROUTES)
+    _ROUTES[name] = (lambda: replace(route, name=name)) if isinstance(route, Route) else route
 
 
-def advance(pose: Pose, velocity: Velocity, dt: float) -> Pose:
-    """Eq. 6: r' = r + v dt, q' = q x q(omega dt)."""
-    return Pose(
-        pose.position + velocity.linear * dt,
-        rotations.multiply(pose.orientation, rotations.exp_quaternion(velocity.angular * dt)),
+def available_routes() -> dict[str, str]:
+    """Names of the registered routes and one line on each."""
+    load_registrations()
+    routes = {name: make() for name, make in ROUTES.items()}
+    return {name: f"{route.frames} frames, {route.length:.0f} m" for name, route in routes.items()}
+
+
+def require_new(kind: str, name: str, taken: Mapping[str, object]) -> None:
+    """Refuse a name to register that is taken or not plain; it becomes part of file names."""
+    if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z0-9][\w.-]*", name):
+        raise ValueError(f"name must be letters, digits, '.', '_' and '-', got {name!r}")
+    if name in taken:
+        raise ValueError(f"name must be new, got {name!r}: there is such a {kind}, register yours by another name")
+
+
+@cache
+def load_registrations() -> None:
+    """Let installed packages register their scenes and routes; one that fails is logged by name."""
+    for entry_point in entry_points(group=ENTRY_POINT_GROUP):
+        try:
+            entry_point.load()()
+        except Exception as error:
+            _log.warning("scenes of %r are not available: %s: %s", entry_point.name, type(error).__name__, error)
+
+
+KITTI_PERIOD = 0.1037
+"""Mean time between two frames of KITTI odometry, s."""
+_SPACING = 0.25
+"""Of the points along the smoothed path, m."""
+_STRIDE = 0.3
+"""Steps shorter than this do not tell a direction, m."""
+_PATH_SMOOTHING = 1.5
+"""m along the path."""
+_TIME_SMOOTHING = 0.3
+"""s."""
+_AT_REST = 0.02
+"""Speed that counts as standing still, m/s."""
+_FASTEST = 60.0
+"""m/s: poses further apart than that are not of one drive."""
+_SHORTEST = 5.0
+_STRAIGHT_BELOW = 0.08
+"""rad/s; recorded drives are never quite straight."""
+
+
+def kitti_route(path: str | Path, period: float = KITTI_PERIOD) -> Route:
+    """The drive of a KITTI pose file, on flat ground and smooth.
+
+    The horizontal path is smoothed over 1.5 m, the distance driven over 0.3 s, both are resampled to `FRAME_PERIOD`;
+    the camera looks where it drives. W starts in the first direction of travel.
+
+    Parameters
+    ----------
+    path : str or Path
+        12 numbers a row: the upper 3x4 part of T_world_cam (x right, y down, z forward).
+    period : float
+        Time between two rows, s.
+
+    Raises
+    ------
+    ValueError
+        Not such a file, a jump between two rows, a drive backwards, or one shorter than 5 m: the message names the
+        file.
+    """
+    positive("period", period)
+    path = Path(path)
+    if not path.is_file():
+        raise ValueError(f"{path} is not a file: give a KITTI pose file, 12 numbers a row")
+    positions, orientations = read_poses(path)
+    level = positions[:, [0, 2]] - positions[0, [0, 2]]
+    _require_one_drive(path, level, np.array([rotations.matrix(q)[[0, 2], 2] for q in orientations]), period)
+
+    strides, driven = _strides(level)
+    if driven[-1] < _SHORTEST:
+        raise ValueError(f"{path} drives only {driven[-1]:.1f} m: a route needs {_SHORTEST:.0f} m")
+    arc, smooth = _smoothed(strides)
+    tangents = np.gradient(smooth, axis=0)
+    headings = np.unwrap(np.arctan2(tangents[:, 0], tangents[:, 1]))
+
+    duration = (len(level) - 1) * period
+    frames = int(duration / FRAME_PERIOD) + 1
+    at = np.interp(np.arange(frames) * FRAME_PERIOD, np.arange(len(level)) * period, _steady(driven, period))
+    speeds = np.diff(at) / FRAME_PERIOD
+    heading = np.interp(at, arc, headings)
+    return Route(
+        str(path),
+        np.where(speeds < _AT_REST, 0.0, speeds),
+        np.diff(heading) / FRAME_PERIOD,
+        straight_below=_STRAIGHT_BELOW,
     )
+
+
+def named_route(name: str) -> Route:
+    """A route by its name in `ROUTES`, or along the KITTI pose file at that path.
+
+    Raises
+    ------
+    ValueError
+        Neither; the message lists the names and the nearest one. Or the file is not a usable pose file.
+    """
+    if name not in ROUTES:
+        load_registrations()
+    if name in ROUTES:
+        return ROUTES[name]()
+    if Path(name).is_file():
+        return kitti_route(name)
+    hint = did_you_mean(name, ROUTES)
+    raise ValueError(f"route must be one of {', '.join(map(repr, ROUTES))} or a KITTI pose file, got {name!r}{hint}")
+
+
+def _require_one_drive(path: Path, level: FloatArray, forward: FloatArray, period: float) -> None:
+    steps = np.diff(level, axis=0)
+    far = np.flatnonzero(np.linalg.norm(steps, axis=1) > _FASTEST * period)
+    if far.size:
+        raise ValueError(
+            f"{path} jumps by {np.linalg.norm(steps[far[0]]):.1f} m from row {far[0]} to the next: "
+            "give the poses of one drive"
+        )
+    ahead = (steps * forward[:-1]).sum(axis=1)
+    back = np.flatnonzero(ahead < -_STRIDE)
+    if back.size:
+        raise ValueError(f"{path} drives backwards at row {back[0]}: z must be forward, and the car must not reverse")
+
+
+def _strides(level: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Points at least a stride apart (N, 2), and the distance driven at every row (K,), which never falls."""
+    kept, last, driven, before = [level[0]], level[0], np.zeros(len(level)), 0.0
+    for row, point in enumerate(level):
+        step = float(np.hypot(*(point - last)))
+        driven[row] = before + step
+        if step >= _STRIDE:
+            kept.append(point)
+            last, before = point, before + step
+    return np.array(kept), np.maximum.accumulate(driven)
+
+
+def _steady(driven: FloatArray, period: float) -> FloatArray:
+    """The distance at every row (K,), smoothed over time as if the speeds at both ends went on."""
+    margin = min(int(4 * _TIME_SMOOTHING / period), len(driven) - 1)
+    before, after = 2 * driven[0] - driven[margin:0:-1], 2 * driven[-1] - driven[-2 : -2 - margin : -1]
+    smooth = gaussian_filter1d(np.concatenate([before, driven, after]), _TIME_SMOOTHING / period, mode="nearest")
+    steady: FloatArray = smooth[margin : margin + len(driven)]
+    return steady
+
+
+def _smoothed(strides: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The path by arc length: lengths (N,) and points (N, 2), continued straight at both ends while smoothing."""
+    margin = 4 * _PATH_SMOOTHING
+    few = min(5, len(strides) - 1)
+    first, last = _unit(strides[0] - strides[few]), _unit(strides[-1] - strides[-1 - few])
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(strides, axis=0), axis=1))])
+    knots = np.concatenate([[-margin], along, [along[-1] + margin]])
+    points = np.concatenate([strides[:1] + margin * first, strides, strides[-1:] + margin * last])
+    arc = np.arange(-margin, along[-1] + margin, _SPACING)
+    dense = np.stack([np.interp(arc, knots, points[:, i]) for i in range(2)], axis=1)
+    return arc, np.asarray(gaussian_filter1d(dense, _PATH_SMOOTHING / _SPACING, axis=0, mode="nearest"))
+
+
+def _unit(vector: FloatArray) -> FloatArray:
+    direction: FloatArray = vector / np.linalg.norm(vector)
+    return direction

@@ -1,4 +1,4 @@
-"""What is in a scene: a plain description that any renderer or physics engine can be built from.
+"""Description of a scene, plain data from which any renderer or physics engine is built.
 
 Everything is in the scene frame S (z up, see `world.frames`), metres.
 """
@@ -161,10 +161,8 @@ class Scene:
         Everything that stands.
     ribbons : tuple of Ribbon
         Roads and pavements.
-    landmark_ids : (N,) int64
-        Ascending.
     landmark_points : (N, 3)
-        On visible surfaces, m.
+        On visible surfaces, m; the id of a landmark is its row.
     moving : tuple of MovingBody
         What moves; it carries no landmarks.
     look : Look
@@ -174,10 +172,14 @@ class Scene:
     ground: Ground
     primitives: tuple[Primitive, ...]
     ribbons: tuple[Ribbon, ...]
-    landmark_ids: IntArray
     landmark_points: FloatArray
     moving: tuple[MovingBody, ...] = ()
     look: Look = Look()
+
+    @property
+    def landmark_ids(self) -> IntArray:
+        """Ids of the landmarks, ascending from 0; (N,) int64."""
+        return np.arange(len(self.landmark_points), dtype=np.int64)
 
     @property
     def solids(self) -> tuple[Primitive, ...]:

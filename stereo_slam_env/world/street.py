@@ -1,4 +1,4 @@
-"""A procedural street along any route: the same seed builds the same street."""
+"""Procedural street along any route: the same seed builds the same street."""
 
 from __future__ import annotations
 
@@ -8,11 +8,10 @@ import numpy as np
 
 from filters.validation import FloatArray
 from stereo_slam_env.world import props
-from stereo_slam_env.world.layout import Layout, Make
+from stereo_slam_env.world.layout import Layout, Make, facing_points
 from stereo_slam_env.world.road import ASPHALT_HEIGHT, Road, RoadNetwork, Strip, paved, road_along
 from stereo_slam_env.world.routes import Route
 from stereo_slam_env.world.scene import Material, Primitive, Scene
-from stereo_slam_env.world.surface_points import facing_points
 
 HALF_WIDTH = 5.75
 """Two lanes of 3.5 m between two parking strips of 2.25 m."""
@@ -33,39 +32,26 @@ _GRASS = Material((1.0, 1.0, 1.0), "grass", (7.3, 7.3))
 
 
 def build_street(route: Route, rng: np.random.Generator) -> Scene:
-    """Lay out houses, trees, lamps, signs and parked cars along `route`, and landmarks on them.
+    """Houses, trees, lamps, signs and parked cars along `route`, with landmarks on them.
 
-    Parameters
-    ----------
-    route : Route
-        Path of the camera; it drives in the right-hand lane. Where it turns by more than 45 degrees, the old
-        direction goes on as a side street.
-    rng : numpy.random.Generator
-        Source of the layout.
-
-    Returns
-    -------
-    Scene
-        In S, with its landmarks.
+    Where the route turns by more than 45 degrees, the old direction goes on as a side street.
     """
     roads = [road_along(route), *_side_streets(route)]
     network = RoadNetwork(roads)
     street = _Street(network, rng)
-    for road in roads:
-        for side in (1.0, -1.0):
-            street.line_with_houses(road, side)
+    sides = [(road, side) for road in roads for side in (1.0, -1.0)]
+    for road, side in sides:
+        street.line_with_houses(road, side)
     houses = len(street.primitives)
-    for road in roads:
-        for side in (1.0, -1.0):
-            street.line_with_towers(road, side)
+    for road, side in sides:
+        street.line_with_towers(road, side)
     towers = len(street.primitives)
-    for road in roads:
-        for side in (1.0, -1.0):
-            street.furnish(road, side)
+    for road, side in sides:
+        street.furnish(road, side)
     built = street.primitives
     points = _landmarks(built[:houses] + built[towers:], built[houses:towers], roads, network, rng)
     ground = network.ground(320.0, _GRASS)
-    return Scene(ground, tuple(built), paved(roads, _STRIPS), np.arange(len(points), dtype=np.int64), points)
+    return Scene(ground, tuple(built), paved(roads, _STRIPS), points)
 
 
 def _side_streets(route: Route) -> list[Road]:

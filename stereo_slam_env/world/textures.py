@@ -8,10 +8,8 @@ from zlib import crc32
 import numpy as np
 from numpy.typing import NDArray
 
-from stereo_slam_env.world.body_textures import BODY_PAINTERS
-from stereo_slam_env.world.painting import Painter
-from stereo_slam_env.world.plain_textures import PLAIN_PAINTERS
-from stereo_slam_env.world.street_textures import STREET_PAINTERS
+from stereo_slam_env.world.painting import PLAIN_PAINTERS, Painter
+from stereo_slam_env.world.street_textures import BODY_PAINTERS, STREET_PAINTERS
 
 Image = NDArray[np.uint8]
 _PAINTERS: dict[str, Painter] = STREET_PAINTERS | BODY_PAINTERS | PLAIN_PAINTERS
@@ -27,17 +25,8 @@ VARIANTS = 4
 def texture(name: str, variant: int = 0) -> Image:
     """The texture as RGB uint8 (H, W, 3), top row first; read-only.
 
-    Parameters
-    ----------
-    name : str
-        One of `TEXTURES`.
-    variant : int
-        0 is the standard; others differ from it in details, contrast and brightness.
-
-    Raises
-    ------
-    ValueError
-        There is no such texture or variant.
+    Variant 0 is the standard; others differ from it in details, contrast and brightness. A `ValueError` where there is
+    no such texture or variant.
     """
     if name not in _PAINTERS:
         raise ValueError(f"texture must be one of {', '.join(TEXTURES)}, got {name!r}")

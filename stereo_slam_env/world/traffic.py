@@ -3,18 +3,57 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
 from filters.validation import BoolArray, FloatArray
-from stereo_slam_env.world import bodies
-from stereo_slam_env.world.obstacles import Obstacles
-from stereo_slam_env.world.road import LANE_OFFSET, Road, stations_of
+from stereo_slam_env.world import props
+from stereo_slam_env.world.meshes import body_meshes
+from stereo_slam_env.world.road import LANE_OFFSET, road_along, stations_of
 from stereo_slam_env.world.routes import FRAME_PERIOD, Route, pulse
-from stereo_slam_env.world.scene import MovingBody, Primitive
+from stereo_slam_env.world.scene import Box, Cylinder, MovingBody, Primitive
+
+_TALL = 1.8
+"""Height of a person, m: what is above is not in the way."""
+
+
+class Obstacles:
+    """Outlines on the ground of solids lower than a person, as rectangles."""
+
+    def __init__(self, solids: Iterable[Primitive]) -> None:
+        rectangles = []
+        for solid in solids:
+            if isinstance(solid, Box):
+                if solid.center[2] - 0.5 * solid.size[2] < _TALL:
+                    rectangles.append((*solid.center[:2], solid.yaw, *solid.size[:2]))
+            elif isinstance(solid, Cylinder):
+                start, end = np.array(solid.start), np.array(solid.end)
+                if min(start[2], end[2]) < _TALL:
+                    reach = float(np.linalg.norm(end[:2] - start[:2]))
+                    yaw = float(np.arctan2(end[1] - start[1], end[0] - start[0]))
+                    middle = 0.5 * (start + end)
+                    rectangles.append((*middle[:2], yaw, reach + 2 * solid.radius, 2 * solid.radius))
+            else:
+                above = max(solid.center[2] - _TALL, 0.0)
+                if above < solid.radius:
+                    side = 2 * float(np.sqrt(solid.radius**2 - above**2))
+                    rectangles.append((*solid.center[:2], 0.0, side, side))
+        self._rectangles = np.array(rectangles, dtype=np.float64).reshape(-1, 5)
+        self._reach = 0.5 * np.linalg.norm(self._rectangles[:, 3:], axis=1)
+
+    def block(self, points: FloatArray, room: float) -> bool:
+        """Whether any of `points` (N, 2) is inside an outline or less than `room` m from one."""
+        middle = points.mean(axis=0)
+        reach = np.linalg.norm(points - middle, axis=1).max() + room
+        near = self._rectangles[np.linalg.norm(self._rectangles[:, :2] - middle, axis=1) < self._reach + reach]
+        cos, sin = np.cos(near[:, 2]), np.sin(near[:, 2])
+        x, y = np.moveaxis(points[:, None] - near[:, :2], -1, 0)
+        local = np.stack([x * cos + y * sin, y * cos - x * sin], axis=-1)
+        return bool((np.abs(local) < 0.5 * near[:, 3:] + room).all(axis=-1).any())
+
 
 _LOG = logging.getLogger(__name__)
 _AFTER = 20.0
@@ -40,7 +79,7 @@ _TIGHT = 0.8
 
 @dataclass(frozen=True, eq=False)
 class _Way:
-    """Where on the road a body is at each time (K,): station, offset to the left, turn to the road (rad)."""
+    """Path of a body on the road at each time (K,): station, offset to the left, turn to the road (rad)."""
 
     stations: FloatArray
     left: FloatArray
@@ -49,7 +88,6 @@ class _Way:
 
 def traffic(
     route: Route,
-    road: Road,
     solids: tuple[Primitive, ...],
     walkway: float,
     rng: np.random.Generator,
@@ -60,47 +98,33 @@ def traffic(
     """Bodies that move around the nominal drive, come into its view, and never touch it or each other.
 
     Cars drive ahead in the same lane with a changing gap, or come along the other lane; some of these stop for a
-    while. Pedestrians walk along the road or cross it ahead of the ego car. More cars than there is room for are
-    left out, which is logged.
-
-    Parameters
-    ----------
-    route : Route
-        The nominal drive.
-    road : Road
-        The road along it, see `road_along`.
-    solids : tuple of Box, Cylinder or Sphere
-        What stands in the way of pedestrians; lanes are free.
-    walkway : float
-        Where pedestrians walk, m to either side of the centreline.
-    rng : numpy.random.Generator
-        Source of everything; the first bodies stay the same when more are asked for.
-    cars, pedestrians : int
-        How many.
+    while. Pedestrians walk along the road, `walkway` m from its centreline and clear of the `solids`, or cross it
+    ahead of the ego car. Bodies without room are left out, which is logged. The first bodies stay the same when more
+    are asked for.
     """
     car_rng, walker_rng = rng.spawn(2)
-    cast = _Cast(route, road)
+    cast = _Cast(route)
     for own in car_rng.spawn(cars):
-        parts = bodies.vehicle(own)
-        long = bodies.length_of(parts)
+        parts = props.vehicle(own)
+        long = props.length_of(parts)
         draw = partial(cast.leading, long, own) if own.random() < _LEADING else partial(cast.oncoming, own)
         cast.add("car", parts, 0.5 * long, 1.35, draw)
     obstacles = Obstacles(solids)
     for own in walker_rng.spawn(pedestrians):
         walk = cast.crossing if own.random() < _CROSSING else cast.walking
-        cast.add("pedestrian", bodies.pedestrian(own), 0.0, 0.35, partial(walk, walkway, own), obstacles)
+        cast.add("pedestrian", props.pedestrian(own), 0.0, 0.35, partial(walk, walkway, own), obstacles)
     return tuple(cast.bodies)
 
 
 class _Cast:
     """The bodies so far and where they are, so that the next one keeps clear of them and of the ego car."""
 
-    def __init__(self, route: Route, road: Road) -> None:
-        self._road, self._duration = road, route.duration
+    def __init__(self, route: Route) -> None:
+        self._road, self._duration = road_along(route), route.duration
         self._times = np.arange(0.0, route.duration + _AFTER, FRAME_PERIOD)
         frames = np.minimum(np.arange(len(self._times)), route.frames - 1)
         over = np.maximum(self._times - route.duration, 0.0)
-        self._ego = stations_of(route, road)[frames] + max(float(route.speeds[-1]), 1.0) * over
+        self._ego = stations_of(route, self._road)[frames] + max(float(route.speeds[-1]), 1.0) * over
         self._eyes = (route.positions[:, [2, 0]] * [1.0, -1.0])[frames]
         self._gaze = -route.headings[frames]
         self._taken = [(_circles(self._eyes, self._gaze, _EGO_CIRCLES), _EGO_RADIUS + _SWAY)]
@@ -207,3 +231,27 @@ def _touch(one: FloatArray, other: FloatArray, limit: float) -> bool:
     """Whether circles (K, C, 2) and (K, D, 2) ever come within `limit` m of each other; NaN is nowhere."""
     apart = one[:, :, None] - other[:, None]
     return bool((np.einsum("kcdi,kcdi->kcd", apart, apart) < limit**2).any())
+
+
+_SKIN = 0.15
+"""Points this far outside of the box around a body still count as on it, m."""
+
+
+class MovingPoints:
+    """Tells which points are on moving bodies, by the boxes around these."""
+
+    def __init__(self, bodies: Sequence[MovingBody]) -> None:
+        self._bodies = tuple(bodies)
+        corners = [np.concatenate([mesh.vertices for mesh in body_meshes(body).values()]) for body in self._bodies]
+        self._boxes = [(vertices.min(axis=0) - _SKIN, vertices.max(axis=0) + _SKIN) for vertices in corners]
+
+    def on_body(self, points_s: FloatArray, time: float) -> BoolArray:
+        """Which points (N, 3) of S, m, are on a body at `time` s; False for NaN."""
+        inside = np.zeros(len(points_s), dtype=bool)
+        for body, (low, high) in zip(self._bodies, self._boxes, strict=True):
+            position, yaw = body.pose_at(time)
+            cos, sin = np.cos(yaw), np.sin(yaw)
+            local = (points_s - position) @ np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+            # Not the road below it: what the wheels stand on is no part of the body.
+            inside |= ((local >= low) & (local <= high)).all(axis=1) & (local[:, 2] > 0.5 * _SKIN)
+        return inside

@@ -1,11 +1,13 @@
-"""A car that an agent drives: the kinematic bicycle model on flat ground, with the camera on its roof."""
+"""The car, its pan-tilt head, and the drivers that move it along a route or by actions."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
+from filters import rotations
 from filters.validation import FloatArray
 from stereo_slam_env.recording.recording import Pose, Velocity
 from stereo_slam_env.world.routes import FRAME_PERIOD, Route
@@ -13,7 +15,7 @@ from stereo_slam_env.world.routes import FRAME_PERIOD, Route
 
 @dataclass(frozen=True)
 class Car:
-    """What the car can do, and how big it is.
+    """Limits and size of the car.
 
     Attributes
     ----------
@@ -40,15 +42,7 @@ class Car:
 
 
 class AgentDriver:
-    """Turns actions into camera motion.
-
-    Parameters
-    ----------
-    car : Car
-        Limits and geometry.
-    route : Route
-        Where the street is; the car starts at its first point with its first speed.
-    """
+    """Kinematic bicycle model: turns actions into camera motion from the first point and speed of a route on."""
 
     def __init__(self, car: Car, route: Route) -> None:
         self.car, self.route = car, route
@@ -65,14 +59,9 @@ class AgentDriver:
         return pose, Velocity(np.array([0.0, 0.0, self.speed]), np.zeros(3))
 
     def drive(self, pose: Pose, action: FloatArray) -> Velocity:
-        """Mean velocity (v in W, omega in the camera frame) of the next step.
+        """Mean velocity (v in W, omega in the camera frame) of the next step from the camera pose.
 
-        Parameters
-        ----------
-        pose : Pose
-            Current camera pose.
-        action : (2,)
-            Acceleration and steering angle in -1..1 of their limits; positive steers right.
+        The action (2,) is acceleration and steering angle in -1..1 of their limits; positive steers right.
         """
         car, dt = self.car, FRAME_PERIOD
         before = self.speed
@@ -93,3 +82,136 @@ class AgentDriver:
 
 def _direction(heading: float) -> FloatArray:
     return np.array([np.sin(heading), 0.0, np.cos(heading)])
+
+
+class Driver(Protocol):
+    """A driver: moves the camera."""
+
+    @property
+    def finished(self) -> bool:
+        """Whether the end of the route is reached."""
+
+    def start(self) -> tuple[Pose, Velocity]:
+        """Pose and velocity of the first frame."""
+
+    def drive(self, pose: Pose, action: FloatArray) -> Velocity:
+        """Velocity (v in W, omega in the camera frame) of the next step from `pose`."""
+
+
+class RouteDriver:
+    """Drives the camera along a route with small, bounded perturbations; scale 0 drives the nominal route exactly.
+
+    The velocity of each step is the nominal one, plus an Ornstein-Uhlenbeck process on the three linear and the three
+    angular components, minus a pull back to the nominal pose that keeps height, roll, pitch and the lane.
+    """
+
+    _SIGMAS = np.array([0.08, 0.08, 0.15, 0.012, 0.008, 0.012])
+    _TIME_CONSTANTS = np.array([1.0, 1.0, 1.0, 0.5, 0.5, 0.5])
+    _PULL = 0.5
+    """1/s."""
+
+    def __init__(self, route: Route, perturbation: float, rng: np.random.Generator) -> None:
+        self.route = route
+        self._rng = rng
+        self._sigmas = perturbation * self._SIGMAS
+        self._decay = np.exp(-FRAME_PERIOD / self._TIME_CONSTANTS)
+        self._fresh = np.sqrt(1.0 - self._decay**2) * self._sigmas
+        self._disturbance = self._sigmas * rng.standard_normal(6)
+        self._step = 0
+
+    def start(self) -> tuple[Pose, Velocity]:
+        """Pose and velocity of the first frame."""
+        pose = Pose(np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]))
+        return pose, self._velocity(pose, 0)
+
+    @property
+    def finished(self) -> bool:
+        """Whether the route has no step left."""
+        return self._step >= len(self.route.speeds)
+
+    def drive(self, pose: Pose, action: FloatArray) -> Velocity:
+        """Velocity (v in W, omega in the camera frame) of the next step from `pose`; the action is not used."""
+        self._disturbance = self._decay * self._disturbance + self._fresh * self._rng.standard_normal(6)
+        velocity = self._velocity(pose, self._step)
+        self._step += 1
+        return velocity
+
+    def _velocity(self, pose: Pose, step: int) -> Velocity:
+        route = self.route
+        R_travel, R_nominal, R_wc = route.travel[step], route.attitudes[step], pose.R_wc
+        offset = R_travel.T @ (pose.position - route.positions[step])
+        tilt = rotations.log(R_nominal.T @ R_wc)
+        along = np.array([0.0, 0.0, route.speeds[step]])
+        turn = R_wc.T @ np.array([0.0, route.yaw_rates[step], 0.0])
+        return Velocity(
+            R_travel @ (along + self._disturbance[:3] - self._PULL * offset),
+            turn + self._disturbance[3:] - self._PULL * tilt,
+        )
+
+
+def advance(pose: Pose, velocity: Velocity, dt: float) -> Pose:
+    """Eq. 6: r' = r + v dt, q' = q x q(omega dt)."""
+    return Pose(
+        pose.position + velocity.linear * dt,
+        rotations.multiply(pose.orientation, rotations.exp_quaternion(velocity.angular * dt)),
+    )
+
+
+@dataclass(frozen=True)
+class Head:
+    """A pan-tilt head whose axes meet half-way between the two cameras.
+
+    R_wc = R_wb R_y(pan) R_x(tilt), where B is where the left camera is when the head looks straight ahead: positive
+    pan looks right, positive tilt looks up.
+
+    Attributes
+    ----------
+    baseline : float
+        Distance of the cameras, m.
+    max_angles : (2,) tuple
+        Largest pan and tilt to either side, rad.
+    max_rates : (2,) tuple
+        Fastest pan and tilt, rad/s.
+    """
+
+    baseline: float
+    max_angles: tuple[float, float]
+    max_rates: tuple[float, float]
+
+    def turned(self, angles: FloatArray, command: FloatArray, dt: float | FloatArray) -> FloatArray:
+        """Pan and tilt, rad, after `dt` s of turning from `angles` (2,) towards a command (2,) in -1..1 of the limits.
+
+        Arguments are broadcast.
+        """
+        most = np.array(self.max_rates) * dt
+        after: FloatArray = angles + np.clip(command * self.max_angles - angles, -most, most)
+        return after
+
+    def camera_pose(self, body: Pose, angles: FloatArray) -> Pose:
+        """Pose of the left camera, from its pose when looking straight ahead and pan and tilt, rad."""
+        turn = head_turn(angles)
+        middle = np.array([0.5 * self.baseline, 0.0, 0.0])
+        shift = middle - rotations.matrix(turn) @ middle
+        return Pose(
+            body.position + rotations.matrix(body.orientation) @ shift, rotations.multiply(body.orientation, turn)
+        )
+
+    def body_pose(self, camera: Pose, angles: FloatArray) -> Pose:
+        """Inverse of `camera_pose`: where the left camera would be if the head looked straight ahead."""
+        turn = head_turn(angles)
+        orientation = rotations.multiply(camera.orientation, turn * np.array([-1.0, -1.0, -1.0, 1.0]))
+        middle = np.array([0.5 * self.baseline, 0.0, 0.0])
+        shift = middle - rotations.matrix(turn) @ middle
+        return Pose(camera.position - rotations.matrix(orientation) @ shift, orientation)
+
+
+def head_turn(angles: FloatArray) -> FloatArray:
+    """Quaternion xyzw of R_y(pan) R_x(tilt); (..., 2) rad -> (..., 4)."""
+    (sin_pan, sin_tilt), (cos_pan, cos_tilt) = np.sin(0.5 * angles.T), np.cos(0.5 * angles.T)
+    return np.array([cos_pan * sin_tilt, sin_pan * cos_tilt, -sin_pan * sin_tilt, cos_pan * cos_tilt]).T
+
+
+def velocity_between(before: Pose, after: Pose, dt: float) -> Velocity:
+    """The constant velocity that leads from one pose to the other (Eq. 6)."""
+    turn = rotations.matrix(before.orientation).T @ rotations.matrix(after.orientation)
+    return Velocity((after.position - before.position) / dt, rotations.log(turn) / dt)

@@ -1,4 +1,4 @@
-"""What a filter in the loop believes after a frame, in one place for every wrapper that asks."""
+"""Belief of a filter in the loop after a frame, for the wrappers."""
 
 from __future__ import annotations
 
@@ -11,12 +11,13 @@ import numpy as np
 
 from filters import rotations
 from filters.camera import StereoCamera
+from filters.consistency import nees
 from filters.interface import PoseBelief, StereoFilter, UpdateReport
 from filters.motion import POSE_SIZE, POSITION, ROTATION
 from filters.noise import StereoNoise
 from filters.registry import filter_arguments, make_filter
 from filters.validation import FloatArray, IntArray, positive
-from stereo_slam_env.evaluation.consistency import nees
+from stereo_slam_env.loop import FilterLoop
 from stereo_slam_env.recording.recording import Frame, Pose, Start
 
 
@@ -131,9 +132,14 @@ class FilterInTheLoop:
     def __init__(
         self, name: str, camera: StereoCamera, noise: StereoNoise, options: Mapping[str, Any], use_odometry: bool
     ) -> None:
-        self.slam = make_filter(name, camera=camera, noise=noise, **filter_arguments(options))
-        self._name, self._use_odometry = name, use_odometry
-        self._number, self._timestamp = 0, 0.0
+        slam = make_filter(name, camera=camera, noise=noise, **filter_arguments(options))
+        self._filter_name, self._number = name, 0
+        self._loop = FilterLoop(slam, use_odometry=use_odometry)
+
+    @property
+    def slam(self) -> StereoFilter:
+        """The filter, after the last frame."""
+        return self._loop.slam
 
     def start(self, start: Start, frame: Frame) -> Belief:
         """Begin again with what a filter is told and the first frame; raises as `go_on`."""
@@ -152,20 +158,14 @@ class FilterInTheLoop:
         return self._used(frame, None)
 
     def _used(self, frame: Frame, start: Start | None) -> Belief:
-        slam = self.slam
         try:
             if start is not None:
-                slam.reset(
-                    start.position, start.orientation, start.linear_velocity, start.angular_velocity, start.covariance
-                )
-            else:
-                slam.predict(frame.timestamp - self._timestamp, frame.odometry if self._use_odometry else None)
-            self._timestamp = frame.timestamp
-            return Belief.of(slam, slam.update(frame.observation))
+                self._loop.reset(start)
+            return Belief.of(self.slam, self._loop.step(frame).report)
         except Exception as error:  # a stranger's filter may raise anything; the episode cannot go on without it
             text = (str(error).strip() or "no message").splitlines()[0]
             raise RuntimeError(
-                f"filter {self._name!r} failed in frame {self._number}: {type(error).__name__}: {text}"
+                f"filter {self._filter_name!r} failed in frame {self._number}: {type(error).__name__}: {text}"
             ) from error
 
 

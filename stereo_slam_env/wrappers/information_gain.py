@@ -9,7 +9,7 @@ import gymnasium as gym
 import numpy as np
 
 from stereo_slam_env.evaluation.consistency import mean_band
-from stereo_slam_env.evaluation.reference_belief import ReferenceBelief
+from stereo_slam_env.evaluation.cramer_rao import ReferenceBelief
 from stereo_slam_env.wrappers.information import InformationCriterion
 from stereo_slam_env.wrappers.online_reference import OnlineReference
 from stereo_slam_env.wrappers.recorded_wrapper import RecordedWrapper

@@ -8,7 +8,7 @@ import numpy as np
 
 from filters.motion import ConstantVelocity
 from filters.validation import BoolArray, IntArray
-from stereo_slam_env.evaluation.reference_belief import ReferenceBelief
+from stereo_slam_env.evaluation.cramer_rao import ReferenceBelief
 from stereo_slam_env.recording.recording import Frame, LandmarkTruth
 from stereo_slam_env.wrappers.recorded_wrapper import RecordedWrapper
 

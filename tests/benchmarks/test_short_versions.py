@@ -11,8 +11,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from stereo_slam_env.evaluation.run_figures import figures_of
-from stereo_slam_env.evaluation.summary import summarise_all
+from stereo_slam_env.evaluation.run_figures import figures_of, summarise_all
 
 pytestmark = pytest.mark.slow
 

@@ -24,7 +24,7 @@ pytest.importorskip("material", reason="needs the extra docs")
 def site(tmp_path_factory):
     """The manual as `make docs` builds it; dead links and pages out of the navigation fail."""
     folder = tmp_path_factory.mktemp("site")
-    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(folder)]
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(folder)]
     environment = {**os.environ, "NO_MKDOCS_2_WARNING": "1", "PYTHONDONTWRITEBYTECODE": "1"}
     done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stdout + done.stderr
@@ -60,6 +60,14 @@ def test_links_to_code_lead_to_pages_with_that_code(site):
     text = (site / "write_a_filter.html").read_text(encoding="utf-8")
     assert 'href="code/examples/write_a_filter.py.html"' in text
     assert "StackedEKF" in (site / "code" / "examples" / "write_a_filter.py.html").read_text(encoding="utf-8")
+
+
+def test_equations_are_typeset(site):
+    derivations = sorted((site / "derivations").glob("*.html"))
+    assert len(derivations) == 6
+    for path in derivations:
+        assert '<math xmlns="http://www.w3.org/1998/Math/MathML" display="block">' in path.read_text(encoding="utf-8")
+    assert [path.name for path in pages(site) if 'class="arithmatex"' in path.read_text(encoding="utf-8")] == []
 
 
 @pytest.mark.skipif(BROWSER is None, reason="needs the browser chromium (apt install chromium)")

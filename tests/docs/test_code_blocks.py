@@ -19,8 +19,9 @@ PAGES = {
 }
 OPTIONAL = ("pandas", "polars", "minari", "rerun")
 SHORTER = {
-    "docs/benchmark.md": ('run("quick", ', 'run("reference-turn", '),
-    "docs/image_sequences.md": ("first=100, last=200", "first=0, last=3"),
+    "README.md": ('scenario="turn", seeds=6', 'scenario="reference-turn", seeds=2'),
+    "docs/benchmark.md": ('run_benchmark("quick", ', 'run_benchmark("reference-turn", '),
+    "docs/your_data.md": ("first=100, last=200", "first=0, last=3"),
 }
 """A piece of code that takes minutes or a long recording, and what is run in its place."""
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from filters import StereoCamera, StereoFilter, StereoNoise, StereoObservation, UpdateReport
+from filters import Start, StereoCamera, StereoFilter, StereoNoise, StereoObservation, UpdateReport
 
 CAMERA = StereoCamera(721.5, 721.5, 672.0, 195.5, 0.571, 1344, 391)
 # Unequal focal lengths show a formula that takes the wrong one.
@@ -66,7 +66,7 @@ def drive(
 
 def start(stereo_filter: StereoFilter) -> StereoFilter:
     """Reset to the first frame of a `drive`."""
-    stereo_filter.reset(linear_velocity=(0.0, 0.0, SPEED), covariance=START_COVARIANCE)
+    stereo_filter.reset(Start(linear_velocity=(0.0, 0.0, SPEED), covariance=START_COVARIANCE))
     return stereo_filter
 
 

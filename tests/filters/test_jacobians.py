@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from filters import BodyVelocity, ConstantVelocity, StereoEKF, StereoObservation, VelocityDriven, rotations
+from filters import BodyVelocity, ConstantVelocity, Start, StereoEKF, StereoObservation, VelocityDriven, rotations
 from filters.engine.error_definition import ERRORS
 from filters.engine.joint_state import JointState
 from filters.engine.options import LANDMARKS, MEASUREMENTS
@@ -370,7 +370,7 @@ for _name, _model in {**LANDMARKS, "hybrid of both": Hybrid(near_disparity=20.0)
 
 def _seen_state(stereo_filter: StereoEKF, s: Situation) -> JointState:
     """Two generations of landmarks in the map, the camera moved on from where it saw them."""
-    stereo_filter.reset(s.camera.position - s.anchor_offset[0], s.camera.orientation, covariance=np.eye(12))
+    stereo_filter.reset(Start(s.camera.position - s.anchor_offset[0], s.camera.orientation, covariance=np.eye(12)))
     half = COUNT // 2
     stereo_filter.update(StereoObservation(np.arange(half), s.uvd[:half]))
     state = stereo_filter._state

@@ -10,12 +10,21 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from filters import BodyVelocity, StereoEKF, StereoFilter, StereoObservation, UpdateReport, VelocityDriven, make_filter
+from filters import (
+    BodyVelocity,
+    Start,
+    StereoEKF,
+    StereoFilter,
+    StereoObservation,
+    UpdateReport,
+    VelocityDriven,
+    make_filter,
+)
 from filters.conformance import _same
 from filters.conformance import assert_healthy as assert_contract
 from filters.engine.error_definition import ERRORS
 from filters.engine.options import LANDMARKS, MEASUREMENTS
-from filters.registry import _OWN as NAMED
+from filters.presets import PRESETS as NAMED
 
 from .drives import CAMERA, INDEPENDENT_PIXELS
 
@@ -68,7 +77,7 @@ class Drive:
         covariance = np.diag(np.repeat(10.0 ** rng.uniform(-4, -0.5, 4), 3) ** 2)
         velocity = self.orientation.apply([0, 0, 5.0])
         self.stereo_filter.reset(
-            self.position, self.orientation.as_quat(), velocity, covariance=covariance if seed % 3 else None
+            Start(self.position, self.orientation.as_quat(), velocity, covariance=covariance if seed % 3 else None)
         )
         self.last: StereoObservation | None = None
         assert len(self.stereo_filter.landmarks.ids) == 0
@@ -135,8 +144,8 @@ class Drive:
             lambda: self.stereo_filter.update(None),
             lambda: self.stereo_filter.forecast([10**9]),
             lambda: self.stereo_filter.forget([0, 0]),
-            lambda: self.stereo_filter.reset(position=(np.nan, 0.0, 0.0)),
-            lambda: self.stereo_filter.reset(covariance=-np.eye(12)),
+            lambda: self.stereo_filter.reset(Start(position=(np.nan, 0.0, 0.0))),
+            lambda: self.stereo_filter.reset(Start(covariance=-np.eye(12))),
             lambda: self.stereo_filter.pose_error((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0)),
         )
         with pytest.raises(ValueError, match=r"."):

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from filters import ConstantVelocity, DualBearingEKF, EuclideanEKF, InverseDepthStereoEKF, StereoEKF, StereoNoise
+from filters import ConstantVelocity, DualBearingEKF, EuclideanEKF, InverseDepthStereoEKF, Start, StereoEKF, StereoNoise
 
 from .drives import CAMERA, DT, INDEPENDENT_PIXELS, INDEPENDENT_UVD, ODD_CAMERA, SPEED, START_COVARIANCE, drive, start
 from .textbook import TextbookEKF
@@ -84,7 +84,7 @@ def test_large_corrections_agree_too() -> None:
     frames = drive(3, 6, visible=10, depths=(6.0, 30.0))
     covariance = np.diag(np.repeat([0.3, 0.5, 2.0, 1.0], 3) ** 2)
     ours = InverseDepthStereoEKF(CAMERA, INDEPENDENT_PIXELS, gate=None)
-    ours.reset(linear_velocity=(0.0, 0.0, SPEED), covariance=covariance)
+    ours.reset(Start(linear_velocity=(0.0, 0.0, SPEED), covariance=covariance))
     textbook = TextbookEKF(CAMERA, INDEPENDENT_PIXELS.R)
     textbook.reset(np.array([0.0, 0.0, SPEED]), covariance)
     largest = 0.0

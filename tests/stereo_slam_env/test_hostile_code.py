@@ -11,13 +11,14 @@ import pytest
 
 from stereo_slam_env.benchmark.campaign import as_study
 from stereo_slam_env.benchmark.recordings.reference_problem import short_turn
-from stereo_slam_env.benchmark.running.runner import run_filter
+from stereo_slam_env.benchmark.recordings.sources import FactorySource, ReferenceSource
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, Scenario
-from stereo_slam_env.benchmark.scenarios.scenario_file import MOST_TRIALS, load_study
+from stereo_slam_env.benchmark.scenarios.study import MOST_TRIALS, load_study
 from stereo_slam_env.benchmark.storage.run_archive import load_run, save_run
 from stereo_slam_env.benchmark.storage.store import open_run, read_run
 from stereo_slam_env.benchmark.storage.study_store import read_study
 from stereo_slam_env.cli.app import main
+from stereo_slam_env.evaluation.filter_run import run_filter
 
 ROOT = Path(__file__).resolve().parents[2]
 MODULES = sorted(
@@ -124,7 +125,7 @@ def evil(tmp_path, monkeypatch):
 def test_a_scenario_file_runs_code_only_with_consent(evil):
     with pytest.raises(ValueError, match=r"runs code, 'evil_module:make': if you trust it, allow it with --allow-code"):
         load_study(evil)
-    assert load_study(evil, allow_code=True).only_scenario().kind == "factory"
+    assert load_study(evil, allow_code=True).only_scenario().source.kind == "factory"
     assert not (evil.parent / "mark").exists()
 
 
@@ -196,7 +197,7 @@ def test_control_characters_of_a_file_do_not_reach_the_terminal(tmp_path, capsys
 
 
 def test_results_do_not_name_files_outside_their_folder(tmp_path):
-    scenario = Scenario("one", "reference", {"name": "short_turn"}, (FilterChoice("paper", "inverse-depth"),))
+    scenario = Scenario("one", ReferenceSource("short_turn"), (FilterChoice("paper", "inverse-depth"),))
     directory = open_run(tmp_path / "run", scenario)
     run = run_filter(short_turn(seed=0, frames=3), "inverse-depth", label="../../../evil", seed=0)
     save_run(directory.trial_path(0, scenario.filters[0]), run, {"recording": {}, "code": "none"})
@@ -208,7 +209,7 @@ def test_results_do_not_name_files_outside_their_folder(tmp_path):
 
 @pytest.mark.parametrize("name", ["../../evil", "/tmp/evil", "a/b", ".."])
 def test_nor_do_cells(name, tmp_path):
-    scenario = Scenario("one", "reference", {"name": "short_turn"}).as_dict()
+    scenario = Scenario("one", ReferenceSource("short_turn")).as_dict()
     cells = [{"name": cell, "factors": {"x": cell}, "scenario": scenario} for cell in ("good", name)]
     (tmp_path / "study.json").write_text(json.dumps({"name": "s", "cells": cells, "factorial": None}))
     with pytest.raises(ValueError, match="name of a cell must be"):
@@ -217,7 +218,7 @@ def test_nor_do_cells(name, tmp_path):
 
 @pytest.mark.parametrize("label", ["../evil", "a/b", "", "<script>"])
 def test_nor_do_filters(label, tmp_path):
-    scenario = Scenario("one", "reference", {"name": "short_turn"}).as_dict()
+    scenario = Scenario("one", ReferenceSource("short_turn")).as_dict()
     scenario["filters"] = [{"name": "euclidean", "label": label, "options": {}}]
     (tmp_path / "settings.json").write_text(json.dumps({"scenario": scenario}))
     with pytest.raises(ValueError, match="label of a filter must be"):
@@ -225,7 +226,7 @@ def test_nor_do_filters(label, tmp_path):
 
 
 def test_reading_the_results_of_a_factory_calls_nothing(evil):
-    scenario = Scenario("x", "factory", {"call": "evil_module:make"}, (FilterChoice("paper", "euclidean"),))
+    scenario = Scenario("x", FactorySource("evil_module:make"), (FilterChoice("paper", "euclidean"),))
     directory = open_run(evil.parent / "run", scenario)
     run = run_filter(short_turn(seed=0, frames=3), "euclidean", label="paper", seed=0)
     provenance = {"recording": {"name": "x", "stream_sha256": "0"}, "code": "none"}

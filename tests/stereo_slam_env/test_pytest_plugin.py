@@ -8,6 +8,7 @@ import pytest
 from filters import InverseDepthStereoEKF, StereoNoise
 from stereo_slam_env.benchmark import Scenario
 from stereo_slam_env.benchmark.head_to_head import Bench
+from stereo_slam_env.benchmark.recordings.sources import ReferenceSource
 
 pytest_plugins = ["pytester"]
 
@@ -35,10 +36,11 @@ class Broken(InverseDepthStereoEKF):
 SCENARIO = """
 import pytest
 from stereo_slam_env.benchmark import Scenario
+from stereo_slam_env.benchmark.recordings.sources import ReferenceSource
 
 @pytest.fixture
 def bench(slam_bench):
-    tiny = Scenario("tiny", "reference", {"name": "short_turn", "landmarks": 15}, frames=6, gate=None)
+    tiny = Scenario("tiny", ReferenceSource("short_turn", {"landmarks": 15}), frames=6, gate=None)
     return lambda tested, **how: slam_bench(tested, **{"scenario": tiny, **how})
 """
 
@@ -125,7 +127,7 @@ def test_better(bench):
 
 def test_the_printed_comparison_says_better_worse_or_not_shown():
     bench = Bench(seeds=7)
-    tiny = Scenario("tiny", "reference", {"name": "short_turn", "landmarks": 15}, frames=6, gate=None)
+    tiny = Scenario("tiny", ReferenceSource("short_turn", {"landmarks": 15}), frames=6, gate=None)
 
     def line(measure, *filters, **how):
         (found,) = (row for row in str(bench(*filters, scenario=tiny, **how)).splitlines() if row.startswith(measure))

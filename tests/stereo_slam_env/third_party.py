@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from filters import ConstantVelocity, Forecast, LandmarkBelief, PoseBelief, StereoEKF, StereoFilter
+from filters import ConstantVelocity, Forecast, LandmarkBelief, PoseBelief, Start, StereoEKF, StereoFilter
 from filters import UpdateReport, VelocityBelief
 
 
@@ -34,10 +34,9 @@ class DeadReckoning(StereoFilter):
         self.camera, self.noise, self.spread = camera, noise, spread
         self.reset()
 
-    def reset(self, position=(0, 0, 0), orientation=(0, 0, 0, 1), linear_velocity=(0, 0, 0),
-              angular_velocity=(0, 0, 0), covariance=None):
-        self.r, self.R = np.array(position, dtype=float), Rotation.from_quat(np.array(orientation))
-        self.v, self.updates = np.array(linear_velocity, dtype=float), 0
+    def reset(self, start=Start()):
+        self.r, self.R = np.array(start.position), Rotation.from_quat(start.orientation)
+        self.v, self.updates = np.array(start.linear_velocity), 0
 
     def predict(self, dt, odometry=None):
         if odometry is None:
@@ -143,10 +142,9 @@ class Listens(DeadReckoning):
         self.notebook, self.heard = notebook, hashlib.sha256()
         super().__init__(camera, noise)
 
-    def reset(self, position=(0, 0, 0), orientation=(0, 0, 0, 1), linear_velocity=(0, 0, 0),
-              angular_velocity=(0, 0, 0), covariance=None):
-        super().reset(position, orientation, linear_velocity, angular_velocity, covariance)
-        self._hear("reset", position, linear_velocity, angular_velocity)
+    def reset(self, start=Start()):
+        super().reset(start)
+        self._hear("reset", start.position, start.linear_velocity, start.angular_velocity)
 
     def predict(self, dt, odometry=None):
         super().predict(dt, odometry)

@@ -1,4 +1,4 @@
-"""The loops of a frame for Numba: what NumPy can only do with copies of rows of P and dozens of small calls.
+"""Kernels of the EKF for Numba: loops over landmarks and rows of P without copies.
 
 One module for each of the engine's that it stands for. Each function says the same as the NumPy code named in its
 docstring and is tested against it. All that are called from outside have fixed signatures, so that they are compiled

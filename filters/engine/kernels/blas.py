@@ -1,4 +1,4 @@
-"""Calls of scipy's BLAS and LAPACK, which Numba itself offers only in part."""
+"""BLAS and LAPACK functions of scipy for Numba code."""
 
 from __future__ import annotations
 

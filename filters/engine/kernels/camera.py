@@ -1,4 +1,4 @@
-"""`motion`, `engine.retraction` and `engine.symmetric`: the camera, and its part of P."""
+"""Kernels of `motion`, `engine.retraction` and `engine.symmetric`: camera state and its part of P."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`engine.gating`: how far each innovation is out."""
+"""Kernels of `engine.gating`: squared Mahalanobis distances of innovations."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`landmarks.inverse_depth`: new landmarks."""
+"""Kernels of `landmarks.inverse_depth`: initialisation of landmarks."""
 
 from __future__ import annotations
 

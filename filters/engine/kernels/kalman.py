@@ -1,4 +1,4 @@
-"""`engine.kalman`: the update."""
+"""Kernels of `engine.kalman`: the Kalman update."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`engine.linearisation`: prediction of measurements and its Jacobian."""
+"""Kernels of `engine.linearisation`: prediction of measurements and its Jacobian."""
 
 from __future__ import annotations
 

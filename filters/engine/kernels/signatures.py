@@ -1,4 +1,4 @@
-"""Types of arguments, and how everything is compiled."""
+"""Argument types and compilation options of the kernels."""
 
 from __future__ import annotations
 

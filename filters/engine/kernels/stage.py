@@ -1,4 +1,4 @@
-"""`engine.ekf`: a whole stage of the update, where no option steps in."""
+"""Kernel of a whole stage of the update: linearisation, gate, correction of P."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numba import njit, types
 
-from filters.engine.fates import BEHIND, FAILED, GATED, USED
+from filters.engine.gating import BEHIND, FAILED, GATED, USED
 from filters.engine.kernels.blas import ADDRESSES, ROUTINES
 from filters.engine.kernels.gating import squared_distances
 from filters.engine.kernels.kalman import correct_by

@@ -13,10 +13,11 @@ import numpy as np
 
 from filters.validation import FloatArray
 from stereo_slam_env.recording.recording import SIMULATION, Frame, LandmarkTruth, Recording, Start, Velocity
-from stereo_slam_env.sensing.landmark_sensor import LandmarkSensor, TrackingPolicy
 from stereo_slam_env.sensing.pixel_noise import NOISE_MODELS
 from stereo_slam_env.sensing.rigs import CAMERA_HEIGHT, Rig, camera_of
-from stereo_slam_env.world.routes import FRAME_PERIOD, ROUTES, Route, RouteDriver, advance
+from stereo_slam_env.sensing.sensors import LandmarkSensor, TrackingPolicy
+from stereo_slam_env.world.routes import FRAME_PERIOD, ROUTES, Route
+from stereo_slam_env.world.vehicle import RouteDriver, advance
 
 # What a filter knows at the start: the pose, and the velocity to this (m/s, rad/s).
 START_SIGMAS = np.repeat([1e-6, 1e-6, 0.5, 0.05], 3)

@@ -1,124 +1,273 @@
-"""From a scenario and a seed to the recording every filter is given."""
+"""The sources of recordings that come with the package: simulated drives, real recordings, functions."""
 
 from __future__ import annotations
 
-import dataclasses
 import importlib
 import inspect
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Any
+from importlib.metadata import EntryPoint, entry_points
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
-import numpy as np
+import msgspec
 
-from filters.interface import StereoObservation
-from filters.known_names import require_known
-from stereo_slam_env.benchmark.scenarios.scenario import Scenario
-from stereo_slam_env.datasets import holds_images, open_for_front_end, read_recording
+from filters.known_names import did_you_mean, require_known
+from stereo_slam_env.benchmark.recordings.source import OpenedImages, Progress, Renderer, Source, checked
+from stereo_slam_env.datasets import holds_images, load, open_for_front_end
 from stereo_slam_env.frontend.recorder import record_tracks
-from stereo_slam_env.frontend.settings import TrackerSettings
-from stereo_slam_env.recording.image_sequence import ImageSequence
 from stereo_slam_env.recording.recording import Recording
-from stereo_slam_env.sensing.corruptions import corrupted, make_corruption
 from stereo_slam_env.sensing.rigs import camera_of
 
-Progress = Callable[[int, int], None]
+if TYPE_CHECKING:
+    from typing import Self
+
+    import gymnasium as gym
+
+ENTRY_POINT_GROUP = "stereo_slam.sources"
+GAZE = "StereoSlam/Gaze-v0"
 
 
-def make_recording(scenario: Scenario, seed: int | None, progress: Progress | None = None) -> Recording:
-    """The measurement stream of `scenario` for `seed` (None for a real recording).
+class StreetSource(Source, frozen=True, tag="street"):
+    """The PyBullet street of the environment.
 
-    Where it comes from images, `progress` is called with (pairs done, pairs) after each.
-
-    Raises
-    ------
-    ValueError
-        The source refuses its options or yields no frames: the message names what is wrong.
+    Attributes
+    ----------
+    arguments : dict
+        Of `StereoSlam/Drive-v0`.
     """
-    options = dict(scenario.options)
-    if scenario.kind == "gaze":
-        raise ValueError(f"scenario {scenario.name!r} has no recording for all: every policy drives its own episode")
-    if takes_images(scenario):
-        given = json.dumps(options, sort_keys=True)
-        recording = _seen(_Look(scenario.kind, given, seed, scenario.frames, progress))
-    elif scenario.kind == "street":
-        recording = _street(options, seed, scenario.frames)
-    elif scenario.kind == "reference":
-        recording = _reference(options, seed, scenario.frames)
-    elif scenario.kind == "dataset":
-        if "path" not in options:
-            raise ValueError("a scenario of kind 'dataset' needs the option path")
-        recording = read_recording(options.pop("path"), **options)
-    else:
-        recording = _called(options, seed)
-    if scenario.frames is not None:
-        recording = dataclasses.replace(recording, frames=recording.frames[: scenario.frames])
-    if scenario.corruptions:
-        recording = corrupted(recording, scenario.corruptions, seed or 0)
-    if len(recording) == 0:
-        raise ValueError(f"recording {recording.name!r} has no frames")
-    return recording
 
+    has_rig: ClassVar[bool] = True
 
-def takes_images(scenario: Scenario) -> bool:
-    """Whether the measurements come from images through the front end."""
-    if scenario.kind in ("street", "gaze"):
-        return scenario.options.get("sensor") == "images"
-    return scenario.kind == "dataset" and holds_images(str(scenario.options.get("path", "")))
+    arguments: dict[str, Any] = msgspec.field(default_factory=dict)
 
+    def record(self, seed: int | None, frames: int | None = None, progress: Progress | None = None) -> Recording:
+        """Drive the scripted route."""
+        from stereo_slam_env.envs.recorder import record  # PyBullet and Gymnasium, only where they are needed
 
-def make_sequence(scenario: Scenario, seed: int | None) -> tuple[ImageSequence, TrackerSettings]:
-    """The images of a scenario that has them, and the settings of the front end for them.
+        if not self.takes_images:
+            return record(self.options, seed=seed or 0, frames=frames)
 
-    Raises
-    ------
-    ValueError
-        The scenario has no images, or its options are refused.
-    """
-    options = dict(scenario.options)
-    if not takes_images(scenario):
-        raise ValueError(f"scenario {scenario.name!r} has no images: give sensor='images' or a recording of images")
-    if scenario.kind == "street":
+        def look(tell: Progress) -> Recording:
+            seen = lambda done, wanted: tell(done, wanted or done)  # noqa: E731
+            return record(self.options, seed=seed or 0, frames=frames, progress=seen)
+
+        return _seen(_Look(self.key, seed, frames, look, progress))
+
+    def check(self, frames: int | None = None) -> None:
+        """Refuse unknown arguments, and a renderer that does not run here."""
+        from stereo_slam_env.envs.options import DriveOptions
+
+        options = DriveOptions.checked(self.options)
+        if options.draws:
+            require_renderer(options.renderer)
+
+    @property
+    def takes_images(self) -> bool:
+        """Whether the pictures are rendered."""
+        return self.arguments.get("sensor") == "images"
+
+    def sequence(self, seed: int | None, frames: int | None = None) -> OpenedImages:
+        """The rendered pairs."""
         from stereo_slam_env.envs.options import DriveOptions
         from stereo_slam_env.envs.rendered_drive import RenderedDrive
 
-        return RenderedDrive(options, seed or 0, scenario.frames), DriveOptions.checked(options).front_end
-    return _opened(json.dumps(options, sort_keys=True))
+        return RenderedDrive(self.options, seed or 0, frames), DriveOptions.checked(self.options).front_end
+
+    def with_images(self, renderer: Renderer) -> Self:
+        """Rendered images instead of geometry."""
+        return self.replaced(sensor="images", renderer=renderer)
 
 
-def check_source(scenario: Scenario) -> None:
-    """Raise a `ValueError` for a source that cannot be used as the scenario says, before any work is done."""
-    sees = takes_images(scenario)
-    if scenario.search == "forecast" and scenario.kind == "gaze":
-        raise ValueError("search 'forecast' does not go with kind 'gaze': its environments have their own front end")
-    if scenario.search == "forecast" and not sees:
-        raise ValueError(f"search 'forecast' needs images: scenario {scenario.name!r} has none")
-    if scenario.noise is not None and sees:
-        raise ValueError(
-            f"scenario {scenario.name!r} must not assume a noise (--sigma-px): in images each measurement comes with "
-            f"its own covariance"
-        )
-    for corruption in scenario.corruptions:
-        make_corruption(corruption)
-    if scenario.kind == "gaze":
-        from stereo_slam_env.benchmark.recordings.episodes import check_episodes
+class GazeSource(Source, frozen=True, tag="gaze"):
+    """An environment in which a policy decides where to look.
 
-        check_episodes(scenario)
-        drawn_by = scenario.options.get("renderer", "tiny") if sees else None
-    elif scenario.kind == "street":
-        from stereo_slam_env.envs.options import DriveOptions
+    Attributes
+    ----------
+    arguments : dict
+        `environment`, its Gymnasium id, `StereoSlam/Gaze-v0` unless said, and its arguments.
+    """
 
-        options = DriveOptions.checked(scenario.options)
-        drawn_by = options.renderer if options.draws else None
-    elif scenario.kind == "reference":
-        _reference_problem(scenario.options)
-        return
-    else:
-        return
-    if drawn_by is not None:
-        require_renderer(drawn_by)
+    for_policies: ClassVar[bool] = True
+    has_rig: ClassVar[bool] = True
+
+    arguments: dict[str, Any] = msgspec.field(default_factory=dict)
+
+    def record(self, seed: int | None, frames: int | None = None, progress: Progress | None = None) -> Recording:
+        """There is none for all."""
+        raise ValueError("a source of kind 'gaze' has no recording for all: every policy drives its own episode")
+
+    def check(self, frames: int | None = None) -> None:
+        """Refuse an environment that cannot be used, too many frames, and a renderer that does not run here."""
+        env = self.make_environment()
+        route = env.get_wrapper_attr("route")
+        env.close()
+        if frames is not None and frames > route.frames:
+            raise ValueError(f"frames must be at most {route.frames} on this route, got {frames}")
+        if self.takes_images:
+            require_renderer(self.arguments.get("renderer", "tiny"))
+
+    @property
+    def takes_images(self) -> bool:
+        """Whether the pictures are rendered."""
+        return self.arguments.get("sensor") == "images"
+
+    def make_environment(self) -> gym.Env[Any, Any]:
+        """The environment with the moving head.
+
+        Raises
+        ------
+        ValueError
+            There is no such environment, it refuses an argument, its head does not move, or its car follows no route.
+        """
+        import gymnasium as gym
+
+        from stereo_slam_env.envs.stereo_env import StereoEnv
+
+        arguments = self.options
+        name = str(arguments.pop("environment", GAZE))
+        if name not in gym.registry:
+            known = sorted(known for known in gym.registry if known.startswith("StereoSlam/"))
+            raise ValueError(f"environment must be one of {', '.join(known)}, got {name!r}{did_you_mean(name, known)}")
+        env = gym.make(name, disable_env_checker=True, **arguments)
+        core = env.unwrapped
+        if not isinstance(core, StereoEnv) or core.head is None:
+            raise ValueError(f"environment {name} has no head that a policy could turn: take {GAZE}")
+        if getattr(core.options, "policy", "route") != "route":
+            raise ValueError(
+                f"environment {name} must follow its route, so that all see the same drive: policy = 'route'"
+            )
+        return env
+
+
+class ReferenceSource(Source, frozen=True, tag="reference"):
+    """Pure geometry, in which the filters' models hold.
+
+    Attributes
+    ----------
+    name : str
+        The problem: a function of `reference_problem` or `large_rotation_problem`.
+    arguments : dict
+        Of that function.
+    """
+
+    has_rig: ClassVar[bool] = True
+
+    name: Literal["long_drive", "short_turn", "relative_noise_loop"]
+    arguments: dict[str, Any] = msgspec.field(default_factory=dict)
+
+    def record(self, seed: int | None, frames: int | None = None, progress: Progress | None = None) -> Recording:
+        """Calculate the drive."""
+        self.check()
+        arguments = self.arguments if frames is None else {**self.arguments, "frames": frames}
+        return self._problem(seed=seed or 0, **arguments)
+
+    def check(self, frames: int | None = None) -> None:
+        """Refuse unknown arguments and impossible rigs."""
+        known = [key for key in inspect.signature(self._problem).parameters if key != "seed"]
+        require_known(f"the problem {self.name} has no option", self.arguments, known)
+        if "rig" in self.arguments:
+            camera_of(self.arguments["rig"])
+
+    @property
+    def _problem(self) -> Callable[..., Recording]:
+        from stereo_slam_env.benchmark.recordings.large_rotation_problem import relative_noise_loop
+        from stereo_slam_env.benchmark.recordings.reference_problem import long_drive, short_turn
+
+        problems: dict[str, Callable[..., Recording]] = {
+            "long_drive": long_drive,
+            "short_turn": short_turn,
+            "relative_noise_loop": relative_noise_loop,
+        }
+        return problems[self.name]
+
+
+class DatasetSource(Source, frozen=True, tag="dataset"):
+    """A real recording, of tracks or of images, or a stored one.
+
+    Attributes
+    ----------
+    path : str
+        See `datasets.load`.
+    arguments : dict
+        Of the reader.
+    """
+
+    seeded: ClassVar[bool] = False
+    isolated: ClassVar[bool] = False
+
+    path: str
+    arguments: dict[str, Any] = msgspec.field(default_factory=dict)
+
+    def record(self, seed: int | None, frames: int | None = None, progress: Progress | None = None) -> Recording:
+        """Read it, or track landmarks through its images."""
+        if not self.takes_images:
+            return load(self.path, **self.arguments)
+
+        def look(tell: Progress) -> Recording:
+            return record_tracks(*self.sequence(seed), frames=frames, progress=tell)
+
+        return _seen(_Look(self.key, seed, frames, look, progress))
+
+    @property
+    def takes_images(self) -> bool:
+        """Whether the folder holds images."""
+        return holds_images(self.path)
+
+    def sequence(self, seed: int | None, frames: int | None = None) -> OpenedImages:
+        """The images of the folder."""
+        return _opened(json.dumps(self.options, sort_keys=True))
+
+
+class FactorySource(Source, frozen=True, tag="factory"):
+    """Any function that returns a `Recording`.
+
+    Attributes
+    ----------
+    call : str
+        "package.module:function", called with `seed` and the arguments.
+    arguments : dict
+        Of the function.
+    """
+
+    runs_code: ClassVar[bool] = True
+
+    call: str
+    arguments: dict[str, Any] = msgspec.field(default_factory=dict)
+
+    def record(self, seed: int | None, frames: int | None = None, progress: Progress | None = None) -> Recording:
+        """Call the function."""
+        module_name, _, function_name = self.call.partition(":")
+        try:
+            function = getattr(importlib.import_module(module_name), function_name)
+        except (ImportError, AttributeError, ValueError) as error:
+            raise ValueError(f'option call must be "package.module:function", got {self.call!r}: {error}') from error
+        recording = function(seed=seed, **self.arguments)
+        if not isinstance(recording, Recording):
+            raise ValueError(f"{self.call} returned a {type(recording).__name__}, not a Recording")
+        return recording
+
+
+def source_of(kind: str, options: Mapping[str, Any]) -> Source:
+    """The source of a kind with these options, as a scenario file has them.
+
+    Raises
+    ------
+    ValueError
+        An unknown kind or option, a missing one, or one of the wrong type: the message names it.
+    """
+    checked("kind", kind, str)
+    kinds: dict[Any, type[Source]] = {}
+    for found in _subclasses(Source):
+        kinds.setdefault(found.__struct_config__.tag, found)  # ours come first and stay
+    if kind not in kinds:
+        for point in entry_points(group=ENTRY_POINT_GROUP):
+            if point.name == kind:
+                kinds[kind] = _loaded(point)
+    if kind not in kinds:
+        raise ValueError(f"kind must be one of {', '.join(map(str, kinds))}, got {kind!r}{did_you_mean(kind, kinds)}")
+    return kinds[kind].of(options)
 
 
 def require_renderer(name: str) -> None:
@@ -131,86 +280,42 @@ def require_renderer(name: str) -> None:
         raise ValueError(str(error)) from error
 
 
-def without_measurements(recording: Recording) -> Recording:
-    """The drive as filters know it that measure for themselves; ids of landmarks are theirs then, so truth has none."""
-    none = StereoObservation(np.zeros(0, dtype=np.int64), np.zeros((0, 3)))
-    frames = tuple(dataclasses.replace(frame, observation=none) for frame in recording.frames)
-    return dataclasses.replace(recording, frames=frames, landmarks=None)
+def _subclasses(kind: type[Source]) -> Iterator[type[Source]]:
+    for subclass in kind.__subclasses__():
+        yield subclass
+        yield from _subclasses(subclass)
+
+
+def _loaded(point: EntryPoint) -> type[Source]:
+    try:
+        found = point.load()
+    except Exception as error:  # whatever a stranger's module does at import must not take the run down
+        raise ValueError(
+            f"kind {point.name!r} ({point.value}) cannot be loaded: {type(error).__name__}: {error}"
+        ) from error
+    if not (isinstance(found, type) and issubclass(found, Source)):
+        raise ValueError(f"kind {point.name!r} ({point.value}) is no subclass of Source")
+    return found
 
 
 @dataclass(frozen=True)
 class _Look:
-    """What is looked at; who is told about it makes no difference."""
+    """Images to be looked at; by whom the progress is shown makes no difference."""
 
-    kind: str
-    options: str
+    key: str
     seed: int | None
     frames: int | None
+    look: Callable[[Progress], Recording] = field(compare=False)
     progress: Progress | None = field(compare=False)
 
 
 @lru_cache(maxsize=1)
-def _seen(look: _Look) -> Recording:
+def _seen(what: _Look) -> Recording:
     """Tracks through images; kept, because looking takes far longer than filtering."""
-    if look.kind == "street":
-        return _street(json.loads(look.options), look.seed, look.frames, look.progress)
-    return record_tracks(*_opened(look.options), frames=look.frames, progress=look.progress)
+    return what.look(what.progress or (lambda done, total: None))
 
 
 @lru_cache(maxsize=1)
-def _opened(options: str) -> tuple[ImageSequence, TrackerSettings]:
+def _opened(options: str) -> OpenedImages:
     """A recording of images; kept, because its calibration is looked for."""
     return open_for_front_end(**json.loads(options))
-
-
-def _street(
-    options: dict[str, Any], seed: int | None, frames: int | None, progress: Progress | None = None
-) -> Recording:
-    from stereo_slam_env.envs.recorder import record  # PyBullet and Gymnasium, only where they are needed
-
-    def tell(done: int, wanted: int | None) -> None:
-        if progress is not None:
-            progress(done, wanted or done)
-
-    return record(options, seed=seed or 0, frames=frames, progress=tell)
-
-
-def _reference(options: dict[str, Any], seed: int | None, frames: int | None) -> Recording:
-    problem = _reference_problem(options)
-    del options["name"]
-    if frames is not None:
-        options["frames"] = frames
-    return problem(seed=seed or 0, **options)
-
-
-def _reference_problem(options: Mapping[str, Any]) -> Callable[..., Recording]:
-    """The function that a scenario of kind "reference" calls; an unknown option or rig is refused."""
-    from stereo_slam_env.benchmark.recordings.large_rotation_problem import relative_noise_loop
-    from stereo_slam_env.benchmark.recordings.reference_problem import long_drive, short_turn
-
-    problems: dict[str, Callable[..., Recording]] = {
-        "long_drive": long_drive,
-        "short_turn": short_turn,
-        "relative_noise_loop": relative_noise_loop,
-    }
-    name = options.get("name")
-    if name not in problems:
-        raise ValueError(f"option name of a 'reference' scenario must be one of {', '.join(problems)}, got {name!r}")
-    known = [key for key in inspect.signature(problems[name]).parameters if key != "seed"]
-    require_known(f"the problem {name} has no option", options, ("name", *known))
-    if "rig" in options:
-        camera_of(options["rig"])
-    return problems[name]
-
-
-def _called(options: dict[str, Any], seed: int | None) -> Recording:
-    target = options.pop("call", "")
-    module_name, _, function_name = str(target).partition(":")
-    try:
-        function = getattr(importlib.import_module(module_name), function_name)
-    except (ImportError, AttributeError, ValueError) as error:
-        raise ValueError(f'option call must be "package.module:function", got {target!r}: {error}') from error
-    recording = function(seed=seed, **options)
-    if not isinstance(recording, Recording):
-        raise ValueError(f"{target} returned a {type(recording).__name__}, not a Recording")
-    return recording

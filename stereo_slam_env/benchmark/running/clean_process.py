@@ -23,7 +23,8 @@ import cloudpickle
 
 PRELOADED = (
     "stereo_slam_env.benchmark.running.tasks",
-    "stereo_slam_env.benchmark.recordings.episodes",
+    "stereo_slam_env.policies.episode",
+    "stereo_slam_env.wrappers.belief_panorama",
     "stereo_slam_env.envs.recorder",
     "numba",
 )

@@ -17,19 +17,19 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from filters import ConstantVelocity
-from stereo_slam_env.benchmark.recordings.sources import make_recording, make_sequence, without_measurements
-from stereo_slam_env.benchmark.recordings.stream_identity import as_given, description_of
+from stereo_slam_env.benchmark.recordings.description import description_of
 from stereo_slam_env.benchmark.running.isolation import Tell, WorkDied, WorkTooSlow, run_isolated
-from stereo_slam_env.benchmark.running.runner import Observe, failed_run, run_filter
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, Scenario
+from stereo_slam_env.benchmark.scenarios.streams import as_given, make_recording, make_sequence, without_measurements
 from stereo_slam_env.benchmark.storage.run_archive import packed_run
 from stereo_slam_env.evaluation.cramer_rao import Bound, cramer_rao_bound
+from stereo_slam_env.evaluation.filter_run import failed_run, run_filter
 from stereo_slam_env.evaluation.results import FilterRun
-from stereo_slam_env.frontend.active_search import ActiveSearch
+from stereo_slam_env.frontend.recorder import ActiveSearch
 from stereo_slam_env.frontend.settings import TrackerSettings
+from stereo_slam_env.loop import Observe
 from stereo_slam_env.recording.archive import packed_recording, unpacked_recording
-from stereo_slam_env.recording.image_sequence import ImageSequence
-from stereo_slam_env.recording.recording import Recording
+from stereo_slam_env.recording.recording import ImageSequence, Recording
 
 if TYPE_CHECKING:
     from stereo_slam_env.policies.episode import Episode
@@ -101,7 +101,7 @@ def make(task: RecordingTask, progress: Tell | None = None) -> MadeRecording:
         The process ended, or gave no sign of life for the scenario's `recording_time_limit`.
     """
     scenario = task.scenario
-    if scenario.kind == "dataset":  # who replays a drive has looked at it already (see `sources`)
+    if not scenario.source.isolated:  # a drive that is replayed has been read already (see `sources`)
         return _make(task, progress or (lambda done, total: None))
     try:
         return run_isolated(partial(_make, task), silence_limit=scenario.recording_time_limit, progress=progress)
@@ -146,7 +146,7 @@ def _drive(task: TrialTask, choice: FilterChoice, limit: float, progress: Tell |
 def _driven(task: TrialTask, choice: FilterChoice, tell: Tell) -> tuple[FilterRun, MadeRecording]:
     """The filter is run again over the recording: there is one way to judge a filter, and it is timed alone."""
     # PyBullet and Gymnasium, only where they are needed.
-    from stereo_slam_env.benchmark.recordings.episodes import drive_episode
+    from stereo_slam_env.benchmark.scenarios.streams import drive_episode
 
     assert task.seed is not None
     episode = drive_episode(task.scenario, task.seed, choice, lambda done, of: tell(done, 2 * of))
@@ -159,7 +159,7 @@ def _driven(task: TrialTask, choice: FilterChoice, tell: Tell) -> tuple[FilterRu
 
 
 def _straight_ahead(task: TrialTask, tell: Tell) -> Episode:
-    from stereo_slam_env.benchmark.recordings.episodes import drive_straight_ahead
+    from stereo_slam_env.benchmark.scenarios.streams import drive_straight_ahead
 
     assert task.seed is not None
     return drive_straight_ahead(task.scenario, task.seed)
@@ -171,7 +171,7 @@ def _description_of(episode: Episode) -> dict[str, Any]:
 
 def _opened_images(scenario: Scenario, seed: int | None) -> OpenedImages | None:
     """A recording of images that a filter searches itself; opened here, because its calibration is looked for once."""
-    searched = scenario.search == "forecast" and scenario.kind == "dataset"
+    searched = scenario.search == "forecast" and not scenario.source.isolated
     return make_sequence(scenario, seed) if searched else None
 
 

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from stereo_slam_env.benchmark.recordings.sources import make_recording, make_sequence, without_measurements
-from stereo_slam_env.benchmark.running.runner import run_filter
 from stereo_slam_env.benchmark.scenarios.scenario import Scenario
-from stereo_slam_env.frontend.active_search import ActiveSearch
-from stereo_slam_env.frontend.recorder import Watch, record_tracks
+from stereo_slam_env.benchmark.scenarios.streams import make_recording, make_sequence, without_measurements
+from stereo_slam_env.evaluation.filter_run import run_filter
+from stereo_slam_env.frontend.recorder import ActiveSearch, Watch, record_tracks
 
 
 def watch_search(scenario: Scenario, watch: Watch, progress: Callable[[int, int], None] | None = None) -> None:
@@ -28,7 +27,7 @@ def watch_search(scenario: Scenario, watch: Watch, progress: Callable[[int, int]
     ValueError
         The scenario has no images, or the filter that guides fails: the message says where.
     """
-    seed = scenario.seeds[0] if scenario.kind == "street" else None
+    seed = scenario.recording_seeds[0]
     sequence, settings = make_sequence(scenario, seed)
     if scenario.search == "flow":
         record_tracks(sequence, settings, frames=scenario.frames, watch=watch, progress=progress)

@@ -1,1 +1,1 @@
-"""What is compared on what: scenarios as plain data, from files and as presets."""
+"""Scenarios as plain data, from files and as presets, and the measurement streams they stand for."""

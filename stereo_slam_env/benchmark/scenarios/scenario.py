@@ -1,4 +1,4 @@
-"""What is compared on what: a scenario is plain data, so it can be printed, stored and run again."""
+"""Scenarios: what filters are compared on, as plain data that can be printed, stored and run again."""
 
 from __future__ import annotations
 
@@ -6,40 +6,31 @@ import dataclasses
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from numbers import Integral
-from typing import Any
+from operator import index
+from typing import Annotated, Any, Literal, get_type_hints
 
-from filters.camera import StereoCamera
-from filters.known_names import did_you_mean
+from msgspec import Meta
+
+from filters.known_names import require_known
 from filters.motion import ConstantVelocity
 from filters.noise import StereoNoise
-from filters.validation import finite_array, positive
-from stereo_slam_env.benchmark.scenarios.labels import require_label
+from filters.validation import finite_array
+from stereo_slam_env.benchmark.recordings.source import Renderer, Source, checked
+from stereo_slam_env.benchmark.recordings.sources import StreetSource, source_of
 
-KINDS: Mapping[str, str] = {
-    "street": "the PyBullet street of the environment; options: its keyword arguments",
-    "reference": "pure geometry; options: name (long_drive, short_turn, relative_noise_loop) and the problem's own",
-    "dataset": "a real recording; options: path, and the reader's own",
-    "gaze": (
-        "an environment in which a policy decides where to look; options: environment (its id, StereoSlam/Gaze-v0 "
-        "unless said) and its keyword arguments"
-    ),
-    "factory": 'any callable; options: call ("package.module:function", called with seed=) and its arguments',
-}
+Label = Annotated[str, Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9._+-]*\Z", max_length=100)]
+"""Name of files: of a filter, a policy or a scenario."""
+Search = Literal["flow", "forecast"]
+Sensor = Literal["landmarks", "images"]
+Metric = Literal["map", "bound"]
+Positive = Annotated[float, Meta(gt=0)]
 
-_MOTION: Mapping[str, float] = dataclasses.asdict(ConstantVelocity())
-SEARCHES = ("flow", "forecast")
-
-METRICS: Mapping[str, str] = {
-    "map": "landmark errors, by range too, landmark NEES and depth convergence",
-    "bound": "the posterior Cramér-Rao bound, where truth is known and all filters have the same measurements",
-}
-"""What is measured beyond trajectory, consistency, events and cost."""
+_MOTION: Mapping[str, float] = asdict(ConstantVelocity())
 
 
 @dataclass(frozen=True)
 class PolicyChoice:
-    """Who decides where to look: a policy by name, its options, and the label it has in tables and files.
+    """A policy by name, its options, and the label it has in tables and files.
 
     Raises
     ------
@@ -52,7 +43,7 @@ class PolicyChoice:
     options: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        require_label("label of a policy", self.label)
+        checked("label of a policy", self.label, Label)
 
 
 @dataclass(frozen=True)
@@ -64,7 +55,7 @@ class FilterChoice:
     label, name, options : str, str, mapping
         Of the filter.
     policy : PolicyChoice, optional
-        Who looks, with this filter in its loop; only among `Scenario.competitors`.
+        The policy with this filter in its loop; only among `Scenario.competitors`.
 
     Raises
     ------
@@ -78,7 +69,7 @@ class FilterChoice:
     policy: PolicyChoice | None = None
 
     def __post_init__(self) -> None:
-        require_label("label of a filter", self.label)
+        checked("label of a filter", self.label, Label)
 
 
 DEFAULT_FILTERS = (
@@ -107,14 +98,12 @@ class Scenario:
     ----------
     name : str
         For titles.
-    kind : str
-        Where the stream comes from, a key of `KINDS`.
-    options : mapping
-        Arguments of that source; JSON-able, or a `StereoCamera`, which becomes a table of its numbers.
+    source : Source
+        Where the stream comes from; in files its kind is `kind` and its fields are the table `options`.
     filters : tuple of FilterChoice
-        Who takes part.
+        The filters that are compared.
     policies : tuple of PolicyChoice
-        Who looks, in a scenario of kind "gaze" and only there; each with each of the filters.
+        Policies that decide where to look, where the source is for policies and only there; each with each filter.
     seeds : tuple of int
         One recording each; a real recording has none.
     frames : int, optional
@@ -123,9 +112,7 @@ class Scenario:
         Whether filters are given the odometry of the recording.
     noise : mapping, optional
         Noise the filters assume: {"independent_pixels": sigma} or {"diagonal": [sigma_u, sigma_v, sigma_d]}, px.
-        None: what the recording says. The noise that is simulated is among `options`.
-    corruptions : tuple of mapping
-        What happens to the measurements on their way to the filters, in this order; see `sensing.corruptions`.
+        None: what the recording says. The noise that is simulated is an option of the source.
     gate : float, optional
         Probability per landmark of the chi-square gate; None: no gate. Like `consensus` and `motion` it is for the
         filters that leave it open: one that has made a choice keeps it, and the results say so.
@@ -136,8 +123,11 @@ class Scenario:
         "forecast", guided by each filter's own forecast, as the paper does.
     motion : mapping
         Standard deviations sigma_acceleration (m/s^2) and sigma_angular_acceleration (rad/s^2) the filters assume.
-    metrics : tuple of str
-        Keys of `METRICS`: what is measured beyond the usual.
+    corruptions : tuple of mapping
+        What happens to the measurements on their way to the filters, in this order; see `sensing.corruptions`.
+    metrics : tuple of {"map", "bound"}
+        Beyond trajectory, consistency, events and cost: "map", landmark errors, by range too, landmark NEES and depth
+        convergence; "bound", the posterior Cramér-Rao bound, where truth is known and all have the same measurements.
     divergence_percent : float
         A run that ends farther from the truth than this share of the distance travelled counts as diverged.
     frame_time_limit : float
@@ -152,67 +142,42 @@ class Scenario:
     """
 
     name: str
-    kind: str = "street"
-    options: Mapping[str, Any] = field(default_factory=dict)
-    filters: tuple[FilterChoice, ...] = DEFAULT_FILTERS
+    source: Source = field(default_factory=StreetSource)
+    filters: Annotated[tuple[FilterChoice, ...], Meta(min_length=1)] = DEFAULT_FILTERS
     policies: tuple[PolicyChoice, ...] = ()
-    seeds: tuple[int, ...] = (0,)
-    frames: int | None = None
+    seeds: Annotated[tuple[Annotated[int, Meta(ge=0)], ...], Meta(min_length=1)] = (0,)
+    frames: Annotated[int, Meta(ge=2)] | None = None
     use_odometry: bool = False
-    noise: Mapping[str, Any] | None = None
-    gate: float | None = 0.99
+    noise: dict[str, Any] | None = None
+    gate: Annotated[float, Meta(gt=0, lt=1)] | None = 0.99
     consensus: bool = False
-    search: str = "flow"
-    motion: Mapping[str, float] = field(default_factory=lambda: _MOTION)
-    corruptions: tuple[Mapping[str, Any], ...] = ()
-    metrics: tuple[str, ...] = tuple(METRICS)
-    divergence_percent: float = 10.0
-    frame_time_limit: float = 60.0
-    recording_time_limit: float = 600.0
+    search: Search = "flow"
+    motion: dict[str, Annotated[float, Meta(ge=0)]] = field(default_factory=lambda: dict(_MOTION))
+    corruptions: tuple[dict[str, Any], ...] = ()
+    metrics: tuple[Metric, ...] = ("map", "bound")
+    divergence_percent: Positive = 10.0
+    frame_time_limit: Positive = 60.0
+    recording_time_limit: Positive = 600.0
 
     def __post_init__(self) -> None:
-        if self.kind not in KINDS:
-            hint = did_you_mean(self.kind, KINDS)
-            raise ValueError(f"kind must be one of {', '.join(KINDS)}, got {self.kind!r}{hint}")
-        object.__setattr__(self, "filters", tuple(self.filters))
-        object.__setattr__(self, "policies", tuple(self.policies))
-        if not isinstance(self.options, Mapping):
-            raise ValueError(f"options must be a table, got {self.options!r}")
-        options = {key: asdict(v) if isinstance(v, StereoCamera) else v for key, v in self.options.items()}
-        object.__setattr__(self, "options", options)
-        if not all(isinstance(seed, Integral) for seed in self.seeds):
-            raise ValueError(f"seeds must be whole numbers, got {self.seeds!r}")
-        object.__setattr__(self, "seeds", tuple(int(seed) for seed in self.seeds))
+        if not isinstance(self.source, Source):
+            raise ValueError(f"source must be a Source, such as StreetSource({{...}}), got {self.source!r}")
+        found = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+        found["source"] = source_of(self.source.kind, self.source.options)
+        try:
+            found["seeds"] = tuple(seed if isinstance(seed, bool) else index(seed) for seed in self.seeds)
+        except TypeError:
+            raise ValueError(f"seeds must be whole numbers, got {self.seeds!r}") from None
+        for name, kind in _TYPES.items():
+            object.__setattr__(self, name, checked(name, found[name], kind))
+        object.__setattr__(self, "source", found["source"])
+        require_known("motion has no key", self.motion, _MOTION)
+        object.__setattr__(self, "motion", {**_MOTION, **self.motion})
         self._check_competitors()
-        if not self.seeds or len(set(self.seeds)) < len(self.seeds) or min(self.seeds) < 0:
-            raise ValueError(f"seeds must be different whole numbers >= 0, at least one, got {list(self.seeds)}")
-        if self.frames is not None and (not isinstance(self.frames, int) or self.frames < 2):
-            raise ValueError(f"frames must be a whole number >= 2, got {self.frames!r}")
-        if self.gate is not None and not (isinstance(self.gate, (int, float)) and 0.0 < self.gate < 1.0):
-            raise ValueError(
-                f"gate must be a probability between 0 and 1, or none (in files: false), got {self.gate!r}"
-            )
-        if not isinstance(self.consensus, bool):
-            raise ValueError(f"consensus must be true or false, got {self.consensus!r}")
+        if len(set(self.seeds)) < len(self.seeds):
+            raise ValueError(f"seeds must be different, got {list(self.seeds)}")
         if self.consensus and self.gate is None:
             raise ValueError("consensus needs a gate: give a probability, or do without consensus")
-        if self.search not in SEARCHES:
-            raise ValueError(f"search must be one of {', '.join(SEARCHES)}, got {self.search!r}")
-        object.__setattr__(self, "corruptions", tuple(self.corruptions))
-        object.__setattr__(self, "metrics", tuple(self.metrics))
-        for metric in self.metrics:
-            if metric not in METRICS:
-                hint = did_you_mean(metric, METRICS)
-                raise ValueError(f"metrics must be of {', '.join(METRICS)}, got {metric!r}{hint}")
-        if not all(isinstance(corruption, Mapping) for corruption in self.corruptions):
-            raise ValueError(f"corruptions must be tables with a kind, got {list(self.corruptions)!r}")
-        positive("divergence_percent", self.divergence_percent)
-        positive("frame_time_limit", self.frame_time_limit)
-        positive("recording_time_limit", self.recording_time_limit)
-        require_keys("motion", self.motion, tuple(_MOTION))
-        for key, value in self.motion.items():
-            positive(f"motion.{key}", value, allow_zero=True)
-        object.__setattr__(self, "motion", {**_MOTION, **self.motion})
         self.assumed_noise(StereoNoise.independent_pixels(1.0))
         try:
             json.dumps(self.as_dict(), allow_nan=False)
@@ -220,17 +185,18 @@ class Scenario:
             raise ValueError(f"scenario {self.name!r} must consist of JSON values: {error}") from error
 
     def _check_competitors(self) -> None:
-        if not self.filters:
-            raise ValueError("filters must name at least one filter")
-        if self.policies and self.kind != "gaze":
+        kind = self.source.kind
+        if self.policies and not self.source.for_policies:
             raise ValueError(
                 f"policies need a scenario of kind 'gaze', whose environment has a head to turn: {self.name!r} is of "
-                f"kind {self.kind!r}"
+                f"kind {kind!r}"
             )
-        if self.kind == "gaze" and not self.policies:
-            raise ValueError("policies must name at least one policy in a scenario of kind 'gaze'")
-        if self.kind == "gaze" and self.corruptions:
-            raise ValueError("corruptions do not go with kind 'gaze': what a policy does depends on what it measures")
+        if self.source.for_policies and not self.policies:
+            raise ValueError(f"policies must name at least one policy in a scenario of kind {kind!r}")
+        if self.policies and self.corruptions:
+            raise ValueError(
+                f"corruptions do not go with kind {kind!r}: what a policy does depends on what it measures"
+            )
         for field_name in ("filters", "policies"):
             labels = [choice.label for choice in getattr(self, field_name)]
             if len(set(labels)) < len(labels):
@@ -238,7 +204,7 @@ class Scenario:
 
     @property
     def competitors(self) -> tuple[FilterChoice, ...]:
-        """Who is compared: the filters, or each policy with each of them.
+        """What is compared: the filters, or each policy with each of them.
 
         With one filter a competitor has the label of its policy, else that of both: "sweep+inverse-depth".
         """
@@ -254,6 +220,11 @@ class Scenario:
         )
 
     @property
+    def recording_seeds(self) -> tuple[int | None, ...]:
+        """One entry a recording; None where the source has no seeds."""
+        return self.seeds if self.source.seeded else (None,)
+
+    @property
     def has_bound(self) -> bool:
         """Whether a Cramér-Rao bound is computed: with a policy, every competitor has measurements of its own."""
         return "bound" in self.metrics and not self.policies
@@ -262,7 +233,7 @@ class Scenario:
         """The noise filters are told to assume."""
         if self.noise is None:
             return of_recording
-        require_keys("noise", self.noise, ("independent_pixels", "diagonal"))
+        require_known("noise has no key", self.noise, ("independent_pixels", "diagonal"))
         if len(self.noise) != 1:
             raise ValueError("noise must have one key: independent_pixels or diagonal")
         if "diagonal" in self.noise:
@@ -275,14 +246,40 @@ class Scenario:
         common: dict[str, Any] = {"gate": self.gate, "motion": dict(self.motion)}
         return {**common, "consensus": True} if self.consensus else common
 
+    def with_sensor(self, sensor: Sensor | None, renderer: Renderer | None = None) -> Scenario:
+        """The scenario measured by geometry, or in rendered images; None leaves either as it is.
+
+        In images the front end says how good each measurement is, and makes mistakes: filters take its word and use a
+        gate.
+
+        Raises
+        ------
+        ValueError
+            The source draws no images, or there is nothing to draw for the renderer.
+        """
+        sees = self.source.takes_images
+        if sensor == "images" and not sees:
+            source = self.source.with_images(renderer or "tiny")
+            name = f"{self.name}-{source.options['renderer']}-images"
+            return dataclasses.replace(self, name=name, source=source, noise=None, gate=0.99, consensus=True)
+        changes: dict[str, Any] = {}
+        if sensor == "landmarks" and sees:
+            sees, changes["sensor"] = False, sensor
+        if renderer is not None:
+            if not sees:
+                raise ValueError("--renderer needs --sensor images: nothing is drawn for landmarks")
+            changes["renderer"] = renderer
+        return dataclasses.replace(self, source=self.source.replaced(**changes)) if changes else self
+
     def as_dict(self) -> dict[str, Any]:
         """JSON-able form; `from_dict` reads it."""
+        own = {f.name: getattr(self, f.name) for f in dataclasses.fields(self) if f.name not in ("name", "source")}
         return {
-            **{f.name: getattr(self, f.name) for f in dataclasses.fields(self)},
-            "options": dict(self.options),
-            "noise": None if self.noise is None else dict(self.noise),
-            "motion": dict(self.motion),
-            "corruptions": [dict(corruption) for corruption in self.corruptions],
+            "name": self.name,
+            "kind": self.source.kind,
+            "options": self.source.options,
+            **own,
+            "corruptions": list(self.corruptions),
             "metrics": list(self.metrics),
             "seeds": list(self.seeds),
             "filters": [choice_as_dict(choice) for choice in self.filters],
@@ -298,21 +295,26 @@ class Scenario:
         ValueError
             An unknown or missing key: the message names it and what may have been meant.
         """
-        require_keys("scenario", data, tuple(f.name for f in dataclasses.fields(cls)))
+        checked("scenario", data, dict[str, Any])
+        require_known("scenario has no key", data, KEYS)
         if "name" not in data:
             raise ValueError("scenario must have a name")
         values = dict(data)
-        if "filters" in values:
-            values["filters"] = tuple(
-                filter_choice(entry) if isinstance(entry, str) else FilterChoice(*_named("filters", entry))
-                for entry in values["filters"]
-            )
-        if "policies" in values:
-            values["policies"] = tuple(
-                policy_choice(entry) if isinstance(entry, str) else PolicyChoice(*_named("policies", entry))
-                for entry in values["policies"]
-            )
-        return cls(**values)
+        source = source_of(values.pop("kind", "street"), values.pop("options", {}))
+        for key, kind, usual in (
+            ("filters", FilterChoice, filter_choice),
+            ("policies", PolicyChoice, policy_choice),
+        ):
+            if key in values:
+                entries = checked(key, values[key], list[str | dict[str, Any]])
+                values[key] = tuple(usual(e) if isinstance(e, str) else kind(*_named(key, e)) for e in entries)
+        return cls(source=source, **values)
+
+
+KEYS = ("name", "kind", "options", *(f.name for f in dataclasses.fields(Scenario) if f.name not in ("name", "source")))
+"""Of the JSON form of a scenario."""
+_TYPES = get_type_hints(Scenario, include_extras=True)
+del _TYPES["source"]  # checked by `source_of`
 
 
 def choice_as_dict(choice: FilterChoice | PolicyChoice) -> dict[str, Any]:
@@ -320,18 +322,9 @@ def choice_as_dict(choice: FilterChoice | PolicyChoice) -> dict[str, Any]:
     return {"label": choice.label, "name": choice.name, "options": dict(choice.options)}
 
 
-def _named(what: str, entry: Any) -> tuple[str, str, Mapping[str, Any]]:
+def _named(what: str, entry: Mapping[str, Any]) -> tuple[str, str, Mapping[str, Any]]:
     """Label, name and options of a choice as it is written in a scenario."""
-    if not isinstance(entry, Mapping) or "name" not in entry:
+    require_known(f"{what} has no key", entry, ("label", "name", "options"))
+    if "name" not in entry:
         raise ValueError(f"{what} must be names or objects with a name, got {entry!r}")
-    require_keys(what, entry, ("label", "name", "options"))
-    return entry.get("label", entry["name"]), entry["name"], entry.get("options", {})
-
-
-def require_keys(what: str, data: Mapping[str, Any], known: tuple[str, ...]) -> None:
-    """Raise a `ValueError` for the first key of `data` that is not `known`; `what` is the beginning of the message."""
-    if not isinstance(data, Mapping):
-        raise ValueError(f"{what} must be a table, got {data!r}")
-    for key in data:
-        if key not in known:
-            raise ValueError(f"{what} has no key {key!r}{did_you_mean(key, known)}; known: {', '.join(known)}")
+    return entry.get("label", entry["name"]), entry["name"], checked(f"{what}.options", entry.get("options", {}), dict)

@@ -1,13 +1,62 @@
-"""One scenario or a grid of them: what a run of the benchmark consists of."""
+"""Studies: one scenario, or a grid of them, from scenario files and as presets.
+
+A scenario file is TOML (or JSON), checked key by key. The keys are the fields of `Scenario`, with the source as `kind`
+and `options`, and four more that make many scenarios of one file::
+
+    name = "noise-mismatch"
+    kind = "reference"
+    seeds = 20                            # 0 to 19; or a list
+    filters = ["dual-bearing", { name = "inverse-depth", label = "paper", options = { error = "so3" } }]
+    gate = false                          # TOML has no null: false is none
+
+    [options]
+    name = "long_drive"
+
+    [grid]                                # every combination; keys are fields, dots go into tables
+    "options.noise" = ["pixels", "uvd"]
+    "noise.independent_pixels" = [0.5, 1.0, 2.0]
+    "options.rig.baseline" = [0.2, 0.4]   # a table over a name, as in rig = "vga", keeps it as the table's `name`
+
+`[[cells]]`, instead of a grid, lists scenarios one by one: each has a name and the fields in which it differs.
+`[factorial]` crosses options of one filter: `filter` names it, every other key is an option with its levels.
+`description` is one line for lists. `{data}` at the beginning of a path is the folder of the recordings.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import copy
+import itertools
+import json
+import math
+import re
+import sys
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from functools import cache
+from pathlib import Path
+from typing import Annotated, Any
 
-from stereo_slam_env.benchmark.scenarios.labels import require_label
-from stereo_slam_env.benchmark.scenarios.scenario import Scenario
+from msgspec import Meta
+
+from filters.known_names import did_you_mean, require_known
+from stereo_slam_env.benchmark.recordings.source import checked
+from stereo_slam_env.benchmark.scenarios.scenario import KEYS, FilterChoice, Label, Scenario, choice_as_dict
+from stereo_slam_env.files.paths import is_there, require_inside
+from stereo_slam_env.files.readers import read_text
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+MOST_CELLS = 10_000
+MOST_TRIALS = 1_000_000
+"""Filters x seeds, over all cells."""
+MOST_BYTES = 1_000_000
+_PRESETS = Path(__file__).with_name("presets.toml")
+_OWN_KEYS = ("description", "grid", "cells", "factorial")
+_DATA = "{data}"
+_CellName = Annotated[str, Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9._+-]*\Z", max_length=200)]  # of a grid: all factors
 
 
 @dataclass(frozen=True)
@@ -31,7 +80,7 @@ class Cell:
 
 @dataclass(frozen=True)
 class Study:
-    """A scenario file: one cell, or one for each point of its grid.
+    """One scenario, or one for each point of a grid.
 
     Attributes
     ----------
@@ -58,7 +107,7 @@ class Study:
             raise ValueError("cells must be at least one")
         names = [cell.name for cell in self.cells]
         for name in names if self.is_grid else ():
-            require_label("name of a cell", name, longest=200)  # of a grid: all its factors
+            checked("name of a cell", name, _CellName)
             if names.count(name) > 1:
                 raise ValueError(f"cells must have different names, got {name!r} twice")
 
@@ -73,13 +122,7 @@ class Study:
         return bool(self.cells[0].factors) or len(self.cells) > 1
 
     def only_scenario(self) -> Scenario:
-        """The scenario of a study of one cell.
-
-        Raises
-        ------
-        ValueError
-            There are several.
-        """
+        """The scenario of a study of one cell; raises a `ValueError` where there are several."""
         if len(self.cells) != 1:
             raise ValueError(f"{self.name!r} is a grid of {len(self.cells)} scenarios, not one")
         return self.cells[0].scenario
@@ -87,6 +130,23 @@ class Study:
     def with_scenarios(self, change: Callable[[Scenario], Scenario]) -> Study:
         """The same study with every scenario changed."""
         return replace(self, cells=tuple(replace(cell, scenario=change(cell.scenario)) for cell in self.cells))
+
+    def with_rig(self, rig: str | Mapping[str, Any]) -> Study:
+        """A study of simulated drives with another stereo rig; where it varies numbers of the rig, it still does.
+
+        Parameters
+        ----------
+        rig : str or mapping
+            A name, or numbers as for `sensing.rigs.camera_of`: with a `name` they are a rig of their own, else they
+            are put in place of those of each scenario's own rig.
+
+        Raises
+        ------
+        ValueError
+            A scenario has no simulated camera, or the study varies what is given.
+        """
+        given = {"name": rig} if isinstance(rig, str) else dict(rig)
+        return replace(self, cells=tuple(_with_rig(cell, given) for cell in self.cells))
 
     def as_dict(self) -> dict[str, Any]:
         """JSON-able form; `from_dict` reads it."""
@@ -96,7 +156,7 @@ class Study:
                 {"name": cell.name, "factors": dict(cell.factors), "scenario": cell.scenario.as_dict()}
                 for cell in self.cells
             ],
-            "factorial": None if self.factorial is None else {key: list(v) for key, v in self.factorial.items()},
+            "factorial": None if self.factorial is None else {key: [*levels] for key, levels in self.factorial.items()},
         }
 
     @classmethod
@@ -104,11 +164,233 @@ class Study:
         """A study from its JSON form."""
         cells = (Cell(c["name"], c["factors"], Scenario.from_dict(c["scenario"])) for c in data["cells"])
         crossed = data["factorial"]
-        return cls(
-            data["name"], tuple(cells), None if crossed is None else {key: tuple(v) for key, v in crossed.items()}
-        )
+        return cls(data["name"], tuple(cells), crossed and {key: tuple(levels) for key, levels in crossed.items()})
 
 
 def factorial_label(levels: Mapping[str, Any]) -> str:
     """Label of the filter with these levels: "inverse-depth+joint+so3" of {"landmark": "inverse-depth", ...}."""
     return "+".join(str(level).lower().replace(" ", "-") for level in levels.values())
+
+
+def presets() -> Mapping[str, str]:
+    """Names and descriptions of the ready-made scenarios."""
+    return {name: tables["description"] for name, tables in _presets().items()}
+
+
+def preset_study(name: str, *, data: str | Path | None = None) -> Study:
+    """A preset of one scenario or of many; a `ValueError` for an unknown name, or without the `data` it needs."""
+    known = _presets()
+    if name not in known:
+        raise ValueError(f"preset must be one of {', '.join(known)}, got {name!r}{did_you_mean(name, known)}")
+    return study_from({"name": name, **known[name]}, data=data)
+
+
+def preset(name: str) -> Scenario:
+    """A preset of one scenario; raises a `ValueError` for the name of a grid or of none."""
+    return preset_study(name).only_scenario()
+
+
+@cache
+def _presets() -> Mapping[str, Mapping[str, Any]]:
+    return tomllib.loads(_PRESETS.read_text(encoding="utf-8"))
+
+
+def load_study(path: str | Path, *, data: str | Path | None = None, allow_code: bool = False) -> Study:
+    """Read a scenario file.
+
+    Parameters
+    ----------
+    path : str or Path
+        A TOML file, or a JSON file of the same structure.
+    data : str or Path, optional
+        What `{data}` in the file stands for. Cells whose folder in it does not exist are left out.
+    allow_code : bool
+        Whether a scenario of kind "factory", which names a function to be called, may do so: only of a file you trust.
+
+    Raises
+    ------
+    ValueError
+        The file is missing, cannot be parsed, or has an unknown key or an impossible value: the message names it.
+    """
+    path = Path(path)
+    try:
+        text = read_text(path, most_bytes=MOST_BYTES)
+        tables = json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
+    except FileNotFoundError as error:
+        raise ValueError(f"scenario file {path} does not exist") from error
+    except (OSError, ValueError, RecursionError) as error:
+        form = "JSON" if path.suffix == ".json" else "TOML"
+        raise ValueError(f"scenario file {path} cannot be read as {form}: {error}") from error
+    try:
+        return study_from(tables, data=data, allow_code=allow_code)
+    except (TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
+        raise ValueError(f"scenario file {path}: {error}") from error
+
+
+def study_from(tables: Mapping[str, Any], *, data: str | Path | None = None, allow_code: bool = False) -> Study:
+    """A study from the tables of a scenario file; `data` and `allow_code` as for `load_study`.
+
+    Raises
+    ------
+    ValueError
+        An unknown key, an impossible value, too many cells or trials, or code that is not allowed.
+    """
+    checked("scenario", tables, dict[str, Any])
+    require_known("scenario has no key", tables, (*KEYS, *_OWN_KEYS))
+    if "grid" in tables and "cells" in tables:
+        raise ValueError("grid and cells exclude each other: give one of them")
+    base = {key: value for key, value in tables.items() if key in KEYS}
+    factorial = None
+    if "factorial" in tables:
+        if "filters" in tables:
+            raise ValueError("factorial and filters exclude each other: the factorial makes the filters")
+        factorial, base["filters"] = _crossed(checked("factorial", tables["factorial"], dict[str, Any]))
+    name: str = checked("name of a scenario", base.get("name", ""), Label)
+    cells, trials = [], 0
+    for factors, values in _variants(base, tables):
+        here = _with_data(values, data)
+        if here is None:
+            continue
+        cell = Cell(values["name"], factors, Scenario.from_dict(_plain(here)))
+        source = cell.scenario.source
+        if source.runs_code and not allow_code:
+            call = source.options.get("call")
+            raise ValueError(f"kind {source.kind!r} runs code, {call!r}: if you trust it, allow it with --allow-code")
+        cells.append(cell)
+        trials += len(cell.scenario.competitors) * len(cell.scenario.seeds)
+        if trials > MOST_TRIALS:
+            raise ValueError(f"filters x seeds come to more than {MOST_TRIALS} trials: ask for fewer")
+    if not cells:
+        raise ValueError(f"none of the recordings of {name} is in {data}: {_DATA} must be a folder that holds them")
+    return Study(name, tuple(cells), factorial)
+
+
+def _variants(base: Mapping[str, Any], tables: Mapping[str, Any]) -> Iterator[tuple[dict[str, Any], dict[str, Any]]]:
+    """Factors and fields of every cell."""
+    if "cells" in tables:
+        for number, cell in enumerate(checked("cells", tables["cells"], list[dict[str, Any]])):
+            require_known(f"cells[{number}] has no key", cell, KEYS)
+            if "name" not in cell:
+                raise ValueError(f"cells[{number}] must have a name")
+            yield {"cell": cell["name"]}, _merged(base, cell)
+        return
+    levels = _flat(checked("grid", tables.get("grid", {}), dict[str, Any]))
+    for key, values in levels.items():
+        require_known("grid has no key", [key.partition(".")[0]], KEYS)
+        if not isinstance(values, list) or not values:
+            raise ValueError(f"grid.{key} must be a list of values, got {values!r}")
+    if not levels:
+        yield {}, dict(base)
+        return
+    for factors in _combinations("grid", levels):
+        values = _merged(base, _nested(factors))
+        values["name"] = _cell_name(factors)
+        yield {key: _scalar(value) for key, value in factors.items()}, values
+
+
+def _combinations(what: str, levels: Mapping[str, list[Any]]) -> Iterator[dict[str, Any]]:
+    count = math.prod(map(len, levels.values()))
+    if count > MOST_CELLS:
+        raise ValueError(f"{what} has {count} points: at most {MOST_CELLS} are allowed")
+    return (dict(zip(levels, combination, strict=True)) for combination in itertools.product(*levels.values()))
+
+
+def _crossed(table: Mapping[str, Any]) -> tuple[dict[str, tuple[Any, ...]], list[dict[str, Any]]]:
+    """Factors of a factorial and its filters."""
+    if not isinstance(table.get("filter"), str):
+        raise ValueError('factorial must name its filter: filter = "inverse-depth"')
+    fixed = checked("factorial.options", table.get("options", {}), dict[str, Any])
+    factors = {key: values for key, values in table.items() if key not in ("filter", "options")}
+    for key, values in factors.items():
+        if not isinstance(values, list) or len(values) < 2:
+            raise ValueError(f"factorial.{key} must be a list of two levels or more, got {values!r}")
+    if not factors:
+        raise ValueError("factorial must cross at least one option of the filter")
+    choices = [
+        choice_as_dict(FilterChoice(factorial_label(levels), table["filter"], {**fixed, **levels}))
+        for levels in _combinations("factorial", factors)
+    ]
+    return {key: tuple(values) for key, values in factors.items()}, choices
+
+
+def _plain(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Fields as `Scenario` has them: what TOML cannot say in its own way, said in ours."""
+    plain = dict(values)
+    for key in ("gate", "frames", "noise"):
+        if plain.get(key) is False:
+            plain[key] = None
+    if isinstance(plain.get("seeds"), int) and not isinstance(plain["seeds"], bool):
+        if plain["seeds"] > MOST_TRIALS:
+            raise ValueError(f"seeds must be at most {MOST_TRIALS}, got {plain['seeds']}")
+        plain["seeds"] = tuple(range(plain["seeds"]))
+    return plain
+
+
+def _with_data(values: dict[str, Any], data: str | Path | None) -> dict[str, Any] | None:
+    """The fields with the folder of the recordings put in; None where this recording is not there."""
+    where = values.get("options", {}).get("path") if isinstance(values.get("options"), Mapping) else None
+    if not isinstance(where, str) or not where.startswith(_DATA):
+        return values
+    if data is None:
+        raise ValueError(f"options.path is {where!r}: say which folder holds the recordings (--data)")
+    folder = require_inside(Path(data).resolve() / where.removeprefix(_DATA).lstrip("/"), Path(data))
+    if not is_there(folder):
+        return None
+    return _merged(values, {"options": {"path": str(folder)}})
+
+
+def _with_rig(cell: Cell, given: Mapping[str, Any]) -> Cell:
+    for key in ("options.rig", *(f"options.rig.{number}" for number in given)):
+        if key in cell.factors:
+            raise ValueError(f"--rig must not give {key}: the grid varies it")
+    rigs = {key.removeprefix("options.rig."): value for key, value in cell.factors.items()}
+    varied = {key: value for key, value in rigs.items() if f"options.rig.{key}" in cell.factors}
+    source = cell.scenario.source
+    rig = {**(varied if "name" in given else source.rig), **given}
+    return replace(cell, scenario=replace(cell.scenario, source=source.with_rig(rig)))
+
+
+def _merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """`base` with `changes` in its tables; a value that is no table takes the old one's place.
+
+    A name is short for a table with that `name`, so "vga" with {"baseline": 0.2} is {"name": "vga", "baseline": 0.2}.
+    """
+    merged = copy.deepcopy(dict(base))
+    for key, value in changes.items():
+        before = merged.get(key)
+        if isinstance(before, str) and isinstance(value, Mapping):
+            before = {"name": before}
+        if isinstance(before, Mapping) and isinstance(value, Mapping) and key != "noise":  # which has one key
+            value = _merged(before, value)
+        merged[key] = copy.copy(value)
+    return merged
+
+
+def _flat(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Tables in tables as dotted keys."""
+    flat: dict[str, Any] = {}
+    for key, value in table.items():
+        flat |= _flat(value, f"{prefix}{key}.") if isinstance(value, Mapping) else {f"{prefix}{key}": value}
+    return flat
+
+
+def _nested(flat: Mapping[str, Any]) -> dict[str, Any]:
+    """Dotted keys as tables in tables."""
+    nested: dict[str, Any] = {}
+    for key, value in flat.items():
+        *tables, last = key.split(".")
+        place = nested
+        for table in tables:
+            place = place.setdefault(table, {})
+        place[last] = value
+    return nested
+
+
+def _cell_name(factors: Mapping[str, Any]) -> str:
+    """A folder name such as "noise-uvd_sigma-2.0"."""
+    parts = (f"{key.rpartition('.')[2]}-{_scalar(value)}" for key, value in factors.items())
+    return re.sub(r"[^A-Za-z0-9._+-]+", "-", "_".join(parts)).strip("-.") or "cell"
+
+
+def _scalar(value: Any) -> Any:
+    return value if isinstance(value, (str, int, float, bool)) else json.dumps(value, sort_keys=True)

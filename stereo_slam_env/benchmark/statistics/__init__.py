@@ -1,1 +1,1 @@
-"""What is sure: differences between runs, with intervals and tests."""
+"""Statistics of the benchmark: differences between runs, with intervals and tests."""

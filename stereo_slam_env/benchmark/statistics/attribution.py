@@ -1,4 +1,4 @@
-"""Which choice makes the difference: effects of the options of a filter, from runs of all their combinations.
+"""Effects of the options of a filter, from runs of all their combinations.
 
 Every response is a logarithm (of an error, of NEES by its degrees of freedom, of time), so that effects are factors.
 Seeds are blocks, because a hard recording is hard for all: an effect is estimated on every seed, see
@@ -78,9 +78,9 @@ def attribute_runs(factorial: Mapping[str, Sequence[Any]], figures: Figures) -> 
     Parameters
     ----------
     factorial : mapping of str to sequence
-        Levels of each option, see `benchmark.study`; the filters of the runs are named after `factorial_label`.
+        Levels of each option; the filters of the runs are named after `factorial_label`.
     figures : mapping of str to RunFigures
-        Of the runs of all combinations, or of most, see `figures_of`; others are not looked at.
+        Of the runs of all combinations, or of most; others are not looked at.
 
     Raises
     ------
@@ -190,7 +190,7 @@ def _diverged_percent(
 
 
 def _missing(factors: Mapping[str, Sequence[Any]], ran: BoolArray, diverged: BoolArray, out: BoolArray) -> list[str]:
-    """What is said about combinations without runs and about runs that diverged."""
+    """Notes on combinations without runs and on runs that diverged."""
     absent, gone, partly = [], [], []
     for place, levels in zip(np.ndindex(out.shape), product(*factors.values()), strict=True):
         label = factorial_label(dict(zip(factors, levels, strict=True)))

@@ -1,4 +1,4 @@
-"""What changed significantly between two runs of the benchmark, say before and after a change of a filter.
+"""Significant changes between two runs of the benchmark, say before and after a change of a filter.
 
 A grid is compared cell by cell. Recordings with bit-identical measurements are compared pair by pair. Where the
 measurements are not the same, the runs are two samples, and their difference has the wider interval of unpaired data.
@@ -18,14 +18,21 @@ from typing import Any, Protocol
 import numpy as np
 
 from filters.validation import BoolArray, FloatArray
-from stereo_slam_env.benchmark.statistics.differences import TIE_PERCENT, Difference, Finding, pairs_needed
+from stereo_slam_env.benchmark.statistics.differences import (
+    TIE_PERCENT,
+    Difference,
+    Finding,
+    paired_share,
+    pairs_needed,
+    unpaired_share,
+)
 from stereo_slam_env.benchmark.statistics.measures import (
+    DIVERGED,
     MEASURES,
     TIME,
     Measure,
+    change_words,
 )
-from stereo_slam_env.benchmark.statistics.pairwise import change_words
-from stereo_slam_env.benchmark.statistics.shares import paired_share, unpaired_share
 from stereo_slam_env.benchmark.storage.store import pairing_digest
 from stereo_slam_env.benchmark.storage.study_store import read_study
 from stereo_slam_env.evaluation.results import FilterRun
@@ -43,7 +50,7 @@ class HasRuns(Protocol):
 
     @property
     def figures(self) -> Figures:
-        """Of the same runs, see `figures_of`."""
+        """Figures of the same runs, see `figures_of`."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +94,7 @@ class Change:
 
 @dataclass(frozen=True)
 class RunComparison:
-    """What changed from one run of the benchmark to another one.
+    """Changes from one run of the benchmark to another one.
 
     Attributes
     ----------
@@ -182,10 +189,7 @@ def compare(before: str | Path | HasRuns, after: str | Path | HasRuns) -> RunCom
 
 @dataclass(frozen=True)
 class _Side:
-    """A run of the benchmark, as far as it is compared.
-
-    Filters go by their labels, in a grid by "cell: label"; a trial is one of them on one recording.
-    """
+    """A run of the benchmark, as far as it is compared: filters go by their labels, in a grid by "cell: label"."""
 
     name: str
     figures: Mapping[str, RunFigures]
@@ -287,7 +291,7 @@ def _pair(was: _Side, now: _Side, name: str, paired: bool) -> _Pair:
 
 
 def _changes(pairs: Sequence[_Pair]) -> tuple[Change, ...]:
-    """What is exactly the same before and after can show nothing, and does not count as a comparison."""
+    """All changes; what is exactly the same before and after does not count as a comparison."""
     known = {(p.name, m): values for p in pairs for m in MEASURES for values in [p.values(m)] if all(map(len, values))}
     moved = [measure for (_, measure), values in known.items() if not np.array_equal(*values)]
     lost = sum(not np.array_equal(*pair.diverged) for pair in pairs)
@@ -307,7 +311,7 @@ def _changes(pairs: Sequence[_Pair]) -> tuple[Change, ...]:
 
 
 def _change(name: str, measure: Measure, after: FloatArray, before: FloatArray, difference: Difference) -> Change:
-    percent = difference.reversed if measure.larger_is_better else difference
+    percent = difference.reversed if measure.figure.larger_is_better else difference
     return Change(
         filter_name=name,
         measure=measure.words,
@@ -332,7 +336,7 @@ def _divergences(pair: _Pair, comparisons: int) -> Change:
         words = f"{words}, which may be chance"
     return Change(
         filter_name=pair.name,
-        measure="diverged runs",
+        measure=DIVERGED.words,
         unit="",
         before=float(before.sum()),
         after=float(after.sum()),

@@ -1,4 +1,4 @@
-"""Paired differences with intervals and tests: what the runs show, and what they do not.
+"""Differences between filters, and between shares of runs, with intervals and tests.
 
 Errors of two filters differ by a factor rather than by an amount (a hard recording is hard for both), so what is
 averaged is the logarithm of their ratio on the same recording. Intervals are those of the symmetric studentised
@@ -12,6 +12,7 @@ confidence 1 - (1 - confidence) / comparisons, a p value is multiplied by compar
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 from functools import lru_cache
@@ -19,10 +20,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.stats import mannwhitneyu, wilcoxon
+from scipy.stats import binomtest, fisher_exact, mannwhitneyu, wilcoxon
 
-from filters.validation import FloatArray
-from stereo_slam_env.benchmark.statistics.words import signed
+from filters.validation import BoolArray, FloatArray
 
 CONFIDENCE = 0.95
 MIN_PAIRS = 6
@@ -32,10 +32,11 @@ TIE_PERCENT = 0.1
 RESAMPLES = 4999
 _EXACT_PAIRS = 50
 _LARGEST_LOG = 50.0
+_MOST_DIGITS = 1e6
 
 
 class Finding(Enum):
-    """What a comparison shows about the first of two."""
+    """Result of a comparison for the first of two."""
 
     BETTER = "better"
     WORSE = "worse"
@@ -228,15 +229,7 @@ def differences_of(
     seed: int = 0,
     is_ratio: bool = True,
 ) -> list[Difference]:
-    """The differences that m columns of gaps show.
-
-    Parameters
-    ----------
-    gaps : (n, m) ndarray
-        log(a / b), or a - b, one row a recording; finite.
-    comparisons, confidence, seed, is_ratio : int, float, int, bool
-        As `paired_difference`.
-    """
+    """The differences that m columns of gaps (n, m) show, one row a recording; options as `paired_difference`."""
     count, columns = gaps.shape
     intervals: list[tuple[float, float] | None] = [None] * columns
     if count >= MIN_PAIRS:
@@ -263,12 +256,7 @@ def unpaired_difference(
 ) -> Difference:
     """Compare two positive quantities measured on different recordings: Welch's t by bootstrap, Mann-Whitney.
 
-    Parameters
-    ----------
-    a, b : (n,), (m,) array_like
-        Values that are not finite and positive are left out.
-    comparisons, confidence, seed : int, float, int
-        As `paired_difference`.
+    Values that are not finite and positive are left out; options as `paired_difference`.
     """
     _check_level(comparisons, confidence)
     groups = [np.asarray(values, dtype=np.float64) for values in (a, b)]
@@ -298,22 +286,10 @@ def unpaired_difference(
 
 
 def mean_interval(values: FloatArray, confidence: float, seed: int = 0) -> tuple[FloatArray, FloatArray]:
-    """Interval of the mean of each column: the symmetric studentised bootstrap.
+    """Interval of the mean of each column of (n, m) values: the symmetric studentised bootstrap; low and high (m,).
 
-    Rows are resampled; half the width is the standard error times the `confidence` quantile of |mean* - mean| / error*.
-
-    Parameters
-    ----------
-    values : (n, m) ndarray
-        n >= 2 independent rows.
-    confidence : float
-        Of each column by itself.
-    seed : int
-        Of the resamples, which are the same for all columns.
-
-    Returns
-    -------
-    low, high : (m,) ndarray
+    Rows are resampled, the same for all columns; half the width is the standard error times the `confidence` quantile
+    of |mean* - mean| / error*. n >= 2.
     """
     values = np.asarray(values, dtype=np.float64)
     shift, spread = _resampled(values, seed)
@@ -324,18 +300,9 @@ def mean_interval(values: FloatArray, confidence: float, seed: int = 0) -> tuple
 
 
 def signed_rank_p(gaps: FloatArray) -> FloatArray:
-    """Two-sided p value of Wilcoxon's signed-rank test of each column.
+    """Two-sided p value of Wilcoxon's signed-rank test of each column of (n, m) gaps.
 
     Gaps of exactly zero say nothing and are left out.
-
-    Parameters
-    ----------
-    gaps : (n, m) ndarray
-        One row a recording.
-
-    Returns
-    -------
-    (m,) ndarray
     """
     count, columns = gaps.shape
     p_values = np.ones(columns)
@@ -398,3 +365,78 @@ def _ratio(shift: FloatArray, error: FloatArray) -> FloatArray:
     """|t| of each resample; one that drew a single row has no spread and says nothing."""
     tiny = 1e-9 * error.max(axis=0, initial=0.0)
     return np.divide(shift, error, out=np.zeros_like(shift), where=error > tiny)
+
+
+# ---- shares ----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class ShareDifference:
+    """How often something happened (a divergence) with one filter and not with the other.
+
+    Attributes
+    ----------
+    only_a, only_b : int
+        Recordings where it happened to one of them alone; where nothing is paired, all where it happened.
+    count : int
+        Recordings.
+    p_value : float
+        Two-sided, exact, corrected for the number of comparisons.
+    finding : Finding
+        About a; less often is better.
+    """
+
+    only_a: int
+    only_b: int
+    count: int
+    p_value: float
+    finding: Finding
+
+
+def paired_share(
+    a: BoolArray, b: BoolArray, *, comparisons: int = 1, confidence: float = CONFIDENCE
+) -> ShareDifference:
+    """McNemar's exact test, of the recordings where a and b disagree: is it one of them more often than the other."""
+    only_a, only_b = int(np.sum(a & ~b)), int(np.sum(b & ~a))
+    p_value = float(binomtest(only_a, only_a + only_b).pvalue) if only_a + only_b else 1.0
+    return _share(only_a, only_b, len(a), only_a - only_b, comparisons * p_value, confidence)
+
+
+def unpaired_share(
+    a: BoolArray, b: BoolArray, *, comparisons: int = 1, confidence: float = CONFIDENCE
+) -> ShareDifference:
+    """Fisher's exact test, for recordings that are not the same."""
+    in_a, in_b = int(a.sum()), int(b.sum())
+    p_value = float(fisher_exact([[in_a, len(a) - in_a], [in_b, len(b) - in_b]]).pvalue) if len(a) and len(b) else 1.0
+    more = in_a * len(b) - in_b * len(a)
+    return _share(in_a, in_b, min(len(a), len(b)), more, comparisons * p_value, confidence)
+
+
+def _share(in_a: int, in_b: int, count: int, more: int, p_value: float, confidence: float) -> ShareDifference:
+    finding = Finding.NOT_SHOWN
+    if p_value <= 1.0 - confidence and more:
+        finding = Finding.WORSE if more > 0 else Finding.BETTER
+    return ShareDifference(in_a, in_b, count, min(1.0, p_value), finding)
+
+
+# ---- in words --------------------------------------------------------------------------------------------------------
+
+
+def signed(value: float, digits: int = 0) -> str:
+    """With its sign, as in print: "+1,200", "−3"; what is rounded to zero has none."""
+    if abs(value) >= _MOST_DIGITS:
+        return f"{value:+.1e}".replace("-", "−")
+    text = f"{value:+,.{digits}f}"
+    return (text if any(digit in text for digit in "123456789") else text[1:]).replace("-", "−")
+
+
+def percent_words(percent: float, more: str = "larger", less: str = "smaller") -> str:
+    """A change in percent, in words: "20 % larger", "1,200 % larger", "4 % smaller"."""
+    size = abs(percent)
+    amount = f"{size:.1e}" if size >= _MOST_DIGITS else f"{size:,.{0 if size >= 10.0 else 1}f}"
+    return f"{amount} % {less if percent < 0.0 else more}"
+
+
+def listed(words: Sequence[str]) -> str:
+    """Words in a sentence: "a, b and c"."""
+    return " and ".join([", ".join(words[:-1]), words[-1]]) if len(words) > 1 else words[0]

@@ -1,9 +1,10 @@
-"""What filters are compared by: each measure, of one run and of many, and how far a value is from the best possible."""
+"""Measures that filters are compared by, and the comparison of each filter with each other one."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -11,49 +12,53 @@ import numpy as np
 from filters.validation import FloatArray
 from stereo_slam_env.benchmark.statistics.differences import (
     Difference,
+    Finding,
     difference_of,
     paired_difference,
+    percent_words,
     unpaired_difference,
 )
-from stereo_slam_env.evaluation.consistency_figures import DOF, LANDMARK_DOF
+from stereo_slam_env.evaluation.figures import FIGURES, Figure
 from stereo_slam_env.evaluation.results import FilterSummary
-from stereo_slam_env.evaluation.run_figures import RunFigures, RunKey
+from stereo_slam_env.evaluation.run_figures import Figures, RunFigures, RunKey, common_keys
 
 
 @dataclass(frozen=True)
 class Measure:
-    """A figure that filters are compared by.
+    """A figure as filters are compared by it: its values, divided by the ideal where there is one.
 
     Attributes
     ----------
-    key : str
-        Name of the figure of a run, and of the field of `FilterSummary`.
-    words : str
-        What it is called: "position error".
-    unit : str
-        For a value; may be empty.
-    scale : float
-        A value is the field times this.
-    ideal : float, optional
-        Of a measure of consistency, the value of a filter that knows how wrong it is; None: the smaller the better.
-    larger_is_better : bool
-        Whether it is an efficiency.
-    is_ratio : bool
-        Whether values are compared by their ratio; False: by their difference, because they are logarithms already.
+    figure : Figure
+        Entry of the table of figures.
     """
 
-    key: str
-    words: str
-    unit: str = ""
-    scale: float = 1.0
-    ideal: float | None = None
-    larger_is_better: bool = False
-    is_ratio: bool = True
+    figure: Figure
+
+    @property
+    def key(self) -> str:
+        """Name of the figure."""
+        return self.figure.name
+
+    @property
+    def words(self) -> str:
+        """Name in tables and sentences: "position error"."""
+        return self.figure.label
+
+    @property
+    def unit(self) -> str:
+        """Unit of a value; may be empty."""
+        return self.figure.unit
+
+    @property
+    def ideal(self) -> float | None:
+        """Value of a consistent filter, 1, for a measure of consistency; None: the smaller the better."""
+        return None if self.figure.ideal is None else 1.0
 
     def of(self, figures: FilterSummary | Mapping[str, Any]) -> float:
         """The value in a summary or in the figures of a run; NaN where it is not known."""
-        value = figures.get(self.key) if isinstance(figures, Mapping) else getattr(figures, self.key)
-        return float("nan") if value is None else self.scale * float(value)
+        values = figures.figures if isinstance(figures, FilterSummary) else figures
+        return self.figure.shown(values.get(self.key))
 
     def by_run(self, figures: RunFigures, keys: Iterable[RunKey]) -> FloatArray:
         """The values in the runs on these recordings, in this order; NaN where not known."""
@@ -64,54 +69,32 @@ class Measure:
         finite = values[np.isfinite(values)]
         if finite.size == 0:
             return float("nan")
-        if self.ideal is not None or not self.is_ratio or not (finite > 0.0).all():
+        if self.ideal is not None or not self.figure.is_ratio or not (finite > 0.0).all():
             return float(finite.mean())
         return float(np.exp(np.log(finite).mean()))
 
     def difference(self, a: FloatArray, b: FloatArray, *, paired: bool = True, comparisons: int = 1) -> Difference:
-        """How much worse a is than b, from the values of both in each run.
+        """How much worse a is than b, from the values of both in each run; NaN where not known.
 
-        Of a measure of consistency: how much farther a's mean is from the ideal, as a factor.
-
-        Parameters
-        ----------
-        a, b : (n,) ndarray
-            Run by run; NaN where not known.
-        paired : bool
-            Whether a run of a and the same one of b had the same measurements.
-        comparisons : int
-            Made at once.
+        Of a measure of consistency: how much farther a's mean is from the ideal, as a factor. `paired`: whether a run
+        of a and the same one of b had the same measurements; `comparisons`: made at once.
         """
         if not paired:
-            worse = (_badness_unpaired(a, self), _badness_unpaired(b, self))
-            return unpaired_difference(*worse, comparisons=comparisons)
-        if self.larger_is_better:
+            return unpaired_difference(self._badness(a), self._badness(b), comparisons=comparisons)
+        if self.figure.larger_is_better:
             return paired_difference(b, a, comparisons=comparisons)
         if self.ideal is None:
-            return paired_difference(a, b, comparisons=comparisons, is_ratio=self.is_ratio)
+            return paired_difference(a, b, comparisons=comparisons, is_ratio=self.figure.is_ratio)
         both = np.isfinite(a) & np.isfinite(b) & (a > 0.0) & (b > 0.0)
-        gaps = _deviation(a[both] / self.ideal) - _deviation(b[both] / self.ideal)
-        return difference_of(gaps, comparisons=comparisons)
+        return difference_of(_deviation(a[both]) - _deviation(b[both]), comparisons=comparisons)
 
-
-POSITION = Measure("position_rmse_m", "position error", "m")
-ROTATION = Measure("rotation_rmse_deg", "rotation error", "°")
-ATE = Measure("ate_rigid_m", "error after alignment", "m")
-LANDMARKS = Measure("landmark_rmse_m", "landmark error", "m")
-POSE_NEES = Measure("pose_anees", "pose NEES / 6", scale=1.0 / DOF["pose"], ideal=1.0)
-LANDMARK_NEES = Measure("landmark_anees", "landmark NEES / 3", scale=1.0 / LANDMARK_DOF, ideal=1.0)
-NIS = Measure("nis", "NIS / dof", ideal=1.0)
-EFFICIENCY = Measure("efficiency_percent", "efficiency", "%", larger_is_better=True)
-TIME = Measure("ms_per_frame", "time", "ms")
-FINAL_SIGMA = Measure("final_position_sigma_m", "claimed σ of the final position", "m")
-FINAL_LOGDET = Measure("final_pose_logdet", "log det of the final pose covariance", is_ratio=False)
-FINAL_ERROR = Measure("end_error_m", "final position error", "m")
-
-MEASURES = (POSITION, ROTATION, ATE, LANDMARKS, POSE_NEES, NIS, EFFICIENCY, TIME)
-QUESTIONS = (POSITION, ROTATION, POSE_NEES, TIME)
-"""What filters of one run are compared by: how accurate, how honest, how fast."""
-CLAIM_AND_TRUTH = (FINAL_SIGMA, FINAL_LOGDET, FINAL_ERROR, POSITION, ROTATION, POSE_NEES)
-"""What policies are compared by: what their filters claim in the end, and what is true."""
+    def _badness(self, values: FloatArray) -> FloatArray:
+        """Values whose ratio says how much worse one is."""
+        if self.figure.larger_is_better:
+            return np.asarray(1.0 / values)
+        if self.ideal is None:
+            return values
+        return np.asarray(np.exp(_deviation(values[np.isfinite(values) & (values > 0.0)])))
 
 
 def _deviation(values: FloatArray) -> FloatArray:
@@ -124,10 +107,128 @@ def _deviation(values: FloatArray) -> FloatArray:
     return np.asarray(np.copysign(1.0, np.log(mean)) * (np.log(mean) + values / mean - 1.0))
 
 
-def _badness_unpaired(values: FloatArray, measure: Measure) -> FloatArray:
-    if measure.larger_is_better:
-        return np.asarray(1.0 / values)
-    if measure.ideal is None:
-        return values
-    known = values[np.isfinite(values) & (values > 0.0)]
-    return np.asarray(np.exp(_deviation(known / measure.ideal)))
+MEASURES = tuple(Measure(figure) for figure in FIGURES.values() if figure.compared)
+POSITION, ROTATION, POSE_NEES, EFFICIENCY, TIME, FINAL_SIGMA, FINAL_LOGDET, FINAL_ERROR, DIVERGED = (
+    Measure(FIGURES[name])
+    for name in (
+        *("position_rmse_m", "rotation_rmse_deg", "pose_anees", "efficiency_percent"),
+        *("ms_per_frame", "final_position_sigma_m", "final_pose_logdet", "end_error_m", "diverged"),
+    )
+)
+QUESTIONS = (POSITION, ROTATION, POSE_NEES, TIME)
+"""Measures that the filters of one run are compared by: accuracy, consistency, cost."""
+CLAIM_AND_TRUTH = (FINAL_SIGMA, FINAL_LOGDET, FINAL_ERROR, POSITION, ROTATION, POSE_NEES)
+"""Measures that policies are compared by: what their filters claim in the end, and what is true."""
+
+
+# ---- pairs ----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class PairVerdict:
+    """One filter against another one, by one measure.
+
+    Attributes
+    ----------
+    measure : Measure
+        What is compared.
+    filter_name, against : str
+        Who against whom.
+    difference : Difference
+        Of the measure; for consistency, of the distance from the ideal.
+    words : str
+        "12 % smaller (−15 to −9 % at 95 % confidence, 10 paired runs)", or that no difference is shown.
+    """
+
+    measure: Measure
+    filter_name: str
+    against: str
+    difference: Difference
+    words: str
+
+    @property
+    def finding(self) -> Finding:
+        """Whether the filter is shown to be better or worse than the other one."""
+        return self.difference.finding
+
+
+@dataclass(frozen=True)
+class PairwiseTable:
+    """Each filter against each other one, or all against a baseline.
+
+    Attributes
+    ----------
+    filters : tuple of str
+        In the order of the summaries.
+    measures : tuple of Measure
+        Those that some pair could be compared by.
+    cells : mapping of (key of the measure, filter, against) to PairVerdict
+        Both directions of every pair.
+    """
+
+    filters: tuple[str, ...]
+    measures: tuple[Measure, ...]
+    cells: Mapping[tuple[str, str, str], PairVerdict]
+
+    def cell(self, measure: Measure, filter_name: str, against: str) -> PairVerdict | None:
+        """The verdict on `filter_name`; None where the two were not compared."""
+        return self.cells.get((measure.key, filter_name, against))
+
+
+def compare_all(
+    summaries: Sequence[FilterSummary],
+    figures: Figures,
+    *,
+    baseline: str | None = None,
+    measures: Sequence[Measure] = QUESTIONS,
+) -> PairwiseTable:
+    """Compare each filter with each other one, or all with a baseline, question by question.
+
+    Intervals and tests are corrected for the number of pairs; each measure stands for itself.
+
+    Raises
+    ------
+    ValueError
+        There is no such baseline.
+    """
+    names = tuple(s.filter_name for s in summaries)
+    if baseline is not None and baseline not in names:
+        raise ValueError(f"baseline must be one of {', '.join(names)}, got {baseline!r}")
+    pairs = [(a, b) for a, b in combinations(names, 2) if baseline in (None, a, b)]
+    cells: dict[tuple[str, str, str], PairVerdict] = {}
+    for measure in measures:
+        for a, b in pairs:
+            keys = common_keys(figures[a], figures[b])
+            values = (measure.by_run(figures[name], keys) for name in (a, b))
+            difference = measure.difference(*values, comparisons=len(pairs))
+            if difference.count:
+                cells[measure.key, a, b] = _pair_verdict(measure, a, b, difference)
+                cells[measure.key, b, a] = _pair_verdict(measure, b, a, difference.reversed)
+    known = {key for key, _, _ in cells}
+    return PairwiseTable(names, tuple(m for m in measures if m.key in known), cells)
+
+
+def change_words(measure: Measure, difference: Difference) -> str:
+    """A difference of a measure in words, with its evidence in brackets."""
+    if difference.tied:
+        return difference.tie_words
+    if not difference.shown:
+        return f"{Finding.NOT_SHOWN.value} ({difference.evidence})"
+    if measure.ideal is not None:
+        nearer = "nearer to" if difference.estimate < 0.0 else "farther from"
+        return f"{nearer} its ideal ({difference.evidence})"
+    if not measure.figure.is_ratio:
+        more = "less" if difference.estimate < 0.0 else "more"
+        return f"{abs(difference.estimate):.3g} {more} ({difference.evidence})"
+    found = difference.reversed if measure.figure.larger_is_better else difference
+    return f"{percent_words(found.percent)} ({found.evidence})"
+
+
+def finding_words(measure: Measure, difference: Difference) -> str:
+    """The finding and what it comes to: "worse: 12 % larger (+9 to +15 % ...)", "no difference shown (...)"."""
+    words = change_words(measure, difference)
+    return f"{difference.finding.value}: {words}" if difference.shown else words
+
+
+def _pair_verdict(measure: Measure, a: str, b: str, difference: Difference) -> PairVerdict:
+    return PairVerdict(measure, a, b, difference, change_words(measure, difference))

@@ -1,4 +1,4 @@
-"""What may be said about policies: what the filter in the loop claims in the end, what is true, whether the two agree.
+"""Verdict on policies: the uncertainty that the filter claims in the end, the true error, and their agreement.
 
 A policy is paid for what its filter believes, and a filter may believe what is not so. So each policy is held against a
 baseline, seed by seed, by both: the claimed uncertainty of the final pose, and the true error, at the end and along the
@@ -12,16 +12,17 @@ from dataclasses import dataclass
 from enum import Enum
 
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice
-from stereo_slam_env.benchmark.statistics.differences import Difference, Finding
+from stereo_slam_env.benchmark.statistics.differences import Difference, Finding, listed, percent_words, signed
 from stereo_slam_env.benchmark.statistics.measures import (
     CLAIM_AND_TRUTH,
     FINAL_ERROR,
     FINAL_SIGMA,
     POSITION,
+    PairVerdict,
+    PairwiseTable,
+    compare_all,
 )
-from stereo_slam_env.benchmark.statistics.pairwise import PairVerdict, PairwiseTable, compare_all
 from stereo_slam_env.benchmark.statistics.verdict import Consistency, consistency, lost_words, none_left, pose_nees
-from stereo_slam_env.benchmark.statistics.words import listed, percent_words, signed
 from stereo_slam_env.evaluation.results import FilterSummary
 from stereo_slam_env.evaluation.run_figures import Figures
 from stereo_slam_env.recording.recording import Recording
@@ -31,7 +32,7 @@ BASELINE = "fixed"
 
 
 class Agreement(Enum):
-    """What claim and truth say of a policy, by the baseline."""
+    """Agreement of claim and truth about a policy, against the baseline."""
 
     AGREE = "claim and truth agree"
     OPEN = "the truth may be as claimed, and does not show it"
@@ -76,7 +77,7 @@ class ClaimAndTruth:
 
 @dataclass(frozen=True)
 class PolicyVerdict:
-    """What the report on policies says first.
+    """Verdict on all policies: the first lines of their report.
 
     Attributes
     ----------
@@ -126,13 +127,6 @@ def judge_policies(summaries: Sequence[FilterSummary], figures: Figures, *, base
 
     Intervals and tests are corrected for the number of policies; each measure stands for itself.
 
-    Parameters
-    ----------
-    summaries, figures : sequence, mapping
-        As `verdict.judge`.
-    baseline : str
-        Label of one of them.
-
     Raises
     ------
     ValueError
@@ -176,7 +170,7 @@ def _agreement(claim: Difference, truths: Sequence[Difference]) -> Agreement:
 
 
 def _shown_by(findings: Sequence[Finding]) -> Finding | None:
-    """What several findings show together; None where they contradict each other."""
+    """Common result of several findings; None where they contradict each other."""
     shown = {finding for finding in findings if finding is not Finding.NOT_SHOWN}
     if len(shown) > 1:
         return None

@@ -1,4 +1,4 @@
-"""What may be said about the filters: who is better, by how much, and whether the runs show it.
+"""Verdict on the filters: the best one, by how much, and whether the runs show it.
 
 Filters are compared on the same recordings, see `benchmark.statistics`. The one with the smallest position error of
 those that never diverged is held against each of the others; `pairwise` holds each against each, by every question.
@@ -10,15 +10,21 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 
-from stereo_slam_env.benchmark.statistics.differences import Difference, Finding
-from stereo_slam_env.benchmark.statistics.limit import Reach, limit_reached
+from stereo_slam_env.benchmark.statistics.differences import (
+    Difference,
+    Finding,
+    ShareDifference,
+    listed,
+    paired_share,
+    percent_words,
+    signed,
+)
 from stereo_slam_env.benchmark.statistics.measures import POSITION
-from stereo_slam_env.benchmark.statistics.shares import ShareDifference, paired_share
-from stereo_slam_env.benchmark.statistics.words import listed, percent_words, signed
+from stereo_slam_env.benchmark.statistics.remarks import Reach, limit_reached
 from stereo_slam_env.evaluation.consistency_figures import DOF
 from stereo_slam_env.evaluation.results import FilterSummary
 from stereo_slam_env.evaluation.run_figures import Figures, RunFigures, common_keys
-from stereo_slam_env.evaluation.trial_metrics import FEWEST_FRAMES
+from stereo_slam_env.evaluation.trial import FEWEST_FRAMES
 
 
 class Consistency(Enum):
@@ -79,7 +85,7 @@ class Comparison:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What the report says first.
+    """Verdict on all filters: the first lines of a report.
 
     Attributes
     ----------
@@ -113,15 +119,7 @@ class Verdict:
 
 
 def judge(summaries: Sequence[FilterSummary], figures: Figures) -> Verdict:
-    """Compare the filters on accuracy, and put consistency, distance from the limit and cost of the best one beside it.
-
-    Parameters
-    ----------
-    summaries : sequence of FilterSummary
-        One for each filter.
-    figures : mapping of str to RunFigures
-        Of the same runs, see `figures_of`.
-    """
+    """Compare the filters on accuracy; consistency, distance from the limit and cost of the best one beside it."""
     scored = [s for s in summaries if s.position_rmse_m is not None]
     steady = [s for s in scored if s.diverged == 0]
     if not steady:
@@ -145,17 +143,7 @@ def judge(summaries: Sequence[FilterSummary], figures: Figures) -> Verdict:
 def against_best(
     best: FilterSummary, other: FilterSummary, best_figures: RunFigures, other_figures: RunFigures, comparisons: int = 1
 ) -> Comparison:
-    """Compare another filter with the best one, by position error, on the recordings that both completed.
-
-    Parameters
-    ----------
-    best, other : FilterSummary
-        Of the two.
-    best_figures, other_figures : RunFigures
-        Run by run.
-    comparisons : int
-        Number of comparisons made at once.
-    """
+    """Compare another filter with the best one, by position error, on the recordings that both completed."""
     keys = common_keys(best_figures, other_figures)
     errors = (POSITION.by_run(figures, keys) for figures in (other_figures, best_figures))
     difference = POSITION.difference(*errors, comparisons=comparisons)
@@ -186,7 +174,7 @@ def consistency(summary: FilterSummary) -> Consistency:
 
 
 def loss(summary: FilterSummary) -> str:
-    """What became of the runs that a filter lost: "failed" where it raised in all of them, else "diverged"."""
+    """Fate of the runs that a filter lost: "failed" where it raised in all of them, else "diverged"."""
     return "failed" if summary.diverged == len(summary.failures) else "diverged"
 
 
@@ -238,7 +226,7 @@ def _no_best(summaries: Sequence[FilterSummary], figures: Figures) -> str:
 
 
 def none_left(summaries: Sequence[FilterSummary]) -> str:
-    """What became of filters none of which came through."""
+    """Headline where no filter came through every run."""
     lost = "; ".join(f"{s.filter_name} {lost_words(s)}" for s in summaries[:_MOST_WORDED])
     if len(summaries) == 1:
         return f"There is no verdict: {lost}."

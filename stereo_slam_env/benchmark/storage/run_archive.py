@@ -1,4 +1,4 @@
-"""A `FilterRun` as an npz file and back, so that tables and reports can be redone without running again."""
+"""Files of a run: a `FilterRun` as npz and back, its trajectory in the formats of TUM and KITTI."""
 
 from __future__ import annotations
 
@@ -11,11 +11,14 @@ from typing import Any
 
 import numpy as np
 
+from filters import rotations
+from filters.validation import FloatArray
 from stereo_slam_env.evaluation.landmark_statistics import SERIES as _LANDMARK_SERIES
 from stereo_slam_env.evaluation.landmark_statistics import LandmarkStatistics
-from stereo_slam_env.evaluation.results import FilterRun, LandmarkTrace
-from stereo_slam_env.files.arrays import read_arrays
+from stereo_slam_env.evaluation.map_scoring import LandmarkTrace
+from stereo_slam_env.evaluation.results import FilterRun
 from stereo_slam_env.files.atomic import write_atomically
+from stereo_slam_env.files.readers import read_arrays
 from stereo_slam_env.recording.archive import reference_of
 
 FORMAT = 2
@@ -122,3 +125,31 @@ def _damaged(path: Path, error: Exception) -> Exception:
         return error
     reason = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
     return ValueError(f"{path} is damaged ({reason}): delete it and run the same command again")
+
+
+def write_tum(path: Path, timestamps: FloatArray, positions: FloatArray, orientations: FloatArray) -> None:
+    """Rows `t x y z qx qy qz qw` of the poses that are known.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    timestamps, positions, orientations : (K,), (K, 3), (K, 4)
+        s, m in W, q^WC xyzw.
+    """
+    rows = np.column_stack([timestamps, positions, orientations])
+    _write_rows(path, rows[np.isfinite(rows).all(axis=1)])
+
+
+def write_kitti(path: Path, positions: FloatArray, orientations: FloatArray) -> None:
+    """Rows of the 3x4 matrix T_wc, row-major, of the poses that are known.
+
+    The format has no times: where poses are missing, the rows are no longer those of the frames.
+    """
+    known = np.isfinite(positions).all(axis=1) & np.isfinite(orientations).all(axis=1)
+    T_wc = np.concatenate([rotations.matrix(orientations[known]), positions[known][:, :, None]], axis=2)
+    _write_rows(path, T_wc.reshape(-1, 12))
+
+
+def _write_rows(path: Path, rows: FloatArray) -> None:
+    write_atomically(path, lambda stream: np.savetxt(stream, rows, fmt="%.9f"))

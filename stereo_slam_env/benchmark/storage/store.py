@@ -36,23 +36,23 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from stereo_slam_env.benchmark.recordings.stream_identity import as_given, stream_key
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, Scenario
+from stereo_slam_env.benchmark.scenarios.streams import as_given, stream_key
 from stereo_slam_env.benchmark.storage.code_identity import code_digest
 from stereo_slam_env.benchmark.storage.results import RunResults
-from stereo_slam_env.benchmark.storage.run_archive import load_provenance, load_run
-from stereo_slam_env.benchmark.storage.run_folder import refuse_foreign, why_no_run
-from stereo_slam_env.benchmark.storage.trajectory_files import write_kitti, write_tum
+from stereo_slam_env.benchmark.storage.run_archive import load_provenance, load_run, write_kitti, write_tum
 from stereo_slam_env.evaluation.cramer_rao import Bound
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
-from stereo_slam_env.evaluation.run_figures import figures_of
-from stereo_slam_env.evaluation.summary import summarise_all
-from stereo_slam_env.files.arrays import read_arrays
+from stereo_slam_env.evaluation.run_figures import figures_of, summarise_all
 from stereo_slam_env.files.atomic import write_atomically
+from stereo_slam_env.files.claimed_folder import is_occupied
 from stereo_slam_env.files.package_versions import version_of
+from stereo_slam_env.files.readers import read_arrays
 
 VERSION = 2
 CELLS = "cells"
+STUDY = "study.json"
+MARKERS = ("settings.json", STUDY)
 _PACKAGES = ("stereo-slam-env", "numpy", "scipy", "gymnasium", "pybullet", "joblib")
 
 
@@ -67,7 +67,7 @@ class RunDirectory:
     @property
     def seeds(self) -> tuple[int | None, ...]:
         """One entry a recording; None for real data."""
-        return (None,) if self.scenario.kind == "dataset" else self.scenario.seeds
+        return self.scenario.recording_seeds
 
     def trial_path(self, seed: int | None, choice: FilterChoice) -> Path:
         """Where the time series of one filter on one recording are."""
@@ -282,9 +282,28 @@ def read_run(out: Path) -> RunDirectory:
         settings = json.loads(path.read_text(encoding="utf-8"))
         return RunDirectory(out, Scenario.from_dict(settings["scenario"]))
     except (FileNotFoundError, NotADirectoryError) as error:
-        raise ValueError(why_no_run(out)) from error
+        raise ValueError(_why_no_run(out)) from error
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise ValueError(f"{path} is damaged: {error}") from error
+
+
+def refuse_foreign(out: Path) -> None:
+    """Raise a `ValueError` where `out` holds something that is no run."""
+    if out.exists() and not out.is_dir():
+        raise ValueError(f"output {out} is a file: give a directory")
+    if out.is_dir() and not any((out / name).exists() for name in MARKERS) and is_occupied(out):
+        raise ValueError(f"output {out} is not empty and holds no run: choose another directory")
+
+
+def _why_no_run(out: Path) -> str:
+    """Why there is no run to read, and what could be meant."""
+    if not out.is_dir():
+        what = "is a file" if out.exists() else "does not exist"
+        return f"{out} {what}: give the directory of a run"
+    inside = sorted({path.parent for name in MARKERS for path in out.glob(f"*/{name}")})
+    if inside:
+        return f"{out} holds no run itself, but {len(inside)}: give one of them, such as {inside[-1]}"
+    return f"{out} holds no run: it has no settings.json, give the directory of a run"
 
 
 def versions() -> dict[str, str]:
@@ -335,8 +354,7 @@ def seed_name(seed: int | None) -> str:
 
 def summary_row(summary: FilterSummary) -> dict[str, Any]:
     """JSON-able form of a summary, without its name."""
-    row: dict[str, Any] = without_nan(dataclasses.asdict(summary))
-    del row["filter_name"]
+    row: dict[str, Any] = without_nan(summary.as_dict())
     return row
 
 

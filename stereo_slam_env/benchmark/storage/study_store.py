@@ -21,8 +21,7 @@ from pathlib import Path
 from stereo_slam_env.benchmark.scenarios.study import Cell, Study
 from stereo_slam_env.benchmark.storage import store
 from stereo_slam_env.benchmark.storage.results import RunResults
-from stereo_slam_env.benchmark.storage.run_folder import STUDY, refuse_foreign
-from stereo_slam_env.benchmark.storage.store import CELLS, RunDirectory
+from stereo_slam_env.benchmark.storage.store import CELLS, STUDY, RunDirectory, refuse_foreign
 from stereo_slam_env.benchmark.storage.trial_table import write_trial_table
 
 

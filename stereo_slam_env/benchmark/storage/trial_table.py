@@ -1,10 +1,10 @@
-"""The trial table: one row a trial, as SQLite, for those who analyse it with their own tools.
+"""Trial table: one row a trial, as SQLite, for analysis with other tools.
 
 `trials.sqlite` has the tables
 
 - `trials`: `cell`, one column a factor of the grid (`factor.` and its name in the scenario file, e.g.
-  `factor.options.sigma`), the columns of `trial_metrics.COLUMNS`, `policy` and `options` (JSON), and `series`, the path
-  of the time series (npz) relative to the file itself;
+  `factor.options.sigma`), the figures of single runs of `evaluation.figures`, `policy` and `options`
+  (JSON), and `series`, the path of the time series (npz) relative to the file itself;
 - `columns`: `name`, `unit` and `meaning` of every column of `trials`.
 
 `PRAGMA user_version` is the version of this schema. NULL is what does not apply or is not finite.
@@ -16,16 +16,15 @@
 from __future__ import annotations
 
 import json
-import math
 import sqlite3
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from stereo_slam_env.benchmark.scenarios.scenario import choice_as_dict
+from stereo_slam_env.evaluation.figures import trial_columns
 from stereo_slam_env.evaluation.run_figures import key_of
-from stereo_slam_env.evaluation.trial_metrics import COLUMNS, Column
 from stereo_slam_env.files.atomic import unfinished_name
 
 if TYPE_CHECKING:
@@ -47,26 +46,27 @@ def write_trial_table(path: Path, results: Sequence[CellResult]) -> None:
     """
     rows = [row for result in results for row in _rows(path.parent, result)]
     factors = list(dict.fromkeys(name for result in results for name in _factors(result)))
-    about = {
-        "cell": Column("", "cell of the grid, or name of the scenario", "text"),
-        **{factor: Column("", "factor of the grid", "any") for factor in factors},
-        **COLUMNS,
-        "policy": Column("", "policy that looked, as JSON; null where nobody does", "text"),
-        "options": Column("", "options the filter was made with, as JSON", "text"),
-        "series": Column("", "time series of the trial (npz), relative to this file", "text"),
-    }
+    columns = [
+        ("cell", "text", "", "cell of the grid, or name of the scenario"),
+        *((factor, "any", "", "factor of the grid") for factor in factors),
+        *((figure.name, figure.kind, figure.unit, figure.meaning) for figure in trial_columns()),
+        ("policy", "text", "", "policy that chose where to look, as JSON; null where there is none"),
+        ("options", "text", "", "options the filter was made with, as JSON"),
+        ("series", "text", "", "time series of the trial (npz), relative to this file"),
+    ]
     unfinished = unfinished_name(path)
     unfinished.unlink(missing_ok=True)
     try:
         with closing(sqlite3.connect(unfinished)) as database, database:
-            declared = ", ".join(f"{_quoted(name)} {_TYPES[column.kind]}" for name, column in about.items())
+            declared = ", ".join(f"{_quoted(name)} {_TYPES[kind]}" for name, kind, _, _ in columns)
             database.execute(f"PRAGMA user_version = {SCHEMA}")
             database.execute(f"CREATE TABLE trials ({declared})")
             database.execute("CREATE TABLE columns (name TEXT PRIMARY KEY, unit TEXT, meaning TEXT)")
-            meanings = [(name, column.unit, column.meaning) for name, column in about.items()]
+            meanings = [(name, unit, meaning) for name, _, unit, meaning in columns]
             database.executemany("INSERT INTO columns VALUES (?, ?, ?)", meanings)
-            places = ", ".join("?" for _ in about)
-            database.executemany(f"INSERT INTO trials VALUES ({places})", [[row.get(n) for n in about] for row in rows])
+            places = ", ".join("?" for _ in columns)
+            values = [[row.get(name) for name, *_ in columns] for row in rows]
+            database.executemany(f"INSERT INTO trials VALUES ({places})", values)
         unfinished.replace(path)
     except sqlite3.OperationalError as error:
         raise OSError(f"{path} cannot be written: {error}") from error
@@ -78,13 +78,12 @@ def _rows(root: Path, result: CellResult) -> list[dict[str, Any]]:
     rows = []
     competitors = {choice.label: choice for choice in result.cell.scenario.competitors}
     for run in result.runs:
-        figures = result.figures[run.filter_name].of_run[key_of(run)]
         choice = competitors[run.filter_name]
         rows.append(
             {
                 "cell": result.cell.name,
                 **_factors(result),
-                **_storable(figures),
+                **result.figures[run.filter_name].of_run[key_of(run)],
                 "policy": None if choice.policy is None else json.dumps(choice_as_dict(choice.policy)),
                 "options": json.dumps(dict(run.options)),
                 "series": result.directory.trial_path(run.seed, choice).relative_to(root).as_posix(),
@@ -95,13 +94,6 @@ def _rows(root: Path, result: CellResult) -> list[dict[str, Any]]:
 
 def _factors(result: CellResult) -> dict[str, Any]:
     return {f"factor.{name}": level for name, level in result.cell.factors.items()}
-
-
-def _storable(figures: Mapping[str, Any]) -> dict[str, Any]:
-    return {
-        name: None if isinstance(value, float) and not math.isfinite(value) else value
-        for name, value in figures.items()
-    }
 
 
 def _quoted(name: str) -> str:

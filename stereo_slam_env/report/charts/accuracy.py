@@ -10,7 +10,7 @@ from filters.validation import FloatArray
 from stereo_slam_env.evaluation.cramer_rao import Bound
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary, SegmentError
 from stereo_slam_env.evaluation.run_figures import Bounds
-from stereo_slam_env.evaluation.trial_metrics import position_rmse
+from stereo_slam_env.evaluation.trial import position_rmse
 from stereo_slam_env.report.charts import series
 from stereo_slam_env.report.charts.axes import WIDTH, Axis, label_room, panel_width
 from stereo_slam_env.report.charts.drawing import DASHED, ROW, Chart, Curve, Panel, figure

@@ -7,8 +7,10 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from filters.validation import FloatArray
-from stereo_slam_env.evaluation.consistency_figures import LANDMARK_DOF
-from stereo_slam_env.evaluation.results import DepthConvergence, FilterRun, FilterSummary, LandmarkTrace, RangeError
+from stereo_slam_env.evaluation.consistency_figures import DOF
+from stereo_slam_env.evaluation.landmark_statistics import DepthConvergence, RangeError
+from stereo_slam_env.evaluation.map_scoring import LandmarkTrace
+from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
 from stereo_slam_env.report.charts import series
 from stereo_slam_env.report.charts.axes import Axis, label_room, log_axis, panel_width
 from stereo_slam_env.report.charts.drawing import DASHED, Chart, Curve, Panel, figure
@@ -96,7 +98,7 @@ def plot_landmark_errors(summaries: Sequence[FilterSummary]) -> Chart:
     kinds: tuple[tuple[str, Callable[[RangeError], float], Callable[[RangeError], float], float | None], ...] = (
         ("Landmark RMSE (m)", lambda e: e.rmse_m, lambda e: 0.0, None),
         ("Depth bias ± standard error (m)", lambda e: e.depth_bias_m, lambda e: e.depth_bias_sigma_m, 0.0),
-        ("Landmark NEES / 3 (1 is ideal)", lambda e: e.anees / LANDMARK_DOF, lambda e: 0.0, 1.0),
+        ("Landmark NEES / 3 (1 is ideal)", lambda e: e.anees / DOF["landmark"], lambda e: 0.0, 1.0),
     )
     panels = []
     for title, value, spread, ideal in kinds:

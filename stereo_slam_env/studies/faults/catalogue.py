@@ -18,7 +18,6 @@ from filters.known_names import require_known
 from stereo_slam_env.benchmark.recordings.reference_problem import long_drive
 from stereo_slam_env.recording.recording import Recording
 from stereo_slam_env.sensing import corruptions
-from stereo_slam_env.sensing.corrupted_frames import Blackouts, DroppedFrames, DuplicatedFrames, Latency
 from stereo_slam_env.sensing.corrupted_measurements import (
     MisscaledNoise,
     MissedDetections,
@@ -26,6 +25,7 @@ from stereo_slam_env.sensing.corrupted_measurements import (
     WrongCalibration,
     WrongIds,
 )
+from stereo_slam_env.sensing.corruptions import Blackouts, DroppedFrames, DuplicatedFrames, Latency
 from stereo_slam_env.studies.faults import streams
 from stereo_slam_env.studies.faults.rendered import drawn_drive
 

@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 from filters.common_options import make_with_common_options
 from filters.monitor import Cause, DivergenceMonitor
 from filters.validation import BoolArray
-from stereo_slam_env.benchmark.recordings.sources import Progress
+from stereo_slam_env.benchmark.recordings.source import Progress
 from stereo_slam_env.benchmark.running.engines import Engine
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice
 from stereo_slam_env.studies.faults.catalogue import FAULTS, NOMINAL, find_fault

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any, cast
 
 import numpy as np
 
 from filters.conformance import assert_healthy, shown_arrays
 from filters.interface import BodyVelocity, StereoFilter, StereoObservation, UpdateReport
 from filters.monitor import Alarm, DivergenceMonitor
+from filters.start import Start
 from filters.validation import FloatArray
-from stereo_slam_env.evaluation.consistency import nees
-from stereo_slam_env.recording.recording import Frame, Recording
+from stereo_slam_env.loop import FilterLoop
+from stereo_slam_env.recording.recording import Recording
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,9 +47,6 @@ class Session:
 def drive_through(recording: Recording, stereo_filter: StereoFilter, monitor: DivergenceMonitor) -> Session:
     """Feed a stream to a filter as a robot would: what is refused is left out, and the drive goes on.
 
-    After every call the pose is finite and its covariance positive definite; only `ValueError` may be raised, and then
-    the state is as it was.
-
     Parameters
     ----------
     recording : Recording
@@ -57,48 +56,55 @@ def drive_through(recording: Recording, stereo_filter: StereoFilter, monitor: Di
     monitor : DivergenceMonitor
         Is reset.
     """
-    held = _Held(stereo_filter)
-    start, broken = recording.start, ""
+    watched = _WatchedFilter(stereo_filter)
+    loop = FilterLoop(cast(StereoFilter, watched), recording.reference)
     monitor.reset()
     rows: list[tuple[float, float, float, float]] = []
     alarms: list[Alarm] = []
-    clock, travelled, where = recording.frames[0].timestamp, 0.0, start.position
+    clock, travelled, where, broken = recording.frames[0].timestamp, 0.0, recording.start.position, ""
     try:
-        stereo_filter.reset(
-            start.position, start.orientation, start.linear_velocity, start.angular_velocity, start.covariance
-        )
-        held.check()
-        for number, frame in enumerate(recording.frames):
-            dt = frame.timestamp - clock
-            if number and not held.predict(dt, frame.odometry):
+        loop.reset(recording.start)
+        for frame in recording.frames:
+            try:
+                moment = loop.step(frame)
+            except _Refused:
                 continue
-            clock = frame.timestamp
-            alarm = monitor.look(dt, held.update(frame.observation), stereo_filter.pose)
+            alarm = monitor.look(moment.time - clock, moment.report, moment.pose)
             alarms += [] if alarm is None else [alarm]
-            assert frame.truth is not None, "the recording has no truth"
-            travelled += float(np.linalg.norm(frame.truth.position - where))
-            where = frame.truth.position
-            rows.append((clock, travelled, *_errors(stereo_filter, frame)))
+            assert moment.truth is not None, "the recording has no truth"
+            travelled += float(np.linalg.norm(moment.truth.position - where))
+            clock, where = moment.time, moment.truth.position
+            rows.append((clock, travelled, moment.position_error, moment.nees / 6.0))
     except (AssertionError, ArithmeticError) as error:
         broken = f"at {clock:.3f} s: {error}"
     times, path, errors, claims = np.array(rows).reshape(-1, 4).T
-    return Session(times, errors, path, claims, tuple(alarms), held.refused, broken)
+    return Session(times, errors, path, claims, tuple(alarms), watched.refused, broken)
 
 
-class _Held:
-    """A filter that is looked at after every call."""
+class _Refused(Exception):
+    """A frame whose time is illegal."""
+
+
+class _WatchedFilter:
+    """A filter that is held to its contract after every call, as the loop drives it.
+
+    After every call its belief is healthy; only `ValueError` may be raised, and then the state is as it was.
+    """
 
     def __init__(self, stereo_filter: StereoFilter) -> None:
         self._filter = stereo_filter
         self.refused = 0
 
-    def check(self) -> None:
-        assert_healthy(self._filter)
-        self._shown = shown_arrays(self._filter)
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._filter, name)
 
-    def predict(self, dt: float, odometry: BodyVelocity | None) -> bool:
-        """Whether that is accepted."""
-        return self._accepted(lambda: self._filter.predict(dt, odometry))
+    def reset(self, start: Start) -> None:
+        self._filter.reset(start)
+        self._check()
+
+    def predict(self, dt: float, odometry: BodyVelocity | None) -> None:
+        if not self._accepted(lambda: self._filter.predict(dt, odometry)):
+            raise _Refused
 
     def update(self, seen: StereoObservation) -> UpdateReport:
         """Use the arrays of a camera, which need not be legal; an empty report where they are refused."""
@@ -110,8 +116,12 @@ class _Held:
         )
         return reports[-1]
 
+    def _check(self) -> None:
+        assert_healthy(self._filter)
+        self._shown = shown_arrays(self._filter)
+
     def _accepted(self, call: Callable[[], object]) -> bool:
-        """Raises AssertionError where the filter does what its contract does not allow."""
+        """Whether the call is accepted; raises AssertionError where the filter breaks its contract."""
         try:
             call()
         except ValueError:
@@ -121,12 +131,5 @@ class _Held:
             return False
         except Exception as error:  # the contract is ValueError and nothing else
             raise AssertionError(f"raised {type(error).__name__}: {error}") from error
-        self.check()
+        self._check()
         return True
-
-
-def _errors(stereo_filter: StereoFilter, frame: Frame) -> tuple[float, float]:
-    assert frame.truth is not None
-    error, covariance = stereo_filter.pose_error(frame.truth.position, frame.truth.orientation)
-    distance = float(np.linalg.norm(stereo_filter.pose.position - frame.truth.position))
-    return distance, float(nees(error[None], covariance[None])[0]) / 6.0

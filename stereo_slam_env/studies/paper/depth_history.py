@@ -13,6 +13,7 @@ import numpy as np
 from filters import StereoNoise, make_filter
 from filters.validation import FloatArray, IntArray
 from stereo_slam_env.evaluation.map_scoring import view_map
+from stereo_slam_env.loop import run
 from stereo_slam_env.recording.recording import Pose, Recording
 
 
@@ -79,22 +80,17 @@ def follow_depths(recording: Recording, filter_name: str, ids: IntArray, options
     ids : (L,) int64
         Landmarks, ascending; NaN where the filter does not have one.
     """
-    estimator = make_filter(filter_name, camera=recording.camera, noise=recording.noise, **options)
-    start = recording.start
-    estimator.reset(start.position, start.orientation, start.linear_velocity, start.angular_velocity, start.covariance)
+    slam = make_filter(filter_name, camera=recording.camera, noise=recording.noise, **options)
     shape = len(ids), len(recording)
     history = DepthHistory(*(np.full(shape, np.nan) for _ in range(3)))
     poses = []
-    for k, frame in enumerate(recording.frames):
-        if k:
-            estimator.predict(frame.timestamp - recording.frames[k - 1].timestamp)
-        estimator.update(frame.observation)
-        view = view_map(estimator, None, None)
+    for moment in run(slam, recording, use_odometry=False):
+        view = view_map(slam, None, None)
         _, mine, theirs = np.intersect1d(ids, view.ids, return_indices=True)
-        history.d[mine, k] = view.uvd[theirs, 2]
-        history.sigma_d[mine, k] = np.sqrt(np.maximum(view.covariance[theirs, 2, 2], 0.0))
-        poses.append(Pose(estimator.pose.position, estimator.pose.orientation))
-    belief = estimator.landmarks
+        history.d[mine, moment.number] = view.uvd[theirs, 2]
+        history.sigma_d[mine, moment.number] = np.sqrt(np.maximum(view.covariance[theirs, 2, 2], 0.0))
+        poses.append(Pose(moment.pose.position, moment.pose.orientation))
+    belief = slam.landmarks
     _, mine, theirs = np.intersect1d(ids, belief.ids, return_indices=True)
     for k, pose in enumerate(poses):
         history.hindsight[mine, k] = pose.to_camera(belief.positions[theirs])[:, 2]

@@ -16,9 +16,8 @@ from typing import Any
 import numpy as np
 
 from filters.validation import FloatArray
-from stereo_slam_env.benchmark.running.runner import run_filter
-from stereo_slam_env.datasets import open_for_front_end
-from stereo_slam_env.datasets.images import karlsruhe as layout
+from stereo_slam_env.datasets import layout_of, open_for_front_end
+from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.evaluation.trajectory_metrics import ate_rigid
 from stereo_slam_env.frontend.recorder import record_tracks
 from stereo_slam_env.recording.recording import Recording
@@ -65,7 +64,7 @@ def sequences(path: Path) -> dict[str, Path]:
         name: folder
         for name in (TURN, DRIVE)
         for folder in (path / name, path)
-        if folder.name == name and folder.is_dir() and layout.recognises(folder)
+        if folder.name == name and folder.is_dir() and layout_of(folder) == "karlsruhe"
     }
     if not found:
         raise ValueError(

@@ -9,7 +9,7 @@ import numpy as np
 
 from filters.validation import FloatArray
 from stereo_slam_env.benchmark.recordings import reference_problem
-from stereo_slam_env.benchmark.running.runner import run_filter
+from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.evaluation.results import FilterRun
 from stereo_slam_env.evaluation.trajectory_metrics import (
     ate_unaligned,

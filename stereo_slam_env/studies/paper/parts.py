@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from stereo_slam_env.benchmark.storage.code_identity import code_digest
-from stereo_slam_env.files.arrays import read_arrays
 from stereo_slam_env.files.atomic import write_atomically
+from stereo_slam_env.files.readers import read_arrays
 
 Arrays = dict[str, NDArray[Any]]
 Progress = Callable[[float, int], None]

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from filters import StereoFilter, StereoNoise, StereoObservation, make_filter
+from filters import Start, StereoFilter, StereoNoise, StereoObservation, make_filter
 from filters.engine.options import MEASUREMENTS
 from filters.validation import FloatArray
 from stereo_slam_env.sensing.rigs import RIGS
@@ -55,7 +55,7 @@ class SlowDrive:
         self._points = CAMERA.backproject(rng.uniform(low, high, (n, 3)))
         self._ids, self._frame, self._rng = np.arange(n), 0, rng
         self._slam: StereoFilter = make_filter(filter_name, camera=CAMERA, noise=NOISE, gate=None, **options)
-        self._slam.reset(linear_velocity=(0.0, 0.0, SPEED))
+        self._slam.reset(Start(linear_velocity=np.array([0.0, 0.0, SPEED])))
         for group in range(1, GROUPS + 1):
             self._slam.update(self._observe(n * group // GROUPS))
             self._slam.predict(DT)

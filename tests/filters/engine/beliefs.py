@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from filters import StereoEKF, StereoNoise
+from filters import Start, StereoEKF, StereoNoise
 
 from ..drives import CAMERA, INDEPENDENT_PIXELS, SPEED, start
 
@@ -54,5 +54,5 @@ def scaled(actual: np.ndarray, expected: np.ndarray) -> tuple[np.ndarray, np.nda
 def tilted(stereo_filter: StereoEKF) -> StereoEKF:
     """Reset to a pose in general position."""
     orientation = Rotation.from_rotvec([0.2, -0.5, 0.1]).as_quat()
-    stereo_filter.reset((1.0, 2.0, 3.0), orientation, (0.5, 0.1, SPEED), (0.02, 0.1, -0.01), 0.01 * np.eye(12))
+    stereo_filter.reset(Start((1.0, 2.0, 3.0), orientation, (0.5, 0.1, SPEED), (0.02, 0.1, -0.01), 0.01 * np.eye(12)))
     return stereo_filter

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from filters import StereoEKF, StereoObservation
+from filters import Start, StereoEKF, StereoObservation
 from filters.conformance import REFERENCE_CAMERA as CAMERA
 from filters.conformance import REFERENCE_NOISE as NOISE
 from filters.engine import kalman, symmetric
@@ -24,7 +24,7 @@ class Scene:
         uvd = self.rng.uniform((300, 80, 8), (1000, 320, 40), (COUNT, 3))
         self.points = CAMERA.backproject(uvd)
         self.slam = StereoEKF(CAMERA, NOISE, **options)
-        self.slam.reset(linear_velocity=(0, 0, SPEED - 3.0), covariance=VAGUE)
+        self.slam.reset(Start(linear_velocity=(0, 0, SPEED - 3.0), covariance=VAGUE))
         self.slam.update(StereoObservation(np.arange(COUNT), uvd))
         self.slam.predict(DT)
 

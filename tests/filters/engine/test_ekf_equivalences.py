@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from filters import ConstantVelocity, StereoEKF, StereoNoise, StereoObservation
+from filters import ConstantVelocity, Start, StereoEKF, StereoNoise, StereoObservation
 from filters.engine import symmetric
 from filters.engine.linearisation import project
 from filters.measurements.bearing import LeftThenRight, Stacked
@@ -111,7 +111,7 @@ def small_problem(scale: float, seed: int, **options) -> tuple[StereoEKF, Stereo
     motion = ConstantVelocity(3.0 * scale, 0.6 * scale)
     stereo_filter = make(noise, motion=motion, drop_unseen=False, **options)
     covariance = scale**2 * np.diag(np.repeat([0.05, 0.01, 0.5, 0.05], 3) ** 2)
-    stereo_filter.reset(linear_velocity=(0.0, 0.0, SPEED), covariance=covariance)
+    stereo_filter.reset(Start(linear_velocity=(0.0, 0.0, SPEED), covariance=covariance))
     stereo_filter.update(drive(4, 1, depths=(6.0, 30.0))[0].observation)
     stereo_filter.predict(DT)
     rng = np.random.default_rng(seed)
@@ -174,7 +174,7 @@ def test_iterating_converges_to_the_map_estimate(landmark: str, error: str) -> N
     frames = drive(8, 2, missed=0.0, visible=6, depths=(6.0, 15.0))
     prior = make(landmark=landmark, error=error, iterations=100, drop_unseen=False)
     covariance = np.diag(np.repeat([0.1, 0.05, 1.0, 0.3], 3) ** 2)
-    prior.reset(linear_velocity=(0.5, 0.3, SPEED - 1.0), covariance=covariance)
+    prior.reset(Start(linear_velocity=(0.5, 0.3, SPEED - 1.0), covariance=covariance))
     prior.update(frames[0].observation)
     prior.predict(DT)
     seen = frames[1].observation

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from filters import ConstantVelocity, StereoEKF, StereoObservation
+from filters import ConstantVelocity, Start, StereoEKF, StereoObservation
 from filters.engine import symmetric
 
 from .. import textbook
@@ -38,7 +38,7 @@ def test_the_gate_passes_consistent_measurements_at_its_nominal_rate(
     rng = np.random.default_rng(9)
     uvd = rng.uniform([200.0, 60.0, 15.0], [1200.0, 330.0, 60.0], (count, 3))
     stereo_filter = make(landmark=landmark, measurement=measurement, update=update, gate=probability)
-    stereo_filter.reset(linear_velocity=(0.0, 0.0, SPEED), covariance=np.diag(np.repeat(1e-10, 12)))
+    stereo_filter.reset(Start(linear_velocity=(0.0, 0.0, SPEED), covariance=np.diag(np.repeat(1e-10, 12))))
     stereo_filter.parts = replace(stereo_filter.parts, motion=ConstantVelocity(1e-3, 1e-4))
     stereo_filter.update(StereoObservation(np.arange(count), uvd))
     stereo_filter.predict(DT)

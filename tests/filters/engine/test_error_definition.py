@@ -9,7 +9,7 @@ import pytest
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
-from filters import BodyVelocity, ConstantVelocity, StereoEKF, StereoObservation, VelocityDriven, rotations
+from filters import BodyVelocity, ConstantVelocity, Start, StereoEKF, StereoObservation, VelocityDriven, rotations
 from filters.engine import symmetric
 from filters.engine.error_definition import ERRORS
 from filters.engine.joint_state import JointState
@@ -244,7 +244,7 @@ def test_the_right_invariant_filter_equals_one_written_from_the_paper() -> None:
     stereo_filter = make(landmark="euclidean", error="right-invariant", motion=VelocityDriven(), drop_unseen=False)
     reference = InvariantEKF(CAMERA, INDEPENDENT_PIXELS.R)
     sigmas = np.array([0.2, 0.3, 0.1, 0.02, 0.05, 0.03])
-    stereo_filter.reset(covariance=np.diag(np.concatenate([sigmas, np.ones(6)]) ** 2))
+    stereo_filter.reset(Start(covariance=np.diag(np.concatenate([sigmas, np.ones(6)]) ** 2)))
     reference.P = np.diag(np.concatenate([sigmas[3:], sigmas[:3]]) ** 2)
     rng = np.random.default_rng(8)
     for k, frame in enumerate(frames):
@@ -315,7 +315,7 @@ def test_first_estimates_hold_gamma_exactly(
     monkeypatch.setattr(JointState, "transform_camera", noted)
     options = {"landmark": landmark, "measurement": measurement, "motion": MOTIONS[motion], "gate": None}
     stereo_filter = Watched(CAMERA, INDEPENDENT_PIXELS, error="first-estimates", **options)
-    stereo_filter.reset(linear_velocity=(0.0, 0.0, SPEED), covariance=0.01 * np.eye(12))
+    stereo_filter.reset(Start(linear_velocity=(0.0, 0.0, SPEED), covariance=0.01 * np.eye(12)))
     frames, rng = drive(9, 12, visible=10, depths=(6.0, 25.0)), np.random.default_rng(1)
     corrected = 0.0
     for k, frame in enumerate(frames):
@@ -359,7 +359,7 @@ def local_observability(error: str, landmark: str, motion: str) -> tuple[np.ndar
     """H_k F_k-1 ... F_0 stacked over 12 frames of one map, and the gauge directions at the start."""
     options = {"landmark": landmark, "motion": MOTIONS[motion], "gate": None, "drop_unseen": False}
     stereo_filter = Watched(CAMERA, INDEPENDENT_PIXELS, error=error, **options)
-    stereo_filter.reset(linear_velocity=(0.0, 0.0, SPEED), covariance=0.01 * np.eye(12))
+    stereo_filter.reset(Start(linear_velocity=(0.0, 0.0, SPEED), covariance=0.01 * np.eye(12)))
     frames, rng = drive(11, 12, visible=8, missed=0.0, depths=(15.0, 40.0)), np.random.default_rng(2)
     first = set(frames[0].observation.ids.tolist())
     rows, product, start = [], np.eye(0), np.zeros(0)
@@ -426,7 +426,7 @@ def test_a_still_camera_learns_nothing_about_its_own_pose(landmark: str) -> None
     sigma, kept = 0.2, {}
     for error in ("quaternion", "so3", "first-estimates", "right-invariant"):
         stereo_filter = make(landmark=landmark, error=error, motion=VelocityDriven())
-        stereo_filter.reset(covariance=sigma**2 * np.eye(12))
+        stereo_filter.reset(Start(covariance=sigma**2 * np.eye(12)))
         for k, seen in enumerate(frames):
             if k:
                 stereo_filter.predict(DT, nothing)

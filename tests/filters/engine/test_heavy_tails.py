@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from filters import StereoEKF, StereoObservation, check_filter
+from filters import Start, StereoEKF, StereoObservation, check_filter
 from filters.conformance import REFERENCE_CAMERA as CAMERA
 from filters.conformance import REFERENCE_NOISE as NOISE
 from filters.engine import kalman
@@ -39,7 +39,7 @@ def test_an_outlier_inside_the_gate_pulls_less() -> None:
     moved = {}
     for tail_dof in (None, 3.0):
         slam = StereoEKF(CAMERA, NOISE, gate=None, tail_dof=tail_dof)
-        slam.reset(covariance=np.diag(np.repeat([1e-6, 1e-6, 0.3, 0.03], 3) ** 2))
+        slam.reset(Start(covariance=np.diag(np.repeat([1e-6, 1e-6, 0.3, 0.03], 3) ** 2)))
         uvd = np.random.default_rng(0).uniform((300, 80, 8), (1000, 320, 40), (20, 3))
         slam.update(StereoObservation(np.arange(20), uvd))
         slam.predict(0.1)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
 
-from filters import BodyVelocity, ConstantVelocity, StereoEKF, StereoObservation
+from filters import BodyVelocity, ConstantVelocity, Start, StereoEKF, StereoObservation
 from filters.engine import kalman, symmetric
 from filters.engine.joint_state import JointState
 from filters.landmarks.euclidean import Euclidean
@@ -185,7 +185,7 @@ def straight(**options) -> tuple[StereoEKF, KalmanFilter]:
     translation = np.r_[0:3, 6:9]
     P = np.zeros((CAMERA_SIZE, CAMERA_SIZE))
     P[np.ix_(translation, translation)] = random_covariance(rng, 6)
-    stereo_filter.reset((1.0, 2.0, 3.0), linear_velocity=(0.0, 0.5, SPEED), covariance=P)
+    stereo_filter.reset(Start((1.0, 2.0, 3.0), linear_velocity=(0.0, 0.5, SPEED), covariance=P))
     reference = kalman_filter(np.array([1.0, 2.0, 3.0, 0.0, 0.5, SPEED]), P[np.ix_(translation, translation)])
     return stereo_filter, reference
 

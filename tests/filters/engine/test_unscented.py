@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from filters import StereoEKF, StereoObservation, check_filter
+from filters import Start, StereoEKF, StereoObservation, check_filter
 from filters.conformance import REFERENCE_CAMERA as CAMERA
 from filters.conformance import REFERENCE_NOISE as NOISE
 from filters.engine import linearisation, symmetric, unscented
@@ -21,8 +21,10 @@ def started(landmark: str, velocity_sigma: float, depth_disparity: tuple[float, 
     rng = np.random.default_rng(3)
     slam = StereoEKF(CAMERA, NOISE, landmark=landmark)
     slam.reset(
-        linear_velocity=(0, 0, 5),
-        covariance=np.diag(np.repeat([1e-4, 1e-4, velocity_sigma, velocity_sigma / 10], 3) ** 2),
+        Start(
+            linear_velocity=(0, 0, 5),
+            covariance=np.diag(np.repeat([1e-4, 1e-4, velocity_sigma, velocity_sigma / 10], 3) ** 2),
+        )
     )
     low, high = depth_disparity
     uvd = rng.uniform((300, 80, low), (1000, 320, high), (COUNT, 3))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from filters import StereoFilter, StereoObservation
+from filters import Start, StereoFilter, StereoObservation
 
 from ..drives import CAMERA, DT, INDEPENDENT_PIXELS, Frame
 
@@ -41,7 +41,9 @@ def start(*filters: StereoFilter) -> None:
     """Reset to the first frame of a `loop`."""
     for slam in filters:
         slam.reset(
-            linear_velocity=(0.0, 0.0, SPEED),
-            angular_velocity=(0.0, SPEED / RADIUS, 0.0),
-            covariance=START_COVARIANCE,
+            Start(
+                linear_velocity=(0.0, 0.0, SPEED),
+                angular_velocity=(0.0, SPEED / RADIUS, 0.0),
+                covariance=START_COVARIANCE,
+            )
         )

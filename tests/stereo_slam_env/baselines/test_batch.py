@@ -19,9 +19,7 @@ from stereo_slam_env.baselines.batch import BatchSmoother
 
 def driven(stereo_filter, recording: Recording):
     start = recording.start
-    stereo_filter.reset(
-        start.position, start.orientation, start.linear_velocity, start.angular_velocity, start.covariance
-    )
+    stereo_filter.reset(start)
     for k, frame in enumerate(recording.frames):
         if k:
             stereo_filter.predict(frame.timestamp - recording.frames[k - 1].timestamp, frame.odometry)

@@ -16,6 +16,7 @@ from filters import (
     check_filter,
     make_filter,
 )
+from filters.start import Start
 from stereo_slam_env.baselines import FilterpyEKF
 
 from ...filters.drives import CAMERA, DT, INDEPENDENT_PIXELS, INDEPENDENT_UVD, ODD_CAMERA, SPEED, drive, start
@@ -98,7 +99,7 @@ def test_a_landmark_behind_the_camera_is_not_used() -> None:
 def test_a_ray_along_the_vertical_starts_no_landmark() -> None:
     """Its azimuth is undefined."""
     stereo_filter = FilterpyEKF(CAMERA, INDEPENDENT_PIXELS)
-    stereo_filter.reset(orientation=(np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)))
+    stereo_filter.reset(Start(orientation=(np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5))))
     report = stereo_filter.update(StereoObservation([3], [[CAMERA.cx, CAMERA.cy, 5.0]]))
     assert report.rejected.tolist() == [3]
     assert len(stereo_filter.landmarks.ids) == 0

@@ -13,8 +13,8 @@ from filters import check_filter, make_filter
 from filters.registry import ENTRY_POINT_GROUP
 from stereo_slam_env import baselines
 from stereo_slam_env.benchmark.recordings.reference_problem import short_turn
-from stereo_slam_env.benchmark.running.runner import run_filter
-from stereo_slam_env.datasets import read_recording
+from stereo_slam_env.datasets import load
+from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.evaluation.results import FilterRun
 from stereo_slam_env.evaluation.trajectory_metrics import ate_rigid
 
@@ -50,13 +50,13 @@ def test_every_baseline_has_an_entry_point() -> None:
 
 
 def test_dead_reckoning_on_kitti_07_is_as_far_off_as_published_with_the_data() -> None:
-    run = run_filter(read_recording(real_data("kitti07_tracks")), "dead-reckoning")
+    run = run_filter(load(real_data("kitti07_tracks")), "dead-reckoning")
     assert ate(run) == pytest.approx(15.7, abs=0.3)
 
 
 @pytest.mark.slow
 def test_frame_to_frame_on_kitti_00_follows_the_drive() -> None:
-    run = run_filter(read_recording(real_data("kitti00_stereo_tracks")), "frame-to-frame")
+    run = run_filter(load(real_data("kitti00_stereo_tracks")), "frame-to-frame")
     assert run.failure is None
     assert ate(run) < 0.5
 

@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 
 from stereo_slam_env.benchmark import FilterChoice, Scenario, campaign, run
+from stereo_slam_env.benchmark.recordings.sources import DatasetSource, FactorySource, ReferenceSource
 from stereo_slam_env.benchmark.scenarios.scenario import filter_choice
-from stereo_slam_env.benchmark.scenarios.scenario_file import study_from
+from stereo_slam_env.benchmark.scenarios.study import study_from
 from stereo_slam_env.benchmark.storage.study_store import read_study
 
 from ..third_party import install
 
-SHORT = Scenario("short", "reference", {"name": "short_turn"}, seeds=(0, 1), frames=5, gate=None, metrics=("map",))
+SHORT = Scenario("short", ReferenceSource("short_turn"), seeds=(0, 1), frames=5, gate=None, metrics=("map",))
 
 
 def test_all_filters_on_all_seeds(tmp_path):
@@ -171,7 +172,7 @@ def test_wrong_filters_are_refused_before_any_work(tmp_path, filters, complaint)
 
 
 def test_a_filter_that_joins_later_hears_what_the_others_heard(tmp_path, monkeypatch):
-    call = Scenario("x", "factory", {"call": "unsteady_source:make"}, filters=(filter_choice("euclidean"),), seeds=(0,))
+    call = Scenario("x", FactorySource("unsteady_source:make"), filters=(filter_choice("euclidean"),), seeds=(0,))
     (tmp_path / "unsteady_source.py").write_text(
         "import numpy as np\n"
         "from stereo_slam_env.benchmark.recordings.reference_problem import short_turn\n"
@@ -188,7 +189,7 @@ def test_a_filter_that_joins_later_hears_what_the_others_heard(tmp_path, monkeyp
 def test_a_stored_recording_replays_as_it_was(tmp_path):
     first = run(SHORT, tmp_path / "out", seeds=[1], jobs=1)
     (path,) = (tmp_path / "out").glob("recordings/*/*.npz")
-    again = Scenario("again", "dataset", {"path": str(path)}, filters=SHORT.filters, gate=None, metrics=("map",))
+    again = Scenario("again", DatasetSource(str(path)), filters=SHORT.filters, gate=None, metrics=("map",))
     replayed = run(again, tmp_path / "again", jobs=1)
     for a, b in zip(first.runs, replayed.runs, strict=True):
         np.testing.assert_array_equal(a.positions, b.positions)

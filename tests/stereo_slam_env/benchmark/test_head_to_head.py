@@ -7,10 +7,11 @@ import pytest
 from filters import ConstantVelocity, StereoEKF
 from stereo_slam_env.benchmark import Scenario, compare
 from stereo_slam_env.benchmark.head_to_head import Bench
+from stereo_slam_env.benchmark.recordings.sources import ReferenceSource
 
 from ...synthetic_runs import scored
 
-TINY = Scenario("tiny", "reference", {"name": "short_turn", "landmarks": 15}, frames=6, gate=0.99)
+TINY = Scenario("tiny", ReferenceSource("short_turn", {"landmarks": 15}), frames=6, gate=0.99)
 
 
 class ItsOwnWay(StereoEKF):

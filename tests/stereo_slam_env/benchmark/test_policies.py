@@ -10,14 +10,13 @@ import pytest
 
 from stereo_slam_env.benchmark import PolicyChoice, Scenario, campaign, compare, preset, run
 from stereo_slam_env.benchmark.campaign import check_study
-from stereo_slam_env.benchmark.recordings.episodes import drive_episode
-from stereo_slam_env.benchmark.recordings.sources import make_recording
-from stereo_slam_env.benchmark.recordings.stream_identity import stream_digest
-from stereo_slam_env.benchmark.running.runner import run_filter
-from stereo_slam_env.benchmark.scenarios.scenario_file import load_study
-from stereo_slam_env.benchmark.scenarios.study import Study
+from stereo_slam_env.benchmark.recordings.description import stream_digest
+from stereo_slam_env.benchmark.recordings.sources import GazeSource, StreetSource
+from stereo_slam_env.benchmark.scenarios.streams import drive_episode, make_recording
+from stereo_slam_env.benchmark.scenarios.study import Study, load_study
 from stereo_slam_env.benchmark.statistics.policy_verdict import baseline_of
 from stereo_slam_env.benchmark.storage.study_store import read_study
+from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.policies import available_policies
 from stereo_slam_env.recording.archive import load_recording
 from stereo_slam_env.report.benchmark_report import write_report_of
@@ -26,7 +25,7 @@ from ..third_party import install
 
 SHORT = dataclasses.replace(
     preset("gaze"),
-    options={"route": "right-turn", "rig": "qvga"},
+    source=GazeSource({"route": "right-turn", "rig": "qvga"}),
     seeds=(0, 1),
     frames=8,
     policies=(PolicyChoice("fixed", "fixed"), PolicyChoice("sweep", "sweep", {"period": 2.0})),
@@ -103,7 +102,7 @@ def test_a_scenario_file_with_policies_is_read_and_stored(tmp_path):
 
 
 def test_with_several_filters_a_competitor_has_both_names():
-    two = Scenario("two", "gaze", filters=SHORT.filters + preset("quick").filters[:1], policies=SHORT.policies)
+    two = Scenario("two", GazeSource(), filters=SHORT.filters + preset("quick").filters[:1], policies=SHORT.policies)
     assert [choice.label for choice in two.competitors] == [
         "fixed+shared-anchor",
         "fixed+inverse-depth",
@@ -127,10 +126,13 @@ def test_the_preset_has_fifty_scenes_and_known_policies():
     [
         ({"policies": (PolicyChoice("swep", "swep"),)}, "did you mean 'sweep'"),
         ({"policies": (PolicyChoice("s", "sweep", {"perod": 1.0}),)}, "did you mean 'period'"),
-        ({"options": {"environment": "StereoSlam/Drive-v0", "policy": "route"}}, "no head that a policy could turn"),
-        ({"options": {"environment": "StereoSlam/DriveGaze-v0"}}, "must follow its route"),
-        ({"options": {"environment": "StereoSlam/Gase-v0"}}, "did you mean 'StereoSlam/Gaze-v0'"),
-        ({"options": {"rout": "town"}}, "route"),
+        (
+            {"source": GazeSource({"environment": "StereoSlam/Drive-v0", "policy": "route"})},
+            "no head that a policy could turn",
+        ),
+        ({"source": GazeSource({"environment": "StereoSlam/DriveGaze-v0"})}, "must follow its route"),
+        ({"source": GazeSource({"environment": "StereoSlam/Gase-v0"})}, "did you mean 'StereoSlam/Gaze-v0'"),
+        ({"source": GazeSource({"rout": "town"})}, "route"),
         ({"frames": 9000}, "frames must be at most 200"),
         ({"search": "forecast"}, "search 'forecast'"),
     ],
@@ -143,7 +145,7 @@ def test_what_cannot_be_run_is_known_before_any_work(changes, said):
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"kind": "street"}, "policies need a scenario of kind 'gaze'"),
+        ({"source": StreetSource()}, "policies need a scenario of kind 'gaze'"),
         ({"policies": ()}, "must name at least one policy"),
         ({"policies": SHORT.policies * 2}, "different labels"),
         ({"corruptions": ({"kind": "outliers"},)}, "corruptions do not go with"),
@@ -294,7 +296,7 @@ def test_two_runs_are_compared_drive_by_drive(finished, tmp_path):
 def test_drives_that_are_not_the_same_are_refused(finished, tmp_path):
     directory = read_study(finished.out).cells[0][1]
     assert len(directory.load()[1]) == 2
-    other = dataclasses.replace(SHORT, options={**SHORT.options, "perturbation": 0.0})
+    other = dataclasses.replace(SHORT, source=SHORT.source.replaced(perturbation=0.0))
     run(other, tmp_path / "other", jobs=1, seeds=[0])
     foreign = read_study(tmp_path / "other").cells[0][1].trial_path(0, SWEEP)
     kept = directory.trial_path(0, SWEEP)

@@ -2,8 +2,6 @@
 
 import json
 import shutil
-import socket
-from contextlib import contextmanager
 
 import cv2
 import numpy as np
@@ -12,7 +10,7 @@ import pytest
 from stereo_slam_env.benchmark.recordings import sources
 from stereo_slam_env.cli import app as cli
 
-from ..datasets.images.small_image_folders import FRAMES, kitti_odometry
+from ..datasets.small_image_folders import FRAMES, kitti_odometry
 from ..rendering.planes import skip_where_missing
 
 DRIVE = ("right-turn", "--rig", "qvga")
@@ -58,14 +56,6 @@ def folder(tmp_path):
     return tmp_path / "kitti"
 
 
-@contextmanager
-def used_port():
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))
-        taken.listen()
-        yield taken.getsockname()[1]
-
-
 def pictures(path):
     film = cv2.VideoCapture(str(path))
     count = int(film.get(cv2.CAP_PROP_FRAME_COUNT))
@@ -104,11 +94,10 @@ def test_bench_on_images(command, street, tmp_path):
 def test_bench_with_a_guided_search_and_a_film_of_it(command, street, tmp_path):
     guided = ("--sensor", "images", "--search", "forecast", "--gate", "none", "--frames", 2)
     code, out, err = command(
-        "bench", "--scenario", street, *guided, *QUICK, "--record", "film.mp4", "--live", 0, "--out", tmp_path / "run"
+        "bench", "--scenario", street, *guided, *QUICK, "--record", "film.mp4", "--out", tmp_path / "run"
     )
     assert code == 0, err
     assert "guided by each filter" in out
-    assert "live view: http://127.0.0.1:" in out
     assert "film.mp4" in out
     assert pictures("film.mp4") == 2
     scenario = stored(tmp_path / "run")
@@ -128,8 +117,8 @@ def test_bench_with_gl(command, street, tmp_path):
 @pytest.mark.parametrize(
     ("options", "hint"),
     [
-        (("--sensor", "foo"), "--sensor must be 'landmarks' or 'images', got 'foo'"),
-        (("--sensor", "images", "--renderer", "foo"), "renderer must be one of 'tiny', 'gl', got 'foo'"),
+        (("--sensor", "foo"), "--sensor must be one of landmarks, images, got 'foo'"),
+        (("--sensor", "images", "--renderer", "foo"), "--renderer must be one of tiny, gl, got 'foo'"),
         (("--renderer", "gl"), "--renderer needs --sensor images"),
         (("--sensor", "images", "--search", "foo"), "search must be one of flow, forecast, got 'foo'"),
         (("--search", "forecast"), "search 'forecast' needs images"),
@@ -137,8 +126,6 @@ def test_bench_with_gl(command, street, tmp_path):
         (("--sensor", "images", "--frames", "81"), "frames must be at most 80 on route 'right-turn', got 81"),
         (("--sensor", "images", "--record", "film.avi"), "film.avi must end in .mp4"),
         (("--sensor", "images", "--record", "nowhere/film.mp4"), "the folder nowhere does not exist"),
-        (("--sensor", "images", "--live", "70000"), "port must be 0 to 65535, got 70000"),
-        (("--sensor", "images", "--live", "here"), "--live"),
         (("--record", "film.mp4"), "has no images"),
         (("--sensor", "images", "--record", "film.mp4", "--filters", "inverse-dept"), "did you mean 'inverse-depth'"),
     ],
@@ -154,11 +141,9 @@ def test_pure_geometry_has_no_images(command):
     assert refused(command("bench", "--preset", "reference-turn", "--sensor", "images"), "of kind 'street'")
 
 
-def test_a_used_port_and_a_used_folder_are_refused_before_any_work(command, street, tmp_path, monkeypatch):
+def test_a_used_folder_is_refused_before_any_work(command, street, tmp_path, monkeypatch):
     monkeypatch.setattr("stereo_slam_env.world.physics.PhysicsWorld.build", lambda *_: pytest.fail("work was done"))
     images = ("bench", "--scenario", street, "--sensor", "images")
-    with used_port() as port:
-        assert refused(command(*images, "--live", port, "--out", tmp_path / "run"), f"port {port} cannot be used")
     (tmp_path / "thesis").mkdir()
     (tmp_path / "thesis" / "thesis.tex").write_text("years of work")
     thesis = ("--record", "film.mp4", "--out", tmp_path / "thesis")
@@ -218,7 +203,6 @@ def test_the_report_of_a_replay_outlives_the_recording(command, folder, tmp_path
     [
         (("--record", "film.avi"), "must end in .mp4"),
         (("--record", "nowhere/film.mp4"), "the folder nowhere does not exist"),
-        (("--live", "-1"), "port must be 0 to 65535"),
         (("--filters", "inverse-dept"), "did you mean 'inverse-depth'"),
         (("--search", "foo"), "search must be one of"),
         (("--sigma", "2"), "each measurement comes with its own covariance"),

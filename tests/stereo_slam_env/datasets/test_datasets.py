@@ -4,29 +4,28 @@ import re
 
 import pytest
 
-from stereo_slam_env.datasets import READERS, read_recording
-from stereo_slam_env.datasets.images import IMAGE_READERS
+from stereo_slam_env.datasets import IMAGE_LAYOUTS, TRACK_LAYOUTS, load
 
 from .small_folders import kitti00, kitti07, starry_night
 
 
 def test_each_layout_finds_its_reader(tmp_path):
-    assert read_recording(kitti07(tmp_path / "a")).source["reader"] == "kitti07_tracks"
-    assert read_recording(str(kitti00(tmp_path / "b"))).source["reader"] == "kitti00_stereo_tracks"
-    assert read_recording(starry_night(tmp_path / "c"), first=2).source["reader"] == "starry_night"
+    assert load(kitti07(tmp_path / "a")).source["reader"] == "kitti07_tracks"
+    assert load(str(kitti00(tmp_path / "b"))).source["reader"] == "kitti00_stereo_tracks"
+    assert load(starry_night(tmp_path / "c"), first=2).source["reader"] == "starry_night"
 
 
 def test_recorded_truth_is_independent_of_the_images_and_says_where_it_is_from(tmp_path):
     told = {"GPS/INS": kitti07(tmp_path / "a"), "frame 16": kitti00(tmp_path / "b"), "capture": starry_night(tmp_path)}
     for said, folder in told.items():
-        reference = read_recording(folder, **({"first": 2} if said == "capture" else {})).truth_from
+        reference = load(folder, **({"first": 2} if said == "capture" else {})).truth_from
         assert reference.is_independent
         assert said in reference.description
 
 
 def complaint(path):
     with pytest.raises(ValueError, match=re.escape(str(path))) as caught:
-        read_recording(path)
+        load(path)
     text = str(caught.value)
     assert "\n" not in text
     assert len(text) < len(str(path)) + 230  # what fits into two lines or three of a terminal
@@ -38,26 +37,26 @@ def test_an_unknown_folder_gets_one_line_with_the_known_layouts(tmp_path):
     (tmp_path / "letter.txt").write_text("")
     text = complaint(tmp_path)
     assert text.startswith(" has no known layout: it holds no file of one; known are ")
-    assert all(reader.NAME in text for reader in (*READERS, *IMAGE_READERS))
+    assert all(reader.NAME in text for reader in (*TRACK_LAYOUTS, *IMAGE_LAYOUTS))
 
 
-@pytest.mark.parametrize("reader", [r for r in READERS if len(r.FILES) > 1], ids=lambda reader: reader.NAME)
+@pytest.mark.parametrize("reader", [r for r in TRACK_LAYOUTS if len(r.FILES[0]) > 1], ids=lambda reader: reader.NAME)
 def test_a_missing_file_is_named(tmp_path, reader):
     folder = {"kitti07_tracks": kitti07, "kitti00_stereo_tracks": kitti00}[reader.NAME](tmp_path)
-    (folder / reader.FILES[0]).unlink()
-    assert complaint(folder) == f" has no known layout: nearest is {reader.NAME}, which lacks {reader.FILES[0]}"
+    (folder / reader.FILES[0][0]).unlink()
+    assert complaint(folder) == f" has no known layout: nearest is {reader.NAME}, which lacks {reader.FILES[0][0]}"
 
 
 def test_the_nearest_layout_is_that_of_tracks_or_of_images_here_or_in_a_folder_below(tmp_path):
     drive = tmp_path / "sequences" / "00"
     (drive / "image_0").mkdir(parents=True)
     (drive / "calib.txt").write_text("")
-    nearest = " has no known layout: nearest is kitti_odometry{}, which lacks times.txt, image_1 or image_3"
+    nearest = " has no known layout: nearest is kitti_odometry{}, which lacks times.txt, image_1"
     assert complaint(drive) == nearest.format("")
     assert complaint(tmp_path) == nearest.format(", in sequences/00")
     (drive / "times.txt").write_text("")
     (drive / "image_3").mkdir()
-    assert complaint(drive) == " has no known layout: its files are those of kitti_odometry, but do not belong together"
+    assert complaint(drive) == " has no known layout: nearest is kitti_odometry, which lacks image_1"
 
 
 def test_a_missing_folder_and_a_file_are_told_apart(tmp_path):
@@ -69,4 +68,4 @@ def test_a_missing_folder_and_a_file_are_told_apart(tmp_path):
 
 def test_a_misspelt_option_is_named_with_what_was_meant(tmp_path):
     with pytest.raises(ValueError, match="no option 'sigma_pix', did you mean 'sigma_px'"):
-        read_recording(kitti07(tmp_path), sigma_pix=2.0)
+        load(kitti07(tmp_path), sigma_pix=2.0)

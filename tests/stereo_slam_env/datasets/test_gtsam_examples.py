@@ -5,14 +5,14 @@ import sys
 import numpy as np
 import pytest
 
-from stereo_slam_env.datasets import read_recording
+from stereo_slam_env.datasets import load
 
 from ..real_data import real_data
 
 
 def test_the_wheel_holds_the_same_measurements_as_the_folder():
     pytest.importorskip("gtsam", reason="needs the extra gtsam")
-    wheel, folder = read_recording("gtsam"), read_recording(real_data("kitti00_stereo_tracks"))
+    wheel, folder = load("gtsam"), load(real_data("kitti00_stereo_tracks"))
     assert len(wheel) == len(folder)
     for a, b in zip(wheel.frames, folder.frames, strict=True):
         np.testing.assert_array_equal(a.observation.ids, b.observation.ids)
@@ -22,15 +22,15 @@ def test_the_wheel_holds_the_same_measurements_as_the_folder():
 
 def test_its_reference_says_that_it_is_no_ground_truth():
     pytest.importorskip("gtsam", reason="needs the extra gtsam")
-    assert read_recording("gtsam:kitti00").reference.kind == "odometry from the same images"
+    assert load("gtsam:kitti00").reference.kind == "odometry from the same images"
 
 
 def test_without_gtsam_the_message_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "gtsam", None)
     with pytest.raises(ImportError, match=r' -m pip install "stereo-slam-env\[gtsam\]"$'):
-        read_recording("gtsam")
+        load("gtsam")
 
 
 def test_an_unknown_example_is_answered_with_the_known_ones():
     with pytest.raises(ValueError, match=r"no example 'gtsam:kiti00', did you mean 'gtsam:kitti00'\?"):
-        read_recording("gtsam:kiti00")
+        load("gtsam:kiti00")

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from stereo_slam_env.datasets import read_recording
+from stereo_slam_env.datasets import load
 
 from ..real_data import real_data
 from .small_folders import kitti00
@@ -11,16 +11,16 @@ from .small_folders import kitti00
 
 @pytest.fixture(scope="module")
 def real():
-    return read_recording(real_data("kitti00_stereo_tracks"))
+    return load(real_data("kitti00_stereo_tracks"))
 
 
 def test_frames_whose_ground_truth_is_wrong_have_none(tmp_path):
-    recording = read_recording(kitti00(tmp_path))
+    recording = load(kitti00(tmp_path))
     assert [frame.truth is None for frame in recording.frames] == [True] * 16 + [False] * 4
 
 
 def test_truth_starts_on_the_odometry_and_keeps_its_shape(tmp_path):
-    truth = [frame.truth for frame in read_recording(kitti00(tmp_path)).frames[16:]]
+    truth = [frame.truth for frame in load(kitti00(tmp_path)).frames[16:]]
     np.testing.assert_allclose(truth[0].position, [0.0, 0.0, 0.7 * 16], atol=1e-9)
     np.testing.assert_allclose(np.abs(truth[0].orientation), [0.0, 0.0, 0.0, 1.0], atol=1e-9)
     # The truth bends to the right: 0.01 (k^2 - 16^2) m, seen in the frame of pose 16.
@@ -28,12 +28,12 @@ def test_truth_starts_on_the_odometry_and_keeps_its_shape(tmp_path):
 
 
 def test_an_absent_frame_is_a_longer_step(tmp_path):
-    times = [frame.timestamp for frame in read_recording(kitti00(tmp_path)).frames]
+    times = [frame.timestamp for frame in load(kitti00(tmp_path)).frames]
     np.testing.assert_allclose(np.diff(times)[-3:], [0.1, 0.2, 0.1], atol=1e-9)
 
 
 def test_one_common_row_is_no_measurement_of_the_right_eye(tmp_path):
-    frame = read_recording(kitti00(tmp_path)).frames[0]
+    frame = load(kitti00(tmp_path)).frames[0]
     assert frame.observation.v_right is None
     assert frame.odometry is None
     np.testing.assert_allclose(frame.observation.uvd[0], [650.0, 190.0, 700.0 * 0.5 / 30.0], atol=1e-6)
@@ -45,7 +45,7 @@ def test_a_frame_without_a_pose_is_named(tmp_path):
     rows[0, 0] = 18
     np.savetxt(folder / "stereo_factors.txt", rows)
     with pytest.raises(ValueError, match=r"stereo_factors\.txt has observations of frame 18, which has no pose"):
-        read_recording(folder)
+        load(folder)
 
 
 def test_nan_rows_and_unsorted_ids_are_named(tmp_path):
@@ -53,18 +53,18 @@ def test_nan_rows_and_unsorted_ids_are_named(tmp_path):
     poses = np.loadtxt(folder / "vo_poses.txt")
     np.savetxt(folder / "vo_poses.txt", poses[::-1])
     with pytest.raises(ValueError, match=r"vo_poses\.txt: frame ids must increase"):
-        read_recording(folder)
+        load(folder)
     poses[3, 5] = np.nan
     np.savetxt(folder / "vo_poses.txt", poses)
     with pytest.raises(ValueError, match=r"vo_poses\.txt has NaN or infinity in 1 rows, the first is row 3"):
-        read_recording(folder)
+        load(folder)
 
 
 def test_real_drive_is_thinned_to_long_tracks(real):
     counts = [len(frame.observation) for frame in real.frames]
     assert len(real) == 135
     assert max(counts) == 100
-    everything = read_recording(real_data("kitti00_stereo_tracks"), max_per_frame=None)
+    everything = load(real_data("kitti00_stereo_tracks"), max_per_frame=None)
     assert sum(len(frame.observation) for frame in everything.frames) == 88_781
 
     def mean_track(recording):

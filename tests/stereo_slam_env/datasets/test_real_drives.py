@@ -7,8 +7,8 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from stereo_slam_env.benchmark.running.runner import run_filter
-from stereo_slam_env.datasets import read_recording
+from stereo_slam_env.datasets import load
+from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.evaluation.results import FilterRun
 from stereo_slam_env.evaluation.trajectory_metrics import ate_rigid
 from stereo_slam_env.recording.recording import Recording
@@ -21,7 +21,7 @@ DEAD_RECKONING = 15.7  # m, rigid ATE of the velocities alone
 
 @lru_cache(maxsize=1)
 def kitti07() -> Recording:
-    return read_recording(real_data("kitti07_tracks"))
+    return load(real_data("kitti07_tracks"))
 
 
 def ate(run: FilterRun) -> float:

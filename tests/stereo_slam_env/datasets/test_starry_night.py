@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from stereo_slam_env.datasets import read_recording
+from stereo_slam_env.datasets import load
 from stereo_slam_env.datasets.starry_night import GYRO_DELAY, step_velocities
 
 from ..real_data import real_data
@@ -34,11 +34,11 @@ def dead_reckoned(recording):
 
 @pytest.fixture(scope="module")
 def real():
-    return read_recording(real_data("starry_night_a"))
+    return load(real_data("starry_night_a"))
 
 
 def test_world_is_the_left_camera_at_the_first_step_used(tmp_path):
-    recording = read_recording(starry_night(tmp_path), first=2)
+    recording = load(starry_night(tmp_path), first=2)
     np.testing.assert_allclose(recording.frames[0].truth.position, 0.0, atol=1e-12)
     np.testing.assert_allclose(np.abs(recording.frames[0].truth.orientation), [0.0, 0.0, 0.0, 1.0], atol=1e-12)
     assert recording.frames[0].odometry is None
@@ -47,12 +47,12 @@ def test_world_is_the_left_camera_at_the_first_step_used(tmp_path):
 
 
 def test_true_poses_project_true_landmarks_onto_the_measurements(tmp_path):
-    np.testing.assert_allclose(reprojection_errors(read_recording(starry_night(tmp_path), first=0)), 0.0, atol=1e-9)
+    np.testing.assert_allclose(reprojection_errors(load(starry_night(tmp_path), first=0)), 0.0, atol=1e-9)
 
 
 def test_odometry_takes_the_camera_along_the_true_path(tmp_path):
     """Sign, step and lever arm at once: any of them wrong is off by centimetres."""
-    recording = read_recording(starry_night(tmp_path), first=2)
+    recording = load(starry_night(tmp_path), first=2)
     truth = np.array([frame.truth.position for frame in recording.frames])
     np.testing.assert_allclose(dead_reckoned(recording), truth, atol=1e-4)
 
@@ -68,16 +68,16 @@ def test_late_readings_of_the_gyro_are_put_back_to_where_they_belong():
 
 
 def test_a_landmark_that_is_seen_again_keeps_its_id(tmp_path):
-    recording = read_recording(starry_night(tmp_path), first=0)
+    recording = load(starry_night(tmp_path), first=0)
     seen = [k for k, frame in enumerate(recording.frames) if 1 in frame.observation.ids]
     assert seen == [2, 3, 4, 5, 9, 10, 11]
 
 
 def test_eyes_that_disagree_on_the_row_are_left_out_and_counted(tmp_path):
-    recording = read_recording(starry_night(tmp_path), first=0)
+    recording = load(starry_night(tmp_path), first=0)
     assert recording.frames[4].observation.ids.tolist() == [0, 1]
     assert recording.source["dropped_row_difference"] == 1
-    everything = read_recording(tmp_path, first=0, max_row_difference=None)
+    everything = load(tmp_path, first=0, max_row_difference=None)
     assert everything.frames[4].observation.ids.tolist() == [0, 1, 2]
 
 
@@ -93,7 +93,7 @@ def test_eyes_that_disagree_on_the_row_are_left_out_and_counted(tmp_path):
 )
 def test_impossible_options_are_named(tmp_path, options, complaint):
     with pytest.raises(ValueError, match=complaint):
-        read_recording(starry_night(tmp_path), **options)
+        load(starry_night(tmp_path), **options)
 
 
 @pytest.mark.parametrize(
@@ -109,12 +109,12 @@ def test_impossible_options_are_named(tmp_path, options, complaint):
 )
 def test_a_damaged_archive_is_named(tmp_path, changes, complaint):
     with pytest.raises(ValueError, match=complaint) as caught:
-        read_recording(starry_night(tmp_path, **changes), first=0)
+        load(starry_night(tmp_path, **changes), first=0)
     assert "\n" not in str(caught.value)
 
 
 def test_real_residuals_are_the_noise_to_assume(real):
-    everything = read_recording(real_data("starry_night_a"), first=0, max_row_difference=None)
+    everything = load(real_data("starry_night_a"), first=0, max_row_difference=None)
     assert len(reprojection_errors(everything)) == 6612
     np.testing.assert_allclose(reprojection_errors(everything).var(axis=0), [40.03, 162.2, 7.430], rtol=1e-3)
     rms = np.sqrt((reprojection_errors(real) ** 2).mean(axis=0))

@@ -170,7 +170,7 @@ def test_a_filter_with_odometry_is_consistent_while_the_head_turns(make):
         env = make(route="straight")
         env.reset(seed=seed)
         slam = make_filter("shared-anchor", camera=env.camera, noise=env.noise, motion=VelocityDriven())
-        slam.reset(**vars(env.start))
+        slam.reset(env.start)
         slam.update(env.frame.observation)
         actions = np.repeat(random_actions(env, 10, seed), 6, axis=0)
         for action in actions:

@@ -16,9 +16,9 @@ from gymnasium.utils.env_checker import check_env, data_equivalence
 
 import stereo_slam_env
 from filters import rotations
-from stereo_slam_env.benchmark.running.runner import run_filter
 from stereo_slam_env.envs.drive import StereoDriveEnv
 from stereo_slam_env.envs.recorder import record
+from stereo_slam_env.evaluation.filter_run import run_filter
 
 from ..rendering.planes import skip_where_missing
 

@@ -5,8 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from stereo_slam_env.datasets import read_recording
-from stereo_slam_env.datasets.images.kitti_writer import write_kitti_sequence
+from stereo_slam_env.datasets import load, write_kitti_sequence
 from stereo_slam_env.envs.drive import StereoDriveEnv
 from stereo_slam_env.envs.rendered_drive import RenderedDrive
 from stereo_slam_env.frontend.recorder import record_tracks
@@ -80,7 +79,7 @@ def test_settings_of_the_sensor_do_no_harm():
 def test_through_a_kitti_folder_the_tracks_stay_the_same(drive, tmp_path):
     """A perfect rig is left alone by the calibration, so not even the last bit changes."""
     write_kitti_sequence(drive, tmp_path, "00")
-    direct, replayed = record_tracks(drive), read_recording(tmp_path)
+    direct, replayed = record_tracks(drive), load(tmp_path)
     assert replayed.source["front_end"]["disparity_offset"] == 0.0
     assert len(replayed) == FRAMES
     for one, two in zip(direct.frames, replayed.frames, strict=True):

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from stereo_slam_env.evaluation.consistency import mean_band, nees, share_inside
+from filters.consistency import nees
+from stereo_slam_env.evaluation.consistency import mean_band, share_inside
 
 
 def test_the_band_of_50_poses_is_the_published_one():

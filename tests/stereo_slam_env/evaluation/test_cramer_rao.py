@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from filters import ConstantVelocity, StereoNoise, StereoObservation
 from filters.engine.options import LANDMARKS
-from stereo_slam_env.benchmark.running.runner import run_filter
 from stereo_slam_env.evaluation.cramer_rao import cramer_rao_bound, efficiency_interval
+from stereo_slam_env.evaluation.filter_run import run_filter
 
 from ..benchmark.small_recordings import CAMERA, DT, small_recording
 

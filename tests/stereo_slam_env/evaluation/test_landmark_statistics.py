@@ -3,8 +3,13 @@
 import numpy as np
 import pytest
 
-from stereo_slam_env.evaluation.landmark_statistics import AT_INFINITY, LandmarkScorer, LandmarkStatistics
-from stereo_slam_env.evaluation.map_figures import depth_convergence, range_errors
+from stereo_slam_env.evaluation.landmark_statistics import (
+    AT_INFINITY,
+    LandmarkScorer,
+    LandmarkStatistics,
+    depth_convergence,
+    range_errors,
+)
 from stereo_slam_env.evaluation.map_scoring import MapView, score_map
 
 from ..benchmark.small_recordings import CAMERA

@@ -3,7 +3,7 @@
 import numpy as np
 
 from filters import ConstantVelocity, make_filter
-from stereo_slam_env.evaluation.reference_belief import ReferenceBelief
+from stereo_slam_env.evaluation.cramer_rao import ReferenceBelief
 
 from ..benchmark.small_recordings import small_recording
 
@@ -32,7 +32,7 @@ def test_it_claims_what_a_filter_with_hardly_any_noise_claims():
         "euclidean", camera=recording.camera, noise=recording.noise, motion=MOTION, gate=None, drop_unseen=False
     )
     start = recording.start
-    slam.reset(start.position, start.orientation, start.linear_velocity, start.angular_velocity, start.covariance)
+    slam.reset(start)
     for k, frame in enumerate(recording.frames):
         if k:
             slam.predict(0.1, frame.odometry)

@@ -5,11 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from stereo_slam_env.benchmark.running.runner import run_filter
 from stereo_slam_env.evaluation.cramer_rao import Bound
+from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.evaluation.landmark_statistics import LandmarkStatistics
-from stereo_slam_env.evaluation.run_figures import RunFigures
-from stereo_slam_env.evaluation.summary import summarise
+from stereo_slam_env.evaluation.run_figures import RunFigures, summarise
 
 from ...synthetic_runs import scored, summary_of
 from ..benchmark.small_recordings import small_recording

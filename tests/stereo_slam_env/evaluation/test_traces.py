@@ -2,9 +2,8 @@
 
 import numpy as np
 
-from filters import StereoNoise, StereoObservation, make_filter
-from stereo_slam_env.evaluation.map_scoring import view_map
-from stereo_slam_env.evaluation.traces import TraceRecorder, choose_landmarks
+from filters import Start, StereoNoise, StereoObservation, make_filter
+from stereo_slam_env.evaluation.map_scoring import TraceRecorder, choose_landmarks, view_map
 from stereo_slam_env.recording.recording import Frame, Recording
 
 from ..benchmark.small_recordings import CAMERA, small_recording
@@ -46,7 +45,7 @@ def test_where_truth_is_known_the_noise_does_not_choose():
 def test_a_trace_is_the_depth_in_the_current_camera():
     recording = small_recording(sigma=0.01)
     estimator = make_filter("inverse-depth", camera=CAMERA, noise=recording.noise)
-    estimator.reset(covariance=recording.start.covariance, linear_velocity=recording.start.linear_velocity)
+    estimator.reset(Start(covariance=recording.start.covariance, linear_velocity=recording.start.linear_velocity))
     recorder = TraceRecorder(recording)
     for k, frame in enumerate(recording.frames):
         if k:

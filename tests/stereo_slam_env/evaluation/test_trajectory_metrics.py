@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from stereo_slam_env.evaluation import trajectory_metrics as metrics
-from stereo_slam_env.files.tables import read_poses
+from stereo_slam_env.files.readers import read_poses
 
 from ..real_data import real_data
 

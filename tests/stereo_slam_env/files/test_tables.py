@@ -1,9 +1,11 @@
 """Damaged and missing files are named in one line (0.1 s)."""
 
+import os
+
 import numpy as np
 import pytest
 
-from stereo_slam_env.files.tables import read_archive, read_poses, read_table
+from stereo_slam_env.files.readers import read_archive, read_poses, read_table
 
 
 def test_a_table_is_read_as_it_is(tmp_path):
@@ -35,19 +37,19 @@ def test_a_truncated_archive_is_named(tmp_path, keep):
     np.savez(path, x=np.zeros(100))
     path.write_bytes(path.read_bytes()[:keep])
     with pytest.raises(ValueError, match=r"a\.npz is damaged"):
-        read_archive(path, ("x",))
+        read_archive(path, {"x": "n"})
 
 
 def test_a_missing_array_is_named(tmp_path):
     np.savez(tmp_path / "a.npz", x=np.zeros(3))
     with pytest.raises(ValueError, match=r"a\.npz lacks the array y"):
-        read_archive(tmp_path / "a.npz", ("x", "y"))
+        read_archive(tmp_path / "a.npz", {"x": 3, "y": 3})
 
 
 def test_pickles_are_not_opened(tmp_path):
     np.savez(tmp_path / "a.npz", x=np.array([{"evil": 1}], dtype=object))
     with pytest.raises(ValueError, match="cannot be read"):
-        read_archive(tmp_path / "a.npz", ("x",))
+        read_archive(tmp_path / "a.npz", {"x": "n"})
 
 
 def test_poses_are_camera_to_world(tmp_path):
@@ -56,3 +58,16 @@ def test_poses_are_camera_to_world(tmp_path):
     positions, orientations = read_poses(tmp_path / "p.txt")
     np.testing.assert_allclose(positions, [[7, 8, 9]])
     np.testing.assert_allclose(np.abs(orientations), [[0, np.sqrt(0.5), 0, np.sqrt(0.5)]], atol=1e-12)
+
+
+def test_lengths_of_one_letter_must_agree_and_a_pipe_is_not_waited_for(tmp_path):
+    np.savez(tmp_path / "a.npz", x=np.zeros((1, 5)), y=np.zeros((3, 5)), z=np.zeros((3, 4)))
+    found = read_archive(tmp_path / "a.npz", {"x": "k", "y": (3, "k")})
+    assert found["x"].shape == (5,)
+    with pytest.raises(ValueError, match=r"array z has shape \(3, 4\), expected \(3, 5\)"):
+        read_archive(tmp_path / "a.npz", {"x": "k", "z": (3, "k")})
+    with pytest.raises(ValueError, match="array x has 5 numbers, expected 1"):
+        read_archive(tmp_path / "a.npz", {"x": 1})
+    os.mkfifo(tmp_path / "pipe.npz")
+    with pytest.raises(ValueError, match="no regular file"):
+        read_archive(tmp_path / "pipe.npz", {"x": "k"})

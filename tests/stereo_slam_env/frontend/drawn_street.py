@@ -1,4 +1,4 @@
-"""A street of textured boards, drawn by homographies: both eyes, exact truth, a few milliseconds a pair."""
+"""A street of textured boards, drawn by homographies: both views, exact truth, a few milliseconds a pair."""
 
 from __future__ import annotations
 
@@ -10,8 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from filters import rotations
 from filters.camera import StereoCamera
-from stereo_slam_env.recording.image_sequence import StereoPair
-from stereo_slam_env.recording.recording import SIMULATION, Pose, Start
+from stereo_slam_env.recording.recording import SIMULATION, Pose, Start, StereoPair
 
 CAMERA = StereoCamera(300.0, 300.0, 239.5, 119.5, 0.6, 480, 240)
 DT = 0.1

@@ -6,7 +6,7 @@ import numpy as np
 
 from filters import rotations
 from filters.camera import StereoCamera
-from stereo_slam_env.frontend.stereo_step import Pairs, Step
+from stereo_slam_env.frontend.ego_motion import Pairs, Step
 
 CAMERA = StereoCamera(721.5, 721.5, 672.0, 195.5, 0.571, 1344, 391)
 STEP = Step(rotations.exp([0.004, 0.03, -0.002]), np.array([0.05, -0.02, 0.9]))

@@ -7,7 +7,7 @@ import pytest
 
 from filters import make_filter
 from filters.noise import StereoNoise
-from stereo_slam_env.frontend.active_search import ActiveSearch
+from stereo_slam_env.frontend.recorder import ActiveSearch
 from stereo_slam_env.frontend.settings import TrackerSettings
 
 from .drawn_street import CAMERA, DT, DrawnStreet

@@ -5,8 +5,8 @@ import pytest
 
 from filters import rotations
 from stereo_slam_env.frontend.calibration import PRIOR_SIGMA, DisparityOffset, calibrated
+from stereo_slam_env.frontend.ego_motion import Pairs, Step
 from stereo_slam_env.frontend.settings import TrackerSettings
-from stereo_slam_env.frontend.stereo_step import Pairs, Step
 
 from .drawn_street import DrawnStreet
 from .synthetic_steps import CAMERA

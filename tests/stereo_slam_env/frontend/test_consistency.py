@@ -1,15 +1,13 @@
-"""Who moves unlike the scene (< 1 s)."""
+"""Moving-object rejection (< 1 s)."""
 
 import dataclasses
 
 import numpy as np
 import pytest
 
-from stereo_slam_env.frontend.consistency import judged
 from stereo_slam_env.frontend.finding import Found
-from stereo_slam_env.frontend.moving import STRIKES
-from stereo_slam_env.frontend.tracked import Outcome
-from stereo_slam_env.frontend.tracks import new_tracks
+from stereo_slam_env.frontend.moving_objects import STRIKES, judged
+from stereo_slam_env.frontend.tracks import Outcome, new_tracks
 
 from .synthetic_steps import CAMERA, STEP, Cloud
 

@@ -4,7 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
-from stereo_slam_env.frontend.correlation import correlation_maps, search
+from stereo_slam_env.frontend.correlation import correlation_maps
+from stereo_slam_env.frontend.matching import search
 from stereo_slam_env.frontend.patches import PATCH, cut_patches
 
 from .textures import Waves, spread_points

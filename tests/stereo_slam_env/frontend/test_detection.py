@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from stereo_slam_env.frontend.detection import detect_corners
+from stereo_slam_env.frontend.finding import detect_corners
 
 from .textures import Waves
 

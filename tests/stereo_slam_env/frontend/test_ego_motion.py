@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from filters import rotations
-from stereo_slam_env.frontend.ego_motion import chained, continued, predicted, robust_step
-from stereo_slam_env.frontend.stereo_step import Step, squared_distances
+from stereo_slam_env.frontend.ego_motion import Step, chained, continued, predicted, robust_step, squared_distances
 
 from .synthetic_steps import CAMERA, STEP, Cloud
 

@@ -6,16 +6,16 @@ import pytest
 from filters import rotations
 from filters.interface import Forecast
 from stereo_slam_env.frontend.ego_motion import continued
-from stereo_slam_env.frontend.expectation import (
+from stereo_slam_env.frontend.settings import TrackerSettings
+from stereo_slam_env.frontend.tracks import (
     by_forecast,
     by_motion,
     constant_velocity_covariance,
+    new_tracks,
     searchable,
     step_of_forecast,
     sure_rows,
 )
-from stereo_slam_env.frontend.settings import TrackerSettings
-from stereo_slam_env.frontend.tracks import new_tracks
 
 from .synthetic_steps import CAMERA, STEP, Cloud
 

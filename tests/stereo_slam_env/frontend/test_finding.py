@@ -5,13 +5,11 @@ import dataclasses
 import numpy as np
 import pytest
 
-from stereo_slam_env.frontend.expectation import Expectation
+from stereo_slam_env.frontend.ego_motion import Step
 from stereo_slam_env.frontend.finding import PairFinder
 from stereo_slam_env.frontend.patches import cut_patches
 from stereo_slam_env.frontend.settings import TrackerSettings
-from stereo_slam_env.frontend.stereo_step import Step
-from stereo_slam_env.frontend.tracked import Outcome
-from stereo_slam_env.frontend.tracks import new_tracks
+from stereo_slam_env.frontend.tracks import Expectation, Outcome, new_tracks
 
 from .drawn_street import CAMERA, DrawnStreet
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from stereo_slam_env.frontend.correlation import refine
 from stereo_slam_env.frontend.patches import PATCH, cut_patches
-from stereo_slam_env.frontend.refinement import refine
 
 from .textures import Waves, spread_points
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from stereo_slam_env.frontend.detection import detect_corners
-from stereo_slam_env.frontend.stereo_matching import match_rows
+from stereo_slam_env.frontend.finding import detect_corners
+from stereo_slam_env.frontend.matching import match_rows
 
 from ..real_data import real_data
 from .textures import Waves, spread_points

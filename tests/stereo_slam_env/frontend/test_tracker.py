@@ -7,8 +7,8 @@ import pytest
 
 from filters.interface import Forecast
 from stereo_slam_env.frontend.settings import TrackerSettings
-from stereo_slam_env.frontend.tracked import Outcome
 from stereo_slam_env.frontend.tracker import StereoTracker
+from stereo_slam_env.frontend.tracks import Outcome
 
 from .drawn_street import CAMERA, CAR, DT, STREET, DrawnStreet, Truth
 

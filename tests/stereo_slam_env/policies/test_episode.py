@@ -4,7 +4,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from stereo_slam_env.benchmark.running.runner import run_filter
+from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.policies import make_policy
 from stereo_slam_env.policies.episode import run_episode
 from stereo_slam_env.recording.archive import packed_recording, unpacked_recording

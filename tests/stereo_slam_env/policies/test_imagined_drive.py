@@ -7,7 +7,7 @@ import pytest
 import stereo_slam_env  # noqa: F401
 from filters import rotations
 from stereo_slam_env.policies.imagined_drive import planned_bodies, seen_from, turning_head
-from stereo_slam_env.world.head import Head
+from stereo_slam_env.world.vehicle import Head
 
 
 @pytest.mark.parametrize(("before", "steps"), [(0, 8), (20, 8), (70, 12)])

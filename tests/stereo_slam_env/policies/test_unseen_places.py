@@ -7,7 +7,7 @@ from filters import StereoNoise, rotations
 from stereo_slam_env.policies.foresight import CameraPoses, Eyes
 from stereo_slam_env.policies.unseen_places import UnseenPlaces
 from stereo_slam_env.sensing.rigs import RIGS
-from stereo_slam_env.world.route_files import named_route
+from stereo_slam_env.world.routes import named_route
 
 
 @pytest.fixture

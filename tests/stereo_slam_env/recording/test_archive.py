@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from filters import StereoNoise, StereoObservation
+from stereo_slam_env.benchmark.recordings.description import stream_digest
 from stereo_slam_env.benchmark.recordings.reference_problem import long_drive
-from stereo_slam_env.benchmark.recordings.stream_identity import stream_digest
-from stereo_slam_env.datasets import read_recording
+from stereo_slam_env.datasets import load
 from stereo_slam_env.recording.archive import load_recording, save_recording
 from stereo_slam_env.recording.recording import GIVEN_TRUTH, Recording, Reference, Start
 
@@ -75,9 +75,9 @@ def test_a_recording_comes_back_bit_for_bit(tmp_path, recording):
 def test_a_file_is_read_like_any_recording(tmp_path):
     path = tmp_path / "drive.npz"
     save_recording(path, small_recording())
-    assert stream_digest(read_recording(str(path))) == stream_digest(small_recording())
+    assert stream_digest(load(str(path))) == stream_digest(small_recording())
     with pytest.raises(ValueError, match="a recording in one file has no option 'sigma_px'"):
-        read_recording(path, sigma_px=2.0)
+        load(path, sigma_px=2.0)
 
 
 def test_a_long_drive_is_written_and_read_in_a_moment(tmp_path):

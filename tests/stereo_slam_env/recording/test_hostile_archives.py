@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stereo_slam_env.files.arrays import MOST_BYTES, DamagedArchive, read_arrays
+from stereo_slam_env.files.readers import MOST_BYTES, DamagedArchive, read_arrays
 
 RNG = np.random.default_rng(0)
 KINDS = {

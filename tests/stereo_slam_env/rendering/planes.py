@@ -25,7 +25,7 @@ CAR_SIZE = (4.0, 1.8, 1.0)
 
 
 def scene_of(*primitives, moving=(), look=None, ground=PLAIN_GROUND) -> Scene:
-    return Scene(ground, primitives, (), np.zeros(0, dtype=np.int64), np.zeros((0, 3)), tuple(moving), look or Look())
+    return Scene(ground, primitives, (), np.zeros((0, 3)), tuple(moving), look or Look())
 
 
 RED = Material((0.9, 0.3, 0.2))

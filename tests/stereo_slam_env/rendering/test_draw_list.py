@@ -5,7 +5,7 @@ import pytest
 
 from filters import rotations
 from filters.camera import StereoCamera
-from stereo_slam_env.rendering.draw_list import VERTEX, ViewVolume, draw_list
+from stereo_slam_env.rendering.gl_resources import VERTEX, ViewVolume, draw_list
 from stereo_slam_env.rendering.pinhole import FAR, NEAR
 from stereo_slam_env.world.meshes import scene_meshes
 from stereo_slam_env.world.routes import ROUTES

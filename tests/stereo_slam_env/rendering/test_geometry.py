@@ -1,4 +1,4 @@
-"""Every back end draws where the camera model says: planes, both eyes, moving bodies. About 10 s."""
+"""Every back end draws where the camera model says: planes, both views, moving bodies. About 10 s."""
 
 import cv2
 import numpy as np
@@ -7,8 +7,8 @@ import pytest
 from filters import rotations
 from filters.camera import StereoCamera
 from stereo_slam_env.recording.recording import Pose
-from stereo_slam_env.rendering.truth import depth_at
-from stereo_slam_env.world.fog import in_fog
+from stereo_slam_env.rendering.pinhole import depth_at
+from stereo_slam_env.world.looks import in_fog
 from stereo_slam_env.world.scene import Box, Look, Material, MovingBody
 
 from .planes import AHEAD, CAMERA, FRAME, Wall, both_back_ends, drawing, scene_of

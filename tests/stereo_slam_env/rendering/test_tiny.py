@@ -4,7 +4,7 @@ import numpy as np
 
 from filters.camera import StereoCamera
 from stereo_slam_env.rendering import pinhole
-from stereo_slam_env.rendering.air import Air
+from stereo_slam_env.rendering.tiny import Air
 from stereo_slam_env.world.frames import R_SW
 from stereo_slam_env.world.scene import Look
 

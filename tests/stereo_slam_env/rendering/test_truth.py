@@ -5,7 +5,7 @@ import pytest
 
 from filters import rotations
 from stereo_slam_env.recording.recording import Pose
-from stereo_slam_env.rendering.truth import depth_at, measurements_of, points_at
+from stereo_slam_env.rendering.pinhole import depth_at, points_at
 
 from .planes import AHEAD, CAMERA, Wall, both_back_ends, drawing, scene_of
 
@@ -55,8 +55,8 @@ def test_landmarks_are_where_they_are_seen_from_elsewhere(name):
     points = points_at(CAMERA, AHEAD, now, uv)
     known = np.isfinite(points).all(axis=1)
     assert known.mean() > 0.8
-    np.testing.assert_allclose(measurements_of(CAMERA, AHEAD, points[known])[:, :2], uv[known], atol=1e-9)
-    uvd = measurements_of(CAMERA, later, points)
+    np.testing.assert_allclose(CAMERA.project(AHEAD.to_camera(points[known]))[:, :2], uv[known], atol=1e-9)
+    uvd = CAMERA.project(later.to_camera(points))
     seen = known & CAMERA.in_view(uvd, margin=3.0)
     disparity = CAMERA.disparity_constant / depth_at(then, uvd[seen, :2])
     smooth = np.isfinite(disparity)
@@ -87,10 +87,6 @@ def test_the_border_and_the_outside_give_nothing():
     outside = [[0.5, 20.0], [58.5, 20.0], [30.0, 0.9], [30.0, 38.2], [-5.0, 20.0], [30.0, 400.0]]
     assert np.isnan(depth_at(depth, outside)).all()
     assert depth_at(depth, np.zeros((0, 2))).shape == (0,)
-
-
-def test_a_point_behind_the_camera_has_no_image():
-    assert np.isnan(measurements_of(CAMERA, AHEAD, np.array([[0.0, 0.0, -3.0], [np.nan, 0.0, 5.0]]))).any(axis=1).all()
 
 
 def test_bad_pixels_are_refused():

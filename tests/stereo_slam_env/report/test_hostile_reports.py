@@ -13,6 +13,7 @@ from xml.etree import ElementTree
 import pytest
 
 from stereo_slam_env.benchmark import compare
+from stereo_slam_env.benchmark.recordings.sources import StreetSource
 from stereo_slam_env.benchmark.scenarios.scenario import Scenario
 from stereo_slam_env.benchmark.scenarios.study import Cell, Study, factorial_label
 from stereo_slam_env.benchmark.statistics.attribution import attribute_runs
@@ -28,7 +29,7 @@ from .browsing import Visit
 
 pytestmark = pytest.mark.slow
 
-SCENARIO = Scenario("made-up", "street", {"route": "town"}, seeds=(0,))
+SCENARIO = Scenario("made-up", StreetSource({"route": "town"}), seeds=(0,))
 
 EVIL = (
     "<script>alert(1)</script>",

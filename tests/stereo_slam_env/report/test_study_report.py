@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import pytest
 from markupsafe import Markup
 
+from stereo_slam_env.benchmark.recordings.sources import StreetSource
 from stereo_slam_env.benchmark.scenarios.scenario import Scenario
 from stereo_slam_env.benchmark.scenarios.study import Cell, Study
 from stereo_slam_env.benchmark.statistics.attribution import attribute_runs
@@ -17,7 +18,7 @@ from stereo_slam_env.report.comparison_report import write_comparison_report
 from ...synthetic_runs import THREE, Behaviour, make_bounds, make_runs, scored
 from .test_run_report import Page
 
-SCENARIO = Scenario("made-up", "street", {"route": "town"}, seeds=(0,))
+SCENARIO = Scenario("made-up", StreetSource({"route": "town"}), seeds=(0,))
 
 
 @pytest.fixture

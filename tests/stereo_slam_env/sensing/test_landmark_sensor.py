@@ -6,9 +6,9 @@ import pytest
 from filters import rotations
 from filters.camera import StereoCamera
 from stereo_slam_env.recording.recording import LandmarkTruth, Pose
-from stereo_slam_env.sensing.landmark_sensor import LandmarkSensor, TrackingPolicy
 from stereo_slam_env.sensing.pixel_noise import IndependentPixels, IndependentUvd
 from stereo_slam_env.sensing.rigs import RIGS
+from stereo_slam_env.sensing.sensors import LandmarkSensor, TrackingPolicy
 
 CAMERA = RIGS["reference"]
 START = Pose(np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]))

@@ -5,8 +5,8 @@ import pytest
 
 from filters import rotations
 from stereo_slam_env.recording.recording import Pose, Velocity
-from stereo_slam_env.sensing.odometry import OdometrySensor
-from stereo_slam_env.world.routes import advance
+from stereo_slam_env.sensing.sensors import OdometrySensor
+from stereo_slam_env.world.vehicle import advance
 
 BEFORE = Pose(np.array([1.0, 2.0, 3.0]), rotations.exp_quaternion([0.1, -0.4, 0.2]))
 VELOCITY = Velocity(np.array([1.0, -0.2, 4.0]), np.array([0.1, 0.6, -0.2]))

@@ -11,11 +11,11 @@ import pytest
 
 from stereo_slam_env.benchmark import Scenario, Study, preset_study
 from stereo_slam_env.benchmark.campaign import check_study
+from stereo_slam_env.benchmark.recordings.description import stream_digest
 from stereo_slam_env.benchmark.recordings.reference_problem import short_turn
-from stereo_slam_env.benchmark.recordings.sources import make_recording
-from stereo_slam_env.benchmark.recordings.stream_identity import stream_digest
-from stereo_slam_env.benchmark.scenarios.presets import with_rig
-from stereo_slam_env.benchmark.scenarios.scenario_file import study_from
+from stereo_slam_env.benchmark.recordings.sources import DatasetSource, StreetSource, source_of
+from stereo_slam_env.benchmark.scenarios.streams import make_recording
+from stereo_slam_env.benchmark.scenarios.study import study_from
 from stereo_slam_env.cli import app as cli
 from stereo_slam_env.cli.parts import rig_from
 from stereo_slam_env.envs.recorder import record
@@ -151,8 +151,8 @@ def test_disparity_grows_with_the_baseline(kind):
 @pytest.mark.parametrize("rig", [WIDE, asdict(WIDE), {"name": "qvga", "baseline": 1.2}], ids=["camera", "all", "some"])
 @pytest.mark.parametrize("options", [{"name": "short_turn"}, {"route": "right-turn"}], ids=["reference", "street"])
 def test_a_scenario_takes_a_rig_and_survives_json(rig, options):
-    kind = "reference" if "name" in options else "street"
-    scenario = Scenario("s", kind, {**options, "rig": rig}, frames=2)
+    source = source_of("reference" if "name" in options else "street", {**options, "rig": rig})
+    scenario = Scenario("s", source, frames=2)
     again = Scenario.from_dict(json.loads(json.dumps(scenario.as_dict())))
     assert again == scenario
     assert make_recording(again, 0).camera == WIDE
@@ -192,7 +192,7 @@ def test_a_problem_with_a_camera_of_its_own_takes_no_rig():
 
 def test_the_preset_asks_which_baseline():
     study = preset_study("baseline")
-    cameras = [camera_of(cell.scenario.options["rig"]) for cell in study.cells]
+    cameras = [camera_of(cell.scenario.source.options["rig"]) for cell in study.cells]
     assert {replace(camera, baseline=1.0) for camera in cameras} == {replace(RIGS["reference"], baseline=1.0)}
     assert sorted({camera.baseline for camera in cameras}) == [0.05, 0.1, 0.2, 0.4, 0.8, 1.6]
     assert all(cell.scenario.noise is None for cell in study.cells)  # what is simulated is what is assumed
@@ -233,24 +233,24 @@ def test_the_option_refuses_another_form(text):
     ids=str,
 )
 def test_a_name_replaces_the_rig_of_a_scenario_and_numbers_change_it(own, given, camera):
-    scenario = Scenario("s", "street", {"route": "right-turn", **own})
-    (cell,) = with_rig(Study.of(scenario), given).cells
-    assert camera_of(cell.scenario.options["rig"]) == camera
-    assert cell.scenario.options["route"] == "right-turn"
+    scenario = Scenario("s", StreetSource({"route": "right-turn", **own}))
+    (cell,) = Study.of(scenario).with_rig(given).cells
+    assert camera_of(cell.scenario.source.options["rig"]) == camera
+    assert cell.scenario.source.options["route"] == "right-turn"
 
 
 def test_a_grid_over_the_baseline_stays_one_with_another_camera():
-    cells = with_rig(preset_study("baseline"), "vga").cells
-    assert [camera_of(cell.scenario.options["rig"]) for cell in cells] == [
+    cells = preset_study("baseline").with_rig("vga").cells
+    assert [camera_of(cell.scenario.source.options["rig"]) for cell in cells] == [
         replace(VGA, baseline=cell.factors["options.rig.baseline"]) for cell in cells
     ]
 
 
 def test_a_rig_of_no_use_is_refused():
     with pytest.raises(ValueError, match=r"--rig must not give options\.rig\.baseline: the grid varies it"):
-        with_rig(preset_study("baseline"), {"baseline": 0.3})
-    with pytest.raises(ValueError, match=r"--rig needs a simulated camera.*'real' is of kind 'dataset'"):
-        with_rig(Study.of(Scenario("real", "dataset", {"path": "x"})), "vga")
+        preset_study("baseline").with_rig({"baseline": 0.3})
+    with pytest.raises(ValueError, match=r"--rig needs a simulated camera.*is of kind 'dataset'"):
+        Study.of(Scenario("real", DatasetSource("x"))).with_rig("vga")
 
 
 def test_bench_takes_a_rig(tmp_path, monkeypatch, capsys):

@@ -84,7 +84,7 @@ def test_a_filter_runs_on_what_was_kept(dataset):
     """The recording has what the environment told its own filter, so the belief is that in the observations."""
     episode, recording = dataset[1], recording_of_episode(dataset, 1)
     slam = make_filter("shared-anchor", camera=recording.camera, noise=recording.noise, **filter_arguments(GAZE_FILTER))
-    slam.reset(**vars(recording.start))
+    slam.reset(recording.start)
     assert len(recording.frames) == STEPS + 1
     for step, frame in enumerate(recording.frames):
         if step > 0:

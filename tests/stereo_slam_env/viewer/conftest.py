@@ -3,6 +3,7 @@
 import pytest
 
 from stereo_slam_env.benchmark import run_benchmark
+from stereo_slam_env.benchmark.recordings.sources import ReferenceSource
 from stereo_slam_env.benchmark.scenarios.scenario import Scenario, filter_choice
 
 
@@ -12,7 +13,7 @@ def finished_run(tmp_path_factory):
     out = tmp_path_factory.mktemp("watched") / "run"
     filters = (filter_choice("inverse-depth"), filter_choice("euclidean"))
     scenario = Scenario(
-        "short turn", "reference", {"name": "short_turn"}, filters, seeds=(3, 4), frames=8, gate=0.99, metrics=("map",)
+        "short turn", ReferenceSource("short_turn"), filters, seeds=(3, 4), frames=8, gate=0.99, metrics=("map",)
     )
     run_benchmark(scenario, out, jobs=1)
     return out

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from filters import InverseDepthStereoEKF
+from stereo_slam_env.viewer.drive import Drive
 from stereo_slam_env.viewer.drive_picture import DrivePicture, save_film, save_still
-from stereo_slam_env.viewer.moments import drive_of
 from stereo_slam_env.viewer.picture_style import style_context
 
 from ..benchmark.small_recordings import small_recording
@@ -14,7 +14,7 @@ from ..benchmark.small_recordings import small_recording
 
 @pytest.fixture(scope="module")
 def drive():
-    return drive_of(small_recording(frames=9), InverseDepthStereoEKF, "inverse-depth")
+    return Drive.of(small_recording(frames=9), InverseDepthStereoEKF, label="inverse-depth")
 
 
 def panels(drive, frame=-1):
@@ -58,7 +58,7 @@ def test_the_curve_is_the_nees_over_its_degrees_of_freedom(drive):
 
 
 def test_without_truth_the_curve_is_the_nis():
-    blind = drive_of(small_recording(truth=False), InverseDepthStereoEKF, "inverse-depth")
+    blind = Drive.of(small_recording(truth=False), InverseDepthStereoEKF)
     _, way, _, strip = panels(blind)
     assert "NIS" in strip.get_title(loc="left")
     assert way.get_title(loc="left") == "The way (m)"

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from filters import EuclideanEKF, InverseDepthStereoEKF
-from stereo_slam_env.viewer.moments import drive_of, ellipsoids
+from stereo_slam_env.viewer.drive import Drive
+from stereo_slam_env.viewer.ellipsoids import claimed_position_error, ellipsoids
 from stereo_slam_env.viewer.rerun_view import FARTHEST, RerunView
 
 from ..benchmark.small_recordings import CAMERA, small_recording
@@ -14,7 +15,7 @@ NAME = "inverse-depth"
 
 @pytest.fixture(scope="module")
 def drive():
-    return drive_of(small_recording(frames=6), InverseDepthStereoEKF, NAME)
+    return Drive.of(small_recording(frames=6), InverseDepthStereoEKF, label=NAME)
 
 
 @pytest.fixture(scope="module")
@@ -25,7 +26,7 @@ def written(drive, tmp_path_factory):
     left = np.full((CAMERA.height, CAMERA.width, 3), 90, dtype=np.uint8)
     with RerunView(drive.camera, [NAME], save=path, landmarks=drive.landmarks) as view:
         for moment in drive.moments():
-            view.show(moment, left)
+            view.show(NAME, moment, left)
     return read_back(path)
 
 
@@ -54,7 +55,7 @@ def test_the_curves_are_those_of_the_filter(written, drive):
     expected = {
         f"/consistency/{NAME}": [moment.nees / 6 for moment in moments],
         f"/error/{NAME}": [moment.position_error for moment in moments],
-        f"/error/{NAME}\\ claims": [moment.position_sigmas for moment in moments],
+        f"/error/{NAME}\\ claims": [claimed_position_error(moment.pose) for moment in moments],
         f"/map/{NAME}": [len(moment.landmarks.ids) for moment in moments],
     }
     for entity, values in expected.items():
@@ -110,10 +111,10 @@ def test_two_filters_share_a_recording(tmp_path):
     recording = small_recording(frames=3)
     with RerunView(recording.camera, ["a", "b"], save=tmp_path / "two.rrd") as view:
         for name, make in (("a", InverseDepthStereoEKF), ("b", EuclideanEKF)):
-            for moment in drive_of(recording, make, name).moments():
-                view.show(moment)
-        with pytest.raises(ValueError, match="one of a, b, got one of 'c'"):
-            view.show(next(drive_of(recording, EuclideanEKF, "c").moments()))
+            for moment in Drive.of(recording, make).moments():
+                view.show(name, moment)
+        with pytest.raises(ValueError, match="one of a, b, got 'c'"):
+            view.show("c", next(Drive.of(recording, EuclideanEKF).moments()))
         view.close()
     found = read_back(tmp_path / "two.rrd")
     assert {"/world/a/path", "/world/b/path", "/world/truth/path"} <= found.keys()
@@ -121,5 +122,5 @@ def test_two_filters_share_a_recording(tmp_path):
 
 def test_there_must_be_something_to_show():
     pytest.importorskip("rerun", reason="needs the extra viewer")
-    with pytest.raises(ValueError, match="names must hold"):
+    with pytest.raises(ValueError, match="labels must name"):
         RerunView(CAMERA, [])

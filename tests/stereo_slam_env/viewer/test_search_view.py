@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from filters.interface import StereoObservation
-from stereo_slam_env.frontend.tracked import Outcome, Search, TrackedPair
+from stereo_slam_env.frontend.tracks import Outcome, Search, TrackedPair
 from stereo_slam_env.viewer.search_view import search_picture
 
 HEIGHT, WIDTH = 300, 700  # no enlarging

@@ -6,8 +6,8 @@ from filters import rotations
 from stereo_slam_env.recording.recording import Pose
 from stereo_slam_env.world.frames import R_SW, WorldFrame
 from stereo_slam_env.world.physics import PhysicsWorld
-from stereo_slam_env.world.routes import FRAME_PERIOD, RouteDriver, advance
-from stereo_slam_env.world.vehicle import Car
+from stereo_slam_env.world.routes import FRAME_PERIOD
+from stereo_slam_env.world.vehicle import Car, RouteDriver, advance
 
 FRAME = WorldFrame(1.65)
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from stereo_slam_env.world.blank import BLANK, without_texture
+from stereo_slam_env.world.looks import BLANK, without_texture
 from stereo_slam_env.world.routes import ROUTES
 from stereo_slam_env.world.scene import Material
 from stereo_slam_env.world.surroundings import SURROUNDINGS, build_scene

@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from stereo_slam_env.world.fog import in_fog
-from stereo_slam_env.world.randomise import with_other_look
+from stereo_slam_env.world.looks import in_fog, with_other_look
 from stereo_slam_env.world.routes import ROUTES
 from stereo_slam_env.world.surroundings import build_scene
 

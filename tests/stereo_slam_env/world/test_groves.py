@@ -6,10 +6,10 @@ from scipy.spatial import cKDTree
 
 from stereo_slam_env.world import groves
 from stereo_slam_env.world.groves import build_groves
+from stereo_slam_env.world.layout import sample_surface
 from stereo_slam_env.world.physics import PhysicsWorld
 from stereo_slam_env.world.road import road_along
 from stereo_slam_env.world.routes import ROUTES
-from stereo_slam_env.world.surface_points import sample_surface
 
 SEEDS = range(4)
 

@@ -5,8 +5,7 @@ import pytest
 
 from filters import rotations
 from stereo_slam_env.recording.recording import Pose
-from stereo_slam_env.world.head import Head, head_turn, velocity_between
-from stereo_slam_env.world.routes import advance
+from stereo_slam_env.world.vehicle import Head, advance, head_turn, velocity_between
 
 HEAD = Head(0.5, max_angles=(2.0, 0.4), max_rates=(1.5, 1.0))
 BODY = Pose(np.array([1.0, -2.0, 3.0]), rotations.exp_quaternion(np.array([0.1, 0.7, -0.2])))

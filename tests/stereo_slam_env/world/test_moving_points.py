@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from stereo_slam_env.world.moving_points import MovingPoints
 from stereo_slam_env.world.scene import Box, Material, MovingBody
+from stereo_slam_env.world.traffic import MovingPoints
 
 PAINT = Material((0.5, 0.5, 0.5))
 CAR = MovingBody(

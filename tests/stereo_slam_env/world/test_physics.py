@@ -1,6 +1,9 @@
 """Rays, collisions and life cycle of the physics engine."""
 
+import os
 import resource
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,7 +23,7 @@ EGO = (4.0, 1.8, 1.0)
 
 def scene_of(*solids):
     ground = Ground((-50.3, -50.3), (50.3, 50.3), GREY)
-    return Scene(ground, solids, (), np.zeros(0, dtype=np.int64), np.zeros((0, 3)))
+    return Scene(ground, solids, (), np.zeros((0, 3)))
 
 
 WALL = Box((10.0, 0.0, 2.0), (0.2, 4.0, 4.0), 0.0, GREY)
@@ -238,6 +241,30 @@ def test_memory_is_flat_over_dressed_worlds():
         cycle(one)
         one.close()
     assert resident() - before < 4.0
+
+
+ENDS_AT_ONCE = """
+import os, sys, tempfile
+import numpy as np
+from stereo_slam_env.world.groves import build_groves
+from stereo_slam_env.world.physics import PhysicsWorld
+from stereo_slam_env.world.routes import named_route
+
+world, scene = PhysicsWorld(), build_groves(named_route("straight"), np.random.default_rng(0))
+world.build(scene, (4.2, 1.8, 1.1))
+if "dressed" in sys.argv:
+    world.dress(scene)
+assert tempfile.gettempdir() == os.environ["TMPDIR"]
+os._exit(0)
+"""
+
+
+@pytest.mark.parametrize("how", ["bare", "dressed"])
+def test_a_process_that_ends_without_exit_handlers_leaves_no_files(tmp_path, how):
+    """As the workers of benchmarks and tests do."""
+    environment = {**os.environ, "TMPDIR": str(tmp_path)}
+    subprocess.run([sys.executable, "-c", ENDS_AT_ONCE, how], env=environment, timeout=120, check=True)
+    assert list(tmp_path.iterdir()) == []
 
 
 def resident():

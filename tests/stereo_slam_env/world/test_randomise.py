@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from stereo_slam_env.world.randomise import with_other_look
+from stereo_slam_env.world.looks import with_other_look
 from stereo_slam_env.world.routes import ROUTES
 from stereo_slam_env.world.surroundings import build_scene
 from stereo_slam_env.world.textures import TEXTURES, VARIANTS, texture

@@ -6,9 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stereo_slam_env.files.tables import read_poses
-from stereo_slam_env.world.route_files import KITTI_PERIOD, kitti_route, named_route
-from stereo_slam_env.world.routes import FRAME_PERIOD, ROUTES
+from stereo_slam_env.files.readers import read_poses
+from stereo_slam_env.world.routes import FRAME_PERIOD, KITTI_PERIOD, ROUTES, kitti_route, named_route
 
 from .pose_files import drive, figure_eight, write_poses
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from filters import rotations
-from stereo_slam_env.world.routes import FRAME_PERIOD, ROUTES, RouteDriver, advance, loop, right_turn, straight, town
-from stereo_slam_env.world.vehicle import AgentDriver, Car
+from stereo_slam_env.world.routes import FRAME_PERIOD, ROUTES, loop, right_turn, straight, town
+from stereo_slam_env.world.vehicle import AgentDriver, Car, RouteDriver, advance
 
 
 def test_town_is_the_reference_drive():

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
+from stereo_slam_env.world.layout import sample_surface
 from stereo_slam_env.world.meshes import mesh, scene_meshes
 from stereo_slam_env.world.routes import ROUTES
 from stereo_slam_env.world.scene import Box, Cylinder, Material, Sphere
 from stereo_slam_env.world.street import build_street
-from stereo_slam_env.world.surface_points import sample_surface
 from stereo_slam_env.world.textures import TEXTURES, texture
 
 PLAIN = Material((1.0, 1.0, 1.0))

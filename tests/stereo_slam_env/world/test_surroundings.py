@@ -11,13 +11,12 @@ from filters import rotations
 from stereo_slam_env.rendering import pinhole
 from stereo_slam_env.sensing.rigs import RIGS
 from stereo_slam_env.world.frames import WorldFrame
+from stereo_slam_env.world.layout import sample_surface
 from stereo_slam_env.world.physics import PhysicsWorld
 from stereo_slam_env.world.road import road_along
-from stereo_slam_env.world.route_files import KITTI_PERIOD, kitti_route
-from stereo_slam_env.world.routes import ROUTES
+from stereo_slam_env.world.routes import KITTI_PERIOD, ROUTES, kitti_route
 from stereo_slam_env.world.scene import Box
 from stereo_slam_env.world.street import build_street
-from stereo_slam_env.world.surface_points import sample_surface
 from stereo_slam_env.world.surroundings import SURROUNDINGS, build_scene
 
 from .driving import collisions, nominal_poses

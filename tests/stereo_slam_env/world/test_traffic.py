@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 
-from stereo_slam_env.world import bodies
+from stereo_slam_env.world import props
 from stereo_slam_env.world.meshes import body_meshes
 from stereo_slam_env.world.road import LANE_OFFSET, road_along, stations_of
-from stereo_slam_env.world.route_files import KITTI_PERIOD, kitti_route
-from stereo_slam_env.world.routes import FRAME_PERIOD, ROUTES
+from stereo_slam_env.world.routes import FRAME_PERIOD, KITTI_PERIOD, ROUTES, kitti_route
 from stereo_slam_env.world.scene import MovingBody
 from stereo_slam_env.world.surroundings import SURROUNDINGS, build_scene
 
@@ -140,7 +139,7 @@ def test_a_full_road_takes_no_more(caplog):
     assert "no room for another car" in caplog.text
 
 
-@pytest.mark.parametrize("make", [bodies.vehicle, bodies.pedestrian])
+@pytest.mark.parametrize("make", [props.vehicle, props.pedestrian])
 def test_bodies_stand_on_the_ground_and_have_detail(make):
     for seed in range(8):
         parts = make(np.random.default_rng(seed))

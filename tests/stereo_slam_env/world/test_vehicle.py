@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from stereo_slam_env.world.routes import FRAME_PERIOD, advance, straight
-from stereo_slam_env.world.vehicle import AgentDriver, Car
+from stereo_slam_env.world.routes import FRAME_PERIOD, straight
+from stereo_slam_env.world.vehicle import AgentDriver, Car, advance
 
 
 def drive(actions):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from filters import StereoFilter, make_filter, rotations
-from stereo_slam_env.benchmark.running.runner import run_filter
+from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.recording.recording import Recording
 from stereo_slam_env.wrappers import BeliefObservation
 from stereo_slam_env.wrappers.belief import assumed_noise
@@ -148,7 +148,7 @@ class Broken(StereoFilter):
     ],
 )
 def test_a_filter_that_breaks_down_is_named_with_frame_and_cause(monkeypatch, what, message):
-    monkeypatch.setitem(__import__("filters.registry", fromlist=["_OWN"])._OWN, "broken", Broken)
+    monkeypatch.setitem(__import__("filters.presets", fromlist=["PRESETS"]).PRESETS, "broken", Broken)
     env = BeliefObservation(ReplayEnv(), "broken", options={"what": what})
     with pytest.raises(RuntimeError) as caught:
         episode(env)

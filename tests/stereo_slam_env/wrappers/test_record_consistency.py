@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from stereo_slam_env.benchmark.running.runner import run_filter
 from stereo_slam_env.evaluation.consistency import mean_band
+from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.wrappers import BeliefObservation, RecordConsistency
 
 from ..benchmark.small_recordings import small_recording

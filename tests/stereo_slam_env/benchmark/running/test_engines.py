@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from stereo_slam_env.benchmark import Scenario, run
+from stereo_slam_env.benchmark.recordings.sources import ReferenceSource
 from stereo_slam_env.benchmark.running import engines
 from stereo_slam_env.benchmark.running.engines import ENGINES, Engine
 from stereo_slam_env.benchmark.scenarios.scenario import filter_choice
 
 SHORT = Scenario(
     "short",
-    "reference",
-    {"name": "short_turn"},
+    ReferenceSource("short_turn"),
     filters=(filter_choice("inverse-depth"), filter_choice("euclidean")),
     seeds=(0, 1),
     frames=5,

@@ -10,34 +10,33 @@ import pytest
 
 from stereo_slam_env.benchmark import run
 from stereo_slam_env.benchmark.recordings import sources
-from stereo_slam_env.benchmark.recordings.sources import (
+from stereo_slam_env.benchmark.recordings.description import stream_digest
+from stereo_slam_env.benchmark.recordings.sources import DatasetSource, StreetSource
+from stereo_slam_env.benchmark.running import tasks
+from stereo_slam_env.benchmark.running.watch import watch_search
+from stereo_slam_env.benchmark.scenarios.scenario import Scenario, filter_choice
+from stereo_slam_env.benchmark.scenarios.streams import (
     check_source,
     make_recording,
     make_sequence,
-    takes_images,
     without_measurements,
 )
-from stereo_slam_env.benchmark.recordings.stream_identity import stream_digest
-from stereo_slam_env.benchmark.running import tasks
-from stereo_slam_env.benchmark.running.runner import run_filter
-from stereo_slam_env.benchmark.running.watch import watch_search
-from stereo_slam_env.benchmark.scenarios.presets import preset, with_images
-from stereo_slam_env.benchmark.scenarios.scenario import Scenario, filter_choice
+from stereo_slam_env.benchmark.scenarios.study import preset
 from stereo_slam_env.benchmark.storage.store import open_run
 from stereo_slam_env.benchmark.storage.study_store import read_study
 from stereo_slam_env.envs import recorder
 from stereo_slam_env.envs.rendered_drive import RenderedDrive
+from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.rendering.backends import renderer_identity
 from stereo_slam_env.report.benchmark_report import write_report_of
 from stereo_slam_env.report.run_report import write_report
 
-from ...datasets.images.small_image_folders import FRAMES, kitti_odometry
+from ...datasets.small_image_folders import FRAMES, kitti_odometry
 
 STREET = Scenario(
     "seen",
-    "street",
-    {"route": "right-turn", "rig": "qvga", "sensor": "images", "max_landmarks": 40},
+    StreetSource({"route": "right-turn", "rig": "qvga", "sensor": "images", "max_landmarks": 40}),
     filters=(filter_choice("inverse-depth"), filter_choice("euclidean")),
     frames=4,
 )
@@ -63,7 +62,7 @@ def in_this_process(monkeypatch):
 
 def of(folder, **changes):
     filters = (filter_choice("inverse-depth"), filter_choice("euclidean"))
-    return replace(Scenario("seen", "dataset", {"path": str(folder)}, filters=filters), **changes)
+    return replace(Scenario("seen", DatasetSource(str(folder)), filters=filters), **changes)
 
 
 def counted(monkeypatch, module, name):
@@ -82,20 +81,20 @@ def counted(monkeypatch, module, name):
 
 
 def test_scenarios_that_take_images_are_told_apart(folder, tmp_path):
-    assert takes_images(STREET)
-    assert takes_images(of(folder))
-    assert not takes_images(of(tmp_path / "nowhere"))
-    assert not takes_images(preset("quick"))
-    assert not takes_images(preset("reference-turn"))
+    assert STREET.source.takes_images
+    assert of(folder).source.takes_images
+    assert not of(tmp_path / "nowhere").source.takes_images
+    assert not preset("quick").source.takes_images
+    assert not preset("reference-turn").source.takes_images
 
 
 def test_a_scenario_of_the_simulated_world_can_be_measured_in_images():
-    seen = with_images(preset("turn"), "gl")
-    assert (seen.options["sensor"], seen.options["renderer"], seen.options["route"]) == ("images", "gl", "right-turn")
+    seen = preset("turn").with_sensor("images", "gl")
+    assert [seen.source.options[key] for key in ("sensor", "renderer", "route")] == ["images", "gl", "right-turn"]
     assert (seen.noise, seen.gate, seen.consensus) == (None, 0.99, True)
     assert seen.name == "turn-gl-images"
-    with pytest.raises(ValueError, match="needs a scenario of kind 'street', 'reference-turn' is a 'reference'"):
-        with_images(preset("reference-turn"), "tiny")
+    with pytest.raises(ValueError, match="needs a scenario of kind 'street', this one is of kind 'reference'"):
+        preset("reference-turn").with_sensor("images", "tiny")
 
 
 @pytest.mark.parametrize(
@@ -104,8 +103,8 @@ def test_a_scenario_of_the_simulated_world_can_be_measured_in_images():
         (replace(preset("quick"), search="forecast"), "search 'forecast' needs images: scenario 'quick' has none"),
         (replace(preset("reference-turn"), search="forecast"), "scenario 'reference-turn' has none"),
         (replace(STREET, noise={"independent_pixels": 1.0}), "each measurement comes with its own covariance"),
-        (replace(STREET, options={**STREET.options, "renderer": "foo"}), "renderer must be one of 'tiny', 'gl'"),
-        (replace(STREET, options={**STREET.options, "rout": "town"}), "did you mean 'route'"),
+        (replace(STREET, source=STREET.source.replaced(renderer="foo")), "renderer must be one of 'tiny', 'gl'"),
+        (replace(STREET, source=STREET.source.replaced(rout="town")), "did you mean 'route'"),
     ],
     ids=["no images", "no pictures of pure geometry", "noise", "renderer", "option"],
 )
@@ -117,7 +116,7 @@ def test_what_cannot_be_run_is_refused_before_any_work(scenario, complaint, tmp_
 
 def test_a_renderer_that_is_missing_is_wrong_input(missing_gl):
     with pytest.raises(ValueError, match=re.escape(missing_gl)):
-        check_source(replace(STREET, options={**STREET.options, "renderer": "gl"}))
+        check_source(replace(STREET, source=STREET.source.replaced(renderer="gl")))
 
 
 def test_without_images_there_is_no_sequence(tmp_path):
@@ -147,8 +146,7 @@ def test_the_renderer_is_part_of_the_source():
 
 def test_the_images_of_a_scenario_are_those_its_recording_was_made_of():
     """Without a filter, tracks through the sequence are the stream, bit by bit."""
-    options = {**STREET.options, "refill_below": 30}
-    scenario = replace(STREET, options=options, frames=3)
+    scenario = replace(STREET, source=STREET.source.replaced(refill_below=30), frames=3)
     sequence, settings = make_sequence(scenario, 7)
     assert isinstance(sequence, RenderedDrive)
     assert (settings.max_landmarks, settings.refill_below, len(sequence)) == (40, 30, 3)
@@ -161,11 +159,12 @@ def test_the_images_of_a_scenario_are_those_its_recording_was_made_of():
 
 
 def test_settings_of_the_front_end_are_options_of_a_recording(folder):
-    sequence, settings = make_sequence(of(folder, options={"path": str(folder), "front_end": {"max_misses": 1}}), None)
+    given = DatasetSource(str(folder), {"front_end": {"max_misses": 1}})
+    sequence, settings = make_sequence(of(folder, source=given), None)
     assert len(sequence) == FRAMES
     assert settings == TrackerSettings(max_misses=1)
     with pytest.raises(ValueError, match="no setting 'max_mises', did you mean 'max_misses'"):
-        make_sequence(of(folder, options={"path": str(folder), "front_end": {"max_mises": 1}}), None)
+        make_sequence(of(folder, source=DatasetSource(str(folder), {"front_end": {"max_mises": 1}})), None)
 
 
 @pytest.mark.usefixtures("in_this_process")
@@ -271,7 +270,7 @@ def test_a_search_that_fails_is_not_passed_over(folder):
 
 def test_results_of_another_renderer_are_not_mixed_in(tmp_path):
     open_run(tmp_path / "out", STREET)
-    other = replace(STREET, name="another", options={**STREET.options, "renderer": "gl"})
+    other = replace(STREET, name="another", source=STREET.source.replaced(renderer="gl"))
     with pytest.raises(ValueError, match=r'holds a run with options\.renderer = null, now it is "gl": choose another'):
         open_run(tmp_path / "out", other)
 

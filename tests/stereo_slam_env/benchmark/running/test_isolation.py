@@ -227,6 +227,7 @@ import numpy as np
 import gymnasium as gym
 import stereo_slam_env
 from stereo_slam_env.benchmark import Scenario, run
+from stereo_slam_env.benchmark.recordings.sources import StreetSource
 from stereo_slam_env.benchmark.scenarios.scenario import filter_choice
 
 options = {"route": "right-turn", "rig": "qvga", "max_landmarks": 40, "sensor": "images", "renderer": "gl"}
@@ -240,7 +241,7 @@ try:
 except ImportError:
     threading.Thread(target=threading.Event().wait, daemon=True).start()
 assert threading.active_count() > 1
-scenario = Scenario("busy", "street", options, filters=(filter_choice("inverse-depth"),), seeds=(0, 1), frames=3)
+scenario = Scenario("busy", StreetSource(options), filters=(filter_choice("inverse-depth"),), seeds=(0, 1), frames=3)
 for jobs in (1, 2):
     result = run(scenario, os.path.join(sys.argv[1], str(jobs)), jobs=jobs)
     assert [r.failure for r in result.runs] == [None, None], result.runs

@@ -1,9 +1,12 @@
 """The ready-made scenarios (0.2 s)."""
 
+import re
+from pathlib import Path
+
 import pytest
 
 from stereo_slam_env.benchmark.campaign import check_study
-from stereo_slam_env.benchmark.scenarios.presets import preset, preset_study, presets
+from stereo_slam_env.benchmark.scenarios.study import preset, preset_study, presets
 
 REAL = ("kitti07_tracks", "kitti00_stereo_tracks", "starry_night_a", "kitti06_stereo51")
 
@@ -50,6 +53,12 @@ def test_the_choices_of_the_core_are_crossed():
     crossed = study.factorial
     assert set(crossed) == {"landmark", "measurement", "error"}
     assert len(study.only_scenario().filters) == 2 * 4 * 3
+
+
+def test_the_manual_lists_all_of_them():
+    manual = (Path(__file__).resolve().parents[4] / "docs" / "benchmark.md").read_text(encoding="utf-8")
+    listed = re.findall(r"^\| `([a-z-]+)` \| (.*) \|$", manual.partition("## Presets")[2].partition("\n## ")[0], re.M)
+    assert dict(listed) == dict(presets())
 
 
 def test_an_unknown_preset_is_answered_with_the_known_ones():

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from stereo_slam_env.benchmark import Scenario, run_benchmark
+from stereo_slam_env.benchmark.recordings.sources import ReferenceSource
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice
 from stereo_slam_env.benchmark.scenarios.study import Cell, Study
 from stereo_slam_env.benchmark.statistics.comparison import COLUMNS, compare
@@ -18,8 +19,7 @@ from ....synthetic_runs import THREE, make_runs, scored
 
 SCENARIO = Scenario(
     "tiny",
-    "reference",
-    {"name": "short_turn", "landmarks": 12},
+    ReferenceSource("short_turn", {"landmarks": 12}),
     filters=(FilterChoice("ours", "inverse-depth"),),
     seeds=tuple(range(9)),
     frames=5,
@@ -63,7 +63,7 @@ def test_only_what_was_changed_is_said_to_have_changed():
     comparison = compare(result(runs), result(worsened(runs, "dual-bearing", 1.3)))
     assert {(c.filter_name, c.measure) for c in comparison.shown} == {
         ("dual-bearing", "position error"),
-        ("dual-bearing", "error after alignment"),
+        ("dual-bearing", "rigid ATE"),
     }
     (position,) = changes_of(comparison, filter_name="dual-bearing", measure="position error")
     assert position.finding is Finding.WORSE
@@ -140,7 +140,7 @@ def test_stored_runs_are_paired_by_the_digest_of_their_measurements(stored, tmp_
 
 
 def test_other_measurements_are_not_paired_and_the_reader_is_told(stored, tmp_path):
-    other = bench(tmp_path / "out", options={**SCENARIO.options, "sigma": 4.0})
+    other = bench(tmp_path / "out", source=SCENARIO.source.replaced(sigma=4.0))
     comparison = compare(str(stored), other)
     assert not comparison.paired
     assert "short-turn (seed 0) and 8 more are not the same in both runs" in comparison.warnings[0]

@@ -14,10 +14,11 @@ from stereo_slam_env.benchmark.statistics.differences import (
     mean_interval,
     paired_difference,
     pairs_needed,
+    percent_words,
+    signed,
     signed_rank_p,
     unpaired_difference,
 )
-from stereo_slam_env.benchmark.statistics.words import percent_words, signed
 
 DRAWS = {
     "normal": lambda rng, shape: rng.standard_normal(shape),

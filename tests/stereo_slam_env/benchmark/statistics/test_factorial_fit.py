@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from stereo_slam_env.benchmark.statistics.factorial_fit import fit_factorial
+from stereo_slam_env.benchmark.statistics.effects import fit_factorial
 
 A = np.array([-0.2, 0.5, -0.3])
 B = np.array([0.4, -0.4])

@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from stereo_slam_env.benchmark.statistics.limit import Reach, limit_reached
+from stereo_slam_env.benchmark.statistics.remarks import Reach, limit_reached
 from stereo_slam_env.benchmark.statistics.verdict import judge
 
-from ....synthetic_runs import THREE, make_runs, scored
+from ....synthetic_runs import THREE, changed, make_runs, scored
 
 RUNS = make_runs(THREE[:1], seeds=range(8), frames=40)
 SUMMARIES, FIGURES = scored(RUNS)
@@ -18,12 +18,11 @@ SUMMARIES, FIGURES = scored(RUNS)
 def reached(efficiencies):
     """A filter with these efficiencies run by run, and errors of 1 m."""
     efficiencies = np.asarray(efficiencies, dtype=float)
+    over_runs = {"efficiency_percent": float(np.sqrt(np.mean(efficiencies**2))), "bound_position_m": 0.5}
     return replace(
-        SUMMARIES[0],
+        changed(SUMMARIES[0], **over_runs),
         position_rmse_by_run=(1.0,) * len(efficiencies),
         efficiency_by_run=tuple(efficiencies),
-        efficiency_percent=float(np.sqrt(np.mean(efficiencies**2))),
-        bound_position_m=0.5,
     )
 
 

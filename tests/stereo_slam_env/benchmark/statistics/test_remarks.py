@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from filters import StereoNoise
-from stereo_slam_env.benchmark.running.runner import run_filter
 from stereo_slam_env.benchmark.statistics.remarks import innovation_remarks, reference_remarks
+from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.recording.recording import SIMULATION, Reference
 
 from ....synthetic_runs import THREE, make_runs, scored, summary_of

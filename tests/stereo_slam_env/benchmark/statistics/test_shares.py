@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from stereo_slam_env.benchmark.statistics.differences import Finding
-from stereo_slam_env.benchmark.statistics.shares import paired_share, unpaired_share
+from stereo_slam_env.benchmark.statistics.differences import Finding, paired_share, unpaired_share
 
 
 @pytest.mark.parametrize(

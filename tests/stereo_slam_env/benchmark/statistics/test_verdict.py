@@ -7,18 +7,18 @@ import numpy as np
 import pytest
 
 from stereo_slam_env.benchmark.statistics.differences import Finding
-from stereo_slam_env.benchmark.statistics.measures import POSITION, TIME
-from stereo_slam_env.benchmark.statistics.pairwise import compare_all
+from stereo_slam_env.benchmark.statistics.measures import POSITION, TIME, compare_all
 from stereo_slam_env.benchmark.statistics.verdict import Consistency, against_best, consistency, judge
 from stereo_slam_env.evaluation.run_figures import RunFigures
 
-from ....synthetic_runs import THREE, THREE_ONE_DIVERGING, Behaviour, make_runs, scored
+from ....synthetic_runs import THREE, THREE_ONE_DIVERGING, Behaviour, changed, make_runs, scored
 
 ANY = scored(make_runs(THREE[:1], frames=20))[0][0]
 
 
 def summary(**changes):
-    return replace(ANY, filter_name="other", **changes)
+    figures = {name: changes.pop(name) for name in tuple(changes) if name in ANY.figures}
+    return replace(changed(ANY, **figures), filter_name="other", **changes)
 
 
 def compared(ours, theirs, comparisons=1, **about_other):
@@ -119,7 +119,7 @@ def test_a_filter_that_diverged_is_never_the_best():
     runs = make_runs((lucky, *THREE[:2]), frames=60)
     summaries, figures = scored(runs)
     assert judge(summaries, figures).best == "lucky"
-    summaries = [replace(s, diverged=1) if s.filter_name == "lucky" else s for s in summaries]
+    summaries = [changed(s, diverged=1) if s.filter_name == "lucky" else s for s in summaries]
     verdict = judge(summaries, figures)
     assert verdict.best != "lucky"
     assert "lucky diverged in 1 of 5 runs" in verdict.headline
@@ -137,7 +137,7 @@ def test_the_headline_names_the_winner_its_consistency_and_its_cost():
 def test_the_headline_answers_every_question_in_its_own_sentence():
     runs = make_runs((Behaviour("sharp", 0.02, milliseconds=6.0), Behaviour("quick", 0.4)), seeds=range(8), frames=120)
     found, figures = scored(runs)
-    summaries = [replace(s, efficiency_percent=93.4, bound_position_m=0.0187) for s in found]
+    summaries = [changed(s, efficiency_percent=93.4, bound_position_m=0.0187) for s in found]
     verdict = judge(summaries, figures)
     assert list(verdict.answers) == ["best", "consistent", "limit", "cost"]
     assert "at 95 % confidence, 8 paired runs" in verdict.answers["best"]

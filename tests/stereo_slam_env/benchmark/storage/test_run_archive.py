@@ -6,9 +6,9 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from stereo_slam_env.benchmark.running.runner import run_filter
 from stereo_slam_env.benchmark.storage import run_archive
 from stereo_slam_env.benchmark.storage.run_archive import load_run, save_run
+from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.recording.recording import GIVEN_TRUTH, Reference
 
 from ..small_recordings import small_recording

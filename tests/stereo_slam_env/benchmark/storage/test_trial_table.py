@@ -6,14 +6,15 @@ from contextlib import closing
 import pytest
 
 from stereo_slam_env.benchmark import FilterChoice, Scenario, run
-from stereo_slam_env.benchmark.scenarios.scenario_file import study_from
+from stereo_slam_env.benchmark.recordings.sources import ReferenceSource
+from stereo_slam_env.benchmark.scenarios.study import study_from
 from stereo_slam_env.benchmark.storage import trial_table
 from stereo_slam_env.benchmark.storage.trial_table import SCHEMA, write_trial_table
-from stereo_slam_env.evaluation.trial_metrics import COLUMNS
+from stereo_slam_env.evaluation.figures import trial_columns
 
 STUDY = study_from(
     {
-        **Scenario("grid", "reference", {"name": "short_turn"}, gate=None, metrics=("map",)).as_dict(),
+        **Scenario("grid", ReferenceSource("short_turn"), gate=None, metrics=("map",)).as_dict(),
         "filters": [{"name": "euclidean", "options": {"min_disparity": 5.0}}],
         "seeds": [0, 1],
         "frames": False,
@@ -48,7 +49,7 @@ def test_every_column_is_explained(finished):
     names = [row[1] for row in rows(path, "PRAGMA table_info(trials)")]
     meanings = {name: (unit, meaning) for name, unit, meaning in rows(path, "SELECT * FROM columns")}
     assert list(meanings) == names
-    assert set(COLUMNS) <= set(names)
+    assert {figure.name for figure in trial_columns()} <= set(names)
     assert all(meaning for _, meaning in meanings.values())
     assert meanings["position_rmse_m"][0] == "m"
     assert rows(path, "PRAGMA user_version") == [(SCHEMA,)]
@@ -70,7 +71,7 @@ def test_pandas_and_polars_read_it(finished):
 
 
 def test_what_is_not_known_is_null(tmp_path):
-    scenario = Scenario("s", "reference", {"name": "short_turn"}, frames=3, metrics=())
+    scenario = Scenario("s", ReferenceSource("short_turn"), frames=3, metrics=())
     run(scenario, tmp_path / "out", filters=[FilterChoice("e", "euclidean")], jobs=1)
     path = tmp_path / "out" / "trials.sqlite"
     assert rows(path, "SELECT landmark_rmse_m, bound_position_m, failure FROM trials") == [(None, None, None)]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from stereo_slam_env.benchmark.statistics.attribution import attribute_runs
-from stereo_slam_env.evaluation.results import RangeError
+from stereo_slam_env.evaluation.landmark_statistics import RangeError
 from stereo_slam_env.report.charts.accuracy import plot_efficiency, plot_error_against_bound, plot_segment_errors
 from stereo_slam_env.report.charts.consistency import plot_consistency
 from stereo_slam_env.report.charts.cost import plot_cost
@@ -17,7 +17,7 @@ from stereo_slam_env.report.charts.factors import FactorResponse, plot_changes, 
 from stereo_slam_env.report.charts.landmarks import plot_depth_convergence, plot_landmark_errors
 from stereo_slam_env.report.charts.style import filter_colours
 
-from ....synthetic_runs import THREE, THREE_ONE_DIVERGING, Behaviour, make_bounds, make_runs, scored
+from ....synthetic_runs import THREE, THREE_ONE_DIVERGING, Behaviour, changed, make_bounds, make_runs, scored
 from .reading import panels, series_of, values
 
 
@@ -53,8 +53,8 @@ def test_every_figure_draws_without_a_warning_and_offers_its_filters(name, case)
 
 def test_a_figure_of_partly_known_summaries_leaves_the_rest_out():
     first, *others = summaries("three filters")
-    poor = replace(first, rpe=(), landmark_by_range=(), depth_convergence=(), consistency={}, memory_mb=None)
-    poor = replace(poor, efficiency_percent=None, ms_predict=None, ms_update=None, state_size=None)
+    poor = replace(first, rpe=(), landmark_by_range=(), depth_convergence=(), consistency={})
+    poor = changed(poor, memory_mb=None, efficiency_percent=None, ms_predict=None, ms_update=None, state_size=None)
     for plot in PLOTS.values():
         assert plot([poor, *others]).svg().startswith("<svg")
 

@@ -7,7 +7,7 @@ import pytest
 
 from filters import Cause, DivergenceMonitor, InverseDepthStereoEKF, PoseBelief
 from stereo_slam_env.benchmark.recordings.reference_problem import long_drive
-from stereo_slam_env.sensing.corrupted_frames import Blackouts
+from stereo_slam_env.sensing.corruptions import Blackouts
 from stereo_slam_env.studies.faults import drive_through, streams
 
 

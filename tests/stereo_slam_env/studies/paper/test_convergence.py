@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from stereo_slam_env.benchmark.recordings.reference_problem import short_turn
-from stereo_slam_env.benchmark.running.runner import run_filter
+from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.sensing.rigs import RIGS
 from stereo_slam_env.studies.paper import convergence
 from stereo_slam_env.studies.paper.claims import Verdict

@@ -6,7 +6,7 @@ from stereo_slam_env.studies.paper import karlsruhe
 from stereo_slam_env.studies.paper.claims import Verdict
 from stereo_slam_env.studies.paper.report import karlsruhe_section
 
-from ...datasets.images.small_image_folders import karlsruhe as write_sequence
+from ...datasets.small_image_folders import karlsruhe as write_sequence
 
 FRAMES = (60, 65)
 

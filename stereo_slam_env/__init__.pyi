@@ -1,0 +1,33 @@
+"""Public names of `stereo_slam_env`; each is imported when it is first used."""
+
+from .api import Comparison as Comparison
+from .api import Evaluation as Evaluation
+from .api import compare as compare
+from .api import evaluate as evaluate
+from .api import make_recording as make_recording
+from .api import record as record
+from .benchmark.campaign import BenchmarkResult as BenchmarkResult
+from .benchmark.campaign import run_benchmark as run_benchmark
+from .benchmark.scenarios.scenario import FilterChoice as FilterChoice
+from .benchmark.scenarios.scenario import PolicyChoice as PolicyChoice
+from .benchmark.scenarios.scenario import Scenario as Scenario
+from .benchmark.scenarios.study import Study as Study
+from .datasets import load as load
+from .envs.drive import StereoDriveEnv as StereoDriveEnv
+from .envs.drive_gaze import StereoDriveGazeEnv as StereoDriveGazeEnv
+from .envs.gaze import StereoGazeEnv as StereoGazeEnv
+from .envs.rendered_drive import RenderedDrive as RenderedDrive
+from .loop import FilterLoop as FilterLoop
+from .loop import Moment as Moment
+from .loop import run as run
+from .recording.archive import load_recording as load_recording
+from .recording.archive import save_recording as save_recording
+from .recording.recording import Frame as Frame
+from .recording.recording import LandmarkTruth as LandmarkTruth
+from .recording.recording import Recording as Recording
+from .recording.recording import Reference as Reference
+from .recording.recording import Velocity as Velocity
+from .report.benchmark_report import write_report_of as write_report_of
+from .sensing.padding import stereo_observation as stereo_observation
+from .world.routes import register_route as register_route
+from .world.surroundings import register_scene as register_scene

@@ -1,0 +1,306 @@
+"""Functions of the public face that join several rooms: record, evaluate, compare."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+from rich.console import Console
+
+from filters.noise import StereoNoise
+from filters.registry import FilterFactory, filter_factory, label_of
+from stereo_slam_env.benchmark.head_to_head import HeadToHead
+from stereo_slam_env.benchmark.scenarios import streams
+from stereo_slam_env.benchmark.scenarios.scenario import Scenario, filter_choice
+from stereo_slam_env.benchmark.scenarios.study import preset
+from stereo_slam_env.benchmark.statistics.verdict import Verdict, judge
+from stereo_slam_env.envs.recorder import record as record_route
+from stereo_slam_env.evaluation.filter_run import run_filter
+from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
+from stereo_slam_env.evaluation.run_figures import Figures, figures_of, summarise_all
+from stereo_slam_env.policies.episode import run_episode
+from stereo_slam_env.policies.registry import make_policy
+from stereo_slam_env.recording.recording import Recording
+from stereo_slam_env.report.console import show_results
+from stereo_slam_env.report.run_report import write_report
+
+FilterLike = str | FilterFactory
+"""A name of `filters.available_filters()`, or what is called as `MyFilter(camera=..., noise=..., **options)`."""
+
+DIVERGENCE_PERCENT = 10.0
+"""A run that ends farther from the truth than this share of the path has diverged, unless a scenario says otherwise."""
+
+
+def record(
+    environment: str = "StereoSlam/Drive-v0",
+    seed: int = 0,
+    *,
+    policy: str = "route",
+    frames: int | None = None,
+    progress: Callable[[int, int | None], None] | None = None,
+    **arguments: Any,
+) -> Recording:
+    """Record an episode of an environment: a measurement stream that any number of filters can then be run on.
+
+    Parameters
+    ----------
+    environment : str
+        Id of one of the environments of this package.
+    seed : int
+        Of the episode: same seed, same bits.
+    policy : str
+        "route": the vehicle follows its scripted route; where the head can turn, it looks straight ahead. Or the name
+        of a policy of `available_policies()` that turns the head and needs no filter.
+    frames : int, optional
+        Stop after this many; None: at the end of the route.
+    progress : callable, optional
+        Called after each frame with the number of frames so far and the number wanted (None: not known).
+    **arguments
+        Of the environment.
+
+    Returns
+    -------
+    Recording
+        With truth; `source` says how to make it again.
+
+    Raises
+    ------
+    ValueError
+        An argument is unknown or impossible, or the drive ended before `frames`.
+    """
+    if environment == "StereoSlam/Drive-v0":
+        return record_route({"policy": policy, **arguments}, seed, frames, progress)
+    env = gym.make(environment, disable_env_checker=True, **arguments)
+    try:
+        driver = make_policy("fixed" if policy == "route" else policy)
+        episode = run_episode(env, driver, seed, frames=frames, progress=progress)
+    finally:
+        env.close()
+    if episode.failure is not None:
+        raise ValueError(f"policy {policy!r} cannot be recorded in {environment}: {episode.failure}")
+    return episode.recording
+
+
+def make_recording(scenario: str | Scenario, seed: int | None = 0) -> Recording:
+    """The recording of a scenario for a seed.
+
+    Parameters
+    ----------
+    scenario : str or Scenario
+        Name of a preset, or a scenario.
+    seed : int, optional
+        Of the recording; None for real data.
+
+    Raises
+    ------
+    ValueError
+        An unknown preset, or a source that cannot be used.
+    """
+    return streams.make_recording(preset(scenario) if isinstance(scenario, str) else scenario, seed)
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """One filter on one recording.
+
+    Attributes
+    ----------
+    figures : FilterSummary
+        All figures; None where something is not known, such as an error without truth.
+    series : FilterRun
+        Estimates, errors, covariances and counts, frame by frame.
+    """
+
+    figures: FilterSummary
+    series: FilterRun
+
+    def __str__(self) -> str:
+        return _table([self.figures])
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """Filters on identical recordings.
+
+    Attributes
+    ----------
+    title : str
+        What they ran on.
+    runs : tuple of FilterRun
+        One for each filter and recording.
+    figures : mapping of str to RunFigures
+        Figures of every run, by label of the filter.
+    summaries : tuple of FilterSummary
+        Figures over all runs, one for each filter.
+    settings : mapping
+        The exact inputs, JSON-able.
+    """
+
+    title: str
+    runs: tuple[FilterRun, ...]
+    figures: Figures
+    summaries: tuple[FilterSummary, ...]
+    settings: Mapping[str, Any]
+
+    @cached_property
+    def verdict(self) -> Verdict:
+        """Which filter is best, by how much, and whether that is shown; its `headline` is a few sentences."""
+        return judge(self.summaries, self.figures)
+
+    @property
+    def table(self) -> str:
+        """The result table as text, a column a filter."""
+        return _table(self.summaries)
+
+    def __str__(self) -> str:
+        return f"{self.title}\n\n{self.table}\n{self.verdict.headline}"
+
+    def report(self, folder: str | Path) -> Path:
+        """Write the report with its figures into `folder`; returns the page to open."""
+        out = Path(folder)
+        out.mkdir(parents=True, exist_ok=True)
+        return write_report(out, self.title, self.runs, self.summaries, self.figures, self.settings)
+
+    def between(self, label: str, reference: str) -> HeadToHead:
+        """One filter against another one, with the assertions of a unit test.
+
+        Raises
+        ------
+        ValueError
+            There is no filter with that label.
+        """
+        by_label = {summary.filter_name: summary for summary in self.summaries}
+        for name in (label, reference):
+            if name not in by_label:
+                raise ValueError(f"label must be one of {', '.join(by_label)}, got {name!r}")
+        ours, theirs = (tuple(run for run in self.runs if run.filter_name == name) for name in (label, reference))
+        return HeadToHead(
+            by_label[label], by_label[reference], ours, theirs, self.figures[label], self.figures[reference], self.title
+        )
+
+
+def evaluate(
+    slam: FilterLike,
+    recording: Recording,
+    *,
+    noise: StereoNoise | None = None,
+    use_odometry: bool = True,
+    divergence_percent: float = DIVERGENCE_PERCENT,
+    **options: Any,
+) -> Evaluation:
+    """All figures of one filter on one recording, and its estimates frame by frame.
+
+    Parameters
+    ----------
+    slam : str or callable
+        A name of `filters.available_filters()`, or a filter class or function.
+    recording : Recording
+        The stream.
+    noise : StereoNoise, optional
+        Noise to assume; None: what the recording says.
+    use_odometry : bool
+        Whether the filter is given the odometry of the recording.
+    divergence_percent : float
+        A run that ends farther from the truth than this share of the path has diverged.
+    **options
+        Of the filter.
+
+    Returns
+    -------
+    Evaluation
+        A filter that raises is a result, too: `figures.failures` says what happened.
+
+    Raises
+    ------
+    ValueError
+        The recording is empty.
+    """
+    run = run_filter(recording, slam, options, noise=noise, use_odometry=use_odometry)
+    (summary,) = summarise_all([run], figures_of([run], divergence_percent=divergence_percent))
+    return Evaluation(summary, run)
+
+
+def compare(
+    filters: Sequence[FilterLike],
+    scenario: str | Scenario | Recording | Sequence[Recording] = "quick",
+    *,
+    seeds: int | Sequence[int] = 10,
+    frames: int | None = None,
+    options: Mapping[str, Mapping[str, Any]] | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Comparison:
+    """Run filters on identical recordings, in this process, and compare them.
+
+    For long comparisons that can be interrupted and resumed, on many cores, see `run_benchmark`.
+
+    Parameters
+    ----------
+    filters : sequence of str or callable
+        Names of `filters.available_filters()`, filter classes or functions.
+    scenario : str, Scenario, Recording or sequence of Recording
+        Name of a preset, a scenario (its own filters and seeds play no part), or recordings.
+    seeds : int or sequence of int
+        How many recordings of a scenario, or which.
+    frames : int, optional
+        Frames of each recording; None: as many as the scenario has.
+    options : mapping of str to mapping, optional
+        Options by label of the filter (its name, or that of its class or function), JSON-able.
+    progress : callable, optional
+        Called with (runs done, runs).
+
+    Raises
+    ------
+    ValueError
+        No filters, two with the same label, options for none of them, no seeds, an unknown preset or filter.
+    """
+    labels = [label_of(one) for one in filters]
+    for one in filters:
+        filter_factory(one)  # an unknown name is refused before any work
+    if not labels or len(set(labels)) < len(labels):
+        raise ValueError(f"filters must be at least one, with different labels, got {', '.join(labels) or 'none'}")
+    given = dict(options or {})
+    for label in given:
+        if label not in labels:
+            raise ValueError(f"options must be for one of {', '.join(labels)}, got {label!r}")
+    usual = {label: filter_choice(one).options for label, one in zip(labels, filters, strict=True) if one is label}
+    chosen = {label: {**usual.get(label, {}), **given.get(label, {})} for label in labels}
+    on = preset(scenario) if isinstance(scenario, str) else scenario
+    if isinstance(on, Scenario):
+        which = tuple(range(seeds)) if isinstance(seeds, int) else tuple(seeds)
+        if not which:
+            raise ValueError(f"seeds must be at least one, got {seeds!r}")
+        recordings: Iterator[tuple[int | None, Recording]] = (
+            (seed, streams.make_recording(on, seed)) for seed in which
+        )
+        count, title, about = len(which), on.name, on.as_dict()
+        settings: dict[str, Any] = {"common_options": on.common_options, "use_odometry": on.use_odometry}
+        limit = on.divergence_percent
+    else:
+        given_recordings = [on] if isinstance(on, Recording) else list(on)
+        alone = len(given_recordings) == 1
+        recordings = ((None if alone else number, one) for number, one in enumerate(given_recordings))
+        count, title = len(given_recordings), ", ".join(dict.fromkeys(one.name for one in given_recordings))
+        about, settings, limit = {"recordings": [dict(one.source) for one in given_recordings]}, {}, DIVERGENCE_PERCENT
+    runs: list[FilterRun] = []
+    for seed, recording in recordings:
+        if frames is not None:
+            recording = recording[:frames]
+        if isinstance(on, Scenario):
+            settings["noise"] = on.assumed_noise(recording.noise)
+        for label, one in zip(labels, filters, strict=True):
+            runs.append(run_filter(recording, one, chosen[label], label=label, seed=seed, **settings))
+            if progress is not None:
+                progress(len(runs), count * len(labels))
+    figures = figures_of(runs, divergence_percent=limit)
+    return Comparison(title, tuple(runs), figures, tuple(summarise_all(runs, figures)), {"scenario": about})
+
+
+def _table(summaries: Sequence[FilterSummary]) -> str:
+    text = io.StringIO()
+    show_results(Console(file=text, width=120), summaries)
+    return text.getvalue()

@@ -1,0 +1,221 @@
+"""Sources of recordings: where the measurements of a scenario come from, one class a kind.
+
+A source is tagged data: `kind` names its class, and its fields are the table `options` of a scenario file. A new source
+is a subclass of `Source` with a tag, its fields and `record`::
+
+    class BagSource(Source, frozen=True, tag="bag"):
+        path: str
+        topic: str = "/stereo"
+
+        def record(self, seed, frames=None, progress=None): ...
+
+It is known as soon as its module is imported. Scenario files and the command line find that of an installed package by
+an entry point in the group `stereo_slam.sources`.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Iterator, Mapping
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args, get_origin
+
+import msgspec
+
+from filters.known_names import did_you_mean, require_known
+from stereo_slam_env.frontend.settings import TrackerSettings
+from stereo_slam_env.recording.recording import ImageSequence, Recording
+
+if TYPE_CHECKING:
+    from typing import Self
+
+    import gymnasium as gym
+
+Progress = Callable[[int, int], None]
+OpenedImages = tuple[ImageSequence, TrackerSettings]
+Renderer = Literal["tiny", "gl"]
+_PLAIN = {"array": "a list", "object": "a table", "str": "text", "int": "a whole number", "float": "a number"}
+_PLAIN |= {"bool": "true or false", "null": "none"}
+
+
+class Source(msgspec.Struct, frozen=True, tag_field="kind", forbid_unknown_fields=True):
+    """Where the recordings of a scenario come from.
+
+    Fields are JSON-able. A field `arguments`, a dict, takes the options that have no field of their own.
+
+    Attributes
+    ----------
+    seeded : bool
+        Whether there is a recording for each seed, or only one.
+    isolated : bool
+        Whether a recording is made in a process of its own: it is drawn or calculated, not only read.
+    for_policies : bool
+        Whether policies decide where to look, so that each of them drives its own episode.
+    has_rig : bool
+        Whether the camera is simulated, with a rig that the option `rig` chooses.
+    runs_code : bool
+        Whether the options name code to be run, for which `load_study` asks for consent.
+    """
+
+    seeded: ClassVar[bool] = True
+    isolated: ClassVar[bool] = True
+    for_policies: ClassVar[bool] = False
+    has_rig: ClassVar[bool] = False
+    runs_code: ClassVar[bool] = False
+
+    @property
+    def kind(self) -> str:
+        """The tag."""
+        return str(self.__struct_config__.tag)
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """The fields that differ from their defaults, JSON-able: the table `options` of a scenario file."""
+        own = {about.name: about.default for about in msgspec.structs.fields(self) if about.name != "arguments"}
+        given = {name: getattr(self, name) for name, default in own.items() if getattr(self, name) != default}
+        options: dict[str, Any] = msgspec.to_builtins({**given, **getattr(self, "arguments", {})})
+        return options
+
+    @property
+    def key(self) -> str:
+        """JSON that tells this source from all others."""
+        return json.dumps([self.kind, self.options], sort_keys=True)
+
+    def __str__(self) -> str:
+        return f"{self.kind} {json.dumps(self.options)}"
+
+    @classmethod
+    def of(cls, options: Mapping[str, Any]) -> Self:
+        """The source with these options, as a scenario file has them.
+
+        Raises
+        ------
+        ValueError
+            An option is unknown, missing or of the wrong type: the message names it.
+        """
+        checked("options", options, dict[str, Any])
+        own = [name for name in cls.__struct_fields__ if name != "arguments"]
+        fields = {name: value for name, value in options.items() if name in own}
+        others = {name: value for name, value in options.items() if name not in own}
+        if "arguments" in cls.__struct_fields__:
+            fields["arguments"] = others
+        else:
+            require_known(f"a source of kind {cls.__struct_config__.tag!r} has no option", others, own)
+        try:
+            plain = msgspec.to_builtins(fields)
+        except TypeError as error:
+            raise ValueError(f"options must consist of JSON values: {error}") from error
+        source: Self = checked("options", plain, cls)
+        return source
+
+    def replaced(self, **options: Any) -> Self:
+        """The source with these options in place of its own."""
+        return type(self).of({**self.options, **options})
+
+    def record(self, seed: int | None, frames: int | None = None, progress: Progress | None = None) -> Recording:
+        """The recording of a seed.
+
+        Parameters
+        ----------
+        seed : int, optional
+            None where the source has no seeds.
+        frames : int, optional
+            Most frames that are needed.
+        progress : callable, optional
+            Called with (pairs done, pairs) where measurements come from images.
+
+        Raises
+        ------
+        ValueError
+            The options are refused: the message names what is wrong.
+        """
+        raise NotImplementedError
+
+    def check(self, frames: int | None = None) -> None:
+        """Raise a `ValueError` for options that cannot be used, before any work is done."""
+
+    @property
+    def takes_images(self) -> bool:
+        """Whether the measurements come from images through the front end."""
+        return False
+
+    def sequence(self, seed: int | None, frames: int | None = None) -> OpenedImages:
+        """The images of a seed, and the settings of the front end for them; only where `takes_images`."""
+        raise ValueError(f"a source of kind {self.kind!r} has no images")
+
+    def with_images(self, renderer: Renderer) -> Self:
+        """The same drive measured in rendered images.
+
+        Raises
+        ------
+        ValueError
+            The source draws none.
+        """
+        raise ValueError(f"--sensor images needs a scenario of kind 'street', this one is of kind {self.kind!r}")
+
+    def with_rig(self, rig: Mapping[str, Any]) -> Self:
+        """The same drive with another stereo rig, see `sensing.rigs.camera_of`.
+
+        Raises
+        ------
+        ValueError
+            The source has no simulated camera.
+        """
+        if not self.has_rig:
+            raise ValueError(
+                f"--rig needs a simulated camera, that is a scenario of kind 'street', 'gaze' or 'reference', this one "
+                f"is of kind {self.kind!r}"
+            )
+        return self.replaced(rig=rig["name"] if set(rig) == {"name"} else dict(rig))
+
+    @property
+    def rig(self) -> dict[str, Any]:
+        """The simulated rig as a table of numbers and `name`; empty: the usual one."""
+        rig = self.options.get("rig", {})
+        return {"name": rig} if isinstance(rig, str) else dict(rig)
+
+    def make_environment(self) -> gym.Env[Any, Any]:
+        """The environment in which policies look; only where `for_policies`."""
+        raise ValueError(f"a source of kind {self.kind!r} has no environment for policies")
+
+
+def checked(what: str, value: object, kind: Any) -> Any:
+    """The value as `kind`, a type that `msgspec` knows.
+
+    Raises
+    ------
+    ValueError
+        It cannot be: one line that begins with `what`.
+    """
+    try:
+        return msgspec.convert(value, kind)
+    except msgspec.ValidationError as error:
+        raise ValueError(_in_words(what, value, kind, str(error))) from error
+
+
+def _in_words(what: str, value: Any, kind: Any, message: str) -> str:
+    """A message of `msgspec` in ours: the place, what it must be, what it is, and what may have been meant."""
+    message, _, path = message.partition(" - at `$")
+    for step in re.findall(r"[^.\[\]`]+", path):
+        value = value[int(step) if step.isdecimal() else step]
+    place = what + path.rstrip("`")
+    if message.startswith("Object missing"):
+        return f"{place} must have {message.split('`')[1]}"
+    if message.startswith("Invalid enum value"):
+        allowed = [str(word) for word in _words(kind)]
+        return f"{place} must be one of {', '.join(allowed)}, got {value!r}{did_you_mean(value, allowed)}"
+    expected = re.sub(", got `.*`$", "", message.removeprefix("Expected "))
+    expected = re.sub(r"`([\w |]+)`", lambda m: " or ".join(_PLAIN.get(w, w) for w in m[1].split(" | ")), expected)
+    return f"{place} must be {expected}, got {value!r}"
+
+
+def _words(kind: Any) -> Iterator[Any]:
+    """The values of all `Literal`s in a type."""
+    parts = get_args(kind)
+    if isinstance(kind, type) and issubclass(kind, msgspec.Struct):
+        parts = tuple(about.type for about in msgspec.structs.fields(kind))
+    for part in parts:
+        if get_origin(kind) is Literal:
+            yield part
+        else:
+            yield from _words(part)

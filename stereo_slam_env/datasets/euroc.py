@@ -1,0 +1,276 @@
+"""The ASL layout of the EuRoC MAV data: raw images, rectified on reading.
+
+`mav0/cam0` (left) and `mav0/cam1` (right), each with `data.csv` (timestamp in ns, file name), `data/` with the images,
+and `sensor.yaml`: T_BS, which takes points of the camera to the body, the resolution, pinhole intrinsics (fu, fv, cu,
+cv) and radial-tangential distortion (k1, k2, p1, p2). Truth is `mav0/state_groundtruth_estimate0/data.csv`: timestamp
+in ns, position and quaternion (w first) of the body in its own world, and more columns that are not used.
+
+Frame k is row k of `cam0/data.csv`. The images are rectified on reading, so the camera of the sequence is not the one
+in the file. The truth is that of the turned left camera; frames outside the time that it covers are left out.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from scipy.spatial.transform import Rotation, Slerp
+
+from filters.validation import FloatArray, IntArray
+from stereo_slam_env.datasets.calibration import RectifiedRig, rectified_rig
+from stereo_slam_env.datasets.frames import CameraFiles, Faults, OnBroken, Times, Truth, usable_pairs
+from stereo_slam_env.datasets.image_files import MAX_PIXELS
+from stereo_slam_env.datasets.sequence import RecordedSequence, Rectify
+from stereo_slam_env.files.paths import is_plain_name
+from stereo_slam_env.files.readers import finite_rows, first_line, read_text
+from stereo_slam_env.recording.recording import GreyImage, Pose, Reference
+
+NAME = "euroc"
+_IN_MAV0 = tuple(f"mav0/{camera}/{name}" for camera in ("cam0", "cam1") for name in ("data.csv", "sensor.yaml"))
+FILES = (_IN_MAV0, tuple(name.removeprefix("mav0/") for name in _IN_MAV0))
+TRUTH = "state_groundtruth_estimate0"
+TRUTH_FROM = Reference(
+    "independent truth", f"{TRUTH}: motion capture or laser tracker, smoothed with the IMU; no camera has a part in it."
+)
+LARGEST_TRUTH_GAP_NS = 100_000_000
+"""Truth is interpolated between rows that are no further apart (it comes at 200 Hz)."""
+_LATEST_NS = np.iinfo(np.int64).max
+
+
+def open_sequence(
+    path: Path,
+    *,
+    first: int | None = None,
+    last: int | None = None,
+    on_broken: OnBroken = "raise",
+    use_truth: bool = True,
+) -> RecordedSequence:
+    """Open the folder that holds `mav0`, or `mav0` itself.
+
+    Parameters
+    ----------
+    path : Path
+        For example `MH_01_easy`.
+    first, last, on_broken
+        See `open_image_sequence`, also for what is raised.
+    use_truth : bool
+        Whether to read the truth, where there is one, and to leave out the frames that it does not cover.
+    """
+    root = _root(path.resolve())
+    faults = Faults(on_broken)
+    stamps, left_names = _read_listing(root / "cam0")
+    right_of = dict(zip(*_read_listing(root / "cam1"), strict=True))
+    left_files = _existing(root / "cam0", dict(enumerate(left_names)))
+    right_files = _existing(root / "cam1", {k: right_of[stamp] for k, stamp in enumerate(stamps) if stamp in right_of})
+    sensors = (_read_sensor(root / "cam0" / "sensor.yaml"), _read_sensor(root / "cam1" / "sensor.yaml"))
+    rig, turned, rectify = _rectification(sensors, root / "cam1" / "sensor.yaml")
+    ns = np.array(stamps, dtype=np.int64)
+    times = Times(root / "cam0" / "data.csv", 1e-9 * (ns - ns[0]))
+    truth, table = None, root / TRUTH / "data.csv"
+    if use_truth and table.is_file():
+        poses, covered = _camera_poses(table, ns, sensors[0], turned)
+        truth = Truth(table, poses)
+        first = max(first or 0, covered[0])
+        last = covered[1] if last is None else min(last, covered[1])
+    frames = usable_pairs(
+        (CameraFiles(root / "cam0" / "data", left_files), CameraFiles(root / "cam1" / "data", right_files)),
+        times,
+        faults,
+        truth=truth,
+        first=first,
+        last=last,
+    )
+    name = root.parent.name if root.name == "mav0" else root.name
+    source: dict[str, Any] = {
+        "reader": NAME,
+        "path": str(root),
+        "rectified": "cv2.stereoRectify, alpha 0",
+    }
+    return RecordedSequence(
+        f"{NAME}_{name}", rig.camera, frames, faults, source, TRUTH_FROM, stored_size=sensors[0].size, rectify=rectify
+    )
+
+
+def _root(path: Path) -> Path:
+    return path / "mav0" if (path / "mav0").is_dir() else path
+
+
+def _read_listing(folder: Path) -> tuple[list[int], list[str]]:
+    """Timestamps, ns, and file names of `data.csv`."""
+    path = folder / "data.csv"
+    stamps, names = [], []
+    for number, line in enumerate(read_text(path, errors="replace").splitlines(), start=1):
+        if not line.strip() or line.lstrip().startswith("#"):
+            continue
+        stamp, _, name = (part.strip() for part in line.partition(","))
+        if not re.fullmatch(r"[0-9]{1,19}", stamp) or int(stamp) > _LATEST_NS or not is_plain_name(name):
+            raise ValueError(f"{path}: line {number} is not 'timestamp in ns,file name': correct it")
+        stamps.append(int(stamp))
+        names.append(name)
+    if not stamps:
+        raise ValueError(f"{path} lists no images: copy it again")
+    return stamps, names
+
+
+def _existing(folder: Path, names: dict[int, str]) -> dict[int, Path]:
+    paths = {k: folder / "data" / name for k, name in names.items()}
+    return {k: path for k, path in paths.items() if path.is_file()}
+
+
+def _camera_poses(
+    path: Path, stamps: IntArray, left: _Sensor, turned: FloatArray
+) -> tuple[list[Pose | None], tuple[int, int]]:
+    """Poses of the turned left camera at the stamps, and the first and last frame that the truth covers.
+
+    A pose is None where the rows around it hold NaN or are too far apart.
+    """
+    rows_ns, rows = _read_truth(path)
+    T_bs_truth = np.eye(4)
+    sensor = path.with_name("sensor.yaml")
+    if sensor.is_file():
+        T_bs_truth = _read_transform(sensor)
+    covered = np.flatnonzero((stamps >= rows_ns[0]) & (stamps <= rows_ns[-1]))
+    if covered.size == 0:
+        raise ValueError(f"{path} covers none of the images: it is of another recording, or use_truth=False")
+    after = np.clip(np.searchsorted(rows_ns, stamps), 1, len(rows_ns) - 1)
+    exact = rows_ns[after] == stamps
+    before = np.where(exact, after, after - 1)
+    finite = finite_rows(rows) & (np.abs(np.linalg.norm(rows[:, 3:], axis=1) - 1.0) < 1e-2)
+    near = exact | (rows_ns[after] - rows_ns[before] <= LARGEST_TRUTH_GAP_NS)
+    inside = (stamps >= rows_ns[0]) & (stamps <= rows_ns[-1])
+    good = inside & near & finite[after] & finite[before]
+    usable = np.where(finite[:, None], rows, [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+    seconds = 1e-9 * (rows_ns - rows_ns[0])
+    wanted = np.clip(1e-9 * (stamps - rows_ns[0]), seconds[0], seconds[-1])
+    positions = np.column_stack([np.interp(wanted, seconds, usable[:, i]) for i in range(3)])
+    R_ws = Slerp(seconds, Rotation.from_quat(usable[:, 3:]))(wanted)
+    T_sc = np.linalg.solve(T_bs_truth, left.T_bs)
+    camera_positions = positions + R_ws.apply(T_sc[:3, 3])
+    orientations = (R_ws * Rotation.from_matrix(T_sc[:3, :3] @ turned.T)).as_quat()
+    poses = [Pose(r, q) if ok else None for r, q, ok in zip(camera_positions, orientations, good, strict=True)]
+    return poses, (int(covered[0]), int(covered[-1]))
+
+
+def _read_truth(path: Path) -> tuple[IntArray, FloatArray]:
+    """Timestamps (K,) ns, increasing, and rows (K, 7): position and quaternion xyzw."""
+    stamps, rows = [], []
+    for number, line in enumerate(read_text(path, errors="replace").splitlines(), start=1):
+        if not line.strip() or line.lstrip().startswith("#"):
+            continue
+        words = line.split(",")
+        try:
+            x, y, z, qw, qx, qy, qz = (float(word) for word in words[1:8])
+            stamps.append(np.int64(words[0]))
+        except (ValueError, OverflowError) as error:
+            raise ValueError(f"{path}: line {number} is not a timestamp in ns and 7 numbers: correct it") from error
+        rows.append([x, y, z, qx, qy, qz, qw])
+    if len(rows) < 2 or not (np.diff(stamps) > 0).all():
+        raise ValueError(f"{path} must have two rows or more with increasing timestamps: copy it again")
+    return np.array(stamps, dtype=np.int64), np.array(rows)
+
+
+@dataclass(frozen=True, eq=False)
+class _Sensor:
+    """A camera by its `sensor.yaml`: T_bs (4, 4), K (3, 3) px, distortion (4,), and width and height, px."""
+
+    T_bs: FloatArray
+    K: FloatArray
+    distortion: FloatArray
+    size: tuple[int, int]
+
+
+def _read_sensor(path: Path) -> _Sensor:
+    text = _text(path)
+    for key, wanted in (("camera_model", "pinhole"), ("distortion_model", "radial-tangential")):
+        found = re.search(rf"^{key}\s*:\s*(\S+)", text, re.MULTILINE)
+        model = found[1].strip("\"'").replace("_", "-") if found else None
+        if model is not None and model != wanted:
+            raise ValueError(f"{path}: {key} is {model!r}, only {wanted!r} can be read")
+    fu, fv, cu, cv = _numbers(path, text, "intrinsics", 4)
+    width, height = (int(number) for number in _numbers(path, text, "resolution", 2))
+    if width < 1 or height < 1 or width * height > MAX_PIXELS:
+        raise ValueError(f"{path}: resolution {width}x{height} is none of an image that is read: correct it")
+    return _Sensor(
+        _parsed_transform(path, text),
+        np.array([[fu, 0.0, cu], [0.0, fv, cv], [0.0, 0.0, 1.0]]),
+        _numbers(path, text, "distortion_coefficients", 4),
+        (width, height),
+    )
+
+
+def _read_transform(path: Path) -> FloatArray:
+    """T_BS (4, 4) of a `sensor.yaml`; raises as `read_sensor`."""
+    return _parsed_transform(path, _text(path))
+
+
+def _rectification(sensors: tuple[_Sensor, _Sensor], path: Path) -> tuple[RectifiedRig, FloatArray, Rectify]:
+    """The rectified rig, R (3, 3) from the left camera of the file to it, and what rectifies a pair of images.
+
+    Both cameras are turned to a common plane and freed of distortion; only pixels that exist are kept.
+    """
+    left, right = sensors
+    if left.size != right.size:
+        raise ValueError(f"{path}: the images are {right.size}, those of the left camera {left.size}: not one rig")
+    T_rl = np.linalg.solve(right.T_bs, left.T_bs)
+    R_left, R_right, P_left, P_right = cv2.stereoRectify(
+        left.K,
+        left.distortion,
+        right.K,
+        right.distortion,
+        left.size,
+        T_rl[:3, :3],
+        T_rl[:3, 3:],
+        flags=cv2.CALIB_ZERO_DISPARITY,
+        alpha=0,
+    )[:4]
+    rig = rectified_rig(path, np.asarray(P_left, np.float64), np.asarray(P_right, np.float64), left.size)
+    maps = [
+        cv2.initUndistortRectifyMap(sensor.K, sensor.distortion, R, P, sensor.size, cv2.CV_16SC2)
+        for sensor, R, P in ((left, R_left, P_left), (right, R_right, P_right))
+    ]
+
+    def rectify(left_image: GreyImage, right_image: GreyImage) -> tuple[GreyImage, GreyImage]:
+        turned = [
+            np.asarray(cv2.remap(image, *both, interpolation=cv2.INTER_LINEAR), dtype=np.uint8)
+            for image, both in zip((left_image, right_image), maps, strict=True)
+        ]
+        return turned[0], turned[1]
+
+    return rig, np.asarray(R_left, dtype=np.float64), rectify
+
+
+def _text(path: Path) -> str:
+    """Content without comments."""
+    return re.sub(r"#.*", "", read_text(path))
+
+
+def _numbers(path: Path, text: str, key: str, count: int) -> FloatArray:
+    found = re.search(rf"^{key}\s*:\s*\[([^\]]*)\]", text, re.MULTILINE)
+    if found is None:
+        raise ValueError(f"{path} lacks '{key}: [...]': take the calibration of this recording")
+    return _parsed(path, found[1], key, count)
+
+
+def _parsed_transform(path: Path, text: str) -> FloatArray:
+    found = re.search(r"^T_BS\s*:[^\[]*\[([^\]]*)\]", text, re.MULTILINE)
+    if found is None:
+        raise ValueError(f"{path} lacks 'T_BS' with 'data: [...]': take the calibration of this recording")
+    T = _parsed(path, found[1], "T_BS", 16).reshape(4, 4)
+    R = T[:3, :3]
+    if np.abs(R @ R.T - np.eye(3)).max() > 1e-3 or np.linalg.det(R) < 0:
+        raise ValueError(f"{path}: T_BS holds no rotation: take the calibration of this recording")
+    return T
+
+
+def _parsed(path: Path, words: str, key: str, count: int) -> FloatArray:
+    try:
+        numbers = np.array([float(word) for word in words.replace(",", " ").split()])
+    except ValueError as error:
+        raise ValueError(f"{path}: '{key}' holds no numbers ({first_line(error)}): correct it") from error
+    if numbers.size != count or not np.isfinite(numbers).all():
+        raise ValueError(f"{path}: '{key}' has {numbers.size} numbers where {count} finite ones were expected")
+    return numbers

@@ -1,0 +1,156 @@
+"""Grey images from PNG and JPEG files, with everything checked that a decoder would hide.
+
+OpenCV fills up what is missing in a cut file and returns it as an image, and allocates whatever size the header asks
+for. So Pillow reads the size from the header first, and looks at the file to its end.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+import stat
+import struct
+import warnings
+import zlib
+from pathlib import Path
+
+import cv2
+import numpy as np
+from PIL import Image, UnidentifiedImageError
+
+from stereo_slam_env.files.readers import first_line
+from stereo_slam_env.recording.recording import GreyImage
+
+MAX_PIXELS = 40_000_000
+"""Larger images are refused before they are decoded."""
+MAX_BYTES = 256_000_000
+"""Larger files are refused before they are read."""
+MOST_FRAMES = 1_000_000
+"""Images with a number from here on are refused: tables have a row for every number up to the last."""
+_DAMAGE = (OSError, SyntaxError, ValueError, TypeError, LookupError, EOFError, OverflowError, struct.error, zlib.error)
+"""What Pillow raises where a file is not what it says."""
+
+
+class BrokenPair(ValueError):
+    """A pair cannot be used.
+
+    Parameters
+    ----------
+    reason : str
+        A few words to count by, the same for all pairs with that fault.
+    message : str
+        One line that names the file and the remedy.
+    """
+
+    def __init__(self, reason: str, message: str) -> None:
+        super().__init__(message)
+        self.reason = reason
+
+
+def numbered_images(folder: Path, prefix: str = "") -> dict[int, Path]:
+    """The images `<prefix><digits>.png|jpg|jpeg` of a folder by their number; empty where there is no folder.
+
+    Raises
+    ------
+    ValueError
+        Two files have the same number, or one of them a number that no recording comes to.
+    """
+    pattern = re.compile(re.escape(prefix) + r"(\d+)\.(png|jpg|jpeg)", re.IGNORECASE)
+    found: dict[int, Path] = {}
+    for path in sorted(folder.iterdir()) if folder.is_dir() else ():
+        match = pattern.fullmatch(path.name)
+        if match is None:
+            continue
+        number = int(match[1])
+        if number >= MOST_FRAMES:
+            raise ValueError(f"{path} is image {number}: numbers from {MOST_FRAMES} on are refused, rename it")
+        if number in found:
+            raise ValueError(f"{path} and {found[number].name} are both image {number}: remove one of them")
+        found[number] = path
+    return found
+
+
+def read_grey(path: Path, size: tuple[int, int] | None = None) -> GreyImage:
+    """Read an image as grey values.
+
+    Parameters
+    ----------
+    path : Path
+        PNG or JPEG, grey or colour.
+    size : (int, int), optional
+        Width and height that it must have, px.
+
+    Returns
+    -------
+    (H, W) uint8
+
+    Raises
+    ------
+    BrokenPair
+        Missing, cut, damaged, of another size, too large, or no PNG or JPEG: one line that names the file.
+    """
+    data = _content(path)
+    found = _checked_size(path, data)
+    if size is not None and found != size:
+        raise BrokenPair(
+            "image of another size",
+            f"{path} is {found[0]}x{found[1]} where {size[0]}x{size[1]} was expected: "
+            "all images of a recording must be of the size that it was calibrated for",
+        )
+    image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION)
+    if image is None or image.shape != (found[1], found[0]) or image.dtype != np.uint8:
+        raise _damaged(path, "it cannot be decoded")
+    return np.asarray(image, dtype=np.uint8)
+
+
+def image_size(path: Path) -> tuple[int, int]:
+    """Width and height of an image, px; raises as `read_grey`."""
+    return _checked_size(path, _content(path))
+
+
+def _content(path: Path) -> bytes:
+    try:
+        found = path.stat()
+        if not stat.S_ISREG(found.st_mode):
+            raise _damaged(path, "it is no file")
+        if found.st_size > MAX_BYTES:
+            raise BrokenPair("image too large", f"{path} has {found.st_size} bytes: more than {MAX_BYTES} are refused")
+        return path.read_bytes()
+    except FileNotFoundError:
+        raise BrokenPair("image missing", f"{path} is missing: copy it again, or skip broken pairs") from None
+    except OSError as error:
+        reason = error.strerror or type(error).__name__
+        raise BrokenPair("image unreadable", f"{path} cannot be read ({reason}): check the file") from error
+
+
+def _checked_size(path: Path, data: bytes) -> tuple[int, int]:
+    """Width and height, after the file was looked at to its end."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # its limit is wider than ours
+            with Image.open(io.BytesIO(data), formats=("PNG", "JPEG")) as image:
+                width, height = image.size
+                if width * height > MAX_PIXELS:
+                    raise BrokenPair(
+                        "image too large",
+                        f"{path} says that it is {width}x{height}: "
+                        f"images above {MAX_PIXELS / 1e6:.0f} million pixels are refused",
+                    )
+                if image.format == "PNG":
+                    image.verify()  # the check sums of all parts, up to the end mark
+                else:
+                    image.draft("L", (1, 1))  # all of the file, an eighth of the size
+                    image.load()
+    except Image.DecompressionBombError as error:
+        raise BrokenPair("image too large", f"{path} is too large to be decoded ({first_line(error)})") from error
+    except BrokenPair:
+        raise
+    except UnidentifiedImageError as error:
+        raise _damaged(path, "it is no whole PNG or JPEG") from error
+    except _DAMAGE as error:
+        raise _damaged(path, first_line(error)) from error
+    return width, height
+
+
+def _damaged(path: Path, what: str) -> BrokenPair:
+    return BrokenPair("image damaged", f"{path} is damaged, {what}: copy it again, or skip broken pairs")

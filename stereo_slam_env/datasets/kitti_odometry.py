@@ -1,0 +1,223 @@
+"""The layout of the KITTI odometry benchmark, read and written.
+
+`sequences/NN/` holds `calib.txt` (P0 to P3, 3x4 projections from the rectified left grey camera), `times.txt` (s, one
+row a frame) and the folders `image_0`, `image_1` (grey, left and right) or `image_2`, `image_3` (colour) with files
+`NNNNNN.png`. `poses/NN.txt` beside `sequences` holds T_world_cam of the left grey camera where it is known, 12 numbers
+a row.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from filters import rotations
+from filters.camera import StereoCamera
+from filters.validation import FloatArray
+from stereo_slam_env.datasets.calibration import entry, read_entries, rectified_rig
+from stereo_slam_env.datasets.frames import CameraFiles, Faults, OnBroken, Times, Truth, poses_of_rows, usable_pairs
+from stereo_slam_env.datasets.image_files import image_size, numbered_images
+from stereo_slam_env.datasets.sequence import RecordedSequence
+from stereo_slam_env.files.paths import require_inside
+from stereo_slam_env.files.readers import read_table
+from stereo_slam_env.recording.recording import GreyImage, ImageSequence, Pose, Reference, StereoPair
+
+NAME = "kitti_odometry"
+FILES = (("calib.txt", "times.txt", "image_0", "image_1"), ("calib.txt", "times.txt", "image_2", "image_3"))
+CAMERAS = {"grey": (0, 1), "colour": (2, 3)}
+"""Numbers of the left and the right camera of the two pairs of a KITTI car."""
+PARTIAL = ".partial"
+"""Ending of the folder of a sequence that is not yet complete."""
+
+log = logging.getLogger(__name__)
+
+
+def poses_file(path: Path) -> Path:
+    """Where the true poses of the sequence at `path` belong."""
+    return path.parent.parent / "poses" / f"{path.name}.txt"
+
+
+def open_sequence(
+    path: Path,
+    *,
+    first: int | None = None,
+    last: int | None = None,
+    on_broken: OnBroken = "raise",
+    cameras: str | None = None,
+    use_truth: bool = True,
+) -> RecordedSequence:
+    """Open `sequences/NN`.
+
+    Parameters
+    ----------
+    path : Path
+        The folder of the sequence.
+    first, last, on_broken
+        See `open_image_sequence`, also for what is raised.
+    cameras : {"grey", "colour"}, optional
+        Which pair of cameras; None takes grey where present.
+    use_truth : bool
+        Whether to read the true poses, where there are any.
+    """
+    path = path.resolve()
+    faults = Faults(on_broken)
+    chosen, (left, right) = chosen_cameras(lambda number: path / f"image_{number}", cameras)
+    calibration = path / "calib.txt"
+    entries = read_entries(calibration)
+    P_left, P_right = (entry(calibration, entries, f"P{n}", (3, 4)) for n in CAMERAS[chosen])
+    times = Times(path / "times.txt", read_table(path / "times.txt", 1, finite=False).reshape(-1))
+    poses, truth = poses_file(path), None
+    if use_truth and poses.is_file():
+        require_inside(poses, path.parent.parent)
+        truth = Truth(poses, poses_of_rows(read_table(poses, 12, finite=False)))
+    frames = usable_pairs((left, right), times, faults, truth=truth, first=first, last=last)
+    rig = rectified_rig(calibration, P_left, P_right, image_size(frames[0].left))
+    source: dict[str, Any] = {
+        "reader": NAME,
+        "path": str(path),
+        "cameras": chosen,
+    }
+    truth_from = Reference("independent truth", f"poses/{poses.name} of the recording; KITTI made its own by GPS/INS.")
+    return RecordedSequence(f"{NAME}_{path.name}", rig.camera, rig.of_left(frames), faults, source, truth_from)
+
+
+def chosen_cameras(folder_of: Callable[[int], Path], asked: str | None) -> tuple[str, tuple[CameraFiles, CameraFiles]]:
+    """The pair of cameras that was asked for (None: grey where present), and the images of left and right.
+
+    Parameters
+    ----------
+    folder_of : callable
+        Gives the folder of a camera by its number.
+    asked : str, optional
+        A key of `CAMERAS`.
+
+    Raises
+    ------
+    ValueError
+        There is no such pair.
+    """
+    if asked is None:
+        asked = "grey" if all(folder_of(number).is_dir() for number in CAMERAS["grey"]) else "colour"
+    if asked not in CAMERAS:
+        raise ValueError(f"cameras must be one of {', '.join(CAMERAS)}, got {asked!r}")
+    left, right = (CameraFiles(folder_of(number), numbered_images(folder_of(number))) for number in CAMERAS[asked])
+    return asked, (left, right)
+
+
+def write_kitti_sequence(
+    sequence: ImageSequence,
+    out: str | Path,
+    name: str = "00",
+    *,
+    on_pair: Callable[[int, int], None] | None = None,
+) -> Path:
+    """Write `out/sequences/NAME` (images, calibration, times) and `out/poses/NAME.txt`.
+
+    Everything is written into `out/sequences/NAME.partial` and renamed at the end: a folder without that ending is
+    complete. True poses are written where every pair has one. Odometry has no place in this layout and is left out.
+    `source.json`, which is no part of it, says where the images come from.
+
+    Parameters
+    ----------
+    sequence : ImageSequence
+        What to write; it is read once.
+    out : str or Path
+        Folder for `sequences` and `poses`; other sequences in it stay.
+    name : str
+        Name of the sequence, two digits in the benchmark.
+    on_pair : callable, optional
+        Called after every pair with the number written and the number expected.
+
+    Returns
+    -------
+    Path
+        `out/sequences/NAME`.
+
+    Raises
+    ------
+    ValueError
+        The sequence is there already, or a part of it from a writing that was interrupted; the name is no file name; an
+        image is not of the camera's size; there are no pairs.
+    """
+    if not name or Path(name).name != name or name.startswith("."):
+        raise ValueError(f"name must be a plain folder name such as '00', got {name!r}")
+    final = Path(out) / "sequences" / name
+    partial, poses = final.with_name(name + PARTIAL), poses_file(final)
+    _require_free(final, partial, poses)
+    for number in CAMERAS["grey"]:
+        (partial / f"image_{number}").mkdir(parents=True)
+    times: list[float] = []
+    truth: list[Pose | None] = []
+    for number, pair in enumerate(sequence.pairs()):
+        _write_images(partial, number, pair, sequence.camera)
+        times.append(pair.timestamp)
+        truth.append(pair.truth)
+        if on_pair is not None:
+            on_pair(number + 1, len(sequence))
+    if not times:
+        raise ValueError(f"sequence {sequence.name!r} has no pairs: nothing was written but the empty {partial}")
+    (partial / "calib.txt").write_text(_calibration(sequence.camera))
+    (partial / "times.txt").write_text("".join(f"{float(time)!r}\n" for time in times))
+    (partial / "source.json").write_text(json.dumps({"name": sequence.name, **sequence.source}, indent=2) + "\n")
+    known = [pose for pose in truth if pose is not None]
+    if len(known) == len(truth):
+        poses.parent.mkdir(exist_ok=True)
+        poses.write_text(_pose_rows(known))
+    elif known:
+        log.warning("%s not written: %d of %d pairs have no true pose", poses, len(truth) - len(known), len(truth))
+    if final.exists():
+        final.rmdir()
+    partial.rename(final)
+    return final
+
+
+def _require_free(final: Path, partial: Path, poses: Path) -> None:
+    if partial.exists():
+        raise ValueError(f"{partial} was left by a writing that was interrupted: remove it, then write again")
+    if final.exists() and (not final.is_dir() or any(final.iterdir())):
+        raise ValueError(f"{final} is not empty: choose another name or folder, or remove it")
+    if poses.exists():
+        raise ValueError(f"{poses} is there already: choose another name or folder, or remove it")
+
+
+def _write_images(folder: Path, number: int, pair: StereoPair, camera: StereoCamera) -> None:
+    for side, image in enumerate((pair.left, pair.right)):
+        path = folder / f"image_{side}" / f"{number:06d}.png"
+        if image.dtype != np.uint8 or image.shape != (camera.height, camera.width):
+            raise ValueError(
+                f"pair {number} cannot be written to {path}: its images must be uint8 of shape "
+                f"{(camera.height, camera.width)}, got {image.dtype} of shape {image.shape}"
+            )
+        path.write_bytes(_png(image))
+
+
+def _png(image: GreyImage) -> bytes:
+    done, data = cv2.imencode(".png", image)
+    if not done:
+        raise ValueError("OpenCV could not encode an image as PNG: install opencv-python-headless with PNG support")
+    return bytes(data)
+
+
+def _calibration(camera: StereoCamera) -> str:
+    """P0 to P3; the colour cameras of the benchmark, 2 and 3, sit where the grey ones are."""
+
+    def projection(offset: float) -> FloatArray:
+        return np.array([[camera.fx, 0.0, camera.cx, offset], [0.0, camera.fy, camera.cy, 0.0], [0.0, 0.0, 1.0, 0.0]])
+
+    grey = (projection(0.0), projection(-camera.disparity_constant))
+    return "".join(f"P{n}: {_row(grey[n % 2].ravel())}\n" for n in range(4))
+
+
+def _pose_rows(poses: Sequence[Pose]) -> str:
+    rows = (np.column_stack([rotations.matrix(pose.orientation), pose.position]) for pose in poses)
+    return "".join(f"{_row(row.ravel())}\n" for row in rows)
+
+
+def _row(numbers: FloatArray) -> str:
+    return " ".join(f"{float(number)!r}" for number in numbers)

@@ -1,0 +1,221 @@
+"""The layout of the KITTI raw data (rectified and synchronised drives).
+
+`DATE/calib_cam_to_cam.txt`, `calib_imu_to_velo.txt` and `calib_velo_to_cam.txt` beside the drive, and in
+`DATE/DATE_drive_NNNN_sync/` the folders `image_00`, `image_01` (grey, left and right) or `image_02`, `image_03`
+(colour), each with `timestamps.txt` and `data/NNNNNNNNNN.png`, and `oxts` with `timestamps.txt`, `dataformat.txt` and
+`data/NNNNNNNNNN.txt`: one line of 30 numbers a frame from the GPS/IMU unit.
+
+Truth is the pose of that unit, carried over to the left camera by the calibration (that of the odometry benchmark was
+made in the same way); x east, y north, z up, by the formulas of the development kit (`readme.txt` and
+`convertOxtsToPose.m`). Its velocities are given along forward, left and up of the level surface and are turned into the
+unit's frame by roll and pitch. Row k is taken for the step from frame k - 1 to k, which suits the ground truth best.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from filters.interface import BodyVelocity
+from filters.validation import FloatArray
+from stereo_slam_env.datasets.calibration import camera_position, entry, read_entries, rectified_rig
+from stereo_slam_env.datasets.frames import Faults, OnBroken, Times, Truth, usable_pairs
+from stereo_slam_env.datasets.image_files import image_size
+from stereo_slam_env.datasets.kitti_odometry import CAMERAS, chosen_cameras
+from stereo_slam_env.datasets.odometry import camera_velocities
+from stereo_slam_env.datasets.sequence import RecordedSequence
+from stereo_slam_env.files.paths import require_inside
+from stereo_slam_env.files.readers import finite_rows, read_text
+from stereo_slam_env.recording.recording import Pose, Reference
+
+NAME = "kitti_raw"
+TRUTH = Reference(
+    "independent truth",
+    "The car's GPS/IMU unit, carried over to the left camera by the calibration; the odometry is of the same unit, "
+    "with noise added.",
+)
+CALIBRATION = "calib_cam_to_cam.txt"
+EXTRINSICS = ("calib_imu_to_velo.txt", "calib_velo_to_cam.txt")
+FILES = (
+    (f"../{CALIBRATION}", "image_00/data", "image_01/data"),
+    (f"../{CALIBRATION}", "image_02/data", "image_03/data"),
+)
+EARTH_RADIUS = 6378137.0
+"""m, as in the development kit."""
+OXTS_NUMBERS = 30
+LAT, LON, ALT, ROLL, PITCH, YAW = range(6)
+LEVEL_VELOCITY, BODY_RATES = slice(8, 11), slice(17, 20)
+"""Columns vf, vl, vu (m/s) and wx, wy, wz (rad/s)."""
+
+
+def open_sequence(
+    path: Path,
+    *,
+    first: int | None = None,
+    last: int | None = None,
+    on_broken: OnBroken = "raise",
+    cameras: str | None = None,
+    use_oxts: bool = True,
+    sigma_linear: float = 0.5,
+    sigma_angular: float = 0.05,
+    odometry_seed: int = 0,
+) -> RecordedSequence:
+    """Open `DATE/DATE_drive_NNNN_sync`.
+
+    Parameters
+    ----------
+    path : Path
+        The folder of the drive.
+    first, last, on_broken
+        See `open_image_sequence`, also for what is raised.
+    cameras : {"grey", "colour"}, optional
+        Which pair of cameras; None takes grey where present.
+    use_oxts : bool
+        Whether to take truth and odometry from the GPS/IMU unit, where there is one.
+    sigma_linear, sigma_angular : float
+        White noise that is added to the velocities of the GPS/IMU unit, m/s and rad/s per axis.
+    odometry_seed : int
+        Of that noise.
+    """
+    path = path.resolve()
+    faults = Faults(on_broken)
+    chosen, (left, right) = chosen_cameras(lambda number: path / f"image_{number:02d}" / "data", cameras)
+    calibration = require_inside(path.parent / CALIBRATION, path.parent)
+    entries = read_entries(calibration)
+    P_left, P_right = (entry(calibration, entries, f"P_rect_{n:02d}", (3, 4)) for n in CAMERAS[chosen])
+    times = read_timestamps(left.folder.parent / "timestamps.txt")
+    truth, odometry = None, []
+    if known := use_oxts and _has_oxts(path):
+        packets = _read_packets(path / "oxts" / "data", len(times.seconds))
+        T_ci = _imu_to_reference_camera(path.parent, calibration, entries)
+        truth = Truth(path / "oxts" / "data", _reference_camera_poses(packets, T_ci))
+        noise = sigma_linear, sigma_angular, odometry_seed
+        odometry = _odometry(packets, T_ci, camera_position(P_left), *noise)
+    frames = usable_pairs((left, right), times, faults, truth=truth, odometry=odometry, first=first, last=last)
+    rig = rectified_rig(calibration, P_left, P_right, image_size(frames[0].left))
+    source: dict[str, Any] = {
+        "reader": NAME,
+        "path": str(path),
+        "cameras": chosen,
+        "odometry": "velocities of the GPS/IMU unit with white noise added" if known else None,
+        "sigma_linear_m_s": float(sigma_linear),
+        "sigma_angular_rad_s": float(sigma_angular),
+        "odometry_seed": int(odometry_seed),
+    }
+    return RecordedSequence(path.name, rig.camera, rig.of_left(frames), faults, source, TRUTH)
+
+
+def read_timestamps(path: Path) -> Times:
+    """Lines `2011-09-26 13:02:25.964389445` as s since the first one; NaN where a line is no time.
+
+    Raises
+    ------
+    ValueError
+        The file is missing or holds no time.
+    """
+    try:
+        lines = read_text(path).splitlines()
+    except FileNotFoundError:
+        raise ValueError(f"{path} is missing: copy it from the recording") from None
+    while lines and not lines[-1].strip():
+        lines.pop()
+    stamps = np.array([_stamp(line) for line in lines], dtype="datetime64[ns]")
+    good = stamps[~np.isnat(stamps)]
+    if good.size == 0:
+        raise ValueError(f"{path} holds no time such as '2011-09-26 13:02:25.964389445': copy it again")
+    nanoseconds = (stamps - good[0]) / np.timedelta64(1, "ns")
+    return Times(path, 1e-9 * nanoseconds)
+
+
+def _stamp(line: str) -> np.datetime64:
+    try:
+        return np.datetime64(line.strip(), "ns")
+    except ValueError:
+        return np.datetime64("NaT", "ns")
+
+
+def _has_oxts(path: Path) -> bool:
+    return (path / "oxts" / "data").is_dir() and all((path.parent / name).is_file() for name in EXTRINSICS)
+
+
+def _read_packets(folder: Path, count: int) -> FloatArray:
+    """One row of 30 numbers a frame, up to the last of `count` that has a file; NaN where it is missing or damaged."""
+    there = {path.name for path in folder.iterdir()}
+    files = {k: folder / name for k in range(count) if (name := f"{k:010d}.txt") in there}
+    packets = np.full((max(files, default=-1) + 1, OXTS_NUMBERS), np.nan)
+    for k, path in files.items():
+        try:
+            numbers = [float(word) for word in read_text(path).split()]
+        except (OSError, ValueError):
+            continue
+        if len(numbers) == OXTS_NUMBERS:
+            packets[k] = numbers
+    return packets
+
+
+def _imu_to_reference_camera(folder: Path, calibration: Path, entries: Mapping[str, FloatArray]) -> FloatArray:
+    """T (4, 4) that takes points from the IMU frame to the rectified frame of camera 00."""
+    T = np.eye(4)
+    for name in EXTRINSICS:
+        path = require_inside(folder / name, folder)
+        found = read_entries(path)
+        step = np.eye(4)
+        step[:3, :3], step[:3, 3] = entry(path, found, "R", (3, 3)), entry(path, found, "T", (3,))
+        T = step @ T
+    rectify = np.eye(4)
+    rectify[:3, :3] = entry(calibration, entries, "R_rect_00", (3, 3))
+    return np.asarray(rectify @ T, dtype=np.float64)
+
+
+def _reference_camera_poses(packets: FloatArray, T_ci: FloatArray) -> list[Pose | None]:
+    good = finite_rows(packets[:, :6])
+    usable = np.where(good[:, None], packets[:, :6], 0.0)
+    positions = _mercator_positions(*np.where(good[:, None], packets[:, :3], np.nan).T)
+    R_wi = Rotation.from_euler("ZYX", usable[:, [YAW, PITCH, ROLL]])
+    R_ci, t_ci = T_ci[:3, :3], T_ci[:3, 3]
+    camera_positions = positions + R_wi.apply(-R_ci.T @ t_ci)
+    orientations = (R_wi * Rotation.from_matrix(R_ci.T)).as_quat()
+    return [Pose(r, q) if ok else None for r, q, ok in zip(camera_positions, orientations, good, strict=True)]
+
+
+def _odometry(
+    packets: FloatArray,
+    T_ci: FloatArray,
+    left_in_reference: FloatArray,
+    sigma_linear: float,
+    sigma_angular: float,
+    seed: int,
+) -> list[BodyVelocity | None]:
+    good = finite_rows(packets[:, :20])
+    usable = np.where(good[:, None], packets[:, :20], 0.0)
+    R_ci = T_ci[:3, :3]
+    steps = camera_velocities(
+        _levelled_to_body(usable[:, LEVEL_VELOCITY], usable[:, ROLL], usable[:, PITCH]),
+        usable[:, BODY_RATES],
+        R_ci,
+        R_ci.T @ (left_in_reference - T_ci[:3, 3]),
+        sigma_linear=sigma_linear,
+        sigma_angular=sigma_angular,
+        seed=seed,
+    )
+    return [step if ok else None for step, ok in zip(steps, good, strict=True)]
+
+
+def _mercator_positions(latitude: FloatArray, longitude: FloatArray, altitude: FloatArray) -> FloatArray:
+    """Positions (K, 3), m, of (K,) degrees, degrees and m; true to scale at the first finite latitude."""
+    finite = latitude[np.isfinite(latitude)]
+    scale = np.cos(np.deg2rad(finite[0])) if finite.size else 1.0
+    x = scale * EARTH_RADIUS * np.deg2rad(longitude)
+    y = scale * EARTH_RADIUS * np.log(np.tan(np.deg2rad(90.0 + latitude) / 2.0))
+    return np.column_stack([x, y, altitude])
+
+
+def _levelled_to_body(vectors: FloatArray, roll: FloatArray, pitch: FloatArray) -> FloatArray:
+    """Vectors (K, 3) along forward, left and up of the level earth's surface, in the unit's tilted frame."""
+    tilt = Rotation.from_euler("YX", np.column_stack([pitch, roll]))
+    body: FloatArray = tilt.inv().apply(vectors)
+    return body

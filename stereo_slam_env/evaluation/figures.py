@@ -1,0 +1,381 @@
+"""The table of figures: name, heading, unit and meaning of each, its value of one run and its value over runs.
+
+A figure is declared here and nowhere else. Summaries, `summary.json`, the trial table, the console, the tables of the
+reports, the comparison of filters and the manual are loops over `FIGURES`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Literal, TypeAlias
+
+import numpy as np
+
+from filters.motion import POSITION, ROTATION
+from filters.validation import FloatArray, IntArray
+from stereo_slam_env.evaluation import trajectory_metrics as metrics
+from stereo_slam_env.evaluation.consistency_figures import DOF, landmark_anees, nis_per_dof, pooled
+from stereo_slam_env.evaluation.trajectory_metrics import mean, root_mean_square
+from stereo_slam_env.evaluation.trial import Sample, Trial
+
+Value: TypeAlias = float | int | str | None
+Group = Literal["trial", "accuracy", "claim", "consistency", "cost", "events"]
+Place = Literal["brief", "console", "report"]
+Kind = Literal["real", "integer", "text"]
+
+UNKNOWN = "–"
+"""Shown in place of a figure that is not known."""
+
+
+@dataclass(frozen=True)
+class Combination:
+    """How a figure is combined over runs: in words, and the function of a sample and the figure's name."""
+
+    words: str
+    of: Callable[[Sample, str], float | None]
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One figure of merit.
+
+    Attributes
+    ----------
+    name : str
+        Key in `summary.json` and the trial table, attribute of `FilterSummary`.
+    heading, unit : str
+        What tables call it, and the unit of its values; either may be empty.
+    group : str
+        What it is about, and so the table it stands in.
+    meaning : str
+        What it is, and when it is null.
+    of_run : callable, optional
+        Value of one `Trial`; None: it is one of many runs only, and has no column in the trial table.
+    over_runs : Combination, optional
+        None: it is one of single runs only, and not in the summary.
+    kind : {"real", "integer", "text"}
+        Of its values of one run. Of a run that failed, an integer is 0, everything else None.
+    of_failed : bool
+        Whether it is computed of a run that failed, too.
+    digits : int
+        After the point.
+    per_runs : bool
+        Whether it counts runs: "2 of 10".
+    ideal : float, optional
+        The value that a consistent filter has; tables then show value / ideal. None: the smaller the better.
+    larger_is_better : bool
+        Whether it is an efficiency.
+    is_ratio : bool
+        Whether filters are compared by their ratio; False: by their difference, because it is a logarithm already.
+    compared : bool
+        Whether comparisons of filters are about it.
+    places : tuple of str
+        Where it is shown: also where there is little room ("brief"), on the console, in the tables of a report.
+    """
+
+    name: str
+    heading: str
+    unit: str
+    group: Group
+    meaning: str
+    of_run: Callable[[Trial], Value] | None = None
+    over_runs: Combination | None = None
+    kind: Kind = "real"
+    of_failed: bool = False
+    digits: int = 3
+    per_runs: bool = False
+    ideal: float | None = None
+    larger_is_better: bool = False
+    is_ratio: bool = True
+    compared: bool = False
+    places: tuple[Place, ...] = ("console", "report")
+
+    @property
+    def label(self) -> str:
+        """The heading, with what values are divided by: "pose NEES / 6"."""
+        return self.heading if self.ideal in (None, 1.0) else f"{self.heading} / {self.ideal:g}"
+
+    @property
+    def title(self) -> str:
+        """Label and unit: "position error, m"."""
+        return f"{self.label}, {self.unit}" if self.unit else self.label
+
+    def shown(self, value: Value) -> float:
+        """The value as tables show it, by its ideal; NaN where it is not known."""
+        return float("nan") if value is None else float(value) / (self.ideal or 1.0)
+
+    def text(self, value: Value) -> str:
+        """The shown value with its digits, or a dash."""
+        number = self.shown(value)
+        if not np.isfinite(number):
+            return UNKNOWN
+        return f"{number:.{self.digits}f}" if abs(number) < 1e4 else f"{number:.1e}"
+
+
+# ---- of one run -----------------------------------------------------------------------------------------------------
+
+
+def trial_figures(trial: Trial) -> dict[str, Value]:
+    """The row of one run in the trial table: its figures, in the order of `FIGURES`.
+
+    What does not apply is None; of a run that failed, that is all but its events and alarms.
+    """
+    return {figure.name: _value(figure, trial) for figure in trial_columns()}
+
+
+def trial_columns() -> list[Figure]:
+    """Figures of single runs: the columns of the trial table."""
+    return [figure for figure in FIGURES.values() if figure.of_run is not None]
+
+
+def _value(figure: Figure, trial: Trial) -> Value:
+    if trial.run.failure is not None and not figure.of_failed:
+        return 0 if figure.kind == "integer" else None
+    value = None if figure.of_run is None else figure.of_run(trial)
+    if value is None or figure.kind == "text":
+        return value
+    return int(value) if figure.kind == "integer" else number(float(value))
+
+
+def number(value: float | None) -> float | None:
+    """The value, or None where it is not finite."""
+    return None if value is None or not np.isfinite(value) else float(value)
+
+
+def median(values: FloatArray | IntArray) -> float:
+    """Median; NaN of none."""
+    return float(np.median(values)) if len(values) else float("nan")
+
+
+def _rotation_rmse_deg(trial: Trial) -> float | None:
+    if trial.positions is None:
+        return None
+    run, at = trial.run, trial.scored
+    errors = metrics.rotation_errors(run.orientations[at], run.true_orientations[at])
+    return float(np.rad2deg(root_mean_square(errors)))
+
+
+def _end_error_m(trial: Trial) -> float | None:
+    return None if trial.positions is None else float(np.linalg.norm(np.subtract(*trial.positions)[-1]))
+
+
+def _velocity_rmse_m_s(trial: Trial) -> float | None:
+    errors = trial.run.linear_velocities[1:] - trial.run.true_linear_velocities[1:]
+    errors = errors[np.isfinite(errors).all(axis=1)]
+    return root_mean_square(errors) if len(errors) else None
+
+
+def _final_position_sigma_m(trial: Trial) -> float | None:
+    covariance = trial.final_covariance
+    return None if covariance is None else float(np.sqrt(np.trace(covariance[POSITION, POSITION])))
+
+
+def _final_pose_logdet(trial: Trial) -> float | None:
+    if trial.final_covariance is None:
+        return None
+    sign, log_determinant = np.linalg.slogdet(trial.final_covariance)
+    return float(log_determinant) if sign > 0 else None
+
+
+def _efficiency_percent(trial: Trial) -> float | None:
+    error = trial.position_rmse
+    return 100.0 * trial.bound_rmse(POSITION) / error if error > 0 else None
+
+
+def _diverged(trial: Trial) -> int:
+    return int(trial.run.failure is not None or trial.end_drift_percent > trial.divergence_percent)
+
+
+# ---- over runs ------------------------------------------------------------------------------------------------------
+
+
+def _of_known(words: str, combine: Callable[[FloatArray], float]) -> Combination:
+    """Combination of the runs in which a figure is known; None where there are none."""
+
+    def of(sample: Sample, name: str) -> float | None:
+        known = sample.known(name)
+        return number(combine(known)) if len(known) else None
+
+    return Combination(words, of)
+
+
+ROOT_MEAN_SQUARE = _of_known("root mean square", root_mean_square)
+MEAN = _of_known("mean", mean)
+MEDIAN = _of_known("median", median)
+LARGEST = _of_known("largest", lambda values: float(values.max()))
+SUM = Combination("sum", lambda sample, name: int(sample.known(name).sum()))
+
+
+def _consistency(what: str, field: str = "mean", words: str = "mean over all frames") -> Combination:
+    return Combination(words, lambda s, _: getattr(s.consistency[what], field) if what in s.consistency else None)
+
+
+def _over_segments(series: str) -> Combination:
+    return Combination("mean over all segments", lambda s, _: number(mean(getattr(s.segments, series))))
+
+
+def _efficiency(sample: Sample, _: str) -> float | None:
+    bounds, errors = sample.column("bound_position_m"), sample.column("position_rmse_m")
+    both = np.isfinite(bounds) & np.isfinite(errors)
+    squared = np.sum(np.square(errors[both]))
+    return float(100.0 * np.sqrt(np.sum(np.square(bounds[both])) / squared)) if squared > 0 else None
+
+
+def _gated_percent(sample: Sample, _: str) -> float | None:
+    updated, gated = (sample.known(name).sum() for name in ("updated", "gated"))
+    return float(100.0 * gated / (updated + gated)) if updated + gated else None
+
+
+# ---- the table ------------------------------------------------------------------------------------------------------
+
+
+def _median(series: str) -> tuple[Callable[[Trial], float], Combination]:
+    """Median over frames of a series: of one run, and of all frames of all runs."""
+    over_runs = Combination("median over all frames", lambda s, _: number(median(pooled(s.completed, series))))
+    return lambda trial: median(pooled([trial.run], series)), over_runs
+
+
+def _mean(series: str) -> Callable[[Trial], float]:
+    return lambda trial: mean(pooled([trial.run], series))
+
+
+def _count(series: str) -> Callable[[Trial], int | None]:
+    return lambda trial: int(trial.run.counts[series].sum()) if series in trial.run.counts else None
+
+
+_BRIEF: tuple[Place, ...] = ("brief", "console", "report")
+_CONSOLE: tuple[Place, ...] = ("console",)
+_REPORT: tuple[Place, ...] = ("report",)
+_TEXT: dict[str, Any] = {"kind": "text", "of_failed": True, "places": ()}
+_COUNT: dict[str, Any] = {"kind": "integer", "of_failed": True, "digits": 0}
+_NEES: dict[str, Any] = {"digits": 2, "places": _REPORT}
+
+# fmt: off
+_TABLE = (
+    Figure("filter", "", "", "trial", "label of the filter", lambda t: t.run.filter_name, **_TEXT),
+    Figure("recording", "", "", "trial", "name of the recording", lambda t: t.run.recording_name, **_TEXT),
+    Figure("seed", "", "", "trial", "seed of the recording; null for real data", lambda t: t.run.seed,
+           kind="integer", of_failed=True, places=()),
+    Figure("frames", "scored frames", "", "trial", "frames with truth, the first one left out",
+           lambda t: int(t.scored.sum()), SUM, kind="integer", places=()),
+    Figure("path_m", "path", "m", "trial", "length of the true path over the scored frames",
+           lambda t: None if t.positions is None else metrics.path_length(t.positions[1]), places=()),
+
+    Figure("position_rmse_m", "position error", "m", "accuracy",
+           "root mean square position error, not aligned; null with fewer than 3 scored frames",
+           lambda t: t.position_rmse, ROOT_MEAN_SQUARE, compared=True, places=_BRIEF),
+    Figure("rotation_rmse_deg", "rotation error", "°", "accuracy",
+           "root mean square angle between estimated and true orientation",
+           _rotation_rmse_deg, ROOT_MEAN_SQUARE, compared=True),
+    Figure("ate_rigid_m", "rigid ATE", "m", "accuracy",
+           "absolute trajectory error: root mean square after rigid alignment, without scale",
+           lambda t: None if t.positions is None else metrics.ate_rigid(*t.positions), MEDIAN,
+           compared=True, places=_BRIEF),
+    Figure("end_drift_percent", "drift at the end", "%", "accuracy",
+           "end_error_m over path_m; null where the vehicle stands still", lambda t: t.end_drift_percent, MEAN),
+    Figure("velocity_rmse_m_s", "velocity error", "m/s", "accuracy",
+           "root mean square error of the linear velocity in W; null without true velocities",
+           _velocity_rmse_m_s, ROOT_MEAN_SQUARE, places=_REPORT),
+    Figure("rpe_translation_percent", "t_rel", "%", "accuracy",
+           "relative translation error over all segments of all lengths, as KITTI has it",
+           lambda t: mean(t.segments.translation_percent), _over_segments("translation_percent"), places=_REPORT),
+    Figure("rpe_rotation_deg_per_100m", "r_rel", "°/100 m", "accuracy",
+           "relative rotation error over the same segments",
+           lambda t: mean(t.segments.rotation_deg_per_100m), _over_segments("rotation_deg_per_100m"), places=_REPORT),
+    Figure("rpe_segments", "segments", "", "accuracy", "number of those segments; 0 where the path is too short",
+           lambda t: len(t.segments), kind="integer", places=()),
+    Figure("landmark_rmse_m", "landmark error", "m", "accuracy",
+           "median over frames of the root mean square error of landmarks within 40 m, relative to the camera",
+           *_median("landmark_rmse"), compared=True, places=_BRIEF),
+    Figure("bound_position_m", "position bound", "m", "accuracy",
+           "posterior Cramer-Rao bound of position_rmse_m; null where truth is not complete",
+           lambda t: t.bound_rmse(POSITION), ROOT_MEAN_SQUARE, places=_REPORT),
+    Figure("bound_rotation_deg", "rotation bound", "°", "accuracy",
+           "posterior Cramer-Rao bound of rotation_rmse_deg",
+           lambda t: float(np.rad2deg(t.bound_rmse(ROTATION))), ROOT_MEAN_SQUARE, places=_REPORT),
+    Figure("efficiency_percent", "efficiency", "%", "accuracy",
+           "bound_position_m over position_rmse_m: 100 leaves nothing to gain",
+           _efficiency_percent, Combination("ratio of both root mean squares", _efficiency),
+           digits=0, larger_is_better=True, compared=True, places=_BRIEF),
+
+    Figure("final_position_sigma_m", "claimed σ at the end", "m", "claim",
+           "what end_error_m should be: root of the trace of the position's covariance in that frame",
+           _final_position_sigma_m, ROOT_MEAN_SQUARE),
+    Figure("final_pose_logdet", "claimed log det at the end", "", "claim",
+           "natural logarithm of the determinant of that pose covariance, in m and rad",
+           _final_pose_logdet, MEAN, digits=2, is_ratio=False),
+    Figure("end_error_m", "true error at the end", "m", "claim",
+           "position error in the last scored frame, not aligned", _end_error_m, ROOT_MEAN_SQUARE),
+
+    Figure("pose_anees", "pose NEES", "", "consistency", "mean NEES of the pose over frames; 6 is ideal",
+           _mean("pose_nees"), _consistency("pose"), digits=2, ideal=DOF["pose"], compared=True, places=_BRIEF),
+    Figure("frames_in_band_percent", "frames inside the band", "%", "consistency",
+           "share of the frames whose pose NEES, averaged over runs, is inside the 95 % band of that frame",
+           None, _consistency("pose", "inside_percent", "share of frames"), digits=0, places=_CONSOLE),
+    Figure("position_anees", "position NEES", "", "consistency", "mean NEES of the position; 3 is ideal",
+           _mean("position_nees"), _consistency("position"), ideal=DOF["position"], **_NEES),
+    Figure("rotation_anees", "rotation NEES", "", "consistency", "mean NEES of the rotation; 3 is ideal",
+           _mean("rotation_nees"), _consistency("rotation"), ideal=DOF["rotation"], **_NEES),
+    Figure("landmark_anees", "landmark NEES", "", "consistency",
+           "mean NEES of landmarks in (u, v, d); 3 is ideal",
+           lambda t: landmark_anees([t.run]), _consistency("landmark"), digits=2, ideal=DOF["landmark"]),
+    Figure("nis", "NIS / dof", "", "consistency",
+           "normalised innovation squared by its degrees of freedom; 1 is ideal",
+           lambda t: nis_per_dof([t.run]), _consistency("nis"), digits=2, ideal=1.0, compared=True),
+    Figure("nis_dof", "degrees of freedom", "", "consistency", "degrees of freedom of all innovations together",
+           lambda t: int(t.run.nis_dof.sum()), kind="integer", places=()),
+
+    Figure("ms_per_frame", "time", "ms", "cost", "median over frames of predict + update, the first frame left out",
+           *_median("milliseconds"), digits=2, compared=True, places=_BRIEF),
+    Figure("ms_predict", "time of predict", "ms", "cost", "median over frames of predict",
+           *_median("predict_milliseconds"), digits=2, places=_REPORT),
+    Figure("ms_update", "time of update", "ms", "cost", "median over frames of update",
+           *_median("update_milliseconds"), digits=2, places=_REPORT),
+    Figure("memory_mb", "memory", "MB", "cost",
+           "growth of the peak resident memory of the process; null where not known",
+           lambda t: t.run.memory_mb, LARGEST, digits=1, places=_REPORT),
+    Figure("state_size", "state size", "", "cost",
+           "median over frames of the dimension of the error state; null where the filter does not say",
+           *_median("state_size"), digits=0, places=_REPORT),
+    Figure("map_size", "map size", "", "cost", "median over frames of the number of landmarks in the map",
+           lambda t: median(t.run.counts["map_size"][1:]), places=()),
+
+    Figure("gated_percent", "gated", "%", "events", "measurements of known landmarks refused by the gate",
+           None, Combination("share of all measurements", _gated_percent), digits=1),
+    Figure("updated", "updates", "", "events", "measurements that corrected the state",
+           _count("updated"), places=(), **_COUNT),
+    Figure("initialised", "new landmarks", "", "events", "landmarks that entered the map",
+           _count("initialised"), places=(), **_COUNT),
+    Figure("dropped", "dropped landmarks", "", "events", "landmarks that left the map",
+           _count("dropped"), places=(), **_COUNT),
+    Figure("gated", "gated measurements", "", "events", "measurements refused by the gate",
+           _count("gated"), places=(), **_COUNT),
+    Figure("rejected", "rejected", "", "events", "measurements that could not start a landmark",
+           _count("rejected"), SUM, places=_REPORT, **_COUNT),
+    Figure("behind_camera", "behind the camera", "", "events",
+           "measurements of landmarks predicted behind the camera, not used",
+           _count("behind_camera"), SUM, places=_REPORT, **_COUNT),
+    Figure("failed_factorisations", "failed factorisations", "", "events",
+           "measurements whose S had no Cholesky factor, not used",
+           _count("failed_factorisations"), SUM, places=_REPORT, **_COUNT),
+    Figure("negative_depth", "landmarks at d ≤ 0", "", "events", "landmarks x frames seen and estimated at d <= 0",
+           _count("negative_depth"), SUM, places=_REPORT, **_COUNT),
+    Figure("diverged", "diverged runs", "", "events",
+           "1: failed, or ended farther from the truth than the divergence limit",
+           _diverged, SUM, per_runs=True, places=_BRIEF, **_COUNT),
+    Figure("alarmed", "runs with an alarm", "", "events",
+           "runs in which the divergence monitor raised an alarm, by innovations and events alone",
+           None, Combination("number", lambda s, _: len(s.known("alarm_s"))), digits=0, per_runs=True),
+    Figure("failure", "", "", "trial", "what the filter raised; null where it went through",
+           lambda t: t.run.failure, **_TEXT),
+    Figure("alarm_s", "alarm", "s", "events",
+           "first alarm of the divergence monitor, from the first frame on; null: never",
+           lambda t: None if t.alarm is None else t.alarm.time, of_failed=True, places=()),
+    Figure("alarm", "", "", "trial", "why, in one line",
+           lambda t: None if t.alarm is None else t.alarm.words, **_TEXT),
+)
+# fmt: on
+
+FIGURES: Mapping[str, Figure] = {figure.name: figure for figure in _TABLE}
+"""Every figure by its name, in the order of the tables."""

@@ -1,0 +1,253 @@
+"""Run of one filter over one recording, with everything that metrics and reports need."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from filters import StereoNoise
+from filters.common_options import make_with_common_options
+from filters.consistency import nees
+from filters.motion import POSE_SIZE, POSITION, ROTATION
+from filters.registry import FilterFactory, label_of
+from filters.validation import FloatArray, IntArray
+from stereo_slam_env.evaluation.landmark_statistics import LandmarkScorer
+from stereo_slam_env.evaluation.map_scoring import TraceRecorder, mean_nees, position_rmse, score_map, view_map
+from stereo_slam_env.evaluation.results import COUNTS, EVENTS, FilterRun, peak_memory_mb
+from stereo_slam_env.loop import Moment, Observe, run
+from stereo_slam_env.recording.recording import Recording
+
+_log = logging.getLogger(__name__)
+
+
+def run_filter(
+    recording: Recording,
+    filter_name: str | FilterFactory,
+    options: Mapping[str, Any] | None = None,
+    *,
+    label: str | None = None,
+    common_options: Mapping[str, Any] | None = None,
+    noise: StereoNoise | None = None,
+    use_odometry: bool = True,
+    score_map: bool = True,
+    seed: int | None = None,
+    observe: Observe | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> FilterRun:
+    """Run a filter over a recording with `stereo_slam_env.loop.run`, timed with one BLAS thread.
+
+    Parameters
+    ----------
+    recording : Recording
+        The stream.
+    filter_name : str or callable
+        A name of `filters.available_filters()`, or a filter class or function, as `make_filter` takes it.
+    options : mapping, optional
+        Options of the filter, JSON-able: `motion` is written as {"sigma_acceleration": ...,
+        "sigma_angular_acceleration": ...} or "velocity-driven".
+    label : str, optional
+        Name in tables and files; None: that of the filter.
+    common_options : mapping, optional
+        Options given to every filter of a comparison that leaves them open, see `filters.common_options`.
+    noise : StereoNoise, optional
+        Noise to assume; None: what the recording says.
+    use_odometry : bool
+        Whether `predict` is given the odometry of the recording.
+    score_map : bool
+        Whether the landmarks are judged, too, which costs about as much as a quick filter.
+    seed : int, optional
+        Of the recording, for the result.
+    observe : callable, optional
+        Measures instead of the recording, see `FilterLoop.step`.
+    progress : callable, optional
+        Called with (frames done, frames) after each frame.
+
+    Returns
+    -------
+    FilterRun
+        A filter that raises or returns something that is not finite is a result too: `failure` says what happened.
+
+    Raises
+    ------
+    ValueError
+        The recording is empty.
+    """
+    if len(recording) == 0:
+        raise ValueError(f"recording {recording.name!r} has no frames")
+    name = label or label_of(filter_name)
+    log = RunLog(recording)
+    memory = peak_memory_mb()
+    used: dict[str, Any] = dict(options or {})
+    not_given: Mapping[str, str] = {}
+    frame_number = -1
+    with threadpool_limits(limits=1):
+        try:
+            made = make_with_common_options(
+                filter_name,
+                recording.camera,
+                recording.noise if noise is None else noise,
+                options or {},
+                common_options or {},
+            )
+            used, not_given = made.options, made.not_given
+            moments = run(made.filter, recording, use_odometry=use_odometry, observe=observe)
+            frame_number = 0
+            for moment in moments:
+                log.add(moment)
+                if score_map:
+                    log.add_map(moment)
+                frame_number = moment.number + 1
+                if progress is not None:
+                    progress(frame_number, len(recording))
+            failure = None
+        except Exception as error:  # a stranger's filter may raise anything; the comparison goes on without it
+            failure = failure_line(frame_number, error)
+            _log.info("%s on %s failed at %s", name, recording.name, failure)
+    return log.result(name, used, seed, failure, peak_memory_mb() - memory, not_given)
+
+
+class RunLog:
+    """The arrays of a `FilterRun`, filled frame by frame."""
+
+    def __init__(self, recording: Recording) -> None:
+        self._recording = recording
+        self._has_independent_truth = recording.reference.is_independent
+        count = len(recording)
+
+        def unknown(*shape: int) -> FloatArray:
+            return np.full((count, *shape), np.nan)
+
+        self._series: dict[str, FloatArray] = {
+            "positions": unknown(3),
+            "orientations": unknown(4),
+            "pose_covariances": unknown(6, 6),
+            "linear_velocities": unknown(3),
+            "angular_velocities": unknown(3),
+            "velocity_covariances": unknown(6, 6),
+            "pose_errors": unknown(6),
+            "pose_nees": unknown(),
+            "position_nees": unknown(),
+            "rotation_nees": unknown(),
+            "landmark_nees": unknown(),
+            "landmark_rmse": unknown(),
+            "nis": unknown(),
+            "milliseconds": unknown(),
+            "predict_milliseconds": unknown(),
+            "update_milliseconds": unknown(),
+            "state_size": unknown(),
+        }
+        self._nis_dof: IntArray = np.zeros(count, dtype=np.int64)
+        self._counts: dict[str, IntArray] = {name: np.zeros(count, dtype=np.int64) for name in COUNTS}
+        self._traces = TraceRecorder(recording)
+        self._scorer = LandmarkScorer(recording.camera)
+
+    def add(self, moment: Moment) -> None:
+        """Note what a filter believes after a frame; raises ArithmeticError where that is not finite."""
+        k, series, pose, velocity, report = (
+            moment.number,
+            self._series,
+            moment.pose,
+            moment.slam.velocity,
+            moment.report,
+        )
+        belief = {
+            "positions": pose.position,
+            "orientations": pose.orientation,
+            "pose_covariances": pose.covariance,
+            "linear_velocities": velocity.linear,
+            "angular_velocities": velocity.angular,
+            "velocity_covariances": velocity.covariance,
+        }
+        for name, value in belief.items():
+            if not np.isfinite(value).all():
+                raise ArithmeticError(f"the filter returned NaN or infinity in its {name.replace('_', ' ')}")
+        for name, value in belief.items():
+            series[name][k] = value
+        series["nis"][k], self._nis_dof[k] = report.nis, report.nis_dof
+        for name in EVENTS:
+            self._counts[name][k] = len(getattr(report, name))
+        self._counts["failed_factorisations"][k] = report.failed_factorisations
+        predicting, updating = 1000.0 * moment.predict_seconds, 1000.0 * moment.update_seconds
+        series["predict_milliseconds"][k], series["update_milliseconds"][k] = predicting, updating
+        series["milliseconds"][k] = predicting + updating
+        series["state_size"][k] = getattr(moment.slam, "state_size", np.nan)
+        if moment.pose_error is not None:
+            self._add_pose_error(k, *moment.pose_error)
+
+    def _add_pose_error(self, k: int, error: FloatArray, covariance: FloatArray) -> None:
+        """Note the pose error (6,) and, where the truth is independent, its NEES by the covariance (6, 6) claimed."""
+        self._series["pose_errors"][k] = error
+        if not self._has_independent_truth:
+            return
+        for name, part in (
+            ("pose_nees", slice(0, POSE_SIZE)),
+            ("position_nees", POSITION),
+            ("rotation_nees", ROTATION),
+        ):
+            self._series[name][k] = nees(error[None, part], covariance[None, part, part])[0]
+
+    def add_map(self, moment: Moment) -> None:
+        """Score the map and follow the traced landmarks."""
+        k, series, camera = moment.number, self._series, self._recording.camera
+        landmarks = self._recording.landmarks if self._has_independent_truth else None
+        view = view_map(moment.slam, moment.truth, landmarks)
+        score = score_map(view, camera)
+        series["landmark_nees"][k] = mean_nees(score)
+        series["landmark_rmse"][k] = position_rmse(score)
+        self._scorer.add(score)
+        self._traces.add(k, view, moment.observation)
+        behind = view.ids[view.uvd[:, 2] <= 0]
+        self._counts["negative_depth"][k] = int(np.isin(behind, moment.observation.ids).sum()) if len(behind) else 0
+        self._counts["map_size"][k] = len(view.ids)
+
+    def result(
+        self,
+        label: str,
+        options: Mapping[str, Any],
+        seed: int | None,
+        failure: str | None,
+        memory_mb: float,
+        not_given: Mapping[str, str] | None = None,
+    ) -> FilterRun:
+        """The run so far."""
+        frames = self._recording.frames
+        nowhere, no_turn = np.full(3, np.nan), np.full(4, np.nan)
+        poses, moves = [f.truth for f in frames], [f.truth_velocity for f in frames]
+        return FilterRun(
+            filter_name=label,
+            recording_name=self._recording.name,
+            options=options,
+            not_given=not_given or {},
+            seed=seed,
+            timestamps=np.array([f.timestamp for f in frames]),
+            true_positions=np.array([nowhere if p is None else p.position for p in poses]),
+            true_orientations=np.array([no_turn if p is None else p.orientation for p in poses]),
+            true_linear_velocities=np.array([nowhere if v is None else v.linear for v in moves]),
+            true_angular_velocities=np.array([nowhere if v is None else v.angular for v in moves]),
+            nis_dof=self._nis_dof,
+            counts=self._counts,
+            traces=self._traces.traces(),
+            failure=failure,
+            memory_mb=memory_mb,
+            landmark_statistics=self._scorer.statistics,
+            truth_from=self._recording.truth_from,
+            **self._series,
+        )
+
+
+def failed_run(
+    recording: Recording, label: str, options: Mapping[str, Any], seed: int | None, failure: str
+) -> FilterRun:
+    """The result of a filter that gave none; `failure` is one line."""
+    return RunLog(recording).result(label, options, seed, failure, float("nan"))
+
+
+def failure_line(frame_number: int, error: Exception) -> str:
+    """One line on what a filter raised, and in which frame (negative: before the first)."""
+    where = f"frame {frame_number}" if frame_number >= 0 else "start"
+    text = str(error).strip()
+    return f"{where}: {type(error).__name__}: {text.splitlines()[0] if text else 'no message'}"

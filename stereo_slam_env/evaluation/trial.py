@@ -1,0 +1,158 @@
+"""Input of the figures: one run, and all runs of a filter, with the intermediate results that figures share."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from filters.interface import PoseBelief, UpdateReport
+from filters.monitor import Alarm, DivergenceMonitor
+from filters.validation import BoolArray, FloatArray
+from stereo_slam_env.evaluation import trajectory_metrics as metrics
+from stereo_slam_env.evaluation.consistency_figures import consistency_figures
+from stereo_slam_env.evaluation.cramer_rao import Bound
+from stereo_slam_env.evaluation.results import ConsistencyFigure, FilterRun
+from stereo_slam_env.evaluation.trajectory_metrics import SegmentErrors
+
+FEWEST_FRAMES = 3  # an alignment needs so many
+_COUNTED = {
+    **{name: name for name in ("updated", "initialised", "dropped", "gated", "behind_camera")},
+    "failed": "failed_factorisations",
+}
+"""Field of `UpdateReport` with ids: the series of a run that counts them."""
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """One run, with the intermediate results that several of its figures need.
+
+    The first frame only initialises and is not scored, nor are frames without truth.
+
+    Attributes
+    ----------
+    run : FilterRun
+        The run.
+    divergence_percent : float
+        The run diverged if it ends farther from the truth than this share of the distance travelled.
+    bound : Bound, optional
+        Theoretical limit on its recording, one entry a frame; another number is refused with a `ValueError`.
+    """
+
+    run: FilterRun
+    divergence_percent: float
+    bound: Bound | None = None
+
+    def __post_init__(self) -> None:
+        if self.bound is not None and len(self.bound.pose) != len(self.run):
+            raise ValueError(
+                f"bound must have one entry a frame: {len(self.bound.pose)} entries, {len(self.run)} frames"
+            )
+
+    @cached_property
+    def scored(self) -> BoolArray:
+        """Frames with a finite position and truth, but for the first; (K,)."""
+        known = np.array(np.isfinite(self.run.positions).all(axis=1) & np.isfinite(self.run.true_positions).all(axis=1))
+        known[:1] = False
+        return known
+
+    @cached_property
+    def positions(self) -> tuple[FloatArray, FloatArray] | None:
+        """Estimated and true positions of the scored frames; None where they are fewer than `FEWEST_FRAMES`."""
+        if self.scored.sum() < FEWEST_FRAMES:
+            return None
+        return self.run.positions[self.scored], self.run.true_positions[self.scored]
+
+    @cached_property
+    def position_rmse(self) -> float:
+        """Root mean square position error, m, not aligned."""
+        return float("nan") if self.positions is None else metrics.ate_unaligned(*self.positions)
+
+    @cached_property
+    def end_drift_percent(self) -> float:
+        """Final position error by the length of the path; NaN where the vehicle stands still."""
+        moved = self.positions is not None and metrics.path_length(self.positions[1]) > 0
+        return metrics.end_drift_percent(*self.positions) if self.positions and moved else float("nan")
+
+    @cached_property
+    def segments(self) -> SegmentErrors:
+        """Relative errors over the scored frames; none of a run that failed."""
+        run, at = self.run, self.scored if self.run.failure is None else np.zeros(len(self.run), dtype=bool)
+        estimate, truth = (run.positions[at], run.orientations[at]), (run.true_positions[at], run.true_orientations[at])
+        return metrics.segment_errors(*estimate, *truth)
+
+    @cached_property
+    def final_covariance(self) -> FloatArray | None:
+        """Pose covariance in the last scored frame; without truth, in the last frame that has one."""
+        claims = np.isfinite(self.run.pose_covariances).all(axis=(1, 2))
+        last = np.flatnonzero(self.scored if self.scored.any() else claims)[-1:]
+        return self.run.pose_covariances[last[0]] if len(last) else None
+
+    def bound_rmse(self, part: slice) -> float:
+        """Root mean square bound of `POSITION`, m, or `ROTATION`, rad, over the scored frames."""
+        if self.bound is None or not self.scored.any():
+            return float("nan")
+        return float(np.sqrt(np.mean(np.trace(self.bound.pose[self.scored, part, part], axis1=1, axis2=2))))
+
+    @cached_property
+    def alarm(self) -> Alarm | None:
+        """First alarm of the divergence monitor, by innovations and events alone; its time is from the first frame on.
+
+        What the filter did after it failed is not looked at.
+        """
+        run, monitor = self.run, DivergenceMonitor()
+        for k, dt in enumerate(np.diff(run.timestamps, prepend=run.timestamps[:1])):
+            if not np.isfinite(run.positions[k]).all():
+                break
+            ids = {name: np.arange(run.counts[series][k]) for name, series in _COUNTED.items() if series in run.counts}
+            report = UpdateReport(**ids, nis=float(run.nis[k]), nis_dof=int(run.nis_dof[k]))
+            pose = PoseBelief(run.positions[k], run.orientations[k], run.pose_covariances[k])
+            if monitor.look(max(float(dt), 0.0), report, pose) is not None:
+                break
+        return monitor.alarm
+
+
+def position_rmse(run: FilterRun) -> float:
+    """Root mean square position error of a run, m; NaN where there is none."""
+    return float("nan") if run.failure is not None else Trial(run, np.inf).position_rmse
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """The runs of one filter with their figures.
+
+    Attributes
+    ----------
+    runs : sequence of FilterRun
+        One a recording.
+    rows : sequence of mapping
+        The figures of each.
+    segments : SegmentErrors
+        Of all runs together.
+    """
+
+    runs: Sequence[FilterRun]
+    rows: Sequence[Mapping[str, Any]]
+    segments: SegmentErrors
+
+    @cached_property
+    def completed(self) -> list[FilterRun]:
+        """The runs that did not fail."""
+        return [run for run in self.runs if run.failure is None]
+
+    @cached_property
+    def consistency(self) -> dict[str, ConsistencyFigure]:
+        """NEES and NIS against their bands."""
+        return consistency_figures(self.completed)
+
+    def column(self, name: str) -> FloatArray:
+        """A figure of each run; NaN where not known."""
+        return np.array([np.nan if row[name] is None else row[name] for row in self.rows], dtype=np.float64)
+
+    def known(self, name: str) -> FloatArray:
+        """A figure of the runs in which it is known."""
+        values = self.column(name)
+        return values[np.isfinite(values)]

@@ -1,0 +1,264 @@
+"""Readers of texts, numeric tables and npz archives that may come from anybody: nothing is executed, sizes are bounded.
+
+`np.load` believes the header of an array and allocates what it says, and a compressed archive of a kilobyte can hold
+a megabyte of zeros. Here sizes are compared first: that of the archive, of its parts, and of the arrays in them.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import stat
+import struct
+import tokenize
+import warnings
+import zipfile
+import zlib
+from collections.abc import Collection, Mapping
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from filters.validation import BoolArray, FloatArray
+
+MOST_TEXT = 100_000_000
+"""Larger texts are refused before they are read, bytes."""
+MOST_BYTES = 256_000_000
+"""An archive may always unpack to so many bytes ..."""
+MOST_GROWTH = 20
+"""... or to so many times its own size."""
+_PIECE, _MOST_HEADER = 1 << 20, 1 << 17
+_LEAST_VOLUME = 1e-6
+"""Determinant; that of a rotation is 1."""
+
+_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # what NumPy writes; others can ask for memory of their own
+_DAMAGE = (
+    *(OSError, EOFError, ValueError, TypeError, KeyError, IndexError, OverflowError, RuntimeError, SyntaxError),
+    *(tokenize.TokenError, struct.error, zlib.error, zipfile.BadZipFile),
+)
+"""What `zipfile`, `zlib` and the header's parser raise where a file is not what it says."""
+
+
+Shape = int | str | tuple[int | str, ...]
+"""Of an array in an archive, see `read_archive`."""
+
+
+class DamagedArchive(ValueError):
+    """The file is no npz archive of plain arrays, or unpacks to too much; the message does not name the file."""
+
+
+def read_text(path: Path, *, errors: str = "strict", most_bytes: int = MOST_TEXT) -> str:
+    """Read a text file.
+
+    Parameters
+    ----------
+    path : Path
+        The file, UTF-8.
+    errors : {"strict", "replace"}
+        What to do about bytes that are no text.
+    most_bytes : int
+        Larger files are refused.
+
+    Raises
+    ------
+    FileNotFoundError
+        There is no such file.
+    ValueError
+        No regular file (a pipe or a device could be read for ever), too large, not readable, or no text: one line.
+    """
+    try:
+        found = path.stat()
+        if not stat.S_ISREG(found.st_mode):
+            raise ValueError(f"{path} is no regular file: copy it again")
+        if found.st_size > most_bytes:
+            raise ValueError(f"{path} has {found.st_size} bytes: more than {most_bytes} are refused")
+        return path.read_text(encoding="utf-8", errors=errors)
+    except FileNotFoundError:
+        raise
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{path} is no text (byte {error.start}): copy it again") from error
+    except OSError as error:
+        raise ValueError(f"{path} cannot be read ({error.strerror or type(error).__name__}): check the file") from error
+
+
+def read_table(
+    path: Path, columns: int, *, delimiter: str | None = None, header_lines: int = 0, finite: bool = True
+) -> FloatArray:
+    """Read a numeric table.
+
+    Parameters
+    ----------
+    path : Path
+        Text file, one row a line.
+    columns : int
+        Wanted number of columns.
+    delimiter : str, optional
+        None for white space.
+    header_lines : int
+        Lines to skip.
+    finite : bool
+        Whether NaN and infinity are refused.
+
+    Returns
+    -------
+    (rows, columns) ndarray
+
+    Raises
+    ------
+    ValueError
+        Missing, not a table of that width, empty, or, where `finite`, with NaN or infinity: the message names file
+        and row.
+    """
+    try:
+        text = read_text(path)
+    except FileNotFoundError as error:
+        raise ValueError(f"{path} is missing: copy it from the recording") from error
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # of an empty file: the error below says it
+            table = np.loadtxt(io.StringIO(text), dtype=np.float64, delimiter=delimiter, skiprows=header_lines, ndmin=2)
+    except (ValueError, OverflowError) as error:
+        raise ValueError(f"{path} is not a table of {columns} numbers a row: {first_line(error)}") from error
+    if table.size == 0:
+        raise ValueError(f"{path} is empty: {columns} numbers a row were expected")
+    if table.shape[1] != columns:
+        raise ValueError(f"{path} has {table.shape[1]} columns where {columns} were expected")
+    bad = np.flatnonzero(~finite_rows(table))
+    if finite and bad.size:
+        raise ValueError(f"{path} has NaN or infinity in {bad.size} rows, the first is row {bad[0]}: remove them")
+    return table
+
+
+def finite_rows(table: FloatArray) -> BoolArray:
+    """Which rows of (K, columns) hold neither NaN nor infinity."""
+    return np.asarray(np.isfinite(table).all(axis=1), dtype=np.bool_)
+
+
+def read_poses(path: Path) -> tuple[FloatArray, FloatArray]:
+    """Read KITTI poses, 12 numbers a row: positions (K, 3) r^WC, m, and orientations (K, 4) q^WC, xyzw."""
+    matrices = read_table(path, 12).reshape(-1, 3, 4)
+    require_rotations(path, matrices)
+    return split_poses(matrices)
+
+
+def split_poses(matrices: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Positions (K, 3) and unit quaternions xyzw (K, 4) of K matrices whose upper 3x4 part is [R | t]."""
+    return matrices[:, :3, 3].copy(), Rotation.from_matrix(matrices[:, :3, :3]).as_quat()
+
+
+def require_rotations(path: Path, matrices: FloatArray) -> None:
+    """Raise a `ValueError` naming the first of K matrices whose upper 3x3 part has no nearest rotation."""
+    with np.errstate(all="ignore"):
+        volume = np.linalg.det(matrices[:, :3, :3])
+        bad = np.flatnonzero(~((volume > _LEAST_VOLUME) & np.isfinite(volume)))
+    if bad.size:
+        raise ValueError(f"{path} holds no rotation in pose {bad[0]}: correct it")
+
+
+def read_archive(path: Path, shapes: Mapping[str, Shape]) -> dict[str, FloatArray]:
+    """Read float64 arrays of known shapes from an npz archive (no pickles).
+
+    Parameters
+    ----------
+    path : Path
+        The archive.
+    shapes : mapping
+        Name of each array -> its shape, or, of one that is returned flat, its number of entries. A letter stands for
+        a length that is the same wherever it stands.
+
+    Raises
+    ------
+    ValueError
+        The archive is damaged, lacks an array, or one has another shape, NaN or infinity; the message names the file.
+    """
+    if path.exists() and not path.is_file():  # a pipe could be read for ever
+        raise ValueError(f"{path} is no regular file: copy it again")
+    try:
+        arrays = read_arrays(path, tuple(shapes))
+        if sum(array.size for array in arrays.values()) * np.float64().itemsize > MOST_BYTES:
+            raise ValueError(f"as float64 its arrays take more than {MOST_BYTES} bytes")
+        found = {key: np.asarray(array, dtype=np.float64) for key, array in arrays.items()}
+    except FileNotFoundError:
+        raise
+    except (ValueError, TypeError, OSError) as error:
+        raise ValueError(f"{path} is damaged and cannot be read: copy it again ({first_line(error)})") from error
+    if missing := [key for key in shapes if key not in found]:
+        raise ValueError(f"{path} lacks the array {', '.join(missing)}")
+    lengths: dict[str, int] = {}
+    for key, shape in shapes.items():
+        flat = not isinstance(shape, tuple)
+        array = found[key] = found[key].reshape(-1) if flat else found[key]
+        wanted = (shape,) if isinstance(shape, int | str) else shape
+        if array.ndim == len(wanted):
+            lengths = {n: got for n, got in zip(wanted, array.shape, strict=True) if isinstance(n, str)} | lengths
+        expected = tuple(lengths.get(n, n) if isinstance(n, str) else n for n in wanted)
+        if array.shape != expected:
+            counted = f"{array.size} numbers, expected {expected[0]}"
+            raise ValueError(
+                f"{path}: array {key} has " + (counted if flat else f"shape {array.shape}, expected {expected}")
+            )
+        if not np.isfinite(array).all():
+            raise ValueError(f"{path}: array {key} has NaN or infinity: mark what was not seen with -1")
+    return found
+
+
+def read_arrays(source: str | Path | IO[bytes], names: Collection[str] | None = None) -> dict[str, NDArray[Any]]:
+    """Read arrays as `np.load` does, without pickles and with a limit to what they take.
+
+    Parameters
+    ----------
+    source : str, Path or binary stream
+        The npz archive.
+    names : collection of str, optional
+        Arrays to read, those of them that there are; None reads all.
+
+    Raises
+    ------
+    FileNotFoundError
+        There is no such file.
+    DamagedArchive
+        Anything else that is wrong with it.
+    """
+    try:
+        with zipfile.ZipFile(source) as archive:
+            parts = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
+            assert archive.fp is not None
+            limit = max(MOST_BYTES, MOST_GROWTH * archive.fp.seek(0, os.SEEK_END))
+            total = sum(info.file_size for info in archive.infolist())
+            if total > limit:
+                raise DamagedArchive(f"it would unpack to {total} bytes, more than {limit} are refused")
+            return {name: _array(archive, info) for name, info in parts.items() if names is None or name in names}
+    except (FileNotFoundError, DamagedArchive):
+        raise
+    except _DAMAGE as error:
+        raise DamagedArchive(first_line(error)) from error
+
+
+def _array(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> NDArray[Any]:
+    if info.compress_type not in _METHODS:
+        raise DamagedArchive(f"array {info.filename} is compressed in a way that NumPy does not write")
+    content = bytearray(info.file_size)  # writable, so that the array needs no copy
+    at = 0
+    with archive.open(info) as part:
+        while piece := part.read(_PIECE):  # never more than the part declares
+            content[at : at + len(piece)] = piece
+            at += len(piece)
+    if at < info.file_size:
+        raise EOFError(f"{info.filename} is cut off")
+    stream = io.BytesIO(content[:_MOST_HEADER])
+    version = np.lib.format.read_magic(stream)
+    read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    shape, columns_first, dtype = read_header(stream)
+    if dtype.hasobject:
+        raise DamagedArchive(f"array {info.filename} holds pickled objects, which are not read")
+    # A header that promises more than the part holds is refused here, before anything is allocated.
+    return np.ndarray(shape, dtype, content, stream.tell(), order="F" if columns_first else "C")
+
+
+def first_line(error: BaseException) -> str:
+    """First line of an exception's message, or its type where the message is empty."""
+    text = str(error).strip()
+    return text.splitlines()[0] if text else type(error).__name__

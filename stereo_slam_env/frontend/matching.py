@@ -1,0 +1,217 @@
+"""Matching of patches: inside innovation ellipses (active search), and along the rows of a stereo pair."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from filters.validation import BoolArray, FloatArray, IntArray, finite_array
+from stereo_slam_env.frontend.correlation import best_peaks, refine
+from stereo_slam_env.frontend.patches import PATCH, Image, Patches, cut_patches
+
+_FAR = 1e9
+"""Outside of any ellipse, px."""
+_ROW_SIGMAS = 3.0
+"""Standard deviations of the rows' offset within the tolerance."""
+_RETURNS_WITHIN = 1.0
+"""How far a match back from the right image may end from where it began, px."""
+
+
+@dataclass(frozen=True, eq=False)
+class SearchResult:
+    """Where templates were found.
+
+    Attributes
+    ----------
+    position : (N, 2)
+        (u, v), px; NaN where there was no candidate inside the image.
+    score : (N,)
+        Correlation there; -1 where there was no candidate.
+    second : (N,)
+        Best correlation of another peak inside the ellipse, near `score` if the match is not unique; -1 if none is
+        above 1/2.
+    on_border : (N,) bool
+        The correlation is still rising where the ellipse ends: the landmark may be outside it.
+    covariance : (N, 2, 2)
+        Of the position, px^2; NaN where there was no candidate.
+    """
+
+    position: FloatArray
+    score: FloatArray
+    second: FloatArray
+    on_border: BoolArray
+    covariance: FloatArray
+
+
+def search(
+    image: Image,
+    templates: Patches,
+    centers: ArrayLike,
+    S: ArrayLike,
+    *,
+    gate: float = 3.0,
+    max_radius: float = 40.0,
+) -> SearchResult:
+    """Find templates inside their innovation ellipses.
+
+    Parameters
+    ----------
+    image : (H, W) uint8
+        Grey image.
+    templates : (N, 11, 11) float32
+        How the surroundings of the landmarks should look.
+    centers : (N, 2) array_like
+        Expected (u, v), px.
+    S : (N, 2, 2) array_like
+        Innovation covariance, px^2.
+    gate : float
+        Radius of the ellipse in standard deviations: candidates x have (x - c)^T S^-1 (x - c) <= gate^2, with half a
+        pixel's diagonal added, so that there is always one.
+    max_radius : float
+        No candidate is further away than this in u or v, px.
+
+    Raises
+    ------
+    ValueError
+        Wrong shapes, NaN or infinity, an S that is not positive semi-definite.
+    """
+    c = finite_array("centers", centers, (len(templates), 2))
+    covariance = finite_array("S", S, (len(templates), 2, 2))
+    reach = covariance + (np.sqrt(0.5) / gate) ** 2 * np.eye(2)
+    try:  # d^T S^-1 d <= gate^2 as |B d| <= 1, with B upper triangular
+        whiten = np.linalg.inv(gate * np.linalg.cholesky(reach[:, ::-1, ::-1])[:, ::-1, ::-1])
+    except np.linalg.LinAlgError as error:
+        raise ValueError("S must be positive semi-definite: a landmark has an impossible ellipse") from error
+    extent = np.minimum(gate * np.sqrt(np.diagonal(reach, axis1=1, axis2=2)), max_radius)
+
+    def within(difference: FloatArray, limit: FloatArray) -> Patches:
+        return np.where(np.abs(difference) <= limit, difference, _FAR).astype(np.float32)
+
+    def inside(index: IntArray, u: IntArray, v: IntArray) -> BoolArray:
+        (a, b), (_, d) = whiten[index].transpose(1, 2, 0).astype(np.float32)[..., None]
+        du, dv = (within(u - c[index, :1], extent[index, :1]), within(v - c[index, 1:], extent[index, 1:]))
+        squared = (b * dv)[:, :, None] + (a * du)[:, None, :]
+        squared *= squared
+        squared += ((d * dv) ** 2)[:, :, None]
+        allowed: BoolArray = squared <= 1.0
+        return allowed
+
+    peaks = best_peaks(image, templates, np.ceil(c - extent), np.floor(c + extent), inside)
+    found = peaks.score > -1.0
+    position, score = np.full(c.shape, np.nan), np.full(len(c), -1.0)
+    spread = np.full((len(c), 2, 2), np.nan)
+    refined = refine(image, templates[found], peaks.pixel[found], peaks.offset[found])
+    position[found], score[found], spread[found] = refined.position, refined.score, refined.covariance
+    away = position - c
+    with np.errstate(invalid="ignore"):
+        outside = (np.einsum("nij,nj->ni", whiten, away) ** 2).sum(axis=1) > 1.0
+    outside[found] |= peaks.rising[found] & ~refined.converged
+    return SearchResult(position, score, peaks.second, outside, spread)
+
+
+@dataclass(frozen=True, eq=False)
+class RowMatch:
+    """What was found along the rows.
+
+    Attributes
+    ----------
+    disparity : (N,)
+        u_left - u_right, px; NaN where there was nothing to compare with.
+    score : (N,)
+        Correlation; -1 where there was nothing to compare with.
+    accepted : (N,) bool
+        Good enough, unique, inside the range, and found again from the right.
+    variance : (N,)
+        Of the disparity, px^2; NaN where there was nothing to compare with.
+    v_right : (N,)
+        Row in the right image, px; NaN where there was nothing to compare with.
+    """
+
+    disparity: FloatArray
+    score: FloatArray
+    accepted: BoolArray
+    variance: FloatArray
+    v_right: FloatArray
+
+
+def match_rows(
+    left: Image,
+    right: Image,
+    uv: ArrayLike,
+    disparity_low: ArrayLike,
+    disparity_high: ArrayLike,
+    *,
+    rows: int = 1,
+    min_score: float = 0.8,
+    ratio: float = 0.9,
+    left_right_check: bool = True,
+) -> RowMatch:
+    """Find the surroundings of left pixels in the right image.
+
+    Parameters
+    ----------
+    left, right : (H, W) uint8
+        Rectified grey images.
+    uv : (N, 2) array_like
+        Positions in the left image, px.
+    disparity_low, disparity_high : (N,) array_like
+        Range of disparities, px.
+    rows : int
+        How far the right image's rows may be off, px: searched on either side, and taken for three standard deviations.
+    min_score : float
+        Least correlation.
+    ratio : float
+        The second best peak must stay below this share of the best.
+    left_right_check : bool
+        Match back from the right image over the same range; it must return to within 1 px.
+
+    Raises
+    ------
+    ValueError
+        Wrong shapes, NaN or infinity, or images of different size.
+    """
+    if left.shape != right.shape:
+        raise ValueError(f"right must have the size of left: {right.shape} and {left.shape}")
+    at = finite_array("uv", uv, ("N", 2))
+    n = len(at)
+    low = finite_array("disparity_low", disparity_low, (n,))
+    high = finite_array("disparity_high", disparity_high, (n,))
+    templates = cut_patches(left, at, PATCH)
+    nearest = np.rint(at[:, 1])
+    first = np.stack([np.rint(at[:, 0] - high), nearest - rows], axis=1)
+    last = np.stack([np.rint(at[:, 0] - low), nearest + rows], axis=1)
+    peaks = best_peaks(right, templates, first, last)
+
+    position, score, variance = np.full((n, 2), np.nan), np.full(n, -1.0), np.full(n, np.nan)
+    found = peaks.score > -1.0
+    refined = refine(right, templates[found], peaks.pixel[found], peaks.offset[found])
+    # On a slanted edge the row decides on the disparity: the expected one is a measurement of it.
+    P = refined.covariance
+    gain = P[:, :, 1] / (P[:, 1, 1] + (rows / _ROW_SIGMAS) ** 2)[:, None]
+    position[found] = refined.position + gain * (at[found, 1] - refined.position[:, 1])[:, None]
+    variance[found] = P[:, 0, 0] - gain[:, 0] * P[:, 0, 1]
+    score[found] = refined.score
+    disparity = at[:, 0] - position[:, 0]
+    with np.errstate(invalid="ignore"):
+        accepted = (score >= min_score) & (peaks.second < ratio * peaks.score)
+        accepted &= (disparity >= low - 0.5) & (disparity <= high + 0.5)
+    accepted[found] &= refined.converged | ~peaks.rising[found]
+    if left_right_check and accepted.any():
+        accepted[accepted] = _returns(
+            left, right, at[accepted], position[accepted], low[accepted], high[accepted], rows
+        )
+    return RowMatch(disparity, score, accepted, variance, position[:, 1])
+
+
+def _returns(
+    left: Image, right: Image, uv: FloatArray, in_right: FloatArray, low: FloatArray, high: FloatArray, rows: int
+) -> BoolArray:
+    """Whether the patches around `in_right` are found in the left image where they came from, (N,)."""
+    nearest = np.rint(in_right[:, 1])
+    first = np.stack([np.rint(in_right[:, 0] + low), nearest - rows], axis=1)
+    last = np.stack([np.rint(in_right[:, 0] + high), nearest + rows], axis=1)
+    back = best_peaks(left, cut_patches(right, in_right, PATCH), first, last)
+    returned: BoolArray = np.abs(back.pixel[:, 0] + back.offset[:, 0] - uv[:, 0]) <= _RETURNS_WITHIN
+    return returned & (back.score > -1.0)

@@ -1,0 +1,198 @@
+"""The loop that runs a filter: reset, then predict and update in every frame. Everything that runs a filter uses it."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from filters.consistency import nees
+from filters.interface import LandmarkBelief, PoseBelief, StereoFilter, StereoObservation, UpdateReport
+from filters.noise import StereoNoise
+from filters.registry import FilterFactory, label_of, make_filter
+from filters.start import Start
+from filters.validation import FloatArray
+from stereo_slam_env.recording.recording import SIMULATION, Frame, Pose, Recording, Reference
+
+Observe = Callable[[int, StereoFilter], StereoObservation]
+"""Measures in the images where a filter expects its landmarks: frame number and predicted filter -> observation."""
+
+
+@dataclass(frozen=True, eq=False)
+class Moment:
+    """A filter after the update of one frame. Its beliefs are read on first access: before the filter goes on.
+
+    Attributes
+    ----------
+    number : int
+        Of the frame, from 0.
+    frame : Frame
+        Time, measurements that were used, odometry, and truth where there is one.
+    slam : StereoFilter
+        The filter.
+    report : UpdateReport
+        What the update did.
+    reference : Reference
+        What the truth is.
+    predict_seconds, update_seconds : float
+        Time that the two calls took, s.
+    """
+
+    number: int
+    frame: Frame
+    slam: StereoFilter
+    report: UpdateReport
+    reference: Reference
+    predict_seconds: float
+    update_seconds: float
+
+    @property
+    def time(self) -> float:
+        """Time of the frame, s."""
+        return self.frame.timestamp
+
+    @property
+    def observation(self) -> StereoObservation:
+        """Measurements that were used."""
+        return self.frame.observation
+
+    @property
+    def truth(self) -> Pose | None:
+        """True pose of the left camera; None where it is not known."""
+        return self.frame.truth
+
+    @cached_property
+    def pose(self) -> PoseBelief:
+        """Estimated pose of the left camera."""
+        return self.slam.pose
+
+    @cached_property
+    def landmarks(self) -> LandmarkBelief:
+        """The map."""
+        return self.slam.landmarks
+
+    @cached_property
+    def pose_error(self) -> tuple[FloatArray, FloatArray] | None:
+        """Error (6,) in the filter's own definition and its claimed covariance (6, 6); None without truth."""
+        return None if self.truth is None else self.slam.pose_error(self.truth.position, self.truth.orientation)
+
+    @property
+    def nees(self) -> float:
+        """NEES of the pose, 6 degrees of freedom; NaN without a truth that is independent of the images."""
+        if self.pose_error is None or not self.reference.is_independent:
+            return float("nan")
+        error, covariance = self.pose_error
+        return float(nees(error[None], covariance[None])[0])
+
+    def hold(self) -> Moment:
+        """Read all beliefs now, so that they stay when the filter goes on; returns itself."""
+        _ = self.pose, self.landmarks, self.pose_error
+        return self
+
+    @property
+    def position_error(self) -> float:
+        """Distance to the true position, m; NaN without truth."""
+        return float("nan") if self.truth is None else float(np.linalg.norm(self.truth.position - self.pose.position))
+
+
+class FilterLoop:
+    """A filter that is fed frame by frame: the first frame only updates, every later one predicts, then updates.
+
+    Parameters
+    ----------
+    slam : StereoFilter
+        The filter.
+    reference : Reference
+        What the truth of the frames is.
+    use_odometry : bool
+        Whether `predict` is given the odometry of the frames.
+    """
+
+    def __init__(self, slam: StereoFilter, reference: Reference = SIMULATION, *, use_odometry: bool = True) -> None:
+        self.slam = slam
+        self._reference, self._use_odometry = reference, use_odometry
+        self._number, self._time = -1, 0.0
+
+    def reset(self, start: Start) -> None:
+        """Start the filter and the count of frames again."""
+        self.slam.reset(start)
+        self._number = -1
+
+    def step(self, frame: Frame, observe: Observe | None = None) -> Moment:
+        """Feed a frame; whatever the filter raises is passed on.
+
+        After a `predict` that raised, the next frame is predicted from the last one that did not.
+
+        Parameters
+        ----------
+        frame : Frame
+            The next one in time.
+        observe : callable, optional
+            Called after `predict`, untimed: measures instead of the frame.
+        """
+        number, began = self._number + 1, time.perf_counter()
+        if number:
+            self.slam.predict(frame.timestamp - self._time, frame.odometry if self._use_odometry else None)
+        predicted = time.perf_counter()
+        self._number, self._time = number, frame.timestamp
+        if observe is not None:
+            frame = dataclasses.replace(frame, observation=observe(number, self.slam))
+        measured = time.perf_counter()
+        report = self.slam.update(frame.observation)
+        updated = time.perf_counter()
+        return Moment(number, frame, self.slam, report, self._reference, predicted - began, updated - measured)
+
+
+def run(
+    slam: str | FilterFactory | StereoFilter,
+    recording: Recording,
+    *,
+    noise: StereoNoise | None = None,
+    use_odometry: bool = True,
+    observe: Observe | None = None,
+    **options: Any,
+) -> Iterator[Moment]:
+    """Run a filter over a recording; it computes a frame when its moment is asked for.
+
+    Parameters
+    ----------
+    slam : str, callable or StereoFilter
+        A name of `filters.available_filters()`, a filter class or function called as `make(camera=..., noise=...,
+        **options)`, or a filter, which is reset.
+    recording : Recording
+        The stream.
+    noise : StereoNoise, optional
+        Noise to assume; None: what the recording says. For a filter that is made here.
+    use_odometry : bool
+        Whether `predict` is given the odometry of the recording.
+    observe : callable, optional
+        Measures instead of the recording, see `FilterLoop.step`.
+    **options
+        Of the filter that is made here.
+
+    Yields
+    ------
+    Moment
+        The filter after each frame.
+
+    Raises
+    ------
+    ValueError
+        The recording is empty, the filter or an option is unknown or refused, or options are given for a filter that
+        is made already.
+    """
+    if len(recording) == 0:
+        raise ValueError(f"recording {recording.name!r} has no frames")
+    if not isinstance(slam, StereoFilter):
+        slam = make_filter(slam, camera=recording.camera, noise=noise or recording.noise, **options)
+    elif options or noise is not None:
+        given = ", ".join([*(["noise"] if noise is not None else []), *options])
+        raise ValueError(f"{given} must be given to {label_of(type(slam))} itself, which is made already")
+    loop = FilterLoop(slam, recording.reference, use_odometry=use_odometry)
+    loop.reset(recording.start)
+    return (loop.step(frame, observe) for frame in recording.frames)

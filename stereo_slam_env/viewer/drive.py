@@ -1,0 +1,174 @@
+"""A drive to watch: a filter over a recording, or again over that of a finished run.
+
+A run keeps what a filter was given and its pose, not its map; a filter is deterministic, so it says all of it again.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from filters.camera import StereoCamera
+from filters.registry import FilterFactory, filter_arguments, label_of
+from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice
+from stereo_slam_env.benchmark.scenarios.streams import make_sequence, without_measurements
+from stereo_slam_env.benchmark.storage.run_archive import load_run
+from stereo_slam_env.benchmark.storage.store import RunDirectory
+from stereo_slam_env.benchmark.storage.study_store import read_study
+from stereo_slam_env.evaluation.results import FilterRun
+from stereo_slam_env.frontend.recorder import ActiveSearch
+from stereo_slam_env.loop import Moment, Observe, run
+from stereo_slam_env.recording.archive import load_recording
+from stereo_slam_env.recording.recording import LandmarkTruth, Recording
+
+
+@dataclass(frozen=True, eq=False)
+class Drive:
+    """A drive to watch: the filter runs as its moments are asked for.
+
+    Attributes
+    ----------
+    title : str
+        One line.
+    label : str
+        The filter's name in legends.
+    camera : StereoCamera
+        The rig.
+    frames : int
+        Number of moments.
+    moments : callable
+        Runs the filter from the start, yields a `Moment` a frame; they may be kept.
+    landmarks : LandmarkTruth, optional
+        The true map.
+    """
+
+    title: str
+    label: str
+    camera: StereoCamera
+    frames: int
+    moments: Callable[[], Iterator[Moment]]
+    landmarks: LandmarkTruth | None = None
+
+    @classmethod
+    def of(
+        cls,
+        recording: Recording,
+        slam: str | FilterFactory,
+        *,
+        label: str | None = None,
+        title: str | None = None,
+        **settings: Any,
+    ) -> Drive:
+        """A filter's drive over a recording.
+
+        Parameters
+        ----------
+        recording : Recording
+            The stream.
+        slam : str or callable
+            As of `stereo_slam_env.run`.
+        label, title : str, optional
+            None: the name of the filter; that and the name of the recording.
+        **settings
+            The other arguments of `stereo_slam_env.run`.
+
+        Raises
+        ------
+        ValueError
+            See `stereo_slam_env.run`.
+        """
+        run(slam, recording, **settings)  # what is impossible is refused now
+        label = label or label_of(slam)
+
+        def moments() -> Iterator[Moment]:
+            return (moment.hold() for moment in run(slam, recording, **settings))
+
+        title = title or f"{label} on {recording.name}"
+        return cls(title, label, recording.camera, len(recording), moments, recording.landmarks)
+
+
+def revisit(directory: Path, filter_name: str | None = None, seed: int | None = None) -> Drive:
+    """The drive of one filter in a run.
+
+    Parameters
+    ----------
+    directory : Path
+        Of a run, or of a cell of a grid.
+    filter_name : str, optional
+        Its label in the report; None takes the first.
+    seed : int, optional
+        Which recording; None takes the first.
+
+    Raises
+    ------
+    ValueError
+        No run there, a grid of several, no such filter or seed, or a trial that is not finished or whose recording is
+        missing: one line.
+    """
+    kept = _only_cell(directory)
+    choice = _chosen(kept, filter_name)
+    which = _seed(kept, seed)
+    scenario = kept.scenario
+    path = kept.trial_path(which, choice)
+    if not path.exists():
+        raise ValueError(f"{path} is missing: the run is not finished, run the same command again")
+    done, _ = load_run(path)
+    recording = load_recording(kept.recording_path(which, choice))
+    failed = ""
+    if done.failure is not None:
+        recording = _until_failure(recording, done)
+        failed = f", until it failed in {done.failure}"
+    observe: Observe | None = None
+    if scenario.search == "forecast":
+        observe = ActiveSearch(*make_sequence(scenario, which)).observe
+        recording = without_measurements(recording)
+
+    about = "" if which is None else f", seed {which}"
+    return Drive.of(
+        recording,
+        choice.name,
+        label=choice.label,
+        title=f"{choice.label}: {scenario.name}{about}{failed}",
+        noise=scenario.assumed_noise(recording.noise),
+        use_odometry=scenario.use_odometry,
+        observe=observe,
+        **filter_arguments(done.options),
+    )
+
+
+def _until_failure(recording: Recording, done: FilterRun) -> Recording:
+    """The frames that the filter came through."""
+    frames = int(np.isfinite(done.positions).all(axis=1).sum())
+    if frames == 0:
+        raise ValueError(f"{done.filter_name} has nothing to show, it failed in {done.failure}")
+    return dataclasses.replace(recording, frames=recording.frames[:frames])
+
+
+def _only_cell(directory: Path) -> RunDirectory:
+    cells = read_study(directory).cells
+    if len(cells) > 1:
+        places = ", ".join(str(run.out) for _, run in cells[:3])
+        raise ValueError(f"{directory} holds a grid of {len(cells)} cells: give one of them, such as {places}")
+    return cells[0][1]
+
+
+def _chosen(run: RunDirectory, name: str | None) -> FilterChoice:
+    competitors = run.scenario.competitors
+    for choice in competitors:
+        if name in (None, choice.label):
+            return choice
+    raise ValueError(f"filter must be one of {', '.join(c.label for c in competitors)}, got {name!r}")
+
+
+def _seed(run: RunDirectory, seed: int | None) -> int | None:
+    if seed is None:
+        return run.seeds[0]
+    if seed not in run.seeds:
+        known = "none, it is one real recording" if run.seeds == (None,) else ", ".join(map(str, run.seeds))
+        raise ValueError(f"seed must be one of the run's ({known}), got {seed}")
+    return seed

@@ -1,0 +1,211 @@
+"""The ASL layout: distorted, turned cameras are rectified to the geometry that they had (2 s)."""
+
+import cv2
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from stereo_slam_env.datasets import open_image_sequence
+from stereo_slam_env.recording.recording import Pose
+
+from .small_image_folders import cut_file, write_png
+
+SIZE, FRAMES = (320, 240), 8
+FIRST_STAMP, STEP_NS, TRUTH_STEP_NS = 1403636579763555584, 50_000_000, 5_000_000
+K0 = np.array([[200.0, 0.0, 158.0], [0.0, 199.0, 121.5], [0.0, 0.0, 1.0]])
+K1 = np.array([[201.5, 0.0, 165.0], [0.0, 200.0, 117.0], [0.0, 0.0, 1.0]])
+D0, D1 = np.array([-0.28, 0.07, 2e-4, 2e-5]), np.array([-0.27, 0.06, -1e-4, -3e-5])
+T_BS = []
+for angles, at in (([0.02, -0.01, 1.56], [-0.0216, -0.0647, 0.0098]), ([0.01, 0.012, 1.55], [-0.0198, 0.0454, 0.0079])):
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = Rotation.from_euler("xyz", angles).as_matrix(), at
+    T_BS.append(T)
+DOTS_C = np.array([[x, y, 2.0 + 0.3 * i] for i, (x, y) in enumerate(
+    (x, y) for y in (-0.6, 0.0, 0.6) for x in (-0.6, -0.1, 0.5))])  # fmt: skip
+"""In the left camera of the file."""
+
+
+def blobs(pixels):
+    """An image of soft dots, drawn where they are to a hundredth of a pixel."""
+    v, u = np.indices(SIZE[::-1])
+    image = sum(180.0 * np.exp(-((u - x) ** 2 + (v - y) ** 2) / (2 * 2.2**2)) for x, y in pixels)
+    return np.rint(np.clip(20 + image, 0, 255)).astype(np.uint8)
+
+
+def centres(image, expected):
+    """Weighted centres of the dots, looked for around where they should be."""
+    found = []
+    for x, y in expected:
+        u0, v0 = round(x) - 9, round(y) - 9
+        window = np.clip(image[v0 : v0 + 19, u0 : u0 + 19].astype(float) - 30.0, 0.0, None)
+        v, u = np.indices(window.shape)
+        found.append([u0 + (window * u).sum() / window.sum(), v0 + (window * v).sum() / window.sum()])
+    return np.array(found)
+
+
+def body_pose(seconds):
+    """Of the body in the truth's own world."""
+    R = Rotation.from_euler("xyz", [0.3 + 0.1 * seconds, -0.2, 1.0 + 0.5 * seconds])
+    return np.array([4.6 + 0.8 * seconds, -1.8 + 0.3 * seconds**2, 0.8]), R
+
+
+def sensor_yaml(T, K, D):
+    rows = ",\n         ".join(", ".join(f"{x:.12g}" for x in row) for row in T)
+    return (
+        "# General sensor definitions.\nsensor_type: camera\ncomment: VI-Sensor cam (MT9M034)\n\n"
+        "# Sensor extrinsics wrt. the body-frame.\n"
+        f"T_BS:\n  cols: 4\n  rows: 4\n  data: [{rows}]\n\n"
+        f"# Camera specific definitions.\nrate_hz: 20\nresolution: [{SIZE[0]}, {SIZE[1]}]\ncamera_model: pinhole\n"
+        f"intrinsics: [{K[0, 0]}, {K[1, 1]}, {K[0, 2]}, {K[1, 2]}] #fu, fv, cu, cv\n"
+        f"distortion_model: radial-tangential\ndistortion_coefficients: [{', '.join(map(str, D))}]\n"
+    )
+
+
+def euroc(root, *, truth_from=0, truth_to=FRAMES - 1):
+    """`MH_01_easy/mav0`; the dots stand still before the left camera, so all images are alike."""
+    mav0 = root / "MH_01_easy" / "mav0"
+    T_10 = np.linalg.solve(T_BS[1], T_BS[0])
+    stamps = [FIRST_STAMP + k * STEP_NS for k in range(FRAMES)]
+    for eye, (K, D, T) in enumerate(((K0, D0, np.eye(4)), (K1, D1, T_10))):
+        rotation = Rotation.from_matrix(T[:3, :3]).as_rotvec().reshape(3, 1)
+        pixels, _ = cv2.projectPoints(DOTS_C.reshape(-1, 1, 3), rotation, T[:3, 3:], K, D)
+        folder = mav0 / f"cam{eye}"
+        lines = ["#timestamp [ns],filename"]
+        for stamp in stamps:
+            write_png(folder / "data" / f"{stamp}.png", blobs(pixels.reshape(-1, 2)))
+            lines.append(f"{stamp},{stamp}.png")
+        (folder / "data.csv").write_text("\n".join(lines) + "\r\n")
+        (folder / "sensor.yaml").write_text(sensor_yaml(T_BS[eye], K, D))
+    folder = mav0 / "state_groundtruth_estimate0"
+    folder.mkdir()
+    lines = ["#timestamp, p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x [], q_RS_y [], q_RS_z [], v_x"]
+    # Off the image times by 1 ms, so that it has to be interpolated.
+    for stamp in range(stamps[truth_from] - 1_000_000, stamps[truth_to] + 5_000_000, TRUTH_STEP_NS):
+        p, R = body_pose(1e-9 * (stamp - FIRST_STAMP))
+        x, y, z, w = R.as_quat()
+        lines.append(",".join([str(stamp), *(f"{number:.9f}" for number in (*p, w, x, y, z, 0.0))]))
+    (folder / "data.csv").write_text("\n".join(lines) + "\n")
+    return root / "MH_01_easy"
+
+
+@pytest.fixture
+def rectified_dots(tmp_path):
+    """The sequence, and the dots in its rectified left camera."""
+    sequence = open_image_sequence(euroc(tmp_path))
+    T_10 = np.linalg.solve(T_BS[1], T_BS[0])
+    # Independent of the reader: x of the rectified frame is along the baseline.
+    left_in_right = -T_10[:3, :3].T @ T_10[:3, 3]
+    return sequence, left_in_right
+
+
+def seen_dots(sequence, pair, right_in_left):
+    """The dots as measured in the rectified pair, (N, 3) px."""
+    camera = sequence.camera
+    # Where to look: the turn of the left camera from its defining property alone, x along the baseline.
+    x = right_in_left / np.linalg.norm(right_in_left)
+    z = np.cross(x, [0.0, 1.0, 0.0])
+    z /= np.linalg.norm(z)
+    uvd = camera.project(DOTS_C @ np.column_stack([x, np.cross(z, x), z]))
+    left = centres(pair.left, uvd[:, :2])
+    right = centres(pair.right, np.column_stack([uvd[:, 0] - uvd[:, 2], uvd[:, 1]]))
+    assert np.abs(left[:, 1] - right[:, 1]).max() < 0.1  # rows agree
+    return np.column_stack([left, left[:, 0] - right[:, 0]])
+
+
+def turn_of(sequence, pair, right_in_left):
+    """Takes vectors of the left camera of the file to the rectified one, as the dots show it."""
+    points = sequence.camera.backproject(seen_dots(sequence, pair, right_in_left))
+    turn, _ = Rotation.align_vectors(points, DOTS_C)
+    return turn
+
+
+def test_rectified_images_show_the_points_where_the_camera_projects_them(rectified_dots):
+    sequence, right_in_left = rectified_dots
+    pair = next(sequence.pairs())
+    assert sequence.camera.baseline == pytest.approx(np.linalg.norm(right_in_left), rel=1e-9)
+    turn = turn_of(sequence, pair, right_in_left)
+    projected = sequence.camera.project(turn.apply(DOTS_C))
+    assert np.abs(projected - seen_dots(sequence, pair, right_in_left)).max() < 0.12
+    # The turn is small: the cameras look the same way to some degrees.
+    assert turn.magnitude() < 0.1
+
+
+def test_truth_is_that_of_the_rectified_left_camera(rectified_dots):
+    """Seen from it, points that are fixed to the world must move as the truth says."""
+    sequence, right_in_left = rectified_dots
+    pairs = list(sequence.pairs())
+    assert len(pairs) == FRAMES
+    x = right_in_left / np.linalg.norm(right_in_left)
+    turn = turn_of(sequence, pairs[0], right_in_left)
+    R_bc = Rotation.from_matrix(T_BS[0][:3, :3])
+    p0, R0 = body_pose(0.0)
+    for k, pair in enumerate(pairs):
+        p, R = body_pose(k * 1e-9 * STEP_NS)
+        moved = p + R.apply(T_BS[0][:3, 3]) - p0 - R0.apply(T_BS[0][:3, 3])
+        moved_c = (R0 * R_bc).inv().apply(moved)  # in the left camera of the file at frame 0
+        turned_c = (R0 * R_bc).inv() * R * R_bc
+        # Exactly what does not depend on the turn, and to its accuracy what does.
+        assert np.linalg.norm(pair.truth.position) == pytest.approx(np.linalg.norm(moved), abs=1e-6)
+        assert pair.truth.position[0] == pytest.approx(moved_c @ x, abs=1e-6)
+        np.testing.assert_allclose(pair.truth.position, turn.apply(moved_c), atol=2e-3)
+        found = Rotation.from_quat(pair.truth.orientation)
+        assert found.magnitude() == pytest.approx(turned_c.magnitude(), abs=1e-6)
+        assert (found.inv() * turn * turned_c * turn.inv()).magnitude() < 2e-3
+    np.testing.assert_allclose([pair.timestamp for pair in pairs], 0.05 * np.arange(FRAMES), atol=1e-12)
+    assert isinstance(pairs[0].truth, Pose)
+
+
+def test_frames_that_the_truth_does_not_cover_are_left_out(tmp_path):
+    folder = euroc(tmp_path, truth_from=2, truth_to=5)
+    covered = open_image_sequence(folder)
+    assert covered.frame_numbers == (2, 3, 4, 5)
+    assert all(pair.truth is not None for pair in covered.pairs())
+    everything = open_image_sequence(folder, use_truth=False)
+    assert len(everything) == FRAMES
+    assert all(pair.truth is None for pair in everything.pairs())
+    assert open_image_sequence(folder / "mav0", first=3, last=4).frame_numbers == (3, 4)
+
+
+def test_what_is_wrong_is_named(tmp_path):
+    folder = euroc(tmp_path)
+    mav0 = folder / "mav0"
+    image = sorted((mav0 / "cam1" / "data").iterdir())[3]
+    content = image.read_bytes()
+    cut_file(image)
+    with pytest.raises(ValueError, match=rf"{image.name} is damaged, "):
+        list(open_image_sequence(folder).pairs())
+    skipping = open_image_sequence(folder, on_broken="skip")
+    assert len(list(skipping.pairs())) == FRAMES - 1
+    assert skipping.skipped == {"image damaged": 1}
+    image.unlink()
+    with pytest.raises(ValueError, match=r"cam1/data has no image of frame 3"):
+        open_image_sequence(folder)
+    image.write_bytes(content)
+
+    listing = mav0 / "cam1" / "data.csv"
+    good = listing.read_text()
+    listing.write_text(good.replace(f",{image.name}", f",../../{image.name}"))
+    with pytest.raises(ValueError, match=r"cam1/data\.csv: line 5 is not 'timestamp in ns,file name'"):
+        open_image_sequence(folder)
+    listing.write_text(good)
+
+    sensor = mav0 / "cam0" / "sensor.yaml"
+    good = sensor.read_text()
+    for bad, match in (
+        (good.replace("intrinsics", "intrinsic"), r"lacks 'intrinsics: \[\.\.\.\]'"),
+        (good.replace("T_BS", "T_SB"), "lacks 'T_BS'"),
+        (good.replace("radial-tangential", "equidistant"), "distortion_model is 'equidistant'"),
+        (good.replace("[320, 240]", "[320]"), "'resolution' has 1 numbers where 2"),
+    ):
+        sensor.write_text(bad)
+        with pytest.raises(ValueError, match=match):
+            open_image_sequence(folder)
+    sensor.write_text(good)
+
+    truth = mav0 / "state_groundtruth_estimate0" / "data.csv"
+    lines = truth.read_text().splitlines()
+    at = 21  # just before frame 2
+    lines[at] = ",".join([lines[at].split(",")[0], *["nan"] * 8])
+    truth.write_text("\n".join(lines))
+    with pytest.raises(ValueError, match=r"state_groundtruth_estimate0/data\.csv has NaN"):
+        open_image_sequence(folder)

@@ -1,0 +1,273 @@
+"""Every published layout gives back the drive that it was written from (3 s)."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from stereo_slam_env.datasets import IMAGE_LAYOUTS, open_image_sequence
+from stereo_slam_env.datasets.kitti06_stereo51 import P_I, R_CI
+from stereo_slam_env.frontend.recorder import record_tracks
+from stereo_slam_env.recording.recording import Pose
+
+from ..real_data import real_data
+from .small_image_folders import (
+    CAMERA,
+    DT,
+    FRAMES,
+    TURN_RATE,
+    drive,
+    karlsruhe,
+    kitti06,
+    kitti_odometry,
+    kitti_raw,
+    true_poses,
+)
+
+LAYOUTS = {
+    "kitti_odometry": kitti_odometry,
+    "kitti_raw": kitti_raw,
+    "karlsruhe": karlsruhe,
+    "kitti06_stereo51": kitti06,
+}
+
+
+def assert_same_poses(found, expected, atol):
+    np.testing.assert_allclose([p.position for p in found], [p.position for p in expected], atol=atol)
+    apart = Rotation.from_quat([p.orientation for p in found]).inv() * Rotation.from_quat(
+        [p.orientation for p in expected]
+    )
+    np.testing.assert_allclose(apart.magnitude(), 0.0, atol=max(atol, 1e-7))
+
+
+def relative_to(origin, poses):
+    """The poses seen from one of them."""
+    R = Rotation.from_quat(origin.orientation)
+    positions = R.inv().apply([pose.position - origin.position for pose in poses])
+    orientations = (R.inv() * Rotation.from_quat([pose.orientation for pose in poses])).as_quat()
+    return [Pose(r, q) for r, q in zip(positions, orientations, strict=True)]
+
+
+def moved_left(poses, metres):
+    """The same poses of a camera that sits to the left."""
+    return [
+        Pose(pose.position + Rotation.from_quat(pose.orientation).apply([-metres, 0.0, 0.0]), pose.orientation)
+        for pose in poses
+    ]
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_images_camera_times_and_truth_come_back(tmp_path, layout):
+    first = 60 if layout == "karlsruhe" else None
+    sequence = open_image_sequence(LAYOUTS[layout](tmp_path), first=first)
+    pairs = list(sequence.pairs())
+    assert sequence.source["reader"] == layout
+    assert len(sequence) == len(pairs) == FRAMES
+    for name in ("fx", "fy", "cx", "cy", "baseline", "width", "height"):
+        assert getattr(sequence.camera, name) == pytest.approx(getattr(CAMERA, name), rel=1e-9)
+    for pair, original in zip(pairs, drive().pairs(), strict=True):
+        np.testing.assert_array_equal(pair.left, original.left)
+        np.testing.assert_array_equal(pair.right, original.right)
+    np.testing.assert_allclose(np.diff([pair.timestamp for pair in pairs]), DT, atol=1e-6)
+    assert_same_poses([pair.truth for pair in pairs], true_poses(), atol=1e-6)
+    assert not sequence.skipped
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_a_part_can_be_chosen_and_starts_its_own_world(tmp_path, layout):
+    shift = 60 if layout == "karlsruhe" else 0
+    sequence = open_image_sequence(LAYOUTS[layout](tmp_path), first=shift + 2, last=shift + 4)
+    pairs = list(sequence.pairs())
+    assert sequence.frame_numbers == (shift + 2, shift + 3, shift + 4)
+    np.testing.assert_array_equal(pairs[0].left, drive()._pairs[2].left)
+    assert_same_poses([p.truth for p in pairs], relative_to(true_poses()[2], true_poses()[2:5]), atol=1e-6)
+    assert pairs[0].odometry is None
+
+
+def test_sequences_are_lazy_and_can_be_read_again(tmp_path):
+    folder = kitti_odometry(tmp_path)
+    sequence = open_image_sequence(folder)
+    pairs = sequence.pairs()
+    next(pairs)
+    for image in (folder / "image_0").iterdir():
+        image.unlink()
+    with pytest.raises(ValueError, match=r"000001\.png is missing"):
+        next(pairs)
+
+
+def test_colour_cameras_are_found_and_their_truth_is_their_own(tmp_path):
+    folder = kitti_odometry(tmp_path, cameras=(2, 3))
+    sequence = open_image_sequence(folder)
+    assert sequence.source["cameras"] == "colour"
+    assert sequence.camera.baseline == pytest.approx(CAMERA.baseline)
+    # poses are those of the grey left camera, 6 cm to the right of the colour one
+    moved = moved_left(true_poses(), 0.06)
+    expected = relative_to(moved[0], moved)
+    assert_same_poses([pair.truth for pair in sequence.pairs()], expected, atol=1e-9)
+    kitti_odometry(tmp_path)
+    assert open_image_sequence(folder).source["cameras"] == "grey"
+    assert open_image_sequence(folder, cameras="colour").source["cameras"] == "colour"
+    with pytest.raises(ValueError, match="cameras must be one of grey, colour, got 'thermal'"):
+        open_image_sequence(folder, cameras="thermal")
+
+
+def test_kitti_without_poses_has_no_truth(tmp_path):
+    sequence = open_image_sequence(kitti_odometry(tmp_path, truth=False))
+    assert all(pair.truth is None for pair in sequence.pairs())
+    assert record_tracks(sequence, frames=2).reference.kind == "none"
+
+
+@pytest.mark.parametrize(
+    ("layout", "said"),
+    [("kitti_odometry", "poses/07.txt"), ("kitti_raw", "GPS"), ("karlsruhe", "weak"), ("kitti06_stereo51", "GPS/INS")],
+)
+def test_the_truth_is_independent_of_the_images_and_says_where_it_is_from(tmp_path, layout, said):
+    recording = record_tracks(open_image_sequence(LAYOUTS[layout](tmp_path), on_broken="skip"), frames=2)
+    assert recording.reference.is_independent
+    assert said in recording.reference.description
+
+
+@pytest.mark.parametrize(("cameras", "metres_left"), [(("00", "01"), 0.0), (("02", "03"), 0.06)])
+def test_raw_odometry_takes_the_camera_along_the_true_path(tmp_path, cameras, metres_left):
+    """Lever arm, tilt, frame and row convention at once; hardly any noise is added."""
+    sequence = open_image_sequence(kitti_raw(tmp_path, cameras=cameras), sigma_linear=1e-6, sigma_angular=1e-6)
+    r, R, positions = np.zeros(3), Rotation.identity(), []
+    for pair in sequence.pairs():
+        if pair.odometry is not None:
+            half = Rotation.from_rotvec(0.5 * DT * pair.odometry.angular)
+            r = r + (R * half).apply(np.array(pair.odometry.linear)) * DT
+            R = R * Rotation.from_rotvec(DT * pair.odometry.angular)
+        positions.append(r)
+    moved = moved_left(true_poses(), metres_left)
+    expected = [pose.position for pose in relative_to(moved[0], moved)]
+    np.testing.assert_allclose(positions, expected, atol=2e-3)
+    assert np.linalg.norm(positions[-1]) > 1.9
+
+
+def test_raw_without_gps_has_neither_truth_nor_odometry(tmp_path):
+    for sequence in (
+        open_image_sequence(kitti_raw(tmp_path / "a", oxts=False)),
+        open_image_sequence(kitti_raw(tmp_path / "b"), use_oxts=False),
+    ):
+        pair = list(sequence.pairs())[-1]
+        assert pair.truth is None
+        assert pair.odometry is None
+
+
+def test_raw_colour_cameras_share_the_truth_of_their_own_place(tmp_path):
+    sequence = open_image_sequence(kitti_raw(tmp_path, cameras=("02", "03")))
+    moved = moved_left(true_poses(), 0.06)
+    assert_same_poses([p.truth for p in sequence.pairs()], relative_to(moved[0], moved), atol=1e-6)
+
+
+def test_added_noise_is_of_the_stated_size_and_seeded(tmp_path):
+    folder = kitti06(tmp_path)
+
+    def linear(**options):
+        return np.array([p.odometry.linear for p in open_image_sequence(folder, **options).pairs() if p.odometry])
+
+    clean = linear(sigma_linear=1e-9, sigma_angular=1e-9)
+    k = np.arange(1, FRAMES)
+    expected = np.column_stack([k, np.zeros(FRAMES - 1), np.zeros(FRAMES - 1)]) + np.cross([0, 0, -TURN_RATE], P_I)
+    np.testing.assert_allclose(clean, expected @ R_CI.T, atol=1e-6)
+    np.testing.assert_array_equal(linear(), linear())
+    assert not np.array_equal(linear(), linear(odometry_seed=1))
+    many = np.concatenate([linear(odometry_seed=seed) - clean for seed in range(60)])
+    assert many.std(axis=0) == pytest.approx([0.5] * 3, rel=0.15)
+
+
+@pytest.mark.parametrize("yaw", ["east", "north"])
+def test_the_reading_of_yaw_is_told_from_the_course(tmp_path, yaw):
+    sequence = open_image_sequence(karlsruhe(tmp_path, yaw=yaw), first=60)
+    assert f"yaw counted from {yaw}" in sequence.truth_from.description
+    assert_same_poses([pair.truth for pair in sequence.pairs()], true_poses(), atol=1e-6)
+
+
+def test_a_yaw_that_fits_no_course_gives_no_truth(tmp_path, caplog):
+    sequence = open_image_sequence(karlsruhe(tmp_path, yaw="neither"), first=60)
+    assert all(pair.truth is None for pair in sequence.pairs())
+    assert "yaw fits no direction of motion" in caplog.text
+
+
+def test_karlsruhe_calibration_is_the_one_of_the_cut_images(tmp_path):
+    folder = karlsruhe(tmp_path)
+    sequence = open_image_sequence(folder, first=60)
+    assert sequence.camera.cy == pytest.approx(CAMERA.cy)
+    (tmp_path / "2009_09_08_calib.txt").rename(folder / "calib.txt")
+    assert open_image_sequence(folder, first=60).source["calibration"] == str(folder / "calib.txt")
+
+
+def test_karlsruhe_without_gps_runs_at_ten_hertz(tmp_path):
+    folder = karlsruhe(tmp_path, first=0)
+    (folder / "insdata.txt").unlink()
+    pairs = list(open_image_sequence(folder).pairs())
+    np.testing.assert_allclose([pair.timestamp for pair in pairs], 0.1 * np.arange(FRAMES))
+    assert pairs[0].truth is None
+
+
+def test_karlsruhe_times_in_another_unit_are_refused_and_can_be_replaced(tmp_path):
+    folder = karlsruhe(tmp_path)
+    rows = np.loadtxt(folder / "insdata.txt")
+    rows[:, 0] *= 1e6
+    np.savetxt(folder / "insdata.txt", rows)
+    with pytest.raises(
+        ValueError, match=r"insdata\.txt: times are 100000 apart, which are no seconds: give rate_hz=10"
+    ):
+        open_image_sequence(folder, first=60)
+    sequence = open_image_sequence(folder, first=60, rate_hz=5)
+    np.testing.assert_allclose(np.diff([pair.timestamp for pair in sequence.pairs()]), 0.2)
+    assert sequence.source["times"] == "assumed 5 Hz"
+    assert "yaw counted from east" in sequence.truth_from.description
+
+
+def test_the_one_recording_inside_a_folder_stands_for_it(tmp_path):
+    kitti_odometry(tmp_path)
+    assert open_image_sequence(tmp_path).name == "kitti_odometry_07"
+    other = tmp_path / "sequences" / "08"
+    (tmp_path / "sequences" / "07").rename(other)
+    kitti_odometry(tmp_path)
+    with pytest.raises(ValueError, match=r"holds 2 recordings, give one of them: sequences/07, sequences/08"):
+        open_image_sequence(tmp_path)
+
+
+def test_unknown_folders_options_and_paths_get_one_clear_line(tmp_path):
+    with pytest.raises(ValueError, match="is empty; known are ") as caught:
+        open_image_sequence(tmp_path)
+    assert all(layout.NAME in str(caught.value) for layout in IMAGE_LAYOUTS)
+    assert "kitti07_tracks" not in str(caught.value)
+    assert "\n" not in str(caught.value)
+    with pytest.raises(ValueError, match="does not exist"):
+        open_image_sequence(tmp_path / "nowhere")
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ValueError, match="is a file, not a folder"):
+        open_image_sequence(tmp_path / "file")
+    folder = kitti_odometry(tmp_path)
+    with pytest.raises(ValueError, match="no option 'frist', did you mean 'first'"):
+        open_image_sequence(folder, frist=3)
+    (folder / "times.txt").unlink()
+    with pytest.raises(ValueError, match=r"nearest is kitti_odometry, which lacks times\.txt$"):
+        open_image_sequence(folder)
+
+
+@pytest.mark.parametrize("reader", IMAGE_LAYOUTS, ids=lambda reader: reader.NAME)
+def test_every_reader_says_what_it_takes(reader):
+    assert reader.FILES
+    assert "Layout" in reader.__doc__ or "layout" in reader.__doc__
+
+
+def test_the_real_pairs_of_kitti_06():
+    sequence = open_image_sequence(real_data("kitti06_stereo51"))
+    pairs = list(sequence.pairs())
+    assert len(pairs) == 51
+    assert not sequence.skipped
+    assert sequence.camera.baseline == pytest.approx(0.53715065)
+    assert pairs[0].left.shape == (370, 1226)
+    path = np.array([pair.truth.position for pair in pairs])
+    assert np.linalg.norm(np.diff(path, axis=0), axis=1).sum() == pytest.approx(59.9, abs=0.1)
+    # The odometry, without its noise, is the truth's: 1.2 m a frame, straight on.
+    clean = list(open_image_sequence(real_data("kitti06_stereo51"), sigma_linear=1e-6, sigma_angular=1e-6).pairs())
+    steps = np.array([p.odometry.linear * (p.timestamp - q.timestamp) for q, p in pairwise(clean)])
+    rotations = Rotation.from_quat([pair.truth.orientation for pair in pairs])
+    true_steps = rotations[:-1].inv().apply(np.diff(path, axis=0))
+    np.testing.assert_allclose(np.abs(steps - true_steps).max(axis=0), 0.0, atol=0.05)

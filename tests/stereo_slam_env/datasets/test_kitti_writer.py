@@ -1,0 +1,98 @@
+"""What is written as a KITTI sequence is read back the same (1 s)."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from stereo_slam_env.datasets import open_image_sequence, write_kitti_sequence
+from stereo_slam_env.files.readers import read_table
+
+from .small_image_folders import CAMERA, FRAMES, Drive, drive
+
+
+def changed(**fields):
+    """The drive with fields of its third pair replaced."""
+    pairs = list(drive().pairs())
+    pairs[2] = replace(pairs[2], **fields)
+    return Drive(pairs)
+
+
+def test_the_round_trip_keeps_bits_camera_times_and_truth(tmp_path):
+    written = write_kitti_sequence(drive(), tmp_path, "03")
+    assert written == tmp_path / "sequences" / "03"
+    sequence = open_image_sequence(tmp_path)
+    for name in ("fx", "fy", "cx", "cy", "width", "height"):
+        assert getattr(sequence.camera, name) == getattr(CAMERA, name)
+    assert sequence.camera.baseline == pytest.approx(CAMERA.baseline, rel=1e-15)
+    pairs = list(sequence.pairs())
+    assert len(pairs) == FRAMES
+    for pair, original in zip(pairs, drive().pairs(), strict=True):
+        assert pair.timestamp == original.timestamp
+        np.testing.assert_array_equal(pair.left, original.left)
+        np.testing.assert_array_equal(pair.right, original.right)
+        np.testing.assert_allclose(pair.truth.position, original.truth.position, atol=1e-9)
+        np.testing.assert_allclose(pair.truth.orientation, original.truth.orientation, atol=1e-9)
+
+
+def test_the_files_are_those_of_the_benchmark(tmp_path):
+    folder = write_kitti_sequence(drive(), tmp_path)
+    assert sorted(p.name for p in folder.iterdir()) == ["calib.txt", "image_0", "image_1", "source.json", "times.txt"]
+    assert sorted(p.name for p in (folder / "image_1").iterdir()) == [f"{k:06d}.png" for k in range(FRAMES)]
+    assert read_table(tmp_path / "poses" / "00.txt", 12).shape == (FRAMES, 12)
+    lines = (folder / "calib.txt").read_text().splitlines()
+    assert [line.split(":")[0] for line in lines] == ["P0", "P1", "P2", "P3"]
+    assert float(lines[1].split()[4]) == pytest.approx(-CAMERA.fx * CAMERA.baseline)
+
+
+def test_progress_is_told(tmp_path):
+    told = []
+    write_kitti_sequence(drive(), tmp_path, on_pair=lambda done, of: told.append((done, of)))
+    assert told == [(k + 1, FRAMES) for k in range(FRAMES)]
+
+
+def test_an_interrupted_writing_cannot_be_mistaken_for_a_whole_one(tmp_path):
+    def interrupt(done, of):
+        if done == 3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write_kitti_sequence(drive(), tmp_path, on_pair=interrupt)
+    assert not (tmp_path / "sequences" / "00").exists()
+    assert not (tmp_path / "poses").exists()
+    with pytest.raises(ValueError, match="has no known layout"):
+        open_image_sequence(tmp_path / "sequences" / "00.partial")
+    with pytest.raises(ValueError, match=r"00\.partial was left by a writing that was interrupted: remove it"):
+        write_kitti_sequence(drive(), tmp_path)
+
+
+def test_nothing_is_overwritten(tmp_path):
+    write_kitti_sequence(drive(), tmp_path)
+    with pytest.raises(ValueError, match="sequences/00 is not empty"):
+        write_kitti_sequence(drive(), tmp_path)
+    write_kitti_sequence(drive(), tmp_path, "01")
+    (tmp_path / "poses" / "02.txt").write_text("mine")
+    with pytest.raises(ValueError, match=r"poses/02\.txt is there already"):
+        write_kitti_sequence(drive(), tmp_path, "02")
+    assert sorted(p.name for p in (tmp_path / "sequences").iterdir()) == ["00", "01"]
+
+
+def test_without_all_true_poses_there_is_no_pose_file(tmp_path, caplog):
+    write_kitti_sequence(changed(truth=None), tmp_path)
+    assert not (tmp_path / "poses").exists()
+    assert "1 of 6 pairs have no true pose" in caplog.text
+    assert next(open_image_sequence(tmp_path).pairs()).truth is None
+
+
+@pytest.mark.parametrize("name", ["", ".", "..", "a/b", "../00", ".hidden"])
+def test_a_name_that_is_no_folder_name_is_refused(tmp_path, name):
+    with pytest.raises(ValueError, match="name must be a plain folder name"):
+        write_kitti_sequence(drive(), tmp_path, name)
+
+
+def test_images_that_are_not_the_cameras_are_refused(tmp_path):
+    for bad in (np.zeros((10, 10), np.uint8), np.zeros((120, 160, 3), np.uint8), np.zeros((120, 160))):
+        with pytest.raises(ValueError, match=r"pair 2 cannot be written to .*000002\.png: its images must be uint8"):
+            write_kitti_sequence(changed(right=bad), tmp_path / str(bad.ndim) / bad.dtype.name / str(bad.size))
+    with pytest.raises(ValueError, match="has no pairs"):
+        write_kitti_sequence(Drive([]), tmp_path)

@@ -1,0 +1,153 @@
+"""The table of figures: the row of one trial, and every place that shows a figure (6 s)."""
+
+import ast
+import io
+import json
+import re
+import sqlite3
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+import stereo_slam_env
+from stereo_slam_env.benchmark import FilterChoice, ReferenceSource, Scenario, run_benchmark
+from stereo_slam_env.evaluation.cramer_rao import cramer_rao_bound
+from stereo_slam_env.evaluation.figures import FIGURES, LARGEST, Figure, trial_columns, trial_figures
+from stereo_slam_env.evaluation.filter_run import run_filter
+from stereo_slam_env.evaluation.trial import Trial
+from stereo_slam_env.report.console import show_results
+from stereo_slam_env.report.tables import accuracy_table
+
+from ...synthetic_runs import scored
+from ..benchmark.small_recordings import small_recording
+from .test_cramer_rao import MOTION
+
+KINDS = {"text": str, "integer": int, "real": float}
+
+
+def row_of(run, divergence_percent=10.0, bound=None):
+    return trial_figures(Trial(run, divergence_percent, bound))
+
+
+@pytest.fixture(scope="module")
+def plain():
+    return run_filter(small_recording(frames=30), "inverse-depth", seed=4, label="mine")
+
+
+def test_the_row_has_the_documented_columns_of_the_documented_kinds(plain):
+    row = row_of(plain, divergence_percent=10.0, bound=cramer_rao_bound(small_recording(frames=30), MOTION))
+    assert list(row) == [figure.name for figure in trial_columns()]
+    for name, value in row.items():
+        if name not in ("failure", "alarm_s", "alarm"):
+            assert type(value) is KINDS[FIGURES[name].kind], name
+    assert row["failure"] is row["alarm_s"] is row["alarm"] is None
+    assert (row["filter"], row["recording"], row["seed"], row["frames"]) == ("mine", "small", 4, 29)
+
+
+def test_its_figures_are_those_of_the_run(plain):
+    off = replace(plain, positions=plain.true_positions + np.array([0.3, 0.0, 0.4]))
+    row = row_of(off, divergence_percent=10.0)
+    assert row["position_rmse_m"] == pytest.approx(0.5)
+    assert row["end_error_m"] == pytest.approx(0.5)
+    assert row["path_m"] == pytest.approx(0.5 * 28, rel=1e-3)
+    assert row["end_drift_percent"] == pytest.approx(100 * 0.5 / row["path_m"])
+    assert row["position_anees"] == pytest.approx(plain.position_nees[1:].mean())
+    assert row["updated"] == plain.counts["updated"].sum()
+    assert row["diverged"] == 0
+    assert row_of(off, divergence_percent=1.0)["diverged"] == 1
+
+
+def test_a_row_and_the_summary_of_its_run_say_the_same(plain):
+    bound = cramer_rao_bound(small_recording(frames=30), MOTION)
+    row, summary = (
+        row_of(plain, divergence_percent=10.0, bound=bound),
+        scored([plain], bounds={("small", 4): bound})[0][0].figures,
+    )
+    shared = [name for name in row if name in summary and name not in ("failure",)]
+    assert len(shared) > 20
+    for name in shared:
+        assert row[name] == pytest.approx(summary[name]), name
+
+
+def test_a_failed_run_has_its_events_and_nothing_else(plain):
+    row = row_of(replace(plain, failure="frame 2: oops"), divergence_percent=10.0)
+    assert (row["diverged"], row["failure"], row["frames"]) == (1, "frame 2: oops", 0)
+    assert row["updated"] == plain.counts["updated"].sum()
+    known = {name for name, value in row.items() if value is not None and FIGURES[name].kind == "real"}
+    assert known == set()
+
+
+def test_without_truth_what_it_is_needed_for_is_none():
+    row = row_of(run_filter(small_recording(truth=False), "inverse-depth"), divergence_percent=10.0)
+    for name in ("seed", "position_rmse_m", "pose_anees", "landmark_anees", "rpe_translation_percent", "path_m"):
+        assert row[name] is None, name
+    for name in ("nis", "ms_per_frame", "map_size", "state_size"):
+        assert row[name] is not None, name
+    assert (row["frames"], row["rpe_segments"], row["diverged"]) == (0, 0, 0)
+
+
+def test_a_bound_of_another_recording_is_refused(plain):
+    with pytest.raises(ValueError, match="bound must have one entry a frame: 12 entries, 30 frames"):
+        row_of(plain, divergence_percent=10.0, bound=cramer_rao_bound(small_recording(frames=12), MOTION))
+
+
+def test_the_manual_has_the_table():
+    manual = (Path(__file__).parents[3] / "docs" / "metrics.md").read_text(encoding="utf-8")
+    rows = [
+        f"| `{f.name}` | {f.title} | {f.meaning} | {'' if f.over_runs is None else f.over_runs.words} |"
+        for f in FIGURES.values()
+    ]
+    assert "\n".join(rows) + "\n" in manual
+
+
+GAP = Figure(
+    "largest_error_m",
+    "largest position error",
+    "m",
+    "accuracy",
+    "largest position error of the scored frames",
+    lambda t: np.linalg.norm(t.run.positions - t.run.true_positions, axis=1)[t.scored].max(),
+    LARGEST,
+)
+
+
+def test_a_figure_added_to_the_table_is_everywhere(tmp_path, monkeypatch):
+    monkeypatch.setitem(FIGURES, GAP.name, GAP)
+    scenario = Scenario("tiny", ReferenceSource("short_turn", {"landmarks": 12}), seeds=(0, 1), frames=5, gate=None)
+    result = run_benchmark(scenario, tmp_path / "out", filters=[FilterChoice("ours", "euclidean")], jobs=1)
+    largest = result.summaries[0].largest_error_m
+    assert largest > result.summaries[0].position_rmse_m
+    summary = json.loads((result.out / "summary.json").read_text(encoding="utf-8"))
+    assert summary["filters"]["ours"]["largest_error_m"] == largest
+    with closing(sqlite3.connect(result.out / "trials.sqlite")) as database:
+        assert database.execute("SELECT max(largest_error_m) FROM trials").fetchone() == (largest,)
+        about = database.execute("SELECT unit, meaning FROM columns WHERE name = 'largest_error_m'").fetchone()
+    assert about == ("m", GAP.meaning)
+    console = Console(file=io.StringIO(), width=120)
+    show_results(console, result.summaries)
+    assert re.search(rf"^largest position error, m +{largest:.3f} *$", console.file.getvalue(), re.MULTILINE)
+    report = accuracy_table(result.summaries)
+    assert "Largest position error<small>m</small>" in report
+    assert f">{largest:.3f}</td>" in report
+
+
+def test_no_heading_is_declared_a_second_time():
+    """No literal where figures are computed, compared or tabulated is the words of a figure (single words aside).
+
+    Charts and the viewer name axes: of time series, not of figures.
+    """
+    product = Path(stereo_slam_env.__file__).parent
+    rooms = [path for room in ("evaluation", "benchmark", "report", "cli") for path in (product / room).rglob("*.py")]
+    declared = {text.lower() for f in FIGURES.values() for text in (f.meaning, f.title, f.label, f.heading)}
+    declared = {text for text in declared if re.search(r"[ ,/]", text)}
+    found = {}
+    for path in (path for path in rooms if path.parent.name != "charts"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Constant) and isinstance(node.value, str) and node.value.lower() in declared:
+                found.setdefault(node.value.lower(), []).append(path.relative_to(product).as_posix())
+    assert {text: files for text, files in found.items() if files != ["evaluation/figures.py"]} == {}
+    assert len(found) > 40

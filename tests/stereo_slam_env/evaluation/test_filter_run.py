@@ -1,0 +1,227 @@
+"""One filter on one recording (2 s)."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from threadpoolctl import threadpool_limits
+
+from filters import ConstantVelocity, StereoEKF, StereoNoise, make_filter
+from stereo_slam_env.evaluation.filter_run import run_filter
+from stereo_slam_env.evaluation.results import COUNTS
+from stereo_slam_env.recording.recording import Reference
+
+from ...filters.delayed import DelayedEKF
+from ...synthetic_runs import summary_of
+from ..benchmark.small_recordings import CAMERA, DT, SPEED, small_recording
+
+
+@pytest.mark.usefixtures("third_party")
+def test_the_first_frame_only_initialises_and_the_others_predict_first():
+    """Exact odometry from an exact start: dead reckoning is right in every frame, so no step is missing or doubled."""
+    recording = small_recording()
+    run = run_filter(recording, "odometry-only")
+    np.testing.assert_allclose(run.positions, run.true_positions, atol=1e-9)
+    np.testing.assert_array_equal(run.positions[0], 0.0)
+    np.testing.assert_allclose(run.timestamps, DT * np.arange(len(recording)))
+
+
+@pytest.mark.usefixtures("third_party")
+def test_odometry_can_be_withheld():
+    run = run_filter(small_recording(), "odometry-only", use_odometry=False)
+    np.testing.assert_allclose(run.positions[:, 0], 0.0, atol=1e-12)
+    np.testing.assert_allclose(run.positions[:, 2], SPEED * run.timestamps)
+
+
+def test_the_run_is_what_driving_the_filter_by_hand_gives():
+    recording = small_recording()
+    run = run_filter(recording, "inverse-depth", {"gate": None}, use_odometry=False)
+    by_hand = make_filter("inverse-depth", camera=CAMERA, noise=recording.noise, gate=None)
+    start = recording.start
+    by_hand.reset(start)
+    with threadpool_limits(limits=1):  # as in the run: several threads add up in another order
+        for k, frame in enumerate(recording.frames):
+            if k:
+                by_hand.predict(frame.timestamp - recording.frames[k - 1].timestamp)
+            report = by_hand.update(frame.observation)
+    assert run.failure is None
+    np.testing.assert_array_equal(run.positions[-1], by_hand.pose.position)
+    np.testing.assert_array_equal(run.pose_covariances[-1], by_hand.pose.covariance)
+    assert run.nis[-1] == report.nis
+    assert run.counts["map_size"][-1] == len(by_hand.landmarks.ids)
+    assert run.state_size[-1] == by_hand.state_size
+    error, covariance = by_hand.pose_error(frame.truth.position, frame.truth.orientation)
+    assert run.pose_nees[-1] == pytest.approx(error @ np.linalg.solve(covariance, error))
+    for nees, part in ((run.position_nees, slice(0, 3)), (run.rotation_nees, slice(3, 6))):
+        assert nees[-1] == pytest.approx(error[part] @ np.linalg.solve(covariance[part, part], error[part]))
+
+
+def test_only_an_independent_truth_gives_a_nees():
+    """An odometry from the same images is no truth: the distance to it is told, but no covariance is for that."""
+    recording = small_recording()
+    true = run_filter(recording, "inverse-depth")
+    from_images = replace(recording, truth_from=Reference("odometry from the same images", "By hand."))
+    run = run_filter(from_images, "inverse-depth")
+    np.testing.assert_array_equal(run.pose_errors, true.pose_errors)
+    for name in ("pose_nees", "position_nees", "rotation_nees", "landmark_nees"):
+        assert np.isfinite(getattr(true, name)[1:]).all()
+        assert np.isnan(getattr(run, name)).all()
+    assert run.landmark_statistics.nees_count.sum() == 0
+    assert run.reference == from_images.reference
+
+
+def test_every_array_has_a_row_a_frame_and_finite_values():
+    recording = small_recording()
+    run = run_filter(recording, "inverse-depth")
+    for name, value in vars(run).items():
+        if isinstance(value, np.ndarray):
+            assert len(value) == len(recording), name
+            assert np.isfinite(value).all(), name
+    assert set(run.counts) == set(COUNTS)
+    np.testing.assert_allclose(run.milliseconds, run.predict_milliseconds + run.update_milliseconds)
+    assert run.memory_mb >= 0.0
+    assert (run.milliseconds > 0).all()
+    assert run.counts["initialised"][0] == len(recording.frames[0].observation)
+    assert [trace.label for trace in run.traces] == ["near", "far"]
+
+
+def test_without_truth_only_the_errors_are_unknown():
+    run = run_filter(small_recording(truth=False), "inverse-depth")
+    assert run.failure is None
+    for name in ("pose_nees", "pose_errors", "landmark_nees", "landmark_rmse", "true_positions"):
+        assert np.isnan(getattr(run, name)).all(), name
+    assert np.isfinite(run.positions).all()
+    assert np.isfinite(run.nis).all()
+
+
+def test_consistency_figures_are_those_of_the_noise():
+    """NIS and both NEES average to about their degrees of freedom when the assumed noise is the true one."""
+    runs = [
+        run_filter(small_recording(seed), "inverse-depth", {"gate": None}, use_odometry=False) for seed in range(12)
+    ]
+    nis = np.array([run.nis[1:].sum() / run.nis_dof[1:].sum() for run in runs])
+    assert nis.mean() == pytest.approx(1.0, abs=0.1)
+    assert np.mean([run.landmark_nees[1:] for run in runs]) == pytest.approx(3.0, abs=0.4)
+    assert 3.0 < np.mean([run.pose_nees[1:] for run in runs]) < 9.0
+
+
+def test_assumed_noise_replaces_that_of_the_recording():
+    recording = small_recording()
+    wary = run_filter(recording, "inverse-depth", noise=StereoNoise.independent_pixels(3.0))
+    assert wary.nis[1:].sum() < 0.3 * run_filter(recording, "inverse-depth").nis[1:].sum()
+
+
+def test_the_same_call_gives_the_same_bits():
+    a, b = (run_filter(small_recording(), "dual-bearing") for _ in range(2))
+    np.testing.assert_array_equal(a.positions, b.positions)
+    np.testing.assert_array_equal(a.pose_covariances, b.pose_covariances)
+
+
+@pytest.mark.usefixtures("third_party")
+@pytest.mark.parametrize(
+    ("name", "failure"),
+    [
+        ("raises", "frame 2: RuntimeError: the third frame is too much"),
+        ("returns-nan", "frame 2: ArithmeticError: the filter returned NaN or infinity in its positions"),
+    ],
+)
+def test_a_filter_that_fails_is_a_result(name, failure):
+    run = run_filter(small_recording(), name)
+    assert run.failure == failure
+    assert np.isfinite(run.positions[:2]).all()
+    assert np.isnan(run.positions[2:]).all()
+    assert np.isfinite(run.true_positions).all()
+
+
+def test_a_filter_that_cannot_be_made_is_a_result():
+    run = run_filter(small_recording(), "no-such-filter")
+    assert run.failure.startswith("start: ValueError: filter must be one of")
+    assert np.isnan(run.positions).all()
+
+
+@pytest.mark.usefixtures("third_party")
+def test_common_options_go_to_the_filters_that_know_them():
+    common = {"gate": 0.9, "motion": {"sigma_acceleration": 1.0, "sigma_angular_acceleration": 0.1}}
+    recording = small_recording()
+    assert run_filter(recording, "inverse-depth", common_options=common).options == common
+    assert run_filter(recording, "inverse-depth", {"gate": None}, common_options=common).options["gate"] is None
+    foreign = run_filter(recording, "odometry-only", {"spread": 0.2}, common_options=common)
+    assert foreign.failure is None
+    assert foreign.options == {"spread": 0.2}
+
+
+class _ItsOwnWay(StereoEKF):
+    """Has a motion model of its own, passed on beside the others' options."""
+
+    def __init__(self, camera, noise, **options):
+        super().__init__(camera, noise, motion=ConstantVelocity(2.0, 0.4), **options)
+
+
+class _Particular(StereoEKF):
+    """Has a gate, but will not take any."""
+
+    def __init__(self, camera, noise, *, gate=0.99, **options):
+        if gate < 0.95:
+            raise ValueError(f"gate must be >= 0.95, got {gate}")
+        super().__init__(camera, noise, gate=gate, **options)
+
+
+def test_a_filter_with_a_motion_model_of_its_own_keeps_it_and_the_result_says_so():
+    common = {"gate": 0.9, "motion": {"sigma_acceleration": 1.0, "sigma_angular_acceleration": 0.1}}
+    recording = small_recording()
+    run = run_filter(recording, _ItsOwnWay, common_options=common)
+    alone = run_filter(
+        recording,
+        "inverse-depth",
+        {"motion": {"sigma_acceleration": 2.0, "sigma_angular_acceleration": 0.4}, "gate": 0.9},
+    )
+    assert run.failure is None
+    np.testing.assert_allclose(run.positions, alone.positions, atol=1e-9)
+    assert run.options == {"gate": 0.9}
+    assert list(run.not_given) == ["motion"]
+    (remark,) = summary_of([run]).remarks
+    assert remark == (
+        "_ItsOwnWay does not get the common motion: it has its own, "
+        "ConstantVelocity(sigma_acceleration=2.0, sigma_angular_acceleration=0.4)."
+    )
+
+
+def test_a_filter_that_refuses_a_common_value_fails_with_its_own_words():
+    """It used to lose the common gate without a word."""
+    run = run_filter(small_recording(), _Particular, common_options={"gate": 0.9})
+    assert run.failure == "start: ValueError: gate must be >= 0.95, got 0.9"
+
+
+@pytest.mark.parametrize("until_tracks_end", [False, True])
+def test_a_filter_with_delayed_updates_runs_like_any_other(until_tracks_end):
+    recording = small_recording()
+    run = run_filter(recording, DelayedEKF, {"until_tracks_end": until_tracks_end}, common_options={"gate": 0.99})
+    assert run.failure is None
+    assert run.options["gate"] == 0.99
+    usual = summary_of([run_filter(recording, "inverse-depth", common_options={"gate": 0.99})])
+    assert summary_of([run]).position_rmse_m < 5.0 * usual.position_rmse_m
+
+
+def test_progress_counts_frames():
+    seen = []
+    run_filter(small_recording(frames=4), "euclidean", progress=lambda done, total: seen.append((done, total)))
+    assert seen == [(1, 4), (2, 4), (3, 4), (4, 4)]
+
+
+def test_an_empty_recording_is_refused():
+    with pytest.raises(ValueError, match="recording 'small' has no frames"):
+        run_filter(replace(small_recording(), frames=()), "inverse-depth")
+
+
+@pytest.mark.usefixtures("third_party")
+def test_a_filter_that_does_not_tell_the_size_of_its_state_has_none():
+    assert np.isnan(run_filter(small_recording(), "odometry-only").state_size).all()
+
+
+def test_landmarks_believed_beyond_infinity_are_counted_while_they_are_seen():
+    """Far points under heavy noise begin with d <= 0; inverse depth keeps them, XYZ cannot."""
+    recording = small_recording(sigma=6.0)
+    behind = {name: run_filter(recording, name).counts["negative_depth"] for name in ("inverse-depth", "euclidean")}
+    first = recording.frames[0].observation
+    assert behind["inverse-depth"][0] == np.count_nonzero(first.uvd[:, 2] <= 0) > 0
+    assert behind["euclidean"][0] == 0

@@ -1,0 +1,109 @@
+"""The loop that runs a filter (2 s)."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from filters import InverseDepthStereoEKF, StereoNoise, StereoObservation, make_filter
+from stereo_slam_env.loop import FilterLoop, run
+from stereo_slam_env.recording.recording import Reference
+
+from .benchmark.small_recordings import CAMERA, DT, small_recording
+
+RECORDING = small_recording()
+
+
+class Noted(InverseDepthStereoEKF):
+    """Notes its calls."""
+
+    def __init__(self, camera, noise, **options):
+        self.calls = []
+        super().__init__(camera, noise, **options)
+
+    def reset(self, *start):
+        self.calls.append("reset")
+        super().reset(*start)
+
+    def predict(self, dt, odometry=None):
+        self.calls.append(("predict", round(dt, 9), odometry is not None))
+        super().predict(dt, odometry)
+
+    def update(self, observation):
+        self.calls.append(("update", len(observation)))
+        return super().update(observation)
+
+
+@pytest.mark.parametrize("use_odometry", [True, False])
+def test_the_first_frame_updates_and_every_later_one_predicts_first(use_odometry):
+    slam = Noted(CAMERA, RECORDING.noise)
+    moments = run(slam, RECORDING, use_odometry=use_odometry)
+    slam.calls.clear()
+    for moment, frame in zip(moments, RECORDING.frames, strict=True):
+        step = [] if moment.number == 0 else [("predict", DT, use_odometry)]
+        assert slam.calls == [*step, ("update", len(frame.observation))]
+        assert (moment.time, moment.observation, moment.truth) == (frame.timestamp, frame.observation, frame.truth)
+        slam.calls.clear()
+
+
+@pytest.mark.parametrize("slam", ["inverse-depth", InverseDepthStereoEKF])
+def test_a_name_a_class_and_an_instance_are_the_same_filter(slam):
+    made = make_filter("inverse-depth", camera=CAMERA, noise=RECORDING.noise, gate=0.95)
+    expected = [moment.pose.position for moment in run(made, RECORDING)]
+    np.testing.assert_array_equal([m.pose.position for m in run(slam, RECORDING, gate=0.95)], expected)
+    np.testing.assert_array_equal([m.pose.position for m in run(made, RECORDING)], expected)  # it is reset
+
+
+def test_what_is_impossible_is_refused_before_the_first_frame():
+    with pytest.raises(ValueError, match="has no frames"):
+        run("inverse-depth", replace(RECORDING, frames=()))
+    with pytest.raises(ValueError, match="did you mean 'inverse-depth'"):
+        run("inverse-dept", RECORDING)
+    made = make_filter("inverse-depth", camera=CAMERA, noise=RECORDING.noise)
+    with pytest.raises(ValueError, match="noise, gate must be given to InverseDepthStereoEKF itself"):
+        run(made, RECORDING, noise=StereoNoise.independent_pixels(1.0), gate=0.9)
+
+
+def test_the_error_of_a_moment_is_that_of_the_filter_and_needs_an_independent_truth():
+    for moment in run("right-invariant", RECORDING):
+        error, covariance = moment.slam.pose_error(moment.truth.position, moment.truth.orientation)
+        assert moment.nees == pytest.approx(error @ np.linalg.solve(covariance, error), rel=1e-9)
+        assert moment.position_error == np.linalg.norm(moment.truth.position - moment.pose.position)
+    odometry = replace(RECORDING, truth_from=Reference("odometry from the same images", "By hand."))
+    assert all(np.isnan(moment.nees) and moment.position_error >= 0.0 for moment in run("inverse-depth", odometry))
+    for moment in run("inverse-depth", small_recording(truth=False)):
+        assert moment.pose_error is None
+        assert np.isnan([moment.nees, moment.position_error]).all()
+
+
+def test_a_held_moment_stays_when_the_filter_goes_on():
+    held = [moment.hold() for moment in run("inverse-depth", RECORDING)]
+    for kept, moment in zip(held, run("inverse-depth", RECORDING), strict=True):
+        np.testing.assert_allclose(kept.pose.position, moment.pose.position, atol=1e-12)
+        np.testing.assert_array_equal(kept.landmarks.ids, moment.landmarks.ids)
+
+
+def test_measuring_may_be_guided_by_the_filter_and_is_not_timed():
+    seen = []
+
+    def observe(number, slam):
+        seen.append((number, len(slam.landmarks.ids)))
+        return StereoObservation([], np.zeros((0, 3))) if number == 3 else RECORDING.frames[number].observation
+
+    moments = [moment.hold() for moment in run("inverse-depth", RECORDING, observe=observe)]
+    assert [number for number, _ in seen] == list(range(len(RECORDING)))
+    assert len(moments[3].observation) == len(moments[3].landmarks.ids) == 0
+    assert seen[4] == (4, 0)
+
+
+def test_after_a_refused_time_the_next_frame_is_predicted_from_the_last_good_one():
+    slam = Noted(CAMERA, RECORDING.noise)
+    loop = FilterLoop(slam, use_odometry=False)
+    loop.reset(RECORDING.start)
+    first, second, third = RECORDING.frames[:3]
+    loop.step(first)
+    loop.step(second)
+    with pytest.raises(ValueError, match="dt must be"):
+        loop.step(replace(third, timestamp=first.timestamp))
+    assert loop.step(third).number == 2
+    assert slam.calls[-2] == ("predict", pytest.approx(third.timestamp - second.timestamp), False)

@@ -1,0 +1,105 @@
+"""A drive to watch, of a recording and of a finished run (8 s)."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from threadpoolctl import threadpool_limits
+
+from filters import InverseDepthStereoEKF
+from stereo_slam_env.benchmark.storage.run_archive import load_run, save_run
+from stereo_slam_env.benchmark.storage.store import RunDirectory, read_run
+from stereo_slam_env.evaluation.filter_run import run_filter
+from stereo_slam_env.viewer.drive import Drive, revisit
+from stereo_slam_env.viewer.ellipsoids import LARGEST, SIGMAS, ellipsoids
+
+from ..benchmark.small_recordings import small_recording
+
+
+def stored(directory, name, seed):
+    run: RunDirectory = read_run(directory)
+    (choice,) = (choice for choice in run.scenario.competitors if choice.label == name)
+    return run.trial_path(seed, choice), load_run(run.trial_path(seed, choice))
+
+
+def test_a_drive_is_what_the_benchmark_makes_of_the_recording():
+    recording = small_recording()
+    run = run_filter(recording, InverseDepthStereoEKF)
+    drive = Drive.of(recording, InverseDepthStereoEKF, label="mine")
+    assert (drive.label, drive.title, drive.frames) == ("mine", f"mine on {recording.name}", len(recording))
+    with threadpool_limits(limits=1):  # as in a benchmark, for the same bits
+        moments = list(drive.moments())
+    np.testing.assert_array_equal([m.pose.position for m in moments], run.positions)
+    np.testing.assert_array_equal([m.nees for m in moments], run.pose_nees)
+    np.testing.assert_array_equal([m.report.nis for m in moments], run.nis)
+    np.testing.assert_array_equal([len(m.landmarks.ids) for m in moments], run.counts["map_size"])
+
+
+def test_a_recording_without_frames_is_refused():
+    with pytest.raises(ValueError, match="has no frames"):
+        Drive.of(replace(small_recording(), frames=()), InverseDepthStereoEKF)
+
+
+@pytest.mark.parametrize(("name", "seed"), [("inverse-depth", 3), ("euclidean", 4)])
+def test_a_run_is_revisited_to_the_bit(finished_run, name, seed):
+    _, (run, _) = stored(finished_run, name, seed)
+    drive = revisit(finished_run, name, seed)
+    assert (drive.label, drive.frames) == (name, 8)
+    np.testing.assert_array_equal([m.nees for m in drive.moments()], run.pose_nees)
+
+
+def test_the_first_filter_and_seed_are_what_is_looked_at(finished_run):
+    assert revisit(finished_run).title == "inverse-depth: short turn, seed 3"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("dual-bearing",), "filter must be one of inverse-depth, euclidean, got 'dual-bearing'"),
+        ((None, 7), r"seed must be one of the run's \(3, 4\), got 7"),
+    ],
+)
+def test_what_is_not_in_the_run_is_refused_by_name(finished_run, arguments, message):
+    with pytest.raises(ValueError, match=message):
+        revisit(finished_run, *arguments)
+
+
+def test_a_folder_without_a_run_and_none_are_told_apart(tmp_path):
+    with pytest.raises(ValueError, match="holds no run"):
+        revisit(tmp_path)
+    with pytest.raises(ValueError, match="nowhere does not exist: give the directory of a run"):
+        revisit(tmp_path / "nowhere")
+
+
+def test_a_run_that_failed_is_shown_as_far_as_it_came(finished_run):
+    path, (run, provenance) = stored(finished_run, "euclidean", 3)
+    positions = run.positions.copy()
+    positions[5:] = np.nan
+    before = path.read_bytes()
+    try:
+        save_run(path, replace(run, positions=positions, failure="frame 5: LinAlgError: no"), provenance)
+        drive = revisit(finished_run, "euclidean", 3)
+        save_run(path, replace(run, positions=np.full_like(positions, np.nan), failure="start: no"), provenance)
+        with pytest.raises(ValueError, match="nothing to show, it failed in start: no"):
+            revisit(finished_run, "euclidean", 3)
+    finally:
+        path.write_bytes(before)
+    assert len(list(drive.moments())) == drive.frames == 5
+    assert drive.title.endswith("until it failed in frame 5: LinAlgError: no")
+
+
+@pytest.mark.parametrize("size", [2, 3])
+def test_an_ellipsoid_has_the_covariance_it_was_made_from(size):
+    root = np.random.default_rng(0).normal(size=(20, size, size))
+    covariances = root @ root.transpose(0, 2, 1)
+    half_sizes, axes, drawn = ellipsoids(covariances)
+    again = axes * (half_sizes[:, None, :] / SIGMAS) ** 2 @ axes.transpose(0, 2, 1)
+    np.testing.assert_allclose(again, covariances, atol=1e-10)
+    np.testing.assert_allclose(np.linalg.det(axes), 1.0)
+    np.testing.assert_array_equal(drawn, half_sizes.max(axis=1) <= LARGEST)
+
+
+def test_an_ellipsoid_that_is_none_is_not_drawn():
+    covariances = np.stack([np.eye(3), np.full((3, 3), np.nan), np.diag([1.0, 1.0, -1.0]), 1e4 * np.eye(3)])
+    assert ellipsoids(covariances).drawn.tolist() == [True, False, False, False]
+    assert ellipsoids(np.zeros((0, 3, 3))).quaternions.shape == (0, 4)
