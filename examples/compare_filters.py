@@ -7,9 +7,9 @@ Each seed is a drive; all filters get the same bits, and differences are taken d
 import argparse
 
 from filters import StereoEKF
-from stereo_slam_env.benchmark import figures_of, run_filter, summarise_all
 from stereo_slam_env.benchmark.recordings.reference_problem import short_turn
 from stereo_slam_env.benchmark.statistics.differences import paired_difference
+from stereo_slam_env.evaluation import figures_of, run_filter, summarise_all
 
 
 class Stacked(StereoEKF):

@@ -10,9 +10,9 @@ Run it: python examples/replay_kitti.py PATH/sequences/07 --frames 200
 import argparse
 import tempfile
 
-from stereo_slam_env.benchmark import figures_of, run_filter, summarise_all
 from stereo_slam_env.datasets import open_for_front_end, write_kitti_sequence
-from stereo_slam_env.envs.rendered_drive import RenderedDrive
+from stereo_slam_env.envs.recorder import RenderedDrive
+from stereo_slam_env.evaluation import figures_of, run_filter, summarise_all
 from stereo_slam_env.frontend.recorder import record_tracks
 
 FILTERS = ("inverse-depth", "dual-bearing")

@@ -6,7 +6,7 @@ Run it: python examples/track_images.py
 import numpy as np
 
 from filters import make_filter
-from stereo_slam_env.envs.rendered_drive import RenderedDrive
+from stereo_slam_env.envs.recorder import RenderedDrive
 from stereo_slam_env.frontend.recorder import TYPICAL_NOISE
 from stereo_slam_env.frontend.tracker import StereoTracker
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from importlib.util import find_spec
 
 DISTRIBUTION = "stereo-slam-env"
 NEWER_PYTHON = {"gtsam": (3, 11)}
@@ -20,3 +21,9 @@ def install_command(extra: str) -> str:
         wanted = ".".join(map(str, NEWER_PYTHON[extra]))
         return f"the extra {extra} needs Python {wanted} or newer"
     return f'{sys.executable} -m pip install "{DISTRIBUTION}[{extra}]"'
+
+
+def require_module(module: str, extra: str) -> None:
+    """Raise an `ImportError` that says how to install `module` with an extra, where it is missing."""
+    if find_spec(module) is None:
+        raise ImportError(f"{module} is missing: {install_command(extra)}")

@@ -28,7 +28,7 @@ from stereo_slam_env.evaluation.results import FilterRun
 from stereo_slam_env.report.charts.consistency import plot_error_bounds, plot_nees
 from stereo_slam_env.report.charts.drawing import Chart, on_white
 from stereo_slam_env.report.charts.style import BAND, INK, MUTED, PALETTE
-from stereo_slam_env.viewer.picture_style import WIDTH_INCHES, style_context, styled
+from stereo_slam_env.viewer.drive_picture import WIDTH_INCHES, style_context, styled
 from stereo_slam_env.wrappers.information import InformationCriterion, log_det
 
 HERE = Path(__file__).resolve().parent

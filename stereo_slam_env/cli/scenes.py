@@ -106,7 +106,7 @@ def record_scene(
     """Write a rendered drive as a KITTI odometry sequence, for other people's SLAM systems (and `replay`)."""
     with one_line_errors():
         from stereo_slam_env.datasets import write_kitti_sequence
-        from stereo_slam_env.envs.rendered_drive import RenderedDrive
+        from stereo_slam_env.envs.recorder import RenderedDrive
         from stereo_slam_env.report.console import progress_bar
 
         arguments = _arguments(route, surroundings, renderer, rig, moving_cars, pedestrians, randomise)

@@ -1,1 +1,5 @@
 """Vision front end: (u, v, d) with ids from stereo images."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

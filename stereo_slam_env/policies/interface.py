@@ -1,4 +1,4 @@
-"""What every policy offers."""
+"""The interface of policies, and actions that turn the head."""
 
 from __future__ import annotations
 

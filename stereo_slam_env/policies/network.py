@@ -1,4 +1,4 @@
-"""A trained policy: a small network, kept as plain arrays, that needs nothing but NumPy to decide."""
+"""A trained policy: a small network of plain arrays that runs on NumPy alone."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Policies that take no notice of what is seen: the baselines that any other has to beat."""
+"""Open-loop policies, which ignore the observation: baselines for all others."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ _DATA_FILES = (".json", ".csv", ".parquet", ".toml")
 _KEPT_LIBRARY = Path(__file__).parent / "__pycache__" / f"vega-{version('vl-convert-python')}.js"
 
 
-def page(*, title: str, subtitle: str, body: str) -> str:
+def html_page(*, title: str, subtitle: str, body: str) -> str:
     """Put a body into the page that all reports share.
 
     Parameters

@@ -22,7 +22,7 @@ from stereo_slam_env.report.charts import accuracy, consistency, cost, landmarks
 from stereo_slam_env.report.charts.drawing import Chart
 from stereo_slam_env.report.comparison_report import attribution_section, conclusions
 from stereo_slam_env.report.overview import overview, policy_overview
-from stereo_slam_env.report.page import clean_figures, data_links, figure_block, joined, page, part
+from stereo_slam_env.report.page import clean_figures, data_links, figure_block, html_page, joined, part
 
 MOST_SHOWN = 6
 """Of more filters than that, each is compared with the best one only, and the first ones have figures of their own."""
@@ -97,7 +97,7 @@ def write_report(
         data_links(out),
     ]
     path = out / "report.html"
-    path.write_text(page(title=title, subtitle=_subtitle(runs, looks), body=joined(body)), encoding="utf-8")
+    path.write_text(html_page(title=title, subtitle=_subtitle(runs, looks), body=joined(body)), encoding="utf-8")
     return path
 
 

@@ -42,7 +42,7 @@ LOADS_MODULES = {  # by name; and where that name comes from
     "stereo_slam_env/benchmark/recordings/sources.py": "kind 'factory', which load_study refuses without consent",
     "stereo_slam_env/policies/registry.py": "a table in the module",
     "stereo_slam_env/rendering/gl_resources.py": "a literal",
-    "stereo_slam_env/viewer/rerun_sink.py": "a literal",
+    "stereo_slam_env/viewer/rerun_view.py": "a literal",
     "stereo_slam_env/wrappers/__init__.py": "a table in the module",
 }
 

@@ -1,0 +1,5 @@
+"""Public names of this room; each is imported when it is first used."""
+
+from .recorder import ActiveSearch as ActiveSearch
+from .recorder import record_tracks as record_tracks
+from .settings import TrackerSettings as TrackerSettings
