@@ -31,7 +31,7 @@ import numpy as np
 from rich.console import Console
 from rich.progress import track
 
-from stereo_slam_env.benchmark import run
+from stereo_slam_env.benchmark import run_benchmark
 from stereo_slam_env.benchmark.storage.run_archive import load_run
 
 SCENARIO = """
@@ -66,7 +66,7 @@ def start(scenario: Path, out: Path, jobs: int) -> BaseProcess:
 
 def _run(scenario: Path, out: Path, jobs: int) -> None:
     os.setsid()
-    run(scenario, out, jobs=jobs)
+    run_benchmark(scenario, out, jobs=jobs)
 
 
 def results(out: Path) -> dict[Path, bytes]:

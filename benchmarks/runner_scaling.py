@@ -18,7 +18,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from stereo_slam_env.benchmark import Scenario, run
+from stereo_slam_env.benchmark import Scenario, run_benchmark
 from stereo_slam_env.benchmark.recordings.sources import ReferenceSource
 from stereo_slam_env.benchmark.running.isolation import run_isolated
 from stereo_slam_env.benchmark.scenarios.scenario import filter_choice
@@ -30,7 +30,7 @@ def seconds(scenario: Scenario, jobs: int) -> float:
     """Wall-clock time of the run."""
     with tempfile.TemporaryDirectory() as folder:
         began = time.perf_counter()
-        run(scenario, Path(folder) / "out", jobs=jobs)
+        run_benchmark(scenario, Path(folder) / "out", jobs=jobs)
         return time.perf_counter() - began
 
 

@@ -3,7 +3,9 @@
 from .camera import StereoCamera as StereoCamera
 from .conformance import ConformanceError as ConformanceError
 from .conformance import ConformanceReport as ConformanceReport
+from .conformance import assert_healthy as assert_healthy
 from .conformance import check_filter as check_filter
+from .conformance import shown_arrays as shown_arrays
 from .conformance_pytest import parametrize_with_checks as parametrize_with_checks
 from .consistency import nees as nees
 from .engine.ekf import StereoEKF as StereoEKF

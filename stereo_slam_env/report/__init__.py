@@ -1,1 +1,5 @@
 """Console tables and HTML pages of runs, studies and comparisons."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

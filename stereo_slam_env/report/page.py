@@ -25,7 +25,7 @@ _DATA_FILES = (".json", ".csv", ".parquet", ".toml")
 _KEPT_LIBRARY = Path(__file__).parent / "__pycache__" / f"vega-{version('vl-convert-python')}.js"
 
 
-def page(*, title: str, subtitle: str, body: str) -> str:
+def html_page(*, title: str, subtitle: str, body: str) -> str:
     """Put a body into the page that all reports share.
 
     Parameters
@@ -120,6 +120,7 @@ def inline_svg(svg: str, name: str, description: str) -> Markup:
         tag = re.sub(
             r' (?:class|role|aria-[a-z]+|font-family|pointer-events|xmlns(?::\w+)?|version)="[^"]*"', "", found[0]
         )
+        tag = re.sub(r' d="[^"]*"', lambda path: re.sub(r"(\.\d)\d+", r"\1", path[0]), tag)  # a tenth of a pixel
         tag = re.sub(r' id="([^"]*)"', rf' id="{name}-\1"', tag)
         return re.sub(r"url\(#(\w+)\)", rf"url(#{name}-\1)", tag)
 

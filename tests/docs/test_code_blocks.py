@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from stereo_slam_env.benchmark import run
+from stereo_slam_env.benchmark import run_benchmark
 
 from .what_pages_show import GIVEN, SHOWS, diverged_and_failed
 
@@ -78,7 +78,7 @@ def test_a_page_runs_from_top_to_bottom_and_shows_what_it_says(name, tmp_path, m
 def test_a_scenario_of_the_manual_is_an_example_of_filters_that_work(code, tmp_path):
     """2 seeds of 40 frames of each cell."""
     (tmp_path / "mine.toml").write_text("frames = 40\n" + re.sub("^frames = .*\n", "", code, flags=re.MULTILINE))
-    run(tmp_path / "mine.toml", tmp_path / "out", seeds=[0, 1])
+    run_benchmark(tmp_path / "mine.toml", tmp_path / "out", seeds=[0, 1])
     diverged, failed = diverged_and_failed(tmp_path / "out")
     assert diverged <= 0.25
     assert failed == 0

@@ -11,11 +11,12 @@ import pytest
 from scipy.stats import chi2
 
 from filters import make_filter
-from stereo_slam_env.benchmark import run, run_filter
+from stereo_slam_env.benchmark import run_benchmark
 from stereo_slam_env.benchmark.recordings.reference_problem import long_drive, short_turn
 from stereo_slam_env.benchmark.scenarios.study import study_from
 from stereo_slam_env.datasets import open_image_sequence, write_kitti_sequence
 from stereo_slam_env.envs.recorder import RenderedDrive
+from stereo_slam_env.evaluation import run_filter
 from stereo_slam_env.rendering.backends import make_renderer
 from stereo_slam_env.sensing.rigs import RIGS
 from stereo_slam_env.world.frames import WorldFrame
@@ -47,7 +48,7 @@ def given_baselines():
 
 def given_benchmark():
     pytest.importorskip("polars", reason="needs polars and pandas (extra dev)")
-    run("reference-turn", "runs/before", seeds=[0, 1])
+    run_benchmark("reference-turn", "runs/before", seeds=[0, 1])
     return {}
 
 
@@ -88,7 +89,7 @@ def given_statistics():
         for label, (name, options) in choices.items()
     ]
     for which in ("before", "after"):
-        run("reference-turn", f"runs/{which}", seeds=[0, 1], filters=["inverse-depth"])
+        run_benchmark("reference-turn", f"runs/{which}", seeds=[0, 1], filters=["inverse-depth"])
     summaries, figures = scored(runs)
     cell = SimpleNamespace(runs=runs, summaries=summaries, figures=figures)
     return {"study": study, "result": SimpleNamespace(runs=runs, cells=[cell])}

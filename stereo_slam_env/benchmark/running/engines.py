@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import joblib
+from threadpoolctl import threadpool_limits
 
 from filters.extras import install_command
 
@@ -76,7 +77,8 @@ class Engine:
             The cluster cannot be reached.
         """
         if self.in_this_process:
-            yield lambda function, tasks: map(function, tasks)
+            with threadpool_limits(limits=1):
+                yield map
             return
         with ExitStack() as stack:
             stack.enter_context(_BACKENDS[self.name](self.jobs, self.address))

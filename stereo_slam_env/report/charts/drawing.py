@@ -26,8 +26,8 @@ Spec: TypeAlias = dict[str, Any]
 PNG_SCALE = 1.6
 ROW = 30.0
 """Height of a row that belongs to one filter, px."""
-MOST_POINTS = 420
-"""Of one curve: longer ones are thinned, with their peaks kept."""
+POINTS_A_PIXEL = 0.45
+"""Longer curves are thinned, with their peaks kept; those in the background twice as much."""
 DASHED = (5.0, 4.0)
 
 THEME: Spec = {
@@ -135,7 +135,7 @@ class Panel:
 
     def lines(self, curves: Iterable[Curve], dash: Sequence[float] = ()) -> None:
         """Draw each curve as a line."""
-        rows = [_row(number, curve, thinned(curve)) for number, curve in enumerate(curves)]
+        rows = [_row(number, curve, self._kept(curve)) for number, curve in enumerate(curves)]
         mark = {
             "type": "line",
             "strokeDash": list(dash),
@@ -164,7 +164,7 @@ class Panel:
 
     def bands(self, curves: Iterable[Curve]) -> None:
         """Fill between `low` and `high` of each curve."""
-        rows = [_row(number, curve, thinned(curve), "low", "high") for number, curve in enumerate(curves)]
+        rows = [_row(number, curve, self._kept(curve), "low", "high") for number, curve in enumerate(curves)]
         self._layer(rows, {"type": "area"}, {"y": "low", "y2": "high"}, **_COLOURED, detail=_ID)
 
     def boxes(self, boxes: Iterable[Box]) -> None:
@@ -242,16 +242,9 @@ class Panel:
 
     def layered(self, number: int) -> Spec:
         """The panel as a view of Vega-Lite; `number` tells it from the other ones of its chart."""
-        title = {
-            "text": self.title,
-            "x": 0,
-            "y": -11,
-            "colour": self.title_colour,
-            "key": "",
-            "align": "left",
-            "bold": True,
-        }
-        texts = [*self._texts, {**title, **_UPRIGHT}] if self.title else self._texts
+        style = {"x": 0, "y": -11, "align": "left", "bold": True, "key": ""} | _UPRIGHT
+        title = {"text": self.title, "colour": self.title_colour, **style}
+        texts = [*self._texts, title] if self.title else self._texts
         layers = self._layers or [self._drawn([{"x": None, "y": None}], {"type": "point", "opacity": 0})]
         if self.zoom:
             # Ctrl, or two fingers: the wheel alone goes on scrolling the page.
@@ -281,6 +274,9 @@ class Panel:
         } | {end: {"field": at[end]} for end in ("x2", "y2") if end in at}
         return _drawn(rows, {**mark, "clip": True}, {**sides, **encoding}, where)
 
+    def _kept(self, curve: Curve) -> IntArray:
+        return thinned(curve, max(60, round(POINTS_A_PIXEL * self.width / (1 if curve.said is not None else 2))))
+
     def _tooltip(self) -> list[Spec]:
         values = {"x": self.x.title or "at"}
         if self.y.ticks != ():
@@ -309,7 +305,10 @@ class Chart:
 
     def svg(self) -> str:
         """Draw it as an SVG document, with its texts as text, on no background."""
-        return vl_convert.vegalite_to_svg(self.spec)
+        svg = vl_convert.vegalite_to_svg(self.spec)
+        # Vega goes on counting from drawing to drawing: numbered anew, the same chart is the same text.
+        clips = {name: f"clip{i}" for i, name in enumerate(dict.fromkeys(re.findall(r' id="(clip\d+)"', svg)))}
+        return re.sub(r"\bclip\d+\b", lambda found: clips.get(found[0], found[0]), svg)
 
     def save(self, *paths: Path) -> str:
         """Draw it on white into files, by their ending .svg or .png; returns the drawing without a background."""
@@ -370,7 +369,7 @@ def figure(
     )
 
 
-def thinned(curve: Curve, most: int = MOST_POINTS) -> IntArray:
+def thinned(curve: Curve, most: int) -> IntArray:
     """Indices of the points to draw: of each stretch the first, the lowest and the highest, so that no peak is lost."""
     y = np.asarray(curve.y if curve.high is None else curve.high, dtype=np.float64)
     if len(y) <= most:

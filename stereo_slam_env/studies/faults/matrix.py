@@ -1,41 +1,167 @@
-"""The fault matrix: every fault x filter x seed, what became of it, and whether it was noticed."""
+"""The fault matrix: what became of each filter under each fault, and whether that was detected."""
 
 from __future__ import annotations
 
 import statistics
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
-from threadpoolctl import threadpool_limits
+from numpy.typing import NDArray
 
-from filters.common_options import make_with_common_options
-from filters.monitor import Cause, DivergenceMonitor
-from filters.validation import BoolArray
-from stereo_slam_env.benchmark.recordings.source import Progress
-from stereo_slam_env.benchmark.running.engines import Engine
-from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice
+from filters import (
+    Alarm,
+    BodyVelocity,
+    Cause,
+    DivergenceMonitor,
+    Start,
+    StereoFilter,
+    StereoObservation,
+    UpdateReport,
+    assert_healthy,
+    make_filter,
+    shown_arrays,
+)
+from stereo_slam_env import FilterChoice, FilterLoop, Recording
+from stereo_slam_env.benchmark import Engine
 from stereo_slam_env.studies.faults.catalogue import FAULTS, NOMINAL, find_fault
-from stereo_slam_env.studies.faults.session import Session, drive_through
 
+FloatArray = NDArray[np.float64]
 OUTCOMES = ("ok", "degraded", "diverged")
 IN_TIME = 2.0
-"""So late an alarm is still in time, s; or with the next frame, where that is later."""
-GATE = 0.99
+"""An alarm is in time up to so long after divergence, s; or with the next frame, where that is later."""
+
+
+@dataclass(frozen=True, eq=False)
+class Session:
+    """What came of a drive.
+
+    Attributes
+    ----------
+    times : (K,)
+        Of the frames that were not refused for their time, s.
+    position_errors, travelled, nees : (K,)
+        Error of the position, m; length of the true drive so far, m; NEES of the pose over 6.
+    alarms : tuple of Alarm
+        In order; their times are those of the drive.
+    refused : int
+        Calls that were refused as illegal input, with the state left as it was.
+    broken : str
+        What the contract does not allow and happened all the same, one line; empty: nothing. The drive ends there.
+    """
+
+    times: FloatArray
+    position_errors: FloatArray
+    travelled: FloatArray
+    nees: FloatArray
+    alarms: tuple[Alarm, ...]
+    refused: int
+    broken: str
+
+
+def drive_through(recording: Recording, slam: StereoFilter, monitor: DivergenceMonitor) -> Session:
+    """Feed a stream to a filter as a robot would: what is refused is left out, and the drive goes on.
+
+    Parameters
+    ----------
+    recording : Recording
+        With truth. Its frames may be out of order, and their observations illegal.
+    slam : StereoFilter
+        Is reset to the start of the recording.
+    monitor : DivergenceMonitor
+        Is reset.
+    """
+    watched = _WatchedFilter(slam)
+    loop = FilterLoop(cast(StereoFilter, watched), recording.reference)
+    monitor.reset()
+    rows: list[tuple[float, float, float, float]] = []
+    alarms: list[Alarm] = []
+    clock, travelled, where, broken = recording.frames[0].timestamp, 0.0, recording.start.position, ""
+    try:
+        loop.reset(recording.start)
+        for frame in recording.frames:
+            try:
+                moment = loop.step(frame)
+            except _RefusedFrame:
+                continue
+            alarm = monitor.look(moment.time - clock, moment.report, moment.pose)
+            alarms += [] if alarm is None else [alarm]
+            assert moment.truth is not None, "the recording has no truth"
+            travelled += float(np.linalg.norm(moment.truth.position - where))
+            clock, where = moment.time, moment.truth.position
+            rows.append((clock, travelled, moment.position_error, moment.nees / 6.0))
+    except (AssertionError, ArithmeticError) as error:
+        broken = f"at {clock:.3f} s: {error}"
+    times, path, errors, nees = np.array(rows).reshape(-1, 4).T
+    return Session(times, errors, path, nees, tuple(alarms), watched.refused, broken)
+
+
+class _RefusedFrame(Exception):
+    """A frame whose time is illegal."""
+
+
+class _WatchedFilter:
+    """A filter that is held to its contract, as the loop drives it.
+
+    After every call its belief is healthy; only `ValueError` may be raised, and then the state is as it was.
+    """
+
+    def __init__(self, slam: StereoFilter) -> None:
+        self._slam = slam
+        self.refused = 0
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._slam, name)
+
+    def reset(self, start: Start) -> None:
+        self._slam.reset(start)
+        self._check()
+
+    def predict(self, dt: float, odometry: BodyVelocity | None) -> None:
+        if not self._accepted(lambda: self._slam.predict(dt, odometry)):
+            raise _RefusedFrame
+
+    def update(self, seen: StereoObservation) -> UpdateReport:
+        """Use the arrays of a camera, which need not be legal; an empty report where they are refused."""
+        reports = [UpdateReport()]
+        self._accepted(
+            lambda: reports.append(
+                self._slam.update(StereoObservation(seen.ids, seen.uvd, seen.v_right, seen.R)),
+            )
+        )
+        return reports[-1]
+
+    def _check(self) -> None:
+        assert_healthy(self._slam)
+        self._shown = shown_arrays(self._slam)
+
+    def _accepted(self, call: Callable[[], object]) -> bool:
+        """Whether the call is accepted; raises AssertionError where the filter breaks its contract."""
+        try:
+            call()
+        except ValueError:
+            self.refused += 1
+            pairs = zip(self._shown, shown_arrays(self._slam), strict=True)
+            assert all(np.array_equal(a, b, equal_nan=True) for a, b in pairs), "refused input changed the state"
+            return False
+        except Exception as error:  # the contract is ValueError and nothing else
+            raise AssertionError(f"raised {type(error).__name__}: {error}") from error
+        self._check()
+        return True
 
 
 @dataclass(frozen=True)
 class Limits:
-    """Beyond them: an error above a `share` of the distance travelled and some `metres`, or NEES/6 above `nees`."""
+    """An error above a `share` of the distance travelled and some `metres` is beyond them, or NEES/6 above `nees`."""
 
     share: float
     metres: float
     nees: float
 
-    def passed(self, session: Session) -> BoolArray:
+    def passed(self, session: Session) -> NDArray[np.bool_]:
         """In which frames; what is not finite is beyond every limit."""
         allowed = np.maximum(self.share * session.travelled, self.metres)
         return ~((session.position_errors <= allowed) & (session.nees <= self.nees))
@@ -66,10 +192,8 @@ class Run:
         Of all alarms, in order (names of `Cause`).
     worst_percent : float
         Largest position error over the distance travelled, %.
-    refused : int
-        Calls refused as illegal, with the state left as it was.
-    broken : str
-        Which invariant was not kept; empty: none.
+    refused, broken : int, str
+        As of the `Session`.
     """
 
     fault: str
@@ -85,40 +209,48 @@ class Run:
     broken: str
 
 
+def judge(session: Session, fault: str, label: str, seed: int) -> Run:
+    """What became of a drive."""
+    begins = FAULTS[fault].begins
+    since = session.times >= begins
+    diverged = DIVERGED.passed(session) & since
+    outcome = OUTCOMES[2 if diverged.any() or session.broken else int((DEGRADED.passed(session) & since).any())]
+    at = detected = in_time = None
+    if diverged.any():
+        place = int(diverged.argmax())
+        at = float(session.times[place])
+        alarm = next((alarm.time for alarm in session.alarms if alarm.time >= begins - 1e-9), None)
+        detected = None if alarm is None else alarm - at
+        later = session.times[place + 1] - at if place + 1 < len(session.times) else 0.0
+        in_time = detected is not None and bool(detected <= max(IN_TIME, later) + 1e-9)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        shares = session.position_errors[since] / np.maximum(session.travelled[since], 1.0)
+    causes = tuple(alarm.cause.name for alarm in session.alarms)
+    worst = 100.0 * float(shares.max(initial=0.0))
+    return Run(fault, label, seed, outcome, at, detected, in_time, causes, worst, session.refused, session.broken)
+
+
 @dataclass(frozen=True)
 class Cell:
     """The runs of one fault and filter."""
 
     runs: tuple[Run, ...]
 
-    def count(self, outcome: str) -> int:
-        """Runs that ended so."""
-        return sum(run.outcome == outcome for run in self.runs)
-
-    @property
-    def detected(self) -> int:
-        """Diverged runs that were noticed in time."""
-        return sum(run.in_time is True for run in self.runs)
-
-    @property
-    def alarmed(self) -> int:
-        """Runs with an alarm."""
-        return sum(bool(run.causes) for run in self.runs)
-
     @property
     def words(self) -> str:
-        """What became of them, in a few words."""
-        told = [f"{self.count(outcome)} {outcome}" for outcome in OUTCOMES if self.count(outcome)]
-        if len(told) == 1:
-            told = [told[0].split()[1]]
+        """Outcomes, detections, and what was broken, in a few words."""
+        counts = {outcome: sum(run.outcome == outcome for run in self.runs) for outcome in OUTCOMES}
+        present = [outcome for outcome in OUTCOMES if counts[outcome]]
+        said = [f"{counts[outcome]} {outcome}" for outcome in present] if len(present) > 1 else present
         delays = [run.detected_after for run in self.runs if run.detected_after is not None]
-        if diverged := self.count("diverged"):
+        alarmed = sum(bool(run.causes) for run in self.runs)
+        if diverged := counts["diverged"]:
             late = f", after {delay:.1f} s" if delays and (delay := statistics.median(delays)) >= 0.05 else ""
-            told.append(f"told {self.detected}/{diverged}{late}")
-        elif self.alarmed:
-            told.append(f"alarms {self.alarmed}/{len(self.runs)}")
-        broken = [run.broken for run in self.runs if run.broken]
-        return "; ".join([*told, *(["BROKEN: " + broken[0]] if broken else [])])
+            said.append(f"told {sum(run.in_time is True for run in self.runs)}/{diverged}{late}")
+        elif alarmed:
+            said.append(f"alarms {alarmed}/{len(self.runs)}")
+        broken = [f"BROKEN: {run.broken}" for run in self.runs if run.broken]
+        return "; ".join([*said, *broken[:1]])
 
     @property
     def cause(self) -> str:
@@ -170,16 +302,14 @@ class FaultMatrix:
 
     def sentences(self) -> list[str]:
         """The summary in words."""
-        told = self.summary()
-        lines = [
-            f"contract kept in {told['runs'] - told['broken']} of {told['runs']} runs",
-            f"divergence told in time in {told['detected_in_time']} of {told['diverged']} runs"
-            + (
-                f" ({told['diverged_hidden']} more where innovations cannot show it)" if told["diverged_hidden"] else ""
-            ),
-            f"false alarms in {told['false_alarms']} of {told['nominal']} drives with nothing wrong",
+        count = self.summary()
+        hidden = count["diverged_hidden"]
+        apart = f" ({hidden} more where innovations cannot show it)" if hidden else ""
+        return [
+            f"contract kept in {count['runs'] - count['broken']} of {count['runs']} runs",
+            f"divergence told in time in {count['detected_in_time']} of {count['diverged']} runs{apart}",
+            f"false alarms in {count['false_alarms']} of {count['nominal']} drives with nothing wrong",
         ]
-        return lines
 
     def as_dict(self) -> dict[str, Any]:
         """JSON-able: limits, summary, every run."""
@@ -210,14 +340,14 @@ def run_matrix(
     faults: Sequence[str] = tuple(FAULTS),
     seeds: int = 3,
     engine: Engine | None = None,
-    progress: Progress | None = None,
+    progress: Callable[[int, int], None] | None = None,
 ) -> FaultMatrix:
     """Run every fault with every filter.
 
     Parameters
     ----------
     filters : sequence of FilterChoice
-        With a gate of 0.99, where they know one.
+        With the gate that they have by default, 0.99.
     faults : sequence of str
         Keys of `FAULTS`.
     seeds : int
@@ -233,9 +363,8 @@ def run_matrix(
         There is no such fault or filter, or an option is refused.
     """
     wanted = {name: find_fault(name) for name in faults}
-    first = next(iter(FAULTS.values())).drive(0)
     for choice in filters:  # before any work is done
-        make_with_common_options(choice.name, first.camera, first.noise, choice.options, {})
+        _made(choice, FAULTS[NOMINAL].driven(0, 2))
     tasks = [(name, seed) for name in wanted for seed in range(seeds)]
     runs: list[Run] = []
     with (engine or Engine(jobs=1)).started() as map_tasks:
@@ -248,37 +377,13 @@ def run_matrix(
     return FaultMatrix(tuple(sorted(runs, key=lambda run: (order[run.fault], labels[run.filter], run.seed))))
 
 
-def judge(session: Session, fault: str, label: str, seed: int) -> Run:
-    """What became of a drive."""
-    begins = FAULTS[fault].begins
-    since = session.times >= begins
-    diverged = DIVERGED.passed(session) & since
-    outcome = OUTCOMES[2 if diverged.any() or session.broken else int((DEGRADED.passed(session) & since).any())]
-    at = detected = in_time = None
-    if diverged.any():
-        place = int(diverged.argmax())
-        at = float(session.times[place])
-        told = next((alarm.time for alarm in session.alarms if alarm.time >= begins - 1e-9), None)
-        detected = None if told is None else told - at
-        later = session.times[place + 1] - at if place + 1 < len(session.times) else 0.0
-        in_time = detected is not None and bool(detected <= max(IN_TIME, later) + 1e-9)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        shares = session.position_errors[since] / np.maximum(session.travelled[since], 1.0)
-    causes = tuple(alarm.cause.name for alarm in session.alarms)
-    worst = 100.0 * float(shares.max(initial=0.0))
-    return Run(fault, label, seed, outcome, at, detected, in_time, causes, worst, session.refused, session.broken)
-
-
 def _run(filters: Sequence[FilterChoice], task: tuple[str, int]) -> list[Run]:
-    return list(_runs(filters, *task))
-
-
-def _runs(filters: Sequence[FilterChoice], fault: str, seed: int) -> Iterator[Run]:
+    fault, seed = task
     recording = FAULTS[fault].drive(seed)
-    for choice in filters:
-        made = make_with_common_options(
-            choice.name, recording.camera, recording.noise, choice.options, {"gate": GATE}
-        ).filter
-        with threadpool_limits(limits=1), np.errstate(all="ignore"):
-            session = drive_through(recording, made, DivergenceMonitor())
-        yield judge(session, fault, choice.label, seed)
+    with np.errstate(all="ignore"):
+        sessions = [drive_through(recording, _made(choice, recording), DivergenceMonitor()) for choice in filters]
+    return [judge(session, fault, choice.label, seed) for session, choice in zip(sessions, filters, strict=True)]
+
+
+def _made(choice: FilterChoice, recording: Recording) -> StereoFilter:
+    return make_filter(choice.name, camera=recording.camera, noise=recording.noise, **choice.options)

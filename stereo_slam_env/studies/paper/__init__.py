@@ -1,8 +1,24 @@
-"""The paper, judged: its experiments run again, and what they show of its claims."""
+"""The paper's experiments again, and what they show of its claims: `stereo-slam paper`."""
 
-from stereo_slam_env.studies.paper.claims import Claim, Finding, Interval, Range, Verdict
-from stereo_slam_env.studies.paper.settings import FULL, QUICK, PaperSettings
-from stereo_slam_env.studies.paper.study import PaperResult, run_paper
+from __future__ import annotations
+
+import csv
+import hashlib
+import json
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, fields
+from functools import partial
+from pathlib import Path
+from typing import Any
+from zipfile import BadZipFile
+
+import numpy as np
+
+from stereo_slam_env import run_benchmark
+from stereo_slam_env.benchmark import Engine, versions
+from stereo_slam_env.studies.paper import convergence, karlsruhe, landmark_uncertainty, long_drive, speed
+from stereo_slam_env.studies.paper.claims import Arrays, Claim, Finding, Interval, Range, Verdict
 
 __all__ = [
     "FULL",
@@ -14,5 +30,241 @@ __all__ = [
     "PaperSettings",
     "Range",
     "Verdict",
+    "run_experiments",
     "run_paper",
 ]
+
+VERSION = 1
+SETTINGS, RESULT, ROWS = "paper_settings.json", "paper.json", "claims.csv"
+EXPERIMENTS, DRIVES = Path("trials") / "experiments", Path("trials") / "drives"
+"""Folders: of one npz file an experiment, and of the benchmark's runs for section 4.4, by number of frames."""
+Progress = Callable[[float, int], None]
+
+
+@dataclass(frozen=True)
+class PaperSettings:
+    """How much is measured.
+
+    Attributes
+    ----------
+    samples : int
+        Of each Monte-Carlo cloud of section 4.1.
+    turn_seeds : int
+        Recordings of 4.3, for each noise.
+    drive_seeds, drive_frames : int
+        Recordings of 4.4, for each noise, and their length.
+    sizes : tuple of int
+        Numbers of landmarks that the speed is measured at.
+    repeats : int
+        Rounds of that measurement.
+
+    Raises
+    ------
+    ValueError
+        A number is not positive.
+    """
+
+    samples: int = 10_000
+    turn_seeds: int = 200
+    drive_seeds: int = 20
+    drive_frames: int = 800
+    sizes: tuple[int, ...] = (25, 50, 100, 200)
+    repeats: int = 30
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            numbers = value if isinstance(value, tuple) else (value,)
+            if not numbers or any(type(number) is not int or number < 1 for number in numbers):
+                raise ValueError(f"{field.name} must be whole numbers >= 1, got {value!r}")
+
+
+FULL = PaperSettings()
+QUICK = PaperSettings(turn_seeds=20, drive_seeds=6, drive_frames=150, sizes=(25, 50, 100), repeats=8)
+"""To see that everything works, within a minute; most intervals are then too wide to show anything."""
+
+
+@dataclass(frozen=True, eq=False)
+class PaperResult:
+    """What was found and where it is."""
+
+    out: Path
+    claims: tuple[Claim, ...]
+    report: Path
+
+
+def run_paper(
+    out: str | Path,
+    settings: PaperSettings = FULL,
+    *,
+    jobs: int = 1,
+    karlsruhe_path: Path | None = None,
+    progress: Progress | None = None,
+) -> PaperResult:
+    """Run the paper's experiments again and judge its claims.
+
+    Finished experiments are kept in `out`: the same call goes on where an interrupted one stopped.
+
+    Parameters
+    ----------
+    out : str or Path
+        Directory for `paper.json` (claims with their numbers, settings, versions), `claims.csv`, `figures` (PNG and
+        SVG), `report.html`, and the experiments.
+    settings : PaperSettings
+        How much is measured.
+    jobs : int
+        Processes, one BLAS thread each. Time is measured in one process after everything else.
+    karlsruhe_path : Path, optional
+        Folder of the Karlsruhe sequences.
+    progress : callable, optional
+        Called with (experiments done, experiments), where a drive of section 4.4 with one filter is one of them.
+
+    Raises
+    ------
+    ValueError
+        `out` holds something else or is in use by another process, jobs < 1, or there are no such sequences.
+    """
+    out, tell = Path(out), progress or (lambda done, total: None)
+    together = Engine(jobs=jobs)
+    sequences = {} if karlsruhe_path is None else karlsruhe.sequences(karlsruhe_path)
+    if out.exists() and not out.is_dir():
+        raise ValueError(f"output {out} is a file: give a directory")
+    if out.is_dir() and any(out.iterdir()) and not (out / SETTINGS).exists():
+        raise ValueError(f"output {out} is not empty and holds no run of the paper: choose another directory")
+    about = {"version": VERSION, "settings": asdict(settings), "versions": versions()}
+    _write_json(out / SETTINGS, about)
+
+    drives, place = (
+        long_drive.study(settings.drive_seeds, settings.drive_frames),
+        out / f"{DRIVES}-{settings.drive_frames}",
+    )
+    untimed = {**convergence.experiments(settings.turn_seeds), **karlsruhe.experiments(sequences)}
+    timed = speed.experiments(settings.sizes, settings.repeats)
+    trials = sum(len(cell.scenario.filters) * len(cell.scenario.seeds) for cell in drives.cells)
+    total = trials + len(untimed) + len(timed)
+
+    def after(before: int) -> Progress:
+        return lambda done, of: tell(before + done, total)
+
+    def of_drives(done: float, of: int) -> None:
+        tell(trials * done / of, total)
+
+    runs = long_drive.runs_of(run_benchmark(drives, place, jobs=jobs, progress=of_drives))
+    results = run_experiments(untimed, out / EXPERIMENTS, together, after(trials))
+    results |= run_experiments(timed, out / EXPERIMENTS, Engine(jobs=1), after(trials + len(untimed)))
+    claims = (
+        *landmark_uncertainty.judge(settings.samples),
+        *convergence.judge(results),
+        *long_drive.judge(runs),
+        *speed.judge(results),
+        *karlsruhe.judge(results),
+    )
+    _write_json(out / RESULT, {**about, "claims": [_as_dict(claim) for claim in claims]})
+    _write_rows(out / ROWS, claims)
+    from stereo_slam_env.studies.paper.report import write_report  # draws, which only this needs
+
+    return PaperResult(out, claims, write_report(out, claims, results, runs, settings, bool(sequences)))
+
+
+def run_experiments(
+    experiments: Mapping[str, partial[Arrays]], folder: Path, engine: Engine, progress: Progress
+) -> dict[str, Arrays]:
+    """Results by name; what `folder` has of the same arguments and code is not computed again.
+
+    Parameters
+    ----------
+    experiments : mapping of str to partial
+        Name of a file -> function and its arguments, JSON-able.
+    folder : Path
+        For one npz file an experiment; a damaged one is computed again.
+    engine : Engine
+        Where they run.
+    progress : callable
+        Called with (experiments done, experiments).
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    own_code = b"".join(path.read_bytes() for path in sorted(Path(__file__).parent.glob("*.py")))
+    code = [versions()["code"], hashlib.sha256(own_code).hexdigest()]
+    keys = {name: json.dumps([*code, work.args, work.keywords]) for name, work in experiments.items()}
+    results = {
+        name: arrays for name in experiments if (arrays := _kept(folder / f"{name}.npz", keys[name])) is not None
+    }
+    progress(len(results), len(experiments))
+    missing = [(folder / f"{name}.npz", keys[name], work) for name, work in experiments.items() if name not in results]
+    with engine.started() as run_all:
+        for name, arrays in run_all(_computed, missing) if missing else ():
+            results[name] = arrays
+            progress(len(results), len(experiments))
+    return results
+
+
+def _computed(task: tuple[Path, str, partial[Arrays]]) -> tuple[str, Arrays]:
+    path, key, work = task
+    arrays = work()
+    named: dict[str, Any] = {"made from": np.array(key), **arrays}
+    unfinished = path.with_suffix(".part")
+    with unfinished.open("wb") as stream:
+        np.savez_compressed(stream, **named)
+    unfinished.replace(path)
+    return path.stem, arrays
+
+
+def _kept(path: Path, key: str) -> Arrays | None:
+    """The arrays of the file, if it is of this key."""
+    try:
+        with np.load(path) as file:
+            arrays = dict(file)
+        return arrays if str(arrays.pop("made from")) == key else None
+    except (OSError, EOFError, ValueError, KeyError, BadZipFile):
+        return None
+
+
+def _write_json(path: Path, data: Mapping[str, Any]) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(data, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def _as_dict(claim: Claim) -> dict[str, Any]:
+    return {
+        **asdict(claim.sentence),
+        "verdict": claim.verdict.value,
+        "says": claim.says,
+        "findings": [_finding(finding) for finding in claim.findings],
+    }
+
+
+def _finding(finding: Finding) -> dict[str, Any]:
+    measured, asked = finding.measured, finding.asked
+    value, *limits = (
+        number if math.isfinite(number) else None
+        for number in (measured.value, measured.low, measured.high, asked.low, asked.high)
+    )
+    return {
+        "condition": dict(finding.condition),
+        "measured": value,
+        "interval": limits[:2],
+        "asked": limits[2:],
+        "verdict": finding.verdict.value,
+    }
+
+
+def _write_rows(path: Path, claims: Sequence[Claim]) -> None:
+    """One row a finding."""
+    heads = ("key", "section", "claim", "statement", "condition", "measured", "low", "high", "asked", "verdict", "says")
+    with path.open("w", encoding="utf-8", newline="") as file:
+        rows = csv.DictWriter(file, (*heads, "evidence"), lineterminator="\n")
+        rows.writeheader()
+        for claim in claims:
+            for finding in claim.findings:
+                rows.writerow(
+                    {
+                        **asdict(claim.sentence),
+                        "condition": ", ".join(f"{factor}: {level}" for factor, level in finding.condition.items()),
+                        "measured": finding.measured.value,
+                        "low": finding.measured.low,
+                        "high": finding.measured.high,
+                        "asked": str(finding.asked),
+                        "verdict": finding.verdict.value,
+                        "says": claim.says,
+                    }
+                )

@@ -6,42 +6,40 @@ throughout are followed, on many drives; every quantity is one number a drive, a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import partial, reduce
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from filters.validation import BoolArray, FloatArray, IntArray
-from stereo_slam_env.benchmark.recordings.reference_problem import short_turn
-from stereo_slam_env.sensing.rigs import RIGS
-from stereo_slam_env.studies.paper import sentences
-from stereo_slam_env.studies.paper.claims import Claim, Finding, Interval
-from stereo_slam_env.studies.paper.depth_history import (
-    DepthHistory,
-    follow_depths,
-    measured_disparities,
-    seen_throughout,
-    true_depths,
-    with_one_noise,
-)
-from stereo_slam_env.studies.paper.intervals import mean_interval, ratio_interval
-from stereo_slam_env.studies.paper.limits import BETTER, CONSISTENT
-from stereo_slam_env.studies.paper.parts import Arrays, Part
-from stereo_slam_env.studies.paper.settings import (
+from filters import Pose, StereoNoise
+from stereo_slam_env import Recording, run
+from stereo_slam_env.benchmark import short_turn
+from stereo_slam_env.sensing import RIGS
+from stereo_slam_env.studies.paper import claims
+from stereo_slam_env.studies.paper.claims import (
     ASSUMED,
     ASSUMED_NAMES,
+    BETTER,
     COMMON_OPTIONS,
+    CONSISTENT,
     COUPLED,
     DIAGONAL,
     DUAL,
     JOINT,
     NOISES,
-    PaperSettings,
+    Arrays,
+    Claim,
+    Finding,
+    FloatArray,
+    Interval,
+    mean_interval,
+    ratio_interval,
 )
 
-CAMERA = RIGS["reference"]
+IntArray = NDArray[np.int64]
 UPDATES = 10
 """The paper's number; there is one frame more, because the first only initialises."""
 RANGES: Mapping[str, tuple[float, float]] = {"near": (15.0, 25.0), "far": (60.0, 90.0)}
@@ -50,11 +48,29 @@ CASES = tuple((name, R) for name in (JOINT, DUAL) for R in ASSUMED)
 """Filter and the R that it assumes."""
 PAIRS: Mapping[str, tuple[str, str]] = {
     ASSUMED_NAMES[DIAGONAL]: (DIAGONAL, DIAGONAL),
-    "the paper's, rival 1 px an eye": (DIAGONAL, COUPLED),
+    "the paper's, competitor, 1 px an image": (DIAGONAL, COUPLED),
     ASSUMED_NAMES[COUPLED]: (COUPLED, COUPLED),
 }
-"""Comparisons: the R of the paper's filter, and that of its rival. Two eyes of 1 px each are what the full R says."""
-SEEDS_A_PART = 20
+"""Comparisons: the R of the paper's filter, and that of its competitor. Two images of 1 px each are what the full R
+says."""
+DRIVES_AT_ONCE = 20
+
+
+@dataclass(frozen=True, eq=False)
+class DepthHistory:
+    """L landmarks through K frames, as a filter believes.
+
+    Attributes
+    ----------
+    d, sigma_d : (L, K)
+        Estimated disparity and its claimed standard deviation, px: inverse depth, up to a constant.
+    hindsight : (L, K)
+        Depth that the last estimate of the landmark has in each frame, by the filter's own motion, m.
+    """
+
+    d: FloatArray
+    sigma_d: FloatArray
+    hindsight: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +96,7 @@ class Depths:
     true: FloatArray
     raw: FloatArray
     filters: Mapping[tuple[str, str], DepthHistory]
-    disparity_constant: float = CAMERA.disparity_constant
+    disparity_constant: float = RIGS["reference"].disparity_constant
 
     def depth(self, history: DepthHistory) -> tuple[FloatArray, FloatArray]:
         """Estimated depths and their standard deviations to first order, (L, K) m; NaN where d <= 0."""
@@ -88,50 +104,100 @@ class Depths:
         return z, z / history.d * history.sigma_d
 
 
-def parts(settings: PaperSettings) -> list[Part]:
-    """The work of this section."""
-    found = []
-    for noise in NOISES:
-        for first in range(0, settings.turn_seeds, SEEDS_A_PART):
-            seeds = list(range(first, min(first + SEEDS_A_PART, settings.turn_seeds)))
-            inputs = {"noise": noise, "seeds": seeds, "options": dict(COMMON_OPTIONS)}
-            found.append(Part(f"turn-{noise}-{first:04d}", inputs, partial(compute, noise, seeds)))
-    return found
+def experiments(drives: int) -> dict[str, partial[Arrays]]:
+    """The short turns, for each noise."""
+    return {
+        f"turn-{noise}-{first:04d}": partial(turns, noise, first, min(first + DRIVES_AT_ONCE, drives))
+        for noise in NOISES
+        for first in range(0, drives, DRIVES_AT_ONCE)
+    }
 
 
-def compute(noise: str, seeds: list[int]) -> Arrays:
-    """All filters on the drives of some seeds."""
-    by_drive = [_one_drive(noise, seed) for seed in seeds]
+def turns(noise: str, first: int, end: int) -> Arrays:
+    """All filters on the drives of the seeds from `first` to before `end`."""
+    by_drive = [_turn(noise, seed) for seed in range(first, end)]
     return {name: np.concatenate([one[name] for one in by_drive]) for name in by_drive[0]}
 
 
-def _one_drive(noise: str, seed: int) -> Arrays:
+def _turn(noise: str, seed: int) -> Arrays:
     recording = short_turn(seed, noise, frames=UPDATES + 1)
     ids = seen_throughout(recording)
     true = true_depths(recording, ids)
     wanted = np.any([within(true[:, 0], label) for label in RANGES], axis=0)
     ids, true = ids[wanted], true[wanted]
-    arrays: Arrays = {
-        "drive": np.full(len(ids), seed),
-        "true": true,
-        "raw": raw_depths(measured_disparities(recording, ids), recording.camera.disparity_constant),
+    raw = raw_depths(measured_disparities(recording, ids), recording.camera.disparity_constant)
+    followed = follow_all(recording, ASSUMED, ids, COMMON_OPTIONS)
+    return {"drive": np.full(len(ids), seed), "true": true, "raw": raw, **followed}
+
+
+def seen_throughout(recording: Recording) -> IntArray:
+    """Ids of the landmarks that are observed in every frame, ascending; (L,)."""
+    return reduce(np.intersect1d, [frame.observation.ids for frame in recording.frames])
+
+
+def measured_disparities(recording: Recording, ids: IntArray) -> FloatArray:
+    """Raw disparities of those landmarks, (L, K) px."""
+    columns = []
+    for frame in recording.frames:
+        order = np.argsort(frame.observation.ids)
+        columns.append(frame.observation.uvd[order[np.searchsorted(frame.observation.ids, ids, sorter=order)], 2])
+    return np.stack(columns, axis=1)
+
+
+def true_depths(recording: Recording, ids: IntArray) -> FloatArray:
+    """True depths of those landmarks, (L, K) m; the recording must have the truth of poses and landmarks."""
+    truth = recording.landmarks
+    assert truth is not None
+    points_w = truth.positions[np.searchsorted(truth.ids, ids)]
+    poses = [frame.truth for frame in recording.frames]
+    return np.stack([pose.to_camera(points_w)[:, 2] for pose in poses if pose is not None], axis=1)
+
+
+def follow_all(
+    recording: Recording, assumed: Mapping[str, StereoNoise], ids: IntArray, options: Mapping[str, Any]
+) -> Arrays:
+    """Histories of both filters with each R, by "filter.R.field"."""
+    return {
+        f"{name}.{R}.{field}": values
+        for name in (JOINT, DUAL)
+        for R, noise in assumed.items()
+        for field, values in vars(follow_depths(recording, name, noise, ids, options)).items()
     }
-    for name, R in CASES:
-        history = follow_depths(with_one_noise(recording, ASSUMED[R]), name, ids, COMMON_OPTIONS)
-        arrays |= {f"{name}.{R}.{field}": values for field, values in vars(history).items()}
-    return arrays
+
+
+def follow_depths(
+    recording: Recording, filter_name: str, noise: StereoNoise, ids: IntArray, options: Mapping[str, Any]
+) -> DepthHistory:
+    """Run a filter and note the depths of the landmarks `ids` (L,), ascending; NaN where it does not have one."""
+    history = DepthHistory(*(np.full((len(ids), len(recording)), np.nan) for _ in range(3)))
+    poses = []
+    for moment in run(filter_name, recording, noise=noise, use_odometry=False, **options):
+        forecast = moment.slam.forecast()
+        _, mine, theirs = np.intersect1d(ids, forecast.ids, return_indices=True)
+        variance = (forecast.S - noise.R)[theirs, 2, 2]
+        history.d[mine, moment.number] = forecast.uvd[theirs, 2]
+        history.sigma_d[mine, moment.number] = np.sqrt(np.maximum(variance, 0.0))
+        poses.append(Pose(moment.pose.position, moment.pose.orientation))
+    last = moment.slam.landmarks
+    _, mine, theirs = np.intersect1d(ids, last.ids, return_indices=True)
+    for k, pose in enumerate(poses):
+        history.hindsight[mine, k] = pose.to_camera(last.positions[theirs])[:, 2]
+    return history
+
+
+def histories(arrays: Arrays, cases: Sequence[tuple[str, str]]) -> dict[tuple[str, str], DepthHistory]:
+    """What `follow_all` has found, by filter and R."""
+    fields = ("d", "sigma_d", "hindsight")
+    return {(name, R): DepthHistory(*(arrays[f"{name}.{R}.{field}"] for field in fields)) for name, R in cases}
 
 
 def gathered(results: Mapping[str, Arrays], noise: str) -> Depths:
-    """What the parts of one noise found."""
+    """The turns of one noise."""
     mine = [arrays for name, arrays in results.items() if name.startswith(f"turn-{noise}-")]
     joined = {name: np.concatenate([arrays[name] for arrays in mine]) for name in mine[0]}
-    filters = {
-        (name, R): DepthHistory(*(joined[f"{name}.{R}.{field}"] for field in ("d", "sigma_d", "hindsight")))
-        for name, R in CASES
-    }
     near = within(joined["true"][:, 0], "near")
-    return Depths(joined["drive"], np.where(near, "near", "far"), joined["true"], joined["raw"], filters)
+    label = np.where(near, "near", "far")
+    return Depths(joined["drive"], label, joined["true"], joined["raw"], histories(joined, CASES))
 
 
 def raw_depths(d: FloatArray, disparity_constant: float) -> FloatArray:
@@ -139,8 +205,14 @@ def raw_depths(d: FloatArray, disparity_constant: float) -> FloatArray:
     return disparity_constant / np.where(d > 0, d, np.nan)
 
 
+def within(true_depth: FloatArray, label: str) -> NDArray[np.bool_]:
+    """Which true depths at first sight (L,) are of that range."""
+    low, high = RANGES[label]
+    return (low <= true_depth) & (true_depth <= high)
+
+
 Quantity = Callable[[Depths, DepthHistory], FloatArray]
-"""Of what a filter believed, a number for each landmark, (L,)."""
+"""A number for each landmark, (L,), of what a filter believed."""
 
 
 def sigma(depths: Depths, history: DepthHistory) -> FloatArray:
@@ -168,7 +240,7 @@ def roughness(depths: Depths, history: DepthHistory) -> FloatArray:
 
 
 def distance_to_raw_mean(depths: Depths, history: DepthHistory) -> FloatArray:
-    """Last estimate from the mean of the raw depths, all told in one frame by the filter's own motion, m."""
+    """Last estimate from the mean of the raw depths, all in one frame by the filter's own motion, m."""
     return np.asarray(np.abs(np.nanmean(depths.raw - history.hindsight, axis=1)))
 
 
@@ -178,16 +250,9 @@ def of_drives(depths: Depths, label: str, quantity: Quantity, case: tuple[str, s
     used = (depths.label == label) & np.isfinite(values)
     drives, place = np.unique(depths.drive, return_inverse=True)
     with np.errstate(invalid="ignore"):
-        mean: FloatArray = np.bincount(place[used], values[used], len(drives)) / np.bincount(
-            place[used], minlength=len(drives)
-        )
+        total = np.bincount(place[used], values[used], len(drives))
+        mean: FloatArray = total / np.bincount(place[used], minlength=len(drives))
     return mean
-
-
-def within(true_depth: FloatArray, label: str) -> BoolArray:
-    """Which true depths at first sight (L,) are of that range."""
-    low, high = RANGES[label]
-    return (low <= true_depth) & (true_depth <= high)
 
 
 def example(depths: Depths, label: str) -> int:
@@ -197,11 +262,11 @@ def example(depths: Depths, label: str) -> int:
     return int(there[np.argmin(np.abs(depths.true[there, 0] - np.mean(RANGES[label])))])
 
 
-def claims(results: Mapping[str, Arrays]) -> tuple[Claim, ...]:
-    """The claims of section 4.3, judged."""
+def judge(results: Mapping[str, Arrays]) -> tuple[Claim, ...]:
+    """The claims of section 4.3."""
     every = {noise: gathered(results, noise) for noise in NOISES}
 
-    def against_rival(quantity: Quantity, root: bool = False) -> tuple[Finding, ...]:
+    def against_competitor(quantity: Quantity, root: bool = False) -> tuple[Finding, ...]:
         found = []
         for noise, depths in every.items():
             for R, (ours, theirs) in PAIRS.items():
@@ -226,9 +291,9 @@ def claims(results: Mapping[str, Arrays]) -> tuple[Claim, ...]:
         for label in RANGES
     )
     return (
-        Claim(sentences.UNCERTAINTY_CONVERGES, against_rival(sigma)),
-        Claim(sentences.DEPTH_CONVERGES, against_rival(squared_error, root=True)),
-        Claim(sentences.DEPTH_UNCERTAINTY, consistent),
-        Claim(sentences.SMOOTHER, against_rival(roughness, root=True)),
-        Claim(sentences.RAW_MEAN, against_rival(distance_to_raw_mean)),
+        Claim(claims.UNCERTAINTY_CONVERGES, against_competitor(sigma)),
+        Claim(claims.DEPTH_CONVERGES, against_competitor(squared_error, root=True)),
+        Claim(claims.DEPTH_UNCERTAINTY, consistent),
+        Claim(claims.SMOOTHER, against_competitor(roughness, root=True)),
+        Claim(claims.RAW_MEAN, against_competitor(distance_to_raw_mean)),
     )

@@ -7,15 +7,39 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from scipy.stats import chi2, norm
 
-from filters.landmarks.inverse_depth import ray_direction
-from filters.validation import FloatArray
-from stereo_slam_env.benchmark.statistics.differences import CONFIDENCE
-from stereo_slam_env.evaluation.consistency import mean_band
-from stereo_slam_env.report.charts.axes import WIDTH, Axis, label_room, log_axis, panel_width
-from stereo_slam_env.report.charts.drawing import DASHED, Box, Chart, Curve, Panel, figure
-from stereo_slam_env.report.charts.style import BAND, INK, MUTED, filter_colours
+from stereo_slam_env.benchmark import CONFIDENCE
+from stereo_slam_env.evaluation import mean_band
+from stereo_slam_env.report import (
+    BAND,
+    DASHED,
+    INK,
+    MUTED,
+    WIDTH,
+    Axis,
+    Box,
+    Chart,
+    Curve,
+    Panel,
+    figure,
+    filter_colours,
+    label_room,
+    log_axis,
+    panel_width,
+)
 from stereo_slam_env.studies.paper import convergence, long_drive, speed
-from stereo_slam_env.studies.paper.intervals import ratio_interval
+from stereo_slam_env.studies.paper.claims import (
+    COUPLED,
+    DIAGONAL,
+    DUAL,
+    EUCLIDEAN,
+    JOINT,
+    NOISES,
+    RIGHT,
+    UVD,
+    Arrays,
+    FloatArray,
+    ratio_interval,
+)
 from stereo_slam_env.studies.paper.landmark_uncertainty import (
     ASSUMED,
     CAMERA,
@@ -24,9 +48,8 @@ from stereo_slam_env.studies.paper.landmark_uncertainty import (
     landmark,
     measurements,
     places,
+    points,
 )
-from stereo_slam_env.studies.paper.parts import Arrays
-from stereo_slam_env.studies.paper.settings import COUPLED, DIAGONAL, DUAL, EUCLIDEAN, JOINT, NOISES, RIGHT, UVD
 
 COLOURS = filter_colours((JOINT, DUAL, EUCLIDEAN))
 NAMES = {JOINT: "inverse depth, (u, v, d)", DUAL: "two bearing updates", EUCLIDEAN: "XYZ"}
@@ -157,22 +180,24 @@ def figure_6(said: Mapping[str, FloatArray], true: Mapping[str, FloatArray]) -> 
     return figure(panels, keys, columns=1)
 
 
-def figure_nees(results: Mapping[str, Arrays]) -> Chart:
+def figure_nees(runs: long_drive.Runs) -> Chart:
     """Pose NEES of all filters, mean over the drives, with the band of a consistent one."""
     keys: dict[str, str] = {}
     rows = []
     for noise, name in NOISES.items():
-        drives = long_drive.drives(results, noise)
-        low, high = (end / 6 for end in mean_band(6, len(drives)))
+        cases = long_drive.cases(long_drive.DRIVE, noise)
+        drives = len(runs[cases[0]])
+        low, high = (end / 6 for end in mean_band(6, drives))
         curves = []
-        for filter_name, R in long_drive.cases(noise):
-            nees = np.array([long_drive.one(arrays, f"{filter_name}.{R}")["pose_nees"] for arrays in drives])
-            text = {JOINT: f"ours, R = {R}", DUAL: "rival, 1 px a camera", EUCLIDEAN: "XYZ"}[filter_name]
+        for case in cases:
+            filter_name, R = case[2:]
+            nees = np.array([run.pose_nees for run in runs[case]])
+            text = {JOINT: f"ours, R = {R}", DUAL: "competitor, 1 px an image", EUCLIDEAN: "XYZ"}[filter_name]
             mean = _smoothed(nees.mean(axis=0)[1:]) / 6
             curve = Curve(text, np.arange(1, len(mean) + 1), mean, COLOURS[filter_name])
             curves.append((curve, DASHED if filter_name == JOINT and R == COUPLED else ()))
             keys[text] = COLOURS[filter_name]
-        rows.append((f"Pose NEES / 6, mean of {len(drives)} drives, noise: {name}", curves, low, high))
+        rows.append((f"Pose NEES / 6, mean of {drives} drives, noise: {name}", curves, low, high))
     panels = []
     for title, curves, low, high in rows:
         y = log_axis([*(np.asarray(curve.y) for curve, _ in curves), np.array([low, high])])
@@ -204,12 +229,12 @@ def figure_speed(results: Mapping[str, Arrays]) -> Chart:
     width = panel_width(2, label_room(speed.FORMS))
     margin = (sizes.max() / sizes.min()) ** 0.05 if len(sizes) > 1 else 1.1
     x = Axis(sizes.min() / margin, sizes.max() * margin, "landmarks", log=True, ticks=sizes.tolist())
-    title = "Predict + update (ms), ours in blue, rival in red"
+    title = "Predict + update (ms), ours in blue, competitor in red"
     left = Panel(x, log_axis(np.asarray(curve.y) for _, curve in times), width, 240.0, title)
     everything = np.concatenate([np.ravel([curve.low, curve.high]) for curve in ratios] + [np.ones(1)])
     top = 0.08 * float(np.ptp(everything)) + 0.02
     y = Axis(max(float(everything.min()) - top, 0.0), float(everything.max()) + top)
-    right = Panel(x, y, width, 240.0, "Ours over rival, with 95 % interval: below 1 is faster")
+    right = Panel(x, y, width, 240.0, "Ours over competitor, with 95 % interval: below 1 is faster")
     right.rule(y=1.0)
     for number, dash in enumerate(_FORM_DASHES[: len(speed.FORMS)]):
         left.lines([curve for of, curve in times if of == number], dash)
@@ -246,7 +271,7 @@ def _cloud_panel(
         edge = np.tile(centre[:, None], len(angle))
         edge[[first, last]] += np.linalg.cholesky(P[np.ix_([first, last], [first, last])]) @ circle
         if name == JOINT:
-            edge = np.where(edge[2] > 0, (ray_direction(edge.T) / edge[2][:, None]).T, np.nan)
+            edge = np.where(edge[2] > 0, points(edge.T).T, np.nan)
         panel.lines([Curve(NAMES[name], edge[2], edge[0], COLOURS[name], said=f"95 %, {NAMES[name]}")])
     panel.dots([Curve("", [depth], [0.0], INK, said="truth")], 50, hollow=True)
     return panel
@@ -340,7 +365,7 @@ def _dash(R: str) -> tuple[float, ...]:
 
 
 def _called(filter_name: str, R: str) -> str:
-    return f"{'ours' if filter_name == JOINT else 'rival'}, {R}"
+    return f"{'ours' if filter_name == JOINT else 'competitor'}, {R}"
 
 
 def _smoothed(values: FloatArray, frames: int = 10) -> FloatArray:

@@ -1,4 +1,4 @@
-"""The same judgements on the paper's own recordings, for those who have them: one drive each, and no true landmarks.
+"""Sections 4.3 and 4.4 on the paper's own recordings: one drive each, and no true landmarks.
 
 Section 4.3 is frames 61 to 72 of `2009_09_08_drive_0010`, where intervals are over landmarks of the one drive; they
 say nothing about other drives. Section 4.4 is 800 frames of `2009_09_08_drive_0015` against the GPS/IMU unit, a weak
@@ -7,7 +7,7 @@ truth of metres: one number, which is taken as it is. Consistency can be judged 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -15,25 +15,27 @@ from typing import Any
 
 import numpy as np
 
-from filters.validation import FloatArray
+from stereo_slam_env import Recording, evaluate
 from stereo_slam_env.datasets import layout_of, open_for_front_end
-from stereo_slam_env.evaluation.filter_run import run_filter
-from stereo_slam_env.evaluation.trajectory_metrics import ate_rigid
-from stereo_slam_env.frontend.recorder import record_tracks
-from stereo_slam_env.recording.recording import Recording
-from stereo_slam_env.studies.paper import convergence, limits, long_drive, sentences
-from stereo_slam_env.studies.paper.claims import Claim, Finding, Interval, Range, Sentence
-from stereo_slam_env.studies.paper.convergence import Depths
-from stereo_slam_env.studies.paper.depth_history import (
-    DepthHistory,
-    follow_depths,
-    measured_disparities,
-    seen_throughout,
-    with_one_noise,
+from stereo_slam_env.evaluation import FilterRun, ate_rigid
+from stereo_slam_env.frontend import record_tracks
+from stereo_slam_env.studies.paper import claims, convergence, long_drive
+from stereo_slam_env.studies.paper.claims import (
+    ASSUMED,
+    COMMON_OPTIONS,
+    DIAGONAL,
+    DUAL,
+    JOINT,
+    Arrays,
+    Claim,
+    Finding,
+    FloatArray,
+    Interval,
+    Range,
+    Sentence,
+    mean_interval,
+    ratio_interval,
 )
-from stereo_slam_env.studies.paper.intervals import mean_interval, ratio_interval
-from stereo_slam_env.studies.paper.parts import Arrays, Part
-from stereo_slam_env.studies.paper.settings import ASSUMED, COMMON_OPTIONS, DIAGONAL, DUAL, JOINT
 
 TURN, DRIVE = "2009_09_08_drive_0010", "2009_09_08_drive_0015"
 TURN_FRAMES, DRIVE_FRAMES = (61, 72), (0, 799)
@@ -53,7 +55,7 @@ CASES = tuple((name, R) for name in (JOINT, DUAL) for R in R_NAMES)
 
 
 def sequences(path: Path) -> dict[str, Path]:
-    """Which of the two sequences are in a folder (or are the folder).
+    """The folders of those of the two sequences that are in a folder (or are the folder).
 
     Raises
     ------
@@ -74,75 +76,92 @@ def sequences(path: Path) -> dict[str, Path]:
     return found
 
 
-def parts(found: Mapping[str, Path]) -> list[Part]:
-    """The work on what is there."""
-    work: dict[str, tuple[Callable[[Path, tuple[int, int]], Arrays], tuple[int, int]]] = {
-        TURN: (compute_turn, TURN_FRAMES),
-        DRIVE: (compute_drive, DRIVE_FRAMES),
-    }
-    return [
-        Part(
-            f"karlsruhe-{name}",
-            {"path": str(folder.resolve()), "frames": work[name][1], "files": _stamp(folder), "options": dict(OPTIONS)},
-            partial(work[name][0], folder, work[name][1]),
-        )
+def experiments(found: Mapping[str, Path]) -> dict[str, partial[Arrays]]:
+    """The work on the sequences that are there."""
+    work = {TURN: (turn, TURN_FRAMES), DRIVE: (drive, DRIVE_FRAMES)}
+    return {
+        f"{PREFIX}{name}": partial(work[name][0], str(folder.resolve()), work[name][1], files=_stamp(folder))
         for name, folder in found.items()
-    ]
+    }
 
 
-def compute_turn(folder: Path, frames: tuple[int, int]) -> Arrays:
-    """Depth histories of the landmarks seen throughout."""
-    recording = _recording(folder, frames, {"probation": 0})
-    ids = seen_throughout(recording)
-    raw = convergence.raw_depths(measured_disparities(recording, ids), recording.camera.disparity_constant)
-    arrays: Arrays = {"raw": raw, "disparity_constant": np.array(recording.camera.disparity_constant)}
-    for name, R in CASES:
-        history = follow_depths(with_one_noise(recording, ASSUMED.get(R)), name, ids, OPTIONS)
-        arrays |= {f"{name}.{R}.{field}": values for field, values in vars(history).items()}
-    return arrays
+def turn(folder: str, frames: tuple[int, int], files: Any = None) -> Arrays:
+    """Depth histories of the landmarks seen throughout; `files` tells results of other files apart."""
+    recording = _recording(folder, frames, probation=0)
+    ids = convergence.seen_throughout(recording)
+    constant = recording.camera.disparity_constant
+    raw = convergence.raw_depths(convergence.measured_disparities(recording, ids), constant)
+    alike = {DIAGONAL: ASSUMED[DIAGONAL]}
+    return {
+        "raw": raw,
+        "disparity_constant": np.array(constant),
+        **convergence.follow_all(_without_own_R(recording), alike, ids, OPTIONS),
+        **convergence.follow_all(recording, {OWN: recording.noise}, ids, OPTIONS),
+    }
 
 
-def compute_drive(folder: Path, frames: tuple[int, int]) -> Arrays:
-    """Trajectories, velocities and innovations."""
-    recording = _recording(folder, frames, {})
+def drive(folder: str, frames: tuple[int, int], files: Any = None) -> Arrays:
+    """Figures of the drive by filter and R, and the courses to show, where the truth is known."""
+    recording = _recording(folder, frames)
     arrays: Arrays = {}
     for name, R in CASES:
-        run = run_filter(with_one_noise(recording, ASSUMED.get(R)), name, OPTIONS)
-        arrays |= {f"{name}.{R}.{series}": values for series, values in long_drive.series_of(run).items()}
-        truth = long_drive.true_series_of(run)
-        steps = np.diff(run.true_positions, axis=0) / np.diff(run.timestamps)[:, None]
-        truth["velocities"] = np.vstack([steps[:1], steps])
-        arrays |= {f"{long_drive.TRUTH}.{series}": values for series, values in truth.items()}
+        own = R == OWN
+        slam_input = recording if own else _without_own_R(recording)
+        run = evaluate(name, slam_input, noise=None if own else ASSUMED[R], **OPTIONS).series
+        case, used, known = f"{name}.{R}", run.nis_dof > 0, _known(run)
+        arrays[f"{case}.nis"] = run.nis[used] / run.nis_dof[used]
+        if len(known.positions) > long_drive.CHORD:
+            for key, (_, quantity, _) in QUANTITIES.items():
+                arrays[f"{case}.{key}"] = long_drive.of_runs([known], quantity)
+        if (name, R) == SHOWN and len(known.positions):
+            for who, course in (("said", long_drive.course(known)), ("true", long_drive.course(known, true=True))):
+                arrays |= {f"{who}.{series}": values for series, values in course.items()}
     return arrays
 
 
-def depths(results: Mapping[str, Arrays]) -> Depths | None:
-    """What the turn showed, every landmark for itself; None where it was not run."""
-    arrays = results.get(f"karlsruhe-{TURN}")
+def aligned_error(run: FilterRun) -> float:
+    """RMS position error after the best rigid motion, m: the weak truth begins no better than it goes on."""
+    return ate_rigid(run.positions, run.true_positions)
+
+
+def scale_error(run: FilterRun) -> float:
+    """Without its sign, %."""
+    return abs(long_drive.scale_error_percent(run))
+
+
+SHOWN = (JOINT, OWN)
+QUANTITIES: Mapping[str, tuple[Sentence, long_drive.Quantity, Range]] = {
+    "position": (claims.TRAJECTORY, aligned_error, claims.POSITION_M),
+    "drift": (claims.DRIFT, long_drive.drift_percent, claims.DRIFT_PERCENT),
+    "yaw": (claims.YAW, long_drive.yaw_rmse, claims.YAW_DEG),
+    "velocity": (claims.VELOCITY, long_drive.velocity_rmse, claims.VELOCITY_M_S),
+    "scale": (claims.SCALE, scale_error, claims.SCALE_PERCENT),
+}
+"""Of the drive: sentence, quantity and the range in which it must lie."""
+
+
+def depths(results: Mapping[str, Arrays]) -> convergence.Depths | None:
+    """The turn, every landmark for itself; None where it was not run."""
+    arrays = results.get(f"{PREFIX}{TURN}")
     if arrays is None:
         return None
     typical = np.nanmedian(arrays["raw"], axis=1) if arrays["raw"].size else np.zeros(0)
     label = np.select([typical < NEAR_BELOW, typical >= FAR_FROM], ["near", "far"], "between")
-    filters = {
-        (name, R): DepthHistory(*(arrays[f"{name}.{R}.{field}"] for field in ("d", "sigma_d", "hindsight")))
-        for name, R in CASES
-    }
     unknown = np.full_like(arrays["raw"], np.nan)
+    filters = convergence.histories(arrays, CASES)
     constant = float(arrays["disparity_constant"])
-    return Depths(np.arange(len(label)), label, unknown, arrays["raw"], filters, constant)
+    return convergence.Depths(np.arange(len(label)), label, unknown, arrays["raw"], filters, constant)
 
 
-def drive(results: Mapping[str, Arrays], case: str) -> dict[str, FloatArray] | None:
-    """Series of the long drive where all of it is known; None where it was not run."""
-    arrays = results.get(f"karlsruhe-{DRIVE}")
-    if arrays is None:
-        return None
-    known = np.isfinite(arrays[f"{long_drive.TRUTH}.positions"]).all(axis=1)
-    return {name: values[known] for name, values in long_drive.one(arrays, case).items()}
+def course(results: Mapping[str, Arrays], who: str) -> dict[str, FloatArray] | None:
+    """What figure 6 shows of the drive, of the filter ("said") or of the truth ("true"); None where there is none."""
+    arrays = results.get(f"{PREFIX}{DRIVE}", {})
+    found = {name.removeprefix(f"{who}."): values for name, values in arrays.items() if name.startswith(f"{who}.")}
+    return found or None
 
 
-def claims(results: Mapping[str, Arrays]) -> tuple[Claim, ...]:
-    """The claims, judged on the recordings that were run."""
+def judge(results: Mapping[str, Arrays]) -> tuple[Claim, ...]:
+    """The claims, on the recordings that were run."""
     return (*_claims_of_turn(results), *_claims_of_drive(results))
 
 
@@ -151,78 +170,52 @@ def _claims_of_turn(results: Mapping[str, Arrays]) -> list[Claim]:
     if found is None:
         return []
 
-    def against_rival(quantity: convergence.Quantity) -> tuple[Finding, ...]:
+    def against_competitor(quantity: convergence.Quantity) -> tuple[Finding, ...]:
         return tuple(
             Finding(
                 {"R": name, "landmark": label},
                 ratio_interval(*(convergence.of_drives(found, label, quantity, (who, R)) for who in (JOINT, DUAL))),
-                limits.BETTER,
+                claims.BETTER,
             )
             for R, name in R_NAMES.items()
             for label in convergence.RANGES
         )
 
     return [
-        Claim(_here(sentences.UNCERTAINTY_CONVERGES, "karlsruhe-4"), against_rival(convergence.sigma)),
-        Claim(_here(sentences.SMOOTHER, "karlsruhe-4"), against_rival(convergence.roughness)),
-        Claim(_here(sentences.RAW_MEAN, "karlsruhe-4"), against_rival(convergence.distance_to_raw_mean)),
+        Claim(_here(sentence, "karlsruhe-4"), against_competitor(quantity))
+        for sentence, quantity in (
+            (claims.UNCERTAINTY_CONVERGES, convergence.sigma),
+            (claims.SMOOTHER, convergence.roughness),
+            (claims.RAW_MEAN, convergence.distance_to_raw_mean),
+        )
     ]
 
 
 def _claims_of_drive(results: Mapping[str, Arrays]) -> list[Claim]:
-    true = drive(results, long_drive.TRUTH)
-    if true is None:
+    arrays = results.get(f"{PREFIX}{DRIVE}")
+    if arrays is None:
         return []
 
-    def of_ours(quantity: long_drive.Quantity, asked: Range) -> tuple[Finding, ...]:
-        return tuple(
-            Finding({"R": name}, _as_it_is(_of(results, (JOINT, R), quantity)), asked) for R, name in R_NAMES.items()
-        )
+    def value(name: str, R: str, key: str) -> float:
+        return float(arrays[f"{name}.{R}.{key}"][0])
 
-    consistent = []
-    for R, name in R_NAMES.items():
-        arrays = results[f"karlsruhe-{DRIVE}"]
-        nis, dof = (arrays[f"{JOINT}.{R}.{series}"] for series in ("nis", "nis_dof"))
-        consistent.append(Finding({"R": name}, mean_interval(nis[dof > 0] / dof[dof > 0]), limits.CONSISTENT))
-    ratio = tuple(
-        Finding(
-            {"R": name},
-            _as_it_is(_of(results, (JOINT, R), aligned_error) / _of(results, (DUAL, R), aligned_error)),
-            limits.BETTER,
-        )
-        for R, name in R_NAMES.items()
+    statement = f"NIS by its degrees of freedom: {claims.CONSISTENT}"
+    by_innovations = replace(_here(claims.POSE_CONSISTENT, "karlsruhe-6"), statement=statement)
+    consistent = tuple(
+        Finding({"R": words}, mean_interval(arrays[f"{JOINT}.{R}.nis"]), claims.CONSISTENT)
+        for R, words in R_NAMES.items()
     )
-    by_innovations = replace(
-        _here(sentences.CONSISTENT, "karlsruhe-6"), statement=f"NIS by its degrees of freedom: {limits.CONSISTENT}"
+    judged = [Claim(by_innovations, consistent)]
+    if f"{JOINT}.{OWN}.position" not in arrays:  # too short to be a drive
+        return judged
+    for key, (sentence, _, asked) in QUANTITIES.items():
+        of_ours = tuple(Finding({"R": words}, _as_it_is(value(JOINT, R, key)), asked) for R, words in R_NAMES.items())
+        judged.append(Claim(_here(sentence, "karlsruhe-6"), of_ours))
+    ratios = tuple(
+        Finding({"R": words}, _as_it_is(value(JOINT, R, "position") / value(DUAL, R, "position")), claims.BETTER)
+        for R, words in R_NAMES.items()
     )
-    judged = [Claim(by_innovations, tuple(consistent))]
-    if len(true["positions"]) > long_drive.CHORD:
-        judged += [
-            Claim(_here(sentences.TRAJECTORY, "karlsruhe-6"), of_ours(aligned_error, limits.POSITION_M)),
-            Claim(_here(sentences.DRIFT, "karlsruhe-6"), of_ours(long_drive.drift_percent, limits.DRIFT_PERCENT)),
-            Claim(_here(sentences.YAW, "karlsruhe-6"), of_ours(long_drive.yaw_rmse, limits.YAW_DEG)),
-            Claim(_here(sentences.VELOCITY, "karlsruhe-6"), of_ours(long_drive.velocity_rmse, limits.VELOCITY_M_S)),
-            Claim(_here(sentences.SCALE, "karlsruhe-6"), of_ours(scale_error, limits.SCALE_PERCENT)),
-            Claim(_here(sentences.RANGE_HELPS, "karlsruhe-6"), ratio),
-        ]
-    return judged
-
-
-def aligned_error(said: Mapping[str, FloatArray], true: Mapping[str, FloatArray]) -> float:
-    """RMS position error after the best rigid motion, m: the weak truth begins no better than it goes on."""
-    return ate_rigid(said["positions"], true["positions"])
-
-
-def scale_error(said: Mapping[str, FloatArray], true: Mapping[str, FloatArray]) -> float:
-    """Without its sign, %."""
-    return abs(long_drive.scale_error_percent(said, true))
-
-
-def _of(results: Mapping[str, Arrays], case: tuple[str, str], quantity: long_drive.Quantity) -> float:
-    said, true = drive(results, ".".join(case)), drive(results, long_drive.TRUTH)
-    assert said is not None
-    assert true is not None
-    return quantity(said, true) if np.isfinite(said["positions"]).all() else np.nan
+    return [*judged, Claim(_here(claims.RANGE_HELPS, "karlsruhe-6"), ratios)]
 
 
 def _as_it_is(value: float) -> Interval:
@@ -236,12 +229,28 @@ def _here(sentence: Sentence, evidence: str) -> Sentence:
     )
 
 
-def _recording(folder: Path, frames: tuple[int, int], front_end: Mapping[str, Any]) -> Recording:
+def _known(run: FilterRun) -> FilterRun:
+    """The run in the frames with a true position, with the true velocities that these positions mean."""
+    steps = np.diff(run.true_positions, axis=0) / np.diff(run.timestamps)[:, None]
+    run = replace(run, true_linear_velocities=np.vstack([steps[:1], steps]))
+    known = np.isfinite(run.true_positions).all(axis=1)
+    series = ("positions", "orientations", "linear_velocities")
+    return replace(
+        run, **{f"{who}{name}": getattr(run, f"{who}{name}")[known] for who in ("", "true_") for name in series}
+    )
+
+
+def _without_own_R(recording: Recording) -> Recording:
+    """The recording without the R of each measurement, so that all have the one that filters assume."""
+    return recording.with_observations(replace(frame.observation, R=None) for frame in recording.frames)
+
+
+def _recording(folder: str, frames: tuple[int, int], **front_end: Any) -> Recording:
     sequence, settings = open_for_front_end(folder, first=frames[0], last=frames[1], on_broken="skip")
     return record_tracks(sequence, replace(settings, **front_end))
 
 
-def _stamp(folder: Path) -> list[Any]:
+def _stamp(folder: Path) -> list[float]:
     """What tells that the files are still the same."""
     files = [path for path in folder.iterdir() if path.is_file()]
     return [len(files), sum(path.stat().st_size for path in files), max(path.stat().st_mtime for path in files)]

@@ -12,15 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import chi2, norm
 
-from filters import StereoNoise
-from filters.engine.options import LANDMARKS
-from filters.validation import FloatArray
-from stereo_slam_env.benchmark.statistics.differences import CONFIDENCE
-from stereo_slam_env.sensing.rigs import RIGS
-from stereo_slam_env.studies.paper import limits, sentences
-from stereo_slam_env.studies.paper.claims import Claim, Finding, Interval, Range
-from stereo_slam_env.studies.paper.intervals import share_interval
-from stereo_slam_env.studies.paper.settings import (
+from filters import Euclidean, InverseDepth, LandmarkModel, StereoNoise
+from stereo_slam_env.benchmark import CONFIDENCE
+from stereo_slam_env.sensing import RIGS
+from stereo_slam_env.studies.paper import claims
+from stereo_slam_env.studies.paper.claims import (
     ASSUMED_NAMES,
     COUPLED,
     DIAGONAL,
@@ -29,9 +25,16 @@ from stereo_slam_env.studies.paper.settings import (
     NOISES,
     PIXELS,
     UVD,
+    Claim,
+    Finding,
+    FloatArray,
+    Interval,
+    Range,
+    share_interval,
 )
 
 CAMERA = RIGS["reference"]
+LANDMARKS: Mapping[str, LandmarkModel] = {JOINT: InverseDepth(), EUCLIDEAN: Euclidean()}
 FIGURE_1, FIGURE_2 = 70.0, (15.0, 30.0, 45.0)
 """Depths of the paper's figures, m."""
 BEYOND = 150.0
@@ -79,8 +82,16 @@ def places(parametrisation: str, uvd: FloatArray) -> FloatArray:
     """Where measurements (N, 3) put the landmark, in the parameters; for XYZ the literal Eq. 21, also for d < 0."""
     if parametrisation == JOINT:
         return LANDMARKS[JOINT].initialise(CAMERA, np.zeros(3), np.eye(3), uvd).parameters
-    points: FloatArray = CAMERA.ray(uvd) * (CAMERA.disparity_constant / uvd[:, 2])[:, None]
-    return points
+    placed: FloatArray = CAMERA.ray(uvd) * (CAMERA.disparity_constant / uvd[:, 2])[:, None]
+    return placed
+
+
+def points(inverse_depths: FloatArray) -> FloatArray:
+    """Points (N, 3), m, of parameters theta, phi, rho (N, 3): Eq. 5 over rho."""
+    theta, phi, rho = inverse_depths.T
+    ray = np.array([np.cos(phi) * np.sin(theta), -np.sin(phi), np.cos(phi) * np.cos(theta)])
+    found: FloatArray = (ray / rho).T
+    return found
 
 
 def fit(parametrisation: str, depth: float, uvd: FloatArray, R: FloatArray) -> Fit:
@@ -105,13 +116,13 @@ def fits(samples: int) -> dict[tuple[str, str, float, str], Fit]:
         for depth in DEPTHS:
             uvd = measurements(depth, noise, samples)
             for assumed, R in ASSUMED.items():
-                for parametrisation in (JOINT, EUCLIDEAN):
+                for parametrisation in LANDMARKS:
                     found[noise, assumed, depth, parametrisation] = fit(parametrisation, depth, uvd, R.R)
     return found
 
 
-def claims(samples: int) -> tuple[Claim, ...]:
-    """The claims of section 4.1, judged."""
+def judge(samples: int) -> tuple[Claim, ...]:
+    """The claims of section 4.1."""
     found = fits(samples)
 
     def coverage(parametrisation: str, asked: Range, depths: tuple[float, ...]) -> tuple[Finding, ...]:
@@ -125,18 +136,15 @@ def claims(samples: int) -> tuple[Claim, ...]:
     slack = 2.0 * np.sqrt(np.log(2.0 / (1.0 - CONFIDENCE)) / (2.0 * samples))
 
     def closer(noise: str, assumed: str, depth: float) -> Finding:
-        inverse_depth, euclidean = (found[noise, assumed, depth, name].distance for name in (JOINT, EUCLIDEAN))
+        inverse_depth, euclidean = (found[noise, assumed, depth, name].distance for name in LANDMARKS)
         gain = euclidean - inverse_depth
         return Finding(_condition(noise, assumed, depth), Interval(gain, gain - slack, gain + slack), Range(low=0.0))
 
     return (
-        Claim(sentences.REGION_70M, coverage(JOINT, limits.REGION, (FIGURE_1,))),
-        Claim(sentences.REGION_70M_XYZ, coverage(EUCLIDEAN, limits.NOT_REGION, (FIGURE_1,))),
-        Claim(sentences.REGION_ANY, coverage(JOINT, limits.REGION, DEPTHS)),
-        Claim(
-            sentences.HISTOGRAM,
-            tuple(closer(noise, assumed, FIGURE_1) for noise in NOISES for assumed in ASSUMED),
-        ),
+        Claim(claims.REGION_70M, coverage(JOINT, claims.REGION, (FIGURE_1,))),
+        Claim(claims.REGION_70M_XYZ, coverage(EUCLIDEAN, claims.NOT_REGION, (FIGURE_1,))),
+        Claim(claims.REGION_ANY, coverage(JOINT, claims.REGION, DEPTHS)),
+        Claim(claims.HISTOGRAM, tuple(closer(noise, assumed, FIGURE_1) for noise in NOISES for assumed in ASSUMED)),
     )
 
 

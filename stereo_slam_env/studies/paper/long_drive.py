@@ -2,201 +2,189 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from functools import partial
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from filters.validation import FloatArray
-from stereo_slam_env.benchmark.recordings import reference_problem
-from stereo_slam_env.evaluation.filter_run import run_filter
-from stereo_slam_env.evaluation.results import FilterRun
-from stereo_slam_env.evaluation.trajectory_metrics import (
-    ate_unaligned,
-    end_drift_percent,
-    path_length,
-    root_mean_square,
-)
-from stereo_slam_env.report.charts.series import heading
-from stereo_slam_env.studies.paper import limits, sentences
-from stereo_slam_env.studies.paper.claims import Claim, Finding, Interval, Range
-from stereo_slam_env.studies.paper.intervals import mean_interval, ratio_interval, rms_interval
-from stereo_slam_env.studies.paper.parts import Arrays, Part
-from stereo_slam_env.studies.paper.settings import (
+from stereo_slam_env import BenchmarkResult, FilterChoice, Scenario, Study
+from stereo_slam_env.benchmark import Cell, ReferenceSource, StreetSource
+from stereo_slam_env.evaluation import FilterRun, ate_unaligned, end_drift_percent, path_length, root_mean_square
+from stereo_slam_env.studies.paper import claims
+from stereo_slam_env.studies.paper.claims import (
     ASSUMED,
     ASSUMED_NAMES,
-    COMMON_OPTIONS,
+    COMPILED,
     COUPLED,
+    DIAGONAL,
     DUAL,
     EUCLIDEAN,
-    EUCLIDEAN_GUARD,
     JOINT,
     NOISES,
     RIGHT,
-    PaperSettings,
+    Claim,
+    Finding,
+    FloatArray,
+    Interval,
+    Range,
+    mean_interval,
+    ratio_interval,
+    rms_interval,
 )
 
 CHORD = 20
 """Frames; lengths are measured in steps of so many (10 m), because noise makes every small step longer."""
-TRUTH = "truth"
-Quantity = Callable[[Mapping[str, FloatArray], Mapping[str, FloatArray]], float]
-"""Of what a filter says and what is true on one drive."""
+EUCLIDEAN_GUARD = 5.0
+"""px; the classic starts no landmark with less disparity, or it diverges on far points."""
+DRIVE, STREET = "drive", "street"
+"""Drives past points, and one in the simulated street, with walls in the way."""
+Case = tuple[str, str, str, str]
+"""Place, noise, filter and the R that it assumes."""
+Runs = Mapping[Case, Sequence[FilterRun]]
+"""By seed."""
+Quantity = Callable[[FilterRun], float]
 
 
-def cases(noise: str) -> tuple[tuple[str, str], ...]:
-    """Filters and the R that they assume, under that noise."""
-    return (*((JOINT, R) for R in ASSUMED), (DUAL, COUPLED), (EUCLIDEAN, RIGHT[noise]))
+def cases(place: str, noise: str) -> tuple[Case, ...]:
+    """Filters and the R that they assume, at that place under that noise."""
+    filters = (*((JOINT, R) for R in ASSUMED), (DUAL, COUPLED), (EUCLIDEAN, RIGHT[noise]))
+    return tuple((place, noise, name, R) for name, R in filters)
 
 
-def parts(settings: PaperSettings) -> list[Part]:
-    """The work of this section: drives past points, and one in the simulated street, with walls in the way."""
-    seeds = {"drive": range(settings.drive_seeds), "street": range(1)}
-    return [
-        Part(
-            f"{place}-{noise}-{seed:04d}",
-            {"frames": settings.drive_frames, "cases": cases(noise), "options": dict(COMMON_OPTIONS)},
-            partial(compute, place, noise, seed, settings.drive_frames),
-        )
-        for noise in NOISES
-        for place in seeds
-        for seed in seeds[place]
-    ]
+def study(drives: int, frames: int) -> Study:
+    """The drives, as the benchmark runs them: a cell for each place, noise and assumed R."""
+    noise_of = {DIAGONAL: {"diagonal": [1.0, 1.0, 1.0]}, COUPLED: {"independent_pixels": 1.0}}
+    cells = []
+    for place, seeds in ((DRIVE, range(drives)), (STREET, range(1))):
+        for noise in NOISES:
+            source = (
+                ReferenceSource("long_drive", {"noise": noise})
+                if place == DRIVE
+                else StreetSource({"route": "town", "noise": noise})
+            )
+            for R in ASSUMED:
+                own = {EUCLIDEAN: {"min_disparity": EUCLIDEAN_GUARD}}
+                filters = tuple(
+                    FilterChoice(case[2], case[2], {"compiled": COMPILED, **own.get(case[2], {})})
+                    for case in cases(place, noise)
+                    if case[3] == R
+                )
+                name = f"{place}-{noise}-{R}"
+                scenario = Scenario(
+                    name,
+                    source,
+                    filters,
+                    seeds=tuple(seeds),
+                    frames=frames,
+                    noise=noise_of[R],
+                    gate=None,
+                    metrics=("map",),
+                )
+                cells.append(Cell(name, {"place": place, "noise": noise, "R": R}, scenario))
+    return Study("paper-4.4", tuple(cells))
 
 
-def compute(place: str, noise: str, seed: int, frames: int) -> Arrays:
-    """All filters on one drive; the place is "drive" or "street"."""
-    if place == "drive":
-        recording = reference_problem.long_drive(seed, noise, frames=frames)
-    else:
-        from stereo_slam_env.envs.recorder import record  # PyBullet and Gymnasium, only where they are needed
-
-        recording = record({"route": "town", "noise": noise}, seed, frames)
-    arrays: Arrays = {}
-    for name, R in cases(noise):
-        own = {"min_disparity": EUCLIDEAN_GUARD} if name == EUCLIDEAN else {}
-        run = run_filter(recording, name, {**COMMON_OPTIONS, **own}, noise=ASSUMED[R], use_odometry=False, seed=seed)
-        arrays |= {f"{name}.{R}.{series}": values for series, values in series_of(run).items()}
-        arrays |= {f"{TRUTH}.{series}": values for series, values in true_series_of(run).items()}
-    return arrays
+def runs_of(result: BenchmarkResult) -> dict[Case, list[FilterRun]]:
+    """The runs, by case."""
+    found: dict[Case, list[FilterRun]] = {}
+    for cell in result.cells:
+        place, noise, R = cell.cell.factors.values()
+        for run in cell.runs:
+            found.setdefault((place, noise, run.filter_name, R), []).append(run)
+    return found
 
 
-def series_of(run: FilterRun) -> Arrays:
-    """What is kept of a run."""
-    return {
-        "positions": run.positions,
-        "yaw": heading(run.orientations),
-        "velocities": run.linear_velocities,
-        "pose_nees": run.pose_nees,
-        "landmark_nees": run.landmark_nees,
-        "nis": run.nis,
-        "nis_dof": run.nis_dof,
-    }
+# Quantities of one run.
 
 
-def true_series_of(run: FilterRun) -> Arrays:
-    """The truth beside it."""
-    return {
-        "positions": run.true_positions,
-        "yaw": heading(run.true_orientations),
-        "velocities": run.true_linear_velocities,
-    }
-
-
-def one(arrays: Arrays, case: str) -> dict[str, FloatArray]:
-    """The series of one filter ("inverse-depth.full"), or of the truth."""
-    prefix = f"{case}."
-    return {name.removeprefix(prefix): values for name, values in arrays.items() if name.startswith(prefix)}
-
-
-# Quantities of one drive.
-
-
-def position_rmse(said: Mapping[str, FloatArray], true: Mapping[str, FloatArray]) -> float:
+def position_rmse(run: FilterRun) -> float:
     """m, without alignment."""
-    return ate_unaligned(said["positions"], true["positions"])
+    return ate_unaligned(run.positions, run.true_positions)
 
 
-def drift_percent(said: Mapping[str, FloatArray], true: Mapping[str, FloatArray]) -> float:
-    """Error at the end, % of the way."""
-    return end_drift_percent(said["positions"], true["positions"])
+def drift_percent(run: FilterRun) -> float:
+    """Error at the end, % of the path."""
+    return end_drift_percent(run.positions, run.true_positions)
 
 
-def yaw_rmse(said: Mapping[str, FloatArray], true: Mapping[str, FloatArray]) -> float:
+def yaw_rmse(run: FilterRun) -> float:
     """Degrees."""
-    return float(np.rad2deg(root_mean_square(said["yaw"] - true["yaw"])))
+    return float(np.rad2deg(root_mean_square(yaw(run.orientations) - yaw(run.true_orientations))))
 
 
-def velocity_rmse(said: Mapping[str, FloatArray], true: Mapping[str, FloatArray]) -> float:
+def velocity_rmse(run: FilterRun) -> float:
     """Of Vx and Vz together, m/s."""
-    return root_mean_square((said["velocities"] - true["velocities"])[:, [0, 2]])
+    return root_mean_square((run.linear_velocities - run.true_linear_velocities)[:, [0, 2]])
 
 
-def scale_error_percent(said: Mapping[str, FloatArray], true: Mapping[str, FloatArray]) -> float:
-    """By how much the estimated way is longer than the true one, %."""
-    return 100.0 * (path_length(said["positions"][::CHORD]) / path_length(true["positions"][::CHORD]) - 1.0)
+def scale_error_percent(run: FilterRun) -> float:
+    """By how much the estimated path is longer than the true one, %."""
+    return 100.0 * (path_length(run.positions[::CHORD]) / path_length(run.true_positions[::CHORD]) - 1.0)
 
 
-def pose_nees(said: Mapping[str, FloatArray], true: Mapping[str, FloatArray]) -> float:
+def pose_nees(run: FilterRun) -> float:
     """Mean over frames, by its 6 degrees of freedom."""
-    return float(np.mean(said["pose_nees"][1:]) / 6.0)
+    return float(np.mean(run.pose_nees[1:]) / 6.0)
 
 
-def landmark_nees(said: Mapping[str, FloatArray], true: Mapping[str, FloatArray]) -> float:
+def landmark_nees(run: FilterRun) -> float:
     """Mean over frames, by its 3 degrees of freedom."""
-    return float(np.nanmean(said["landmark_nees"]) / 3.0)
+    return float(np.nanmean(run.landmark_nees) / 3.0)
 
 
-def nis(said: Mapping[str, FloatArray], true: Mapping[str, FloatArray]) -> float:
+def nis(run: FilterRun) -> float:
     """Of all innovations, by their degrees of freedom."""
-    return float(np.nansum(said["nis"]) / max(said["nis_dof"].sum(), 1))
+    return float(np.nansum(run.nis) / max(run.nis_dof.sum(), 1))
 
 
-def drives(results: Mapping[str, Arrays], noise: str, place: str = "drive") -> list[Arrays]:
-    """The drives of one noise, by seed."""
-    return [arrays for name, arrays in sorted(results.items()) if name.startswith(f"{place}-{noise}-")]
+def yaw(orientations: FloatArray) -> FloatArray:
+    """Yaw of the viewing direction about y, rad, without jumps; (K, 4) -> (K,)."""
+    forward = Rotation.from_quat(orientations).apply([0.0, 0.0, 1.0])
+    turned: FloatArray = np.unwrap(np.arctan2(forward[:, 0], forward[:, 2]))
+    return turned
 
 
-def of_drives(
-    results: Mapping[str, Arrays], noise: str, case: tuple[str, str], quantity: Quantity, place: str = "drive"
-) -> FloatArray:
-    """A quantity of each drive, by seed, (S,); NaN where the filter failed."""
-    values = [
-        quantity(said, one(arrays, TRUTH)) if np.isfinite(said["positions"]).all() else np.nan
-        for arrays in drives(results, noise, place)
-        for said in [one(arrays, ".".join(case))]
-    ]
-    return np.array(values)
+def of_runs(runs: Sequence[FilterRun], quantity: Quantity) -> FloatArray:
+    """A quantity of each run, (S,); NaN where the filter failed."""
+    return np.array([quantity(run) if np.isfinite(run.positions).all() else np.nan for run in runs])
 
 
-def claims(results: Mapping[str, Arrays]) -> tuple[Claim, ...]:
-    """The claims of section 4.4, judged."""
+def course(run: FilterRun, *, true: bool = False) -> dict[str, FloatArray]:
+    """What figure 6 shows of a run, or of the truth: positions, yaw and velocities."""
+    if true:
+        poses = run.true_positions, run.true_orientations, run.true_linear_velocities
+    else:
+        poses = run.positions, run.orientations, run.linear_velocities
+    return {"positions": poses[0], "yaw": yaw(poses[1]), "velocities": poses[2]}
+
+
+def judge(runs: Runs) -> tuple[Claim, ...]:
+    """The claims of section 4.4."""
+
+    def measured(noise: str, name: str, R: str, quantity: Quantity) -> FloatArray:
+        return of_runs(runs[DRIVE, noise, name, R], quantity)
 
     def of_ours(
         quantity: Quantity, asked: Range, interval: Callable[[FloatArray], Interval] = mean_interval
     ) -> tuple[Finding, ...]:
         return tuple(
             Finding(
-                {"noise": NOISES[noise], "R": ASSUMED_NAMES[R]},
-                interval(of_drives(results, noise, (JOINT, R), quantity)),
-                asked,
+                {"noise": NOISES[noise], "R": ASSUMED_NAMES[R]}, interval(measured(noise, JOINT, R, quantity)), asked
             )
             for noise in NOISES
             for R in ASSUMED
         )
 
     consistent = tuple(
-        Finding({**finding.condition, "by": judge}, finding.measured, finding.asked)
-        for judge, quantity in (("pose error", pose_nees), ("innovations", nis))
-        for finding in of_ours(quantity, limits.CONSISTENT)
+        Finding({**finding.condition, "by": by}, finding.measured, finding.asked)
+        for by, quantity in (("pose error", pose_nees), ("innovations", nis))
+        for finding in of_ours(quantity, claims.CONSISTENT)
     )
-    against_rival = tuple(
+    against_competitor = tuple(
         Finding(
             {"noise": NOISES[noise], "R": ASSUMED_NAMES[R]},
-            ratio_interval(
-                of_drives(results, noise, (JOINT, R), position_rmse),
-                of_drives(results, noise, (DUAL, COUPLED), position_rmse),
-            ),
-            limits.BETTER,
+            ratio_interval(measured(noise, JOINT, R, position_rmse), measured(noise, DUAL, COUPLED, position_rmse)),
+            claims.BETTER,
         )
         for noise in NOISES
         for R in ASSUMED
@@ -204,19 +192,19 @@ def claims(results: Mapping[str, Arrays]) -> tuple[Claim, ...]:
     of_xyz = tuple(
         Finding(
             {"noise": NOISES[noise]},
-            mean_interval(of_drives(results, noise, (EUCLIDEAN, RIGHT[noise]), pose_nees)),
-            limits.INCONSISTENT,
+            mean_interval(measured(noise, EUCLIDEAN, RIGHT[noise], pose_nees)),
+            claims.INCONSISTENT,
         )
         for noise in NOISES
     )
     return (
-        Claim(sentences.TRAJECTORY, of_ours(position_rmse, limits.POSITION_M)),
-        Claim(sentences.DRIFT, of_ours(drift_percent, limits.DRIFT_PERCENT)),
-        Claim(sentences.YAW, of_ours(yaw_rmse, limits.YAW_DEG)),
-        Claim(sentences.VELOCITY, of_ours(velocity_rmse, limits.VELOCITY_M_S)),
-        Claim(sentences.SCALE, of_ours(scale_error_percent, limits.SCALE_PERCENT, rms_interval)),
-        Claim(sentences.CONSISTENT, consistent),
-        Claim(sentences.LANDMARK_NOISE, of_ours(landmark_nees, limits.CONSISTENT)),
-        Claim(sentences.RANGE_HELPS, against_rival),
-        Claim(sentences.XYZ_INCONSISTENT, of_xyz),
+        Claim(claims.TRAJECTORY, of_ours(position_rmse, claims.POSITION_M)),
+        Claim(claims.DRIFT, of_ours(drift_percent, claims.DRIFT_PERCENT)),
+        Claim(claims.YAW, of_ours(yaw_rmse, claims.YAW_DEG)),
+        Claim(claims.VELOCITY, of_ours(velocity_rmse, claims.VELOCITY_M_S)),
+        Claim(claims.SCALE, of_ours(scale_error_percent, claims.SCALE_PERCENT, rms_interval)),
+        Claim(claims.POSE_CONSISTENT, consistent),
+        Claim(claims.LANDMARK_NOISE, of_ours(landmark_nees, claims.CONSISTENT)),
+        Claim(claims.RANGE_HELPS, against_competitor),
+        Claim(claims.XYZ_INCONSISTENT, of_xyz),
     )

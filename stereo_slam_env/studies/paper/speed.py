@@ -7,22 +7,36 @@ round gives one ratio. What is measured is processor time, so that a busy machin
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
 
 import numpy as np
 
-from filters import Start, StereoFilter, StereoNoise, StereoObservation, make_filter
-from filters.engine.options import MEASUREMENTS
-from filters.validation import FloatArray
-from stereo_slam_env.sensing.rigs import RIGS
-from stereo_slam_env.studies.paper import sentences
-from stereo_slam_env.studies.paper.claims import Claim, Finding, Interval, Range
-from stereo_slam_env.studies.paper.intervals import ratio_interval
-from stereo_slam_env.studies.paper.limits import BETTER
-from stereo_slam_env.studies.paper.parts import Arrays, Part
-from stereo_slam_env.studies.paper.settings import COMPILED, DUAL, JOINT, PaperSettings
+from filters import (
+    LeftThenRight,
+    RangeBearing,
+    Start,
+    StereoFilter,
+    StereoNoise,
+    StereoObservation,
+    make_filter,
+)
+from stereo_slam_env.sensing import RIGS
+from stereo_slam_env.studies.paper import claims
+from stereo_slam_env.studies.paper.claims import (
+    BETTER,
+    COMPILED,
+    DUAL,
+    JOINT,
+    Arrays,
+    Claim,
+    Finding,
+    FloatArray,
+    Interval,
+    Range,
+    ratio_interval,
+)
 
 CAMERA = RIGS["reference"]
 NOISE = StereoNoise.independent_pixels(1.0)
@@ -43,7 +57,7 @@ GROUPS = 10
 DT, SPEED = 0.1, 0.05
 """s, m/s: so slow that every landmark stays in view."""
 BURST = 3
-"""Frames of one filter in a row: in use it does not share the processor's caches with its rival."""
+"""Frames of one filter in a row: in use it does not share the processor's caches with its competitor."""
 
 
 class SlowDrive:
@@ -78,20 +92,12 @@ class SlowDrive:
         return StereoObservation(self._ids[:count], uvd + self._rng.multivariate_normal(np.zeros(3), NOISE.R, count))
 
 
-def parts(settings: PaperSettings) -> list[Part]:
-    """The work of this section."""
-    return [
-        Part(
-            f"speed-{n:04d}",
-            {"n": n, "repeats": settings.repeats, "forms": {name: dict(options) for name, options in FORMS.items()}},
-            partial(compute, n, settings.repeats),
-            alone=True,
-        )
-        for n in settings.sizes
-    ]
+def experiments(sizes: Sequence[int], repeats: int) -> dict[str, partial[Arrays]]:
+    """One for each size of the map; each needs the machine for itself."""
+    return {f"speed-{n:04d}": partial(timed, n, repeats) for n in sizes}
 
 
-def compute(n: int, repeats: int) -> Arrays:
+def timed(n: int, repeats: int) -> Arrays:
     """Milliseconds a frame of each form and filter in each round, (repeats,), at n landmarks."""
     drives = {
         f"{form}.{name}": SlowDrive(n, name, options) for form, options in FORMS.items() for name in (JOINT, DUAL)
@@ -111,9 +117,8 @@ def milliseconds(results: Mapping[str, Arrays]) -> dict[int, dict[str, FloatArra
     return dict(sorted(found.items()))
 
 
-def claims(results: Mapping[str, Arrays]) -> tuple[Claim, ...]:
-    """The claims of speed, judged."""
-    measured = milliseconds(results)
+def judge(results: Mapping[str, Arrays]) -> tuple[Claim, ...]:
+    """The claims of speed."""
     faster = tuple(
         Finding(
             {"state": form, "landmarks": str(n)},
@@ -121,15 +126,11 @@ def claims(results: Mapping[str, Arrays]) -> tuple[Claim, ...]:
             BETTER,
         )
         for form in FORMS
-        for n, times in measured.items()
+        for n, times in milliseconds(results).items()
     )
     observation = StereoObservation(np.arange(1), np.array([[600.0, 200.0, 10.0]]))
-    updates = {
-        name: len(MEASUREMENTS[model].stages(observation, NOISE.R[None]))
-        for name, model in (("ours", "joint"), ("rival", "sequential"))
-    }
-    counted = tuple(
-        Finding({"filter": name}, Interval(count, count, count), Range(wanted, wanted))
-        for (name, count), wanted in zip(updates.items(), (1, 2), strict=True)
-    )
-    return (Claim(sentences.FASTER, faster), Claim(sentences.ONE_UPDATE, counted))
+    counted = []
+    for name, model, wanted in (("ours", RangeBearing(), 1), ("competitor", LeftThenRight(), 2)):
+        count = len(model.stages(observation, NOISE.R[None]))
+        counted.append(Finding({"filter": name}, Interval(count, count, count), Range(wanted, wanted)))
+    return (Claim(claims.FASTER, faster), Claim(claims.ONE_UPDATE, tuple(counted)))

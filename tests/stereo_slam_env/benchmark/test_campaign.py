@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stereo_slam_env.benchmark import FilterChoice, Scenario, campaign, run
+from stereo_slam_env.benchmark import FilterChoice, Scenario, campaign, run_benchmark
 from stereo_slam_env.benchmark.recordings.sources import DatasetSource, FactorySource, ReferenceSource
 from stereo_slam_env.benchmark.scenarios.scenario import filter_choice
 from stereo_slam_env.benchmark.scenarios.study import study_from
@@ -20,7 +20,7 @@ SHORT = Scenario("short", ReferenceSource("short_turn"), seeds=(0, 1), frames=5,
 
 
 def test_all_filters_on_all_seeds(tmp_path):
-    result = run(SHORT, tmp_path / "out", jobs=1)
+    result = run_benchmark(SHORT, tmp_path / "out", jobs=1)
     assert [(r.seed, r.filter_name) for r in result.runs] == [
         (seed, name) for seed in (0, 1) for name in ("inverse-depth", "dual-bearing", "euclidean")
     ]
@@ -35,8 +35,8 @@ def test_all_filters_on_all_seeds(tmp_path):
 
 @pytest.mark.slow
 def test_processes_change_nothing_but_the_time(tmp_path):
-    alone = run(SHORT, tmp_path / "one", jobs=1)
-    together = run(SHORT, tmp_path / "two", jobs=2)
+    alone = run_benchmark(SHORT, tmp_path / "one", jobs=1)
+    together = run_benchmark(SHORT, tmp_path / "two", jobs=2)
     for a, b in zip(alone.runs, together.runs, strict=True):
         assert (a.seed, a.filter_name) == (b.seed, b.filter_name)
         np.testing.assert_allclose(a.positions, b.positions, atol=1e-12)
@@ -47,7 +47,7 @@ def test_processes_change_nothing_but_the_time(tmp_path):
 def test_every_filter_hears_exactly_the_same(tmp_path):
     notes = [str(tmp_path / name) for name in "abc"]
     ears = [FilterChoice(f"ear-{i}", "listens", {"notebook": note}) for i, note in enumerate(notes)]
-    run(SHORT, tmp_path / "out", filters=[*ears[:2], "inverse-depth", ears[2]], seeds=[5], jobs=1)
+    run_benchmark(SHORT, tmp_path / "out", filters=[*ears[:2], "inverse-depth", ears[2]], seeds=[5], jobs=1)
     heard = {Path(note).read_text() for note in notes}
     assert len(heard) == 1
     assert len(heard.pop()) == 64
@@ -69,14 +69,14 @@ def test_an_interrupted_run_goes_on_where_it_stopped(tmp_path, monkeypatch):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        run(SHORT, tmp_path / "out", jobs=1, progress=stop_in_the_fifth_trial)
+        run_benchmark(SHORT, tmp_path / "out", jobs=1, progress=stop_in_the_fifth_trial)
     assert len(list((tmp_path / "out").glob("trials/*/*.npz"))) == 4
     assert made[:2] == [0, 1]
     made.clear()
-    assert len(run(SHORT, tmp_path / "out", jobs=1).runs) == 6
+    assert len(run_benchmark(SHORT, tmp_path / "out", jobs=1).runs) == 6
     assert made == [(1, "dual-bearing"), (1, "euclidean")]
     made.clear()
-    run(SHORT, tmp_path / "out", jobs=1)
+    run_benchmark(SHORT, tmp_path / "out", jobs=1)
     assert made == []
 
 
@@ -92,19 +92,19 @@ def test_a_full_disk_loses_no_finished_trial(tmp_path, monkeypatch):
 
     monkeypatch.setattr(campaign.RunDirectory, "save_trial", until_full)
     with pytest.raises(OSError, match="No space left"):
-        run(SHORT, tmp_path / "out", jobs=1)
+        run_benchmark(SHORT, tmp_path / "out", jobs=1)
     monkeypatch.undo()
     kept = sorted((tmp_path / "out").glob("trials/*/*.npz"))
     times = [path.stat().st_mtime_ns for path in kept]
     assert len(kept) == 3
-    assert len(run(SHORT, tmp_path / "out", jobs=1).runs) == 6
+    assert len(run_benchmark(SHORT, tmp_path / "out", jobs=1).runs) == 6
     assert [path.stat().st_mtime_ns for path in kept] == times
 
 
 def test_a_resumed_run_says_the_same_as_one_in_one_go(tmp_path):
-    whole = run(SHORT, tmp_path / "whole", jobs=1)
-    run(SHORT, tmp_path / "parts", filters=["dual-bearing"], seeds=[1], jobs=1)
-    parts = run(SHORT, tmp_path / "parts", jobs=1)
+    whole = run_benchmark(SHORT, tmp_path / "whole", jobs=1)
+    run_benchmark(SHORT, tmp_path / "parts", filters=["dual-bearing"], seeds=[1], jobs=1)
+    parts = run_benchmark(SHORT, tmp_path / "parts", jobs=1)
     for a, b in zip(whole.runs, parts.runs, strict=True):
         np.testing.assert_array_equal(a.positions, b.positions)
 
@@ -113,7 +113,7 @@ def test_a_resumed_run_says_the_same_as_one_in_one_go(tmp_path):
 def test_filters_that_crash_or_hang_never_take_the_run_down(tmp_path):
     filters = ["crashes", "hangs", "euclidean"]
     scenario = replace(SHORT, frame_time_limit=1.0)
-    crashing, hanging, sound = run(scenario, tmp_path / "out", filters=filters, seeds=[0], jobs=1).summaries
+    crashing, hanging, sound = run_benchmark(scenario, tmp_path / "out", filters=filters, seeds=[0], jobs=1).summaries
     assert crashing.failures == ("seed 0, its process ended with code 7",)
     assert hanging.failures == ("seed 0, no sign of life for 1 s",)
     assert (crashing.diverged, hanging.diverged, sound.diverged) == (1, 1, 0)
@@ -122,7 +122,7 @@ def test_filters_that_crash_or_hang_never_take_the_run_down(tmp_path):
 @pytest.mark.usefixtures("third_party")
 def test_filters_that_fail_never_take_the_run_down(tmp_path):
     filters = ["raises", "inverse-depth", "returns-nan"]
-    result = run(SHORT, tmp_path / "out", filters=filters, jobs=1)
+    result = run_benchmark(SHORT, tmp_path / "out", filters=filters, jobs=1)
     failing, sound, lost = result.summaries
     assert (failing.diverged, sound.diverged, lost.diverged) == (2, 0, 2)
     assert failing.failures[0] == "seed 0, frame 2: RuntimeError: the third frame is too much"
@@ -138,7 +138,7 @@ def test_a_tiny_third_party_filter_is_benchmarked_by_name(tmp_path, monkeypatch)
     site.mkdir()
     install(site, "my_filter_package", module, {"mine": "Mine"})
     monkeypatch.syspath_prepend(str(site))
-    result = run(SHORT, tmp_path / "out", filters=["mine", "inverse-depth"], jobs=1)
+    result = run_benchmark(SHORT, tmp_path / "out", filters=["mine", "inverse-depth"], jobs=1)
     mine, original = result.summaries
     assert mine.filter_name == "mine"
     assert mine.position_rmse_m == original.position_rmse_m
@@ -150,7 +150,7 @@ def test_a_plugin_that_cannot_be_imported_is_reported_by_name(tmp_path, monkeypa
     site.mkdir()
     install(site, "broken_filter_package", "import no_such_module\n", {"broken": "Broken"})
     monkeypatch.syspath_prepend(str(site))
-    broken, sound = run(SHORT, tmp_path / "out", filters=["broken", "euclidean"], jobs=1).summaries
+    broken, sound = run_benchmark(SHORT, tmp_path / "out", filters=["broken", "euclidean"], jobs=1).summaries
     assert broken.diverged == 2
     assert "'broken'" in broken.failures[0]
     assert "no_such_module" in broken.failures[0]
@@ -167,7 +167,7 @@ def test_a_plugin_that_cannot_be_imported_is_reported_by_name(tmp_path, monkeypa
 )
 def test_wrong_filters_are_refused_before_any_work(tmp_path, filters, complaint):
     with pytest.raises(ValueError, match=complaint):
-        run(SHORT, tmp_path / "out", filters=filters)
+        run_benchmark(SHORT, tmp_path / "out", filters=filters)
     assert not (tmp_path / "out").exists()
 
 
@@ -180,17 +180,17 @@ def test_a_filter_that_joins_later_hears_what_the_others_heard(tmp_path, monkeyp
         "    return short_turn(int(np.random.default_rng().integers(1_000_000)), frames=4)\n"
     )
     monkeypatch.syspath_prepend(str(tmp_path))
-    (alone,) = run(call, tmp_path / "out", jobs=1).runs
-    again, later = run(call, tmp_path / "out", filters=["euclidean", "inverse-depth"], jobs=1).runs
+    (alone,) = run_benchmark(call, tmp_path / "out", jobs=1).runs
+    again, later = run_benchmark(call, tmp_path / "out", filters=["euclidean", "inverse-depth"], jobs=1).runs
     np.testing.assert_array_equal(later.true_positions, alone.true_positions)
     np.testing.assert_array_equal(again.positions, alone.positions)
 
 
 def test_a_stored_recording_replays_as_it_was(tmp_path):
-    first = run(SHORT, tmp_path / "out", seeds=[1], jobs=1)
+    first = run_benchmark(SHORT, tmp_path / "out", seeds=[1], jobs=1)
     (path,) = (tmp_path / "out").glob("recordings/*/*.npz")
     again = Scenario("again", DatasetSource(str(path)), filters=SHORT.filters, gate=None, metrics=("map",))
-    replayed = run(again, tmp_path / "again", jobs=1)
+    replayed = run_benchmark(again, tmp_path / "again", jobs=1)
     for a, b in zip(first.runs, replayed.runs, strict=True):
         np.testing.assert_array_equal(a.positions, b.positions)
 
@@ -204,7 +204,7 @@ def test_cells_that_differ_in_the_filters_share_their_recordings(tmp_path):
             "grid": {"noise.independent_pixels": [0.5, 1.0], "options.sigma": [1.0, 2.0]},
         }
     )
-    result = run(study, tmp_path, jobs=1)
+    result = run_benchmark(study, tmp_path, jobs=1)
     assert len(list(tmp_path.glob("recordings/*/*.npz"))) == 2
     assert len({cell.summaries[0].position_rmse_m for cell in result.cells}) == 4
     summary = json.loads((tmp_path / "summary.json").read_text())
@@ -221,13 +221,13 @@ def test_a_benchmark_is_named_by_its_preset_or_its_file(tmp_path):
         'name = "mine"\nkind = "reference"\nframes = 4\nseeds = 1\nfilters = ["euclidean"]\n'
         'metrics = []\noptions = { name = "short_turn" }\n'
     )
-    assert len(run(str(tmp_path / "mine.toml"), tmp_path / "out", jobs=1).runs) == 1
-    result = run("reference-turn", tmp_path / "preset", filters=["euclidean"], seeds=[3], jobs=1)
+    assert len(run_benchmark(str(tmp_path / "mine.toml"), tmp_path / "out", jobs=1).runs) == 1
+    result = run_benchmark("reference-turn", tmp_path / "preset", filters=["euclidean"], seeds=[3], jobs=1)
     assert [r.seed for r in result.runs] == [3]
     with pytest.raises(ValueError, match="did you mean 'reference-turn'"):
-        run("reference-tur", tmp_path / "x")
+        run_benchmark("reference-tur", tmp_path / "x")
 
 
 def test_no_jobs_is_refused(tmp_path):
     with pytest.raises(ValueError, match="jobs must be >= 1"):
-        run(SHORT, tmp_path, jobs=0)
+        run_benchmark(SHORT, tmp_path, jobs=0)

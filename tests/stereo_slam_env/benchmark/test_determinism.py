@@ -7,12 +7,13 @@ import json
 import numpy as np
 import pytest
 
-from stereo_slam_env.benchmark import Scenario, Study, run_filter
+from stereo_slam_env.benchmark import Scenario, Study
 from stereo_slam_env.benchmark.campaign import run_benchmark
 from stereo_slam_env.benchmark.recordings.reference_problem import short_turn
 from stereo_slam_env.benchmark.recordings.sources import GazeSource, ReferenceSource, StreetSource
 from stereo_slam_env.benchmark.scenarios.scenario import filter_choice, policy_choice
 from stereo_slam_env.benchmark.storage.store import pairing_digest
+from stereo_slam_env.evaluation import run_filter
 
 from ..digest import Digest
 from .episode_digests import WAYS, digest_of_episodes

@@ -8,7 +8,7 @@ from contextlib import closing
 import numpy as np
 import pytest
 
-from stereo_slam_env.benchmark import PolicyChoice, Scenario, campaign, compare, preset, run
+from stereo_slam_env.benchmark import PolicyChoice, Scenario, campaign, compare, preset, run_benchmark
 from stereo_slam_env.benchmark.campaign import check_study
 from stereo_slam_env.benchmark.recordings.description import stream_digest
 from stereo_slam_env.benchmark.recordings.sources import GazeSource, StreetSource
@@ -73,7 +73,7 @@ class Hangs(Raises):
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
-    return run(SHORT, tmp_path_factory.mktemp("gaze") / "out", jobs=1, write_report=write_report_of)
+    return run_benchmark(SHORT, tmp_path_factory.mktemp("gaze") / "out", jobs=1, write_report=write_report_of)
 
 
 @pytest.fixture
@@ -179,7 +179,7 @@ def test_every_policy_drives_the_same_drive_and_sees_something_else(finished):
 
 
 def test_a_trial_is_the_same_again_bit_for_bit(finished, tmp_path):
-    again = run(SHORT, tmp_path / "again", policies=[SWEEP.policy], seeds=[1], jobs=1).runs[0]
+    again = run_benchmark(SHORT, tmp_path / "again", policies=[SWEEP.policy], seeds=[1], jobs=1).runs[0]
     before = next(one for one in finished.runs if (one.filter_name, one.seed) == ("sweep", 1))
     for name in ("positions", "orientations", "pose_covariances", "true_positions", "pose_errors", "nis"):
         np.testing.assert_array_equal(getattr(again, name), getattr(before, name))
@@ -207,16 +207,16 @@ def test_an_interrupted_run_goes_on_where_it_stopped(tmp_path, monkeypatch):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        run(SHORT, tmp_path / "out", jobs=1, progress=stop_in_the_third_trial)
+        run_benchmark(SHORT, tmp_path / "out", jobs=1, progress=stop_in_the_third_trial)
     made.clear()
-    result = run(SHORT, tmp_path / "out", policies=[*SHORT.policies, "random"], jobs=1)
+    result = run_benchmark(SHORT, tmp_path / "out", policies=[*SHORT.policies, "random"], jobs=1)
     assert made == [(0, "random"), (1, "fixed"), (1, "sweep"), (1, "random")]
     assert [summary.runs for summary in result.summaries] == [2, 2, 2]
 
 
 @pytest.mark.slow
 def test_processes_change_nothing(finished, tmp_path):
-    together = run(SHORT, tmp_path / "two", jobs=2)
+    together = run_benchmark(SHORT, tmp_path / "two", jobs=2)
     for a, b in zip(finished.runs, together.runs, strict=True):
         assert (a.seed, a.filter_name) == (b.seed, b.filter_name)
         np.testing.assert_allclose(a.positions, b.positions, atol=1e-12)
@@ -225,7 +225,7 @@ def test_processes_change_nothing(finished, tmp_path):
 @pytest.mark.usefixtures("third_party")
 def test_policies_that_raise_crash_or_hang_never_take_the_run_down(tmp_path):
     scenario = dataclasses.replace(SHORT, frame_time_limit=2.0, seeds=(0,))
-    result = run(scenario, tmp_path / "out", policies=["raises", "crashes", "hangs", "fixed"], jobs=1)
+    result = run_benchmark(scenario, tmp_path / "out", policies=["raises", "crashes", "hangs", "fixed"], jobs=1)
     raising, crashing, hanging, sound = result.summaries
     assert raising.failures == ("seed 0, frame 2: policy: RuntimeError: my neck hurts",)
     assert crashing.failures == ("seed 0, its process ended with code 7",)
@@ -236,7 +236,7 @@ def test_policies_that_raise_crash_or_hang_never_take_the_run_down(tmp_path):
 
 def test_a_filter_that_fails_in_the_loop_says_so_itself(tmp_path):
     scenario = dataclasses.replace(SHORT, seeds=(0,), use_odometry=False)
-    result = run(scenario, tmp_path / "out", policies=["sweep"], jobs=1)
+    result = run_benchmark(scenario, tmp_path / "out", policies=["sweep"], jobs=1)
     failure = result.summaries[0].failures[0]
     assert failure.startswith("seed 0, frame 1: ValueError: odometry must be given")
 
@@ -286,7 +286,7 @@ def test_every_policy_has_its_own_truth(finished):
 
 
 def test_two_runs_are_compared_drive_by_drive(finished, tmp_path):
-    other = run(SHORT, tmp_path / "other", policies=[PolicyChoice("sweep", "sweep", {"period": 4.0})], jobs=1)
+    other = run_benchmark(SHORT, tmp_path / "other", policies=[PolicyChoice("sweep", "sweep", {"period": 4.0})], jobs=1)
     comparison = compare(finished.out, other.out)
     assert comparison.paired
     assert comparison.filters_before == ("fixed",)
@@ -297,7 +297,7 @@ def test_drives_that_are_not_the_same_are_refused(finished, tmp_path):
     directory = read_study(finished.out).cells[0][1]
     assert len(directory.load()[1]) == 2
     other = dataclasses.replace(SHORT, source=SHORT.source.replaced(perturbation=0.0))
-    run(other, tmp_path / "other", jobs=1, seeds=[0])
+    run_benchmark(other, tmp_path / "other", jobs=1, seeds=[0])
     foreign = read_study(tmp_path / "other").cells[0][1].trial_path(0, SWEEP)
     kept = directory.trial_path(0, SWEEP)
     content = kept.read_bytes()

@@ -11,7 +11,7 @@ from stereo_slam_env.report import page as page_module
 from stereo_slam_env.report.charts.axes import Axis
 from stereo_slam_env.report.charts.drawing import Curve, Panel, figure
 from stereo_slam_env.report.charts.style import PALETTE
-from stereo_slam_env.report.page import figure_block, page, part
+from stereo_slam_env.report.page import figure_block, html_page, part
 from stereo_slam_env.report.page_tables import Cell, Column, filter_cell, number, table
 
 
@@ -53,14 +53,14 @@ def test_data_in_a_page_cannot_end_its_script(tmp_path):
 
 
 def test_title_and_subtitle_are_escaped_and_the_page_points_nowhere(block):
-    markup = page(title="a < b", subtitle="<i>", body=block[0]).replace(page_module._vega() or "-", "")
+    markup = html_page(title="a < b", subtitle="<i>", body=block[0]).replace(page_module._vega() or "-", "")
     assert "<title>a &lt; b</title>" in markup
     assert "&lt;i&gt;" in markup
     assert not re.search(r'(src|href)="(https?:)?//|@import', markup)
 
 
 def test_a_page_with_figures_carries_the_script_for_them_once(block):
-    markup = page(title="t", subtitle="s", body=block[0] + block[0])
+    markup = html_page(title="t", subtitle="s", body=block[0] + block[0])
     assert markup.count("vegaEmbed=") == 1
     assert len(markup) < 1_200_000
 
@@ -78,7 +78,7 @@ def test_the_script_is_kept_and_a_folder_that_cannot_be_written_does_not_matter(
 
 
 def test_a_page_without_figures_carries_no_library():
-    assert len(page(title="t", subtitle="s", body="<p>x</p>")) < 50_000
+    assert len(html_page(title="t", subtitle="s", body="<p>x</p>")) < 50_000
 
 
 def test_a_table_sorts_by_values_and_shows_text():
@@ -118,24 +118,7 @@ class Text(HTMLParser):
 def test_settings_are_said_whatever_they_are():
     settings = {"a": {"b": 1, "c": {}}, "d": [1, 2], "e": [{"f": {"g": 2}}, {}], "h": None, "i": [], "<j>": "<k>"}
     said = [item.strip() for item in Text(part("settings", settings)).items if item.strip()]
-    assert said == [
-        "a",
-        "b",
-        "1",
-        "c",
-        "none",
-        "d",
-        "1, 2",
-        "e",
-        "f g 2",
-        "none",
-        "h",
-        "none",
-        "i",
-        "none",
-        "<j>",
-        "<k>",
-    ]
+    assert said == [*"ab1c", "none", "d", "1, 2", "e", "f g 2", "none", "h", "none", "i", "none", "<j>", "<k>"]
 
 
 def test_plain_text_is_escaped_in_every_part_and_markup_is_not():

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from stereo_slam_env.benchmark import Scenario, run
+from stereo_slam_env.benchmark import Scenario, run_benchmark
 from stereo_slam_env.benchmark.recordings.sources import ReferenceSource
 from stereo_slam_env.benchmark.running import engines
 from stereo_slam_env.benchmark.running.engines import ENGINES, Engine
@@ -32,7 +32,7 @@ def where_i_am(number):
 @pytest.fixture(scope="module")
 def alone(tmp_path_factory):
     """The result of running everything here, one after the other."""
-    return run(SHORT, tmp_path_factory.mktemp("alone") / "out", jobs=1)
+    return run_benchmark(SHORT, tmp_path_factory.mktemp("alone") / "out", jobs=1)
 
 
 @pytest.mark.slow
@@ -40,7 +40,7 @@ def alone(tmp_path_factory):
 def test_results_are_those_of_the_run_in_one_process(name, alone, tmp_path):
     if name != "processes":
         pytest.importorskip("dask.distributed" if name == "dask" else name, reason=f"needs the extra {name}")
-    elsewhere = run(SHORT, tmp_path / "out", jobs=2, engine=name)
+    elsewhere = run_benchmark(SHORT, tmp_path / "out", jobs=2, engine=name)
     assert [(r.seed, r.filter_name) for r in elsewhere.runs] == [(r.seed, r.filter_name) for r in alone.runs]
     for here, there in zip(alone.runs, elsewhere.runs, strict=True):
         np.testing.assert_array_equal(here.positions, there.positions)
@@ -95,4 +95,4 @@ def test_a_cluster_that_does_not_answer_is_told_in_one_line(tmp_path, monkeypatc
     pytest.importorskip("dask.distributed", reason="needs the extra dask")
     scenario = replace(SHORT, seeds=(0,))
     with pytest.raises(ValueError, match=r"no Dask scheduler answers at tcp://127\.0\.0\.1:9"):
-        run(scenario, tmp_path / "out", engine="dask", address="tcp://127.0.0.1:9")
+        run_benchmark(scenario, tmp_path / "out", engine="dask", address="tcp://127.0.0.1:9")

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from stereo_slam_env.benchmark import run
+from stereo_slam_env.benchmark import run_benchmark
 from stereo_slam_env.benchmark.recordings import sources
 from stereo_slam_env.benchmark.recordings.description import stream_digest
 from stereo_slam_env.benchmark.recordings.sources import DatasetSource, StreetSource
@@ -110,7 +110,7 @@ def test_a_scenario_of_the_simulated_world_can_be_measured_in_images():
 )
 def test_what_cannot_be_run_is_refused_before_any_work(scenario, complaint, tmp_path):
     with pytest.raises(ValueError, match=complaint):
-        run(scenario, tmp_path / "out")
+        run_benchmark(scenario, tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 
@@ -174,7 +174,7 @@ def test_images_are_followed_without_a_filter_once_and_calibrated_once(folder, t
     opened = counted(monkeypatch, sources, "open_for_front_end")
     told = []
     make_recording(of(folder, search=search), None, lambda done, of: told.append((done, of)))
-    result = run(of(folder, search=search), tmp_path / "out", jobs=1)
+    result = run_benchmark(of(folder, search=search), tmp_path / "out", jobs=1)
     assert [r.failure for r in result.runs] == [None, None]
     assert (len(looked), len(opened)) == (1, 1)
     assert told == [(k + 1, FRAMES) for k in range(FRAMES)]
@@ -183,7 +183,7 @@ def test_images_are_followed_without_a_filter_once_and_calibrated_once(folder, t
 @pytest.mark.usefixtures("in_this_process")
 def test_rendered_drives_are_looked_at_once_a_seed(tmp_path, monkeypatch):
     drives = counted(monkeypatch, recorder, "record")
-    run(replace(STREET, seeds=(0, 1), frames=2), tmp_path / "out", jobs=1)
+    run_benchmark(replace(STREET, seeds=(0, 1), frames=2), tmp_path / "out", jobs=1)
     assert len(drives) == 2
 
 
@@ -209,7 +209,7 @@ def test_a_guided_search_gives_each_filter_measurements_of_its_own(tmp_path, mon
         return run_filter(recording, name, *args, observe=listen, **options)
 
     monkeypatch.setattr(tasks, "run_filter", listening)
-    result = run(replace(STREET, search="forecast"), tmp_path / "out", jobs=1)
+    result = run_benchmark(replace(STREET, search="forecast"), tmp_path / "out", jobs=1)
     assert [r.failure for r in result.runs] == [None, None]
     assert [len(seen) for seen in heard.values()] == [4, 4]
     first, second = heard.values()
@@ -222,7 +222,7 @@ def test_a_guided_search_gives_each_filter_measurements_of_its_own(tmp_path, mon
 
 def test_landmarks_of_a_guided_search_are_not_judged_by_the_truth_of_other_tracks(tmp_path):
     """Each search numbers its own corners: the same id is another point in the stream without a filter."""
-    result = run(replace(STREET, search="forecast", filters=STREET.filters[:1]), tmp_path / "out", jobs=1)
+    result = run_benchmark(replace(STREET, search="forecast", filters=STREET.filters[:1]), tmp_path / "out", jobs=1)
     (guided,) = result.runs
     assert np.isnan(guided.landmark_nees).all()
     assert np.isnan(guided.landmark_rmse).all()
@@ -279,15 +279,15 @@ def test_results_of_another_renderer_are_not_mixed_in(tmp_path):
 def test_recordings_drawn_by_different_renderers_are_not_compared(tmp_path, monkeypatch):
     """Another version or device of the renderer of the same name draws other pictures, too."""
     short = replace(STREET, filters=STREET.filters[:1], frames=2)
-    run(short, tmp_path / "out", jobs=1)
+    run_benchmark(short, tmp_path / "out", jobs=1)
     monkeypatch.setattr(recorder, "renderer_identity", lambda name: {"name": name, "version": "next"})
     with pytest.raises(ValueError, match=r"were drawn by different renderers, .*next.* not to be compared"):
-        run(short, tmp_path / "out", seeds=(0, 1), jobs=1)
+        run_benchmark(short, tmp_path / "out", seeds=(0, 1), jobs=1)
 
 
 def test_a_finished_run_does_not_need_its_recording_any_more(folder, tmp_path):
     scenario = of(folder, filters=(filter_choice("inverse-depth"),))
-    before = run(scenario, tmp_path / "out", jobs=1).summaries
+    before = run_benchmark(scenario, tmp_path / "out", jobs=1).summaries
     shutil.move(folder, tmp_path / "elsewhere")
     again = read_study(tmp_path / "out")
     results = again.write_results()

@@ -226,7 +226,7 @@ import os, sys, threading
 import numpy as np
 import gymnasium as gym
 import stereo_slam_env
-from stereo_slam_env.benchmark import Scenario, run
+from stereo_slam_env.benchmark import Scenario, run_benchmark
 from stereo_slam_env.benchmark.recordings.sources import StreetSource
 from stereo_slam_env.benchmark.scenarios.scenario import filter_choice
 
@@ -243,7 +243,7 @@ except ImportError:
 assert threading.active_count() > 1
 scenario = Scenario("busy", StreetSource(options), filters=(filter_choice("inverse-depth"),), seeds=(0, 1), frames=3)
 for jobs in (1, 2):
-    result = run(scenario, os.path.join(sys.argv[1], str(jobs)), jobs=jobs)
+    result = run_benchmark(scenario, os.path.join(sys.argv[1], str(jobs)), jobs=jobs)
     assert [r.failure for r in result.runs] == [None, None], result.runs
 print("done")
 """

@@ -5,7 +5,7 @@ from contextlib import closing
 
 import pytest
 
-from stereo_slam_env.benchmark import FilterChoice, Scenario, run
+from stereo_slam_env.benchmark import FilterChoice, Scenario, run_benchmark
 from stereo_slam_env.benchmark.recordings.sources import ReferenceSource
 from stereo_slam_env.benchmark.scenarios.study import study_from
 from stereo_slam_env.benchmark.storage import trial_table
@@ -25,7 +25,7 @@ STUDY = study_from(
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
-    return run(STUDY, tmp_path_factory.mktemp("table") / "out", jobs=1)
+    return run_benchmark(STUDY, tmp_path_factory.mktemp("table") / "out", jobs=1)
 
 
 def rows(path, query):
@@ -72,7 +72,7 @@ def test_pandas_and_polars_read_it(finished):
 
 def test_what_is_not_known_is_null(tmp_path):
     scenario = Scenario("s", ReferenceSource("short_turn"), frames=3, metrics=())
-    run(scenario, tmp_path / "out", filters=[FilterChoice("e", "euclidean")], jobs=1)
+    run_benchmark(scenario, tmp_path / "out", filters=[FilterChoice("e", "euclidean")], jobs=1)
     path = tmp_path / "out" / "trials.sqlite"
     assert rows(path, "SELECT landmark_rmse_m, bound_position_m, failure FROM trials") == [(None, None, None)]
 

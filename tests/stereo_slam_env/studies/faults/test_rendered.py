@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from stereo_slam_env.studies.faults.rendered import drawn_drive
 
 from stereo_slam_env.envs.drive import StereoDriveEnv
 from stereo_slam_env.studies.faults import FAULTS
-from stereo_slam_env.studies.faults.rendered import drawn_drive
 
 FRAMES, BLANK = 9, 6
 

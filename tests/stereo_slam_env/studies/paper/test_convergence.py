@@ -2,13 +2,6 @@
 
 import numpy as np
 import pytest
-
-from stereo_slam_env.benchmark.recordings.reference_problem import short_turn
-from stereo_slam_env.evaluation.filter_run import run_filter
-from stereo_slam_env.sensing.rigs import RIGS
-from stereo_slam_env.studies.paper import convergence
-from stereo_slam_env.studies.paper.claims import Verdict
-from stereo_slam_env.studies.paper.convergence import Depths, of_drives
 from stereo_slam_env.studies.paper.depth_history import (
     DepthHistory,
     follow_depths,
@@ -26,6 +19,13 @@ from stereo_slam_env.studies.paper.settings import (
     PIXELS,
     PaperSettings,
 )
+
+from stereo_slam_env.benchmark.recordings.reference_problem import short_turn
+from stereo_slam_env.evaluation.filter_run import run_filter
+from stereo_slam_env.sensing.rigs import RIGS
+from stereo_slam_env.studies.paper import convergence
+from stereo_slam_env.studies.paper.claims import Verdict
+from stereo_slam_env.studies.paper.convergence import Depths, of_drives
 
 FB = RIGS["reference"].disparity_constant
 FRAMES = convergence.UPDATES + 1

@@ -3,11 +3,11 @@
 import dataclasses
 
 import pytest
+from stereo_slam_env.studies.paper.settings import COUPLED, DIAGONAL, EUCLIDEAN, JOINT, PIXELS, UVD
 
 from stereo_slam_env.studies.paper import landmark_uncertainty
 from stereo_slam_env.studies.paper.claims import Verdict
 from stereo_slam_env.studies.paper.landmark_uncertainty import DEPTHS, claims, fits
-from stereo_slam_env.studies.paper.settings import COUPLED, DIAGONAL, EUCLIDEAN, JOINT, PIXELS, UVD
 
 # Of an independent prototype: share of the cloud in the 95 % region, and distance of the depth marginal.
 XYZ_COVERAGE = {15: 0.942, 30: 0.920, 45: 0.892, 70: 0.844, 150: 0.736}

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from stereo_slam_env.studies.paper.settings import NOISES
 
 from stereo_slam_env.studies.paper import long_drive
 from stereo_slam_env.studies.paper.claims import Verdict
-from stereo_slam_env.studies.paper.settings import NOISES
 
 FRAMES = 101
 STEP = 0.5

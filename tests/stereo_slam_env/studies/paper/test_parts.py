@@ -4,9 +4,9 @@ from functools import partial
 
 import numpy as np
 import pytest
+from stereo_slam_env.studies.paper.parts import Part, run_parts
 
 from stereo_slam_env.studies.paper import parts as parts_module
-from stereo_slam_env.studies.paper.parts import Part, run_parts
 
 
 def squares(count, log):

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from stereo_slam_env.studies.paper.settings import DUAL, JOINT, PaperSettings
 
 from stereo_slam_env.studies.paper import speed
 from stereo_slam_env.studies.paper.claims import Verdict
-from stereo_slam_env.studies.paper.settings import DUAL, JOINT, PaperSettings
 
 
 def results_of(ours, theirs, rounds=12):

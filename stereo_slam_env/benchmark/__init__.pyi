@@ -1,0 +1,32 @@
+"""Public names of this room; each is imported when it is first used."""
+
+from .campaign import BenchmarkResult as BenchmarkResult
+from .campaign import run_benchmark as run_benchmark
+from .recordings.reference_problem import long_drive as long_drive
+from .recordings.reference_problem import short_turn as short_turn
+from .recordings.source import Source as Source
+from .recordings.sources import DatasetSource as DatasetSource
+from .recordings.sources import FactorySource as FactorySource
+from .recordings.sources import GazeSource as GazeSource
+from .recordings.sources import ReferenceSource as ReferenceSource
+from .recordings.sources import StreetSource as StreetSource
+from .running.engines import Engine as Engine
+from .scenarios.scenario import FilterChoice as FilterChoice
+from .scenarios.scenario import PolicyChoice as PolicyChoice
+from .scenarios.scenario import Scenario as Scenario
+from .scenarios.study import Cell as Cell
+from .scenarios.study import Study as Study
+from .scenarios.study import load_study as load_study
+from .scenarios.study import preset as preset
+from .scenarios.study import preset_study as preset_study
+from .scenarios.study import presets as presets
+from .statistics.attribution import Attribution as Attribution
+from .statistics.attribution import attribute_runs as attribute_runs
+from .statistics.comparison import RunComparison as RunComparison
+from .statistics.comparison import compare as compare
+from .statistics.differences import CONFIDENCE as CONFIDENCE
+from .statistics.differences import MIN_PAIRS as MIN_PAIRS
+from .statistics.differences import Difference as Difference
+from .statistics.differences import mean_interval as mean_interval
+from .statistics.differences import paired_difference as paired_difference
+from .storage.store import versions as versions

@@ -1,0 +1,16 @@
+"""Public names of this room; each is imported when it is first used."""
+
+from .consistency import mean_band as mean_band
+from .consistency import share_inside as share_inside
+from .filter_run import run_filter as run_filter
+from .map_scoring import LandmarkTrace as LandmarkTrace
+from .results import FilterRun as FilterRun
+from .results import FilterSummary as FilterSummary
+from .run_figures import figures_of as figures_of
+from .run_figures import summarise as summarise
+from .run_figures import summarise_all as summarise_all
+from .trajectory_metrics import ate_rigid as ate_rigid
+from .trajectory_metrics import ate_unaligned as ate_unaligned
+from .trajectory_metrics import end_drift_percent as end_drift_percent
+from .trajectory_metrics import path_length as path_length
+from .trajectory_metrics import root_mean_square as root_mean_square
