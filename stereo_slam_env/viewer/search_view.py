@@ -112,7 +112,7 @@ def search_picture(
 
 
 def _canvas(image: GreyImage, factor: int) -> Image:
-    """A little darker than the image, so that marks stand out."""
+    """The image in RGB, enlarged and a little darker, so that marks stand out."""
     enlarged = cv2.resize(image, None, fx=factor, fy=factor, interpolation=cv2.INTER_LINEAR) if factor > 1 else image
     dim = cv2.convertScaleAbs(enlarged, alpha=0.82)
     return np.asarray(cv2.cvtColor(dim, cv2.COLOR_GRAY2RGB), dtype=np.uint8)
