@@ -183,7 +183,9 @@ def test_the_folder_of_recordings_is_not_left(tmp_path):
     ids=["seeds", "trials", "factorial", "grid"],
 )
 def test_a_small_file_cannot_ask_for_the_world(text, tmp_path):
-    (tmp_path / "huge.toml").write_text(f"name = 'huge'\nkind = 'reference'\noptions = {{ name = 'short_turn' }}\n{text}\n")
+    (tmp_path / "huge.toml").write_text(
+        f"name = 'huge'\nkind = 'reference'\noptions = {{ name = 'short_turn' }}\n{text}\n"
+    )
     with pytest.raises(ValueError, match=r"at most|more than"):
         load_study(tmp_path / "huge.toml")
 
