@@ -28,10 +28,11 @@ from stereo_slam_env.evaluation.results import FilterRun
 from stereo_slam_env.report.charts.consistency import plot_error_bounds, plot_nees
 from stereo_slam_env.report.charts.drawing import Chart, on_white
 from stereo_slam_env.report.charts.style import BAND, INK, MUTED, PALETTE
-from stereo_slam_env.viewer.drive_picture import WIDTH_INCHES, style_context
+from stereo_slam_env.viewer.drive_picture import style_context
 from stereo_slam_env.wrappers.information import InformationCriterion, log_det
 
 HERE = Path(__file__).resolve().parent
+WIDTH_INCHES = 10.4
 BLUE, ORANGE, GREEN = PALETTE[:3]
 CAMERA = StereoCamera(fx=721.5, fy=721.5, cx=672.0, cy=196.0, baseline=0.571, width=1344, height=391)
 FULL_R = StereoNoise.independent_pixels(1.0)

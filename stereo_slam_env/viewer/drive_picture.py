@@ -35,7 +35,6 @@ _AROUND = (-32.0, 32.0), (-12.0, 52.0)
 """Limits of the close view, m: to the sides, and ahead."""
 _POSE_DOF = 6
 Progress = Callable[[int, int], None]
-WIDTH_INCHES = 10.4
 PNG_DPI = 160
 
 _RC: dict[Any, Any] = {
