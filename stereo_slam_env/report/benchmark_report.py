@@ -9,7 +9,7 @@ from typing import Any
 
 from stereo_slam_env.benchmark.statistics.attribution import Attribution, attribute_runs
 from stereo_slam_env.benchmark.statistics.policy_verdict import Looks, baseline_of
-from stereo_slam_env.benchmark.storage.study_store import CellResult, StudyDirectory
+from stereo_slam_env.benchmark.storage.store import CellResult, StudyDirectory
 from stereo_slam_env.recording.archive import load_recording
 from stereo_slam_env.report.run_report import write_report
 from stereo_slam_env.report.study_report import write_study_report
