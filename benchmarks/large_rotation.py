@@ -17,7 +17,7 @@ from joblib import Parallel, delayed
 from rich.console import Console
 from rich.table import Table
 
-from stereo_slam_env.benchmark.recordings.large_rotation_problem import SIGHT, relative_noise_loop
+from stereo_slam_env.benchmark.recordings.reference_problem import SIGHT, relative_noise_loop
 from stereo_slam_env.evaluation.consistency import mean_band
 from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.evaluation.results import FilterRun

@@ -13,7 +13,7 @@ from pathlib import Path
 from fuzz import seeds
 from stereo_slam_env.benchmark.scenarios.study import load_study
 from stereo_slam_env.benchmark.storage.run_archive import load_provenance, load_run
-from stereo_slam_env.benchmark.storage.study_store import read_study
+from stereo_slam_env.benchmark.storage.store import read_study
 from stereo_slam_env.datasets import load, open_image_sequence
 from stereo_slam_env.policies.network import Network
 from stereo_slam_env.recording.archive import load_recording
@@ -95,7 +95,7 @@ def _scenarios(folder: Path) -> object:
 def _results(folder: Path) -> object:
     """A run directory; every folder in it is inside."""
     directories = [*read_study(folder).cells, *read_study(folder / "grid").cells]
-    for _, directory in directories:
+    for directory in directories:
         for seed in directory.seeds:
             for choice in directory.scenario.competitors:
                 if not directory.trial_path(seed, choice).resolve().is_relative_to(folder.resolve()):

@@ -10,7 +10,7 @@ from .recordings.sources import FactorySource as FactorySource
 from .recordings.sources import GazeSource as GazeSource
 from .recordings.sources import ReferenceSource as ReferenceSource
 from .recordings.sources import StreetSource as StreetSource
-from .running.engines import Engine as Engine
+from .running.backends import Backend as Backend
 from .scenarios.scenario import FilterChoice as FilterChoice
 from .scenarios.scenario import PolicyChoice as PolicyChoice
 from .scenarios.scenario import Scenario as Scenario
@@ -29,4 +29,4 @@ from .statistics.differences import MIN_PAIRS as MIN_PAIRS
 from .statistics.differences import Difference as Difference
 from .statistics.differences import mean_interval as mean_interval
 from .statistics.differences import paired_difference as paired_difference
-from .storage.store import versions as versions
+from .storage.code_identity import versions as versions

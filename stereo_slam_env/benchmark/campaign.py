@@ -1,4 +1,4 @@
-"""Every filter on every seed of every scenario: parallel, resumable, each trial on the identical recording."""
+"""Benchmark runs: every filter on every seed of every scenario, parallel, resumable, on identical recordings."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Literal, TypeVar
+from typing import Any
 
 from filters import available_filters, make_filter
 from filters.camera import StereoCamera
 from filters.common_options import make_with_common_options
 from filters.noise import StereoNoise
-from stereo_slam_env.benchmark.running.engines import Engine
+from stereo_slam_env.benchmark.running.backends import Backend, BackendName
 from stereo_slam_env.benchmark.running.tasks import RecordingTask, TrialTask, make, run_trial
 from stereo_slam_env.benchmark.scenarios.scenario import (
     FilterChoice,
@@ -25,29 +25,32 @@ from stereo_slam_env.benchmark.scenarios.scenario import (
 )
 from stereo_slam_env.benchmark.scenarios.streams import check_source
 from stereo_slam_env.benchmark.scenarios.study import Study, load_study, preset_study
-from stereo_slam_env.benchmark.storage.store import RunDirectory, refuse_foreign, root_of
-from stereo_slam_env.benchmark.storage.study_store import CellResult, StudyDirectory, open_study
+from stereo_slam_env.benchmark.storage.store import (
+    CellResult,
+    RunDirectory,
+    StudyDirectory,
+    open_study,
+    prepared_study,
+    root_of,
+)
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
 from stereo_slam_env.evaluation.run_figures import Figures
 from stereo_slam_env.files.claimed_folder import claimed_folder
 
-EngineName = Literal["processes", "ray", "dask"]
 Progress = Callable[[float, int], None]
 ReportWriter = Callable[[StudyDirectory, Sequence[CellResult]], Path]
-Task = TypeVar("Task")
-Result = TypeVar("Result")
 
 _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
 class BenchmarkResult:
-    """What a benchmark found and where it is.
+    """Results of a benchmark.
 
     Attributes
     ----------
     out : Path
-        The run directory.
+        Run directory.
     cells : tuple of CellResult
         One for each scenario.
     report : Path, optional
@@ -65,7 +68,7 @@ class BenchmarkResult:
 
     @property
     def figures(self) -> Figures:
-        """Of the runs, by label of the filter; of a grid, by "cell: label"."""
+        """Figures of every run, by label of the filter; of a grid, by "cell: label"."""
         return {
             f"{result.cell.name}: {label}" if len(self.cells) > 1 else label: figures
             for result in self.cells
@@ -86,7 +89,7 @@ def run_benchmark(
     policies: Sequence[str | PolicyChoice] | None = None,
     seeds: Sequence[int] | None = None,
     jobs: int = 2,
-    engine: EngineName = "processes",
+    backend: BackendName = "processes",
     address: str | None = None,
     data: str | Path | None = None,
     allow_code: bool = False,
@@ -104,7 +107,7 @@ def run_benchmark(
     what : Study, Scenario, str or Path
         What to run: a scenario, a grid of them, the name of a preset, or a scenario file.
     out : str or Path
-        Run directory, see `stereo_slam_env.benchmark.storage.study_store`.
+        Run directory, see `stereo_slam_env.benchmark.storage.store`.
     filters : sequence of str or FilterChoice, optional
         Instead of the scenario's.
     policies : sequence of str or PolicyChoice, optional
@@ -113,8 +116,8 @@ def run_benchmark(
         Instead of the scenario's.
     jobs : int
         Trials at a time; each uses one core and one BLAS thread.
-    engine : {"processes", "ray", "dask"}
-        Where trials run, see `engines`.
+    backend : {"processes", "ray", "dask"}
+        Where trials run.
     address : str, optional
         Scheduler of the cluster.
     data : str or Path, optional
@@ -138,21 +141,30 @@ def run_benchmark(
     OSError
         The disk is full or cannot be written; what is finished is kept.
     """
-    workers = Engine(engine, jobs, address)
+    workers = Backend(backend, jobs, address)
     study = as_study(what, data=data, allow_code=allow_code)
+    changes: dict[str, Any] = {}
     if filters is not None:
-        choices = tuple(filter_choice(f) if isinstance(f, str) else f for f in filters)
-        study = study.with_scenarios(partial(dataclasses.replace, filters=choices))
+        changes["filters"] = tuple(filter_choice(f) if isinstance(f, str) else f for f in filters)
     if policies is not None:
-        who = tuple(policy_choice(p) if isinstance(p, str) else p for p in policies)
-        study = study.with_scenarios(partial(dataclasses.replace, policies=who))
+        changes["policies"] = tuple(policy_choice(p) if isinstance(p, str) else p for p in policies)
     if seeds is not None:
-        study = study.with_scenarios(partial(dataclasses.replace, seeds=tuple(seeds)))
+        changes["seeds"] = tuple(seeds)
+    study = study.with_scenarios(lambda scenario: dataclasses.replace(scenario, **changes))
     check_study(study)
-    refuse_foreign(Path(out))
-    with claimed_folder(root_of(Path(out))):
-        directory = open_study(Path(out), study)
-        _run_missing(directory, workers, progress or (lambda done, total: None))
+    return run_checked(prepared_study(Path(out), study), workers, progress, write_report)
+
+
+def run_checked(
+    directory: StudyDirectory,
+    backend: Backend,
+    progress: Progress | None = None,
+    write_report: ReportWriter | None = None,
+) -> BenchmarkResult:
+    """Run a study that `check_study` has passed, in a directory of `prepared_study`; as `run_benchmark`."""
+    with claimed_folder(root_of(directory.out)):
+        directory = open_study(directory.out, directory.study)
+        _run_missing(directory.cells, backend, progress or (lambda done, total: None))
         results = directory.write_results()
         page = None if write_report is None else write_report(directory, results)
     return BenchmarkResult(directory.out, tuple(results), page)
@@ -206,9 +218,8 @@ def check_filters(scenario: Scenario) -> None:
                 _log.info("filter %s cannot be made: %s", choice.label, error)
 
 
-def _run_missing(directory: StudyDirectory, engine: Engine, progress: Progress) -> None:
+def _run_missing(cells: Sequence[RunDirectory], backend: Backend, progress: Progress) -> None:
     """Make what is missing and keep each result as soon as it is there."""
-    cells = [run for _, run in directory.cells]
     missing = [(number, seed, choice) for number, run in enumerate(cells) for seed, choice in run.missing()]
     to_record = _recordings_to_make(cells, [(n, seed) for n, seed, choice in missing if not _drives(choice)])
     wanted = sum(len(run.seeds) * (len(run.scenario.competitors) + run.scenario.has_bound) for run in cells)
@@ -230,13 +241,13 @@ def _run_missing(directory: StudyDirectory, engine: Engine, progress: Progress) 
     tell()
     if not missing:
         return
-    with engine.started() as run_all:
-        told = within if engine.in_this_process else None
+    with backend.started() as run_all:
+        told = within if backend.in_this_process else None
         recordings = [RecordingTask(number, cells[number].scenario, seed) for number, seed in to_record]
-        # The only one is made here: who reads a real drive has often looked at it already (see `sources`).
+        # The only one is made here: a real drive has often been read by this process already (see `sources`).
         alone = len(recordings) == 1
         for made in (map if alone else run_all)(partial(make, progress=within if alone else told), recordings):
-            cells[made.task.cell].save_recording(made.task.seed, made.content, made.description)
+            cells[made.cell].save_recording(made.seed, made.content, made.description)
             done += 1
             tell()
         for finished in run_all(partial(run_trial, progress=told), trials()):

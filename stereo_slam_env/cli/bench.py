@@ -16,6 +16,7 @@ from stereo_slam_env.cli.parts import Interrupted, console, one_line_errors, rig
 
 if TYPE_CHECKING:
     from stereo_slam_env.benchmark import FilterChoice, PolicyChoice, Scenario, Study
+    from stereo_slam_env.benchmark.storage.store import StudyDirectory
 
 Choice = TypeVar("Choice", "FilterChoice", "PolicyChoice")
 FiltersOption = Annotated[str | None, typer.Option("--filters", help="Names, separated by commas.", metavar="A,B")]
@@ -33,8 +34,8 @@ JobsOption = Annotated[int, typer.Option("--jobs", help="Processes, one BLAS thr
 OutOption = Annotated[
     Path | None, typer.Option("--out", help="Run directory; an interrupted run in it is resumed.", show_default="new")
 ]
-EngineOption = Annotated[
-    str, typer.Option("--engine", help="Where trials run: 'processes' here, or on a cluster with 'ray' or 'dask'.")
+BackendOption = Annotated[
+    str, typer.Option("--backend", help="Where trials run: 'processes' here, or on a cluster with 'ray' or 'dask'.")
 ]
 AddressOption = Annotated[
     str | None,
@@ -109,7 +110,7 @@ def bench(
         Path | None,
         typer.Option("--data", help="Folder of the real recordings a scenario asks for.", envvar="STEREO_SLAM_DATA"),
     ] = None,
-    engine: EngineOption = "processes",
+    backend: BackendOption = "processes",
     address: AddressOption = None,
     allow_code: Annotated[
         bool,
@@ -120,6 +121,7 @@ def bench(
     """Compare filters, or policies that decide where to look: scenarios x filters x seeds, one report."""
     with one_line_errors():
         from stereo_slam_env.benchmark import load_study, preset_study, presets
+        from stereo_slam_env.benchmark.campaign import check_study
         from stereo_slam_env.benchmark.recordings.source import Renderer, checked
         from stereo_slam_env.benchmark.scenarios.scenario import Sensor, policy_choice
 
@@ -150,10 +152,11 @@ def bench(
         study = study.with_scenarios(adjusted)
         if rig is not None:
             study = study.with_rig(rig_from(rig))
+        check_study(study)
         directory = _ready(study, out)
         with _film(study.name, record) as show:
             show(study.cells[0].scenario)
-        _run(study, directory, jobs, engine, address)
+        _run(directory, jobs, backend, address)
 
 
 def replay(
@@ -173,7 +176,7 @@ def replay(
     jobs: JobsOption = 2,
     search: SearchOption = None,
     record: RecordOption = None,
-    engine: EngineOption = "processes",
+    backend: BackendOption = "processes",
     address: AddressOption = None,
     skip_broken: Annotated[
         bool, typer.Option("--skip-broken", help="Leave out pairs with missing or damaged images, and count them.")
@@ -203,10 +206,9 @@ def replay(
             # What is stored must be what happened.
             if not any(frame.odometry is not None for frame in recording.frames):
                 scenario = replace(scenario, use_odometry=False)
-            study = Study.of(scenario)
-            directory = _ready(study, out)
+            directory = _ready(Study.of(scenario), out)
             show(scenario)
-        _run(study, directory, jobs, engine, address)
+        _run(directory, jobs, backend, address)
 
 
 def _adjusted(
@@ -251,14 +253,12 @@ def _gate(text: str) -> float | None:
         raise ValueError(f"--gate must be a probability between 0 and 1, or 'none', got {text!r}") from None
 
 
-def _ready(study: Study, out: Path | None) -> Path:
-    """The run directory, once it is known that the study can be run into it."""
-    from stereo_slam_env.benchmark.campaign import check_study
-    from stereo_slam_env.benchmark.storage.study_store import prepared_study
+def _ready(study: Study, out: Path | None) -> StudyDirectory:
+    """The run directory, once it is known that it can be used for this study."""
+    from stereo_slam_env.benchmark.storage.store import prepared_study
 
-    check_study(study)
     stamp = datetime.datetime.now().strftime("%Y%m%d-%H%M%S")
-    return prepared_study(Path("runs") / f"{study.name}-{stamp}" if out is None else out, study).out
+    return prepared_study(Path("runs") / f"{study.name}-{stamp}" if out is None else out, study)
 
 
 @contextmanager
@@ -267,7 +267,7 @@ def _film(title: str, record: Path | None) -> Iterator[Callable[[Scenario], None
     if record is None:
         yield lambda scenario: None
         return
-    from stereo_slam_env.benchmark.running.watch import watch_search
+    from stereo_slam_env.benchmark.running.tasks import watch_search
     from stereo_slam_env.report.console import progress_bar
     from stereo_slam_env.viewer.search_view import search_film
 
@@ -281,34 +281,28 @@ def _film(title: str, record: Path | None) -> Iterator[Callable[[Scenario], None
     typer.echo(f"film: {record.resolve()}")
 
 
-def _run(study: Study, directory: Path, jobs: int, engine: str, address: str | None) -> None:
+def _run(directory: StudyDirectory, jobs: int, backend: str, address: str | None) -> None:
     """Run, show the table, and say where everything is; when interrupted, say how to go on."""
-    from stereo_slam_env.benchmark.campaign import EngineName, run_benchmark
+    from stereo_slam_env.benchmark.campaign import run_checked
     from stereo_slam_env.benchmark.recordings.source import checked
+    from stereo_slam_env.benchmark.running.backends import Backend, BackendName
     from stereo_slam_env.report.benchmark_report import write_report_of
     from stereo_slam_env.report.console import progress_bar, show_cells, show_study
 
-    show_study(console(), study)
+    workers = Backend(checked("backend", backend, BackendName), jobs, address)
+    show_study(console(), directory.study)
     try:
         with progress_bar(console(stderr=True), "steps") as progress:
-            result = run_benchmark(
-                study,
-                directory,
-                jobs=jobs,
-                engine=checked("engine", engine, EngineName),
-                address=address,
-                progress=progress,
-                write_report=write_report_of,
-            )
+            result = run_checked(directory, workers, progress, write_report_of)
     except KeyboardInterrupt:
-        raise Interrupted(directory) from None
+        raise Interrupted(directory.out) from None
     except OSError as error:
         if error.errno != errno.ENOSPC:
             raise
-        kept = Interrupted(directory).kept
+        kept = Interrupted(directory.out).kept
         raise OSError(
-            f"the disk is full: {kept} finished trials are kept in {directory}; make room and run the same command "
-            f"again with --out {directory}"
+            f"the disk is full: {kept} finished trials are kept in {directory.out}; make room and run the same command "
+            f"again with --out {directory.out}"
         ) from error
     show_cells(console(), result.cells)
     show_place(result.report or result.out)

@@ -96,7 +96,7 @@ def faults(
 ) -> None:
     """Run filters on faulty data: which diverge, which raise an alarm; exit code 1 if one breaks."""
     with one_line_errors():
-        from stereo_slam_env.benchmark.running.engines import Engine
+        from stereo_slam_env.benchmark.running.backends import Backend
         from stereo_slam_env.benchmark.scenarios.scenario import filter_choice
         from stereo_slam_env.report.console import progress_bar
         from stereo_slam_env.studies.faults import FAULTS, run_matrix
@@ -108,7 +108,7 @@ def faults(
             return
         choices = [filter_choice(name.strip()) for name in filters.split(",")]
         with progress_bar(console(stderr=True), "drives") as progress:
-            matrix = run_matrix(choices, tuple(names or FAULTS), seeds, Engine(jobs=jobs), progress)
+            matrix = run_matrix(choices, tuple(names or FAULTS), seeds, Backend(jobs=jobs), progress)
         if out is not None:
             _write_matrix(out, matrix)
         _show_matrix(matrix)

@@ -17,7 +17,7 @@ from stereo_slam_env.benchmark.statistics.differences import CONFIDENCE, MIN_PAI
 from stereo_slam_env.benchmark.statistics.measures import EFFICIENCY, POSE_NEES, POSITION, Measure
 from stereo_slam_env.benchmark.statistics.policy_verdict import Looks, baseline_of
 from stereo_slam_env.benchmark.statistics.verdict import Verdict, consistency, judge
-from stereo_slam_env.benchmark.storage.study_store import CellResult, StudyDirectory
+from stereo_slam_env.benchmark.storage.store import CellResult, StudyDirectory
 from stereo_slam_env.evaluation.consistency import mean_band
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
 from stereo_slam_env.evaluation.run_figures import Figures

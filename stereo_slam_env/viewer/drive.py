@@ -18,8 +18,7 @@ from filters.registry import FilterFactory, filter_arguments, label_of
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice
 from stereo_slam_env.benchmark.scenarios.streams import make_sequence, without_measurements
 from stereo_slam_env.benchmark.storage.run_archive import load_run
-from stereo_slam_env.benchmark.storage.store import RunDirectory
-from stereo_slam_env.benchmark.storage.study_store import read_study
+from stereo_slam_env.benchmark.storage.store import RunDirectory, read_study
 from stereo_slam_env.evaluation.results import FilterRun
 from stereo_slam_env.frontend.recorder import ActiveSearch
 from stereo_slam_env.loop import Moment, Observe, run
@@ -152,9 +151,9 @@ def _until_failure(recording: Recording, done: FilterRun) -> Recording:
 def _only_cell(directory: Path) -> RunDirectory:
     cells = read_study(directory).cells
     if len(cells) > 1:
-        places = ", ".join(str(run.out) for _, run in cells[:3])
+        places = ", ".join(str(run.out) for run in cells[:3])
         raise ValueError(f"{directory} holds a grid of {len(cells)} cells: give one of them, such as {places}")
-    return cells[0][1]
+    return cells[0]
 
 
 def _chosen(run: RunDirectory, name: str | None) -> FilterChoice:

@@ -13,10 +13,9 @@ from stereo_slam_env.benchmark.campaign import as_study
 from stereo_slam_env.benchmark.recordings.reference_problem import short_turn
 from stereo_slam_env.benchmark.recordings.sources import FactorySource, ReferenceSource
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, Scenario
-from stereo_slam_env.benchmark.scenarios.study import MOST_TRIALS, load_study
-from stereo_slam_env.benchmark.storage.run_archive import load_run, save_run
-from stereo_slam_env.benchmark.storage.store import open_run, read_run
-from stereo_slam_env.benchmark.storage.study_store import read_study
+from stereo_slam_env.benchmark.scenarios.study import MOST_TRIALS, Study, load_study
+from stereo_slam_env.benchmark.storage.run_archive import load_run, packed_run
+from stereo_slam_env.benchmark.storage.store import open_study, read_study
 from stereo_slam_env.cli.app import main
 from stereo_slam_env.evaluation.filter_run import run_filter
 
@@ -30,12 +29,11 @@ FORBIDDEN_MODULES = {"pickle", "cPickle", "dill", "cloudpickle", "shelve", "mars
 MAY_IMPORT = {
     # Work and answers between a process and the children of its own server.
     "stereo_slam_env/benchmark/running/isolation.py": {"pickle", "cloudpickle"},
-    "stereo_slam_env/benchmark/running/clean_process.py": {"pickle", "cloudpickle"},
 }
 FORBIDDEN_CALLS = {"eval", "exec", "__import__", "os.system", "os.popen", "joblib.load", "pd.read_pickle", "np.load"}
 FORBIDDEN_ARGUMENTS = {"shell": True, "allow_pickle": True, "weights_only": False}
 LOADS_MODULES = {  # by name; and where that name comes from
-    "stereo_slam_env/benchmark/running/clean_process.py": "a table in the module",
+    "stereo_slam_env/benchmark/running/isolation.py": "a table in the module",
     "stereo_slam_env/evaluation/results.py": "a literal",
     "stereo_slam_env/benchmark/recordings/sources.py": "kind 'factory', which load_study refuses without consent",
     "stereo_slam_env/policies/registry.py": "a table in the module",
@@ -201,13 +199,14 @@ def test_control_characters_of_a_file_do_not_reach_the_terminal(tmp_path, capsys
 
 def test_results_do_not_name_files_outside_their_folder(tmp_path):
     scenario = Scenario("one", ReferenceSource("short_turn"), (FilterChoice("paper", "inverse-depth"),))
-    directory = open_run(tmp_path / "run", scenario)
+    (directory,) = open_study(tmp_path / "run", Study.of(scenario)).cells
     run = run_filter(short_turn(seed=0, frames=3), "inverse-depth", label="../../../evil", seed=0)
-    save_run(directory.trial_path(0, scenario.filters[0]), run, {"recording": {}, "code": "none"})
+    directory.save_trial(0, scenario.filters[0], packed_run(run, {"recording": {}, "code": "none"}))
     assert load_run(directory.trial_path(0, scenario.filters[0]))[0].filter_name == "../../../evil"
     with pytest.raises(ValueError, match="holds a run of"):
-        read_run(tmp_path / "run").write_results()
-    assert {path.name for path in tmp_path.rglob("*")} == {"run", "settings.json", "trials", "seed-0000", "paper.npz"}
+        read_study(tmp_path / "run").write_results()
+    written = {"run", "study.json", "settings.json", "trials", "seed-0000", "paper.npz"}
+    assert {path.name for path in tmp_path.rglob("*")} == written
 
 
 @pytest.mark.parametrize("name", ["../../evil", "/tmp/evil", "a/b", ".."])
@@ -225,14 +224,14 @@ def test_nor_do_filters(label, tmp_path):
     scenario["filters"] = [{"name": "euclidean", "label": label, "options": {}}]
     (tmp_path / "settings.json").write_text(json.dumps({"scenario": scenario}))
     with pytest.raises(ValueError, match="label of a filter must be"):
-        read_run(tmp_path)
+        read_study(tmp_path)
 
 
 def test_reading_the_results_of_a_factory_calls_nothing(evil):
     scenario = Scenario("x", FactorySource("evil_module:make"), (FilterChoice("paper", "euclidean"),))
-    directory = open_run(evil.parent / "run", scenario)
+    (directory,) = open_study(evil.parent / "run", Study.of(scenario)).cells
     run = run_filter(short_turn(seed=0, frames=3), "euclidean", label="paper", seed=0)
     provenance = {"recording": {"name": "x", "stream_sha256": "0"}, "code": "none"}
-    save_run(directory.trial_path(0, scenario.filters[0]), run, provenance)
+    directory.save_trial(0, scenario.filters[0], packed_run(run, provenance))
     assert main(["report", str(evil.parent / "run")]) == 0
     assert not (evil.parent / "mark").exists()

@@ -147,7 +147,7 @@ class ReferenceSource(Source, frozen=True, tag="reference"):
     Attributes
     ----------
     name : str
-        The problem: a function of `reference_problem` or `large_rotation_problem`.
+        The problem: a function of `reference_problem`.
     arguments : dict
         Of that function.
     """
@@ -172,15 +172,10 @@ class ReferenceSource(Source, frozen=True, tag="reference"):
 
     @property
     def _problem(self) -> Callable[..., Recording]:
-        from stereo_slam_env.benchmark.recordings.large_rotation_problem import relative_noise_loop
-        from stereo_slam_env.benchmark.recordings.reference_problem import long_drive, short_turn
+        from stereo_slam_env.benchmark.recordings import reference_problem
 
-        problems: dict[str, Callable[..., Recording]] = {
-            "long_drive": long_drive,
-            "short_turn": short_turn,
-            "relative_noise_loop": relative_noise_loop,
-        }
-        return problems[self.name]
+        problem: Callable[..., Recording] = getattr(reference_problem, self.name)
+        return problem
 
 
 class DatasetSource(Source, frozen=True, tag="dataset"):

@@ -1,13 +1,25 @@
-"""One piece of work in a process of its own: a crash or a hang in it is an answer, and ends nothing else."""
+"""One piece of work in a process of its own: a crash or a hang in it is an answer, and ends nothing else.
+
+Such a process is forked from a server that has imported what trials need, never starts a thread and never draws, so
+that forking it is safe. It is never forked from the caller, which may have drawn, or have threads of BLAS, a notebook
+or a cluster: they do not survive a fork, and what waits for them would wait for ever.
+
+The server is started with `subprocess`. It forks itself once for each request that comes through a socket. A request
+carries two descriptors: the connection over which the work comes and the answer goes, and a pipe on which the server
+writes the id of the new process and, in the end, its exit code.
+"""
 
 from __future__ import annotations
 
 import atexit
+import importlib
 import logging
 import os
 import pickle
+import selectors
 import signal
 import socket
+import struct
 import subprocess
 import sys
 import threading
@@ -21,14 +33,22 @@ from typing import NoReturn, TypeVar, cast
 
 import cloudpickle
 
-from stereo_slam_env.benchmark.running.clean_process import READY, STATUS, Work
-
 Result = TypeVar("Result")
 Tell = Callable[[int, int], None]
 
 SECONDS_TO_START = 120.0
 """Limit of the server's start, and of a new process's: far more than a busy machine needs."""
+PRELOADED = (
+    "stereo_slam_env.benchmark.running.tasks",
+    "stereo_slam_env.policies.episode",
+    "stereo_slam_env.wrappers.belief_panorama",
+    "stereo_slam_env.envs.recorder",
+    "numba",
+)
+"""Modules that most trials need; importing them once in the server is why a process costs milliseconds."""
 
+_STATUS = struct.Struct("q")
+_READY = b"r"
 _ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _ONE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
@@ -46,10 +66,7 @@ class WorkTooSlow(RuntimeError):
 def run_isolated(work: Callable[[Tell], Result], *, silence_limit: float, progress: Tell | None = None) -> Result:
     """Run `work` in a process of its own and return what it returns.
 
-    The process is forked from a server that has imported what trials need and has no threads (`clean_process`), never
-    from this process, which may have drawn, or have threads of BLAS, a notebook or a cluster: they do not survive a
-    fork, and what waits for them would wait for ever. Where the system cannot fork, `work` runs in this process,
-    without protection.
+    Where the system cannot fork, `work` runs in this process, without protection.
 
     Parameters
     ----------
@@ -75,7 +92,7 @@ def run_isolated(work: Callable[[Tell], Result], *, silence_limit: float, progre
     if not hasattr(os, "fork"):
         return work(progress or (lambda done, total: None))
     try:
-        content = cloudpickle.dumps(Work(tuple(sys.path), os.getcwd(), cloudpickle.dumps(work)))
+        content = cloudpickle.dumps(_Work(tuple(sys.path), os.getcwd(), cloudpickle.dumps(work)))
     except Exception as error:  # whatever the objects in it raise
         raise ValueError(f"work must be picklable, to be done in a process of its own: {error}") from error
     with _clean_process() as process:
@@ -86,7 +103,7 @@ def run_isolated(work: Callable[[Tell], Result], *, silence_limit: float, progre
 
 @dataclass(frozen=True)
 class _Process:
-    """A process of the server, seen from here."""
+    """Forked process, as its caller sees it."""
 
     connection: Connection
     status: int
@@ -116,10 +133,10 @@ def _clean_process() -> Iterator[_Process]:
 def _status(pipe: int, what: str) -> int:
     if not wait([pipe], SECONDS_TO_START):
         raise WorkDied(f"{what} was not told for {SECONDS_TO_START:.0f} s")
-    content = os.read(pipe, STATUS.size)
+    content = os.read(pipe, _STATUS.size)
     if not content:
         raise WorkDied("the server of processes has ended")
-    return int(STATUS.unpack(content)[0])
+    return int(_STATUS.unpack(content)[0])
 
 
 def _listen(process: _Process, limit: float, progress: Tell | None) -> object:
@@ -149,7 +166,7 @@ def _raise_for_death(code: int) -> NoReturn:
 
 
 class _Server:
-    """A `clean_process` of this process."""
+    """Server of this process."""
 
     def __init__(self) -> None:
         self._socket, theirs = socket.socketpair()
@@ -157,7 +174,7 @@ class _Server:
             # The path is passed on as it is, so that the server finds what this process finds.
             code = (
                 f"import sys; sys.path[:] = {sys.path!r}; "
-                f"from stereo_slam_env.benchmark.running.clean_process import serve; serve({theirs.fileno()})"
+                f"from stereo_slam_env.benchmark.running.isolation import serve; serve({theirs.fileno()})"
             )
             self._popen = subprocess.Popen(
                 [sys.executable, "-c", code],
@@ -167,7 +184,7 @@ class _Server:
             )
         atexit.register(self.close)
         self._socket.settimeout(SECONDS_TO_START)
-        if self._socket.recv(1) != READY:
+        if self._socket.recv(1) != _READY:
             raise WorkDied(f"the server of processes ended with code {self._popen.wait(SECONDS_TO_START)}")
 
     @property
@@ -204,3 +221,114 @@ def _server() -> _Server:
 @cache
 def _server_of(process: int) -> _Server:
     return _Server()
+
+
+# ---- the server ------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Work:
+    """A pickled function, and where its modules and files are found: the caller's path and folder of now."""
+
+    path: tuple[str, ...]
+    folder: str
+    function: bytes
+
+
+def serve(descriptor: int) -> None:
+    """Fork a process for each request on the socket `descriptor`, until the other side is closed."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group: the caller decides what ends
+    for module in PRELOADED:
+        try:
+            importlib.import_module(module)
+        except ImportError:  # an extra that is not installed
+            continue
+    wake_up, woken_by = os.pipe()
+    for end in (wake_up, woken_by):
+        os.set_blocking(end, False)
+    signal.set_wakeup_fd(woken_by, warn_on_full_buffer=False)
+    signal.signal(signal.SIGCHLD, lambda number, frame: None)
+    running: dict[int, int] = {}
+    with socket.socket(fileno=descriptor) as requests, selectors.DefaultSelector() as waiting:
+        waiting.register(requests, selectors.EVENT_READ)
+        waiting.register(wake_up, selectors.EVENT_READ)
+        requests.sendall(_READY)
+        while True:
+            ready = {key.fileobj for key, _ in waiting.select()}
+            if wake_up in ready:
+                os.read(wake_up, 4096)
+                _tell_ends(running)
+            if requests in ready:
+                message, descriptors, _, _ = socket.recv_fds(requests, 1, 2)
+                if not message:
+                    break
+                connection, status = descriptors
+                child = os.fork()
+                if child == 0:
+                    signal.set_wakeup_fd(-1)
+                    waiting.close()
+                    requests.close()
+                    for inherited in (wake_up, woken_by, status, *running.values()):
+                        os.close(inherited)
+                    _work(Connection(connection))
+                running[child] = status
+                os.close(connection)
+                _write(status, child)
+    for child in running:
+        os.kill(child, signal.SIGKILL)
+
+
+def _tell_ends(running: dict[int, int]) -> None:
+    """Write how each process that has ended did so: its code, or minus the number of the signal."""
+    while running:
+        child, status = os.waitpid(-1, os.WNOHANG)
+        if child == 0:
+            return
+        _write(running[child], os.waitstatus_to_exitcode(status))
+        os.close(running.pop(child))
+
+
+def _write(pipe: int, number: int) -> None:
+    try:
+        os.write(pipe, _STATUS.pack(number))
+    except BrokenPipeError:  # nobody listens any more
+        return
+
+
+def _work(connection: Connection) -> NoReturn:
+    """In the new process: take the work, do it, send the answer, and leave without any clean-up."""
+    for ending in (*_ENDING, signal.SIGCHLD):
+        signal.signal(ending, signal.SIG_DFL)
+    code = 1
+    try:
+        connection.send_bytes(_packed(*_answer(connection)))
+        sys.stdout.flush()
+        sys.stderr.flush()
+        code = 0
+    except (BrokenPipeError, EOFError):  # nobody waits for the answer any more
+        code = 0
+    finally:
+        os._exit(code)
+
+
+def _answer(connection: Connection) -> tuple[str, object]:
+    try:
+        work: _Work = pickle.loads(connection.recv_bytes())
+        sys.path[:] = work.path
+        os.chdir(work.folder)
+        return "result", pickle.loads(work.function)(
+            lambda done, total: connection.send_bytes(_packed("alive", (done, total)))
+        )
+    except Exception as error:
+        return "error", error
+
+
+def _packed(kind: str, content: object) -> bytes:
+    try:
+        packed: bytes = cloudpickle.dumps((kind, content))
+        if kind == "error":
+            pickle.loads(packed)  # an error of a class with arguments of its own can be written, but not read
+    except Exception as error:
+        what = content if kind == "error" else error
+        packed = pickle.dumps(("error", RuntimeError(f"the answer cannot be sent: {type(what).__name__}: {what}")))
+    return packed

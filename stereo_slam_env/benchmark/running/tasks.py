@@ -1,4 +1,4 @@
-"""The pieces of work a benchmark consists of: a recording, a trial, a bound.
+"""Tasks of a benchmark: to make a recording, to run a trial, to compute a bound; and a view of the search in images.
 
 Bytes in, bytes out, so that any process of any machine can do them, and the store only has to write what comes back.
 """
@@ -6,7 +6,6 @@ Bytes in, bytes out, so that any process of any machine can do them, and the sto
 from __future__ import annotations
 
 import dataclasses
-import io
 import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -18,23 +17,28 @@ from threadpoolctl import threadpool_limits
 
 from filters import ConstantVelocity
 from stereo_slam_env.benchmark.recordings.description import description_of
+from stereo_slam_env.benchmark.recordings.source import OpenedImages
 from stereo_slam_env.benchmark.running.isolation import Tell, WorkDied, WorkTooSlow, run_isolated
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, Scenario
-from stereo_slam_env.benchmark.scenarios.streams import as_given, make_recording, make_sequence, without_measurements
-from stereo_slam_env.benchmark.storage.run_archive import packed_run
+from stereo_slam_env.benchmark.scenarios.streams import (
+    as_given,
+    drive_episode,
+    drive_straight_ahead,
+    make_recording,
+    make_sequence,
+    without_measurements,
+)
+from stereo_slam_env.benchmark.storage.run_archive import packed_bound, packed_run
 from stereo_slam_env.evaluation.cramer_rao import Bound, cramer_rao_bound
 from stereo_slam_env.evaluation.filter_run import failed_run, run_filter
 from stereo_slam_env.evaluation.results import FilterRun
-from stereo_slam_env.frontend.recorder import ActiveSearch
-from stereo_slam_env.frontend.settings import TrackerSettings
+from stereo_slam_env.frontend.recorder import ActiveSearch, Watch, record_tracks
 from stereo_slam_env.loop import Observe
 from stereo_slam_env.recording.archive import packed_recording, unpacked_recording
-from stereo_slam_env.recording.recording import ImageSequence, Recording
+from stereo_slam_env.recording.recording import Recording
 
 if TYPE_CHECKING:
     from stereo_slam_env.policies.episode import Episode
-
-OpenedImages = tuple[ImageSequence, TrackerSettings]
 
 _log = logging.getLogger(__name__)
 
@@ -50,9 +54,10 @@ class RecordingTask:
 
 @dataclass(frozen=True, eq=False)
 class MadeRecording:
-    """A recording as bytes, and what is to be told of it (JSON-able)."""
+    """A recording as bytes, and its description (JSON-able)."""
 
-    task: RecordingTask
+    cell: int
+    seed: int | None
     content: bytes
     description: Mapping[str, Any]
 
@@ -96,7 +101,7 @@ def make(task: RecordingTask, progress: Tell | None = None) -> MadeRecording:
     Raises
     ------
     ValueError
-        See `sources.make_recording`.
+        See `streams.make_recording`.
     RuntimeError
         The process ended, or gave no sign of life for the scenario's `recording_time_limit`.
     """
@@ -111,17 +116,19 @@ def make(task: RecordingTask, progress: Tell | None = None) -> MadeRecording:
 
 def _make(task: RecordingTask, tell: Tell) -> MadeRecording:
     recording = make_recording(task.scenario, task.seed, tell)
-    return MadeRecording(task, packed_recording(recording), description_of(recording))
+    return MadeRecording(task.cell, task.seed, packed_recording(recording), description_of(recording))
 
 
 def run_trial(task: TrialTask, progress: Tell | None = None) -> DoneTrial:
-    """Run a filter, or compute a bound, in a process of its own; whatever goes wrong there is a result, too."""
+    """Run a filter, or compute a bound, in a process of its own; what goes wrong there is a result, too."""
     if task.choice is None:
-        return DoneTrial(task.cell, task.seed, None, _packed_bound(_bound_or_none(task), task.provenance))
+        return DoneTrial(task.cell, task.seed, None, packed_bound(_bound_or_none(task), task.provenance["code"]))
     limit = task.scenario.frame_time_limit
     if task.choice.policy is not None:
         return _drive(task, task.choice, limit, progress)
-    work = partial(_filtered, task, task.choice, _opened_images(task.scenario, task.seed))
+    # Real images that a filter searches itself are opened here, because their calibration is looked for once.
+    searched = task.scenario.search == "forecast" and not task.scenario.source.isolated
+    work = partial(_filtered, task, task.choice, make_sequence(task.scenario, task.seed) if searched else None)
     try:
         run = run_isolated(work, silence_limit=limit, progress=progress)
     except (WorkDied, WorkTooSlow) as error:
@@ -145,34 +152,22 @@ def _drive(task: TrialTask, choice: FilterChoice, limit: float, progress: Tell |
 
 def _driven(task: TrialTask, choice: FilterChoice, tell: Tell) -> tuple[FilterRun, MadeRecording]:
     """The filter is run again over the recording: there is one way to judge a filter, and it is timed alone."""
-    # PyBullet and Gymnasium, only where they are needed.
-    from stereo_slam_env.benchmark.scenarios.streams import drive_episode
-
     assert task.seed is not None
     episode = drive_episode(task.scenario, task.seed, choice, lambda done, of: tell(done, 2 * of))
     recording = episode.recording
     run = _run_on(recording, task, choice, lambda done, of: tell(of + done, 2 * of))
     if episode.failure is not None and run.failure is None:
         run = dataclasses.replace(run, failure=episode.failure)
-    about = RecordingTask(task.cell, task.scenario, task.seed)
-    return run, MadeRecording(about, packed_recording(recording), _description_of(episode))
+    return run, MadeRecording(task.cell, task.seed, packed_recording(recording), _description_of(episode))
 
 
 def _straight_ahead(task: TrialTask, tell: Tell) -> Episode:
-    from stereo_slam_env.benchmark.scenarios.streams import drive_straight_ahead
-
     assert task.seed is not None
     return drive_straight_ahead(task.scenario, task.seed)
 
 
 def _description_of(episode: Episode) -> dict[str, Any]:
     return {**description_of(episode.recording), "drive_sha256": episode.drive_digest}
-
-
-def _opened_images(scenario: Scenario, seed: int | None) -> OpenedImages | None:
-    """A recording of images that a filter searches itself; opened here, because its calibration is looked for once."""
-    searched = scenario.search == "forecast" and not scenario.source.isolated
-    return make_sequence(scenario, seed) if searched else None
 
 
 def _filtered(task: TrialTask, choice: FilterChoice, opened: OpenedImages | None, tell: Tell) -> FilterRun:
@@ -192,9 +187,7 @@ def _run_on(
         choice.name,
         choice.options,
         label=choice.label,
-        common_options=scenario.common_options,
-        noise=scenario.assumed_noise(recording.noise),
-        use_odometry=scenario.use_odometry,
+        **scenario.filter_arguments(recording.noise),
         score_map="map" in scenario.metrics,
         seed=task.seed,
         observe=observe,
@@ -228,8 +221,36 @@ def _bounded(task: TrialTask, tell: Tell) -> Bound | None:
         )
 
 
-def _packed_bound(bound: Bound | None, provenance: Mapping[str, Any]) -> bytes:
-    stream = io.BytesIO()
-    pose = np.zeros((0, 6, 6)) if bound is None else bound.pose
-    np.savez_compressed(stream, pose=pose, code=np.array(provenance["code"]))
-    return stream.getvalue()
+def watch_search(scenario: Scenario, watch: Watch, progress: Tell | None = None) -> None:
+    """Run the front end over the scenario's first seed, guided by the first filter if `search` is "forecast".
+
+    Parameters
+    ----------
+    scenario : Scenario
+        One that takes images.
+    watch : callable
+        Called with each pair and what was found in it.
+    progress : callable, optional
+        Called with (pairs done, pairs) after each.
+
+    Raises
+    ------
+    ValueError
+        The scenario has no images, or the filter that guides fails: the message says where.
+    """
+    seed = scenario.recording_seeds[0]
+    sequence, settings = make_sequence(scenario, seed)
+    if scenario.search == "flow":
+        record_tracks(sequence, settings, frames=scenario.frames, watch=watch, progress=progress)
+        return
+    recording, choice = make_recording(scenario, seed), scenario.filters[0]
+    run = run_filter(
+        without_measurements(recording),
+        choice.name,
+        choice.options,
+        **scenario.filter_arguments(recording.noise),
+        observe=ActiveSearch(sequence, settings, watch=watch).observe,
+        progress=progress,
+    )
+    if run.failure is not None:
+        raise ValueError(f"the search guided by {choice.label} failed: {run.failure}")

@@ -246,6 +246,14 @@ class Scenario:
         common: dict[str, Any] = {"gate": self.gate, "motion": dict(self.motion)}
         return {**common, "consensus": True} if self.consensus else common
 
+    def filter_arguments(self, of_recording: StereoNoise) -> dict[str, Any]:
+        """Arguments of `run_filter` for a recording with this noise."""
+        return {
+            "common_options": self.common_options,
+            "noise": self.assumed_noise(of_recording),
+            "use_odometry": self.use_odometry,
+        }
+
     def with_sensor(self, sensor: Sensor | None, renderer: Renderer | None = None) -> Scenario:
         """The scenario measured by geometry, or in rendered images; None leaves either as it is.
 

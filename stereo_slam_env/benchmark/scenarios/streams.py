@@ -169,3 +169,18 @@ def as_given(description: Mapping[str, Any], scenario: Scenario) -> dict[str, An
     """What is kept of a recording with a trial on it: its description, and the noise that is assumed of it."""
     about = {key: value for key, value in description.items() if key not in ("code", "R")}
     return {**about, "assumed_R": scenario.assumed_noise(StereoNoise(description["R"])).R.tolist()}
+
+
+def pairing_digest(about: Mapping[str, Any]) -> str:
+    """What must be the same for competitors to be compared: the measurements, or the drive where each one looks."""
+    return str(about.get("drive_sha256") or about["stream_sha256"])
+
+
+def seed_description(given: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    """Description of the recordings of a seed, from those of what each competitor was given."""
+    first = dict(next(iter(given.values())))
+    if "drive_sha256" not in first:
+        return first
+    del first["stream_sha256"]
+    source = {key: value for key, value in first["source"].items() if key not in ("policy", "filter")}
+    return {**first, "source": source, "streams": {label: about["stream_sha256"] for label, about in given.items()}}

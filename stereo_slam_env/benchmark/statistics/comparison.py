@@ -18,6 +18,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from filters.validation import BoolArray, FloatArray
+from stereo_slam_env.benchmark.scenarios.streams import pairing_digest
 from stereo_slam_env.benchmark.statistics.differences import (
     TIE_PERCENT,
     Difference,
@@ -33,10 +34,9 @@ from stereo_slam_env.benchmark.statistics.measures import (
     Measure,
     change_words,
 )
-from stereo_slam_env.benchmark.storage.store import pairing_digest
-from stereo_slam_env.benchmark.storage.study_store import read_study
+from stereo_slam_env.benchmark.storage.store import SETTINGS, read_study
 from stereo_slam_env.evaluation.results import FilterRun
-from stereo_slam_env.evaluation.run_figures import Figures, RunFigures, RunKey, common_keys, figures_of
+from stereo_slam_env.evaluation.run_figures import Figures, RunFigures, RunKey, common_keys, key_of
 
 _MACHINE = ("platform", "python", "numpy", "scipy")
 
@@ -204,31 +204,25 @@ class _Side:
 
 
 def _opened(source: str | Path | HasRuns, name: str) -> _Side:
-    if not isinstance(source, (str, Path)):
-        out = getattr(source, "out", None)
-        if out is None or not Path(out).is_dir():
-            return _Side(name, source.figures, _trials("", source.runs))
-        source = Path(out)
-    study = read_study(Path(source))
+    place: str | Path | None = source if isinstance(source, (str, Path)) else getattr(source, "out", None)
+    if place is None or (not isinstance(source, (str, Path)) and not Path(place).is_dir()):
+        assert not isinstance(source, (str, Path))
+        return _Side(name, source.figures, {(run.filter_name, key_of(run)): run for run in source.runs})
+    study = read_study(Path(place))
     figures: dict[str, RunFigures] = {}
     trials: dict[tuple[str, RunKey], FilterRun] = {}
     streams: dict[tuple[str, RunKey], str] = {}
     settings: dict[str, Mapping[str, Any]] = {}
-    for cell, directory in study.cells:
-        prefix = f"{cell.name}: " if study.study.is_grid else ""
-        runs, recordings = directory.load()
-        limit = cell.scenario.divergence_percent
-        of_cell = figures_of(runs, divergence_percent=limit, bounds=directory.bounds())
-        figures |= {f"{prefix}{label}": figures for label, figures in of_cell.items()}
-        trials |= _trials(prefix, runs)
-        digests = {(about["name"], about["seed"]): pairing_digest(about) for about in recordings}
-        streams |= {(label, key): digests[key] for label, key in _trials(prefix, runs)}
-        settings[prefix] = json.loads((directory.out / "settings.json").read_text(encoding="utf-8"))
-    return _Side(str(source), figures, trials, streams, settings)
-
-
-def _trials(prefix: str, runs: Sequence[FilterRun]) -> dict[tuple[str, RunKey], FilterRun]:
-    return {(f"{prefix}{run.filter_name}", (run.recording_name, run.seed)): run for run in runs}
+    for directory in study.cells:
+        prefix = f"{directory.cell.name}: " if study.study.is_grid else ""
+        found = directory.results()
+        digests = {(about["name"], about["seed"]): pairing_digest(about) for about in found.recordings}
+        for run in found.runs:
+            trial = f"{prefix}{run.filter_name}", key_of(run)
+            trials[trial], streams[trial] = run, digests[key_of(run)]
+        figures |= {f"{prefix}{label}": of_filter for label, of_filter in found.figures.items()}
+        settings[prefix] = json.loads((directory.out / SETTINGS).read_text(encoding="utf-8"))
+    return _Side(str(place), figures, trials, streams, settings)
 
 
 def _same_streams(was: _Side, now: _Side) -> tuple[bool, list[str]]:

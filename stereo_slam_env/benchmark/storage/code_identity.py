@@ -1,4 +1,4 @@
-"""Which code made a result: a digest of what the code says, not of how it is written down."""
+"""Identity of the code that made a result: a digest of its meaning, not of its formatting."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import ast
 import gc
 import hashlib
 import json
+import platform
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -13,6 +14,7 @@ from functools import cache
 from pathlib import Path
 
 from stereo_slam_env.files.atomic import write_atomically
+from stereo_slam_env.files.package_versions import version_of
 
 ROOT = Path(__file__).resolve().parents[3]
 NO_RESULT = (
@@ -30,6 +32,7 @@ NO_RESULT = (
     "stereo_slam_env/viewer/",
 )
 """Where the paths of modules begin that neither make a recording nor run a filter. What is not named counts."""
+_PACKAGES = ("stereo-slam-env", "numpy", "scipy", "gymnasium", "pybullet", "joblib")
 _UNSAID = {"ctx", "kind", "type_comment"}
 """Fields of a syntax tree that follow from the others, or only from how the code is written."""
 
@@ -53,6 +56,16 @@ def code_digest(without: tuple[str, ...] = NO_RESULT, root: Path = ROOT) -> str:
     meanings = _meanings({name: path.read_bytes() for name, path in paths.items()}, kept)
     lines = sorted(f"{name} {digest}" for name, digest in meanings.items() if not name.startswith(without))
     return hashlib.sha256("\n".join(lines).encode()).hexdigest()[:16]
+
+
+def versions() -> dict[str, str]:
+    """Versions of Python, of this code and of the packages that results depend on."""
+    return {
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        "code": code_digest(),
+        **{package: version_of(package) for package in _PACKAGES},
+    }
 
 
 def _meanings(sources: Mapping[str, bytes], kept: Path) -> dict[str, str]:

@@ -1,11 +1,13 @@
-"""Files of a run: a `FilterRun` as npz and back, its trajectory in the formats of TUM and KITTI."""
+"""Files of a run: `FilterRun` and bound as npz and back, trajectories in the formats of TUM and KITTI."""
 
 from __future__ import annotations
 
 import dataclasses
 import io
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +15,7 @@ import numpy as np
 
 from filters import rotations
 from filters.validation import FloatArray
+from stereo_slam_env.evaluation.cramer_rao import Bound
 from stereo_slam_env.evaluation.landmark_statistics import SERIES as _LANDMARK_SERIES
 from stereo_slam_env.evaluation.landmark_statistics import LandmarkStatistics
 from stereo_slam_env.evaluation.map_scoring import LandmarkTrace
@@ -29,24 +32,8 @@ _DAMAGE = (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionEr
 _TRACE_SERIES = ("frames", "depth", "sigma", "true_depth", "measured_depth")
 
 
-def save_run(path: Path, run: FilterRun, provenance: Mapping[str, Any]) -> None:
-    """Write `run` and where it came from; the file appears complete or not at all.
-
-    Parameters
-    ----------
-    path : Path
-        The npz file; its folder is made.
-    run : FilterRun
-        What to keep.
-    provenance : mapping
-        JSON-able; `load_run` gives it back.
-    """
-    content = packed_run(run, provenance)
-    write_atomically(path, lambda stream: stream.write(content))
-
-
 def packed_run(run: FilterRun, provenance: Mapping[str, Any]) -> bytes:
-    """What `save_run` writes."""
+    """Bytes of the npz file of a run and of its JSON-able provenance; `load_run` gives both back."""
     arrays: dict[str, Any] = {name: getattr(run, name) for name in _SERIES}
     arrays |= {f"count.{name}": values for name, values in run.counts.items()}
     for i, trace in enumerate(run.traces):
@@ -67,20 +54,25 @@ def packed_run(run: FilterRun, provenance: Mapping[str, Any]) -> bytes:
     return stream.getvalue()
 
 
-def load_provenance(path: Path) -> dict[str, Any]:
-    """The provenance alone, without reading the series.
+def packed_bound(bound: Bound | None, code: str) -> bytes:
+    """Bytes of the npz file of a bound (None: there is none), and of the version of the code that made it."""
+    stream = io.BytesIO()
+    np.savez_compressed(stream, pose=np.zeros((0, 6, 6)) if bound is None else bound.pose, code=np.array(code))
+    return stream.getvalue()
 
-    Raises
-    ------
-    ValueError
-        See `load_run`.
-    """
-    try:
-        about = _checked(json.loads(str(read_arrays(path, ["about"])["about"])))
-        provenance: dict[str, Any] = about["provenance"]
+
+def load_bound(path: Path) -> tuple[Bound | None, str]:
+    """Read what `packed_bound` packed; raises as `load_run`."""
+    with damage_named(path):
+        arrays = read_arrays(path, ["pose", "code"])
+        return Bound(arrays["pose"]) if len(arrays["pose"]) else None, str(arrays["code"])
+
+
+def load_provenance(path: Path) -> dict[str, Any]:
+    """The provenance alone, without reading the series; raises as `load_run`."""
+    with damage_named(path):
+        provenance: dict[str, Any] = _checked(read_arrays(path, ["about"]))["provenance"]
         return provenance
-    except _DAMAGE as error:
-        raise _damaged(path, error) from error
 
 
 def load_run(path: Path) -> tuple[FilterRun, dict[str, Any]]:
@@ -91,65 +83,57 @@ def load_run(path: Path) -> tuple[FilterRun, dict[str, Any]]:
     ValueError
         The file is damaged, or of a format this version does not know: the message names it and says what to do.
     """
-    try:
+    with damage_named(path):
         arrays: dict[str, Any] = read_arrays(path)
-        about = _checked(json.loads(str(arrays["about"])))
-        counts = {name.removeprefix("count."): arrays[name] for name in arrays if name.startswith("count.")}
-        traces = tuple(
-            LandmarkTrace(landmark_id, label, *(arrays[f"trace.{i}.{name}"] for name in _TRACE_SERIES))
-            for i, (landmark_id, label) in enumerate(about["traces"])
-        )
-        series = {name: arrays[name] for name in _SERIES}
+        about = _checked(arrays)
         run = FilterRun(
             **about["run"],
-            **series,
-            counts=counts,
-            traces=traces,
+            **{name: arrays[name] for name in _SERIES},
+            counts={name.removeprefix("count."): arrays[name] for name in arrays if name.startswith("count.")},
+            traces=tuple(
+                LandmarkTrace(landmark_id, label, *(arrays[f"trace.{i}.{name}"] for name in _TRACE_SERIES))
+                for i, (landmark_id, label) in enumerate(about["traces"])
+            ),
             memory_mb=float(arrays["memory_mb"]),
             landmark_statistics=LandmarkStatistics(*(arrays[f"landmarks.{name}"] for name in _LANDMARK_SERIES)),
             truth_from=reference_of(about),
         )
         return run, about["provenance"]
+
+
+@contextmanager
+def damage_named(path: Path) -> Iterator[None]:
+    """Raise a `ValueError` that names the file and the remedy where what is read from it is damaged."""
+    try:
+        yield
+    except FileNotFoundError:
+        raise
     except _DAMAGE as error:
-        raise _damaged(path, error) from error
+        reason = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
+        raise ValueError(f"{path} is damaged ({reason}): delete it and run the same command again") from error
 
 
-def _checked(about: dict[str, Any]) -> dict[str, Any]:
+def _checked(arrays: Mapping[str, Any]) -> dict[str, Any]:
+    about: dict[str, Any] = json.loads(str(arrays["about"]))
     if about["format"] != FORMAT:
         raise ValueError(f"format {about['format']}, this version reads {FORMAT}")
     return about
 
 
-def _damaged(path: Path, error: Exception) -> Exception:
-    if isinstance(error, FileNotFoundError):
-        return error
-    reason = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
-    return ValueError(f"{path} is damaged ({reason}): delete it and run the same command again")
+def write_trajectory(path: Path, timestamps: FloatArray, positions: FloatArray, orientations: FloatArray) -> None:
+    """Write the poses that are known as rows of the formats of TUM RGB-D and of KITTI odometry.
 
-
-def write_tum(path: Path, timestamps: FloatArray, positions: FloatArray, orientations: FloatArray) -> None:
-    """Rows `t x y z qx qy qz qw` of the poses that are known.
+    The latter has no times: where poses are missing, its rows are no longer those of the frames.
 
     Parameters
     ----------
     path : Path
-        The file.
+        The files, without their endings: ".tum", `t x y z qx qy qz qw`, and ".kitti", the 3x4 matrix T_wc, row-major.
     timestamps, positions, orientations : (K,), (K, 3), (K, 4)
         s, m in W, q^WC xyzw.
     """
-    rows = np.column_stack([timestamps, positions, orientations])
-    _write_rows(path, rows[np.isfinite(rows).all(axis=1)])
-
-
-def write_kitti(path: Path, positions: FloatArray, orientations: FloatArray) -> None:
-    """Rows of the 3x4 matrix T_wc, row-major, of the poses that are known.
-
-    The format has no times: where poses are missing, the rows are no longer those of the frames.
-    """
-    known = np.isfinite(positions).all(axis=1) & np.isfinite(orientations).all(axis=1)
+    tum = np.column_stack([timestamps, positions, orientations])
+    known = np.isfinite(tum).all(axis=1)
     T_wc = np.concatenate([rotations.matrix(orientations[known]), positions[known][:, :, None]], axis=2)
-    _write_rows(path, T_wc.reshape(-1, 12))
-
-
-def _write_rows(path: Path, rows: FloatArray) -> None:
-    write_atomically(path, lambda stream: np.savetxt(stream, rows, fmt="%.9f"))
+    for ending, rows in ((".tum", tum[known]), (".kitti", T_wc.reshape(-1, 12))):
+        write_atomically(path.with_name(path.name + ending), partial(np.savetxt, X=rows, fmt="%.9f"))

@@ -1,6 +1,6 @@
-"""The run directory of one scenario: inputs, results and everything needed to redo the report.
+"""Run directory of a study: inputs, results and everything needed to redo the report.
 
-Layout::
+Layout of a study of one scenario, and of each cell of a grid::
 
     settings.json                         the exact inputs: scenario, versions
     summary.json, summary.csv             the result table
@@ -8,17 +8,24 @@ Layout::
     bounds/<seed>.npz                     the Cramer-Rao bound: pose (K, 6, 6); empty where there is none
     trajectories/<seed>/<filter>.tum      and truth.tum (<policy>-truth.tum): `t x y z qx qy qz qw`, as TUM RGB-D has it
     trajectories/<seed>/<filter>.kitti    the same as rows of 3x4 matrices, the format of KITTI odometry
+
+`<seed>` is `seed-0007`, or `recording` for real data. Beside it, and only once for a grid::
+
+    study.json                            the exact inputs: name, cells with their factors and scenarios, factorial
+    trials.sqlite                         every trial of every cell, one row each, see `tables`
     recordings/<stream>/<seed>.npz        what every filter was given, see `stereo_slam_env.recording.archive`
     recordings/<stream>/<seed>.json       what there is to say of it; a policy has its own: <stream> is <label>-<...>
+    cells/<cell>/                         of a grid: the directory of each cell, as above
+    summary.json                          of a grid: {"version": 2, "study": str,
+                                                      "cells": {<cell>: {"factors": {...}, "filters": {...}}}}
 
-`<seed>` is `seed-0007`, or `recording` for real data. A grid has such a directory for each of its cells, and the
-recordings, which cells share, beside them (see `study_store`). `summary.json`, version 2::
+`summary.json` of one scenario, version 2::
 
     {"version": 2, "scenario": str,
      "recordings": [{"seed": int | null, "name": str, "frames": int, "stream_sha256": str, "assumed_R": 3x3,
                      "reference": {"kind": str, "description": str},  # what estimates are held against, see `Reference`
                      "source": {...},           # with policies: "drive_sha256", and "streams" by label instead
-                     "sensor_noise": [...]}],   # rendered images only: errors by range, see `sensor_noise`
+                     "sensor_noise": [...]}],   # rendered images only: errors by range, see `NoiseOfRange`
      "filters": {<label>: {every field of `FilterSummary` but filter_name}}}
 
 A figure that does not apply is null; NaN and infinity never appear.
@@ -26,48 +33,80 @@ A figure that does not apply is null; NaN and infinity never appear.
 
 from __future__ import annotations
 
-import csv
 import dataclasses
-import io
 import json
-import math
-import platform
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, Scenario
-from stereo_slam_env.benchmark.scenarios.streams import as_given, stream_key
-from stereo_slam_env.benchmark.storage.code_identity import code_digest
-from stereo_slam_env.benchmark.storage.results import RunResults
-from stereo_slam_env.benchmark.storage.run_archive import load_provenance, load_run, write_kitti, write_tum
+from stereo_slam_env.benchmark.scenarios.streams import as_given, pairing_digest, seed_description, stream_key
+from stereo_slam_env.benchmark.scenarios.study import Cell, Study
+from stereo_slam_env.benchmark.storage.code_identity import code_digest, versions
+from stereo_slam_env.benchmark.storage.run_archive import (
+    damage_named,
+    load_bound,
+    load_provenance,
+    load_run,
+    write_trajectory,
+)
+from stereo_slam_env.benchmark.storage.tables import write_csv, write_json, write_trial_table
 from stereo_slam_env.evaluation.cramer_rao import Bound
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
-from stereo_slam_env.evaluation.run_figures import figures_of, summarise_all
+from stereo_slam_env.evaluation.run_figures import Bounds, Figures, figures_of, summarise_all
 from stereo_slam_env.files.atomic import write_atomically
 from stereo_slam_env.files.claimed_folder import is_occupied
-from stereo_slam_env.files.package_versions import version_of
-from stereo_slam_env.files.readers import read_arrays
 
 VERSION = 2
-CELLS = "cells"
-STUDY = "study.json"
-MARKERS = ("settings.json", STUDY)
-_PACKAGES = ("stereo-slam-env", "numpy", "scipy", "gymnasium", "pybullet", "joblib")
+SETTINGS, STUDY, CELLS = "settings.json", "study.json", "cells"
+
+
+@dataclass(frozen=True, eq=False)
+class CellResult:
+    """Results of one cell.
+
+    Attributes
+    ----------
+    directory : RunDirectory
+        Where they are.
+    runs, summaries : tuple of FilterRun, tuple of FilterSummary
+        All runs, and one summary for each filter.
+    recordings : tuple of mapping
+        Description of each recording, JSON-able, as in `summary.json`.
+    figures : mapping of str to RunFigures
+        Figures of every run, by label of the filter.
+    bounds : mapping of (str, seed) to Bound
+        Cramer-Rao bounds by recording, where there are any.
+    """
+
+    directory: RunDirectory
+    runs: tuple[FilterRun, ...]
+    recordings: tuple[Mapping[str, Any], ...]
+    figures: Figures
+    summaries: tuple[FilterSummary, ...]
+    bounds: Bounds
+
+    @property
+    def cell(self) -> Cell:
+        """What was run."""
+        return self.directory.cell
+
+    @property
+    def rows(self) -> dict[str, dict[str, Any]]:
+        """Summaries by label of the filter, as in `summary.json`."""
+        return {summary.filter_name: summary.as_dict() for summary in self.summaries}
 
 
 class RunDirectory:
-    """One run on disk. `open_run` starts or resumes one, `read_run` reads a finished one."""
+    """Directory of one cell, as `StudyDirectory.cells` has it."""
 
-    def __init__(self, out: Path, scenario: Scenario) -> None:
+    def __init__(self, out: Path, cell: Cell) -> None:
         self.out = out
-        self.scenario = scenario
+        self.cell = cell
+        self.scenario = cell.scenario
+        self.seeds = cell.scenario.recording_seeds
         self._recordings = root_of(out) / "recordings"
-
-    @property
-    def seeds(self) -> tuple[int | None, ...]:
-        """One entry a recording; None for real data."""
-        return self.scenario.recording_seeds
 
     def trial_path(self, seed: int | None, choice: FilterChoice) -> Path:
         """Where the time series of one filter on one recording are."""
@@ -104,7 +143,7 @@ class RunDirectory:
                         f"{path} was made with other options of that filter: give it another label, or choose "
                         f"another output directory"
                     )
-            if self.scenario.has_bound and self._code_of_bound(seed) != code:
+            if self.scenario.has_bound and self._bound(seed)[1] != code:
                 todo.append((seed, None))
         return todo
 
@@ -163,7 +202,7 @@ class RunDirectory:
                         f"its source is not deterministic, or its files have changed; delete {path.parent}"
                     )
                 runs.append(run)
-            recordings.append({"seed": seed, **_together(given)})
+            recordings.append({"seed": seed, **seed_description(given)})
         self._refuse_several_renderers(recordings)
         return runs, recordings
 
@@ -171,35 +210,26 @@ class RunDirectory:
         """The bounds there are, by name and seed of the recording."""
         found = {}
         for seed in self.seeds:
-            about = self._about_recording(seed)
-            if about is None or self._code_of_bound(seed) is None:
-                continue
-            pose = read_arrays(self.bound_path(seed), ["pose"])["pose"]
-            if len(pose):
-                found[about["name"], seed] = Bound(pose)
+            about, (bound, _) = self._about_recording(seed), self._bound(seed)
+            if about is not None and bound is not None:
+                found[about["name"], seed] = bound
         return found
+
+    def _bound(self, seed: int | None) -> tuple[Bound | None, str | None]:
+        """The bound, and the version of the code that made it; None where there is none."""
+        path = self.bound_path(seed)
+        return load_bound(path) if path.exists() else (None, None)
 
     def _about_recording(self, seed: int | None) -> dict[str, Any] | None:
         path = self.recording_path(seed).with_suffix(".json")
         if not path.exists():
             return None
-        try:
+        with damage_named(path):
             about: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        except (OSError, ValueError) as error:
-            raise ValueError(f"{path} is damaged ({error}): delete it and run the same command again") from error
-        return about
-
-    def _code_of_bound(self, seed: int | None) -> str | None:
-        path = self.bound_path(seed)
-        if not path.exists():
-            return None
-        try:
-            return str(read_arrays(path, ["code"])["code"])
-        except (OSError, ValueError, KeyError) as error:
-            raise ValueError(f"{path} is damaged ({error}): delete it and run the same command again") from error
+            return about
 
     def _refuse_several_renderers(self, recordings: list[dict[str, Any]]) -> None:
-        """The same renderer of another version or device draws other pictures, too."""
+        # The same renderer of another version or device draws other pictures, too.
         drawn = {json.dumps(about.get("source", {}).get("renderer"), sort_keys=True) for about in recordings}
         if len(drawn) > 1:
             raise ValueError(
@@ -207,61 +237,112 @@ class RunDirectory:
                 f"not to be compared: choose another output directory"
             )
 
-    def write_results(self) -> RunResults:
-        """Write `summary.json`, `summary.csv` and the trajectories, and return what they say."""
+    def results(self) -> CellResult:
+        """Results of the finished trials; raises as `load`."""
         runs, recordings = self.load()
         bounds = self.bounds()
         figures = figures_of(runs, divergence_percent=self.scenario.divergence_percent, bounds=bounds)
-        summaries = summarise_all(runs, figures)
-        rows = {summary.filter_name: summary_row(summary) for summary in summaries}
-        write_json(
-            self.out / "summary.json",
-            {"version": VERSION, "scenario": self.scenario.name, "recordings": recordings, "filters": rows},
-        )
-        _write_csv(self.out / "summary.csv", rows)
-        looks = bool(self.scenario.policies)  # eyes that look elsewhere are elsewhere, by the arm of the head
-        for run in runs:
+        return CellResult(self, tuple(runs), tuple(recordings), figures, summarise_all(runs, figures), bounds)
+
+    def write_results(self) -> CellResult:
+        """Write `summary.json`, `summary.csv` and the trajectories, and return what they say."""
+        found = self.results()
+        about = {"version": VERSION, "scenario": self.scenario.name, "recordings": found.recordings}
+        write_json(self.out / "summary.json", {**about, "filters": found.rows})
+        write_csv(self.out / "summary.csv", found.rows)
+        for run in found.runs:
             folder = self.out / "trajectories" / seed_name(run.seed)
-            for name, positions, orientations in (
-                (run.filter_name, run.positions, run.orientations),
-                (f"{run.filter_name}-truth" if looks else "truth", run.true_positions, run.true_orientations),
-            ):
-                write_tum(folder / f"{name}.tum", run.timestamps, positions, orientations)
-                write_kitti(folder / f"{name}.kitti", positions, orientations)
-        return RunResults(tuple(runs), figures, summaries, bounds)
+            # A camera that looks elsewhere is elsewhere, by the arm of the head: each policy has its own truth.
+            truth = f"{run.filter_name}-truth" if self.scenario.policies else "truth"
+            write_trajectory(folder / run.filter_name, run.timestamps, run.positions, run.orientations)
+            write_trajectory(folder / truth, run.timestamps, run.true_positions, run.true_orientations)
+        return found
 
     def settings(self) -> dict[str, Any]:
-        """What `settings.json` says."""
+        """Content of `settings.json`."""
         return {"version": VERSION, "scenario": self.scenario.as_dict(), "versions": versions()}
 
 
-def open_run(out: Path, scenario: Scenario) -> RunDirectory:
-    """Start a run, or resume the one in `out`: finished trials of the same settings are kept.
+class StudyDirectory:
+    """Run directory of a study. `open_study` starts or resumes one, `read_study` reads one.
+
+    Attributes
+    ----------
+    out : Path
+        The directory.
+    study : Study
+        What is run.
+    cells : tuple of RunDirectory
+        One for each cell; that of a study of one scenario is `out` itself.
+    """
+
+    def __init__(self, out: Path, study: Study) -> None:
+        self.out = out
+        self.study = study
+        places = [out / CELLS / cell.name if study.is_grid else out for cell in study.cells]
+        self.cells = tuple(map(RunDirectory, places, study.cells))
+
+    def write_results(self) -> list[CellResult]:
+        """Write tables and trajectories from the finished trials, and return what they say."""
+        results = [directory.write_results() for directory in self.cells]
+        if self.study.is_grid:
+            cells = {
+                result.cell.name: {"factors": dict(result.cell.factors), "filters": result.rows} for result in results
+            }
+            write_json(self.out / "summary.json", {"version": VERSION, "study": self.study.name, "cells": cells})
+        write_trial_table(self.out / "trials.sqlite", results)
+        return results
+
+
+def open_study(out: Path, study: Study) -> StudyDirectory:
+    """Start a study, or resume the one in `out`: finished trials of the same settings are kept.
 
     Raises
     ------
     ValueError
         `out` is a file, or holds something else.
     """
-    run = prepared_run(out, scenario)
-    write_json(out / "settings.json", run.settings())
-    return run
+    directory = prepared_study(out, study)
+    write_json(out / STUDY, study.as_dict())
+    for run in directory.cells:
+        write_json(run.out / SETTINGS, run.settings())
+    return directory
 
 
-def prepared_run(out: Path, scenario: Scenario) -> RunDirectory:
-    """What `open_run` would return, with nothing written yet: to know before long work that `out` can be used.
+def prepared_study(out: Path, study: Study) -> StudyDirectory:
+    """What `open_study` would return, with nothing written yet: to know before long work that `out` can be used.
+
+    Raises as `open_study`.
+    """
+    refuse_foreign(out)
+    if (out / STUDY).exists():
+        before = read_study(out).study
+        if study.is_grid != before.is_grid:
+            raise ValueError(f"output {out} holds a run of {before.name!r}: choose another output directory")
+    directory = StudyDirectory(out, study)
+    for run in directory.cells:
+        refuse_foreign(run.out)
+        if (run.out / SETTINGS).exists():
+            _refuse_other_settings(run.out, _scenario_in(run.out).as_dict(), run.scenario.as_dict())
+        run.missing()
+    return directory
+
+
+def read_study(out: Path) -> StudyDirectory:
+    """The study in a directory; one cell of a grid is a study, too.
 
     Raises
     ------
     ValueError
-        As `open_run`.
+        No study there, or its settings are damaged.
     """
-    refuse_foreign(out)
-    if (out / "settings.json").exists():
-        _refuse_other_settings(out, read_run(out).scenario.as_dict(), scenario.as_dict())
-    run = RunDirectory(out, scenario)
-    run.missing()
-    return run
+    path = out / STUDY
+    if not path.exists():
+        return StudyDirectory(out, Study.of(_scenario_in(out)))
+    try:
+        return StudyDirectory(out, Study.from_dict(json.loads(path.read_text(encoding="utf-8"))))
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise ValueError(f"{path} is damaged: {error}") from error
 
 
 def root_of(out: Path) -> Path:
@@ -269,30 +350,27 @@ def root_of(out: Path) -> Path:
     return out.parent.parent if out.parent.name == CELLS else out
 
 
-def read_run(out: Path) -> RunDirectory:
-    """The run in a directory, as its `settings.json` describes it.
-
-    Raises
-    ------
-    ValueError
-        No run there, or its settings are damaged.
-    """
-    path = out / "settings.json"
-    try:
-        settings = json.loads(path.read_text(encoding="utf-8"))
-        return RunDirectory(out, Scenario.from_dict(settings["scenario"]))
-    except (FileNotFoundError, NotADirectoryError) as error:
-        raise ValueError(_why_no_run(out)) from error
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise ValueError(f"{path} is damaged: {error}") from error
-
-
 def refuse_foreign(out: Path) -> None:
     """Raise a `ValueError` where `out` holds something that is no run."""
     if out.exists() and not out.is_dir():
         raise ValueError(f"output {out} is a file: give a directory")
-    if out.is_dir() and not any((out / name).exists() for name in MARKERS) and is_occupied(out):
+    if out.is_dir() and not any((out / name).exists() for name in (SETTINGS, STUDY)) and is_occupied(out):
         raise ValueError(f"output {out} is not empty and holds no run: choose another directory")
+
+
+def seed_name(seed: int | None) -> str:
+    """Name of files of one recording."""
+    return "recording" if seed is None else f"seed-{seed:04d}"
+
+
+def _scenario_in(out: Path) -> Scenario:
+    path = out / SETTINGS
+    try:
+        return Scenario.from_dict(json.loads(path.read_text(encoding="utf-8"))["scenario"])
+    except (FileNotFoundError, NotADirectoryError) as error:
+        raise ValueError(_why_no_run(out)) from error
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise ValueError(f"{path} is damaged: {error}") from error
 
 
 def _why_no_run(out: Path) -> str:
@@ -300,20 +378,10 @@ def _why_no_run(out: Path) -> str:
     if not out.is_dir():
         what = "is a file" if out.exists() else "does not exist"
         return f"{out} {what}: give the directory of a run"
-    inside = sorted({path.parent for name in MARKERS for path in out.glob(f"*/{name}")})
+    inside = sorted({path.parent for name in (SETTINGS, STUDY) for path in out.glob(f"*/{name}")})
     if inside:
         return f"{out} holds no run itself, but {len(inside)}: give one of them, such as {inside[-1]}"
     return f"{out} holds no run: it has no settings.json, give the directory of a run"
-
-
-def versions() -> dict[str, str]:
-    """What a run is run with."""
-    return {
-        "python": platform.python_version(),
-        "platform": platform.platform(),
-        "code": code_digest(),
-        **{package: version_of(package) for package in _PACKAGES},
-    }
 
 
 def _refuse_other_settings(out: Path, before: Mapping[str, Any], now: Mapping[str, Any]) -> None:
@@ -330,62 +398,3 @@ def _refuse_other_settings(out: Path, before: Mapping[str, Any], now: Mapping[st
             f"output {out} holds a run with {key} = {json.dumps(was)}, now it is {json.dumps(is_now)}: "
             f"choose another output directory"
         )
-
-
-def pairing_digest(about: Mapping[str, Any]) -> str:
-    """What must be the same for competitors to be compared: the measurements, or the drive where each one looks."""
-    return str(about.get("drive_sha256") or about["stream_sha256"])
-
-
-def _together(given: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-    """What is said of the recordings of a seed, from what each competitor was given."""
-    first = dict(next(iter(given.values())))
-    if "drive_sha256" not in first:
-        return first
-    del first["stream_sha256"]
-    source = {key: value for key, value in first["source"].items() if key not in ("policy", "filter")}
-    return {**first, "source": source, "streams": {label: about["stream_sha256"] for label, about in given.items()}}
-
-
-def seed_name(seed: int | None) -> str:
-    """Name of files of one recording."""
-    return "recording" if seed is None else f"seed-{seed:04d}"
-
-
-def summary_row(summary: FilterSummary) -> dict[str, Any]:
-    """JSON-able form of a summary, without its name."""
-    row: dict[str, Any] = without_nan(summary.as_dict())
-    return row
-
-
-def without_nan(value: Any) -> Any:
-    """JSON form: tuples become lists, NaN and infinity null."""
-    if isinstance(value, Mapping):
-        return {key: without_nan(entry) for key, entry in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [without_nan(entry) for entry in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
-
-
-def write_json(path: Path, data: Mapping[str, Any]) -> None:
-    """Write JSON that anybody can read, whole or not at all."""
-    text = json.dumps(data, indent=2, allow_nan=False) + "\n"
-    write_atomically(path, lambda stream: stream.write(text.encode()))
-
-
-def _write_csv(path: Path, rows: Mapping[str, Mapping[str, Any]]) -> None:
-    text = io.StringIO()
-    columns = list(next(iter(rows.values())))
-    table = csv.writer(text, lineterminator="\n")
-    table.writerow(["filter", *columns])
-    for label, row in rows.items():
-        table.writerow([label, *(_cell(row[column]) for column in columns)])
-    write_atomically(path, lambda stream: stream.write(text.getvalue().encode()))
-
-
-def _cell(value: Any) -> Any:
-    if value is None:
-        return ""
-    return json.dumps(value) if isinstance(value, (list, dict)) else value

@@ -26,7 +26,7 @@ from filters import (
     shown_arrays,
 )
 from stereo_slam_env import FilterChoice, FilterLoop, Recording
-from stereo_slam_env.benchmark import Engine
+from stereo_slam_env.benchmark import Backend
 from stereo_slam_env.studies.faults.catalogue import FAULTS, NOMINAL, find_fault
 
 FloatArray = NDArray[np.float64]
@@ -339,7 +339,7 @@ def run_matrix(
     filters: Sequence[FilterChoice],
     faults: Sequence[str] = tuple(FAULTS),
     seeds: int = 3,
-    engine: Engine | None = None,
+    backend: Backend | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> FaultMatrix:
     """Run every fault with every filter.
@@ -352,7 +352,7 @@ def run_matrix(
         Keys of `FAULTS`.
     seeds : int
         Drives of each, from seed 0 on.
-    engine : Engine, optional
+    backend : Backend, optional
         Where; None: one after the other, in this process.
     progress : callable, optional
         Called with (drives done, drives) after each.
@@ -367,7 +367,7 @@ def run_matrix(
         _made(choice, FAULTS[NOMINAL].driven(0, 2))
     tasks = [(name, seed) for name in wanted for seed in range(seeds)]
     runs: list[Run] = []
-    with (engine or Engine(jobs=1)).started() as map_tasks:
+    with (backend or Backend(jobs=1)).started() as map_tasks:
         for done, some in enumerate(map_tasks(partial(_run, tuple(filters)), tasks), 1):
             runs += some
             if progress is not None:

@@ -16,7 +16,7 @@ from zipfile import BadZipFile
 import numpy as np
 
 from stereo_slam_env import run_benchmark
-from stereo_slam_env.benchmark import Engine, versions
+from stereo_slam_env.benchmark import Backend, versions
 from stereo_slam_env.studies.paper import convergence, karlsruhe, landmark_uncertainty, long_drive, speed
 from stereo_slam_env.studies.paper.claims import Arrays, Claim, Finding, Interval, Range, Verdict
 
@@ -125,7 +125,7 @@ def run_paper(
         `out` holds something else or is in use by another process, jobs < 1, or there are no such sequences.
     """
     out, tell = Path(out), progress or (lambda done, total: None)
-    together = Engine(jobs=jobs)
+    together = Backend(jobs=jobs)
     sequences = {} if karlsruhe_path is None else karlsruhe.sequences(karlsruhe_path)
     if out.exists() and not out.is_dir():
         raise ValueError(f"output {out} is a file: give a directory")
@@ -151,7 +151,7 @@ def run_paper(
 
     runs = long_drive.runs_of(run_benchmark(drives, place, jobs=jobs, progress=of_drives))
     results = run_experiments(untimed, out / EXPERIMENTS, together, after(trials))
-    results |= run_experiments(timed, out / EXPERIMENTS, Engine(jobs=1), after(trials + len(untimed)))
+    results |= run_experiments(timed, out / EXPERIMENTS, Backend(jobs=1), after(trials + len(untimed)))
     claims = (
         *landmark_uncertainty.judge(settings.samples),
         *convergence.judge(results),
@@ -167,7 +167,7 @@ def run_paper(
 
 
 def run_experiments(
-    experiments: Mapping[str, partial[Arrays]], folder: Path, engine: Engine, progress: Progress
+    experiments: Mapping[str, partial[Arrays]], folder: Path, backend: Backend, progress: Progress
 ) -> dict[str, Arrays]:
     """Results by name; what `folder` has of the same arguments and code is not computed again.
 
@@ -177,7 +177,7 @@ def run_experiments(
         Name of a file -> function and its arguments, JSON-able.
     folder : Path
         For one npz file an experiment; a damaged one is computed again.
-    engine : Engine
+    backend : Backend
         Where they run.
     progress : callable
         Called with (experiments done, experiments).
@@ -191,7 +191,7 @@ def run_experiments(
     }
     progress(len(results), len(experiments))
     missing = [(folder / f"{name}.npz", keys[name], work) for name, work in experiments.items() if name not in results]
-    with engine.started() as run_all:
+    with backend.started() as run_all:
         for name, arrays in run_all(_computed, missing) if missing else ():
             results[name] = arrays
             progress(len(results), len(experiments))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -53,7 +54,10 @@ def cases(place: str, noise: str) -> tuple[Case, ...]:
 
 def study(drives: int, frames: int) -> Study:
     """The drives, as the benchmark runs them: a cell for each place, noise and assumed R."""
-    noise_of = {DIAGONAL: {"diagonal": [1.0, 1.0, 1.0]}, COUPLED: {"independent_pixels": 1.0}}
+    noise_of: dict[str, dict[str, Any]] = {
+        DIAGONAL: {"diagonal": [1.0, 1.0, 1.0]},
+        COUPLED: {"independent_pixels": 1.0},
+    }
     cells = []
     for place, seeds in ((DRIVE, range(drives)), (STREET, range(1))):
         for noise in NOISES:

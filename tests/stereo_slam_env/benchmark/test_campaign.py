@@ -12,7 +12,7 @@ from stereo_slam_env.benchmark import FilterChoice, Scenario, campaign, run_benc
 from stereo_slam_env.benchmark.recordings.sources import DatasetSource, FactorySource, ReferenceSource
 from stereo_slam_env.benchmark.scenarios.scenario import filter_choice
 from stereo_slam_env.benchmark.scenarios.study import study_from
-from stereo_slam_env.benchmark.storage.study_store import read_study
+from stereo_slam_env.benchmark.storage.store import read_study
 
 from ..third_party import install
 

@@ -12,7 +12,7 @@ from stereo_slam_env.benchmark.campaign import run_benchmark
 from stereo_slam_env.benchmark.recordings.reference_problem import short_turn
 from stereo_slam_env.benchmark.recordings.sources import GazeSource, ReferenceSource, StreetSource
 from stereo_slam_env.benchmark.scenarios.scenario import filter_choice, policy_choice
-from stereo_slam_env.benchmark.storage.store import pairing_digest
+from stereo_slam_env.benchmark.scenarios.streams import pairing_digest
 from stereo_slam_env.evaluation import run_filter
 
 from ..digest import Digest

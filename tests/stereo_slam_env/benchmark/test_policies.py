@@ -15,7 +15,7 @@ from stereo_slam_env.benchmark.recordings.sources import GazeSource, StreetSourc
 from stereo_slam_env.benchmark.scenarios.streams import drive_episode, make_recording
 from stereo_slam_env.benchmark.scenarios.study import Study, load_study
 from stereo_slam_env.benchmark.statistics.policy_verdict import baseline_of
-from stereo_slam_env.benchmark.storage.study_store import read_study
+from stereo_slam_env.benchmark.storage.store import read_study
 from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.policies import available_policies
 from stereo_slam_env.recording.archive import load_recording
@@ -294,11 +294,11 @@ def test_two_runs_are_compared_drive_by_drive(finished, tmp_path):
 
 
 def test_drives_that_are_not_the_same_are_refused(finished, tmp_path):
-    directory = read_study(finished.out).cells[0][1]
+    directory = read_study(finished.out).cells[0]
     assert len(directory.load()[1]) == 2
     other = dataclasses.replace(SHORT, source=SHORT.source.replaced(perturbation=0.0))
     run_benchmark(other, tmp_path / "other", jobs=1, seeds=[0])
-    foreign = read_study(tmp_path / "other").cells[0][1].trial_path(0, SWEEP)
+    foreign = read_study(tmp_path / "other").cells[0].trial_path(0, SWEEP)
     kept = directory.trial_path(0, SWEEP)
     content = kept.read_bytes()
     try:

@@ -7,8 +7,8 @@ import pytest
 from threadpoolctl import threadpool_limits
 
 from filters import InverseDepthStereoEKF
-from stereo_slam_env.benchmark.storage.run_archive import load_run, save_run
-from stereo_slam_env.benchmark.storage.store import RunDirectory, read_run
+from stereo_slam_env.benchmark.storage.run_archive import load_run, packed_run
+from stereo_slam_env.benchmark.storage.store import read_study
 from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.viewer.drive import Drive, revisit
 from stereo_slam_env.viewer.ellipsoids import LARGEST, SIGMAS, ellipsoids
@@ -17,7 +17,7 @@ from ..benchmark.small_recordings import small_recording
 
 
 def stored(directory, name, seed):
-    run: RunDirectory = read_run(directory)
+    (run,) = read_study(directory).cells
     (choice,) = (choice for choice in run.scenario.competitors if choice.label == name)
     return run.trial_path(seed, choice), load_run(run.trial_path(seed, choice))
 
@@ -77,9 +77,11 @@ def test_a_run_that_failed_is_shown_as_far_as_it_came(finished_run):
     positions[5:] = np.nan
     before = path.read_bytes()
     try:
-        save_run(path, replace(run, positions=positions, failure="frame 5: LinAlgError: no"), provenance)
+        failed = replace(run, positions=positions, failure="frame 5: LinAlgError: no")
+        path.write_bytes(packed_run(failed, provenance))
         drive = revisit(finished_run, "euclidean", 3)
-        save_run(path, replace(run, positions=np.full_like(positions, np.nan), failure="start: no"), provenance)
+        failed = replace(run, positions=np.full_like(positions, np.nan), failure="start: no")
+        path.write_bytes(packed_run(failed, provenance))
         with pytest.raises(ValueError, match="nothing to show, it failed in start: no"):
             revisit(finished_run, "euclidean", 3)
     finally:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from stereo_slam_env.benchmark.recordings.large_rotation_problem import relative_noise_loop
+from stereo_slam_env.benchmark.recordings.reference_problem import relative_noise_loop
 from stereo_slam_env.evaluation.filter_run import run_filter
 
 OPTIONS = {"motion": "velocity-driven", "gate": None, "drop_unseen": False}

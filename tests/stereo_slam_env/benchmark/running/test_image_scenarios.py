@@ -13,7 +13,7 @@ from stereo_slam_env.benchmark.recordings import sources
 from stereo_slam_env.benchmark.recordings.description import stream_digest
 from stereo_slam_env.benchmark.recordings.sources import DatasetSource, StreetSource
 from stereo_slam_env.benchmark.running import tasks
-from stereo_slam_env.benchmark.running.watch import watch_search
+from stereo_slam_env.benchmark.running.tasks import watch_search
 from stereo_slam_env.benchmark.scenarios.scenario import Scenario, filter_choice
 from stereo_slam_env.benchmark.scenarios.streams import (
     check_source,
@@ -21,9 +21,8 @@ from stereo_slam_env.benchmark.scenarios.streams import (
     make_sequence,
     without_measurements,
 )
-from stereo_slam_env.benchmark.scenarios.study import preset
-from stereo_slam_env.benchmark.storage.store import open_run
-from stereo_slam_env.benchmark.storage.study_store import read_study
+from stereo_slam_env.benchmark.scenarios.study import Study, preset
+from stereo_slam_env.benchmark.storage.store import open_study, read_study
 from stereo_slam_env.envs import recorder
 from stereo_slam_env.envs.recorder import RenderedDrive
 from stereo_slam_env.evaluation.filter_run import run_filter
@@ -269,10 +268,10 @@ def test_a_search_that_fails_is_not_passed_over(folder):
 
 
 def test_results_of_another_renderer_are_not_mixed_in(tmp_path):
-    open_run(tmp_path / "out", STREET)
+    open_study(tmp_path / "out", Study.of(STREET))
     other = replace(STREET, name="another", source=STREET.source.replaced(renderer="gl"))
     with pytest.raises(ValueError, match=r'holds a run with options\.renderer = null, now it is "gl": choose another'):
-        open_run(tmp_path / "out", other)
+        open_study(tmp_path / "out", Study.of(other))
 
 
 @pytest.mark.usefixtures("in_this_process")

@@ -11,6 +11,7 @@ from filters import rotations
 from stereo_slam_env.benchmark.recordings.description import stream_digest
 from stereo_slam_env.benchmark.recordings.sources import ReferenceSource
 from stereo_slam_env.benchmark.scenarios.scenario import Scenario, filter_choice
+from stereo_slam_env.benchmark.scenarios.study import Study
 from stereo_slam_env.benchmark.storage import store
 from stereo_slam_env.benchmark.storage.run_archive import packed_run
 from stereo_slam_env.evaluation.filter_run import run_filter
@@ -35,9 +36,15 @@ DESIGNED_KEYS = {
 }
 
 
+def opened(out, scenario):
+    """The only cell of a study of one scenario."""
+    (directory,) = store.open_study(out, Study.of(scenario)).cells
+    return directory
+
+
 def fill(out, scenario=SCENARIO, failure=None):
     """A finished run in `out`."""
-    directory = store.open_run(out, scenario)
+    directory = opened(out, scenario)
     for seed, choice in directory.missing():
         recording = small_recording(seed)
         about = {
@@ -111,7 +118,7 @@ def test_trajectories_are_in_kitti_format(finished):
 
 
 def test_a_finished_run_is_read_back_from_its_directory(finished):
-    again = store.read_run(finished.out)
+    (again,) = store.read_study(finished.out).cells
     assert again.scenario == SCENARIO
     assert again.missing() == []
     np.testing.assert_array_equal(again.load()[0][1].positions, finished.load()[0][1].positions)
@@ -131,16 +138,16 @@ def test_trials_of_other_code_are_run_again(finished, monkeypatch):
 
 def test_more_seeds_and_filters_may_join(finished):
     more = replace(SCENARIO, seeds=(0, 1, 2), filters=(*SCENARIO.filters, filter_choice("inverse-depth")))
-    assert len(store.open_run(finished.out, more).missing()) == 4
+    assert len(opened(finished.out, more).missing()) == 4
 
 
 def test_other_settings_are_refused_and_nothing_is_lost(finished):
     before = (finished.out / "settings.json").read_text()
     with pytest.raises(ValueError, match=r"holds a run with gate = 0.99, now it is 0.9: choose another"):
-        store.open_run(finished.out, replace(SCENARIO, gate=0.9))
+        opened(finished.out, replace(SCENARIO, gate=0.9))
     changed = replace(SCENARIO.filters[0], options={"min_disparity": 3.0})
     with pytest.raises(ValueError, match=r"euclidean\.npz was made with other options"):
-        store.open_run(finished.out, replace(SCENARIO, filters=(changed,)))
+        opened(finished.out, replace(SCENARIO, filters=(changed,)))
     assert (finished.out / "settings.json").read_text() == before
 
 
@@ -166,14 +173,16 @@ def test_filters_that_were_not_given_the_same_stream_are_found_out(tmp_path):
 def test_a_directory_of_something_else_is_left_alone(tmp_path):
     (tmp_path / "thesis.tex").write_text("years of work")
     with pytest.raises(ValueError, match="is not empty and holds no run"):
-        store.open_run(tmp_path, SCENARIO)
+        opened(tmp_path, SCENARIO)
     with pytest.raises(ValueError, match="is a file: give a directory"):
-        store.open_run(tmp_path / "thesis.tex", SCENARIO)
+        opened(tmp_path / "thesis.tex", SCENARIO)
     with pytest.raises(ValueError, match=r"holds no run: it has no settings\.json, give the directory of a run"):
-        store.read_run(tmp_path)
+        store.read_study(tmp_path)
 
 
-def test_damaged_settings_are_named(finished):
-    (finished.out / "settings.json").write_text('{"scenario": ')
-    with pytest.raises(ValueError, match=r"settings\.json is damaged"):
-        store.read_run(finished.out)
+@pytest.mark.parametrize("name", ["study.json", "settings.json"])
+def test_damaged_settings_are_named(finished, name):
+    (finished.out / "study.json").unlink()
+    (finished.out / name).write_text('{"scenario": ')
+    with pytest.raises(ValueError, match=rf"{name} is damaged"):
+        store.read_study(finished.out)

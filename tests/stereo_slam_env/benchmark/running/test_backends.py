@@ -3,14 +3,15 @@
 import os
 import time
 from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 import pytest
 
 from stereo_slam_env.benchmark import Scenario, run_benchmark
 from stereo_slam_env.benchmark.recordings.sources import ReferenceSource
-from stereo_slam_env.benchmark.running import engines
-from stereo_slam_env.benchmark.running.engines import ENGINES, Engine
+from stereo_slam_env.benchmark.running import backends
+from stereo_slam_env.benchmark.running.backends import Backend, BackendName
 from stereo_slam_env.benchmark.scenarios.scenario import filter_choice
 
 SHORT = Scenario(
@@ -36,11 +37,11 @@ def alone(tmp_path_factory):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ENGINES)
+@pytest.mark.parametrize("name", get_args(BackendName))
 def test_results_are_those_of_the_run_in_one_process(name, alone, tmp_path):
     if name != "processes":
         pytest.importorskip("dask.distributed" if name == "dask" else name, reason=f"needs the extra {name}")
-    elsewhere = run_benchmark(SHORT, tmp_path / "out", jobs=2, engine=name)
+    elsewhere = run_benchmark(SHORT, tmp_path / "out", jobs=2, backend=name)
     assert [(r.seed, r.filter_name) for r in elsewhere.runs] == [(r.seed, r.filter_name) for r in alone.runs]
     for here, there in zip(alone.runs, elsewhere.runs, strict=True):
         np.testing.assert_array_equal(here.positions, there.positions)
@@ -51,7 +52,7 @@ def test_results_are_those_of_the_run_in_one_process(name, alone, tmp_path):
 
 @pytest.mark.slow
 def test_tasks_are_spread_over_processes():
-    with Engine("processes", jobs=2).started() as run_all:
+    with Backend("processes", jobs=2).started() as run_all:
         results = dict(run_all(where_i_am, range(4)))
     assert sorted(results) == [0, 1, 2, 3]
     assert len(set(results.values())) == 2
@@ -59,7 +60,7 @@ def test_tasks_are_spread_over_processes():
 
 
 def test_one_job_is_done_here():
-    with Engine("processes", jobs=1).started() as run_all:
+    with Backend("processes", jobs=1).started() as run_all:
         assert list(run_all(where_i_am, [7])) == [(7, os.getpid())]
 
 
@@ -71,7 +72,7 @@ def test_tasks_are_taken_as_they_are_needed():
             taken.append(number)
             yield number
 
-    with Engine("processes", jobs=1).started() as run_all:
+    with Backend("processes", jobs=1).started() as run_all:
         results = run_all(where_i_am, tasks())
         next(results)
         assert taken == [0]
@@ -80,19 +81,19 @@ def test_tasks_are_taken_as_they_are_needed():
 @pytest.mark.parametrize(
     ("arguments", "complaint"),
     [
-        ({"name": "slurm"}, "engine must be one of processes, ray, dask, got 'slurm'"),
+        ({"name": "slurm"}, "backend must be one of processes, ray, dask, got 'slurm'"),
         ({"jobs": 0}, "jobs must be >= 1, got 0"),
-        ({"address": "tcp://10.0.0.1:8786"}, "address needs the engine ray or dask"),
+        ({"address": "tcp://10.0.0.1:8786"}, "address needs the backend ray or dask"),
     ],
 )
-def test_impossible_engines_are_refused(arguments, complaint):
+def test_impossible_backends_are_refused(arguments, complaint):
     with pytest.raises(ValueError, match=complaint):
-        Engine(**arguments)
+        Backend(**arguments)
 
 
 def test_a_cluster_that_does_not_answer_is_told_in_one_line(tmp_path, monkeypatch):
-    monkeypatch.setattr(engines, "SECONDS_TO_ANSWER", 1)
+    monkeypatch.setattr(backends, "SECONDS_TO_ANSWER", 1)
     pytest.importorskip("dask.distributed", reason="needs the extra dask")
     scenario = replace(SHORT, seeds=(0,))
     with pytest.raises(ValueError, match=r"no Dask scheduler answers at tcp://127\.0\.0\.1:9"):
-        run_benchmark(scenario, tmp_path / "out", engine="dask", address="tcp://127.0.0.1:9")
+        run_benchmark(scenario, tmp_path / "out", backend="dask", address="tcp://127.0.0.1:9")

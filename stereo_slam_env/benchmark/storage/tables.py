@@ -1,6 +1,6 @@
-"""Trial table: one row a trial, as SQLite, for analysis with other tools.
+"""Result tables on disk: summaries as JSON and CSV, and all trials as SQLite, for analysis with other tools.
 
-`trials.sqlite` has the tables
+`trials.sqlite` has one row a trial, in the tables
 
 - `trials`: `cell`, one column a factor of the grid (`factor.` and its name in the scenario file, e.g.
   `factor.options.sigma`), the figures of single runs of `evaluation.figures`, `policy` and `options`
@@ -15,9 +15,12 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import json
+import math
 import sqlite3
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,13 +28,47 @@ from typing import TYPE_CHECKING, Any
 from stereo_slam_env.benchmark.scenarios.scenario import choice_as_dict
 from stereo_slam_env.evaluation.figures import trial_columns
 from stereo_slam_env.evaluation.run_figures import key_of
-from stereo_slam_env.files.atomic import unfinished_name
+from stereo_slam_env.files.atomic import unfinished_name, write_atomically
 
 if TYPE_CHECKING:
-    from stereo_slam_env.benchmark.storage.study_store import CellResult
+    from stereo_slam_env.benchmark.storage.store import CellResult
 
 SCHEMA = 3
 _TYPES = {"text": "TEXT", "integer": "INTEGER", "real": "REAL", "any": ""}
+
+
+def write_json(path: Path, data: Mapping[str, Any]) -> None:
+    """Write JSON that any reader takes, whole or not at all: NaN and infinity are null."""
+    text = json.dumps(_without_nan(data), indent=2, allow_nan=False) + "\n"
+    write_atomically(path, lambda stream: stream.write(text.encode()))
+
+
+def _without_nan(value: Any) -> Any:
+    """JSON form: tuples become lists, NaN and infinity null."""
+    if isinstance(value, Mapping):
+        return {key: _without_nan(entry) for key, entry in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_without_nan(entry) for entry in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def write_csv(path: Path, rows: Mapping[str, Mapping[str, Any]]) -> None:
+    """Write summaries, one row for each filter; what does not apply is empty."""
+    text = io.StringIO()
+    columns = list(next(iter(rows.values())))
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow(["filter", *columns])
+    for label, row in _without_nan(rows).items():
+        table.writerow([label, *(_cell(row[column]) for column in columns)])
+    write_atomically(path, lambda stream: stream.write(text.getvalue().encode()))
+
+
+def _cell(value: Any) -> Any:
+    if value is None:
+        return ""
+    return json.dumps(value) if isinstance(value, (list, dict)) else value
 
 
 def write_trial_table(path: Path, results: Sequence[CellResult]) -> None:
