@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from difflib import get_close_matches
 
 
@@ -38,3 +38,9 @@ def require_known(subject: str, given: Iterable[str], known: Iterable[str]) -> N
             raise ValueError(
                 f"{subject} {name!r}{did_you_mean(name, names) or '.'} Known: {', '.join(names) or 'none'}"
             )
+
+
+def one_of(name: str, value: object, allowed: Collection[object]) -> None:
+    """Raise a `ValueError` if the argument `name` has a `value` that is not `allowed`."""
+    if not any(value == choice and type(value) is type(choice) for choice in allowed):
+        raise ValueError(f"{name} must be one of {', '.join(map(repr, allowed))}, got {value!r}")

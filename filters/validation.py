@@ -82,6 +82,14 @@ def finite_number(name: str, value: Any) -> float:
     return float(value)
 
 
+def whole_number(name: str, value: Any, low: int, high: int | None = None) -> int:
+    """Return `value`, an int from `low` to `high` (None: no upper limit)."""
+    if isinstance(value, bool) or not isinstance(value, int) or value < low or (high is not None and value > high):
+        wanted = f">= {low}" if high is None else f"from {low} to {high}"
+        raise ValueError(f"{name} must be a whole number {wanted}, got {value!r}")
+    return value
+
+
 def probability(name: str, value: Any) -> float:
     """Return `value` as a float from 0 to 1."""
     if isinstance(value, bool) or not isinstance(value, float | int | np.number) or not 0.0 <= value <= 1.0:

@@ -12,10 +12,11 @@ from .benchmark.scenarios.scenario import FilterChoice as FilterChoice
 from .benchmark.scenarios.scenario import PolicyChoice as PolicyChoice
 from .benchmark.scenarios.scenario import Scenario as Scenario
 from .benchmark.scenarios.study import Study as Study
+from .datasets import load as load
 from .envs.drive import StereoDriveEnv as StereoDriveEnv
 from .envs.drive_gaze import StereoDriveGazeEnv as StereoDriveGazeEnv
 from .envs.gaze import StereoGazeEnv as StereoGazeEnv
-from .envs.rendered_drive import RenderedDrive as RenderedDrive
+from .envs.recorder import RenderedDrive as RenderedDrive
 from .loop import FilterLoop as FilterLoop
 from .loop import Moment as Moment
 from .loop import run as run

@@ -1,4 +1,4 @@
-"""The commands `stereo-slam scenes ...`: what can be simulated, pictures of it, and how well it is seen."""
+"""The commands `stereo-slam scenes ...`: list, render and record simulated scenes, measure their noise."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def render_scene(
     pedestrians: PedestriansOption = 0,
     randomise: RandomiseOption = False,
 ) -> None:
-    """Draw what both eyes see, with the observed landmarks."""
+    """Draw both views, with the observed landmarks."""
     with one_line_errors():
         import cv2
         import gymnasium as gym
@@ -106,7 +106,7 @@ def record_scene(
     """Write a rendered drive as a KITTI odometry sequence, for other people's SLAM systems (and `replay`)."""
     with one_line_errors():
         from stereo_slam_env.datasets import write_kitti_sequence
-        from stereo_slam_env.envs.rendered_drive import RenderedDrive
+        from stereo_slam_env.envs.recorder import RenderedDrive
         from stereo_slam_env.report.console import progress_bar
 
         arguments = _arguments(route, surroundings, renderer, rig, moving_cars, pedestrians, randomise)

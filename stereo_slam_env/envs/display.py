@@ -1,4 +1,4 @@
-"""`render_mode="human"`: a window that shows what `render()` draws, and a clear word where there can be none."""
+"""`render_mode="human"`: a window with the picture of `render()`, or a clear error where none can be opened."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ class StereoDriveEnv(StereoEnv):
     A procedural scene (a street by default: houses, parked cars, lamps, trees, signs) is built along a route,
     differently for each seed. A car drives along it, scripted or by the agent, and a stereo camera on its roof measures
     landmarks: left pixel `u`, `v` and disparity `d`, with noise, 10 times a second. With `sensor="landmarks"` they are
-    given points on the surfaces, measured while both eyes see them; walls, cars and trees hide what is behind them.
+    given points on the surfaces, measured while both cameras see them; walls, cars and trees hide what is behind them.
     With `sensor="images"` both views are rendered and a vision front end finds and follows corners in them; each
     measurement then comes with a covariance of its own. Ground truth is in `info`, in
     the frame W: the left camera at reset (x right, y down, z forward). The true motion obeys Eq. 6 exactly:
@@ -89,7 +89,7 @@ class StereoDriveEnv(StereoEnv):
     | `policy` | `"agent"` | `"agent"`: the action drives; `"route"`: a script does |
     | `rig` | `"reference"` | `"reference"` 1344x391, f = 721.5 px; `"vga"` 640x480; `"qvga"` 320x240 |
     | `sensor` | `"landmarks"` | `"landmarks"`: projection, occlusion and noise; `"images"`: rendered, front end |
-    | `renderer` | `"tiny"` | who draws: `"tiny"`, everywhere; `"gl"`, fast, needs the extra gl and EGL |
+    | `renderer` | `"tiny"` | `"tiny"`, everywhere; `"gl"`, fast, needs the extra gl and EGL |
     | `render_images` | `False` | add the rendered views to the observation (slow) |
     | `noise` | `"pixels"` | of landmarks: `"pixels"`, `"heavy-tailed"`, `"quantised"` or `"uvd"`, see below |
     | `sigma` | `1.0` | standard deviation of the noise, px |
@@ -109,7 +109,7 @@ class StereoDriveEnv(StereoEnv):
     `rig` is a name, a `StereoCamera` or some of its numbers (`fx`, `fy`, `cx`, `cy`, `baseline`, `width`, `height`):
     `{"baseline": 0.2}` differs from the default in one, `{"name": "qvga", "baseline": 0.2}` from the rig of that name.
 
-    Noise of landmarks: `"pixels"`: u, v of both eyes have independent Gaussian errors; `"heavy-tailed"`: the same with
+    Noise of landmarks: `"pixels"`: u, v of both views have independent Gaussian errors; `"heavy-tailed"`: the same with
     rare gross errors, as in rendered images; `"quantised"`: rounded to whole pixels; `"uvd"`: u, v, d are independent.
 
     Randomness comes from separate streams for scene, motion, landmarks, odometry, start and cameras: the same seed

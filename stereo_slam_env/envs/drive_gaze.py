@@ -7,7 +7,7 @@ from stereo_slam_env.envs.stereo_env import StereoEnv
 
 
 class StereoDriveGazeEnv(StereoEnv):
-    """The agent drives a car with a stereo camera, and pans and tilts the head that carries the eyes.
+    """The agent drives a car with a stereo camera, and pans and tilts the head that carries the cameras.
 
     ## Description
 
@@ -20,7 +20,7 @@ class StereoDriveGazeEnv(StereoEnv):
 
     Scene, sensors and truth are those of `StereoSlam/Drive-v0`. The pose is that of the left camera, in the frame W:
     the left camera at reset, looking straight ahead (x right, y down, z forward). The head turns it by
-    R_wc = R_wb R_y(pan) R_x(tilt) about the middle between the eyes. The true motion obeys Eq. 6 exactly.
+    R_wc = R_wb R_y(pan) R_x(tilt) about the middle between the cameras. The true motion obeys Eq. 6 exactly.
 
     ## Action Space
 
@@ -93,7 +93,7 @@ class StereoDriveGazeEnv(StereoEnv):
     | `policy` | `"agent"` | `"agent"`: the action drives; `"route"`: a script does |
     | `rig` | `"vga"` | `"vga"` 640x480, f = 460 px; `"reference"` 1344x391; `"qvga"` 320x240 |
     | `sensor` | `"landmarks"` | `"landmarks"`: projection, occlusion and noise; `"images"`: rendered, front end |
-    | `renderer` | `"tiny"` | who draws: `"tiny"`, everywhere; `"gl"`, fast, needs the extra gl and EGL |
+    | `renderer` | `"tiny"` | `"tiny"`, everywhere; `"gl"`, fast, needs the extra gl and EGL |
     | `render_images` | `False` | add the rendered views to the observation (slow) |
     | `noise` | `"pixels"` | of landmarks: `"pixels"`, `"heavy-tailed"`, `"quantised"` or `"uvd"`, see below |
     | `sigma` | `1.0` | standard deviation of the noise, px |
@@ -118,7 +118,7 @@ class StereoDriveGazeEnv(StereoEnv):
     `rig` is a name, a `StereoCamera` or some of its numbers (`fx`, `fy`, `cx`, `cy`, `baseline`, `width`, `height`):
     `{"baseline": 0.2}` differs from the default in one, `{"name": "qvga", "baseline": 0.2}` from the rig of that name.
 
-    Noise of landmarks: `"pixels"`: u, v of both eyes have independent Gaussian errors; `"heavy-tailed"`: the same with
+    Noise of landmarks: `"pixels"`: u, v of both views have independent Gaussian errors; `"heavy-tailed"`: the same with
     rare gross errors, as in rendered images; `"quantised"`: rounded to whole pixels; `"uvd"`: u, v, d are independent.
 
     Randomness comes from separate streams for scene, motion, landmarks, odometry, start and cameras: the same seed

@@ -7,7 +7,7 @@ from stereo_slam_env.envs.stereo_env import StereoEnv
 
 
 class StereoGazeEnv(StereoEnv):
-    """A car with a stereo camera follows its route; the agent pans and tilts the head that carries the eyes.
+    """A car with a stereo camera follows its route; the agent pans and tilts the head that carries the cameras.
 
     ## Description
 
@@ -23,7 +23,7 @@ class StereoGazeEnv(StereoEnv):
 
     Scene, sensors and truth are those of `StereoSlam/Drive-v0`. The pose is that of the left camera, in the frame W:
     the left camera at reset, looking straight ahead (x right, y down, z forward). The head turns it by
-    R_wc = R_wb R_y(pan) R_x(tilt) about the middle between the eyes. The true motion obeys Eq. 6 exactly.
+    R_wc = R_wb R_y(pan) R_x(tilt) about the middle between the cameras. The true motion obeys Eq. 6 exactly.
 
     ## Action Space
 
@@ -65,7 +65,7 @@ class StereoGazeEnv(StereoEnv):
     - *reward_tracking*: `tracking_weight` x tracked landmarks / `max_landmarks`;
     - *reward_effort*: -`effort_weight` x the mean square of the turns of pan and tilt, as a share of the largest.
 
-    They only keep the eyes on something. The reward of the task comes from `InformationGain`.
+    They only keep the cameras on something. The reward of the task comes from `InformationGain`.
 
     ## Starting State
 
@@ -90,7 +90,7 @@ class StereoGazeEnv(StereoEnv):
     | `blank_from` | `None` | from then on nothing that is drawn has a texture, s; None: never |
     | `rig` | `"vga"` | `"vga"` 640x480, f = 460 px; `"reference"` 1344x391; `"qvga"` 320x240 |
     | `sensor` | `"landmarks"` | `"landmarks"`: projection, occlusion and noise; `"images"`: rendered, front end |
-    | `renderer` | `"tiny"` | who draws: `"tiny"`, everywhere; `"gl"`, fast, needs the extra gl and EGL |
+    | `renderer` | `"tiny"` | `"tiny"`, everywhere; `"gl"`, fast, needs the extra gl and EGL |
     | `render_images` | `False` | add the rendered views to the observation (slow) |
     | `noise` | `"pixels"` | of landmarks: `"pixels"`, `"heavy-tailed"`, `"quantised"` or `"uvd"`, see below |
     | `sigma` | `1.0` | standard deviation of the noise, px |
@@ -112,7 +112,7 @@ class StereoGazeEnv(StereoEnv):
     `rig` is a name, a `StereoCamera` or some of its numbers (`fx`, `fy`, `cx`, `cy`, `baseline`, `width`, `height`):
     `{"baseline": 0.2}` differs from the default in one, `{"name": "qvga", "baseline": 0.2}` from the rig of that name.
 
-    Noise of landmarks: `"pixels"`: u, v of both eyes have independent Gaussian errors; `"heavy-tailed"`: the same with
+    Noise of landmarks: `"pixels"`: u, v of both views have independent Gaussian errors; `"heavy-tailed"`: the same with
     rare gross errors, as in rendered images; `"quantised"`: rounded to whole pixels; `"uvd"`: u, v, d are independent.
 
     Randomness comes from separate streams for scene, motion, landmarks, odometry, start and cameras: the same seed

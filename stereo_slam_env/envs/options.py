@@ -1,19 +1,19 @@
-"""The keyword arguments of the environments, in one place, checked."""
+"""Keyword arguments of the environments, checked."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
 
 from filters.camera import StereoCamera
-from filters.known_names import require_known
-from filters.validation import positive
+from filters.known_names import one_of, require_known
+from filters.validation import positive, whole_number
 from stereo_slam_env.frontend.settings import TrackerSettings
-from stereo_slam_env.rendering.backends import RENDERERS, RendererName
-from stereo_slam_env.sensing.pixel_noise import NOISE_MODELS, NoiseName
+from stereo_slam_env.rendering.backends import RendererName
+from stereo_slam_env.sensing.pixel_noise import NoiseName
 from stereo_slam_env.sensing.rigs import Rig, camera_of
 from stereo_slam_env.sensing.sensors import TrackingPolicy
 from stereo_slam_env.world.routes import named_route
@@ -23,8 +23,8 @@ from stereo_slam_env.world.vehicle import Head
 if TYPE_CHECKING:
     from typing import Self
 
-SENSORS = ("landmarks", "images")
-POLICIES = ("route", "agent")
+Sensor = Literal["landmarks", "images"]
+DrivenBy = Literal["agent", "route"]
 _UNFILTERED_FLOOR = 0.25
 """`tiny` takes the nearest texel, which displaces textures by up to half of one and leaves them sharp, px: the
 correlation does not see it. Measured with `stereo-slam scenes noise`."""
@@ -48,7 +48,7 @@ class StereoOptions:
     visibility: float = TrackingPolicy.farthest
     blank_from: float | None = None
     rig: Rig = "reference"
-    sensor: str = "landmarks"
+    sensor: Sensor = "landmarks"
     renderer: RendererName = "tiny"
     render_images: bool = False
     noise: NoiseName = "pixels"
@@ -65,26 +65,24 @@ class StereoOptions:
     def __post_init__(self) -> None:
         named_route(self.route)
         named_surroundings(self.surroundings)
-        _one_of("renderer", self.renderer, RENDERERS)
-        _one_of("randomise", self.randomise, (True, False))
-        _whole("moving_cars", self.moving_cars, 0, 100)
-        _whole("pedestrians", self.pedestrians, 0, 100)
+        for name, kind in get_type_hints(type(self)).items():
+            choices = (True, False) if kind is bool else get_args(kind) if get_origin(kind) is Literal else None
+            if choices is not None:
+                one_of(name, getattr(self, name), choices)
+        whole_number("moving_cars", self.moving_cars, 0, 100)
+        whole_number("pedestrians", self.pedestrians, 0, 100)
         if isinstance(self.rig, str):
             camera_of(self.rig)
         else:  # numbers that are not given are those of the usual rig
             object.__setattr__(self, "rig", camera_of(self.rig, str(type(self).rig)))
-        _one_of("sensor", self.sensor, SENSORS)
-        _one_of("noise", self.noise, NOISE_MODELS)
-        _one_of("render_images", self.render_images, (True, False))
-        _one_of("revisit", self.revisit, (True, False))
         positive("sigma", self.sigma)
         _number("visibility", self.visibility, 2 * TrackingPolicy.nearest, TrackingPolicy.farthest)
         if self.blank_from is not None:
             positive("blank_from", self.blank_from, allow_zero=True)
-        _whole("max_landmarks", self.max_landmarks, 1, 10_000)
+        whole_number("max_landmarks", self.max_landmarks, 1, 10_000)
         if self.refill_below is not None:
-            _whole("refill_below", self.refill_below, 0, self.max_landmarks)
-        _whole("supersample", self.supersample, 1, 4)
+            whole_number("refill_below", self.refill_below, 0, self.max_landmarks)
+        whole_number("supersample", self.supersample, 1, 4)
         for field in fields(self):
             if field.name.startswith(("odometry_", "perturbation")) or field.name.endswith("_weight"):
                 positive(field.name, getattr(self, field.name), allow_zero=True)
@@ -97,27 +95,29 @@ class StereoOptions:
 
     @property
     def camera(self) -> StereoCamera:
-        """What `rig` stands for."""
+        """The stereo camera of `rig`."""
         return camera_of(self.rig)
 
     @property
     def tracking(self) -> TrackingPolicy:
-        """How the sensor "landmarks" tracks."""
-        refill = self.refill_below
-        if refill is None:
-            refill = round(self.max_landmarks * TrackingPolicy.refill_below / TrackingPolicy.max_landmarks)
+        """Tracking of the sensor "landmarks"."""
+        refill = self._refill(TrackingPolicy)
         return TrackingPolicy(
             max_landmarks=self.max_landmarks, refill_below=refill, farthest=self.visibility, revisit=self.revisit
         )
 
     @property
     def front_end(self) -> TrackerSettings:
-        """How the sensor "images" tracks."""
-        refill = self.refill_below
-        if refill is None:
-            refill = round(self.max_landmarks * TrackerSettings.refill_below / TrackerSettings.max_landmarks)
+        """Tracking of the sensor "images"."""
+        refill = self._refill(TrackerSettings)
         floor = _UNFILTERED_FLOOR if self.renderer == "tiny" else TrackerSettings.sigma_floor
         return TrackerSettings(max_landmarks=self.max_landmarks, refill_below=refill, sigma_floor=floor)
+
+    def _refill(self, usual: type[TrackingPolicy | TrackerSettings]) -> int:
+        """`refill_below`, or the usual share of `max_landmarks`."""
+        if self.refill_below is not None:
+            return self.refill_below
+        return round(self.max_landmarks * usual.refill_below / usual.max_landmarks)
 
     @property
     def draws(self) -> bool:
@@ -133,19 +133,15 @@ class StereoOptions:
 class DriveOptions(StereoOptions):
     """Arguments of `StereoDriveEnv`."""
 
-    policy: str = "agent"
+    policy: DrivenBy = "agent"
     progress_weight: float = 0.1
     collision_weight: float = 10.0
     goal_weight: float = 10.0
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        _one_of("policy", self.policy, POLICIES)
-
 
 @dataclass(frozen=True)
 class HeadOptions(StereoOptions):
-    """Arguments of an environment whose head moves, for a world in which that matters."""
+    """Arguments of an environment whose head moves; the defaults are a world where gaze matters."""
 
     route: str = "straight"
     surroundings: str = "groves"
@@ -167,7 +163,7 @@ class HeadOptions(StereoOptions):
         positive("tilt_rate", self.tilt_rate)
 
     def head(self, baseline: float) -> Head:
-        """The head that carries eyes `baseline` m apart."""
+        """The head, with cameras `baseline` m apart."""
         return Head(baseline, (self.max_pan, self.max_tilt), (self.pan_rate, self.tilt_rate))
 
 
@@ -179,16 +175,6 @@ class GazeOptions(HeadOptions):
 @dataclass(frozen=True)
 class DriveGazeOptions(HeadOptions, DriveOptions):
     """Arguments of `StereoDriveGazeEnv`."""
-
-
-def _one_of(name: str, value: object, allowed: Collection[object]) -> None:
-    if not any(value == choice and type(value) is type(choice) for choice in allowed):
-        raise ValueError(f"{name} must be one of {', '.join(map(repr, allowed))}, got {value!r}")
-
-
-def _whole(name: str, value: object, low: int, high: int) -> None:
-    if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
-        raise ValueError(f"{name} must be a whole number from {low} to {high}, got {value!r}")
 
 
 def _number(name: str, value: Any, low: float, high: float) -> None:

@@ -1,19 +1,20 @@
-"""Record an episode: the measurement stream that any number of filters can then be run on."""
+"""Scripted drives and episodes as recordings (`record`, `recording_of`) and as images (`RenderedDrive`)."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from filters.camera import StereoCamera
 from stereo_slam_env.envs.drive import StereoDriveEnv
-from stereo_slam_env.envs.options import DriveOptions, StereoOptions
 from stereo_slam_env.envs.stereo_env import StereoEnv
 from stereo_slam_env.files.package_versions import version_of
-from stereo_slam_env.recording.recording import SIMULATION, Frame, Recording
+from stereo_slam_env.recording.recording import SIMULATION, Frame, Recording, Reference, StereoPair
 from stereo_slam_env.rendering.backends import renderer_identity
+from stereo_slam_env.rendering.images import grey
 
 
 def record(
@@ -22,7 +23,7 @@ def record(
     frames: int | None = None,
     progress: Callable[[int, int | None], None] | None = None,
 ) -> Recording:
-    """Drive a scripted route and keep what was measured.
+    """Drive a scripted route and keep the measurements.
 
     Parameters
     ----------
@@ -54,7 +55,7 @@ def record(
     env = StereoDriveEnv(**kwargs)
     try:
         if frames is not None and frames > env.route.frames:  # known before the drive, which may take minutes
-            raise ValueError(_too_many(frames, env.route.frames, env.options))
+            raise ValueError(f"frames must be at most {env.route.frames} on route {env.options.route!r}, got {frames}")
         env.reset(seed=seed)
         collected = [env.frame]
         idle = np.zeros(2, dtype=np.float32)
@@ -65,7 +66,7 @@ def record(
             if progress is not None:
                 progress(len(collected), frames)
         if frames is not None and len(collected) < frames:
-            raise ValueError(_too_many(frames, len(collected), env.options))
+            raise ValueError(f"frames must be at most {len(collected)} on route {env.options.route!r}, got {frames}")
         return recording_of(env, collected, seed)
     finally:
         env.close()
@@ -74,7 +75,7 @@ def record(
 def recording_of(
     env: StereoEnv, frames: Sequence[Frame], seed: int, about: Mapping[str, Any] | None = None
 ) -> Recording:
-    """What an environment measured in the episode of a seed.
+    """The measurements of an environment in the episode of a seed.
 
     Parameters
     ----------
@@ -85,10 +86,11 @@ def recording_of(
     seed : int
         Of the episode.
     about : mapping, optional
-        What else there is to say of where the recording comes from; JSON-able.
+        Further entries of `source`; JSON-able.
     """
+    seen_by = env.options.renderer if env.options.sensor == "images" else env.options.noise
     return Recording(
-        name=_name(env.options, seed),
+        name=f"{Path(env.options.route).stem}-{seen_by}-{seed}",
         camera=env.camera,
         frames=tuple(frames),
         noise=env.noise,
@@ -99,19 +101,10 @@ def recording_of(
     )
 
 
-def _too_many(frames: int, most: int, options: DriveOptions) -> str:
-    return f"frames must be at most {most} on route {options.route!r}, got {frames}"
-
-
-def _name(options: StereoOptions, seed: int) -> str:
-    seen_by = options.renderer if options.sensor == "images" else options.noise
-    return f"{Path(options.route).stem}-{seen_by}-{seed}"
-
-
 def described(env: StereoEnv, seed: int) -> dict[str, Any]:
     """Everything needed to make the same episode again; JSON-able.
 
-    The back end that draws is part of it: pictures of different ones are different measurements.
+    The renderer is part of it: images of different renderers are different measurements.
     """
     drawn = {"renderer": renderer_identity(env.options.renderer)} if env.options.draws else {}
     return {
@@ -121,3 +114,60 @@ def described(env: StereoEnv, seed: int) -> dict[str, Any]:
         **drawn,
         "versions": {name: version_of(name) for name in ("stereo-slam-env", "numpy", "pybullet", "gymnasium")},
     }
+
+
+class RenderedDrive:
+    """A scripted drive as a sequence of rendered stereo images; an `ImageSequence`.
+
+    Parameters
+    ----------
+    env_kwargs : mapping, optional
+        Arguments of `StereoDriveEnv`; `policy`, `sensor` and `render_images` are chosen here.
+    seed : int
+        Seed of the episode: same seed, same bits.
+    frames : int, optional
+        Stop after this many; None: at the end of the route.
+
+    Raises
+    ------
+    ValueError
+        An argument is not allowed.
+    """
+
+    def __init__(self, env_kwargs: Mapping[str, Any] | None = None, seed: int = 0, frames: int | None = None) -> None:
+        self._kwargs = {**(env_kwargs or {}), "policy": "route", "sensor": "landmarks"}
+        self._kwargs |= {"max_landmarks": 1, "refill_below": None, "render_images": False}
+        self._seed = seed
+        env = StereoDriveEnv(**self._kwargs)
+        try:
+            env.reset(seed=seed)
+            self.start, self._count, options = env.start, env.route.frames, env.options
+        finally:
+            env.close()
+        if frames is not None and not 1 <= frames <= self._count:
+            raise ValueError(f"frames must be from 1 to {self._count} on route {options.route!r}, got {frames}")
+        self._count = frames or self._count
+        self.camera: StereoCamera = env.camera
+        self.name = f"{options.surroundings}-{Path(options.route).stem}-{seed}"
+        self.truth_from: Reference = SIMULATION
+        self.skipped: Mapping[str, int] = {}
+        self._kwargs["render_images"] = True
+        self.source: Mapping[str, Any] = {**described(StereoDriveEnv(**self._kwargs), seed), "frames": self._count}
+
+    def __len__(self) -> int:
+        return self._count
+
+    def pairs(self) -> Iterator[StereoPair]:
+        """The pairs in time order."""
+        env = StereoDriveEnv(**self._kwargs)
+        idle = np.zeros(2, dtype=np.float32)
+        try:
+            observation, _ = env.reset(seed=self._seed)
+            for number in range(self._count):
+                if number:
+                    observation = env.step(idle)[0]
+                frame = env.frame
+                left, right = grey(observation["left"]), grey(observation["right"])
+                yield StereoPair(frame.timestamp, left, right, frame.truth, frame.odometry)
+        finally:
+            env.close()

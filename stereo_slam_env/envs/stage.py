@@ -1,4 +1,4 @@
-"""What the car drives through and the cameras look at: scene, physics and renderer behind one door, in W."""
+"""The simulated world of an environment: scene, physics and renderer through one interface, in W."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Stage:
     Parameters
     ----------
     options : StereoOptions
-        Which scene, and who draws it.
+        Scene and renderer.
     route : Route
         Along which it is built.
     camera : StereoCamera
@@ -74,16 +74,18 @@ class Stage:
         self.landmarks = LandmarkTruth(scene.landmark_ids, self._frame.to_world(scene.landmark_points))
 
     def set_frame(self, number: int) -> None:
-        """Move what moves to where it is in frame `number`."""
+        """Move the moving bodies to their places in frame `number`."""
         self._number, self._images = number, None
         blank_from = self._options.blank_from
         if self._textured is not None and blank_from is not None and self._time >= blank_from - 1e-9:
-            self._redraw(without_texture(self._textured))
+            blank = without_texture(self._textured)
+            self._world.build(blank, self._car.size)
+            self._build_renderer(blank)
             self._textured = None
         self._world.set_time(self._time)
 
     def images(self, pose: Pose) -> StereoImages:
-        """What the cameras see from `pose`; one pose a frame."""
+        """Images of the cameras at `pose`; one pose a frame."""
         if self._images is None:
             assert self._renderer is not None
             clean = self._renderer.render_pair(pose, self._time)
@@ -91,10 +93,10 @@ class Stage:
         return self._images
 
     def visible(self, pose: Pose, points_w: FloatArray) -> BoolArray:
-        """Which points (N, 3) both eyes see from `pose`."""
+        """Which points (N, 3) both cameras see from `pose`."""
         right = pose.position + self._camera.baseline * pose.R_wc[:, 0]
-        eyes = self._frame.to_scene(np.array([pose.position, right]))
-        return self._world.visible(eyes, self._frame.to_scene(points_w))
+        cameras = self._frame.to_scene(np.array([pose.position, right]))
+        return self._world.visible(cameras, self._frame.to_scene(points_w))
 
     def on_moving_body(self, points_w: FloatArray) -> BoolArray:
         """Which points (N, 3) are on a body that moves."""
@@ -117,11 +119,6 @@ class Stage:
     @property
     def _time(self) -> float:
         return self._number * FRAME_PERIOD
-
-    def _redraw(self, scene: Scene) -> None:
-        """Draw `scene` from now on: of the same shapes, in other materials."""
-        self._world.build(scene, self._car.size)
-        self._build_renderer(scene)
 
     def _build_renderer(self, scene: Scene) -> None:
         if self._renderer is None:

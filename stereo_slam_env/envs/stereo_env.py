@@ -1,7 +1,9 @@
-"""What the environments have in common: a car with a stereo camera, its sensors, and what a step comes to."""
+"""The common core of the environments: a car with a stereo camera, its sensors, and the terms of the reward."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import gymnasium as gym
@@ -16,7 +18,6 @@ from filters.noise import StereoNoise
 from filters.validation import FloatArray, IntArray, finite_array
 from stereo_slam_env.envs.display import modes_here, window_for
 from stereo_slam_env.envs.options import DriveOptions, HeadOptions, StereoOptions
-from stereo_slam_env.envs.rewards import TERMS, Outcome
 from stereo_slam_env.envs.stage import Stage
 from stereo_slam_env.frontend.image_sensor import ImageSensor
 from stereo_slam_env.frontend.recorder import TYPICAL_NOISE
@@ -42,8 +43,43 @@ _START_SIGMAS = np.repeat([1e-6, 1e-6, 0.5, 0.05], 3)
 Observation = dict[str, Any]
 
 
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """Outcome of a step, for the terms of the reward.
+
+    Attributes
+    ----------
+    progress : float
+        Along the route, m; negative backwards.
+    tracked : float
+        Landmarks in the frame as a share of the most there can be.
+    failed : bool
+        Whether the car hit something or left the arena.
+    arrived : bool
+        Whether it came to the end of the route without that.
+    turned : (2,)
+        Turn of pan and tilt, as a share of the largest in a step.
+    """
+
+    progress: float = 0.0
+    tracked: float = 0.0
+    failed: bool = False
+    arrived: bool = False
+    turned: FloatArray | None = None
+
+
+TERMS: dict[str, Callable[[Outcome], float]] = {
+    "progress": lambda outcome: outcome.progress,
+    "tracking": lambda outcome: outcome.tracked,
+    "collision": lambda outcome: -1.0 if outcome.failed else 0.0,
+    "goal": lambda outcome: 1.0 if outcome.arrived else 0.0,
+    "effort": lambda outcome: 0.0 if outcome.turned is None else -float(np.mean(outcome.turned**2)),
+}
+"""Term of the reward -> its value per unit of weight; the weight is the argument `<name>_weight` of the environment."""
+
+
 class StereoEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
-    """A car with a stereo camera; what the agent can move, and what it is paid for, is up to the environments.
+    """A car with a stereo camera; subclasses say what the agent moves and which terms the reward has.
 
     Parameters
     ----------
@@ -70,7 +106,7 @@ class StereoEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
         self._window = window_for(render_mode, self.metadata["render_fps"])
         self.camera: StereoCamera = self.options.camera
         self.head: Head | None = None
-        """What carries the eyes; None: they are fixed to the car."""
+        """Head that carries the cameras; None: they are fixed to the car."""
         if isinstance(self.options, HeadOptions):
             self.head = self.options.head(self.camera.baseline)
         self._noise = NOISE_MODELS[self.options.noise](self.options.sigma)
@@ -109,7 +145,7 @@ class StereoEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
 
     @property
     def start(self) -> Start:
-        """What a filter is told before the first frame."""
+        """Start of a filter, before the first frame."""
         return self._start
 
     @property
@@ -130,7 +166,7 @@ class StereoEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
 
     @property
     def tracked(self) -> TrackedPair:
-        """What the front end found in the current frame, with the sensor "images"."""
+        """Tracks of the front end in the current frame, with the sensor "images"."""
         tracked = self._image_sensor.tracked
         assert tracked is not None
         return tracked
@@ -174,7 +210,7 @@ class StereoEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
         return self._observation(odometry), self._info(Outcome(tracked=self._tracked), collision=False)
 
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Drive for 0.1 s and look."""
+        """Drive for 0.1 s and measure."""
         if self._over:
             raise RuntimeError("the episode is over: call reset before the next step")
         command = np.clip(finite_array("action", action, (self._action_size,)), -1.0, 1.0)
@@ -196,7 +232,7 @@ class StereoEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
             turned = (self._angles - angles_before) / (np.array(self.head.max_rates) * FRAME_PERIOD)
         outcome = Outcome(progress, self._tracked, failed, self._driver.finished and not failed, turned)
         info = self._info(outcome, collision=collision)
-        reward = float(sum(info[f"reward_{name}"] for name in self._terms))
+        reward = float(sum(info[f"reward_{name}"] for name in self._weights))
         self._over = failed or self._driver.finished
         return self._observation(odometry), reward, self._over, False, info
 
@@ -245,9 +281,10 @@ class StereoEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
         return 2 * (self.drives + self.gazes)
 
     @property
-    def _terms(self) -> list[str]:
-        """Names of the terms of the reward that this environment has."""
-        return [name for name in TERMS if hasattr(self.options, f"{name}_weight")]
+    def _weights(self) -> dict[str, float]:
+        """Weights of the terms of the reward that this environment has."""
+        weights = {name: getattr(self.options, f"{name}_weight", None) for name in TERMS}
+        return {name: weight for name, weight in weights.items() if weight is not None}
 
     @property
     def _tracked(self) -> float:
@@ -303,7 +340,7 @@ class StereoEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
             "time": frame.timestamp,
             "distance": self._distance,
             "collision": collision,
-            **{f"reward_{name}": TERMS[name](outcome, getattr(self.options, f"{name}_weight")) for name in self._terms},
+            **{f"reward_{name}": weight * TERMS[name](outcome) for name, weight in self._weights.items()},
             **padded_extras(frame.observation, self.options.max_landmarks),
         }
 
@@ -327,13 +364,13 @@ class StereoEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
             most = np.array(self.head.max_angles, dtype=np.float32)
             shapes["head"] = spaces.Box(-most, most)
         if self.options.render_images:
-            for eye in ("left", "right"):
-                shapes[eye] = spaces.Box(0, 255, (camera.height, camera.width, 3), np.uint8)
+            for view in ("left", "right"):
+                shapes[view] = spaces.Box(0, 255, (camera.height, camera.width, 3), np.uint8)
         return spaces.Dict(shapes)
 
 
 def _start_belief(velocity: Velocity, rng: np.random.Generator) -> Start:
-    """The pose is known, the velocity up to an error that the covariance tells truly."""
+    """A known pose, and a velocity with an error of the stated covariance."""
     error = _START_SIGMAS[6:] * rng.standard_normal(6)
     return Start(
         linear_velocity=velocity.linear + error[:3],

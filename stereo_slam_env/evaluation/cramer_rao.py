@@ -19,6 +19,7 @@ it bounds estimators that know only R.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -39,7 +40,7 @@ from filters.measurements.model import Stage
 from filters.motion import POSE_SIZE, CameraState, ConstantVelocity, MotionModel
 from filters.noise import StereoNoise
 from filters.validation import BoolArray, FloatArray, IntArray
-from stereo_slam_env.recording.recording import Pose, Recording, Start
+from stereo_slam_env.recording.recording import Frame, LandmarkTruth, Pose, Recording, Start
 
 RESAMPLES = 10_000
 _AS_MEASURED = np.eye(3)
@@ -109,7 +110,14 @@ def cramer_rao_bound(
     start, truth = recording.start, recording.landmarks
     assert truth is not None
     best = ReferenceBelief(
-        recording.camera, recording.noise, motion, start, poses[0], landmark=landmark, right_row=right_row
+        recording.camera,
+        recording.noise,
+        motion,
+        start,
+        poses[0],
+        landmark=landmark,
+        right_row=right_row,
+        use_odometry=use_odometry,
     )
     last_seen = np.full(len(truth.ids), -1)
     for k, frame in enumerate(recording.frames):
@@ -117,11 +125,7 @@ def cramer_rao_bound(
     covariances = np.empty((len(recording), POSE_SIZE, POSE_SIZE))
     with threadpool_limits(limits=1):
         for k, frame in enumerate(recording.frames):
-            if k:
-                dt = frame.timestamp - recording.frames[k - 1].timestamp
-                best.predict(poses[k], dt, frame.odometry if use_odometry else None)
-            seen = frame.observation
-            best.see(seen, truth.positions[np.searchsorted(truth.ids, seen.ids)])
+            best.step(frame, truth)
             best.keep(truth.ids[last_seen > k])
             covariances[k] = best.pose_covariance
             if progress is not None:
@@ -156,6 +160,8 @@ class ReferenceBelief:
         Parametrisation to calculate in; the result does not depend on it. None: XYZ.
     right_row : bool
         Whether the estimator is given the row of the right image, where it was measured.
+    use_odometry : bool
+        Whether `step` gives it the odometry.
     """
 
     def __init__(
@@ -168,8 +174,10 @@ class ReferenceBelief:
         *,
         landmark: LandmarkModel | None = None,
         right_row: bool = True,
+        use_odometry: bool = True,
     ) -> None:
         self._rig, self._noise, self._motion, self._right_row = camera, noise, motion, right_row
+        self._use_odometry, self._time = use_odometry, math.nan
         there = CameraState(truth.position, truth.orientation, start.linear_velocity, start.angular_velocity)
         self._state = JointState.without_map(
             there, start.assumed_covariance, Euclidean() if landmark is None else landmark
@@ -188,6 +196,20 @@ class ReferenceBelief:
     def joint_covariance(self) -> FloatArray:
         """Covariance of the pose and the landmark positions, in the order of `ids`."""
         return joint_covariance(self._state, np.argsort(self._state.ids))
+
+    def step(self, frame: Frame, landmarks: LandmarkTruth) -> None:
+        """Use the next frame, which has a true pose: predict (not for the first one), then see its sightings.
+
+        Sightings of landmarks that are not in the true map are left out.
+        """
+        assert frame.truth is not None
+        if not math.isnan(self._time):
+            self.predict(frame.truth, frame.timestamp - self._time, frame.odometry if self._use_odometry else None)
+        self._time, seen = frame.timestamp, frame.observation
+        known = np.isin(seen.ids, landmarks.ids)
+        if not known.all():
+            seen = seen.select(known)
+        self.see(seen, landmarks.positions[np.searchsorted(landmarks.ids, seen.ids)])
 
     def predict(self, truth: Pose, dt: float, odometry: BodyVelocity | None = None) -> None:
         """Move to the true pose: Eq. 6 with the impulses that really were, so that it leads from pose to pose."""

@@ -1,4 +1,4 @@
-"""Policies that decide where to look: rules, planning on the belief of a filter, a trained network."""
+"""Policies decide where to look: rules, planning on the belief of a filter, a trained network."""
 
 import lazy_loader
 

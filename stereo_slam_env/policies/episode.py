@@ -1,4 +1,4 @@
-"""One episode: a policy looks, a filter listens, and everything measured on the way is kept."""
+"""One episode of a policy, kept as a recording."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ _STREAM = 6
 
 @dataclass(frozen=True, eq=False)
 class Episode:
-    """What came of it.
+    """An episode of a policy.
 
     Attributes
     ----------
     recording : Recording
-        What the filter was given, so that any filter can be run on it; with the angles of the head.
+        The measurements, for any filter; with the angles of the head.
     drive : tuple of Pose
         Of the car, frame by frame: where the left camera would be if the head looked straight ahead.
     failure : str, optional
@@ -40,7 +40,7 @@ class Episode:
 
     @property
     def drive_digest(self) -> str:
-        """SHA-256 of the scene and of the drive through it: equal for all who look at the same world."""
+        """SHA-256 of the scene and of the drive through it: equal for all policies in the same world."""
         landmarks = self.recording.landmarks
         digest = hashlib.sha256()
         for pose in self.drive:
@@ -51,7 +51,7 @@ class Episode:
 
 
 def rng_of_policy(seed: int) -> np.random.Generator:
-    """For what a policy leaves to chance in the episode of a seed."""
+    """Random generator of the policy in the episode of a seed."""
     return np.random.default_rng([_STREAM, seed])
 
 
@@ -64,14 +64,14 @@ def run_episode(
     progress: Callable[[int, int], None] | None = None,
     about: Mapping[str, Any] | None = None,
 ) -> Episode:
-    """Let a policy look for one episode.
+    """Run a policy for one episode.
 
     Parameters
     ----------
     env : gymnasium.Env
         One of the environments, with the wrappers that the policy needs: most need `BeliefObservation`.
     policy : Policy
-        Who decides.
+        The policy.
     seed : int
         Of the episode: same seed, same scene, drive and noise, and the same chance for the policy.
     frames : int, optional
@@ -79,7 +79,7 @@ def run_episode(
     progress : callable, optional
         Called after each frame with (frames done, frames wanted).
     about : mapping, optional
-        What else is kept in the `source` of the recording; JSON-able.
+        Further entries of the `source` of the recording; JSON-able.
 
     Returns
     -------

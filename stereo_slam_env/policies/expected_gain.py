@@ -1,4 +1,4 @@
-"""How much a sequence of looks would tell of pose and map, for many sequences at once: pure maths.
+"""Expected information gain of sequences of looks: pure maths, many sequences at once.
 
 The information matrix (inverse covariance) of pose and map is carried along, in the errors delta r, phi (rotation in W)
 and delta p of `Knowledge`, positions taken relative to the camera as it is now. In these,
@@ -26,8 +26,7 @@ from filters.validation import FloatArray
 from stereo_slam_env.policies.foresight import Knowledge
 
 Gain = Literal["pose", "map"]
-GAINS: tuple[Gain, ...] = ("pose", "map")
-"""Of what: the pose, or the pose and the map together."""
+"""Covariance whose determinant counts: of the pose, or of the pose and the map together."""
 
 
 def expected_gain(knowledge: Knowledge, looks: FloatArray, Q: FloatArray, gain: Gain) -> FloatArray:
@@ -41,11 +40,11 @@ def expected_gain(knowledge: Knowledge, looks: FloatArray, Q: FloatArray, gain: 
     knowledge : Knowledge
         Pose and map now.
     looks : (B, K, N, 3, 3)
-        H^T R^-1 H of each landmark in each of K looks of B sequences, see `Eyes.information`.
+        H^T R^-1 H of each landmark in each of K looks of B sequences, see `SensorModel.information`.
     Q : (K, 6, 6)
         Noise that the motion before each look adds to the pose, see `motion_noise`.
     gain : {"pose", "map"}
-        Of what.
+        Of the pose, or of the pose and the map.
 
     Returns
     -------
@@ -59,7 +58,7 @@ def expected_gain(knowledge: Knowledge, looks: FloatArray, Q: FloatArray, gain: 
     seen = looks.any(axis=(0, 1, 3, 4))
     if not seen.any():
         return np.zeros(len(looks))
-    if gain == "pose" and not seen.all():  # what nobody sees says nothing of the pose
+    if gain == "pose" and not seen.all():  # a landmark that is never seen says nothing of the pose
         knowledge, looks = knowledge.of_landmarks(np.flatnonzero(seen)), looks[:, :, seen]
     blind = np.zeros((1, *looks.shape[1:]))  # a sequence that looks at nothing: the prior
     logdets = _log_determinants(knowledge, np.concatenate([looks, blind]), Q, gain)

@@ -1,8 +1,9 @@
-"""What would be seen from a camera pose that is only imagined, and what it would tell: pure maths, many poses at once.
+"""Predicted views from imagined camera poses, and their information: pure maths, many poses at once.
 
-A planner knows where landmarks are believed to be, and the field of view. It does not know what stands in between.
+A planner knows where landmarks are believed to be, the field of view, the route and the head. It does not know what
+hides what.
 
-Everything rests on one fact. Let e = p - r be a landmark seen from the camera, in the axes of W; its error
+Let e = p - r be a landmark seen from the camera, in the axes of W; its error
 delta e = delta p - delta r + [e]x phi, with phi the error of the rotation in W, does not change when the camera makes a
 *known* turn or step. A measurement from anywhere is H delta e with H = J R_cw (J: Eq. 10's Jacobian), so that
 
@@ -11,7 +12,7 @@ delta e = delta p - delta r + [e]x phi, with phi the error of the rotation in W,
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -23,6 +24,13 @@ from filters.motion import POSE_SIZE, POSITION, ROTATION
 from filters.noise import StereoNoise
 from filters.validation import BoolArray, FloatArray, IntArray
 from stereo_slam_env.recording.recording import Pose
+from stereo_slam_env.world.routes import FRAME_PERIOD, Route
+from stereo_slam_env.world.vehicle import Head, head_turn
+
+_SPACING = 3.0
+"""Distance of places along the route, m."""
+_OFFSETS = np.array([-0.75, -0.5, -0.25, 0.25, 0.5, 0.75])
+"""Places across the route, in shares of the farthest depth at which landmarks are measured."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +61,7 @@ class CameraPoses:
 
 @dataclass(frozen=True, eq=False)
 class Knowledge:
-    """What a filter believes of the pose and of N landmarks.
+    """Belief of a filter: the pose and N landmarks.
 
     Attributes
     ----------
@@ -74,7 +82,7 @@ class Knowledge:
 
     @classmethod
     def of(cls, slam: StereoFilter, within: float = np.inf) -> Knowledge:
-        """What a filter believes now of the landmarks `within` m of the camera that have a finite position."""
+        """The current belief, with the landmarks `within` m of the camera that have a finite position."""
         belief, landmarks = slam.pose, slam.landmarks
         with np.errstate(invalid="ignore"):
             near = np.linalg.norm(landmarks.positions - belief.position, axis=1) <= within
@@ -88,7 +96,7 @@ class Knowledge:
         return cls(ids, Pose(belief.position, belief.orientation), landmarks.positions[near], covariance)
 
     def of_landmarks(self, index: IntArray) -> Knowledge:
-        """The same of the landmarks at `index` (M,) only."""
+        """The same, with the landmarks at `index` (M,) only."""
         rows = np.concatenate([np.arange(POSE_SIZE), (POSE_SIZE + 3 * index[:, None] + np.arange(3)).ravel()])
         return Knowledge(self.ids[index], self.pose, self.points[index], self.covariance[np.ix_(rows, rows)])
 
@@ -114,14 +122,14 @@ class Knowledge:
 
 @dataclass(frozen=True, eq=False)
 class Sight:
-    """What N landmarks look like from cameras with any leading dimensions.
+    """Predicted view of N landmarks, from cameras with any leading dimensions.
 
     Attributes
     ----------
     uvd : (..., N, 3)
         Predicted left pixel and disparity, px; of no meaning behind the camera.
     in_view : (..., N) bool
-        Whether it could be measured, if nothing stood in between.
+        Whether it could be measured, if nothing hid it.
     points_c : (..., N, 3)
         In each camera frame, m.
     """
@@ -132,8 +140,8 @@ class Sight:
 
 
 @dataclass(frozen=True)
-class Eyes:
-    """A stereo sensor as a planner knows it.
+class SensorModel:
+    """The stereo sensor as a planner knows it.
 
     Attributes
     ----------
@@ -170,20 +178,13 @@ class Eyes:
         return whitening
 
     def sight(self, points: FloatArray, cameras: CameraPoses) -> Sight:
-        """What the points (N, 3) of W, m, look like from each of the cameras."""
+        """Predicted view of the points (N, 3) of W, m, from each of the cameras."""
         points_c = cameras.to_camera(points)
         z = points_c[..., 2]
         uvd = self.camera.project(points_c)
         with np.errstate(invalid="ignore"):  # a point beside the camera has no image
             in_view = (z > 0.0) & (z >= self.nearest) & (z <= self.farthest) & self.camera.in_view(uvd, self.margin)
         return Sight(uvd, in_view, points_c)
-
-    def innovation_covariances(self, knowledge: Knowledge, cameras: CameraPoses) -> FloatArray:
-        """S (Eq. 15) of each landmark from each camera, the way there being known exactly; (..., N, 3, 3) px^2."""
-        J = self.camera.project_jacobian(cameras.to_camera(knowledge.points))
-        H = J @ np.swapaxes(cameras.R_wc, -1, -2)[..., None, :, :]
-        S: FloatArray = H @ knowledge.relative_covariances @ np.swapaxes(H, -1, -2) + self.noise.R
-        return S
 
     def information(self, points: FloatArray, cameras: CameraPoses) -> FloatArray:
         """H^T R^-1 H of each landmark in view, 0 of the others; (..., N, 3, 3) 1/m^2, in the axes of W.
@@ -201,3 +202,90 @@ class Eyes:
             count = sight.in_view.sum(axis=-1)
             information *= (self.most / np.maximum(count, self.most))[..., None, None, None]
         return information
+
+
+def planned_bodies(body: Pose, route: Route, step: int, steps: int) -> CameraPoses:
+    """Poses of the camera, looking straight ahead, of a car that is at `body` now, after each step of its route.
+
+    Speeds and yaw rates are the route's, from `step` on; after its end the car stands still.
+
+    Parameters
+    ----------
+    body : Pose
+        Now, after `step` steps, as it is believed to be.
+    route : Route
+        The nominal drive.
+    step, steps : int
+        Steps driven so far; steps to imagine, K.
+
+    Returns
+    -------
+    CameraPoses
+        (K, 3) and (K, 3, 3).
+    """
+    frames = np.minimum(step + np.arange(1, steps + 1), route.frames - 1)
+    now = min(step, route.frames - 1)
+    R_wb = rotations.matrix(body.orientation)
+    heading = np.zeros((steps, 3))
+    heading[:, 1] = route.headings[frames] - route.headings[now]
+    R_bw_nominal = rotations.exp(np.array([0.0, -route.headings[now], 0.0]))
+    moved = (route.positions[frames] - route.positions[now]) @ R_bw_nominal.T
+    return CameraPoses(body.position + moved @ R_wb.T, R_wb @ rotations.exp(heading))
+
+
+def turning_head(head: Head, angles: FloatArray, targets: FloatArray, steps: int) -> FloatArray:
+    """Pan and tilt after each step of turning from `angles` (2,) to each of the targets (B, 2), rad; (B, K, 2)."""
+    command = targets[:, None, :] / np.maximum(head.max_angles, np.finfo(float).tiny)
+    times: FloatArray = FRAME_PERIOD * np.arange(1.0, steps + 1.0)
+    return head.turned(angles, command, times[:, None])
+
+
+def seen_from(head: Head, bodies: CameraPoses, angles: FloatArray) -> CameraPoses:
+    """Cameras with the head turned to `angles` (..., K, 2), rad, on bodies (K,), see `Head.camera_pose`."""
+    R_bc = rotations.matrix(head_turn(angles))
+    middle = np.array([0.5 * head.baseline, 0.0, 0.0])
+    shift = middle - R_bc @ middle
+    return CameraPoses(bodies.positions + (bodies.R_wc @ shift[..., None])[..., 0], bodies.R_wc @ R_bc)
+
+
+class UnseenPlaces:
+    """Places beside the route, at the height of the camera, that have not been in view so far.
+
+    Parameters
+    ----------
+    route : Route
+        The nominal drive; places go on straight ahead after its end, as far as can be seen.
+    sensor : SensorModel
+        What is in view of a camera.
+    """
+
+    def __init__(self, route: Route, sensor: SensorModel) -> None:
+        self._sensor = replace(sensor, most=None)
+        station = np.arange(0.0, route.length + sensor.farthest, _SPACING)
+        frame = np.minimum(np.searchsorted(route.arc_length, station), route.frames - 1)
+        heading = route.headings[frame]
+        ahead = np.stack([np.sin(heading), np.zeros_like(heading), np.cos(heading)], axis=1)
+        across = np.stack([np.cos(heading), np.zeros_like(heading), -np.sin(heading)], axis=1)
+        middle = route.positions[frame] + np.maximum(station - route.length, 0.0)[:, None] * ahead
+        self._points = (middle[:, None] + sensor.farthest * _OFFSETS[:, None] * across[:, None]).reshape(-1, 3)
+
+    def __len__(self) -> int:
+        return len(self._points)
+
+    def look(self, cameras: CameraPoses) -> None:
+        """Remove the places in view of a camera."""
+        in_view = self._sensor.sight(self._points, cameras).in_view.reshape(-1, len(self._points))
+        self._points = self._points[~in_view.any(axis=0)]
+
+    def discovered(self, cameras: CameraPoses) -> IntArray:
+        """Number of places in view of each of B sequences of K looks, (B, K) cameras; (B,)."""
+        near = self._near(cameras.positions)
+        discovered: IntArray = self._sensor.sight(near, cameras).in_view.any(axis=-2).sum(axis=-1)
+        return discovered
+
+    def _near(self, positions: FloatArray) -> FloatArray:
+        """Places within reach of one of the cameras."""
+        low, high = (end(positions.reshape(-1, 3), axis=0) for end in (np.min, np.max))
+        reach = self._sensor.reach
+        near: FloatArray = self._points[((self._points >= low - reach) & (self._points <= high + reach)).all(axis=1)]
+        return near

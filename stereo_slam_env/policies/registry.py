@@ -1,4 +1,4 @@
-"""Names of policies, ours and other people's.
+"""Policies by name, those of this package and third-party ones.
 
 A third party adds a policy with an entry point in the group `stereo_slam.policies`; the object is called with the
 options of the policy and returns a `Policy`.
@@ -21,9 +21,9 @@ _OWN: dict[str, str] = {
     "fixed": "stereo_slam_env.policies.open_loop:FixedGaze",
     "random": "stereo_slam_env.policies.open_loop:RandomGaze",
     "sweep": "stereo_slam_env.policies.open_loop:Sweep",
-    "most-uncertain": "stereo_slam_env.policies.uncertain:MostUncertain",
-    "greedy": "stereo_slam_env.policies.greedy:Greedy",
-    "lookahead": "stereo_slam_env.policies.lookahead:Lookahead",
+    "most-uncertain": "stereo_slam_env.policies.planning:MostUncertain",
+    "greedy": "stereo_slam_env.policies.planning:Greedy",
+    "lookahead": "stereo_slam_env.policies.planning:Lookahead",
     "ppo": "stereo_slam_env.policies.network:NetworkPolicy",
 }
 

@@ -1,9 +1,11 @@
-"""How well a network does on whole episodes: what the filter claims in the end, and what is true."""
+"""Evaluation of a network on whole episodes, and the learning curve of a training."""
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
 
 import numpy as np
 from joblib import Parallel, delayed
@@ -37,14 +39,14 @@ class Evaluation:
 
 
 def evaluate(network: Network | None, task: GazeTask, seeds: Sequence[int], *, processes: int = 1) -> Evaluation:
-    """Run an episode for each seed, in so many processes; without a network the head looks straight ahead."""
+    """Run an episode for each seed; without a network the head looks straight ahead."""
     with threadpool_limits(1):
         rows = Parallel(processes)(delayed(_figures)(network, task, seed) for seed in seeds)
     return Evaluation(*(float(value) for value in np.mean(rows, axis=0)))
 
 
 def _figures(network: Network | None, task: GazeTask, seed: int) -> list[float]:
-    """Those of `Evaluation`, of one episode."""
+    """The figures of `Evaluation`, of one episode."""
     env = task.make_held()
     try:
         observation, info = env.reset(seed=seed)
@@ -60,3 +62,37 @@ def _figures(network: Network | None, task: GazeTask, seed: int) -> list[float]:
     P = slam.pose.covariance
     rmse = float(np.sqrt(np.mean(np.square(errors))))
     return [float(np.sqrt(np.trace(P[:3, :3]))), float(np.linalg.slogdet(P)[1]), rmse, errors[-1]]
+
+
+class LearningCurve:
+    """Learning curve in a CSV file, read back when a training goes on.
+
+    Parameters
+    ----------
+    file : Path
+        Need not exist yet.
+    """
+
+    def __init__(self, file: Path) -> None:
+        self._file = file
+        self.rows: list[dict[str, float]] = []
+        if file.exists():
+            with file.open(encoding="utf-8", newline="") as stream:
+                self.rows = [{name: float(value) for name, value in row.items()} for row in csv.DictReader(stream)]
+
+    @property
+    def seconds(self) -> float:
+        """Time of the training so far, s."""
+        return self.rows[-1]["seconds"] if self.rows else 0.0
+
+    def add(self, decisions: int, seconds: float, mean_return: float, results: Evaluation) -> bool:
+        """Add a row; whether it is the best so far, by the log det of the pose in the end."""
+        row = {"decisions": float(decisions), "seconds": seconds, "mean_return": mean_return, **asdict(results)}
+        best = all(results.final_pose_logdet < other["final_pose_logdet"] for other in self.rows)
+        self.rows.append(row)
+        with self._file.open("w", encoding="utf-8", newline="") as stream:
+            columns = ("decisions", "seconds", "mean_return", *(field.name for field in fields(Evaluation)))
+            writer = csv.DictWriter(stream, columns)
+            writer.writeheader()
+            writer.writerows({name: f"{value:.6g}" for name, value in row.items()} for row in self.rows)
+        return best

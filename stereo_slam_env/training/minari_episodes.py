@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any
 import gymnasium as gym
 import numpy as np
 
+from filters.extras import require_module
 from stereo_slam_env.policies.episode import rng_of_policy, run_episode
 from stereo_slam_env.policies.interface import Action, Policy
 from stereo_slam_env.recording.recording import Recording
-from stereo_slam_env.training.extra import require_extra
 from stereo_slam_env.world.routes import FRAME_PERIOD
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ def export_episodes(
     steps: int | None = None,
     algorithm: str = "",
 ) -> MinariDataset:
-    """Run a policy and keep what it saw, did and got, as a data set of Minari (HDF5, without loss).
+    """Run a policy and keep its observations, actions and rewards as a data set of Minari (HDF5, without loss).
 
     `infos` are kept too, so truth, right rows and covariances are there. Nothing is asked of the network. The episodes
     are in memory until the last one is over, and nothing is written before.
@@ -45,7 +45,7 @@ def export_episodes(
     env : gymnasium.Env
         One of the environments, wrapped as the policy needs it; not closed here.
     policy : Policy
-        Who decides.
+        The policy.
     seeds : sequence of int
         One episode each; they are kept with the episodes.
     dataset_id : str
@@ -70,7 +70,7 @@ def export_episodes(
     ValueError
         `dataset_id` is malformed or taken, there are no seeds, or a wrapper of `env` cannot be made again.
     """
-    require_extra("minari")
+    require_module("minari", "rl")
     import minari
 
     place = _place(dataset_id, folder)
@@ -102,7 +102,7 @@ def load_episodes(dataset_id: str, folder: str | Path) -> MinariDataset:
     ValueError
         It is not there, or `dataset_id` is malformed.
     """
-    require_extra("minari")
+    require_module("minari", "rl")
     import minari
 
     data = _place(dataset_id, folder) / "data"
@@ -118,7 +118,7 @@ def seed_of(dataset: MinariDataset, index: int) -> int:
 
 
 def recording_of_episode(dataset: MinariDataset, index: int) -> Recording:
-    """An episode as any filter takes it: drive it once more, and record it in full precision.
+    """An episode as a recording for any filter: it is driven again, in full precision.
 
     Raises
     ------
@@ -140,7 +140,7 @@ def recording_of_episode(dataset: MinariDataset, index: int) -> Recording:
 
 
 class _Recorded:
-    """Does what has been done."""
+    """Policy that repeats recorded actions."""
 
     def __init__(self, actions: Action) -> None:
         self._actions = actions
@@ -212,7 +212,7 @@ def _place(dataset_id: str, folder: str | Path) -> Path:
 
 @contextmanager
 def _datasets_in(folder: Path) -> Iterator[None]:
-    """Minari looks for the folder in an environment variable."""
+    """Set the environment variable in which Minari looks for its folder."""
     before = os.environ.get(_FOLDER_VARIABLE)
     os.environ[_FOLDER_VARIABLE] = str(folder)
     try:

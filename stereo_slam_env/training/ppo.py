@@ -1,4 +1,4 @@
-"""Proximal policy optimisation (stable-baselines3) of a small network on a `GazeTask`; can be stopped and goes on."""
+"""Proximal policy optimisation (stable-baselines3) of a small network on a `GazeTask`; it can be interrupted."""
 
 from __future__ import annotations
 
@@ -14,14 +14,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from joblib import cpu_count
 
+from filters.extras import require_module
 from filters.known_names import require_known
-from filters.validation import positive, probability
+from filters.validation import FloatArray, positive, probability, whole_number
 from stereo_slam_env.files.atomic import write_atomically
 from stereo_slam_env.files.claimed_folder import claimed_folder
-from stereo_slam_env.training.curve import LearningCurve
-from stereo_slam_env.training.evaluation import evaluate
-from stereo_slam_env.training.export import network_of
-from stereo_slam_env.training.extra import require_extra
+from stereo_slam_env.policies.network import Network
+from stereo_slam_env.training.evaluation import LearningCurve, evaluate
 from stereo_slam_env.training.task import GazeTask
 
 if TYPE_CHECKING:
@@ -39,7 +38,7 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class PPOSettings:
-    """How the network learns.
+    """Settings of the training.
 
     Attributes
     ----------
@@ -88,13 +87,10 @@ class PPOSettings:
     def __post_init__(self) -> None:
         object.__setattr__(self, "layers", tuple(self.layers))
         for name in ("decisions", "environments", "rollout", "minibatch", "epochs", "evaluate_every"):
-            value = getattr(self, name)
-            if type(value) is not int or value < 1:
-                raise ValueError(f"{name} must be an integer >= 1, got {value!r}")
-        if type(self.seed) is not int or self.seed < 0:
-            raise ValueError(f"seed must be an integer >= 0, got {self.seed!r}")
-        if not all(type(width) is int and width > 0 for width in self.layers):
-            raise ValueError(f"layers must be positive integers, got {self.layers!r}")
+            whole_number(name, getattr(self, name), 1)
+        whole_number("seed", self.seed, 0)
+        for width in self.layers:
+            whole_number("layers", width, 1)
         for name in ("learning_rate", "clip"):
             positive(name, getattr(self, name))
         positive("entropy", self.entropy, allow_zero=True)
@@ -151,7 +147,7 @@ def train(
     ValueError
         `out` holds a run of something else, or is in use by another process.
     """
-    require_extra("stable_baselines3")
+    require_module("stable_baselines3", "rl")
     import torch
 
     task.make_for_learning().close()  # a wrong argument is known here, not in a process of its own
@@ -163,7 +159,7 @@ def train(
     with claimed_folder(out), _learner(task, settings, out) as (model, scaling):
 
         def look() -> None:
-            """Evaluate the network, keep it if it is the best so far, and keep what it takes to go on."""
+            """Evaluate the network, keep it if it is the best so far, and save the state of the training."""
             about = {"task": task.as_dict(), "settings": asdict(settings), "decisions": model.num_timesteps}
             network = network_of(model, scaling, about, task.choices)
             results = evaluate(network, task, VALIDATION_SEEDS, processes=min(settings.environments, cpu_count()))
@@ -192,7 +188,7 @@ def _mean_return(model: PPO) -> float:
 
 
 def _claim(out: Path, task: GazeTask, settings: PPOSettings) -> None:
-    """Write down what is trained, or see that what is there already is the same but for its length."""
+    """Write task and settings, or check that those of the run in `out` are the same except for its length."""
     about = json.loads(json.dumps({"task": task.as_dict(), "settings": asdict(settings)}))
     file = out / "run.json"
     if file.exists():
@@ -240,6 +236,39 @@ def _learner(task: GazeTask, settings: PPOSettings, out: Path) -> Iterator[tuple
         yield model, scaling
     finally:
         scaling.close()
+
+
+def network_of(
+    model: PPO, scaling: VecNormalize, about: Mapping[str, Any], choices: FloatArray | None = None
+) -> Network:
+    """The policy network of a PPO model with a `MultiInputPolicy` of tanh layers, as plain arrays.
+
+    Parameters
+    ----------
+    model : stable_baselines3.PPO
+        The model.
+    scaling : stable_baselines3.common.vec_env.VecNormalize
+        Of its observations, a Dict of boxes.
+    about : mapping
+        Kept with the network; JSON-able.
+    choices : (A, n), optional
+        The actions that the numbers of a discrete action space stand for.
+    """
+    state = {name: np.asarray(tensor.tolist()) for name, tensor in model.policy.state_dict().items()}
+    hidden = sorted({int(name.split(".")[2]) for name in state if name.startswith("mlp_extractor.policy_net.")})
+    layers = [f"mlp_extractor.policy_net.{number}" for number in hidden] + ["action_net"]
+    keys = tuple(scaling.obs_rms)  # in the order in which the features are joined
+    variance = np.concatenate([np.ravel(scaling.obs_rms[key].var) for key in keys])
+    return Network(
+        keys,
+        np.concatenate([np.ravel(scaling.obs_rms[key].mean) for key in keys]),
+        np.sqrt(variance + scaling.epsilon),
+        float(scaling.clip_obs),
+        tuple(state[f"{layer}.weight"] for layer in layers),
+        tuple(state[f"{layer}.bias"] for layer in layers),
+        about,
+        choices,
+    )
 
 
 def _save_state(file: Path, model: PPO, scaling: VecNormalize) -> None:

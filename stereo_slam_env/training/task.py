@@ -1,4 +1,4 @@
-"""What an agent is trained on: an environment with a filter in the loop, and a reward for what the filter learns."""
+"""The task of a training: an environment with a filter in the loop, and information gain as the reward."""
 
 from __future__ import annotations
 
@@ -12,8 +12,10 @@ from gymnasium import spaces
 from gymnasium.wrappers import FilterObservation, RepeatAction, TransformAction
 
 from filters.known_names import require_known
-from filters.validation import FloatArray, positive
+from filters.validation import FloatArray, positive, whole_number
 from stereo_slam_env.policies.interface import gaze_action, require_head
+from stereo_slam_env.wrappers import BeliefObservation, BeliefPanorama, InformationGain
+from stereo_slam_env.wrappers.information import Criterion
 
 GAZE_FILTER: Mapping[str, Any] = {"drop_unseen": False, "motion": "velocity-driven", "iterations": 2}
 """Options of a filter for a head that turns: it keeps what is out of view, believes the odometry, and linearises twice,
@@ -36,7 +38,7 @@ class GazeTask:
         Name of the filter in the loop.
     filter_options : mapping
         Of the filter.
-    criterion : str
+    criterion : {"log-det", "entropy", "d-optimality", "a-optimality", "e-optimality"}
         Of `InformationGain`, on the pose.
     resolution : (2,) tuple
         Of `InformationGain`: knowing the position better than this, m, and the rotation, rad, is worth nothing.
@@ -52,30 +54,25 @@ class GazeTask:
     arguments: Mapping[str, Any] = field(default_factory=dict)
     filter: str = "shared-anchor"
     filter_options: Mapping[str, Any] = field(default_factory=lambda: dict(GAZE_FILTER))
-    criterion: str = "log-det"
+    criterion: Criterion = "log-det"
     resolution: tuple[float, float] = (0.01, 0.001)
     hold: int = 5
     pans: int | None = 9
 
     def __post_init__(self) -> None:
-        if type(self.hold) is not int or self.hold < 1:
-            raise ValueError(f"hold must be an integer >= 1, got {self.hold!r}")
-        if self.pans is not None and (type(self.pans) is not int or self.pans < 2):
-            raise ValueError(f"pans must be an integer >= 2 or None, got {self.pans!r}")
+        whole_number("hold", self.hold, 1)
+        if self.pans is not None:
+            whole_number("pans", self.pans, 2)
         object.__setattr__(self, "resolution", tuple(positive("resolution", value) for value in self.resolution))
 
     def make(self) -> gym.Env[Any, Any]:
-        """The environment as classical policies and benchmarks see it: with the belief in the observation."""
-        from stereo_slam_env.wrappers import BeliefObservation, BeliefPanorama
-
+        """The environment for rules and planners: with the belief in the observation."""
         env = gym.make(self.environment, **self.arguments)
         require_head(env)
         return BeliefPanorama(BeliefObservation(env, self.filter, options=self.filter_options))
 
     def make_held(self) -> gym.Env[Any, Any]:
-        """As a network sees it: `POLICY_KEYS` only, decisions hold, paid for what the filter learns of the pose."""
-        from stereo_slam_env.wrappers import InformationGain
-
+        """The environment for networks: `POLICY_KEYS` alone, decisions hold, the reward is information on the pose."""
         paid = InformationGain(self.make(), self.criterion, of="pose", resolution=self.resolution)
         return FilterObservation(RepeatAction(paid, self.hold), POLICY_KEYS)
 
@@ -90,7 +87,7 @@ class GazeTask:
 
     @property
     def choices(self) -> FloatArray | None:
-        """Pan and tilt, as shares of what the head can do, that there are to choose from; (pans, 2)."""
+        """Pan and tilt to choose from, as shares of the largest; (pans, 2)."""
         if self.pans is None:
             return None
         return np.column_stack([np.linspace(-1.0, 1.0, self.pans), np.zeros(self.pans)])

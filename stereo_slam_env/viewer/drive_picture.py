@@ -1,19 +1,19 @@
-"""A drive in one picture: what the filter believes around the car, the way so far, the left eye, consistency.
-
-A still and every picture of a film are this one drawing, at another moment.
-"""
+"""Stills and films of a drive: the map around the car, the path, the left view, consistency, in one picture."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
+import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import EllipseCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
 from filters import rotations
 from filters.validation import FloatArray
@@ -23,20 +23,66 @@ from stereo_slam_env.loop import Moment
 from stereo_slam_env.rendering.drawing import disparity_colors
 from stereo_slam_env.rendering.images import Image
 from stereo_slam_env.report.charts.series import heading, map_axes
-from stereo_slam_env.report.charts.style import BAND, INK, MUTED, filter_colours
+from stereo_slam_env.report.charts.style import BAND, GRID, INK, MUTED, filter_colours
 from stereo_slam_env.viewer.drive import Drive
 from stereo_slam_env.viewer.ellipsoids import SIGMAS, ellipsoids
-from stereo_slam_env.viewer.picture_style import frame_track, plain_log_axis, save_png, style_context
 from stereo_slam_env.viewer.video import Recorder
 
 SIZE_INCHES, FILM_DPI = (12.8, 7.2), 100
 MOST_PICTURES = 400
 """Longer drives leave out pictures of their film evenly."""
 _AROUND = (-32.0, 32.0), (-12.0, 52.0)
-"""What the close view shows, m: to the sides, and ahead."""
+"""Limits of the close view, m: to the sides, and ahead."""
 _POSE_DOF = 6
-
 Progress = Callable[[int, int], None]
+WIDTH_INCHES = 10.4
+PNG_DPI = 160
+
+_RC: dict[Any, Any] = {
+    "axes.axisbelow": True,
+    "axes.edgecolor": GRID,
+    "axes.facecolor": "none",
+    "axes.grid": True,
+    "axes.labelcolor": MUTED,
+    "axes.labelsize": 8.5,
+    "axes.linewidth": 0.8,
+    "axes.spines.right": False,
+    "axes.spines.top": False,
+    "axes.titlecolor": INK,
+    "axes.titlelocation": "left",
+    "axes.titlepad": 7,
+    "axes.titlesize": 9,
+    "axes.titleweight": "bold",
+    "axes.formatter.useoffset": False,
+    "figure.facecolor": "none",
+    "font.size": 8.5,
+    "grid.color": GRID,
+    "grid.linewidth": 0.7,
+    "lines.linewidth": 1.3,
+    "lines.solid_capstyle": "round",
+    "path.simplify_threshold": 0.3,
+    "svg.fonttype": "none",
+    "svg.hashsalt": "stereo-slam",
+    "text.color": INK,
+    "text.parse_math": False,  # names may hold any characters, "$" too
+    "xtick.color": GRID,
+    "xtick.labelcolor": MUTED,
+    "xtick.labelsize": 8,
+    "ytick.color": GRID,
+    "ytick.labelcolor": MUTED,
+    "ytick.labelsize": 8,
+}
+
+
+def style_context() -> Any:
+    """Context (or decorator) under which a figure is drawn and saved: fonts and ids are decided on saving."""
+    return mpl.rc_context(_RC)
+
+
+def save_png(figure: Figure, path: Path) -> None:
+    """Write the figure on white."""
+    with style_context():
+        figure.savefig(path, format="png", dpi=PNG_DPI, facecolor="white", pil_kwargs={"compress_level": 1})
 
 
 def save_still(drive: Drive, path: str | Path, frame: int | None = None, progress: Progress | None = None) -> None:
@@ -112,7 +158,7 @@ def save_film(
 
 
 class DrivePicture:
-    """The drawing; `at` turns it to a moment. Draw and save it under `style_context`."""
+    """The drawing; `at` shows a moment. Draw and save it under `style_context`."""
 
     def __init__(self, drive: Drive, history: Sequence[Moment]) -> None:
         if not history:
@@ -125,12 +171,12 @@ class DrivePicture:
         self._truth = np.array([nowhere if m.truth is None else m.truth.position for m in history])
         self.figure = Figure(figsize=SIZE_INCHES, dpi=FILM_DPI, facecolor="white")
         self._close = self.figure.add_axes((0.05, 0.075, 0.49, 0.82))
-        self._way = self.figure.add_axes((0.595, 0.61, 0.385, 0.285))
-        self._eye = self.figure.add_axes((0.595, 0.335, 0.385, 0.2))
+        self._track = self.figure.add_axes((0.595, 0.61, 0.385, 0.285))
+        self._view = self.figure.add_axes((0.595, 0.335, 0.385, 0.2))
         self._strip = self.figure.add_axes((0.595, 0.075, 0.385, 0.17))
         self._heading = self.figure.text(0.05, 0.952, "", fontsize=11, fontweight="bold")
         self._across, self._up = 0, 2
-        self._draw_way()
+        self._draw_path()
         self._draw_strip()
 
     def at(self, frame: int) -> Figure:
@@ -139,7 +185,7 @@ class DrivePicture:
         error = "" if moment.truth is None else f"   position error {moment.position_error:.2f} m"
         self._heading.set_text(f"{self._drive.title}   t = {self._time[frame]:.1f} s{error}")
         self._draw_close(moment, frame)
-        self._draw_eye(moment)
+        self._draw_view(moment)
         done = slice(0, frame + 1)
         self._path.set_data(self._estimate[done, self._across], self._estimate[done, self._up])
         self._car.set_data(self._estimate[[frame], self._across], self._estimate[[frame], self._up])
@@ -147,17 +193,17 @@ class DrivePicture:
         self._now.set_xdata([self._time[frame]] * 2)
         return self.figure
 
-    def _draw_way(self) -> None:
+    def _draw_path(self) -> None:
         known = np.isfinite(self._truth).all(axis=1)
         reference = self._truth[known] if known.any() else self._estimate
         self._across, self._up = map_axes(reference)
         if known.any():
             truth = self._truth[known]
-            self._way.plot(truth[:, self._across], truth[:, self._up], color=INK, alpha=0.18, linewidth=5)
-        (self._path,) = self._way.plot([], [], color=self._colour, linewidth=1.6)
-        (self._car,) = self._way.plot([], [], "o", color=self._colour, markersize=5)
-        frame_track(self._way, reference, self._across, self._up)
-        self._way.set_title("The way, truth in grey (m)" if known.any() else "The way (m)")
+            self._track.plot(truth[:, self._across], truth[:, self._up], color=INK, alpha=0.18, linewidth=5)
+        (self._path,) = self._track.plot([], [], color=self._colour, linewidth=1.6)
+        (self._car,) = self._track.plot([], [], "o", color=self._colour, markersize=5)
+        _frame_track(self._track, reference, self._across, self._up)
+        self._track.set_title("Path, truth in grey (m)" if known.any() else "Path (m)")
 
     def _draw_strip(self) -> None:
         """NEES where there is an independent truth, else NIS, which needs none."""
@@ -179,12 +225,12 @@ class DrivePicture:
         seen = self._values[np.isfinite(self._values) & (self._values > 0)]
         strip.set_ylim(max(0.02, 0.7 * min(seen.min(initial=1.0), 0.2)), max(4.0, 1.4 * seen.max(initial=1.0)))
         strip.set(xlabel="time (s)", xlim=(0, max(float(self._time[-1]), 1e-3)))
-        plain_log_axis(strip)
+        _plain_log_axis(strip)
         (self._curve,) = strip.plot([], [], color=self._colour, linewidth=1.3)
         self._now = strip.axvline(0, color=INK, linewidth=0.8, alpha=0.5)
 
     def _draw_close(self, moment: Moment, frame: int) -> None:
-        """Around the car from above, its heading up: landmarks with ellipses, true ones, the path, the eyes' view."""
+        """Around the car from above, its heading up: landmarks with ellipses, true ones, path, field of view."""
         ax = self._close
         ax.clear()
         ax.set(xlim=_AROUND[0], ylim=_AROUND[1], xlabel="to the right (m)", ylabel="ahead (m)")
@@ -221,18 +267,18 @@ class DrivePicture:
                 label = f"landmark {words}"
                 self._close.plot(x, y, "o", color=self._colour, alpha=strength, markersize=3, label=label)
 
-    def _draw_eye(self, moment: Moment) -> None:
-        ax, camera, uvd = self._eye, self._drive.camera, moment.observation.uvd
+    def _draw_view(self, moment: Moment) -> None:
+        ax, camera, uvd = self._view, self._drive.camera, moment.observation.uvd
         ax.clear()
         ax.set(xlim=(-0.5, camera.width - 0.5), ylim=(camera.height - 0.5, -0.5), xticks=[], yticks=[])
         ax.set_aspect("equal", adjustable="box", anchor="NW")
         ax.set_facecolor("#1c2026")
         ax.scatter(uvd[:, 0], uvd[:, 1], s=14, c=disparity_colors(uvd[:, 2]) / 255.0, linewidths=0)
-        ax.set_title(f"What the left eye measured: {len(uvd)} landmarks, red near, blue far")
+        ax.set_title(f"Measured in the left view: {len(uvd)} landmarks, red near, blue far")
 
 
 class _FromAbove:
-    """Takes W into the close view: right and ahead of the camera, seen along the vertical."""
+    """Transformation from W to the close view: right and ahead of the camera, seen along the vertical."""
 
     def __init__(self, moment: Moment) -> None:
         yaw = float(np.nan_to_num(heading(moment.pose.orientation[None])[0]))
@@ -256,7 +302,7 @@ def _pixels(canvas: FigureCanvasAgg) -> Image:
 
 
 def _near(places: FloatArray) -> FloatArray:
-    """Those inside the close view."""
+    """The places inside the close view."""
     inside = [(low <= column) & (column <= high) for column, (low, high) in zip(places.T, _AROUND, strict=True)]
     return np.asarray(places[inside[0] & inside[1]], dtype=np.float64)
 
@@ -280,3 +326,25 @@ def _ellipses(ax: Axes, places: FloatArray, covariances: FloatArray, colour: str
         alpha=alpha,
     )
     ax.add_collection(drawn)
+
+
+def _plain_log_axis(ax: Axes) -> None:
+    """Write 0.1, 0.2, 0.5, 1 on the log axis y instead of powers of ten."""
+    low, high = ax.get_ylim()
+    if high < 4 * low:
+        ax.yaxis.set_major_locator(MaxNLocator(5))
+    else:
+        ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < 500 * low else (1.0,)))
+    ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    ax.yaxis.set_minor_locator(NullLocator())
+
+
+def _frame_track(ax: Axes, track: FloatArray, across: int, up: int) -> None:
+    """Limits around the track, equal scales; x points down when z runs across (the view is from above)."""
+    ax.set_aspect("equal", adjustable="box", anchor="NW")
+    if len(track):
+        margin = 0.06 * float(np.ptp(track[:, [across, up]], axis=0).max()) + 0.5
+        low, high = track.min(axis=0) - margin, track.max(axis=0) + margin
+        ax.set(xlim=(low[across], high[across]), ylim=(low[up], high[up]))
+    if across == 2:
+        ax.invert_yaxis()

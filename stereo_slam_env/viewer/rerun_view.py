@@ -3,7 +3,7 @@
 The entities, for a filter called NAME::
 
     world/landmarks, world/truth/...        the true map and the true path, where known
-    world/NAME/camera/{left,right}          the eyes; left/measured: what was seen, in the left image
+    world/NAME/camera/{left,right}          the cameras; left/measured: measurements in the left image
     world/NAME/{path,landmarks,ellipsoids,position}   estimates; ellipsoids at 3 sigma
     consistency/{NAME,low,high}             pose NEES / 6, and the 95 % band of a single run
     error/{NAME,NAME claims}                position error, and the 3 sigma that the filter claims, m
@@ -14,30 +14,45 @@ Time is the timeline "time", in seconds.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import importlib
+import os
+import shutil
+import socket
+import sys
+import sysconfig
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType, TracebackType
 from typing import Any
+from urllib.parse import urlsplit
 
 import numpy as np
 
 from filters.camera import StereoCamera
+from filters.extras import install_command
 from filters.validation import FloatArray
 from stereo_slam_env.evaluation.consistency import mean_band
+from stereo_slam_env.files.paths import checked_file
 from stereo_slam_env.loop import Moment
 from stereo_slam_env.recording.recording import LandmarkTruth
 from stereo_slam_env.rendering.drawing import disparity_colors
 from stereo_slam_env.rendering.images import Image
 from stereo_slam_env.report.charts.style import INK, MUTED, filter_colours
-from stereo_slam_env.viewer.ellipsoids import claimed_position_error, ellipsoids
-from stereo_slam_env.viewer.rerun_sink import close_sink, open_sink, require_rerun
+from stereo_slam_env.viewer.ellipsoids import SIGMAS, ellipsoids
 
 TIMELINE = "time"
 FARTHEST = 500.0
-"""Distance from the camera, m: what is estimated farther off is left out, so that the scene keeps its scale."""
+"""Distance from the camera, m: landmarks farther off are left out, so that the scene keeps its scale."""
 _BEHIND, _AHEAD = (-6.0, -12.0, -14.0), (0.0, 0.0, 12.0)
-"""Where the scene is seen from at first, and what is looked at; m in W, y down."""
+"""First viewpoint of the scene, and the point it looks at; m in W, y down."""
 _POSE_DOF = 6
+_EXAMPLE = "rerun+http://127.0.0.1:9876/proxy"
+_SCHEMES = ("rerun", "rerun+http", "rerun+https")
+_ANSWER = 5.0
+"""Time in which a viewer must answer, s; Rerun itself would wait without end."""
+_FLUSH = 60.0
+"""Time to send or write the rest at the end, s."""
 
 
 class RerunView:
@@ -50,14 +65,14 @@ class RerunView:
     labels : sequence of str
         Names of the filters in legends.
     save : str or Path, optional
-        An .rrd file to write; it can be opened with `rerun FILE`. What was shown before an error stays in it.
+        An .rrd file to write; `rerun FILE` opens it. Moments shown before an error stay in it.
     connect : str, optional
         Address of a viewer that runs elsewhere, such as rerun+http://127.0.0.1:9876/proxy. Without `save` and
         `connect`, a viewer is opened here.
     landmarks : LandmarkTruth, optional
         The true map.
     title : str
-        What the viewer calls the recording.
+        Name of the recording in the viewer.
 
     Raises
     ------
@@ -131,15 +146,15 @@ class RerunView:
         self._stream.log(self._rr.new_entity_path(list(path)), *what, static=static)
 
     def _describe(self, landmarks: LandmarkTruth | None) -> None:
-        """What does not change: frames, eyes, true map, how curves look."""
+        """Log what does not change: frames, cameras, true map, style of the curves."""
         rr, camera = self._rr, self._camera
         self._log(("world",), rr.ViewCoordinates.RDF, static=True)
         if landmarks is not None:
             points = rr.Points3D(landmarks.positions, colors=[_rgb(MUTED)], radii=[0.08])
             self._log(("world", "landmarks"), points, static=True)
         for name, colour in self._colours.items():
-            for eye, offset in (("left", 0.0), ("right", camera.baseline)):
-                path = ("world", name, "camera", eye)
+            for side, offset in (("left", 0.0), ("right", camera.baseline)):
+                path = ("world", name, "camera", side)
                 self._log(path, rr.Transform3D(translation=[offset, 0.0, 0.0]), static=True)
                 pinhole = rr.Pinhole(
                     image_from_camera=[[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]],
@@ -200,7 +215,8 @@ class RerunView:
                 self._log(("consistency", bound), rr.Scalars([value / _POSE_DOF]))
         if moment.truth is not None:
             self._log(("error", label), rr.Scalars([moment.position_error]))
-            self._log(("error", f"{label} claims"), rr.Scalars([claimed_position_error(moment.pose)]))
+            claimed = SIGMAS * float(np.sqrt(np.trace(moment.pose.covariance[:3, :3])))
+            self._log(("error", f"{label} claims"), rr.Scalars([claimed]))
         self._log(("map", label), rr.Scalars([len(moment.landmarks.ids)]))
 
     def _extend(self, path: tuple[str, ...], position: FloatArray, colour: str, radius: float) -> None:
@@ -217,9 +233,9 @@ def _rgb(colour: str) -> tuple[int, int, int]:
 
 
 def _layout(rr: ModuleType, names: list[str]) -> Any:
-    """Space at the left; the left eye and the curves at the right."""
+    """Space at the left; the left view and the curves at the right."""
     rrb = rr.blueprint
-    eye = rr.new_entity_path(["world", names[0], "camera", "left"])
+    left = rr.new_entity_path(["world", names[0], "camera", "left"])
     until_now = rrb.VisibleTimeRanges(
         timeline=TIMELINE, start=rrb.TimeRangeBoundary.infinite(), end=rrb.TimeRangeBoundary.cursor_relative()
     )
@@ -231,6 +247,103 @@ def _layout(rr: ModuleType, names: list[str]) -> Any:
         rrb.TimeSeriesView(origin="error", name="position error, m"),
         rrb.TimeSeriesView(origin="map", name="landmarks in the map"),
     ]
-    looks = rrb.Spatial2DView(origin=eye, name=f"left eye, {names[0]}")
+    looks = rrb.Spatial2DView(origin=left, name=f"left view, {names[0]}")
     right = rrb.Vertical(looks, *curves, row_shares=[2, 2, 2, 1])
     return rrb.Blueprint(rrb.Horizontal(space, right, column_shares=[3, 2]), collapse_panels=True)
+
+
+def require_rerun() -> ModuleType:
+    """The package `rerun`, or an `ImportError` that says how to get it."""
+    try:
+        importlib.import_module("rerun.blueprint")
+        return importlib.import_module("rerun")
+    except ImportError as error:
+        raise ImportError(f"the Rerun viewer is missing: {install_command('viewer')}") from error
+
+
+def open_sink(stream: Any, layout: Any, save: str | Path | None = None, connect: str | None = None) -> None:
+    """Send a recording to a file, to the viewer at an address or, without both, to a viewer opened here.
+
+    Parameters
+    ----------
+    stream : rerun.RecordingStream
+        The recording; nothing has been logged yet.
+    layout : rerun.blueprint.Blueprint
+        Initial layout of the viewer.
+    save : str or Path, optional
+        An .rrd file.
+    connect : str, optional
+        Address of a viewer, such as rerun+http://127.0.0.1:9876/proxy.
+
+    Raises
+    ------
+    ValueError
+        `save` and `connect` together, a file that cannot be written, an address that is none, or no display.
+    ConnectionError
+        No viewer answers at the address, or none could be opened.
+    """
+    if save is not None and connect is not None:
+        raise ValueError("save and connect exclude each other: give one of them")
+    if save is not None:
+        path = checked_file("file", save, ".rrd")
+        stream.save(path, default_blueprint=layout)
+    elif connect is not None:
+        _require_answer(connect)
+        with _one_line():
+            stream.connect_grpc(connect, default_blueprint=layout)
+    else:
+        _require_display()
+        with _one_line():
+            require_rerun().spawn(executable_path=_viewer(), recording=stream, default_blueprint=layout)
+
+
+def close_sink(stream: Any) -> None:
+    """Send or write what is left; may be called twice.
+
+    Raises
+    ------
+    ConnectionError
+        The viewer went away, or the file cannot take it: what was shown is not whole.
+    """
+    try:
+        with _one_line():
+            stream.flush(timeout_sec=_FLUSH)
+    finally:
+        stream.disconnect()
+
+
+@contextmanager
+def _one_line() -> Iterator[None]:
+    """The first line of an error of Rerun, as a `ConnectionError`."""
+    try:
+        yield
+    except RuntimeError as error:
+        raise ConnectionError(f"Rerun's viewer: {str(error).strip().splitlines()[0]}") from error
+
+
+def _require_answer(address: str) -> None:
+    wrong = f"connect must be the address of a viewer, such as {_EXAMPLE}, got {address!r}"
+    try:
+        parts = urlsplit(address)
+        host, port = parts.hostname, parts.port
+    except ValueError as error:
+        raise ValueError(wrong) from error
+    if parts.scheme not in _SCHEMES or host is None or port is None or parts.path != "/proxy":
+        raise ValueError(wrong)
+    try:
+        socket.create_connection((host, port), timeout=_ANSWER).close()
+    except OSError as error:
+        raise ConnectionError(
+            f"no viewer answers at {address} ({error.strerror or error}): start one there, "
+            "with `rerun`, or with `rerun --serve-web` for a browser"
+        ) from error
+
+
+def _require_display() -> None:
+    if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise ValueError("no display for Rerun's viewer here: save a file, or connect to a viewer that runs elsewhere")
+
+
+def _viewer() -> str | None:
+    """The viewer that came with this Python: its folder need not be on the PATH. None leaves the search to Rerun."""
+    return shutil.which("rerun", path=sysconfig.get_path("scripts"))

@@ -49,7 +49,7 @@ class _Mark(NamedTuple):
 
 @contextmanager
 def search_film(title: str, record: str | Path) -> Iterator[Callable[[StereoPair, TrackedPair], None]]:
-    """A function that adds a pair and what was found in it to a film, for the `watch` of the front end.
+    """A function that adds a pair and its tracks to a film, for the `watch` of the front end.
 
     Parameters
     ----------
@@ -77,18 +77,18 @@ def search_film(title: str, record: str | Path) -> Iterator[Callable[[StereoPair
 def search_picture(
     left: GreyImage, right: GreyImage, tracked: TrackedPair, caption: Sequence[str] = (), *, zoom: int | None = None
 ) -> Image:
-    """Both views with the search ellipses (3 sigma) and what became of each search.
+    """Both views with the search ellipses (3 sigma) and the outcome of each search.
 
     Dots are matches, warm colours near and cold ones far. Crosses are searches that failed, coloured by the reason.
-    Landmarks on moving bodies have a ring; new ones a square, and in the left view a line to where the right eye sees
-    them, which is as long as the disparity.
+    Landmarks on moving bodies have a ring; new ones a square, and in the left view a line to their place in the
+    right view, as long as the disparity.
 
     Parameters
     ----------
     left, right : (H, W) uint8
         The images.
     tracked : TrackedPair
-        What the front end made of them.
+        Result of the front end.
     caption : sequence of str
         Short texts for the bar at the top.
     zoom : int, optional
@@ -101,10 +101,10 @@ def search_picture(
     """
     factor = zoom or max(1, round(_SMALLEST_WIDTH / left.shape[1]))
     canvases = tuple(_canvas(image, factor) for image in (left, right))
-    for eye, canvas in enumerate(canvases):
-        _draw_searches(canvas, tracked.search, eye, factor)
-        _draw_measurements(canvas, tracked, eye, factor)
-        label(canvas, ("left", "right")[eye])
+    for view, canvas in enumerate(canvases):
+        _draw_searches(canvas, tracked.search, view, factor)
+        _draw_measurements(canvas, tracked, view, factor)
+        label(canvas, ("left", "right")[view])
     views = both_views(*canvases)
     width = views.shape[1]
     bars = [caption_bar(width, caption), views, _legend(width, tracked, _mark_size(canvases[0].shape[1]))]
@@ -112,7 +112,7 @@ def search_picture(
 
 
 def _canvas(image: GreyImage, factor: int) -> Image:
-    """A little darker than the image, so that marks stand out."""
+    """The image in RGB, enlarged and a little darker, so that marks stand out."""
     enlarged = cv2.resize(image, None, fx=factor, fy=factor, interpolation=cv2.INTER_LINEAR) if factor > 1 else image
     dim = cv2.convertScaleAbs(enlarged, alpha=0.82)
     return np.asarray(cv2.cvtColor(dim, cv2.COLOR_GRAY2RGB), dtype=np.uint8)
@@ -127,17 +127,17 @@ def _on_canvas(pixels: FloatArray, factor: int) -> FloatArray:
     return (pixels + 0.5) * factor - 0.5
 
 
-def _pixels(uvd: FloatArray, eye: int) -> FloatArray:
-    return uvd[:, :2] if eye == 0 else uvd @ _TO_RIGHT.T
+def _pixels(uvd: FloatArray, view: int) -> FloatArray:
+    return uvd[:, :2] if view == 0 else uvd @ _TO_RIGHT.T
 
 
-def _draw_searches(canvas: Image, search: Search, eye: int, factor: int) -> None:
+def _draw_searches(canvas: Image, search: Search, view: int, factor: int) -> None:
     size = _mark_size(canvas.shape[1])
-    project = np.eye(3)[:2] if eye == 0 else _TO_RIGHT
+    project = np.eye(3)[:2] if view == 0 else _TO_RIGHT
     axes, angles = _ellipses(project @ search.S @ project.T)
-    expected = _on_canvas(_pixels(search.predicted, eye), factor)
+    expected = _on_canvas(_pixels(search.predicted, view), factor)
     # Something that was found in the left image alone has no place in the right one.
-    found = _on_canvas(_pixels(search.found, eye), factor)
+    found = _on_canvas(_pixels(search.found, view), factor)
     places = np.where(np.isfinite(found), found, expected)
     for i in np.flatnonzero(np.isfinite(expected).all(axis=1) & np.isfinite(axes).all(axis=1)):
         mark = _MARKS.get(Outcome(int(search.outcome[i])))
@@ -147,20 +147,21 @@ def _draw_searches(canvas: Image, search: Search, eye: int, factor: int) -> None
             mark.draw(canvas, places[i], mark.color, size)
 
 
-def _draw_measurements(canvas: Image, tracked: TrackedPair, eye: int, factor: int) -> None:
+def _draw_measurements(canvas: Image, tracked: TrackedPair, view: int, factor: int) -> None:
     size = _mark_size(canvas.shape[1])
     uvd = tracked.observation.uvd
-    pixels = _pixels(uvd, eye)
-    if eye == 1 and tracked.observation.v_right is not None:
+    pixels = _pixels(uvd, view)
+    if view == 1 and tracked.observation.v_right is not None:
         pixels = np.column_stack([pixels[:, 0], tracked.observation.v_right])
     centers = _on_canvas(pixels, factor)
     colors = disparity_colors(uvd[:, 2])
     new = np.isin(tracked.observation.ids, tracked.initialised)
     for i in np.argsort(uvd[:, 2]):  # near ones on top
-        color = _rgb(colors[i])
+        color = (int(colors[i][0]), int(colors[i][1]), int(colors[i][2]))
         if new[i]:
-            if eye == 0:
-                _disparity_line(canvas, centers[i], float(uvd[i, 2]) * factor, color)
+            if view == 0:
+                end = centers[i] - [float(uvd[i, 2]) * factor, 0.0]
+                _lines(canvas, [(centers[i], end)], color, (3, 1))
             _square(canvas, centers[i], color, size)
         else:
             _dot(canvas, centers[i], color, size)
@@ -178,15 +179,19 @@ def _ellipses(covariances: FloatArray) -> tuple[FloatArray, FloatArray]:
 def _ellipse(canvas: Image, center: FloatArray, axes: FloatArray, angle: float, color: Color) -> None:
     if (np.abs(center) > _LARGEST_AXIS * 4).any():
         return
-    at = _fixed(center)
-    long, short = _fixed(np.clip(axes, 1.0, _LARGEST_AXIS))
+    size = _fixed(np.clip(axes, 1.0, _LARGEST_AXIS))
     for thickness, ink in ((3, INK), (1, color)):
-        cv2.ellipse(canvas, at, (long, short), angle, 0.0, 360.0, ink, thickness, cv2.LINE_AA, SUBPIXEL)
+        cv2.ellipse(canvas, _fixed(center), size, angle, 0.0, 360.0, ink, thickness, cv2.LINE_AA, SUBPIXEL)
 
 
 def _dot(canvas: Image, center: FloatArray, color: Color, size: float) -> None:
     for radius, ink in ((4.6 * size + 0.8, INK), (3.6 * size + 0.4, color)):
         cv2.circle(canvas, _fixed(center), _length(radius), ink, -1, cv2.LINE_AA, SUBPIXEL)
+
+
+def _ring(canvas: Image, center: FloatArray, color: Color, size: float) -> None:
+    for thickness, ink in ((5, INK), (2, color)):
+        cv2.circle(canvas, _fixed(center), _length(6.2 * size + 1.0), ink, thickness, cv2.LINE_AA, SUBPIXEL)
 
 
 def _square(canvas: Image, center: FloatArray, color: Color, size: float) -> None:
@@ -195,32 +200,22 @@ def _square(canvas: Image, center: FloatArray, color: Color, size: float) -> Non
         cv2.rectangle(canvas, _fixed(center - half), _fixed(center + half), ink, thickness, cv2.LINE_AA, SUBPIXEL)
 
 
-def _disparity_line(canvas: Image, center: FloatArray, length: float, color: Color) -> None:
-    end = center - [length, 0.0]
-    for thickness, ink in ((3, INK), (1, color)):
-        cv2.line(canvas, _fixed(center), _fixed(end), ink, thickness, cv2.LINE_AA, SUBPIXEL)
-
-
 def _saltire(canvas: Image, center: FloatArray, color: Color, size: float) -> None:
-    _strokes(canvas, center, color, 3.8 * size + 0.6, ((1.0, 1.0), (1.0, -1.0)))
+    reach = 3.8 * size + 0.6
+    _lines(canvas, [(center - step, center + step) for step in reach * np.array([[1.0, 1.0], [1.0, -1.0]])], color)
 
 
 def _plus(canvas: Image, center: FloatArray, color: Color, size: float) -> None:
-    _strokes(canvas, center, color, 4.6 * size + 0.6, ((1.0, 0.0), (0.0, 1.0)))
+    reach = 4.6 * size + 0.6
+    _lines(canvas, [(center - step, center + step) for step in reach * np.eye(2)], color)
 
 
-def _ring(canvas: Image, center: FloatArray, color: Color, size: float) -> None:
-    for thickness, ink in ((5, INK), (2, color)):
-        cv2.circle(canvas, _fixed(center), _length(6.2 * size + 1.0), ink, thickness, cv2.LINE_AA, SUBPIXEL)
-
-
-def _strokes(
-    canvas: Image, center: FloatArray, color: Color, reach: float, directions: Sequence[tuple[float, float]]
+def _lines(
+    canvas: Image, ends: Sequence[tuple[FloatArray, FloatArray]], color: Color, widths: tuple[int, int] = (4, 2)
 ) -> None:
-    for thickness, ink in ((4, INK), (2, color)):
-        for direction in directions:
-            step = reach * np.array(direction)
-            cv2.line(canvas, _fixed(center - step), _fixed(center + step), ink, thickness, cv2.LINE_AA, SUBPIXEL)
+    for thickness, ink in zip(widths, (INK, color), strict=True):
+        for begin, end in ends:
+            cv2.line(canvas, _fixed(begin), _fixed(end), ink, thickness, cv2.LINE_AA, SUBPIXEL)
 
 
 _MATCHED = _Mark("matched", (120, 230, 90), _dot)
@@ -265,8 +260,3 @@ def _fixed(pixel: FloatArray) -> tuple[int, int]:
 
 def _length(pixels: float) -> int:
     return round(pixels * (1 << SUBPIXEL))
-
-
-def _rgb(color: Sequence[int] | Image) -> Color:
-    red, green, blue = (int(value) for value in color)
-    return red, green, blue

@@ -1,4 +1,4 @@
-"""Pictures into a video file."""
+"""Writer of pictures to a video file."""
 
 from __future__ import annotations
 
@@ -8,12 +8,11 @@ from types import TracebackType
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from filters.validation import positive
+from stereo_slam_env.files.paths import checked_file
 from stereo_slam_env.rendering.drawing import even_sides
-
-Image = NDArray[np.uint8]
+from stereo_slam_env.rendering.images import Image
 
 _CODEC = "mp4v"
 _PARTIAL = ".partial.mp4"
@@ -40,18 +39,19 @@ class Recorder:
     """
 
     def __init__(self, path: str | Path, fps: float = 10.0) -> None:
-        self.path, self._fps = Path(path), positive("fps", fps)
-        if self.path.suffix.lower() != ".mp4":
-            raise ValueError(f"video file {self.path} must end in .mp4")
-        if self.path.is_dir():
-            raise ValueError(f"video file {self.path} is a folder: give the name of a file")
-        if not self.path.parent.is_dir():
-            raise ValueError(f"video file {self.path}: the folder {self.path.parent} does not exist: make it first")
+        self.path, self._fps = checked_file("video file", path, ".mp4"), positive("fps", fps)
         self._partial = self.path.with_name(f".{self.path.stem}.{os.getpid()}{_PARTIAL}")
         self._writer: cv2.VideoWriter | None = None
         self._size: tuple[int, int] | None = None
         self.pictures = 0
-        self._require_that_it_can_write()
+        try:
+            self._partial.touch()
+        except OSError as error:
+            raise ValueError(f"video file {self.path} cannot be written ({error.strerror}): choose another") from error
+        try:
+            self._open((64, 64)).release()
+        finally:
+            self._partial.unlink(missing_ok=True)
 
     def write(self, picture: Image) -> None:
         """Add a picture.
@@ -101,16 +101,6 @@ class Recorder:
             self.close()
         else:
             self.discard()
-
-    def _require_that_it_can_write(self) -> None:
-        try:
-            self._partial.touch()
-        except OSError as error:
-            raise ValueError(f"video file {self.path} cannot be written ({error.strerror}): choose another") from error
-        try:
-            self._open((64, 64)).release()
-        finally:
-            self._partial.unlink(missing_ok=True)
 
     def _open(self, size: tuple[int, int]) -> cv2.VideoWriter:
         writer = cv2.VideoWriter(str(self._partial), cv2.VideoWriter.fourcc(*_CODEC), self._fps, size)

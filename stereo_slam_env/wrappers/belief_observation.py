@@ -1,23 +1,112 @@
-"""`BeliefObservation`: a filter runs along, and what it believes is part of the observation."""
+"""`BeliefObservation`: a filter runs along, and its belief is part of the observation."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 
-from filters.interface import StereoFilter, UpdateReport
+from filters import rotations
+from filters.consistency import nees
+from filters.interface import PoseBelief, StereoFilter, UpdateReport
+from filters.motion import POSE_SIZE, POSITION, ROTATION
+from filters.noise import StereoNoise
+from filters.registry import filter_arguments, make_filter
+from filters.validation import FloatArray, IntArray, positive, whole_number
+from stereo_slam_env.loop import FilterLoop
+from stereo_slam_env.recording.recording import Pose, Start
 from stereo_slam_env.sensing.padding import NO_LANDMARK
-from stereo_slam_env.wrappers.belief import Belief, FilterInTheLoop, assumed_noise
 from stereo_slam_env.wrappers.recorded_wrapper import RecordedWrapper, dict_space
 
 FARTHEST = 1e4
 """Bound of positions, m."""
 LARGEST_COVARIANCE = 1e6
 """Bound of entries of covariances, m^2, m rad and rad^2."""
+
+
+@dataclass(frozen=True, eq=False)
+class Belief:
+    """Pose and map of a filter after a frame; properties must be read before the filter goes on.
+
+    Attributes
+    ----------
+    slam : StereoFilter
+        The filter.
+    report : UpdateReport
+        Of the frame.
+    pose : PoseBelief
+        Estimated pose.
+    ids : (N,) int64
+        Landmarks in front of their anchors, at a finite distance; ascending.
+    points_w, points_c : (N, 3)
+        Their positions in W and in the camera frame, m.
+    map_size : int
+        Number of all landmarks, wherever they are.
+    """
+
+    slam: StereoFilter
+    report: UpdateReport
+    pose: PoseBelief
+    ids: IntArray
+    points_w: FloatArray
+    points_c: FloatArray
+    map_size: int
+
+    @classmethod
+    def of(cls, slam: StereoFilter, report: UpdateReport) -> Belief:
+        """The current belief of a filter; an `ArithmeticError` where its pose is not finite."""
+        pose, landmarks = slam.pose, slam.landmarks
+        for name, value in vars(pose).items():
+            if not np.isfinite(value).all():
+                raise ArithmeticError(f"the filter returned NaN or infinity in its {name} of the pose")
+        located = np.isfinite(landmarks.positions).all(axis=1) & np.isfinite(landmarks.covariances).all(axis=(1, 2))
+        located &= landmarks.inverse_distance > 0
+        points_w = landmarks.positions[located]
+        points_c = (points_w - pose.position) @ rotations.matrix(pose.orientation)
+        return cls(slam, report, pose, landmarks.ids[located], points_w, points_c, len(landmarks.ids))
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    @cached_property
+    def joint_covariance(self) -> FloatArray:
+        """Of the pose and the positions (W) of `ids`, (6 + 3 N, 6 + 3 N), see `StereoFilter.joint_covariance`."""
+        return self.slam.joint_covariance(self.ids)
+
+    @cached_property
+    def relative_covariances(self) -> FloatArray:
+        """Covariances of `points_c`, (N, 3, 3) m^2.
+
+        p_c = R_wc^T (p_w - r), so the errors of pose and landmark, and their correlation, all count.
+        """
+        R_cw = rotations.matrix(self.pose.orientation).T
+        J = np.empty((len(self), 3, POSE_SIZE + 3))
+        J[:, :, POSITION], J[:, :, POSE_SIZE:] = -R_cw, R_cw
+        J[:, :, ROTATION] = rotations.skew(self.points_c)
+        relative: FloatArray = J @ self.slam.pose_landmark_covariances(self.ids) @ J.transpose(0, 2, 1)
+        return relative
+
+    def nees(self, truth: Pose) -> FloatArray:
+        """NEES of position, rotation, and both, (3,), in the filter's own error definition.
+
+        Infinite where the covariance is not positive definite.
+        """
+        error, covariance = self.slam.pose_error(truth.position, truth.orientation)
+        blocks = np.stack([covariance[POSITION, POSITION], covariance[ROTATION, ROTATION]])
+        values = np.append(nees(error.reshape(2, 3), blocks), nees(error[None], covariance[None]))
+        return np.where(np.isnan(values), np.inf, values)
+
+    def nearest(self, count: int) -> IntArray:
+        """Indices of the `count` landmarks nearest to the camera, in the order of their ids."""
+        if len(self) <= count:
+            return np.arange(len(self))
+        squares = np.einsum("ni,ni->n", self.points_c, self.points_c)
+        return np.sort(np.argpartition(squares, count)[:count])
 
 
 class BeliefObservation(RecordedWrapper):
@@ -55,7 +144,7 @@ class BeliefObservation(RecordedWrapper):
         Whether the filter is given the odometry.
     noise : float or nested list, optional
         Noise to assume of measurements that come without a covariance: a standard deviation in px (independent
-        pixels), or R (3 x 3) of (u, v, d). None: what the sensor says of itself.
+        pixels), or R (3 x 3) of (u, v, d). None: the noise of the sensor.
     options : mapping, optional
         Options of the filter, JSON-able, as in scenario files: {"drop_unseen": False, "motion": {...}}.
 
@@ -82,12 +171,11 @@ class BeliefObservation(RecordedWrapper):
             noise=noise,
             options=options,
         )
-        if type(max_landmarks) is not int or max_landmarks < 1:
-            raise ValueError(f"max_landmarks must be an integer >= 1, got {max_landmarks!r}")
-        self._rows = max_landmarks
-        self._loop = FilterInTheLoop(
-            filter, self.inner("camera"), assumed_noise(noise, self.inner("noise")), dict(options or {}), use_odometry
-        )
+        self._rows = whole_number("max_landmarks", max_landmarks, 1)
+        camera, assumed = self.inner("camera"), assumed_noise(noise, self.inner("noise"))
+        slam = make_filter(filter, camera=camera, noise=assumed, **filter_arguments(dict(options or {})))
+        self._loop = FilterLoop(slam, use_odometry=use_odometry)
+        self._filter_name, self._number = filter, 0
         self._belief: Belief | None = None
         bounds: dict[str, tuple[float, tuple[int, ...]]] = {
             "belief_position": (FARTHEST, (3,)),
@@ -111,14 +199,14 @@ class BeliefObservation(RecordedWrapper):
 
     @property
     def belief(self) -> Belief:
-        """What it believes after the current frame."""
+        """Belief of the filter after the current frame."""
         if self._belief is None:
             raise RuntimeError("there is no belief yet: reset the environment first")
         return self._belief
 
     @property
     def report(self) -> UpdateReport:
-        """What the filter did with the measurements of the current frame."""
+        """Report of the update with the current frame."""
         return self.belief.report
 
     def reset(
@@ -126,19 +214,32 @@ class BeliefObservation(RecordedWrapper):
     ) -> tuple[dict[str, Any], dict[str, Any]]:
         """Reset the environment, and start the filter."""
         observation, info = self.env.reset(seed=seed, options=options)
-        self._belief = self._loop.start(self.inner("start"), self.inner("frame"))
-        return self._with_belief(observation), self._told(info)
+        self._number = 0
+        self._use_frame(self.inner("start"))
+        return self._with_belief(observation), self._with_nis(info)
 
     def step(self, action: Any) -> tuple[dict[str, Any], Any, bool, bool, dict[str, Any]]:
         """Step the environment, and let the filter use the new frame."""
         observation, reward, terminated, truncated, info = self.env.step(action)
-        self._belief = self._loop.go_on(self.inner("frame"))
-        return self._with_belief(observation), reward, terminated, truncated, self._told(info)
+        self._number += 1
+        self._use_frame(None)
+        return self._with_belief(observation), reward, terminated, truncated, self._with_nis(info)
 
-    def _told(self, info: dict[str, Any]) -> dict[str, Any]:
-        belief = self.belief
-        told = {"belief_nis": belief.report.nis, "belief_nis_dof": belief.report.nis_dof}
-        return {**info, **told, "belief_map_size": belief.map_size}
+    def _use_frame(self, start: Start | None) -> None:
+        try:
+            if start is not None:
+                self._loop.reset(start)
+            self._belief = Belief.of(self.slam, self._loop.step(self.inner("frame")).report)
+        except Exception as error:  # a third-party filter may raise anything; the episode cannot go on without it
+            text = (str(error).strip() or "no message").splitlines()[0]
+            raise RuntimeError(
+                f"filter {self._filter_name!r} failed in frame {self._number}: {type(error).__name__}: {text}"
+            ) from error
+
+    def _with_nis(self, info: dict[str, Any]) -> dict[str, Any]:
+        report = self.report
+        added = {"belief_nis": report.nis, "belief_nis_dof": report.nis_dof}
+        return {**info, **added, "belief_map_size": self.belief.map_size}
 
     def _with_belief(self, observation: dict[str, Any]) -> dict[str, Any]:
         belief, rows = self.belief, self._rows
@@ -159,3 +260,12 @@ class BeliefObservation(RecordedWrapper):
             key: value.clip(-self._bounds[key], self._bounds[key]).astype(np.float32) for key, value in values.items()
         }
         return {**observation, **added, "belief_landmark_ids": ids, "belief_mask": mask}
+
+
+def assumed_noise(given: Any, noise_of_sensor: StereoNoise) -> StereoNoise:
+    """Noise that a filter assumes: None for the sensor's own, a standard deviation in px, or R as nested lists."""
+    if given is None:
+        return noise_of_sensor
+    if np.ndim(given) == 0:
+        return StereoNoise.independent_pixels(positive("noise", given))
+    return StereoNoise(given)

@@ -1,4 +1,4 @@
-"""`BeliefPanorama`: where around the car the map is, in a few numbers for a small policy."""
+"""`BeliefPanorama`: directions of the landmarks of the map around the car, in a few numbers for a small policy."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from gymnasium import spaces
 
 from filters.camera import StereoCamera
 from filters.noise import StereoNoise
-from filters.validation import FloatArray, positive
-from stereo_slam_env.wrappers.belief import Belief
+from filters.validation import FloatArray, positive, whole_number
+from stereo_slam_env.wrappers.belief_observation import Belief
 from stereo_slam_env.wrappers.recorded_wrapper import RecordedWrapper, dict_space
 
 FEATURES = ("share", "gain", "elevation", "nearness", "in_view", "unseen")
@@ -27,7 +27,7 @@ _LARGEST_SIGMA = 1e3
 """Bound of `belief_sigmas`, m and rad."""
 
 
-class BeliefPanorama(RecordedWrapper):
+class BeliefPanorama(RecordedWrapper, gym.ObservationWrapper[Any, Any, Any]):
     """Adds the keys `panorama` (sectors, 6) and `belief_sigmas` (6,) to the observation, float32.
 
     `panorama`: sector k is the azimuth from -pi + 2 pi k / sectors on, about the vertical of the *car's* straight-ahead
@@ -38,13 +38,13 @@ class BeliefPanorama(RecordedWrapper):
     | Column | Name | Meaning |
     |--------|------|---------|
     | 0 | share | landmarks of the map there within `reach`, over the rows of `uvd`; only those count below, too |
-    | 1 | gain | 0.1 ln(1 + sum of what one look at each would tell of where it is relative to the camera, nats) |
+    | 1 | gain | 0.1 ln(1 + sum of the gains of one look at each, in its position relative to the camera, nats) |
     | 2 | elevation | mean elevation, over pi/2; up is positive |
     | 3 | nearness | 1 / (1 + z / 10 m) of the nearest, z its distance |
     | 4 | in_view | share of the sector that the camera sees now, by azimuth |
     | 5 | unseen | 1 - exp(-t / 5 s), t the time since half of it was in view; 1: never |
 
-    A look tells ln(sqrt(1 + c_r / s_r^2) (1 + c_l / s_l^2)): c_r and c_l are the variances of the relative position
+    A look gains ln(sqrt(1 + c_r / s_r^2) (1 + c_l / s_l^2)): c_r and c_l are the variances of the relative position
     along and across the line of sight, s_r = z^2 sigma_d / (f b) and s_l = z sigma_u / f what one measurement at the
     distance z leaves of them. Landmarks are taken as independent, so a sum says more than there is.
 
@@ -58,7 +58,7 @@ class BeliefPanorama(RecordedWrapper):
     sectors : int
         Rows of `panorama`, at least 3.
     reach : float, optional
-        What is farther away does not count, m. None: as far as the landmark sensor of the environment sees.
+        Landmarks farther away do not count, m. None: as far as the landmark sensor of the environment sees.
 
     Raises
     ------
@@ -68,11 +68,10 @@ class BeliefPanorama(RecordedWrapper):
 
     def __init__(self, env: gym.Env[Any, Any], sectors: int = 12, reach: float | None = None) -> None:
         super().__init__(env, sectors=sectors, reach=reach)
-        if type(sectors) is not int or sectors < 3:
-            raise ValueError(f"sectors must be an integer >= 3, got {sectors!r}")
+        self._sectors = whole_number("sectors", sectors, 3)
         self.inner("slam")
         inner = dict_space(env, "BeliefPanorama")
-        self._sectors, self._camera = sectors, self.inner("camera")
+        self._camera = self.inner("camera")
         self._reach = self.inner("options").tracking.farthest if reach is None else positive("reach", reach)
         self._noise = self.inner("noise")
         self._last_seen: FloatArray = np.full(sectors, -np.inf)
@@ -86,17 +85,12 @@ class BeliefPanorama(RecordedWrapper):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Reset the environment and look around."""
-        observation, info = self.env.reset(seed=seed, options=options)
+        """Reset the environment; no sector has been in view yet."""
         self._last_seen = np.full(self._sectors, -np.inf)
-        return self._with_panorama(observation), info
+        return super().reset(seed=seed, options=options)
 
-    def step(self, action: Any) -> tuple[dict[str, Any], Any, bool, bool, dict[str, Any]]:
-        """Step the environment and look around."""
-        observation, reward, terminated, truncated, info = self.env.step(action)
-        return self._with_panorama(observation), reward, terminated, truncated, info
-
-    def _with_panorama(self, observation: dict[str, Any]) -> dict[str, Any]:
+    def observation(self, observation: dict[str, Any]) -> dict[str, Any]:
+        """The observation with `panorama` and `belief_sigmas`."""
         belief = self.inner("belief")
         pan, tilt = (float(angle) for angle in observation.get("head", (0.0, 0.0)))
         seen = np.empty((self._sectors, len(FEATURES)))
@@ -123,12 +117,12 @@ def around(
     most: int,
     reach: float = math.inf,
 ) -> FloatArray:
-    """The first four columns of `BeliefPanorama`, what is known of the map; (sectors, 4), not clipped.
+    """The first four columns of `BeliefPanorama`, those of the map; (sectors, 4), not clipped.
 
     Parameters
     ----------
     belief : Belief
-        Whose map.
+        The map.
     camera, noise : StereoCamera, StereoNoise
         Of the measurements that a look would bring.
     pan, tilt : float
@@ -138,7 +132,7 @@ def around(
     most : int
         Number of landmarks whose share is 1.
     reach : float
-        What is farther away does not count, m.
+        Landmarks farther away do not count, m.
     """
     seen = np.zeros((sectors, 4))
     if len(belief) == 0:
@@ -149,7 +143,7 @@ def around(
     azimuth = np.arctan2(points_b[:, 0], points_b[:, 2])
     elevation = np.arctan2(-points_b[:, 1], np.hypot(points_b[:, 0], points_b[:, 2]))
     sector = np.floor((azimuth + math.pi) * (sectors / (2.0 * math.pi))).astype(np.int64) % sectors
-    gains = _told(belief.points_c[near], distances, belief.relative_covariances[near], camera, noise)
+    gains = _gains(belief.points_c[near], distances, belief.relative_covariances[near], camera, noise)
 
     counts = np.bincount(sector, minlength=sectors)
     seen[:, 0] = counts / most
@@ -159,17 +153,17 @@ def around(
     return seen
 
 
-def _told(
+def _gains(
     points_c: FloatArray, distances: FloatArray, covariances: FloatArray, camera: StereoCamera, noise: StereoNoise
 ) -> FloatArray:
-    """What a look along its line of sight would tell of each landmark (N, 3), see `BeliefPanorama`; (N,) nats."""
+    """Gain of one look at each landmark (N, 3), see `BeliefPanorama`; (N,) nats."""
     sights = points_c / distances[:, None]
     along = np.einsum("ni,nij,nj->n", sights, covariances, sights)
     across = 0.5 * (np.einsum("nii->n", covariances) - along)
     left_along = distances**4 * noise.R[2, 2] / camera.disparity_constant**2
     left_across = distances**2 * noise.R[0, 0] / camera.fx**2
-    told: FloatArray = 0.5 * np.log1p(along / left_along) + np.log1p(across / left_across)
-    return told
+    gains: FloatArray = 0.5 * np.log1p(along / left_along) + np.log1p(across / left_across)
+    return gains
 
 
 def share_in_view(camera: StereoCamera, pan: float, sectors: int) -> FloatArray:

@@ -1,4 +1,4 @@
-r"""How much is left unknown: potentials over the joint covariance of pose and map; their decrease is information gain.
+r"""Potentials of the joint covariance of pose and map; their decrease is the information gain.
 
 Every landmark has a prior of its own from the beginning, $N(\text{anything}, \sigma^2 I)$ with $\sigma$ the prior
 sigma; what the filter knows of it is fused with that. A landmark that was never seen, was dropped, or has no finite
@@ -24,15 +24,18 @@ landmarks never raises it; motion (process noise), and landmarks that leave, do.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal, get_args
 
 import numpy as np
 from scipy.linalg import lapack
 
+from filters.known_names import one_of
 from filters.motion import POSE_SIZE, POSITION, ROTATION
-from filters.validation import BoolArray, FloatArray, positive
+from filters.validation import FloatArray, positive
 
-CRITERIA = ("log-det", "entropy", "d-optimality", "a-optimality", "e-optimality")
-SUBJECTS = ("map", "pose")
+Criterion = Literal["log-det", "entropy", "d-optimality", "a-optimality", "e-optimality"]
+Subject = Literal["map", "pose"]
+CRITERIA: tuple[Criterion, ...] = get_args(Criterion)
 FARTHEST = 1e4
 """Prior sigmas: a landmark with a larger standard deviation stands at the prior. Its depth is as good as unknown; so
 far away (kilometres) its direction, fused with the prior, says nothing either, and rounding would."""
@@ -44,8 +47,8 @@ class InformationCriterion:
 
     Parameters
     ----------
-    name : str
-        One of `CRITERIA`.
+    name : {"log-det", "entropy", "d-optimality", "a-optimality", "e-optimality"}
+        The formula.
     of : {"map", "pose"}
         Of pose and map together, or of the pose alone (its marginal).
     prior_sigma : float
@@ -61,15 +64,14 @@ class InformationCriterion:
         A name is unknown, or the prior is not positive.
     """
 
-    name: str = "log-det"
-    of: str = "map"
+    name: Criterion = "log-det"
+    of: Subject = "map"
     prior_sigma: float = 10.0
     resolution: tuple[float, ...] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
-        for name, value, known in (("criterion", self.name, CRITERIA), ("of", self.of, SUBJECTS)):
-            if value not in known:
-                raise ValueError(f"{name} must be one of {', '.join(map(repr, known))}, got {value!r}")
+        one_of("criterion", self.name, CRITERIA)
+        one_of("of", self.of, get_args(Subject))
         positive("prior_sigma", self.prior_sigma)
         if len(self.resolution) != 2:
             raise ValueError(f"resolution must be two numbers, of position and rotation, got {self.resolution!r}")
@@ -77,7 +79,7 @@ class InformationCriterion:
             positive("resolution", sigma, allow_zero=True)
 
     def potential(self, joint: FloatArray) -> float:
-        """What is left unknown; nats, or m^2.
+        """The potential; nats, or m^2.
 
         Parameters
         ----------
@@ -89,33 +91,40 @@ class InformationCriterion:
         ArithmeticError
             The covariance is not positive definite, so the filter has broken down.
         """
-        P = joint[:POSE_SIZE, :POSE_SIZE] if self.of == "pose" else without_the_unknown(joint, self.prior_sigma)
+        P = joint[:POSE_SIZE, :POSE_SIZE] if self.of == "pose" else self._without_unknown(joint)
         if any(self.resolution):
             P = P.copy()
             pose = np.arange(POSE_SIZE)
             P[pose, pose] += np.repeat(self.resolution, 3) ** 2
-        if self.name == "log-det":
-            return log_det_potential(P, self.prior_sigma)
-        if self.name == "entropy":
-            return 0.5 * log_det_potential(P, self.prior_sigma)
-        return block_potential(P, self.prior_sigma, self.name)
+        unknown = self.prior_sigma**2
+        if self.name in ("log-det", "entropy"):
+            P_mm = P[POSE_SIZE:, POSE_SIZE:].copy()
+            P_mm.flat[:: len(P_mm) + 1] += unknown
+            return (0.5 if self.name == "entropy" else 1.0) * (log_det(P) - log_det(P_mm))
+        own = _eigenvalues(np.stack([P[POSITION, POSITION], unknown * P[ROTATION, ROTATION]]))
+        each = _eigenvalues(_landmark_blocks(P))
+        fused = each * unknown / (each + unknown)
+        return float(self._variances(own).sum() + (self._variances(fused) - unknown).sum())
 
+    def _without_unknown(self, joint: FloatArray) -> FloatArray:
+        """The joint covariance without the landmarks that stand at the prior: not finite, or `FARTHEST` uncertain."""
+        blocks = _landmark_blocks(joint)
+        with np.errstate(invalid="ignore"):
+            known = np.einsum("nii->n", blocks) <= (FARTHEST * self.prior_sigma) ** 2
+        known &= np.isfinite(blocks).all(axis=(1, 2))
+        if known.all():
+            return joint
+        rows = np.concatenate([np.ones(POSE_SIZE, dtype=bool), known.repeat(3)])
+        rest: FloatArray = joint[np.ix_(rows, rows)]
+        return rest
 
-def log_det_potential(P: FloatArray, prior_sigma: float) -> float:
-    """The potential `log-det`, nats; P (6 + 3 N, 6 + 3 N) finite."""
-    P_mm = P[POSE_SIZE:, POSE_SIZE:].copy()
-    P_mm.flat[:: len(P_mm) + 1] += prior_sigma**2
-    return log_det(P) - log_det(P_mm)
-
-
-def block_potential(P: FloatArray, prior_sigma: float, name: str) -> float:
-    """The potential `a-optimality`, `d-optimality` or `e-optimality`, m^2; P (6 + 3 N, 6 + 3 N) finite."""
-    unknown = prior_sigma**2
-    own = np.stack([P[POSITION, POSITION], unknown * P[ROTATION, ROTATION]])
-    variances = _variances(own, name).sum()
-    eigenvalues = np.maximum(np.linalg.eigvalsh(_landmark_blocks(P)), 0.0)  # tiny ones may come out negative
-    fused = eigenvalues * unknown / (eigenvalues + unknown)
-    return float(variances + (_of_eigenvalues(fused, name) - unknown).sum())
+    def _variances(self, eigenvalues: FloatArray) -> FloatArray:
+        """The variance v of blocks from their eigenvalues (M, 3), ascending."""
+        if self.name == "a-optimality":
+            return np.asarray(eigenvalues.mean(axis=-1))
+        if self.name == "e-optimality":
+            return np.asarray(eigenvalues[..., -1])
+        return np.asarray(np.cbrt(eigenvalues.prod(axis=-1)))
 
 
 def log_det(P: FloatArray) -> float:
@@ -138,23 +147,6 @@ def log_det(P: FloatArray) -> float:
     return 2.0 * float(np.log(factor.diagonal()).sum()) + float(np.log(variances).sum())
 
 
-def without_the_unknown(joint: FloatArray, prior_sigma: float) -> FloatArray:
-    """The joint covariance without the landmarks that stand at the prior: not finite, or `FARTHEST` uncertain."""
-    known = _are_known(_landmark_blocks(joint), prior_sigma)
-    if known.all():
-        return joint
-    rows = np.concatenate([np.ones(POSE_SIZE, dtype=bool), known.repeat(3)])
-    rest: FloatArray = joint[np.ix_(rows, rows)]
-    return rest
-
-
-def _are_known(blocks: FloatArray, prior_sigma: float) -> BoolArray:
-    with np.errstate(invalid="ignore"):
-        known: BoolArray = np.einsum("nii->n", blocks) <= (FARTHEST * prior_sigma) ** 2
-    known &= np.isfinite(blocks).all(axis=(1, 2))
-    return known
-
-
 def _landmark_blocks(joint: FloatArray) -> FloatArray:
     """The covariance of each landmark, (N, 3, 3)."""
     count = (len(joint) - POSE_SIZE) // 3
@@ -164,17 +156,6 @@ def _landmark_blocks(joint: FloatArray) -> FloatArray:
     return blocks
 
 
-def _variances(blocks: FloatArray, name: str) -> FloatArray:
-    return _of_eigenvalues(np.maximum(np.linalg.eigvalsh(blocks), 0.0), name)
-
-
-def _of_eigenvalues(eigenvalues: FloatArray, name: str) -> FloatArray:
-    """The variance v of blocks from their eigenvalues (M, 3), ascending."""
-    if name == "a-optimality":
-        mean: FloatArray = eigenvalues.mean(axis=-1)
-        return mean
-    if name == "e-optimality":
-        largest: FloatArray = eigenvalues[..., -1]
-        return largest
-    geometric: FloatArray = np.cbrt(eigenvalues.prod(axis=-1))
-    return geometric
+def _eigenvalues(blocks: FloatArray) -> FloatArray:
+    """Eigenvalues, ascending; tiny ones may come out negative, and count as 0."""
+    return np.asarray(np.maximum(np.linalg.eigvalsh(blocks), 0.0))

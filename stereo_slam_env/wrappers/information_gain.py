@@ -1,35 +1,38 @@
-"""`InformationGain`: the reward is what was learnt in the step."""
+"""`InformationGain`: the reward is the information that the step gained."""
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Literal, get_args
 
 import gymnasium as gym
 import numpy as np
 
+from filters.known_names import one_of
+from filters.motion import ConstantVelocity
+from filters.validation import IntArray, finite_number, whole_number
 from stereo_slam_env.evaluation.consistency import mean_band
 from stereo_slam_env.evaluation.cramer_rao import ReferenceBelief
-from stereo_slam_env.wrappers.information import InformationCriterion
-from stereo_slam_env.wrappers.online_reference import OnlineReference
+from stereo_slam_env.wrappers.information import Criterion, InformationCriterion, Subject
 from stereo_slam_env.wrappers.recorded_wrapper import RecordedWrapper
 
-BELIEFS = ("filter", "reference")
+BeliefOf = Literal["filter", "reference"]
+"""Belief that is paid for: that of the filter in the loop, or the reference belief."""
 
 
 class InformationGain(RecordedWrapper):
-    """The reward of a step is the decrease of a potential: how much less is unknown of pose and map than before.
+    """The reward of a step is the decrease of a potential, the uncertainty of pose and map.
 
     So the return telescopes: it is the potential at reset minus the potential at the end, times `weight`, whatever
     happened between and however long it took. The potentials are those of `wrappers.information`; there every unseen
     landmark stands at a prior, so that discovering one is never punished. A landmark that leaves the map falls back to
-    the prior: what was known of it is lost, and costs what it had earned. (The named filters drop landmarks as soon as
+    the prior: its information is lost, and costs what it had earned. (The named filters drop landmarks as soon as
     they are out of sight; `BeliefObservation(env, options={"drop_unseen": False})` keeps them.)
 
     Driving costs information: the first step most (some 90 nats of the pose), because the start is known as if exactly.
 
-    **Over-confidence.** A covariance is the filter's opinion, and a filter that is too sure of itself earns more. Two
-    guards:
+    **Over-confidence.** A covariance is the filter's claim, and an over-confident filter earns more. Two guards:
 
     - `belief="reference"`: the potential is that of the best estimator, linearised at the truth and fed with the same
       frames (approximately the posterior Cramer-Rao bound): the same for all filters, and without one.
@@ -58,7 +61,7 @@ class InformationGain(RecordedWrapper):
     resolution : (2,) sequence of float
         To know position, m, and rotation, rad, better than this is worth next to nothing, see `InformationCriterion`.
     belief : {"filter", "reference"}
-        Whose.
+        Belief whose potential counts.
     nees_gate : float, optional
         Probability of the chi-square band; only with `belief="filter"`. None: no gate.
     weight : float
@@ -82,11 +85,11 @@ class InformationGain(RecordedWrapper):
     def __init__(
         self,
         env: gym.Env[Any, Any],
-        criterion: str = "log-det",
-        of: str = "map",
+        criterion: Criterion = "log-det",
+        of: Subject = "map",
         prior_sigma: float = 10.0,
         resolution: Sequence[float] = (0.0, 0.0),
-        belief: str = "filter",
+        belief: BeliefOf = "filter",
         nees_gate: float | None = None,
         weight: float = 1.0,
         keep_reward: bool = False,
@@ -108,21 +111,19 @@ class InformationGain(RecordedWrapper):
             use_odometry=use_odometry,
             report_both=report_both,
         )
-        if belief not in BELIEFS:
-            raise ValueError(f"belief must be one of {', '.join(map(repr, BELIEFS))}, got {belief!r}")
+        one_of("belief", belief, get_args(BeliefOf))
         if nees_gate is not None and belief == "reference":
             raise ValueError("nees_gate must be None with belief='reference', which claims nothing to be judged")
-        if not np.isfinite(weight):
-            raise ValueError(f"weight must be a finite number, got {weight!r}")
-        if max_age is not None and (type(max_age) is not int or max_age < 0):
-            raise ValueError(f"max_age must be an integer >= 0, or None for never, got {max_age!r}")
+        if max_age is not None:
+            whole_number("max_age", max_age, 0)
         self._criterion = InformationCriterion(criterion, of, prior_sigma, tuple(resolution))
         self._limit = np.inf if nees_gate is None else mean_band(6, 1, nees_gate)[1]
-        self._belief, self._weight, self._keep_reward = belief, float(weight), keep_reward
-        self._both, self._max_age, self._use_odometry = report_both, max_age, use_odometry
+        self._belief, self._weight, self._keep_reward = belief, finite_number("weight", weight), keep_reward
+        self._both, self._use_odometry = report_both, use_odometry
+        self._recent: deque[IntArray] | None = None if max_age is None else deque(maxlen=max_age + 1)
         if belief == "filter" or report_both:
             self.inner("slam")
-        self._reference: OnlineReference | None = None
+        self._reference: ReferenceBelief | None = None
         self._potentials: dict[str, float] = {}
         self._credited = 0.0
 
@@ -131,22 +132,22 @@ class InformationGain(RecordedWrapper):
         """The reference belief after the current frame, where one is run."""
         if self._reference is None:
             raise RuntimeError("there is no reference belief: use belief='reference' or report_both, and reset first")
-        return self._reference.belief
+        return self._reference
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Reset the environment; nothing is gained yet."""
         observation, info = self.env.reset(seed=seed, options=options)
         if self._both or self._belief == "reference":
-            self._reference = OnlineReference(self, self._max_age, self._use_odometry)
+            self._start_reference()
         self._potentials = self._now()
         self._credited = self._potentials[self._belief]
-        return observation, self._told(info, 0.0, dict.fromkeys(self._potentials, 0.0))
+        return observation, self._with_gains(info, 0.0, dict.fromkeys(self._potentials, 0.0))
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """Step the environment; the reward is what was learnt."""
+        """Step the environment; the reward is the information gained."""
         observation, reward, terminated, truncated, info = self.env.step(action)
         if self._reference is not None:
-            self._reference.go_on()
+            self._step_reference(self._reference)
         before, self._potentials = self._potentials, self._now()
         claims = self._potentials[self._belief]
         credited = claims if self._is_consistent() else max(self._credited, claims)
@@ -154,7 +155,24 @@ class InformationGain(RecordedWrapper):
         self._credited = credited
         gains = {name: self._weight * (before[name] - now) for name, now in self._potentials.items()}
         total = float(reward) + gain if self._keep_reward else gain
-        return observation, total, terminated, truncated, self._told(info, gain, gains)
+        return observation, total, terminated, truncated, self._with_gains(info, gain, gains)
+
+    def _start_reference(self) -> None:
+        camera, noise, start = (self.inner(name) for name in ("camera", "noise", "start"))
+        self._reference = ReferenceBelief(
+            camera, noise, ConstantVelocity(), start, self.inner("frame").truth, use_odometry=self._use_odometry
+        )
+        if self._recent is not None:
+            self._recent.clear()
+        self._step_reference(self._reference)
+
+    def _step_reference(self, reference: ReferenceBelief) -> None:
+        """Feed the current frame to the reference belief; landmarks leave it by age."""
+        frame = self.inner("frame")
+        reference.step(frame, self.inner("landmark_truth")())
+        if self._recent is not None:
+            self._recent.append(frame.observation.ids)
+            reference.keep(np.concatenate(self._recent))
 
     def _now(self) -> dict[str, float]:
         """The potential of each belief that is needed."""
@@ -164,7 +182,7 @@ class InformationGain(RecordedWrapper):
             belief = self.inner("belief")
             now["filter"] = potential(belief.pose.covariance if alone else belief.joint_covariance)
         if self._reference is not None:
-            best = self._reference.belief
+            best = self._reference
             now["reference"] = potential(best.pose_covariance if alone else best.joint_covariance())
         return now
 
@@ -173,9 +191,9 @@ class InformationGain(RecordedWrapper):
             return True
         return bool(self.inner("belief").nees(self.inner("frame").truth)[2] <= self._limit)
 
-    def _told(self, info: dict[str, Any], gain: float, gains: dict[str, float]) -> dict[str, Any]:
-        told = {"reward_information": gain, "information_potential": self._credited}
+    def _with_gains(self, info: dict[str, Any], gain: float, gains: dict[str, float]) -> dict[str, Any]:
+        added = {"reward_information": gain, "information_potential": self._credited}
         if self._both:
-            told["reward_information_claimed"] = gains["filter"]
-            told["reward_information_reference"] = gains["reference"]
-        return {**info, **told}
+            added["reward_information_claimed"] = gains["filter"]
+            added["reward_information_reference"] = gains["reference"]
+        return {**info, **added}

@@ -1,4 +1,4 @@
-"""`RecordConsistency`: whether the filter in the loop is as sure as it is right."""
+"""`RecordConsistency`: consistency (NEES and NIS) of the filter in the loop."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from filters.validation import FloatArray
+from filters.validation import FloatArray, whole_number
 from stereo_slam_env.evaluation.consistency import mean_band
 from stereo_slam_env.wrappers.recorded_wrapper import RecordedWrapper
 
@@ -19,7 +19,7 @@ PARTS = ("position", "rotation", "pose")
 
 @dataclass(frozen=True)
 class EpisodeConsistency:
-    """An episode that is over.
+    """Consistency over a whole episode.
 
     Attributes
     ----------
@@ -42,7 +42,7 @@ class EpisodeConsistency:
 
 
 class RecordConsistency(RecordedWrapper):
-    """Judges the filter of `BeliefObservation` by the truth; observation and reward are left alone.
+    """Compares the belief of `BeliefObservation` with the truth; observation and reward are left alone.
 
     `info` gains, from `reset` and every `step`:
 
@@ -54,7 +54,7 @@ class RecordConsistency(RecordedWrapper):
     - `consistency_nis` and `consistency_nis_dof` of the frame, and `consistency_nis_ratio`, their sums over the same
       frames divided.
 
-    At reset the means are 0: nothing has been judged.
+    At reset the means are 0.
 
     Parameters
     ----------
@@ -79,68 +79,57 @@ class RecordConsistency(RecordedWrapper):
     def __init__(self, env: gym.Env[Any, Any], window: int | None = None, buffer_length: int = 100) -> None:
         super().__init__(env, window=window, buffer_length=buffer_length)
         for name, value in (("window", window), ("buffer_length", buffer_length)):
-            if value is not None and (type(value) is not int or value < 1):
-                raise ValueError(f"{name} must be an integer >= 1, got {value!r}")
+            if value is not None:
+                whole_number(name, value, 1)
         self.inner("slam")
         self.episodes: deque[EpisodeConsistency] = deque(maxlen=buffer_length)
-        self._window = window
-        self._frames = _Frames(window)
+        self._recent: deque[FloatArray] = deque(maxlen=window or 0)
+        self._windowed = window is not None
+        self._start_again()
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Reset the environment, and judge the start."""
+        """Reset the environment."""
         observation, info = self.env.reset(seed=seed, options=options)
-        self._frames = _Frames(self._window)
-        return observation, {**info, **self._told(self._judged())}
+        self._start_again()
+        return observation, {**info, **self._figures(self._frame())}
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        """Step the environment, and judge the new belief."""
+        """Step the environment, and compare the new belief with the truth."""
         observation, reward, terminated, truncated, info = self.env.step(action)
-        frame = self._judged()
-        self._frames.add(frame)
+        frame = self._frame()
+        self._recent.append(frame)
+        self._total += frame
+        self._count += 1
         if terminated or truncated:
-            count, means = self._frames.count, _means(self._frames.total, self._frames.count)
-            self.episodes.append(EpisodeConsistency(count, *means[:3], _band(count), means[3]))
-        return observation, reward, terminated, truncated, {**info, **self._told(frame)}
+            means = _means(self._total, self._count)
+            self.episodes.append(EpisodeConsistency(self._count, *means[:3], _band(self._count), means[3]))
+        return observation, reward, terminated, truncated, {**info, **self._figures(frame)}
 
-    def _judged(self) -> tuple[float, ...]:
-        """NEES of position, rotation and pose; NIS and its degrees of freedom."""
+    def _start_again(self) -> None:
+        self._recent.clear()
+        self._total, self._count = np.zeros(5), 0
+
+    def _frame(self) -> FloatArray:
+        """NEES of position, rotation and pose, NIS and its degrees of freedom: of the current frame, (5,)."""
         belief = self.inner("belief")
-        position, rotation, pose = belief.nees(self.inner("frame").truth).tolist()
-        return position, rotation, pose, belief.report.nis, belief.report.nis_dof
+        return np.append(belief.nees(self.inner("frame").truth), [belief.report.nis, belief.report.nis_dof])
 
-    def _told(self, frame: tuple[float, ...]) -> dict[str, Any]:
-        told: dict[str, Any] = {f"consistency_nees_{part}": value for part, value in zip(PARTS, frame, strict=False)}
-        total, count = self._frames.recent
+    def _figures(self, frame: FloatArray) -> dict[str, Any]:
+        """The keys of `info`."""
+        total, count = self._total, self._count
+        if self._windowed:
+            total, count = np.array(self._recent).reshape(-1, 5).sum(axis=0), len(self._recent)
         means, (low, high) = _means(total, count), _band(count)
-        told |= {"consistency_anees": means[2], "consistency_low": low, "consistency_high": high}
-        told |= {"consistency_nis": frame[3], "consistency_nis_dof": int(frame[4]), "consistency_nis_ratio": means[3]}
-        return told
-
-
-class _Frames:
-    """Sums over the frames of the episode, and over the last `window` of them."""
-
-    def __init__(self, window: int | None) -> None:
-        self.total, self.count = np.zeros(5), 0
-        self._last: deque[tuple[float, ...]] | None = None if window is None else deque(maxlen=window)
-
-    def add(self, frame: tuple[float, ...]) -> None:
-        """One more frame."""
-        self.total += frame
-        self.count += 1
-        if self._last is not None:
-            self._last.append(frame)
-
-    @property
-    def recent(self) -> tuple[FloatArray, int]:
-        """Sums over the window, and the number of frames in it."""
-        if self._last is None:
-            return self.total, self.count
-        return np.array(self._last).reshape(-1, 5).sum(axis=0), len(self._last)
+        *by_part, nis, dof = frame.tolist()
+        figures: dict[str, Any] = {
+            f"consistency_nees_{part}": value for part, value in zip(PARTS, by_part, strict=True)
+        }
+        figures |= {"consistency_anees": means[2], "consistency_low": low, "consistency_high": high}
+        return figures | {"consistency_nis": nis, "consistency_nis_dof": int(dof), "consistency_nis_ratio": means[3]}
 
 
 def _means(total: FloatArray, count: int) -> tuple[float, float, float, float]:
-    """Mean NEES of position, rotation and pose, and the NIS ratio; 0 where there is nothing to take it of."""
+    """Mean NEES of position, rotation and pose, and the NIS ratio; 0 without frames or updates."""
     position, rotation, pose = (total[:3] / max(count, 1)).tolist()
     return position, rotation, pose, float(total[3] / total[4]) if total[4] else 0.0
 

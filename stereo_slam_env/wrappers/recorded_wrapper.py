@@ -1,4 +1,4 @@
-"""The base of the wrappers here: made again from its arguments, by `gym.make` and by pickle."""
+"""Base of the wrappers: a wrapper that is made again from its arguments, by `gym.make` and by pickle."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from gymnasium.utils import RecordConstructorArgs
 
 
 class RecordedWrapper(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
-    """A wrapper whose arguments are kept: `env.spec` knows it, and pickle and deepcopy make a fresh one, no snapshot.
+    """Wrapper whose arguments are kept: `env.spec` knows it, and pickle and deepcopy make a fresh one, no snapshot.
 
     Parameters
     ----------
     env : gymnasium.Env
-        What is wrapped.
+        The environment inside.
     **arguments
         JSON-able arguments of the subclass.
     """
@@ -32,7 +32,7 @@ class RecordedWrapper(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         Raises
         ------
         ValueError
-            There is none: the message says what offers it.
+            There is none; the message says which wrapper or environment offers it.
         """
         try:
             return self.env.get_wrapper_attr(name)

@@ -15,7 +15,7 @@ from stereo_slam_env.benchmark import run_benchmark
 from stereo_slam_env.benchmark.recordings.reference_problem import long_drive, short_turn
 from stereo_slam_env.benchmark.scenarios.study import study_from
 from stereo_slam_env.datasets import open_image_sequence, write_kitti_sequence
-from stereo_slam_env.envs.rendered_drive import RenderedDrive
+from stereo_slam_env.envs.recorder import RenderedDrive
 from stereo_slam_env.evaluation import run_filter
 from stereo_slam_env.rendering.backends import make_renderer
 from stereo_slam_env.sensing.rigs import RIGS

@@ -71,7 +71,7 @@ class StreetSource(Source, frozen=True, tag="street"):
     def sequence(self, seed: int | None, frames: int | None = None) -> OpenedImages:
         """The rendered pairs."""
         from stereo_slam_env.envs.options import DriveOptions
-        from stereo_slam_env.envs.rendered_drive import RenderedDrive
+        from stereo_slam_env.envs.recorder import RenderedDrive
 
         return RenderedDrive(self.options, seed or 0, frames), DriveOptions.checked(self.options).front_end
 

@@ -7,7 +7,7 @@ import pytest
 
 from stereo_slam_env.datasets import load, write_kitti_sequence
 from stereo_slam_env.envs.drive import StereoDriveEnv
-from stereo_slam_env.envs.rendered_drive import RenderedDrive
+from stereo_slam_env.envs.recorder import RenderedDrive
 from stereo_slam_env.frontend.recorder import record_tracks
 from stereo_slam_env.rendering.backends import renderer_identity
 from stereo_slam_env.rendering.images import grey

@@ -6,7 +6,7 @@ import gymnasium as gym
 import numpy as np
 
 import stereo_slam_env  # noqa: F401
-from stereo_slam_env.policies.foresight import Eyes
+from stereo_slam_env.policies.foresight import SensorModel
 from stereo_slam_env.wrappers import BeliefObservation
 
 KEEPS = {"drop_unseen": False, "motion": "velocity-driven", "gate": None}
@@ -26,5 +26,12 @@ def looked_around(steps=25, seed=8, **arguments):
     return env
 
 
-def eyes_of(env, **options):
-    return Eyes(env.get_wrapper_attr("camera"), env.get_wrapper_attr("noise"), **options)
+def sensor_of(env, **options):
+    return SensorModel(env.get_wrapper_attr("camera"), env.get_wrapper_attr("noise"), **options)
+
+
+def innovation_covariances(sensor, knowledge, cameras):
+    """S (Eq. 15) of each landmark from each camera, the motion to it being known exactly; (..., N, 3, 3) px^2."""
+    H = sensor.camera.project_jacobian(cameras.to_camera(knowledge.points))
+    H = H @ np.swapaxes(cameras.R_wc, -1, -2)[..., None, :, :]
+    return H @ knowledge.relative_covariances @ np.swapaxes(H, -1, -2) + sensor.noise.R

@@ -10,7 +10,7 @@ from filters import BodyVelocity, StereoObservation, rotations
 from stereo_slam_env.policies.expected_gain import expected_gain, motion_noise
 from stereo_slam_env.policies.foresight import CameraPoses, Knowledge
 
-from .looking import eyes_of, looked_around
+from .looking import looked_around, sensor_of
 
 DT, SIGMAS = 0.1, (0.1, 0.01)
 
@@ -42,8 +42,8 @@ def measure(slam, ids):
 @pytest.mark.parametrize("gain", ["pose", "map"])
 def test_of_one_look_it_is_what_the_filter_gains(env, gain):
     slam = copy.deepcopy(env.slam)
-    knowledge, eyes = Knowledge.of(slam), eyes_of(env)
-    looks = eyes.information(knowledge.points, here(slam))[None, None]
+    knowledge, sensor = Knowledge.of(slam), sensor_of(env)
+    looks = sensor.information(knowledge.points, here(slam))[None, None]
     expected = expected_gain(knowledge, looks, np.zeros((1, 6, 6)), gain)[0]
     before = logdet(slam, knowledge.ids, gain)
     measure(slam, knowledge.ids[slam.forecast(knowledge.ids).in_view])
@@ -53,18 +53,18 @@ def test_of_one_look_it_is_what_the_filter_gains(env, gain):
 
 
 def test_of_the_map_it_is_half_logdet_S_less_half_logdet_R(env):
-    slam, eyes = env.slam, eyes_of(env)
+    slam, sensor = env.slam, sensor_of(env)
     knowledge = Knowledge.of(slam)
     camera = here(slam)
-    seen = np.flatnonzero(eyes.sight(knowledge.points, camera).in_view)
+    seen = np.flatnonzero(sensor.sight(knowledge.points, camera).in_view)
     part = knowledge.of_landmarks(seen)
-    H_p = eyes.camera.project_jacobian(camera.to_camera(part.points)) @ camera.R_wc.T
+    H_p = sensor.camera.project_jacobian(camera.to_camera(part.points)) @ camera.R_wc.T
     H = np.zeros((3 * len(seen), 6 + 3 * len(seen)))
     for k in range(len(seen)):
         H[3 * k : 3 * k + 3, :6], H[3 * k : 3 * k + 3, 6 + 3 * k : 9 + 3 * k] = H_p[k] @ part.by_pose[k], H_p[k]
-    R = np.kron(np.eye(len(seen)), eyes.noise.R)
+    R = np.kron(np.eye(len(seen)), sensor.noise.R)
     half = 0.5 * (np.linalg.slogdet(H @ part.covariance @ H.T + R)[1] - np.linalg.slogdet(R)[1])
-    looks = eyes.information(knowledge.points, camera)[None, None]
+    looks = sensor.information(knowledge.points, camera)[None, None]
     np.testing.assert_allclose(expected_gain(knowledge, looks, np.zeros((1, 6, 6)), "map")[0], half, rtol=1e-9)
 
 
@@ -73,13 +73,13 @@ def test_of_the_map_it_is_half_logdet_S_less_half_logdet_R(env):
 def test_of_a_sequence_of_looks_on_the_way_it_is_what_the_filter_gains(env, gain, turning):
     slam = copy.deepcopy(env.slam)
     blind = copy.deepcopy(slam)
-    knowledge, eyes, steps = Knowledge.of(slam), eyes_of(env), 5
+    knowledge, sensor, steps = Knowledge.of(slam), sensor_of(env), 5
     positions, looks, gone = [slam.pose.position], [], []
     for _ in range(steps):
         for each in (slam, blind):
             each.predict(DT, odometry(angular=(0.0, turning, 0.0)))
         positions.append(slam.pose.position)
-        looks.append(eyes.information(knowledge.points, here(slam)))
+        looks.append(sensor.information(knowledge.points, here(slam)))
         seen = knowledge.ids[looks[-1].any(axis=(1, 2))]
         gone.append(len(seen))
         measure(slam, seen)
@@ -93,8 +93,8 @@ def test_of_a_sequence_of_looks_on_the_way_it_is_what_the_filter_gains(env, gain
 
 
 def test_sequences_are_judged_each_by_itself_and_one_that_sees_nothing_gains_nothing(env):
-    knowledge, eyes = Knowledge.of(env.slam), eyes_of(env)
-    looks = eyes.information(knowledge.points, here(env.slam))
+    knowledge, sensor = Knowledge.of(env.slam), sensor_of(env)
+    looks = sensor.information(knowledge.points, here(env.slam))
     sequences = np.stack([np.stack([looks, looks]), np.stack([looks, 0 * looks]), np.zeros((2, *looks.shape))])
     Q = motion_noise(np.ones((2, 3)), 0.01, 0.001)
     gains = expected_gain(knowledge, sequences, Q, "map")
@@ -117,8 +117,8 @@ def test_a_start_that_is_known_exactly_and_odometry_without_error_are_no_trouble
     slam.reset()
     observation = env.get_wrapper_attr("frame").observation
     slam.update(observation)
-    knowledge, eyes = Knowledge.of(slam), eyes_of(env)
-    looks = np.repeat(eyes.information(knowledge.points, here(slam))[None, None], 8, axis=1)
+    knowledge, sensor = Knowledge.of(slam), sensor_of(env)
+    looks = np.repeat(sensor.information(knowledge.points, here(slam))[None, None], 8, axis=1)
     for sigmas in (0.0, 0.0), (0.01, 0.001):
         Q = motion_noise(np.zeros((8, 3)), *sigmas)
         for gain in ("pose", "map"):
@@ -127,7 +127,7 @@ def test_a_start_that_is_known_exactly_and_odometry_without_error_are_no_trouble
 
 def test_a_covariance_that_is_none_is_named(env):
     knowledge = Knowledge.of(env.slam)
-    looks = eyes_of(env).information(knowledge.points, here(env.slam))[None, None]
+    looks = sensor_of(env).information(knowledge.points, here(env.slam))[None, None]
     covariance = knowledge.covariance.copy()
     covariance[0, 1] = covariance[1, 0] = 2.0 * np.sqrt(covariance[0, 0] * covariance[1, 1])
     with pytest.raises(ArithmeticError, match="positive definite"):

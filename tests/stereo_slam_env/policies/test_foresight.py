@@ -7,7 +7,7 @@ from filters import BodyVelocity, StereoFilter, rotations
 from stereo_slam_env.policies.foresight import CameraPoses, Knowledge
 from stereo_slam_env.recording.recording import Pose
 
-from .looking import eyes_of, looked_around
+from .looking import innovation_covariances, looked_around, sensor_of
 
 FILTERS = {
     "shared-anchor": {},
@@ -30,26 +30,26 @@ def env(request):
 
 
 def test_at_the_present_pose_it_is_the_forecast_of_the_filter(env):
-    knowledge, eyes = Knowledge.of(env.slam), eyes_of(env)
+    knowledge, sensor = Knowledge.of(env.slam), sensor_of(env)
     forecast = env.slam.forecast(knowledge.ids)
-    sight = eyes.sight(knowledge.points, here(env.slam))
+    sight = sensor.sight(knowledge.points, here(env.slam))
     assert 3 < forecast.in_view.sum() < len(forecast.ids)
     np.testing.assert_array_equal(sight.in_view, forecast.in_view)
     np.testing.assert_allclose(sight.uvd, forecast.uvd, rtol=1e-9, atol=1e-9)
-    S = eyes.innovation_covariances(knowledge, here(env.slam))
+    S = innovation_covariances(sensor, knowledge, here(env.slam))
     scale = np.abs(forecast.S).max(axis=(1, 2), keepdims=True)
     np.testing.assert_allclose(S / scale, forecast.S / scale, rtol=0, atol=1e-9)
 
 
 def test_after_a_known_motion_it_is_still_the_forecast_of_the_filter():
     env = looked_around()
-    knowledge, eyes, dt = Knowledge.of(env.slam), eyes_of(env), 0.1
+    knowledge, sensor, dt = Knowledge.of(env.slam), sensor_of(env), 0.1
     exactly = BodyVelocity([0.3, -0.2, 5.0], [0.1, -0.8, -0.2], np.zeros((6, 6)))
     env.slam.predict(dt, exactly)
     forecast = env.slam.forecast(knowledge.ids)
-    sight = eyes.sight(knowledge.points, here(env.slam))
+    sight = sensor.sight(knowledge.points, here(env.slam))
     np.testing.assert_array_equal(sight.in_view, forecast.in_view)
-    S = eyes.innovation_covariances(knowledge, here(env.slam))[forecast.in_view]
+    S = innovation_covariances(sensor, knowledge, here(env.slam))[forecast.in_view]
     assert len(S) > 3
     np.testing.assert_allclose(S, forecast.S[forecast.in_view], rtol=1e-9, atol=1e-9)
     env.close()
@@ -57,27 +57,29 @@ def test_after_a_known_motion_it_is_still_the_forecast_of_the_filter():
 
 def test_many_cameras_at_once_are_each_by_itself():
     env = looked_around()
-    knowledge, eyes = Knowledge.of(env.slam), eyes_of(env, nearest=4.0, farthest=30.0, margin=2.0, most=5)
+    knowledge, sensor = Knowledge.of(env.slam), sensor_of(env, nearest=4.0, farthest=30.0, margin=2.0, most=5)
     turns = rotations.exp(np.array([[[0.0, pan, 0.0] for pan in (-1.5, 0.0, 0.8)], [[0.2, 0.0, 0.1]] * 3]))
     many = CameraPoses(here(env.slam).positions + np.arange(6.0).reshape(2, 3, 1), here(env.slam).R_wc @ turns)
-    information = eyes.information(knowledge.points, many)
+    information = sensor.information(knowledge.points, many)
     assert information.shape == (2, 3, len(knowledge.points), 3, 3)
     for index in np.ndindex(2, 3):
         one = CameraPoses(many.positions[index], many.R_wc[index])
         np.testing.assert_array_equal(
-            eyes.sight(knowledge.points, one).uvd, eyes.sight(knowledge.points, many).uvd[index]
+            sensor.sight(knowledge.points, one).uvd, sensor.sight(knowledge.points, many).uvd[index]
         )
-        np.testing.assert_allclose(eyes.information(knowledge.points, one), information[index], rtol=1e-12)
+        np.testing.assert_allclose(sensor.information(knowledge.points, one), information[index], rtol=1e-12)
     env.close()
 
 
 def test_only_what_can_be_measured_tells_something():
     env = looked_around()
-    eyes = eyes_of(env, nearest=4.0, farthest=20.0, margin=10.0)
+    sensor = sensor_of(env, nearest=4.0, farthest=20.0, margin=10.0)
     camera = CameraPoses(np.zeros(3), np.eye(3))
     points = np.array([[0.0, 0.0, z] for z in (-10.0, 3.0, 10.0, 25.0)] + [[9.0, 0.0, 10.0]])
-    np.testing.assert_array_equal(eyes.information(points, camera).any(axis=(1, 2)), [False, False, True, False, False])
-    assert eyes.reach > 20.0
+    np.testing.assert_array_equal(
+        sensor.information(points, camera).any(axis=(1, 2)), [False, False, True, False, False]
+    )
+    assert sensor.reach > 20.0
     env.close()
 
 
@@ -85,7 +87,7 @@ def test_where_more_are_in_view_than_are_measured_each_counts_with_its_share():
     env = looked_around()
     camera = CameraPoses(np.zeros(3), np.eye(3))
     points = np.array([[x, 0.0, 12.0] for x in (-2.0, 0.0, 1.0, 2.0)])
-    all_of_them, half = (eyes_of(env, most=most).information(points, camera) for most in (None, 2))
+    all_of_them, half = (sensor_of(env, most=most).information(points, camera) for most in (None, 2))
     np.testing.assert_allclose(half, 0.5 * all_of_them, rtol=1e-12)
     env.close()
 
@@ -97,7 +99,7 @@ def test_a_filter_without_a_joint_covariance_is_foreseen_too():
     knowledge = Knowledge(
         slam.landmarks.ids, Pose(slam.pose.position, slam.pose.orientation), slam.landmarks.positions, joint
     )
-    S = eyes_of(env).innovation_covariances(knowledge, here(slam))
+    S = innovation_covariances(sensor_of(env), knowledge, here(slam))
     assert np.linalg.eigvalsh(S).min() > 0.0
     env.close()
 

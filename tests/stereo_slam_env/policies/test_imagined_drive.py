@@ -1,4 +1,4 @@
-"""Where the camera would be, against where it gets (4 s)."""
+"""Imagined poses of the camera, against those of the drive (4 s)."""
 
 import gymnasium as gym
 import numpy as np
@@ -6,7 +6,7 @@ import pytest
 
 import stereo_slam_env  # noqa: F401
 from filters import rotations
-from stereo_slam_env.policies.imagined_drive import planned_bodies, seen_from, turning_head
+from stereo_slam_env.policies.foresight import planned_bodies, seen_from, turning_head
 from stereo_slam_env.world.vehicle import Head
 
 

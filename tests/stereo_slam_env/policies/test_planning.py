@@ -8,10 +8,8 @@ import pytest
 
 import stereo_slam_env  # noqa: F401
 from stereo_slam_env.policies import available_policies, make_policy
-from stereo_slam_env.policies.greedy import Greedy
-from stereo_slam_env.policies.imagined_drive import turning_head
-from stereo_slam_env.policies.lookahead import Lookahead
-from stereo_slam_env.policies.planner import Planner, Preferences, directions
+from stereo_slam_env.policies.foresight import turning_head
+from stereo_slam_env.policies.planning import Greedy, Lookahead, Planner, Preferences, directions
 
 from .looking import looked_around, with_belief
 

@@ -4,16 +4,15 @@ import numpy as np
 import pytest
 
 from filters import StereoNoise, rotations
-from stereo_slam_env.policies.foresight import CameraPoses, Eyes
-from stereo_slam_env.policies.unseen_places import UnseenPlaces
+from stereo_slam_env.policies.foresight import CameraPoses, SensorModel, UnseenPlaces
 from stereo_slam_env.sensing.rigs import RIGS
 from stereo_slam_env.world.routes import named_route
 
 
 @pytest.fixture
 def places():
-    eyes = Eyes(RIGS["qvga"], StereoNoise.independent_pixels(1.0), nearest=4.0, farthest=30.0, most=1)
-    return UnseenPlaces(named_route("straight"), eyes)
+    sensor = SensorModel(RIGS["qvga"], StereoNoise.independent_pixels(1.0), nearest=4.0, farthest=30.0, most=1)
+    return UnseenPlaces(named_route("straight"), sensor)
 
 
 def looking(*pans):
@@ -49,9 +48,9 @@ def test_driving_on_shows_new_places_up_to_the_end_of_the_route_and_beyond(place
 
 @pytest.mark.parametrize("route", ["town", "loop", "right-turn"])
 def test_they_are_along_any_route(route):
-    eyes = Eyes(RIGS["qvga"], StereoNoise.independent_pixels(1.0), nearest=4.0, farthest=20.0)
+    sensor = SensorModel(RIGS["qvga"], StereoNoise.independent_pixels(1.0), nearest=4.0, farthest=20.0)
     route = named_route(route)
-    places = UnseenPlaces(route, eyes)
+    places = UnseenPlaces(route, sensor)
     everywhere = sum(
         int(places.discovered(CameraPoses(position[None, None], rotations.exp([0.0, heading, 0.0])[None, None]))[0])
         for position, heading in zip(route.positions[::10], route.headings[::10], strict=True)

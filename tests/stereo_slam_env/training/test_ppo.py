@@ -8,6 +8,7 @@ import sys
 import numpy as np
 import pytest
 
+from filters import extras
 from stereo_slam_env.policies import make_policy
 from stereo_slam_env.policies.network import Network
 from stereo_slam_env.training import ppo
@@ -67,9 +68,7 @@ def test_the_network_decides_as_the_model_does(tmp_path, pans):
 
 
 def test_without_the_extra_one_line_says_what_to_install(monkeypatch, tmp_path):
-    from stereo_slam_env.training import extra
-
-    monkeypatch.setattr(extra, "find_spec", lambda name: None)
+    monkeypatch.setattr(extras, "find_spec", lambda name: None)
     with pytest.raises(ImportError, match=r'^stable_baselines3 is missing: .* -m pip install "stereo-slam-env\[rl\]"$'):
         train(TASK, SETTINGS, tmp_path)
     assert not list(tmp_path.iterdir())
@@ -88,8 +87,8 @@ def test_importing_the_package_does_not_import_torch():
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
-        ({"decisions": 0}, "decisions must be an integer >= 1, got 0"),
-        ({"layers": (0,)}, r"layers must be positive integers, got \(0,\)"),
+        ({"decisions": 0}, "decisions must be a whole number >= 1, got 0"),
+        ({"layers": (0,)}, r"layers must be a whole number >= 1, got 0"),
         ({"discount": 1.5}, "discount must be a probability from 0 to 1, got 1.5"),
         ({"seeds": 1}, "settings have no key 'seeds', did you mean 'seed'"),
     ],

@@ -19,9 +19,9 @@ def test_a_task_is_json_able_and_read_back():
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
-        ({"hold": 0}, "hold must be an integer >= 1, got 0"),
+        ({"hold": 0}, "hold must be a whole number >= 1, got 0"),
         ({"resolution": (0.01, -1.0)}, "resolution must be a finite number > 0, got -1.0"),
-        ({"pans": 1}, "pans must be an integer >= 2 or None, got 1"),
+        ({"pans": 1}, "pans must be a whole number >= 2, got 1"),
         ({"filters": "x"}, "task has no key 'filters', did you mean 'filter'?"),
     ],
 )

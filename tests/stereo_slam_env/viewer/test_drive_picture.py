@@ -6,8 +6,7 @@ import pytest
 
 from filters import InverseDepthStereoEKF
 from stereo_slam_env.viewer.drive import Drive
-from stereo_slam_env.viewer.drive_picture import DrivePicture, save_film, save_still
-from stereo_slam_env.viewer.picture_style import style_context
+from stereo_slam_env.viewer.drive_picture import DrivePicture, save_film, save_still, style_context
 
 from ..benchmark.small_recordings import small_recording
 
@@ -61,7 +60,7 @@ def test_without_truth_the_curve_is_the_nis():
     blind = Drive.of(small_recording(truth=False), InverseDepthStereoEKF)
     _, way, _, strip = panels(blind)
     assert "NIS" in strip.get_title(loc="left")
-    assert way.get_title(loc="left") == "The way (m)"
+    assert way.get_title(loc="left") == "Path (m)"
 
 
 def test_the_close_view_has_its_heading_up_and_the_car_in_the_origin(drive):

@@ -7,8 +7,8 @@ import time
 
 import pytest
 
-from stereo_slam_env.viewer import rerun_sink
-from stereo_slam_env.viewer.rerun_sink import close_sink, open_sink, require_rerun
+from stereo_slam_env.viewer import rerun_view
+from stereo_slam_env.viewer.rerun_view import close_sink, open_sink, require_rerun
 
 ADDRESS = "rerun+http://127.0.0.1:9876/proxy"
 
@@ -86,10 +86,10 @@ def test_the_viewer_of_this_python_is_opened_wherever_the_path_leads(stream, mon
     asked = {}
     monkeypatch.setenv("DISPLAY", ":0")
     monkeypatch.setenv("PATH", "")
-    monkeypatch.setattr(rerun_sink.require_rerun(), "spawn", lambda **options: asked.update(options))
+    monkeypatch.setattr(rerun_view.require_rerun(), "spawn", lambda **options: asked.update(options))
     open_sink(stream, None)
     assert asked["recording"] is stream
-    assert asked["executable_path"].startswith(rerun_sink.sysconfig.get_path("scripts"))
+    assert asked["executable_path"].startswith(rerun_view.sysconfig.get_path("scripts"))
 
 
 def test_what_rerun_complains_of_is_one_line(stream, monkeypatch):
@@ -97,7 +97,7 @@ def test_what_rerun_complains_of_is_one_line(stream, monkeypatch):
         raise RuntimeError("Failed to find the viewer.\n\n    You can install\n")
 
     monkeypatch.setenv("DISPLAY", ":0")
-    monkeypatch.setattr(rerun_sink.require_rerun(), "spawn", spawn)
+    monkeypatch.setattr(rerun_view.require_rerun(), "spawn", spawn)
     with pytest.raises(ConnectionError, match=r"^Rerun's viewer: Failed to find the viewer\.$"):
         open_sink(stream, None)
 

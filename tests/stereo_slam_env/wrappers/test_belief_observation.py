@@ -7,7 +7,7 @@ from filters import StereoFilter, make_filter, rotations
 from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.recording.recording import Recording
 from stereo_slam_env.wrappers import BeliefObservation
-from stereo_slam_env.wrappers.belief import assumed_noise
+from stereo_slam_env.wrappers.belief_observation import assumed_noise
 
 from ..benchmark.small_recordings import small_recording
 from .replayed import ReplayEnv, episode
@@ -162,7 +162,7 @@ def test_a_filter_that_breaks_down_is_named_with_frame_and_cause(monkeypatch, wh
         ({"filter": "shared-anker"}, "did you mean 'shared-anchor'"),
         ({"options": {"gat": 0.9}}, "option 'gat' is not one of filter 'shared-anchor', did you mean 'gate'"),
         ({"options": {"motion": {"sigma": 1.0}}}, "motion has no number 'sigma'"),
-        ({"max_landmarks": 0}, "max_landmarks must be an integer >= 1, got 0"),
+        ({"max_landmarks": 0}, "max_landmarks must be a whole number >= 1, got 0"),
         ({"noise": -1.0}, "noise must be a finite number > 0"),
         ({"noise": [[1.0]]}, r"R must have shape \(3, 3\)"),
     ],

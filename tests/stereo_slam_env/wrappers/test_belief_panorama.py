@@ -6,7 +6,7 @@ import pytest
 from filters import StereoNoise, rotations
 from stereo_slam_env.training.task import GazeTask
 from stereo_slam_env.wrappers import BeliefObservation, BeliefPanorama
-from stereo_slam_env.wrappers.belief import Belief
+from stereo_slam_env.wrappers.belief_observation import Belief
 from stereo_slam_env.wrappers.belief_panorama import around, share_in_view
 
 from ..benchmark.small_recordings import CAMERA
@@ -161,7 +161,7 @@ def test_every_observation_is_in_the_space_also_without_a_map():
 
 
 def test_arguments_are_checked_when_it_is_made():
-    with pytest.raises(ValueError, match="sectors must be an integer >= 3, got 2"):
+    with pytest.raises(ValueError, match="sectors must be a whole number >= 3, got 2"):
         BeliefPanorama(BeliefObservation(ReplayEnv()), 2)
     with pytest.raises(ValueError, match="reach must be a finite number > 0, got -1"):
         BeliefPanorama(BeliefObservation(ReplayEnv()), reach=-1.0)

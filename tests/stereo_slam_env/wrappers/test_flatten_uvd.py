@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from stereo_slam_env.wrappers import BeliefObservation, BeliefPanorama, FlattenUVD
-from stereo_slam_env.wrappers.flatten_uvd import UNITS
+from stereo_slam_env.wrappers.observation_shapes import UNITS
 
 from .replayed import ROWS, ReplayEnv, episode
 

@@ -157,7 +157,7 @@ def test_claims_and_reference_can_be_told_side_by_side():
         ({"belief": "reference", "nees_gate": 0.95}, "nees_gate must be None with belief='reference'"),
         ({"nees_gate": 1.0}, "probability must be between 0 and 1"),
         ({"weight": np.nan}, "weight must be a finite number"),
-        ({"max_age": -1}, "max_age must be an integer >= 0, or None for never, got -1"),
+        ({"max_age": -1}, "max_age must be a whole number >= 0, got -1"),
     ],
 )
 def test_arguments_are_checked_when_it_is_made(arguments, message):

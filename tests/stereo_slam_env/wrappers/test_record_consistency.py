@@ -78,7 +78,7 @@ def test_the_keys_of_info_are_always_the_same_scalars():
 
 
 def test_arguments_are_checked_when_it_is_made():
-    with pytest.raises(ValueError, match="window must be an integer >= 1, got 0"):
+    with pytest.raises(ValueError, match="window must be a whole number >= 1, got 0"):
         RecordConsistency(BeliefObservation(ReplayEnv()), window=0)
     with pytest.raises(ValueError, match="RecordConsistency needs 'slam'"):
         RecordConsistency(ReplayEnv())

@@ -25,7 +25,7 @@ from stereo_slam_env.benchmark.scenarios.study import preset
 from stereo_slam_env.benchmark.storage.store import open_run
 from stereo_slam_env.benchmark.storage.study_store import read_study
 from stereo_slam_env.envs import recorder
-from stereo_slam_env.envs.rendered_drive import RenderedDrive
+from stereo_slam_env.envs.recorder import RenderedDrive
 from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.rendering.backends import renderer_identity

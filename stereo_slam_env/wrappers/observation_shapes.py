@@ -1,0 +1,164 @@
+"""Shapes of the observation for learners: one flat Box (`FlattenUVD`), or sequences (`SequenceObservation`)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from filters.validation import FloatArray
+from stereo_slam_env.wrappers.recorded_wrapper import RecordedWrapper, dict_space
+
+ROWS: Mapping[str, tuple[str, ...]] = {
+    "mask": ("uvd", "ids"),
+    "belief_mask": ("belief_landmark_ids", "belief_landmarks", "belief_landmark_covariances"),
+}
+"""Mask -> the keys whose rows it counts; rows in use come first."""
+_MASK_OF = {key: mask for mask, keys in ROWS.items() for key in keys}
+
+UNITS: Mapping[str, float] = MappingProxyType(
+    {
+        "belief_position": 1.0,
+        "belief_landmarks": 1.0,
+        "belief_covariance": 1e-6,
+        "belief_landmark_covariances": 1e-4,
+        "belief_sigmas": 1e-3,
+    }
+)
+"""Keys over many orders of magnitude, and where their logarithmic scale becomes linear (in their own units)."""
+
+
+class FlattenUVD(RecordedWrapper, gym.ObservationWrapper[Any, Any, Any]):
+    """The Dict observation as one 1-D float32 Box in [-1, 1].
+
+    In the order of the Dict's keys, each raveled; `layout` says which entries belong to which key:
+
+    - Boxes of floats (`uvd`, `odometry`, `head`, `panorama`, ...), linearly: -1 and 1 are the bounds;
+    - positions, covariances and sigmas of the belief, which spread over orders of magnitude: sign(x)
+      log(1 + |x| / s) / log(1 + b / s), with b the bound and s the unit of `UNITS`;
+    - masks as 0 and 1. Rows that they do not count are 0;
+    - integers (ids, which are names and no numbers, and images) are left out.
+
+    Parameters
+    ----------
+    env : gymnasium.Env
+        With a Dict observation of bounded Boxes and MultiBinary masks.
+
+    Raises
+    ------
+    ValueError
+        The observation is no Dict, or a Box in it is not bounded.
+    """
+
+    def __init__(self, env: gym.Env[Any, Any]) -> None:
+        super().__init__(env)
+        parts: list[_Part] = []
+        size = 0
+        for key, space in dict_space(env, "FlattenUVD").spaces.items():
+            part = _part(key, space, size)
+            if part is not None:
+                parts.append(part)
+                size = part.where.stop
+        self._parts = tuple(parts)
+        self.layout: Mapping[str, slice] = MappingProxyType({part.key: part.where for part in parts})
+        """Entries of the observation that come from each key."""
+        self.observation_space = spaces.Box(-1.0, 1.0, (size,), np.float32)
+
+    def observation(self, observation: Mapping[str, Any]) -> NDArray[np.float32]:
+        """The flat observation."""
+        flat = np.empty(self.observation_space.shape or (0,), dtype=np.float32)
+        for part in self._parts:
+            values = part.scaled(observation[part.key])
+            mask = observation.get(_MASK_OF.get(part.key, ""))
+            if mask is not None:
+                values[np.asarray(mask) == 0] = 0.0
+            flat[part.where] = values.ravel()
+        return flat.clip(-1.0, 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """A key, its entries in the flat observation, and its scale: as it is without bounds, linear without a unit."""
+
+    key: str
+    where: slice
+    bounds: tuple[FloatArray, FloatArray] | None = None
+    unit: float | None = None
+
+    def scaled(self, observed: Any) -> FloatArray:
+        value: FloatArray = np.array(observed, dtype=np.float64)
+        if self.bounds is None:
+            return value
+        low, high = self.bounds
+        if self.unit is None:
+            linear: FloatArray = (2.0 * value - low - high) / (high - low)
+            return linear
+        sizes: FloatArray = np.log1p(np.abs(value) / self.unit) / np.log1p(high / self.unit)
+        signed: FloatArray = np.copysign(sizes, value)
+        return signed
+
+
+def _part(key: str, space: spaces.Space[Any], start: int) -> _Part | None:
+    """Where and how the key goes into the flat observation, from `start` on; None: it is left out."""
+    if isinstance(space, spaces.MultiBinary):
+        return _Part(key, slice(start, start + int(np.prod(space.shape))))
+    if not isinstance(space, spaces.Box) or not np.issubdtype(space.dtype, np.floating):
+        return None
+    low, high = space.low.astype(np.float64), space.high.astype(np.float64)
+    if not (np.isfinite(low).all() and np.isfinite(high).all() and (high > low).all()):
+        raise ValueError(f"observation key {key!r} must be a bounded Box, got {space}: FlattenUVD scales by the bounds")
+    return _Part(key, slice(start, start + low.size), (low, high), UNITS.get(key))
+
+
+class SequenceObservation(RecordedWrapper, gym.ObservationWrapper[Any, Any, Any]):
+    """Padded keys as `Sequence` spaces, for networks that take sets.
+
+    `uvd` and `ids` (and the landmarks of `BeliefObservation`) become stacked sequences: arrays of as many rows as
+    there are landmarks, without padding; `mask` and `belief_mask` go. Other keys stay.
+
+    Stable-baselines3 and Minari refuse such spaces, and `AsyncVectorEnv` takes them only with `shared_memory=False`;
+    synchronous vector environments give tuples.
+
+    Parameters
+    ----------
+    env : gymnasium.Env
+        With a Dict observation.
+
+    Raises
+    ------
+    ValueError
+        The observation is no Dict.
+    """
+
+    def __init__(self, env: gym.Env[Any, Any]) -> None:
+        super().__init__(env)
+        inner = dict_space(env, "SequenceObservation").spaces
+        self.observation_space = spaces.Dict(
+            {
+                key: _sequence(space) if _MASK_OF.get(key) in inner else space
+                for key, space in inner.items()
+                if key not in ROWS
+            }
+        )
+
+    def observation(self, observation: Mapping[str, Any]) -> dict[str, Any]:
+        """The observation without padding."""
+        rows = dict(observation)
+        for mask, keys in ROWS.items():
+            if mask in rows:
+                count = int(rows.pop(mask).sum())
+                rows |= {key: rows[key][:count].copy() for key in keys}
+        return rows
+
+
+def _sequence(space: spaces.Space[Any]) -> spaces.Sequence:
+    assert isinstance(space, spaces.Box)
+    if space.low.ndim == 1:  # ids: a Box without a shape would refuse the numbers of an array
+        return spaces.Sequence(spaces.Discrete(int(space.high[0]) + 1), stack=True)
+    return spaces.Sequence(spaces.Box(space.low[0], space.high[0], dtype=space.dtype.type), stack=True)
