@@ -266,9 +266,8 @@ def _numbers(heads: Sequence[str], rows: Sequence[Row]) -> str:
         Column(head, kind="text" if isinstance(value, str) else "number")
         for head, value in zip(heads, rows[0], strict=True)
     ]
-    return table(
-        columns, [[value if isinstance(value, str) else number(value, ".3g") for value in row] for row in rows]
-    )
+    cells = [[value if isinstance(value, str) else number(value, ".3g") for value in row] for row in rows]
+    return table(columns, cells)
 
 
 # What was measured, in absolute numbers.
