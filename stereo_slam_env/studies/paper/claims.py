@@ -252,17 +252,20 @@ def ratio_interval(ours: FloatArray, theirs: FloatArray) -> Interval:
 # Sentences.
 
 
+TABLE: Mapping[str, Any] = json.loads(Path(__file__).with_name("claims.json").read_text(encoding="utf-8"))
+"""The rule and the conditions in words, limits, sentences, captions of the figures."""
+
+
 def _sentences() -> dict[str, Sentence]:
-    table = json.loads(Path(__file__).with_name("claims.json").read_text(encoding="utf-8"))
     ranges = {
-        name: Range(about.get("low", -math.inf), about.get("high", math.inf)) for name, about in table["limits"].items()
+        name: Range(about.get("low", -math.inf), about.get("high", math.inf)) for name, about in TABLE["limits"].items()
     }
     found = {}
-    for entry in table["sentences"]:
-        key, section, claimed, figure = (entry[name] for name in ("key", "section", "claim", "figure"))
+    for entry in TABLE["sentences"]:
         asked, note = ranges.get(entry.get("limit"), Range()), f" ({entry['note']})" if "note" in entry else ""
         statement = f"{entry['measured']}: {asked}{note}" if "limit" in entry else entry["measured"]
-        found[key] = Sentence(key, section, claimed, statement, figure, asked)
+        key, figure = entry["key"], entry["figure"]
+        found[key] = Sentence(key, entry["section"], entry["claim"], statement, figure, asked)
     return found
 
 
