@@ -16,7 +16,7 @@ from stereo_slam_env.benchmark.recordings.sources import ReferenceSource
 from stereo_slam_env.benchmark.scenarios.scenario import Scenario, filter_choice
 from stereo_slam_env.benchmark.scenarios.streams import make_recording
 from stereo_slam_env.benchmark.scenarios.study import preset
-from stereo_slam_env.benchmark.statistics.differences import Difference, ShareDifference, paired_share, signed
+from stereo_slam_env.benchmark.statistics.differences import Difference, ShareDifference, share_difference, signed
 from stereo_slam_env.benchmark.statistics.measures import DIVERGED, MEASURES, POSITION, Measure, finding_words
 from stereo_slam_env.benchmark.statistics.verdict import Consistency, consistency, pose_nees
 from stereo_slam_env.evaluation.filter_run import run_filter
@@ -70,7 +70,7 @@ class HeadToHead:
     def divergences(self) -> ShareDifference:
         """Whether the filter diverges in more recordings than the reference."""
         keys = common_keys(self.figures, self.reference_figures)
-        return paired_share(self.figures.diverged(keys), self.reference_figures.diverged(keys))
+        return share_difference(self.figures.diverged(keys), self.reference_figures.diverged(keys))
 
     def assert_not_worse(self, percent: float = 5.0, *, measure: Measure = POSITION) -> None:
         """Assert that an error is shown to be at most `percent` larger than that of the reference.

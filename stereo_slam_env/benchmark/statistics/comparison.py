@@ -23,9 +23,8 @@ from stereo_slam_env.benchmark.statistics.differences import (
     TIE_PERCENT,
     Difference,
     Finding,
-    paired_share,
     pairs_needed,
-    unpaired_share,
+    share_difference,
 )
 from stereo_slam_env.benchmark.statistics.measures import (
     DIVERGED,
@@ -322,7 +321,7 @@ def _change(name: str, measure: Measure, after: FloatArray, before: FloatArray, 
 
 def _divergences(pair: _Pair, comparisons: int) -> Change:
     after, before = pair.diverged
-    share = (paired_share if pair.paired else unpaired_share)(after, before, comparisons=comparisons)
+    share = share_difference(after, before, paired=pair.paired, comparisons=comparisons)
     words = f"{int(before.sum())} of {len(before)} runs before, {int(after.sum())} of {len(after)} after"
     if np.array_equal(after, before):
         words = f"the same {int(after.sum())} of {len(after)} runs"

@@ -13,10 +13,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -28,7 +27,7 @@ CONFIDENCE = 0.95
 MIN_PAIRS = 6
 """Below this a signed-rank test cannot reach 5 %, and an interval says nothing."""
 TIE_PERCENT = 0.1
-"""Two that differ by less than that on every recording are tied: no reader could do anything with the rest."""
+"""Two that differ by less than that on every recording are tied."""
 RESAMPLES = 4999
 _EXACT_PAIRS = 50
 _LARGEST_LOG = 50.0
@@ -62,14 +61,12 @@ class Difference:
         Confidence interval of it, corrected for the number of comparisons; None with fewer than `MIN_PAIRS`.
     p_value : float
         Two-sided, corrected for the number of comparisons.
-    needed : int
-        The smallest number of pairs with which the corrected test can say anything.
     is_ratio : bool
         Whether it is of logarithms.
     paired : bool
         Whether both were measured on the same recordings.
-    comparisons, confidence : int, float
-        What interval and p value are corrected for, and the confidence of all of them together.
+    comparisons : int
+        What interval and p value are corrected for.
     largest : float
         Largest |log(a / b)|, or |a - b|, of a pair; NaN where nothing is paired.
     """
@@ -78,17 +75,15 @@ class Difference:
     estimate: float
     interval: tuple[float, float] | None
     p_value: float
-    needed: int
     is_ratio: bool = True
     paired: bool = True
     comparisons: int = 1
-    confidence: float = CONFIDENCE
     largest: float = float("nan")
 
     @property
     def finding(self) -> Finding:
-        """Whether a is shown to be better (smaller) or worse than b: interval and test must agree; a tie is neither."""
-        if self.tied or self.interval is None or self.p_value > 1.0 - self.confidence:
+        """Whether a is shown to be better (smaller) or worse than b: interval and test agree; a tie is neither."""
+        if self.tied or self.interval is None or self.p_value > 1.0 - CONFIDENCE:
             return Finding.NOT_SHOWN
         if self.interval[1] < 0.0:
             return Finding.BETTER
@@ -98,6 +93,11 @@ class Difference:
     def shown(self) -> bool:
         """Whether there is a difference at all."""
         return self.finding is not Finding.NOT_SHOWN
+
+    @property
+    def needed(self) -> int:
+        """The smallest number of pairs with which the corrected test can say anything."""
+        return pairs_needed(self.comparisons)
 
     @property
     def too_few(self) -> bool:
@@ -118,7 +118,7 @@ class Difference:
     def reversed(self) -> Difference:
         """The same of b and a."""
         interval = None if self.interval is None else (-self.interval[1], -self.interval[0])
-        return Difference(**{**self.__dict__, "estimate": -self.estimate, "interval": interval})
+        return replace(self, estimate=-self.estimate, interval=interval)
 
     def not_worse_than(self, percent: float) -> bool:
         """Whether the runs show that a is not larger than b by more than `percent`: the interval ends below it."""
@@ -159,7 +159,7 @@ class Difference:
             runs = f"{runs} {'is' if self.count == 1 else 'are'} too few{also}, {self.needed} are needed"
         if self.interval is None:
             return runs
-        return f"{self.interval_words} at {100 * self.confidence:g} % confidence, {runs}"
+        return f"{self.interval_words} at {100 * CONFIDENCE:g} % confidence, {runs}"
 
     @property
     def interval_words(self) -> str:
@@ -172,15 +172,7 @@ class Difference:
         return f"{signed(ends[0], digits)} to {signed(ends[1], digits)}{' %' if self.is_ratio else ''}"
 
 
-def paired_difference(
-    a: ArrayLike,
-    b: ArrayLike,
-    *,
-    comparisons: int = 1,
-    confidence: float = CONFIDENCE,
-    seed: int = 0,
-    is_ratio: bool = True,
-) -> Difference:
+def paired_difference(a: ArrayLike, b: ArrayLike, *, comparisons: int = 1, is_ratio: bool = True) -> Difference:
     """Compare two quantities that were measured on the same recordings.
 
     Parameters
@@ -190,50 +182,39 @@ def paired_difference(
         zeros are equal.
     comparisons : int
         Number of comparisons made at once.
-    confidence : float
-        Of all of them together.
-    seed : int
-        Of the bootstrap.
     is_ratio : bool
         Compare logarithms; False for values that may be zero or negative: compares a - b.
 
     Raises
     ------
     ValueError
-        a and b are of different lengths, comparisons < 1, or confidence is not between 0 and 1.
+        a and b are of different lengths, or comparisons < 1.
     """
     first, second = (np.atleast_1d(np.asarray(values, dtype=np.float64)) for values in (a, b))
     if first.shape != second.shape or first.ndim != 1:
         raise ValueError(
             f"a and b must be of the same length, one value a recording: got {first.shape}, {second.shape}"
         )
-    _check_level(comparisons, confidence)
     with np.errstate(divide="ignore", invalid="ignore"):
         gaps = np.where(first == second, 0.0, np.log(first / second)) if is_ratio else first - second
         usable = np.isfinite(gaps) & np.isfinite(first) & np.isfinite(second)
     if is_ratio:
         usable &= (first >= 0.0) & (second >= 0.0)
-    return difference_of(gaps[usable], comparisons=comparisons, confidence=confidence, seed=seed, is_ratio=is_ratio)
+    return difference_of(gaps[usable], comparisons=comparisons, is_ratio=is_ratio)
 
 
-def difference_of(gaps: FloatArray, **options: Any) -> Difference:
-    """The difference that independent gaps (n,) show, one a recording; options as `differences_of`."""
-    return differences_of(gaps[:, None], **options)[0]
+def difference_of(gaps: FloatArray, *, comparisons: int = 1, is_ratio: bool = True) -> Difference:
+    """The difference that independent gaps (n,) show, one a recording; options as `paired_difference`."""
+    return differences_of(gaps[:, None], comparisons=comparisons, is_ratio=is_ratio)[0]
 
 
-def differences_of(
-    gaps: FloatArray,
-    *,
-    comparisons: int = 1,
-    confidence: float = CONFIDENCE,
-    seed: int = 0,
-    is_ratio: bool = True,
-) -> list[Difference]:
+def differences_of(gaps: FloatArray, *, comparisons: int = 1, is_ratio: bool = True) -> list[Difference]:
     """The differences that m columns of gaps (n, m) show, one row a recording; options as `paired_difference`."""
     count, columns = gaps.shape
     intervals: list[tuple[float, float] | None] = [None] * columns
+    confidence = level(comparisons)
     if count >= MIN_PAIRS:
-        low, high = mean_interval(gaps, level(comparisons, confidence), seed)
+        low, high = mean_interval(gaps, confidence)
         intervals = list(zip(low.tolist(), high.tolist(), strict=True))
     return [
         Difference(
@@ -241,47 +222,33 @@ def differences_of(
             estimate=float(column.mean()) if count else float("nan"),
             interval=interval,
             p_value=min(1.0, comparisons * float(p_value)),
-            needed=pairs_needed(comparisons, confidence),
             is_ratio=is_ratio,
             comparisons=comparisons,
-            confidence=confidence,
             largest=float(np.abs(column).max()) if count else float("nan"),
         )
         for column, interval, p_value in zip(gaps.T, intervals, signed_rank_p(gaps), strict=True)
     ]
 
 
-def unpaired_difference(
-    a: ArrayLike, b: ArrayLike, *, comparisons: int = 1, confidence: float = CONFIDENCE, seed: int = 0
-) -> Difference:
+def unpaired_difference(a: ArrayLike, b: ArrayLike, *, comparisons: int = 1) -> Difference:
     """Compare two positive quantities measured on different recordings: Welch's t by bootstrap, Mann-Whitney.
 
     Values that are not finite and positive are left out; options as `paired_difference`.
     """
-    _check_level(comparisons, confidence)
     groups = [np.asarray(values, dtype=np.float64) for values in (a, b)]
     first, second = (np.log(values[np.isfinite(values) & (values > 0.0)]) for values in groups)
     count = min(len(first), len(second))
-    interval, p_value = None, 1.0
+    interval, p_value, confidence = None, 1.0, level(comparisons)
     estimate = float(first.mean() - second.mean()) if count else float("nan")
     if count >= MIN_PAIRS:
-        (shift_a, spread_a), (shift_b, spread_b) = (
-            _resampled(x[:, None], seed + i) for i, x in ((0, first), (1, second))
-        )
+        (shift_a, spread_a), (shift_b, spread_b) = _resampled(first[:, None], 0), _resampled(second[:, None], 1)
         studentised = _ratio(np.abs(shift_a - shift_b), np.sqrt(spread_a + spread_b))
         error = math.sqrt(first.var(ddof=1) / len(first) + second.var(ddof=1) / len(second))
-        half = error * float(np.quantile(studentised, level(comparisons, confidence)))
+        half = error * float(np.quantile(studentised, confidence))
         interval = estimate - half, estimate + half
         p_value = float(mannwhitneyu(first, second).pvalue)
     return Difference(
-        count,
-        estimate,
-        interval,
-        min(1.0, comparisons * p_value),
-        needed=pairs_needed(comparisons, confidence),
-        paired=False,
-        comparisons=comparisons,
-        confidence=confidence,
+        count, estimate, interval, min(1.0, comparisons * p_value), paired=False, comparisons=comparisons
     )
 
 
@@ -320,26 +287,21 @@ def signed_rank_p(gaps: FloatArray) -> FloatArray:
     return np.minimum(p_values, 1.0)
 
 
-def pairs_needed(comparisons: int = 1, confidence: float = CONFIDENCE) -> int:
+def pairs_needed(comparisons: int = 1) -> int:
     """Pairs without which the signed-rank test cannot reach significance: its smallest p value is 2^(1 - n)."""
-    return max(MIN_PAIRS, 1 + math.ceil(math.log2(comparisons / (1.0 - confidence)) - 1e-9))
+    return max(MIN_PAIRS, 1 + math.ceil(math.log2(comparisons / (1.0 - CONFIDENCE)) - 1e-9))
 
 
-def level(comparisons: int, confidence: float = CONFIDENCE) -> float:
-    """Confidence of one interval such that all of them hold together with `confidence` (Bonferroni)."""
-    return 1.0 - (1.0 - confidence) / comparisons
+def level(comparisons: int) -> float:
+    """Confidence of one interval such that all of them hold together with `CONFIDENCE` (Bonferroni)."""
+    if not comparisons >= 1:
+        raise ValueError(f"comparisons must be >= 1, got {comparisons!r}")
+    return 1.0 - (1.0 - CONFIDENCE) / comparisons
 
 
 def as_percent(log_ratio: float) -> float:
     """+100 for a logarithm of 2."""
     return float(100.0 * np.expm1(np.clip(log_ratio, -_LARGEST_LOG, _LARGEST_LOG)))
-
-
-def _check_level(comparisons: int, confidence: float) -> None:
-    if not comparisons >= 1:
-        raise ValueError(f"comparisons must be >= 1, got {comparisons!r}")
-    if not 0.0 < confidence < 1.0:
-        raise ValueError(f"confidence must be between 0 and 1, got {confidence!r}")
 
 
 @lru_cache(maxsize=8)
@@ -393,28 +355,26 @@ class ShareDifference:
     finding: Finding
 
 
-def paired_share(
-    a: BoolArray, b: BoolArray, *, comparisons: int = 1, confidence: float = CONFIDENCE
-) -> ShareDifference:
-    """McNemar's exact test, of the recordings where a and b disagree: is it one of them more often than the other."""
-    only_a, only_b = int(np.sum(a & ~b)), int(np.sum(b & ~a))
-    p_value = float(binomtest(only_a, only_a + only_b).pvalue) if only_a + only_b else 1.0
-    return _share(only_a, only_b, len(a), only_a - only_b, comparisons * p_value, confidence)
+def share_difference(a: BoolArray, b: BoolArray, *, paired: bool = True, comparisons: int = 1) -> ShareDifference:
+    """Compare how often something happened.
 
-
-def unpaired_share(
-    a: BoolArray, b: BoolArray, *, comparisons: int = 1, confidence: float = CONFIDENCE
-) -> ShareDifference:
-    """Fisher's exact test, for recordings that are not the same."""
-    in_a, in_b = int(a.sum()), int(b.sum())
-    p_value = float(fisher_exact([[in_a, len(a) - in_a], [in_b, len(b) - in_b]]).pvalue) if len(a) and len(b) else 1.0
-    more = in_a * len(b) - in_b * len(a)
-    return _share(in_a, in_b, min(len(a), len(b)), more, comparisons * p_value, confidence)
-
-
-def _share(in_a: int, in_b: int, count: int, more: int, p_value: float, confidence: float) -> ShareDifference:
+    On the same recordings, McNemar's exact test: of those where a and b disagree, is it one of them more often than the
+    other. On different ones, Fisher's exact test.
+    """
+    p_value = 1.0
+    if paired:
+        in_a, in_b, count = int(np.sum(a & ~b)), int(np.sum(b & ~a)), len(a)
+        more = in_a - in_b
+        if in_a + in_b:
+            p_value = float(binomtest(in_a, in_a + in_b).pvalue)
+    else:
+        in_a, in_b, count = int(a.sum()), int(b.sum()), min(len(a), len(b))
+        more = in_a * len(b) - in_b * len(a)
+        if count:
+            p_value = float(fisher_exact([[in_a, len(a) - in_a], [in_b, len(b) - in_b]]).pvalue)
+    p_value *= comparisons
     finding = Finding.NOT_SHOWN
-    if p_value <= 1.0 - confidence and more:
+    if p_value <= 1.0 - CONFIDENCE and more:
         finding = Finding.WORSE if more > 0 else Finding.BETTER
     return ShareDifference(in_a, in_b, count, min(1.0, p_value), finding)
 

@@ -15,8 +15,8 @@ from stereo_slam_env.benchmark.statistics.differences import (
     Finding,
     ShareDifference,
     listed,
-    paired_share,
     percent_words,
+    share_difference,
     signed,
 )
 from stereo_slam_env.benchmark.statistics.measures import POSITION
@@ -147,7 +147,7 @@ def against_best(
     keys = common_keys(best_figures, other_figures)
     errors = (POSITION.by_run(figures, keys) for figures in (other_figures, best_figures))
     difference = POSITION.difference(*errors, comparisons=comparisons)
-    divergences = paired_share(other_figures.diverged(keys), best_figures.diverged(keys), comparisons=comparisons)
+    divergences = share_difference(other_figures.diverged(keys), best_figures.diverged(keys), comparisons=comparisons)
     return Comparison(
         best=best.filter_name,
         other=other.filter_name,

@@ -168,7 +168,6 @@ def test_the_unpaired_interval_keeps_its_promise():
     ("kwargs", "says"),
     [
         ({"comparisons": 0}, "comparisons must be >= 1, got 0"),
-        ({"confidence": 95}, "confidence must be between 0 and 1"),
     ],
 )
 def test_impossible_levels_are_refused(kwargs, says):

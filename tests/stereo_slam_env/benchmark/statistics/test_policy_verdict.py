@@ -77,7 +77,7 @@ def test_a_worse_policy_that_owns_up_to_it_agrees():
 def test_what_the_truth_says_to_a_claim(claim, truth, expected):
     def difference(low, high):
         sure = low > 0 or high < 0
-        return Difference(20, 0.5 * (low + high), (low, high), 0.01 if sure else 0.5, needed=6)
+        return Difference(20, 0.5 * (low + high), (low, high), 0.01 if sure else 0.5)
 
     assert _agreement(difference(claim - 0.05, claim + 0.05), [difference(*truth)] * 2) is expected
 

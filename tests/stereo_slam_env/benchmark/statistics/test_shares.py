@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from stereo_slam_env.benchmark.statistics.differences import Finding, paired_share, unpaired_share
+from stereo_slam_env.benchmark.statistics.differences import Finding, share_difference
 
 
 @pytest.mark.parametrize(
@@ -13,17 +13,17 @@ from stereo_slam_env.benchmark.statistics.differences import Finding, paired_sha
 def test_divergences_are_compared_where_the_filters_disagree(only_a, only_b, finding):
     a = np.repeat([True, False, True], [only_a, only_b, 20])
     b = np.repeat([False, True, True], [only_a, only_b, 20])
-    assert paired_share(a, b).finding is finding
-    assert paired_share(b, a).finding is finding.reversed
+    assert share_difference(a, b).finding is finding
+    assert share_difference(b, a).finding is finding.reversed
 
 
 def test_many_comparisons_need_more_disagreement():
     a, b = np.ones(8, bool), np.zeros(8, bool)
-    assert paired_share(a, b, comparisons=6).finding is Finding.WORSE
-    assert paired_share(a, b, comparisons=7).finding is Finding.NOT_SHOWN
+    assert share_difference(a, b, comparisons=6).finding is Finding.WORSE
+    assert share_difference(a, b, comparisons=7).finding is Finding.NOT_SHOWN
 
 
 def test_without_common_recordings_shares_are_compared():
-    assert unpaired_share(np.ones(9, bool), np.zeros(9, bool)).finding is Finding.WORSE
-    assert unpaired_share(np.zeros(9, bool), np.ones(5, bool)).finding is Finding.BETTER
-    assert unpaired_share(np.ones(0, bool), np.zeros(9, bool)).finding is Finding.NOT_SHOWN
+    assert share_difference(np.ones(9, bool), np.zeros(9, bool), paired=False).finding is Finding.WORSE
+    assert share_difference(np.zeros(9, bool), np.ones(5, bool), paired=False).finding is Finding.BETTER
+    assert share_difference(np.ones(0, bool), np.zeros(9, bool), paired=False).finding is Finding.NOT_SHOWN
