@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from filters import available_filters, make_filter
 from filters.camera import StereoCamera
@@ -142,7 +143,7 @@ def run_benchmark(
     """
     workers = Backend(backend, jobs, address)
     study = as_study(what, data=data, allow_code=allow_code)
-    changes: dict[str, object] = {}
+    changes: dict[str, Any] = {}
     if filters is not None:
         changes["filters"] = tuple(filter_choice(f) if isinstance(f, str) else f for f in filters)
     if policies is not None:

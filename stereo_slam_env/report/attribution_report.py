@@ -8,7 +8,8 @@ from typing import Any
 
 from markupsafe import Markup
 
-from stereo_slam_env.benchmark.statistics.attribution import Attribution, Contrast, ResponseAttribution
+from stereo_slam_env.benchmark.statistics.attribution import Attribution
+from stereo_slam_env.benchmark.statistics.effects import Contrast, ResponseAttribution
 from stereo_slam_env.report.charts.factors import plot_effects
 from stereo_slam_env.report.page import figure_block, part
 from stereo_slam_env.report.page_tables import Cell, Column, Tone, number, table

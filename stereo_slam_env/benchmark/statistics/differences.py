@@ -247,9 +247,7 @@ def unpaired_difference(a: ArrayLike, b: ArrayLike, *, comparisons: int = 1) -> 
         half = error * float(np.quantile(studentised, confidence))
         interval = estimate - half, estimate + half
         p_value = float(mannwhitneyu(first, second).pvalue)
-    return Difference(
-        count, estimate, interval, min(1.0, comparisons * p_value), paired=False, comparisons=comparisons
-    )
+    return Difference(count, estimate, interval, min(1.0, comparisons * p_value), paired=False, comparisons=comparisons)
 
 
 def mean_interval(values: FloatArray, confidence: float, seed: int = 0) -> tuple[FloatArray, FloatArray]:
