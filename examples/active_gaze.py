@@ -11,7 +11,7 @@ import argparse
 import gymnasium as gym
 import numpy as np
 
-import stereo_slam_env
+import stereo_slam_env as sse
 from filters import VelocityDriven, make_filter, rotations
 
 # The map keeps what is out of view; the odometry is believed; what comes back into view needs two linearisations.
@@ -35,18 +35,15 @@ def nearest_landmark(slam, head):
 def drive(env, rule, seed):
     """Claimed standard deviation and true error of the final position, m."""
     rig = env.unwrapped
-    observation, info = env.reset(seed=seed)
-    slam = make_filter("shared-anchor", camera=rig.camera, noise=rig.noise, **OPTIONS)
-    slam.reset(rig.start)
-    slam.update(stereo_slam_env.stereo_observation(observation, info))
-    over = False
+    env.reset(seed=seed)
+    loop = sse.FilterLoop(make_filter("shared-anchor", camera=rig.camera, noise=rig.noise, **OPTIONS))
+    loop.reset(rig.start)
+    moment, over = loop.step(rig.frame), False
     while not over:
-        action = rule(slam, observation["head"]) / rig.head.max_angles
-        observation, _, terminated, truncated, info = env.step(np.clip(action, -1, 1).astype(np.float32))
-        slam.predict(0.1, rig.frame.odometry)
-        slam.update(stereo_slam_env.stereo_observation(observation, info))
-        over = terminated or truncated
-    return np.sqrt(slam.pose.covariance[:3, :3].trace()), np.linalg.norm(slam.pose.position - info["truth_position"])
+        action = rule(moment.slam, rig.head_angles) / rig.head.max_angles
+        _, _, terminated, truncated, _ = env.step(np.clip(action, -1, 1).astype(np.float32))
+        moment, over = loop.step(rig.frame), terminated or truncated
+    return np.sqrt(moment.pose.covariance[:3, :3].trace()), moment.position_error
 
 
 if __name__ == "__main__":

@@ -6,10 +6,8 @@ Each seed is a drive; all filters get the same bits, and differences are taken d
 
 import argparse
 
+import stereo_slam_env as sse
 from filters import StereoEKF
-from stereo_slam_env.benchmark.recordings.reference_problem import short_turn
-from stereo_slam_env.benchmark.statistics.differences import paired_difference
-from stereo_slam_env.evaluation import figures_of, run_filter, summarise_all
 
 
 class Stacked(StereoEKF):
@@ -19,28 +17,18 @@ class Stacked(StereoEKF):
         super().__init__(camera, noise, landmark="shared-anchor", measurement="stacked", error="so3", **options)
 
 
-FILTERS = {  # label: name or class, options
-    "inverse-depth": ("inverse-depth", {}),
-    "euclidean": ("euclidean", {"min_disparity": 5.0}),
-    "stacked": (Stacked, {}),
-}
 parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
 parser.add_argument("--seeds", type=int, default=8)
-parser.add_argument("--frames", type=int, default=30)
+parser.add_argument("--frames", type=int, default=80)
 given = parser.parse_args()
 
-runs = []
-for seed in range(given.seeds):
-    recording = short_turn(seed=seed, frames=given.frames)
-    runs += [run_filter(recording, name, options, label=label, seed=seed) for label, (name, options) in FILTERS.items()]
-
-figures = figures_of(runs, divergence_percent=10.0)
-summaries = {summary.filter_name: summary for summary in summarise_all(runs, figures)}
-low, high = summaries["inverse-depth"].pose_anees_band
-print(f"filter          RMSE, m   pose NEES / 6 (95 %: {low / 6:.2f} to {high / 6:.2f})   ms a frame")
-for name, found in summaries.items():
-    print(f"{name:<14} {found.position_rmse_m:8.4f} {found.pose_anees / 6:15.2f} {found.ms_per_frame:29.2f}")
-reference = summaries["inverse-depth"].position_rmse_by_run
-for name in ("euclidean", "stacked"):
-    found = paired_difference(summaries[name].position_rmse_by_run, reference, comparisons=2)
-    print(f"{name} against inverse-depth: {found.percent:+.0f} % position error, {found.finding.value}")
+comparison = sse.compare(
+    ["inverse-depth", "euclidean", Stacked],
+    "reference-drive",
+    seeds=given.seeds,
+    frames=given.frames,
+    options={"euclidean": {"min_disparity": 5.0}},
+)
+print(comparison)
+for label in ("euclidean", "Stacked"):
+    print(comparison.between(label, "inverse-depth"))

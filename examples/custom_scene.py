@@ -12,11 +12,20 @@ import cv2
 import gymnasium as gym
 import numpy as np
 
-from stereo_slam_env.world.layout import Layout, facing_points
-from stereo_slam_env.world.road import ASPHALT_HEIGHT, RoadNetwork, Strip, paved, road_along
-from stereo_slam_env.world.routes import Route, register_route
-from stereo_slam_env.world.scene import Material, Scene, Sphere
-from stereo_slam_env.world.surroundings import register_scene
+import stereo_slam_env as sse
+from stereo_slam_env.world import (
+    ASPHALT_HEIGHT,
+    Layout,
+    Material,
+    RoadNetwork,
+    Route,
+    Scene,
+    Sphere,
+    Strip,
+    facing_points,
+    paved,
+    road_along,
+)
 
 GRASS = Material((1.0, 1.0, 1.0), "grass", (6.0, 6.0))
 LANE = Strip(4.0, ASPHALT_HEIGHT, Material((1.0, 1.0, 1.0), "asphalt", (7.0, 7.0)))
@@ -42,8 +51,8 @@ def column(at):
     return [at.rod((0.0, 0.0, 0.0), (0.0, 0.0, 6.0), 0.6, STONE), Sphere(at.point(0.0, 0.0, 6.7), 0.8, STONE)]
 
 
-register_scene("avenue", build_avenue)
-register_route("slalom", Route("slalom", np.full(60, 5.0), 0.2 * np.sin(np.arange(60) / 8.0)))
+sse.register_scene("avenue", build_avenue)
+sse.register_route("slalom", Route("slalom", np.full(60, 5.0), 0.2 * np.sin(np.arange(60) / 8.0)))
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)

@@ -68,7 +68,7 @@ for step in range(1, 101):
         sigma = np.sqrt(np.trace(slam.pose.covariance[:3, :3]))
         error = np.linalg.norm(slam.pose.position - robot.position)
         print(
-            f"{step * PERIOD:4.1f} s: sigma {sigma:.3f} m, truly off by {error:.3f} m; "
+            f"{step * PERIOD:4.1f} s: sigma {sigma:.3f} m, true error {error:.3f} m; "
             f"{int(expected.in_view.sum())} of {len(slam.landmarks.ids)} landmarks expected in view, "
             f"{len(report.gated)} gated"
         )

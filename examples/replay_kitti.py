@@ -10,25 +10,20 @@ Run it: python examples/replay_kitti.py PATH/sequences/07 --frames 200
 import argparse
 import tempfile
 
-from stereo_slam_env.datasets import open_for_front_end, write_kitti_sequence
-from stereo_slam_env.envs.recorder import RenderedDrive
-from stereo_slam_env.evaluation import figures_of, run_filter, summarise_all
-from stereo_slam_env.frontend.recorder import record_tracks
-
-FILTERS = ("inverse-depth", "dual-bearing")
+import stereo_slam_env as sse
+from stereo_slam_env.datasets import write_kitti_sequence
 
 
-def replay(folder, frames):
-    """Print the errors of the filters on the sequence in a folder."""
-    sequence, settings = open_for_front_end(folder)
-    recording = record_tracks(sequence, settings, frames=frames)
+def replay(folder, **options):
+    """Print the errors of two filters on the sequence in a folder."""
+    recording = sse.load(folder, **options)
     measured = sum(len(frame.observation) for frame in recording.frames)
     print(f"{recording.name}: {len(recording)} pairs, {measured / len(recording):.0f} landmarks in each")
-    for name in FILTERS:
-        run = run_filter(recording, name, {"gate": 0.99, "consensus": True}, use_odometry=False, score_map=False)
-        (found,) = summarise_all([run], figures_of([run], divergence_percent=10.0))
+    for name in ("inverse-depth", "dual-bearing"):
+        run = sse.evaluate(name, recording, use_odometry=False, gate=0.99, consensus=True)
+        found, end = run.figures, run.series.positions[-1]
         if found.ate_rigid_m is None:
-            print(f"{name:<14} ends at {run.positions[-1].round(2)} m; the folder has no true poses to compare with")
+            print(f"{name:<14} ends at {end.round(2)} m; the folder has no true poses to compare with")
         else:
             print(f"{name:<14} ATE {found.ate_rigid_m:.3f} m, drift at the end {found.end_drift_percent:.2f} %")
 
@@ -39,8 +34,8 @@ if __name__ == "__main__":
     parser.add_argument("--frames", type=int, default=None)
     given = parser.parse_args()
     if given.folder is not None:
-        replay(given.folder, given.frames)
+        replay(given.folder, **({} if given.frames is None else {"last": given.frames - 1}))
     else:
         with tempfile.TemporaryDirectory() as out:
-            drive = RenderedDrive({"route": "right-turn", "rig": "qvga"}, seed=0, frames=given.frames or 25)
-            replay(write_kitti_sequence(drive, out, "00"), None)
+            drive = sse.RenderedDrive({"route": "right-turn", "rig": "qvga"}, seed=0, frames=given.frames or 25)
+            replay(write_kitti_sequence(drive, out, "00"))

@@ -24,7 +24,7 @@ while not over:
     if info["time"] % 1.0 < 0.05 or over:
         error, covariance = slam.pose_error(info["truth_position"], info["truth_orientation"])
         print(
-            f"{info['time']:4.1f} s  driven {info['distance']:5.1f} m  off by {np.linalg.norm(error[:3]):.3f} m"
+            f"{info['time']:4.1f} s  driven {info['distance']:5.1f} m  position error {np.linalg.norm(error[:3]):.3f} m"
             f"  NEES / 6 {error @ np.linalg.solve(covariance, error) / 6:5.2f} (1 expected)"
             f"  {len(report.updated)} landmarks used"
         )

@@ -28,8 +28,7 @@ def test_my_filter(slam_bench: Any) -> None:
 
 
 if __name__ == "__main__":
-    from stereo_slam_env.benchmark.head_to_head import Bench
+    import stereo_slam_env as sse
 
-    bench = Bench()
-    test_my_filter(bench)
-    print(bench(MyFilter))
+    comparison = sse.compare(["inverse-depth", MyFilter], "reference-drive", seeds=5, frames=80)
+    print(comparison.between("MyFilter", "inverse-depth"))

@@ -5,16 +5,14 @@ Run it: python examples/track_images.py
 
 import numpy as np
 
+import stereo_slam_env as sse
 from filters import make_filter
-from stereo_slam_env.envs.recorder import RenderedDrive
-from stereo_slam_env.frontend.recorder import TYPICAL_NOISE
-from stereo_slam_env.frontend.tracker import StereoTracker
+from stereo_slam_env.frontend import TYPICAL_NOISE, StereoTracker
 
-drive = RenderedDrive({"route": "right-turn", "rig": "qvga"}, seed=0, frames=40)
+drive = sse.RenderedDrive({"route": "right-turn", "rig": "qvga"}, seed=0, frames=40)
 tracker = StereoTracker(drive.camera)
 slam = make_filter("inverse-depth", camera=drive.camera, noise=TYPICAL_NOISE, gate=0.99, consensus=True)
-start = drive.start
-slam.reset(start)
+slam.reset(drive.start)
 
 before = None
 for pair in drive.pairs():
@@ -28,4 +26,4 @@ for pair in drive.pairs():
     before = pair.timestamp
 
 error = np.linalg.norm(slam.pose.position - pair.truth.position)
-print(f"{len(tracked.observation)} landmarks in the last pair; {error:.2f} m off after {len(drive)} pairs")
+print(f"{len(tracked.observation)} landmarks in the last pair; position error {error:.2f} m after {len(drive)} pairs")

@@ -10,7 +10,7 @@ import gymnasium as gym
 
 import stereo_slam_env as sse
 from filters import make_filter
-from stereo_slam_env.viewer.rerun_view import RerunView
+from stereo_slam_env.viewer import RerunView
 
 parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
 parser.add_argument("--save", metavar="OUT.rrd")
@@ -19,7 +19,7 @@ parser.add_argument("--frames", type=int, default=80)
 given = parser.parse_args()
 
 env = gym.make("StereoSlam/Drive-v0", route="right-turn", policy="route")
-observation, info = env.reset(seed=0)
+env.reset(seed=0)
 rig = env.unwrapped
 loop = sse.FilterLoop(make_filter("inverse-depth", camera=rig.camera, noise=rig.noise), use_odometry=False)
 loop.reset(rig.start)
@@ -27,7 +27,7 @@ landmarks = rig.landmark_truth()
 with RerunView(rig.camera, ["inverse-depth"], save=given.save, connect=given.connect, landmarks=landmarks) as view:
     for frame in range(given.frames):
         if frame:
-            observation, _, over, cut, info = env.step(env.action_space.sample())
+            _, _, over, cut, _ = env.step(env.action_space.sample())
         view.show("inverse-depth", loop.step(rig.frame))
         if frame and (over or cut):
             break

@@ -9,8 +9,8 @@ Run it: python examples/write_a_filter.py
 
 from typing import Any
 
+import stereo_slam_env as sse
 from filters import StereoCamera, StereoEKF, StereoNoise, check_filter
-from stereo_slam_env.benchmark.recordings.reference_problem import short_turn
 
 
 class StackedEKF(StereoEKF):
@@ -23,13 +23,7 @@ class StackedEKF(StereoEKF):
 if __name__ == "__main__":
     print(check_filter(StackedEKF))
 
-    recording = short_turn(seed=0)
-    slam = StackedEKF(recording.camera, recording.noise)
-    start = recording.start
-    slam.reset(start)
-    for k, frame in enumerate(recording.frames):
-        if k > 0:
-            slam.predict(frame.timestamp - recording.frames[k - 1].timestamp)
-        slam.update(frame.observation)
-    error, covariance = slam.pose_error(frame.truth.position, frame.truth.orientation)
-    print("position error after 12 frames:", error[:3].round(4), "m; claimed sigma:", covariance.diagonal()[:3] ** 0.5)
+    for moment in sse.run(StackedEKF, sse.make_recording("reference-turn", seed=0)):
+        error, covariance = moment.pose_error
+        print(f"{moment.time:.1f} s: position error {error[:3].round(4)} m, sigma {covariance.diagonal()[:3] ** 0.5}")
+    print(sse.compare(["inverse-depth", StackedEKF], "reference-turn", seeds=6).between("StackedEKF", "inverse-depth"))

@@ -28,17 +28,18 @@ from stereo_slam_env.evaluation.results import FilterRun
 from stereo_slam_env.report.charts.consistency import plot_error_bounds, plot_nees
 from stereo_slam_env.report.charts.drawing import Chart, on_white
 from stereo_slam_env.report.charts.style import BAND, INK, MUTED, PALETTE
-from stereo_slam_env.viewer.drive_picture import WIDTH_INCHES, style_context, styled
+from stereo_slam_env.viewer.drive_picture import style_context
 from stereo_slam_env.wrappers.information import InformationCriterion, log_det
 
 HERE = Path(__file__).resolve().parent
+WIDTH_INCHES = 10.4
 BLUE, ORANGE, GREEN = PALETTE[:3]
 CAMERA = StereoCamera(fx=721.5, fy=721.5, cx=672.0, cy=196.0, baseline=0.571, width=1344, height=391)
 FULL_R = StereoNoise.independent_pixels(1.0)
 SIGMA_D = float(np.sqrt(FULL_R.R[2, 2]))
 
 
-@styled
+@style_context()
 def stereo_geometry() -> Figure:
     """Two eyes and a point from above; and what a pixel of disparity is worth in metres."""
     figure = Figure(figsize=(WIDTH_INCHES, 3.6))
@@ -78,7 +79,7 @@ def stereo_geometry() -> Figure:
     return figure
 
 
-@styled
+@style_context()
 def depth_not_gaussian() -> Figure:
     """The same measurement as depth and as inverse depth, near, farther, far."""
     figure = Figure(figsize=(WIDTH_INCHES, 4.3))
@@ -102,7 +103,7 @@ def depth_not_gaussian() -> Figure:
     return figure
 
 
-@styled
+@style_context()
 def inverse_depth() -> Figure:
     """Where a point may be after one look, from above: samples, and the two claims about them."""
     figure = Figure(figsize=(WIDTH_INCHES, 3.1))
@@ -131,7 +132,7 @@ def inverse_depth() -> Figure:
     return figure
 
 
-@styled
+@style_context()
 def anchors() -> Figure:
     """Landmarks hang on the place from where they were first seen."""
     figure = Figure(figsize=(WIDTH_INCHES, 3.3))
@@ -155,7 +156,7 @@ def anchors() -> Figure:
     return figure
 
 
-@styled
+@style_context()
 def gate() -> Figure:
     """Innovations in their ellipse, and those that are not believed."""
     figure = Figure(figsize=(WIDTH_INCHES, 3.6))
@@ -189,7 +190,7 @@ def gate() -> Figure:
     return figure
 
 
-@styled
+@style_context()
 def information_gain() -> Figure:
     """What one more look would tell, by where one looks."""
     gains = look_gains()

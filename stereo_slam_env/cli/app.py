@@ -11,9 +11,8 @@ from typing import Annotated
 import typer
 
 from stereo_slam_env.cli import bench as cli_bench
-from stereo_slam_env.cli import faults as cli_faults
-from stereo_slam_env.cli import paper as cli_paper
 from stereo_slam_env.cli import scenes as cli_scenes
+from stereo_slam_env.cli import studies as cli_studies
 from stereo_slam_env.cli import train as cli_train
 from stereo_slam_env.cli import view as cli_view
 from stereo_slam_env.cli.parts import Interrupted, console, help_without_command, one_line_errors, refuse, show_place
@@ -28,13 +27,13 @@ app = typer.Typer(
 )
 filters_app = typer.Typer(help="The filters: ours and installed third-party ones.")
 app.add_typer(filters_app, name="filters")
-policies_app = typer.Typer(help="The policies: who decides where to look, ours and installed third-party ones.")
+policies_app = typer.Typer(help="The policies, which decide where to look: ours and installed third-party ones.")
 app.add_typer(policies_app, name="policies")
 app.add_typer(cli_scenes.app, name="scenes")
 app.command()(cli_bench.bench)
 app.command()(cli_bench.replay)
-app.command()(cli_faults.faults)
-app.command()(cli_paper.paper)
+app.command()(cli_studies.faults)
+app.command()(cli_studies.paper)
 app.command()(cli_train.train)
 app.command()(cli_view.view)
 

@@ -1,4 +1,4 @@
-"""The commands `stereo-slam scenes ...`: what can be simulated, pictures of it, and how well it is seen."""
+"""The commands `stereo-slam scenes ...`: list, render and record simulated scenes, measure their noise."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def render_scene(
     pedestrians: PedestriansOption = 0,
     randomise: RandomiseOption = False,
 ) -> None:
-    """Draw what both eyes see, with the observed landmarks."""
+    """Draw both views, with the observed landmarks."""
     with one_line_errors():
         import cv2
         import gymnasium as gym

@@ -1,7 +1,6 @@
 """Public names of this room; each is imported when it is first used."""
 
 from .consistency import mean_band as mean_band
-from .consistency import nees as nees
 from .consistency import share_inside as share_inside
 from .filter_run import run_filter as run_filter
 from .map_scoring import LandmarkTrace as LandmarkTrace

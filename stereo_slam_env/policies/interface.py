@@ -16,7 +16,7 @@ Action = NDArray[np.float32]
 
 
 class Policy(Protocol):
-    """Decides what to do next.
+    """A policy: decides where to look.
 
     Policies never look at the truth and never copy the environment. What they may ask it for, with `get_wrapper_attr`,
     are `slam` (the filter in the loop, see `wrappers.BeliefObservation`), `camera`, `noise`, `head`, `head_angles`,
@@ -24,14 +24,14 @@ class Policy(Protocol):
     """
 
     def reset(self, env: gym.Env[Any, Any], rng: np.random.Generator) -> None:
-        """An episode has just begun in `env`.
+        """Begin an episode, which has just begun in `env`.
 
         Parameters
         ----------
         env : gymnasium.Env
             Reset.
         rng : numpy.random.Generator
-            For whatever the policy leaves to chance.
+            Randomness of the policy.
         """
 
     def act(self, observation: Mapping[str, Any]) -> Action:

@@ -51,7 +51,7 @@ class Network:
     choices: FloatArray | None = None
 
     def action(self, observation: Mapping[str, Any]) -> Action:
-        """The action it thinks best, clipped to -1..1; a ValueError for an observation of another size."""
+        """The best action, clipped to -1..1; a ValueError for an observation of another size."""
         x = np.concatenate([np.asarray(observation[key], dtype=np.float64).ravel() for key in self.keys])
         if x.shape != self.mean.shape:
             raise ValueError(
@@ -110,7 +110,7 @@ class Network:
 
 
 class NetworkPolicy:
-    """Look where a network, trained with PPO on `StereoSlam/Gaze-v0`, says.
+    """Look where a network decides that was trained with PPO on `StereoSlam/Gaze-v0`.
 
     Parameters
     ----------

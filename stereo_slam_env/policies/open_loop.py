@@ -40,7 +40,7 @@ class RandomGaze:
     Parameters
     ----------
     seconds : float
-        How long.
+        Duration of each direction.
     """
 
     def __init__(self, seconds: float = 1.0) -> None:
@@ -65,9 +65,9 @@ class Sweep:
     Parameters
     ----------
     period : float
-        Of one sweep to both sides, s.
+        Duration of one sweep to both sides, s.
     amplitude : float
-        To either side, rad.
+        Largest pan to either side, rad.
     """
 
     def __init__(self, period: float = 5.0, amplitude: float = 1.2) -> None:

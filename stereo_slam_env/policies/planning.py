@@ -29,11 +29,11 @@ from stereo_slam_env.world.routes import FRAME_PERIOD, Route
 from stereo_slam_env.world.vehicle import Head
 
 _THERE = 1e-3
-"""rad: nearer than this the head is where it was turned to."""
+"""Distance at which the head has arrived at its target, rad."""
 
 
 class Outlook:
-    """What a planner may read of an environment: the belief of the filter, the sensor, the head and the route.
+    """The part of an environment that a planner may use: belief of the filter, sensor, head and route.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ class Outlook:
         return angles
 
     def is_turned_to(self, target: FloatArray) -> bool:
-        """Whether the head has got to pan and tilt `target` (2,), rad."""
+        """Whether the head has arrived at pan and tilt `target` (2,), rad."""
         return bool(np.abs(self.angles - target).max() < _THERE)
 
     @property
@@ -136,7 +136,7 @@ class Preferences:
 
 
 class Planner:
-    """Chooses among directions that the head could turn to, in one episode.
+    """Choice among the directions that the head can turn to, in one episode.
 
     The worth of a direction is the expected gain of the looks on the way, in nats; plus `curiosity` for every place
     beside the route that has never been in view and would be; less `effort` times the turn, in shares of the largest.
@@ -159,7 +159,7 @@ class Planner:
         """Steps driven so far."""
 
     def look(self) -> None:
-        """Take notice of a new frame."""
+        """Use a new frame: places that are in view are no longer unseen."""
         self.step += 1
         self._places.look(CameraPoses.at(self.outlook.pose))
 
@@ -200,7 +200,7 @@ def directions(head: Head, pans: int, tilts: int) -> FloatArray:
 
 
 class MostUncertain:
-    """Look at the landmark of the map that is known worst, as seen from the camera, of those the head can turn to.
+    """Look at the landmark of the map with the largest uncertainty relative to the camera, within reach of the head.
 
     Its uncertainty is the trace of the covariance of its position relative to the camera. A landmark that has been
     looked at in vain, something stands in between, is not looked at again for a while.
@@ -260,7 +260,7 @@ class MostUncertain:
 
 
 class Greedy:
-    """Look where one look is expected to tell most, as if the head were there at once; get there, and choose again.
+    """Turn to the direction in which one look has the largest expected gain; arrive, then choose again.
 
     Choosing again on the way would leave the head between two groups that are worth about the same.
 
@@ -290,16 +290,16 @@ class Greedy:
 
 
 class Lookahead:
-    """Turn to where the looks of the next steps, on the planned drive and as fast as the head turns, tell most.
+    """Turn to the direction with the largest expected gain of all looks in the next steps of the planned drive.
 
-    The head gets there before it is thought again: see `Greedy`.
+    The head arrives before the next decision, see `Greedy`; it turns as fast as it can.
 
     Parameters
     ----------
     steps : int
         How far to look ahead, in steps of 0.1 s.
     replan : int
-        After how many steps to think again, at the earliest.
+        Fewest steps between two decisions.
     gain, pans, tilts, curiosity, effort
         See `Preferences`.
     """

@@ -1,1 +1,5 @@
 """Rendering: stereo images of a scene from a pose."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

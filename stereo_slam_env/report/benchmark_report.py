@@ -1,20 +1,333 @@
-"""The report of a benchmark: a page for each cell, and one over all cells of a grid."""
+"""Report of a benchmark: a page for each cell, and one over all cells of a grid."""
 
 from __future__ import annotations
 
 import logging
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
+import numpy as np
+from markupsafe import Markup
+
+from filters.validation import FloatArray
+from stereo_slam_env.benchmark.scenarios.study import Study
 from stereo_slam_env.benchmark.statistics.attribution import Attribution, attribute_runs
+from stereo_slam_env.benchmark.statistics.differences import CONFIDENCE, MIN_PAIRS, Finding, listed, mean_interval
+from stereo_slam_env.benchmark.statistics.measures import EFFICIENCY, POSE_NEES, POSITION, Measure
 from stereo_slam_env.benchmark.statistics.policy_verdict import Looks, baseline_of
+from stereo_slam_env.benchmark.statistics.verdict import Verdict, consistency, judge
 from stereo_slam_env.benchmark.storage.store import CellResult, StudyDirectory
+from stereo_slam_env.evaluation.consistency import mean_band
+from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
+from stereo_slam_env.evaluation.run_figures import Figures
 from stereo_slam_env.recording.archive import load_recording
-from stereo_slam_env.report.run_report import write_report
-from stereo_slam_env.report.study_report import write_study_report
+from stereo_slam_env.report.charts.factors import FactorResponse, plot_factor
+from stereo_slam_env.report.charts.style import filter_colours
+from stereo_slam_env.report.comparison_report import attribution_section, conclusions
+from stereo_slam_env.report.overview import TONES, lost, short
+from stereo_slam_env.report.page import clean_figures, data_links, figure_block, html_page, joined, part
+from stereo_slam_env.report.page_tables import Cell, Column, Tone, filter_cell, number, table
+from stereo_slam_env.report.run_report import reference_banner, write_report
+from stereo_slam_env.report.tables import (
+    capital,
+    console_columns,
+    figure_cell,
+    figure_column,
+    finding_tone,
+    percent_cell,
+)
 
+_POSE_DOF = 6
 _log = logging.getLogger(__name__)
+
+
+class CellOutcome(Protocol):
+    """What a cell came to."""
+
+    @property
+    def runs(self) -> Sequence[FilterRun]:
+        """All runs of all filters."""
+
+    @property
+    def summaries(self) -> Sequence[FilterSummary]:
+        """One for each filter."""
+
+    @property
+    def figures(self) -> Figures:
+        """Of the same runs, see `figures_of`."""
+
+
+def write_study_report(
+    out: Path, study: Study, results: Mapping[str, CellOutcome], attribution: Attribution | None = None
+) -> Path:
+    """Write `out/report.html` over all cells of a study; each has its own report at `out/cells/<name>/report.html`.
+
+    Parameters
+    ----------
+    out : Path
+        Directory; made if it is not there.
+    study : Study
+        What was run.
+    results : mapping of str to CellOutcome
+        Runs and summaries by name of the cell; cells without are left out.
+    attribution : Attribution, optional
+        Effects of the options of a filter.
+
+    Returns
+    -------
+    Path
+        The page.
+
+    Raises
+    ------
+    ValueError
+        No cell has a result.
+    """
+    results = {cell.name: results[cell.name] for cell in study.cells if cell.name in results}
+    if not results:
+        raise ValueError("results must hold at least one cell of the study: there is nothing to report")
+    folder = clean_figures(out)
+    verdicts = {name: judge(outcome.summaries, outcome.figures) for name, outcome in results.items()}
+    links = {name: _link(out, study, name) for name in results}
+    names = list(dict.fromkeys(s.filter_name for outcome in results.values() for s in outcome.summaries))
+    body: list[Markup] = [
+        reference_banner([run for outcome in results.values() for run in outcome.runs]),
+        conclusions(attribution) if attribution is not None else _headline(verdicts, names),
+        _matrix(results, verdicts, names, links),
+        part("paragraph", _MATRIX_NOTE),
+        *([attribution_section(attribution, folder)] if attribution is not None else []),
+        *_factors(study, results, folder),
+        _everything(results, verdicts, links),
+        data_links(out),
+    ]
+    path = out / "report.html"
+    cells, filters = len(results), len(names)
+    subtitle = f"{cells} scenario{'s' * (cells > 1)} · {filters} filter{'s' * (filters > 1)} on identical measurements"
+    path.write_text(html_page(title=f"Study: {study.name}", subtitle=subtitle, body=joined(body)), encoding="utf-8")
+    return path
+
+
+def _link(out: Path, study: Study, name: str) -> str:
+    address = f"cells/{name}/report.html"
+    return address if (out / address).is_file() or len(study.cells) > 1 else ""
+
+
+# ---- first screen ---------------------------------------------------------------------------------------------------
+
+
+_MATRIX_NOTE = (
+    "Position RMSE, and pose NEES / 6 (1 is ideal) below it. Green: the smallest error, and shown to be; red: shown to"
+    " be larger than the smallest; plain: neither is shown. NEES: green in its band, red overconfident, brown too"
+    " cautious. Links lead to the full report of each scenario."
+)
+
+
+def _headline(verdicts: Mapping[str, Verdict], names: Sequence[str]) -> Markup:
+    return part("paragraph", " ".join(_sentences(verdicts, names)), "headline")
+
+
+def _sentences(verdicts: Mapping[str, Verdict], names: Sequence[str]) -> list[str]:
+    if len(verdicts) == 1:
+        return [next(iter(verdicts.values())).headline]
+    if len(names) == 1:
+        return _of_one_filter(verdicts, names[0])
+    sentences = []
+    by_leaders: dict[tuple[str, ...], list[Verdict]] = {}
+    for verdict in verdicts.values():
+        by_leaders.setdefault(tuple(name for name in names if name in verdict.leaders), []).append(verdict)
+    unknown = by_leaders.pop((), [])
+    for leaders, found in sorted(by_leaders.items(), key=lambda item: -len(item[1])):
+        have = "tie for" if len(leaders) > 1 else "has"
+        shown = ""
+        if len(leaders) < len(names):
+            shown = f", shown against all others in {sum(verdict.is_shown for verdict in found) or 'none'}"
+        among = f"{len(found)} of {len(verdicts)} scenarios"
+        sentences.append(f"{listed(leaders)} {have} the smallest position error in {among}{shown}.")
+    if unknown:
+        sentences.append(f"In {len(unknown)} there is no best one{_why(unknown)}")
+    return sentences
+
+
+def _of_one_filter(verdicts: Mapping[str, Verdict], name: str) -> list[str]:
+    """Nothing to compare: how many scenarios it came through."""
+    unknown = [verdict for verdict in verdicts.values() if verdict.best is None]
+    through = f"{name} has a position error in {len(verdicts) - len(unknown)} of {len(verdicts)} scenarios"
+    return [f"{through}; nothing to compare it with."] + (
+        [f"In {len(unknown)} it has none{_why(unknown)}"] if unknown else []
+    )
+
+
+def _why(unknown: Sequence[Verdict]) -> str:
+    """What the scenarios without a best filter say of it, once."""
+    reasons = list(dict.fromkeys(verdict.headline for verdict in unknown))
+    return f": {reasons[0]}" if len(reasons) == 1 else ", for reasons that their reports say."
+
+
+def _matrix(
+    results: Mapping[str, CellOutcome], verdicts: Mapping[str, Verdict], names: Sequence[str], links: Mapping[str, str]
+) -> Markup:
+    """Scenarios down and filters across, or the other way round where there are more filters."""
+    colours = filter_colours(names)
+    found = {(cell, s.filter_name): s for cell, outcome in results.items() for s in outcome.summaries}
+
+    def entry(cell: str, name: str) -> Cell:
+        summary = found.get((cell, name))
+        return number(None) if summary is None else _entry(summary, verdicts[cell])
+
+    if len(names) > len(results):
+        columns = [Column("Filter", kind="text"), *(Column(cell, link=links[cell]) for cell in results)]
+        rows = [[filter_cell(name, colours), *(entry(cell, name) for cell in results)] for name in names]
+    else:
+        columns = [Column("Scenario", kind="text"), *(Column(name) for name in names)]
+        rows = [[Cell(cell, link=links[cell]), *(entry(cell, name) for name in names)] for cell in results]
+    return table(columns, rows)
+
+
+def _entry(summary: FilterSummary, verdict: Verdict) -> Cell:
+    if summary.position_rmse_m is None:
+        innovations = number(summary.nis, ".2f").text
+        return Cell(lost(summary) if summary.diverged else f"NIS / dof: {innovations}", None)
+    error = number(summary.position_rmse_m, ".3g", " m", _standing(summary, verdict))
+    note = f"NEES / 6: {short(POSE_NEES.of(summary))}" if summary.pose_anees is not None else ""
+    if summary.diverged:
+        note = lost(summary)
+    tone: Tone = "bad" if summary.diverged else TONES[consistency(summary)]
+    return Cell(error.text, error.key, error.tone, note=note, note_tone=tone)
+
+
+def _standing(summary: FilterSummary, verdict: Verdict) -> Tone:
+    if summary.filter_name in verdict.leaders:
+        return "good" if verdict.is_shown else ""
+    comparison = verdict.comparisons.get(summary.filter_name)
+    return "bad" if comparison is not None and comparison.shown else ""
+
+
+# ---- factors --------------------------------------------------------------------------------------------------------
+
+
+def _factors(study: Study, results: Mapping[str, CellOutcome], folder: Path) -> list[Markup]:
+    factors = list(dict.fromkeys(name for cell in study.cells for name in cell.factors))
+    sections = []
+    for i, factor in enumerate(factors):
+        groups: dict[str, list[CellOutcome]] = {}
+        levels: dict[str, Any] = {}
+        for cell in study.cells:
+            if cell.name in results and factor in cell.factors:
+                text = _level(cell.factors[factor])
+                groups.setdefault(text, []).append(results[cell.name])
+                levels.setdefault(text, cell.factors[factor])
+        if len(groups) < 2:
+            continue
+        numbers = all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in levels.values())
+        shown = list(levels.values()) if numbers else list(levels)
+        responses = _responses(list(groups.values()))
+        if not responses:
+            continue
+        averaged = ", over seeds and the other factors" if len(factors) > 1 else ", over seeds"
+        caption = f"Geometric means{averaged}, with 95 % intervals over seeds where there are at least {MIN_PAIRS}."
+        figure = plot_factor("" if factor == "cell" else factor, shown, responses)
+        block = figure_block(figure, f"factor_{i}", caption, folder)
+        heading = "Side by side" if factor == "cell" else f"Effect of {factor}"
+        sections.append(part("section", heading, "", [block]))
+    return sections
+
+
+def _level(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return ", ".join(f"{key} {_level(inner)}" for key, inner in value.items())
+    if isinstance(value, (list, tuple)):
+        return " ".join(map(_level, value))
+    return "none" if value is None else str(value)
+
+
+def _responses(groups: Sequence[Sequence[CellOutcome]]) -> list[FactorResponse]:
+    """Responses at each level; a group is the cells of a level."""
+    seeds = max(len(s.position_rmse_by_run) for group in groups for outcome in group for s in outcome.summaries)
+    low, high = mean_band(_POSE_DOF, max(seeds, 1))
+    kinds = (
+        (f"{capital(POSITION.words)} ({POSITION.unit})", POSITION, None, True),
+        (f"{capital(POSE_NEES.words)}, band of its mean in grey", POSE_NEES, (low / _POSE_DOF, high / _POSE_DOF), True),
+        (f"{capital(EFFICIENCY.words)}, bound / RMSE ({EFFICIENCY.unit})", EFFICIENCY, None, False),
+    )
+    responses = []
+    for title, measure, band, log in kinds:
+        means: dict[str, FloatArray] = {}
+        lows: dict[str, FloatArray] = {}
+        highs: dict[str, FloatArray] = {}
+        names = list(dict.fromkeys(s.filter_name for group in groups for o in group for s in o.summaries))
+        for name in names:
+            points = np.array([_mean_and_interval([_by_seed(o, name, measure) for o in group]) for group in groups])
+            if np.isfinite(points[:, 0]).any():
+                means[name], lows[name], highs[name] = points.T
+        if means:
+            responses.append(FactorResponse(title, means, lows, highs, band, log))
+    return responses
+
+
+def _mean_and_interval(cells: Sequence[Mapping[int | None, float]]) -> tuple[float, float, float]:
+    """Geometric mean over seeds of the geometric mean over cells, and its interval over seeds."""
+    seeds = sorted(set.intersection(*(set(values) for values in cells)), key=str)
+    table_of = np.array([[values[seed] for values in cells] for seed in seeds]).reshape(len(seeds), len(cells))
+    usable = (np.isfinite(table_of) & (table_of > 0)).all(axis=1)
+    logs = np.log(table_of[usable]).mean(axis=1)
+    if len(logs) == 0:
+        return float("nan"), float("nan"), float("nan")
+    mean = float(np.exp(logs.mean()))
+    if len(logs) < MIN_PAIRS:
+        return mean, float("nan"), float("nan")
+    low, high = mean_interval(logs[:, None], CONFIDENCE, 0)
+    return mean, float(np.exp(low[0])), float(np.exp(high[0]))
+
+
+def _by_seed(outcome: CellOutcome, name: str, measure: Measure) -> dict[int | None, float]:
+    """The values of a measure in the runs of a filter, as far as they are known."""
+    of_run = outcome.figures[name].of_run if name in outcome.figures else {}
+    values = {seed: measure.of(figures) for (_, seed), figures in of_run.items()}
+    return {seed: value for seed, value in values.items() if np.isfinite(value)}
+
+
+# ---- the long table -------------------------------------------------------------------------------------------------
+
+
+def _everything(
+    results: Mapping[str, CellOutcome], verdicts: Mapping[str, Verdict], links: Mapping[str, str]
+) -> Markup:
+    summaries = [s for outcome in results.values() for s in outcome.summaries]
+    figures = console_columns(summaries)
+    columns = [
+        Column("Scenario", kind="text"),
+        Column("Filter", kind="text"),
+        Column("Against the best", "%, 95 % interval"),
+        *map(figure_column, figures),
+    ]
+    colours = filter_colours(s.filter_name for s in summaries)
+    rows: list[list[Cell]] = []
+    for cell, outcome in results.items():
+        for s in outcome.summaries:
+            tones = {
+                POSITION.key: _standing(s, verdicts[cell]),
+                POSE_NEES.key: TONES[consistency(s)],
+            }
+            first = [
+                Cell(cell, link=links[cell]),
+                filter_cell(s.filter_name, colours),
+                _against_best(s, verdicts[cell]),
+            ]
+            rows.append([*first, *(figure_cell(figure, s, tones.get(figure.name, "")) for figure in figures)])
+    return part("section", "All figures", "", [table(columns, rows, wide=True)])
+
+
+def _against_best(summary: FilterSummary, verdict: Verdict) -> Cell:
+    if summary.filter_name == verdict.best:
+        return Cell("tie" if len(verdict.leaders) > 1 else "smallest", 0.0, "none")
+    comparison = verdict.comparisons.get(summary.filter_name)
+    if comparison is None or not np.isfinite(comparison.excess_percent):
+        return number(None)
+    if comparison.tied:
+        return Cell("tie", 0.0, "none")
+    tone = finding_tone(Finding.WORSE if comparison.shown else Finding.NOT_SHOWN)
+    return percent_cell(comparison.excess_percent, comparison.interval_percent, tone)
 
 
 def write_report_of(directory: StudyDirectory, results: Sequence[CellResult]) -> Path:

@@ -1,18 +1,22 @@
-"""The page of `stereo-slam report A B`: what changed significantly from one run of the benchmark to another one."""
+"""Reports of differences: between two runs, and between the options of a filter."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from markupsafe import Markup
 
+from stereo_slam_env.benchmark.statistics.attribution import Attribution
 from stereo_slam_env.benchmark.statistics.comparison import Change, RunComparison
 from stereo_slam_env.benchmark.statistics.differences import signed
-from stereo_slam_env.report.charts.factors import plot_changes
+from stereo_slam_env.benchmark.statistics.effects import Contrast, ResponseAttribution
+from stereo_slam_env.report.charts.factors import plot_changes, plot_effects
 from stereo_slam_env.report.charts.style import filter_colours
 from stereo_slam_env.report.page import FIGURES, figure_block, html_page, joined, part
-from stereo_slam_env.report.page_tables import Cell, Column, filter_cell, number, table
-from stereo_slam_env.report.tables import finding_tone
+from stereo_slam_env.report.page_tables import Cell, Column, Tone, filter_cell, number, table
+from stereo_slam_env.report.tables import capital, finding_tone, percent_cell
 
 
 def write_comparison_report(out: Path, comparison: RunComparison) -> Path:
@@ -100,3 +104,114 @@ def _only(comparison: RunComparison) -> Markup:
     )
     lines = [f"Only {when}: {kind} {', '.join(names)}" for kind, when, names in parts if names]
     return part("section", "Not compared", "", [part("items", lines)]) if lines else Markup()
+
+
+def conclusions(attribution: Attribution) -> Markup:
+    """What to know first: a line for each response."""
+    return part("items", [response.conclusion for response in attribution.responses], "headline")
+
+
+def attribution_section(attribution: Attribution, folder: Path) -> Markup:
+    """Markup of the section: a figure of the main effects, and tables.
+
+    Parameters
+    ----------
+    attribution : Attribution
+        Effects of the options of a filter.
+    folder : Path
+        Where figures go, see `figure_block`.
+    """
+    caption = (
+        "Main effects: how many times the average over all combinations a response is with that choice, with intervals"
+        " corrected for their number. Blue: an effect is shown."
+    )
+    crossed = (
+        f"{attribution.combinations} combinations of options, {attribution.seeds} seeds, each on the same measurements."
+    )
+    parts = [
+        figure_block(plot_effects(attribution), "effects", caption, folder),
+        part("titled", "Instead of the first choice", _contrasts(attribution.responses)),
+        part("titled", "Share of the differences explained", _shares(attribution.responses)),
+    ]
+    if any(response.interactions for response in attribution.responses):
+        shown = sum(effect.shown for response in attribution.responses for effect in response.interactions)
+        total = sum(len(response.interactions) for response in attribution.responses)
+        said = f"Interactions of two options: {shown} of {total} shown"
+        parts.append(part("folded", said, _interactions(attribution.responses)))
+    if any(attribution.diverged_percent.values()):
+        rows: list[list[Cell | str]] = [
+            [factor, str(level), number(percent, ".0f", tone="bad" if percent else "")]
+            for (factor, level), percent in attribution.diverged_percent.items()
+        ]
+        columns = [Column("Option", kind="text"), Column("Level", kind="text"), Column("Diverged", "% of runs")]
+        parts.append(part("titled", "Divergence", table(columns, rows)))
+    if attribution.notes:
+        parts.append(part("titled", "Left out", part("items", attribution.notes)))
+    return part("section", "Which choice makes the difference?", crossed, parts)
+
+
+def _contrasts(responses: Sequence[ResponseAttribution]) -> Markup:
+    columns = [
+        Column("Option", kind="text"),
+        Column("Choice", kind="text"),
+        Column("instead of", kind="text"),
+        *(Column(capital(response.response), "change, %") for response in responses),
+    ]
+    found: dict[tuple[str, Any], dict[str, Contrast]] = {}
+    for response in responses:
+        for contrast in response.contrasts:
+            found.setdefault((contrast.factor, contrast.level), {})[response.response] = contrast
+    rows: list[list[Cell | str]] = []
+    for (factor, level), contrasts in found.items():
+        reference = next(iter(contrasts.values())).instead_of
+        row: list[Cell | str] = [factor, str(level), str(reference)]
+        for response in responses:
+            row.append(_contrast_cell(contrasts.get(response.response)))
+        rows.append(row)
+    return table(columns, rows)
+
+
+def _contrast_cell(contrast: Contrast | None) -> Cell:
+    if contrast is None:
+        return number(None)
+    return percent_cell(contrast.percent, contrast.interval_percent, finding_tone(contrast.finding))
+
+
+def _interactions(responses: Sequence[ResponseAttribution]) -> Markup:
+    columns = [
+        Column("Response", kind="text"),
+        Column("Options", kind="text"),
+        Column("Levels", kind="text"),
+        Column("Together", "beyond each alone, %"),
+        Column("Shown", kind="text"),
+    ]
+    rows: list[list[Cell | str]] = []
+    for response in responses:
+        for effect in sorted(response.interactions, key=lambda e: (not e.shown, -abs(e.percent))):
+            tone: Tone = "" if effect.shown else "none"
+            rows.append(
+                [
+                    response.response,
+                    " × ".join(effect.factors),
+                    ", ".join(map(str, effect.levels)),
+                    percent_cell(effect.percent, effect.interval_percent, tone),
+                    Cell("yes" if effect.shown else "no", tone=tone),
+                ]
+            )
+    return table(columns, rows)
+
+
+def _shares(responses: Sequence[ResponseAttribution]) -> Markup:
+    keys = list(dict.fromkeys(share.factors for response in responses for share in response.shares))
+    columns = [
+        Column("Options", kind="text"),
+        *(Column(capital(r.response), "% of the variance") for r in responses),
+    ]
+    rows: list[list[Cell | str]] = []
+    for key in keys:
+        row: list[Cell | str] = [" × ".join(key) or "the rest"]
+        for response in responses:
+            percent = next((share.percent for share in response.shares if share.factors == key), None)
+            row.append(number(percent, ".1f"))
+        rows.append(row)
+    return table(columns, rows)

@@ -120,6 +120,7 @@ def inline_svg(svg: str, name: str, description: str) -> Markup:
         tag = re.sub(
             r' (?:class|role|aria-[a-z]+|font-family|pointer-events|xmlns(?::\w+)?|version)="[^"]*"', "", found[0]
         )
+        tag = re.sub(r' d="[^"]*"', lambda path: re.sub(r"(\.\d)\d+", r"\1", path[0]), tag)  # a tenth of a pixel
         tag = re.sub(r' id="([^"]*)"', rf' id="{name}-\1"', tag)
         return re.sub(r"url\(#(\w+)\)", rf"url(#{name}-\1)", tag)
 

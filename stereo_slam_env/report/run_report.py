@@ -18,9 +18,9 @@ from stereo_slam_env.benchmark.statistics.verdict import Verdict, judge
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
 from stereo_slam_env.evaluation.run_figures import Bounds, Figures
 from stereo_slam_env.report import tables
-from stereo_slam_env.report.attribution_report import attribution_section, conclusions
 from stereo_slam_env.report.charts import accuracy, consistency, cost, landmarks, policies, series
 from stereo_slam_env.report.charts.drawing import Chart
+from stereo_slam_env.report.comparison_report import attribution_section, conclusions
 from stereo_slam_env.report.overview import overview, policy_overview
 from stereo_slam_env.report.page import clean_figures, data_links, figure_block, html_page, joined, part
 
@@ -226,7 +226,7 @@ def _limits(runs: Sequence[FilterRun], summaries: Sequence[FilterSummary], bound
         )
         figures["error_and_limit"] = (_later(accuracy.plot_error_against_bound, runs, bounds), caption)
     if any(s.efficiency_percent is not None for s in summaries):
-        caption = "Bound over RMSE of each run, which scatters about that of all runs, the stroke."
+        caption = "Bound over RMSE of each run; the stroke is that over all runs."
         figures["efficiency"] = (_later(accuracy.plot_efficiency, summaries), caption)
     guide = (
         "The posterior Cramér–Rao bound along the true trajectory: on average over such drives and noise, no unbiased"

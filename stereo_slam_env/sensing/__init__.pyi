@@ -15,5 +15,6 @@ from .corruptions import DroppedFrames as DroppedFrames
 from .corruptions import DuplicatedFrames as DuplicatedFrames
 from .corruptions import Latency as Latency
 from .corruptions import corrupted as corrupted
+from .padding import stereo_observation as stereo_observation
 from .rigs import RIGS as RIGS
 from .rigs import camera_of as camera_of

@@ -118,7 +118,7 @@ def seed_of(dataset: MinariDataset, index: int) -> int:
 
 
 def recording_of_episode(dataset: MinariDataset, index: int) -> Recording:
-    """An episode as any filter takes it: drive it once more, and record it in full precision.
+    """An episode as a recording for any filter: it is driven again, in full precision.
 
     Raises
     ------
@@ -140,7 +140,7 @@ def recording_of_episode(dataset: MinariDataset, index: int) -> Recording:
 
 
 class _Recorded:
-    """Does what has been done."""
+    """Policy that repeats recorded actions."""
 
     def __init__(self, actions: Action) -> None:
         self._actions = actions
@@ -212,7 +212,7 @@ def _place(dataset_id: str, folder: str | Path) -> Path:
 
 @contextmanager
 def _datasets_in(folder: Path) -> Iterator[None]:
-    """Minari looks for the folder in an environment variable."""
+    """Set the environment variable in which Minari looks for its folder."""
     before = os.environ.get(_FOLDER_VARIABLE)
     os.environ[_FOLDER_VARIABLE] = str(folder)
     try:

@@ -159,7 +159,7 @@ def train(
     with claimed_folder(out), _learner(task, settings, out) as (model, scaling):
 
         def look() -> None:
-            """Evaluate the network, keep it if it is the best so far, and keep what it takes to go on."""
+            """Evaluate the network, keep it if it is the best so far, and save the state of the training."""
             about = {"task": task.as_dict(), "settings": asdict(settings), "decisions": model.num_timesteps}
             network = network_of(model, scaling, about, task.choices)
             results = evaluate(network, task, VALIDATION_SEEDS, processes=min(settings.environments, cpu_count()))
@@ -188,7 +188,7 @@ def _mean_return(model: PPO) -> float:
 
 
 def _claim(out: Path, task: GazeTask, settings: PPOSettings) -> None:
-    """Write down what is trained, or see that what is there already is the same but for its length."""
+    """Write task and settings, or check that those of the run in `out` are the same except for its length."""
     about = json.loads(json.dumps({"task": task.as_dict(), "settings": asdict(settings)}))
     file = out / "run.json"
     if file.exists():

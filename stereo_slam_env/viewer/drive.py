@@ -1,6 +1,6 @@
-"""A drive to watch: a filter over a recording, or again over that of a finished run.
+"""A drive to watch: a filter over a recording, or over that of a finished run.
 
-A run keeps what a filter was given and its pose, not its map; a filter is deterministic, so it says all of it again.
+A run keeps recordings and poses, not maps; filters are deterministic, so they are run again.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ class Drive:
         ValueError
             See `stereo_slam_env.run`.
         """
-        run(slam, recording, **settings)  # what is impossible is refused now
+        run(slam, recording, **settings)  # impossible settings are refused now
         label = label or label_of(slam)
 
         def moments() -> Iterator[Moment]:
@@ -141,7 +141,7 @@ def revisit(directory: Path, filter_name: str | None = None, seed: int | None = 
 
 
 def _until_failure(recording: Recording, done: FilterRun) -> Recording:
-    """The frames that the filter came through."""
+    """The frames before the failure of the filter."""
     frames = int(np.isfinite(done.positions).all(axis=1).sum())
     if frames == 0:
         raise ValueError(f"{done.filter_name} has nothing to show, it failed in {done.failure}")

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, ParamSpec
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -36,8 +35,6 @@ _AROUND = (-32.0, 32.0), (-12.0, 52.0)
 """Limits of the close view, m: to the sides, and ahead."""
 _POSE_DOF = 6
 Progress = Callable[[int, int], None]
-P = ParamSpec("P")
-WIDTH_INCHES = 10.4
 PNG_DPI = 160
 
 _RC: dict[Any, Any] = {
@@ -76,19 +73,8 @@ _RC: dict[Any, Any] = {
 }
 
 
-def styled(plot: Callable[P, Figure]) -> Callable[P, Figure]:
-    """Run a plot function under the common style, leaving the caller's matplotlib settings alone."""
-
-    @functools.wraps(plot)
-    def wrapper(*args: P.args, **kwargs: P.kwargs) -> Figure:
-        with mpl.rc_context(_RC):
-            return plot(*args, **kwargs)
-
-    return wrapper
-
-
 def style_context() -> Any:
-    """Return the settings a styled figure must also be saved under (fonts and ids are decided on saving)."""
+    """Context (or decorator) under which a figure is drawn and saved: fonts and ids are decided on saving."""
     return mpl.rc_context(_RC)
 
 
@@ -315,7 +301,7 @@ def _pixels(canvas: FigureCanvasAgg) -> Image:
 
 
 def _near(places: FloatArray) -> FloatArray:
-    """Those inside the close view."""
+    """The places inside the close view."""
     inside = [(low <= column) & (column <= high) for column, (low, high) in zip(places.T, _AROUND, strict=True)]
     return np.asarray(places[inside[0] & inside[1]], dtype=np.float64)
 

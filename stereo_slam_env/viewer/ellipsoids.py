@@ -7,18 +7,12 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from filters import PoseBelief
 from filters.validation import BoolArray, FloatArray
 
 SIGMAS = 3.0
 """Size of the ellipses and ellipsoids."""
 LARGEST = 25.0
 """Half axis, m: what is less certain is drawn as a point alone, for its ellipse would hide everything else."""
-
-
-def claimed_position_error(pose: PoseBelief) -> float:
-    """`SIGMAS` times the root of the trace of the position's covariance, m."""
-    return SIGMAS * float(np.sqrt(np.trace(pose.covariance[:3, :3])))
 
 
 class Ellipsoids(NamedTuple):

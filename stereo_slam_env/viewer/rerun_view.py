@@ -39,7 +39,7 @@ from stereo_slam_env.recording.recording import LandmarkTruth
 from stereo_slam_env.rendering.drawing import disparity_colors
 from stereo_slam_env.rendering.images import Image
 from stereo_slam_env.report.charts.style import INK, MUTED, filter_colours
-from stereo_slam_env.viewer.ellipsoids import claimed_position_error, ellipsoids
+from stereo_slam_env.viewer.ellipsoids import SIGMAS, ellipsoids
 
 TIMELINE = "time"
 FARTHEST = 500.0
@@ -215,7 +215,8 @@ class RerunView:
                 self._log(("consistency", bound), rr.Scalars([value / _POSE_DOF]))
         if moment.truth is not None:
             self._log(("error", label), rr.Scalars([moment.position_error]))
-            self._log(("error", f"{label} claims"), rr.Scalars([claimed_position_error(moment.pose)]))
+            claimed = SIGMAS * float(np.sqrt(np.trace(moment.pose.covariance[:3, :3])))
+            self._log(("error", f"{label} claims"), rr.Scalars([claimed]))
         self._log(("map", label), rr.Scalars([len(moment.landmarks.ids)]))
 
     def _extend(self, path: tuple[str, ...], position: FloatArray, colour: str, radius: float) -> None:

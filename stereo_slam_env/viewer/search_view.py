@@ -112,7 +112,7 @@ def search_picture(
 
 
 def _canvas(image: GreyImage, factor: int) -> Image:
-    """A little darker than the image, so that marks stand out."""
+    """The image in RGB, enlarged and a little darker, so that marks stand out."""
     enlarged = cv2.resize(image, None, fx=factor, fy=factor, interpolation=cv2.INTER_LINEAR) if factor > 1 else image
     dim = cv2.convertScaleAbs(enlarged, alpha=0.82)
     return np.asarray(cv2.cvtColor(dim, cv2.COLOR_GRAY2RGB), dtype=np.uint8)
@@ -133,7 +133,7 @@ def _pixels(uvd: FloatArray, view: int) -> FloatArray:
 
 def _draw_searches(canvas: Image, search: Search, view: int, factor: int) -> None:
     size = _mark_size(canvas.shape[1])
-    project = np.view(3)[:2] if view == 0 else _TO_RIGHT
+    project = np.eye(3)[:2] if view == 0 else _TO_RIGHT
     axes, angles = _ellipses(project @ search.S @ project.T)
     expected = _on_canvas(_pixels(search.predicted, view), factor)
     # Something that was found in the left image alone has no place in the right one.
@@ -207,7 +207,7 @@ def _saltire(canvas: Image, center: FloatArray, color: Color, size: float) -> No
 
 def _plus(canvas: Image, center: FloatArray, color: Color, size: float) -> None:
     reach = 4.6 * size + 0.6
-    _lines(canvas, [(center - step, center + step) for step in reach * np.view(2)], color)
+    _lines(canvas, [(center - step, center + step) for step in reach * np.eye(2)], color)
 
 
 def _lines(

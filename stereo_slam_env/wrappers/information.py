@@ -123,8 +123,8 @@ class InformationCriterion:
         if self.name == "a-optimality":
             return np.asarray(eigenvalues.mean(axis=-1))
         if self.name == "e-optimality":
-            return eigenvalues[..., -1]
-        return np.cbrt(eigenvalues.prod(axis=-1))
+            return np.asarray(eigenvalues[..., -1])
+        return np.asarray(np.cbrt(eigenvalues.prod(axis=-1)))
 
 
 def log_det(P: FloatArray) -> float:
@@ -158,4 +158,4 @@ def _landmark_blocks(joint: FloatArray) -> FloatArray:
 
 def _eigenvalues(blocks: FloatArray) -> FloatArray:
     """Eigenvalues, ascending; tiny ones may come out negative, and count as 0."""
-    return np.maximum(np.linalg.eigvalsh(blocks), 0.0)
+    return np.asarray(np.maximum(np.linalg.eigvalsh(blocks), 0.0))

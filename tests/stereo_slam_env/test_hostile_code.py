@@ -33,15 +33,12 @@ MAY_IMPORT = {
 FORBIDDEN_CALLS = {"eval", "exec", "__import__", "os.system", "os.popen", "joblib.load", "pd.read_pickle", "np.load"}
 FORBIDDEN_ARGUMENTS = {"shell": True, "allow_pickle": True, "weights_only": False}
 LOADS_MODULES = {  # by name; and where that name comes from
-    "filters/__init__.py": "a table in the module",
-    "stereo_slam_env/__init__.py": "a literal",
     "stereo_slam_env/benchmark/running/isolation.py": "a table in the module",
-    "stereo_slam_env/evaluation/memory.py": "a literal",
+    "stereo_slam_env/evaluation/results.py": "a literal",
     "stereo_slam_env/benchmark/recordings/sources.py": "kind 'factory', which load_study refuses without consent",
     "stereo_slam_env/policies/registry.py": "a table in the module",
     "stereo_slam_env/rendering/gl_resources.py": "a literal",
     "stereo_slam_env/viewer/rerun_view.py": "a literal",
-    "stereo_slam_env/wrappers/__init__.py": "a table in the module",
 }
 
 
@@ -136,7 +133,11 @@ def test_the_command_asks_for_consent(evil, capsys):
 
 
 @pytest.mark.parametrize(
-    "table", ['[grid]\nkind = ["reference", "factory"]', '[[cells]]\nname = "a"\nkind = "factory"']
+    "table",
+    [
+        '[options]\nname = "short_turn"\ncall = "evil_module:make"\n[grid]\nkind = ["reference", "factory"]',
+        '[[cells]]\nname = "a"\nkind = "factory"\noptions = { call = "evil_module:make" }',
+    ],
 )
 def test_nor_does_a_cell_of_a_grid(table, tmp_path):
     (tmp_path / "grid.toml").write_text(f'name = "grid"\nkind = "reference"\nfilters = ["euclidean"]\n{table}\n')
@@ -180,7 +181,9 @@ def test_the_folder_of_recordings_is_not_left(tmp_path):
     ids=["seeds", "trials", "factorial", "grid"],
 )
 def test_a_small_file_cannot_ask_for_the_world(text, tmp_path):
-    (tmp_path / "huge.toml").write_text(f"name = 'huge'\nkind = 'reference'\n{text}\n")
+    (tmp_path / "huge.toml").write_text(
+        f"name = 'huge'\nkind = 'reference'\noptions = {{ name = 'short_turn' }}\n{text}\n"
+    )
     with pytest.raises(ValueError, match=r"at most|more than"):
         load_study(tmp_path / "huge.toml")
 

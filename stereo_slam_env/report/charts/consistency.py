@@ -71,7 +71,7 @@ def plot_error_bounds(run: FilterRun, limits: FloatArray | None = None) -> Chart
         panel = Panel(x, Axis(-half, half), panel_width(3, 10.0, 52.0), 140.0, f"{title} ({unit})")
         panel.bands([Curve("", time, e, colour, -bound, bound, opacity=0.13)])
         side = {"width": 0.9, "opacity": 0.45}
-        panel.lines(Curve("", time, end, colour, said=said, **side) for end, said in ((bound, "3σ"), (-bound, None)))
+        panel.lines(Curve("", time, end, colour, said=said, **side) for end, said in ((bound, "3σ"), (-bound, "3σ")))
         panel.lines([Curve("", time, e, colour, width=1.4, said="error")])
         inside = np.isfinite(e) & np.isfinite(bound) & (bound > 0)
         share = f"{100 * np.mean(np.abs(e[inside]) <= bound[inside]):.0f} % inside ±3σ" if inside.any() else ""

@@ -11,7 +11,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 import vl_convert
@@ -19,45 +19,25 @@ from numpy.typing import ArrayLike
 
 from filters.validation import IntArray
 from stereo_slam_env.report.charts.axes import Axis, short, spread_out
-from stereo_slam_env.report.charts.style import GRID, INK, MUTED, PAPER, Limit
-
-Spec: TypeAlias = dict[str, Any]
+from stereo_slam_env.report.charts.style import INK, MUTED, PAPER, Limit
+from stereo_slam_env.report.charts.vega import (
+    COLOURED,
+    ID,
+    SAID,
+    THEME,
+    UPRIGHT,
+    Spec,
+    drawn,
+    with_shared_data,
+    written,
+)
 
 PNG_SCALE = 1.6
 ROW = 30.0
 """Height of a row that belongs to one filter, px."""
-MOST_POINTS = 420
-"""Of one curve: longer ones are thinned, with their peaks kept."""
+POINTS_A_PIXEL = 0.45
+"""Longer curves are thinned, with their peaks kept; those in the background twice as much."""
 DASHED = (5.0, 4.0)
-
-THEME: Spec = {
-    "aria": False,  # the page says what a chart shows
-    "background": None,
-    "font": "Arial, Helvetica, 'Liberation Sans', sans-serif",
-    "padding": 3,
-    "view": {"stroke": None},
-    "axis": {
-        "domainColor": GRID,
-        "gridColor": GRID,
-        "labelColor": MUTED,
-        "labelFlush": False,
-        "labelFontSize": 11.5,
-        "tickColor": GRID,
-        "tickSize": 4,
-        "titleColor": MUTED,
-        "titleFontSize": 12,
-        "titleFontWeight": "normal",
-        "titlePadding": 7,
-    },
-}
-"""Look of every chart."""
-_COLOURED: Spec = {
-    "color": {"field": "colour", "type": "nominal", "scale": None, "legend": None},
-    "opacity": {"field": "opacity", "type": "quantitative", "scale": None, "legend": None},
-}
-_UPRIGHT: Spec = {"size": 12.0, "angle": 0.0, "baseline": "middle"}
-_ID: Spec = {"field": "id", "type": "ordinal"}
-_SAID: Spec = {"field": "said", "type": "nominal", "title": " "}
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,7 +115,7 @@ class Panel:
 
     def lines(self, curves: Iterable[Curve], dash: Sequence[float] = ()) -> None:
         """Draw each curve as a line."""
-        rows = [_row(number, curve, thinned(curve)) for number, curve in enumerate(curves)]
+        rows = [_row(number, curve, self._kept(curve)) for number, curve in enumerate(curves)]
         mark = {
             "type": "line",
             "strokeDash": list(dash),
@@ -143,29 +123,29 @@ class Panel:
             "strokeJoin": "round",
         }
         width = {"field": "width", "type": "quantitative", "scale": None, "legend": None}
-        self._layer(rows, mark, **_COLOURED, strokeWidth=width, detail=_ID)
+        self._layer(rows, mark, **COLOURED, strokeWidth=width, detail=ID)
         if any(row["said"] is not None for row in rows):
             # Points that cannot be seen say the values; `live` is set where there is a pointer.
             point = {"type": "point", "opacity": 0, "size": 110}
             self._layer(rows, point, where="live && datum.said != null", tooltip=self._tooltip())
 
-    def dots(self, curves: Iterable[Curve], size: float = 30.0, *, hollow: bool = False, shape: str = "circle") -> None:
+    def dots(self, curves: Iterable[Curve], size: float = 30.0, *, hollow: bool = False) -> None:
         """Draw a dot, an area of `size` px², at each point."""
         rows = [_row(number, curve, _known(curve)) for number, curve in enumerate(curves)]
-        mark = {"type": "point", "size": size, "shape": shape, "filled": not hollow and shape == "circle"}
+        mark = {"type": "point", "size": size, "filled": not hollow}
         mark |= {"strokeWidth": 2.0} | ({"fill": PAPER} if hollow else {})
-        self._layer(rows, mark, **_COLOURED, tooltip=self._tooltip())
+        self._layer(rows, mark, **COLOURED, tooltip=self._tooltip())
 
     def intervals(self, curves: Iterable[Curve], *, across: bool = False) -> None:
         """Draw a stroke from `low` to `high` of each point: upright, or `across` (then they are values of x)."""
         rows = [_row(number, curve, _known(curve), "low", "high") for number, curve in enumerate(curves)]
         fields = {"x": "low", "x2": "high"} if across else {"y": "low", "y2": "high"}
-        self._layer(rows, {"type": "rule", "strokeWidth": 1.8}, fields, **_COLOURED)
+        self._layer(rows, {"type": "rule", "strokeWidth": 1.8}, fields, **COLOURED)
 
     def bands(self, curves: Iterable[Curve]) -> None:
         """Fill between `low` and `high` of each curve."""
-        rows = [_row(number, curve, thinned(curve), "low", "high") for number, curve in enumerate(curves)]
-        self._layer(rows, {"type": "area"}, {"y": "low", "y2": "high"}, **_COLOURED, detail=_ID)
+        rows = [_row(number, curve, self._kept(curve), "low", "high") for number, curve in enumerate(curves)]
+        self._layer(rows, {"type": "area"}, {"y": "low", "y2": "high"}, **COLOURED, detail=ID)
 
     def boxes(self, boxes: Iterable[Box]) -> None:
         """Fill rectangles."""
@@ -175,8 +155,8 @@ class Panel:
             | {end: short(getattr(b, end)) for end in ends}
             for b in boxes
         ]
-        said: Spec = {"tooltip": [_SAID]} if any(row["said"] for row in rows) else {}
-        self._layer(rows, {"type": "rect"}, {"x": "x0", "x2": "x1", "y": "y0", "y2": "y1"}, **_COLOURED, **said)
+        said: Spec = {"tooltip": [SAID]} if any(row["said"] for row in rows) else {}
+        self._layer(rows, {"type": "rect"}, {"x": "x0", "x2": "x1", "y": "y0", "y2": "y1"}, **COLOURED, **said)
 
     def rule(
         self,
@@ -198,7 +178,7 @@ class Panel:
     ) -> None:
         """Write at (x, y), px from the upper left corner of the panel; `bold`, `size` and `angle` as wanted."""
         place = {"text": text, "x": short(x), "y": short(y), "colour": colour, "key": key, "align": align}
-        self._texts.append(place | {"bold": False} | _UPRIGHT | more)
+        self._texts.append(place | {"bold": False} | UPRIGHT | more)
 
     def place(self, x: float, y: float) -> tuple[float, float]:
         """Where a point of the data lies, px from the upper left corner."""
@@ -242,23 +222,16 @@ class Panel:
 
     def layered(self, number: int) -> Spec:
         """The panel as a view of Vega-Lite; `number` tells it from the other ones of its chart."""
-        title = {
-            "text": self.title,
-            "x": 0,
-            "y": -11,
-            "colour": self.title_colour,
-            "key": "",
-            "align": "left",
-            "bold": True,
-        }
-        texts = [*self._texts, {**title, **_UPRIGHT}] if self.title else self._texts
+        style = {"x": 0, "y": -11, "align": "left", "bold": True, "key": ""} | UPRIGHT
+        title = {"text": self.title, "colour": self.title_colour, **style}
+        texts = [*self._texts, title] if self.title else self._texts
         layers = self._layers or [self._drawn([{"x": None, "y": None}], {"type": "point", "opacity": 0})]
         if self.zoom:
             # Ctrl, or two fingers: the wheel alone goes on scrolling the page.
             select = {"type": "interval", "zoom": "wheel![event.ctrlKey]"}
             zoom = {"params": [{"name": f"zoom_{number}", "select": select, "bind": "scales"}]}
             layers = [layers[0] | zoom, *layers[1:]]
-        return {"width": round(self.width), "height": round(self.height), "layer": [*layers, *_texts(texts)]}
+        return {"width": round(self.width), "height": round(self.height), "layer": [*layers, *written(texts)]}
 
     def _layer(self, rows: Sequence[Spec], mark: Spec, fields: Mapping[str, str] | None = None, **more: Any) -> None:
         if rows:
@@ -279,14 +252,17 @@ class Panel:
             "x": self.x.channel(at["x"], max(2, round(self.width / 75))),
             "y": self.y.channel(at["y"], max(2, round(self.height / 38))),
         } | {end: {"field": at[end]} for end in ("x2", "y2") if end in at}
-        return _drawn(rows, {**mark, "clip": True}, {**sides, **encoding}, where)
+        return drawn(rows, {**mark, "clip": True}, {**sides, **encoding}, where)
+
+    def _kept(self, curve: Curve) -> IntArray:
+        return thinned(curve, max(60, round(POINTS_A_PIXEL * self.width / (1 if curve.said is not None else 2))))
 
     def _tooltip(self) -> list[Spec]:
         values = {"x": self.x.title or "at"}
         if self.y.ticks != ():
             values["y"] = self.y.title or self.title
         number = {"type": "quantitative", "format": ".4~g"}
-        return [_SAID, *({"field": name, "title": title, **number} for name, title in values.items())]
+        return [SAID, *({"field": name, "title": title, **number} for name, title in values.items())]
 
 
 @dataclass(frozen=True)
@@ -309,7 +285,10 @@ class Chart:
 
     def svg(self) -> str:
         """Draw it as an SVG document, with its texts as text, on no background."""
-        return vl_convert.vegalite_to_svg(self.spec)
+        svg = vl_convert.vegalite_to_svg(self.spec)
+        # Vega goes on counting from drawing to drawing: numbered anew, the same chart is the same text.
+        clips = {name: f"clip{i}" for i, name in enumerate(dict.fromkeys(re.findall(r' id="(clip\d+)"', svg)))}
+        return re.sub(r"\bclip\d+\b", lambda found: clips.get(found[0], found[0]), svg)
 
     def save(self, *paths: Path) -> str:
         """Draw it on white into files, by their ending .svg or .png; returns the drawing without a background."""
@@ -353,7 +332,7 @@ def figure(
         Between the fields of two panels, px.
     """
     data: Spec = {}
-    views = [_with_shared_data(panel.layered(number), data) for number, panel in enumerate(panels)]
+    views = [with_shared_data(panel.layered(number), data) for number, panel in enumerate(panels)]
     keys = [{"name": name, "colour": colour} for name, colour in (series or {}).items()]
     return Chart(
         {
@@ -370,7 +349,7 @@ def figure(
     )
 
 
-def thinned(curve: Curve, most: int = MOST_POINTS) -> IntArray:
+def thinned(curve: Curve, most: int) -> IntArray:
     """Indices of the points to draw: of each stretch the first, the lowest and the highest, so that no peak is lost."""
     y = np.asarray(curve.y if curve.high is None else curve.high, dtype=np.float64)
     if len(y) <= most:
@@ -402,41 +381,3 @@ def _row(number: int, curve: Curve, kept: IntArray, *ends: str) -> Spec:
 def _numbers(values: ArrayLike, kept: IntArray) -> list[float | None]:
     chosen = np.asarray(values, dtype=np.float64)[kept]
     return [short(value) if np.isfinite(value) else None for value in chosen.tolist()]
-
-
-def _drawn(rows: Sequence[Spec], mark: Spec, encoding: Spec, where: str = "") -> Spec:
-    """One layer of a view: rows, of which lists are points, a mark, and where what goes."""
-    lists = [name for name, value in rows[0].items() if isinstance(value, list)]
-    transform: list[Spec] = [{"filter": "indexof(hidden, datum.key) < 0" + (f" && {where}" if where else "")}]
-    if lists:
-        transform.append({"flatten": lists})
-    return {"data": {"values": list(rows)}, "transform": transform, "mark": mark, "encoding": encoding}
-
-
-def _texts(texts: Sequence[Spec]) -> list[Spec]:
-    """One layer for each way of writing."""
-    ways: dict[tuple[str, bool, str], list[Spec]] = {}
-    for text in texts:
-        ways.setdefault((text["align"], text["bold"], text["baseline"]), []).append(text)
-    layers = []
-    for (align, bold, baseline), rows in ways.items():
-        weight = "bold" if bold else "normal"
-        mark = {"type": "text", "clip": False, "align": align, "baseline": baseline, "fontWeight": weight}
-        places = {name: {"field": name, "type": "quantitative", "scale": None, "axis": None} for name in ("x", "y")}
-        styles = {
-            name: {"field": name, "type": "quantitative", "scale": None, "legend": None} for name in ("size", "angle")
-        }
-        written = {"text": {"field": "text", "type": "nominal"}, "color": _COLOURED["color"]}
-        layers.append(_drawn(rows, mark, places | styles | written))
-    return layers
-
-
-def _with_shared_data(view: Spec, data: Spec) -> Spec:
-    """The view with names in the place of its data, which goes to `data`, each set of it once."""
-    layers = []
-    for layer in view["layer"]:
-        rows = layer["data"]["values"]
-        name = next((known for known, found in data.items() if found == rows), f"rows_{len(data)}")
-        data[name] = rows
-        layers.append(layer | {"data": {"name": name}})
-    return view | {"layer": layers}

@@ -60,7 +60,7 @@ def rendered_drive(surroundings: str, seed: int, frames: int, blank_from: float 
     blank_from : float, optional
         From then on nothing has a texture, s; None: never.
     """
-    images = {"rig": "qvga", "sensor": "images", "renderer": "tiny", "randomise": True}
+    images: dict[str, Any] = {"rig": "qvga", "sensor": "images", "renderer": "tiny", "randomise": True}
     drive = record(seed=seed, frames=frames, route="loop", surroundings=surroundings, blank_from=blank_from, **images)
     return replace(drive, frames=tuple(replace(frame, odometry=None) for frame in drive.frames))
 

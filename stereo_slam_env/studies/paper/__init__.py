@@ -134,10 +134,7 @@ def run_paper(
     about = {"version": VERSION, "settings": asdict(settings), "versions": versions()}
     _write_json(out / SETTINGS, about)
 
-    drives, place = (
-        long_drive.study(settings.drive_seeds, settings.drive_frames),
-        out / f"{DRIVES}-{settings.drive_frames}",
-    )
+    drives = long_drive.study(settings.drive_seeds, settings.drive_frames)
     untimed = {**convergence.experiments(settings.turn_seeds), **karlsruhe.experiments(sequences)}
     timed = speed.experiments(settings.sizes, settings.repeats)
     trials = sum(len(cell.scenario.filters) * len(cell.scenario.seeds) for cell in drives.cells)
@@ -149,7 +146,8 @@ def run_paper(
     def of_drives(done: float, of: int) -> None:
         tell(trials * done / of, total)
 
-    runs = long_drive.runs_of(run_benchmark(drives, place, jobs=jobs, progress=of_drives))
+    benchmark = run_benchmark(drives, out / f"{DRIVES}-{settings.drive_frames}", jobs=jobs, progress=of_drives)
+    runs = long_drive.runs_of(benchmark)
     results = run_experiments(untimed, out / EXPERIMENTS, together, after(trials))
     results |= run_experiments(timed, out / EXPERIMENTS, Backend(jobs=1), after(trials + len(untimed)))
     claims = (
@@ -186,9 +184,8 @@ def run_experiments(
     own_code = b"".join(path.read_bytes() for path in sorted(Path(__file__).parent.glob("*.py")))
     code = [versions()["code"], hashlib.sha256(own_code).hexdigest()]
     keys = {name: json.dumps([*code, work.args, work.keywords]) for name, work in experiments.items()}
-    results = {
-        name: arrays for name in experiments if (arrays := _kept(folder / f"{name}.npz", keys[name])) is not None
-    }
+    found = {name: _kept(folder / f"{name}.npz", key) for name, key in keys.items()}
+    results = {name: arrays for name, arrays in found.items() if arrays is not None}
     progress(len(results), len(experiments))
     missing = [(folder / f"{name}.npz", keys[name], work) for name, work in experiments.items() if name not in results]
     with backend.started() as run_all:
@@ -225,8 +222,10 @@ def _write_json(path: Path, data: Mapping[str, Any]) -> None:
 
 
 def _as_dict(claim: Claim) -> dict[str, Any]:
+    sentence = asdict(claim.sentence)
+    del sentence["asked"]  # of each finding
     return {
-        **asdict(claim.sentence),
+        **sentence,
         "verdict": claim.verdict.value,
         "says": claim.says,
         "findings": [_finding(finding) for finding in claim.findings],
@@ -258,7 +257,7 @@ def _write_rows(path: Path, claims: Sequence[Claim]) -> None:
             for finding in claim.findings:
                 rows.writerow(
                     {
-                        **asdict(claim.sentence),
+                        **{name: getattr(claim.sentence, name) for name in (*heads[:4], "evidence")},
                         "condition": ", ".join(f"{factor}: {level}" for factor, level in finding.condition.items()),
                         "measured": finding.measured.value,
                         "low": finding.measured.low,

@@ -1,4 +1,4 @@
-"""The claims of the paper: conditions, limits, the rule that decides, and every checkable sentence.
+"""The claims of the paper: conditions that they are judged under, intervals, and the rule that decides.
 
 Every claim is made measurable: a quantity, and the range in which it must lie if the claim is true. A quantity is
 measured under several conditions, each time with a 95 % confidence interval.
@@ -8,16 +8,19 @@ measured under several conditions, each time with a 95 % confidence interval.
 - The claim (`Claim`): *holds* if it holds under every condition; *holds only if ...* under some of them, which are
   then named; *does not hold* if it holds under none and is refuted under at least one; else *not shown*.
 
-Nothing else decides. Limits were chosen before these runs.
+Nothing else decides. `claims.json` has every checkable sentence and the limits, each with its reason; they were chosen
+before these runs.
 """
 
 from __future__ import annotations
 
+import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from importlib.util import find_spec
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -135,7 +138,7 @@ class Finding:
 
 @dataclass(frozen=True)
 class Sentence:
-    """Something the paper says that can be checked.
+    """Something the paper says that can be checked: an entry of `claims.json`.
 
     Attributes
     ----------
@@ -145,6 +148,8 @@ class Sentence:
         What is measured, and when that counts as true.
     evidence : str
         Name of the figure that it is shown with.
+    asked : Range
+        Where the quantity must lie.
     """
 
     key: str
@@ -152,6 +157,7 @@ class Sentence:
     claim: str
     statement: str
     evidence: str
+    asked: Range = Range()
 
 
 @dataclass(frozen=True)
@@ -243,170 +249,33 @@ def ratio_interval(ours: FloatArray, theirs: FloatArray) -> Interval:
     return Interval(*(math.exp(x) for x in (difference.estimate, low, high)))
 
 
-# Limits, each with its reason.
-
-BETTER = Range(high=1.0 / 1.02)
-"""Of the ratio of the paper's filter to its competitor, for anything of which less is better: a difference below 2 %
-is none, because nobody would choose between two filters by it."""
-REGION = Range(0.94, 0.96)
-"""Share of the true cloud in a region that is meant to hold 95 %: right to one percentage point."""
-NOT_REGION = Range(high=0.94)
-"""The same of a region that does not enclose the cloud."""
-CONSISTENT = Range(1.1**-2, 1.1**2)
-"""Of NEES by its degrees of freedom, the ratio of the true variance to the claimed one: a filter is consistent if the
-standard deviations that it claims are right to 10 %."""
-INCONSISTENT = Range(low=1.1**2)
-"""The same of a filter that is surer than it may be."""
-POSITION_M = Range(high=2.0)
-"""The paper grants its own ground truth errors of up to two metres (4.4): nothing better could be seen there."""
-YAW_DEG = Range(high=1.0)
-"""A hundredth of the paper's turns, which is about what its figure 6 can show."""
-VELOCITY_M_S = Range(high=0.25)
-"""5 % of the car's speed, which is about what the paper's figure 6 can show."""
-SCALE_PERCENT = Range(high=1.0)
-""""A little" scale drift: the scale at the end within 1 % of that at the start."""
-DRIFT_PERCENT = Range(high=1.0)
-""""Minor" drift: 1 % of the path, what good stereo odometry of that time had on KITTI."""
-
 # Sentences.
 
-_SHARE = "share of the points in the region that is meant to hold 95 %"
-_THAN = f"over that of the competitor: {BETTER}"
-_SIGMA = "claimed sigma right to 10 %"
-_POSE = "'The car pose and velocity can be decently estimated quite well, close to the groundtruth'"
 
-REGION_70M = Sentence(
-    "region-70m",
-    "4.1",
-    "Inverse depth at 70 m: 'the red lines enclose the true uncertainty'",
-    f"{_SHARE}: {REGION}",
-    "figure-1",
-)
-REGION_70M_XYZ = Sentence(
-    "region-70m-xyz",
-    "4.1",
-    "Euclidean XYZ at 70 m: '... while blue lines do not'",
-    f"{_SHARE}: {NOT_REGION}",
-    "figure-1",
-)
-REGION_ANY = Sentence(
-    "region-any-distance",
-    "4.1",
-    "'For any distance close or far, the uncertainty region estimated by our model accurately bounds the true "
-    "uncertainty'",
-    f"{_SHARE}: {REGION}",
-    "figure-2",
-)
-HISTOGRAM = Sentence(
-    "histogram",
-    "4.1",
-    "Inverse depth at 70 m: 'the red rectangles have more closely covered the true gray rectangles distribution'",
-    "Kolmogorov-Smirnov distance of the depths from those claimed, XYZ minus inverse depth: at least 0",
-    "figure-1",
-)
-UNCERTAINTY_CONVERGES = Sentence(
-    "uncertainty-converges",
-    "4.3, abstract",
-    "'No matter the feature is either far or near, ... our proposed method depth and uncertainty converge faster': the "
-    "uncertainty",
-    f"claimed sigma of the depth after 10 updates, {_THAN}",
-    "figure-4",
-)
-DEPTH_CONVERGES = Sentence(
-    "depth-converges",
-    "4.3",
-    "'... depth and uncertainty converge faster': the depth",
-    f"RMS error of the depth after 10 updates, {_THAN}",
-    "figure-5",
-)
-DEPTH_UNCERTAINTY = Sentence(
-    "depth-uncertainty",
-    "abstract",
-    "'Real depth uncertainty distribution of landmarks features can be accurately estimated'",
-    f"NEES of the inverse depth after 10 updates: {CONSISTENT} ({_SIGMA})",
-    "figure-4",
-)
-SMOOTHER = Sentence(
-    "smoother",
-    "4.3, abstract",
-    "'Our proposed method estimation is more stable, therefore the curve is smoother'",
-    f"RMS second difference of the estimated depth over 10 updates, {_THAN}",
-    "figure-5",
-)
-RAW_MEAN = Sentence(
-    "raw-mean",
-    "4.3",
-    "'After 10 updates, the estimation result is also closer to the mean values of raw measurement'",
-    f"distance of the estimate from the mean of the raw depths, {_THAN}",
-    "figure-5",
-)
-TRAJECTORY = Sentence(
-    "trajectory",
-    "4.4",
-    "'Our proposed model estimated trajectory is quite close to the groundtruth'",
-    f"RMS position error, m: {POSITION_M} (what the paper grants its own ground truth)",
-    "figure-6",
-)
-DRIFT = Sentence(
-    "drift",
-    "abstract",
-    "'We also found minor drift in the vehicle pose estimation even after extended periods'",
-    f"position error at the end, % of the path: {DRIFT_PERCENT}",
-    "figure-6",
-)
-YAW = Sentence("yaw", "4.4", f"{_POSE}: the yaw", f"RMS error of the yaw, degrees: {YAW_DEG}", "figure-6")
-VELOCITY = Sentence(
-    "velocity", "4.4", f"{_POSE}: Vx and Vz", f"RMS error of Vx and Vz, m/s: {VELOCITY_M_S}", "figure-6"
-)
-SCALE = Sentence(
-    "scale",
-    "5",
-    "'Even in large-scale outdoor environment, there is only a little scale drift'",
-    f"RMS difference of estimated and true length of the path, %: {SCALE_PERCENT}",
-    "figure-6",
-)
-POSE_CONSISTENT = Sentence(
-    "consistent",
-    "4.1, 5",
-    "'The proposed observation models ... worked consistently under the strict requirement of EKF framework'",
-    f"pose NEES / 6, and NIS by its degrees of freedom: {CONSISTENT} ({_SIGMA})",
-    "figure-nees",
-)
-LANDMARK_NOISE = Sentence(
-    "landmark-noise",
-    "5",
-    "'Our observation model together with inverse depth parameterization has kept true to the real noise distribution "
-    "of the landmark feature'",
-    f"landmark NEES / 3 in (u, v, d): {CONSISTENT} ({_SIGMA})",
-    "figure-nees",
-)
-RANGE_HELPS = Sentence(
-    "range-helps",
-    "5",
-    "'The additional range information has helped'",
-    f"RMS position error, {_THAN} (competitor, 1 px an image)",
-    "figure-nees",
-)
-XYZ_INCONSISTENT = Sentence(
-    "xyz-inconsistent",
-    "1",
-    "XYZ: 'true distributions of faraway features are non-Gaussian, which makes the EKF filter estimation "
-    "inconsistent'",
-    f"pose NEES / 6 of the XYZ filter with the right R: {INCONSISTENT}",
-    "figure-nees",
-)
-FASTER = Sentence(
-    "faster",
-    "5",
-    "'Our new observation model is also computationally faster than the ... binocular stereo-based approach'",
-    f"time of predict + update, {_THAN}",
-    "figure-speed",
-)
-ONE_UPDATE = Sentence(
-    "one-update",
-    "5",
-    "'We only have to do projection and update in the EKF framework once, in contrast to the binocular approach which "
-    "requires projection and update two times each'",
-    "projections and updates in a frame: 1 of ours, 2 of the competitor",
-    "figure-speed",
-)
+TABLE: Mapping[str, Any] = json.loads(Path(__file__).with_name("claims.json").read_text(encoding="utf-8"))
+"""The rule and the conditions in words, limits, sentences, captions of the figures."""
+
+
+def _sentences() -> dict[str, Sentence]:
+    ranges = {
+        name: Range(about.get("low", -math.inf), about.get("high", math.inf)) for name, about in TABLE["limits"].items()
+    }
+    found = {}
+    for entry in TABLE["sentences"]:
+        asked, note = ranges.get(entry.get("limit"), Range()), f" ({entry['note']})" if "note" in entry else ""
+        statement = f"{entry['measured']}: {asked}{note}" if "limit" in entry else entry["measured"]
+        key, figure = entry["key"], entry["figure"]
+        found[key] = Sentence(key, entry["section"], entry["claim"], statement, figure, asked)
+    return found
+
+
+SENTENCES: Mapping[str, Sentence] = _sentences()
+"""By key."""
+Measured = Iterable[tuple[Mapping[str, str], Interval]]
+"""Conditions, and what was measured under each."""
+
+
+def claim(sentence: str | Sentence, measured: Measured) -> Claim:
+    """A sentence, or that of a key of `SENTENCES`, judged."""
+    said = SENTENCES[sentence] if isinstance(sentence, str) else sentence
+    return Claim(said, tuple(Finding(condition, interval, said.asked) for condition, interval in measured))

@@ -18,13 +18,10 @@ from filters import Pose, StereoNoise
 from stereo_slam_env import Recording, run
 from stereo_slam_env.benchmark import short_turn
 from stereo_slam_env.sensing import RIGS
-from stereo_slam_env.studies.paper import claims
 from stereo_slam_env.studies.paper.claims import (
     ASSUMED,
     ASSUMED_NAMES,
-    BETTER,
     COMMON_OPTIONS,
-    CONSISTENT,
     COUPLED,
     DIAGONAL,
     DUAL,
@@ -32,9 +29,10 @@ from stereo_slam_env.studies.paper.claims import (
     NOISES,
     Arrays,
     Claim,
-    Finding,
     FloatArray,
     Interval,
+    Measured,
+    claim,
     mean_interval,
     ratio_interval,
 )
@@ -266,8 +264,7 @@ def judge(results: Mapping[str, Arrays]) -> tuple[Claim, ...]:
     """The claims of section 4.3."""
     every = {noise: gathered(results, noise) for noise in NOISES}
 
-    def against_competitor(quantity: Quantity, root: bool = False) -> tuple[Finding, ...]:
-        found = []
+    def against_competitor(quantity: Quantity, root: bool = False) -> Measured:
         for noise, depths in every.items():
             for R, (ours, theirs) in PAIRS.items():
                 for label in RANGES:
@@ -277,23 +274,21 @@ def judge(results: Mapping[str, Arrays]) -> tuple[Claim, ...]:
                     )
                     if root:
                         ratio = Interval(*np.sqrt([ratio.value, ratio.low, ratio.high]).tolist())
-                    found.append(Finding({"noise": NOISES[noise], "R": R, "landmark": label}, ratio, BETTER))
-        return tuple(found)
+                    yield {"noise": NOISES[noise], "R": R, "landmark": label}, ratio
 
-    consistent = tuple(
-        Finding(
+    consistent = [
+        (
             {"noise": NOISES[noise], "R": ASSUMED_NAMES[R], "landmark": label},
             mean_interval(of_drives(depths, label, nees, (JOINT, R))),
-            CONSISTENT,
         )
         for noise, depths in every.items()
         for R in ASSUMED
         for label in RANGES
-    )
+    ]
     return (
-        Claim(claims.UNCERTAINTY_CONVERGES, against_competitor(sigma)),
-        Claim(claims.DEPTH_CONVERGES, against_competitor(squared_error, root=True)),
-        Claim(claims.DEPTH_UNCERTAINTY, consistent),
-        Claim(claims.SMOOTHER, against_competitor(roughness, root=True)),
-        Claim(claims.RAW_MEAN, against_competitor(distance_to_raw_mean)),
+        claim("uncertainty-converges", against_competitor(sigma)),
+        claim("depth-converges", against_competitor(squared_error, root=True)),
+        claim("depth-uncertainty", consistent),
+        claim("smoother", against_competitor(roughness, root=True)),
+        claim("raw-mean", against_competitor(distance_to_raw_mean)),
     )

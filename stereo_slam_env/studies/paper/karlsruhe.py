@@ -7,7 +7,7 @@ truth of metres: one number, which is taken as it is. Consistency can be judged 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -19,20 +19,21 @@ from stereo_slam_env import Recording, evaluate
 from stereo_slam_env.datasets import layout_of, open_for_front_end
 from stereo_slam_env.evaluation import FilterRun, ate_rigid
 from stereo_slam_env.frontend import record_tracks
-from stereo_slam_env.studies.paper import claims, convergence, long_drive
+from stereo_slam_env.studies.paper import convergence, long_drive
 from stereo_slam_env.studies.paper.claims import (
     ASSUMED,
     COMMON_OPTIONS,
     DIAGONAL,
     DUAL,
     JOINT,
+    SENTENCES,
     Arrays,
     Claim,
-    Finding,
     FloatArray,
     Interval,
-    Range,
+    Measured,
     Sentence,
+    claim,
     mean_interval,
     ratio_interval,
 )
@@ -111,7 +112,7 @@ def drive(folder: str, frames: tuple[int, int], files: Any = None) -> Arrays:
         case, used, known = f"{name}.{R}", run.nis_dof > 0, _known(run)
         arrays[f"{case}.nis"] = run.nis[used] / run.nis_dof[used]
         if len(known.positions) > long_drive.CHORD:
-            for key, (_, quantity, _) in QUANTITIES.items():
+            for key, quantity in QUANTITIES.items():
                 arrays[f"{case}.{key}"] = long_drive.of_runs([known], quantity)
         if (name, R) == SHOWN and len(known.positions):
             for who, course in (("said", long_drive.course(known)), ("true", long_drive.course(known, true=True))):
@@ -130,14 +131,14 @@ def scale_error(run: FilterRun) -> float:
 
 
 SHOWN = (JOINT, OWN)
-QUANTITIES: Mapping[str, tuple[Sentence, long_drive.Quantity, Range]] = {
-    "position": (claims.TRAJECTORY, aligned_error, claims.POSITION_M),
-    "drift": (claims.DRIFT, long_drive.drift_percent, claims.DRIFT_PERCENT),
-    "yaw": (claims.YAW, long_drive.yaw_rmse, claims.YAW_DEG),
-    "velocity": (claims.VELOCITY, long_drive.velocity_rmse, claims.VELOCITY_M_S),
-    "scale": (claims.SCALE, scale_error, claims.SCALE_PERCENT),
+QUANTITIES: Mapping[str, long_drive.Quantity] = {
+    "trajectory": aligned_error,
+    "drift": long_drive.drift_percent,
+    "yaw": long_drive.yaw_rmse,
+    "velocity": long_drive.velocity_rmse,
+    "scale": scale_error,
 }
-"""Of the drive: sentence, quantity and the range in which it must lie."""
+"""Of the drive, by key of the sentence."""
 
 
 def depths(results: Mapping[str, Arrays]) -> convergence.Depths | None:
@@ -170,23 +171,18 @@ def _claims_of_turn(results: Mapping[str, Arrays]) -> list[Claim]:
     if found is None:
         return []
 
-    def against_competitor(quantity: convergence.Quantity) -> tuple[Finding, ...]:
-        return tuple(
-            Finding(
-                {"R": name, "landmark": label},
-                ratio_interval(*(convergence.of_drives(found, label, quantity, (who, R)) for who in (JOINT, DUAL))),
-                claims.BETTER,
-            )
-            for R, name in R_NAMES.items()
-            for label in convergence.RANGES
-        )
+    def against_competitor(quantity: convergence.Quantity) -> Measured:
+        for R, name in R_NAMES.items():
+            for label in convergence.RANGES:
+                both = (convergence.of_drives(found, label, quantity, (who, R)) for who in (JOINT, DUAL))
+                yield {"R": name, "landmark": label}, ratio_interval(*both)
 
     return [
-        Claim(_here(sentence, "karlsruhe-4"), against_competitor(quantity))
-        for sentence, quantity in (
-            (claims.UNCERTAINTY_CONVERGES, convergence.sigma),
-            (claims.SMOOTHER, convergence.roughness),
-            (claims.RAW_MEAN, convergence.distance_to_raw_mean),
+        claim(_here(key, "karlsruhe-4"), against_competitor(quantity))
+        for key, quantity in (
+            ("uncertainty-converges", convergence.sigma),
+            ("smoother", convergence.roughness),
+            ("raw-mean", convergence.distance_to_raw_mean),
         )
     ]
 
@@ -196,37 +192,28 @@ def _claims_of_drive(results: Mapping[str, Arrays]) -> list[Claim]:
     if arrays is None:
         return []
 
-    def value(name: str, R: str, key: str) -> float:
+    def value(name: str, key: str, R: str) -> float:
         return float(arrays[f"{name}.{R}.{key}"][0])
 
-    statement = f"NIS by its degrees of freedom: {claims.CONSISTENT}"
-    by_innovations = replace(_here(claims.POSE_CONSISTENT, "karlsruhe-6"), statement=statement)
-    consistent = tuple(
-        Finding({"R": words}, mean_interval(arrays[f"{JOINT}.{R}.nis"]), claims.CONSISTENT)
-        for R, words in R_NAMES.items()
-    )
-    judged = [Claim(by_innovations, consistent)]
-    if f"{JOINT}.{OWN}.position" not in arrays:  # too short to be a drive
+    def as_it_is(values: Callable[[str], float]) -> Measured:
+        """One drive, one number: nothing is said of others."""
+        return [({"R": words}, Interval(found, found, found)) for R, words in R_NAMES.items() for found in [values(R)]]
+
+    consistent = _here("consistent", "karlsruhe-6")
+    consistent = replace(consistent, statement=f"NIS by its degrees of freedom: {consistent.asked}")
+    nis = [({"R": words}, mean_interval(arrays[f"{JOINT}.{R}.nis"])) for R, words in R_NAMES.items()]
+    judged = [claim(consistent, nis)]
+    if f"{JOINT}.{OWN}.trajectory" not in arrays:  # too short to be a drive
         return judged
-    for key, (sentence, _, asked) in QUANTITIES.items():
-        of_ours = tuple(Finding({"R": words}, _as_it_is(value(JOINT, R, key)), asked) for R, words in R_NAMES.items())
-        judged.append(Claim(_here(sentence, "karlsruhe-6"), of_ours))
-    ratios = tuple(
-        Finding({"R": words}, _as_it_is(value(JOINT, R, "position") / value(DUAL, R, "position")), claims.BETTER)
-        for R, words in R_NAMES.items()
-    )
-    return [*judged, Claim(_here(claims.RANGE_HELPS, "karlsruhe-6"), ratios)]
+    for key in QUANTITIES:
+        judged.append(claim(_here(key, "karlsruhe-6"), as_it_is(partial(value, JOINT, key))))
+    ratios = as_it_is(lambda R: value(JOINT, "trajectory", R) / value(DUAL, "trajectory", R))
+    return [*judged, claim(_here("range-helps", "karlsruhe-6"), ratios)]
 
 
-def _as_it_is(value: float) -> Interval:
-    """One drive, one number: nothing is said of others."""
-    return Interval(value, value, value)
-
-
-def _here(sentence: Sentence, evidence: str) -> Sentence:
-    return replace(
-        sentence, key=f"{PREFIX}{sentence.key}", section=f"{sentence.section} (Karlsruhe)", evidence=evidence
-    )
+def _here(key: str, evidence: str) -> Sentence:
+    sentence = SENTENCES[key]
+    return replace(sentence, key=f"{PREFIX}{key}", section=f"{sentence.section} (Karlsruhe)", evidence=evidence)
 
 
 def _known(run: FilterRun) -> FilterRun:

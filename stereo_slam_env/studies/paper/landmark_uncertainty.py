@@ -15,7 +15,6 @@ from scipy.stats import chi2, norm
 from filters import Euclidean, InverseDepth, LandmarkModel, StereoNoise
 from stereo_slam_env.benchmark import CONFIDENCE
 from stereo_slam_env.sensing import RIGS
-from stereo_slam_env.studies.paper import claims
 from stereo_slam_env.studies.paper.claims import (
     ASSUMED_NAMES,
     COUPLED,
@@ -26,10 +25,10 @@ from stereo_slam_env.studies.paper.claims import (
     PIXELS,
     UVD,
     Claim,
-    Finding,
     FloatArray,
     Interval,
-    Range,
+    Measured,
+    claim,
     share_interval,
 )
 
@@ -125,26 +124,26 @@ def judge(samples: int) -> tuple[Claim, ...]:
     """The claims of section 4.1."""
     found = fits(samples)
 
-    def coverage(parametrisation: str, asked: Range, depths: tuple[float, ...]) -> tuple[Finding, ...]:
-        return tuple(
-            Finding(_condition(noise, assumed, depth), one.coverage, asked)
+    def coverage(parametrisation: str, depths: tuple[float, ...]) -> Measured:
+        return [
+            (_condition(noise, assumed, depth), one.coverage)
             for (noise, assumed, depth, name), one in found.items()
             if name == parametrisation and depth in depths
-        )
+        ]
 
     # Dvoretzky, Kiefer and Wolfowitz: with 95 % the cloud is nowhere farther from its distribution than half of this.
     slack = 2.0 * np.sqrt(np.log(2.0 / (1.0 - CONFIDENCE)) / (2.0 * samples))
-
-    def closer(noise: str, assumed: str, depth: float) -> Finding:
-        inverse_depth, euclidean = (found[noise, assumed, depth, name].distance for name in LANDMARKS)
-        gain = euclidean - inverse_depth
-        return Finding(_condition(noise, assumed, depth), Interval(gain, gain - slack, gain + slack), Range(low=0.0))
-
+    closer = []
+    for noise in NOISES:
+        for assumed in ASSUMED:
+            inverse_depth, euclidean = (found[noise, assumed, FIGURE_1, name].distance for name in LANDMARKS)
+            gain = euclidean - inverse_depth
+            closer.append((_condition(noise, assumed, FIGURE_1), Interval(gain, gain - slack, gain + slack)))
     return (
-        Claim(claims.REGION_70M, coverage(JOINT, claims.REGION, (FIGURE_1,))),
-        Claim(claims.REGION_70M_XYZ, coverage(EUCLIDEAN, claims.NOT_REGION, (FIGURE_1,))),
-        Claim(claims.REGION_ANY, coverage(JOINT, claims.REGION, DEPTHS)),
-        Claim(claims.HISTOGRAM, tuple(closer(noise, assumed, FIGURE_1) for noise in NOISES for assumed in ASSUMED)),
+        claim("region-70m", coverage(JOINT, (FIGURE_1,))),
+        claim("region-70m-xyz", coverage(EUCLIDEAN, (FIGURE_1,))),
+        claim("region-any-distance", coverage(JOINT, DEPTHS)),
+        claim("histogram", closer),
     )
 
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from stereo_slam_env.evaluation import mean_band, share_inside
-from stereo_slam_env.report import Cell, Column, Tone, figure_block, html_page, number, table
+from stereo_slam_env.report import Cell, Chart, Column, Tone, figure_block, html_page, number, table
 from stereo_slam_env.studies.paper import convergence, figures, karlsruhe, landmark_uncertainty, long_drive, speed
 from stereo_slam_env.studies.paper.claims import (
     ASSUMED_NAMES,
@@ -21,6 +21,7 @@ from stereo_slam_env.studies.paper.claims import (
     NOISES,
     PIXELS,
     RIGHT,
+    TABLE,
     Arrays,
     Claim,
     Finding,
@@ -31,8 +32,6 @@ from stereo_slam_env.studies.paper.claims import (
 if TYPE_CHECKING:
     from stereo_slam_env.studies.paper import PaperSettings
 
-Figure = tuple[Any, str, str]
-"""What is drawn, the name of its files, and the caption."""
 Row = Sequence[str | float]
 Numbers = tuple[Sequence[str], Sequence[Row]]
 """Heads and rows of a table."""
@@ -43,18 +42,6 @@ TONES: Mapping[Verdict, Tone] = {
     Verdict.NOT_SHOWN: "none",
 }
 NAMES: Mapping[str, str] = {JOINT: "inverse depth (the paper's)", DUAL: "two bearing updates", EUCLIDEAN: "XYZ"}
-RULE = (
-    "A claim holds under a condition if the whole 95 % interval of what was measured lies in the range asked for, does "
-    "not hold if it lies outside, and is not shown where it crosses a limit. It holds if it holds under every "
-    "condition, and holds only if ... where it holds under some: these are named. Limits were set before these runs."
-)
-CONDITIONS = (
-    "Noise as the paper assumes: errors of u, v and d independent. Independent pixels: errors of both pixels of both "
-    "images independent, so that d = u_left - u_right shares that of u. R is what the filters assume of it: the "
-    "paper's is diagonal, that of independent pixels is full, and each describes the noise of its name. The competitor "
-    'does two updates with bearings, of the left and then the right image, with the same R; "competitor, 1 px an '
-    "image\" gives it errors of 1 px in each image while ours keeps the paper's R."
-)
 
 
 def write_report(
@@ -80,87 +67,27 @@ def write_report(
     with_karlsruhe : bool
         Whether the paper's own recordings were run.
     """
-    samples, place = settings.samples, out / "figures"
+    place, samples = out / "figures", settings.samples
     ours = runs[long_drive.DRIVE, PIXELS, JOINT, RIGHT[PIXELS]][0]
-    true_course = long_drive.course(ours, true=True)
+    rule, conditions = (f"<p>{escape(TABLE[name])}</p>" for name in ("rule", "conditions"))
+    points = {"figure-1": figures.figure_1(samples), "figure-2": figures.figure_2(samples)}
+    depths = {"figure-4": figures.figure_4(results), "figure-5": figures.figure_5(results)}
+    courses = figures.figure_6(long_drive.course(ours), long_drive.course(ours, true=True))
+    drives = {"figure-6": courses, "figure-nees": figures.figure_nees(runs)}
+    times = {"figure-speed": figures.figure_speed(results)}
+
+    def section(title: str, charts: Mapping[str, Chart], heading: str, numbers: Numbers) -> str:
+        found = [one for one in claims if one.sentence.evidence in charts]
+        shown = _section(title, charts, found, place, shown=figures.SHOWN, samples=samples)
+        return f"{shown}<h3>{heading}</h3>{_numbers(*numbers)}"
+
     sections = [
-        f"<h2>Verdicts</h2>{_verdicts(claims)}<p>{escape(RULE)}</p><p>{escape(CONDITIONS)}</p>",
+        f"<h2>Verdicts</h2>{_verdicts(claims)}{rule}{conditions}",
         "" if with_karlsruhe else f'<p class="quiet">{escape(karlsruhe.HOW_TO_GET_IT)}</p>',
-        _section(
-            "4.1 Landmark uncertainty",
-            [
-                (
-                    figures.figure_1(samples),
-                    "figure-1",
-                    "Figure 1. Points measured at 70 m with the 95 % regions of both parametrisations, and the "
-                    f"histogram of depth; {figures.SHOWN} of {samples} points are drawn. Each noise with the R that "
-                    "describes it.",
-                ),
-                (
-                    figures.figure_2(samples),
-                    "figure-2",
-                    "Figure 2. Points measured at 15, 30 and 45 m under the paper's noise, and the 95 % region of "
-                    "inverse depth.",
-                ),
-            ],
-            claims,
-            place,
-            {"All shares": uncertainty_table(samples)},
-        ),
-        _section(
-            "4.3 Depth of near and far landmarks",
-            [
-                (
-                    figures.figure_4(results),
-                    "figure-4",
-                    "Figure 4. Claimed sigma of the depth (lines) and its true RMS error (markers) over the updates: "
-                    "where markers lie above their line, the filter is overconfident. R = diagonal: the paper's; full: "
-                    "of independent pixels.",
-                ),
-                (
-                    figures.figure_5(results),
-                    "figure-5",
-                    "Figure 5. Depth of one near and one far landmark over the updates, against the raw measurements, "
-                    "all relative to the true depth: the first drive, the landmark nearest to the middle of its range.",
-                ),
-            ],
-            claims,
-            place,
-            {"After the last update": convergence_table(results)},
-        ),
-        _section(
-            "4.4 A long drive",
-            [
-                (
-                    figures.figure_6(long_drive.course(ours), true_course),
-                    "figure-6",
-                    f"Figure 6. Trajectory, yaw and velocity of the first drive; noise: {NOISES[PIXELS]}, the right R.",
-                ),
-                (
-                    figures.figure_nees(runs),
-                    "figure-nees",
-                    "Pose NEES over the drive, running mean of 10 frames. R = diagonal: the paper's; full: of "
-                    "independent pixels.",
-                ),
-            ],
-            claims,
-            place,
-            {"Means over the drives": drive_table(runs)},
-        ),
-        _section(
-            "Speed",
-            [
-                (
-                    figures.figure_speed(results),
-                    "figure-speed",
-                    "Processor time of predict + update by number of landmarks, and the ratio of both filters, in "
-                    "turns in one process.",
-                )
-            ],
-            claims,
-            place,
-            {"Milliseconds": speed_table(results)},
-        ),
+        section("4.1 Landmark uncertainty", points, "All shares", uncertainty_table(samples)),
+        section("4.3 Depth of near and far landmarks", depths, "After the last update", convergence_table(results)),
+        section("4.4 A long drive", drives, "Means over the drives", drive_table(runs)),
+        section("Speed", times, "Milliseconds", speed_table(results)),
         karlsruhe_section(place, claims, results) if with_karlsruhe else "",
     ]
     subtitle = (
@@ -175,20 +102,15 @@ def write_report(
 
 def karlsruhe_section(folder: Path, claims: Sequence[Claim], results: Mapping[str, Arrays]) -> str:
     """Markup of what the paper's own recordings show; the figures go to `folder`."""
-    shown: list[Figure] = []
+    charts = {}
     depths = karlsruhe.depths(results)
     if depths is not None and len(depths.label):
-        text = (
-            "The turn: claimed sigma over the updates, and the depth of one landmark. R = diagonal: the paper's; "
-            "measurement: as the front end says of each."
-        )
-        shown.append((figures.figure_karlsruhe(depths), "karlsruhe-4", text))
+        charts["karlsruhe-4"] = figures.figure_karlsruhe(depths)
     said, true = (karlsruhe.course(results, who) for who in ("said", "true"))
     if said is not None and true is not None:
-        text = "Trajectory, yaw and velocity against the GPS/IMU unit, a weak truth."
-        shown.append((figures.figure_6(said, true), "karlsruhe-6", text))
+        charts["karlsruhe-6"] = figures.figure_6(said, true)
     own = [one for one in claims if one.sentence.key.startswith(karlsruhe.PREFIX)]
-    return _section("On the Karlsruhe sequences", shown, own, folder, {}, everything=True)
+    return _section("On the Karlsruhe sequences", charts, own, folder)
 
 
 def measured_range(findings: Sequence[Finding]) -> str:
@@ -200,21 +122,12 @@ def measured_range(findings: Sequence[Finding]) -> str:
     return low if low == high else f"{low} to {high}"
 
 
-def _section(
-    title: str,
-    shown: Sequence[Figure],
-    claims: Sequence[Claim],
-    folder: Path,
-    numbers: Mapping[str, Numbers],
-    *,
-    everything: bool = False,
-) -> str:
-    """Figures, findings of the claims that they are the evidence of (or of all), and tables by heading."""
-    blocks = "".join(figure_block(drawing, name, text, folder) for drawing, name, text in shown)
-    names = [name for _, name, _ in shown]
-    found = "".join(_findings(one) for one in claims if everything or one.sentence.evidence in names)
-    tables = "".join(f"<h3>{escape(heading)}</h3>{_numbers(*of)}" for heading, of in numbers.items())
-    return f"<h2>{escape(title)}</h2>{blocks}<h3>Condition by condition</h3>{found}{tables}"
+def _section(title: str, charts: Mapping[str, Chart], claims: Sequence[Claim], folder: Path, **numbers: object) -> str:
+    """Figures, with these numbers in their captions, and findings of the claims that they are the evidence of."""
+    captions = {name: TABLE["figures"][name].format(**numbers) for name in charts}
+    blocks = "".join(figure_block(chart, name, captions[name], folder) for name, chart in charts.items())
+    found = "".join(_findings(one) for one in claims)
+    return f"<h2>{escape(title)}</h2>{blocks}<h3>Condition by condition</h3>{found}"
 
 
 def _verdicts(claims: Sequence[Claim]) -> str:
@@ -266,9 +179,8 @@ def _numbers(heads: Sequence[str], rows: Sequence[Row]) -> str:
         Column(head, kind="text" if isinstance(value, str) else "number")
         for head, value in zip(heads, rows[0], strict=True)
     ]
-    return table(
-        columns, [[value if isinstance(value, str) else number(value, ".3g") for value in row] for row in rows]
-    )
+    cells = [[value if isinstance(value, str) else number(value, ".3g") for value in row] for row in rows]
+    return table(columns, cells)
 
 
 # What was measured, in absolute numbers.

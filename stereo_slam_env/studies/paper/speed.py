@@ -23,18 +23,18 @@ from filters import (
     make_filter,
 )
 from stereo_slam_env.sensing import RIGS
-from stereo_slam_env.studies.paper import claims
 from stereo_slam_env.studies.paper.claims import (
-    BETTER,
     COMPILED,
     DUAL,
     JOINT,
+    SENTENCES,
     Arrays,
     Claim,
     Finding,
     FloatArray,
     Interval,
     Range,
+    claim,
     ratio_interval,
 )
 
@@ -119,18 +119,14 @@ def milliseconds(results: Mapping[str, Arrays]) -> dict[int, dict[str, FloatArra
 
 def judge(results: Mapping[str, Arrays]) -> tuple[Claim, ...]:
     """The claims of speed."""
-    faster = tuple(
-        Finding(
-            {"state": form, "landmarks": str(n)},
-            ratio_interval(times[f"{form}.{JOINT}"], times[f"{form}.{DUAL}"]),
-            BETTER,
-        )
+    faster = [
+        ({"state": form, "landmarks": str(n)}, ratio_interval(times[f"{form}.{JOINT}"], times[f"{form}.{DUAL}"]))
         for form in FORMS
         for n, times in milliseconds(results).items()
-    )
+    ]
     observation = StereoObservation(np.arange(1), np.array([[600.0, 200.0, 10.0]]))
     counted = []
     for name, model, wanted in (("ours", RangeBearing(), 1), ("competitor", LeftThenRight(), 2)):
         count = len(model.stages(observation, NOISE.R[None]))
         counted.append(Finding({"filter": name}, Interval(count, count, count), Range(wanted, wanted)))
-    return (Claim(claims.FASTER, faster), Claim(claims.ONE_UPDATE, tuple(counted)))
+    return (claim("faster", faster), Claim(SENTENCES["one-update"], tuple(counted)))

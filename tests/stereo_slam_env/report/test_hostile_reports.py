@@ -18,10 +18,10 @@ from stereo_slam_env.benchmark.scenarios.scenario import Scenario
 from stereo_slam_env.benchmark.scenarios.study import Cell, Study, factorial_label
 from stereo_slam_env.benchmark.statistics.attribution import attribute_runs
 from stereo_slam_env.benchmark.statistics.policy_verdict import Looks
+from stereo_slam_env.report.benchmark_report import write_study_report
 from stereo_slam_env.report.comparison_report import write_comparison_report
 from stereo_slam_env.report.page import _vega, html_page
 from stereo_slam_env.report.run_report import write_report
-from stereo_slam_env.report.study_report import write_study_report
 
 from ...synthetic_runs import Behaviour, make_runs, scored
 from ..benchmark.small_recordings import small_recording

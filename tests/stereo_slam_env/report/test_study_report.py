@@ -11,9 +11,9 @@ from stereo_slam_env.benchmark.scenarios.scenario import Scenario
 from stereo_slam_env.benchmark.scenarios.study import Cell, Study
 from stereo_slam_env.benchmark.statistics.attribution import attribute_runs
 from stereo_slam_env.benchmark.statistics.comparison import compare
-from stereo_slam_env.report import attribution_report, comparison_report, study_report
+from stereo_slam_env.report import benchmark_report, comparison_report
+from stereo_slam_env.report.benchmark_report import write_study_report
 from stereo_slam_env.report.comparison_report import write_comparison_report
-from stereo_slam_env.report.study_report import write_study_report
 
 from ...synthetic_runs import THREE, Behaviour, make_bounds, make_runs, scored
 from .test_run_report import Page
@@ -30,7 +30,7 @@ def drawn(monkeypatch):
         names.append(name)
         return Markup(f"<figure>{name}</figure>")
 
-    for module in (study_report, attribution_report, comparison_report):
+    for module in (benchmark_report, comparison_report):
         monkeypatch.setattr(module, "figure_block", figure_block)
     return names
 

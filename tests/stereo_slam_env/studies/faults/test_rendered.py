@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from stereo_slam_env.studies.faults.rendered import drawn_drive
 
 from stereo_slam_env.envs.drive import StereoDriveEnv
 from stereo_slam_env.studies.faults import FAULTS
+from stereo_slam_env.studies.faults.catalogue import rendered_drive
 
 FRAMES, BLANK = 9, 6
 
@@ -17,7 +17,7 @@ def counts(recording):
 @pytest.fixture(scope="module")
 def street():
     """A street, and the same one that turns blank."""
-    return drawn_drive("street", 1, FRAMES, None), drawn_drive("street", 1, FRAMES, 0.1 * BLANK)
+    return rendered_drive("street", 1, FRAMES, None), rendered_drive("street", 1, FRAMES, 0.1 * BLANK)
 
 
 def test_until_then_the_drive_is_as_it_should_be_to_the_bit(street):

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from filters import Cause, DivergenceMonitor, InverseDepthStereoEKF, PoseBelief
-from stereo_slam_env.benchmark.recordings.reference_problem import long_drive
-from stereo_slam_env.sensing.corruptions import Blackouts
-from stereo_slam_env.studies.faults import drive_through, streams
+from stereo_slam_env.benchmark import long_drive
+from stereo_slam_env.sensing import Blackouts
+from stereo_slam_env.studies.faults import catalogue, drive_through
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +36,7 @@ def test_a_drive_with_nothing_wrong(drive):
 
 
 def test_late_frames_are_refused_and_left_out(drive):
-    stream = with_fault(drive, streams.Reordered(0.3))
+    stream = with_fault(drive, catalogue.Reordered(0.3))
     session = driven(stream)
     late = (np.diff([frame.timestamp for frame in stream.frames]) < 0).sum()
     assert session.refused == late > 2
@@ -46,7 +46,7 @@ def test_late_frames_are_refused_and_left_out(drive):
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 def test_illegal_numbers_are_refused_and_the_drive_goes_on(drive, value):
-    session = driven(with_fault(drive, streams.BadNumbers(value, frames=0.5)))
+    session = driven(with_fault(drive, catalogue.BadNumbers(value, frames=0.5)))
     assert session.refused > 3
     assert session.broken == ""
     assert len(session.times) == len(drive)
@@ -54,7 +54,7 @@ def test_illegal_numbers_are_refused_and_the_drive_goes_on(drive, value):
 
 
 def test_numbers_beyond_all_cameras_are_legal_and_harm_nobody(drive):
-    session = driven(with_fault(drive, streams.BadNumbers(1e300, frames=0.5)))
+    session = driven(with_fault(drive, catalogue.BadNumbers(1e300, frames=0.5)))
     assert (session.broken, session.refused) == ("", 0)
     assert session.position_errors.max() < 0.3
 
@@ -93,4 +93,4 @@ class ForgetsWhenRefusing(InverseDepthStereoEKF):
     ],
 )
 def test_a_filter_that_breaks_its_contract_is_found_out(drive, kind, words):
-    assert words in driven(with_fault(drive, streams.Reordered(0.5)), kind).broken
+    assert words in driven(with_fault(drive, catalogue.Reordered(0.5)), kind).broken

@@ -2,30 +2,20 @@
 
 import numpy as np
 import pytest
-from stereo_slam_env.studies.paper.depth_history import (
+
+from stereo_slam_env.benchmark import short_turn
+from stereo_slam_env.evaluation import run_filter
+from stereo_slam_env.sensing import RIGS
+from stereo_slam_env.studies.paper import convergence
+from stereo_slam_env.studies.paper.claims import ASSUMED, COUPLED, DIAGONAL, DUAL, JOINT, NOISES, PIXELS, Verdict
+from stereo_slam_env.studies.paper.convergence import (
     DepthHistory,
+    Depths,
     follow_depths,
     measured_disparities,
+    of_drives,
     seen_throughout,
-    with_one_noise,
 )
-from stereo_slam_env.studies.paper.settings import (
-    ASSUMED,
-    COUPLED,
-    DIAGONAL,
-    DUAL,
-    JOINT,
-    NOISES,
-    PIXELS,
-    PaperSettings,
-)
-
-from stereo_slam_env.benchmark.recordings.reference_problem import short_turn
-from stereo_slam_env.evaluation.filter_run import run_filter
-from stereo_slam_env.sensing.rigs import RIGS
-from stereo_slam_env.studies.paper import convergence
-from stereo_slam_env.studies.paper.claims import Verdict
-from stereo_slam_env.studies.paper.convergence import Depths, of_drives
 
 FB = RIGS["reference"].disparity_constant
 FRAMES = convergence.UPDATES + 1
@@ -88,7 +78,7 @@ def test_the_example_is_the_first_drives_landmark_nearest_to_the_middle():
 def test_histories_are_those_of_the_filter():
     recording = short_turn(1, frames=4)
     ids = seen_throughout(recording)
-    history = follow_depths(recording, JOINT, ids, {"gate": None})
+    history = follow_depths(recording, JOINT, recording.noise, ids, {"gate": None})
     raw = measured_disparities(recording, ids)
     np.testing.assert_allclose(history.d[:, 0], raw[:, 0])  # the first frame only initialises
     assert (history.sigma_d[:, -1] < history.sigma_d[:, 0]).all()
@@ -99,9 +89,7 @@ def test_histories_are_those_of_the_filter():
 def test_histories_are_the_traces_of_the_benchmark(R):
     recording = short_turn(2, frames=6)
     for trace in run_filter(recording, JOINT, {"gate": None}, noise=ASSUMED[R]).traces:
-        history = follow_depths(
-            with_one_noise(recording, ASSUMED[R]), JOINT, np.array([trace.landmark_id]), {"gate": None}
-        )
+        history = follow_depths(recording, JOINT, ASSUMED[R], np.array([trace.landmark_id]), {"gate": None})
         depths, _ = made_up(np.full(6, 20.0))
         z, sigma = depths.depth(history)
         np.testing.assert_allclose(z[0], trace.depth, rtol=1e-9)
@@ -110,8 +98,7 @@ def test_histories_are_the_traces_of_the_benchmark(R):
 
 @pytest.fixture(scope="module")
 def results():
-    parts = convergence.parts(PaperSettings(turn_seeds=6))
-    return {part.name: part.compute() for part in parts}
+    return {name: turns() for name, turns in convergence.experiments(drives=6).items()}
 
 
 def test_landmarks_are_near_or_far(results):
@@ -123,7 +110,7 @@ def test_landmarks_are_near_or_far(results):
 
 
 def test_claims_of_a_few_drives(results):
-    judged = {claim.sentence.key: claim for claim in convergence.claims(results)}
+    judged = {claim.sentence.key: claim for claim in convergence.judge(results)}
     for finding in judged["uncertainty-converges"].findings:
         # known: with the paper's R ours claims less than a rival of the same R, with the full R both claim the same
         if finding.condition["R"] == "the paper's":
@@ -138,7 +125,7 @@ def test_verdicts_follow_the_numbers(results):
     """With the rival's histories in the place of ours, what held does not hold any more, and the other way round."""
     swapped = {part: {_other(name): values for name, values in arrays.items()} for part, arrays in results.items()}
     ours, theirs = (
-        {claim.sentence.key: claim for claim in convergence.claims(of)}["uncertainty-converges"].findings
+        {claim.sentence.key: claim for claim in convergence.judge(of)}["uncertainty-converges"].findings
         for of in (results, swapped)
     )
     for one, other in zip(ours, theirs, strict=True):
@@ -152,7 +139,7 @@ def _other(name):
 
 
 def test_every_noise_and_R_is_a_condition(results):
-    judged = {claim.sentence.key: claim for claim in convergence.claims(results)}
+    judged = {claim.sentence.key: claim for claim in convergence.judge(results)}
     conditions = [finding.condition for finding in judged["depth-uncertainty"].findings]
     assert len(conditions) == len(NOISES) * len(ASSUMED) * len(convergence.RANGES)
     assert len({tuple(condition.values()) for condition in conditions}) == len(conditions)

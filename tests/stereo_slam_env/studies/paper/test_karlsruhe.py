@@ -19,9 +19,17 @@ def folder(tmp_path_factory):
 @pytest.fixture(scope="module")
 def results(folder):
     return {
-        f"karlsruhe-{karlsruhe.TURN}": karlsruhe.compute_turn(folder, FRAMES),
-        f"karlsruhe-{karlsruhe.DRIVE}": karlsruhe.compute_drive(folder, FRAMES),
+        f"karlsruhe-{karlsruhe.TURN}": karlsruhe.turn(folder, FRAMES),
+        f"karlsruhe-{karlsruhe.DRIVE}": karlsruhe.drive(folder, FRAMES),
     }
+
+
+@pytest.fixture(scope="module")
+def long_enough(folder, results):
+    """As if six frames were a drive."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("stereo_slam_env.studies.paper.long_drive.CHORD", 2)
+        return results | {f"karlsruhe-{karlsruhe.DRIVE}": karlsruhe.drive(folder, FRAMES)}
 
 
 def test_sequences_are_found_in_a_folder_or_are_it(folder):
@@ -34,11 +42,10 @@ def test_a_folder_without_them_is_refused(tmp_path):
         karlsruhe.sequences(tmp_path)
 
 
-def test_the_parts_know_the_frames_and_the_files(folder):
-    (part,) = karlsruhe.parts({karlsruhe.TURN: folder})
-    before = part.inputs["files"]
-    assert part.inputs["frames"] == (61, 72)
-    assert before[0] == len(list(folder.iterdir()))
+def test_the_experiments_know_the_frames_and_the_files(folder):
+    (turn,) = karlsruhe.experiments({karlsruhe.TURN: folder}).values()
+    assert turn.args == (str(folder.resolve()), (61, 72))
+    assert turn.keywords["files"][0] == len(list(folder.iterdir()))
 
 
 def test_landmarks_of_the_turn_are_followed_throughout(results):
@@ -49,18 +56,17 @@ def test_landmarks_of_the_turn_are_followed_throughout(results):
 
 
 def test_the_drive_is_judged_against_the_weak_truth(results):
-    judged = {claim.sentence.key: claim for claim in karlsruhe.claims(results)}
+    judged = {claim.sentence.key: claim for claim in karlsruhe.judge(results)}
     assert judged["karlsruhe-consistent"].sentence.statement.startswith("NIS")
     assert "karlsruhe-trajectory" not in judged  # six frames are no drive
 
 
 def test_without_truth_and_without_results_nothing_is_claimed():
-    assert karlsruhe.claims({}) == ()
+    assert karlsruhe.judge({}) == ()
 
 
-def test_a_number_of_one_drive_is_taken_as_it_is(results, monkeypatch):
-    monkeypatch.setattr("stereo_slam_env.studies.paper.long_drive.CHORD", 2)
-    judged = {claim.sentence.key: claim for claim in karlsruhe.claims(results)}
+def test_a_number_of_one_drive_is_taken_as_it_is(long_enough):
+    judged = {claim.sentence.key: claim for claim in karlsruhe.judge(long_enough)}
     trajectory = judged["karlsruhe-trajectory"]
     assert trajectory.sentence.section == "4.4 (Karlsruhe)"
     for finding in trajectory.findings:
@@ -68,9 +74,8 @@ def test_a_number_of_one_drive_is_taken_as_it_is(results, monkeypatch):
     assert trajectory.verdict is Verdict.HOLDS  # a rendered drive of two metres
 
 
-def test_the_page_gets_a_section_of_its_own(results, monkeypatch, tmp_path):
-    monkeypatch.setattr("stereo_slam_env.studies.paper.long_drive.CHORD", 2)
-    judged = karlsruhe.claims(results)
-    section = karlsruhe_section(tmp_path, judged, results)
+def test_the_page_gets_a_section_of_its_own(long_enough, tmp_path):
+    judged = karlsruhe.judge(long_enough)
+    section = karlsruhe_section(tmp_path, judged, long_enough)
     assert {path.stem for path in tmp_path.iterdir()} == {"karlsruhe-4", "karlsruhe-6"}
     assert section.count("<details>") == len(judged) == 10

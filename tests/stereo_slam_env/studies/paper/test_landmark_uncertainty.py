@@ -2,12 +2,12 @@
 
 import dataclasses
 
+import numpy as np
 import pytest
-from stereo_slam_env.studies.paper.settings import COUPLED, DIAGONAL, EUCLIDEAN, JOINT, PIXELS, UVD
 
 from stereo_slam_env.studies.paper import landmark_uncertainty
-from stereo_slam_env.studies.paper.claims import Verdict
-from stereo_slam_env.studies.paper.landmark_uncertainty import DEPTHS, claims, fits
+from stereo_slam_env.studies.paper.claims import COUPLED, DIAGONAL, EUCLIDEAN, JOINT, PIXELS, UVD, Verdict
+from stereo_slam_env.studies.paper.landmark_uncertainty import CAMERA, DEPTHS, fits, judge, places, points
 
 # Of an independent prototype: share of the cloud in the 95 % region, and distance of the depth marginal.
 XYZ_COVERAGE = {15: 0.942, 30: 0.920, 45: 0.892, 70: 0.844, 150: 0.736}
@@ -21,7 +21,7 @@ def found():
 
 @pytest.fixture(scope="module")
 def judged():
-    return {claim.sentence.key: claim for claim in claims(10_000)}
+    return {claim.sentence.key: claim for claim in judge(10_000)}
 
 
 @pytest.mark.parametrize("depth", DEPTHS)
@@ -48,7 +48,7 @@ def test_verdicts(judged):
 
 
 def test_with_few_points_nothing_is_shown():
-    judged = {claim.sentence.key: claim for claim in claims(40)}
+    judged = {claim.sentence.key: claim for claim in judge(40)}
     assert judged["histogram"].verdict is Verdict.NOT_SHOWN
     by_noise = {f.verdict for f in judged["region-70m"].findings if "assumes" in f.condition["noise"]}
     assert Verdict.HOLDS not in by_noise
@@ -61,7 +61,7 @@ def test_a_region_that_is_no_better_than_that_of_xyz_does_not_hold(monkeypatch, 
         for noise, R, depth, name in found
     }
     monkeypatch.setattr(landmark_uncertainty, "fits", lambda samples: swapped)
-    judged = {claim.sentence.key: claim for claim in claims(10_000)}
+    judged = {claim.sentence.key: claim for claim in judge(10_000)}
     assert judged["region-70m"].verdict is Verdict.DOES_NOT_HOLD
     assert judged["histogram"].verdict is Verdict.DOES_NOT_HOLD
     assert judged["region-70m-xyz"].verdict is not Verdict.HOLDS
@@ -72,3 +72,8 @@ def test_fits_are_the_same_at_every_call(found):
     assert {key: dataclasses.astuple(fit) for key, fit in again.items()} == {
         key: dataclasses.astuple(fit) for key, fit in found.items()
     }
+
+
+def test_points_of_inverse_depths_are_where_the_camera_measured_them():
+    uvd = CAMERA.project(np.array([[3.0, -1.0, 20.0], [-8.0, 2.0, 60.0]]))
+    np.testing.assert_allclose(points(places(JOINT, uvd)), CAMERA.backproject(uvd), rtol=1e-12)

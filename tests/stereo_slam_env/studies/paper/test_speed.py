@@ -2,10 +2,9 @@
 
 import numpy as np
 import pytest
-from stereo_slam_env.studies.paper.settings import DUAL, JOINT, PaperSettings
 
 from stereo_slam_env.studies.paper import speed
-from stereo_slam_env.studies.paper.claims import Verdict
+from stereo_slam_env.studies.paper.claims import DUAL, JOINT, Verdict
 
 
 def results_of(ours, theirs, rounds=12):
@@ -27,20 +26,18 @@ def results_of(ours, theirs, rounds=12):
     ],
 )
 def test_faster_is_a_matter_of_the_ratio(ours, theirs, verdict):
-    faster, _ = speed.claims(results_of(ours, theirs))
+    faster, _ = speed.judge(results_of(ours, theirs))
     assert faster.verdict is verdict
 
 
 def test_one_update_is_counted_in_the_filters():
-    _, once = speed.claims(results_of(1.0, 1.3))
+    _, once = speed.judge(results_of(1.0, 1.3))
     assert [finding.measured.value for finding in once.findings] == [1, 2]
     assert once.verdict is Verdict.HOLDS
 
 
 def test_every_form_and_filter_is_timed():
-    (part,) = speed.parts(PaperSettings(sizes=(12,), repeats=2))
-    assert part.alone
-    times = part.compute()
+    times = speed.experiments([12], repeats=2)["speed-0012"]()
     assert set(times) == {f"{form}.{name}" for form in speed.FORMS for name in (JOINT, DUAL)}
     for values in times.values():
         assert values.shape == (2,)

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from stereo_slam_env.benchmark.recordings.reference_problem import long_drive
-from stereo_slam_env.studies.faults import FAULTS, streams
+from stereo_slam_env.benchmark import long_drive
+from stereo_slam_env.studies.faults import FAULTS, catalogue
 from stereo_slam_env.studies.faults.catalogue import Fault, find_fault
 
 
@@ -22,7 +22,7 @@ def times(recording):
 
 
 def test_overtaken_frames_come_with_a_time_that_has_passed(drive):
-    late = applied(streams.Reordered(0.3), drive)
+    late = applied(catalogue.Reordered(0.3), drive)
     assert sorted(times(late)) == times(drive).tolist()
     assert 5 < (np.diff(times(late)) < 0).sum() < 30
     assert np.abs(times(late) - times(drive)).max() < 0.25
@@ -30,7 +30,7 @@ def test_overtaken_frames_come_with_a_time_that_has_passed(drive):
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, 1e300])
 def test_bad_numbers_are_in_some_frames_only(drive, value):
-    bad = applied(streams.BadNumbers(value, frames=0.5, share=0.3), drive)
+    bad = applied(catalogue.BadNumbers(value, frames=0.5, share=0.3), drive)
     changed = [(a.observation.uvd != b.observation.uvd) for a, b in zip(bad.frames, drive.frames, strict=True)]
     assert 15 < sum(hit.any() for hit in changed) < 45
     for hit, frame in zip(changed, bad.frames, strict=True):
@@ -38,13 +38,13 @@ def test_bad_numbers_are_in_some_frames_only(drive, value):
 
 
 def test_disparities_of_none_or_less_are_legal(drive):
-    flat = applied(streams.NoDisparity(0.5), drive)
+    flat = applied(catalogue.NoDisparity(0.5), drive)
     d = np.concatenate([frame.observation.uvd[:, 2] for frame in flat.frames])
     assert 0.4 < (d <= 0).mean() < 0.6
 
 
 def test_a_kidnapped_camera_goes_on_at_once_elsewhere(drive):
-    moved = applied(streams.Kidnapped(2.0), drive)
+    moved = applied(catalogue.Kidnapped(2.0), drive)
     assert len(moved) == len(drive) - 20
     assert np.diff(times(moved)) == pytest.approx(0.1)
     assert moved.frames[0].timestamp == pytest.approx(drive.frames[0].timestamp)
@@ -52,7 +52,7 @@ def test_a_kidnapped_camera_goes_on_at_once_elsewhere(drive):
 
 
 def test_time_steps_of_any_length_measure_the_same_world(drive):
-    other = applied(streams.TimeSteps(0.001, 1.0), drive)
+    other = applied(catalogue.TimeSteps(0.001, 1.0), drive)
     steps = np.diff(times(other))
     assert steps.min() > 0.001
     assert steps.max() < 1.0
@@ -64,13 +64,13 @@ def test_time_steps_of_any_length_measure_the_same_world(drive):
 
 
 def test_time_steps_that_meet_the_frames_have_their_poses(drive):
-    thin = applied(streams.TimeSteps(0.5, 0.5), drive)
+    thin = applied(catalogue.TimeSteps(0.5, 0.5), drive)
     assert len(thin) == 12
     np.testing.assert_allclose(thin.frames[3].truth.position, drive.frames[15].truth.position, atol=1e-9)
 
 
 def test_a_truck_carries_its_landmarks_away_together(drive):
-    still, moved = drive.frames[-1], applied(streams.MovingTruck(1.0, 5.0, 1.0), drive).frames[-1]
+    still, moved = drive.frames[-1], applied(catalogue.MovingTruck(1.0, 5.0, 1.0), drive).frames[-1]
     both, at, where = np.intersect1d(still.observation.ids, moved.observation.ids, return_indices=True)
     assert len(both) > 3
     # Away from the camera: disparities shrink, but for what has just been seen for the first time.
@@ -97,25 +97,9 @@ def test_what_needs_the_truth_says_so(drive):
     import dataclasses
 
     blind = dataclasses.replace(drive, landmarks=None)
-    for corruption in (streams.TimeSteps(0.1, 0.1), streams.MovingTruck(0.5, 5.0, 1.0)):
+    for corruption in (catalogue.TimeSteps(0.1, 0.1), catalogue.MovingTruck(0.5, 5.0, 1.0)):
         with pytest.raises(ValueError, match="simulated drive"):
             applied(corruption, blind)
-
-
-@pytest.mark.parametrize(
-    ("kind", "arguments"),
-    [
-        (streams.Reordered, (1.5,)),
-        (streams.BadNumbers, (0.0, -1.0)),
-        (streams.NoDisparity, (2.0,)),
-        (streams.Kidnapped, (0.0,)),
-        (streams.TimeSteps, (1.0, 0.1)),
-        (streams.MovingTruck, (0.5, 0.0, 1.0)),
-    ],
-)
-def test_impossible_numbers_are_refused(kind, arguments):
-    with pytest.raises(ValueError, match="must"):
-        kind(*arguments)
 
 
 def test_a_fault_leaves_what_was_before_and_comes_after(drive):
