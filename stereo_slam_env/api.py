@@ -278,20 +278,18 @@ def compare(
             (seed, streams.make_recording(on, seed)) for seed in which
         )
         count, title, about = len(which), on.name, on.as_dict()
-        settings: dict[str, Any] = {"common_options": on.common_options, "use_odometry": on.use_odometry}
         limit = on.divergence_percent
     else:
         given_recordings = [on] if isinstance(on, Recording) else list(on)
         alone = len(given_recordings) == 1
         recordings = ((None if alone else number, one) for number, one in enumerate(given_recordings))
         count, title = len(given_recordings), ", ".join(dict.fromkeys(one.name for one in given_recordings))
-        about, settings, limit = {"recordings": [dict(one.source) for one in given_recordings]}, {}, DIVERGENCE_PERCENT
+        about, limit = {"recordings": [dict(one.source) for one in given_recordings]}, DIVERGENCE_PERCENT
     runs: list[FilterRun] = []
     for seed, recording in recordings:
         if frames is not None:
             recording = recording[:frames]
-        if isinstance(on, Scenario):
-            settings["noise"] = on.assumed_noise(recording.noise)
+        settings = on.filter_arguments(recording.noise) if isinstance(on, Scenario) else {}
         for label, one in zip(labels, filters, strict=True):
             runs.append(run_filter(recording, one, chosen[label], label=label, seed=seed, **settings))
             if progress is not None:

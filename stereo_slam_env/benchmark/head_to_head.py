@@ -240,9 +240,7 @@ class Bench:
                 tested,
                 options,
                 label=label,
-                common_options=scenario.common_options,
-                noise=scenario.assumed_noise(recording.noise),
-                use_odometry=scenario.use_odometry,
                 seed=seed,
+                **scenario.filter_arguments(recording.noise),
             )
         return self._runs[key]

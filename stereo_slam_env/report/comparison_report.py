@@ -8,9 +8,10 @@ from typing import Any
 
 from markupsafe import Markup
 
-from stereo_slam_env.benchmark.statistics.attribution import Attribution, Contrast, ResponseAttribution
+from stereo_slam_env.benchmark.statistics.attribution import Attribution
 from stereo_slam_env.benchmark.statistics.comparison import Change, RunComparison
 from stereo_slam_env.benchmark.statistics.differences import signed
+from stereo_slam_env.benchmark.statistics.effects import Contrast, ResponseAttribution
 from stereo_slam_env.report.charts.factors import plot_changes, plot_effects
 from stereo_slam_env.report.charts.style import filter_colours
 from stereo_slam_env.report.page import FIGURES, figure_block, html_page, joined, part

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -50,15 +49,6 @@ class NoiseOfRange:
     claimed: tuple[float, float, float]
 
 
-@dataclass(frozen=True, eq=False)
-class MeasurementErrors:
-    """Every measurement whose truth is known: depth z (n,) m, error (n, 3) px and claimed R (n, 3, 3) px^2."""
-
-    depth: FloatArray
-    error: FloatArray
-    R: FloatArray
-
-
 def description_of(recording: Recording) -> dict[str, Any]:
     """What is kept of a recording beside it; JSON-able."""
     description: dict[str, Any] = {
@@ -69,8 +59,14 @@ def description_of(recording: Recording) -> dict[str, Any]:
         "reference": dataclasses.asdict(recording.reference),
         "source": dict(recording.source),
     }
-    measured = noise_of_images(recording)
-    return description if measured is None else {**description, "sensor_noise": measured}
+    from_images = any(frame.observation.R is not None for frame in recording.frames)
+    if recording.landmarks is not None and from_images:
+        rows = [dataclasses.asdict(row) for row in noise_by_range(recording)]
+        # The open end of the last range is null.
+        description["sensor_noise"] = [
+            {**row, "high": row["high"] if np.isfinite(row["high"]) else None} for row in rows
+        ]
+    return description
 
 
 def stream_digest(recording: Recording) -> str:
@@ -94,8 +90,8 @@ def stream_digest(recording: Recording) -> str:
     return digest.hexdigest()
 
 
-def measurement_errors(recording: Recording) -> MeasurementErrors:
-    """Measured minus true (u, v, d) wherever pose and landmark are known.
+def measurement_errors(recording: Recording) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Depths z (n,), m, errors (n, 3) of (u, v, d), px, and claimed R (n, 3, 3), px^2, where the truth is known.
 
     Raises
     ------
@@ -115,34 +111,22 @@ def measurement_errors(recording: Recording) -> MeasurementErrors:
         depths.append(p_c[:, 2])
         errors.append(seen.uvd[i] - recording.camera.project(p_c))
         claimed.append(seen.covariances(recording.noise)[i])
-    return MeasurementErrors(np.concatenate(depths), np.concatenate(errors), np.concatenate(claimed))
+    return np.concatenate(depths), np.concatenate(errors), np.concatenate(claimed)
 
 
-def noise_by_range(errors: MeasurementErrors, ranges: Sequence[float] = RANGES) -> tuple[NoiseOfRange, ...]:
-    """Bias, spread and outliers in each range that has measurements, then over all of them."""
-    bins = [*pairwise(ranges), (ranges[0], ranges[-1])]
+def noise_by_range(recording: Recording) -> tuple[NoiseOfRange, ...]:
+    """Bias, spread and outliers in each range that has measurements, then over all; raises as `measurement_errors`."""
+    depths, errors, R = measurement_errors(recording)
     rows = []
-    for low, high in bins:
-        inside = (errors.depth >= low) & (errors.depth < high)
+    for low, high in [*pairwise(RANGES), (RANGES[0], RANGES[-1])]:
+        inside = (depths >= low) & (depths < high)
         if not inside.any():
             continue
-        error = errors.error[inside]
+        error = errors[inside]
         bias = np.median(error, axis=0)
         sigma = _MAD_TO_SIGMA * np.median(np.abs(error - bias), axis=0)
         outliers = (np.abs(error) > OUTLIER).mean(axis=0)
-        claimed = np.median(np.sqrt(np.einsum("nii->ni", errors.R[inside])), axis=0)
+        claimed = np.median(np.sqrt(np.einsum("nii->ni", R[inside])), axis=0)
         triples = (tuple(values.tolist()) for values in (bias, sigma, outliers, claimed))
         rows.append(NoiseOfRange(low, high, int(inside.sum()), *triples))
     return tuple(rows)
-
-
-def noise_of_images(recording: Recording) -> list[dict[str, Any]] | None:
-    """`noise_by_range` of a recording whose measurements come from rendered images, JSON-able; None of any other.
-
-    The open end of the last range is null.
-    """
-    from_images = any(frame.observation.R is not None for frame in recording.frames)
-    if recording.landmarks is None or not from_images:
-        return None
-    rows = [dataclasses.asdict(row) for row in noise_by_range(measurement_errors(recording))]
-    return [{**row, "high": row["high"] if np.isfinite(row["high"]) else None} for row in rows]

@@ -7,7 +7,7 @@ import inspect
 import json
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import lru_cache, partial
 from importlib.metadata import EntryPoint, entry_points
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
@@ -42,18 +42,20 @@ class StreetSource(Source, frozen=True, tag="street"):
 
     arguments: dict[str, Any] = msgspec.field(default_factory=dict)
 
+    @property
+    def takes_images(self) -> bool:
+        """Whether images are rendered."""
+        return self.arguments.get("sensor") == "images"
+
     def record(self, seed: int | None, frames: int | None = None, progress: Progress | None = None) -> Recording:
         """Drive the scripted route."""
         from stereo_slam_env.envs.recorder import record  # PyBullet and Gymnasium, only where they are needed
 
         if not self.takes_images:
-            return record(self.options, seed=seed or 0, frames=frames)
-
-        def look(tell: Progress) -> Recording:
-            seen = lambda done, wanted: tell(done, wanted or done)  # noqa: E731
-            return record(self.options, seed=seed or 0, frames=frames, progress=seen)
-
-        return _seen(_Look(self.key, seed, frames, look, progress))
+            return record(self.options, seed or 0, frames)
+        tell = progress or _ignore
+        look = partial(record, self.options, seed or 0, frames, lambda done, wanted: tell(done, wanted or done))
+        return _tracked(_Tracking(self.key, seed, frames, look))
 
     def check(self, frames: int | None = None) -> None:
         """Refuse unknown arguments, and a renderer that does not run here."""
@@ -62,11 +64,6 @@ class StreetSource(Source, frozen=True, tag="street"):
         options = DriveOptions.checked(self.options)
         if options.draws:
             require_renderer(options.renderer)
-
-    @property
-    def takes_images(self) -> bool:
-        """Whether the pictures are rendered."""
-        return self.arguments.get("sensor") == "images"
 
     def sequence(self, seed: int | None, frames: int | None = None) -> OpenedImages:
         """The rendered pairs."""
@@ -94,8 +91,13 @@ class GazeSource(Source, frozen=True, tag="gaze"):
 
     arguments: dict[str, Any] = msgspec.field(default_factory=dict)
 
+    @property
+    def takes_images(self) -> bool:
+        """Whether images are rendered."""
+        return self.arguments.get("sensor") == "images"
+
     def record(self, seed: int | None, frames: int | None = None, progress: Progress | None = None) -> Recording:
-        """There is none for all."""
+        """Refuse: there is no recording for all policies."""
         raise ValueError("a source of kind 'gaze' has no recording for all: every policy drives its own episode")
 
     def check(self, frames: int | None = None) -> None:
@@ -107,11 +109,6 @@ class GazeSource(Source, frozen=True, tag="gaze"):
             raise ValueError(f"frames must be at most {route.frames} on this route, got {frames}")
         if self.takes_images:
             require_renderer(self.arguments.get("renderer", "tiny"))
-
-    @property
-    def takes_images(self) -> bool:
-        """Whether the pictures are rendered."""
-        return self.arguments.get("sensor") == "images"
 
     def make_environment(self) -> gym.Env[Any, Any]:
         """The environment with the moving head.
@@ -200,10 +197,8 @@ class DatasetSource(Source, frozen=True, tag="dataset"):
         if not self.takes_images:
             return load(self.path, **self.arguments)
 
-        def look(tell: Progress) -> Recording:
-            return record_tracks(*self.sequence(seed), frames=frames, progress=tell)
-
-        return _seen(_Look(self.key, seed, frames, look, progress))
+        look = partial(record_tracks, *self.sequence(seed), frames=frames, progress=progress or _ignore)
+        return _tracked(_Tracking(self.key, seed, frames, look))
 
     @property
     def takes_images(self) -> bool:
@@ -294,20 +289,23 @@ def _loaded(point: EntryPoint) -> type[Source]:
 
 
 @dataclass(frozen=True)
-class _Look:
-    """Images to be looked at; by whom the progress is shown makes no difference."""
+class _Tracking:
+    """Tracking through images, which is the same whoever is told of its progress."""
 
     key: str
     seed: int | None
     frames: int | None
-    look: Callable[[Progress], Recording] = field(compare=False)
-    progress: Progress | None = field(compare=False)
+    track: Callable[[], Recording] = field(compare=False)
 
 
 @lru_cache(maxsize=1)
-def _seen(what: _Look) -> Recording:
-    """Tracks through images; kept, because looking takes far longer than filtering."""
-    return what.look(what.progress or (lambda done, total: None))
+def _tracked(tracking: _Tracking) -> Recording:
+    """Tracks through images; kept, because tracking takes far longer than filtering."""
+    return tracking.track()
+
+
+def _ignore(done: int, total: int) -> None:
+    """Progress that nobody wants to know."""
 
 
 @lru_cache(maxsize=1)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from operator import index
-from typing import Annotated, Any, Literal, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, get_type_hints
 
 from msgspec import Meta
 
@@ -17,6 +17,9 @@ from filters.noise import StereoNoise
 from filters.validation import finite_array
 from stereo_slam_env.benchmark.recordings.source import Renderer, Source, checked
 from stereo_slam_env.benchmark.recordings.sources import StreetSource, source_of
+
+if TYPE_CHECKING:
+    from typing import Self
 
 Label = Annotated[str, Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9._+-]*\Z", max_length=100)]
 """Name of files: of a filter, a policy or a scenario."""
@@ -29,7 +32,31 @@ _MOTION: Mapping[str, float] = asdict(ConstantVelocity())
 
 
 @dataclass(frozen=True)
-class PolicyChoice:
+class _Choice:
+    label: str
+    name: str
+    options: Mapping[str, Any] = field(default_factory=dict)
+    _of: ClassVar[str] = ""
+
+    def __post_init__(self) -> None:
+        checked(f"label of a {self._of}", self.label, Label)
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON-able form, as it is written in a scenario."""
+        return {"label": self.label, "name": self.name, "options": dict(self.options)}
+
+    @classmethod
+    def from_dict(cls, what: str, entry: Mapping[str, Any]) -> Self:
+        """The choice that an entry of `what` in a scenario describes."""
+        require_known(f"{what} has no key", entry, ("label", "name", "options"))
+        if "name" not in entry:
+            raise ValueError(f"{what} must be names or objects with a name, got {entry!r}")
+        options = checked(f"{what}.options", entry.get("options", {}), dict)
+        return cls(entry.get("label", entry["name"]), entry["name"], options)
+
+
+@dataclass(frozen=True)
+class PolicyChoice(_Choice):
     """A policy by name, its options, and the label it has in tables and files.
 
     Raises
@@ -38,16 +65,11 @@ class PolicyChoice:
         The label is not usable as a file name.
     """
 
-    label: str
-    name: str
-    options: Mapping[str, Any] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        checked("label of a policy", self.label, Label)
+    _of: ClassVar[str] = "policy"
 
 
 @dataclass(frozen=True)
-class FilterChoice:
+class FilterChoice(_Choice):
     """One competitor: a filter by name, its options, and the label it has in tables and files.
 
     Attributes
@@ -63,13 +85,9 @@ class FilterChoice:
         The label is not usable as a file name.
     """
 
-    label: str
-    name: str
-    options: Mapping[str, Any] = field(default_factory=dict)
-    policy: PolicyChoice | None = None
+    _of: ClassVar[str] = "filter"
 
-    def __post_init__(self) -> None:
-        checked("label of a filter", self.label, Label)
+    policy: PolicyChoice | None = None
 
 
 DEFAULT_FILTERS = (
@@ -290,8 +308,8 @@ class Scenario:
             "corruptions": list(self.corruptions),
             "metrics": list(self.metrics),
             "seeds": list(self.seeds),
-            "filters": [choice_as_dict(choice) for choice in self.filters],
-            "policies": [choice_as_dict(choice) for choice in self.policies],
+            "filters": [choice.as_dict() for choice in self.filters],
+            "policies": [choice.as_dict() for choice in self.policies],
         }
 
     @classmethod
@@ -309,13 +327,14 @@ class Scenario:
             raise ValueError("scenario must have a name")
         values = dict(data)
         source = source_of(values.pop("kind", "street"), values.pop("options", {}))
-        for key, kind, usual in (
+        choices: tuple[tuple[str, type[_Choice], Callable[[str], _Choice]], ...] = (
             ("filters", FilterChoice, filter_choice),
             ("policies", PolicyChoice, policy_choice),
-        ):
+        )
+        for key, kind, usual in choices:
             if key in values:
                 entries = checked(key, values[key], list[str | dict[str, Any]])
-                values[key] = tuple(usual(e) if isinstance(e, str) else kind(*_named(key, e)) for e in entries)
+                values[key] = tuple(usual(e) if isinstance(e, str) else kind.from_dict(key, e) for e in entries)
         return cls(source=source, **values)
 
 
@@ -323,16 +342,3 @@ KEYS = ("name", "kind", "options", *(f.name for f in dataclasses.fields(Scenario
 """Of the JSON form of a scenario."""
 _TYPES = get_type_hints(Scenario, include_extras=True)
 del _TYPES["source"]  # checked by `source_of`
-
-
-def choice_as_dict(choice: FilterChoice | PolicyChoice) -> dict[str, Any]:
-    """A choice as it is written in a scenario."""
-    return {"label": choice.label, "name": choice.name, "options": dict(choice.options)}
-
-
-def _named(what: str, entry: Mapping[str, Any]) -> tuple[str, str, Mapping[str, Any]]:
-    """Label, name and options of a choice as it is written in a scenario."""
-    require_known(f"{what} has no key", entry, ("label", "name", "options"))
-    if "name" not in entry:
-        raise ValueError(f"{what} must be names or objects with a name, got {entry!r}")
-    return entry.get("label", entry["name"]), entry["name"], checked(f"{what}.options", entry.get("options", {}), dict)

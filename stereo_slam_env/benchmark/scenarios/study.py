@@ -40,7 +40,7 @@ from msgspec import Meta
 
 from filters.known_names import did_you_mean, require_known
 from stereo_slam_env.benchmark.recordings.source import checked
-from stereo_slam_env.benchmark.scenarios.scenario import KEYS, FilterChoice, Label, Scenario, choice_as_dict
+from stereo_slam_env.benchmark.scenarios.scenario import KEYS, FilterChoice, Label, Scenario
 from stereo_slam_env.files.paths import is_there, require_inside
 from stereo_slam_env.files.readers import read_text
 
@@ -307,7 +307,7 @@ def _crossed(table: Mapping[str, Any]) -> tuple[dict[str, tuple[Any, ...]], list
     if not factors:
         raise ValueError("factorial must cross at least one option of the filter")
     choices = [
-        choice_as_dict(FilterChoice(factorial_label(levels), table["filter"], {**fixed, **levels}))
+        FilterChoice(factorial_label(levels), table["filter"], {**fixed, **levels}).as_dict()
         for levels in _combinations("factorial", factors)
     ]
     return {key: tuple(values) for key, values in factors.items()}, choices

@@ -1,9 +1,9 @@
 """Effects of the options of a filter, from runs of all their combinations.
 
 Every response is a logarithm (of an error, of NEES by its degrees of freedom, of time), so that effects are factors.
-Seeds are blocks, because a hard recording is hard for all: an effect is estimated on every seed, see
-`benchmark.factorial_fit`, and its interval and test are those of the mean over seeds, see `benchmark.statistics`. Both
-are corrected for the number of effects of the same kind on the same response.
+Seeds are blocks, because a hard recording is hard for all: an effect is estimated on every seed, see `effects`, and
+its interval and test are those of the mean over seeds, see `differences`. Both are corrected for the number of
+effects of the same kind on the same response.
 
 A run that diverged has no error worth averaging. It is left out; a combination that diverged on more than half of the
 seeds is left out altogether. Both are said, and how often every level diverged is counted.
@@ -20,27 +20,9 @@ import numpy as np
 
 from filters.validation import BoolArray, FloatArray
 from stereo_slam_env.benchmark.scenarios.study import factorial_label
-from stereo_slam_env.benchmark.statistics.effects import (
-    Contrast,
-    Effect,
-    Response,
-    ResponseAttribution,
-    Share,
-    explain,
-)
+from stereo_slam_env.benchmark.statistics.effects import Response, ResponseAttribution, explain
 from stereo_slam_env.benchmark.statistics.measures import POSE_NEES, POSITION, TIME
 from stereo_slam_env.evaluation.run_figures import Figures
-
-__all__ = [
-    "Attribution",
-    "Contrast",
-    "Effect",
-    "Response",
-    "ResponseAttribution",
-    "Share",
-    "attribute",
-    "attribute_runs",
-]
 
 
 @dataclass(frozen=True)

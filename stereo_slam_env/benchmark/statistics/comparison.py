@@ -203,11 +203,12 @@ class _Side:
 
 
 def _opened(source: str | Path | HasRuns, name: str) -> _Side:
-    place: str | Path | None = source if isinstance(source, (str, Path)) else getattr(source, "out", None)
-    if place is None or (not isinstance(source, (str, Path)) and not Path(place).is_dir()):
-        assert not isinstance(source, (str, Path))
-        return _Side(name, source.figures, {(run.filter_name, key_of(run)): run for run in source.runs})
-    study = read_study(Path(place))
+    if not isinstance(source, (str, Path)):
+        out = getattr(source, "out", None)
+        if out is None or not Path(out).is_dir():
+            return _Side(name, source.figures, {(run.filter_name, key_of(run)): run for run in source.runs})
+        source = Path(out)
+    study = read_study(Path(source))
     figures: dict[str, RunFigures] = {}
     trials: dict[tuple[str, RunKey], FilterRun] = {}
     streams: dict[tuple[str, RunKey], str] = {}
@@ -221,7 +222,7 @@ def _opened(source: str | Path | HasRuns, name: str) -> _Side:
             trials[trial], streams[trial] = run, digests[key_of(run)]
         figures |= {f"{prefix}{label}": of_filter for label, of_filter in found.figures.items()}
         settings[prefix] = json.loads((directory.out / SETTINGS).read_text(encoding="utf-8"))
-    return _Side(str(place), figures, trials, streams, settings)
+    return _Side(str(source), figures, trials, streams, settings)
 
 
 def _same_streams(was: _Side, now: _Side) -> tuple[bool, list[str]]:

@@ -44,38 +44,45 @@ class Comparison:
     ----------
     best, other : str
         Names.
-    runs : int
-        Recordings that both completed.
-    excess_percent : float
-        How much larger the other one's error is (geometric mean over runs); NaN without a common run.
-    interval_percent : pair of float, optional
-        95 % confidence interval of it; None with too few runs for one.
-    finding : Finding
-        About the other one, by its error: worse, or no difference shown (better, where the best one is that only by
-        its root mean square).
+    difference : Difference
+        The error of the other one by that of the best one, on the recordings that both completed.
+    divergences : ShareDifference
+        Which of them diverges in more recordings; of the other one.
     shown : bool
         Whether the best one is better: its error is shown to be smaller, or the other one diverged, be it by chance.
     tied : bool
         Whether the other one never diverged and has the same error on every recording.
-    difference : Difference
-        The error of the other one by that of the best one.
-    divergences : ShareDifference
-        Which of them diverges in more recordings; of the other one.
     words : str
         The conclusion, a clause.
     """
 
     best: str
     other: str
-    runs: int
-    excess_percent: float
-    interval_percent: tuple[float, float] | None
-    finding: Finding
-    shown: bool
     difference: Difference
     divergences: ShareDifference
+    shown: bool
+    tied: bool
     words: str
-    tied: bool = False
+
+    @property
+    def runs(self) -> int:
+        """Recordings that both completed."""
+        return self.difference.count
+
+    @property
+    def excess_percent(self) -> float:
+        """How much larger the other one's error is (geometric mean over runs); NaN without a common run."""
+        return self.difference.percent
+
+    @property
+    def interval_percent(self) -> tuple[float, float] | None:
+        """95 % confidence interval of it; None with too few runs for one."""
+        return self.difference.interval_percent
+
+    @property
+    def finding(self) -> Finding:
+        """Whether the other one's error is shown to be larger, or smaller (the best one is that by its RMS)."""
+        return self.difference.finding
 
     @property
     def is_sure(self) -> bool:
@@ -151,15 +158,11 @@ def against_best(
     return Comparison(
         best=best.filter_name,
         other=other.filter_name,
-        runs=difference.count,
-        excess_percent=difference.percent,
-        interval_percent=difference.interval_percent,
-        finding=difference.finding,
-        shown=bool(other.diverged) or difference.finding is Finding.WORSE,
         difference=difference,
         divergences=divergences,
-        words=_comparison_words(other, difference, divergences),
+        shown=bool(other.diverged) or difference.finding is Finding.WORSE,
         tied=difference.tied and not other.diverged,
+        words=_comparison_words(other, difference, divergences),
     )
 
 

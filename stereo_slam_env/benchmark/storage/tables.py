@@ -25,7 +25,6 @@ from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from stereo_slam_env.benchmark.scenarios.scenario import choice_as_dict
 from stereo_slam_env.evaluation.figures import trial_columns
 from stereo_slam_env.evaluation.run_figures import key_of
 from stereo_slam_env.files.atomic import unfinished_name, write_atomically
@@ -121,7 +120,7 @@ def _rows(root: Path, result: CellResult) -> list[dict[str, Any]]:
                 "cell": result.cell.name,
                 **_factors(result),
                 **result.figures[run.filter_name].of_run[key_of(run)],
-                "policy": None if choice.policy is None else json.dumps(choice_as_dict(choice.policy)),
+                "policy": None if choice.policy is None else json.dumps(choice.policy.as_dict()),
                 "options": json.dumps(dict(run.options)),
                 "series": result.directory.trial_path(run.seed, choice).relative_to(root).as_posix(),
             }

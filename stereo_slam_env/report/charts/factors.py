@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from filters.validation import FloatArray
-from stereo_slam_env.benchmark.statistics.attribution import Attribution, Effect, ResponseAttribution
+from stereo_slam_env.benchmark.statistics.attribution import Attribution
 from stereo_slam_env.benchmark.statistics.comparison import Change
+from stereo_slam_env.benchmark.statistics.effects import Effect, ResponseAttribution
 from stereo_slam_env.report.charts.axes import WIDTH, Axis, label_room, log_axis, panel_width
 from stereo_slam_env.report.charts.drawing import Box, Chart, Curve, Panel, figure
 from stereo_slam_env.report.charts.style import BAND, INK, MUTED, PALETTE, filter_colours

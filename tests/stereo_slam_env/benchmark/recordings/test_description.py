@@ -31,7 +31,7 @@ def noisy_recording(outliers=0.0):
 
 
 def test_bias_spread_and_claim_are_found():
-    rows = noise_by_range(measurement_errors(noisy_recording()))
+    rows = noise_by_range(noisy_recording())
     everything = rows[-1]
     assert everything.count > 1000
     standard_error = SIGMA / np.sqrt(everything.count)
@@ -42,38 +42,39 @@ def test_bias_spread_and_claim_are_found():
 
 
 def test_outliers_are_counted_and_do_not_spoil_the_spread():
-    everything = noise_by_range(measurement_errors(noisy_recording(outliers=0.1)))[-1]
+    everything = noise_by_range(noisy_recording(outliers=0.1))[-1]
     assert everything.outliers[0] == pytest.approx(0.1, abs=0.03)
     assert everything.outliers[1] == 0.0
     assert everything.sigma[0] == pytest.approx(SIGMA[0], rel=0.2)
 
 
 def test_ranges_part_the_measurements():
-    errors = measurement_errors(noisy_recording())
-    *ranges, everything = noise_by_range(errors)
+    recording = noisy_recording()
+    depths, errors, _ = measurement_errors(recording)
+    *ranges, everything = noise_by_range(recording)
     assert [(row.low, row.high) for row in ranges] == sorted({(row.low, row.high) for row in ranges})
-    assert sum(row.count for row in ranges) == everything.count == len(errors.depth)
+    assert sum(row.count for row in ranges) == everything.count == len(depths)
     for row in ranges:
-        inside = (errors.depth >= row.low) & (errors.depth < row.high)
+        inside = (depths >= row.low) & (depths < row.high)
         assert row.count == inside.sum()
-        np.testing.assert_allclose(row.bias, np.median(errors.error[inside], axis=0))
+        np.testing.assert_allclose(row.bias, np.median(errors[inside], axis=0))
 
 
 def test_only_what_is_known_is_judged():
     recording = noisy_recording()
     some = replace(recording.landmarks, ids=recording.landmarks.ids[:7], positions=recording.landmarks.positions[:7])
-    errors = measurement_errors(replace(recording, landmarks=some))
+    depths, _, _ = measurement_errors(replace(recording, landmarks=some))
     expected = sum(np.isin(frame.observation.ids, some.ids).sum() for frame in recording.frames)
-    assert len(errors.depth) == expected > 0
+    assert len(depths) == expected > 0
     blind = replace(recording, frames=tuple(replace(frame, truth=None) for frame in recording.frames))
-    assert noise_by_range(measurement_errors(blind)) == ()
+    assert noise_by_range(blind) == ()
     with pytest.raises(ValueError, match="recording 'small' has no true landmarks: its errors cannot be known"):
         measurement_errors(replace(recording, landmarks=None))
 
 
 @pytest.mark.parametrize("width", [80, 120])
 def test_the_table_is_readable_in_a_terminal(width, capsys):
-    rows = noise_by_range(measurement_errors(noisy_recording(outliers=0.1)))
+    rows = noise_by_range(noisy_recording(outliers=0.1))
     show_noise(Console(width=width), "small", rows)
     lines = capsys.readouterr().out.splitlines()
     assert max(map(len, lines)) <= width

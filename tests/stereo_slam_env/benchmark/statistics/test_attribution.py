@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from stereo_slam_env.benchmark.scenarios.study import factorial_label
-from stereo_slam_env.benchmark.statistics.attribution import Response, attribute, attribute_runs
+from stereo_slam_env.benchmark.statistics.attribution import attribute, attribute_runs
 from stereo_slam_env.benchmark.statistics.differences import Finding
+from stereo_slam_env.benchmark.statistics.effects import Response
 
 from ....synthetic_runs import Behaviour, make_runs, scored
 
