@@ -69,7 +69,7 @@ def test_without_pictures_there_is_no_file(tmp_path):
     ("name", "message"),
     [
         ("out.avi", r"out\.avi must end in \.mp4"),
-        ("no/out.mp4", "no must be a folder"),
+        ("no/out.mp4", "the folder no does not exist"),
         ("folder.mp4", "folder.mp4 none"),
     ],
 )
