@@ -13,8 +13,8 @@ import gymnasium as gym
 from rich.console import Console
 
 from filters.noise import StereoNoise
-from filters.registry import FilterFactory, filter_factory, label_of
-from stereo_slam_env.benchmark.head_to_head import HeadToHead
+from filters.registry import filter_factory, label_of
+from stereo_slam_env.benchmark.head_to_head import FilterLike, HeadToHead, which_seeds
 from stereo_slam_env.benchmark.scenarios import streams
 from stereo_slam_env.benchmark.scenarios.scenario import Scenario, filter_choice
 from stereo_slam_env.benchmark.scenarios.study import preset
@@ -28,9 +28,6 @@ from stereo_slam_env.policies.registry import make_policy
 from stereo_slam_env.recording.recording import Recording
 from stereo_slam_env.report.console import show_results
 from stereo_slam_env.report.run_report import write_report
-
-FilterLike = str | FilterFactory
-"""A name of `filters.available_filters()`, or what is called as `MyFilter(camera=..., noise=..., **options)`."""
 
 DIVERGENCE_PERCENT = 10.0
 """A run that ends farther from the truth than this share of the path has diverged, unless a scenario says otherwise."""
@@ -178,10 +175,9 @@ class Comparison:
         for name in (label, reference):
             if name not in by_label:
                 raise ValueError(f"label must be one of {', '.join(by_label)}, got {name!r}")
-        ours, theirs = (tuple(run for run in self.runs if run.filter_name == name) for name in (label, reference))
-        return HeadToHead(
-            by_label[label], by_label[reference], ours, theirs, self.figures[label], self.figures[reference], self.title
-        )
+        runs = tuple(run for run in self.runs if run.filter_name == label)
+        figures = self.figures[label], self.figures[reference]
+        return HeadToHead(by_label[label], by_label[reference], runs, *figures, self.title)
 
 
 def evaluate(
@@ -271,9 +267,7 @@ def compare(
     chosen = {label: {**usual.get(label, {}), **given.get(label, {})} for label in labels}
     on = preset(scenario) if isinstance(scenario, str) else scenario
     if isinstance(on, Scenario):
-        which = tuple(range(seeds)) if isinstance(seeds, int) else tuple(seeds)
-        if not which:
-            raise ValueError(f"seeds must be at least one, got {seeds!r}")
+        which = which_seeds(seeds)
         recordings: Iterator[tuple[int | None, Recording]] = (
             (seed, streams.make_recording(on, seed)) for seed in which
         )

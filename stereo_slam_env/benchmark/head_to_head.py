@@ -37,18 +37,26 @@ QUICK = Scenario(
 """What filters are tested on by default: the models hold exactly, so that consistency can be asked for."""
 
 
+def which_seeds(seeds: int | Sequence[int]) -> tuple[int, ...]:
+    """Seeds of so many recordings, or these; raises a `ValueError` without any."""
+    which = tuple(range(seeds)) if isinstance(seeds, int) else tuple(seeds)
+    if not which:
+        raise ValueError(f"seeds must be at least one, got {seeds!r}")
+    return which
+
+
 @dataclass(frozen=True)
 class HeadToHead:
-    """A filter and what it is held against, on the same recordings; its assertions say the figures when they fail.
+    """A filter against a reference on the same recordings; its assertions say the figures when they fail.
 
     Attributes
     ----------
     summary, reference : FilterSummary
         Of the filter, and of what it is held against.
-    runs, reference_runs : tuple of FilterRun
-        One a recording.
+    runs : tuple of FilterRun
+        Runs of the filter, one for each recording.
     figures, reference_figures : RunFigures
-        Of the same runs.
+        Figures of the runs of both.
     title : str
         What they ran on.
     """
@@ -56,7 +64,6 @@ class HeadToHead:
     summary: FilterSummary
     reference: FilterSummary
     runs: tuple[FilterRun, ...]
-    reference_runs: tuple[FilterRun, ...]
     figures: RunFigures
     reference_figures: RunFigures
     title: str
@@ -208,21 +215,15 @@ class Bench:
             An unknown filter, option or preset, or a source that cannot be used.
         """
         on = QUICK if scenario is None else preset(scenario) if isinstance(scenario, str) else scenario
-        wanted = self.seeds if seeds is None else seeds
-        which = tuple(range(wanted)) if isinstance(wanted, int) else tuple(wanted)
-        if not which:
-            raise ValueError(f"seeds must be at least one, got {seeds!r}")
+        which = which_seeds(self.seeds if seeds is None else seeds)
         name, other = label_of(tested), label_of(against)
         if name == other:
             other = f"{other} (reference)"
-        pairs = [
-            (self._run(tested, name, options, on, seed), self._run(against, other, against_options, on, seed))
-            for seed in which
-        ]
-        runs, reference_runs = (tuple(side) for side in zip(*pairs, strict=True))
-        figures = figures_of((*runs, *reference_runs), divergence_percent=on.divergence_percent)
-        summary, reference = summarise_all((*runs, *reference_runs), figures)
-        return HeadToHead(summary, reference, runs, reference_runs, figures[name], figures[other], on.name)
+        sides = (tested, name, options), (against, other, against_options)
+        runs = [self._run(*side, on, seed) for side in sides for seed in which]
+        figures = figures_of(runs, divergence_percent=on.divergence_percent)
+        summary, reference = summarise_all(runs, figures)
+        return HeadToHead(summary, reference, tuple(runs[: len(which)]), figures[name], figures[other], on.name)
 
     def _run(
         self, tested: FilterLike, label: str, options: Mapping[str, Any] | None, scenario: Scenario, seed: int

@@ -130,7 +130,7 @@ def scene_noise(
 ) -> None:
     """Measure the noise of the front end: bias, spread and outliers of u, v and d by range, against the render."""
     with one_line_errors():
-        from stereo_slam_env.benchmark.recordings.description import noise_by_range
+        from stereo_slam_env.benchmark.scenarios.streams import noise_by_range
         from stereo_slam_env.envs.recorder import record
         from stereo_slam_env.report.console import progress_bar, show_noise
 

@@ -16,8 +16,8 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 from rich.table import Table
 
 from stereo_slam_env.benchmark.campaign import Progress as ProgressCallback
-from stereo_slam_env.benchmark.recordings.description import OUTLIER, NoiseOfRange
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, PolicyChoice, Scenario
+from stereo_slam_env.benchmark.scenarios.streams import OUTLIER, NoiseOfRange
 from stereo_slam_env.benchmark.scenarios.study import Study
 from stereo_slam_env.benchmark.statistics.comparison import COLUMNS, RunComparison
 from stereo_slam_env.benchmark.statistics.measures import EFFICIENCY, POSE_NEES

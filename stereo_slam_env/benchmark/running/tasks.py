@@ -16,12 +16,12 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from filters import ConstantVelocity
-from stereo_slam_env.benchmark.recordings.description import description_of
 from stereo_slam_env.benchmark.recordings.source import OpenedImages
 from stereo_slam_env.benchmark.running.isolation import Tell, WorkDied, WorkTooSlow, run_isolated
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, Scenario
 from stereo_slam_env.benchmark.scenarios.streams import (
     as_given,
+    description_of,
     drive_episode,
     drive_straight_ahead,
     make_recording,

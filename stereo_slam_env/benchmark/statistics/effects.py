@@ -286,24 +286,28 @@ def fit_factorial(values: FloatArray) -> FactorialFit:
     rows = rows[np.isfinite(rows).sum(axis=1) >= 2]
     mains = [(i,) for i in range(len(levels))]
     designs = {term: _columns(term, levels) for term in [*mains, *combinations(range(len(levels)), 2)]}
-    gram = _gram(rows, np.hstack(list(designs.values())))
-    kept: list[Term] = []
+    values, centred = _centred(rows, np.hstack(list(designs.values())))
     places = _places(designs)
+
+    def columns(terms: Sequence[Term]) -> FloatArray:
+        return centred[:, :, np.concatenate([places[term] for term in terms])]
+
+    kept: list[Term] = []
     for term in designs:
-        columns = np.concatenate([places[t] for t in [*kept, term]])
-        if np.linalg.matrix_rank(gram[np.ix_(columns, columns)], hermitian=True) == len(columns):
+        tried = columns([*kept, term])
+        gram = np.einsum("scp,scq->pq", tried, tried)
+        if np.linalg.matrix_rank(gram, hermitian=True) == len(gram):
             kept.append(term)
         elif len(term) == 1:
             raise ValueError("too many combinations are missing: the effects of the factors cannot be told apart")
-    used = {term: designs[term] for term in kept}
-    coefficients, residual = _solve(rows, np.hstack(list(used.values())))
-    places = _places(used)
-    total = float(np.nansum((rows - np.nanmean(rows, axis=1, keepdims=True)) ** 2))
+    coefficients, residual = _solve(values, columns(kept))
+    total = float(np.sum(values**2))
     shares = {}
     for term in kept:
-        others = [design for other, design in used.items() if other != term]
-        without = _solve(rows, np.hstack(others))[1] if others else total
+        others = [other for other in kept if other != term]
+        without = _solve(values, columns(others))[1] if others else total
         shares[term] = (without - residual) / total if total > 0.0 else 0.0
+    places = _places({term: designs[term] for term in kept})
     return FactorialFit(
         blocks={term: _expanded(coefficients[:, places[term]], term, levels) for term in kept},
         shares=shares,
@@ -351,18 +355,12 @@ def _centred(rows: FloatArray, design: FloatArray) -> tuple[FloatArray, FloatArr
     return values, np.where(known[:, :, None], design[None] - means[:, None, :], 0.0)
 
 
-def _gram(rows: FloatArray, design: FloatArray) -> FloatArray:
-    _, centred = _centred(rows, design)
-    return np.asarray(np.einsum("scp,scq->pq", centred, centred))
-
-
-def _solve(rows: FloatArray, design: FloatArray) -> tuple[FloatArray, float]:
+def _solve(values: FloatArray, centred: FloatArray) -> tuple[FloatArray, float]:
     """Pseudo-values of the coefficients (S, p), whose mean is the solution, and the sum of squares that is left."""
-    values, centred = _centred(rows, design)
     grams = np.einsum("scp,scq->spq", centred, centred)
     rights = np.einsum("scp,sc->sp", centred, values)
     gram = grams.sum(axis=0)
     solution = np.linalg.solve(gram, rights.sum(axis=0))
     scores = rights - grams @ solution
     residual = float(np.sum((values - centred @ solution) ** 2))
-    return solution + len(rows) * np.linalg.solve(gram, scores.T).T, residual
+    return solution + len(values) * np.linalg.solve(gram, scores.T).T, residual

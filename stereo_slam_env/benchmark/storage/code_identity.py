@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import ast
-import gc
 import hashlib
 import json
 import platform
 import sys
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Mapping
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
@@ -76,8 +75,7 @@ def _meanings(sources: Mapping[str, bytes], kept: Path) -> dict[str, str]:
         known = {}
     rule = Path(__file__).read_bytes()
     keys = {name: hashlib.sha256(rule + source).hexdigest() for name, source in sources.items()}
-    with _no_collection():  # half the time
-        found = {key: known.get(key) or _meaning(name, sources[name]) for name, key in keys.items()}
+    found = {key: known.get(key) or _meaning(name, sources[name]) for name, key in keys.items()}
     if found.keys() - known.keys() and not sys.dont_write_bytecode:
         with suppress(OSError):  # not ours to write: then it is computed every time
             write_atomically(kept, lambda stream: stream.write(json.dumps(found).encode()))
@@ -108,15 +106,3 @@ def _meaning(name: str, content: bytes) -> str:
 
     say(ast.parse(content))
     return hashlib.sha256("\n".join(said).encode()).hexdigest()
-
-
-@contextmanager
-def _no_collection() -> Iterator[None]:
-    """Syntax trees are many objects without circles."""
-    was = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if was:
-            gc.enable()

@@ -10,9 +10,8 @@ import pytest
 
 from stereo_slam_env.benchmark import PolicyChoice, Scenario, campaign, compare, preset, run_benchmark
 from stereo_slam_env.benchmark.campaign import check_study
-from stereo_slam_env.benchmark.recordings.description import stream_digest
 from stereo_slam_env.benchmark.recordings.sources import GazeSource, StreetSource
-from stereo_slam_env.benchmark.scenarios.streams import drive_episode, make_recording
+from stereo_slam_env.benchmark.scenarios.streams import drive_episode, make_recording, stream_digest
 from stereo_slam_env.benchmark.scenarios.study import Study, load_study
 from stereo_slam_env.benchmark.statistics.policy_verdict import baseline_of
 from stereo_slam_env.benchmark.storage.store import read_study

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from filters import StereoNoise, StereoObservation
-from stereo_slam_env.benchmark.recordings.description import stream_digest
 from stereo_slam_env.benchmark.recordings.reference_problem import long_drive
+from stereo_slam_env.benchmark.scenarios.streams import stream_digest
 from stereo_slam_env.datasets import load
 from stereo_slam_env.recording.archive import load_recording, save_recording
 from stereo_slam_env.recording.recording import GIVEN_TRUTH, Recording, Reference, Start

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from filters import StereoNoise, StereoObservation, rotations
-from stereo_slam_env.benchmark.recordings.description import stream_digest
 from stereo_slam_env.benchmark.recordings.reference_problem import long_drive
+from stereo_slam_env.benchmark.scenarios.streams import stream_digest
 from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.recording.recording import LandmarkTruth
 from stereo_slam_env.sensing.corruptions import CORRUPTIONS, corrupted, make_corruption

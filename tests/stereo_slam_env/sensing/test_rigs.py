@@ -11,10 +11,9 @@ import pytest
 
 from stereo_slam_env.benchmark import Scenario, Study, preset_study
 from stereo_slam_env.benchmark.campaign import check_study
-from stereo_slam_env.benchmark.recordings.description import stream_digest
 from stereo_slam_env.benchmark.recordings.reference_problem import short_turn
 from stereo_slam_env.benchmark.recordings.sources import DatasetSource, StreetSource, source_of
-from stereo_slam_env.benchmark.scenarios.streams import make_recording
+from stereo_slam_env.benchmark.scenarios.streams import make_recording, stream_digest
 from stereo_slam_env.benchmark.scenarios.study import study_from
 from stereo_slam_env.cli import app as cli
 from stereo_slam_env.cli.parts import rig_from

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 from filters import StereoObservation
-from stereo_slam_env.benchmark.recordings.description import stream_digest
 from stereo_slam_env.benchmark.recordings.source import Source
 from stereo_slam_env.benchmark.recordings.sources import ReferenceSource, StreetSource, source_of
 from stereo_slam_env.benchmark.scenarios.scenario import Scenario
-from stereo_slam_env.benchmark.scenarios.streams import make_recording
+from stereo_slam_env.benchmark.scenarios.streams import make_recording, stream_digest
 from stereo_slam_env.sensing.rigs import RIGS
 
 from ...third_party import install

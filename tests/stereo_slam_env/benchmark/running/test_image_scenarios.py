@@ -10,7 +10,6 @@ import pytest
 
 from stereo_slam_env.benchmark import run_benchmark
 from stereo_slam_env.benchmark.recordings import sources
-from stereo_slam_env.benchmark.recordings.description import stream_digest
 from stereo_slam_env.benchmark.recordings.sources import DatasetSource, StreetSource
 from stereo_slam_env.benchmark.running import tasks
 from stereo_slam_env.benchmark.running.tasks import watch_search
@@ -19,6 +18,7 @@ from stereo_slam_env.benchmark.scenarios.streams import (
     check_source,
     make_recording,
     make_sequence,
+    stream_digest,
     without_measurements,
 )
 from stereo_slam_env.benchmark.scenarios.study import Study, preset

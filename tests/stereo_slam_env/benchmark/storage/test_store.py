@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from filters import rotations
-from stereo_slam_env.benchmark.recordings.description import stream_digest
 from stereo_slam_env.benchmark.recordings.sources import ReferenceSource
 from stereo_slam_env.benchmark.scenarios.scenario import Scenario, filter_choice
+from stereo_slam_env.benchmark.scenarios.streams import stream_digest
 from stereo_slam_env.benchmark.scenarios.study import Study
 from stereo_slam_env.benchmark.storage import store
 from stereo_slam_env.benchmark.storage.run_archive import packed_run

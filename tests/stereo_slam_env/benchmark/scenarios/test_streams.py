@@ -7,7 +7,7 @@ import pytest
 from rich.console import Console
 
 from filters import StereoObservation
-from stereo_slam_env.benchmark.recordings.description import OUTLIER, measurement_errors, noise_by_range
+from stereo_slam_env.benchmark.scenarios.streams import OUTLIER, measurement_errors, noise_by_range
 from stereo_slam_env.report.console import show_noise
 
 from ..small_recordings import small_recording
