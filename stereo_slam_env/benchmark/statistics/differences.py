@@ -41,11 +41,6 @@ class Finding(Enum):
     WORSE = "worse"
     NOT_SHOWN = "no difference shown"
 
-    @property
-    def reversed(self) -> Finding:
-        """The result for the second of the two."""
-        return {Finding.BETTER: Finding.WORSE, Finding.WORSE: Finding.BETTER}.get(self, self)
-
 
 @dataclass(frozen=True)
 class Difference:
