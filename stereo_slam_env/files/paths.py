@@ -77,6 +77,8 @@ def checked_file(what: str, path: str | Path, ending: str) -> Path:
     path = Path(path)
     if path.suffix.lower() != ending:
         raise ValueError(f"{what} {path} must end in {ending}")
-    if path.is_dir() or not path.parent.is_dir():
-        raise ValueError(f"{what} {path} cannot be written: {path.parent} must be a folder, and {path.name} none")
+    if path.is_dir():
+        raise ValueError(f"{what} {path} cannot be written: it is a folder")
+    if not path.parent.is_dir():
+        raise ValueError(f"{what} {path} cannot be written: the folder {path.parent} does not exist")
     return path

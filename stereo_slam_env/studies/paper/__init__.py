@@ -209,7 +209,7 @@ def _computed(task: tuple[Path, str, partial[Arrays]]) -> tuple[str, Arrays]:
 def _kept(path: Path, key: str) -> Arrays | None:
     """The arrays of the file, if it is of this key."""
     try:
-        with np.load(path) as file:
+        with np.load(path, allow_pickle=False) as file:
             arrays = dict(file)
         return arrays if str(arrays.pop("made from")) == key else None
     except (OSError, EOFError, ValueError, KeyError, BadZipFile):

@@ -156,7 +156,7 @@ def test_memory_is_flat_over_resets(make):
         ),
         ({"rig": "imax"}, r"rig must be one of 'reference', 'vga', 'qvga', got 'imax'"),
         ({"noise": "cauchy"}, r"noise must be one of 'pixels', 'uvd', 'heavy-tailed', 'quantised', got 'cauchy'"),
-        ({"policy": "me"}, r"policy must be one of 'route', 'agent', got 'me'"),
+        ({"policy": "me"}, r"policy must be one of 'agent', 'route', got 'me'"),
         ({"sensor": "lidar"}, r"sensor must be one of 'landmarks', 'images', got 'lidar'"),
         ({"sigma": 0.0}, r"sigma must be a finite number > 0, got 0.0"),
         ({"sigma": "big"}, r"sigma must be a number > 0, got 'big'"),

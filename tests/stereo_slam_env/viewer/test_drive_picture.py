@@ -85,7 +85,7 @@ def test_each_landmark_in_view_has_its_ellipse(drive):
     ("path", "frame", "message"),
     [
         ("still.jpg", None, "must end in .png"),
-        ("nowhere/still.png", None, "nowhere must be a folder"),
+        ("nowhere/still.png", None, "nowhere does not exist"),
         ("still.png", 9, "frame must be 0 to 8, got 9"),
     ],
 )

@@ -30,7 +30,7 @@ def stream():
     [
         ({"save": "x.rrd", "connect": ADDRESS}, "exclude each other"),
         ({"save": "x.txt"}, "must end in .rrd"),
-        ({"save": "nowhere/x.rrd"}, "nowhere must be a folder"),
+        ({"save": "nowhere/x.rrd"}, "nowhere does not exist"),
         ({}, "no display"),
         ({"connect": ""}, "such as rerun"),
         ({"connect": "127.0.0.1:9876"}, "such as rerun"),

@@ -69,8 +69,8 @@ def test_without_pictures_there_is_no_file(tmp_path):
     ("name", "message"),
     [
         ("out.avi", r"out\.avi must end in \.mp4"),
-        ("no/out.mp4", "no must be a folder"),
-        ("folder.mp4", "folder.mp4 none"),
+        ("no/out.mp4", "no does not exist"),
+        ("folder.mp4", "it is a folder"),
     ],
 )
 def test_what_cannot_be_written_is_said_before_the_first_picture(tmp_path, name, message):

@@ -5,10 +5,10 @@ from functools import partial
 import numpy as np
 import pytest
 
-from stereo_slam_env.benchmark import Engine
+from stereo_slam_env.benchmark import Backend
 from stereo_slam_env.studies import paper
 
-ALONE = Engine(jobs=1)
+ALONE = Backend(jobs=1)
 
 
 def squares(count, log):
@@ -36,8 +36,8 @@ def done(log):
     return [int(line) for line in log.read_text().split()]
 
 
-def results_of(experiments, folder, engine=ALONE, progress=lambda done, total: None):
-    found = paper.run_experiments(experiments, folder, engine, progress)
+def results_of(experiments, folder, backend=ALONE, progress=lambda done, total: None):
+    found = paper.run_experiments(experiments, folder, backend, progress)
     return {name: arrays["squares"].tolist() for name, arrays in found.items()}
 
 
@@ -81,4 +81,4 @@ def test_progress_is_told(tmp_path, log):
 
 def test_several_processes_find_the_same(tmp_path, log):
     alone = results_of(work(log, 2, 3, 4), tmp_path / "a")
-    assert results_of(work(log, 2, 3, 4), tmp_path / "b", Engine(jobs=2)) == alone
+    assert results_of(work(log, 2, 3, 4), tmp_path / "b", Backend(jobs=2)) == alone
