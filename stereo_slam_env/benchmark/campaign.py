@@ -171,7 +171,7 @@ def run_checked(
 
 
 def as_study(what: Study | Scenario | str | Path, *, data: str | Path | None = None, allow_code: bool = False) -> Study:
-    """The study that is meant: given as it is, as one scenario, as the name of a preset or as a file.
+    """Study from itself, a scenario, the name of a preset or a file.
 
     Raises
     ------
@@ -188,7 +188,7 @@ def as_study(what: Study | Scenario | str | Path, *, data: str | Path | None = N
 
 
 def check_study(study: Study) -> None:
-    """Raise a `ValueError` for what cannot be run, before any work is done."""
+    """Raise a `ValueError` for a study that cannot be run, before any work is done."""
     checked: list[tuple[object, object]] = []
     for cell in study.cells:
         scenario = cell.scenario
@@ -260,7 +260,7 @@ def _run_missing(cells: Sequence[RunDirectory], backend: Backend, progress: Prog
 
 
 def _drives(choice: FilterChoice | None) -> bool:
-    """Whether a trial records for itself what it is given."""
+    """Whether a policy makes the recording of the trial itself."""
     return choice is not None and choice.policy is not None
 
 

@@ -1,4 +1,4 @@
-"""One filter against another one in a few lines, for unit tests of filters: `Bench` runs, `HeadToHead` judges.
+"""Comparison of a filter with a reference, for unit tests: `Bench` runs both, `HeadToHead` has assertions.
 
 Everything happens in this process and nothing is written: filters need not be registered, a class will do. Recordings
 and runs are kept, so that the same reference filter is run once however many filters are held against it.
@@ -34,7 +34,7 @@ QUICK = Scenario(
     noise={"independent_pixels": 1.0},
     gate=None,
 )
-"""What filters are tested on by default: the models hold exactly, so that consistency can be asked for."""
+"""Default scenario of filter tests: the models hold exactly, so that consistency can be asserted."""
 
 
 def which_seeds(seeds: int | Sequence[int]) -> tuple[int, ...]:
@@ -69,7 +69,7 @@ class HeadToHead:
     title: str
 
     def difference(self, measure: Measure = POSITION) -> Difference:
-        """How much larger (worse) a measure of the filter is than that of the reference."""
+        """Difference by which a measure of the filter is worse than that of the reference."""
         keys = common_keys(self.figures, self.reference_figures)
         ours, theirs = (measure.by_run(side, keys) for side in (self.figures, self.reference_figures))
         return measure.difference(ours, theirs)
@@ -148,7 +148,7 @@ class HeadToHead:
             raise AssertionError(f"{self.summary.filter_name} {lost}{why}.\n{self}")
 
     def __str__(self) -> str:
-        """The figures of both, in words whether the filter is better or worse, and why runs failed."""
+        """Figures of both as a table, with findings, remarks and failures."""
         sides = (self.summary, self.reference)
         rows = [("", *(side.filter_name for side in sides), f"{self.summary.filter_name} is")]
         for measure in MEASURES:
@@ -167,7 +167,7 @@ class HeadToHead:
 
 
 class Bench:
-    """Runs filters on recordings and keeps both.
+    """Runner of filters that keeps recordings and runs.
 
     >>> bench = Bench(seeds=10)
     >>> bench("shared-anchor", against="inverse-depth").assert_not_worse(5)  # doctest: +SKIP

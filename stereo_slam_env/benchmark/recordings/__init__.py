@@ -1,1 +1,1 @@
-"""What filters are given: where the measurements of a scenario come from."""
+"""Sources of recordings, one class a kind, and the reference problems."""

@@ -131,7 +131,7 @@ def _drive(name: str, route: Route, seed: int, noise: str, sigma: float, frames:
 
 
 def _start(velocity: Velocity, rng: np.random.Generator) -> Start:
-    """The exact pose, and a velocity wrong by what the covariance says."""
+    """Start with the exact pose, and a velocity with an error of the stated covariance."""
     errors = START_SIGMAS[6:] * rng.standard_normal(6)
     return Start(
         linear_velocity=velocity.linear + errors[:3],
@@ -251,7 +251,7 @@ def _step(
 
 
 def _observe(points_c: FloatArray, level: float, sight: float, rng: np.random.Generator) -> StereoObservation:
-    """What is seen of the points (N, 3), given in the camera frame."""
+    """Measurements of the points (N, 3), given in the camera frame."""
     ids = np.flatnonzero((points_c[:, 2] > NEAREST) & (np.linalg.norm(points_c, axis=1) < sight))
     ids = ids[CAMERA.in_view(CAMERA.project(points_c[ids]))]
     seen = points_c[ids]

@@ -1,4 +1,4 @@
-"""Sources of recordings: where the measurements of a scenario come from, one class a kind.
+"""Interface of the sources of recordings, and checks of plain data by `msgspec`.
 
 A source is tagged data: `kind` names its class, and its fields are the table `options` of a scenario file. A new source
 is a subclass of `Source` with a tag, its fields and `record`::
@@ -39,7 +39,7 @@ _PLAIN |= {"bool": "true or false", "null": "none"}
 
 
 class Source(msgspec.Struct, frozen=True, tag_field="kind", forbid_unknown_fields=True):
-    """Where the recordings of a scenario come from.
+    """Source of the recordings of a scenario.
 
     Fields are JSON-able. A field `arguments`, a dict, takes the options that have no field of their own.
 
@@ -78,7 +78,7 @@ class Source(msgspec.Struct, frozen=True, tag_field="kind", forbid_unknown_field
 
     @property
     def key(self) -> str:
-        """JSON that tells this source from all others."""
+        """Identity of the source, as JSON."""
         return json.dumps([self.kind, self.options], sort_keys=True)
 
     def __str__(self) -> str:
@@ -194,7 +194,7 @@ def checked(what: str, value: object, kind: Any) -> Any:
 
 
 def _in_words(what: str, value: Any, kind: Any, message: str) -> str:
-    """A message of `msgspec` in ours: the place, what it must be, what it is, and what may have been meant."""
+    """Error message of `msgspec` reworded: the place, the expected value, the value, and a suggestion."""
     message, _, path = message.partition(" - at `$")
     for step in re.findall(r"[^.\[\]`]+", path):
         value = value[int(step) if step.isdecimal() else step]

@@ -1,4 +1,4 @@
-"""The sources of recordings that come with the package: simulated drives, real recordings, functions."""
+"""Sources of recordings of this package: simulated drives, real recordings, functions."""
 
 from __future__ import annotations
 
@@ -310,5 +310,5 @@ def _ignore(done: int, total: int) -> None:
 
 @lru_cache(maxsize=1)
 def _opened(options: str) -> OpenedImages:
-    """A recording of images; kept, because its calibration is looked for."""
+    """Opened recording of images; kept, because finding its calibration takes time."""
     return open_for_front_end(**json.loads(options))

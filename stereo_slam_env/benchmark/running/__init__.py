@@ -1,1 +1,1 @@
-"""Filters on recordings: one run, many at once, each in a process of its own."""
+"""Tasks of a benchmark, the backends that run them, and processes of their own."""

@@ -100,7 +100,7 @@ class Backend:
                 results.close()
 
     def _in_rounds(self, function: Callable[[Task], Result], tasks: Iterable[Task]) -> Iterator[Result]:
-        """Rounds for what only returns when all is done, so that little is lost in an interruption."""
+        """Run in rounds where joblib returns only when all is done, so that an interruption loses little."""
         waiting = iter(tasks)
         while round_of_tasks := list(itertools.islice(waiting, TASKS_IN_A_ROUND * self.jobs)):
             workers = joblib.Parallel(n_jobs=self.jobs, batch_size=1)

@@ -1,4 +1,4 @@
-"""One piece of work in a process of its own: a crash or a hang in it is an answer, and ends nothing else.
+"""Work in a process of its own: a crash or a hang is reported and ends nothing else.
 
 Such a process is forked from a server that has imported what trials need, never starts a thread and never draws, so
 that forking it is safe. It is never forked from the caller, which may have drawn, or have threads of BLAS, a notebook
@@ -110,7 +110,7 @@ class _Process:
     id: int
 
     def exit_code(self) -> int:
-        """How it ended, as the server tells: its code, or minus the number of the signal."""
+        """Exit code, or minus the number of the signal, as reported by the server."""
         return _status(self.status, "how a process ended")
 
 
@@ -228,7 +228,7 @@ def _server_of(process: int) -> _Server:
 
 @dataclass(frozen=True)
 class _Work:
-    """A pickled function, and where its modules and files are found: the caller's path and folder of now."""
+    """A pickled function, with the import path and the working folder of its caller."""
 
     path: tuple[str, ...]
     folder: str
@@ -279,7 +279,7 @@ def serve(descriptor: int) -> None:
 
 
 def _tell_ends(running: dict[int, int]) -> None:
-    """Write how each process that has ended did so: its code, or minus the number of the signal."""
+    """Report the exit code of each process that has ended, or minus the number of the signal."""
     while running:
         child, status = os.waitpid(-1, os.WNOHANG)
         if child == 0:

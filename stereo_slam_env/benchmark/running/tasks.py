@@ -86,7 +86,7 @@ class TrialTask:
 
 @dataclass(frozen=True, eq=False)
 class DoneTrial:
-    """The content of the file that keeps the result, and what was recorded where the policy drove."""
+    """Bytes of the result file, and the recording that the policy made, if it did."""
 
     cell: int
     seed: int | None
@@ -96,7 +96,7 @@ class DoneTrial:
 
 
 def make(task: RecordingTask, progress: Tell | None = None) -> MadeRecording:
-    """Make a recording; one that is drawn or calculated in a process of its own, one that is only read in this.
+    """Make a recording: in a process of its own if it is drawn or calculated, in this one if it is only read.
 
     Raises
     ------

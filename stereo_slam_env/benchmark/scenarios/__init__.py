@@ -1,1 +1,1 @@
-"""Scenarios as plain data, from files and as presets, and the measurement streams they stand for."""
+"""Scenarios and studies as plain data, from files and as presets, and their measurement streams."""

@@ -1,4 +1,4 @@
-"""Scenarios: what filters are compared on, as plain data that can be printed, stored and run again."""
+"""Scenarios: recordings and settings that filters are compared on, as plain data."""
 
 from __future__ import annotations
 
@@ -222,7 +222,7 @@ class Scenario:
 
     @property
     def competitors(self) -> tuple[FilterChoice, ...]:
-        """What is compared: the filters, or each policy with each of them.
+        """Competitors: the filters, or each policy with each filter.
 
         With one filter a competitor has the label of its policy, else that of both: "sweep+inverse-depth".
         """
@@ -239,7 +239,7 @@ class Scenario:
 
     @property
     def recording_seeds(self) -> tuple[int | None, ...]:
-        """One entry a recording; None where the source has no seeds."""
+        """Seed of each recording; None where the source has no seeds."""
         return self.seeds if self.source.seeded else (None,)
 
     @property
@@ -339,6 +339,6 @@ class Scenario:
 
 
 KEYS = ("name", "kind", "options", *(f.name for f in dataclasses.fields(Scenario) if f.name not in ("name", "source")))
-"""Of the JSON form of a scenario."""
+"""Keys of the JSON form of a scenario."""
 _TYPES = get_type_hints(Scenario, include_extras=True)
 del _TYPES["source"]  # checked by `source_of`

@@ -66,7 +66,7 @@ def make_sequence(scenario: Scenario, seed: int | None) -> OpenedImages:
 
 
 def without_measurements(recording: Recording) -> Recording:
-    """The drive as filters know it that measure for themselves; ids of landmarks are theirs then, so truth has none."""
+    """Recording for filters that measure in the images themselves: no observations, and no true landmarks by id."""
     none = StereoObservation(np.zeros(0, dtype=np.int64), np.zeros((0, 3)))
     frames = tuple(dataclasses.replace(frame, observation=none) for frame in recording.frames)
     return dataclasses.replace(recording, frames=frames, landmarks=None)
@@ -100,7 +100,7 @@ def check_source(scenario: Scenario) -> None:
 def drive_episode(
     scenario: Scenario, seed: int, choice: FilterChoice, progress: Callable[[int, int], None] | None = None
 ) -> Episode:
-    """The episode in which the policy of a competitor looks, with its filter in the loop.
+    """Episode of a competitor: its policy turns the head, with its filter in the loop.
 
     The filter is made and told exactly what `run_filter` makes and tells it, so that a run over the recording says what
     the policy heard.
@@ -145,7 +145,7 @@ def drive_episode(
 
 
 def drive_straight_ahead(scenario: Scenario, seed: int) -> Episode:
-    """The episode of a fixed head and no filter."""
+    """Episode with a fixed head and without a filter."""
     from stereo_slam_env.policies.episode import run_episode
     from stereo_slam_env.policies.open_loop import FixedGaze
 
@@ -157,7 +157,7 @@ def drive_straight_ahead(scenario: Scenario, seed: int) -> Episode:
 
 
 def stream_key(scenario: Scenario, choice: FilterChoice | None = None) -> str:
-    """Equal for scenarios whose recordings of a seed are the same, a short name for files.
+    """Short name of a stream, for files: equal where the recordings of a seed are the same.
 
     Of a competitor that decides what it measures (`choice.policy`), with its label: what it and its filter are told
     decides, too.
@@ -178,13 +178,13 @@ def _short_digest(about: list[Any]) -> str:
 
 
 def as_given(description: Mapping[str, Any], scenario: Scenario) -> dict[str, Any]:
-    """What is kept of a recording with a trial on it: its description, and the noise that is assumed of it."""
+    """Description of a recording that is kept with a trial, with the noise that was assumed."""
     about = {key: value for key, value in description.items() if key not in ("code", "R")}
     return {**about, "assumed_R": scenario.assumed_noise(StereoNoise(description["R"])).R.tolist()}
 
 
 def pairing_digest(about: Mapping[str, Any]) -> str:
-    """What must be the same for competitors to be compared: the measurements, or the drive where each one looks."""
+    """Digest that competitors must share to be compared: of the measurements, or with policies of the drive."""
     return str(about.get("drive_sha256") or about["stream_sha256"])
 
 
@@ -228,7 +228,7 @@ class NoiseOfRange:
 
 
 def description_of(recording: Recording) -> dict[str, Any]:
-    """What is kept of a recording beside it; JSON-able."""
+    """Description of a recording that is kept beside it, JSON-able."""
     description: dict[str, Any] = {
         "name": recording.name,
         "frames": len(recording),

@@ -118,7 +118,7 @@ class Study:
 
     @property
     def is_grid(self) -> bool:
-        """Whether there are cells to be told apart."""
+        """Whether there are several cells, or factors."""
         return bool(self.cells[0].factors) or len(self.cells) > 1
 
     def only_scenario(self) -> Scenario:
@@ -314,7 +314,7 @@ def _crossed(table: Mapping[str, Any]) -> tuple[dict[str, tuple[Any, ...]], list
 
 
 def _plain(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Fields as `Scenario` has them: what TOML cannot say in its own way, said in ours."""
+    """Fields as `Scenario` has them: false for none, and a number of seeds, are replaced."""
     plain = dict(values)
     for key in ("gate", "frames", "noise"):
         if plain.get(key) is False:

@@ -27,7 +27,7 @@ from stereo_slam_env.evaluation.run_figures import Figures
 
 @dataclass(frozen=True)
 class Attribution:
-    """Which choice makes the difference, and how much.
+    """Effects of the options on all responses.
 
     Attributes
     ----------

@@ -45,7 +45,7 @@ class HasRuns(Protocol):
 
     @property
     def runs(self) -> Sequence[FilterRun]:
-        """All of them."""
+        """All runs."""
 
     @property
     def figures(self) -> Figures:
@@ -149,7 +149,7 @@ COLUMNS = ("filter", "measure", "before", "after", "change", "finding")
 
 
 def compare(before: str | Path | HasRuns, after: str | Path | HasRuns) -> RunComparison:
-    """Say what changed significantly between two runs of the benchmark.
+    """Find the significant changes between two runs of the benchmark.
 
     Parameters
     ----------
@@ -226,7 +226,7 @@ def _opened(source: str | Path | HasRuns, name: str) -> _Side:
 
 
 def _same_streams(was: _Side, now: _Side) -> tuple[bool, list[str]]:
-    """Whether all common trials had the same measurements, and what is to be said about it."""
+    """Whether all common trials had the same measurements, and warnings about it."""
     common = [trial for trial in was.trials if trial in now.trials]
     if not common:
         return False, ["The two runs have no recording in common: they are compared as two samples, not pair by pair."]
@@ -254,7 +254,7 @@ def _same_drive(a: FilterRun, b: FilterRun) -> bool:
 
 @dataclass(frozen=True)
 class _Pair:
-    """One filter in both runs: its recordings, the same ones where they are paired."""
+    """One filter in both runs, with the recordings of each, which are the same where they are paired."""
 
     name: str
     after: RunFigures
@@ -285,7 +285,7 @@ def _pair(was: _Side, now: _Side, name: str, paired: bool) -> _Pair:
 
 
 def _changes(pairs: Sequence[_Pair]) -> tuple[Change, ...]:
-    """All changes; what is exactly the same before and after does not count as a comparison."""
+    """All changes; values that are identical before and after do not count as a comparison."""
     known = {(p.name, m): values for p in pairs for m in MEASURES for values in [p.values(m)] if all(map(len, values))}
     moved = [measure for (_, measure), values in known.items() if not np.array_equal(*values)]
     lost = sum(not np.array_equal(*pair.diverged) for pair in pairs)
@@ -343,7 +343,7 @@ def _divergences(pair: _Pair, comparisons: int) -> Change:
 
 
 def _failures(side: _Side) -> list[str]:
-    """How many runs of each filter failed, and why the first one did."""
+    """Number of failed runs of each filter, with the first error."""
     failed = [(label, run.failure) for (label, _), run in side.trials.items() if run.failure is not None]
     first = dict(reversed(failed))
     counts = Counter(label for label, _ in failed)

@@ -35,21 +35,16 @@ _MOST_DIGITS = 1e6
 
 
 class Finding(Enum):
-    """Result of a comparison for the first of two."""
+    """Result of a comparison, for the first of the two."""
 
     BETTER = "better"
     WORSE = "worse"
     NOT_SHOWN = "no difference shown"
 
-    @property
-    def reversed(self) -> Finding:
-        """The same, said of the second."""
-        return {Finding.BETTER: Finding.WORSE, Finding.WORSE: Finding.BETTER}.get(self, self)
-
 
 @dataclass(frozen=True)
 class Difference:
-    """How much larger one quantity is than another one, and how sure that is. Smaller is better.
+    """Difference of two quantities, smaller being better, with its confidence interval and test.
 
     Attributes
     ----------
@@ -91,7 +86,7 @@ class Difference:
 
     @property
     def shown(self) -> bool:
-        """Whether there is a difference at all."""
+        """Whether a difference is shown."""
         return self.finding is not Finding.NOT_SHOWN
 
     @property
@@ -106,7 +101,7 @@ class Difference:
 
     @property
     def percent(self) -> float:
-        """By how much a is larger than b, % (geometric mean); of ratios only."""
+        """Excess of a over b, % (geometric mean); of ratios only."""
         return as_percent(self.estimate)
 
     @property
@@ -116,7 +111,7 @@ class Difference:
 
     @property
     def reversed(self) -> Difference:
-        """The same of b and a."""
+        """Difference of b and a."""
         interval = None if self.interval is None else (-self.interval[1], -self.interval[0])
         return replace(self, estimate=-self.estimate, interval=interval)
 
@@ -144,7 +139,7 @@ class Difference:
 
     @property
     def tie_words(self) -> str:
-        """How equal the two are where they are tied: "the same in all 8 runs"."""
+        """Words on a tie: "the same in all 8 runs"."""
         runs = f"all {self.count} runs" if self.count > 1 else "the only run"
         return f"the same in {runs}" if self.identical else f"the same to within {TIE_PERCENT:g} % in {runs}"
 
@@ -298,13 +293,13 @@ def level(comparisons: int) -> float:
 
 
 def as_percent(log_ratio: float) -> float:
-    """+100 for a logarithm of 2."""
+    """Change in percent of a logarithm of a ratio: +100 for log 2."""
     return float(100.0 * np.expm1(np.clip(log_ratio, -_LARGEST_LOG, _LARGEST_LOG)))
 
 
 @lru_cache(maxsize=8)
 def _resamples(count: int, seed: int) -> FloatArray:
-    """How often each of `count` rows is drawn, (RESAMPLES, count)."""
+    """Number of draws of each of `count` rows, (RESAMPLES, count)."""
     drawn = np.random.default_rng([seed, count]).multinomial(count, np.full(count, 1.0 / count), RESAMPLES)
     weights = drawn.astype(np.float64)
     weights.setflags(write=False)
@@ -322,7 +317,7 @@ def _resampled(values: FloatArray, seed: int) -> tuple[FloatArray, FloatArray]:
 
 
 def _ratio(shift: FloatArray, error: FloatArray) -> FloatArray:
-    """|t| of each resample; one that drew a single row has no spread and says nothing."""
+    """|t| of each resample; 0 for one that drew a single row and has no spread."""
     tiny = 1e-9 * error.max(axis=0, initial=0.0)
     return np.divide(shift, error, out=np.zeros_like(shift), where=error > tiny)
 
@@ -332,7 +327,7 @@ def _ratio(shift: FloatArray, error: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class ShareDifference:
-    """How often something happened (a divergence) with one filter and not with the other.
+    """Difference of the shares of recordings in which something (a divergence) happened.
 
     Attributes
     ----------
@@ -354,7 +349,7 @@ class ShareDifference:
 
 
 def share_difference(a: BoolArray, b: BoolArray, *, paired: bool = True, comparisons: int = 1) -> ShareDifference:
-    """Compare how often something happened.
+    """Compare the shares of recordings in which something happened.
 
     On the same recordings, McNemar's exact test: of those where a and b disagree, is it one of them more often than the
     other. On different ones, Fisher's exact test.
@@ -381,7 +376,7 @@ def share_difference(a: BoolArray, b: BoolArray, *, paired: bool = True, compari
 
 
 def signed(value: float, digits: int = 0) -> str:
-    """With its sign, as in print: "+1,200", "−3"; what is rounded to zero has none."""
+    """Number with its sign, as in print: "+1,200", "−3"; zero after rounding has none."""
     if abs(value) >= _MOST_DIGITS:
         return f"{value:+.1e}".replace("-", "−")
     text = f"{value:+,.{digits}f}"

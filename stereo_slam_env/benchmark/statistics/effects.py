@@ -1,4 +1,4 @@
-"""The effects of the factors of an experiment on one response: estimates, intervals, shares of variance, words."""
+"""Effects of the factors of an experiment on one response: estimates, intervals, shares of variance."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ class Contrast:
 
 @dataclass(frozen=True)
 class Share:
-    """How much of the variance between combinations, on the same seed, a factor or an interaction explains.
+    """Share of the variance between combinations, on the same seed, that a factor or an interaction explains.
 
     Attributes
     ----------
@@ -231,7 +231,7 @@ def _contrast_words(name: str, level: Any, instead_of: Any, difference: Differen
 def _conclusion(
     name: str, by_share: Sequence[str], contrasts: Sequence[Contrast], together: Sequence[tuple[str, ...]]
 ) -> str:
-    """The factors by the variance they explain, then the interactions that matter."""
+    """Sentence on the factors, by the variance they explain, and on strong interactions."""
     parts = []
     for factor in by_share:
         own = [c for c in contrasts if c.factor == factor]

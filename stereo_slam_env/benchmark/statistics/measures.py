@@ -25,7 +25,7 @@ from stereo_slam_env.evaluation.run_figures import Figures, RunFigures, RunKey, 
 
 @dataclass(frozen=True)
 class Measure:
-    """A figure as filters are compared by it: its values, divided by the ideal where there is one.
+    """Measure of comparison: a figure, divided by its ideal value where it has one.
 
     Attributes
     ----------
@@ -74,7 +74,7 @@ class Measure:
         return float(np.exp(np.log(finite).mean()))
 
     def difference(self, a: FloatArray, b: FloatArray, *, paired: bool = True, comparisons: int = 1) -> Difference:
-        """How much worse a is than b, from the values of both in each run; NaN where not known.
+        """Difference by which a is worse than b, from their values in each run (NaN where unknown).
 
         Of a measure of consistency: how much farther a's mean is from the ideal, as a factor. `paired`: whether a run
         of a and the same one of b had the same measurements; `comparisons`: made at once.
@@ -118,7 +118,7 @@ POSITION, ROTATION, POSE_NEES, EFFICIENCY, TIME, FINAL_SIGMA, FINAL_LOGDET, FINA
 QUESTIONS = (POSITION, ROTATION, POSE_NEES, TIME)
 """Measures that the filters of one run are compared by: accuracy, consistency, cost."""
 CLAIM_AND_TRUTH = (FINAL_SIGMA, FINAL_LOGDET, FINAL_ERROR, POSITION, ROTATION, POSE_NEES)
-"""Measures that policies are compared by: what their filters claim in the end, and what is true."""
+"""Measures that policies are compared by: the claimed uncertainty at the end, and the true errors."""
 
 
 # ---- pairs ----------------------------------------------------------------------------------------------------------
@@ -225,7 +225,7 @@ def change_words(measure: Measure, difference: Difference) -> str:
 
 
 def finding_words(measure: Measure, difference: Difference) -> str:
-    """The finding and what it comes to: "worse: 12 % larger (+9 to +15 % ...)", "no difference shown (...)"."""
+    """Finding and change in words: "worse: 12 % larger (+9 to +15 % ...)", "no difference shown (...)"."""
     words = change_words(measure, difference)
     return f"{difference.finding.value}: {words}" if difference.shown else words
 

@@ -28,7 +28,7 @@ from stereo_slam_env.evaluation.run_figures import Figures
 from stereo_slam_env.recording.recording import Recording
 
 BASELINE = "fixed"
-"""The policy that the others are held against, where it takes part."""
+"""The policy that the others are compared with, where it takes part."""
 
 
 class Agreement(Enum):
@@ -90,7 +90,7 @@ class PolicyVerdict:
     compared : PairwiseTable
         Each against the baseline, by every measure of `CLAIM_AND_TRUTH`.
     headline : str
-        Who leaves the pose least uncertain, and every disagreement, in sentences.
+        The policy with the least uncertain pose, and every disagreement, in sentences.
     """
 
     baseline: str
@@ -102,7 +102,7 @@ class PolicyVerdict:
 
 @dataclass(frozen=True, eq=False)
 class Looks:
-    """Who is held against whom, and where they looked.
+    """Baseline of the policies, and a recording of each competitor.
 
     Attributes
     ----------
@@ -123,7 +123,7 @@ def baseline_of(competitors: Sequence[FilterChoice]) -> str:
 
 
 def judge_policies(summaries: Sequence[FilterSummary], figures: Figures, *, baseline: str) -> PolicyVerdict:
-    """Hold every policy against the baseline, by what is claimed and by what is true.
+    """Compare every policy with the baseline, by claimed uncertainty and by true error.
 
     Intervals and tests are corrected for the number of policies; each measure stands for itself.
 
@@ -160,7 +160,7 @@ def _compared(summary: FilterSummary, claim: PairVerdict, final: PairVerdict, pa
 
 
 def _agreement(claim: Difference, truths: Sequence[Difference]) -> Agreement:
-    """Whether the truth shows what is claimed, excludes it, or leaves it open."""
+    """Agreement of the claimed difference with the true ones."""
     true = _shown_by([difference.finding for difference in truths])
     if true is claim.finding:
         return Agreement.NOTHING_SHOWN if claim.finding is Finding.NOT_SHOWN else Agreement.AGREE

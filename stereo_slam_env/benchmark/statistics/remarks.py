@@ -30,7 +30,7 @@ _CONSEQUENCES: dict[ReferenceKind, str] = {
 
 
 def reference_remarks(runs: Sequence[FilterRun]) -> dict[Reference, str]:
-    """What runs are held against, in words by reference; where there are several, with the recordings of each."""
+    """Sentence on each reference of the runs; where there are several, with the recordings of each."""
     recordings: dict[Reference, dict[str, None]] = {}
     for run in runs:
         recordings.setdefault(run.reference, {})[run.recording_name] = None
@@ -42,7 +42,7 @@ def reference_remarks(runs: Sequence[FilterRun]) -> dict[Reference, str]:
 
 
 def innovation_factor(summary: FilterSummary) -> float | None:
-    """By how much the innovations of a filter are larger than it claims, in sigma; None where its NIS is near 1."""
+    """Ratio of the innovations of a filter to its claim, in sigma; None where its NIS is near 1."""
     figure = summary.consistency.get("nis")
     if figure is None or not figure.mean > 0.0:
         return None
@@ -72,7 +72,7 @@ def times_the_claim(factor: float) -> str:
 
 
 def _far(factors: Mapping[str, float]) -> str:
-    """The farthest of them is told."""
+    """Sentence on filters whose NIS is far from 1, with the farthest factor."""
     farthest = max(factors.values(), key=lambda factor: abs(np.log(factor)))
     upto = "up to " if len(factors) > 1 else ""
     return (
@@ -92,7 +92,7 @@ def _named(names: Sequence[str]) -> str:
 
 
 class Reach(Enum):
-    """Where the bound over the error lies with respect to 100 %."""
+    """Position of bound over error with respect to 100 %."""
 
     SHORT = "short of the limit"
     OPEN = "perhaps at the limit"
@@ -121,7 +121,7 @@ class LimitReached:
 
     @property
     def reach(self) -> Reach:
-        """The bound holds on average and the ratio scatters: an interval with 100 % in it shows nothing more."""
+        """Position with respect to 100 %: the bound holds on average, so an interval with 100 % in it is open."""
         above = round(self.percent) >= 100
         if self.interval is None:
             return Reach.UNSURE if above else Reach.SHORT
@@ -134,7 +134,7 @@ class LimitReached:
 
     @property
     def value(self) -> str:
-        """The ratio, or where it would be 100 % or more, where that lies."""
+        """The ratio; from 100 % on, its position in words."""
         reach = self.reach
         if reach not in (Reach.SHORT, Reach.OPEN):
             return str(reach.value)
@@ -142,7 +142,7 @@ class LimitReached:
 
     @property
     def sureness(self) -> str:
-        """The interval, or of how many runs the ratio is."""
+        """The interval, or without one the number of runs."""
         if self.interval is None:
             return f"{self.runs} run{'' if self.runs == 1 else 's'}"
         low, high = self.interval
@@ -155,7 +155,7 @@ class LimitReached:
 
 
 def limit_reached(summary: FilterSummary) -> LimitReached | None:
-    """How near the filter comes; None where there is no bound or no error."""
+    """Bound over error of the filter; None where there is no bound or no error."""
     if summary.efficiency_percent is None:
         return None
     errors, efficiencies = np.array(summary.position_rmse_by_run), np.array(summary.efficiency_by_run)
@@ -169,5 +169,5 @@ def limit_reached(summary: FilterSummary) -> LimitReached | None:
 
 
 def _digits(percent: float) -> int:
-    """An end just short of 100 % must not be printed as 100."""
+    """Digits of an end of the interval, so that one just below 100 % is not printed as 100."""
     return 1 if 99.0 < percent < 101.0 else 0

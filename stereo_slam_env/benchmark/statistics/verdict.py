@@ -28,7 +28,7 @@ from stereo_slam_env.evaluation.trial import FEWEST_FRAMES
 
 
 class Consistency(Enum):
-    """Where the mean NEES of a filter lies with respect to its band."""
+    """Consistency of a filter: its mean NEES with respect to the band."""
 
     CONSISTENT = "consistent"
     OVERCONFIDENT = "overconfident"
@@ -177,12 +177,12 @@ def consistency(summary: FilterSummary) -> Consistency:
 
 
 def loss(summary: FilterSummary) -> str:
-    """Fate of the runs that a filter lost: "failed" where it raised in all of them, else "diverged"."""
+    """Word for the incomplete runs of a filter: "failed" where it raised in all of them, else "diverged"."""
     return "failed" if summary.diverged == len(summary.failures) else "diverged"
 
 
 def lost_words(summary: FilterSummary) -> str:
-    """In how many runs a filter diverged or failed."""
+    """Number of runs in which a filter diverged or failed, in words."""
     return f"{loss(summary)} in {summary.diverged} of {summary.runs} runs"
 
 
@@ -216,7 +216,7 @@ def _comparison_words(other: FilterSummary, difference: Difference, divergences:
 
 
 def _no_best(summaries: Sequence[FilterSummary], figures: Figures) -> str:
-    """Why no filter has an error."""
+    """Reason why no filter has an error."""
     if all(len(s.failures) == s.runs for s in summaries):
         return none_left(summaries)
     scored = max(of_run["frames"] for s in summaries for of_run in figures[s.filter_name].of_run.values())
@@ -262,7 +262,7 @@ def _accuracy(best: FilterSummary, rivals: Sequence[FilterSummary], comparisons:
 
 
 def _undecided(open_ones: Sequence[Comparison]) -> str:
-    """With many rivals their names only: the figures are in the tables."""
+    """Words on rivals that are not shown to be worse; of many only the names."""
     if len(open_ones) > _MOST_WORDED:
         names = ", ".join(c.other for c in open_ones[:_MOST_WORDED])
         return f"no difference to {names} and {len(open_ones) - _MOST_WORDED} more is shown"
@@ -273,7 +273,7 @@ def _undecided(open_ones: Sequence[Comparison]) -> str:
 
 
 def _too_few(open_ones: Sequence[Comparison]) -> str:
-    """Several rivals that the same few runs cannot tell from the best one."""
+    """Words on several rivals with the same, too small number of runs."""
     first, *others = (percent_words(c.excess_percent) for c in open_ones)
     errors = [f"the error of {open_ones[0].other} is {first}"]
     errors += [f"that of {c.other} {words}" for c, words in zip(open_ones[1:], others, strict=True)]
@@ -285,7 +285,7 @@ def _too_few(open_ones: Sequence[Comparison]) -> str:
 
 
 def _nearest(settled: Sequence[Comparison]) -> str:
-    """The rivals that come nearest; those that diverged are the farthest."""
+    """Words on the nearest rivals; those that diverged count as the farthest."""
     in_order = sorted(settled, key=lambda c: (c.divergences.only_a, c.excess_percent))
     more = len(settled) - _MOST_WORDED
     words = "; ".join(c.words for c in in_order[:_MOST_WORDED])

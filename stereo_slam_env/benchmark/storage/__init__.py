@@ -1,1 +1,1 @@
-"""Runs on disk: written as they finish, read by whatever comes later."""
+"""Run directories: results are written as trials finish, and read back."""

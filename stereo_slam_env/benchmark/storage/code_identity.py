@@ -30,7 +30,7 @@ NO_RESULT = (
     "stereo_slam_env/training/",
     "stereo_slam_env/viewer/",
 )
-"""Where the paths of modules begin that neither make a recording nor run a filter. What is not named counts."""
+"""Beginnings of the paths of modules that neither make a recording nor run a filter; all others count."""
 _PACKAGES = ("stereo-slam-env", "numpy", "scipy", "gymnasium", "pybullet", "joblib")
 _UNSAID = {"ctx", "kind", "type_comment"}
 """Fields of a syntax tree that follow from the others, or only from how the code is written."""
@@ -68,7 +68,7 @@ def versions() -> dict[str, str]:
 
 
 def _meanings(sources: Mapping[str, bytes], kept: Path) -> dict[str, str]:
-    """Digests of what files say, by name; `kept` has them by the source of the file and of this one."""
+    """Digests of the meaning of files, by name; the cache file `kept` has them by source."""
     try:
         known: dict[str, str] = json.loads(kept.read_bytes())
     except (OSError, ValueError):

@@ -109,19 +109,19 @@ class RunDirectory:
         self._recordings = root_of(out) / "recordings"
 
     def trial_path(self, seed: int | None, choice: FilterChoice) -> Path:
-        """Where the time series of one filter on one recording are."""
+        """File of the time series of one filter on one recording."""
         return self.out / "trials" / seed_name(seed) / f"{choice.label}.npz"
 
     def bound_path(self, seed: int | None) -> Path:
-        """Where the bound for one recording is."""
+        """File of the bound for one recording."""
         return self.out / "bounds" / f"{seed_name(seed)}.npz"
 
     def recording_path(self, seed: int | None, choice: FilterChoice | None = None) -> Path:
-        """Where the recording is; `choice` matters where a policy drives its own."""
+        """File of the recording; `choice` matters where a policy drives its own episode."""
         return self._recordings / stream_key(self.scenario, choice) / f"{seed_name(seed)}.npz"
 
     def missing(self) -> list[tuple[int | None, FilterChoice | None]]:
-        """What is still to be run, by seed, then filter; None instead of a filter: the bound.
+        """Trials still to be run, by seed, then filter; None instead of a filter: the bound.
 
         That is what is not there, and what another version of the code made.
 
@@ -155,13 +155,13 @@ class RunDirectory:
     def save_recording(
         self, seed: int | None, content: bytes, description: Mapping[str, Any], choice: FilterChoice | None = None
     ) -> None:
-        """Keep a recording: bytes of `recording_archive`, and what there is to say of it."""
+        """Keep a recording, as bytes of `recording.archive`, and its description."""
         path = self.recording_path(seed, choice)
         write_atomically(path, lambda stream: stream.write(content))
         write_json(path.with_suffix(".json"), {"code": code_digest(), **description})
 
     def provenance(self, seed: int | None, choice: FilterChoice | None) -> dict[str, Any]:
-        """What is kept with a trial: competitor, version of the code, what it was given.
+        """Provenance of a trial: competitor, version of the code, description of its recording.
 
         Where a policy drives its own episode, the trial adds what was recorded.
         """
@@ -374,7 +374,7 @@ def _scenario_in(out: Path) -> Scenario:
 
 
 def _why_no_run(out: Path) -> str:
-    """Why there is no run to read, and what could be meant."""
+    """Error message where there is no run to read, with a suggestion."""
     if not out.is_dir():
         what = "is a file" if out.exists() else "does not exist"
         return f"{out} {what}: give the directory of a run"
@@ -385,7 +385,7 @@ def _why_no_run(out: Path) -> str:
 
 
 def _refuse_other_settings(out: Path, before: Mapping[str, Any], now: Mapping[str, Any]) -> None:
-    """More seeds or filters may join a run; everything else must stay as it was."""
+    """Raise a `ValueError` where anything but seeds, filters or limits differs from the settings of the run."""
     may_change = {"filters", "policies", "seeds", "divergence_percent", "frame_time_limit", "recording_time_limit"}
     for key in sorted(before.keys() - may_change, key=lambda key: (key == "name", key)):
         was, is_now = before[key], now[key]

@@ -14,7 +14,8 @@ def test_divergences_are_compared_where_the_filters_disagree(only_a, only_b, fin
     a = np.repeat([True, False, True], [only_a, only_b, 20])
     b = np.repeat([False, True, True], [only_a, only_b, 20])
     assert share_difference(a, b).finding is finding
-    assert share_difference(b, a).finding is finding.reversed
+    opposite = {Finding.WORSE: Finding.BETTER, Finding.BETTER: Finding.WORSE}
+    assert share_difference(b, a).finding is opposite.get(finding, finding)
 
 
 def test_many_comparisons_need_more_disagreement():
