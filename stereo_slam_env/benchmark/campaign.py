@@ -35,7 +35,7 @@ from stereo_slam_env.benchmark.storage.store import (
 )
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
 from stereo_slam_env.evaluation.run_figures import Figures
-from stereo_slam_env.files.claimed_folder import claimed_folder
+from stereo_slam_env.files.folders import claimed_folder
 
 Progress = Callable[[float, int], None]
 ReportWriter = Callable[[StudyDirectory, Sequence[CellResult]], Path]

@@ -99,7 +99,7 @@ def report(
     """Write tables and report of a finished run again; with a second run, say what changed significantly."""
     with one_line_errors():
         from stereo_slam_env.benchmark.storage.store import read_study, root_of
-        from stereo_slam_env.files.claimed_folder import claimed_folder
+        from stereo_slam_env.files.folders import claimed_folder
         from stereo_slam_env.report.benchmark_report import write_report_of
         from stereo_slam_env.report.console import show_cells
 

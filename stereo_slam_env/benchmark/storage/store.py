@@ -56,7 +56,7 @@ from stereo_slam_env.evaluation.cramer_rao import Bound
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
 from stereo_slam_env.evaluation.run_figures import Bounds, Figures, figures_of, summarise_all
 from stereo_slam_env.files.atomic import write_atomically
-from stereo_slam_env.files.claimed_folder import is_occupied
+from stereo_slam_env.files.folders import is_occupied
 
 VERSION = 2
 SETTINGS, STUDY, CELLS = "settings.json", "study.json", "cells"

@@ -17,6 +17,7 @@ import numpy as np
 
 from stereo_slam_env import run_benchmark
 from stereo_slam_env.benchmark import Backend, versions
+from stereo_slam_env.files import claimed_folder, is_occupied, write_atomically
 from stereo_slam_env.studies.paper import convergence, karlsruhe, landmark_uncertainty, long_drive, speed
 from stereo_slam_env.studies.paper.claims import Arrays, Claim, Finding, Interval, Range, Verdict
 
@@ -129,39 +130,40 @@ def run_paper(
     sequences = {} if karlsruhe_path is None else karlsruhe.sequences(karlsruhe_path)
     if out.exists() and not out.is_dir():
         raise ValueError(f"output {out} is a file: give a directory")
-    if out.is_dir() and any(out.iterdir()) and not (out / SETTINGS).exists():
+    if out.is_dir() and is_occupied(out) and not (out / SETTINGS).exists():
         raise ValueError(f"output {out} is not empty and holds no run of the paper: choose another directory")
-    about = {"version": VERSION, "settings": asdict(settings), "versions": versions()}
-    _write_json(out / SETTINGS, about)
+    with claimed_folder(out):
+        about = {"version": VERSION, "settings": asdict(settings), "versions": versions()}
+        _write_json(out / SETTINGS, about)
 
-    drives = long_drive.study(settings.drive_seeds, settings.drive_frames)
-    untimed = {**convergence.experiments(settings.turn_seeds), **karlsruhe.experiments(sequences)}
-    timed = speed.experiments(settings.sizes, settings.repeats)
-    trials = sum(len(cell.scenario.filters) * len(cell.scenario.seeds) for cell in drives.cells)
-    total = trials + len(untimed) + len(timed)
+        drives = long_drive.study(settings.drive_seeds, settings.drive_frames)
+        untimed = {**convergence.experiments(settings.turn_seeds), **karlsruhe.experiments(sequences)}
+        timed = speed.experiments(settings.sizes, settings.repeats)
+        trials = sum(len(cell.scenario.filters) * len(cell.scenario.seeds) for cell in drives.cells)
+        total = trials + len(untimed) + len(timed)
 
-    def after(before: int) -> Progress:
-        return lambda done, of: tell(before + done, total)
+        def after(before: int) -> Progress:
+            return lambda done, of: tell(before + done, total)
 
-    def of_drives(done: float, of: int) -> None:
-        tell(trials * done / of, total)
+        def of_drives(done: float, of: int) -> None:
+            tell(trials * done / of, total)
 
-    benchmark = run_benchmark(drives, out / f"{DRIVES}-{settings.drive_frames}", jobs=jobs, progress=of_drives)
-    runs = long_drive.runs_of(benchmark)
-    results = run_experiments(untimed, out / EXPERIMENTS, together, after(trials))
-    results |= run_experiments(timed, out / EXPERIMENTS, Backend(jobs=1), after(trials + len(untimed)))
-    claims = (
-        *landmark_uncertainty.judge(settings.samples),
-        *convergence.judge(results),
-        *long_drive.judge(runs),
-        *speed.judge(results),
-        *karlsruhe.judge(results),
-    )
-    _write_json(out / RESULT, {**about, "claims": [_as_dict(claim) for claim in claims]})
-    _write_rows(out / ROWS, claims)
-    from stereo_slam_env.studies.paper.report import write_report  # draws, which only this needs
+        benchmark = run_benchmark(drives, out / f"{DRIVES}-{settings.drive_frames}", jobs=jobs, progress=of_drives)
+        runs = long_drive.runs_of(benchmark)
+        results = run_experiments(untimed, out / EXPERIMENTS, together, after(trials))
+        results |= run_experiments(timed, out / EXPERIMENTS, Backend(jobs=1), after(trials + len(untimed)))
+        claims = (
+            *landmark_uncertainty.judge(settings.samples),
+            *convergence.judge(results),
+            *long_drive.judge(runs),
+            *speed.judge(results),
+            *karlsruhe.judge(results),
+        )
+        _write_json(out / RESULT, {**about, "claims": [_as_dict(claim) for claim in claims]})
+        _write_rows(out / ROWS, claims)
+        from stereo_slam_env.studies.paper.report import write_report  # draws, which only this needs
 
-    return PaperResult(out, claims, write_report(out, claims, results, runs, settings, bool(sequences)))
+        return PaperResult(out, claims, write_report(out, claims, results, runs, settings, bool(sequences)))
 
 
 def run_experiments(
@@ -199,10 +201,7 @@ def _computed(task: tuple[Path, str, partial[Arrays]]) -> tuple[str, Arrays]:
     path, key, work = task
     arrays = work()
     named: dict[str, Any] = {"made from": np.array(key), **arrays}
-    unfinished = path.with_suffix(".part")
-    with unfinished.open("wb") as stream:
-        np.savez_compressed(stream, **named)
-    unfinished.replace(path)
+    write_atomically(path, lambda stream: np.savez_compressed(stream, **named))
     return path.stem, arrays
 
 
@@ -217,8 +216,8 @@ def _kept(path: Path, key: str) -> Arrays | None:
 
 
 def _write_json(path: Path, data: Mapping[str, Any]) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps(data, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    text = json.dumps(data, indent=2, allow_nan=False) + "\n"
+    write_atomically(path, lambda stream: stream.write(text.encode()))
 
 
 def _as_dict(claim: Claim) -> dict[str, Any]:

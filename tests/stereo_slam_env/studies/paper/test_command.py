@@ -7,6 +7,7 @@ from html import escape
 import pytest
 
 from stereo_slam_env.cli import app as cli
+from stereo_slam_env.files import claimed_folder
 from stereo_slam_env.studies.paper import EXPERIMENTS, PaperSettings, run_paper
 
 TINY = PaperSettings(samples=300, turn_seeds=1, drive_seeds=1, drive_frames=30, sizes=(8, 12), repeats=2)
@@ -18,7 +19,7 @@ def result(tmp_path_factory):
 
 
 def test_everything_is_there(result):
-    names = {path.name for path in result.out.iterdir()}
+    names = {path.name for path in result.out.iterdir() if not path.name.startswith(".")}
     assert names == {"paper.json", "paper_settings.json", "claims.csv", "figures", "report.html", "trials"}
     figures = {path.name for path in (result.out / "figures").iterdir()}
     for stem in ("figure-1", "figure-2", "figure-4", "figure-5", "figure-6", "figure-nees", "figure-speed"):
@@ -96,3 +97,8 @@ def test_a_wrong_folder_gets_one_line(tmp_path, capsys):
     assert error.startswith("error:")
     assert error.count("\n") == 1
     assert not (tmp_path / "out").exists()
+
+
+def test_one_process_at_a_time_writes_into_the_folder(tmp_path):
+    with claimed_folder(tmp_path / "paper"), pytest.raises(ValueError, match="is in use by another process"):
+        run_paper(tmp_path / "paper", TINY)

@@ -15,7 +15,7 @@ import pytest
 
 from stereo_slam_env.benchmark.storage.run_archive import load_run
 from stereo_slam_env.cli import app as cli
-from stereo_slam_env.files.claimed_folder import CLAIM, claimed_folder, is_occupied
+from stereo_slam_env.files.folders import CLAIM, claimed_folder, is_occupied
 
 ROOT = Path(__file__).resolve().parents[3]
 BENCH = ("bench", "--preset", "reference-turn", "--seeds", "2", "--frames", "4", "--jobs", "1")
