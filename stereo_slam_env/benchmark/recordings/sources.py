@@ -55,8 +55,8 @@ class StreetSource(Source, frozen=True, tag="street"):
             return record(self.options, seed or 0, frames)
 
         def track() -> Recording:
-            tell = progress and (lambda done, wanted: progress(done, wanted or done))
-            return record(self.options, seed or 0, frames, tell)
+            tell = progress or (lambda done, total: None)
+            return record(self.options, seed or 0, frames, lambda done, wanted: tell(done, wanted or done))
 
         return _tracked(_Tracking(self.key, seed, frames, track))
 
