@@ -26,9 +26,8 @@ import pybullet
 from rich.console import Console
 from rich.table import Table
 
-from filters import rotations
+from filters import Pose, rotations
 from filters.camera import StereoCamera
-from stereo_slam_env.recording.recording import Pose
 from stereo_slam_env.rendering import pinhole
 from stereo_slam_env.rendering.gl import GLRenderer
 from stereo_slam_env.rendering.images import StereoRenderer

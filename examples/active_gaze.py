@@ -12,7 +12,7 @@ import gymnasium as gym
 import numpy as np
 
 import stereo_slam_env as sse
-from filters import VelocityDriven, make_filter, rotations
+from filters import Pose, VelocityDriven, make_filter
 
 # The map keeps what is out of view; the odometry is believed; what comes back into view needs two linearisations.
 OPTIONS = {"drop_unseen": False, "motion": VelocityDriven(), "iterations": 2}
@@ -26,7 +26,8 @@ def straight_ahead(slam, head):
 
 def nearest_landmark(slam, head):
     """Pan and tilt of the landmark, rad; straight ahead while there is none."""
-    right, down, forward = rotations.matrix(slam.pose.orientation).T @ (slam.landmarks.positions - slam.pose.position).T
+    camera = Pose(slam.pose.position, slam.pose.orientation)
+    right, down, forward = camera.to_camera(slam.landmarks.positions).T
     pan, tilt = head[0] + np.arctan2(right, forward), head[1] - np.arctan2(down, np.hypot(right, forward))
     near = np.where(np.abs(pan) < SIDEWAYS, right**2 + down**2 + forward**2, np.inf)
     return np.array([pan[near.argmin()], tilt[near.argmin()]]) if np.isfinite(near).any() else np.zeros(2)

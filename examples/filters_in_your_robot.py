@@ -10,8 +10,9 @@ Run it: python examples/filters_in_your_robot.py
 import sys
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from filters import BodyVelocity, StereoCamera, StereoNoise, StereoObservation, VelocityDriven, make_filter, rotations
+from filters import BodyVelocity, StereoCamera, StereoNoise, StereoObservation, VelocityDriven, make_filter
 
 CAMERA = StereoCamera(fx=420.0, fy=420.0, cx=320.0, cy=240.0, baseline=0.12, width=640, height=480)
 PERIOD, SPEED, YAW_RATE = 0.1, 0.8, 0.15  # s, m/s, rad/s
@@ -29,7 +30,7 @@ class Robot:
 
     def drive(self):
         """Move for a period; the measured body velocity."""
-        half = rotations.exp(np.array([0.0, 0.5 * YAW_RATE * PERIOD, 0.0]))
+        half = Rotation.from_rotvec([0.0, 0.5 * YAW_RATE * PERIOD, 0.0]).as_matrix()
         self.position = self.position + self.R_wc @ half @ [0.0, 0.0, SPEED * PERIOD]
         self.R_wc = self.R_wc @ half @ half
         said = np.array([0.0, 0.0, SPEED, 0.0, YAW_RATE, 0.0]) + ODOMETRY_SIGMAS * self.rng.normal(size=6)

@@ -14,10 +14,11 @@ import numpy as np
 from filters.consistency import nees
 from filters.interface import LandmarkBelief, PoseBelief, StereoFilter, StereoObservation, UpdateReport
 from filters.noise import StereoNoise
+from filters.poses import Pose
 from filters.registry import FilterFactory, label_of, make_filter
 from filters.start import Start
 from filters.validation import FloatArray
-from stereo_slam_env.recording.recording import SIMULATION, Frame, Pose, Recording, Reference
+from stereo_slam_env.recording.recording import SIMULATION, Frame, Recording, Reference
 
 Observe = Callable[[int, StereoFilter], StereoObservation]
 """Measures in the images where a filter expects its landmarks: frame number and predicted filter -> observation."""

@@ -73,15 +73,12 @@ def test_studies_need_numpy_and_scipy_only():
     assert packages - OUTSIDE - set(OURS) == set()
 
 
-NOT_YET = pytest.mark.xfail(strict=True, reason="still has imports from deep inside")
-
-
 @pytest.mark.parametrize(
     "sources",
     [
         pytest.param(lambda: blocks(ROOT / "README.md"), id="readme"),
-        pytest.param(lambda: blocks(*sorted((ROOT / "docs").rglob("*.md"))), id="docs", marks=NOT_YET),
-        pytest.param(lambda: scripts(ROOT / "examples"), id="examples", marks=NOT_YET),
+        pytest.param(lambda: blocks(*sorted((ROOT / "docs").rglob("*.md"))), id="docs"),
+        pytest.param(lambda: scripts(ROOT / "examples"), id="examples"),
         pytest.param(lambda: scripts(ROOT / "templates"), id="templates"),
     ],
 )

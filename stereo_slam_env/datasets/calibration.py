@@ -10,10 +10,10 @@ import numpy as np
 
 from filters import rotations
 from filters.camera import StereoCamera
+from filters.poses import Pose
 from filters.validation import FloatArray
 from stereo_slam_env.datasets.frames import FramePair
 from stereo_slam_env.files.readers import read_text
-from stereo_slam_env.recording.recording import Pose
 
 _SAME_K = 1e-6
 """Relative difference of the K of both cameras that is taken for rounding."""

@@ -20,6 +20,7 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
+from filters.poses import Pose
 from filters.validation import FloatArray, IntArray
 from stereo_slam_env.datasets.calibration import RectifiedRig, rectified_rig
 from stereo_slam_env.datasets.frames import CameraFiles, Faults, OnBroken, Times, Truth, usable_pairs
@@ -27,7 +28,7 @@ from stereo_slam_env.datasets.image_files import MAX_PIXELS
 from stereo_slam_env.datasets.sequence import RecordedSequence, Rectify
 from stereo_slam_env.files.paths import is_plain_name
 from stereo_slam_env.files.readers import finite_rows, first_line, read_text
-from stereo_slam_env.recording.recording import GreyImage, Pose, Reference
+from stereo_slam_env.recording.recording import GreyImage, Reference
 
 NAME = "euroc"
 _IN_MAV0 = tuple(f"mav0/{camera}/{name}" for camera in ("cam0", "cam1") for name in ("data.csv", "sensor.yaml"))

@@ -14,9 +14,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from filters.interface import BodyVelocity
+from filters.poses import Pose
 from filters.validation import FloatArray
 from stereo_slam_env.datasets.image_files import BrokenPair
-from stereo_slam_env.recording.recording import Pose
 
 _ORTHONORMAL = 1e-2
 """Largest entry of R R^T - I of a pose that is believed to be one; files have as few as six digits."""

@@ -26,6 +26,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from filters.poses import Pose
 from filters.validation import FloatArray, positive
 from stereo_slam_env.datasets.calibration import entry, read_entries, rectified_rig
 from stereo_slam_env.datasets.frames import CameraFiles, Faults, OnBroken, Times, Truth, usable_pairs
@@ -33,7 +34,7 @@ from stereo_slam_env.datasets.image_files import image_size, numbered_images
 from stereo_slam_env.datasets.sequence import RecordedSequence
 from stereo_slam_env.files.paths import require_inside
 from stereo_slam_env.files.readers import finite_rows, read_table
-from stereo_slam_env.recording.recording import Pose, Reference
+from stereo_slam_env.recording.recording import Reference
 
 NAME = "karlsruhe"
 FILES = (("I1_*", "I2_*", "*calib.txt"), ("I1_*", "I2_*", "../*calib.txt"))

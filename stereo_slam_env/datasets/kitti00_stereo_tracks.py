@@ -19,10 +19,11 @@ from filters.camera import StereoCamera
 from filters.extras import install_command
 from filters.known_names import require_known
 from filters.noise import StereoNoise
+from filters.poses import Pose
 from filters.validation import FloatArray, IntArray
 from stereo_slam_env.datasets.tracks import ASSUMED_SIGMA_PX, Tracks, frames_of
 from stereo_slam_env.files.readers import read_poses, read_table, require_rotations, split_poses
-from stereo_slam_env.recording.recording import Pose, Recording, Reference
+from stereo_slam_env.recording.recording import Recording, Reference
 
 NAME = "kitti00_stereo_tracks"
 FILES = (("stereo_factors.txt", "calibration.txt", "vo_poses.txt", "poses.txt", "times.txt"),)

@@ -11,10 +11,11 @@ from pathlib import Path
 
 from filters.camera import StereoCamera
 from filters.noise import StereoNoise
+from filters.poses import Pose
 from stereo_slam_env.datasets.odometry import camera_velocities
 from stereo_slam_env.datasets.tracks import ASSUMED_SIGMA_PX, frames_of, tracks_of_pixels
 from stereo_slam_env.files.readers import Shape, read_archive, read_poses
-from stereo_slam_env.recording.recording import Pose, Recording, Reference
+from stereo_slam_env.recording.recording import Recording, Reference
 
 NAME = "kitti07_tracks"
 FILES = (("tracks.npz", "poses.txt"),)

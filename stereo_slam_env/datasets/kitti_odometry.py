@@ -19,6 +19,7 @@ import numpy as np
 
 from filters import rotations
 from filters.camera import StereoCamera
+from filters.poses import Pose
 from filters.validation import FloatArray
 from stereo_slam_env.datasets.calibration import entry, read_entries, rectified_rig
 from stereo_slam_env.datasets.frames import CameraFiles, Faults, OnBroken, Times, Truth, poses_of_rows, usable_pairs
@@ -26,7 +27,7 @@ from stereo_slam_env.datasets.image_files import image_size, numbered_images
 from stereo_slam_env.datasets.sequence import RecordedSequence
 from stereo_slam_env.files.paths import require_inside
 from stereo_slam_env.files.readers import read_table
-from stereo_slam_env.recording.recording import GreyImage, ImageSequence, Pose, Reference, StereoPair
+from stereo_slam_env.recording.recording import GreyImage, ImageSequence, Reference, StereoPair
 
 NAME = "kitti_odometry"
 FILES = (("calib.txt", "times.txt", "image_0", "image_1"), ("calib.txt", "times.txt", "image_2", "image_3"))

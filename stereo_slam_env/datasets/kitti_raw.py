@@ -21,6 +21,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from filters.interface import BodyVelocity
+from filters.poses import Pose
 from filters.validation import FloatArray
 from stereo_slam_env.datasets.calibration import camera_position, entry, read_entries, rectified_rig
 from stereo_slam_env.datasets.frames import Faults, OnBroken, Times, Truth, usable_pairs
@@ -30,7 +31,7 @@ from stereo_slam_env.datasets.odometry import camera_velocities
 from stereo_slam_env.datasets.sequence import RecordedSequence
 from stereo_slam_env.files.paths import require_inside
 from stereo_slam_env.files.readers import finite_rows, read_text
-from stereo_slam_env.recording.recording import Pose, Reference
+from stereo_slam_env.recording.recording import Reference
 
 NAME = "kitti_raw"
 TRUTH = Reference(

@@ -10,9 +10,11 @@ import numpy as np
 from filters import rotations
 from filters.camera import StereoCamera
 from filters.interface import BodyVelocity
+from filters.poses import Pose
+from filters.start import Start
 from stereo_slam_env.datasets.frames import Faults, FramePair
 from stereo_slam_env.datasets.image_files import BrokenPair, read_grey
-from stereo_slam_env.recording.recording import GreyImage, Pose, Reference, Start, StereoPair
+from stereo_slam_env.recording.recording import GreyImage, Reference, StereoPair
 
 Rectify = Callable[[GreyImage, GreyImage], tuple[GreyImage, GreyImage]]
 

@@ -14,11 +14,12 @@ from scipy.spatial.transform import Rotation
 
 from filters.camera import StereoCamera
 from filters.noise import StereoNoise
+from filters.poses import Pose
 from filters.validation import FloatArray, positive
 from stereo_slam_env.datasets.odometry import camera_velocities
 from stereo_slam_env.datasets.tracks import frames_of, tracks_of_pixels
 from stereo_slam_env.files.readers import Shape, read_archive, require_rotations
-from stereo_slam_env.recording.recording import LandmarkTruth, Pose, Recording, Reference
+from stereo_slam_env.recording.recording import LandmarkTruth, Recording, Reference
 
 NAME = "starry_night"
 FILES = (("starry_night.npz",),)

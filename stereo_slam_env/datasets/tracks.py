@@ -9,8 +9,9 @@ from itertools import pairwise
 import numpy as np
 
 from filters.interface import BodyVelocity, StereoObservation
+from filters.poses import Pose
 from filters.validation import BoolArray, FloatArray, IntArray
-from stereo_slam_env.recording.recording import Frame, Pose
+from stereo_slam_env.recording.recording import Frame
 
 # Standard deviation to assume for the pixels of real tracks. Their core is sharper (0.2 to 0.6 px), but they drift:
 # 14 % of those of KITTI 07 end more than 10 px off, and a filter that believes them diverges.

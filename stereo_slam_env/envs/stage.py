@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from filters.camera import StereoCamera
+from filters.poses import Pose
 from filters.validation import BoolArray, FloatArray
 from stereo_slam_env.envs.options import StereoOptions
-from stereo_slam_env.recording.recording import LandmarkTruth, Pose
+from stereo_slam_env.recording.recording import LandmarkTruth
 from stereo_slam_env.rendering.backends import make_renderer
 from stereo_slam_env.rendering.camera_effects import CameraEffects
 from stereo_slam_env.rendering.images import StereoImages, StereoRenderer

@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 from filters.camera import StereoCamera
 from filters.interface import BodyVelocity
 from filters.noise import StereoNoise
+from filters.poses import Pose
+from filters.start import Start
 from filters.validation import FloatArray, IntArray, finite_array
 from stereo_slam_env.envs.display import modes_here, window_for
 from stereo_slam_env.envs.options import DriveOptions, HeadOptions, StereoOptions
@@ -22,7 +24,7 @@ from stereo_slam_env.envs.stage import Stage
 from stereo_slam_env.frontend.image_sensor import ImageSensor
 from stereo_slam_env.frontend.recorder import TYPICAL_NOISE
 from stereo_slam_env.frontend.tracks import TrackedPair
-from stereo_slam_env.recording.recording import Frame, LandmarkTruth, Pose, Start, Velocity
+from stereo_slam_env.recording.recording import Frame, LandmarkTruth, Velocity
 from stereo_slam_env.rendering.images import StereoImages
 from stereo_slam_env.rendering.overlay import annotated_pair
 from stereo_slam_env.sensing.padding import NO_LANDMARK, padded, padded_extras

@@ -39,8 +39,10 @@ from filters.measurements.bearing import stacked_stage
 from filters.measurements.model import Stage
 from filters.motion import POSE_SIZE, CameraState, ConstantVelocity, MotionModel
 from filters.noise import StereoNoise
+from filters.poses import Pose
+from filters.start import Start
 from filters.validation import BoolArray, FloatArray, IntArray
-from stereo_slam_env.recording.recording import Frame, LandmarkTruth, Pose, Recording, Start
+from stereo_slam_env.recording.recording import Frame, LandmarkTruth, Recording
 
 RESAMPLES = 10_000
 _AS_MEASURED = np.eye(3)

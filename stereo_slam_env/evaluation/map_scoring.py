@@ -15,8 +15,9 @@ from filters import rotations
 from filters.camera import StereoCamera
 from filters.consistency import nees
 from filters.interface import StereoFilter, StereoObservation
+from filters.poses import Pose
 from filters.validation import BoolArray, FloatArray, IntArray
-from stereo_slam_env.recording.recording import Frame, LandmarkTruth, Pose, Recording
+from stereo_slam_env.recording.recording import Frame, LandmarkTruth, Recording
 
 TRACED_DEPTHS: Mapping[str, float] = {"near": 20.0, "far": 75.0}  # m, the paper's
 ENOUGH_FRAMES = 12  # the paper's figures show so many

@@ -8,11 +8,12 @@ import numpy as np
 
 from filters.camera import StereoCamera
 from filters.interface import StereoObservation
+from filters.poses import Pose
 from filters.validation import BoolArray, FloatArray, IntArray
 from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.frontend.tracker import StereoTracker
 from stereo_slam_env.frontend.tracks import TrackedPair
-from stereo_slam_env.recording.recording import LandmarkTruth, Pose
+from stereo_slam_env.recording.recording import LandmarkTruth
 from stereo_slam_env.rendering.images import StereoImages, grey
 from stereo_slam_env.rendering.pinhole import points_at
 from stereo_slam_env.world.routes import FRAME_PERIOD

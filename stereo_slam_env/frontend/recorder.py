@@ -11,11 +11,12 @@ import numpy as np
 from filters import rotations
 from filters.interface import StereoFilter, StereoObservation
 from filters.noise import StereoNoise
+from filters.start import Start
 from stereo_slam_env.frontend.ego_motion import Step
 from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.frontend.tracker import StereoTracker
 from stereo_slam_env.frontend.tracks import TrackedPair
-from stereo_slam_env.recording.recording import Frame, ImageSequence, Recording, Start, StereoPair
+from stereo_slam_env.recording.recording import Frame, ImageSequence, Recording, StereoPair
 
 TYPICAL_NOISE = StereoNoise.diagonal(0.3, 0.3, 0.3)
 """What a filter is told beforehand; every measurement then comes with a covariance of its own."""

@@ -10,10 +10,11 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
+from filters.poses import Pose
 from stereo_slam_env.envs.recorder import recording_of
 from stereo_slam_env.envs.stereo_env import StereoEnv
 from stereo_slam_env.policies.interface import Policy
-from stereo_slam_env.recording.recording import Frame, Pose, Recording
+from stereo_slam_env.recording.recording import Frame, Recording
 
 _STREAM = 6
 """Keeps the randomness of policies apart from that of the environment, whose seed is the same."""

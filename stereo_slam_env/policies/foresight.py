@@ -22,8 +22,8 @@ from filters.camera import StereoCamera
 from filters.interface import StereoFilter
 from filters.motion import POSE_SIZE, POSITION, ROTATION
 from filters.noise import StereoNoise
+from filters.poses import Pose
 from filters.validation import BoolArray, FloatArray, IntArray
-from stereo_slam_env.recording.recording import Pose
 from stereo_slam_env.world.routes import FRAME_PERIOD, Route
 from stereo_slam_env.world.vehicle import Head, head_turn
 

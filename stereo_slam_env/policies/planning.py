@@ -11,6 +11,7 @@ import numpy as np
 
 from filters.interface import StereoFilter
 from filters.known_names import one_of
+from filters.poses import Pose
 from filters.validation import BoolArray, FloatArray, positive, whole_number
 from stereo_slam_env.policies.expected_gain import Gain, expected_gain, motion_noise
 from stereo_slam_env.policies.foresight import (
@@ -23,7 +24,6 @@ from stereo_slam_env.policies.foresight import (
     turning_head,
 )
 from stereo_slam_env.policies.interface import Action, look_towards, require_head
-from stereo_slam_env.recording.recording import Pose
 from stereo_slam_env.sensing.sensors import TrackingPolicy
 from stereo_slam_env.world.routes import FRAME_PERIOD, Route
 from stereo_slam_env.world.vehicle import Head

@@ -20,19 +20,12 @@ from numpy.typing import NDArray
 from filters.camera import StereoCamera
 from filters.interface import BodyVelocity, StereoObservation
 from filters.noise import StereoNoise
+from filters.poses import Pose
+from filters.start import Start
 from filters.validation import FloatArray
 from stereo_slam_env.files.atomic import write_atomically
 from stereo_slam_env.files.readers import read_arrays
-from stereo_slam_env.recording.recording import (
-    GIVEN_TRUTH,
-    Frame,
-    LandmarkTruth,
-    Pose,
-    Recording,
-    Reference,
-    Start,
-    Velocity,
-)
+from stereo_slam_env.recording.recording import GIVEN_TRUTH, Frame, LandmarkTruth, Recording, Reference, Velocity
 
 FORMAT = 1
 _PARTS: Mapping[str, tuple[type, Mapping[str, tuple[int, ...]]]] = {

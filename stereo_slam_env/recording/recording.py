@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from filters.camera import StereoCamera
 from filters.interface import BodyVelocity, StereoObservation
 from filters.noise import StereoNoise
-from filters.poses import Pose as Pose
-from filters.start import Start as Start
+from filters.poses import Pose
+from filters.start import Start
 from filters.validation import FloatArray, IntArray
 
 

@@ -14,8 +14,8 @@ import numpy as np
 
 from filters import rotations
 from filters.camera import StereoCamera
+from filters.poses import Pose
 from filters.validation import FloatArray
-from stereo_slam_env.recording.recording import Pose
 from stereo_slam_env.rendering import pinhole
 from stereo_slam_env.rendering.gl_resources import (
     FrameBuffer,

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from filters import rotations
 from filters.camera import StereoCamera
 from filters.interface import StereoObservation
+from filters.poses import Pose
 from filters.validation import FloatArray
-from stereo_slam_env.recording.recording import Pose
 from stereo_slam_env.rendering.drawing import (
     INK,
     PAPER,

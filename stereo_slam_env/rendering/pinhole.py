@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from filters import rotations
 from filters.camera import StereoCamera
+from filters.poses import Pose
 from filters.validation import FloatArray, finite_array
-from stereo_slam_env.recording.recording import Pose
 
 OPENGL_OFFSET = (0.5, 0.5)
 """Where OpenGL samples a pixel, relative to its corner, px."""

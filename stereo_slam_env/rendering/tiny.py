@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from filters import rotations
 from filters.camera import StereoCamera
+from filters.poses import Pose
 from filters.validation import FloatArray
-from stereo_slam_env.recording.recording import Pose
 from stereo_slam_env.rendering import pinhole
 from stereo_slam_env.rendering.images import StereoImages
 from stereo_slam_env.rendering.pinhole import FAR, NEAR

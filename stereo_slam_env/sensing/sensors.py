@@ -10,8 +10,9 @@ import numpy as np
 from filters import rotations
 from filters.camera import StereoCamera
 from filters.interface import BodyVelocity, StereoObservation
+from filters.poses import Pose
 from filters.validation import BoolArray, FloatArray, IntArray, positive, unchecked
-from stereo_slam_env.recording.recording import LandmarkTruth, Pose, Velocity
+from stereo_slam_env.recording.recording import LandmarkTruth, Velocity
 from stereo_slam_env.sensing.pixel_noise import PixelNoise
 
 Occlusion = Callable[[Pose, FloatArray], BoolArray]

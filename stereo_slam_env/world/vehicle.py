@@ -8,8 +8,9 @@ from typing import Protocol
 import numpy as np
 
 from filters import rotations
+from filters.poses import Pose
 from filters.validation import FloatArray
-from stereo_slam_env.recording.recording import Pose, Velocity
+from stereo_slam_env.recording.recording import Velocity
 from stereo_slam_env.world.routes import FRAME_PERIOD, Route
 
 

@@ -16,10 +16,11 @@ from filters.consistency import nees
 from filters.interface import PoseBelief, StereoFilter, UpdateReport
 from filters.motion import POSE_SIZE, POSITION, ROTATION
 from filters.noise import StereoNoise
+from filters.poses import Pose
 from filters.registry import filter_arguments, make_filter
+from filters.start import Start
 from filters.validation import FloatArray, IntArray, positive, whole_number
 from stereo_slam_env.loop import FilterLoop
-from stereo_slam_env.recording.recording import Pose, Start
 from stereo_slam_env.sensing.padding import NO_LANDMARK
 from stereo_slam_env.wrappers.recorded_wrapper import RecordedWrapper, dict_space
 

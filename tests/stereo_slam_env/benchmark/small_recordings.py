@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from filters import BodyVelocity, StereoCamera, StereoNoise, StereoObservation
-from stereo_slam_env.recording.recording import Frame, LandmarkTruth, Pose, Recording, Start, Velocity
+from filters import BodyVelocity, Pose, Start, StereoCamera, StereoNoise, StereoObservation
+from stereo_slam_env.recording.recording import Frame, LandmarkTruth, Recording, Velocity
 
 CAMERA = StereoCamera(700.0, 700.0, 600.0, 180.0, 0.5, 1200, 360)
 DT, SPEED, YAW_RATE = 0.1, 5.0, 0.2

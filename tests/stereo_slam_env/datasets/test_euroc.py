@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from filters import Pose
 from stereo_slam_env.datasets import open_image_sequence
-from stereo_slam_env.recording.recording import Pose
 
 from .small_image_folders import cut_file, write_png
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from filters import Pose
 from stereo_slam_env.datasets import IMAGE_LAYOUTS, open_image_sequence
 from stereo_slam_env.datasets.kitti06_stereo51 import P_I, R_CI
 from stereo_slam_env.frontend.recorder import record_tracks
-from stereo_slam_env.recording.recording import Pose
 
 from ..real_data import real_data
 from .small_image_folders import (

@@ -6,9 +6,9 @@ import json
 import numpy as np
 import pytest
 
+from filters import Start
 from stereo_slam_env.frontend.recorder import record_tracks
 from stereo_slam_env.frontend.settings import TrackerSettings
-from stereo_slam_env.recording.recording import Start
 
 from .drawn_street import DT, DrawnStreet
 

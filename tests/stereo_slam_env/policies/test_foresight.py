@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from filters import BodyVelocity, StereoFilter, rotations
+from filters import BodyVelocity, Pose, StereoFilter, rotations
 from stereo_slam_env.policies.foresight import CameraPoses, Knowledge
-from stereo_slam_env.recording.recording import Pose
 
 from .looking import innovation_covariances, looked_around, sensor_of
 

@@ -7,12 +7,12 @@ import time
 import numpy as np
 import pytest
 
-from filters import StereoNoise, StereoObservation
+from filters import Start, StereoNoise, StereoObservation
 from stereo_slam_env.benchmark.recordings.reference_problem import long_drive
 from stereo_slam_env.benchmark.scenarios.streams import stream_digest
 from stereo_slam_env.datasets import load
 from stereo_slam_env.recording.archive import load_recording, save_recording
-from stereo_slam_env.recording.recording import GIVEN_TRUTH, Recording, Reference, Start
+from stereo_slam_env.recording.recording import GIVEN_TRUTH, Recording, Reference
 
 from ..benchmark.small_recordings import small_recording
 

@@ -8,9 +8,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from filters import rotations
+from filters import Pose, rotations
 from filters.camera import StereoCamera
-from stereo_slam_env.recording.recording import Pose
 from stereo_slam_env.rendering.backends import RENDERERS, make_renderer
 from stereo_slam_env.world.frames import WorldFrame
 from stereo_slam_env.world.physics import PhysicsWorld

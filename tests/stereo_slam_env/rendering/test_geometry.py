@@ -4,9 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
-from filters import rotations
+from filters import Pose, rotations
 from filters.camera import StereoCamera
-from stereo_slam_env.recording.recording import Pose
 from stereo_slam_env.rendering.pinhole import depth_at
 from stereo_slam_env.world.looks import in_fog
 from stereo_slam_env.world.scene import Box, Look, Material, MovingBody

@@ -7,9 +7,8 @@ import re
 import numpy as np
 import pytest
 
-from filters import rotations
+from filters import Pose, rotations
 from filters.camera import StereoCamera
-from stereo_slam_env.recording.recording import Pose
 from stereo_slam_env.rendering.backends import make_renderer
 from stereo_slam_env.world.physics import PhysicsWorld
 from stereo_slam_env.world.routes import ROUTES

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from filters import rotations
+from filters import Pose, rotations
 from filters.interface import StereoObservation
-from stereo_slam_env.recording.recording import Pose
 from stereo_slam_env.rendering.drawing import caption_bar
 from stereo_slam_env.rendering.images import StereoImages
 from stereo_slam_env.rendering.overlay import annotated_pair

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from filters import rotations
-from stereo_slam_env.recording.recording import Pose
+from filters import Pose, rotations
 from stereo_slam_env.rendering.pinhole import depth_at, points_at
 
 from .planes import AHEAD, CAMERA, Wall, both_back_ends, drawing, scene_of

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from filters import rotations
+from filters import Pose, rotations
 from filters.camera import StereoCamera
-from stereo_slam_env.recording.recording import LandmarkTruth, Pose
+from stereo_slam_env.recording.recording import LandmarkTruth
 from stereo_slam_env.sensing.pixel_noise import IndependentPixels, IndependentUvd
 from stereo_slam_env.sensing.rigs import RIGS
 from stereo_slam_env.sensing.sensors import LandmarkSensor, TrackingPolicy

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from filters import rotations
-from stereo_slam_env.recording.recording import Pose
+from filters import Pose, rotations
 from stereo_slam_env.world.frames import R_SW, WorldFrame
 from stereo_slam_env.world.physics import PhysicsWorld
 from stereo_slam_env.world.routes import FRAME_PERIOD

@@ -1,4 +1,4 @@
-"""`stereo-slam paper`, from the command line to the page, on very little (8 s)."""
+"""`stereo-slam paper`, from the command line to the page, on very little (20 s)."""
 
 import csv
 import json

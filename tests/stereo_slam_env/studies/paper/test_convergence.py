@@ -112,7 +112,7 @@ def test_landmarks_are_near_or_far(results):
 def test_claims_of_a_few_drives(results):
     judged = {claim.sentence.key: claim for claim in convergence.judge(results)}
     for finding in judged["uncertainty-converges"].findings:
-        # known: with the paper's R ours claims less than a rival of the same R, with the full R both claim the same
+        # known: with the paper's R ours claims less than a competitor of the same R; with the full R they are equal
         if finding.condition["R"] == "the paper's":
             assert finding.measured.value == pytest.approx(0.84, abs=0.06)
             assert finding.verdict is Verdict.HOLDS
@@ -122,7 +122,7 @@ def test_claims_of_a_few_drives(results):
 
 
 def test_verdicts_follow_the_numbers(results):
-    """With the rival's histories in the place of ours, what held does not hold any more, and the other way round."""
+    """With both histories exchanged, what held does not hold any more, and the other way round."""
     swapped = {part: {_other(name): values for name, values in arrays.items()} for part, arrays in results.items()}
     ours, theirs = (
         {claim.sentence.key: claim for claim in convergence.judge(of)}["uncertainty-converges"].findings
