@@ -7,7 +7,7 @@ import inspect
 import json
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from functools import lru_cache, partial
+from functools import lru_cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
@@ -53,9 +53,12 @@ class StreetSource(Source, frozen=True, tag="street"):
 
         if not self.takes_images:
             return record(self.options, seed or 0, frames)
-        tell = progress or _ignore
-        look = partial(record, self.options, seed or 0, frames, lambda done, wanted: tell(done, wanted or done))
-        return _tracked(_Tracking(self.key, seed, frames, look))
+
+        def track() -> Recording:
+            tell = progress or (lambda done, total: None)
+            return record(self.options, seed or 0, frames, lambda done, wanted: tell(done, wanted or done))
+
+        return _tracked(_Tracking(self.key, seed, frames, track))
 
     def check(self, frames: int | None = None) -> None:
         """Refuse unknown arguments, and a renderer that does not run here."""
@@ -197,8 +200,10 @@ class DatasetSource(Source, frozen=True, tag="dataset"):
         if not self.takes_images:
             return load(self.path, **self.arguments)
 
-        look = partial(record_tracks, *self.sequence(seed), frames=frames, progress=progress or _ignore)
-        return _tracked(_Tracking(self.key, seed, frames, look))
+        def track() -> Recording:
+            return record_tracks(*self.sequence(seed), frames=frames, progress=progress)
+
+        return _tracked(_Tracking(self.key, seed, frames, track))
 
     @property
     def takes_images(self) -> bool:
@@ -302,10 +307,6 @@ class _Tracking:
 def _tracked(tracking: _Tracking) -> Recording:
     """Tracks through images; kept, because tracking takes far longer than filtering."""
     return tracking.track()
-
-
-def _ignore(done: int, total: int) -> None:
-    """Progress that nobody wants to know."""
 
 
 @lru_cache(maxsize=1)

@@ -24,7 +24,7 @@ def command(request, capsys, monkeypatch, tmp_path):
     work = tmp_path / "work"
     work.mkdir()
     monkeypatch.chdir(work)
-    sources._seen.cache_clear()
+    sources._tracked.cache_clear()
     sources._opened.cache_clear()
 
     def write_report(out, *_, **__):

@@ -43,7 +43,7 @@ STREET = Scenario(
 
 @pytest.fixture(autouse=True)
 def _nothing_kept():
-    sources._seen.cache_clear()
+    sources._tracked.cache_clear()
     sources._opened.cache_clear()
 
 
@@ -132,7 +132,7 @@ def test_the_same_seed_gives_the_same_stream_and_another_one_another():
     short = replace(STREET, frames=2)
     digests = []
     for seed in (3, 3, 4):
-        sources._seen.cache_clear()
+        sources._tracked.cache_clear()
         digests.append(stream_digest(make_recording(short, seed)))
     assert digests[0] == digests[1] != digests[2]
 
