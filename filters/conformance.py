@@ -108,7 +108,7 @@ def check_filter(factory: str | FilterFactory, *, raise_on_failure: bool = True)
 
 
 def as_benchmarks_make_it(factory: str | FilterFactory) -> Make:
-    """What makes the filter as a benchmark does; takes what `check_filter` takes."""
+    """Factory that makes the filter as a benchmark does; takes the argument of `check_filter`."""
     factory = filter_factory(factory)
     if _takes(factory) and not _takes(factory, camera=REFERENCE_CAMERA, noise=REFERENCE_NOISE):
         return factory

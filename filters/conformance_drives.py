@@ -55,7 +55,7 @@ class StraightDrive:
 
 @dataclass(frozen=True, eq=False)
 class WindingFrame:
-    """Where the camera truly is (r^WC in m, q^WC), and what it measures."""
+    """True pose of the camera (r^WC in m, q^WC), and its measurements."""
 
     position: FloatArray
     orientation: FloatArray

@@ -34,7 +34,7 @@ class ConstructorCall:
 
     @property
     def given(self) -> Mapping[str, Any]:
-        """What it was called with, by the names of its parameters; defaults are not among them."""
+        """Arguments of the call by the names of its parameters, without defaults."""
         return self.signature.bind_partial(*self.arguments, **self.options).arguments
 
 

@@ -22,7 +22,7 @@ from filters.validation import BoolArray, FloatArray, IntArray, covariance_matri
 
 @dataclass(frozen=True, eq=False)
 class StereoObservation:
-    """What the stereo camera saw in one frame.
+    """Measurements of the stereo camera in one frame.
 
     Parameters
     ----------
@@ -125,7 +125,7 @@ def _no_ids() -> IntArray:
 
 @dataclass(frozen=True, eq=False)
 class UpdateReport:
-    """What one `update` did with each measurement of its frame, or of earlier ones where updates are delayed.
+    """Outcome of each measurement in one `update`, or of earlier ones where updates are delayed.
 
     Attributes
     ----------
@@ -166,7 +166,7 @@ class UpdateReport:
 
 @dataclass(frozen=True, eq=False)
 class Forecast:
-    """Where landmarks are expected in the current frame: for active search, gating and planning.
+    """Predicted measurements of landmarks in the current frame, for active search, gating and planning.
 
     Attributes
     ----------

@@ -204,7 +204,7 @@ class VelocityDriven:
 def predict_camera(
     motion: MotionModel, state: CameraState, dt: float, odometry: BodyVelocity | None
 ) -> MotionPrediction:
-    """What a motion model predicts for one camera, its shapes checked.
+    """Prediction of a motion model for one camera, with its shapes checked.
 
     Raises
     ------
@@ -231,7 +231,7 @@ def predict_camera(
 def measure_odometry(
     motion: MotionModel, state: CameraState, dt: float, odometry: BodyVelocity
 ) -> LinearMeasurement | None:
-    """What a motion model has to learn from the odometry of one camera, its shapes checked; None: nothing.
+    """Odometry of one camera as a measurement, with its shapes checked; None: it adds nothing.
 
     Raises
     ------

@@ -94,12 +94,12 @@ def available_filters() -> dict[str, str]:
 
 
 def label_of(filter_name: str | FilterFactory) -> str:
-    """What a filter is called: the name it was asked for by, or that of its class or function."""
+    """Label of a filter: its registry name, or the name of its class or function."""
     return filter_name if isinstance(filter_name, str) else getattr(filter_name, "__name__", type(filter_name).__name__)
 
 
 def filter_factory(name: str | FilterFactory) -> FilterFactory:
-    """What makes the filter of that name, or `name` itself if it is a class or a function.
+    """Factory of the filter of that name, or `name` itself if it is a class or a function.
 
     Raises
     ------

@@ -80,7 +80,7 @@ class StandardError:
         return W
 
     def linearisation_point(self, state: JointState) -> JointState | None:
-        """Where H is evaluated; None: at the state itself."""
+        """State at which H is evaluated; None: the state itself."""
         return None
 
     def constrained(self, J: FloatArray, image: FloatArray, state: JointState) -> FloatArray:

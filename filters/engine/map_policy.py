@@ -32,7 +32,7 @@ class MapChange:
 
 @dataclass(frozen=True)
 class MapPolicy:
-    """What becomes of the map of a `JointState`.
+    """Map management of a `JointState`.
 
     Parameters
     ----------

@@ -47,7 +47,7 @@ LINEARISATIONS: Mapping[str, Linearise | None] = {"extended": None, "unscented":
 
 @dataclass(frozen=True)
 class Parts:
-    """What a filter is composed of: the options of `StereoEKF`, checked, names replaced by what they stand for."""
+    """Parts of a filter: the options of `StereoEKF`, checked, with names replaced by parts."""
 
     motion: MotionModel
     gate: float | None

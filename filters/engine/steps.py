@@ -22,7 +22,7 @@ CorrectStage = Callable[
 
 @dataclass(frozen=True)
 class Arithmetic:
-    """How the steps are computed.
+    """Implementation of the steps.
 
     Attributes
     ----------

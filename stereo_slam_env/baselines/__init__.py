@@ -1,4 +1,4 @@
-"""What a user would otherwise take, as filters: `dead-reckoning`, `frame-to-frame`, `batch` and `filterpy-ekf`.
+"""Baseline filters to compare with: `dead-reckoning`, `frame-to-frame`, `batch` and `filterpy-ekf`.
 
 They implement `filters.StereoFilter` and are found by their entry points, like anybody's filter. They live here and not
 in `filters` because they need more than numpy and scipy.

@@ -234,7 +234,7 @@ class SmoothingGraph:
         self._values = self._gtsam.LevenbergMarquardtOptimizer(self._factors, self._values).optimize()
 
     def smoothed(self) -> Smoothed:
-        """What the last solution gave."""
+        """Values of the last solution."""
         trajectory = [_split(self._values.atPose3(self._pose_key(k))) for k in range(self.last + 1)]
         positions, orientations = (np.array(part) for part in zip(*trajectory, strict=True))
         dof = self._rows - 6 * len(trajectory) - 3 * len(self._keys)

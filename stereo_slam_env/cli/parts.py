@@ -1,4 +1,4 @@
-"""What the commands share: the console, one-line errors, help."""
+"""Parts that the commands share: console, one-line errors, help."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Interrupted(Exception):
 
 
 def console(*, stderr: bool = False) -> Console:
-    """Where tables and progress go."""
+    """Console for tables and progress."""
     from rich.console import Console
 
     return Console(stderr=stderr)

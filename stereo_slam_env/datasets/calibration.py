@@ -121,5 +121,5 @@ def rectified_rig(path: Path, P_left: FloatArray, P_right: FloatArray, size: tup
 
 
 def camera_position(P: FloatArray) -> FloatArray:
-    """Where the camera of P = K [I | t] is in the one that P refers to, m: -t."""
+    """Position of the camera of P = K [I | t] in the frame that P refers to, m: -t."""
     return np.asarray(-np.linalg.solve(P[:, :3], P[:, 3]), dtype=np.float64)

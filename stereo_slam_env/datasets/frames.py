@@ -84,7 +84,7 @@ class Truth:
 
 @dataclass(frozen=True, eq=False)
 class FramePair:
-    """What is known of a pair before its images are read.
+    """Data of a pair before its images are read.
 
     Attributes
     ----------

@@ -40,7 +40,7 @@ log = logging.getLogger(__name__)
 
 
 def poses_file(path: Path) -> Path:
-    """Where the true poses of the sequence at `path` belong."""
+    """File of the true poses of the sequence at `path`."""
     return path.parent.parent / "poses" / f"{path.name}.txt"
 
 

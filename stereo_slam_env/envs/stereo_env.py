@@ -157,7 +157,7 @@ class StereoEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
 
     @property
     def body(self) -> Pose:
-        """Where the left camera would be now if the head looked straight ahead: the drive without the gaze."""
+        """Pose of the left camera if the head looked straight ahead: the drive without the gaze."""
         return self._body
 
     def landmark_truth(self) -> LandmarkTruth:

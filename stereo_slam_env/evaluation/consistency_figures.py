@@ -93,7 +93,7 @@ def _figure(values: FloatArray, average: float, dof: int, band: Band) -> Consist
 
 
 def _bands_by_scatter(values: FloatArray, count: IntArray) -> Bands:
-    """Where the means of the columns of landmark NEES lie if their expectation is that of a consistent filter."""
+    """Band of the means of the columns of landmark NEES whose expectation is that of a consistent filter."""
     dof = DOF["landmark"]
     low, high = mean_bands(dof, count)
     several = count > 1

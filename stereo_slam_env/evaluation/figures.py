@@ -30,7 +30,7 @@ UNKNOWN = "–"
 
 @dataclass(frozen=True)
 class Combination:
-    """How a figure is combined over runs: in words, and the function of a sample and the figure's name."""
+    """Combination of a figure over runs: in words, and the function of a sample and the figure's name."""
 
     words: str
     of: Callable[[Sample, str], float | None]

@@ -60,7 +60,7 @@ def view_map(estimator: StereoFilter, pose: Pose | None, landmarks: LandmarkTrut
 
 @dataclass(frozen=True, eq=False)
 class MapScore:
-    """How wrong each landmark of a `MapView` is; NaN where it is not truly in both images.
+    """Errors of the landmarks of a `MapView`; NaN where it is not truly in both images.
 
     Attributes
     ----------

@@ -31,7 +31,7 @@ def write_atomically(path: Path, write: Callable[[IO[bytes]], Any]) -> None:
 
 
 def unfinished_name(path: Path) -> Path:
-    """Where this process writes a file before it gets its name."""
+    """Temporary name of a file that this process is writing."""
     return path.with_name(f".{path.name}.{os.getpid()}{_UNFINISHED}")
 
 

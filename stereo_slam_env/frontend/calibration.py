@@ -61,7 +61,7 @@ class DisparityOffset:
 
     @property
     def correction(self) -> float:
-        """What to add to disparities: `value` where noise alone would hardly bring it about, else 0; px."""
+        """Correction of disparities: `value` where noise alone hardly explains it, else 0; px."""
         return self.value if abs(self.value) > _SIGNIFICANT * self.sigma else 0.0
 
     @property

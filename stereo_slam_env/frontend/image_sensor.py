@@ -39,7 +39,7 @@ class ImageSensor:
         self._points: list[FloatArray] = [np.zeros((0, 3))]
         self._moving_ids: list[IntArray] = [np.zeros(0, dtype=np.int64)]
         self.tracked: TrackedPair | None = None
-        """What the front end found in the last pair."""
+        """Result of the front end in the last pair."""
 
     def observe(self, pose: Pose) -> StereoObservation:
         """Follow the landmarks to the pair taken now, from `pose`, one frame after the previous one."""
@@ -63,5 +63,5 @@ class ImageSensor:
 
     @property
     def landmarks(self) -> LandmarkTruth:
-        """Where the corners found so far truly are, as far as the render tells: not at the edges of things."""
+        """True positions of the corners found so far, as far as the render tells: not at the edges of things."""
         return LandmarkTruth(np.concatenate(self._ids), np.concatenate(self._points))

@@ -21,7 +21,7 @@ _RETURNS_WITHIN = 1.0
 
 @dataclass(frozen=True, eq=False)
 class SearchResult:
-    """Where templates were found.
+    """Matches of templates.
 
     Attributes
     ----------
@@ -113,7 +113,7 @@ def search(
 
 @dataclass(frozen=True, eq=False)
 class RowMatch:
-    """What was found along the rows.
+    """Matches along the rows.
 
     Attributes
     ----------

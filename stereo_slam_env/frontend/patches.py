@@ -143,7 +143,7 @@ def _resampled(patches: Patches, affine: FloatArray, size: int, step: float) -> 
 
 
 def local_affine(camera: StereoCamera, uvd_then: ArrayLike, R: ArrayLike, t: ArrayLike) -> FloatArray:
-    """How the surroundings of landmarks have changed their look between two views.
+    """Change of the appearance of landmarks' surroundings between two views.
 
     The surroundings are taken for a plane through the landmark, parallel to the image in which the patch was cut. Such
     a plane n . p = z with n = (0, 0, 1) induces the homography R + t n^T / z of the rays; this is the inverse of its

@@ -20,7 +20,7 @@ _POSITIVE = (
 
 @dataclass(frozen=True)
 class TrackerSettings:
-    """How landmarks are found, followed and given up.
+    """Settings of detection, tracking and termination of landmarks.
 
     Attributes
     ----------

@@ -62,7 +62,7 @@ def save_recording(path: str | Path, recording: Recording) -> None:
 
 
 def packed_recording(recording: Recording) -> bytes:
-    """What `save_recording` writes.
+    """Bytes that `save_recording` writes.
 
     Raises
     ------
@@ -205,7 +205,7 @@ def _recording_of(about: Mapping[str, Any], arrays: Arrays) -> Recording:
 
 
 def reference_of(about: Mapping[str, Any]) -> Reference:
-    """What the truth is by the header of a file; files of earlier versions do not say."""
+    """Kind of the truth by the header of a file; files of earlier versions do not say."""
     return Reference(**about["truth_from"]) if "truth_from" in about else GIVEN_TRUTH
 
 

@@ -70,7 +70,7 @@ ReferenceKind = Literal["independent truth", "odometry from the same images", "n
 
 @dataclass(frozen=True)
 class Reference:
-    """What the poses are that estimates are held against.
+    """Kind and origin of the poses that estimates are compared with.
 
     Attributes
     ----------
@@ -143,7 +143,7 @@ class Recording:
 
     @cached_property
     def reference(self) -> Reference:
-        """What estimates are held against: `truth_from`, or none where no frame has a truth."""
+        """Reference of the estimates: `truth_from`, or none where no frame has a truth."""
         return self.truth_from if any(frame.truth is not None for frame in self.frames) else NO_REFERENCE
 
     def __len__(self) -> int:
@@ -199,15 +199,15 @@ class ImageSequence(Protocol):
 
     @property
     def start(self) -> Start:
-        """What filters are told at the start."""
+        """Start state that filters are given."""
 
     @property
     def source(self) -> Mapping[str, Any]:
-        """Where the images come from; JSON-able."""
+        """Origin of the images; JSON-able."""
 
     @property
     def truth_from(self) -> Reference:
-        """What the truth of the pairs is, where they have one."""
+        """Reference of the pairs' poses, where they have one."""
 
     @property
     def skipped(self) -> Mapping[str, int]:

@@ -218,7 +218,7 @@ class TextureArray:
         self._layers: dict[tuple[str, int], int] = {}
 
     def layer(self, material: Material) -> int:
-        """Where the texture of a loaded material is."""
+        """File of the texture of a loaded material."""
         return self._layers[self._key(material)]
 
     def load(self, materials: Iterable[Material]) -> None:

@@ -160,7 +160,7 @@ def points_at(camera: StereoCamera, pose: Pose, depth: FloatArray, uv: ArrayLike
 
 
 def sky_slope(camera: StereoCamera, R_sc: FloatArray) -> tuple[float, float, float]:
-    """How steeply the ray through a pixel rises, in units of `ZENITH_SLOPE`: (a, b, c) of a u + b v + c."""
+    """Slope of the ray through a pixel, in units of `ZENITH_SLOPE`: (a, b, c) of a u + b v + c."""
     right, down, forward = R_sc[2] / ZENITH_SLOPE
     a, b = right / camera.fx, down / camera.fy
     return float(a), float(b), float(forward - a * camera.cx - b * camera.cy)

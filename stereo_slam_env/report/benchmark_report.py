@@ -43,7 +43,7 @@ _log = logging.getLogger(__name__)
 
 
 class CellOutcome(Protocol):
-    """What a cell came to."""
+    """Result of a cell."""
 
     @property
     def runs(self) -> Sequence[FilterRun]:
@@ -159,7 +159,7 @@ def _of_one_filter(verdicts: Mapping[str, Verdict], name: str) -> list[str]:
 
 
 def _why(unknown: Sequence[Verdict]) -> str:
-    """What the scenarios without a best filter say of it, once."""
+    """Reasons why scenarios have no best filter, each once."""
     reasons = list(dict.fromkeys(verdict.headline for verdict in unknown))
     return f": {reasons[0]}" if len(reasons) == 1 else ", for reasons that their reports say."
 
@@ -353,7 +353,7 @@ def write_report_of(directory: StudyDirectory, results: Sequence[CellResult]) ->
 
 
 def looks_of(result: CellResult) -> Looks:
-    """Who is held against whom, and where all looked in the first seed; recordings that are gone are left out."""
+    """The baseline of the policies, and the gaze of all in the first seed; missing recordings are left out."""
     competitors, seed = result.cell.scenario.competitors, result.directory.seeds[0]
     paths = {choice.label: result.directory.recording_path(seed, choice) for choice in competitors}
     seen = {label: load_recording(path) for label, path in paths.items() if path.exists()}

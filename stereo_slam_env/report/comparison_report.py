@@ -107,7 +107,7 @@ def _only(comparison: RunComparison) -> Markup:
 
 
 def conclusions(attribution: Attribution) -> Markup:
-    """What to know first: a line for each response."""
+    """Conclusions: a line for each response."""
     return part("items", [response.conclusion for response in attribution.responses], "headline")
 
 

@@ -39,7 +39,7 @@ MARK_WIDTH, MARK_HEIGHT = 120, 12
 
 @dataclass(frozen=True)
 class Answer:
-    """What one competitor has to say to one question.
+    """Answer to one question for one competitor.
 
     Attributes
     ----------
@@ -114,7 +114,7 @@ def _honesty(summary: FilterSummary, with_share: bool) -> Answer | None:
 
 
 def _band_mark(summary: FilterSummary) -> Markup:
-    """Where the NEES lies, on a logarithmic scale around its band."""
+    """Mark of the NEES on a logarithmic scale around its band."""
     if summary.pose_anees is None or summary.pose_anees_band is None:
         return Markup()
     low, high = np.log(summary.pose_anees_band)

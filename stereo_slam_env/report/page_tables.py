@@ -42,7 +42,7 @@ class Column:
 
 @dataclass(frozen=True)
 class Cell:
-    """What a table says at one place.
+    """Cell of a table.
 
     Attributes
     ----------

@@ -102,7 +102,7 @@ def write_report(
 
 
 def reference_banner(runs: Sequence[FilterRun]) -> Markup:
-    """What the runs are held against; what is no independent truth stands out."""
+    """Reference of the runs; one that is no independent truth stands out."""
     return joined(
         [
             part("paragraph", words, "quiet" if reference.is_independent else "banner")

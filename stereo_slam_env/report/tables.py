@@ -67,7 +67,7 @@ _FINDING_TONES: dict[Finding, Tone] = {Finding.BETTER: "good", Finding.WORSE: "b
 
 
 def finding_tone(finding: Finding) -> Tone:
-    """How a finding is coloured."""
+    """Colour of a finding."""
     return _FINDING_TONES[finding]
 
 

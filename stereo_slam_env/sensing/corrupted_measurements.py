@@ -258,7 +258,7 @@ def seen_elsewhere(
 
 
 def _places(known: IntArray, ids: IntArray) -> tuple[IntArray, BoolArray]:
-    """Where `ids` are in the ascending array `known`, and whether they are there at all."""
+    """Index of each of `ids` in the ascending array `known`, and whether it is there."""
     place = np.minimum(np.searchsorted(known, ids), len(known) - 1)
     return place, known[place] == ids
 

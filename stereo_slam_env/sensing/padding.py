@@ -28,7 +28,7 @@ def padded(observation: StereoObservation, rows: int) -> dict[str, NDArray[Any]]
 
 
 def padded_extras(observation: StereoObservation, rows: int) -> dict[str, Any]:
-    """What not every sensor measures, 0 where there is none, and whether it was measured.
+    """Measurements that not every sensor has, 0 where there is none, and whether they were made.
 
     `v_right` (rows,) float64 px and `v_right_measured`; the covariances `R` (rows, 3, 3) float64 px^2 and `R_measured`.
     """
@@ -42,7 +42,7 @@ def padded_extras(observation: StereoObservation, rows: int) -> dict[str, Any]:
 
 
 def stereo_observation(observation: Mapping[str, Any], info: Mapping[str, Any] | None = None) -> StereoObservation:
-    """What the environment returned, as a filter takes it: without padding.
+    """Observation of an environment as a filter takes it, without padding.
 
     Parameters
     ----------

@@ -21,7 +21,7 @@ Occlusion = Callable[[Pose, FloatArray], BoolArray]
 
 @dataclass(frozen=True)
 class TrackingPolicy:
-    """How many landmarks are tracked, and which can be.
+    """Number and visibility limits of the tracked landmarks.
 
     Attributes
     ----------

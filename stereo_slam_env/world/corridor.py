@@ -73,7 +73,7 @@ def build_corridor(route: Route, rng: np.random.Generator) -> Scene:
 
 
 def _joints(road: Road, piece: slice) -> list[int]:
-    """Where a piece of road is cut: chords that stay near the bend."""
+    """Cuts of a piece of road: chords that stay near the bend."""
     joints, spacing = [piece.start], float(road.stations[1])
     while joints[-1] < piece.stop - 1:
         ahead = np.abs(road.bends[joints[-1] : joints[-1] + int(_LONGEST / spacing)]).max()

@@ -21,7 +21,7 @@ R_SW.flags.writeable = False
 
 @dataclass(frozen=True)
 class WorldFrame:
-    """Where W sits in S.
+    """Pose of W in S.
 
     Parameters
     ----------

@@ -172,7 +172,7 @@ _PLATES = ("KA S 1203", "B LM 417", "M UV 9021", "HD EK 388")
 
 
 def _written(shape: tuple[int, int], text: str, at: tuple[int, int], scale: float, thickness: int) -> BoolArray:
-    """Where the ink is when `text` is written with its lower left corner `at` (x, y)."""
+    """Mask of the ink of `text` written with its lower left corner `at` (x, y)."""
     ink = np.zeros(shape, dtype=np.uint8)
     cv2.putText(ink, text, at, cv2.FONT_HERSHEY_SIMPLEX, scale, 255, thickness)
     return np.asarray(ink > 127)

@@ -105,7 +105,7 @@ class _Part:
 
 
 def _part(key: str, space: spaces.Space[Any], start: int) -> _Part | None:
-    """Where and how the key goes into the flat observation, from `start` on; None: it is left out."""
+    """Place and scaling of the key in the flat observation, from `start` on; None: it is left out."""
     if isinstance(space, spaces.MultiBinary):
         return _Part(key, slice(start, start + int(np.prod(space.shape))))
     if not isinstance(space, spaces.Box) or not np.issubdtype(space.dtype, np.floating):

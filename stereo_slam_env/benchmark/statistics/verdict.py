@@ -71,7 +71,7 @@ class Comparison:
 
     @property
     def excess_percent(self) -> float:
-        """How much larger the other one's error is (geometric mean over runs); NaN without a common run."""
+        """Relative excess of the other filter's error (geometric mean over runs), %; NaN without a common run."""
         return self.difference.percent
 
     @property

@@ -89,7 +89,7 @@ class CellResult:
 
     @property
     def cell(self) -> Cell:
-        """What was run."""
+        """Scenario that was run."""
         return self.directory.cell
 
     @property
@@ -310,7 +310,7 @@ def open_study(out: Path, study: Study) -> StudyDirectory:
 
 
 def prepared_study(out: Path, study: Study) -> StudyDirectory:
-    """What `open_study` would return, with nothing written yet: to know before long work that `out` can be used.
+    """Directory that `open_study` would return, with nothing written yet: a check of `out` before long work.
 
     Raises as `open_study`.
     """

@@ -42,7 +42,7 @@ class Axis:
     grid: bool = True
 
     def share(self, value: float) -> float:
-        """Where a value lies between both ends, 0 to 1 (beyond them: less or more)."""
+        """Position of a value between both ends, 0 to 1 (beyond them: less or more)."""
         ends = np.array([self.low, self.high, value], dtype=np.float64)
         low, high, at = np.log(np.maximum(ends, 1e-300)) if self.log else ends
         share = float((at - low) / (high - low)) if high > low else 0.5

@@ -181,7 +181,7 @@ class Panel:
         self._texts.append(place | {"bold": False} | UPRIGHT | more)
 
     def place(self, x: float, y: float) -> tuple[float, float]:
-        """Where a point of the data lies, px from the upper left corner."""
+        """Position of a point of the data, px from the upper left corner."""
         return self.x.share(x) * self.width, (1.0 - self.y.share(y)) * self.height
 
     def note(self, text: str, colour: str = MUTED) -> None:
@@ -246,7 +246,7 @@ class Panel:
         where: str = "",
         **encoding: Any,
     ) -> Spec:
-        """What is drawn of the rows, whose lists are the points of a curve."""
+        """Points that are drawn of the rows, whose lists are the points of a curve."""
         at = {"x": "x", "y": "y"} | dict(fields or {})
         sides: Spec = {
             "x": self.x.channel(at["x"], max(2, round(self.width / 75))),

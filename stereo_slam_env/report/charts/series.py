@@ -1,4 +1,4 @@
-"""What the figures draw, computed from runs: time axes, errors, averages over runs."""
+"""Data of the charts, computed from runs: time axes, errors, averages over runs."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def scored(run: FilterRun) -> BoolArray:
 
 
 def reference_name(run: FilterRun) -> str:
-    """What the true poses of a run are called."""
+    """Name of the true poses of a run."""
     return "truth" if run.reference.is_independent else "reference"
 
 

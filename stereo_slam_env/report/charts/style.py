@@ -56,13 +56,13 @@ def nested_widths(count: int) -> list[float]:
 
 
 class Limit(NamedTuple):
-    """Where an axis ends, and which filters go beyond it (with how far)."""
+    """End of an axis, and the filters that go beyond it, with their values."""
 
     upper: float
     beyond: dict[str, float]
 
     def note(self, unit: str = "") -> str:
-        """What the panel says above itself: "↑ euclidean to 27 m", or ""."""
+        """Note above the panel: "↑ euclidean to 27 m", or ""."""
         far = ", ".join(f"{name} to {short_number(peak)}{unit}" for name, peak in self.beyond.items())
         return f"↑ {far}" if far else ""
 

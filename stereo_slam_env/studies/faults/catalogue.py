@@ -262,7 +262,7 @@ def _between(frames: tuple[Frame, ...], times: NDArray[np.float64], time: float)
 def _measured(
     recording: Recording, landmarks: LandmarkTruth, ids: NDArray[np.int64], pose: Pose, rng: np.random.Generator
 ) -> StereoObservation:
-    """What the camera of the recording measures of those landmarks at a pose."""
+    """Measurements of those landmarks by the recording's camera at a pose."""
     points_c = pose.to_camera(landmarks.positions[np.searchsorted(landmarks.ids, ids)])
     ids, points_c = ids[points_c[:, 2] > 0], points_c[points_c[:, 2] > 0]
     errors = rng.multivariate_normal(np.zeros(3), recording.noise.R, len(ids))

@@ -37,7 +37,7 @@ IN_TIME = 2.0
 
 @dataclass(frozen=True, eq=False)
 class Session:
-    """What came of a drive.
+    """Result of a drive.
 
     Attributes
     ----------
@@ -210,7 +210,7 @@ class Run:
 
 
 def judge(session: Session, fault: str, label: str, seed: int) -> Run:
-    """What became of a drive."""
+    """Outcome of a drive."""
     begins = FAULTS[fault].begins
     since = session.times >= begins
     diverged = DIVERGED.passed(session) & since

@@ -44,7 +44,7 @@ Progress = Callable[[float, int], None]
 
 @dataclass(frozen=True)
 class PaperSettings:
-    """How much is measured.
+    """Size of the study.
 
     Attributes
     ----------
@@ -87,7 +87,7 @@ QUICK = PaperSettings(turn_seeds=20, drive_seeds=6, drive_frames=150, sizes=(25,
 
 @dataclass(frozen=True, eq=False)
 class PaperResult:
-    """What was found and where it is."""
+    """Result of the study and its place."""
 
     out: Path
     claims: tuple[Claim, ...]

@@ -62,7 +62,7 @@ COMMON_OPTIONS: Mapping[str, Any] = {"gate": None, "compiled": COMPILED}
 
 
 class Verdict(Enum):
-    """What may be said."""
+    """Verdicts on a claim."""
 
     HOLDS = "holds"
     HOLDS_ONLY_IF = "holds only if"
@@ -86,7 +86,7 @@ class Interval:
 
 @dataclass(frozen=True)
 class Range:
-    """Where a quantity must lie: from `low` to `high`, both included."""
+    """Range of a quantity, from `low` to `high`, both included."""
 
     low: float = -math.inf
     high: float = math.inf

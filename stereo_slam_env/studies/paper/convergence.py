@@ -184,7 +184,7 @@ def follow_depths(
 
 
 def histories(arrays: Arrays, cases: Sequence[tuple[str, str]]) -> dict[tuple[str, str], DepthHistory]:
-    """What `follow_all` has found, by filter and R."""
+    """Results of `follow_all` by filter and R."""
     fields = ("d", "sigma_d", "hindsight")
     return {(name, R): DepthHistory(*(arrays[f"{name}.{R}.{field}"] for field in fields)) for name, R in cases}
 

@@ -155,7 +155,7 @@ def depths(results: Mapping[str, Arrays]) -> convergence.Depths | None:
 
 
 def course(results: Mapping[str, Arrays], who: str) -> dict[str, FloatArray] | None:
-    """What figure 6 shows of the drive, of the filter ("said") or of the truth ("true"); None where there is none."""
+    """Curves of figure 6: of the filter ("said") or of the truth ("true"); None where there is none."""
     arrays = results.get(f"{PREFIX}{DRIVE}", {})
     found = {name.removeprefix(f"{who}."): values for name, values in arrays.items() if name.startswith(f"{who}.")}
     return found or None
@@ -238,6 +238,6 @@ def _recording(folder: str, frames: tuple[int, int], **front_end: Any) -> Record
 
 
 def _stamp(folder: Path) -> list[float]:
-    """What tells that the files are still the same."""
+    """Fingerprint of the files."""
     files = [path for path in folder.iterdir() if path.is_file()]
     return [len(files), sum(path.stat().st_size for path in files), max(path.stat().st_mtime for path in files)]

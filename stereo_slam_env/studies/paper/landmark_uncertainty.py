@@ -49,7 +49,7 @@ TRUE = {UVD: DIAGONAL_OF_4_1, PIXELS: ASSUMED[COUPLED]}
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """How a parametrisation describes a cloud.
+    """Gaussian description of a cloud in a parametrisation.
 
     Attributes
     ----------
@@ -78,7 +78,7 @@ def landmark(parametrisation: str, uvd: FloatArray, R: FloatArray) -> tuple[Floa
 
 
 def places(parametrisation: str, uvd: FloatArray) -> FloatArray:
-    """Where measurements (N, 3) put the landmark, in the parameters; for XYZ the literal Eq. 21, also for d < 0."""
+    """Parameters of the landmark from measurements (N, 3); for XYZ the literal Eq. 21, also for d < 0."""
     if parametrisation == JOINT:
         return LANDMARKS[JOINT].initialise(CAMERA, np.zeros(3), np.eye(3), uvd).parameters
     placed: FloatArray = CAMERA.ray(uvd) * (CAMERA.disparity_constant / uvd[:, 2])[:, None]
@@ -94,7 +94,7 @@ def points(inverse_depths: FloatArray) -> FloatArray:
 
 
 def fit(parametrisation: str, depth: float, uvd: FloatArray, R: FloatArray) -> Fit:
-    """How the covariance at the true point, for that R, describes the cloud of the measurements (N, 3)."""
+    """Description of the cloud of measurements (N, 3) by the covariance at the true point for that R."""
     centre, P = landmark(parametrisation, CAMERA.project([0.0, 0.0, depth]), R)
     cloud = places(parametrisation, uvd)
     offset = cloud - centre

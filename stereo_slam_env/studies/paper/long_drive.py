@@ -142,7 +142,7 @@ def of_runs(runs: Sequence[FilterRun], quantity: Quantity) -> FloatArray:
 
 
 def course(run: FilterRun, *, true: bool = False) -> dict[str, FloatArray]:
-    """What figure 6 shows of a run, or of the truth: positions, yaw and velocities."""
+    """Curves of figure 6 of a run or of the truth: positions, yaw and velocities."""
     if true:
         poses = run.true_positions, run.true_orientations, run.true_linear_velocities
     else:
