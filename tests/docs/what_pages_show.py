@@ -193,6 +193,12 @@ def shows_statistics(names, printed):
     assert "measurement: 'left' instead of 'joint' makes it" in names["attribution"].conclusion
 
 
+def shows_report(names, printed):
+    page = names["out"] / "mine.html"
+    assert "Errors of one drive." in page.read_text()
+    assert {path.name for path in (names["out"] / "figures").iterdir()} == {"errors.png", "errors.svg"}
+
+
 def shows_view(names, printed):
     assert Path("drive.png").stat().st_size > 20_000
 
@@ -235,6 +241,7 @@ SHOWS = {
     "docs/nees.md": shows_nees,
     "docs/policies.md": shows_policies,
     "docs/rendering.md": shows_rendering,
+    "docs/report.md": shows_report,
     "docs/scenes.md": shows_scenes,
     "docs/statistics.md": shows_statistics,
     "docs/view.md": shows_view,
