@@ -58,7 +58,7 @@ def test_the_wheel_holds_both_packages_whole_and_nothing_else(wheel):
         path.relative_to(ROOT).as_posix()
         for package in PACKAGES
         for path in (ROOT / package).rglob("*")
-        if path.suffix in data
+        if path.suffix in data and "__pycache__" not in path.parts
     }
     assert packed == wanted
     assert {"filters/py.typed", "stereo_slam_env/py.typed", "stereo_slam_env/report/page.html"} <= packed
