@@ -49,11 +49,19 @@ def full_command(capsys, monkeypatch):
     return run
 
 
+# Whoever starts the tests in the background has SIGINT ignored, and the processes of the tests inherit that.
+INTERRUPTIBLE = """
+import runpy, signal
+signal.signal(signal.SIGINT, signal.default_int_handler)
+runpy.run_module("stereo_slam_env.cli", run_name="__main__", alter_sys=True)
+"""
+
+
 def process(*arguments, folders=(ROOT,), **options):
     path = os.pathsep.join(map(str, folders))
     environment = {**os.environ, "PYTHONPATH": path, "PYTHONDONTWRITEBYTECODE": "1"}
     return subprocess.Popen(
-        [sys.executable, "-m", "stereo_slam_env.cli", *map(str, arguments)],
+        [sys.executable, "-c", INTERRUPTIBLE, *map(str, arguments)],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
