@@ -50,7 +50,7 @@ def log(rotation_matrix: ArrayLike) -> FloatArray:
     R = np.asarray(rotation_matrix, dtype=np.float64)
     if _is_one_rotation(R):
         return np.array(vector_of(*from_matrix_of(*_numbers(R.ravel()))))
-    return np.asarray(Rotation.from_matrix(R).as_rotvec())
+    return np.asarray(Rotation.from_matrix(R.reshape(-1, 3, 3)).as_rotvec()).reshape(*R.shape[:-2], 3)
 
 
 def from_matrix(rotation_matrix: ArrayLike) -> FloatArray:
@@ -58,13 +58,15 @@ def from_matrix(rotation_matrix: ArrayLike) -> FloatArray:
     R = np.asarray(rotation_matrix, dtype=np.float64)
     if _is_one_rotation(R):
         return np.array(from_matrix_of(*_numbers(R.ravel())))
-    return np.asarray(Rotation.from_matrix(R).as_quat())
+    return np.asarray(Rotation.from_matrix(R.reshape(-1, 3, 3)).as_quat()).reshape(*R.shape[:-2], 4)
 
 
 def exp_quaternion(rotation_vector: ArrayLike) -> FloatArray:
     """The quaternion q(phi) of Eq. 6; (..., 3) rad -> (..., 4) xyzw."""
     if np.ndim(rotation_vector) > 1:
-        return np.asarray(Rotation.from_rotvec(rotation_vector).as_quat())
+        phi = np.asarray(rotation_vector, dtype=np.float64)
+        # One leading dimension: what scipy takes on every Python.
+        return np.asarray(Rotation.from_rotvec(phi.reshape(-1, 3)).as_quat()).reshape(*phi.shape[:-1], 4)
     return np.array(quaternion_of(*_numbers(rotation_vector)))
 
 

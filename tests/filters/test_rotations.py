@@ -114,3 +114,12 @@ def test_one_rotation_of_many_that_is_not_a_number_leaves_the_others_alone() -> 
     for values in (q, rotations.multiply(q, q), rotations.between(q, q), rotations.matrix(q), rotations.exp(phi)):
         assert np.isnan(values[1]).all()
         assert np.isfinite(values[[0, 2]]).all()
+
+
+@pytest.mark.parametrize("leading", [(2, 3), (1,), (0,), (2, 1, 4)])
+def test_any_leading_dimensions_will_do(leading):
+    phi = np.random.default_rng(4).uniform(-1.5, 1.5, (*leading, 3))  # shorter than pi
+    R = rotations.exp(phi)
+    assert R.shape == (*leading, 3, 3)
+    np.testing.assert_allclose(rotations.log(R), phi, atol=1e-12)
+    np.testing.assert_allclose(rotations.matrix(rotations.from_matrix(R)), R, atol=1e-12)
