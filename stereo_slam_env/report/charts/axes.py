@@ -103,7 +103,8 @@ def spread_out(wanted: Sequence[float], gap: float) -> FloatArray:
         return np.asarray(wanted, dtype=np.float64)
     offsets = gap * np.arange(len(wanted))
     # With places = offsets + t, "at least gap apart" reads "t does not decrease".
-    return np.asarray(isotonic_regression(np.asarray(wanted) - offsets).x, dtype=np.float64) + offsets
+    places: FloatArray = np.asarray(isotonic_regression(np.asarray(wanted) - offsets).x, dtype=np.float64)
+    return np.asarray(places + offsets)
 
 
 def short(value: float) -> float:

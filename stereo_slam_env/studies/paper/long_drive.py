@@ -126,7 +126,7 @@ def landmark_nees(run: FilterRun) -> float:
 
 def nis(run: FilterRun) -> float:
     """Of all innovations, by their degrees of freedom."""
-    return float(np.nansum(run.nis) / max(run.nis_dof.sum(), 1))
+    return float(np.nansum(run.nis) / max(int(run.nis_dof.sum()), 1))
 
 
 def yaw(orientations: FloatArray) -> FloatArray:
