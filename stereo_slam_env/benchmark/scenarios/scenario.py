@@ -14,7 +14,7 @@ from msgspec import Meta
 from filters.known_names import require_known
 from filters.motion import ConstantVelocity
 from filters.noise import StereoNoise
-from filters.validation import finite_array
+from filters.validation import finite_array, gate_probability
 from stereo_slam_env.benchmark.recordings.source import Renderer, Source, checked
 from stereo_slam_env.benchmark.recordings.sources import StreetSource, source_of
 
@@ -161,13 +161,13 @@ class Scenario:
 
     name: str
     source: Source = field(default_factory=StreetSource)
-    filters: Annotated[tuple[FilterChoice, ...], Meta(min_length=1)] = DEFAULT_FILTERS
+    filters: tuple[FilterChoice, ...] = DEFAULT_FILTERS
     policies: tuple[PolicyChoice, ...] = ()
     seeds: Annotated[tuple[Annotated[int, Meta(ge=0)], ...], Meta(min_length=1)] = (0,)
     frames: Annotated[int, Meta(ge=2)] | None = None
     use_odometry: bool = False
     noise: dict[str, Any] | None = None
-    gate: Annotated[float, Meta(gt=0, lt=1)] | None = 0.99
+    gate: float | None = 0.99
     consensus: bool = False
     search: Search = "flow"
     motion: dict[str, Annotated[float, Meta(ge=0)]] = field(default_factory=lambda: dict(_MOTION))
@@ -186,6 +186,7 @@ class Scenario:
             found["seeds"] = tuple(seed if isinstance(seed, bool) else index(seed) for seed in self.seeds)
         except TypeError:
             raise ValueError(f"seeds must be whole numbers, got {self.seeds!r}") from None
+        gate_probability(self.gate)
         for name, kind in _TYPES.items():
             object.__setattr__(self, name, checked(name, found[name], kind))
         object.__setattr__(self, "source", found["source"])
@@ -203,6 +204,8 @@ class Scenario:
             raise ValueError(f"scenario {self.name!r} must consist of JSON values: {error}") from error
 
     def _check_competitors(self) -> None:
+        if not self.filters:
+            raise ValueError("filters must name at least one filter")
         kind = self.source.kind
         if self.policies and not self.source.for_policies:
             raise ValueError(
