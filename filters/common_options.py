@@ -23,9 +23,9 @@ from filters.camera import StereoCamera
 from filters.constructor_calls import ConstructorCall, constructor_calls
 from filters.engine.ekf import StereoEKF
 from filters.interface import StereoFilter
-from filters.motion import ConstantVelocity
+from filters.motions.constant_velocity import ConstantVelocity
 from filters.noise import StereoNoise
-from filters.registry import FilterFactory, filter_arguments, filter_factory, make_filter
+from filters.registry import FilterFactory, filter_factory, make_filter
 
 USUAL: Mapping[str, Any] = {"gate": 0.99, "motion": dataclasses.asdict(ConstantVelocity())}
 """Common options where nobody says otherwise, as scenario files have them."""
@@ -68,7 +68,7 @@ def make_with_common_options(
     camera, noise : StereoCamera, StereoNoise
         The rig.
     options, common : mapping
-        JSON-able, see `filter_arguments`; common ones are options of `StereoEKF`.
+        JSON-able; common ones are options of `StereoEKF`.
 
     Raises
     ------
@@ -77,7 +77,7 @@ def make_with_common_options(
     """
 
     def make(arguments: Mapping[str, Any]) -> StereoFilter:
-        return make_filter(name, camera=camera, noise=noise, **filter_arguments(arguments))
+        return make_filter(name, camera=camera, noise=noise, **arguments)
 
     with constructor_calls() as calls:
         made = make(options)

@@ -9,7 +9,7 @@ from filters.camera import StereoCamera
 from filters.engine.ekf import StereoEKF
 from filters.interface import StereoFilter
 from filters.landmarks.hybrid import Hybrid
-from filters.measurements.bearing import LeftThenRight
+from filters.measurements.rectified_pair import LeftThenRight
 from filters.noise import StereoNoise
 from filters.submaps.submap_ekf import SubmapEKF
 
@@ -84,7 +84,7 @@ class SharedAnchorEKF(StereoEKF):
 class HybridEKF(StereoEKF):
     """Inverse-depth stereo EKF whose landmarks become XYZ once that is Gaussian enough.
 
-    `linearity_limit` and `near_disparity` are those of `Hybrid`.
+    `linearity_limit` and `near_distance` are those of `Hybrid`.
     """
 
     def __init__(
@@ -93,14 +93,14 @@ class HybridEKF(StereoEKF):
         noise: StereoNoise,
         *,
         linearity_limit: float | None = Hybrid.linearity_limit,
-        near_disparity: float | None = Hybrid.near_disparity,
+        near_distance: float | None = Hybrid.near_distance,
         **options: Any,
     ) -> None:
         if "landmark" in options:
             raise ValueError(
                 f"landmark is hybrid in this filter, got {options['landmark']!r}: use another filter for it"
             )
-        super().__init__(camera, noise, landmark=Hybrid(linearity_limit, near_disparity), **options)
+        super().__init__(camera, noise, landmark=Hybrid(linearity_limit, near_distance), **options)
 
 
 class RightInvariantEKF(StereoEKF):

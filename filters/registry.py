@@ -12,15 +12,13 @@ from __future__ import annotations
 
 import inspect
 import logging
-from collections.abc import Callable, Mapping
-from dataclasses import fields
+from collections.abc import Callable
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
 from filters.camera import StereoCamera
 from filters.interface import StereoFilter
-from filters.known_names import did_you_mean, require_known
-from filters.motion import ConstantVelocity, VelocityDriven
+from filters.known_names import did_you_mean
 from filters.noise import StereoNoise
 from filters.presets import PRESETS
 
@@ -55,30 +53,6 @@ def make_filter(name: str | FilterFactory, *, camera: StereoCamera, noise: Stere
     if not isinstance(made, StereoFilter):
         raise ValueError(f"filter {name!r} made a {type(made).__name__}, not a StereoFilter: derive it from that")
     return made
-
-
-def filter_arguments(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Arguments of `make_filter` from JSON-able options, as scenario files and environments have them.
-
-    Parameters
-    ----------
-    options : mapping
-        As of the filter, but `motion` is {"sigma_acceleration": ..., "sigma_angular_acceleration": ...} or
-        "velocity-driven".
-
-    Raises
-    ------
-    ValueError
-        The motion model has no such number, or the number is not what it asks for.
-    """
-    arguments = dict(options)
-    motion = arguments.get("motion")
-    if isinstance(motion, Mapping):
-        require_known("motion has no number", motion, [field.name for field in fields(ConstantVelocity)])
-        arguments["motion"] = ConstantVelocity(**motion)
-    elif motion == "velocity-driven":
-        arguments["motion"] = VelocityDriven()
-    return arguments
 
 
 def available_filters() -> dict[str, str]:

@@ -14,10 +14,11 @@ import numpy as np
 
 from filters.engine import kalman
 from filters.engine.gating import squared_distances
+from filters.state.linearised import LinearisedMeasurements
 from filters.validation import BoolArray, FloatArray
 
 
-def largest_agreement(P: FloatArray, measurements: kalman.LinearisedMeasurements, limit: float) -> BoolArray:
+def largest_agreement(P: FloatArray, measurements: LinearisedMeasurements, limit: float) -> BoolArray:
     """Which measurements agree with the best one-landmark hypothesis.
 
     Parameters

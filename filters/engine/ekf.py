@@ -5,23 +5,23 @@ The named filters are choices of these parts; this module only says in which ord
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from filters.camera import StereoCamera
-from filters.engine import gating, kalman, symmetric
+from filters.engine import gating, kalman
 from filters.engine.consensus import largest_agreement
 from filters.engine.gating import BEHIND, FAILED, GATED, USED, FateArray
 from filters.engine.heavy_tails import reweighted
-from filters.engine.joint_state import JointState, world_rotation_of_camera
-from filters.engine.linearisation import in_front, linearise, project
 from filters.engine.map_policy import MapPolicy
 from filters.engine.marginals import joint_covariance, pose_landmark_covariances
-from filters.engine.options import checked_parts
+from filters.engine.options import Options
+from filters.errors.model import ErrorDefinition
 from filters.interface import (
     AT_ORIGIN,
     BodyVelocity,
@@ -35,11 +35,17 @@ from filters.interface import (
     check_rig,
     check_start,
 )
-from filters.landmarks.parametrisation import LandmarkModel
+from filters.known_names import require_known
+from filters.landmarks.model import LandmarkModel
 from filters.measurements.model import MeasurementModel, Stage
-from filters.motion import CAMERA_SIZE, CameraState, MotionModel, MotionPrediction, measure_odometry, predict_camera
+from filters.motions.model import MotionModel, MotionPrediction, measure_odometry, predict_camera
 from filters.noise import StereoNoise
 from filters.start import Start
+from filters.state import symmetric
+from filters.state.joint_state import JointState, world_rotation_of_variables
+from filters.state.linearised import LinearisedMeasurements, of_variables
+from filters.updates.extended import Extended
+from filters.updates.model import Linearisation, points_in_camera
 from filters.validation import (
     BoolArray,
     FloatArray,
@@ -49,6 +55,7 @@ from filters.validation import (
     unique_ids,
     unit_quaternion,
 )
+from filters.variables import POSE, VELOCITY, VariableBelief
 
 
 class StereoEKF(StereoFilter):
@@ -60,19 +67,21 @@ class StereoEKF(StereoFilter):
         The rig.
     noise : StereoNoise
         R of (u, v, d) for measurements that bring none of their own.
-    motion : MotionModel
-        `ConstantVelocity` (Eq. 6) or `VelocityDriven`.
+    motion : str, mapping or MotionModel
+        Motion model: "constant-velocity" (Eq. 6) or "velocity-driven". As of the other parts: a name, a table of
+        settings, or an object, see `filters.make_part`.
     gate : float or None
         Probability with which a consistent measurement of a landmark passes the chi-square gate; None: no gate.
-    landmark : {"inverse-depth", "shared-anchor", "euclidean", "hybrid"} or LandmarkModel
-        Parametrisation of landmarks; a model with settings of its own, such as `Hybrid(linearity_limit=0.02)`.
-    measurement : {"joint", "sequential", "stacked", "left"} or MeasurementModel
-        Measurement model: (u, v, d) · left then right · both eyes' pixels at once · left pixel only; or a model with
-        settings of its own, such as `LeftThenRight(copied_row_variance=2.0)`.
-    error : {"quaternion", "so3", "first-estimates", "right-invariant"}
-        Error definition: the paper's · rotation vector · first-estimates Jacobians · right-invariant.
-    update : {"extended", "unscented"}
-        Linearisation by Jacobians, or by sigma points on the measured part of the state.
+    landmark : str, mapping or LandmarkModel
+        Parametrisation: "inverse-depth", "shared-anchor", "euclidean", "hybrid", ...
+    measurement : str, mapping or MeasurementModel
+        What is measured, and in which steps: "joint" (u, v, d) · "sequential", left then right · "stacked", the pixels
+        of both cameras at once · "left" pixel only; ...
+    error : str, mapping or ErrorDefinition
+        "quaternion", the paper's · "so3", rotation vector · "first-estimates" Jacobians · "right-invariant" ·
+        "left-invariant".
+    update : str, mapping or Linearisation
+        "extended", by Jacobians, or "unscented", by sigma points on the measured part of the state.
     consensus : bool
         One-point RANSAC over the frame: first correct with the largest set of measurements that agree, then let in
         those that pass the gate at the corrected state.
@@ -86,8 +95,9 @@ class StereoEKF(StereoFilter):
         A landmark is not started from a smaller disparity, px. None: whatever the parametrisation can do.
     max_landmarks : int, optional
         Of the landmarks in view, keep at most so many: those that say most about the pose. None: all.
-    compiled : bool
-        Machine code for the hot loops, see `filters.compilation`: same estimates, in a fraction of the time.
+    compiled : bool, optional
+        Machine code: the same estimates in a fraction of the time. None: where all parts have it. True: refuse parts
+        that have none.
 
     Raises
     ------
@@ -100,24 +110,24 @@ class StereoEKF(StereoFilter):
         camera: StereoCamera,
         noise: StereoNoise,
         *,
-        motion: MotionModel | None = None,
+        motion: str | Mapping[str, Any] | MotionModel | None = None,
         gate: float | None = 0.99,
-        landmark: str | LandmarkModel = "inverse-depth",
-        measurement: str | MeasurementModel = "joint",
-        error: str = "quaternion",
-        update: str = "extended",
+        landmark: str | Mapping[str, Any] | LandmarkModel = "inverse-depth",
+        measurement: str | Mapping[str, Any] | MeasurementModel = "joint",
+        error: str | Mapping[str, Any] | ErrorDefinition = "quaternion",
+        update: str | Mapping[str, Any] | Linearisation = "extended",
         consensus: bool = False,
         tail_dof: float | None = None,
         iterations: int = 1,
         drop_unseen: bool = True,
         min_disparity: float | None = None,
         max_landmarks: int | None = None,
-        compiled: bool = False,
+        compiled: bool | None = None,
     ) -> None:
         check_rig(camera, noise)
         self.camera = camera
         self.noise = noise
-        self.parts = checked_parts(
+        self.options = Options.of(
             motion=motion,
             gate=gate,
             landmark=landmark,
@@ -132,34 +142,29 @@ class StereoEKF(StereoFilter):
             max_landmarks=max_landmarks,
             compiled=compiled,
         )
-        self._policy = MapPolicy(camera, noise, self.parts)
+        self._policy = MapPolicy(camera, noise, self.options)
         self.reset()
 
     def reset(self, start: Start = AT_ORIGIN) -> None:
         """Start again with an empty map; see `StereoFilter.reset`."""
         check_start(start)
-        camera, P = CameraState.at(start), start.assumed_covariance
-        self._state = JointState.without_map(camera, P, self.parts.landmark, self.parts.arithmetic.transform_leading)
+        self._state = JointState.at(start, self.options.layout, self.options.landmark)
 
     def predict(self, dt: float, odometry: BodyVelocity | None = None) -> None:
         """Move the belief forward (Eq. 6, 11, 12), then fuse what odometry adds."""
         dt = positive("dt", dt)
         if odometry is not None and not isinstance(odometry, BodyVelocity):
             raise ValueError(f"odometry must be a BodyVelocity or None, got {odometry!r}")
-        at_once = self.parts.arithmetic.predict
-        motion, predicted = self.parts.motion, None
-        moved = None if at_once is None or self.parts.error.constrains else at_once(self._state, motion, dt)
-        if moved is None:
-            predicted = predict_camera(motion, self._state.camera, dt, odometry)
-            moved = predicted.state
-        measured = None if odometry is None else measure_odometry(motion, moved, dt, odometry)
+        motion = self.options.motion
+        predicted = predict_camera(motion, self._state.camera, dt, odometry)
+        measured = None if odometry is None else measure_odometry(motion, predicted.state, dt, odometry)
         # The model has said all it has to say, in the right shapes: only now does the state change.
-        if predicted is not None:
-            self._move_covariance(predicted)
-        self._state.camera = self._state.predicted = moved
+        self._move_covariance(predicted, dt)
+        self._state.camera = self._state.predicted = predicted.state
         if measured is not None:
-            correction = self.parts.arithmetic.update(self._state.P, kalman.of_camera(measured))
-            self._retract(correction.delta)
+            layout = self.options.layout
+            linear = of_variables(measured, layout.rows_of(motion.moves), layout.size)
+            self._retract(kalman.update(self._state.P, linear, layout.considered).delta)
 
     def update(self, observation: StereoObservation) -> UpdateReport:
         """Known ids correct the state, unseen ones leave, new ones enter; see `StereoFilter.update`."""
@@ -171,21 +176,21 @@ class StereoEKF(StereoFilter):
         all_known = len(index) == len(observation)
         measured = observation if all_known else observation.select(known)
         report = self._correct(measured, index)
-        if all_known and self.parts.is_steady and (len(index) == len(self._state) or not self.parts.drop_unseen):
+        if all_known and self.options.is_steady and (len(index) == len(self._state) or not self.options.drop_unseen):
             return report
         change = self._policy.renew(self._state, measured, index, observation.select(~known))
         return replace(report, **vars(change))
 
     def forecast(self, ids: Sequence[int] | IntArray | None = None) -> Forecast:
         """Predicted (u, v, d) and S of landmarks at the current pose."""
-        state = self._state
+        state, sensor = self._state, self.options.measurement
         wanted, index = self._wanted(ids)
-        uvd, in_front = project(self.camera, state, index)
-        linearised = linearise(
-            self.camera, state, index, Stage(uvd, np.eye(3), self.noise.R[None].repeat(len(index), axis=0))
-        )
+        points_c = points_in_camera(state, index)
+        uvd = sensor.predict(self.camera, points_c, state.camera.variables)[:, :3]
+        stage = Stage(uvd, np.eye(3, sensor.size), self.noise.R[None].repeat(len(index), axis=0))
+        linearised = Extended().linearise(sensor, self.camera, state, index, stage)
         S = linearised.innovation_covariances(state.P)
-        return Forecast(wanted, uvd, S, in_front & self.camera.in_view(uvd))
+        return Forecast(wanted, uvd, S, sensor.in_front(points_c) & self.camera.in_view(uvd))
 
     def joint_covariance(self, ids: Sequence[int] | IntArray | None = None) -> FloatArray:
         """Covariance of the pose error and landmark positions, correlations included; see the base class."""
@@ -201,7 +206,7 @@ class StereoEKF(StereoFilter):
 
     @property
     def state_size(self) -> int:
-        """Numbers in the error state: 12 of the camera, and three for every landmark and every anchor."""
+        """Numbers in the error state: of the named variables, and three for every landmark and every anchor."""
         return len(self._state.rows_in_use)
 
     @property
@@ -219,29 +224,72 @@ class StereoEKF(StereoFilter):
     def pose(self) -> PoseBelief:
         """Pose of the left camera."""
         camera = self._state.camera
-        return PoseBelief(camera.position.copy(), camera.orientation.copy(), symmetric.full(self._state.P[:6, :6]))
+        return PoseBelief(camera.position.copy(), camera.orientation.copy(), self._covariance_of(POSE))
 
     @property
     def velocity(self) -> VelocityBelief:
         """Velocity of the left camera."""
         camera = self._state.camera
         return VelocityBelief(
-            camera.linear_velocity.copy(),
-            camera.angular_velocity.copy(),
-            symmetric.full(self._state.P[6:12, 6:12]),
+            camera.linear_velocity.copy(), camera.angular_velocity.copy(), self._covariance_of(VELOCITY)
         )
+
+    def belief(self, name: str) -> VariableBelief:
+        """Belief of a named variable: "pose", "velocity", one that a part has asked for, or a clone of the pose.
+
+        Raises
+        ------
+        ValueError
+            There is no variable of that name.
+        """
+        state, camera = self._state, self._state.camera
+        if name in state.clones:
+            clone = state.clones[name]
+            rows = state.block_rows(clone.blocks)
+            covariance = symmetric.full(symmetric.rows(state.P, rows)[:, rows])
+            return VariableBelief(np.concatenate([clone.position, clone.orientation]), covariance)
+        values = {
+            POSE: np.concatenate([camera.position, camera.orientation]),
+            VELOCITY: np.concatenate([camera.linear_velocity, camera.angular_velocity]),
+            **camera.variables,
+        }
+        require_known("there is no variable", [name], [*values, *state.clones])
+        return VariableBelief(values[name].copy(), self._covariance_of(name))
+
+    def clone_pose(self, name: str) -> None:
+        """Keep the present pose as a variable of that name, correlated with all others, until it is forgotten.
+
+        Raises
+        ------
+        ValueError
+            There is a variable of that name already.
+        """
+        if name in (*self.options.layout.places, *self._state.clones):
+            raise ValueError(f"name must be new, there is a variable {name!r} already: forget_clone it first")
+        self._state.clone_pose(name)
+
+    def forget_clone(self, name: str) -> None:
+        """Marginalise a clone of the pose out.
+
+        Raises
+        ------
+        ValueError
+            There is no clone of that name.
+        """
+        require_known("there is no clone", [name], self._state.clones)
+        self._state.forget_clone(name)
 
     @property
     def landmarks(self) -> LandmarkBelief:
         """The map, in ascending order of ids."""
         state, index = self._state, np.argsort(self._state.ids)
         parameters, anchors = state.parameters(index), state.anchors(index)
-        points = self.parts.landmark.points(anchors, parameters)
+        points = self.options.landmark.points(anchors, parameters)
         P_map = symmetric.blocks(state.P, state.map_rows(index))
         with np.errstate(invalid="ignore", over="ignore"):
             covariances = points.by_map @ P_map @ points.by_map.transpose(0, 2, 1)
-        inverse = self.parts.landmark.inverse_distances(state.camera.position, anchors, parameters)
-        own_rows = CAMERA_SIZE + 3 * state.parameter_block[index, None] + np.arange(3)
+        inverse = self.options.landmark.inverse_distances(state.camera.position, anchors, parameters)
+        own_rows = state.own_rows(index)
         position_rows = np.broadcast_to(np.arange(3), own_rows.shape)
         P_own = symmetric.blocks(state.P, np.concatenate([position_rows, own_rows], axis=1))
         J = np.concatenate([inverse.by_position, inverse.by_parameters], axis=1)
@@ -253,7 +301,7 @@ class StereoEKF(StereoFilter):
         true_position = finite_array("position", position, (3,))
         true_orientation = unit_quaternion("orientation", orientation)
         camera = self._state.camera
-        return self.parts.error.pose_error(camera, self.pose.covariance, true_position, true_orientation)
+        return self.options.error.pose_error(camera, self.pose.covariance, true_position, true_orientation)
 
     def _wanted(self, ids: Sequence[int] | IntArray | None) -> tuple[IntArray, IntArray]:
         """The landmarks asked for (None: all, ascending), and where they are; refuses those that are not there."""
@@ -275,15 +323,26 @@ class StereoEKF(StereoFilter):
         known = there[candidate] == ids
         return known, candidate[known]
 
-    def _move_covariance(self, predicted: MotionPrediction) -> None:
-        """P of the predicted camera (Eq. 12)."""
-        F = predicted.F
-        if self.parts.error.constrains:
-            F = self.parts.error.constrained(F, world_rotation_of_camera(predicted.state), self._state)
-        self._state.transform_camera(F, predicted.G @ predicted.Q @ predicted.G.T)
+    def _covariance_of(self, name: str) -> FloatArray:
+        place = self.options.layout.places[name]
+        return symmetric.full(self._state.P[place, place])
 
-    def _linearise(self, state: JointState, index: IntArray, stage: Stage) -> kalman.LinearisedMeasurements:
-        return self.parts.linearise(self.camera, state, index, stage, self.parts.error.linearisation_point(state))
+    def _move_covariance(self, predicted: MotionPrediction, dt: float) -> None:
+        """P of the predicted variables (Eq. 12)."""
+        state, layout, error = self._state, self.options.layout, self.options.error
+        rows = np.ix_(*[layout.rows_of(self.options.motion.moves)] * 2)
+        F, added = np.eye(layout.size), np.zeros((layout.size, layout.size))
+        F[rows], added[rows] = predicted.F, predicted.G @ predicted.Q @ predicted.G.T
+        if layout.walk_rates is not None:
+            added[layout.rows, layout.rows] += layout.walk_rates * dt
+        if error.constrains:
+            F = error.constrained(F, world_rotation_of_variables(layout, predicted.state), state)
+        symmetric.transform_leading(state.P, F, added)
+
+    def _linearise(self, state: JointState, index: IntArray, stage: Stage) -> LinearisedMeasurements:
+        options = self.options
+        point = options.error.linearisation_point(state)
+        return options.update.linearise(options.measurement, self.camera, state, index, stage, point)
 
     def _correct(self, observation: StereoObservation, index: IntArray) -> UpdateReport:
         """Stage by stage: leave out what is behind the camera or not believable, correct with the rest.
@@ -293,8 +352,8 @@ class StereoEKF(StereoFilter):
         """
         if len(index) == 0:
             return UpdateReport()
-        stages = self.parts.measurement.stages(observation, observation.covariances(self.noise))
-        gate = self.parts.gate and self.parts.gate ** (1 / len(stages))
+        stages = self.options.measurement.stages(observation, observation.covariances(self.noise))
+        gate = self.options.gate and self.options.gate ** (1 / len(stages))
         fates = np.zeros(len(index), dtype=np.uint8)
         nis, dof = 0.0, 0
         for stage in stages:
@@ -307,16 +366,8 @@ class StereoEKF(StereoFilter):
 
     def _correct_stage(self, stage: Stage, index: IntArray, gate: float | None, fates: FateArray) -> tuple[float, int]:
         """Correct with the measurements whose fate so far is USED, and write their fates; the NIS and its dof."""
-        at_once = self.parts.arithmetic.correct_stage
-        if at_once is not None and self.parts.is_plain:
-            limit = np.inf if gate is None else gating.gate_limit(gate, stage.z.shape[1])
-            corrected = at_once(self.camera, self._state, index, stage, limit, fates)
-            if corrected is not None:
-                delta, nis, dof = corrected
-                self._retract(delta)
-                return nis, dof
         candidates = fates == USED
-        forward = in_front(self._state, index)
+        forward = self.options.measurement.in_front(points_in_camera(self._state, index))
         fates[candidates & ~forward] = BEHIND
         candidates &= forward
         fates[candidates] = GATED
@@ -329,14 +380,14 @@ class StereoEKF(StereoFilter):
 
     def _passes(
         self, stage: Stage, index: IntArray, candidates: BoolArray, gate: float | None
-    ) -> Iterator[tuple[BoolArray, kalman.LinearisedMeasurements]]:
+    ) -> Iterator[tuple[BoolArray, LinearisedMeasurements]]:
         """The measurements (M,) to correct with next, chosen and linearised at the state the previous ones left."""
         if gate is None:
             yield candidates, self._linearise(self._state, index[candidates], _select(stage, candidates))
             return
         limit = gating.gate_limit(gate, stage.z.shape[1])
         believable, measurements = self._believable(stage, index, candidates, limit)
-        if not self.parts.consensus:
+        if not self.options.consensus:
             yield believable, measurements
             return
         core = believable.copy()
@@ -347,39 +398,35 @@ class StereoEKF(StereoFilter):
 
     def _believable(
         self, stage: Stage, index: IntArray, candidates: BoolArray, limit: float
-    ) -> tuple[BoolArray, kalman.LinearisedMeasurements]:
+    ) -> tuple[BoolArray, LinearisedMeasurements]:
         """Which of the candidates (M,) pass the gate at the current state, and those linearised."""
         measurements = self._linearise(self._state, index[candidates], _select(stage, candidates))
-        passed = self.parts.arithmetic.squared_distances(self._state.P, measurements) <= limit
+        passed = kalman.squared_distances(self._state.P, measurements) <= limit
         if passed.all():
             return candidates, measurements
         believable = candidates.copy()
         believable[candidates] = passed
         return believable, measurements[passed]
 
-    def _apply(self, measurements: kalman.LinearisedMeasurements, stage: Stage, index: IntArray) -> kalman.Correction:
+    def _apply(self, measurements: LinearisedMeasurements, stage: Stage, index: IntArray) -> kalman.Correction:
         """One pass of the update, or Gauss-Newton passes with the prior held."""
-        if self.parts.tail_dof is not None:
-            measurements = reweighted(self._state.P, measurements, self.parts.tail_dof)
+        if self.options.tail_dof is not None:
+            measurements = reweighted(self._state.P, measurements, self.options.tail_dof)
             stage = replace(stage, R=measurements.R)
-        prior = self._state
-        for _ in range(self.parts.iterations - 1):
-            delta = self.parts.arithmetic.update(prior.P.copy(order="F"), measurements).delta
-            moved = self.parts.error.moved(prior, delta)
-            measurements = self._linearise(moved, index, stage).by_earlier_errors(
-                self.parts.error.transport(prior, moved, delta), delta
-            )
-        correction = self.parts.arithmetic.update(prior.P, measurements)
+        prior, considered = self._state, self.options.layout.considered
+        for _ in range(self.options.iterations - 1):
+            delta = kalman.update(prior.P.copy(order="F"), measurements, considered).delta
+            moved = self.options.error.moved(prior, delta)
+            there = self._linearise(moved, index, stage)
+            measurements = self.options.error.transport(prior, moved, delta).pulled_back(there, delta)
+        correction = kalman.update(prior.P, measurements, considered)
         self._retract(correction.delta)
         return correction
 
     def _retract(self, delta: FloatArray) -> None:
         """Move the state by the correction (Eq. 17) and carry P along."""
-        at_once = self.parts.arithmetic.retract
-        if at_once is not None and at_once(self._state, self.parts.error, delta):
-            return
-        moved = self.parts.error.moved(self._state, delta)
-        moved.shear_by_rotation(self.parts.error.transport(self._state, moved, delta))
+        moved = self.options.error.moved(self._state, delta)
+        self.options.error.transport(self._state, moved, delta).apply(moved.P)
         self._state = moved
 
 

@@ -11,7 +11,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from filters.engine.kalman import LinearisedMeasurements, squared_distances
+from filters.engine.kalman import squared_distances
+from filters.state.linearised import LinearisedMeasurements
 from filters.validation import FloatArray
 
 

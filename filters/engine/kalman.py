@@ -11,14 +11,15 @@ Derivation: docs/derivations/measurements.md.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 from scipy.linalg import blas, lapack
 
-from filters.engine import gating, symmetric
-from filters.motion import CAMERA_SIZE, ROTATION, LinearMeasurement
+from filters.engine import gating
+from filters.state import symmetric
+from filters.state.linearised import LinearisedMeasurements
 from filters.validation import BoolArray, FloatArray, IntArray
 
 CHUNK_ROWS = 75  # where the cost of the small factorisations meets that of passing over P again
@@ -26,80 +27,9 @@ DROWNED = 1e12
 """S over R from which on rounding (1e-16 of S) leaves too little of R: a landmark as good as in the image plane."""
 
 
-@dataclass(frozen=True, eq=False)
-class LinearisedMeasurements:
-    """M measurements of k rows each, linear in the error state.
-
-    Attributes
-    ----------
-    innovation : (M, k)
-        Measured minus predicted, px.
-    by_camera : (M, k, c)
-        H with respect to the first c rows of the state: position and rotation, or more of the camera.
-    by_map : (M, k, w)
-        H with respect to the landmark's own rows.
-    map_rows : (M, w) int64
-        Those rows.
-    R : (M, k, k)
-        Noise covariance.
-    """
-
-    innovation: FloatArray
-    by_camera: FloatArray
-    by_map: FloatArray
-    map_rows: IntArray
-    R: FloatArray
-
-    def __len__(self) -> int:
-        return len(self.innovation)
-
-    def __getitem__(self, index: slice | IntArray | BoolArray) -> LinearisedMeasurements:
-        return LinearisedMeasurements(
-            self.innovation[index],
-            self.by_camera[index],
-            self.by_map[index],
-            self.map_rows[index],
-            self.R[index],
-        )
-
-    def times(self, delta: FloatArray) -> FloatArray:
-        """H delta; (n,) -> (M, k)."""
-        product: FloatArray = self.by_camera @ delta[: self.by_camera.shape[2]]
-        product += np.einsum("mkw,mw->mk", self.by_map, delta[self.map_rows])
-        return product
-
-    def by_earlier_errors(self, W: FloatArray, delta: FloatArray) -> LinearisedMeasurements:
-        """The same measurements, linear in the errors of an earlier state that `delta` has moved here.
-
-        Errors there become I + W E^T times themselves here (E selects the rotation), and the innovation gets back what
-        the correction has already explained: a Gauss-Newton step with the prior held.
-        """
-        by_camera = self.by_camera.copy()
-        by_camera[:, :, ROTATION] += self.by_camera @ W[: self.by_camera.shape[2]]
-        if len(W) > CAMERA_SIZE:
-            by_camera[:, :, ROTATION] += self.by_map @ W[self.map_rows]
-        earlier = replace(self, by_camera=by_camera)
-        return replace(earlier, innovation=self.innovation + earlier.times(delta))
-
-    def innovation_covariances(self, P: FloatArray) -> FloatArray:
-        """S = H P H^T + R of each measurement on its own (Eq. 15); (M, k, k)."""
-        camera_rows = np.broadcast_to(np.arange(self.by_camera.shape[2]), (len(self), self.by_camera.shape[2]))
-        rows = np.concatenate([camera_rows, self.map_rows], axis=1)
-        H = np.concatenate([self.by_camera, self.by_map], axis=2)
-        S: FloatArray = H @ symmetric.blocks(P, rows) @ H.transpose(0, 2, 1) + self.R
-        return S
-
-
 def squared_distances(P: FloatArray, measurements: LinearisedMeasurements) -> FloatArray:
     """Squared Mahalanobis distance of each innovation on its own; (M,)."""
     return gating.squared_distances(measurements.innovation, measurements.innovation_covariances(P))
-
-
-def of_camera(measured: LinearMeasurement) -> LinearisedMeasurements:
-    """A measurement of the camera state alone, as one measurement without a landmark."""
-    nothing = np.zeros((1, len(measured.innovation), 0))
-    no_rows = np.zeros((1, 0), dtype=np.int64)
-    return LinearisedMeasurements(measured.innovation[None], measured.H[None], nothing, no_rows, measured.R[None])
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,12 +52,25 @@ class Correction:
     used: BoolArray
 
 
-def update(P: FloatArray, measurements: LinearisedMeasurements, chunk: int | None = None) -> Correction:
+def update(
+    P: FloatArray,
+    measurements: LinearisedMeasurements,
+    considered: IntArray | None = None,
+    chunk: int | None = None,
+) -> Correction:
     """Correct with all measurements (Eq. 13-18), `chunk` at a time; P (lower triangle, column-major) changes in place.
 
     A chunk whose S has no Cholesky factor, or in which R is `DROWNED`, is taken apart, and the measurements of which
-    that is true are left out.
+    that is true are left out. Rows that are `considered` keep their value and their covariance (Schmidt): the gain of
+    all other rows is the same as without them, so it is enough to put back what they were.
     """
+    if considered is not None and len(considered):
+        square = np.ix_(considered, considered)
+        before = P[square]
+        correction = update(P, measurements, None, chunk)
+        P[square] = before
+        correction.delta[considered] = 0.0
+        return correction
     delta = np.zeros(len(P))
     used = np.zeros(len(measurements), dtype=bool)
     nis, dof = 0.0, 0
@@ -166,8 +109,8 @@ def joint_innovation_covariance(P: FloatArray, measurements: LinearisedMeasureme
 def times_covariance(part: LinearisedMeasurements, P: FloatArray) -> FloatArray:
     """H P, (M k, n), row-major."""
     count, size, width = part.by_map.shape
-    camera = part.by_camera.shape[2]
-    HP = part.by_camera.reshape(count * size, camera) @ symmetric.leading_rows(P, camera)
+    camera = part.by_leading.shape[2]
+    HP = part.by_leading.reshape(count * size, camera) @ symmetric.leading_rows(P, camera)
     if width:
         own = symmetric.rows(P, part.map_rows.ravel()).reshape(count, width, len(P))
         HP += (part.by_map @ own).reshape(HP.shape)
@@ -183,8 +126,8 @@ def _drowns(part: LinearisedMeasurements, S: FloatArray) -> bool:
 def _innovation_covariance(part: LinearisedMeasurements, HP: FloatArray) -> FloatArray:
     """S = (H P) H^T + R of the whole chunk, (M k, M k)."""
     count, size, width = part.by_map.shape
-    camera = part.by_camera.shape[2]
-    S = HP[:, :camera] @ part.by_camera.reshape(count * size, camera).T
+    camera = part.by_leading.shape[2]
+    S = HP[:, :camera] @ part.by_leading.reshape(count * size, camera).T
     if width:
         own = HP[:, part.map_rows.ravel()].reshape(count * size, count, width).transpose(1, 0, 2)
         S += (own @ part.by_map.transpose(0, 2, 1)).transpose(1, 0, 2).reshape(S.shape)

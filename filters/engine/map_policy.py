@@ -7,15 +7,15 @@ from functools import partial
 
 import numpy as np
 
+from filters import rotations
 from filters.camera import StereoCamera
 from filters.engine import selection
-from filters.engine.joint_state import JointState
-from filters.engine.options import Parts
+from filters.engine.options import Options
 from filters.interface import StereoObservation
-from filters.landmarks.hybrid import Hybrid
-from filters.motion import CAMERA_SIZE
+from filters.measurements.model import MeasurementModel
 from filters.noise import StereoNoise
-from filters.validation import BoolArray, IntArray
+from filters.state.joint_state import JointState, NewLandmarks
+from filters.validation import BoolArray, FloatArray, IntArray
 
 _FARTHEST = 1e6
 """No camera measures a pixel or a disparity as large, px; squares of what would come of 1e300 overflow."""
@@ -40,13 +40,13 @@ class MapPolicy:
         The rig.
     noise : StereoNoise
         R of measurements that bring none of their own.
-    parts : Parts
+    options : Options
         Options of the filter.
     """
 
     camera: StereoCamera
     noise: StereoNoise
-    parts: Parts
+    options: Options
 
     def renew(
         self, state: JointState, known: StereoObservation, index: IntArray, unknown: StereoObservation
@@ -65,13 +65,19 @@ class MapPolicy:
             Measurements of others.
         """
         new = unknown if len(unknown) == 0 else unknown.select(self._can_start(state, unknown))
-        gone = np.full(len(state), self.parts.drop_unseen)
+        gone = np.full(len(state), self.options.drop_unseen)
         gone[index] = False
-        if self.parts.max_landmarks is not None and len(index) + len(new) > self.parts.max_landmarks:
+        if self.options.max_landmarks is not None and len(index) + len(new) > self.options.max_landmarks:
             candidates = selection.next_measurements(
-                self.camera, state, index, known.covariances(self.noise), new.uvd, new.covariances(self.noise)
+                self.options.measurement,
+                self.camera,
+                state,
+                index,
+                known.covariances(self.noise),
+                new.uvd,
+                new.covariances(self.noise),
             )
-            kept = selection.most_informative(candidates, self.parts.max_landmarks)
+            kept = selection.most_informative(candidates, self.options.max_landmarks)
             gone[index] = ~kept[: len(index)]
             new = new.select(kept[len(index) :])
         dropped = state.ids[gone]
@@ -85,28 +91,62 @@ class MapPolicy:
         """Add landmarks from the corrected pose (Eq. 19-25)."""
         if len(observation) == 0:
             return
-        landmark, pose, at_once = self.parts.landmark, state.camera, self.parts.arithmetic.initialise
-        new = at_once and at_once(landmark, self.camera, pose, observation.uvd)
-        new = new or landmark.initialise(self.camera, pose.position, pose.R_wc, observation.uvd)
-        adjust = partial(self.parts.error.constrained, state=state) if self.parts.error.constrains else None
-        state.augment(observation.ids, new, observation.covariances(self.noise), adjust)
+        new = start_landmarks(
+            self.options.measurement, self.camera, state, observation, observation.covariances(self.noise)
+        )
+        error = self.options.error
+        state.augment(new, partial(error.constrained, state=state) if error.constrains else None)
 
     def _can_start(self, state: JointState, observation: StereoObservation) -> BoolArray:
         """Which measurements a landmark can start from."""
-        possible = self.parts.landmark.can_initialise(self.camera, state.camera.R_wc, observation.uvd)
-        possible &= (np.abs(observation.uvd) < _FARTHEST).all(axis=1)
-        if self.parts.min_disparity is not None:
-            possible &= observation.uvd[:, 2] >= self.parts.min_disparity
+        uvd = observation.uvd
+        possible = (np.abs(uvd) < _FARTHEST).all(axis=1)
+        if self.options.min_disparity is not None:
+            possible &= uvd[:, 2] >= self.options.min_disparity
+        points_c = self.options.measurement.backproject(self.camera, uvd[possible], state.camera.variables)
+        h_w = rotations.turned(state.camera.R_wc, points_c[:, :3])
+        possible[possible] = self.options.landmark.can_start(h_w, points_c[:, 3]) & np.isfinite(points_c).all(axis=1)
         return possible
 
     def _change_over(self, state: JointState) -> None:
-        """Hybrid landmarks that are practically Gaussian in XYZ become XYZ."""
-        if not isinstance(self.parts.landmark, Hybrid):
+        """Landmarks that are practically Gaussian in XYZ become XYZ."""
+        if self.options.landmark.steady or len(state) == 0:
             return
-        anchors, parameters = state.anchors(), state.parameters()
-        assert anchors is not None
-        rho_rows = CAMERA_SIZE + 3 * state.parameter_block + 2
-        linear = self.parts.landmark.become_points(
-            state.camera.position, anchors, parameters, state.P[rho_rows, rho_rows]
+        own = state.own_rows()
+        linear = self.options.landmark.become_points(
+            state.camera.position, state.anchors(), state.parameters(), state.P[own, own]
         )
-        state.become_points(np.flatnonzero(linear), self.parts.error.linearisation_point(state) or state)
+        state.become_points(np.flatnonzero(linear), self.options.error.linearisation_point(state) or state)
+
+
+def start_landmarks(
+    sensor: MeasurementModel, camera: StereoCamera, state: JointState, observation: StereoObservation, R: FloatArray
+) -> NewLandmarks:
+    """Landmarks at the measurements (M,) of the present pose (Eq. 19-24), with their Jacobians and noise (Eq. 25).
+
+    Parameters
+    ----------
+    sensor : MeasurementModel
+        What is measured.
+    camera : StereoCamera
+        The rig.
+    state : JointState
+        Has the pose, the values of the sensor's variables, and the parametrisation.
+    observation : StereoObservation
+        M measurements.
+    R : (M, 3, 3)
+        Their covariance.
+    """
+    variables = state.camera.variables
+    points_c = sensor.backproject(camera, observation.uvd, variables)
+    jacobians = sensor.backprojection_jacobians(camera, observation.uvd, variables)
+    R_wc = state.camera.R_wc
+    started = state.model.started(state.camera.position, rotations.turned(R_wc, points_c[:, :3]), points_c[:, 3])
+    by_direction_c = started.by_direction @ R_wc
+    by_point = np.concatenate([by_direction_c, started.by_scale[:, :, None]], axis=2)
+    by_rotation = -by_direction_c @ rotations.skew(points_c[:, :3])
+    by_variables = [by_point @ jacobians.by_variable[variable.name] for variable in sensor.variables]
+    by_measurement = by_point @ jacobians.by_point
+    noise = by_measurement @ R @ by_measurement.transpose(0, 2, 1)
+    by_leading = np.concatenate([started.by_position, by_rotation, *by_variables], axis=2)
+    return NewLandmarks(observation.ids, started, by_leading, noise)

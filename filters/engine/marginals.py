@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from filters.engine import symmetric
-from filters.engine.joint_state import JointState
-from filters.motion import POSE_SIZE
+from filters.motions.model import POSE_SIZE
+from filters.state import symmetric
+from filters.state.joint_state import JointState
 from filters.validation import FloatArray, IntArray
 
 

@@ -13,12 +13,12 @@ import numpy as np
 
 from filters import rotations
 from filters.camera import StereoCamera
-from filters.engine import symmetric
-from filters.engine.joint_state import JointState
 from filters.engine.kalman import joint_innovation_covariance, times_covariance
-from filters.engine.linearisation import linearise
-from filters.measurements.model import Stage
-from filters.motion import POSE_SIZE
+from filters.measurements.model import MeasurementModel, Stage
+from filters.motions.model import POSE_SIZE, CameraState
+from filters.state import symmetric
+from filters.state.joint_state import JointState
+from filters.updates.extended import Extended
 from filters.validation import BoolArray, FloatArray, IntArray
 
 STEP = np.diag(np.repeat([1.0, 0.1], 3) ** 2)
@@ -45,12 +45,20 @@ class Candidates:
 
 
 def next_measurements(
-    camera: StereoCamera, state: JointState, index: IntArray, R: FloatArray, new_uvd: FloatArray, new_R: FloatArray
+    sensor: MeasurementModel,
+    camera: StereoCamera,
+    state: JointState,
+    index: IntArray,
+    R: FloatArray,
+    new_uvd: FloatArray,
+    new_R: FloatArray,
 ) -> Candidates:
     """Candidates to keep: landmarks in the map first, then measurements that landmarks could start from.
 
     Parameters
     ----------
+    sensor : MeasurementModel
+        What is measured.
     camera : StereoCamera
         The rig.
     state : JointState
@@ -63,9 +71,11 @@ def next_measurements(
         Measurements and their noise. A landmark started there follows the camera: its next measurement depends on the
         step alone, and has the noise of both measurements.
     """
-    known = linearise(camera, state, index, Stage(np.zeros((len(index), 3)), np.eye(3), R))
+    stage = Stage(np.zeros((len(index), 3)), np.eye(3, sensor.size), R)
+    known = Extended().linearise(sensor, camera, state, index, stage)
     count = known.innovation.size
-    by_step = np.concatenate([known.by_camera, _by_step(camera, state.camera.R_wc, new_uvd)]).reshape(-1, POSE_SIZE)
+    new_by_step = _by_step(sensor, camera, state.camera, new_uvd)
+    by_step = np.concatenate([known.by_leading[:, :, :POSE_SIZE], new_by_step]).reshape(-1, POSE_SIZE)
     S = by_step @ STEP @ by_step.T
     S[:count, :count] += joint_innovation_covariance(state.P, known).reshape(count, count)
     new_rows = count + np.arange(3 * len(new_uvd)).reshape(-1, 3)
@@ -102,9 +112,9 @@ def most_informative(candidates: Candidates, count: int) -> BoolArray:
     return kept
 
 
-def _by_step(camera: StereoCamera, R_wc: FloatArray, uvd: FloatArray) -> FloatArray:
+def _by_step(sensor: MeasurementModel, camera: StereoCamera, here: CameraState, uvd: FloatArray) -> FloatArray:
     """Derivative of (u, v, d) of points now seen there by a step of the camera; (N, 3) -> (N, 3, 6)."""
-    h_c, scale = camera.ray(uvd), uvd[:, 2] / camera.disparity_constant
-    uvd_by_h = camera.project_scaled_jacobian(h_c, scale)[:, :, :3]
-    by_position = -scale[:, None, None] * uvd_by_h @ R_wc.T
-    return np.concatenate([by_position, uvd_by_h @ rotations.skew(h_c)], axis=2)
+    points_c = sensor.backproject(camera, uvd, here.variables)
+    by_point = sensor.jacobians(camera, points_c, here.variables).by_point[:, :3]
+    by_position = -points_c[:, 3, None, None] * by_point[:, :, :3] @ here.R_wc.T
+    return np.concatenate([by_position, by_point[:, :, :3] @ rotations.skew(points_c[:, :3])], axis=2)

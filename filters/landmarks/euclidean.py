@@ -6,38 +6,38 @@ Derivation: docs/derivations/euclidean.md.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
 from filters import rotations
-from filters.camera import StereoCamera
-from filters.landmarks.parametrisation import InverseDistances, NewLandmarks, Points, ScaledPoints
+from filters.landmarks.model import LandmarkModel, ScaledPoints, StartedLandmarks
 from filters.validation import BoolArray, FloatArray
 
 
 @dataclass(frozen=True)
-class Euclidean:
+class Euclidean(LandmarkModel):
     """A landmark is (X, Y, Z), m, in W."""
 
-    anchored: bool = False
-    shares_anchors: bool = False
+    submaps: ClassVar[bool] = True
+    kernel: ClassVar[str | None] = "euclidean"
 
-    def can_initialise(self, camera: StereoCamera, R_wc: FloatArray, uvd: FloatArray) -> BoolArray:
-        """Only d > 0 has a finite position in front of the camera."""
-        possible: BoolArray = uvd[:, 2] > 0
+    def can_start(self, h_w: FloatArray, scale: FloatArray) -> BoolArray:
+        """Only a scale > 0 has a finite position in front of the camera."""
+        possible: BoolArray = scale > 0.0
         return possible
 
-    def initialise(self, camera: StereoCamera, position: FloatArray, R_wc: FloatArray, uvd: FloatArray) -> NewLandmarks:
-        """X = r + R_wc h^C, with h^C of Eq. 21."""
-        h_c = camera.backproject(uvd)
-        h_c_by_uvd = np.linalg.inv(camera.project_jacobian(h_c))
-        return NewLandmarks(
-            position + rotations.turned(R_wc, h_c),
-            np.broadcast_to(np.eye(3), h_c_by_uvd.shape),
-            -R_wc @ rotations.skew(h_c),
-            R_wc @ h_c_by_uvd,
-            np.zeros(len(uvd), dtype=bool),
-        )
+    def parameters_of(self, position: FloatArray, h_w: FloatArray, scale: FloatArray) -> FloatArray:
+        """X = r + h_w / scale (Eq. 21)."""
+        X: FloatArray = position + h_w / scale[:, None]
+        return X
+
+    def started(self, position: FloatArray, h_w: FloatArray, scale: FloatArray) -> StartedLandmarks:
+        """`parameters_of` with its Jacobians."""
+        every = np.broadcast_to(np.eye(3), (len(scale), 3, 3))
+        by_scale = -h_w / scale[:, None] ** 2
+        X, free = self.parameters_of(position, h_w, scale), np.zeros(len(scale), dtype=bool)
+        return StartedLandmarks(X, every, every / scale[:, None, None], by_scale, free)
 
     def homogeneous(self, position: FloatArray, anchors: FloatArray | None, parameters: FloatArray) -> FloatArray:
         """Direction = X - r, scale = 1 (Eq. 9)."""
@@ -50,9 +50,9 @@ class Euclidean:
         by_parameters = np.broadcast_to(np.eye(4, 3), (len(parameters), 4, 3))
         return ScaledPoints(self.homogeneous(position, anchors, parameters), -by_parameters, by_parameters)
 
-    def points(self, anchors: FloatArray | None, parameters: FloatArray) -> Points:
-        """The parameters themselves."""
-        return Points(parameters.copy(), np.broadcast_to(np.eye(3), (len(parameters), 3, 3)))
+    def rotated(self, anchors: FloatArray | None, parameters: FloatArray, R: FloatArray) -> FloatArray:
+        """R X."""
+        return parameters @ R.T
 
     def world_rotation(self, anchors: FloatArray | None, parameters: FloatArray) -> FloatArray:
         """-[X]x."""
@@ -66,18 +66,5 @@ class Euclidean:
         spread: FloatArray,
         correction: FloatArray,
     ) -> FloatArray:
-        """turn X + spread correction."""
+        """turn X + spread correction: the exponential of the group."""
         return parameters @ turn.T + correction @ spread.T
-
-    def first_estimates(self, anchors: FloatArray | None, first: FloatArray, current: FloatArray) -> FloatArray:
-        """The first ones."""
-        return first
-
-    def inverse_distances(
-        self, position: FloatArray, anchors: FloatArray | None, parameters: FloatArray
-    ) -> InverseDistances:
-        """1 / |X - r|: the distance is from the camera."""
-        offset = parameters - position
-        inverse = 1.0 / np.linalg.norm(offset, axis=1)
-        by_parameters = -offset * inverse[:, None] ** 3
-        return InverseDistances(inverse, -by_parameters, by_parameters)

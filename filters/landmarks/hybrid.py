@@ -1,7 +1,7 @@
 """Hybrid: inverse depth while a landmark needs it, Euclidean XYZ once its position is practically Gaussian.
 
 Two ways to tell, both on offer: Civera's linearity index (Civera, Davison and Montiel 2008) while the landmark is
-being tracked, and a disparity at first sight from which it starts as XYZ (Paz et al. 2008). At first sight by a stereo
+being tracked, and a distance at first sight up to which it starts as XYZ (Paz et al. 2008). At first sight by a stereo
 pair the index is 4 sigma_d / d, so the two are one question asked at different times.
 
 Derivation: docs/derivations/euclidean.md.
@@ -10,13 +10,13 @@ Derivation: docs/derivations/euclidean.md.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
-from filters.camera import StereoCamera
 from filters.landmarks.euclidean import Euclidean
 from filters.landmarks.inverse_depth import InverseDepth, ray_direction
-from filters.landmarks.parametrisation import InverseDistances, NewLandmarks, Points, ScaledPoints
+from filters.landmarks.model import LandmarkModel, ScaledPoints, StartedLandmarks
 from filters.validation import BoolArray, FloatArray, positive
 
 _INVERSE_DEPTH, _EUCLIDEAN = InverseDepth(), Euclidean()
@@ -53,7 +53,7 @@ def linearity_index(
 
 
 @dataclass(frozen=True)
-class Hybrid:
+class Hybrid(LandmarkModel):
     """Inverse depth with shared anchors, or XYZ; a landmark whose anchor is NaN is XYZ.
 
     Parameters
@@ -61,30 +61,33 @@ class Hybrid:
     linearity_limit : float or None
         A landmark becomes XYZ as soon as its linearity index is below this; None: never. The default keeps the pose
         consistent on the reference drive, Civera's 0.1 does not (docs/verification.md).
-    near_disparity : float or None
-        A landmark first seen with at least this disparity, px, starts as XYZ; None: none does.
+    near_distance : float or None
+        A landmark first seen at most this far away, m, starts as XYZ; None: none does.
     """
 
     linearity_limit: float | None = 0.03
-    near_disparity: float | None = None
+    near_distance: float | None = None
     anchored: bool = True
     shares_anchors: bool = True
+    steady: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
-        for name in ("linearity_limit", "near_disparity"):
+        for name in ("linearity_limit", "near_distance"):
             if getattr(self, name) is not None:
                 positive(name, getattr(self, name))
 
-    def can_initialise(self, camera: StereoCamera, R_wc: FloatArray, uvd: FloatArray) -> BoolArray:
+    def can_start(self, h_w: FloatArray, scale: FloatArray) -> BoolArray:
         """As inverse depth."""
-        return _INVERSE_DEPTH.can_initialise(camera, R_wc, uvd)
+        return _INVERSE_DEPTH.can_start(h_w, scale)
 
-    def initialise(self, camera: StereoCamera, position: FloatArray, R_wc: FloatArray, uvd: FloatArray) -> NewLandmarks:
+    def started(self, position: FloatArray, h_w: FloatArray, scale: FloatArray) -> StartedLandmarks:
         """Near ones as XYZ, the others with inverse depth."""
-        near = self._near(uvd)
-        new = _INVERSE_DEPTH.initialise(camera, position, R_wc, uvd)
+        near = np.zeros(len(scale), dtype=bool)
+        if self.near_distance is not None:
+            near = scale * self.near_distance >= np.linalg.norm(h_w, axis=1)
+        new = _INVERSE_DEPTH.started(position, h_w, scale)
         if near.any():
-            points = _EUCLIDEAN.initialise(camera, position, R_wc, uvd[near])
+            points = _EUCLIDEAN.started(position, h_w[near], scale[near])
             for name in vars(new):
                 getattr(new, name)[near] = getattr(points, name)
         return new
@@ -104,24 +107,22 @@ class Hybrid:
         xyz = self.are_points(anchors)
         if not xyz.any():
             return seen
+        position = np.broadcast_to(position, parameters.shape)[xyz]
         points = _EUCLIDEAN.relative_to(position, None, parameters[xyz])
         by_position = seen.by_position.copy()
         seen.homogeneous[xyz], by_position[xyz] = points.homogeneous, points.by_position
         seen.by_map[xyz, :, :3], seen.by_map[xyz, :, 3:] = 0.0, points.by_map
         return ScaledPoints(seen.homogeneous, by_position, seen.by_map)
 
-    def points(self, anchors: FloatArray | None, parameters: FloatArray) -> Points:
-        """Landmark positions in W."""
-        points = _INVERSE_DEPTH.points(anchors, parameters)
-        xyz = self.are_points(anchors)
-        points.positions[xyz] = parameters[xyz]
-        points.by_map[xyz] = np.eye(3, 6, k=3)
-        return points
+    def rotated(self, anchors: FloatArray | None, parameters: FloatArray, R: FloatArray) -> FloatArray:
+        """The ray or the point turns."""
+        moved, xyz = _INVERSE_DEPTH.rotated(anchors, parameters, R), self.are_points(anchors)
+        moved[xyz] = _EUCLIDEAN.rotated(None, parameters[xyz], R)
+        return moved
 
     def world_rotation(self, anchors: FloatArray | None, parameters: FloatArray) -> FloatArray:
         """The ray or the point turns."""
-        effect = _INVERSE_DEPTH.world_rotation(anchors, parameters)
-        xyz = self.are_points(anchors)
+        effect, xyz = _INVERSE_DEPTH.world_rotation(anchors, parameters), self.are_points(anchors)
         effect[xyz] = _EUCLIDEAN.world_rotation(None, parameters[xyz])
         return effect
 
@@ -133,29 +134,16 @@ class Hybrid:
         spread: FloatArray,
         correction: FloatArray,
     ) -> FloatArray:
-        """Parameters of the landmarks turned with the world, as the right-invariant retraction wants it."""
-        moved = _INVERSE_DEPTH.turned(anchors, parameters, turn, spread, correction)
-        xyz = self.are_points(anchors)
+        """As that of the parametrisation each landmark has."""
+        moved, xyz = _INVERSE_DEPTH.turned(anchors, parameters, turn, spread, correction), self.are_points(anchors)
         moved[xyz] = _EUCLIDEAN.turned(None, parameters[xyz], turn, spread, correction[xyz])
         return moved
 
     def first_estimates(self, anchors: FloatArray | None, first: FloatArray, current: FloatArray) -> FloatArray:
         """The first point, or the first angles with the current rho."""
-        estimates = _INVERSE_DEPTH.first_estimates(anchors, first, current)
-        xyz = self.are_points(anchors)
+        estimates, xyz = _INVERSE_DEPTH.first_estimates(anchors, first, current), self.are_points(anchors)
         estimates[xyz] = first[xyz]
         return estimates
-
-    def inverse_distances(
-        self, position: FloatArray, anchors: FloatArray | None, parameters: FloatArray
-    ) -> InverseDistances:
-        """From the anchor where there is one, else from the camera position."""
-        inverse = _INVERSE_DEPTH.inverse_distances(position, anchors, parameters)
-        xyz = self.are_points(anchors)
-        points = _EUCLIDEAN.inverse_distances(position, None, parameters[xyz])
-        for name in vars(inverse):
-            getattr(inverse, name)[xyz] = getattr(points, name)
-        return inverse
 
     def are_points(self, anchors: FloatArray | None) -> BoolArray:
         """Which landmarks are XYZ: those without an anchor; (M, 3) -> (M,)."""
@@ -164,17 +152,12 @@ class Hybrid:
         return missing
 
     def become_points(
-        self, position: FloatArray, anchors: FloatArray, parameters: FloatArray, rho_variance: FloatArray
+        self, position: FloatArray, anchors: FloatArray | None, parameters: FloatArray, variances: FloatArray
     ) -> BoolArray:
-        """Which inverse-depth landmarks are to become XYZ now; arguments as of `linearity_index`."""
+        """Those whose linearity index is below the limit."""
         if self.linearity_limit is None:
             return np.zeros(len(parameters), dtype=bool)
-        sigma = np.sqrt(np.maximum(rho_variance, 0.0))
+        assert anchors is not None
+        sigma = np.sqrt(np.maximum(variances[:, 2], 0.0))
         linear = linearity_index(position, anchors, parameters, sigma) < self.linearity_limit
         return linear & ~self.are_points(anchors)
-
-    def _near(self, uvd: FloatArray) -> BoolArray:
-        if self.near_disparity is None:
-            return np.zeros(len(uvd), dtype=bool)
-        near: BoolArray = uvd[:, 2] >= self.near_disparity
-        return near

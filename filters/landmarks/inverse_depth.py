@@ -9,12 +9,12 @@ Derivation: docs/derivations/inverse_depth.md.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
 from filters import rotations
-from filters.camera import StereoCamera
-from filters.landmarks.parametrisation import InverseDistances, NewLandmarks, Points, ScaledPoints
+from filters.landmarks.model import LandmarkModel, ScaledPoints, StartedLandmarks
 from filters.validation import BoolArray, FloatArray
 
 # Tangent of the angle to the vertical below which azimuth is undefined in double precision.
@@ -67,43 +67,34 @@ def angles_jacobian(h_w: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True)
-class InverseDepth:
+class InverseDepth(LandmarkModel):
     """Inverse depth with one anchor a landmark: six numbers each."""
 
     anchored: bool = True
     shares_anchors: bool = False
+    submaps: ClassVar[bool] = True
+    kernel: ClassVar[str | None] = "inverse-depth"
 
-    def can_initialise(self, camera: StereoCamera, R_wc: FloatArray, uvd: FloatArray) -> BoolArray:
+    def can_start(self, h_w: FloatArray, scale: FloatArray) -> BoolArray:
         """All but rays along the vertical of W, where the azimuth (Eq. 24) is undefined."""
-        h_w = rotations.turned(R_wc, camera.ray(uvd))
         squares = h_w * h_w
         possible: BoolArray = squares[:, 0] + squares[:, 2] > _VERTICAL**2 * squares[:, 1]
         return possible
 
-    def initialise(self, camera: StereoCamera, position: FloatArray, R_wc: FloatArray, uvd: FloatArray) -> NewLandmarks:
+    def parameters_of(self, position: FloatArray, h_w: FloatArray, scale: FloatArray) -> FloatArray:
         """theta, phi and rho of new landmarks (Eq. 21-24); the anchor is the camera position (Eq. 20)."""
-        h_c = camera.ray(uvd)
-        h_w = rotations.turned(R_wc, h_c)
-        length = np.sqrt((h_c * h_c).sum(axis=1))
-        rho_per_d = 1.0 / (camera.disparity_constant * length)
-        parameters = np.empty((len(uvd), 3))
-        parameters[:, :2], parameters[:, 2] = angles_of(h_w), uvd[:, 2] * rho_per_d
-        angles_by_h_c = angles_jacobian(h_w) @ R_wc
+        return np.column_stack([angles_of(h_w), scale / np.sqrt((h_w * h_w).sum(axis=1))])
 
-        by_rotation = np.zeros((len(uvd), 3, 3))
-        by_rotation[:, :2] = -angles_by_h_c @ rotations.skew(h_c)
-        h_c_by_pixel = np.array([1.0 / camera.fx, 1.0 / camera.fy])
-        by_measurement = np.zeros((len(uvd), 3, 3))
-        by_measurement[:, :2, :2] = angles_by_h_c[:, :, :2] * h_c_by_pixel
-        by_measurement[:, 2, :2] = -(parameters[:, 2] / length**2)[:, None] * h_c[:, :2] * h_c_by_pixel
-        by_measurement[:, 2, 2] = rho_per_d
-        return NewLandmarks(
-            parameters,
-            np.zeros((len(uvd), 3, 3)),
-            by_rotation,
-            by_measurement,
-            np.ones(len(uvd), dtype=bool),
-        )
+    def started(self, position: FloatArray, h_w: FloatArray, scale: FloatArray) -> StartedLandmarks:
+        """`parameters_of` with its Jacobians."""
+        parameters = self.parameters_of(position, h_w, scale)
+        square = (h_w * h_w).sum(axis=1)
+        by_direction, by_scale = np.empty((len(h_w), 3, 3)), np.zeros((len(h_w), 3))
+        by_direction[:, :2] = angles_jacobian(h_w)
+        by_direction[:, 2] = -(parameters[:, 2] / square)[:, None] * h_w
+        by_scale[:, 2] = 1.0 / np.sqrt(square)
+        anchored = np.ones(len(h_w), dtype=bool)
+        return StartedLandmarks(parameters, np.zeros((len(h_w), 3, 3)), by_direction, by_scale, anchored)
 
     def homogeneous(self, position: FloatArray, anchors: FloatArray | None, parameters: FloatArray) -> FloatArray:
         """Direction = rho (anchor - r) + m, scale = rho: Eq. 8 multiplied by rho, so regular at rho = 0."""
@@ -123,18 +114,9 @@ class InverseDepth:
         by_map[:, 3, 5] = 1.0
         return ScaledPoints(self.homogeneous(position, anchors, parameters), -by_map[:, :, :3], by_map)
 
-    def points(self, anchors: FloatArray | None, parameters: FloatArray) -> Points:
-        """Eq. 4; not finite where rho = 0."""
-        assert anchors is not None
-        rho = parameters[:, 2, None]
-        m = ray_direction(parameters)
-        by_map = np.zeros((len(parameters), 3, 6))
-        by_map[:, :, :3] = np.eye(3)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            positions = anchors + m / rho
-            by_map[:, :, 3:5] = ray_direction_jacobian(parameters) / rho[:, :, None]
-            by_map[:, :, 5] = -m / rho**2
-        return Points(positions, by_map)
+    def rotated(self, anchors: FloatArray | None, parameters: FloatArray, R: FloatArray) -> FloatArray:
+        """The ray turns, rho stays."""
+        return np.column_stack([angles_of(ray_direction(parameters) @ R.T), parameters[:, 2]])
 
     def world_rotation(self, anchors: FloatArray | None, parameters: FloatArray) -> FloatArray:
         """The ray turns, rho stays."""
@@ -143,26 +125,19 @@ class InverseDepth:
         effect[:, :2] = -angles_jacobian(m) @ rotations.skew(m)
         return effect
 
-    def turned(
-        self,
-        anchors: FloatArray | None,
-        parameters: FloatArray,
-        turn: FloatArray,
-        spread: FloatArray,
-        correction: FloatArray,
-    ) -> FloatArray:
-        """Correct the parameters, then turn the ray."""
-        corrected = parameters + correction
-        return np.column_stack([angles_of(ray_direction(corrected) @ turn.T), corrected[:, 2]])
-
     def first_estimates(self, anchors: FloatArray | None, first: FloatArray, current: FloatArray) -> FloatArray:
         """The first angles, the current rho: turning the world leaves rho alone, and freezing it can diverge."""
         return np.column_stack([first[:, :2], current[:, 2]])
 
-    def inverse_distances(
-        self, position: FloatArray, anchors: FloatArray | None, parameters: FloatArray
-    ) -> InverseDistances:
-        """Rho itself: the distance is from the anchor."""
-        by_parameters = np.zeros((len(parameters), 3))
-        by_parameters[:, 2] = 1.0
-        return InverseDistances(parameters[:, 2].copy(), np.zeros((len(parameters), 3)), by_parameters)
+    def turned_jacobians(
+        self, anchors: FloatArray | None, parameters: FloatArray, theta: FloatArray, correction: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """By the chain rule through the ray."""
+        corrected, turn = parameters + correction, rotations.exp(theta)
+        m = ray_direction(corrected) @ turn.T
+        by_m = angles_jacobian(m)
+        by_correction, by_theta = np.zeros((len(m), 3, 3)), np.zeros((len(m), 3, 3))
+        by_correction[:, :2, :2] = by_m @ turn @ ray_direction_jacobian(corrected)
+        by_correction[:, 2, 2] = 1.0
+        by_theta[:, :2] = -by_m @ rotations.skew(m) @ rotations.right_jacobian(-theta)
+        return by_correction, by_theta

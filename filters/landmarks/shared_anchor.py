@@ -9,6 +9,7 @@ Derivation: docs/derivations/inverse_depth.md.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 from filters.landmarks.inverse_depth import InverseDepth
 
@@ -18,3 +19,4 @@ class SharedAnchorInverseDepth(InverseDepth):
     """`InverseDepth` whose anchors are shared by the landmarks of one frame."""
 
     shares_anchors: bool = True
+    kernel: ClassVar[str | None] = "inverse-depth"

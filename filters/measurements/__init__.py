@@ -1,1 +1,1 @@
-"""Measurement models: one file each, all offering `MeasurementModel`."""
+"""Measurement models: one file a sensor, all `MeasurementModel`."""

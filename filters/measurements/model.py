@@ -1,18 +1,27 @@
-"""Interface of measurement models: how the measurements of a frame enter the update.
+"""Base class of measurement models: what the sensor measures of a point, and how a frame is used.
 
-Every model here is linear in the stereo triple (u, v, d): z = T (u, v, d). So Eq. 7-10 and its Jacobian are
-written once, and the models differ in T, in the noise, and in the order of the updates.
+A part gives the numbers that the sensor measures of points in the camera frame, and the inverse. The points are
+homogeneous, so that one at infinity or beyond is nothing special. Jacobians are numerical by default.
 
 Derivation: docs/derivations/measurements.md.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import ClassVar
 
+import numpy as np
+
+from filters import differences
+from filters.camera import StereoCamera
 from filters.interface import StereoObservation
-from filters.validation import FloatArray
+from filters.validation import BoolArray, FloatArray
+from filters.variables import Variable
+
+Values = Mapping[str, FloatArray]
+"""Values of named variables."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,11 +31,11 @@ class Stage:
     Attributes
     ----------
     z : (M, k)
-        Measurements, px.
-    T : (k, 3)
-        z = T (u, v, d).
+        Measurements.
+    T : (k, s)
+        z = T times the s numbers of the sensor.
     R : (M, k, k)
-        Covariance of z, px^2.
+        Covariance of z.
     """
 
     z: FloatArray
@@ -34,22 +43,97 @@ class Stage:
     R: FloatArray
 
 
-@runtime_checkable
-class MeasurementModel(Protocol):
-    """Turns the measurements of a frame into the stages of its update.
+@dataclass(frozen=True, eq=False)
+class SensorJacobians:
+    """Jacobians of the s numbers of the sensor by homogeneous points, (M, s, 4), and by each variable, (M, s, size)."""
+
+    by_point: FloatArray
+    by_variable: Mapping[str, FloatArray]
+
+
+class MeasurementModel:
+    """A function of points in the camera frame and of the variables that it names, vectorised over points.
+
+    The numbers of the sensor are those of a `StereoObservation`: the three of `uvd`, and `v_right` as a fourth where
+    the model has it. Of a rectified pair they are (u, v, d); another sensor may give the columns its own meaning.
+
+    Attributes
+    ----------
+    size : int
+        Numbers of the sensor, s: 3, or 4 with `v_right`.
+    variables : tuple of Variable
+        Variables of the state that it needs.
+    kernel : str or None
+        Compiled counterpart. It holds for the class that states it, not for its subclasses.
 
     References
     ----------
     Chen, Lin and Shih, "Using range and bearing observation in stereo-based EKF SLAM", Eq. 7 to 10, section 4.
+    F. Dellaert, "Factor graphs and GTSAM", 2012 (its `CustomFactor`).
     """
+
+    size: ClassVar[int] = 3
+    variables: tuple[Variable, ...] = ()
+    kernel: ClassVar[str | None] = None
+
+    # --- what a part gives ---
+
+    def predict(self, camera: StereoCamera, points_c: FloatArray, values: Values) -> FloatArray:
+        """Numbers of the sensor; points (..., 4), direction and scale, the point is direction / scale -> (..., s)."""
+        raise NotImplementedError(f"{type(self).__name__} must have predict: see MeasurementModel")
+
+    def backproject(self, camera: StereoCamera, uvd: FloatArray, values: Values) -> FloatArray:
+        """Homogeneous points (M, 4) in the camera frame at the measurements (M, 3)."""
+        raise NotImplementedError(f"{type(self).__name__} must have backproject: see MeasurementModel")
+
+    # --- what it may give instead of the default ---
 
     def stages(self, observation: StereoObservation, R: FloatArray) -> tuple[Stage, ...]:
         """Updates to be made one after the other, each linearised at the state the previous one left.
+
+        The default is one, with all numbers; the error of `v_right` is independent of the others and has the variance
+        of v. Where it is missing, the other three are used.
 
         Parameters
         ----------
         observation : StereoObservation
             M measurements.
         R : (M, 3, 3)
-            Covariance of (u, v, d), px^2.
+            Covariance of `uvd`.
         """
+        if self.size == 3 or observation.v_right is None:
+            return (Stage(observation.uvd, np.eye(3, self.size), R),)
+        joint = np.zeros((len(R), 4, 4))
+        joint[:, :3, :3], joint[:, 3, 3] = R, R[:, 1, 1]
+        return (Stage(np.column_stack([observation.uvd, observation.v_right]), np.eye(4), joint),)
+
+    def in_front(self, points_c: FloatArray) -> BoolArray:
+        """Which homogeneous points (M, 4) the sensor can see at all: those with a direction ahead."""
+        forward: BoolArray = points_c[:, 2] > 0.0
+        return forward
+
+    def jacobians(self, camera: StereoCamera, points_c: FloatArray, values: Values) -> SensorJacobians:
+        """Jacobians of `predict`."""
+        by_point = differences.jacobian(lambda e: self.predict(camera, points_c + e, values), 4)
+        by_variable = {
+            variable.name: differences.jacobian(
+                lambda e, x=variable: self.predict(camera, points_c, _corrected(values, x, e)), variable.size
+            )
+            for variable in self.variables
+        }
+        return SensorJacobians(by_point, by_variable)
+
+    def backprojection_jacobians(self, camera: StereoCamera, uvd: FloatArray, values: Values) -> SensorJacobians:
+        """Jacobians of `backproject`, (M, 4, 3) by the measurement as `by_point`, and by each variable."""
+        by_measurement = differences.jacobian(lambda e: self.backproject(camera, uvd + e, values), 3)
+        by_variable = {
+            variable.name: differences.jacobian(
+                lambda e, x=variable: self.backproject(camera, uvd, _corrected(values, x, e)), variable.size
+            )
+            for variable in self.variables
+        }
+        return SensorJacobians(by_measurement, by_variable)
+
+
+def _corrected(values: Values, variable: Variable, delta: FloatArray) -> Values:
+    return {**values, variable.name: variable.retraction.retract(values[variable.name], delta)}

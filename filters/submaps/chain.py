@@ -10,8 +10,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from filters.engine import symmetric
-from filters.engine.joint_state import JointState
+from filters.state import symmetric
+from filters.state.joint_state import JointState
 from filters.submaps.submap import Relation, Submap, regression, units
 from filters.validation import BoolArray, IntArray
 
@@ -48,7 +48,7 @@ class SubmapChain:
         They are independent of all that follows given the camera of now and the landmarks that stay.
         """
         stays = ~gone
-        shared_before, clone = active.held, active.hold_camera()
+        shared_before, clone = active.held, active.hold_variables()
         used = _blocks_of(active.parameter_block, active.anchor_block)
         needed = _blocks_of(active.parameter_block[stays], active.anchor_block[stays])
         blocks, common = np.union1d(used, active.held), np.union1d(needed, clone)

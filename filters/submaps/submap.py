@@ -13,9 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import blas, lapack
 
-from filters.engine import symmetric
-from filters.engine.joint_state import JointState
-from filters.motion import CAMERA_SIZE
+from filters.state import symmetric
+from filters.state.joint_state import JointState
 from filters.validation import BoolArray, FloatArray, IntArray
 
 NEGLIGIBLE = 1e-12
@@ -216,21 +215,23 @@ class Submap:
         link : (c,) int64
             Which blocks of the next submap the common ones are.
         """
-        known = np.concatenate([np.arange(CAMERA_SIZE), later.block_rows(link)])
+        leading = later.layout.size
+        known = np.concatenate([later.layout.rows, later.block_rows(link)])
         P_known = symmetric.rows(later.P, known)[:, known]
-        cross = self.gain @ P_known[CAMERA_SIZE:]
+        cross = self.gain @ P_known[leading:]
         shift = (later.blocks[link] - self.values[self.common]).ravel()
         blocks = self.values.copy()
         blocks[self.own] += (self.gain @ shift).reshape(-1, 3)
         blocks[self.common] = later.blocks[link]
-        rows = np.concatenate([np.arange(CAMERA_SIZE), CAMERA_SIZE + block_rows(self.common)])
-        own_rows = CAMERA_SIZE + block_rows(self.own)
-        P = np.empty((CAMERA_SIZE + 3 * len(self.values),) * 2, order="F")
+        rows = np.concatenate([later.layout.rows, leading + block_rows(self.common)])
+        own_rows = leading + block_rows(self.own)
+        P = np.empty((leading + 3 * len(self.values),) * 2, order="F")
         P[np.ix_(rows, rows)] = P_known
         P[np.ix_(own_rows, rows)] = cross
         P[np.ix_(rows, own_rows)] = cross.T
-        P[np.ix_(own_rows, own_rows)] = self.covariance + cross[:, CAMERA_SIZE:] @ self.gain.T
+        P[np.ix_(own_rows, own_rows)] = self.covariance + cross[:, leading:] @ self.gain.T
         return JointState(
+            later.layout,
             later.camera,
             P,
             later.model,

@@ -25,15 +25,10 @@ from filters.interface import (
     VelocityBelief,
 )
 from filters.noise import StereoNoise
+from filters.parts import SLOTS
 from filters.start import Start
 from filters.submaps.chain import SubmapChain
 from filters.validation import FloatArray, IntArray, unique_ids
-
-_SUPPORTED = {
-    "landmark": ("inverse-depth", "shared-anchor", "euclidean"),
-    "error": ("quaternion", "so3", "first-estimates"),
-    "drop_unseen": (False,),
-}
 
 
 class SubmapEKF(StereoFilter):
@@ -53,10 +48,10 @@ class SubmapEKF(StereoFilter):
         submaps many.
     patience : int
         Updates without a measurement after which a landmark counts as out of view.
-    landmark : {"shared-anchor", "inverse-depth", "euclidean"}
-        Parametrisation of landmarks.
+    landmark : str, mapping or LandmarkModel
+        Parametrisation of landmarks, one that supports submaps: "shared-anchor", "inverse-depth" or "euclidean".
     **options
-        Any of `StereoEKF`, but no `drop_unseen` and no right-invariant errors.
+        Any of `StereoEKF`, but no `drop_unseen` and no error definition that turns all blocks together.
 
     Raises
     ------
@@ -77,18 +72,21 @@ class SubmapEKF(StereoFilter):
         for name, value in (("max_unseen", max_unseen), ("patience", patience)):
             if type(value) is not int or value < 1:
                 raise ValueError(f"{name} must be an integer >= 1, got {value!r}")
-        chosen = {"landmark": landmark, "drop_unseen": False, **options}
         known = inspect.signature(StereoEKF).parameters
-        for name, value in chosen.items():
+        for name in options:
             if name not in known:
                 raise ValueError(f"option {name!r} is not one of SubmapEKF: see StereoEKF, max_unseen and patience")
-            if name in _SUPPORTED and value not in _SUPPORTED[name]:
-                possible = ", ".join(map(repr, _SUPPORTED[name]))
-                raise ValueError(f"{name} must be one of {possible} with submaps, got {value!r}")
+        if options.pop("drop_unseen", False):
+            raise ValueError("drop_unseen must be False with submaps, got True: they keep every landmark")
+        active = StereoEKF(camera, noise, landmark=landmark, drop_unseen=False, **options)
+        for slot, able in (("landmark", _able("landmark")), ("error", _able("error"))):
+            part = getattr(active.options, slot)
+            if not part.submaps:
+                raise ValueError(f"{slot} must be one of {able} with submaps, got {type(part).__name__}")
         self.camera = camera
         self.noise = noise
         self._max_unseen = max_unseen
-        self._active = StereoEKF(camera, noise, **chosen)
+        self._active = active
         self._chain = SubmapChain()
         self._recent: deque[IntArray] = deque(maxlen=patience)
 
@@ -206,3 +204,9 @@ class SubmapEKF(StereoFilter):
     def _views(self) -> Iterator[StereoEKF]:
         """The submaps at rest, newest first, each as a filter that knows its landmarks and the present camera."""
         return (self._active.with_state(state) for state in self._chain.seen_from(self._active.state))
+
+
+def _able(slot: str) -> str:
+    """Names of the parts that support submaps."""
+    named = SLOTS[slot].named
+    return ", ".join(repr(name) for name, kind in named.items() if kind.submaps)  # type: ignore[attr-defined]

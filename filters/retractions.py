@@ -1,14 +1,14 @@
-"""Retractions of the orientation: corrections by three numbers in the camera frame.
+"""Retractions: how a correction of a few numbers changes the value of a variable.
 
 `retract` applies it, `local` is the inverse, and `transport` is the Jacobian that carries the covariance from the
-old orientation to the new one. All take one camera or many at once.
+old value to the new one. All take one value or many at once. Those of the orientation are corrections by three numbers
+in the camera frame.
 
 Derivation: docs/derivations/errors.md.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Protocol
 
 import numpy as np
@@ -20,7 +20,7 @@ _EYE = np.eye(3)
 
 
 class Retraction(Protocol):
-    """Retraction of the orientation, for one camera or many.
+    """Retraction of a variable of s error numbers and v numbers of its value, for one or many.
 
     References
     ----------
@@ -29,14 +29,31 @@ class Retraction(Protocol):
     encapsulation of manifolds", Information Fusion 14(1), 2013.
     """
 
-    def retract(self, orientation: FloatArray, delta: FloatArray) -> FloatArray:
-        """Corrected orientation; (..., 4), (..., 3) rad -> (..., 4)."""
+    def retract(self, value: FloatArray, delta: FloatArray) -> FloatArray:
+        """Corrected value; (..., v), (..., s) -> (..., v)."""
 
-    def local(self, orientation: FloatArray, other: FloatArray) -> FloatArray:
-        """The correction that takes `orientation` to `other`; (..., 4), (..., 4) -> (..., 3)."""
+    def local(self, value: FloatArray, other: FloatArray) -> FloatArray:
+        """The correction that takes `value` to `other`; (..., v), (..., v) -> (..., s)."""
 
     def transport(self, delta: FloatArray) -> FloatArray:
-        """d local(retract(q, delta), retract(q, delta + e)) / d e at e = 0; (..., 3) -> (..., 3, 3)."""
+        """d local(retract(x, delta), retract(x, delta + e)) / d e at e = 0; (..., s) -> (..., s, s)."""
+
+
+class Additive:
+    """The correction is added."""
+
+    def retract(self, value: FloatArray, delta: FloatArray) -> FloatArray:
+        """x + delta."""
+        return value + delta
+
+    def local(self, value: FloatArray, other: FloatArray) -> FloatArray:
+        """The difference."""
+        return other - value
+
+    def transport(self, delta: FloatArray) -> FloatArray:
+        """The identity."""
+        size = delta.shape[-1]
+        return np.broadcast_to(np.eye(size), (*delta.shape[:-1], size, size))
 
 
 class AdditiveQuaternion:
@@ -48,13 +65,13 @@ class AdditiveQuaternion:
     normalise(q + dq) is `retract`, the normalisation Jacobian I - q q^T (over the norm) is `transport`.
     """
 
-    def retract(self, orientation: FloatArray, delta: FloatArray) -> FloatArray:
+    def retract(self, value: FloatArray, delta: FloatArray) -> FloatArray:
         """q x (delta / 2, 1), normalised."""
-        return rotations.multiply(orientation, np.concatenate([0.5 * delta, np.ones((*delta.shape[:-1], 1))], axis=-1))
+        return rotations.multiply(value, np.concatenate([0.5 * delta, np.ones((*delta.shape[:-1], 1))], axis=-1))
 
-    def local(self, orientation: FloatArray, other: FloatArray) -> FloatArray:
+    def local(self, value: FloatArray, other: FloatArray) -> FloatArray:
         """Twice the vector part over the scalar part."""
-        dq = rotations.between(orientation, other)
+        dq = rotations.between(value, other)
         correction: FloatArray = 2.0 * dq[..., :3] / dq[..., 3:]
         return correction
 
@@ -79,17 +96,17 @@ def additive_transport_of(x: float, y: float, z: float) -> rotations.Nine:
 class RotationVector:
     """SO(3) error state: q x q(delta)."""
 
-    def retract(self, orientation: FloatArray, delta: FloatArray) -> FloatArray:
+    def retract(self, value: FloatArray, delta: FloatArray) -> FloatArray:
         """q x q(delta)."""
-        return rotations.multiply(orientation, rotations.exp_quaternion(delta))
+        return rotations.multiply(value, rotations.exp_quaternion(delta))
 
-    def local(self, orientation: FloatArray, other: FloatArray) -> FloatArray:
+    def local(self, value: FloatArray, other: FloatArray) -> FloatArray:
         """Log(R^T R_other)."""
-        return rotations.log(rotations.matrix(orientation).swapaxes(-1, -2) @ rotations.matrix(other))
+        return rotations.log(rotations.matrix(value).swapaxes(-1, -2) @ rotations.matrix(other))
 
     def transport(self, delta: FloatArray) -> FloatArray:
         """The right Jacobian of SO(3)."""
         return rotations.right_jacobian(delta)
 
 
-RETRACTIONS: Mapping[str, Retraction] = {"quaternion": AdditiveQuaternion(), "so3": RotationVector()}
+ADDITIVE: Retraction = Additive()

@@ -1,7 +1,7 @@
 """The joint state x = (x_C, y_1, ..., y_n) of Eq. 1 with its covariance: augmentation, marginalisation, correction.
 
-The error state is the 12 numbers of the camera followed by blocks of three: landmark parameters and anchors.
-Only the lower triangle of P is valid. Each operation checks nothing: the filter has done so.
+The error state is that of the named variables (`engine.layout`) followed by blocks of three: landmarks, anchors and
+clones of the pose. Only the lower triangle of P is valid. Each operation checks nothing: the filter has done so.
 
 A landmark that leaves only empties its blocks: their values, and their rows and columns of P, become zero, which every
 other operation leaves as they are. New landmarks move into empty blocks, so that coming and going costs in proportion
@@ -14,108 +14,129 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.linalg import blas
 
 from filters import rotations
-from filters.engine import symmetric
-from filters.landmarks.parametrisation import LandmarkModel, NewLandmarks
-from filters.motion import CAMERA_SIZE, LINEAR, POSE_SIZE, POSITION, ROTATION, CameraState
+from filters.landmarks.model import LandmarkModel, StartedLandmarks
+from filters.motions.model import POSE_SIZE, POSITION, ROTATION, CameraState
+from filters.start import Start
+from filters.state import symmetric
+from filters.state.layout import Layout
 from filters.validation import BoolArray, FloatArray, IntArray
 
-_CAMERA = np.arange(CAMERA_SIZE)
-_EYE = np.eye(CAMERA_SIZE)
-_NOTHING = np.zeros((CAMERA_SIZE, CAMERA_SIZE))
 _EMPTY_SHARE = 1 / 8  # of the blocks: where carrying empty rows through every update costs more than leaving them out
-_FIRST_BLOCK = np.arange(CAMERA_SIZE, CAMERA_SIZE + 3)
-
+_BLOCK = np.arange(3)
 
 Adjust = Callable[[FloatArray, FloatArray], FloatArray]
-"""(J of new blocks by the pose (m, 6), effect of a rotation of the world on them (m, 3)) -> J to be used."""
-
-
-TransformLeading = Callable[[FloatArray, FloatArray, FloatArray], None]
+"""(J of new blocks by leading rows (m, c), effect of a rotation of the world on them (m, 3)) -> J to be used."""
 
 
 def _no_landmarks() -> IntArray:
     return np.zeros(0, dtype=np.int64)
 
 
-def _no_blocks() -> FloatArray:
-    return np.zeros((0, 3))
+@dataclass(frozen=True, eq=False)
+class NewLandmarks:
+    """M landmarks that enter the map.
+
+    Attributes
+    ----------
+    ids : (M,) int64
+        Their identities.
+    started : StartedLandmarks
+        Their values.
+    by_leading : (M, 3, c)
+        Jacobian of their error numbers by the leading rows (J_xc of Eq. 25).
+    noise : (M, 3, 3)
+        What the measurement adds to their covariance (J_R R J_R^T).
+    """
+
+    ids: IntArray
+    started: StartedLandmarks
+    by_leading: FloatArray
+    noise: FloatArray
 
 
-def world_rotation_of_camera(camera: CameraState) -> FloatArray:
-    """Gamma of the camera: effect of a rotation of the world about its origin on the error state; (12, 3)."""
-    effect = np.zeros((CAMERA_SIZE, 3))
+@dataclass(frozen=True, eq=False)
+class Clone:
+    """Copy of the pose at some instant: position (3,), orientation (4,), and the two blocks of its errors."""
+
+    position: FloatArray
+    orientation: FloatArray
+    blocks: IntArray
+
+
+def world_rotation_of_variables(layout: Layout, camera: CameraState) -> FloatArray:
+    """Gamma of the variables: effect of a rotation of the world about its origin on their errors; (c, 3)."""
+    effect = np.zeros((layout.size, 3))
     effect[POSITION] = -rotations.skew(camera.position)
     effect[ROTATION] = camera.R_wc.T
-    effect[LINEAR] = -rotations.skew(camera.linear_velocity)
+    effect[layout.linear_velocity] = -rotations.skew(camera.linear_velocity)
     return effect
 
 
 @dataclass(eq=False)
 class JointState:
-    """Camera, map and covariance.
+    """Named variables, map and covariance.
 
     Attributes
     ----------
+    layout : Layout
+        Rows of the named variables.
     camera : CameraState
-        x_C.
+        Their values.
     P : (n, n)
         Covariance of the error state, lower triangle, column-major.
     model : LandmarkModel
         Parametrisation of the landmarks.
     predicted : CameraState
-        The camera as it was predicted last, before any correction.
-    blocks, first_blocks : (B, 3)
-        Values of the map blocks, now and when they entered; block b is at rows 12 + 3 b of P. Empty ones are zero.
+        The variables as they were predicted last, before any correction.
+    blocks, first_blocks : (B, v)
+        Values of the map blocks, now and when they entered; block b is at rows c + 3 b of P, c the size of the layout.
+        Empty ones are zero; anchors are the first three numbers.
     ids : (N,) int64
         Landmark identities, in the order in which they entered.
     parameter_block, anchor_block : (N,) int64
         Blocks of each landmark; the anchor block is -1 where there is none.
     empty_blocks : (E,) int64
         Blocks without a landmark or anchor, ascending.
-    transform_leading : function
-        How P is transformed with the camera, see `symmetric.transform_leading`.
     held : (H,) int64
         Blocks that stay whether or not a landmark uses them, in the order in which they were held.
+    clones : dict of str to Clone
+        Clones of the pose by name; their blocks are held.
     """
 
+    layout: Layout
     camera: CameraState
     P: FloatArray
     model: LandmarkModel
     predicted: CameraState
-    blocks: FloatArray = field(default_factory=_no_blocks)
-    first_blocks: FloatArray = field(default_factory=_no_blocks)
+    blocks: FloatArray
+    first_blocks: FloatArray
     ids: IntArray = field(default_factory=_no_landmarks)
     parameter_block: IntArray = field(default_factory=_no_landmarks)
     anchor_block: IntArray = field(default_factory=_no_landmarks)
     empty_blocks: IntArray = field(default_factory=_no_landmarks)
-    transform_leading: TransformLeading = symmetric.transform_leading
     held: IntArray = field(default_factory=_no_landmarks)
+    clones: dict[str, Clone] = field(default_factory=dict)
 
     @classmethod
-    def without_map(
-        cls,
-        camera: CameraState,
-        P: FloatArray,
-        model: LandmarkModel,
-        transform_leading: TransformLeading = symmetric.transform_leading,
-    ) -> JointState:
-        """A camera with its covariance (12, 12), and nothing seen yet."""
-        return cls(camera, np.array(P, order="F"), model, predicted=camera, transform_leading=transform_leading)
+    def at(cls, start: Start, layout: Layout, model: LandmarkModel) -> JointState:
+        """The variables at the start, and nothing seen yet."""
+        camera, P = layout.start(start)
+        nothing = np.zeros((0, model.value_size))
+        return cls(layout, camera, P, model, camera, nothing, nothing)
 
     def __len__(self) -> int:
         return len(self.ids)
 
     @property
     def rows_in_use(self) -> IntArray:
-        """Rows of P of the camera, landmarks and anchors: all but those of empty blocks, which are zero."""
+        """Rows of P of the variables, landmarks and anchors: all but those of empty blocks, which are zero."""
         used = np.delete(np.arange(len(self.blocks)), self.empty_blocks)
-        return np.concatenate([_CAMERA, self.block_rows(used)])
+        return np.concatenate([self.layout.rows, self.block_rows(used)])
 
     def parameters(self, index: IntArray | slice = slice(None)) -> FloatArray:
-        """Parameters of the landmarks at `index`, (M, 3)."""
+        """Values of the landmarks at `index`, (M, v)."""
         taken: FloatArray = self.blocks[self.parameter_block[index]]
         return taken
 
@@ -124,7 +145,7 @@ class JointState:
         if not self.model.anchored:
             return None
         block = self.anchor_block[index]
-        anchors: FloatArray = self.blocks[block]
+        anchors: FloatArray = self.blocks[block, :3]
         anchors[block < 0] = np.nan
         return anchors
 
@@ -137,24 +158,20 @@ class JointState:
         if self.model.anchored:
             anchor = self.anchor_block[index, None]
             first = np.hstack([np.where(anchor < 0, first, anchor), first])
-        return (3 * first[:, :, None] + _FIRST_BLOCK).reshape(len(index), 3 * first.shape[1])
+        return (self.layout.size + 3 * first[:, :, None] + _BLOCK).reshape(len(index), 3 * first.shape[1])
 
-    def transform_camera(self, F: FloatArray, added: FloatArray | None = None) -> None:
-        """P <- blockdiag(F, I) P blockdiag(F, I)^T, plus `added` on the camera block (Eq. 12)."""
-        self.transform_leading(self.P, F, _NOTHING if added is None else added)
+    def own_rows(self, index: IntArray | slice = slice(None)) -> IntArray:
+        """Rows of P of the landmarks themselves, without their anchors; (M, 3)."""
+        rows: IntArray = self.layout.size + 3 * self.parameter_block[index, None] + _BLOCK
+        return rows
 
     def world_rotation(self) -> FloatArray:
         """Gamma: effect of a rotation of the world about its origin on the error state; (n, 3)."""
-        effect = -rotations.skew(self.blocks)
-        effect[self.parameter_block] = self.model.world_rotation(self.anchors(), self.blocks[self.parameter_block])
-        return np.vstack([world_rotation_of_camera(self.camera), effect.reshape(-1, 3)])
-
-    def turned_blocks(self, turn: FloatArray, spread: FloatArray, correction: FloatArray) -> FloatArray:
-        """Map blocks turned with the world and corrected, see `LandmarkModel.turned`; (B, 3)."""
-        moved = self.blocks @ turn.T + correction @ spread.T
-        own = self.parameter_block
-        moved[own] = self.model.turned(self.anchors(), self.blocks[own], turn, spread, correction[own])
-        return moved
+        effect = -rotations.skew(self.blocks[:, :3])
+        effect[self.parameter_block] = self.model.world_rotation(self.anchors(), self.parameters())
+        for clone in self.clones.values():
+            effect[clone.blocks] = -rotations.skew(clone.position), rotations.matrix(clone.orientation).T
+        return np.vstack([world_rotation_of_variables(self.layout, self.camera), effect.reshape(-1, 3)])
 
     def at_first_estimates(self) -> JointState:
         """This state with the predicted camera and the map as it was first estimated."""
@@ -163,55 +180,42 @@ class JointState:
         blocks[own] = self.model.first_estimates(self.anchors(), self.first_blocks[own], self.blocks[own])
         return replace(self, camera=self.predicted, blocks=blocks)
 
-    def shear_by_rotation(self, W: FloatArray) -> None:
-        """P <- (I + W E^T) P (I + W E^T)^T, E selecting the rotation of the camera; W (12, 3) or (n, 3)."""
-        if len(W) == CAMERA_SIZE:
-            M = _EYE.copy()
-            M[:, ROTATION] += W
-            self.transform_camera(M)
-            return
-        rotation = symmetric.rows(self.P, np.arange(ROTATION.start, ROTATION.stop))
-        half = rotation.T + 0.5 * W @ rotation[:, ROTATION].T
-        blas.dsyr2k(1.0, np.asfortranarray(W), np.asfortranarray(half), beta=1.0, c=self.P, lower=1, overwrite_c=1)
-
-    def augment(self, ids: IntArray, new: NewLandmarks, R: FloatArray, adjust: Adjust | None = None) -> None:
+    def augment(self, new: NewLandmarks, adjust: Adjust | None = None) -> None:
         """Add landmarks with their covariance and their cross-covariance with everything else (Eq. 19-25).
 
         Eq. 25 as printed leaves out the correlation of the new landmark with the old map, which it inherits
         from the pose it was seen from; J P for the rows of the pose gives all of it.
         """
-        count = len(ids)
-        anchors = int(new.anchored.sum())
-        which_anchor = np.cumsum(new.anchored) - 1
+        started, count = new.started, len(new.ids)
+        anchors = int(started.anchored.sum())
+        which_anchor = np.cumsum(started.anchored) - 1
         if self.model.shares_anchors:
             anchors, which_anchor = min(anchors, 1), np.zeros_like(which_anchor)
-        blocks = np.empty((anchors + count, 3))
-        blocks[:anchors] = self.camera.position
-        blocks[anchors:] = new.parameters
-        by_pose = np.zeros((anchors + count, 3, POSE_SIZE))
-        by_pose[:anchors, :, :3] = _EYE[:3, :3]
-        by_pose[anchors:, :, :3] = new.by_position
-        by_pose[anchors:, :, 3:] = new.by_rotation
-        J = by_pose.reshape(-1, POSE_SIZE)
+        blocks = np.zeros((anchors + count, self.blocks.shape[1]))
+        blocks[:anchors, :3] = self.camera.position
+        blocks[anchors:] = started.parameters
+        leading = new.by_leading.shape[2]
+        by_leading = np.zeros((anchors + count, 3, leading))
+        by_leading[:anchors, :, :3] = np.eye(3)
+        by_leading[anchors:] = new.by_leading
+        J = by_leading.reshape(-1, leading)
         if adjust is not None:
-            effect = -rotations.skew(blocks)
-            here = np.where(new.anchored[:, None], self.camera.position, np.nan)
-            effect[anchors:] = self.model.world_rotation(here, new.parameters)
+            effect = -rotations.skew(blocks[:, :3])
+            here = np.where(started.anchored[:, None], self.camera.position, np.nan)
+            effect[anchors:] = self.model.world_rotation(here, started.parameters)
             J = adjust(J, effect.reshape(-1, 3))
         taken = self._take_blocks(len(blocks))
         anchor_block, parameter_block = taken[:anchors], taken[anchors:]
         rows = self.block_rows(taken)
-        cross = J @ symmetric.leading_rows(self.P, POSE_SIZE)
-        cross[:, rows] = cross[:, :POSE_SIZE] @ J.T
+        cross = J @ symmetric.leading_rows(self.P, leading)
+        cross[:, rows] = cross[:, :leading] @ J.T
         symmetric.put_rows(self.P, rows, cross)
         own = rows[3 * anchors :].reshape(count, 3)
-        self.P[own[:, :, None], own[:, None, :]] += new.by_measurement @ R @ new.by_measurement.transpose(0, 2, 1)
+        self.P[own[:, :, None], own[:, None, :]] += new.noise
         self.blocks[taken] = self.first_blocks[taken] = blocks
-        self.ids = np.concatenate([self.ids, ids])
-        self.parameter_block = np.concatenate([self.parameter_block, parameter_block])
         by_landmark = np.full(count, -1)
-        by_landmark[new.anchored] = anchor_block[which_anchor[new.anchored]]
-        self.anchor_block = np.concatenate([self.anchor_block, by_landmark])
+        by_landmark[started.anchored] = anchor_block[which_anchor[started.anchored]]
+        self.adopt(new.ids, parameter_block, by_landmark)
 
     def remove(self, gone: BoolArray) -> None:
         """Take the landmarks marked in `gone` (N,) out of the map, and the anchors nobody uses any more."""
@@ -230,8 +234,8 @@ class JointState:
         crossed = J @ moved[:, rows].transpose(1, 2, 0)
         moved[:, own_rows] = crossed.reshape(-1, len(moved)).T
         symmetric.put_rows(self.P, own_rows, moved)
-        self.blocks[own] = self.model.points(self.anchors(index), self.parameters(index)).positions
-        self.first_blocks[own] = points.positions
+        self.blocks[own, :3] = self.model.points(self.anchors(index), self.parameters(index)).positions
+        self.first_blocks[own, :3] = points.positions
         self.anchor_block[index] = -1
         self._leave_empty_what_nobody_uses()
 
@@ -259,8 +263,8 @@ class JointState:
             P = np.zeros((old + 3 * missing, old + 3 * missing), order="F")
             P[:old, :old] = self.P
             self.P = P
-            self.blocks = np.vstack([self.blocks, np.zeros((missing, 3))])
-            self.first_blocks = np.vstack([self.first_blocks, np.zeros((missing, 3))])
+            none = np.zeros((missing, self.blocks.shape[1]))
+            self.blocks, self.first_blocks = np.vstack([self.blocks, none]), np.vstack([self.first_blocks, none])
             self.empty_blocks = np.concatenate([self.empty_blocks, np.arange(size, size + missing)])
         taken, self.empty_blocks = self.empty_blocks[:count], self.empty_blocks[count:]
         return taken
@@ -269,23 +273,23 @@ class JointState:
         """Leave out all blocks but the ascending `kept`."""
         number = np.full(len(self.blocks) + 1, -1)  # the last one, for -1: no anchor
         number[kept] = np.arange(len(kept))
-        self.P = symmetric.keep(self.P, np.concatenate([_CAMERA, self.block_rows(kept)]))
+        self.P = symmetric.keep(self.P, np.concatenate([self.layout.rows, self.block_rows(kept)]))
         self.blocks, self.first_blocks = self.blocks[kept], self.first_blocks[kept]
         self.parameter_block, self.anchor_block = number[self.parameter_block], number[self.anchor_block]
         self.held = number[self.held]
+        self.clones = {name: replace(clone, blocks=number[clone.blocks]) for name, clone in self.clones.items()}
         self.empty_blocks = _no_landmarks()
 
-    @staticmethod
-    def block_rows(blocks: IntArray) -> IntArray:
+    def block_rows(self, blocks: IntArray) -> IntArray:
         """Rows of P that belong to map blocks, in their order; (M,) -> (3 M,)."""
-        return (3 * blocks[:, None] + _FIRST_BLOCK).ravel()
+        return (self.layout.size + 3 * blocks[:, None] + _BLOCK).ravel()
 
     def append(self, values: FloatArray, first: FloatArray, cross: FloatArray, own: FloatArray) -> IntArray:
         """Add M blocks that belong to no landmark yet, and hold them.
 
         Parameters
         ----------
-        values, first : (M, 3)
+        values, first : (M, v)
             Now, and when they were first estimated.
         cross, own : (3 M, n), (3 M, 3 M)
             Their covariance with all rows of P as it is, and among themselves.
@@ -305,11 +309,28 @@ class JointState:
         self.held = np.concatenate([self.held, new])
         return new
 
-    def hold_camera(self) -> IntArray:
-        """Keep the camera's present error, 12 numbers that are zero now, as four held blocks; returns those."""
-        cross = symmetric.rows(self.P, _CAMERA)
-        nothing = np.zeros((CAMERA_SIZE // 3, 3))
-        return self.append(nothing, nothing, cross, cross[:, :CAMERA_SIZE])
+    def hold_variables(self) -> IntArray:
+        """Keep the present errors of the named variables, which are zero now, as held blocks; returns those."""
+        size = self.layout.size
+        count = -(-size // 3)
+        cross, own = np.zeros((3 * count, len(self.P))), np.zeros((3 * count, 3 * count))
+        cross[:size] = symmetric.rows(self.P, self.layout.rows)
+        own[:size, :size] = cross[:size, :size]
+        nothing = np.zeros((count, self.blocks.shape[1]))
+        return self.append(nothing, nothing, cross, own)
+
+    def clone_pose(self, name: str) -> None:
+        """Keep the present pose as a variable of that name."""
+        cross = symmetric.rows(self.P, np.arange(POSE_SIZE))
+        nothing = np.zeros((POSE_SIZE // 3, self.blocks.shape[1]))
+        blocks = self.append(nothing, nothing, cross, cross[:, :POSE_SIZE])
+        self.clones = {**self.clones, name: Clone(self.camera.position, self.camera.orientation, blocks)}
+
+    def forget_clone(self, name: str) -> None:
+        """Marginalise a clone out."""
+        blocks = self.clones[name].blocks
+        self.clones = {other: clone for other, clone in self.clones.items() if other != name}
+        self.rest(np.zeros(len(self), dtype=bool), self.held[~np.isin(self.held, blocks)])
 
     def adopt(self, ids: IntArray, parameter_block: IntArray, anchor_block: IntArray) -> None:
         """Make landmarks of blocks that are here already; (M,) each, anchor block -1 where there is none."""

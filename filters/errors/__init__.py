@@ -1,0 +1,1 @@
+"""Error definitions: one file each, all `ErrorDefinition`."""

@@ -1,0 +1,110 @@
+"""Base class of error definitions: the retraction of the joint state, and the points at which Jacobians are evaluated.
+
+P is always kept in the standard coordinates (position, rotation on the right, velocity, other variables, landmarks).
+What sets the definitions apart is how they move the state, how P is carried along, and where they linearise. The base
+class corrects all parts one by one.
+
+Derivation: docs/derivations/errors.md.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import ClassVar
+
+import numpy as np
+
+from filters.motions.model import CameraState
+from filters.retractions import Retraction, RotationVector
+from filters.state.joint_state import Clone, JointState
+from filters.state.transport import Transport
+from filters.validation import FloatArray, IntArray
+
+
+class ErrorDefinition:
+    """Position, velocities and points are corrected by addition, other values by their retraction.
+
+    Attributes
+    ----------
+    orientation : Retraction
+        Of the orientation; the rotation error is three numbers in the camera frame.
+    constrains : bool
+        Whether `constrained` changes anything.
+    linearises_at_the_state : bool
+        Whether `linearisation_point` is always None.
+    submaps : bool
+        Whether `SubmapEKF` can use it: blocks are corrected one by one.
+    kernel : str or None
+        Compiled counterpart. It holds for the class that states it, not for its subclasses.
+    """
+
+    orientation: Retraction = RotationVector()
+    constrains: ClassVar[bool] = False
+    linearises_at_the_state: ClassVar[bool] = True
+    submaps: ClassVar[bool] = True
+    kernel: ClassVar[str | None] = None
+
+    def moved(self, state: JointState, delta: FloatArray) -> JointState:
+        """The state corrected by delta (Eq. 17); P is shared, not yet carried along."""
+        by_block = delta[state.layout.size :].reshape(-1, 3)
+        return replace(
+            state,
+            camera=state.layout.moved(state.camera, delta, self.orientation),
+            blocks=self._moved_blocks(state, delta, by_block),
+            clones={name: self._moved_clone(clone, by_block) for name, clone in state.clones.items()},
+        )
+
+    def transport(self, state: JointState, moved: JointState, delta: FloatArray) -> Transport:
+        """Jacobian that takes errors at `state` to errors at `moved`."""
+        leading = state.layout.transport(delta, self.orientation)
+        rows, own = self._own_transport(state, delta)
+        for clone in state.clones.values():
+            turned = delta[state.layout.size :].reshape(-1, 3)[clone.blocks[1]]
+            rows.append(state.block_rows(clone.blocks[1:]).reshape(1, 3))
+            own.append(self.orientation.transport(turned)[None])
+        if not rows:
+            return Transport(leading)
+        return Transport(leading, rows=np.concatenate(rows), own=np.concatenate(own))
+
+    def linearisation_point(self, state: JointState) -> JointState | None:
+        """State at which H is evaluated; None: the state itself."""
+        return None
+
+    def constrained(self, J: FloatArray, image: FloatArray, state: JointState) -> FloatArray:
+        """A Jacobian by the variables, made to take the effect of a rotation of the world there to that on something.
+
+        Parameters
+        ----------
+        J : (m, k)
+            By the first k >= 6 rows of the predicted state.
+        image : (m, 3)
+            Effect of a rotation of the world on what J is the Jacobian of.
+        state : JointState
+            Has the predicted variables.
+        """
+        return J
+
+    def pose_error(
+        self, camera: CameraState, P_pose: FloatArray, position: FloatArray, orientation: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Error (6,) of the pose against a true one, and the covariance (6, 6) claimed for it."""
+        rotation = self.orientation.local(camera.orientation, orientation)
+        return np.concatenate([position - camera.position, rotation], axis=-1), P_pose
+
+    def _moved_blocks(self, state: JointState, delta: FloatArray, by_block: FloatArray) -> FloatArray:
+        blocks = state.blocks.copy()
+        blocks[:, :3] += by_block
+        if not state.model.additive:
+            own = state.parameter_block
+            blocks[own] = state.model.retract(state.blocks[own], by_block[own])
+        return blocks
+
+    def _own_transport(self, state: JointState, delta: FloatArray) -> tuple[list[IntArray], list[FloatArray]]:
+        """Rows of landmarks whose retraction is not addition, and their Jacobians; a list of none or one."""
+        rows = state.own_rows()
+        own = None if state.model.additive else state.model.transport(state.parameters(), delta[rows])
+        return ([], []) if own is None else ([rows], [own])
+
+    def _moved_clone(self, clone: Clone, by_block: FloatArray) -> Clone:
+        shift, turn = by_block[clone.blocks]
+        return Clone(clone.position + shift, self.orientation.retract(clone.orientation, turn), clone.blocks)

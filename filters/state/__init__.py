@@ -1,0 +1,1 @@
+"""State of the filters: named variables, map and covariance."""

@@ -1,0 +1,154 @@
+"""Rows of the named variables at the head of the error state.
+
+The pose comes first, then the variables of the measurement model, so that what a measurement depends on besides its
+landmark is one block of leading rows; then velocity and the variables of the motion model; then the map.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from filters.motions.model import CAMERA_SIZE, POSE_SIZE, POSITION, ROTATION, CameraState
+from filters.retractions import Retraction
+from filters.start import Start
+from filters.validation import FloatArray, IntArray
+from filters.variables import POSE, VELOCITY, Variable
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """Places of the variables.
+
+    Attributes
+    ----------
+    variables : tuple of Variable
+        Those besides pose and velocity: of the measurement model, then of the motion model.
+    measured : int
+        Leading rows that a measurement depends on.
+    """
+
+    variables: tuple[Variable, ...] = ()
+    measured: int = POSE_SIZE
+
+    @classmethod
+    def of(cls, measurement: tuple[Variable, ...], motion: tuple[Variable, ...]) -> Layout:
+        """Places of the variables of both models; one that both name is one variable.
+
+        Raises
+        ------
+        ValueError
+            A name stands for two variables.
+        """
+        names = [variable.name for variable in measurement]
+        others = []
+        for variable in motion:
+            if variable.name not in names:
+                others.append(variable)
+            elif not any(variable is known for known in measurement):
+                raise ValueError(
+                    f"variable {variable.name!r} is asked for by measurement and motion with different starts: "
+                    "give both the same Variable, or two names"
+                )
+        for given in (measurement, motion):
+            given_names = [variable.name for variable in given]
+            if len(set(given_names)) < len(given_names):
+                raise ValueError(f"variables must have different names, got {', '.join(given_names)}")
+        return cls((*measurement, *others), POSE_SIZE + sum(variable.size for variable in measurement))
+
+    @cached_property
+    def places(self) -> Mapping[str, slice]:
+        """Rows of each variable by name."""
+        places, row = {POSE: slice(0, POSE_SIZE)}, POSE_SIZE
+        velocity = self.measured == row
+        if velocity:
+            places[VELOCITY], row = slice(row, row + CAMERA_SIZE - POSE_SIZE), row + CAMERA_SIZE - POSE_SIZE
+        for variable in self.variables:
+            places[variable.name], row = slice(row, row + variable.size), row + variable.size
+            if row == self.measured and not velocity:
+                places[VELOCITY], row = slice(row, row + CAMERA_SIZE - POSE_SIZE), row + CAMERA_SIZE - POSE_SIZE
+                velocity = True
+        return places
+
+    @cached_property
+    def size(self) -> int:
+        """Rows before those of the map."""
+        return max(place.stop for place in self.places.values())
+
+    @cached_property
+    def rows(self) -> IntArray:
+        """All of them."""
+        return np.arange(self.size)
+
+    @cached_property
+    def linear_velocity(self) -> slice:
+        """Rows of the linear velocity."""
+        first = self.places[VELOCITY].start
+        return slice(first, first + 3)
+
+    @cached_property
+    def angular_velocity(self) -> slice:
+        """Rows of the angular velocity."""
+        first = self.places[VELOCITY].start + 3
+        return slice(first, first + 3)
+
+    @cached_property
+    def considered(self) -> IntArray:
+        """Rows of considered variables."""
+        rows = [np.arange(self.size)[self.places[x.name]] for x in self.variables if x.considered]
+        return np.concatenate([np.zeros(0, dtype=np.int64), *rows])
+
+    @cached_property
+    def walk_rates(self) -> FloatArray | None:
+        """Variance that the random walks add each second, (size,); None: none walks."""
+        if all(variable.random_walk is None for variable in self.variables):
+            return None
+        rates = np.zeros(self.size)
+        for variable in self.variables:
+            if variable.random_walk is not None:
+                rates[self.places[variable.name]] = variable.random_walk**2
+        return rates
+
+    def rows_of(self, names: tuple[str, ...]) -> IntArray:
+        """Rows of the variables, in the order of their names."""
+        return np.concatenate([np.arange(self.size)[self.places[name]] for name in names])
+
+    def start(self, start: Start) -> tuple[CameraState, FloatArray]:
+        """Values and covariance at the start."""
+        P = np.zeros((self.size, self.size), order="F")
+        camera = self.rows_of((POSE, VELOCITY))
+        P[np.ix_(camera, camera)] = start.assumed_covariance
+        for variable in self.variables:
+            place = self.places[variable.name]
+            P[place, place] = variable.covariance
+        return CameraState.at(start, {variable.name: variable.value for variable in self.variables}), P
+
+    def moved(self, camera: CameraState, delta: FloatArray, orientation: Retraction) -> CameraState:
+        """All variables corrected by the leading numbers of delta (n,)."""
+        others = {
+            x.name: x.retraction.retract(camera.variables[x.name], delta[self.places[x.name]]) for x in self.variables
+        }
+        return CameraState(
+            camera.position + delta[POSITION],
+            orientation.retract(camera.orientation, delta[ROTATION]),
+            camera.linear_velocity + delta[self.linear_velocity],
+            camera.angular_velocity + delta[self.angular_velocity],
+            others,
+        )
+
+    def transport(self, delta: FloatArray, orientation: Retraction) -> FloatArray:
+        """Jacobian that takes errors of the variables to those at the values corrected by delta; (size, size)."""
+        M = np.eye(self.size)
+        M[ROTATION, ROTATION] = orientation.transport(delta[ROTATION])
+        for variable in self.variables:
+            place = self.places[variable.name]
+            M[place, place] = variable.retraction.transport(delta[place])
+        return M
+
+
+def with_value(camera: CameraState, name: str, value: FloatArray) -> CameraState:
+    """The same state with another value of a variable."""
+    return replace(camera, variables={**camera.variables, name: value})

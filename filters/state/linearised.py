@@ -1,0 +1,71 @@
+"""Measurements linear in the error state: what the Kalman update works on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from filters.motions.model import LinearMeasurement
+from filters.state import symmetric
+from filters.validation import BoolArray, FloatArray, IntArray
+
+
+@dataclass(frozen=True, eq=False)
+class LinearisedMeasurements:
+    """M measurements of k rows each, linear in the error state.
+
+    Attributes
+    ----------
+    innovation : (M, k)
+        Measured minus predicted, px.
+    by_leading : (M, k, c)
+        H with respect to the first c rows of the state: pose and what else measurements depend on.
+    by_map : (M, k, w)
+        H with respect to the landmark's own rows.
+    map_rows : (M, w) int64
+        Those rows.
+    R : (M, k, k)
+        Noise covariance.
+    """
+
+    innovation: FloatArray
+    by_leading: FloatArray
+    by_map: FloatArray
+    map_rows: IntArray
+    R: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.innovation)
+
+    def __getitem__(self, index: slice | IntArray | BoolArray) -> LinearisedMeasurements:
+        return LinearisedMeasurements(
+            self.innovation[index],
+            self.by_leading[index],
+            self.by_map[index],
+            self.map_rows[index],
+            self.R[index],
+        )
+
+    def times(self, delta: FloatArray) -> FloatArray:
+        """H delta; (n,) -> (M, k)."""
+        product: FloatArray = self.by_leading @ delta[: self.by_leading.shape[2]]
+        product += np.einsum("mkw,mw->mk", self.by_map, delta[self.map_rows])
+        return product
+
+    def innovation_covariances(self, P: FloatArray) -> FloatArray:
+        """S = H P H^T + R of each measurement on its own (Eq. 15); (M, k, k)."""
+        leading_rows = np.broadcast_to(np.arange(self.by_leading.shape[2]), (len(self), self.by_leading.shape[2]))
+        rows = np.concatenate([leading_rows, self.map_rows], axis=1)
+        H = np.concatenate([self.by_leading, self.by_map], axis=2)
+        S: FloatArray = H @ symmetric.blocks(P, rows) @ H.transpose(0, 2, 1) + self.R
+        return S
+
+
+def of_variables(measured: LinearMeasurement, rows: IntArray, size: int) -> LinearisedMeasurements:
+    """A measurement of the variables at `rows` of the `size` leading rows, as one measurement without a landmark."""
+    H = np.zeros((1, len(measured.innovation), size))
+    H[0, :, rows] = measured.H.T
+    nothing = np.zeros((1, len(measured.innovation), 0))
+    no_rows = np.zeros((1, 0), dtype=np.int64)
+    return LinearisedMeasurements(measured.innovation[None], H, nothing, no_rows, measured.R[None])

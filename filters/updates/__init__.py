@@ -1,0 +1,1 @@
+"""Ways to linearise a measurement for the update: one file each, all `Linearisation`."""

@@ -1,0 +1,63 @@
+"""Base class of linearisations: how H and R of a stage come about, and the prediction of measurements."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+
+from filters.camera import StereoCamera
+from filters.measurements.model import MeasurementModel, Stage
+from filters.state.joint_state import JointState
+from filters.state.linearised import LinearisedMeasurements
+from filters.validation import FloatArray, IntArray
+
+
+class Linearisation:
+    """The fifth part of a filter, option `update`.
+
+    Attributes
+    ----------
+    by_jacobians : bool
+        Whether it takes Jacobians, which may be taken at another point than the state; without, first-estimates
+        Jacobians and variables of the measurement model cannot be had.
+    kernel : str or None
+        Compiled counterpart. It holds for the class that states it, not for its subclasses.
+    """
+
+    by_jacobians: ClassVar[bool] = True
+    kernel: ClassVar[str | None] = None
+
+    def linearise(
+        self,
+        sensor: MeasurementModel,
+        camera: StereoCamera,
+        state: JointState,
+        index: IntArray,
+        stage: Stage,
+        point: JointState | None = None,
+    ) -> LinearisedMeasurements:
+        """Innovations of a stage (Eq. 14) and what they are linear in.
+
+        Parameters
+        ----------
+        sensor : MeasurementModel
+            What is measured.
+        camera : StereoCamera
+            The rig.
+        state : JointState
+            Predicts the measurements.
+        index : (M,) int64
+            Landmarks of the stage.
+        stage : Stage
+            M measurements.
+        point : JointState, optional
+            Where H is evaluated, if elsewhere than at `state`.
+        """
+        raise NotImplementedError(f"{type(self).__name__} must have linearise: see Linearisation")
+
+
+def points_in_camera(state: JointState, index: IntArray) -> FloatArray:
+    """Homogeneous points of the landmarks at `index` in the camera frame, (M, 4)."""
+    seen = state.model.homogeneous(state.camera.position, state.anchors(index), state.parameters(index))
+    return np.concatenate([seen[:, :3] @ state.camera.R_wc, seen[:, 3:]], axis=1)
