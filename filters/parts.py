@@ -38,6 +38,9 @@ from filters.updates.extended import Extended
 from filters.updates.model import Linearisation
 from filters.updates.unscented import Unscented
 
+Named = str | Mapping[str, Any]
+"""Name of a part, or its settings with its name."""
+
 _log = logging.getLogger(__name__)
 
 
@@ -147,7 +150,7 @@ def kernel_of(part: object) -> str | None:
 
 def _settings(make: Callable[..., Any]) -> list[str]:
     """Names of the settings of a part."""
-    return [name for name in inspect.signature(make).parameters]
+    return list(inspect.signature(make).parameters)
 
 
 def _named(slot: str) -> dict[str, Callable[..., Any]]:

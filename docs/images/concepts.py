@@ -21,7 +21,7 @@ from scipy.stats import norm
 
 from filters import Start, StereoCamera, StereoFilter, StereoNoise, StereoObservation, make_filter
 from filters.engine.gating import gate_limit, squared_distances
-from filters.motion import POSITION, ROTATION
+from filters.motions.model import POSITION, ROTATION
 from stereo_slam_env.benchmark.recordings.reference_problem import long_drive
 from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.evaluation.results import FilterRun

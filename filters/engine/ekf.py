@@ -5,10 +5,9 @@ The named filters are choices of these parts; this module only says in which ord
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from copy import copy
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -40,6 +39,7 @@ from filters.landmarks.model import LandmarkModel
 from filters.measurements.model import MeasurementModel, Stage
 from filters.motions.model import MotionModel, MotionPrediction, measure_odometry, predict_camera
 from filters.noise import StereoNoise
+from filters.parts import Named
 from filters.start import Start
 from filters.state import symmetric
 from filters.state.joint_state import JointState, world_rotation_of_variables
@@ -110,12 +110,12 @@ class StereoEKF(StereoFilter):
         camera: StereoCamera,
         noise: StereoNoise,
         *,
-        motion: str | Mapping[str, Any] | MotionModel | None = None,
+        motion: Named | MotionModel | None = None,
         gate: float | None = 0.99,
-        landmark: str | Mapping[str, Any] | LandmarkModel = "inverse-depth",
-        measurement: str | Mapping[str, Any] | MeasurementModel = "joint",
-        error: str | Mapping[str, Any] | ErrorDefinition = "quaternion",
-        update: str | Mapping[str, Any] | Linearisation = "extended",
+        landmark: Named | LandmarkModel = "inverse-depth",
+        measurement: Named | MeasurementModel = "joint",
+        error: Named | ErrorDefinition = "quaternion",
+        update: Named | Linearisation = "extended",
         consensus: bool = False,
         tail_dof: float | None = None,
         iterations: int = 1,

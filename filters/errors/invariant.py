@@ -62,7 +62,7 @@ class _InvariantError(ErrorDefinition):
         """The full Jacobian of the retraction: points by themselves and by the rotation."""
         step = super().transport(state, moved, delta)
         camera, layout = state.camera, state.layout
-        theta, turn, spread = _turn(camera, delta)
+        theta, _, spread = _turn(camera, delta)
         for rows in (POSITION, layout.linear_velocity):
             step.leading[rows, rows] = spread
             step.leading[rows, ROTATION] = rotations.left_jacobian_derivative(theta, delta[rows]) @ camera.R_wc

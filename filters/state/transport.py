@@ -1,4 +1,4 @@
-"""Covariance carried along with a correction: the Jacobian that takes errors at a state to those at the corrected one."""
+"""Transport of the covariance: the Jacobian that takes errors at a state to errors at the corrected one."""
 
 from __future__ import annotations
 

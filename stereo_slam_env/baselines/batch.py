@@ -12,8 +12,10 @@ from filters import Start, rotations
 from filters.camera import StereoCamera
 from filters.engine.ekf import StereoEKF
 from filters.interface import BodyVelocity, Forecast, LandmarkBelief, StereoObservation, UpdateReport
-from filters.motion import CAMERA_SIZE, POSE_SIZE, CameraState, ConstantVelocity, MotionModel, VelocityDriven
+from filters.motions.model import CAMERA_SIZE, POSE_SIZE, CameraState, MotionModel
+from filters.motions.velocity_driven import VelocityDriven
 from filters.noise import StereoNoise
+from filters.parts import Named
 from filters.validation import FloatArray, IntArray, positive
 from stereo_slam_env.baselines.dead_reckoning import CameraBelief, CameraFilter
 from stereo_slam_env.baselines.smoothing_graph import Sightings, Smoothed, SmoothingGraph, load_gtsam
@@ -67,7 +69,7 @@ class BatchSmoother(CameraFilter):
         camera: StereoCamera,
         noise: StereoNoise,
         *,
-        motion: MotionModel | None = None,
+        motion: Named | MotionModel | None = None,
         gate: float | None = 0.99,
         consensus: bool = False,
         tail_dof: float | None = None,
@@ -90,7 +92,7 @@ class BatchSmoother(CameraFilter):
             landmark="shared-anchor",
             measurement="stacked" if right_row else "joint",
         )
-        super().__init__(camera, noise, motion=ConstantVelocity() if motion is None else motion)
+        super().__init__(camera, noise, motion=motion)
 
     def _restart(self) -> None:
         start, P = self._belief.state, self._belief.P

@@ -24,8 +24,10 @@ from filters.interface import (
     check_rig,
     check_start,
 )
-from filters.motion import POSE_SIZE, CameraState, MotionModel, VelocityDriven, motion_model, predict_camera
+from filters.motions.model import POSE_SIZE, CameraState, MotionModel, predict_camera
+from filters.motions.velocity_driven import VelocityDriven
 from filters.noise import StereoNoise
+from filters.parts import Named, make_part
 from filters.start import Start
 from filters.validation import (
     FloatArray,
@@ -39,7 +41,7 @@ from filters.validation import (
 
 @dataclass(frozen=True, eq=False)
 class CameraBelief:
-    """A camera state and the covariance (12, 12) of its error, in the order of `filters.motion`."""
+    """A camera state and the covariance (12, 12) of its error, in the order of `filters.motions.model`."""
 
     state: CameraState
     P: FloatArray
@@ -68,8 +70,9 @@ class CameraFilter(StereoFilter):
         The rig.
     noise : StereoNoise
         R of (u, v, d) for measurements that bring none of their own.
-    motion : MotionModel, optional
-        How the camera moves where there is no odometry; None: `ConstantVelocity()`.
+    motion : str, mapping or MotionModel, optional
+        How the camera moves where there is no odometry, a model without variables of its own; None:
+        `ConstantVelocity()`.
 
     Raises
     ------
@@ -77,11 +80,14 @@ class CameraFilter(StereoFilter):
         An argument is of the wrong type.
     """
 
-    def __init__(self, camera: StereoCamera, noise: StereoNoise, *, motion: MotionModel | None = None) -> None:
+    def __init__(self, camera: StereoCamera, noise: StereoNoise, *, motion: Named | MotionModel | None = None) -> None:
         check_rig(camera, noise)
         self.camera = camera
         self.noise = noise
-        self._motion = motion_model(motion)
+        self._motion: MotionModel = make_part("motion", "constant-velocity" if motion is None else motion)
+        if self._motion.variables:
+            names = ", ".join(variable.name for variable in self._motion.variables)
+            raise ValueError(f"motion must have no variables of its own in this filter, got {names}: use a StereoEKF")
         self.reset()
 
     def reset(self, start: Start = AT_ORIGIN) -> None:

@@ -12,10 +12,9 @@ from scipy.stats import chi2
 
 from filters import rotations
 from filters.camera import StereoCamera
-from filters.engine.retraction import AdditiveQuaternion
 from filters.interface import BodyVelocity, Forecast, LandmarkBelief, StereoObservation, UpdateReport
 from filters.landmarks.inverse_depth import InverseDepth
-from filters.motion import (
+from filters.motions.model import (
     ANGULAR,
     CAMERA_SIZE,
     LINEAR,
@@ -28,6 +27,8 @@ from filters.motion import (
     predict_camera,
 )
 from filters.noise import StereoNoise
+from filters.parts import Named
+from filters.retractions import AdditiveQuaternion
 from filters.validation import BoolArray, FloatArray, IntArray, gate_probability, unique_ids
 from stereo_slam_env.baselines.dead_reckoning import CameraBelief, CameraFilter, symmetrised
 
@@ -66,7 +67,7 @@ class FilterpyEKF(CameraFilter):
         camera: StereoCamera,
         noise: StereoNoise,
         *,
-        motion: MotionModel | None = None,
+        motion: Named | MotionModel | None = None,
         gate: float | None = 0.99,
     ) -> None:
         self._gate = gate_probability(gate)
@@ -130,7 +131,9 @@ class FilterpyEKF(CameraFilter):
             nis = self._correct(innovations[used].ravel(), np.concatenate(H[used]), block_diag(*R[known][used]))
         dropped = self._ids[~np.isin(self._ids, ids)]
         self.forget(dropped)
-        new = ~known & _MODEL.can_initialise(self.camera, self._belief.state.R_wc, observation.uvd)
+        new = ~known & _MODEL.can_start(
+            self.camera.ray(observation.uvd) @ self._belief.state.R_wc.T, observation.uvd[:, 2]
+        )
         if new.any():
             self._add(ids[new], observation.uvd[new], R[new])
         return UpdateReport(
@@ -200,11 +203,15 @@ class FilterpyEKF(CameraFilter):
     def _add(self, ids: IntArray, uvd: FloatArray, R: FloatArray) -> None:
         """Enter new landmarks with their correlations to all others (Eq. 25)."""
         position = self._belief.state.position
-        new = _MODEL.initialise(self.camera, position, self._belief.state.R_wc, uvd)
+        h_c, scale = self.camera.ray(uvd), uvd[:, 2] / self.camera.disparity_constant
+        R_wc = self._belief.state.R_wc
+        new = _MODEL.started(position, h_c @ R_wc.T, scale)
         by_state = np.zeros((len(ids), LANDMARK_SIZE, len(self._P)))
         by_state[:, :3, POSITION] = np.eye(3)  # the anchor is the camera
-        by_state[:, 3:, ROTATION] = new.by_rotation
-        by_uvd = np.pad(new.by_measurement, ((0, 0), (3, 0), (0, 0)))
+        by_state[:, 3:, ROTATION] = -new.by_direction @ R_wc @ rotations.skew(h_c)
+        by_ray = (new.by_direction @ R_wc)[:, :, :2] / (self.camera.fx, self.camera.fy)
+        by_uvd = np.concatenate([by_ray, new.by_scale[:, :, None] / self.camera.disparity_constant], axis=2)
+        by_uvd = np.pad(by_uvd, ((0, 0), (3, 0), (0, 0)))
         J, own = np.concatenate(by_state), block_diag(*(by_uvd @ R @ by_uvd.transpose(0, 2, 1)))
         self._P = np.block([[self._P, self._P @ J.T], [J @ self._P, symmetrised(J @ self._P @ J.T + own)]])
         self._map = np.concatenate([self._map, np.insert(new.parameters, [0, 0, 0], position, axis=1)])

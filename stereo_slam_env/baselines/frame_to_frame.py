@@ -11,8 +11,9 @@ from scipy.stats import chi2
 from filters import rotations
 from filters.camera import StereoCamera
 from filters.interface import BodyVelocity, StereoObservation, UpdateReport
-from filters.motion import ANGULAR, LINEAR, POSE_SIZE, POSITION, ROTATION, CameraState, MotionModel
+from filters.motions.model import ANGULAR, LINEAR, POSE_SIZE, POSITION, ROTATION, CameraState, MotionModel
 from filters.noise import StereoNoise
+from filters.parts import Named
 from filters.validation import FloatArray, IntArray, gate_probability, positive, unique_ids
 from stereo_slam_env.baselines.dead_reckoning import CameraBelief, CameraFilter, symmetrised
 from stereo_slam_env.frontend.ego_motion import (
@@ -82,7 +83,7 @@ class FrameToFrame(CameraFilter):
         camera: StereoCamera,
         noise: StereoNoise,
         *,
-        motion: MotionModel | None = None,
+        motion: Named | MotionModel | None = None,
         gate: float | None = 0.99,
         refinement: str = "stereo",
         min_points: int = 6,

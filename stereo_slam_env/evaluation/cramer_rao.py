@@ -21,31 +21,37 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from filters import rotations
 from filters.camera import StereoCamera
-from filters.engine import kalman, symmetric
-from filters.engine.joint_state import JointState
-from filters.engine.linearisation import linearise
+from filters.engine import kalman
+from filters.engine.map_policy import start_landmarks
 from filters.engine.marginals import joint_covariance
 from filters.interface import BodyVelocity, StereoObservation
 from filters.landmarks.euclidean import Euclidean
-from filters.landmarks.parametrisation import LandmarkModel
-from filters.measurements.bearing import stacked_stage
+from filters.landmarks.model import LandmarkModel
 from filters.measurements.model import Stage
-from filters.motion import POSE_SIZE, CameraState, ConstantVelocity, MotionModel
+from filters.measurements.rectified_pair import RangeBearing, Stacked
+from filters.motions.constant_velocity import ConstantVelocity
+from filters.motions.model import POSE_SIZE, CameraState, MotionModel
 from filters.noise import StereoNoise
 from filters.poses import Pose
 from filters.start import Start
+from filters.state import symmetric
+from filters.state.joint_state import JointState
+from filters.state.layout import Layout
+from filters.state.linearised import of_variables
+from filters.updates.extended import Extended
 from filters.validation import BoolArray, FloatArray, IntArray
 from stereo_slam_env.recording.recording import Frame, LandmarkTruth, Recording
 
 RESAMPLES = 10_000
 _AS_MEASURED = np.eye(3)
+_SENSOR = RangeBearing()
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,10 +186,8 @@ class ReferenceBelief:
     ) -> None:
         self._rig, self._noise, self._motion, self._right_row = camera, noise, motion, right_row
         self._use_odometry, self._time = use_odometry, math.nan
-        there = CameraState(truth.position, truth.orientation, start.linear_velocity, start.angular_velocity)
-        self._state = JointState.without_map(
-            there, start.assumed_covariance, Euclidean() if landmark is None else landmark
-        )
+        at_truth = replace(start, position=truth.position, orientation=truth.orientation)
+        self._state = JointState.at(at_truth, Layout(), Euclidean() if landmark is None else landmark)
 
     @property
     def ids(self) -> IntArray:
@@ -220,12 +224,13 @@ class ReferenceBelief:
         angular = rotations.log(before.R_wc.T @ rotations.matrix(truth.orientation)) / dt
         moving = CameraState(before.position, before.orientation, linear, angular)
         step = self._motion.predict(moving, dt, None)
-        self._state.transform_camera(step.F, step.G @ step.Q @ step.G.T)
+        symmetric.transform_leading(self._state.P, step.F, step.G @ step.Q @ step.G.T)
         self._state.camera = CameraState(truth.position, truth.orientation, linear, angular)
         if odometry is not None:
             measured = self._motion.odometry_measurement(self._state.camera, dt, odometry)
             if measured is not None:
-                kalman.update(self._state.P, kalman.of_camera(measured))
+                layout = self._state.layout
+                kalman.update(self._state.P, of_variables(measured, layout.rows, layout.size))
 
     def see(self, observation: StereoObservation, points_w: FloatArray) -> None:
         """Sightings of known landmarks and of new ones, which truly are at `points_w` (M, 3), m in W.
@@ -242,12 +247,10 @@ class ReferenceBelief:
         order = np.argsort(state.ids)
         index = order[np.searchsorted(state.ids, ids[known], sorter=order)]
         stage = Stage(uvd[known], _AS_MEASURED, R[known])
-        kalman.update(state.P, linearise(self._rig, state, index, stage))
+        kalman.update(state.P, Extended().linearise(_SENSOR, self._rig, state, index, stage))
         new = ~known
         if new.any():
-            camera = state.camera
-            started = state.model.initialise(self._rig, camera.position, camera.R_wc, uvd[new])
-            state.augment(ids[new], started, R[new])
+            state.augment(start_landmarks(_SENSOR, self._rig, state, StereoObservation(ids[new], uvd[new]), R[new]))
 
     def keep(self, ids: IntArray) -> None:
         """Marginalise all other landmarks out; those never measured again take nothing with them."""
@@ -259,7 +262,7 @@ def _noise_of_uvd(observation: StereoObservation, noise: StereoNoise, right_row:
     R = observation.covariances(noise)
     if not right_row or observation.v_right is None:
         return R
-    both = stacked_stage(observation, R)
+    (both,) = Stacked().stages(observation, R)
     information = both.T.T @ np.linalg.solve(both.R, np.broadcast_to(both.T, (len(R), *both.T.shape)))
     best: FloatArray = np.linalg.inv(information)
     return best

@@ -12,7 +12,7 @@ from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
-from filters.motion import POSITION, ROTATION
+from filters.motions.model import POSITION, ROTATION
 from filters.validation import FloatArray, IntArray
 from stereo_slam_env.evaluation import trajectory_metrics as metrics
 from stereo_slam_env.evaluation.consistency_figures import DOF, landmark_anees, nis_per_dof, pooled

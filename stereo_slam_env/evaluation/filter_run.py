@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_limits
 from filters import StereoNoise
 from filters.common_options import make_with_common_options
 from filters.consistency import nees
-from filters.motion import POSE_SIZE, POSITION, ROTATION
+from filters.motions.model import POSE_SIZE, POSITION, ROTATION
 from filters.registry import FilterFactory, label_of
 from filters.validation import FloatArray, IntArray
 from stereo_slam_env.evaluation.landmark_statistics import LandmarkScorer

@@ -20,7 +20,7 @@ import numpy as np
 from filters import rotations
 from filters.camera import StereoCamera
 from filters.interface import StereoFilter
-from filters.motion import POSE_SIZE, POSITION, ROTATION
+from filters.motions.model import POSE_SIZE, POSITION, ROTATION
 from filters.noise import StereoNoise
 from filters.poses import Pose
 from filters.validation import BoolArray, FloatArray, IntArray

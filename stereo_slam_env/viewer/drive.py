@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from filters.camera import StereoCamera
-from filters.registry import FilterFactory, filter_arguments, label_of
+from filters.registry import FilterFactory, label_of
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice
 from stereo_slam_env.benchmark.scenarios.streams import make_sequence, without_measurements
 from stereo_slam_env.benchmark.storage.run_archive import load_run
@@ -136,7 +136,7 @@ def revisit(directory: Path, filter_name: str | None = None, seed: int | None = 
         noise=scenario.assumed_noise(recording.noise),
         use_odometry=scenario.use_odometry,
         observe=observe,
-        **filter_arguments(done.options),
+        **done.options,
     )
 
 

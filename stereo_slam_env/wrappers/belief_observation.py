@@ -14,10 +14,10 @@ from gymnasium import spaces
 from filters import rotations
 from filters.consistency import nees
 from filters.interface import PoseBelief, StereoFilter, UpdateReport
-from filters.motion import POSE_SIZE, POSITION, ROTATION
+from filters.motions.model import POSE_SIZE, POSITION, ROTATION
 from filters.noise import StereoNoise
 from filters.poses import Pose
-from filters.registry import filter_arguments, make_filter
+from filters.registry import make_filter
 from filters.start import Start
 from filters.validation import FloatArray, IntArray, positive, whole_number
 from stereo_slam_env.loop import FilterLoop
@@ -174,7 +174,7 @@ class BeliefObservation(RecordedWrapper):
         )
         self._rows = whole_number("max_landmarks", max_landmarks, 1)
         camera, assumed = self.inner("camera"), assumed_noise(noise, self.inner("noise"))
-        slam = make_filter(filter, camera=camera, noise=assumed, **filter_arguments(dict(options or {})))
+        slam = make_filter(filter, camera=camera, noise=assumed, **dict(options or {}))
         self._loop = FilterLoop(slam, use_odometry=use_odometry)
         self._filter_name, self._number = filter, 0
         self._belief: Belief | None = None

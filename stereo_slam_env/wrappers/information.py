@@ -30,7 +30,7 @@ import numpy as np
 from scipy.linalg import lapack
 
 from filters.known_names import one_of
-from filters.motion import POSE_SIZE, POSITION, ROTATION
+from filters.motions.model import POSE_SIZE, POSITION, ROTATION
 from filters.validation import FloatArray, positive
 
 Criterion = Literal["log-det", "entropy", "d-optimality", "a-optimality", "e-optimality"]

@@ -10,7 +10,7 @@ import gymnasium as gym
 import numpy as np
 
 from filters.known_names import one_of
-from filters.motion import ConstantVelocity
+from filters.motions.constant_velocity import ConstantVelocity
 from filters.validation import IntArray, finite_number, whole_number
 from stereo_slam_env.evaluation.consistency import mean_band
 from stereo_slam_env.evaluation.cramer_rao import ReferenceBelief

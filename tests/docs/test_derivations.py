@@ -8,16 +8,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
-from filters import BodyVelocity, ConstantVelocity, StereoCamera, StereoNoise, rotations
 from filters.engine.error_definition import ERRORS
 from filters.engine.joint_state import world_rotation_of_camera
 from filters.engine.linearisation import measurement_jacobians
 from filters.engine.retraction import RETRACTIONS
+from filters.measurements.bearing import RIGHT
+
+from filters import BodyVelocity, ConstantVelocity, StereoCamera, StereoNoise, rotations
 from filters.landmarks.euclidean import Euclidean
 from filters.landmarks.inverse_depth import InverseDepth, angles_jacobian, angles_of, ray_direction
-from filters.measurements.bearing import RIGHT
-from filters.motion import CameraState, VelocityDriven
+from filters.motions.model import CameraState, VelocityDriven
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = sorted((ROOT / "docs" / "derivations").glob("*.md"))

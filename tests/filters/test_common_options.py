@@ -10,7 +10,7 @@ import pytest
 from filters import ConstantVelocity, StereoEKF, StereoFilter, VelocityDriven, available_filters, make_filter
 from filters.common_options import UNKNOWN, MadeFilter, make_with_common_options
 from filters.conformance import REFERENCE_CAMERA, REFERENCE_NOISE
-from filters.motion import CameraState, LinearMeasurement, MotionPrediction
+from filters.motions.model import CameraState, LinearMeasurement, MotionPrediction
 from filters.registry import FilterFactory
 
 from .delayed import DelayedEKF

@@ -6,11 +6,11 @@ import subprocess
 import sys
 
 import pytest
+from filters.engine.arithmetic import NUMPY, arithmetic
 
 from filters import make_filter
 from filters.conformance import REFERENCE_CAMERA, REFERENCE_NOISE
 from filters.engine import arithmetic as arithmetic_module
-from filters.engine.arithmetic import NUMPY, arithmetic
 
 
 def test_filters_do_not_import_numba_unless_asked_to() -> None:

@@ -11,15 +11,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from filters.engine.error_definition import ERRORS
+from filters.engine.joint_state import JointState
+from filters.engine.retraction import RETRACTIONS
 from scipy.spatial.transform import Rotation
 
 from filters import BodyVelocity, ConstantVelocity, Start, StereoEKF, StereoObservation, VelocityDriven, rotations
-from filters.engine.error_definition import ERRORS
-from filters.engine.joint_state import JointState
 from filters.engine.options import LANDMARKS, MEASUREMENTS
-from filters.engine.retraction import RETRACTIONS
 from filters.landmarks.hybrid import Hybrid
-from filters.motion import CameraState
+from filters.motions.model import CameraState
 
 from .drives import ODD_CAMERA as CAMERA
 from .drives import StereoNoise

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from filters import BodyVelocity, ConstantVelocity, InverseDepthStereoEKF, StereoEKF, VelocityDriven
 from filters.conformance import shown_arrays
-from filters.motion import CameraState, LinearMeasurement, MotionPrediction
+from filters.motions.model import CameraState, LinearMeasurement, MotionPrediction
 
 from .drives import CAMERA, INDEPENDENT_PIXELS, drive
 

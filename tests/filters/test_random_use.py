@@ -6,6 +6,7 @@ import copy
 
 import numpy as np
 import pytest
+from filters.engine.error_definition import ERRORS
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -22,7 +23,6 @@ from filters import (
 )
 from filters.conformance import _same
 from filters.conformance import assert_healthy as assert_contract
-from filters.engine.error_definition import ERRORS
 from filters.engine.options import LANDMARKS, MEASUREMENTS
 from filters.presets import PRESETS as NAMED
 

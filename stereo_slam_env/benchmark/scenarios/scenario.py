@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, get_type_hi
 from msgspec import Meta
 
 from filters.known_names import require_known
-from filters.motion import ConstantVelocity
+from filters.motions.constant_velocity import ConstantVelocity
 from filters.noise import StereoNoise
 from filters.validation import finite_array, gate_probability
 from stereo_slam_env.benchmark.recordings.source import Renderer, Source, checked

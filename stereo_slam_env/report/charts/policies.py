@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from filters import rotations
-from filters.motion import POSITION
+from filters.motions.model import POSITION
 from filters.validation import FloatArray
 from stereo_slam_env.evaluation.results import FilterRun
 from stereo_slam_env.recording.recording import Recording

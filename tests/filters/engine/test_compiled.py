@@ -15,11 +15,12 @@ import pytest
 
 pytest.importorskip("numba", reason="needs the extra fast")
 
-from filters import BodyVelocity, StereoEKF, UpdateReport, VelocityDriven
-from filters.engine import compiled, kalman, linearisation, symmetric
 from filters.engine.kernels import camera, gating, inverse_depth, stage
 from filters.engine.kernels import kalman as kernel_kalman
 from filters.engine.kernels import linearisation as kernel_linearisation
+
+from filters import BodyVelocity, StereoEKF, UpdateReport, VelocityDriven
+from filters.engine import compiled, kalman, linearisation, symmetric
 from filters.engine.options import LANDMARKS, MEASUREMENTS
 from filters.measurements.model import Stage
 

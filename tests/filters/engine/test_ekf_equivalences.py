@@ -8,12 +8,12 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from filters.engine.linearisation import project
+from filters.measurements.bearing import LeftThenRight, Stacked
 from scipy.optimize import least_squares
 
 from filters import ConstantVelocity, Start, StereoEKF, StereoNoise, StereoObservation
 from filters.engine import symmetric
-from filters.engine.linearisation import project
-from filters.measurements.bearing import LeftThenRight, Stacked
 from filters.measurements.model import Stage
 
 from ..drives import DT, INDEPENDENT_PIXELS, INDEPENDENT_UVD, SPEED, drive, run

@@ -6,15 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from filters.engine.error_definition import ERRORS
+from filters.engine.joint_state import JointState
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
 from filters import BodyVelocity, ConstantVelocity, Start, StereoEKF, StereoObservation, VelocityDriven, rotations
 from filters.engine import symmetric
-from filters.engine.error_definition import ERRORS
-from filters.engine.joint_state import JointState
 from filters.engine.kalman import LinearisedMeasurements
-from filters.motion import ANGULAR, CAMERA_SIZE, LINEAR, POSITION, ROTATION, CameraState, MotionModel
+from filters.motions.model import ANGULAR, CAMERA_SIZE, LINEAR, POSITION, ROTATION, CameraState, MotionModel
 
 from ..drives import CAMERA, DT, INDEPENDENT_PIXELS, SPEED, Frame, drive
 from ..invariant_ekf import InvariantEKF, wedge

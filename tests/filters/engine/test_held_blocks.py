@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from filters.engine.joint_state import JointState
+from filters.landmarks.parametrisation import NewLandmarks
 
 from filters.engine import symmetric
-from filters.engine.joint_state import JointState
 from filters.engine.options import LANDMARKS
-from filters.landmarks.parametrisation import NewLandmarks
-from filters.motion import CameraState
+from filters.motions.model import CameraState
 
 
 @pytest.fixture

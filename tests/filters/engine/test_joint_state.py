@@ -6,13 +6,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
+from filters.engine.joint_state import JointState
+from filters.landmarks.parametrisation import LandmarkModel, NewLandmarks
 
 from filters.engine import symmetric
-from filters.engine.joint_state import JointState
 from filters.engine.options import LANDMARKS
 from filters.landmarks.hybrid import Hybrid
-from filters.landmarks.parametrisation import LandmarkModel, NewLandmarks
-from filters.motion import CameraState
+from filters.motions.model import CameraState
 
 CAMERA = [("camera", i) for i in range(12)]
 

@@ -9,7 +9,7 @@ import pytest
 
 from filters.engine import kalman, symmetric
 from filters.engine.kalman import LinearisedMeasurements
-from filters.motion import LinearMeasurement
+from filters.motions.model import LinearMeasurement
 
 from .linear_problems import (
     assert_covariances_equal,

@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
+from filters.engine.joint_state import JointState
+from filters.landmarks.parametrisation import NewLandmarks
 
 from filters import BodyVelocity, ConstantVelocity, Start, StereoEKF, StereoObservation
 from filters.engine import kalman, symmetric
-from filters.engine.joint_state import JointState
 from filters.landmarks.euclidean import Euclidean
-from filters.landmarks.parametrisation import NewLandmarks
-from filters.motion import CAMERA_SIZE, POSE_SIZE, CameraState, LinearMeasurement
+from filters.motions.model import CAMERA_SIZE, POSE_SIZE, CameraState, LinearMeasurement
 
 from ..drives import CAMERA, DT, INDEPENDENT_PIXELS, SPEED
 from .linear_problems import assert_covariances_equal, dense, lower, random_covariance, random_measurements

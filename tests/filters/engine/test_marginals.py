@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from filters.engine.error_definition import ERRORS
 
 from filters import InverseDepthStereoEKF, StereoFilter, make_filter, rotations
 from filters.engine import symmetric
-from filters.engine.error_definition import ERRORS
 from filters.landmarks.hybrid import Hybrid
 
 from ..drives import CAMERA, INDEPENDENT_PIXELS, drive, finish

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
-
 from filters.engine.retraction import RETRACTIONS
+from scipy.spatial.transform import Rotation
 
 from ..textbook import complex_step_jacobian, rotation_tangent
 

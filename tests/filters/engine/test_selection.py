@@ -6,10 +6,10 @@ from itertools import combinations
 
 import numpy as np
 import pytest
+from filters.engine.linearisation import linearise
 
 from filters import StereoEKF, StereoObservation
 from filters.engine import kalman, selection, symmetric
-from filters.engine.linearisation import linearise
 from filters.measurements.model import Stage
 
 from ..drives import CAMERA, INDEPENDENT_PIXELS, drive, finish, run, start

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-
-from filters.engine import kalman, symmetric
 from filters.engine.error_definition import ERRORS
 from filters.engine.joint_state import JointState
-from filters.engine.options import LANDMARKS
 from filters.landmarks.parametrisation import NewLandmarks
-from filters.motion import CAMERA_SIZE, CameraState
+
+from filters.engine import kalman, symmetric
+from filters.engine.options import LANDMARKS
+from filters.motions.model import CAMERA_SIZE, CameraState
 from filters.submaps.chain import SubmapChain
 
 DT, IN_VIEW = 0.5, 6

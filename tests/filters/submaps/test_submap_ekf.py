@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from filters.engine.joint_state import JointState
 
 from filters import (
     BodyVelocity,
@@ -19,7 +20,6 @@ from filters import (
     make_filter,
 )
 from filters.conformance import CHECKS
-from filters.engine.joint_state import JointState
 from filters.submaps.submap_ekf import SubmapEKF
 
 from ..drives import CAMERA, DT, INDEPENDENT_PIXELS

@@ -10,7 +10,6 @@ from gymnasium.utils.env_checker import data_equivalence
 from gymnasium.wrappers import RepeatAction, TransformReward
 
 from filters import make_filter
-from filters.registry import filter_arguments
 from stereo_slam_env import stereo_observation
 from stereo_slam_env.policies import make_policy
 from stereo_slam_env.training.task import GAZE_FILTER, GazeTask
@@ -83,7 +82,7 @@ def test_in_the_recovered_environment_the_actions_give_the_same_bits(dataset):
 def test_a_filter_runs_on_what_was_kept(dataset):
     """The recording has what the environment told its own filter, so the belief is that in the observations."""
     episode, recording = dataset[1], recording_of_episode(dataset, 1)
-    slam = make_filter("shared-anchor", camera=recording.camera, noise=recording.noise, **filter_arguments(GAZE_FILTER))
+    slam = make_filter("shared-anchor", camera=recording.camera, noise=recording.noise, **GAZE_FILTER)
     slam.reset(recording.start)
     assert len(recording.frames) == STEPS + 1
     for step, frame in enumerate(recording.frames):
