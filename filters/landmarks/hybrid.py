@@ -67,8 +67,8 @@ class Hybrid(LandmarkModel):
 
     linearity_limit: float | None = 0.03
     near_distance: float | None = None
-    anchored: bool = True
-    shares_anchors: bool = True
+    anchored: ClassVar[bool] = True
+    shares_anchors: ClassVar[bool] = True
     steady: ClassVar[bool] = False
 
     def __post_init__(self) -> None:

@@ -70,8 +70,7 @@ def angles_jacobian(h_w: FloatArray) -> FloatArray:
 class InverseDepth(LandmarkModel):
     """Inverse depth with one anchor a landmark: six numbers each."""
 
-    anchored: bool = True
-    shares_anchors: bool = False
+    anchored: ClassVar[bool] = True
     submaps: ClassVar[bool] = True
     kernel: ClassVar[str | None] = "inverse-depth"
 

@@ -106,8 +106,8 @@ class LandmarkModel:
     29(5), 2010 (`first_estimates`).
     """
 
-    anchored: bool = False
-    shares_anchors: bool = False
+    anchored: ClassVar[bool] = False
+    shares_anchors: ClassVar[bool] = False
     value_size: ClassVar[int] = 3
     steady: ClassVar[bool] = True
     submaps: ClassVar[bool] = False

@@ -18,5 +18,5 @@ from filters.landmarks.inverse_depth import InverseDepth
 class SharedAnchorInverseDepth(InverseDepth):
     """`InverseDepth` whose anchors are shared by the landmarks of one frame."""
 
-    shares_anchors: bool = True
+    shares_anchors: ClassVar[bool] = True
     kernel: ClassVar[str | None] = "inverse-depth"
