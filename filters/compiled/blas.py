@@ -1,0 +1,40 @@
+"""BLAS and LAPACK functions of scipy for Numba code."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+from numba import njit, types
+from numba.core import cgutils
+from numba.extending import get_cython_function_address, intrinsic
+
+ROUTINES = (
+    get_cython_function_address("scipy.linalg.cython_lapack", "dpotrf"),
+    get_cython_function_address("scipy.linalg.cython_blas", "dtrsm"),
+    get_cython_function_address("scipy.linalg.cython_blas", "dgemv"),
+    get_cython_function_address("scipy.linalg.cython_blas", "dsyrk"),
+)
+"""Where this process has them: arguments of the kernels, so that these can be cached on disk."""
+ADDRESSES = types.UniTuple(types.intp, len(ROUTINES))
+
+
+@intrinsic
+def call(typing_context: Any, address: Any, arguments: Any) -> Any:
+    """Call the Fortran subroutine at `address` with pointers to its arguments."""
+
+    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        pointers = cgutils.unpack_tuple(builder, values[1])
+        routine = ir.FunctionType(ir.VoidType(), [pointer.type for pointer in pointers]).as_pointer()
+        builder.call(builder.inttoptr(values[0], routine), pointers)
+        return context.get_dummy_value()
+
+    return types.void(address, arguments), generate
+
+
+@njit(inline="always")
+def at(array: Any) -> int:
+    """Address of an array's first number."""
+    address: int = np.intp(array.ctypes.data)  # type: ignore[assignment]
+    return address
