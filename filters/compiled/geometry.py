@@ -21,9 +21,9 @@ OPTIONS: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract"}, "no
 _matrix_of, _quaternion_of = njit(**OPTIONS)(rotations.matrix_of), njit(**OPTIONS)(rotations.quaternion_of)
 _product_of, _right_jacobian_of = njit(**OPTIONS)(rotations.product_of), njit(**OPTIONS)(rotations.right_jacobian_of)
 
-POSITION, ORIENTATION, LINEAR, ANGULAR, PREDICTED, CALIBRATION = 0, 3, 7, 10, 13, 26
-"""Where the values of a filter begin: pose and velocity, the same as predicted last, calibration."""
-VALUES, CALIBRATIONS = 32, 6
+POSITION, ORIENTATION, LINEAR, ANGULAR, CALIBRATION, PREDICTED = 0, 3, 7, 10, 13, 19
+"""Where the values of a filter begin: pose, velocity and calibration, and the same as predicted last."""
+VALUES, CALIBRATIONS = 38, 6
 FX, FY, CX, CY, FB, TAIL_DOF, MIN_DISPARITY, SIGMA_LINEAR, SIGMA_ANGULAR = range(9)
 """Numbers of a recipe."""
 
@@ -72,6 +72,24 @@ def multiply(A: FloatArray, B: FloatArray, out: FloatArray) -> None:
     for i in range(3):
         for j in range(3):
             out[i, j] = A[i, 0] * B[0, j] + A[i, 1] * B[1, j] + A[i, 2] * B[2, j]
+
+
+@njit(**OPTIONS)
+def inverse(A: FloatArray, out: FloatArray) -> None:
+    """out (3, 3) = A^-1."""
+    out[0, 0] = A[1, 1] * A[2, 2] - A[1, 2] * A[2, 1]
+    out[1, 0] = A[1, 2] * A[2, 0] - A[1, 0] * A[2, 2]
+    out[2, 0] = A[1, 0] * A[2, 1] - A[1, 1] * A[2, 0]
+    scale = 1.0 / (A[0, 0] * out[0, 0] + A[0, 1] * out[1, 0] + A[0, 2] * out[2, 0])
+    out[0, 1] = A[0, 2] * A[2, 1] - A[0, 1] * A[2, 2]
+    out[1, 1] = A[0, 0] * A[2, 2] - A[0, 2] * A[2, 0]
+    out[2, 1] = A[0, 1] * A[2, 0] - A[0, 0] * A[2, 1]
+    out[0, 2] = A[0, 1] * A[1, 2] - A[0, 2] * A[1, 1]
+    out[1, 2] = A[0, 2] * A[1, 0] - A[0, 0] * A[1, 2]
+    out[2, 2] = A[0, 0] * A[1, 1] - A[0, 1] * A[1, 0]
+    for i in range(3):
+        for j in range(3):
+            out[i, j] *= scale
 
 
 @njit(**OPTIONS)

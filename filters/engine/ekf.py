@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from filters.camera import StereoCamera
 from filters.engine import gating, kalman
+from filters.engine.compiled import compiled_filter
 from filters.engine.consensus import largest_agreement
 from filters.engine.gating import BEHIND, FAILED, GATED, USED, FateArray
 from filters.engine.heavy_tails import reweighted
@@ -37,7 +38,7 @@ from filters.interface import (
 from filters.known_names import require_known
 from filters.landmarks.model import LandmarkModel
 from filters.measurements.model import MeasurementModel, Stage
-from filters.motions.model import MotionModel, MotionPrediction, measure_odometry, predict_camera
+from filters.motions.model import CameraState, MotionModel, MotionPrediction, measure_odometry, predict_camera
 from filters.noise import StereoNoise
 from filters.parts import Named
 from filters.start import Start
@@ -143,12 +144,13 @@ class StereoEKF(StereoFilter):
             compiled=compiled,
         )
         self._policy = MapPolicy(camera, noise, self.options)
+        self._compiled = compiled_filter(camera, self.options)
         self.reset()
 
     def reset(self, start: Start = AT_ORIGIN) -> None:
         """Start again with an empty map; see `StereoFilter.reset`."""
         check_start(start)
-        self._state = JointState.at(start, self.options.layout, self.options.landmark)
+        self.state = JointState.at(start, self.options.layout, self.options.landmark)
 
     def predict(self, dt: float, odometry: BodyVelocity | None = None) -> None:
         """Move the belief forward (Eq. 6, 11, 12), then fuse what odometry adds."""
@@ -156,6 +158,10 @@ class StereoEKF(StereoFilter):
         if odometry is not None and not isinstance(odometry, BodyVelocity):
             raise ValueError(f"odometry must be a BodyVelocity or None, got {odometry!r}")
         motion = self.options.motion
+        if self._compiled is not None:
+            motion.check_odometry(odometry)
+            self._compiled.predict(dt, odometry)
+            return
         predicted = predict_camera(motion, self._state.camera, dt, odometry)
         measured = None if odometry is None else measure_odometry(motion, predicted.state, dt, odometry)
         # The model has said all it has to say, in the right shapes: only now does the state change.
@@ -172,7 +178,9 @@ class StereoEKF(StereoFilter):
             raise ValueError(f"observation must be a StereoObservation, got {type(observation).__name__}")
         # One order for everything below, so that the result cannot depend on the order of the measurements.
         observation = observation.ordered()
-        known, index = self._locate(observation.ids)
+        if self._compiled is not None:
+            return self._compiled.update(observation, self.noise)
+        known, index = _locate(self._state.ids, observation.ids)
         all_known = len(index) == len(observation)
         measured = observation if all_known else observation.select(known)
         report = self._correct(measured, index)
@@ -183,7 +191,7 @@ class StereoEKF(StereoFilter):
 
     def forecast(self, ids: Sequence[int] | IntArray | None = None) -> Forecast:
         """Predicted (u, v, d) and S of landmarks at the current pose."""
-        state, sensor = self._state, self.options.measurement
+        state, sensor = self.state, self.options.measurement
         wanted, index = self._wanted(ids)
         points_c = points_in_camera(state, index)
         uvd = sensor.predict(self.camera, points_c, state.camera.variables)[:, :3]
@@ -194,42 +202,56 @@ class StereoEKF(StereoFilter):
 
     def joint_covariance(self, ids: Sequence[int] | IntArray | None = None) -> FloatArray:
         """Covariance of the pose error and landmark positions, correlations included; see the base class."""
-        return joint_covariance(self._state, self._wanted(ids)[1])
+        return joint_covariance(self.state, self._wanted(ids)[1])
 
     def pose_landmark_covariances(self, ids: Sequence[int] | IntArray | None = None) -> FloatArray:
         """Covariances of pose and one landmark each; see the base class."""
-        return pose_landmark_covariances(self._state, self._wanted(ids)[1])
+        return pose_landmark_covariances(self.state, self._wanted(ids)[1])
 
     def forget(self, ids: Sequence[int] | IntArray) -> None:
         """Marginalise landmarks out; ids not in the map are ignored."""
-        self._state.remove(np.isin(self._state.ids, unique_ids("ids", np.asarray(ids))))
+        state = self.state
+        state.remove(np.isin(state.ids, unique_ids("ids", np.asarray(ids))))
+        self.state = state
 
     @property
     def state_size(self) -> int:
         """Numbers in the error state: of the named variables, and three for every landmark and every anchor."""
-        return len(self._state.rows_in_use)
+        return len(self.state.rows_in_use)
 
     @property
     def state(self) -> JointState:
-        """The joint state itself, for filters built on this one."""
-        return self._state
+        """The joint state, for filters built on this one; to be assigned after a change, compiled filters give a copy."""
+        return self._state if self._compiled is None else self._compiled.state
+
+    @state.setter
+    def state(self, state: JointState) -> None:
+        if self._compiled is None:
+            self._state = state
+        else:
+            self._compiled.state = state
+
+    @property
+    def ids(self) -> IntArray:
+        """Landmarks in the map, (N,), in no order; cheaper to ask than `landmarks`."""
+        return self._state.ids if self._compiled is None else self._compiled.ids
 
     def with_state(self, state: JointState) -> StereoEKF:
         """The same filter with another state: what it says of landmarks that are kept elsewhere."""
         other = copy(self)
-        other._state = state
+        other._compiled, other._state = None, state
         return other
 
     @property
     def pose(self) -> PoseBelief:
         """Pose of the left camera."""
-        camera = self._state.camera
+        camera = self._camera
         return PoseBelief(camera.position.copy(), camera.orientation.copy(), self._covariance_of(POSE))
 
     @property
     def velocity(self) -> VelocityBelief:
         """Velocity of the left camera."""
-        camera = self._state.camera
+        camera = self._camera
         return VelocityBelief(
             camera.linear_velocity.copy(), camera.angular_velocity.copy(), self._covariance_of(VELOCITY)
         )
@@ -242,7 +264,7 @@ class StereoEKF(StereoFilter):
         ValueError
             There is no variable of that name.
         """
-        state, camera = self._state, self._state.camera
+        state, camera = self.state, self.state.camera
         if name in state.clones:
             clone = state.clones[name]
             rows = state.block_rows(clone.blocks)
@@ -264,9 +286,11 @@ class StereoEKF(StereoFilter):
         ValueError
             There is a variable of that name already.
         """
-        if name in (*self.options.layout.places, *self._state.clones):
+        state = self.state
+        if name in (*self.options.layout.places, *state.clones):
             raise ValueError(f"name must be new, there is a variable {name!r} already: forget_clone it first")
-        self._state.clone_pose(name)
+        state.clone_pose(name)
+        self._compiled, self._state = None, state  # the kernels know no clones
 
     def forget_clone(self, name: str) -> None:
         """Marginalise a clone of the pose out.
@@ -276,13 +300,14 @@ class StereoEKF(StereoFilter):
         ValueError
             There is no clone of that name.
         """
-        require_known("there is no clone", [name], self._state.clones)
-        self._state.forget_clone(name)
+        state = self.state
+        require_known("there is no clone", [name], state.clones)
+        state.forget_clone(name)
 
     @property
     def landmarks(self) -> LandmarkBelief:
         """The map, in ascending order of ids."""
-        state, index = self._state, np.argsort(self._state.ids)
+        state, index = self.state, np.argsort(self.state.ids)
         parameters, anchors = state.parameters(index), state.anchors(index)
         points = self.options.landmark.points(anchors, parameters)
         P_map = symmetric.blocks(state.P, state.map_rows(index))
@@ -300,31 +325,27 @@ class StereoEKF(StereoFilter):
         """Error of the pose in this filter's error definition; see `StereoFilter.pose_error`."""
         true_position = finite_array("position", position, (3,))
         true_orientation = unit_quaternion("orientation", orientation)
-        camera = self._state.camera
+        camera = self._camera
         return self.options.error.pose_error(camera, self.pose.covariance, true_position, true_orientation)
 
     def _wanted(self, ids: Sequence[int] | IntArray | None) -> tuple[IntArray, IntArray]:
         """The landmarks asked for (None: all, ascending), and where they are; refuses those that are not there."""
-        wanted = np.sort(self._state.ids) if ids is None else unique_ids("ids", np.asarray(ids))
-        known, index = self._locate(wanted)
+        there = self.ids
+        wanted = np.sort(there) if ids is None else unique_ids("ids", np.asarray(ids))
+        known, index = _locate(there, wanted)
         if not known.all():
             raise ValueError(f"ids must be in the map, not there: {wanted[~known][:5].tolist()}: see landmarks.ids")
         return wanted, index
 
-    def _locate(self, ids: IntArray) -> tuple[BoolArray, IntArray]:
-        """Which of `ids` are in the map, and where those are."""
-        if len(self._state) == 0:
-            return np.zeros(len(ids), dtype=bool), np.zeros(0, dtype=np.int64)
-        there = self._state.ids
-        if len(ids) == len(there) and (ids == there).all():
-            return np.ones(len(ids), dtype=bool), np.arange(len(ids))
-        order = np.argsort(there)
-        candidate = order.take(np.searchsorted(there, ids, sorter=order), mode="clip")
-        known = there[candidate] == ids
-        return known, candidate[known]
+    @property
+    def _camera(self) -> CameraState:
+        """Values of the named variables."""
+        return self._state.camera if self._compiled is None else self._compiled.camera
 
     def _covariance_of(self, name: str) -> FloatArray:
         place = self.options.layout.places[name]
+        if self._compiled is not None:
+            return self._compiled.covariance(place)
         return symmetric.full(self._state.P[place, place])
 
     def _move_covariance(self, predicted: MotionPrediction, dt: float) -> None:
@@ -432,3 +453,15 @@ class StereoEKF(StereoFilter):
 
 def _select(stage: Stage, mask: BoolArray) -> Stage:
     return stage if mask.all() else Stage(stage.z[mask], stage.T, stage.R[mask])
+
+
+def _locate(there: IntArray, ids: IntArray) -> tuple[BoolArray, IntArray]:
+    """Which of `ids` are among those that are `there`, and where those are."""
+    if len(there) == 0:
+        return np.zeros(len(ids), dtype=bool), np.zeros(0, dtype=np.int64)
+    if len(ids) == len(there) and (ids == there).all():
+        return np.ones(len(ids), dtype=bool), np.arange(len(ids))
+    order = np.argsort(there)
+    candidate = order.take(np.searchsorted(there, ids, sorter=order), mode="clip")
+    known = there[candidate] == ids
+    return known, candidate[known]

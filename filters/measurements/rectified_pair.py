@@ -48,7 +48,7 @@ class RectifiedPair(MeasurementModel):
 class RangeBearing(RectifiedPair):
     """The paper's: one joint update with (u, v, d). A separately measured right row is not used."""
 
-    kernel: ClassVar[str | None] = "rectified-pair"
+    kernel: ClassVar[str | None] = "joint"
 
     def stages(self, observation: StereoObservation, R: FloatArray) -> tuple[Stage, ...]:
         """One."""
@@ -77,7 +77,7 @@ class _BothCameras(RectifiedPair):
 class LeftThenRight(_BothCameras):
     """Two updates in sequence, left then right, the second linearised at the result of the first."""
 
-    kernel: ClassVar[str | None] = "rectified-pair"
+    kernel: ClassVar[str | None] = "sequential"
 
     def stages(self, observation: StereoObservation, R: FloatArray) -> tuple[Stage, ...]:
         """Two."""
@@ -91,7 +91,7 @@ class Stacked(_BothCameras):
     The error of v_right is taken as independent of the other three.
     """
 
-    kernel: ClassVar[str | None] = "rectified-pair"
+    kernel: ClassVar[str | None] = "stacked"
 
     def stages(self, observation: StereoObservation, R: FloatArray) -> tuple[Stage, ...]:
         """One."""
@@ -108,7 +108,7 @@ class Stacked(_BothCameras):
 class LeftOnly(RectifiedPair):
     """Monocular updates: the left pixel. The disparity serves for initialisation only."""
 
-    kernel: ClassVar[str | None] = "rectified-pair"
+    kernel: ClassVar[str | None] = "left"
 
     def stages(self, observation: StereoObservation, R: FloatArray) -> tuple[Stage, ...]:
         """One."""

@@ -120,6 +120,9 @@ class MotionModel:
     variables: tuple[Variable, ...] = ()
     kernel: ClassVar[str | None] = None
 
+    def check_odometry(self, odometry: BodyVelocity | None) -> None:
+        """Raise a `ValueError` if the model cannot make a step with this odometry."""
+
     def move(self, state: CameraState, dt: float, odometry: BodyVelocity | None, noise: FloatArray) -> CameraState:
         """State after `dt` > 0 seconds with this noise (k,)."""
         raise NotImplementedError(f"{type(self).__name__} must have move and noise, or predict: see MotionModel")

@@ -30,13 +30,18 @@ class VelocityDriven(MotionModel):
 
     kernel: ClassVar[str | None] = "velocity-driven"
 
-    def predict(self, state: CameraState, dt: float, odometry: BodyVelocity | None) -> MotionPrediction:
-        """R' = r + R Exp(w dt / 2) v dt, q' = q x q(w dt); noise n = errors of (v, w)."""
+    def check_odometry(self, odometry: BodyVelocity | None) -> None:
+        """It needs some."""
         if odometry is None:
             raise ValueError(
                 "odometry must be given in every predict with motion=VelocityDriven(): "
                 "pass a BodyVelocity, or use motion=ConstantVelocity(...)"
             )
+
+    def predict(self, state: CameraState, dt: float, odometry: BodyVelocity | None) -> MotionPrediction:
+        """R' = r + R Exp(w dt / 2) v dt, q' = q x q(w dt); noise n = errors of (v, w)."""
+        self.check_odometry(odometry)
+        assert odometry is not None
         turn = odometry.angular * dt
         half = rotations.exp(0.5 * turn)
         R_mid = state.R_wc @ half

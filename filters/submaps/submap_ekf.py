@@ -106,18 +106,22 @@ class SubmapEKF(StereoFilter):
             raise ValueError(f"observation must be a StereoObservation, got {type(observation).__name__}")
         again = observation.ids[self._chain.at_rest(observation.ids)]
         if len(again):
-            self._chain.bring(self._active.state, again)
+            state = self._active.state
+            self._chain.bring(state, again)
+            self._active.state = state
         report = self._active.update(observation)
         self._recent.append(observation.ids)
-        unseen = ~np.isin(self._active.state.ids, np.concatenate(self._recent))
+        unseen = ~np.isin(self._active.ids, np.concatenate(self._recent))
         if unseen.sum() > self._max_unseen:
-            self._chain.rest(self._active.state, unseen)
+            state = self._active.state
+            self._chain.rest(state, unseen)
+            self._active.state = state
         return report
 
     def forecast(self, ids: Sequence[int] | IntArray | None = None) -> Forecast:
         """Predicted (u, v, d) and S of landmarks, at rest or not, at the current pose."""
         if ids is None:
-            wanted = np.sort(np.concatenate([self._active.state.ids, self._chain.ids]))
+            wanted = np.sort(np.concatenate([self._active.ids, self._chain.ids]))
         else:
             wanted = unique_ids("ids", np.asarray(ids))
         awake = wanted[~self._chain.at_rest(wanted)]
@@ -139,13 +143,15 @@ class SubmapEKF(StereoFilter):
 
         Exact: landmarks at rest that are asked for are brought back into the active map of a copy. Ask sparingly.
         """
-        everything = np.sort(np.concatenate([self._active.state.ids, self._chain.ids]))
+        everything = np.sort(np.concatenate([self._active.ids, self._chain.ids]))
         wanted = everything if ids is None else unique_ids("ids", np.asarray(ids))
         asleep = wanted[self._chain.at_rest(wanted)]
         if len(asleep) == 0:
             return self._active.joint_covariance(wanted)
         awake = deepcopy(self)
-        awake._chain.bring(awake._active.state, asleep)
+        state = awake._active.state
+        awake._chain.bring(state, asleep)
+        awake._active.state = state
         return awake._active.joint_covariance(wanted)
 
     def forget(self, ids: Sequence[int] | IntArray) -> None:
@@ -183,12 +189,12 @@ class SubmapEKF(StereoFilter):
     @property
     def awake(self) -> IntArray:
         """Landmarks of the active map, ascending; all others are at rest."""
-        return np.sort(self._active.state.ids)
+        return np.sort(self._active.ids)
 
     @property
     def size(self) -> int:
         """Number of landmarks in the map, cheaper to ask than `landmarks`."""
-        return len(self._active.state) + len(self._chain.ids)
+        return len(self._active.ids) + len(self._chain.ids)
 
     @property
     def state_size(self) -> int:
