@@ -1,6 +1,7 @@
 """Public names of `filters`; each is imported when it is first used."""
 
 from .camera import StereoCamera as StereoCamera
+from .compiled.batch import FilterBatch as FilterBatch
 from .conformance import ConformanceError as ConformanceError
 from .conformance import ConformanceReport as ConformanceReport
 from .conformance import assert_healthy as assert_healthy

@@ -124,9 +124,7 @@ def shear(P: FloatArray, W: FloatArray, first: int, n: int) -> None:
 
 
 @njit(**OPTIONS)
-def add_block(
-    P: FloatArray, first: int, n: int, J: FloatArray, noise: FloatArray, size: int, rows: FloatArray
-) -> None:
+def add_block(P: FloatArray, first: int, n: int, J: FloatArray, noise: FloatArray, size: int, rows: FloatArray) -> None:
     """A new block at `first` whose error is J (3, size) times the leading rows, plus noise (3, 3).
 
     `n` counts it already; what P has there is overwritten.

@@ -41,9 +41,10 @@ from filters.noise import StereoNoise
 from filters.state import symmetric
 from filters.state.joint_state import JointState
 from filters.state.layout import Layout
-from filters.validation import FloatArray, IntArray
+from filters.validation import BoolArray, FloatArray, IntArray
 
 _NO_ODOMETRY = np.zeros((1, 6)), np.zeros((1, 6, 6)), np.zeros(1, dtype=np.bool_)
+_ACTIVE = np.ones(1, dtype=np.bool_)
 _NO_RIGHT_ROWS = np.zeros(0)
 _ROOM = 24
 """Blocks that a filter has room for at the start."""
@@ -113,9 +114,10 @@ class CompiledEngine:
         first: int,
         last: int,
         dt: FloatArray,
-        odometry: tuple[FloatArray, FloatArray, FloatArray] = _NO_ODOMETRY,
+        odometry: tuple[FloatArray, FloatArray, BoolArray] = _NO_ODOMETRY,
+        active: BoolArray = _ACTIVE,
     ) -> None:
-        """Predict the filters first to last - 1; arrays are by the number of the filter."""
+        """Predict the filters first to last - 1 that are active; arrays are those of these filters."""
         recipe, store = self.recipe, self.storage
         predict_range(
             ROUTINES,
@@ -133,6 +135,7 @@ class CompiledEngine:
             last,
             dt,
             *odometry,
+            active,
         )
 
     def update(
@@ -144,8 +147,9 @@ class CompiledEngine:
         uvd: FloatArray,
         R: FloatArray,
         v_right: FloatArray = _NO_RIGHT_ROWS,
+        active: BoolArray = _ACTIVE,
     ) -> Outcome:
-        """Update the filters first to last - 1, the i-th with the measurements offsets[i] to offsets[i + 1] - 1.
+        """Update the filters first to last - 1 that are active, the i-th with the measurements offsets[i] to offsets[i + 1] - 1.
 
         Parameters
         ----------
@@ -159,8 +163,7 @@ class CompiledEngine:
             Covariance of each, or of all.
         """
         recipe, store, count = self.recipe, self.storage, last - first
-        most = int(np.diff(offsets).max(initial=0))
-        store.make_room(int(store.counts[first:last, 1].max(initial=0)) + 2 * most)
+        self.make_room(first, last, offsets)
         fates, results = np.empty(len(ids), dtype=np.uint8), np.empty((count, 2))
         dropped = np.empty((count, store.landmarks.shape[1]), dtype=np.int64)
         dropped_counts = np.empty(count, dtype=np.int64)
@@ -193,8 +196,14 @@ class CompiledEngine:
             results,
             dropped,
             dropped_counts,
+            active,
         )
         return Outcome(offsets, ids, fates, results, dropped, dropped_counts)
+
+    def make_room(self, first: int, last: int, offsets: IntArray) -> None:
+        """Room for what these measurements can start; not while another thread runs filters of this engine."""
+        counts = self.storage.counts[first:last, 1] + 2 * np.diff(offsets)
+        self.storage.make_room(int(counts.max(initial=0)))
 
     def load(self, number: int, state: JointState) -> None:
         """Take over a state."""
@@ -215,7 +224,10 @@ class CompiledEngine:
         P[: store.lead + 3 * blocks, : store.lead + 3 * blocks] = 0.0
         kept = np.concatenate([layout.rows, state.block_rows(used)])
         P[np.ix_(rows, rows)] = np.tril(state.P[np.ix_(kept, kept)]).T
-        store.blocks[number, :blocks], store.first_blocks[number, :blocks] = state.blocks[used], state.first_blocks[used]
+        store.blocks[number, :blocks], store.first_blocks[number, :blocks] = (
+            state.blocks[used],
+            state.first_blocks[used],
+        )
         order = np.argsort(state.ids)
         table = store.landmarks[number, : len(state)]
         table[:, ID], table[:, OWN] = state.ids[order], place[state.parameter_block[order]]
@@ -321,9 +333,7 @@ class CompiledFilter:
         v_right = _NO_RIGHT_ROWS if right is None else right.copy()
         if len(ids) == 0:
             R = noise.R[None].copy()
-        return self.engine.update(
-            self.number, self.number + 1, np.array([0, len(ids)]), ids, uvd, R, v_right
-        ).report(0)
+        return self.engine.update(self.number, self.number + 1, np.array([0, len(ids)]), ids, uvd, R, v_right).report(0)
 
     @property
     def state(self) -> JointState:
@@ -357,7 +367,7 @@ def engine_of(recipe: Recipe, options: Options, count: int) -> CompiledEngine:
     return CompiledEngine(recipe, options.layout, options.landmark, present, storage)
 
 
-def packed_odometry(odometry: BodyVelocity | None) -> tuple[FloatArray, FloatArray, FloatArray]:
+def packed_odometry(odometry: BodyVelocity | None) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Odometry of one filter as the kernels take it: (1, 6), (1, 6, 6), (1,)."""
     if odometry is None:
         return _NO_ODOMETRY

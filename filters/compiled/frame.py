@@ -63,8 +63,20 @@ def _retract(
     new_values, new_blocks = np.empty_like(values), np.empty_like(blocks)
     leading, own, by_rotation = np.empty((lead, lead)), np.empty((len(blocks), 3, 3)), np.empty((3, n))
     retract(
-        choices[ERROR], lead, choices[VELOCITY], columns, values, blocks, landmarks, count, delta,
-        new_values, new_blocks, leading, own, by_rotation,
+        choices[ERROR],
+        lead,
+        choices[VELOCITY],
+        columns,
+        values,
+        blocks,
+        landmarks,
+        count,
+        delta,
+        new_values,
+        new_blocks,
+        leading,
+        own,
+        by_rotation,
     )
     transport(P, n, choices[ERROR], lead, leading, own, by_rotation)
     values[:] = new_values
@@ -92,8 +104,18 @@ def _linearise(
     size = innovation.shape[1]
     if choices[ERROR] != FIRST_ESTIMATES:
         linearise(
-            numbers, columns, choices[LEAD], values, blocks, landmarks, index, T,
-            innovation, by_leading, by_map, map_rows,
+            numbers,
+            columns,
+            choices[LEAD],
+            values,
+            blocks,
+            landmarks,
+            index,
+            T,
+            innovation,
+            by_leading,
+            by_map,
+            map_rows,
         )
     else:
         at = first_blocks.copy()
@@ -102,8 +124,18 @@ def _linearise(
                 own = landmarks[index[i], OWN]
                 at[own, 2] = blocks[own, 2]
         linearise(
-            numbers, columns, choices[LEAD], values[PREDICTED:], at, landmarks, index, T,
-            innovation, by_leading, by_map, map_rows,
+            numbers,
+            columns,
+            choices[LEAD],
+            values[PREDICTED:],
+            at,
+            landmarks,
+            index,
+            T,
+            innovation,
+            by_leading,
+            by_map,
+            map_rows,
         )
         uvd, ahead = np.empty((len(index), 3)), np.empty(len(index), np.bool_)
         predict_points(numbers, values, blocks, landmarks, index, uvd, ahead)
@@ -178,22 +210,42 @@ def _apply(
                     R[m, a, b] /= weight
     for _ in range(choices[ITERATIONS] - 1):
         trial = P[:n].copy()
-        correct(
-            routines, trial, n, considered, innovation, by_leading, by_map, map_rows, R, delta, used
-        )
+        correct(routines, trial, n, considered, innovation, by_leading, by_map, map_rows, R, delta, used)
         new_values, new_blocks = np.empty_like(values), np.empty_like(blocks)
         leading, own, by_rotation = np.empty((lead, lead)), np.empty((len(blocks), 3, 3)), np.empty((3, n))
         retract(
-            choices[ERROR], lead, choices[VELOCITY], columns, values, blocks, landmarks, count, delta,
-            new_values, new_blocks, leading, own, by_rotation,
+            choices[ERROR],
+            lead,
+            choices[VELOCITY],
+            columns,
+            values,
+            blocks,
+            landmarks,
+            count,
+            delta,
+            new_values,
+            new_blocks,
+            leading,
+            own,
+            by_rotation,
         )
         _linearise(
-            choices, numbers, columns, new_values, new_blocks, first_blocks, landmarks, index, T, z,
-            innovation, by_leading, by_map, map_rows,
+            choices,
+            numbers,
+            columns,
+            new_values,
+            new_blocks,
+            first_blocks,
+            landmarks,
+            index,
+            T,
+            z,
+            innovation,
+            by_leading,
+            by_map,
+            map_rows,
         )
-        pull_back(
-            choices[ERROR], lead, leading, own, by_rotation, delta, innovation, by_leading, by_map, map_rows
-        )
+        pull_back(choices[ERROR], lead, leading, own, by_rotation, delta, innovation, by_leading, by_map, map_rows)
     nis = correct(routines, P, n, considered, innovation, by_leading, by_map, map_rows, R, delta, used)
     _retract(choices, columns, P, n, values, blocks, landmarks, count, delta)
     return nis
@@ -252,14 +304,31 @@ def _stage(
             z[m] = all_z[place[m], :size]
             R[m] = all_R[place[m], :size, :size]
         _linearise(
-            choices, numbers, columns, values, blocks, first_blocks, landmarks, index[:measured], T, z[:measured],
-            innovation[:measured], by_leading[:measured], by_map[:measured], map_rows[:measured],
+            choices,
+            numbers,
+            columns,
+            values,
+            blocks,
+            first_blocks,
+            landmarks,
+            index[:measured],
+            T,
+            z[:measured],
+            innovation[:measured],
+            by_leading[:measured],
+            by_map[:measured],
+            map_rows[:measured],
         )
         kept = measured
         rest_index, rest_place, rest = index[:0], place[:0], 0
         if limit < math.inf:
             squared_distances(
-                P, innovation[:measured], by_leading[:measured], by_map[:measured], map_rows[:measured], R[:measured],
+                P,
+                innovation[:measured],
+                by_leading[:measured],
+                by_map[:measured],
+                map_rows[:measured],
+                R[:measured],
                 distances[:measured],
             )
             for m in range(measured):
@@ -267,18 +336,41 @@ def _stage(
             if passes == 2 and turn == 0:
                 rest_index, rest_place = index[:measured].copy(), place[:measured].copy()
                 rest = measured
-            kept = _select(
-                chosen[:measured], index, place, z, innovation, by_leading, by_map, map_rows, R
-            )
+            kept = _select(chosen[:measured], index, place, z, innovation, by_leading, by_map, map_rows, R)
             if passes == 2 and turn == 0:
                 largest_agreement(
-                    P, n, innovation[:kept], by_leading[:kept], by_map[:kept], map_rows[:kept], R[:kept], limit,
+                    P,
+                    n,
+                    innovation[:kept],
+                    by_leading[:kept],
+                    by_map[:kept],
+                    map_rows[:kept],
+                    R[:kept],
+                    limit,
                     chosen[:kept],
                 )
                 kept = _select(chosen[:kept], index, place, z, innovation, by_leading, by_map, map_rows, R)
         result[0] += _apply(
-            routines, choices, numbers, columns, considered, P, n, values, blocks, first_blocks, landmarks, count,
-            index[:kept], T, z[:kept], innovation[:kept], by_leading[:kept], by_map[:kept], map_rows[:kept], R[:kept],
+            routines,
+            choices,
+            numbers,
+            columns,
+            considered,
+            P,
+            n,
+            values,
+            blocks,
+            first_blocks,
+            landmarks,
+            count,
+            index[:kept],
+            T,
+            z[:kept],
+            innovation[:kept],
+            by_leading[:kept],
+            by_map[:kept],
+            map_rows[:kept],
+            R[:kept],
             used[:kept],
         )
         for m in range(kept):
@@ -298,8 +390,15 @@ def _stage(
 
 @njit(**OPTIONS)
 def _remove(
-    P: FloatArray, lead: int, blocks: FloatArray, first_blocks: FloatArray, landmarks: IntArray, users: IntArray,
-    counts: IntArray, gone: BoolArray, dropped: IntArray,
+    P: FloatArray,
+    lead: int,
+    blocks: FloatArray,
+    first_blocks: FloatArray,
+    landmarks: IntArray,
+    users: IntArray,
+    counts: IntArray,
+    gone: BoolArray,
+    dropped: IntArray,
 ) -> int:
     """Take landmarks out of the table; blocks without users stay as holes. The number of `dropped` ids."""
     kept, out = 0, 0
@@ -321,8 +420,14 @@ def _remove(
 
 @njit(**OPTIONS)
 def _close_holes(
-    P: FloatArray, lead: int, blocks: FloatArray, first_blocks: FloatArray, landmarks: IntArray, users: IntArray,
-    counts: IntArray, held: IntArray,
+    P: FloatArray,
+    lead: int,
+    blocks: FloatArray,
+    first_blocks: FloatArray,
+    landmarks: IntArray,
+    users: IntArray,
+    counts: IntArray,
+    held: IntArray,
 ) -> None:
     """Move the last blocks into the holes, so that all rows below are in use."""
     hole = 0
@@ -359,9 +464,7 @@ def _take_block(users: IntArray, counts: IntArray, hole: int) -> int:
 
 
 @njit(**OPTIONS)
-def _constrained(
-    J: FloatArray, effect: FloatArray, source: FloatArray, R: FloatArray, defect: FloatArray
-) -> None:
+def _constrained(J: FloatArray, effect: FloatArray, source: FloatArray, R: FloatArray, defect: FloatArray) -> None:
     """`FirstEstimates.constrained` of the Jacobian (3, c) of one block, in place."""
     for i in range(3):
         for j in range(3):
@@ -554,27 +657,39 @@ def predict_range(
     odometry: FloatArray,
     covariances: FloatArray,
     has_odometry: BoolArray,
+    active: BoolArray,
 ) -> None:
-    """Predict the filters first to last - 1; dt, odometry and what belongs to it are those of these filters."""
+    """Predict the filters first to last - 1; dt, odometry and what belongs to it are those of these filters.
+
+    Those that are not `active` are left as they are.
+    """
     lead, velocity = choices[LEAD], choices[VELOCITY]
     innovation, H = np.empty((1, 6)), np.empty((1, 6, lead))
     no_map, no_rows = np.empty((1, 6, 0)), np.empty((1, 0), np.int64)
     used = np.empty(1, np.bool_)
     for b in range(first, last):
         i, n = b - first, lead + 3 * counts[b, 1]
+        if not active[i]:
+            continue
         prediction.predict(
-            P[b], n, values[b], choices[MOTION], choices[ERROR], lead, velocity, numbers, walk_rates, dt[i],
-            odometry[i], covariances[i],
+            P[b],
+            n,
+            values[b],
+            choices[MOTION],
+            choices[ERROR],
+            lead,
+            velocity,
+            numbers,
+            walk_rates,
+            dt[i],
+            odometry[i],
+            covariances[i],
         )
         if has_odometry[i] and choices[MOTION] == prediction.CONSTANT_VELOCITY:
             delta = np.empty(n)
             prediction.measure_odometry(values[b], velocity, dt[i], odometry[i], innovation, H)
-            correct(
-                routines, P[b], n, considered, innovation, H, no_map, no_rows, covariances[i : i + 1], delta, used
-            )
-            _retract(
-                choices, columns, P[b], n, values[b], blocks[b, : counts[b, 1]], landmarks[b], counts[b, 0], delta
-            )
+            correct(routines, P[b], n, considered, innovation, H, no_map, no_rows, covariances[i : i + 1], delta, used)
+            _retract(choices, columns, P[b], n, values[b], blocks[b, : counts[b, 1]], landmarks[b], counts[b, 0], delta)
 
 
 @njit(**OPTIONS)
@@ -607,18 +722,23 @@ def update_range(
     results: FloatArray,
     dropped: IntArray,
     dropped_counts: IntArray,
+    active: BoolArray,
 ) -> None:
     """Update the filters first to last - 1; the i-th of them with the measurements offsets[i] to offsets[i + 1] - 1.
 
     ids are ascending in each filter.
     rows_of_stages (S, 2) has the number of rows of each stage and the row of v_right, -1 where there is none; copied
     is the factor of its variance where it is not measured, NaN where it is left out then. v_right is NaN where it is
-    not measured. results (b, 2) are NIS and degrees of freedom.
+    not measured. results (b, 2) are NIS and degrees of freedom. Filters that are not `active` are left as they are.
     """
     lead = choices[LEAD]
     for b in range(first, last):
         which = b - first
         low, high = offsets[which], offsets[which + 1]
+        results[which, 0] = results[which, 1] = 0.0
+        dropped_counts[which] = 0
+        if not active[which]:
+            continue
         count = high - low
         known = np.empty(count, np.int64)
         fate = fates[low:high]
@@ -630,7 +750,6 @@ def update_range(
             known[i] = k if k < counts[b, 0] and landmarks[b, k, ID] == ids[low + i] else -1
             any_known = any_known or known[i] >= 0
             fate[i] = USED
-        results[which, 0] = results[which, 1] = 0.0
         n = lead + 3 * counts[b, 1]
         if any_known:
             has_right = len(v_right) > 0 and not math.isnan(v_right[low])
@@ -663,11 +782,26 @@ def update_range(
                                 if a != right:
                                     noise[i, a, right] = noise[i, right, a] = 0.0
                 _stage(
-                    routines, choices, numbers, columns, considered, P[b], n, values[b], blocks[b, : counts[b, 1]],
-                    first_blocks[b, : counts[b, 1]], landmarks[b], counts[b, 0], known, T, z, noise, limit, fate,
+                    routines,
+                    choices,
+                    numbers,
+                    columns,
+                    considered,
+                    P[b],
+                    n,
+                    values[b],
+                    blocks[b, : counts[b, 1]],
+                    first_blocks[b, : counts[b, 1]],
+                    landmarks[b],
+                    counts[b, 0],
+                    known,
+                    T,
+                    z,
+                    noise,
+                    limit,
+                    fate,
                     results[which],
                 )
-        dropped_counts[which] = 0
         if choices[DROP_UNSEEN]:
             gone = np.ones(counts[b, 0], np.bool_)
             for i in range(count):
@@ -677,7 +811,20 @@ def update_range(
                 P[b], lead, blocks[b], first_blocks[b], landmarks[b], users[b], counts[b], gone, dropped[which]
             )
         _start(
-            choices, numbers, columns, P[b], values[b], blocks[b], first_blocks[b], landmarks[b], users[b], counts[b],
-            ids[low:high], uvd[low:high], R[low:high] if len(R) > 1 else R[:1], known, fate,
+            choices,
+            numbers,
+            columns,
+            P[b],
+            values[b],
+            blocks[b],
+            first_blocks[b],
+            landmarks[b],
+            users[b],
+            counts[b],
+            ids[low:high],
+            uvd[low:high],
+            R[low:high] if len(R) > 1 else R[:1],
+            known,
+            fate,
         )
         _close_holes(P[b], lead, blocks[b], first_blocks[b], landmarks[b], users[b], counts[b], held[b])

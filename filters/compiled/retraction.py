@@ -36,9 +36,7 @@ _additive_transport_of = njit(**OPTIONS)(additive_transport_of)
 
 
 @njit(**OPTIONS)
-def _point(
-    old: FloatArray, delta: FloatArray, spread: FloatArray, new: FloatArray
-) -> None:
+def _point(old: FloatArray, delta: FloatArray, spread: FloatArray, new: FloatArray) -> None:
     """new = old + J_l(theta) delta."""
     for i in range(3):
         new[i] = old[i] + spread[i, 0] * delta[0] + spread[i, 1] * delta[1] + spread[i, 2] * delta[2]

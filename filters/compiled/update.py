@@ -257,22 +257,34 @@ def _innovation_covariance(
     """S = (H P) H^T + R, its upper triangle in C order, of the measurements first to last - 1."""
     size, width = by_map.shape[1:]
     leading = by_leading.shape[2]
+    rows = (last - first) * size
+    shared, own = np.empty((leading, rows)), np.empty((width, rows))
+    for row in range(rows):
+        for c in range(leading):
+            shared[c, row] = HP[row, c]
     for m in range(first, last):
-        column = (m - first) * size
-        for row in range(column + size):
-            source = HP[row]
-            for a in range(size):
-                value = 0.0
-                for c in range(leading):
-                    value += source[c] * by_leading[m, a, c]
-                for block in range(width // 3):
-                    place = map_rows[m, block]
-                    for i in range(3):
-                        value += source[place + i] * by_map[m, a, 3 * block + i]
-                S[row, column + a] = value
+        top = (m - first) * size
+        for block in range(width // 3):
+            place = map_rows[m, block]
+            for row in range(top, rows):
+                for i in range(3):
+                    own[3 * block + i, row] = HP[row, place + i]
         for a in range(size):
-            for b in range(a, size):
-                S[column + a, column + b] += R[m, a, b]
+            target = S[top + a]
+            for c in range(0, leading, 3):
+                x, y, z = by_leading[m, a, c], by_leading[m, a, c + 1], by_leading[m, a, c + 2]
+                if c == 0:
+                    for row in range(top, rows):
+                        target[row] = x * shared[0, row] + y * shared[1, row] + z * shared[2, row]
+                else:
+                    for row in range(top, rows):
+                        target[row] += x * shared[c, row] + y * shared[c + 1, row] + z * shared[c + 2, row]
+            for c in range(0, width, 3):
+                x, y, z = by_map[m, a, c], by_map[m, a, c + 1], by_map[m, a, c + 2]
+                for row in range(top, rows):
+                    target[row] += x * own[c, row] + y * own[c + 1, row] + z * own[c + 2, row]
+            for b in range(size):
+                target[top + b] += R[m, a, b]
 
 
 @njit(**OPTIONS)
@@ -443,7 +455,7 @@ def largest_agreement(
             for b in range(a):
                 factors[m, a, a] -= factors[m, a, b] ** 2 * factors[m, b, b]
     own, proposal, solved = np.empty((size, size)), np.empty(size), np.empty(size)
-    best, best_support, best_tightness = -1, -1, 0.0
+    best_support, best_tightness = -1, 0.0
     mine = np.empty(count, np.bool_)
     for i in range(count):
         top = i * size
@@ -483,5 +495,5 @@ def largest_agreement(
                 support += 1
                 tightness += distance
         if support > best_support or (support == best_support and tightness < best_tightness):
-            best, best_support, best_tightness = i, support, tightness
+            best_support, best_tightness = support, tightness
             agree[:] = mine

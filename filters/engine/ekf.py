@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from copy import copy
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -57,6 +58,9 @@ from filters.validation import (
     unit_quaternion,
 )
 from filters.variables import POSE, VELOCITY, VariableBelief
+
+if TYPE_CHECKING:
+    from filters.compiled.engine import CompiledFilter
 
 
 class StereoEKF(StereoFilter):
@@ -221,7 +225,7 @@ class StereoEKF(StereoFilter):
 
     @property
     def state(self) -> JointState:
-        """The joint state, for filters built on this one; to be assigned after a change, compiled filters give a copy."""
+        """The joint state, for filters built on this one; a copy, to be assigned after a change."""
         return self._state if self._compiled is None else self._compiled.state
 
     @state.setter
@@ -230,6 +234,16 @@ class StereoEKF(StereoFilter):
             self._state = state
         else:
             self._compiled.state = state
+
+    @property
+    def compiled(self) -> CompiledFilter | None:
+        """The filter in machine code; None: it runs by NumPy."""
+        return self._compiled
+
+    def share(self, compiled: CompiledFilter) -> None:
+        """Keep what the filter knows from now on in a storage with others; its map is empty until it is reset."""
+        self._compiled = compiled
+        self.reset()
 
     @property
     def ids(self) -> IntArray:
