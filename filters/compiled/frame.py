@@ -14,6 +14,7 @@ from filters.compiled.geometry import (
     CALIBRATIONS,
     CX,
     CY,
+    ENTRY,
     FB,
     FX,
     FY,
@@ -24,6 +25,8 @@ from filters.compiled.geometry import (
     PREDICTED,
     TAIL_DOF,
     angles_jacobian,
+    copy,
+    copy_matrix,
     exponential,
     misaligned,
     multiply,
@@ -79,8 +82,8 @@ def _retract(
         by_rotation,
     )
     transport(P, n, choices[ERROR], lead, leading, own, by_rotation)
-    values[:] = new_values
-    blocks[:] = new_blocks
+    copy(new_values, values)
+    copy_matrix(new_blocks, blocks)
 
 
 @njit(**OPTIONS)
@@ -118,7 +121,8 @@ def _linearise(
             map_rows,
         )
     else:
-        at = first_blocks.copy()
+        at = np.empty_like(first_blocks)
+        copy_matrix(first_blocks, at)
         if choices[LANDMARK] != EUCLIDEAN:
             for i in range(len(index)):
                 own = landmarks[index[i], OWN]
@@ -165,8 +169,12 @@ def _select(
         if chosen[m]:
             if kept < m:
                 index[kept], place[kept] = index[m], place[m]
-                z[kept], innovation[kept], R[kept] = z[m], innovation[m], R[m]
-                by_leading[kept], by_map[kept], map_rows[kept] = by_leading[m], by_map[m], map_rows[m]
+                copy(z[m], z[kept])
+                copy(innovation[m], innovation[kept])
+                copy(map_rows[m], map_rows[kept])
+                copy_matrix(R[m], R[kept])
+                copy_matrix(by_leading[m], by_leading[kept])
+                copy_matrix(by_map[m], by_map[kept])
             kept += 1
     return kept
 
@@ -209,7 +217,8 @@ def _apply(
                 for b in range(size):
                     R[m, a, b] /= weight
     for _ in range(choices[ITERATIONS] - 1):
-        trial = P[:n].copy()
+        trial = np.empty((n, P.shape[1]))
+        copy_matrix(P, trial)
         correct(routines, trial, n, considered, innovation, by_leading, by_map, map_rows, R, delta, used)
         new_values, new_blocks = np.empty_like(values), np.empty_like(blocks)
         leading, own, by_rotation = np.empty((lead, lead)), np.empty((len(blocks), 3, 3)), np.empty((3, n))
@@ -301,8 +310,8 @@ def _stage(
     passes = 2 if choices[CONSENSUS] else 1
     for turn in range(passes):
         for m in range(measured):
-            z[m] = all_z[place[m], :size]
-            R[m] = all_R[place[m], :size, :size]
+            copy(all_z[place[m]], z[m])
+            copy_matrix(all_R[place[m]], R[m])
         _linearise(
             choices,
             numbers,
@@ -441,7 +450,8 @@ def _close_holes(
             return
         last = counts[1] - 1
         move_block(P, lead + 3 * last, lead + 3 * hole, lead + 3 * counts[1], rows)
-        blocks[hole], first_blocks[hole] = blocks[last], first_blocks[last]
+        copy(blocks[last], blocks[hole])
+        copy(first_blocks[last], first_blocks[hole])
         users[hole], users[last] = users[last], 0
         for k in range(counts[0]):
             for c in range(OWN, ANCHOR + 1):
@@ -631,14 +641,14 @@ def _start(
         k, target = old - 1, counts[0] - 1
         for i in range(len(new) - 1, -1, -1):
             while k >= 0 and landmarks[k, ID] > new[i, ID]:
-                landmarks[target] = landmarks[k]
+                copy(landmarks[k], landmarks[target])
                 k -= 1
                 target -= 1
-            landmarks[target] = new[i]
+            copy(new[i], landmarks[target])
             target -= 1
 
 
-@njit(**OPTIONS)
+@njit(**ENTRY)
 def predict_range(
     routines: tuple[int, ...],
     choices: IntArray,
@@ -692,7 +702,7 @@ def predict_range(
             _retract(choices, columns, P[b], n, values[b], blocks[b, : counts[b, 1]], landmarks[b], counts[b, 0], delta)
 
 
-@njit(**OPTIONS)
+@njit(**ENTRY)
 def update_range(
     routines: tuple[int, ...],
     choices: IntArray,

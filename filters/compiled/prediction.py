@@ -136,7 +136,8 @@ def predict(
             values[ANGULAR + i] = odometry[3 + i]
     q = np.empty(4)
     turn_quaternion(values[ORIENTATION:], turn, False, q)
-    values[ORIENTATION : ORIENTATION + 4] = q
+    for i in range(4):
+        values[ORIENTATION + i] = q[i]
     if error == FIRST_ESTIMATES:
         source, image, defect = np.empty((lead, 3)), np.empty((lead, 3)), np.empty((lead, 3))
         _world_rotation(values, PREDICTED, velocity, source)

@@ -17,6 +17,8 @@ from filters.compiled.geometry import (
     ORIENTATION,
     POSITION,
     angles_jacobian,
+    copy,
+    copy_matrix,
     exponential,
     inverse,
     left_jacobian_derivative,
@@ -55,6 +57,15 @@ def _gamma(angles: FloatArray, rays: FloatArray, J: FloatArray, out: FloatArray)
 
 
 @njit(**OPTIONS)
+def _change(before: FloatArray, after: FloatArray, R: FloatArray, out: FloatArray) -> None:
+    """out (3, 3) = (after - before) R."""
+    for i in range(3):
+        x, y, z = after[i, 0] - before[i, 0], after[i, 1] - before[i, 1], after[i, 2] - before[i, 2]
+        for j in range(3):
+            out[i, j] = x * R[0, j] + y * R[1, j] + z * R[2, j]
+
+
+@njit(**OPTIONS)
 def retract(
     error: int,
     lead: int,
@@ -77,7 +88,7 @@ def retract(
     Jacobian, own only for INVARIANT, by_rotation only for that and RIGHT_INVARIANT.
     """
     phi = delta[3:6]
-    new_values[:] = values
+    copy(values, new_values)
     for i in range(lead):
         for j in range(lead):
             leading[i, j] = 1.0 if i == j else 0.0
@@ -116,7 +127,7 @@ def retract(
         row = lead + 3 * b
         _point(blocks[b], delta[row : row + 3], spread, new_blocks[b])
         if error == INVARIANT:
-            own[b] = spread
+            copy_matrix(spread, own[b])
             left_jacobian_derivative(theta, delta[row : row + 3], slope)
             multiply(slope, R, by_theta)
             for i in range(3):
@@ -179,28 +190,32 @@ def retract(
         for place, value in ((0, POSITION), (velocity, LINEAR)):
             skew(values[value:], -1.0, before)
             skew(new_values[value:], -1.0, after)
-            multiply(after - before, R, by_theta)
+            _change(before, after, R, by_theta)
             for i in range(3):
                 for j in range(3):
                     leading[place + i, 3 + j] = by_theta[i, j]
         rotation(new_values[ORIENTATION:], after)
-        multiply(after.T, R, by_theta)
-        leading[3:6, 3:6] = by_theta
+        for i in range(3):
+            for j in range(3):
+                by_theta[i, j] = after[0, i] * R[0, j] + after[1, i] * R[1, j] + after[2, i] * R[2, j]
+        for i in range(3):
+            for j in range(3):
+                leading[3 + i, 3 + j] = by_theta[i, j]
         for b in range(len(blocks)):
             skew(blocks[b], -1.0, before)
             skew(new_blocks[b], -1.0, after)
-            multiply(after - before, R, by_theta)
+            _change(before, after, R, by_theta)
             for i in range(3):
                 for j in range(3):
                     by_rotation[j, lead + 3 * b + i] = by_theta[i, j]
         for k in range(count):
             if landmarks[k, 2] >= 0:
                 b = landmarks[k, 1]
-                before[:] = 0.0
-                after[:] = 0.0
+                for j in range(3):
+                    before[2, j] = after[2, j] = 0.0
                 _gamma(blocks[b], rays, J, before)
                 _gamma(new_blocks[b], rays, J, after)
-                multiply(after - before, R, by_theta)
+                _change(before, after, R, by_theta)
                 for i in range(3):
                     for j in range(3):
                         by_rotation[j, lead + 3 * b + i] = by_theta[i, j]
