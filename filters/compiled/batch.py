@@ -1,103 +1,128 @@
-"""Many filters in one call, each with its own map, measurements and time step."""
+"""`FilterBatch`: many equal filters, each with its own map, through the compiled kernels in one call."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from itertools import pairwise
-from typing import Any
+from typing import overload
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from filters.compiled.engine import CompiledFilter, Outcome, engine_of
-from filters.compiled.recipe import Recipe
+from filters.compiled.engine import CompiledEngine, Observations, Outcome
+from filters.compiled.stereo_ekf import CompiledFilter, report
 from filters.engine.ekf import StereoEKF
-from filters.interface import AT_ORIGIN, BodyVelocity, StereoObservation, UpdateReport
+from filters.interface import AT_ORIGIN, BodyVelocity, StereoObservation, UpdateReport, check_start
 from filters.start import Start
-from filters.state import symmetric
-from filters.validation import BoolArray, FloatArray, IntArray, whole_number
-
-_Odometry = tuple[FloatArray, FloatArray, BoolArray]
-_Measurements = tuple[IntArray, IntArray, FloatArray, FloatArray, FloatArray]
+from filters.validation import FloatArray, IntArray, positive, whole_number
 
 
-class FilterBatch:
-    """Filters of the same parts that run together, in machine code and over threads.
+@dataclass(frozen=True, eq=False)
+class Reports(Sequence[UpdateReport]):
+    """Reports of a batch, each made when it is asked for.
 
-    Each gives the same bits as on its own. `batch[i]` is the i-th as a `StereoEKF`, which reads and writes what the
-    batch knows.
+    Attributes
+    ----------
+    offsets, ids : (B + 1,), (M,) int64
+        Measurements of filter b are offsets[b] to offsets[b + 1] - 1, ids ascending.
+    outcome : Outcome
+        What became of them.
+    """
+
+    offsets: IntArray
+    ids: IntArray
+    outcome: Outcome
+
+    def __len__(self) -> int:
+        return len(self.offsets) - 1
+
+    @overload
+    def __getitem__(self, index: int) -> UpdateReport: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[UpdateReport]: ...
+    def __getitem__(self, index: int | slice) -> UpdateReport | list[UpdateReport]:
+        if isinstance(index, slice):
+            return [self[i] for i in range(*index.indices(len(self)))]
+        b = range(len(self))[index]
+        return report(self.outcome, self.ids, slice(self.offsets[b], self.offsets[b + 1]), b)
+
+
+class FilterBatch(Sequence[StereoEKF]):
+    """Many filters of one recipe, each with its own map, observations and time step.
+
+    Every filter has the same bits as if it ran alone, whatever the number of threads.
 
     Parameters
     ----------
-    make : callable
-        Makes one filter; all must have the same parts, options, camera and noise.
+    make : function
+        Makes a `StereoEKF`; called once for each filter.
     count : int
         Number of filters.
     threads : int
-        Threads over which the filters are spread.
+        Threads over which the filters are spread. They are started when they are first needed.
 
     Raises
     ------
     ValueError
-        The filters differ, or have no compiled form.
+        A filter has a part without kernels, or does something else than the first one.
     """
 
     def __init__(self, make: Callable[[], StereoEKF], count: int, threads: int = 1) -> None:
         whole_number("count", count, 1)
-        self.threads = whole_number("threads", threads, 1)
+        whole_number("threads", threads, 1)
         self._filters = [make() for _ in range(count)]
-        first = self._filters[0]
-        recipe = _recipe_of(first)
-        self._noise = first.noise
-        self._engine = engine_of(recipe, first.options, count)
-        for number, slam in enumerate(self._filters):
-            if _recipe_of(slam) != recipe or not np.array_equal(slam.noise.R, self._noise.R):
-                raise ValueError(
-                    f"make must give filters of the same parts, options, camera and noise: {number} differs"
-                )
-            slam.share(CompiledFilter(self._engine, number))
-        edges = [count * i // min(threads, count) for i in range(min(threads, count) + 1)]
-        self._ranges = list(pairwise(edges))
-        self._pool: ThreadPoolExecutor | None = None
+        recipes = [_compiled(slam).engine.recipe for slam in self._filters]
+        for index, recipe in enumerate(recipes):
+            if recipe != recipes[0]:
+                raise ValueError(f"make must give filters that do the same, filter {index} differs from the first")
+        self._engine = CompiledEngine(recipes[0], count, threads)
+        self._R = np.array([slam.noise.R for slam in self._filters])
+        for index, slam in enumerate(self._filters):
+            slam.share(CompiledFilter(self._engine, slam.options, index))
 
     def __len__(self) -> int:
-        return len(self._filters)
+        return self._engine.count
 
-    def __getitem__(self, number: int) -> StereoEKF:
-        return self._filters[number]
+    @overload
+    def __getitem__(self, index: int) -> StereoEKF: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[StereoEKF]: ...
+    def __getitem__(self, index: int | slice) -> StereoEKF | list[StereoEKF]:
+        return self._filters[index]
 
-    def __getstate__(self) -> dict[str, Any]:
-        return {**vars(self), "_pool": None}
+    @property
+    def engine(self) -> CompiledEngine:
+        """The engine of all filters."""
+        return self._engine
 
-    def reset(self, start: Start | Sequence[Start] = AT_ORIGIN, which: ArrayLike | None = None) -> None:
-        """Start again with empty maps.
+    @property
+    def poses(self) -> FloatArray:
+        """Position (W, m) and orientation (xyzw) of every filter; (B, 7)."""
+        return self._engine.storage.x[:, :7].copy()
 
-        Parameters
-        ----------
-        start : Start or sequence of Start
-            One for all, or one for each of `which`.
-        which : (b,) array_like of int, optional
-            Numbers of the filters; None: all.
-        """
-        numbers = range(len(self)) if which is None else np.asarray(which, dtype=np.int64).tolist()
-        starts = [start] * len(numbers) if isinstance(start, Start) else list(start)
-        if len(starts) != len(numbers):
-            raise ValueError(f"start must be one, or one for each of {len(numbers)} filters, got {len(starts)}")
-        for number, own in zip(numbers, starts, strict=True):
-            self._filters[number].reset(own)
+    @property
+    def pose_covariances(self) -> FloatArray:
+        """Covariance of the pose errors, as in `PoseBelief`; (B, 6, 6)."""
+        upper = np.triu(self._engine.storage.P[:, :6, :6])
+        whole: FloatArray = upper + np.triu(upper, 1).transpose(0, 2, 1)
+        return whole
+
+    def reset(self, starts: Start | Sequence[Start] = AT_ORIGIN) -> None:
+        """Start again, with empty maps: all filters alike, or each from its own start."""
+        each = [starts] * len(self) if isinstance(starts, Start) else list(starts)
+        self._check_length("starts", each)
+        for start in each:
+            check_start(start)
+        for slam, start in zip(self._filters, each, strict=True):
+            slam.reset(start)
 
     def predict(self, dt: ArrayLike, odometry: Sequence[BodyVelocity | None] | None = None) -> None:
-        """Move the beliefs forward: `dt` > 0 for all or for each, NaN for a filter that is left as it is."""
-        steps, active = self._steps(dt)
-        packed = self._packed_odometry(odometry, active)
-        self._run(lambda first, last: self._predict(first, last, steps, packed, active))
+        """Move every filter forward by dt > 0 s, a number or (B,)."""
+        self._engine.step(self._steps(dt), None, *self._odometry(odometry))
 
     def update(self, observations: Sequence[StereoObservation | None]) -> Reports:
-        """Use the frame of each filter; None leaves a filter as it is."""
-        packed, active = self._packed_observations(observations)
-        return self._updated(packed, active, lambda first, last: None)
+        """Use the frame of every filter; None: it has none, and stays as it is."""
+        return self._report(0.0, self._packed(observations))
 
     def step(
         self,
@@ -105,153 +130,115 @@ class FilterBatch:
         observations: Sequence[StereoObservation | None],
         odometry: Sequence[BodyVelocity | None] | None = None,
     ) -> Reports:
-        """`predict`, then `update`, without a return to Python in between."""
-        steps, moving = self._steps(dt)
-        drive = self._packed_odometry(odometry, moving)
-        packed, active = self._packed_observations(observations)
-        return self._updated(packed, active, lambda first, last: self._predict(first, last, steps, drive, moving))
+        """Predict and update in one call."""
+        steps, fused = self._steps(dt), self._odometry(odometry)
+        return self._report(steps, self._packed(observations), *fused)
 
-    def step_arrays(self, dt: ArrayLike, ids: ArrayLike, uvd: ArrayLike, odometry: _Odometry | None = None) -> Reports:
-        """`step` with arrays, as environments have them.
+    def step_arrays(self, dt: ArrayLike, ids: IntArray, uvd: FloatArray, R: FloatArray | None = None) -> Reports:
+        """Predict and update from arrays of one shape, as vector environments have them.
 
         Parameters
         ----------
-        dt : float or (B,) array_like
-            As of `predict`; a filter whose dt is NaN is left as it is.
-        ids : (B, N) array_like of int
-            Landmarks, unique in each row; -1 where there is no measurement.
-        uvd : (B, N, 3) array_like
-            Measurements, px; anything where there is none.
-        odometry : tuple of (B, 6), (B, 6, 6) and (B,) arrays, optional
-            Linear and angular velocity, their covariance, and whether there is any.
+        dt : float or (B,)
+            Time steps, s.
+        ids : (B, N) int64
+            Landmarks; -1 where there is no measurement. Unique for each filter.
+        uvd : (B, N, 3)
+            Measurements, px.
+        R : (B, N, 3, 3), (3, 3) or None
+            Noise, px^2; None: of each filter.
         """
-        steps, active = self._steps(dt)
-        table, measured = np.asarray(ids), np.asarray(uvd, dtype=np.float64)
-        if table.shape[:1] != (len(self),) or table.ndim != 2 or measured.shape != (*table.shape, 3):
-            raise ValueError(
-                f"ids and uvd must have shapes ({len(self)}, N) and ({len(self)}, N, 3), "
-                f"got {table.shape} and {measured.shape}"
-            )
-        order = np.argsort(table, axis=1, kind="stable")
-        table = np.take_along_axis(table, order, axis=1).astype(np.int64)
-        there = table >= 0
-        if (there[:, 1:] & (table[:, 1:] == table[:, :-1])).any():
-            raise ValueError("ids must be unique in each row, or -1: keep one measurement per landmark")
-        measured = np.take_along_axis(measured, order[:, :, None], axis=1)[there]
-        if not np.isfinite(measured).all():
-            raise ValueError("uvd must be finite where ids are, got NaN or infinity: set those ids to -1")
-        offsets = np.concatenate([[0], np.cumsum(there.sum(axis=1))])
-        packed = offsets, table[there], measured, self._noise.R[None].copy(), np.zeros(0)
-        drive = self._no_odometry() if odometry is None else odometry
-        return self._updated(packed, active, lambda first, last: self._predict(first, last, steps, drive, active))
+        steps, odometry = self._steps(dt), self._odometry(None)
+        ids, uvd = np.asarray(ids), np.asarray(uvd, dtype=np.float64)
+        if ids.ndim != 2 or len(ids) != len(self) or ids.dtype.kind not in "iu":
+            raise ValueError(f"ids must be integers of shape ({len(self)}, N), got {ids.dtype} {ids.shape}")
+        if uvd.shape != (*ids.shape, 3):
+            raise ValueError(f"uvd must have shape {(*ids.shape, 3)}, got {uvd.shape}")
+        there = ids >= 0
+        order = np.argsort(np.where(there, ids, np.iinfo(np.int64).max), axis=1, kind="stable")
+        counts = there.sum(axis=1)
+        chosen = np.arange(ids.shape[1]) < counts[:, None]
+        rows = np.nonzero(chosen)[0]
+        columns = order[chosen]
+        flat_ids, flat_uvd = ids[rows, columns].astype(np.int64), uvd[rows, columns]
+        if not np.isfinite(flat_uvd).all():
+            raise ValueError("uvd must be finite, got NaN or infinity: mark those entries by id -1")
+        again = (flat_ids[1:] == flat_ids[:-1]) & (rows[1:] == rows[:-1])
+        if again.any():
+            raise ValueError(f"ids must be unique for each filter, repeated: {flat_ids[1:][again][:5].tolist()}")
+        noise = self._R[rows] if R is None else np.asarray(R, dtype=np.float64)
+        if noise.ndim == 4:
+            noise = noise[rows, columns]
+        offsets = np.concatenate([[0], np.cumsum(counts)])
+        everybody = np.ones(len(self), dtype=np.bool_)
+        return self._report(steps, Observations(everybody, offsets, flat_ids, flat_uvd, noise, ~everybody), *odometry)
 
-    @property
-    def poses(self) -> FloatArray:
-        """Positions (W, m) and orientations (xyzw), (B, 7)."""
-        return self._engine.storage.values[:, :7].copy()
+    def _report(self, dt: FloatArray | float, packed: Observations, *odometry: FloatArray | None) -> Reports:
+        return Reports(packed.offsets, packed.ids, self._engine.step(dt, packed, *odometry))
 
-    @property
-    def pose_covariances(self) -> FloatArray:
-        """Covariances of the pose, as in `PoseBelief`, (B, 6, 6)."""
-        upper = self._engine.storage.P[:, :6, :6]
-        return np.stack([symmetric.full(P.T) for P in upper])
-
-    def _predict(self, first: int, last: int, dt: FloatArray, odometry: _Odometry, active: BoolArray) -> None:
-        part = slice(first, last)
-        mean, covariance, there = odometry
-        self._engine.predict(first, last, dt[part], (mean[part], covariance[part], there[part]), active[part])
-
-    def _updated(self, packed: _Measurements, active: BoolArray, before: Callable[[int, int], None]) -> Reports:
-        offsets, ids, uvd, R, v_right = packed
-        self._engine.make_room(0, len(self), offsets)
-
-        def run(first: int, last: int) -> Outcome:
-            before(first, last)
-            part = slice(first, last)
-            return self._engine.update(first, last, offsets[first : last + 1], ids, uvd, R, v_right, active[part])
-
-        return Reports(tuple(self._run(run)), tuple(self._ranges))
-
-    def _run(self, job: Callable[[int, int], Any]) -> list[Any]:
-        """The job for each range of filters, in threads of their own if there are several."""
-        if len(self._ranges) == 1:
-            return [job(*self._ranges[0])]
-        if self._pool is None:
-            self._pool = ThreadPoolExecutor(len(self._ranges), thread_name_prefix="filters")
-        return list(self._pool.map(lambda ends: job(*ends), self._ranges))
-
-    def _steps(self, dt: ArrayLike) -> tuple[FloatArray, BoolArray]:
-        steps = np.array(np.broadcast_to(np.asarray(dt, dtype=np.float64), (len(self),)))
-        active = ~np.isnan(steps)
-        if not (np.isfinite(steps[active]) & (steps[active] > 0.0)).all():
-            raise ValueError(f"dt must be finite and > 0, or NaN to leave a filter as it is, got {steps.tolist()}")
-        return steps, active
-
-    def _no_odometry(self) -> _Odometry:
-        count = len(self)
-        return np.zeros((count, 6)), np.zeros((count, 6, 6)), np.zeros(count, dtype=np.bool_)
-
-    def _packed_odometry(self, odometry: Sequence[BodyVelocity | None] | None, active: BoolArray) -> _Odometry:
-        given = [None] * len(self) if odometry is None else list(odometry)
+    def _check_length(self, name: str, given: Sequence[object]) -> None:
         if len(given) != len(self):
-            raise ValueError(f"odometry must be one for each of {len(self)} filters, got {len(given)}")
-        mean, covariance, there = self._no_odometry()
-        motion = self._filters[0].options.motion
-        for number, own in enumerate(given):
-            if own is not None and not isinstance(own, BodyVelocity):
-                raise ValueError(f"odometry must be BodyVelocity or None for each filter, got {own!r}")
-            if active[number]:
-                motion.check_odometry(own)
-            if own is not None:
-                mean[number, :3], mean[number, 3:] = own.linear, own.angular
-                covariance[number], there[number] = own.covariance, True
-        return mean, covariance, there
+            raise ValueError(f"{name} must have one entry for each of the {len(self)} filters, got {len(given)}")
 
-    def _packed_observations(self, observations: Sequence[StereoObservation | None]) -> tuple[_Measurements, BoolArray]:
-        if len(observations) != len(self):
-            raise ValueError(f"observations must be one for each of {len(self)} filters, got {len(observations)}")
-        active = np.array([seen is not None for seen in observations])
-        for seen in observations:
-            if seen is not None and not isinstance(seen, StereoObservation):
-                raise ValueError(f"observations must be StereoObservation or None, got {type(seen).__name__}")
-        frames = [_NOTHING if seen is None else seen.ordered() for seen in observations]
-        offsets = np.concatenate([[0], np.cumsum([len(frame) for frame in frames])])
-        ids, uvd = np.concatenate([f.ids for f in frames]), np.concatenate([f.uvd for f in frames])
-        R, v_right = self._noise.R[None].copy(), np.zeros(0)
-        if any(frame.R is not None for frame in frames):
-            R = np.concatenate([frame.covariances(self._noise) for frame in frames])
-        if any(frame.v_right is not None for frame in frames):
-            rows = [np.full(len(f), np.nan) if f.v_right is None else f.v_right for f in frames]
-            v_right = np.concatenate(rows)
-        return (offsets, ids, uvd, R, v_right), active
+    def _steps(self, dt: ArrayLike) -> FloatArray:
+        """Time steps (B,)."""
+        steps = np.asarray(dt, dtype=np.float64)
+        if steps.ndim == 0:
+            return np.full(len(self), positive("dt", steps))
+        if steps.shape != (len(self),) or not (np.isfinite(steps).all() and (steps > 0.0).all()):
+            raise ValueError(f"dt must be finite numbers > 0, one or ({len(self)},), got {dt!r}")
+        return steps
+
+    def _odometry(
+        self, odometry: Sequence[BodyVelocity | None] | None
+    ) -> tuple[FloatArray, FloatArray, FloatArray] | tuple[()]:
+        """Whose odometry there is, its values and covariances; nothing where there is none at all."""
+        needed = self._engine.recipe.motion == "velocity-driven"
+        given = [None] * len(self) if odometry is None else list(odometry)
+        self._check_length("odometry", given)
+        for entry in given:
+            if not isinstance(entry, BodyVelocity) and (entry is not None or needed):
+                wanted = "in every predict with motion=VelocityDriven()" if needed else "or None"
+                raise ValueError(f"odometry must be a BodyVelocity for each filter {wanted}, got {entry!r}")
+        if odometry is None:
+            return ()
+        fused = np.array([entry is not None for entry in given])
+        values, covariances = np.zeros((len(self), 6)), np.zeros((len(self), 6, 6))
+        for index, entry in enumerate(given):
+            if entry is not None:
+                values[index, :3], values[index, 3:] = entry.linear, entry.angular
+                covariances[index] = entry.covariance
+        return fused, values, covariances
+
+    def _packed(self, observations: Sequence[StereoObservation | None]) -> Observations:
+        """Observations one after the other, ids ascending."""
+        self._check_length("observations", observations)
+        for observation in observations:
+            if observation is not None and not isinstance(observation, StereoObservation):
+                raise ValueError(f"observations must be StereoObservation or None, got {type(observation).__name__}")
+        seen = np.array([o is not None for o in observations])
+        there = [o for o in observations if o is not None]
+        counts = np.array([0 if o is None else len(o) for o in observations])
+        offsets = np.concatenate([[0], np.cumsum(counts)])
+        owner = np.repeat(np.arange(len(self)), counts)
+        ids = np.concatenate([o.ids for o in there]) if there else np.zeros(0, dtype=np.int64)
+        uvd = np.concatenate([o.uvd for o in there]) if there else np.zeros((0, 3))
+        R, right = self._R[owner], np.zeros(len(ids))
+        with_right = np.array([o is not None and o.v_right is not None for o in observations])
+        for index, observation in enumerate(observations):
+            if observation is not None and observation.R is not None:
+                R[offsets[index] : offsets[index + 1]] = observation.R
+            if observation is not None and observation.v_right is not None:
+                right[offsets[index] : offsets[index + 1]] = observation.v_right
+        if ((ids[1:] < ids[:-1]) & (owner[1:] == owner[:-1])).any():
+            order = np.lexsort((ids, owner))
+            ids, uvd, R, right = ids[order], uvd[order], R[order], right[order]
+        return Observations(seen, offsets, ids, uvd, R, with_right, right)
 
 
-@dataclass(frozen=True, eq=False)
-class Reports(Sequence[UpdateReport]):
-    """`UpdateReport` of each filter of a batch, made when it is asked for."""
-
-    outcomes: tuple[Outcome, ...]
-    ranges: tuple[tuple[int, int], ...]
-
-    def __len__(self) -> int:
-        return self.ranges[-1][1]
-
-    def __getitem__(self, number: Any) -> Any:
-        if isinstance(number, slice):
-            return [self[i] for i in range(*number.indices(len(self)))]
-        number = range(len(self))[number]
-        for outcome, (first, last) in zip(self.outcomes, self.ranges, strict=True):
-            if number < last:
-                return outcome.report(number - first)
-        raise AssertionError("the ranges cover all filters")
-
-
-_NOTHING = StereoObservation(np.zeros(0, dtype=np.int64), np.zeros((0, 3)))
-
-
-def _recipe_of(slam: StereoEKF) -> Recipe:
+def _compiled(slam: StereoEKF) -> CompiledFilter:
     if not isinstance(slam, StereoEKF):
         raise ValueError(f"make must give a StereoEKF, got {type(slam).__name__}")
     if slam.compiled is None:
-        raise ValueError("make must give filters with a compiled form: see the option compiled of StereoEKF")
-    return slam.compiled.engine.recipe
+        raise ValueError("make must give a filter all of whose parts have kernels, see StereoEKF")
+    return slam.compiled

@@ -1,4 +1,4 @@
-"""BLAS and LAPACK functions of scipy for Numba code."""
+"""BLAS and LAPACK functions of scipy for Numba code, and the compilation options of all kernels."""
 
 from __future__ import annotations
 
@@ -17,7 +17,12 @@ ROUTINES = (
     get_cython_function_address("scipy.linalg.cython_blas", "dsyrk"),
 )
 """Where this process has them: arguments of the kernels, so that these can be cached on disk."""
-ADDRESSES = types.UniTuple(types.intp, len(ROUTINES))
+ENTRY: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract"}, "nogil": True}
+"""IEEE arithmetic with fused multiply-add, without Python's lock."""
+UNIT: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract"}, "_nrt": False}
+"""For units."""
+KERNEL: dict[str, Any] = {**ENTRY, "_nrt": False, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+"""For functions that only kernels call: no counting of references, no way in from Python."""
 
 
 @intrinsic
@@ -33,7 +38,7 @@ def call(typing_context: Any, address: Any, arguments: Any) -> Any:
     return types.void(address, arguments), generate
 
 
-@njit(inline="always")
+@njit(inline="always", **KERNEL)
 def at(array: Any) -> int:
     """Address of an array's first number."""
     address: int = np.intp(array.ctypes.data)  # type: ignore[assignment]

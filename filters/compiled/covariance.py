@@ -1,158 +1,174 @@
-"""Kernels of the covariance: rows, transformations, blocks that come and go.
-
-P is passed as its transpose in C order: P[j, i] with j <= i is valid, which is the lower triangle of a column-major
-matrix, as BLAS and `filters.state` have it. `n` rows are in use.
-"""
+"""Kernels on P: rows of the symmetric matrix, transforms of leading rows, changes of rank six, moves of blocks."""
 
 from __future__ import annotations
 
-import numpy as np
 from numba import njit
 
-from filters.compiled.geometry import OPTIONS
-from filters.validation import FloatArray
+from filters.compiled.blas import KERNEL
+from filters.compiled.storage import Scratch
+from filters.validation import FloatArray, IntArray
 
 
-@njit(**OPTIONS)
-def take_rows(P: FloatArray, first: int, n: int, rows: FloatArray) -> None:
-    """The rows first, first + 1, first + 2 of the symmetric P, in rows (3, n or more)."""
+@njit(**KERNEL)
+def take_rows(P: FloatArray, n: int, first: int, rows: FloatArray) -> None:
+    """Whole rows first to first + 2 of the symmetric P, (3, n)."""
     for j in range(first):
         rows[0, j], rows[1, j], rows[2, j] = P[j, first], P[j, first + 1], P[j, first + 2]
     for i in range(3):
-        for j in range(i):
-            rows[i, first + j] = P[first + j, first + i]
+        for j in range(first, first + i):
+            rows[i, j] = P[j, first + i]
         for j in range(first + i, n):
             rows[i, j] = P[first + i, j]
 
 
-@njit(**OPTIONS)
-def put_rows(P: FloatArray, first: int, n: int, rows: FloatArray) -> None:
-    """The inverse of `take_rows`."""
-    for j in range(first):
-        P[j, first], P[j, first + 1], P[j, first + 2] = rows[0, j], rows[1, j], rows[2, j]
-    for i in range(3):
-        for j in range(first + i, n):
-            P[first + i, j] = rows[i, j]
+@njit(**KERNEL)
+def take_leading(P: FloatArray, n: int, count: int, rows: FloatArray) -> None:
+    """The first whole rows of the symmetric P, (count, n)."""
+    for i in range(count):
+        for j in range(i):
+            rows[i, j] = P[j, i]
+        for j in range(i, n):
+            rows[i, j] = P[i, j]
 
 
-@njit(**OPTIONS)
-def transform_leading(P: FloatArray, F: FloatArray, added: FloatArray, n: int) -> None:
-    """`symmetric.transform_leading`."""
-    size = len(F)
-    old, half = np.empty((size, size)), np.zeros((size, size))
-    for i in range(size):
-        for j in range(i + 1):
-            old[i, j] = old[j, i] = P[j, i]
-    for i in range(size):
-        for k in range(size):
-            if F[i, k] != 0.0:
-                for j in range(size):
-                    half[i, j] += F[i, k] * old[k, j]
-    for i in range(size):
-        for j in range(i + 1):
-            P[j, i] = 0.5 * (added[i, j] + added[j, i])
-            for k in range(size):
-                P[j, i] += half[i, k] * F[j, k]
-    if n == size:
-        return
-    cross = np.empty((size, n - size))
-    for k in range(size):
-        for j in range(n - size):
-            cross[k, j] = P[k, size + j]
-    for i in range(size):
-        changed = False
-        for k in range(size):
-            changed = changed or F[i, k] != (1.0 if i == k else 0.0)
-        if changed:
-            row = P[i, size:n]
-            row[:] = 0.0
-            for k in range(size):
-                if F[i, k] != 0.0:
-                    factor = F[i, k]
-                    for j in range(n - size):
-                        row[j] += factor * cross[k, j]
+@njit(**KERNEL)
+def identity(F: FloatArray) -> None:
+    """F = I."""
+    for i in range(len(F)):
+        for j in range(len(F)):
+            F[i, j] = 1.0 if i == j else 0.0
 
 
-@njit(**OPTIONS)
-def transform_blocks(P: FloatArray, own: FloatArray, lead: int, n: int) -> None:
-    """Rows and columns of every map block multiplied by its own matrix (B, 3, 3)."""
-    for b in range(len(own)):
-        D = own[b]
-        c = lead + 3 * b
-        # columns of the block in all rows before it
-        for j in range(c):
-            x, y, z = P[j, c], P[j, c + 1], P[j, c + 2]
-            for i in range(3):
-                P[j, c + i] = D[i, 0] * x + D[i, 1] * y + D[i, 2] * z
-        # the block itself, symmetric
-        block = np.empty((3, 3))
-        for i in range(3):
-            for j in range(3):
-                x, y = P[c + min(0, j), c + max(0, j)], P[c + min(1, j), c + max(1, j)]
-                block[i, j] = D[i, 0] * x + D[i, 1] * y + D[i, 2] * P[c + min(2, j), c + max(2, j)]
-        for i in range(3):
-            for j in range(i, 3):
-                P[c + i, c + j] = block[i, 0] * D[j, 0] + block[i, 1] * D[j, 1] + block[i, 2] * D[j, 2]
-        # its rows, to the right
-        for j in range(c + 3, n):
-            x, y, z = P[c, j], P[c + 1, j], P[c + 2, j]
-            P[c, j] = D[0, 0] * x + D[0, 1] * y + D[0, 2] * z
-            P[c + 1, j] = D[1, 0] * x + D[1, 1] * y + D[1, 2] * z
-            P[c + 2, j] = D[2, 0] * x + D[2, 1] * y + D[2, 2] * z
+@njit(**KERNEL)
+def transform_leading(P: FloatArray, n: int, s: Scratch) -> None:
+    """P <- blockdiag(F, I) P blockdiag(F, I)^T, with F of the scratch (`symmetric.transform_leading`)."""
+    F, old, half, changed, lead = s.F, s.old, s.half, s.changed, s.lead
+    leading = len(F)
+    for i in range(leading):
+        changed[i] = False
+        for k in range(leading):
+            if F[i, k] != (1.0 if i == k else 0.0):
+                changed[i] = True
+        for j in range(i, leading):
+            old[i, j] = old[j, i] = P[i, j]
+    for i in range(leading):
+        if changed[i]:
+            for j in range(leading):
+                half[i, j] = 0.0
+            for k in range(leading):
+                a = F[i, k]
+                if a != 0.0:
+                    for j in range(leading):
+                        half[i, j] += a * old[k, j]
+            for j in range(leading, n):
+                lead[i, j] = P[i, j]
+        else:
+            for j in range(leading):
+                half[i, j] = old[i, j]
+    for i in range(leading):
+        for j in range(i, leading):
+            if changed[j]:
+                total = 0.0
+                for k in range(leading):
+                    total += half[i, k] * F[j, k]
+                P[i, j] = total
+            elif changed[i]:
+                P[i, j] = half[i, j]
+    for i in range(leading):
+        if changed[i]:
+            first = True
+            for k in range(leading):
+                a = F[i, k]
+                if a != 0.0:
+                    source = lead if changed[k] else P
+                    if first:
+                        for j in range(leading, n):
+                            P[i, j] = a * source[k, j]
+                        first = False
+                    else:
+                        for j in range(leading, n):
+                            P[i, j] += a * source[k, j]
+            if first:
+                for j in range(leading, n):
+                    P[i, j] = 0.0
 
 
-@njit(**OPTIONS)
-def shear(P: FloatArray, W: FloatArray, first: int, n: int) -> None:
-    """P <- (I + W E^T) P (I + W E^T)^T, E selecting the three rows from `first`; W (3, n), transposed."""
-    rows, half = np.empty((3, n)), np.empty((3, n))
-    take_rows(P, first, n, rows)
-    for a in range(3):
-        for j in range(n):
-            half[a, j] = rows[a, j]
-        for k in range(3):
-            corner = 0.5 * rows[a, first + k]
-            for j in range(n):
-                half[a, j] += corner * W[k, j]
+@njit(**KERNEL)
+def add_rank_six(P: FloatArray, n: int, G: FloatArray) -> None:
+    """P += U V^T + V U^T, with U^T and V^T one above the other in G (6, n)."""
+    for i in range(n):
+        u0, u1, u2, v0, v1, v2 = G[0, i], G[1, i], G[2, i], G[3, i], G[4, i], G[5, i]
+        if u0 == 0.0 and u1 == 0.0 and u2 == 0.0 and v0 == 0.0 and v1 == 0.0 and v2 == 0.0:
+            continue
+        for j in range(i, n):
+            P[i, j] += u0 * G[3, j] + u1 * G[4, j] + u2 * G[5, j] + v0 * G[0, j] + v1 * G[1, j] + v2 * G[2, j]
+
+
+@njit(**KERNEL)
+def shear_by_rotation(P: FloatArray, n: int, W: FloatArray, s: Scratch) -> None:
+    """P <- (I + W E^T) P (I + W E^T)^T, E selecting the rotation (rows 3 to 5); W (n, 3)."""
+    G, rotation = s.G, s.block
+    take_rows(P, n, 3, rotation)
     for j in range(n):
-        w0, w1, w2 = W[0, j], W[1, j], W[2, j]
-        h0, h1, h2 = half[0, j], half[1, j], half[2, j]
-        row = P[j]
-        for i in range(j, n):
-            row[i] += (w0 * half[0, i] + w1 * half[1, i] + w2 * half[2, i]) + (
-                h0 * W[0, i] + h1 * W[1, i] + h2 * W[2, i]
+        for a in range(3):
+            G[a, j] = W[j, a]
+            G[3 + a, j] = rotation[a, j] + 0.5 * (
+                W[j, 0] * rotation[0, 3 + a] + W[j, 1] * rotation[1, 3 + a] + W[j, 2] * rotation[2, 3 + a]
             )
+    add_rank_six(P, n, G)
 
 
-@njit(**OPTIONS)
-def add_block(P: FloatArray, first: int, n: int, J: FloatArray, noise: FloatArray, size: int, rows: FloatArray) -> None:
-    """A new block at `first` whose error is J (3, size) times the leading rows, plus noise (3, 3).
+@njit(**KERNEL)
+def scale_blocks(P: FloatArray, n: int, leading: int, D: FloatArray) -> None:
+    """P <- blockdiag(I, D) P blockdiag(I, D)^T, with D (C, 3, 3) on the blocks behind the leading rows."""
+    for top in range(leading, n, 3):
+        A = D[(top - leading) // 3]
+        for i in range(1, 3):  # the block on the diagonal has to be whole
+            for j in range(i):
+                P[top + i, top + j] = P[top + j, top + i]
+        for j in range(top, n):
+            x, y, z = P[top, j], P[top + 1, j], P[top + 2, j]
+            for i in range(3):
+                P[top + i, j] = A[i, 0] * x + A[i, 1] * y + A[i, 2] * z
+    for i in range(n):
+        for left in range(max(leading, i - (i - leading) % 3), n, 3):
+            A = D[(left - leading) // 3]
+            x, y, z = P[i, left], P[i, left + 1], P[i, left + 2]
+            for j in range(3):
+                P[i, left + j] = A[j, 0] * x + A[j, 1] * y + A[j, 2] * z
 
-    `n` counts it already; what P has there is overwritten.
+
+@njit(**KERNEL)
+def move_block(P: FloatArray, origin: int, target: int) -> None:
+    """Rows target to target + 2 become those of the last block, at rows origin > target."""
+    for j in range(target):
+        for c in range(3):
+            P[j, target + c] = P[j, origin + c]
+    for a in range(3):
+        for c in range(a, 3):
+            P[target + a, target + c] = P[origin + a, origin + c]
+    for j in range(target + 3, origin):
+        for c in range(3):
+            P[target + c, j] = P[j, origin + c]
+
+
+@njit(**KERNEL)
+def keep_considered(P: FloatArray, considered: IntArray, kept: FloatArray) -> None:
+    """Remember what the considered rows have among themselves."""
+    for a in range(len(considered)):
+        for b in range(a, len(considered)):
+            i, j = considered[a], considered[b]
+            kept[a, b] = P[min(i, j), max(i, j)]
+
+
+@njit(**KERNEL)
+def restore_considered(P: FloatArray, considered: IntArray, kept: FloatArray, delta: FloatArray) -> None:
+    """Undo what a correction did to the considered rows among themselves, and to their values (Schmidt-Kalman).
+
+    The correction of everything else, and of its covariance with them, is that of the full update.
     """
-    for i in range(3):
-        for j in range(n):
-            rows[i, j] = 0.0
-        for k in range(size):
-            factor = J[i, k]
-            if factor == 0.0:
-                continue
-            for j in range(k):
-                rows[i, j] += factor * P[j, k]
-            for j in range(k, n):
-                rows[i, j] += factor * P[k, j]
-    for i in range(3):
-        for j in range(3):
-            rows[i, first + j] = noise[i, j]
-            for k in range(size):
-                rows[i, first + j] += rows[i, k] * J[j, k]
-    put_rows(P, first, n, rows)
-
-
-@njit(**OPTIONS)
-def move_block(P: FloatArray, source: int, target: int, n: int, rows: FloatArray) -> None:
-    """The block at `source`, the last one in use, moved to `target`, which is empty; `n` counts both."""
-    take_rows(P, source, n, rows)
-    for i in range(3):
-        for j in range(3):
-            rows[i, target + j] = rows[i, source + j]
-    put_rows(P, target, n - 3, rows)
+    for a in range(len(considered)):
+        delta[considered[a]] = 0.0
+        for b in range(a, len(considered)):
+            i, j = considered[a], considered[b]
+            P[min(i, j), max(i, j)] = kept[a, b]

@@ -1,192 +1,211 @@
-"""Kernels of the motion models: constant velocity, and driven by odometry (`filters.motions`)."""
+"""Kernels of the motion models: prediction of the leading variables with P, and odometry as a measurement."""
 
 from __future__ import annotations
 
-import numpy as np
-from numba import njit
+from numba import njit, types
 
-from filters.compiled.covariance import transform_leading
-from filters.compiled.geometry import (
-    ANGULAR,
-    LINEAR,
-    OPTIONS,
-    ORIENTATION,
-    POSITION,
-    PREDICTED,
-    SIGMA_ANGULAR,
-    SIGMA_LINEAR,
-    exponential,
-    multiply,
-    right_jacobian,
-    rotation,
-    skew,
-    turn_quaternion,
-)
-from filters.compiled.retraction import FIRST_ESTIMATES
+from filters import rotations
+from filters.compiled.blas import KERNEL
+from filters.compiled.covariance import identity, transform_leading
+from filters.compiled.recipe import FIRST_ESTIMATES, Plan
+from filters.compiled.storage import Scratch
+from filters.compiled.units import GIVEN, GIVEN_COVARIANCE, MATRIX, PLAN, SCRATCH, VECTOR, unit
 from filters.validation import FloatArray
 
-CONSTANT_VELOCITY, VELOCITY_DRIVEN = range(2)
+matrix_of, quaternion_of = njit(**KERNEL)(rotations.matrix_of), njit(**KERNEL)(rotations.quaternion_of)
+product_of, right_jacobian_of = njit(**KERNEL)(rotations.product_of), njit(**KERNEL)(rotations.right_jacobian_of)
 
 
-@njit(**OPTIONS)
-def _world_rotation(values: FloatArray, start: int, velocity: int, out: FloatArray) -> None:
-    """`world_rotation_of_variables` of the pose and velocity that begin at `start`; out (lead, 3)."""
-    out[:] = 0.0
-    R = np.empty((3, 3))
-    skew(values[start + POSITION :], -1.0, out[0:3])
-    rotation(values[start + ORIENTATION :], R)
-    for i in range(3):
-        for j in range(3):
-            out[3 + i, j] = R[j, i]
-    skew(values[start + LINEAR :], -1.0, out[velocity : velocity + 3])
+@njit(**KERNEL)
+def multiply(a: tuple[float, ...], b: tuple[float, ...]) -> tuple[float, ...]:
+    """Product of two 3x3 matrices, row by row."""
+    return (
+        a[0] * b[0] + a[1] * b[3] + a[2] * b[6],
+        a[0] * b[1] + a[1] * b[4] + a[2] * b[7],
+        a[0] * b[2] + a[1] * b[5] + a[2] * b[8],
+        a[3] * b[0] + a[4] * b[3] + a[5] * b[6],
+        a[3] * b[1] + a[4] * b[4] + a[5] * b[7],
+        a[3] * b[2] + a[4] * b[5] + a[5] * b[8],
+        a[6] * b[0] + a[7] * b[3] + a[8] * b[6],
+        a[6] * b[1] + a[7] * b[4] + a[8] * b[7],
+        a[6] * b[2] + a[7] * b[5] + a[8] * b[8],
+    )
 
 
-@njit(**OPTIONS)
-def predict(
-    P: FloatArray,
-    n: int,
-    values: FloatArray,
-    motion: int,
-    error: int,
-    lead: int,
-    velocity: int,
-    numbers: FloatArray,
-    walk_rates: FloatArray,
+@njit(**KERNEL)
+def transposed(a: tuple[float, ...]) -> tuple[float, ...]:
+    """Transpose of a 3x3 matrix, row by row."""
+    return a[0], a[3], a[6], a[1], a[4], a[7], a[2], a[5], a[8]
+
+
+@njit(**KERNEL)
+def times(a: tuple[float, ...], x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Product of a 3x3 matrix with a vector."""
+    return a[0] * x + a[1] * y + a[2] * z, a[3] * x + a[4] * y + a[5] * z, a[6] * x + a[7] * y + a[8] * z
+
+
+@njit(**KERNEL)
+def skew(x: float, y: float, z: float) -> tuple[float, ...]:
+    """Cross-product matrix, row by row."""
+    return 0.0, -z, y, z, 0.0, -x, -y, x, 0.0
+
+
+@njit(**KERNEL)
+def orientation(x: FloatArray) -> tuple[float, ...]:
+    """R_wc, row by row."""
+    return matrix_of(x[3], x[4], x[5], x[6])
+
+
+@njit(**KERNEL)
+def put(target: FloatArray, row: int, column: int, nine: tuple[float, ...], scale: float) -> None:
+    """target[row:, column:] (3, 3) = scale times nine numbers, row by row."""
+    for i, number in enumerate(nine):
+        target[row + i // 3, column + i % 3] = scale * number
+
+
+@njit(**KERNEL)
+def world_rotation(x: FloatArray, velocity: int, effect: FloatArray) -> None:
+    """`joint_state.world_rotation_of_camera` in the leading rows of `effect`, zero in the other ones."""
+    for i in range(len(effect)):
+        for a in range(3):
+            effect[i, a] = 0.0
+    put(effect, 0, 0, skew(x[0], x[1], x[2]), -1.0)
+    put(effect, 3, 0, transposed(orientation(x)), 1.0)
+    put(effect, velocity, 0, skew(x[velocity + 1], x[velocity + 2], x[velocity + 3]), -1.0)
+
+
+@njit(**KERNEL)
+def constrain(
+    J: FloatArray, rows: int, columns: int, image: FloatArray, source: FloatArray, R: tuple[float, ...]
+) -> None:
+    """`FirstEstimates.constrained`: J[:, 3:6] += (image - J source) R_wc."""
+    for i in range(rows):
+        m0, m1, m2 = image[i, 0], image[i, 1], image[i, 2]
+        for k in range(columns):
+            m0 -= J[i, k] * source[k, 0]
+            m1 -= J[i, k] * source[k, 1]
+            m2 -= J[i, k] * source[k, 2]
+        for a in range(3):
+            J[i, 3 + a] += m0 * R[a] + m1 * R[3 + a] + m2 * R[6 + a]
+
+
+@njit(**KERNEL)
+def _drive(
+    F: FloatArray,
+    G: FloatArray,
+    moved: FloatArray,
+    x: FloatArray,
+    v: int,
     dt: float,
     odometry: FloatArray,
-    covariance: FloatArray,
+    jacobian: tuple[float, ...],
 ) -> None:
-    """`StereoEKF.predict` without what odometry adds to constant velocity; values and P in place."""
-    F, added = np.zeros((lead, lead)), np.zeros((lead, lead))
-    for i in range(lead):
-        F[i, i] = 1.0
-        added[i, i] = walk_rates[i] * dt
-    turn, half, R, R_mid, A, B = np.empty(3), np.empty(3), np.empty((3, 3)), np.empty((3, 3)), *_two()
-    linear, angular = velocity, velocity + 3
-    if motion == CONSTANT_VELOCITY:
-        for i in range(3):
-            turn[i] = values[ANGULAR + i] * dt
-            F[i, linear + i] = dt
-        exponential(turn, R)
-        right_jacobian(turn, 1.0, A)
-        for i in range(3):
-            for j in range(3):
-                F[3 + i, 3 + j] = R[j, i]
-                F[3 + i, angular + j] = A[i, j] * dt
-        # G Q G^T: the impulses act on the velocities before the step
-        q_linear, q_angular = (numbers[SIGMA_LINEAR] * dt) ** 2, (numbers[SIGMA_ANGULAR] * dt) ** 2
-        for i in range(3):
-            added[linear + i, linear + i] += q_linear
-            added[angular + i, angular + i] += q_angular
-            added[i, i] += dt * dt * q_linear
-            added[i, linear + i] += dt * q_linear
-            added[linear + i, i] += dt * q_linear
-            for j in range(3):
-                added[3 + i, angular + j] += F[3 + i, angular + j] * q_angular
-                added[angular + j, 3 + i] += F[3 + i, angular + j] * q_angular
-                for k in range(3):
-                    added[3 + i, 3 + j] += F[3 + i, angular + k] * q_angular * F[3 + j, angular + k]
-            values[POSITION + i] += values[LINEAR + i] * dt
+    """`VelocityDriven.predict`: the rest of F, G (leading, 6) by the errors of the odometry, the moved position."""
+    v0, v1, v2, w0, w1, w2 = odometry[0], odometry[1], odometry[2], odometry[3], odometry[4], odometry[5]
+    h = quaternion_of(0.5 * dt * w0, 0.5 * dt * w1, 0.5 * dt * w2)
+    half = matrix_of(h[0], h[1], h[2], h[3])
+    R = orientation(x)
+    middle = multiply(R, half)
+    a0, a1, a2 = times(half, v0, v1, v2)
+    by_rotation = multiply(R, skew(a0, a1, a2))
+    by_turn = multiply(
+        multiply(middle, skew(v0, v1, v2)), right_jacobian_of(0.5 * dt * w0, 0.5 * dt * w1, 0.5 * dt * w2)
+    )
+    velocity = times(middle, v0, v1, v2)
+    for i in range(len(F)):
+        for k in range(6):
+            G[i, k] = 0.0
+    put(F, 0, 3, by_rotation, -dt)
+    put(F, v, 3, by_rotation, -1.0)
+    put(G, 0, 0, middle, dt)
+    put(G, 0, 3, by_turn, -0.5 * dt * dt)
+    put(G, 3, 3, jacobian, dt)
+    put(G, v, 0, middle, 1.0)
+    put(G, v, 3, by_turn, -0.5 * dt)
+    for i in range(3):
+        F[v + i, v + i] = F[v + 3 + i, v + 3 + i] = 0.0
+        G[v + 3 + i, 3 + i] = 1.0
+        moved[i] = x[i] + velocity[i] * dt
+        moved[v + 1 + i] = velocity[i]
+        moved[v + 4 + i] = odometry[3 + i]
+
+
+@unit(PLAN, MATRIX, types.int64, VECTOR, VECTOR, types.float64, GIVEN, GIVEN_COVARIANCE, SCRATCH)
+def predict(
+    plan: Plan,
+    P: FloatArray,
+    n: int,
+    x: FloatArray,
+    predicted: FloatArray,
+    dt: float,
+    odometry: FloatArray,
+    odometry_covariance: FloatArray,
+    s: Scratch,
+) -> None:
+    """Leading variables and P after dt seconds: `ConstantVelocity` or `VelocityDriven`, random walks of the others."""
+    v, leading, F, moved = plan.velocity, plan.leading, s.F, s.moved
+    identity(F)
+    for i in range(len(x)):
+        moved[i] = x[i]
+    if plan.velocity_driven:
+        w0, w1, w2 = odometry[3], odometry[4], odometry[5]
     else:
+        w0, w1, w2 = x[v + 4], x[v + 5], x[v + 6]
+    turn = quaternion_of(w0 * dt, w1 * dt, w2 * dt)
+    jacobian = right_jacobian_of(w0 * dt, w1 * dt, w2 * dt)
+    q0, q1, q2, q3 = product_of(x[3], x[4], x[5], x[6], turn[0], turn[1], turn[2], turn[3])
+    moved[3], moved[4], moved[5], moved[6] = q0, q1, q2, q3
+    put(F, 3, 3, transposed(matrix_of(turn[0], turn[1], turn[2], turn[3])), 1.0)
+    if plan.velocity_driven:
+        _drive(F, s.half, moved, x, v, dt, odometry, jacobian)
+    else:
+        put(F, 3, v + 3, jacobian, dt)
+        linear, angular = (plan.sigma_acceleration * dt) ** 2, (plan.sigma_angular_acceleration * dt) ** 2
         for i in range(3):
-            turn[i], half[i] = odometry[3 + i] * dt, 0.5 * odometry[3 + i] * dt
-            F[linear + i, linear + i] = F[angular + i, angular + i] = 0.0
-        rotation(values[ORIENTATION:], R)
-        exponential(half, A)
-        multiply(R, A, R_mid)
-        # by rotation: -R [Exp(turn / 2) v]x
-        h, v = np.empty(3), np.empty(3)
-        for i in range(3):
-            h[i] = A[i, 0] * odometry[0] + A[i, 1] * odometry[1] + A[i, 2] * odometry[2]
-            v[i] = R_mid[i, 0] * odometry[0] + R_mid[i, 1] * odometry[1] + R_mid[i, 2] * odometry[2]
-        skew(h, -1.0, B)
-        by_rotation = np.empty((3, 3))
-        multiply(R, B, by_rotation)
-        # by turn: -dt / 2 R_mid [v]x J_r(turn / 2)
-        skew(odometry[0:3], -0.5 * dt, B)
-        multiply(R_mid, B, A)
-        right_jacobian(half, 1.0, B)
-        by_turn = np.empty((3, 3))
-        multiply(A, B, by_turn)
-        exponential(turn, A)
-        right_jacobian(turn, 1.0, B)
-        G = np.zeros((lead, 6))
-        for i in range(3):
-            for j in range(3):
-                F[i, 3 + j] = by_rotation[i, j] * dt
-                F[3 + i, 3 + j] = A[j, i]
-                F[linear + i, 3 + j] = by_rotation[i, j]
-                G[i, j], G[i, 3 + j] = R_mid[i, j] * dt, by_turn[i, j] * dt
-                G[3 + i, 3 + j] = B[i, j] * dt
-                G[linear + i, j], G[linear + i, 3 + j] = R_mid[i, j], by_turn[i, j]
-            G[angular + i, 3 + i] = 1.0
-        GQ = np.zeros((lead, 6))
-        for i in range(lead):
+            F[i, v + i] = dt
+            moved[i] = x[i] + dt * x[v + 1 + i]
+            P[v + i, v + i] += linear
+            P[v + 3 + i, v + 3 + i] += angular
+    if plan.error == FIRST_ESTIMATES:
+        source, image = s.W, s.W[leading:]
+        world_rotation(predicted, v, source[:leading])
+        world_rotation(moved, v, image[:leading])
+        constrain(F, leading, leading, image, source, orientation(predicted))
+    G = s.G  # the velocity-driven noise: G^T, which `transform_leading` must not overwrite
+    if plan.velocity_driven:
+        for i in range(leading):
             for k in range(6):
-                if G[i, k] != 0.0:
-                    for j in range(6):
-                        GQ[i, j] += G[i, k] * covariance[k, j]
-        for i in range(lead):
-            for j in range(lead):
+                G[k, i] = s.half[i, k]
+    transform_leading(P, n, s)
+    if plan.velocity_driven:
+        for i in range(leading):
+            for j in range(i, leading):
                 for k in range(6):
-                    added[i, j] += GQ[i, k] * G[j, k]
-        for i in range(3):
-            values[POSITION + i] += v[i] * dt
-            values[LINEAR + i] = v[i]
-            values[ANGULAR + i] = odometry[3 + i]
-    q = np.empty(4)
-    turn_quaternion(values[ORIENTATION:], turn, False, q)
-    for i in range(4):
-        values[ORIENTATION + i] = q[i]
-    if error == FIRST_ESTIMATES:
-        source, image, defect = np.empty((lead, 3)), np.empty((lead, 3)), np.empty((lead, 3))
-        _world_rotation(values, PREDICTED, velocity, source)
-        _world_rotation(values, 0, velocity, image)
-        rotation(values[PREDICTED + ORIENTATION :], R)
-        for i in range(lead):
-            for j in range(3):
-                defect[i, j] = image[i, j]
-                for k in range(lead):
-                    defect[i, j] -= F[i, k] * source[k, j]
-        for i in range(lead):
-            for j in range(3):
-                F[i, 3 + j] += defect[i, 0] * R[0, j] + defect[i, 1] * R[1, j] + defect[i, 2] * R[2, j]
-    for i in range(PREDICTED):
-        values[PREDICTED + i] = values[i]
-    transform_leading(P, F, added, n)
+                    for m in range(6):
+                        P[i, j] += G[k, i] * odometry_covariance[k, m] * G[m, j]
+    for i in range(leading):
+        P[i, i] += plan.walk[i] * dt
+    for i in range(len(x)):
+        x[i] = predicted[i] = moved[i]
 
 
-@njit(**OPTIONS)
-def _two() -> tuple[FloatArray, FloatArray]:
-    return np.empty((3, 3)), np.empty((3, 3))
-
-
-@njit(**OPTIONS)
-def measure_odometry(
-    values: FloatArray, velocity: int, dt: float, odometry: FloatArray, innovation: FloatArray, H: FloatArray
-) -> None:
-    """`ConstantVelocity.odometry_measurement`: innovation (1, 6), H (1, 6, lead)."""
-    half, back_half, R, J, A = np.empty(3), np.empty((3, 3)), np.empty((3, 3)), *_two()
+@njit(**KERNEL)
+def measure_odometry(x: FloatArray, v: int, dt: float, odometry: FloatArray, H: FloatArray, nu: FloatArray) -> None:
+    """`ConstantVelocity.odometry_measurement`: H (6, leading) and the innovation (6,)."""
+    for k in range(6):
+        for i in range(H.shape[1]):
+            H[k, i] = 0.0
+    w0, w1, w2 = 0.5 * dt * x[v + 4], 0.5 * dt * x[v + 5], 0.5 * dt * x[v + 6]
+    h = quaternion_of(w0, w1, w2)
+    back = matrix_of(h[0], h[1], h[2], h[3])
+    R_cw = transposed(orientation(x))
+    c0, c1, c2 = times(R_cw, x[v + 1], x[v + 2], x[v + 3])
+    by_half_turn = multiply(back, skew(c0, c1, c2))
+    put(H, 0, 3, by_half_turn, 1.0)
+    put(H, 0, v, multiply(back, R_cw), 1.0)
+    put(H, 0, v + 3, multiply(by_half_turn, right_jacobian_of(w0, w1, w2)), -0.5 * dt)
+    expected = times(back, c0, c1, c2)
     for i in range(3):
-        half[i] = 0.5 * dt * values[ANGULAR + i]
-    exponential(half, back_half)
-    rotation(values[ORIENTATION:], R)
-    v = np.empty(3)
-    for i in range(3):
-        v[i] = R[0, i] * values[LINEAR] + R[1, i] * values[LINEAR + 1] + R[2, i] * values[LINEAR + 2]
-    skew(v, 1.0, A)
-    by_half_turn = np.empty((3, 3))
-    multiply(back_half, A, by_half_turn)
-    right_jacobian(half, 1.0, A)
-    multiply(by_half_turn, A, J)
-    H[:] = 0.0
-    for i in range(3):
-        innovation[0, i] = odometry[i]
-        for j in range(3):
-            innovation[0, i] -= back_half[i, j] * v[j]
-            H[0, i, 3 + j] = by_half_turn[i, j]
-            H[0, i, velocity + 3 + j] = -0.5 * dt * J[i, j]
-            for k in range(3):
-                H[0, i, velocity + j] += back_half[i, k] * R[j, k]
-        innovation[0, 3 + i] = odometry[3 + i] - values[ANGULAR + i]
-        H[0, 3 + i, velocity + 3 + i] = 1.0
+        H[3 + i, v + 3 + i] = 1.0
+        nu[i] = odometry[i] - expected[i]
+        nu[3 + i] = odometry[3 + i] - x[v + 4 + i]

@@ -1,126 +1,235 @@
-"""What the kernels have to know of a filter: its parts as plain numbers."""
+"""What a compiled filter does, in plain numbers: parts, options and the leading variables of its state."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
+from scipy.special import chdtri
 
-from filters.camera import StereoCamera
-from filters.compiled import prediction, retraction
-from filters.compiled.frame import EUCLIDEAN, INVERSE_DEPTH, SHARED_ANCHOR
-from filters.compiled.geometry import CALIBRATIONS
-from filters.engine.gating import gate_limit
-from filters.engine.options import Options
-from filters.measurements.rectified_pair import LEFT, RIGHT
-from filters.parts import kernel_of
 from filters.validation import FloatArray, IntArray
-from filters.variables import VELOCITY
 
-_STAGES = {
-    "joint": ((np.eye(3), -1),),
-    "calibrated-pair": ((np.eye(3), -1),),
-    "left": ((LEFT, -1),),
-    "sequential": ((LEFT, -1), (RIGHT, 1)),
-    "stacked": ((np.vstack([LEFT, RIGHT]), 3),),
-}
-"""Rows of each stage, and which of them is v_right."""
-_ERRORS = {
-    "quaternion": retraction.QUATERNION,
-    "so3": retraction.SO3,
-    "first-estimates": retraction.FIRST_ESTIMATES,
-    "right-invariant": retraction.INVARIANT,
-    "left-invariant": retraction.INVARIANT,
-}
-_MOTIONS = {"constant-velocity": prediction.CONSTANT_VELOCITY, "velocity-driven": prediction.VELOCITY_DRIVEN}
+LANDMARKS = ("inverse-depth", "shared-anchor", "euclidean")
+ERRORS = ("quaternion", "so3", "first-estimates", "right-invariant", "invariant")
+QUATERNION, SO3, FIRST_ESTIMATES, RIGHT_INVARIANT, INVARIANT = range(5)
+MOTIONS = ("constant-velocity", "velocity-driven")
+CALIBRATION = ("disparity_offset", "focal_scale", "baseline_scale", "misalignment")
+POSE_SIZE = 6
+MOST_ROWS = 4  # of a landmark's measurement in one stage
 
 
-@dataclass(frozen=True, eq=False)
-class Recipe:
-    """Arguments of the kernels that do not change while a filter runs; see `frame.update_range`."""
+class Plan(NamedTuple):
+    """A recipe as the kernels take it."""
 
-    choices: IntArray
-    numbers: FloatArray
-    columns: IntArray
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    disparity_constant: float
+    anchored: bool
+    shares_anchors: bool
+    error: int
+    consensus: bool
+    tail_dof: float
+    iterations: int
+    drop_unseen: bool
+    min_disparity: float
+    velocity_driven: bool
+    sigma_acceleration: float
+    sigma_angular_acceleration: float
+    measured: int
+    """Leading rows that the measurements depend on: pose and calibration."""
+    velocity: int
+    """First row of the velocity."""
+    leading: int
+    """Leading rows in all."""
+    calibration: IntArray
+    """Row of disparity offset, focal scale, baseline scale and misalignment (3); -1 where it is no variable."""
     considered: IntArray
-    walk_rates: FloatArray
-    stages: FloatArray
-    rows_of_stages: IntArray
+    """Rows whose values never move."""
+    walk: FloatArray
+    """Variance that each leading row gains in a second."""
+    stages: IntArray
+    """Number of stages without and with a measured right row, (2,)."""
+    T: FloatArray
+    """(2, stages, 4, 3)."""
+    rows: IntArray
+    """(2, stages, 3): rows of the stage, the row that `v_right` is for, the row apart from the others (-1: none)."""
+    apart_scale: FloatArray
+    """Factor of the variance of that row, (2, stages)."""
     limits: FloatArray
-    copied: FloatArray
+    """Squared distance up to which a measurement is believed, (2, stages)."""
 
-    def __eq__(self, other: object) -> bool:
-        """Whether both have the same numbers."""
-        if not isinstance(other, Recipe):
-            return NotImplemented
-        names = [field.name for field in fields(self)]
-        return all(np.array_equal(getattr(self, name), getattr(other, name), equal_nan=True) for name in names)
 
-    __hash__ = None  # type: ignore[assignment]
+@dataclass(frozen=True)
+class StageRows:
+    """One stage of the update: z = T (u, v, d).
 
-    @classmethod
-    def of(cls, camera: StereoCamera, options: Options) -> Recipe:
-        """The recipe of a filter all of whose parts have a kernel."""
-        layout, motion = options.layout, options.motion
-        lead = 3 * -(-layout.size // 3)
-        measured = 3 * -(-layout.measured // 3)
-        stages = _STAGES[kernel_of(options.measurement) or ""]
-        T = np.zeros((len(stages), 4, 3))
-        for stage, (rows, _) in enumerate(stages):
-            T[stage, : len(rows)] = rows
-        limits = np.full((len(stages), 4), np.inf)
-        if options.gate is not None:
-            limits[:] = [gate_limit(options.gate ** (1 / len(stages)), rows) for rows in (1, 2, 3, 4)]
-        copied = getattr(options.measurement, "copied_row_variance", None)
-        error = _ERRORS[kernel_of(options.error) or ""]
-        if not getattr(options.error, "reset", True):
-            error = retraction.RIGHT_INVARIANT
-        landmark = EUCLIDEAN
-        if options.landmark.anchored:
-            landmark = SHARED_ANCHOR if options.landmark.shares_anchors else INVERSE_DEPTH
-        columns = np.full(CALIBRATIONS, -1)
-        for variable in options.measurement.variables:
-            first = layout.places[variable.name].start
-            present = options.measurement.present  # type: ignore[attr-defined]
-            columns[present] = first + np.arange(variable.size)
-        walk_rates = np.zeros(lead)
-        if layout.walk_rates is not None:
-            walk_rates[: layout.size] = layout.walk_rates
-        return cls(
-            np.array(
-                [
-                    landmark,
-                    error,
-                    options.consensus,
-                    options.iterations,
-                    options.drop_unseen,
-                    lead,
-                    measured,
-                    layout.places[VELOCITY].start,
-                    len(stages),
-                    _MOTIONS[kernel_of(motion) or ""],
-                ],
-                dtype=np.int64,
-            ),
-            np.array(
-                [
-                    camera.fx,
-                    camera.fy,
-                    camera.cx,
-                    camera.cy,
-                    camera.disparity_constant,
-                    np.inf if options.tail_dof is None else options.tail_dof,
-                    -np.inf if options.min_disparity is None else options.min_disparity,
-                    getattr(motion, "sigma_acceleration", 0.0),
-                    getattr(motion, "sigma_angular_acceleration", 0.0),
-                ],
-                dtype=np.float64,
-            ),
-            columns,
-            layout.considered,
-            walk_rates,
-            T,
-            np.array([(len(rows), right) for rows, right in stages], dtype=np.int64),
-            limits,
-            np.array([np.nan if copied is None else copied]),
+    Attributes
+    ----------
+    T : tuple of (3,) tuples
+        One for each row of the measurement.
+    right_row : int
+        Row that takes the separately measured v_right; -1: none.
+    apart_row : int
+        Row whose error is independent of the other rows; -1: none.
+    apart_scale : float
+        Factor of the variance of that row.
+    """
+
+    T: tuple[tuple[float, float, float], ...]
+    right_row: int = -1
+    apart_row: int = -1
+    apart_scale: float = 1.0
+
+
+JOINT = StageRows(((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)))
+"""(u, v, d)."""
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """What a filter does.
+
+    Attributes
+    ----------
+    fx, fy, cx, cy, disparity_constant : float
+        Of the rectified pair, px and px m.
+    landmark : {"inverse-depth", "shared-anchor", "euclidean"}
+        Parametrisation.
+    error : {"quaternion", "so3", "first-estimates", "right-invariant", "invariant"}
+        Error definition; "invariant" is the right-invariant one with P carried along by the full Jacobian.
+    stages, stages_with_right : tuple of StageRows
+        Stages of the update where the right row is not measured on its own, and where it is.
+    gate : float, optional
+        Probability with which a consistent landmark passes all stages.
+    consensus, tail_dof, iterations, drop_unseen, min_disparity
+        As of `StereoEKF`.
+    motion : {"constant-velocity", "velocity-driven"}
+        Motion model.
+    sigma_acceleration, sigma_angular_acceleration : float
+        Of constant velocity, m/s^2 and rad/s^2.
+    calibration : tuple of str
+        Numbers of the rectified pair that are variables: "disparity_offset" (px), "focal_scale", "baseline_scale",
+        "misalignment" (3 rad: directions are turned by Exp of it before they are projected).
+    others : int
+        Further numbers of the state, after the velocity.
+    considered : tuple of int
+        Leading rows that have covariance and correlations, and whose values never move (Schmidt).
+    walk : tuple of float
+        Variance that each leading row gains in a second; () for none.
+    """
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    disparity_constant: float
+    landmark: str = "inverse-depth"
+    error: str = "quaternion"
+    stages: tuple[StageRows, ...] = (JOINT,)
+    stages_with_right: tuple[StageRows, ...] = (JOINT,)
+    gate: float | None = 0.99
+    consensus: bool = False
+    tail_dof: float | None = None
+    iterations: int = 1
+    drop_unseen: bool = True
+    min_disparity: float | None = None
+    motion: str = "constant-velocity"
+    sigma_acceleration: float = 3.0
+    sigma_angular_acceleration: float = 0.6
+    calibration: tuple[str, ...] = ()
+    others: int = 0
+    considered: tuple[int, ...] = ()
+    walk: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        for name, known in (("landmark", LANDMARKS), ("error", ERRORS), ("motion", MOTIONS)):
+            if getattr(self, name) not in known:
+                raise ValueError(f"{name} must be one of {', '.join(map(repr, known))}, got {getattr(self, name)!r}")
+        unknown = [name for name in self.calibration if name not in CALIBRATION]
+        if unknown or len(set(self.calibration)) < len(self.calibration):
+            raise ValueError(f"calibration must be different ones of {CALIBRATION}, got {self.calibration!r}")
+        if any(not 0 <= row < self.leading for row in self.considered):
+            raise ValueError(f"considered must be rows below {self.leading}, got {self.considered!r}")
+        if len(self.walk) not in (0, self.leading):
+            raise ValueError(f"walk must have a rate for each of the {self.leading} leading rows, got {len(self.walk)}")
+        if self.consensus and self.gate is None:
+            raise ValueError("gate must be a probability with consensus=True, got None: it is the limit of agreement")
+
+    @cached_property
+    def calibration_rows(self) -> IntArray:
+        """Row of each of the six numbers of the calibration, -1 where it is no variable; (6,)."""
+        rows, next_row = np.full(6, -1), POSE_SIZE
+        for place, name in enumerate(CALIBRATION):
+            if name in self.calibration:
+                count = 3 if name == "misalignment" else 1
+                rows[place : place + count] = next_row + np.arange(count)
+                next_row += count
+        return rows
+
+    @property
+    def measured(self) -> int:
+        """Leading rows that the measurements depend on."""
+        return POSE_SIZE + int((self.calibration_rows >= 0).sum())
+
+    @property
+    def velocity(self) -> int:
+        """First row of the velocity."""
+        return self.measured
+
+    @property
+    def leading(self) -> int:
+        """Leading rows, a multiple of three: the last ones may be zero."""
+        return -(-(self.measured + 6 + self.others) // 3) * 3
+
+    @property
+    def values(self) -> int:
+        """Numbers of the leading variables: the orientation has four."""
+        return self.leading + 1
+
+    @cached_property
+    def plan(self) -> Plan:
+        """The recipe as the kernels take it."""
+        variants = (self.stages, self.stages_with_right)
+        most = max(map(len, variants))
+        T, rows = np.zeros((2, most, MOST_ROWS, 3)), np.full((2, most, 3), -1)
+        scales, limits = np.ones((2, most)), np.full((2, most), np.inf)
+        for i, stages in enumerate(variants):
+            for j, stage in enumerate(stages):
+                T[i, j, : len(stage.T)] = stage.T
+                rows[i, j] = len(stage.T), stage.right_row, stage.apart_row
+                scales[i, j] = stage.apart_scale
+                if self.gate is not None:
+                    limits[i, j] = chdtri(len(stage.T), 1.0 - self.gate ** (1 / len(stages)))
+        return Plan(
+            fx=float(self.fx),
+            fy=float(self.fy),
+            cx=float(self.cx),
+            cy=float(self.cy),
+            disparity_constant=float(self.disparity_constant),
+            anchored=self.landmark != "euclidean",
+            shares_anchors=self.landmark == "shared-anchor",
+            error=ERRORS.index(self.error),
+            consensus=self.consensus,
+            tail_dof=float("inf") if self.tail_dof is None else float(self.tail_dof),
+            iterations=self.iterations,
+            drop_unseen=self.drop_unseen,
+            min_disparity=-float("inf") if self.min_disparity is None else float(self.min_disparity),
+            velocity_driven=self.motion == "velocity-driven",
+            sigma_acceleration=float(self.sigma_acceleration),
+            sigma_angular_acceleration=float(self.sigma_angular_acceleration),
+            measured=self.measured,
+            velocity=self.velocity,
+            leading=self.leading,
+            calibration=self.calibration_rows,
+            considered=np.array(self.considered, dtype=np.int64),
+            walk=np.array(self.walk or np.zeros(self.leading), dtype=np.float64),
+            stages=np.array([len(stages) for stages in variants]),
+            T=T,
+            rows=rows,
+            apart_scale=scales,
+            limits=limits,
         )

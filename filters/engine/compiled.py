@@ -11,7 +11,7 @@ from filters.engine.options import Options
 from filters.parts import SLOTS, kernel_of
 
 if TYPE_CHECKING:
-    from filters.compiled.engine import CompiledFilter
+    from filters.compiled.stereo_ekf import CompiledFilter
 
 _log = logging.getLogger(__name__)
 
@@ -38,7 +38,7 @@ def compiled_filter(camera: StereoCamera, options: Options) -> CompiledFilter | 
     missing = without_kernel(options)
     trouble = None if missing else _trouble()
     if missing is None and trouble is None:
-        from filters.compiled.engine import CompiledFilter
+        from filters.compiled.stereo_ekf import CompiledFilter
 
         return CompiledFilter.of(camera, options)
     if options.compiled:
@@ -51,7 +51,7 @@ def compiled_filter(camera: StereoCamera, options: Options) -> CompiledFilter | 
 def _trouble() -> str | None:
     """Why the kernels cannot be had on this machine, told once in the log; None: they can."""
     try:
-        import filters.compiled.engine  # noqa: F401
+        import filters.compiled.stereo_ekf  # noqa: F401
     except Exception as error:  # Numba and LLVM fail in many ways where they do not fit the machine
         _log.warning("filters run by NumPy, slower: Numba does not work here (%s: %s)", type(error).__name__, error)
         return f"{type(error).__name__}: {error}"

@@ -60,7 +60,7 @@ from filters.validation import (
 from filters.variables import POSE, VELOCITY, VariableBelief
 
 if TYPE_CHECKING:
-    from filters.compiled.engine import CompiledFilter
+    from filters.compiled.stereo_ekf import CompiledFilter
 
 
 class StereoEKF(StereoFilter):

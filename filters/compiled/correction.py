@@ -1,0 +1,245 @@
+"""Kernels of `engine.kalman`: the Kalman update, a chunk of measurements at a time."""
+
+from __future__ import annotations
+
+import math
+
+from numba import njit, types
+
+from filters.compiled.blas import KERNEL, at, call
+from filters.compiled.covariance import keep_considered, restore_considered, take_leading, take_rows
+from filters.compiled.prediction import measure_odometry
+from filters.compiled.recipe import Plan
+from filters.compiled.storage import CHUNK_ROWS, Scratch
+from filters.compiled.units import ADDRESSES, GIVEN, GIVEN_COVARIANCE, INDEX, MATRIX, PLAN, SCRATCH, VECTOR, unit
+from filters.validation import FloatArray, IntArray
+
+DROWNED = 1e12
+"""See `kalman.DROWNED`."""
+
+
+@njit(**KERNEL)
+def _add_product(target: FloatArray, H: FloatArray, first: int, block: FloatArray, columns: int, add: bool) -> None:
+    """target = H block, or target += H block, with three columns of H; (k, columns), (k, w), (3, columns)."""
+    for row in range(len(target)):
+        a, b, c = H[row, first], H[row, first + 1], H[row, first + 2]
+        if add:
+            for j in range(columns):
+                target[row, j] += a * block[0, j] + b * block[1, j] + c * block[2, j]
+        else:
+            for j in range(columns):
+                target[row, j] = a * block[0, j] + b * block[1, j] + c * block[2, j]
+
+
+@njit(**KERNEL)
+def times_covariance(
+    plan: Plan, P: FloatArray, n: int, s: Scratch, select: IntArray, first: int, last: int, size: int
+) -> None:
+    """H P of the selected measurements first to last - 1, in the first rows of HP."""
+    HP, measured = s.HP, plan.measured
+    take_leading(P, n, measured, s.lead)
+    for i in range(first, last):
+        H, top = s.H[select[i]], (i - first) * size
+        for k in range(size):
+            target = HP[top + k]
+            for c in range(0, measured - measured % 3, 3):
+                _add_product(HP[top + k : top + k + 1], H[k : k + 1], c, s.lead[c : c + 3], n, c > 0)
+            for c in range(measured - measured % 3, measured):
+                a = H[k, c]
+                for j in range(n):
+                    target[j] += a * s.lead[c, j]
+    if plan.anchored:
+        held = -1
+        for i in range(first, last):
+            m, top = select[i], (i - first) * size
+            if s.base[m, 0] != held:  # neighbours often share an anchor
+                held = s.base[m, 0]
+                take_rows(P, n, held, s.block)
+            _add_product(HP[top : top + size], s.H[m], measured, s.block, n, True)
+    own = measured + 3 if plan.anchored else measured
+    for i in range(first, last):
+        m, top = select[i], (i - first) * size
+        take_rows(P, n, s.base[m, 1], s.block)
+        _add_product(HP[top : top + size], s.H[m], own, s.block, n, True)
+
+
+@njit(**KERNEL)
+def innovation_covariance(plan: Plan, s: Scratch, select: IntArray, first: int, last: int, size: int) -> bool:
+    """Upper triangle of S = (H P) H^T + R of these measurements; whether R is left in it."""
+    HP, S, shared, measured = s.HP, s.S, s.shared, plan.measured
+    rows = (last - first) * size
+    width = measured + (6 if plan.anchored else 3)
+    for row in range(rows):
+        for c in range(measured):
+            shared[c, row] = HP[row, c]
+    for i in range(first, last):
+        m, top = select[i], (i - first) * size
+        H = s.H[m]
+        for row in range(top, rows):
+            column = measured
+            if plan.anchored:
+                for c in range(3):
+                    shared[column + c, row] = HP[row, s.base[m, 0] + c]
+                column += 3
+            for c in range(3):
+                shared[column + c, row] = HP[row, s.base[m, 1] + c]
+        for k in range(size):
+            target = S[top + k]
+            for row in range(top, rows):
+                target[row] = 0.0
+            for c in range(0, width - width % 3, 3):
+                _add_product(
+                    S[top + k : top + k + 1, top:rows], H[k : k + 1], c, shared[c : c + 3, top:], rows - top, True
+                )
+            for c in range(width - width % 3, width):
+                for row in range(top, rows):
+                    target[row] += H[k, c] * shared[c, row]
+        for a in range(size):
+            for b in range(a, size):
+                S[top + a, top + b] += s.R[m, a, b]
+            if S[top + a, top + a] > DROWNED * s.R[m, a, a]:
+                return False
+    return True
+
+
+@njit(**KERNEL)
+def factorise(routines: tuple[int, ...], s: Scratch, rows: int) -> bool:
+    """Cholesky factor of S in place; whether there is one."""
+    sizes, lower, k = s.sizes, at(s.letters), at(s.sizes)
+    sizes[0], sizes[3], sizes[5] = rows, s.S.shape[1], 0
+    call(routines[0], (lower, k, at(s.S), k + 12, k + 20))
+    return sizes[5] == 0 and math.isfinite(s.S[rows - 1, rows - 1])
+
+
+@njit(**KERNEL)
+def absorb(routines: tuple[int, ...], P: FloatArray, n: int, s: Scratch, rows: int) -> float:
+    """Correct P and delta by HP, its last column the innovation, and S; the NIS, or -1 without a Cholesky factor."""
+    HP = s.HP
+    if not factorise(routines, s, rows):
+        return -1.0
+    sizes, signs = s.sizes, s.signs
+    sizes[1], sizes[2], sizes[4], sizes[6], sizes[7] = n, n + 1, 1, HP.shape[1], P.shape[1]
+    lower = at(s.letters)
+    right, plain, turned = lower + 1, lower + 2, lower + 3
+    k = at(sizes)
+    states, with_nu, room, one, stride, stride_P = k + 4, k + 8, k + 12, k + 16, k + 24, k + 28
+    plus = at(signs)
+    minus, covariance, solved, factor = plus + 8, at(P), at(HP), at(s.S)
+    # HP <- L^-1 HP, delta += HP^T nu, P -= HP^T HP; BLAS is column-major
+    call(routines[1], (right, lower, turned, plain, with_nu, k, plus, factor, room, solved, stride))
+    call(routines[2], (plain, states, k, plus, solved, stride, solved + 8 * n, stride, plus, at(s.delta), one))
+    call(routines[3], (lower, plain, states, k, minus, solved, stride, plus, covariance, stride_P))
+    nis = 0.0
+    for row in range(rows):
+        nis += HP[row, n] ** 2
+    return nis
+
+
+@njit(**KERNEL)
+def explained(plan: Plan, s: Scratch, m: int, k: int) -> float:
+    """What delta says of one row of a measurement, H delta."""
+    H, delta, measured = s.H[m, k], s.delta, plan.measured
+    total = 0.0
+    for c in range(measured):
+        total += H[c] * delta[c]
+    if plan.anchored:
+        for c in range(3):
+            total += H[measured + c] * delta[s.base[m, 0] + c]
+        measured += 3
+    for c in range(3):
+        total += H[measured + c] * delta[s.base[m, 1] + c]
+    return total
+
+
+@njit(**KERNEL)
+def _take(
+    routines: tuple[int, ...],
+    plan: Plan,
+    P: FloatArray,
+    n: int,
+    s: Scratch,
+    select: IntArray,
+    first: int,
+    last: int,
+    size: int,
+) -> float:
+    """Correct P and delta with the measurements first to last - 1; the NIS, or -1 where S has no Cholesky factor."""
+    times_covariance(plan, P, n, s, select, first, last, size)
+    if not innovation_covariance(plan, s, select, first, last, size):
+        return -1.0
+    for i in range(first, last):
+        m = select[i]
+        for k in range(size):
+            s.HP[(i - first) * size + k, n] = s.nu[m, k] - explained(plan, s, m, k)
+    return absorb(routines, P, n, s, (last - first) * size)
+
+
+@unit(ADDRESSES, PLAN, MATRIX, types.int64, SCRATCH, INDEX, types.int64, types.int64)
+def correct(
+    routines: tuple[int, ...], plan: Plan, P: FloatArray, n: int, s: Scratch, select: IntArray, count: int, size: int
+) -> None:
+    """`kalman.update` with the selected measurements: P in place, delta, `used` and the NIS (`result`) in the scratch."""
+    for j in range(n):
+        s.delta[j] = 0.0
+    nis, chunk = 0.0, max(1, CHUNK_ROWS // size)
+    chunks = -(-count // chunk)
+    for i in range(chunks):
+        first, last = count * i // chunks, count * (i + 1) // chunks
+        gained = _take(routines, plan, P, n, s, select, first, last, size)
+        for j in range(first, last):
+            s.used[select[j]] = gained >= 0.0
+        if gained >= 0.0:
+            nis += gained
+        elif last - first > 1:
+            for j in range(first, last):
+                gained = _take(routines, plan, P, n, s, select, j, j + 1, size)
+                s.used[select[j]] = gained >= 0.0
+                if gained >= 0.0:
+                    nis += gained
+    s.result[0] = nis
+
+
+@njit(**KERNEL)
+def correct_leading(
+    routines: tuple[int, ...], P: FloatArray, n: int, H: FloatArray, nu: FloatArray, R: FloatArray, s: Scratch
+) -> bool:
+    """`kalman.update` with one measurement of the leading variables, H (k, leading); whether it was used."""
+    size, leading = H.shape
+    take_leading(P, n, leading, s.lead)
+    for j in range(n):
+        s.delta[j] = 0.0
+    for a in range(size):
+        for j in range(n):
+            s.HP[a, j] = 0.0
+        for c in range(leading):
+            if H[a, c] != 0.0:
+                for j in range(n):
+                    s.HP[a, j] += H[a, c] * s.lead[c, j]
+        s.HP[a, n] = nu[a]
+    for a in range(size):
+        for b in range(a, size):
+            s.S[a, b] = R[b, a]
+            for c in range(leading):
+                s.S[a, b] += s.HP[b, c] * H[a, c]
+    return absorb(routines, P, n, s, size) >= 0.0
+
+
+@unit(ADDRESSES, PLAN, MATRIX, types.int64, VECTOR, types.float64, GIVEN, GIVEN_COVARIANCE, SCRATCH)
+def fuse(
+    routines: tuple[int, ...],
+    plan: Plan,
+    P: FloatArray,
+    n: int,
+    x: FloatArray,
+    dt: float,
+    odometry: FloatArray,
+    covariance: FloatArray,
+    s: Scratch,
+) -> None:
+    """Odometry as a measurement after the prediction: P in place, delta; `result` is 1 where it was used."""
+    measure_odometry(x, plan.velocity, dt, odometry, s.odometry, s.odometry_nu)
+    keep_considered(P, plan.considered, s.kept)
+    used = correct_leading(routines, P, n, s.odometry, s.odometry_nu, covariance, s)
+    if used:
+        restore_considered(P, plan.considered, s.kept, s.delta)
+    s.result[0] = 1.0 if used else 0.0
