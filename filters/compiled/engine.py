@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -101,6 +102,18 @@ class CompiledEngine:
         self._most = 0
         self._pool: ThreadPoolExecutor | None = None
         self._make_room(_ROOM, 8)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What a copy needs: it packs arrays of its own."""
+        return {"recipe": self.recipe, "count": self.count, "threads": self.threads, "storage": self.storage}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__init__(state["recipe"], state["count"], state["threads"])  # type: ignore[misc]
+        storage = type(state["storage"])(*(np.array(array) for array in state["storage"]))
+        self._storage = Packed(storage)
+        self._frame = Packed(empty_frame(self.count, storage.ids.shape[1], 1))
+        self._scratch = []
+        self._make_room(0, 8)
 
     @property
     def storage(self) -> Storage:
