@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 from filters.engine.error_definition import ERRORS
-from filters.engine.joint_state import JointState
 from filters.engine.retraction import RETRACTIONS
 from scipy.spatial.transform import Rotation
 
@@ -20,6 +19,7 @@ from filters import BodyVelocity, ConstantVelocity, Start, StereoEKF, StereoObse
 from filters.engine.options import LANDMARKS, MEASUREMENTS
 from filters.landmarks.hybrid import Hybrid
 from filters.motions.model import CameraState
+from filters.state.joint_state import JointState
 
 from .drives import ODD_CAMERA as CAMERA
 from .drives import StereoNoise
@@ -373,9 +373,9 @@ def _seen_state(stereo_filter: StereoEKF, s: Situation) -> JointState:
     stereo_filter.reset(Start(s.camera.position - s.anchor_offset[0], s.camera.orientation, covariance=np.eye(12)))
     half = COUNT // 2
     stereo_filter.update(StereoObservation(np.arange(half), s.uvd[:half]))
-    state = stereo_filter._state
+    state = stereo_filter.state
     state.camera = s.camera
-    stereo_filter._policy.start(stereo_filter._state, StereoObservation(np.arange(half, COUNT), s.uvd[half:]))
+    stereo_filter._policy.start(stereo_filter.state, StereoObservation(np.arange(half, COUNT), s.uvd[half:]))
     state.camera = replace(s.camera, position=s.camera.position + 0.5 * s.anchor_offset[1])
     return state
 
@@ -415,7 +415,7 @@ for _landmark in LANDMARKS:
                 for stage in stages:
                     linearised = stereo_filter._linearise(state, index, stage)
                     H = np.zeros((*linearised.innovation.shape, len(state.P)))
-                    H[:, :, : linearised.by_camera.shape[2]] = linearised.by_camera
+                    H[:, :, : linearised.by_leading.shape[2]] = linearised.by_leading
                     for row, rows in enumerate(linearised.map_rows):
                         H[row][:, rows] += linearised.by_map[row]
                     dense.append(H)

@@ -16,7 +16,7 @@ def make(noise: StereoNoise = INDEPENDENT_PIXELS, **options) -> StereoEKF:
 
 def snapshot(stereo_filter: StereoEKF) -> list[np.ndarray]:
     """Everything the filter knows, to the bit."""
-    state = stereo_filter._state
+    state = stereo_filter.state
     camera = state.camera
     return [
         *(camera.position, camera.orientation, camera.linear_velocity, camera.angular_velocity),

@@ -8,14 +8,14 @@ import pytest
 from filters import Start, StereoEKF, StereoObservation, check_filter
 from filters.conformance import REFERENCE_CAMERA as CAMERA
 from filters.conformance import REFERENCE_NOISE as NOISE
-from filters.engine import kalman
 from filters.engine.heavy_tails import reweighted
+from filters.state.linearised import LinearisedMeasurements
 
 
-def one_dimensional(innovations: list[float]) -> kalman.LinearisedMeasurements:
+def one_dimensional(innovations: list[float]) -> LinearisedMeasurements:
     """Measurements of unit R of a quantity that P knows exactly, so that d is the innovation."""
     count = len(innovations)
-    return kalman.LinearisedMeasurements(
+    return LinearisedMeasurements(
         np.array(innovations)[:, None],
         np.zeros((count, 1, 6)),
         np.zeros((count, 1, 0)),

@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from filters.engine.error_definition import ERRORS
-from filters.engine.joint_state import JointState
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
 from filters import BodyVelocity, ConstantVelocity, Start, StereoEKF, StereoObservation, VelocityDriven, rotations
-from filters.engine import symmetric
-from filters.engine.kalman import LinearisedMeasurements
 from filters.motions.model import ANGULAR, CAMERA_SIZE, LINEAR, POSITION, ROTATION, CameraState, MotionModel
+from filters.state import symmetric
+from filters.state.joint_state import JointState
+from filters.state.linearised import LinearisedMeasurements
 
 from ..drives import CAMERA, DT, INDEPENDENT_PIXELS, SPEED, Frame, drive
 from ..invariant_ekf import InvariantEKF, wedge
@@ -53,7 +53,7 @@ def some_state(landmark: str) -> JointState:
         if k:
             stereo_filter.predict(DT)
         stereo_filter.update(frame.observation)
-    state = stereo_filter._state
+    state = stereo_filter.state
     root = np.random.default_rng(2).standard_normal(state.P.shape)
     return replace(state, P=np.asfortranarray(np.tril(root @ root.T)))
 
@@ -286,7 +286,7 @@ class Watched(StereoEKF):
 def dense(measurements: LinearisedMeasurements, size: int) -> np.ndarray:
     """H (3 M, size)."""
     H = np.zeros((*measurements.innovation.shape, size))
-    H[:, :, : measurements.by_camera.shape[2]] = measurements.by_camera
+    H[:, :, : measurements.by_leading.shape[2]] = measurements.by_leading
     for landmark, rows in enumerate(measurements.map_rows):
         H[landmark][:, rows] += measurements.by_map[landmark]
     return H.reshape(-1, size)
@@ -320,35 +320,35 @@ def test_first_estimates_hold_gamma_exactly(
     corrected = 0.0
     for k, frame in enumerate(frames):
         if k:
-            before = gauge(stereo_filter._state)[:CAMERA_SIZE]
+            before = gauge(stereo_filter.state)[:CAMERA_SIZE]
             applied.clear()
             stereo_filter.predict(DT, odometry(frames[k - 1], frame, rng, sigma=0.2))
-            np.testing.assert_allclose(applied[0] @ before, gauge(stereo_filter._state)[:CAMERA_SIZE], atol=1e-11)
+            np.testing.assert_allclose(applied[0] @ before, gauge(stereo_filter.state)[:CAMERA_SIZE], atol=1e-11)
         stereo_filter.seen.clear()
-        prior = gauge(stereo_filter._state)
-        old_camera = stereo_filter._state.camera
+        prior = gauge(stereo_filter.state)
+        old_camera = stereo_filter.state.camera
         stereo_filter.update(frame.observation)
         for measurements in stereo_filter.seen:
             H = dense(measurements, len(prior))
             np.testing.assert_allclose(H @ prior, 0.0, rtol=0, atol=1e-9 * np.abs(H).max() * np.abs(prior).max())
-        corrected = max(corrected, np.abs(stereo_filter._state.camera.position - old_camera.position).max())
+        corrected = max(corrected, np.abs(stereo_filter.state.camera.position - old_camera.position).max())
     assert corrected > 1e-3  # or first and current estimates would be the same
 
 
 @pytest.mark.parametrize("landmark", LANDMARKS)
 def test_first_estimates_start_landmarks_along_gamma(landmark: str) -> None:
     """A covariance along Gamma of the camera becomes one along Gamma of camera and map: nothing is gained by adding."""
-    state = driven(drive(10, 3, visible=6), landmark=landmark, error="first-estimates", motion=VelocityDriven())._state
+    state = driven(drive(10, 3, visible=6), landmark=landmark, error="first-estimates", motion=VelocityDriven()).state
     stereo_filter = make(landmark=landmark, error="first-estimates", motion=VelocityDriven(), drop_unseen=False)
     predicted = replace(state.camera, position=state.camera.position + 0.5)
     along = np.zeros((CAMERA_SIZE, 3))
     along[POSITION], along[ROTATION] = -rotations.skew(predicted.position), predicted.R_wc.T
-    stereo_filter._state = replace(
+    stereo_filter.state = replace(
         JointState.without_map(state.camera, along @ along.T, state.model), predicted=predicted
     )
     uvd = np.array([[500.0, 150.0, 20.0], [900.0, 250.0, 9.0], [700.0, 100.0, 40.0]])
     stereo_filter.update(StereoObservation(np.arange(3), uvd, R=np.tile(1e-20 * np.eye(3), (3, 1, 1))))
-    grown = stereo_filter._state
+    grown = stereo_filter.state
     expected = grown.at_first_estimates().world_rotation()
     expected[LINEAR], expected[ANGULAR] = 0.0, 0.0
     actual = symmetric.full(grown.P)
@@ -382,7 +382,7 @@ def local_observability(error: str, landmark: str, motion: str) -> tuple[np.ndar
             stereo_filter.seen.clear()
             stereo_filter.update(seen.select([i for i, name in enumerate(seen.ids.tolist()) if name in first]))
             if not k:
-                start = gauge(stereo_filter._state)
+                start = gauge(stereo_filter.state)
                 product = np.eye(len(start))
             rows += [dense(m, len(start)) @ product for m in stereo_filter.seen if len(m)]
     return np.vstack(rows), start

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from filters.engine.joint_state import JointState
 
 from filters import (
     BodyVelocity,
@@ -20,6 +19,7 @@ from filters import (
     make_filter,
 )
 from filters.conformance import CHECKS
+from filters.state.joint_state import JointState
 from filters.submaps.submap_ekf import SubmapEKF
 
 from ..drives import CAMERA, DT, INDEPENDENT_PIXELS
@@ -116,7 +116,7 @@ def test_without_the_camera_of_the_moment_landmarks_at_rest_would_not_be_indepen
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """The comparison has teeth: leave the camera out of what submaps have in common, and it fails."""
-    monkeypatch.setattr(JointState, "hold_camera", lambda state: np.zeros(0, dtype=np.int64))
+    monkeypatch.setattr(JointState, "hold_variables", lambda state: np.zeros(0, dtype=np.int64))
     full, ours = pair(gate=None)
     for number, frame in enumerate(loop(0, 1.1)):
         if number:
