@@ -10,6 +10,7 @@ from filters.landmarks.model import LandmarkModel
 from filters.measurements.model import MeasurementModel
 from filters.motions.model import MotionModel
 from filters.parts import SLOTS
+from filters.updates.model import Linearisation
 
 
 def parts_of(slot: str) -> dict[str, Any]:
@@ -21,3 +22,4 @@ LANDMARKS: Mapping[str, LandmarkModel] = parts_of("landmark")
 MEASUREMENTS: Mapping[str, MeasurementModel] = parts_of("measurement")
 MOTIONS: Mapping[str, MotionModel] = parts_of("motion")
 ERRORS: Mapping[str, ErrorDefinition] = parts_of("error")
+UPDATES: Mapping[str, Linearisation] = parts_of("update")

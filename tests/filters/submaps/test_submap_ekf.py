@@ -234,9 +234,9 @@ def test_it_conforms(options: dict[str, Any]) -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"drop_unseen": True}, "drop_unseen must be one of False with submaps, got True"),
+        ({"drop_unseen": True}, "drop_unseen must be False with submaps, got True"),
         ({"error": "right-invariant"}, "error must be one of 'quaternion', 'so3', 'first-estimates' with submaps"),
-        ({"landmark": "hybrid"}, "landmark must be one of .* with submaps, got 'hybrid'"),
+        ({"landmark": "hybrid"}, "landmark must be one of .* with submaps, got Hybrid"),
         ({"max_unseen": 0}, "max_unseen must be an integer >= 1, got 0"),
         ({"patience": 1.5}, "patience must be an integer >= 1, got 1.5"),
         ({"gat": 0.9}, "option 'gat' is not one of SubmapEKF"),
