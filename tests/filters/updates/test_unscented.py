@@ -81,5 +81,7 @@ def test_it_conforms(landmark: str) -> None:
 
 
 def test_first_estimates_have_no_place_in_it() -> None:
-    with pytest.raises(ValueError, match="error must linearise at the state with update=Unscented.*got FirstEstimates"):
+    with pytest.raises(
+        ValueError, match=r"error must linearise at the state with update=Unscented.*got FirstEstimates"
+    ):
         StereoEKF(CAMERA, NOISE, update="unscented", error="first-estimates")
