@@ -90,9 +90,7 @@ def test_a_part_of_another_slot_is_refused() -> None:
 
 
 def test_an_unknown_setting_gets_a_hint() -> None:
-    with pytest.raises(
-        ValueError, match="'hybrid' has no setting 'linearity', did you mean 'linearity_limit'"
-    ):
+    with pytest.raises(ValueError, match="'hybrid' has no setting 'linearity', did you mean 'linearity_limit'"):
         make_part("landmark", {"name": "hybrid", "linearity": 0.1})
     with pytest.raises(ValueError, match="'sigma_acc', did you mean 'sigma_acceleration'"):
         make_part("motion", {"sigma_acc": 1.0})
