@@ -24,7 +24,7 @@ class Scene:
         self.rng = np.random.default_rng(seed)
         uvd = self.rng.uniform((300, 80, 8), (1000, 320, 40), (COUNT, 3))
         self.points = CAMERA.backproject(uvd)
-        self.slam = StereoEKF(CAMERA, NOISE, **options)
+        self.slam = StereoEKF(CAMERA, NOISE, compiled=False, **options)
         self.slam.reset(Start(linear_velocity=(0, 0, SPEED - 3.0), covariance=VAGUE))
         self.slam.update(StereoObservation(np.arange(COUNT), uvd))
         self.slam.predict(DT)

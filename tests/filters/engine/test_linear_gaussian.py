@@ -176,7 +176,7 @@ def _grow(reference: KalmanFilter, J: np.ndarray, noise: np.ndarray) -> None:
 
 def straight(**options) -> tuple[StereoEKF, KalmanFilter]:
     """A filter that knows it does not turn, and filterpy's for its position and velocity."""
-    stereo_filter = StereoEKF(CAMERA, INDEPENDENT_PIXELS, motion=ConstantVelocity(3.0, 0.0), **options)
+    stereo_filter = StereoEKF(CAMERA, INDEPENDENT_PIXELS, motion=ConstantVelocity(3.0, 0.0), compiled=False, **options)
     rng = np.random.default_rng(25)
     translation = np.r_[0:3, 6:9]
     P = np.zeros((CAMERA_SIZE, CAMERA_SIZE))

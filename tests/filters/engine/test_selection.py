@@ -26,7 +26,7 @@ def noise(count: int) -> np.ndarray:
 
 def tracked(seed: int, landmark: str = "shared-anchor") -> tuple[StereoEKF, StereoObservation]:
     """A filter with `COUNT` landmarks or more, and measurements of as many new ones."""
-    slam = StereoEKF(CAMERA, INDEPENDENT_PIXELS, gate=None, landmark=landmark)
+    slam = StereoEKF(CAMERA, INDEPENDENT_PIXELS, gate=None, landmark=landmark, compiled=False)
     finish(slam, drive(seed, 8, visible=COUNT + 4, missed=0.0, depths=(6, 30)))
     return slam, StereoObservation(np.arange(COUNT) + 10**6, drive(seed + 100, 1, visible=COUNT)[0].observation.uvd)
 
