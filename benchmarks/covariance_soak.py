@@ -29,7 +29,7 @@ from threadpoolctl import threadpool_limits
 
 from filters import ConstantVelocity, Start, StereoEKF, StereoNoise, StereoObservation, rotations
 from filters.conformance import REFERENCE_CAMERA as CAMERA
-from filters.engine import symmetric
+from filters.state import symmetric
 
 LANDMARKS = 12
 MOTION = ConstantVelocity(30.0, 0.6)

@@ -54,7 +54,7 @@ def test_the_packages_are_found():
 @pytest.mark.parametrize("path", modules_of("filters"), ids=name_of)
 def test_filters_know_only_numpy_and_scipy(path):
     allowed = {*sys.stdlib_module_names, "filters", "numpy", "scipy", "filterpy", "lazy_loader", "threadpoolctl"}
-    if name_of(path).startswith("filters/engine/kernels/"):  # imported on demand only
+    if name_of(path).startswith("filters/compiled/"):  # imported on demand only
         allowed |= {"numba", "llvmlite"}
     if name_of(path) == "filters/conformance_pytest.py":  # for tests, imported when called
         allowed |= {"pytest"}

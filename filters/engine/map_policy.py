@@ -100,7 +100,7 @@ class MapPolicy:
     def _can_start(self, state: JointState, observation: StereoObservation) -> BoolArray:
         """Which measurements a landmark can start from."""
         uvd = observation.uvd
-        possible = (np.abs(uvd) < _FARTHEST).all(axis=1)
+        possible: BoolArray = np.all(np.abs(uvd) < _FARTHEST, axis=1)
         if self.options.min_disparity is not None:
             possible &= uvd[:, 2] >= self.options.min_disparity
         points_c = self.options.measurement.backproject(self.camera, uvd[possible], state.camera.variables)

@@ -77,8 +77,8 @@ class _InvariantError(ErrorDefinition):
         for clone in state.clones.values():
             own[clone.blocks] = np.eye(3), self.orientation.transport(by_block[clone.blocks[1]])
             by_rotation[clone.blocks] = 0.0
-        rows = layout.size + np.arange(3 * len(own)).reshape(-1, 3)
-        return Transport(step.leading, (by_rotation @ camera.R_wc).reshape(-1, 3), rows, own)
+        map_rows = layout.size + np.arange(3 * len(own)).reshape(-1, 3)
+        return Transport(step.leading, (by_rotation @ camera.R_wc).reshape(-1, 3), map_rows, own)
 
 
 @dataclass(frozen=True)

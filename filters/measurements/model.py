@@ -8,7 +8,7 @@ Derivation: docs/derivations/measurements.md.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -115,25 +115,21 @@ class MeasurementModel:
     def jacobians(self, camera: StereoCamera, points_c: FloatArray, values: Values) -> SensorJacobians:
         """Jacobians of `predict`."""
         by_point = differences.jacobian(lambda e: self.predict(camera, points_c + e, values), 4)
-        by_variable = {
-            variable.name: differences.jacobian(
-                lambda e, x=variable: self.predict(camera, points_c, _corrected(values, x, e)), variable.size
-            )
-            for variable in self.variables
-        }
-        return SensorJacobians(by_point, by_variable)
+        return SensorJacobians(by_point, self._by_variables(lambda x: self.predict(camera, points_c, x), values))
 
     def backprojection_jacobians(self, camera: StereoCamera, uvd: FloatArray, values: Values) -> SensorJacobians:
         """Jacobians of `backproject`, (M, 4, 3) by the measurement as `by_point`, and by each variable."""
         by_measurement = differences.jacobian(lambda e: self.backproject(camera, uvd + e, values), 3)
-        by_variable = {
-            variable.name: differences.jacobian(
-                lambda e, x=variable: self.backproject(camera, uvd, _corrected(values, x, e)), variable.size
-            )
-            for variable in self.variables
-        }
-        return SensorJacobians(by_measurement, by_variable)
+        return SensorJacobians(by_measurement, self._by_variables(lambda x: self.backproject(camera, uvd, x), values))
+
+    def _by_variables(self, function: Callable[[Values], FloatArray], values: Values) -> dict[str, FloatArray]:
+        """Jacobians of a function of the values by each variable of the model."""
+        return {variable.name: _jacobian_by(variable, function, values) for variable in self.variables}
 
 
-def _corrected(values: Values, variable: Variable, delta: FloatArray) -> Values:
-    return {**values, variable.name: variable.retraction.retract(values[variable.name], delta)}
+def _jacobian_by(variable: Variable, function: Callable[[Values], FloatArray], values: Values) -> FloatArray:
+    def moved(delta: FloatArray) -> FloatArray:
+        value = variable.retraction.retract(values[variable.name], delta)
+        return function({**values, variable.name: value})
+
+    return differences.jacobian(moved, variable.size)

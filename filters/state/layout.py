@@ -7,7 +7,7 @@ landmark is one block of leading rows; then velocity and the variables of the mo
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -76,7 +76,7 @@ class Layout:
     @cached_property
     def size(self) -> int:
         """Rows before those of the map."""
-        return max(place.stop for place in self.places.values())
+        return CAMERA_SIZE + sum(variable.size for variable in self.variables)
 
     @cached_property
     def rows(self) -> IntArray:
@@ -147,8 +147,3 @@ class Layout:
             place = self.places[variable.name]
             M[place, place] = variable.retraction.transport(delta[place])
         return M
-
-
-def with_value(camera: CameraState, name: str, value: FloatArray) -> CameraState:
-    """The same state with another value of a variable."""
-    return replace(camera, variables={**camera.variables, name: value})

@@ -1,4 +1,7 @@
-"""Transport of the covariance: the Jacobian that takes errors at a state to errors at the corrected one."""
+"""Transport of the covariance: the Jacobian that takes errors at a state to errors at the corrected one.
+
+Derivation: docs/derivations/errors.md.
+"""
 
 from __future__ import annotations
 

@@ -8,16 +8,29 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from filters.engine.error_definition import ERRORS
-from filters.engine.joint_state import world_rotation_of_camera
-from filters.engine.linearisation import measurement_jacobians
-from filters.engine.retraction import RETRACTIONS
-from filters.measurements.bearing import RIGHT
 
-from filters import BodyVelocity, ConstantVelocity, StereoCamera, StereoNoise, rotations
-from filters.landmarks.euclidean import Euclidean
-from filters.landmarks.inverse_depth import InverseDepth, angles_jacobian, angles_of, ray_direction
-from filters.motions.model import CameraState, VelocityDriven
+from filters import (
+    BodyVelocity,
+    CameraState,
+    ConstantVelocity,
+    Euclidean,
+    InverseDepth,
+    LeftInvariant,
+    RightInvariant,
+    StereoCamera,
+    StereoNoise,
+    VelocityDriven,
+    rotations,
+)
+from filters.landmarks.inverse_depth import angles_jacobian, angles_of, ray_direction
+from filters.measurements.rectified_pair import RIGHT
+from filters.retractions import AdditiveQuaternion, RotationVector
+from filters.state.joint_state import world_rotation_of_variables
+from filters.state.layout import Layout
+from filters.updates.extended import chain_rule
+
+from ..filters.first_sight import first_sight
+from ..filters.state.states import without_map
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = sorted((ROOT / "docs" / "derivations").glob("*.md"))
@@ -151,15 +164,16 @@ class TestInverseDepth:
         R = state.R_wc
         h = np.array([(uvd[0] - CX) / FX, (uvd[1] - CY) / FY, 1.0])
         n, f_b = np.linalg.norm(h), FX * B
-        new = InverseDepth().initialise(CAMERA, state.position, R, uvd[None])
+        noise = np.diag([1.0, 2.0, 3.0]) + 0.5
+        new = first_sight(InverseDepth(), CAMERA, state.position, R, uvd[None], noise)
         rho = uvd[2] / (f_b * n)
-        np.testing.assert_allclose(new.parameters[0], [*angles_of((R @ h)[None])[0], rho], **EXACT)
+        np.testing.assert_allclose(new.started.parameters[0], [*angles_of((R @ h)[None])[0], rho], **EXACT)
         by_g = angles_jacobian((R @ h)[None])[0] @ R
-        np.testing.assert_allclose(new.by_rotation[0], [*(-by_g @ skew(h)), np.zeros(3)], **EXACT)
+        np.testing.assert_allclose(new.by_leading[0], np.hstack([ZERO, [*(-by_g @ skew(h)), np.zeros(3)]]), **EXACT)
         by_pixel = by_g @ np.array([[1 / FX, 0], [0, 1 / FY], [0, 0]])
         by_rho = [*(-rho / n**2 * np.array([h[0] / FX, h[1] / FY])), 1 / (f_b * n)]
         expected = np.vstack([np.column_stack([by_pixel, np.zeros(2)]), by_rho])
-        np.testing.assert_allclose(new.by_measurement[0], expected, **EXACT)
+        np.testing.assert_allclose(new.noise[0], expected @ noise @ expected.T, **EXACT)
 
 
 class TestEuclidean:
@@ -173,11 +187,12 @@ class TestEuclidean:
     def test_initialisation(self, state):
         uvd, R = np.array([700.0, 150.0, 2.0]), state.R_wc
         h = CAMERA.backproject(uvd)
-        new = Euclidean().initialise(CAMERA, state.position, R, uvd[None])
-        np.testing.assert_allclose(new.parameters[0], state.position + R @ h, **EXACT)
-        np.testing.assert_allclose(new.by_rotation[0], -R @ skew(h), **EXACT)
+        noise = np.diag([1.0, 2.0, 3.0]) + 0.5
+        new = first_sight(Euclidean(), CAMERA, state.position, R, uvd[None], noise)
+        np.testing.assert_allclose(new.started.parameters[0], state.position + R @ h, **EXACT)
+        np.testing.assert_allclose(new.by_leading[0], np.hstack([EYE, -R @ skew(h)]), **EXACT)
         by_uvd = np.linalg.inv(CAMERA.project_jacobian(h))
-        np.testing.assert_allclose(new.by_measurement[0], R @ by_uvd, **EXACT)
+        np.testing.assert_allclose(new.noise[0], R @ by_uvd @ noise @ by_uvd.T @ R.T, **EXACT)
         np.testing.assert_allclose(by_uvd[:, 2], -h / uvd[2], **EXACT)
 
 
@@ -191,7 +206,8 @@ class TestMeasurements:
         T = RIGHT
         C = CAMERA.project_scaled_jacobian(h_c[0], seen.homogeneous[0, 3])
         C_h, C_s = C[:, :3], C[:, 3:]
-        by_pose, by_map = measurement_jacobians(CAMERA, R, seen, h_c, T)
+        points_c = np.hstack([h_c, seen.homogeneous[:, 3:]])
+        by_pose, by_map = chain_rule(R, seen, points_c, T @ C[None])
         np.testing.assert_allclose(by_pose[0, :, :3], T @ C_h @ R.T @ seen.by_position[0, :3], **EXACT)
         np.testing.assert_allclose(by_pose[0, :, 3:], T @ C_h @ skew(h_c[0]), **EXACT)
         expected = T @ (C_h @ R.T @ seen.by_map[0, :3] + C_s @ seen.by_map[0, 3:])
@@ -202,31 +218,48 @@ class TestErrors:
     def test_the_additive_quaternion(self, state):
         delta = np.array([0.3, -0.2, 0.5])
         q, size = state.orientation, 1 + delta @ delta / 4
-        retraction = RETRACTIONS["quaternion"]
+        retraction = AdditiveQuaternion()
         dq = _times(q, [*(delta / 2), 0.0])
         np.testing.assert_allclose(retraction.retract(q, delta), (q + dq) / np.linalg.norm(q + dq), **EXACT)
         np.testing.assert_allclose(retraction.transport(delta), (EYE - skew(delta / 2)) / size, **EXACT)
 
     def test_so3(self, state):
         delta = np.array([0.3, -0.2, 0.5])
-        moved = RETRACTIONS["so3"].retract(state.orientation, delta)
+        moved = RotationVector().retract(state.orientation, delta)
         np.testing.assert_allclose(rotations.matrix(moved), state.R_wc @ exp(delta), **EXACT)
-        np.testing.assert_allclose(RETRACTIONS["so3"].transport(delta), J_r(delta), **EXACT)
+        np.testing.assert_allclose(RotationVector().transport(delta), J_r(delta), **EXACT)
 
     def test_what_cannot_be_seen(self, state, rng):
         r, v, X = state.position, state.linear_velocity, rng.normal(size=3)
         expected = np.vstack([-skew(r), state.R_wc.T, -skew(v), ZERO])
-        np.testing.assert_allclose(world_rotation_of_camera(state), expected, **EXACT)
+        np.testing.assert_allclose(world_rotation_of_variables(Layout(), state), expected, **EXACT)
         np.testing.assert_allclose(Euclidean().world_rotation(None, X[None])[0], -skew(X), **EXACT)
         y = np.array([[0.4, -0.3, 0.07]])
         m = ray_direction(y)
         by_turn = [*(-angles_jacobian(m)[0] @ skew(m[0])), np.zeros(3)]
         np.testing.assert_allclose(InverseDepth().world_rotation(X[None], y)[0], by_turn, **EXACT)
 
+    @pytest.mark.parametrize("error", [RightInvariant(), LeftInvariant()])
+    def test_an_invariant_correction(self, state, rng, error):
+        """Both lines of the page, and the one they have in common."""
+        delta = rng.normal(size=12)
+        moved = error.moved(without_map(state, np.eye(12), Euclidean()), delta).camera
+        theta = state.R_wc @ delta[3:6]
+        J_l = J_r(-theta)
+        np.testing.assert_allclose(moved.R_wc, exp(theta) @ state.R_wc, **EXACT)
+        for before, after, d in (
+            (state.position, moved.position, delta[:3]),
+            (state.linear_velocity, moved.linear_velocity, delta[6:9]),
+        ):
+            np.testing.assert_allclose(after, before + J_l @ d, **EXACT)
+            np.testing.assert_allclose(after, exp(theta) @ before + J_l @ (d + skew(before) @ theta), **EXACT)
+            left = before + state.R_wc @ J_r(-delta[3:6]) @ state.R_wc.T @ d
+            np.testing.assert_allclose(after, left, **EXACT)
+
     def test_the_pose_error_of_right_invariant(self, state, rng):
         position, orientation = rng.normal(size=3), rotations.exp_quaternion(rng.normal(size=3))
         P = np.diag(rng.uniform(0.1, 1.0, 6))
-        error, covariance = ERRORS["right-invariant"].pose_error(state, P, position, orientation)
+        error, covariance = RightInvariant().pose_error(state, P, position, orientation)
         R, r = state.R_wc, state.position
         theta = rotations.log(rotations.matrix(orientation) @ R.T)
         J_l = J_r(-theta)

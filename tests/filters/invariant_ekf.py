@@ -1,7 +1,9 @@
-"""A second implementation of the right-invariant filter, written from Zhang et al. 2017 and from nothing else.
+"""A second implementation of the invariant filters, written from Zhang et al. 2017 and from nothing else.
 
 Dense matrices and the matrix exponential of the group: the state is one matrix [[R, p, f_1 ... f_n], [0, I]], an error
-(theta, xi_p, xi_1 ... xi_n) moves it by exp(xi^) from the left. XYZ landmarks, odometry as in `VelocityDriven`.
+(theta, xi_p, xi_1 ... xi_n) moves it by exp(xi^), a right-invariant one from the left, a left-invariant one from the
+right. After a correction the error of what is left is linear in that before, by the left or right Jacobian of the
+group. XYZ landmarks, odometry as in `VelocityDriven`.
 """
 
 from __future__ import annotations
@@ -36,11 +38,30 @@ def wedge(xi: np.ndarray) -> np.ndarray:
     return algebra
 
 
-class InvariantEKF:
-    """Right-invariant EKF-SLAM, dense; errors in the order rotation, position, landmarks in the order of `ids`."""
+def adjoint(xi: np.ndarray) -> np.ndarray:
+    """ad of xi: [xi, eta] = ad eta."""
+    columns = xi.reshape(-1, 3)
+    ad = np.kron(np.eye(len(columns)), cross(columns[0]))
+    for row, column in enumerate(columns[1:], start=1):
+        ad[3 * row : 3 * row + 3, :3] = cross(column)
+    return ad
 
-    def __init__(self, camera: StereoCamera, noise: np.ndarray) -> None:
-        self.camera, self.noise = camera, noise
+
+def left_jacobian(xi: np.ndarray) -> np.ndarray:
+    """exp(xi + e) = exp(J e) exp(xi) to first order: the sum of ad^k / (k + 1)!, as a block of an exponential."""
+    size = len(xi)
+    series = np.block([[adjoint(xi), np.eye(size)], [np.zeros((size, 2 * size))]])
+    return expm(series)[:size, size:]
+
+
+class InvariantEKF:
+    """Invariant EKF-SLAM, dense; errors in the order rotation, position, landmarks in the order of `ids`.
+
+    Without `reset` the covariance stays what it was in the coordinates of the error, as in the paper.
+    """
+
+    def __init__(self, camera: StereoCamera, noise: np.ndarray, side: str = "right", reset: bool = True) -> None:
+        self.camera, self.noise, self.right, self.reset = camera, noise, side == "right", reset
         self.X = np.eye(4)
         self.P = np.zeros((6, 6))
         self.ids: list[int] = []
@@ -60,14 +81,17 @@ class InvariantEKF:
         return self.X[:3, 4 + self.ids.index(identity)]
 
     def landmark_covariance(self, identity: int) -> np.ndarray:
-        """Of the position in W, to first order: f = f^ + theta x f^ + xi_f."""
+        """Of the position in W, to first order: f = f^ + theta x f^ + xi_f, or f^ + R xi_f."""
         rows = 6 + 3 * self.ids.index(identity) + np.arange(3)
         J = np.zeros((3, len(self.P)))
-        J[:, rows], J[:, :3] = np.eye(3), -cross(self.landmark(identity))
+        if self.right:
+            J[:, rows], J[:, :3] = np.eye(3), -cross(self.landmark(identity))
+        else:
+            J[:, rows] = self.rotation
         return J @ self.P @ J.T
 
     def predict(self, dt: float, odometry: BodyVelocity) -> None:
-        """F = I, G = Ad_X B."""
+        """F = I and G = Ad_X B; or F of the inverse of the step, and G = F B."""
 
         def step(velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             turn = velocity[3:] * dt
@@ -84,13 +108,18 @@ class InvariantEKF:
             return np.concatenate([theta, other_shift - np.cross(theta, shift)])
 
         B = complex_step_jacobian(left_error, measured.astype(complex))
-        adjoint = np.zeros((len(self.P), 6))
-        adjoint[:3, :3] = adjoint[3:6, 3:] = self.rotation
-        for column in range(3, self.X.shape[1]):
-            rows = 3 * (column - 2) + np.arange(3)
-            adjoint[rows, :3] = cross(self.X[:3, column]) @ self.rotation
-        G = adjoint @ B
-        self.P = self.P + G @ odometry.covariance @ G.T
+        F, G = np.eye(len(self.P)), np.zeros((len(self.P), 6))
+        if self.right:
+            G[:3, :3] = G[3:6, 3:] = self.rotation
+            for column in range(3, self.X.shape[1]):
+                rows = 3 * (column - 2) + np.arange(3)
+                G[rows, :3] = cross(self.X[:3, column]) @ self.rotation
+        else:
+            F = np.kron(np.eye(len(self.P) // 3), turn.T)
+            F[3:6, :3] = -turn.T @ cross(shift)
+            G = F[:, :6]
+        G = G @ B
+        self.P = F @ self.P @ F.T + G @ odometry.covariance @ G.T
         self.X[:3, 3] = self.position + self.rotation @ shift
         self.X[:3, :3] = self.rotation @ turn
 
@@ -116,19 +145,30 @@ class InvariantEKF:
             h = R_cw @ (self.landmark(i) - self.position)
             J = complex_step_jacobian(self._project, h.astype(complex))
             rows, columns = slice(3 * k, 3 * k + 3), 6 + 3 * self.ids.index(i) + np.arange(3)
-            H[rows, 3:6], H[rows, columns] = -J @ R_cw, J @ R_cw
+            if self.right:
+                H[rows, 3:6], H[rows, columns] = -J @ R_cw, J @ R_cw
+            else:
+                H[rows, :3], H[rows, 3:6], H[rows, columns] = J @ cross(h), -J, J
             innovation[rows] = z - self._project(h)
         R = np.kron(np.eye(len(known)), self.noise)
         K = self.P @ H.T @ np.linalg.inv(H @ self.P @ H.T + R)
         I_KH = np.eye(len(self.P)) - K @ H
         self.P = I_KH @ self.P @ I_KH.T + K @ R @ K.T
-        self.X = expm(wedge(K @ innovation)) @ self.X
+        xi = K @ innovation
+        self.X = expm(wedge(xi)) @ self.X if self.right else self.X @ expm(wedge(xi))
+        if self.reset:
+            J = left_jacobian(xi if self.right else -xi)
+            self.P = J @ self.P @ J.T
 
     def _add(self, identity: int, z: np.ndarray) -> None:
         h = triangulate(self.camera, z)
-        J = self.rotation @ complex_step_jacobian(lambda m: triangulate(self.camera, m), z.astype(complex))
+        J = complex_step_jacobian(lambda m: triangulate(self.camera, m), z.astype(complex))
         M = np.zeros((3, len(self.P)))
         M[:, 3:6] = np.eye(3)
+        if self.right:
+            J = self.rotation @ J
+        else:
+            M[:, :3] = -cross(h.real)
         block = M @ self.P
         self.P = np.block([[self.P, block.T], [block, block @ M.T + J @ self.noise @ J.T]])
         grown = np.eye(len(self.X) + 1)

@@ -7,10 +7,18 @@ from typing import Any
 
 import pytest
 
-from filters import ConstantVelocity, StereoEKF, StereoFilter, VelocityDriven, available_filters, make_filter
+from filters import (
+    ConstantVelocity,
+    MotionModel,
+    StereoEKF,
+    StereoFilter,
+    VelocityDriven,
+    available_filters,
+    make_filter,
+)
 from filters.common_options import UNKNOWN, MadeFilter, make_with_common_options
 from filters.conformance import REFERENCE_CAMERA, REFERENCE_NOISE
-from filters.motions.model import CameraState, LinearMeasurement, MotionPrediction
+from filters.motions.model import CameraState, MotionPrediction
 from filters.registry import FilterFactory
 
 from .delayed import DelayedEKF
@@ -19,14 +27,11 @@ NUMBERS = {"sigma_acceleration": 1.0, "sigma_angular_acceleration": 0.1}
 COMMON = {"gate": 0.9, "motion": NUMBERS, "consensus": True}
 
 
-class Gliding:
+class Gliding(MotionModel):
     """A motion model of somebody else's."""
 
     def predict(self, state: CameraState, dt: float, odometry: Any) -> MotionPrediction:
         return ConstantVelocity(2.0, 0.2).predict(state, dt, odometry)
-
-    def odometry_measurement(self, state: CameraState, dt: float, odometry: Any) -> LinearMeasurement | None:
-        return None
 
 
 class Beside(StereoEKF):
@@ -73,7 +78,7 @@ def made(name: str | FilterFactory, common: dict[str, Any] = COMMON, **options: 
 
 
 def motion_of(stereo_filter: StereoFilter) -> Any:
-    return (stereo_filter._past if isinstance(stereo_filter, DelayedEKF) else stereo_filter).parts.motion
+    return (stereo_filter._past if isinstance(stereo_filter, DelayedEKF) else stereo_filter).options.motion
 
 
 @pytest.mark.parametrize(
@@ -111,7 +116,7 @@ def test_a_choice_that_equals_the_usual_value_is_a_choice_if_it_is_passed_on() -
             super().__init__(camera, noise, gate=0.99, **options)
 
     result = made(Gated)
-    assert result.filter.parts.gate == 0.99
+    assert result.filter.options.gate == 0.99
     assert result.not_given == {"gate": "it has its own, 0.99"}
 
 
@@ -120,7 +125,7 @@ def test_a_default_is_a_choice_unless_it_is_the_usual_one_or_none(default: float
     def gated(camera: Any, noise: Any, *, gate: float | None = default) -> StereoFilter:
         return StereoEKF(camera, noise, gate=gate)
 
-    assert made(gated, {"gate": 0.9}).filter.parts.gate == given
+    assert made(gated, {"gate": 0.9}).filter.options.gate == given
 
 
 @pytest.mark.parametrize("name", [name for name in available_filters() if name not in ("batch", "dead-reckoning")])
@@ -146,11 +151,11 @@ def test_a_refusal_is_an_error_and_no_sign_of_an_unknown_option() -> None:
                 raise ValueError(f"gate must be >= 0.95 here, got {gate!r}: such a tight one loses the map")
             super().__init__(camera, noise, gate=gate, **options)
 
-    assert made(Particular, {"gate": 0.97}).filter.parts.gate == 0.97
+    assert made(Particular, {"gate": 0.97}).filter.options.gate == 0.97
     with pytest.raises(ValueError, match=r"gate must be >= 0\.95 here, got 0\.9"):
         made(Particular)
 
 
 def test_a_filter_is_made_as_by_name() -> None:
     plain = make_filter("inverse-depth", camera=REFERENCE_CAMERA, noise=REFERENCE_NOISE, gate=0.9)
-    assert made("inverse-depth", {"gate": 0.9}).filter.parts.gate == plain.parts.gate
+    assert made("inverse-depth", {"gate": 0.9}).filter.options.gate == plain.options.gate

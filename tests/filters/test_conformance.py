@@ -132,7 +132,7 @@ class _DependsOnTheOrder(InverseDepthStereoEKF):
 class _Overconfident(InverseDepthStereoEKF):
     def predict(self, dt: float, odometry: Any = None) -> None:
         super().predict(dt, odometry)
-        self._state.P *= 0.5
+        self.state.P *= 0.5
 
 
 class _Asymmetric(InverseDepthStereoEKF):
@@ -145,9 +145,7 @@ class _Asymmetric(InverseDepthStereoEKF):
 class _Random(InverseDepthStereoEKF):
     def update(self, observation: StereoObservation) -> UpdateReport:
         report = super().update(observation)
-        self._state.blocks = self._state.blocks + 1e-9 * np.random.default_rng().standard_normal(
-            self._state.blocks.shape
-        )
+        self.state.blocks = self.state.blocks + 1e-9 * np.random.default_rng().standard_normal(self.state.blocks.shape)
         return report
 
 
@@ -155,7 +153,7 @@ class _HandsOutItsState(InverseDepthStereoEKF):
     @property
     def pose(self) -> Any:
         pose = super().pose
-        object.__setattr__(pose, "position", self._state.camera.position)
+        object.__setattr__(pose, "position", self.state.camera.position)
         return pose
 
 

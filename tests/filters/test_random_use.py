@@ -6,7 +6,6 @@ import copy
 
 import numpy as np
 import pytest
-from filters.engine.error_definition import ERRORS
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -23,10 +22,10 @@ from filters import (
 )
 from filters.conformance import _same
 from filters.conformance import assert_healthy as assert_contract
-from filters.engine.options import LANDMARKS, MEASUREMENTS
 from filters.presets import PRESETS as NAMED
 
 from .drives import CAMERA, INDEPENDENT_PIXELS
+from .slots import ERRORS, LANDMARKS, MEASUREMENTS
 
 # From half a metre in front of the first camera to practically infinity; the last ones have less than 0.2 px.
 _UVD = np.random.default_rng(0).uniform([200, 50, 3], [1150, 340, 80], (14, 3))

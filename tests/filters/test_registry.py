@@ -16,7 +16,6 @@ from filters import (
     make_filter,
 )
 from filters.conformance import REFERENCE_CAMERA, REFERENCE_NOISE
-from filters.registry import filter_arguments
 
 RIG = {"camera": REFERENCE_CAMERA, "noise": REFERENCE_NOISE}
 
@@ -46,11 +45,10 @@ def test_a_class_or_a_function_does_as_well_as_a_name() -> None:
 
 def test_options_can_be_plain_values() -> None:
     numbers = {"sigma_acceleration": 1.0, "sigma_angular_acceleration": 0.1}
-    assert filter_arguments({"motion": numbers, "gate": 0.9}) == {"motion": ConstantVelocity(1.0, 0.1), "gate": 0.9}
-    assert filter_arguments({"motion": "velocity-driven"}) == {"motion": VelocityDriven()}
-    assert filter_arguments({}) == {}
+    assert make_filter("inverse-depth", **RIG, motion=numbers).options.motion == ConstantVelocity(1.0, 0.1)
+    assert make_filter("inverse-depth", **RIG, motion="velocity-driven").options.motion == VelocityDriven()
     with pytest.raises(ValueError, match="'sigma_acc', did you mean 'sigma_acceleration'"):
-        filter_arguments({"motion": {"sigma_acc": 1.0}})
+        make_filter("inverse-depth", **RIG, motion={"sigma_acc": 1.0})
 
 
 def test_an_unknown_name_gets_a_hint() -> None:

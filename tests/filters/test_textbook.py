@@ -28,7 +28,7 @@ CASES = [
 
 def assert_same_belief(ours: StereoEKF, textbook: TextbookEKF, tolerance: float = 1e-8) -> None:
     """States agree relative to their values, all of P relative to the two sigmas."""
-    state = ours._state
+    state = ours.state
     index = np.argsort(state.ids)
     order = sorted(textbook.ids)
     assert state.ids[index].tolist() == order

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import chi2, norm
 
-from filters import Euclidean, InverseDepth, LandmarkModel, StereoNoise
+from filters import Euclidean, InverseDepth, LandmarkModel, RangeBearing, StartedLandmarks, StereoNoise
 from stereo_slam_env.benchmark import CONFIDENCE
 from stereo_slam_env.sensing import RIGS
 from stereo_slam_env.studies.paper.claims import (
@@ -34,6 +34,7 @@ from stereo_slam_env.studies.paper.claims import (
 
 CAMERA = RIGS["reference"]
 LANDMARKS: Mapping[str, LandmarkModel] = {JOINT: InverseDepth(), EUCLIDEAN: Euclidean()}
+SENSOR = RangeBearing()
 FIGURE_1, FIGURE_2 = 70.0, (15.0, 30.0, 45.0)
 """Depths of the paper's figures, m."""
 BEYOND = 150.0
@@ -72,15 +73,22 @@ def measurements(depth: float, noise: str, samples: int) -> FloatArray:
 
 def landmark(parametrisation: str, uvd: FloatArray, R: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Parameters (3,) of the landmark that a measurement (3,) starts, and their covariance (3, 3)."""
-    new = LANDMARKS[parametrisation].initialise(CAMERA, np.zeros(3), np.eye(3), uvd[None])
-    J_R = new.by_measurement[0]
+    new = started(parametrisation, uvd[None])
+    by_point = np.concatenate([new.by_direction, new.by_scale[:, :, None]], axis=2)
+    J_R = (by_point @ SENSOR.backprojection_jacobians(CAMERA, uvd[None], {}).by_point)[0]
     return new.parameters[0], J_R @ R @ J_R.T
+
+
+def started(parametrisation: str, uvd: FloatArray) -> StartedLandmarks:
+    """Landmarks from measurements (N, 3) of a camera at the origin."""
+    points_c = SENSOR.backproject(CAMERA, uvd, {})
+    return LANDMARKS[parametrisation].started(np.zeros(3), points_c[:, :3], points_c[:, 3])
 
 
 def places(parametrisation: str, uvd: FloatArray) -> FloatArray:
     """Parameters of the landmark from measurements (N, 3); for XYZ the literal Eq. 21, also for d < 0."""
     if parametrisation == JOINT:
-        return LANDMARKS[JOINT].initialise(CAMERA, np.zeros(3), np.eye(3), uvd).parameters
+        return started(JOINT, uvd).parameters
     placed: FloatArray = CAMERA.ray(uvd) * (CAMERA.disparity_constant / uvd[:, 2])[:, None]
     return placed
 

@@ -11,12 +11,13 @@ from ..drives import CAMERA, INDEPENDENT_PIXELS, SPEED, start
 
 
 def make(noise: StereoNoise = INDEPENDENT_PIXELS, **options) -> StereoEKF:
-    return start(StereoEKF(CAMERA, noise, **{"gate": None, **options}))
+    """A started filter, by NumPy and without a gate unless told otherwise."""
+    return start(StereoEKF(CAMERA, noise, **{"gate": None, "compiled": False, **options}))
 
 
 def snapshot(stereo_filter: StereoEKF) -> list[np.ndarray]:
     """Everything the filter knows, to the bit."""
-    state = stereo_filter._state
+    state = stereo_filter.state
     camera = state.camera
     return [
         *(camera.position, camera.orientation, camera.linear_velocity, camera.angular_velocity),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from filters.engine.kalman import LinearisedMeasurements
+from filters.state.linearised import LinearisedMeasurements
 
 
 def random_covariance(rng: np.random.Generator, size: int) -> np.ndarray:
@@ -34,7 +34,7 @@ def dense(measurements: LinearisedMeasurements, size: int) -> tuple[np.ndarray, 
     """The innovation, H and R of all measurements, as full matrices."""
     count, rows = measurements.innovation.shape
     H = np.zeros((count, rows, size))
-    H[:, :, : measurements.by_camera.shape[2]] = measurements.by_camera
+    H[:, :, : measurements.by_leading.shape[2]] = measurements.by_leading
     R = np.zeros((count * rows, count * rows))
     for i in range(count):
         H[i][:, measurements.map_rows[i]] += measurements.by_map[i]

@@ -8,9 +8,10 @@ import pytest
 from filters import Start, StereoEKF, StereoObservation
 from filters.conformance import REFERENCE_CAMERA as CAMERA
 from filters.conformance import REFERENCE_NOISE as NOISE
-from filters.engine import kalman, symmetric
 from filters.engine.consensus import largest_agreement
 from filters.engine.gating import gate_limit
+from filters.state import symmetric
+from filters.state.linearised import LinearisedMeasurements
 
 COUNT, DT, SPEED = 30, 0.1, 5.0
 VAGUE = np.diag(np.repeat([1e-6, 1e-6, 3.0, 0.3], 3) ** 2)
@@ -23,7 +24,7 @@ class Scene:
         self.rng = np.random.default_rng(seed)
         uvd = self.rng.uniform((300, 80, 8), (1000, 320, 40), (COUNT, 3))
         self.points = CAMERA.backproject(uvd)
-        self.slam = StereoEKF(CAMERA, NOISE, **options)
+        self.slam = StereoEKF(CAMERA, NOISE, compiled=False, **options)
         self.slam.reset(Start(linear_velocity=(0, 0, SPEED - 3.0), covariance=VAGUE))
         self.slam.update(StereoObservation(np.arange(COUNT), uvd))
         self.slam.predict(DT)
@@ -77,7 +78,7 @@ def test_it_is_the_best_of_all_single_updates_written_out() -> None:
     root = rng.standard_normal((n, n))
     dense = root @ root.T / n
     rows = 12 + 3 * np.arange(count)[:, None] + np.arange(3)
-    measurements = kalman.LinearisedMeasurements(
+    measurements = LinearisedMeasurements(
         3.0 * rng.standard_normal((count, size)),
         rng.standard_normal((count, size, 6)),
         rng.standard_normal((count, size, 3)),
@@ -86,7 +87,7 @@ def test_it_is_the_best_of_all_single_updates_written_out() -> None:
     )
     limit = gate_limit(0.99, size)
     H = np.zeros((count, size, n))
-    H[:, :, :6] = measurements.by_camera
+    H[:, :, :6] = measurements.by_leading
     for j in range(count):
         H[j][:, rows[j]] += measurements.by_map[j]
     supports = []

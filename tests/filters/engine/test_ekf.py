@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from filters import BodyVelocity, Start, StereoEKF, StereoObservation, VelocityDriven
-from filters.engine import symmetric
+from filters.state import symmetric
 
 from ..drives import CAMERA, DT, INDEPENDENT_PIXELS, INDEPENDENT_UVD, SPEED, drive, finish, run
 from .beliefs import assert_identical, make, snapshot, tilted
@@ -28,7 +28,7 @@ def test_new_landmarks_start_from_the_updated_pose_and_unseen_ones_leave() -> No
     report = stereo_filter.update(StereoObservation(np.append(kept.ids, new.ids), np.vstack([kept.uvd, new.uvd])))
     assert report.initialised.tolist() == [900]
     assert set(report.dropped) == set(first.ids) - set(kept.ids)
-    state = stereo_filter._state
+    state = stereo_filter.state
     anchor = state.anchors(np.flatnonzero(state.ids == 900))[0]
     np.testing.assert_array_equal(anchor, stereo_filter.pose.position)
     assert np.abs(predicted - anchor).max() > 1e-6
@@ -68,7 +68,7 @@ def test_forecast_is_what_the_update_expects() -> None:
 def test_landmark_belief_is_in_ascending_order_with_its_own_covariances() -> None:
     """Against the parameters of each landmark, one at a time."""
     stereo_filter = finish(make(drop_unseen=False), drive(15, 6, depths=(6.0, 30.0)))
-    belief, state = stereo_filter.landmarks, stereo_filter._state
+    belief, state = stereo_filter.landmarks, stereo_filter.state
     assert (np.diff(belief.ids) > 0).all()
     P = symmetric.full(state.P)
     for row, i in enumerate(belief.ids):
@@ -77,7 +77,7 @@ def test_landmark_belief_is_in_ascending_order_with_its_own_covariances() -> Non
         m = np.array([np.cos(phi) * np.sin(theta), -np.sin(phi), np.cos(phi) * np.cos(theta)])
         np.testing.assert_allclose(belief.positions[row], anchor + m / rho, rtol=1e-12)
         where = state.map_rows(index)[0]
-        assert belief.inverse_distance[row] == rho
+        assert belief.inverse_distance[row] == pytest.approx(rho, rel=1e-15)
         assert belief.inverse_distance_variance[row] == pytest.approx(P[where[5], where[5]])
         m_theta = np.array([np.cos(phi) * np.cos(theta), 0.0, -np.cos(phi) * np.sin(theta)])
         m_phi = np.array([-np.sin(phi) * np.sin(theta), -np.cos(phi), -np.sin(phi) * np.cos(theta)])

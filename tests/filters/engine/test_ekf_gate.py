@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import copy
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.stats import binom
 
 from filters import ConstantVelocity, Start, StereoEKF, StereoObservation
-from filters.engine import symmetric
+from filters.state import symmetric
 
 from .. import textbook
 from ..drives import CAMERA, DT, INDEPENDENT_PIXELS, SPEED, drive, run
@@ -37,18 +36,18 @@ def test_the_gate_passes_consistent_measurements_at_its_nominal_rate(
     count, draws = 30, 80
     rng = np.random.default_rng(9)
     uvd = rng.uniform([200.0, 60.0, 15.0], [1200.0, 330.0, 60.0], (count, 3))
-    stereo_filter = make(landmark=landmark, measurement=measurement, update=update, gate=probability)
+    motion = ConstantVelocity(1e-3, 1e-4)
+    stereo_filter = make(landmark=landmark, measurement=measurement, update=update, gate=probability, motion=motion)
     stereo_filter.reset(Start(linear_velocity=(0.0, 0.0, SPEED), covariance=np.diag(np.repeat(1e-10, 12))))
-    stereo_filter.parts = replace(stereo_filter.parts, motion=ConstantVelocity(1e-3, 1e-4))
     stereo_filter.update(StereoObservation(np.arange(count), uvd))
     stereo_filter.predict(DT)
-    P = symmetric.full(stereo_filter._state.P)
+    P = symmetric.full(stereo_filter.state.P)
     values, vectors = np.linalg.eigh(P)
     root = vectors * np.sqrt(np.maximum(values, 0))
     passed = 0
     for _ in range(draws):
-        truth = copy.deepcopy(stereo_filter)
-        truth._state = truth.parts.error.moved(truth._state, root @ rng.standard_normal(len(P)))
+        error = root @ rng.standard_normal(len(P))
+        truth = stereo_filter.with_state(stereo_filter.options.error.moved(stereo_filter.state, error))
         exact = truth.forecast().uvd
         z = exact + rng.multivariate_normal(np.zeros(3), INDEPENDENT_PIXELS.R, count)
         row = exact[:, 1] + rng.standard_normal(count) if v_right else None
@@ -164,7 +163,7 @@ def test_inverse_depth_takes_any_disparity_and_lets_it_cross_infinity(landmark: 
         assert len(report.rejected) == 0
     error = np.abs(stereo_filter.pose.position - [0, 0, SPEED * DT * 5])
     assert (error < 3 * np.sqrt(np.diag(stereo_filter.pose.covariance)[:3])).all()
-    assert np.isfinite(symmetric.full(stereo_filter._state.P)).all()
+    assert np.isfinite(symmetric.full(stereo_filter.state.P)).all()
     assert np.isfinite(stereo_filter.forecast().uvd).all()
 
 
@@ -211,7 +210,7 @@ def test_a_failed_factorisation_is_named_by_id_and_the_measurement_not_used(meas
     uvd = [[700.0, 190.0, 30.0], [600.0, 150.0, 20.0], [800.0, 250.0, 25.0]]
     stereo_filter.update(StereoObservation([1, 2, 3], uvd))
     stereo_filter.predict(DT)
-    state = stereo_filter._state
+    state = stereo_filter.state
     rows = state.map_rows(np.flatnonzero(state.ids == 2))[0, 3:]
     state.P[rows, rows] = -1.0
     forecast = stereo_filter.forecast([1, 3])

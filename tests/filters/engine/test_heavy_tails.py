@@ -8,14 +8,14 @@ import pytest
 from filters import Start, StereoEKF, StereoObservation, check_filter
 from filters.conformance import REFERENCE_CAMERA as CAMERA
 from filters.conformance import REFERENCE_NOISE as NOISE
-from filters.engine import kalman
 from filters.engine.heavy_tails import reweighted
+from filters.state.linearised import LinearisedMeasurements
 
 
-def one_dimensional(innovations: list[float]) -> kalman.LinearisedMeasurements:
+def one_dimensional(innovations: list[float]) -> LinearisedMeasurements:
     """Measurements of unit R of a quantity that P knows exactly, so that d is the innovation."""
     count = len(innovations)
-    return kalman.LinearisedMeasurements(
+    return LinearisedMeasurements(
         np.array(innovations)[:, None],
         np.zeros((count, 1, 6)),
         np.zeros((count, 1, 0)),
@@ -38,7 +38,7 @@ def test_many_degrees_of_freedom_are_gaussian() -> None:
 def test_an_outlier_inside_the_gate_pulls_less() -> None:
     moved = {}
     for tail_dof in (None, 3.0):
-        slam = StereoEKF(CAMERA, NOISE, gate=None, tail_dof=tail_dof)
+        slam = StereoEKF(CAMERA, NOISE, gate=None, tail_dof=tail_dof, compiled=False)
         slam.reset(Start(covariance=np.diag(np.repeat([1e-6, 1e-6, 0.3, 0.03], 3) ** 2)))
         uvd = np.random.default_rng(0).uniform((300, 80, 8), (1000, 320, 40), (20, 3))
         slam.update(StereoObservation(np.arange(20), uvd))

@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from filters.engine import kalman, symmetric
-from filters.engine.kalman import LinearisedMeasurements
+from filters.engine import kalman
 from filters.motions.model import LinearMeasurement
+from filters.state import symmetric
+from filters.state.linearised import LinearisedMeasurements, of_variables
 
 from .linear_problems import (
     assert_covariances_equal,
@@ -118,28 +119,24 @@ def test_a_measurement_without_a_cholesky_factor_is_left_out_alone(chunk: int) -
     assert np.linalg.eigvalsh(symmetric.full(updated)).min() > 0
 
 
-@pytest.mark.parametrize("machine_code", [False, True])
-def test_a_landmark_in_the_image_plane_is_left_out_before_rounding_makes_p_indefinite(machine_code: bool) -> None:
+def test_a_landmark_in_the_image_plane_is_left_out_before_rounding_makes_p_indefinite() -> None:
     """Its pixel would be predicted to 1e9 sigmas of R: 1e-16 of that, squared, is a hundred R."""
     rng = RNG(12)
     P = random_covariance(rng, 12 + 3 * 9)
     measurements = random_measurements(rng, 9, 3, 9)
-    measurements.by_camera[4] *= 1e9
+    measurements.by_leading[4] *= 1e9
     measurements.by_map[4] *= 1e9
     updated = lower(P)
-    update = pytest.importorskip("filters.engine.compiled").update if machine_code else kalman.update
-    correction = update(updated, measurements)
+    correction = kalman.update(updated, measurements)
     np.testing.assert_array_equal(correction.used, np.arange(9) != 4)
     assert np.linalg.eigvalsh(symmetric.full(updated)).min() > 0
 
 
-@pytest.mark.parametrize("machine_code", [False, True])
-def test_a_measurement_of_the_camera_may_be_exact(machine_code: bool) -> None:
+def test_a_measurement_of_the_camera_may_be_exact() -> None:
     P = random_covariance(RNG(13), 12)
     updated = lower(P)
     exact = LinearMeasurement(np.ones(3), np.eye(3, 12), np.zeros((3, 3)))
-    update = pytest.importorskip("filters.engine.compiled").update if machine_code else kalman.update
-    correction = update(updated, kalman.of_camera(exact))
+    correction = kalman.update(updated, of_variables(exact, np.arange(12), 12))
     np.testing.assert_allclose(correction.delta[:3], 1.0)
 
 
@@ -148,7 +145,7 @@ def test_a_jacobian_that_is_not_finite_is_left_out(value: float) -> None:
     rng = RNG(11)
     P = random_covariance(rng, 24)
     measurements = random_measurements(rng, 2, 3, 4)
-    measurements.by_camera[1, 2, 3] = value
+    measurements.by_leading[1, 2, 3] = value
     updated = lower(P)
     with np.errstate(invalid="ignore"):
         correction = kalman.update(updated, measurements, chunk=1)
@@ -166,7 +163,7 @@ def test_a_change_of_measurement_coordinates_changes_nothing(rows: int) -> None:
     T = rng.standard_normal((rows, rows)) + 2 * np.eye(rows)
     transformed = LinearisedMeasurements(
         measurements.innovation @ T.T,
-        T @ measurements.by_camera,
+        T @ measurements.by_leading,
         T @ measurements.by_map,
         measurements.map_rows,
         T @ measurements.R @ T.T,
@@ -189,7 +186,7 @@ def test_independent_parts_of_a_measurement_may_come_one_after_the_other() -> No
     halves = [
         LinearisedMeasurements(
             together.innovation[:, part],
-            together.by_camera[:, part],
+            together.by_leading[:, part],
             together.by_map[:, part],
             together.map_rows,
             together.R[:, part, part],

@@ -7,15 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
-from filters.engine.joint_state import JointState
-from filters.landmarks.parametrisation import NewLandmarks
 
-from filters import BodyVelocity, ConstantVelocity, Start, StereoEKF, StereoObservation
-from filters.engine import kalman, symmetric
-from filters.landmarks.euclidean import Euclidean
-from filters.motions.model import CAMERA_SIZE, POSE_SIZE, CameraState, LinearMeasurement
+from filters import BodyVelocity, ConstantVelocity, Euclidean, Start, StereoEKF, StereoObservation
+from filters.engine import kalman
+from filters.motions.model import CAMERA_SIZE, POSE_SIZE, LinearMeasurement
+from filters.state import symmetric
+from filters.state.linearised import of_variables
+from filters.state.transport import Transport
 
 from ..drives import CAMERA, DT, INDEPENDENT_PIXELS, SPEED
+from ..state.states import camera_at, new_landmarks, transform_variables, without_map
 from .linear_problems import assert_covariances_equal, dense, lower, random_covariance, random_measurements
 
 
@@ -43,7 +44,7 @@ def test_an_update_in_chunks_is_one_update_of_filterpy(chunk: int, rows: int) ->
     z, H, R = dense(measurements, len(P))
     reference.update(z, R=R, H=H)
     updated = lower(P)
-    correction = kalman.update(updated, measurements, chunk)
+    correction = kalman.update(updated, measurements, chunk=chunk)
     assert_same(correction.delta, symmetric.full(updated), reference, 1e-8)
     assert correction.nis == pytest.approx(float(reference.mahalanobis) ** 2, rel=1e-9)
 
@@ -57,7 +58,9 @@ def test_a_measurement_of_the_camera_corrects_the_whole_map(rows: int) -> None:
     reference = kalman_filter(np.zeros(len(P)), P)
     reference.update(innovation, R=R, H=np.hstack([H, np.zeros((rows, len(P) - CAMERA_SIZE))]))
     updated = lower(P)
-    correction = kalman.update(updated, kalman.of_camera(LinearMeasurement(innovation, H, R)))
+    correction = kalman.update(
+        updated, of_variables(LinearMeasurement(innovation, H, R), np.arange(CAMERA_SIZE), CAMERA_SIZE)
+    )
     assert_same(correction.delta, symmetric.full(updated), reference)
     assert np.abs(correction.delta[CAMERA_SIZE:]).min() > 0
 
@@ -82,11 +85,11 @@ def test_iterating_a_linear_update_changes_nothing(passes: int) -> None:
     reference = kalman_filter(np.zeros(len(P)), P)
     z, H, R = dense(measurements, len(P))
     reference.update(z, R=R, H=H)
-    again, no_turn = measurements, np.zeros((len(P), 3))
+    again, no_turn = measurements, Transport(np.eye(CAMERA_SIZE))
     for _ in range(passes - 1):
         delta = kalman.update(lower(P), again).delta
         there = replace(measurements, innovation=measurements.innovation - measurements.times(delta))
-        again = there.by_earlier_errors(no_turn, delta)
+        again = no_turn.pulled_back(there, delta)
     updated = lower(P)
     correction = kalman.update(updated, again)
     assert_same(correction.delta, symmetric.full(updated), reference, 1e-8)
@@ -102,7 +105,7 @@ def test_a_map_that_grows_and_shrinks_equals_filterpy_with_every_landmark_ever_s
     A new landmark is a linear function of the pose plus noise; one that leaves is just not looked at any more.
     """
     rng = np.random.default_rng(24)
-    state = JointState.without_map(_camera(), lower(random_covariance(rng, CAMERA_SIZE)), Euclidean())
+    state = without_map(camera_at(np.zeros(3)), lower(random_covariance(rng, CAMERA_SIZE)), Euclidean())
     x_camera = np.zeros(CAMERA_SIZE)  # the map's values are the state's blocks
     reference = kalman_filter(x_camera, symmetric.full(state.P))
     everyone: list[int] = []
@@ -110,7 +113,7 @@ def test_a_map_that_grows_and_shrinks_equals_filterpy_with_every_landmark_ever_s
         F = np.eye(CAMERA_SIZE) + 0.1 * rng.standard_normal((CAMERA_SIZE, CAMERA_SIZE))
         Q = 0.1 * random_covariance(rng, CAMERA_SIZE)
         _predict(reference, F, Q)
-        state.transform_camera(F, Q)
+        transform_variables(state, F, Q)
         x_camera = F @ x_camera
 
         seen = rng.choice(len(state), min(len(state), 6), replace=False)
@@ -132,13 +135,10 @@ def test_a_map_that_grows_and_shrinks_equals_filterpy_with_every_landmark_ever_s
         ids = list(range(10 * frame, 10 * frame + new))
         by_pose, by_noise = rng.standard_normal((new, 3, POSE_SIZE)), rng.standard_normal((new, 3, 3))
         R = np.tile(np.diag([0.5, 1.0, 2.0]), (new, 1, 1))
-        without_anchor = np.zeros(new, dtype=bool)
-        started = NewLandmarks(
-            by_pose @ x_camera[:POSE_SIZE], by_pose[:, :, :3], by_pose[:, :, 3:], by_noise, without_anchor
-        )
         if new:
-            state.augment(np.array(ids), started, R)
-            _grow(reference, by_pose.reshape(-1, POSE_SIZE), by_noise @ R @ by_noise.transpose(0, 2, 1))
+            noise = by_noise @ R @ by_noise.transpose(0, 2, 1)
+            state.augment(new_landmarks(np.array(ids), by_pose @ x_camera[:POSE_SIZE], by_pose, noise, False))
+            _grow(reference, by_pose.reshape(-1, POSE_SIZE), noise)
             everyone += ids
 
         places = np.array([everyone.index(i) for i in state.ids.tolist()], dtype=np.int64)
@@ -149,10 +149,6 @@ def test_a_map_that_grows_and_shrinks_equals_filterpy_with_every_landmark_ever_s
         assert_same(x[rows], symmetric.full(state.P)[np.ix_(rows, rows)], marginal, 1e-7)
     assert len(everyone) > 30
     assert 3 < len(state) < len(everyone)
-
-
-def _camera() -> CameraState:
-    return CameraState(np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(3), np.zeros(3))
 
 
 def _predict(reference: KalmanFilter, F_camera: np.ndarray, Q_camera: np.ndarray) -> None:
@@ -180,7 +176,7 @@ def _grow(reference: KalmanFilter, J: np.ndarray, noise: np.ndarray) -> None:
 
 def straight(**options) -> tuple[StereoEKF, KalmanFilter]:
     """A filter that knows it does not turn, and filterpy's for its position and velocity."""
-    stereo_filter = StereoEKF(CAMERA, INDEPENDENT_PIXELS, motion=ConstantVelocity(3.0, 0.0), **options)
+    stereo_filter = StereoEKF(CAMERA, INDEPENDENT_PIXELS, motion=ConstantVelocity(3.0, 0.0), compiled=False, **options)
     rng = np.random.default_rng(25)
     translation = np.r_[0:3, 6:9]
     P = np.zeros((CAMERA_SIZE, CAMERA_SIZE))
@@ -249,4 +245,4 @@ def test_first_sight_is_a_linear_gaussian_prior_of_the_point() -> None:
     landmarks = stereo_filter.landmarks
     np.testing.assert_allclose(landmarks.positions.ravel(), grown.x[6:], rtol=1e-12)
     rows = np.r_[0:3, 6:9, 12:18]
-    assert_covariances_equal(symmetric.full(stereo_filter._state.P)[np.ix_(rows, rows)], grown.P, 1e-9)
+    assert_covariances_equal(symmetric.full(stereo_filter.state.P)[np.ix_(rows, rows)], grown.P, 1e-9)

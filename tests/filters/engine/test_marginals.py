@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from filters.engine.error_definition import ERRORS
 
-from filters import InverseDepthStereoEKF, StereoFilter, make_filter, rotations
-from filters.engine import symmetric
-from filters.landmarks.hybrid import Hybrid
+from filters import Hybrid, InverseDepthStereoEKF, StereoFilter, make_filter, rotations
+from filters.state import symmetric
 
 from ..drives import CAMERA, INDEPENDENT_PIXELS, drive, finish
 from ..numeric import numeric_jacobian
+from ..slots import ERRORS, LANDMARKS
 from .beliefs import make, scaled
 
-MODELS = ("inverse-depth", "shared-anchor", "euclidean", Hybrid(near_disparity=20.0))
+MODELS = (*LANDMARKS, Hybrid(near_distance=20.0))
 KINDS = [{"landmark": model} for model in MODELS]
-KINDS += [{"landmark": "shared-anchor", "error": error} for error in ("so3", "first-estimates", "right-invariant")]
+KINDS += [{"landmark": "shared-anchor", "error": error} for error in ERRORS]
 
 
 def driven(drop_unseen: bool = False, **options) -> StereoFilter:

@@ -6,15 +6,18 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from filters.engine.linearisation import linearise
 
-from filters import StereoEKF, StereoObservation
-from filters.engine import kalman, selection, symmetric
-from filters.measurements.model import Stage
+from filters import Extended, RangeBearing, Stage, StereoEKF, StereoObservation
+from filters.engine import kalman, selection
+from filters.engine.map_policy import start_landmarks
+from filters.state import symmetric
 
 from ..drives import CAMERA, INDEPENDENT_PIXELS, drive, finish, run, start
+from ..slots import LANDMARKS
+from ..state.states import transform_variables
 
 COUNT = 12
+SENSOR = RangeBearing()
 
 
 def noise(count: int) -> np.ndarray:
@@ -23,13 +26,13 @@ def noise(count: int) -> np.ndarray:
 
 def tracked(seed: int, landmark: str = "shared-anchor") -> tuple[StereoEKF, StereoObservation]:
     """A filter with `COUNT` landmarks or more, and measurements of as many new ones."""
-    slam = StereoEKF(CAMERA, INDEPENDENT_PIXELS, gate=None, landmark=landmark)
+    slam = StereoEKF(CAMERA, INDEPENDENT_PIXELS, gate=None, landmark=landmark, compiled=False)
     finish(slam, drive(seed, 8, visible=COUNT + 4, missed=0.0, depths=(6, 30)))
     return slam, StereoObservation(np.arange(COUNT) + 10**6, drive(seed + 100, 1, visible=COUNT)[0].observation.uvd)
 
 
 def candidates(slam: StereoEKF, known: np.ndarray, new: StereoObservation) -> selection.Candidates:
-    return selection.next_measurements(CAMERA, slam._state, known, noise(len(known)), new.uvd, noise(len(new)))
+    return selection.next_measurements(SENSOR, CAMERA, slam.state, known, noise(len(known)), new.uvd, noise(len(new)))
 
 
 def pose_covariance(of: selection.Candidates, kept: np.ndarray) -> np.ndarray:
@@ -43,21 +46,21 @@ def log_determinant(covariance: np.ndarray) -> float:
     return float(np.linalg.slogdet(covariance)[1])
 
 
-@pytest.mark.parametrize("landmark", ["inverse-depth", "shared-anchor", "euclidean", "hybrid"])
+@pytest.mark.parametrize("landmark", LANDMARKS)
 def test_what_is_foreseen_is_what_happens(landmark: str) -> None:
     """Start the new landmarks, make the step, measure everything once more: the covariance of the pose then."""
     slam, new = tracked(3, landmark)
     known = np.arange(5)
     foreseen = pose_covariance(candidates(slam, known, new), np.ones(5 + len(new), dtype=bool))
-    ids = slam._state.ids[known]
-    slam._policy.start(slam._state, new)
+    ids = slam.state.ids[known]
+    slam.state.augment(start_landmarks(SENSOR, CAMERA, slam.state, new, noise(len(new))))
     step = np.zeros((12, 12))
     step[:6, :6] = selection.STEP
-    slam._state.transform_camera(np.eye(12), step)
-    everything = slam._locate(np.sort([*ids, *new.ids]))[1]
+    transform_variables(slam.state, np.eye(12), step)
+    everything = np.flatnonzero(np.isin(slam.state.ids, [*ids, *new.ids]))
     stage = Stage(np.zeros((len(everything), 3)), np.eye(3), noise(len(everything)))
-    kalman.update(slam._state.P, linearise(CAMERA, slam._state, everything, stage))
-    happened = symmetric.full(slam._state.P[:6, :6])
+    kalman.update(slam.state.P, Extended().linearise(SENSOR, CAMERA, slam.state, everything, stage))
+    happened = symmetric.full(slam.state.P[:6, :6])
     scale = np.sqrt(np.diag(happened))
     np.testing.assert_allclose(foreseen / np.outer(scale, scale), happened / np.outer(scale, scale), atol=1e-5)
 

@@ -11,7 +11,9 @@ import pytest
 from scipy.stats import chi2, norm
 
 from filters import StereoCamera, StereoNoise
-from filters.engine.options import LANDMARKS
+
+from ..first_sight import first_sight
+from ..slots import LANDMARKS
 
 CAMERA = StereoCamera(721.5, 721.5, 672.0, 195.5, 0.571, 1344, 391)
 NOISE = StereoNoise.diagonal(1.0, 1.0, 2.0)
@@ -35,8 +37,8 @@ def measured(depth: float) -> tuple[np.ndarray, np.ndarray]:
 
 def landmark(name: str, uvd: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Parameters and J_R R J_R^T of landmarks started at the origin."""
-    new = LANDMARKS[name].initialise(CAMERA, np.zeros(3), np.eye(3), np.atleast_2d(uvd))
-    return new.parameters, new.by_measurement @ NOISE.R @ new.by_measurement.transpose(0, 2, 1)
+    new = first_sight(LANDMARKS[name], CAMERA, np.zeros(3), np.eye(3), np.atleast_2d(uvd), NOISE.R)
+    return new.started.parameters, new.noise
 
 
 def cloud(name: str, uvd: np.ndarray) -> np.ndarray:

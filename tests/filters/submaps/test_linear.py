@@ -6,14 +6,16 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from filters.engine.error_definition import ERRORS
-from filters.engine.joint_state import JointState
-from filters.landmarks.parametrisation import NewLandmarks
 
-from filters.engine import kalman, symmetric
-from filters.engine.options import LANDMARKS
+from filters.engine import kalman
 from filters.motions.model import CAMERA_SIZE, CameraState
+from filters.state import symmetric
+from filters.state.joint_state import JointState
+from filters.state.linearised import LinearisedMeasurements
 from filters.submaps.chain import SubmapChain
+
+from ..slots import ERRORS, LANDMARKS
+from ..state.states import camera_at, new_landmarks, transform_variables, without_map
 
 DT, IN_VIEW = 0.5, 6
 STATIONS = 24  # landmarks, two at each of twelve stations of a ring
@@ -23,9 +25,8 @@ class LinearSlam:
     """A camera that does not turn drives round a ring and measures where landmarks are, relative to itself."""
 
     def __init__(self) -> None:
-        P = np.asfortranarray(np.diag(np.repeat([1e-4, 0.0, 1.0, 0.0], 3)))
-        camera = CameraState(np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(3), np.zeros(3))
-        self.state = JointState.without_map(camera, P, LANDMARKS["euclidean"])
+        P = np.diag(np.repeat([1e-4, 0.0, 1.0, 0.0], 3))
+        self.state = without_map(camera_at(np.zeros(3)), P, LANDMARKS["euclidean"])
 
     def predict(self) -> None:
         """Constant velocity with an impulse."""
@@ -40,27 +41,23 @@ class LinearSlam:
             camera.linear_velocity,
             camera.angular_velocity,
         )
-        self.state.transform_camera(F, 0.04 * G @ G.T)
+        transform_variables(self.state, F, 0.04 * G @ G.T)
 
     def update(self, ids: np.ndarray, z: np.ndarray) -> None:
         """Measure landmark - camera with variance 0.01."""
         state = self.state
         known = np.isin(ids, state.ids)
         index = np.array([state.ids.tolist().index(i) for i in ids[known]], dtype=np.int64)
-        by_camera = np.tile(np.hstack([-np.eye(3), np.zeros((3, 3))]), (len(index), 1, 1))
+        by_leading = np.tile(np.hstack([-np.eye(3), np.zeros((3, 3))]), (len(index), 1, 1))
         by_map = np.tile(np.eye(3), (len(index), 1, 1))
         R = np.tile(0.01 * np.eye(3), (len(index), 1, 1))
         innovation = z[known] - (state.parameters(index) - state.camera.position)
-        measured = kalman.LinearisedMeasurements(innovation, by_camera, by_map, state.map_rows(index), R)
+        measured = LinearisedMeasurements(innovation, by_leading, by_map, state.map_rows(index), R)
         self.state = ERRORS["so3"].moved(state, kalman.update(state.P, measured).delta)
         count = int((~known).sum())
-        eyes, nothing = np.tile(np.eye(3), (count, 1, 1)), np.zeros((count, 3, 3))
+        by_pose, noise = np.tile(np.eye(3, 6), (count, 1, 1)), np.tile(0.01 * np.eye(3), (count, 1, 1))
         position = self.state.camera.position
-        self.state.augment(
-            ids[~known],
-            NewLandmarks(position + z[~known], eyes, nothing, eyes, np.zeros(count, dtype=bool)),
-            np.tile(0.01 * np.eye(3), (count, 1, 1)),
-        )
+        self.state.augment(new_landmarks(ids[~known], position + z[~known], by_pose, noise, False))
 
 
 @dataclass

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from filters import ConstantVelocity, StereoNoise, StereoObservation
-from filters.engine.options import LANDMARKS
+from filters import ConstantVelocity, StereoNoise, StereoObservation, make_part
 from stereo_slam_env.evaluation.cramer_rao import cramer_rao_bound, efficiency_interval
 from stereo_slam_env.evaluation.filter_run import run_filter
 
@@ -115,7 +114,7 @@ def test_the_bound_is_the_inverse_of_the_information_of_everything(use_odometry,
 def test_it_does_not_depend_on_the_parametrisation(landmark):
     recording = small_recording(frames=12)
     xyz = cramer_rao_bound(recording, MOTION).pose
-    other = cramer_rao_bound(recording, MOTION, landmark=LANDMARKS[landmark]).pose
+    other = cramer_rao_bound(recording, MOTION, landmark=make_part("landmark", landmark)).pose
     np.testing.assert_allclose(other, xyz, rtol=1e-6, atol=1e-9 * np.abs(xyz).max())
 
 

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from filters import StereoNoise, StereoObservation
-from filters.engine.options import MEASUREMENTS
+
+from ..slots import MEASUREMENTS
 
 UVD = np.array([[100.0, 50.0, 8.0], [300.0, 70.0, -1.0]])
 V_RIGHT = np.array([51.0, 69.5])

@@ -10,7 +10,7 @@ from filters import BodyVelocity, ConstantVelocity, InverseDepthStereoEKF, Stere
 from filters.conformance import shown_arrays
 from filters.motions.model import CameraState, LinearMeasurement, MotionPrediction
 
-from .drives import CAMERA, INDEPENDENT_PIXELS, drive
+from ..drives import CAMERA, INDEPENDENT_PIXELS, drive
 
 DT = 0.1
 
@@ -128,7 +128,6 @@ class _OdometryOfFifteenStates(ConstantVelocity):
         return LinearMeasurement(usual.innovation, _grown(usual.H, 0, 3), usual.R)
 
 
-@pytest.mark.parametrize("compiled", [False, True])
 @pytest.mark.parametrize(
     ("motion", "complaint"),
     [
@@ -143,10 +142,8 @@ class _OdometryOfFifteenStates(ConstantVelocity):
     ],
     ids=lambda value: type(value).__name__ if isinstance(value, ConstantVelocity) else "",
 )
-def test_a_motion_model_of_other_shapes_is_refused(motion: ConstantVelocity, complaint: str, compiled: bool) -> None:
-    if compiled:
-        pytest.importorskip("numba", reason="Numba is not installed")
-    slam: StereoEKF = InverseDepthStereoEKF(CAMERA, INDEPENDENT_PIXELS, motion=motion, compiled=compiled)
+def test_a_motion_model_of_other_shapes_is_refused(motion: ConstantVelocity, complaint: str) -> None:
+    slam: StereoEKF = InverseDepthStereoEKF(CAMERA, INDEPENDENT_PIXELS, motion=motion)
     slam.update(drive(1)[0].observation)
     before, P = shown_arrays(slam), slam.state.P.copy()
     with pytest.raises(ValueError, match=complaint):

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from filters.engine.joint_state import JointState
-from filters.landmarks.parametrisation import NewLandmarks
 
-from filters.engine import symmetric
-from filters.engine.options import LANDMARKS
-from filters.motions.model import CameraState
+from filters.state import symmetric
+from filters.state.joint_state import JointState
+
+from ..slots import LANDMARKS
+from .states import camera_at, new_landmarks, transform_variables, without_map
 
 
 @pytest.fixture
@@ -17,15 +17,10 @@ def state() -> JointState:
     """A camera and two groups of landmarks with shared anchors."""
     rng = np.random.default_rng(0)
     root = rng.standard_normal((12, 14))
-    camera = CameraState(np.ones(3), np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(3), np.zeros(3))
-    state = JointState.without_map(camera, np.asfortranarray(root @ root.T), LANDMARKS["shared-anchor"])
+    state = without_map(camera_at(np.ones(3)), root @ root.T, LANDMARKS["shared-anchor"])
     for first in (10, 20):
-        J = [rng.standard_normal((3, 3, 3)) for _ in range(3)]
-        state.augment(
-            first + np.arange(3),
-            NewLandmarks(rng.standard_normal((3, 3)), *J, np.ones(3, dtype=bool)),
-            np.tile(np.eye(3), (3, 1, 1)),
-        )
+        by_pose, noise = rng.standard_normal((3, 3, 6)), np.tile(np.eye(3), (3, 1, 1))
+        state.augment(new_landmarks(first + np.arange(3), rng.standard_normal((3, 3)), by_pose, noise, True))
     return state
 
 
@@ -33,14 +28,14 @@ def covariance(state: JointState, blocks: np.ndarray) -> np.ndarray:
     return symmetric.full(state.P)[np.ix_(state.block_rows(blocks), state.block_rows(blocks))]
 
 
-def test_a_held_camera_is_a_copy_of_its_error_and_does_not_move_with_it(state: JointState) -> None:
+def test_held_variables_are_a_copy_of_their_errors_and_do_not_move_with_them(state: JointState) -> None:
     before = symmetric.full(state.P)
-    clone = state.hold_camera()
+    clone = state.hold_variables()
     rows = state.block_rows(clone)
     assert rows.shape == (12,)
     np.testing.assert_array_equal(state.blocks[clone], 0.0)
     np.testing.assert_array_equal(covariance(state, clone), before[:12, :12])
-    state.transform_camera(2.0 * np.eye(12))
+    transform_variables(state, 2.0 * np.eye(12))
     np.testing.assert_array_equal(covariance(state, clone), before[:12, :12])
     np.testing.assert_array_equal(symmetric.full(state.P)[np.ix_(rows, np.arange(12))], 2.0 * before[:12, :12])
 

@@ -1,13 +1,16 @@
-"""Error definitions of the orientation: what any of them must keep, and what each one is."""
+"""Retractions of the orientation: what any of them must keep, and what each one is."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from filters.engine.retraction import RETRACTIONS
 from scipy.spatial.transform import Rotation
 
-from ..textbook import complex_step_jacobian, rotation_tangent
+from filters.retractions import AdditiveQuaternion, RotationVector
+
+from .textbook import complex_step_jacobian, rotation_tangent
+
+RETRACTIONS = {"quaternion": AdditiveQuaternion(), "so3": RotationVector()}
 
 every = pytest.mark.parametrize("name", RETRACTIONS)
 

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from filters.engine.options import LANDMARKS
+from filters import RangeBearing
 
 from ..drives import ODD_CAMERA as CAMERA
+from ..first_sight import first_sight
+from ..slots import LANDMARKS
 
 POSITION = np.array([3.0, -1.0, 7.0])
 R_WC = Rotation.from_rotvec([0.2, -0.7, 0.3]).as_matrix()
@@ -23,8 +25,13 @@ anchored = pytest.mark.parametrize(
 
 
 def started(model, uvd: np.ndarray):
-    parameters = model.initialise(CAMERA, POSITION, R_WC, uvd).parameters
+    parameters = first_sight(model, CAMERA, POSITION, R_WC, uvd).started.parameters
     return np.tile(POSITION, (len(uvd), 1)) if model.anchored else None, parameters
+
+
+def can_start(model, R_wc: np.ndarray, uvd: np.ndarray) -> list[bool]:
+    points_c = RangeBearing().backproject(CAMERA, uvd, {})
+    return model.can_start(points_c[:, :3] @ R_wc.T, points_c[:, 3]).tolist()
 
 
 @every
@@ -61,9 +68,10 @@ def test_inverse_distance_is_that_of_the_point_from_where_it_was_seen(model) -> 
 @every
 def test_no_landmark_is_no_error(model) -> None:
     empty = np.zeros((0, 3))
-    new = model.initialise(CAMERA, POSITION, R_WC, empty)
-    assert new.parameters.shape == (0, 3)
-    assert new.by_measurement.shape == (0, 3, 3)
+    new = first_sight(model, CAMERA, POSITION, R_WC, empty)
+    assert new.started.parameters.shape == (0, 3)
+    assert new.by_leading.shape == (0, 3, 6)
+    assert new.noise.shape == (0, 3, 3)
     anchors = empty if model.anchored else None
     assert model.relative_to(POSITION, anchors, empty).by_map.shape[:2] == (0, 4)
     assert model.points(anchors, empty).positions.shape == (0, 3)
@@ -74,7 +82,7 @@ def test_no_landmark_is_no_error(model) -> None:
 def test_rho_is_zero_at_no_disparity_and_changes_sign_with_it(model) -> None:
     _, parameters = started(model, ANY_UVD)
     np.testing.assert_array_equal(np.sign(parameters[:, 2]), np.sign(ANY_UVD[:, 2]))
-    mirrored = model.initialise(CAMERA, POSITION, R_WC, ANY_UVD * [1, 1, -1]).parameters
+    mirrored = started(model, ANY_UVD * [1, 1, -1])[1]
     np.testing.assert_array_equal(mirrored[:, 2], -parameters[:, 2])
     np.testing.assert_array_equal(mirrored[:, :2], parameters[:, :2])
 
@@ -91,15 +99,13 @@ def test_the_vertical_of_the_world_is_refused_and_what_is_near_it_is_not(model) 
     down = Rotation.from_rotvec([-np.pi / 2, 0, 0]).as_matrix()
     pixels = np.array([[CAMERA.cx, CAMERA.cy, 5.0], [CAMERA.cx + 0.01, CAMERA.cy, 5.0], [100.0, 100.0, 5.0]])
     assert abs(down @ [0, 0, 1] @ np.array([0, 1, 0])) == pytest.approx(1.0)
-    assert model.can_initialise(CAMERA, down, pixels).tolist() == [False, True, True]
-    near = model.initialise(CAMERA, POSITION, down, pixels[1:])
-    assert np.isfinite(near.by_measurement).all()
+    assert can_start(model, down, pixels) == [False, True, True]
+    assert np.isfinite(first_sight(model, CAMERA, POSITION, down, pixels[1:]).noise).all()
 
 
 def test_euclidean_needs_a_positive_disparity() -> None:
     uvd = np.array([[600.0, 200.0, d] for d in (-1.0, 0.0, 1e-9, 5.0)])
-    possible = LANDMARKS["euclidean"].can_initialise(CAMERA, R_WC, uvd)
-    assert possible.tolist() == [False, False, True, True]
+    assert can_start(LANDMARKS["euclidean"], R_WC, uvd) == [False, False, True, True]
 
 
 def test_directions_are_those_of_the_paper() -> None:

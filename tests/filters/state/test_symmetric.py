@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from filters.engine import symmetric
+from filters.state import symmetric
 
 
 @pytest.fixture

@@ -6,26 +6,24 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
-from filters.engine.joint_state import JointState
-from filters.landmarks.parametrisation import LandmarkModel, NewLandmarks
 
-from filters.engine import symmetric
-from filters.engine.options import LANDMARKS
 from filters.landmarks.hybrid import Hybrid
-from filters.motions.model import CameraState
+from filters.landmarks.model import LandmarkModel
+from filters.state import symmetric
+from filters.state.joint_state import JointState, NewLandmarks
+
+from ..slots import LANDMARKS
+from .states import camera_at, new_landmarks, transform_variables, without_map
 
 CAMERA = [("camera", i) for i in range(12)]
 
 
-def camera_at(position: np.ndarray) -> CameraState:
-    return CameraState(position, np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(3), np.zeros(3))
-
-
-def random_new(rng: np.random.Generator, count: int, model: LandmarkModel) -> NewLandmarks:
-    anchored = np.full(count, model.anchored)
-    if isinstance(model, Hybrid):
-        anchored = rng.uniform(size=count) < 0.5
-    return NewLandmarks(*(rng.standard_normal(shape) for shape in [(count, 3)] + [(count, 3, 3)] * 3), anchored)
+def random_new(rng: np.random.Generator, ids: list[int], model: LandmarkModel) -> NewLandmarks:
+    """Landmarks with random values, Jacobians and noise; of hybrid ones some have an anchor."""
+    count = len(ids)
+    anchored = rng.uniform(size=count) < 0.5 if isinstance(model, Hybrid) else np.full(count, model.anchored)
+    by_pose = rng.standard_normal((count, 3, 6))
+    return new_landmarks(np.array(ids), rng.standard_normal((count, 3)), by_pose, random_noise(rng, count), anchored)
 
 
 def random_noise(rng: np.random.Generator, count: int) -> np.ndarray:
@@ -94,20 +92,17 @@ def assert_same(state: JointState, ledger: Ledger) -> None:
 
 def add_to_both(state: JointState, ledger: Ledger, ids: list[int], frame: int, rng: np.random.Generator) -> None:
     """New landmarks from the present camera position."""
-    new, R = random_new(rng, len(ids), state.model), random_noise(rng, len(ids))
-    state.augment(np.array(ids), new, R)
-    P_pose = ledger.P[:6, :6].copy()
-    assert P_pose.shape == (6, 6)
-    if state.model.shares_anchors and new.anchored.any():
+    new = random_new(rng, ids, state.model)
+    state.augment(new)
+    anchored = new.started.anchored
+    if state.model.shares_anchors and anchored.any():
         ledger.add(("anchor", frame), state.camera.position, np.eye(3, 6), np.zeros((3, 3)))
     for row, i in enumerate(ids):
-        if new.anchored[row] and not state.model.shares_anchors:
+        if anchored[row] and not state.model.shares_anchors:
             ledger.add(("anchor", i), state.camera.position, np.eye(3, 6), np.zeros((3, 3)))
-        J = np.hstack([new.by_position[row], new.by_rotation[row]])
-        noise = new.by_measurement[row] @ R[row] @ new.by_measurement[row].T
-        ledger.add(i, new.parameters[row], J, noise)
+        ledger.add(i, new.started.parameters[row], new.by_leading[row], new.noise[row])
         anchor = ("anchor", frame if state.model.shares_anchors else i)
-        ledger.anchor_of[i] = anchor if new.anchored[row] else i  # without an anchor, its own rows twice
+        ledger.anchor_of[i] = anchor if anchored[row] else i  # without an anchor, its own rows twice
 
 
 @pytest.mark.parametrize("model", LANDMARKS.values(), ids=LANDMARKS.keys())
@@ -116,13 +111,13 @@ def test_random_additions_and_removals_agree_with_a_dense_reference(model: Landm
     rng = np.random.default_rng(seed)
     root = rng.standard_normal((12, 14))
     P = root @ root.T
-    state = JointState.without_map(camera_at(np.zeros(3)), np.asfortranarray(P), model)
+    state = without_map(camera_at(np.zeros(3)), P, model)
     ledger = Ledger(P)
     next_id = 0
     for frame in range(12):
         state.camera = camera_at(rng.standard_normal(3))
         F, Q = rng.standard_normal((12, 12)) / 3, 0.1 * np.eye(12)
-        state.transform_camera(F, Q)
+        transform_variables(state, F, Q)
         whole = np.eye(len(ledger.P))
         whole[:12, :12] = F
         ledger.P = whole @ ledger.P @ whole.T
@@ -144,8 +139,8 @@ def test_random_additions_and_removals_agree_with_a_dense_reference(model: Landm
 
 def test_removal_leaves_every_other_entry_untouched() -> None:
     rng = np.random.default_rng(5)
-    state = JointState.without_map(camera_at(np.zeros(3)), np.asfortranarray(np.eye(12)), LANDMARKS["inverse-depth"])
-    state.augment(np.arange(6), random_new(rng, 6, state.model), random_noise(rng, 6))
+    state = without_map(camera_at(np.zeros(3)), np.eye(12), LANDMARKS["inverse-depth"])
+    state.augment(random_new(rng, list(range(6)), state.model))
     before, rows = symmetric.full(state.P), state.map_rows(np.array([0, 2, 5]))
     kept = np.concatenate([np.arange(12), rows.ravel()])
     state.remove(np.isin(state.ids, [1, 3, 4]))
@@ -156,19 +151,15 @@ def test_removal_leaves_every_other_entry_untouched() -> None:
 def test_a_new_landmark_is_correlated_with_the_old_map() -> None:
     """What Eq. 25 as printed leaves out: J P for the rows of the pose, against samples of the joint error."""
     rng = np.random.default_rng(6)
-    state = JointState.without_map(
-        camera_at(np.zeros(3)), np.asfortranarray(np.diag(np.linspace(0.5, 2, 12))), LANDMARKS["euclidean"]
-    )
-    old, new = random_new(rng, 1, state.model), random_new(rng, 1, state.model)
-    R = random_noise(rng, 1)
-    state.augment(np.array([1]), old, R)
-    state.augment(np.array([2]), new, R)
+    state = without_map(camera_at(np.zeros(3)), np.diag(np.linspace(0.5, 2, 12)), LANDMARKS["euclidean"])
+    old, new = random_new(rng, [1], state.model), random_new(rng, [2], state.model)
+    state.augment(old)
+    state.augment(new)
     count = 200_000
     pose = rng.standard_normal((count, 6)) * np.sqrt(np.linspace(0.5, 2, 12)[:6])
 
     def landmark(made: NewLandmarks) -> np.ndarray:
-        J = np.hstack([made.by_position[0], made.by_rotation[0]])
-        return pose @ J.T + rng.multivariate_normal(np.zeros(3), R[0], count) @ made.by_measurement[0].T
+        return pose @ made.by_leading[0].T + rng.multivariate_normal(np.zeros(3), made.noise[0], count)
 
     errors = np.hstack([pose, landmark(old), landmark(new)])
     rows = np.r_[0:6, 12:18]
@@ -181,9 +172,9 @@ def test_a_new_landmark_is_correlated_with_the_old_map() -> None:
 
 def test_landmarks_of_one_frame_share_an_anchor_until_the_last_of_them_leaves() -> None:
     rng = np.random.default_rng(7)
-    state = JointState.without_map(camera_at(np.zeros(3)), np.asfortranarray(np.eye(12)), LANDMARKS["shared-anchor"])
-    state.augment(np.arange(3), random_new(rng, 3, state.model), random_noise(rng, 3))
-    state.augment(np.arange(3, 5), random_new(rng, 2, state.model), random_noise(rng, 2))
+    state = without_map(camera_at(np.zeros(3)), np.eye(12), LANDMARKS["shared-anchor"])
+    state.augment(random_new(rng, [0, 1, 2], state.model))
+    state.augment(random_new(rng, [3, 4], state.model))
     assert len(np.unique(state.anchor_block)) == 2
     state.remove(np.isin(state.ids, [0, 2, 4]))
     assert len(state.blocks) == 4
@@ -194,8 +185,8 @@ def test_landmarks_of_one_frame_share_an_anchor_until_the_last_of_them_leaves() 
 
 def test_rows_in_use_are_those_of_the_camera_and_of_every_landmark_and_anchor() -> None:
     rng = np.random.default_rng(8)
-    state = JointState.without_map(camera_at(np.zeros(3)), np.asfortranarray(np.eye(12)), LANDMARKS["inverse-depth"])
-    state.augment(np.arange(20), random_new(rng, 20, state.model), random_noise(rng, 20))
+    state = without_map(camera_at(np.zeros(3)), np.eye(12), LANDMARKS["inverse-depth"])
+    state.augment(random_new(rng, list(range(20)), state.model))
     state.remove(state.ids == 7)
     assert len(state.empty_blocks) == 2
     expected = np.concatenate([np.arange(12), state.map_rows(np.arange(19)).ravel()])

@@ -1,0 +1,25 @@
+"""The parts that the slots name, with their default settings: tests run over all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from filters.errors.model import ErrorDefinition
+from filters.landmarks.model import LandmarkModel
+from filters.measurements.model import MeasurementModel
+from filters.motions.model import MotionModel
+from filters.parts import SLOTS
+from filters.updates.model import Linearisation
+
+
+def parts_of(slot: str) -> dict[str, Any]:
+    """Parts of a slot by name."""
+    return {name: make() for name, make in SLOTS[slot].named.items()}
+
+
+LANDMARKS: Mapping[str, LandmarkModel] = parts_of("landmark")
+MEASUREMENTS: Mapping[str, MeasurementModel] = parts_of("measurement")
+MOTIONS: Mapping[str, MotionModel] = parts_of("motion")
+ERRORS: Mapping[str, ErrorDefinition] = parts_of("error")
+UPDATES: Mapping[str, Linearisation] = parts_of("update")

@@ -1,0 +1,131 @@
+"""Clones of the pose: correlated copies that stay behind, and leave without a trace."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from filters import Extended, StereoEKF
+from filters.state import symmetric
+
+from ..drives import CAMERA, DT, INDEPENDENT_PIXELS, drive, run, start
+from ..engine.beliefs import assert_same_belief
+from ..engine.linear_problems import assert_covariances_equal, dense
+from ..slots import ERRORS, LANDMARKS
+
+
+def make(**options) -> StereoEKF:
+    return start(StereoEKF(CAMERA, INDEPENDENT_PIXELS, **{"gate": None, "compiled": False, **options}))
+
+
+def driven(frames: list, clone_at: int | None = None, forget_at: int | None = None, **options) -> StereoEKF:
+    """A filter after a drive, with a clone of its pose at one frame, which leaves at another."""
+    slam = make(**options)
+    for k, _ in enumerate(run(slam, frames)):
+        if k == clone_at:
+            slam.clone_pose("here")
+        if k == forget_at:
+            slam.forget_clone("here")
+    return slam
+
+
+def test_a_clone_is_the_pose_of_its_instant() -> None:
+    """P becomes J P J^T, where J repeats the rows of the pose."""
+    slam = driven(drive(40, 5))
+    pose, P, used = slam.pose, symmetric.full(slam.state.P), slam.state.rows_in_use
+    slam.clone_pose("here")
+    belief = slam.belief("here")
+    np.testing.assert_array_equal(belief.value, np.concatenate([pose.position, pose.orientation]))
+    np.testing.assert_array_equal(belief.covariance, pose.covariance)
+    rows = np.concatenate([used, slam.state.block_rows(slam.state.clones["here"].blocks)])
+    repeated = np.concatenate([used, np.arange(6)])
+    np.testing.assert_array_equal(symmetric.full(slam.state.P)[np.ix_(rows, rows)], P[np.ix_(repeated, repeated)])
+    slam.predict(DT)
+    np.testing.assert_array_equal(slam.belief("here").covariance, pose.covariance)
+    assert np.abs(slam.pose.position - pose.position).max() > 0.1
+
+
+@pytest.mark.parametrize("error", ERRORS)
+@pytest.mark.parametrize("landmark", LANDMARKS)
+def test_a_clone_changes_nothing_else_and_leaves_without_a_trace(landmark: str, error: str) -> None:
+    frames = drive(41, 12, visible=10, depths=(6.0, 20.0))
+    options = {"landmark": landmark, "error": error}
+    never, stays, left = driven(frames, **options), driven(frames, 4, **options), driven(frames, 4, 9, **options)
+    assert_same_belief(stays, never, 1e-9)
+    assert_same_belief(left, never, 1e-9)
+    assert left.state_size == never.state_size == stays.state_size - 6
+    assert not left.state.clones
+
+
+class Watching(Extended):
+    """Notes the measurements of every update."""
+
+    def __init__(self) -> None:
+        self.seen: list = []
+
+    def linearise(self, *arguments):
+        """As the base class."""
+        self.seen.append(super().linearise(*arguments))
+        return self.seen[-1]
+
+
+def test_what_is_learnt_of_a_clone_is_what_a_dense_filter_learns(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Value and covariance of all, by F, H and R as whole matrices; errors are not transported with first estimates."""
+    watching, applied, transform = Watching(), [], symmetric.transform_leading
+
+    def noting(P: np.ndarray, F: np.ndarray, added: np.ndarray) -> None:
+        applied.append((F, added))
+        transform(P, F, added)
+
+    monkeypatch.setattr(symmetric, "transform_leading", noting)
+    slam = make(error="first-estimates", landmark="euclidean", drop_unseen=False, update=watching)
+    frames = drive(42, 10, visible=10, missed=0.0, depths=(15.0, 40.0))
+    first = frames[0].observation
+    slam.predict(DT)  # the velocity is not well known, and so the pose is not, either
+    slam.update(first)
+    slam.clone_pose("here")
+    P, learnt = symmetric.full(slam.state.P), np.zeros(6)
+    rows = slam.state.block_rows(slam.state.clones["here"].blocks)
+    before = slam.belief("here")
+    for frame in frames[1:]:
+        applied.clear()
+        watching.seen.clear()
+        slam.predict(DT)
+        slam.update(frame.observation.select(np.isin(frame.observation.ids, first.ids)))
+        F, added = np.eye(len(P)), np.zeros_like(P)
+        F[:12, :12], added[:12, :12] = applied[0]
+        P = F @ P @ F.T + added
+        nu, H, R = dense(watching.seen[0], len(P))
+        K = np.linalg.solve(H @ P @ H.T + R, H @ P).T
+        I_KH = np.eye(len(P)) - K @ H
+        P = I_KH @ P @ I_KH.T + K @ R @ K.T
+        learnt += (K @ nu)[rows]
+    assert_covariances_equal(symmetric.full(slam.state.P), P, 1e-8)
+    after = slam.belief("here")
+    assert_covariances_equal(after.covariance, P[np.ix_(rows, rows)], 1e-8)
+    np.testing.assert_allclose(after.value[:3] - before.value[:3], learnt[:3], rtol=0, atol=1e-10)
+    assert np.abs(learnt).min() > 1e-9
+    assert (np.diag(after.covariance) < np.diag(before.covariance)).all()
+
+
+def test_a_clone_stays_where_it_is_while_landmarks_come_and_go() -> None:
+    slam = driven(drive(43, 4, visible=12))
+    slam.clone_pose("here")
+    before = slam.belief("here")
+    slam.forget(slam.landmarks.ids[1:])
+    after = slam.belief("here")
+    np.testing.assert_array_equal(after.value, before.value)
+    np.testing.assert_array_equal(after.covariance, before.covariance)
+
+
+def test_names_of_clones_are_checked() -> None:
+    slam = make()
+    slam.clone_pose("here")
+    for taken in ("here", "pose", "velocity"):
+        with pytest.raises(ValueError, match=f"name must be new, there is a variable '{taken}' already"):
+            slam.clone_pose(taken)
+    with pytest.raises(ValueError, match="there is no clone 'her', did you mean 'here'"):
+        slam.forget_clone("her")
+    slam.reset()
+    with pytest.raises(ValueError, match="there is no variable 'here'"):
+        slam.belief("here")

@@ -1,0 +1,241 @@
+"""Named variables: their places, their belief, random walks, and those that are only considered."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from filters import BodyVelocity, Start, StereoEKF, StereoObservation, Variable
+from filters.engine import kalman
+from filters.interface import StereoFilter
+from filters.state import symmetric
+from filters.state.layout import Layout
+
+from ..drives import CAMERA, DT, INDEPENDENT_PIXELS, SPEED, drive, start
+from ..engine.linear_problems import assert_covariances_equal, dense, lower, random_covariance, random_measurements
+from ..third_party import BIAS, DISPARITY_ERRORS, MOUNTING, BiasedOdometry, ShearedPair
+
+ODOMETRY = BodyVelocity([0.1, 0.05, SPEED], [0.01, 0.2, -0.02], np.diag(np.repeat([0.05, 0.01], 3) ** 2))
+
+
+def make(**options) -> StereoEKF:
+    return start(
+        StereoEKF(
+            CAMERA, INDEPENDENT_PIXELS, **{"gate": None, "compiled": False, "measurement": ShearedPair(), **options}
+        )
+    )
+
+
+def with_variable(**changes) -> ShearedPair:
+    return ShearedPair((replace(DISPARITY_ERRORS, **changes),))
+
+
+# --- places ---
+
+
+def test_what_a_measurement_depends_on_stands_together_after_the_pose() -> None:
+    layout = Layout.of((DISPARITY_ERRORS,), (BIAS, MOUNTING))
+    assert list(layout.places) == ["pose", "disparity-errors", "velocity", "bias", "mounting"]
+    assert [place.stop - place.start for place in layout.places.values()] == [6, 2, 6, 6, 3]
+    assert layout.places["pose"] == slice(0, 6)
+    assert (layout.measured, layout.size) == (8, 23)
+    np.testing.assert_array_equal(np.concatenate([layout.rows[place] for place in layout.places.values()]), layout.rows)
+    assert layout.rows_of(("mounting", "disparity-errors")).tolist() == [20, 21, 22, 6, 7]
+    assert (layout.linear_velocity, layout.angular_velocity) == (slice(8, 11), slice(11, 14))
+
+
+def test_a_variable_of_both_models_is_one_variable() -> None:
+    layout = Layout.of((DISPARITY_ERRORS,), (BIAS, DISPARITY_ERRORS))
+    assert list(layout.places) == ["pose", "disparity-errors", "velocity", "bias"]
+
+
+def test_a_name_cannot_stand_for_two_variables() -> None:
+    other = replace(DISPARITY_ERRORS, value=[1.0, 0.0])
+    with pytest.raises(ValueError, match="'disparity-errors' is asked for by measurement and motion with different"):
+        Layout.of((DISPARITY_ERRORS,), (other,))
+    with pytest.raises(ValueError, match="variables must have different names, got bias, bias"):
+        Layout.of((), (BIAS, BIAS))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"name": "pose"}, 'name must be that of a new variable, not "pose" or "velocity", got \'pose\''),
+        ({"name": ""}, "name must be that of a new variable"),
+        ({"value": [np.nan, 0.0]}, "value of variable 'disparity-errors' must be finite"),
+        ({"covariance": [[1.0, 2.0], [2.0, 1.0]]}, "covariance of variable 'disparity-errors' must be"),
+        ({"random_walk": [0.1]}, "random_walk of variable 'disparity-errors' must have shape"),
+        ({"random_walk": [0.1, -0.1]}, "random_walk of variable 'disparity-errors' must be standard deviations >= 0"),
+    ],
+)
+def test_an_impossible_variable_is_refused(changes: dict, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        replace(DISPARITY_ERRORS, **changes)
+
+
+# --- belief ---
+
+
+def test_every_variable_has_a_belief_which_is_its_start_at_first() -> None:
+    slam = make(motion=BiasedOdometry())
+    for variable in (DISPARITY_ERRORS, BIAS, MOUNTING):
+        belief = slam.belief(variable.name)
+        np.testing.assert_array_equal(belief.value, variable.value)
+        np.testing.assert_array_equal(belief.covariance, variable.covariance)
+    pose, velocity = slam.belief("pose"), slam.belief("velocity")
+    np.testing.assert_array_equal(pose.value, np.concatenate([slam.pose.position, slam.pose.orientation]))
+    np.testing.assert_array_equal(pose.covariance, slam.pose.covariance)
+    np.testing.assert_array_equal(velocity.value, np.concatenate([slam.velocity.linear, slam.velocity.angular]))
+    np.testing.assert_array_equal(velocity.covariance, slam.velocity.covariance)
+    with pytest.raises(ValueError, match="there is no variable 'mountin', did you mean 'mounting'"):
+        slam.belief("mountin")
+
+
+def test_a_belief_is_no_view_of_the_state() -> None:
+    slam = make()
+    for array in vars(slam.belief("disparity-errors")).values():
+        array[...] = 7.0
+    np.testing.assert_array_equal(slam.belief("disparity-errors").value, DISPARITY_ERRORS.value)
+    np.testing.assert_array_equal(slam.belief("disparity-errors").covariance, DISPARITY_ERRORS.covariance)
+
+
+def test_a_prediction_is_the_dense_one_of_all_variables() -> None:
+    """F P F^T + G Q G^T, in the order in which the motion model names what it moves, and the random walks."""
+    slam = make(motion=BiasedOdometry())
+    slam.predict(DT, ODOMETRY)  # correlates them
+    layout, motion, P = slam.options.layout, slam.options.motion, symmetric.full(slam.state.P)
+    predicted = motion.predict(slam.state.camera, 0.4, ODOMETRY)
+    rows = layout.rows_of(motion.moves)
+    others = layout.rows_of(("disparity-errors",))
+    F = np.eye(layout.size)
+    F[np.ix_(rows, rows)] = predicted.F
+    added = np.zeros_like(F)
+    added[np.ix_(rows, rows)] = predicted.G @ predicted.Q @ predicted.G.T
+    bias = layout.rows[layout.places["bias"]]
+    added[bias, bias] += 0.4 * 0.01**2
+    slam.predict(0.4, ODOMETRY)
+    assert_covariances_equal(symmetric.full(slam.state.P), F @ P @ F.T + added, 1e-12)
+    np.testing.assert_array_equal(symmetric.full(slam.state.P)[np.ix_(others, others)], DISPARITY_ERRORS.covariance)
+
+
+@pytest.mark.parametrize("dt", [0.1, 2.0])
+def test_a_random_walk_adds_its_variance_for_every_second(dt: float) -> None:
+    slam = make(measurement=with_variable(random_walk=[0.2, 0.03]))
+    slam.predict(dt)
+    added = slam.belief("disparity-errors").covariance - DISPARITY_ERRORS.covariance
+    np.testing.assert_allclose(added, dt * np.diag([0.2, 0.03]) ** 2, rtol=0, atol=1e-15)
+
+
+def distorted(observation: StereoObservation, scale: float, shear: float) -> StereoObservation:
+    uvd = observation.uvd.copy()
+    uvd[:, 2] = scale * uvd[:, 2] + shear * (uvd[:, 1] - CAMERA.cy)
+    return StereoObservation(observation.ids, uvd)
+
+
+def test_an_estimated_variable_is_found_from_what_it_does_to_the_measurements() -> None:
+    """Scale and shear of the disparity, with odometry that tells the scale of the world."""
+    slam, truth = make(), np.array([1.0, 0.0])
+    frames = drive(30, 40, visible=25, depths=(6.0, 30.0))
+    before = (truth - slam.belief("disparity-errors").value) / np.sqrt(np.diag(DISPARITY_ERRORS.covariance))
+    for k, frame in enumerate(frames):
+        if k:
+            turn = Rotation.from_quat(frames[k - 1].orientation).inv() * Rotation.from_quat(frame.orientation)
+            moved = BodyVelocity([0.0, 0.0, SPEED], turn.as_rotvec() / DT, 0.02**2 * np.eye(6))
+            slam.predict(DT, moved)
+        slam.update(distorted(frame.observation, *truth))
+    belief = slam.belief("disparity-errors")
+    sigmas = np.sqrt(np.diag(belief.covariance))
+    assert (sigmas < 0.5 * np.sqrt(np.diag(DISPARITY_ERRORS.covariance))).all()
+    assert np.abs(before).min() > 1.4
+    assert (np.abs(belief.value - truth) < 3.0 * sigmas).all()
+
+
+def test_a_variable_is_corrected_by_its_own_retraction() -> None:
+    """A rotation stays a unit quaternion, and it moves."""
+    slam = make(motion=BiasedOdometry())
+    frames = drive(31, 10, visible=15, depths=(6.0, 30.0))
+    for k, frame in enumerate(frames):
+        if k:
+            slam.predict(DT, ODOMETRY)
+        slam.update(frame.observation)
+    mounting = slam.belief("mounting")
+    assert np.linalg.norm(mounting.value) == pytest.approx(1.0, abs=1e-12)
+    assert np.abs(mounting.value - MOUNTING.value).max() > 1e-4
+    assert np.trace(mounting.covariance) < np.trace(MOUNTING.covariance)
+
+
+def test_sigma_points_know_no_variables() -> None:
+    with pytest.raises(ValueError, match="measurement must have no variables with update=Unscented"):
+        make(update="unscented")
+
+
+# --- considered ---
+
+
+def schmidt(P: np.ndarray, measurements, considered: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Schmidt's filter written out: no gain for the considered rows, and the covariance that this gain really has."""
+    nu, H, R = dense(measurements, len(P))
+    K = np.linalg.solve(H @ P @ H.T + R, H @ P).T
+    K[considered] = 0.0
+    I_KH = np.eye(len(P)) - K @ H
+    return K @ nu, I_KH @ P @ I_KH.T + K @ R @ K.T
+
+
+@pytest.mark.parametrize("chunk", [1, 7, 100])
+def test_an_update_with_considered_rows_is_the_schmidt_kalman_filter(chunk: int) -> None:
+    rng = np.random.default_rng(33)
+    P = random_covariance(rng, 12 + 3 * 20)
+    measurements = random_measurements(rng, 25, 3, 20, camera=8)
+    considered = np.array([6, 7, 10])
+    updated = lower(P)
+    correction = kalman.update(updated, measurements, considered, chunk)
+    delta, expected = schmidt(P, measurements, considered)
+    sigmas = np.sqrt(np.diag(P))
+    np.testing.assert_allclose(correction.delta / sigmas, delta / sigmas, rtol=0, atol=1e-8)
+    assert_covariances_equal(symmetric.full(updated), expected, 1e-8)
+    np.testing.assert_array_equal(correction.delta[considered], 0.0)
+    square = np.ix_(considered, considered)
+    np.testing.assert_array_equal(np.tril(updated[square]), np.tril(P[square]))
+
+
+def corrected(slam: StereoFilter, frames: list) -> None:
+    for k, frame in enumerate(frames):
+        if k:
+            slam.predict(DT)
+        slam.update(frame.observation)
+
+
+@pytest.mark.parametrize("error", ["quaternion", "right-invariant", "first-estimates"])
+@pytest.mark.parametrize("iterations", [1, 3])
+def test_a_considered_variable_never_changes_and_makes_the_rest_less_sure(error: str, iterations: int) -> None:
+    frames = drive(32, 12, visible=15, depths=(6.0, 30.0))
+    known = np.zeros((2, 2))
+    considered, certain = (
+        make(measurement=pair, error=error, iterations=iterations)
+        for pair in (with_variable(considered=True), with_variable(covariance=known))
+    )
+    corrected(considered, frames)
+    corrected(certain, frames)
+    belief = considered.belief("disparity-errors")
+    np.testing.assert_array_equal(belief.value, DISPARITY_ERRORS.value)
+    np.testing.assert_array_equal(belief.covariance, DISPARITY_ERRORS.covariance)
+    rows = considered.options.layout.rows_of(("disparity-errors",))
+    cross = symmetric.full(considered.state.P)[rows][:, :6]
+    assert np.abs(cross).max() > 1e-6
+    assert (np.diag(considered.pose.covariance) > np.diag(certain.pose.covariance)).all()
+
+
+def test_an_estimated_variable_of_no_variance_is_no_variable() -> None:
+    """The same estimates as without: here, of a pair whose disparity is as it should be."""
+    frames = drive(34, 12, visible=15, depths=(6.0, 30.0))
+    exact = Variable("disparity-errors", [1.0, 0.0], np.zeros((2, 2)))
+    with_it, without = make(measurement=ShearedPair((exact,))), make(measurement="joint")
+    corrected(with_it, frames)
+    corrected(without, frames)
+    np.testing.assert_allclose(with_it.pose.position, without.pose.position, rtol=0, atol=1e-9)
+    assert_covariances_equal(with_it.pose.covariance, without.pose.covariance, 1e-8)
+    with_it.reset(Start())
+    np.testing.assert_array_equal(with_it.belief("disparity-errors").value, exact.value)

@@ -1,0 +1,65 @@
+"""Parts as a third party would write them: the fewest functions there may be, numerical Jacobians, own variables."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from filters import BodyVelocity, CameraState, MeasurementModel, MotionModel, StereoCamera, Variable, rotations
+from filters.measurements.model import Values
+from filters.retractions import RotationVector
+from filters.validation import FloatArray
+
+DISPARITY_ERRORS = Variable("disparity-errors", [1.02, 0.003], np.diag([0.01, 0.002]) ** 2)
+"""Scale of the disparity, and its shear over v."""
+
+
+@dataclass(frozen=True)
+class ShearedPair(MeasurementModel):
+    """A rectified pair whose disparity has an unknown scale and shear: d' = s d + t (v - cy)."""
+
+    variables: tuple[Variable, ...] = (DISPARITY_ERRORS,)
+
+    def predict(self, camera: StereoCamera, points_c: FloatArray, values: Values) -> FloatArray:
+        """(u, v, d')."""
+        scale, shear = values["disparity-errors"]
+        uvd = camera.project_scaled(points_c[..., :3], points_c[..., 3])
+        uvd[..., 2] = scale * uvd[..., 2] + shear * (uvd[..., 1] - camera.cy)
+        return uvd
+
+    def backproject(self, camera: StereoCamera, uvd: FloatArray, values: Values) -> FloatArray:
+        """The inverse."""
+        scale, shear = values["disparity-errors"]
+        d = (uvd[:, 2] - shear * (uvd[:, 1] - camera.cy)) / scale
+        return np.column_stack([camera.ray(uvd), d / camera.disparity_constant])
+
+
+BIAS = Variable("bias", [0.1, 0.0, -0.05, 0.01, 0.0, 0.02], 0.05**2 * np.eye(6), random_walk=np.full(6, 0.01))
+"""Of odometry, m/s and rad/s."""
+MOUNTING = Variable(
+    "mounting", rotations.exp_quaternion([0.02, -0.01, 0.03]), 0.01**2 * np.eye(3), retraction=RotationVector()
+)
+"""Rotation of the odometer in the camera frame."""
+
+
+@dataclass(frozen=True)
+class BiasedOdometry(MotionModel):
+    """Dead reckoning by an odometer that is biased and mounted askew."""
+
+    variables: tuple[Variable, ...] = (BIAS, MOUNTING)
+
+    def move(self, state: CameraState, dt: float, odometry: BodyVelocity | None, noise: FloatArray) -> CameraState:
+        """The measured velocity less bias and noise, turned into the camera frame."""
+        assert odometry is not None
+        measured = np.concatenate([odometry.linear, odometry.angular]) - state.variables["bias"] - noise
+        mounted = rotations.matrix(state.variables["mounting"])
+        linear, angular = mounted @ measured[:3], mounted @ measured[3:]
+        orientation = rotations.multiply(state.orientation, rotations.exp_quaternion(angular * dt))
+        velocity = state.R_wc @ linear
+        return CameraState(state.position + velocity * dt, orientation, velocity, angular, state.variables)
+
+    def noise(self, dt: float, odometry: BodyVelocity | None) -> FloatArray:
+        """That of the odometer."""
+        assert odometry is not None
+        return odometry.covariance
