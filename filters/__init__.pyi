@@ -33,7 +33,12 @@ from .landmarks.model import LandmarkModel as LandmarkModel
 from .landmarks.model import Points as Points
 from .landmarks.model import ScaledPoints as ScaledPoints
 from .landmarks.model import StartedLandmarks as StartedLandmarks
+from .landmarks.polar import Polar as Polar
 from .landmarks.shared_anchor import SharedAnchorInverseDepth as SharedAnchorInverseDepth
+from .landmarks.spherical import Spherical as Spherical
+from .measurements.calibrated_pair import CalibratedPair as CalibratedPair
+from .measurements.depth_camera import DepthCamera as DepthCamera
+from .measurements.fisheye_pair import FisheyePair as FisheyePair
 from .measurements.model import MeasurementModel as MeasurementModel
 from .measurements.model import SensorJacobians as SensorJacobians
 from .measurements.model import Stage as Stage
@@ -42,6 +47,7 @@ from .measurements.rectified_pair import LeftThenRight as LeftThenRight
 from .measurements.rectified_pair import RangeBearing as RangeBearing
 from .measurements.rectified_pair import RectifiedPair as RectifiedPair
 from .measurements.rectified_pair import Stacked as Stacked
+from .measurements.unrectified_pair import UnrectifiedPair as UnrectifiedPair
 from .monitor import Alarm as Alarm
 from .monitor import Cause as Cause
 from .monitor import DivergenceMonitor as DivergenceMonitor
