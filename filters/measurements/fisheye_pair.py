@@ -61,7 +61,7 @@ def _pixels(camera: StereoCamera, directions: FloatArray) -> FloatArray:
 def _point(camera: StereoCamera, uvd: FloatArray, least: float = 0.0) -> tuple[FloatArray, FloatArray]:
     """The left ray (sin a, cos a n), n in the plane x = 0, and the scale: tan a' = (sin a - scale baseline) / cos a.
 
-    The right ray is (sin a', cos a' n); its column, nearly linear in a', gives a' by Newton's method: six passes do for a disparity of half a radian.
+    The right ray is (sin a', cos a' n). Its column, nearly linear in a', gives a' by six passes of Newton's method.
     """
     flat = (uvd[:, :2] - [camera.cx, camera.cy]) / [camera.fx, camera.fy]
     theta = np.linalg.norm(flat, axis=1, keepdims=True)
