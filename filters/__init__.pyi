@@ -8,6 +8,7 @@ from .conformance import assert_healthy as assert_healthy
 from .conformance import check_filter as check_filter
 from .conformance import shown_arrays as shown_arrays
 from .conformance_pytest import parametrize_with_checks as parametrize_with_checks
+from .conformance_pytest import parametrize_with_part_checks as parametrize_with_part_checks
 from .consistency import nees as nees
 from .differences import jacobian as jacobian
 from .engine.ekf import StereoEKF as StereoEKF
@@ -58,6 +59,7 @@ from .motions.model import MotionModel as MotionModel
 from .motions.model import MotionPrediction as MotionPrediction
 from .motions.velocity_driven import VelocityDriven as VelocityDriven
 from .noise import StereoNoise as StereoNoise
+from .part_checks import check_part as check_part
 from .parts import available_parts as available_parts
 from .parts import make_part as make_part
 from .poses import Pose as Pose

@@ -41,7 +41,8 @@ class Spherical(LandmarkModel):
 
     def parameters_of(self, position: FloatArray, h_w: FloatArray, scale: FloatArray) -> FloatArray:
         """The unit vector of the direction, and scale / length."""
-        return np.column_stack([h_w, scale]) / np.linalg.norm(h_w, axis=1, keepdims=True)
+        m_rho: FloatArray = np.column_stack([h_w, scale]) / np.linalg.norm(h_w, axis=1, keepdims=True)
+        return m_rho
 
     def homogeneous(self, position: FloatArray, anchors: FloatArray | None, parameters: FloatArray) -> FloatArray:
         """Direction = rho (anchor - r) + m, scale = rho."""

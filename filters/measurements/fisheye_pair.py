@@ -74,7 +74,7 @@ def _point(camera: StereoCamera, uvd: FloatArray, least: float = 0.0) -> tuple[F
         n = m[:, 1:] / np.linalg.norm(m[:, 1:], axis=1, keepdims=True)
         turned = a = np.arcsin(np.clip(m[:, 0], -1.0, 1.0))
         for _ in range(6):
-            slope = differences.jacobian(lambda e, at=turned: column(at + e), 1)[:, 0]
+            slope = differences.jacobian(lambda e, at=turned: column(at + e), 1)[:, 0]  # type: ignore[misc]
             turned = turned - (column(turned) - (uvd[:, 0] - uvd[:, 2])) / slope
         scale = (np.sin(a) - np.cos(a) * np.tan(turned)) / camera.baseline
     return m, np.where(np.abs(slope) * np.cos(a) > least * camera.fx, scale, np.nan)
