@@ -60,8 +60,7 @@ def drive(seed: int) -> tuple[list[tuple[BodyVelocity, StereoObservation]], np.n
     """What the filter is given frame by frame; the true pose and the true biases at the end."""
     rng = np.random.default_rng(seed)
     position, heading, bias = np.zeros(3), Rotation.identity(), BIASES * rng.standard_normal(6)
-    points, frames = np.zeros((0, 3)), []
-    ids = np.zeros(0, dtype=np.int64)
+    points, ids, frames = np.zeros((0, 3)), np.zeros(0, dtype=np.int64), []
     for frame in range(FRAMES):
         v, w = np.array([0.0, 0.0, 5.0]), np.array([0.0, 0.3 * np.sin(0.2 * frame), 0.0])
         if frame:
@@ -113,6 +112,9 @@ def test_with_its_biases_the_pose_is_as_certain_as_it_is_right_and_without_it_is
 
 def test_the_biases_are_found() -> None:
     beliefs = [driven(seed, BiasedRates()).belief("rate-bias") for seed in range(RUNS)]
-    off = [(drive(seed)[3] - b.value) / np.sqrt(np.diag(b.covariance)) for seed, b in enumerate(beliefs)]
-    assert np.mean(np.abs(off) < 3.0) > 0.99
+    errors = [drive(seed)[3] - belief.value for seed, belief in enumerate(beliefs)]
+    squared = [e @ np.linalg.solve(b.covariance, e) / 6.0 for e, b in zip(errors, beliefs, strict=True)]
+    assert LOW < np.mean(squared) < HIGH
+    off = [np.abs(e) / np.sqrt(np.diag(b.covariance)) for e, b in zip(errors, beliefs, strict=True)]
+    assert np.mean(np.array(off) < 3.0) > 0.99
     assert all((np.diag(b.covariance) < 0.1 * BIASES**2).all() for b in beliefs)
