@@ -8,6 +8,7 @@ from .conformance import assert_healthy as assert_healthy
 from .conformance import check_filter as check_filter
 from .conformance import shown_arrays as shown_arrays
 from .conformance_pytest import parametrize_with_checks as parametrize_with_checks
+from .conformance_pytest import parametrize_with_part_checks as parametrize_with_part_checks
 from .consistency import nees as nees
 from .differences import jacobian as jacobian
 from .engine.ekf import StereoEKF as StereoEKF
@@ -33,7 +34,12 @@ from .landmarks.model import LandmarkModel as LandmarkModel
 from .landmarks.model import Points as Points
 from .landmarks.model import ScaledPoints as ScaledPoints
 from .landmarks.model import StartedLandmarks as StartedLandmarks
+from .landmarks.polar import Polar as Polar
 from .landmarks.shared_anchor import SharedAnchorInverseDepth as SharedAnchorInverseDepth
+from .landmarks.spherical import Spherical as Spherical
+from .measurements.calibrated_pair import CalibratedPair as CalibratedPair
+from .measurements.depth_camera import DepthCamera as DepthCamera
+from .measurements.fisheye_pair import FisheyePair as FisheyePair
 from .measurements.model import MeasurementModel as MeasurementModel
 from .measurements.model import SensorJacobians as SensorJacobians
 from .measurements.model import Stage as Stage
@@ -42,6 +48,7 @@ from .measurements.rectified_pair import LeftThenRight as LeftThenRight
 from .measurements.rectified_pair import RangeBearing as RangeBearing
 from .measurements.rectified_pair import RectifiedPair as RectifiedPair
 from .measurements.rectified_pair import Stacked as Stacked
+from .measurements.unrectified_pair import UnrectifiedPair as UnrectifiedPair
 from .monitor import Alarm as Alarm
 from .monitor import Cause as Cause
 from .monitor import DivergenceMonitor as DivergenceMonitor
@@ -52,6 +59,7 @@ from .motions.model import MotionModel as MotionModel
 from .motions.model import MotionPrediction as MotionPrediction
 from .motions.velocity_driven import VelocityDriven as VelocityDriven
 from .noise import StereoNoise as StereoNoise
+from .part_checks import check_part as check_part
 from .parts import available_parts as available_parts
 from .parts import make_part as make_part
 from .poses import Pose as Pose

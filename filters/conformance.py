@@ -9,9 +9,10 @@ from __future__ import annotations
 import copy
 import inspect
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -47,12 +48,12 @@ class ConformanceError(AssertionError):
 
 @dataclass(frozen=True)
 class ConformanceReport:
-    """Result of `check_filter`.
+    """Result of `check_filter` or `check_part`.
 
     Attributes
     ----------
     filter_name : str
-        Class of the filter.
+        Class of the filter or of the part.
     passed, failed : tuple of str
         One line a check.
     """
@@ -88,16 +89,21 @@ def check_filter(factory: str | FilterFactory, *, raise_on_failure: bool = True)
     ValueError
         There is no filter of that name.
     """
-    make = as_benchmarks_make_it(factory)
+    return checked(label_of(factory), CHECKS, as_benchmarks_make_it(factory), raise_on_failure)
+
+
+def checked(
+    name: str, checks: Sequence[Callable[[Any], None]], subject: object, raise_on_failure: bool
+) -> ConformanceReport:
+    """Run the checks of a filter or a part; see `check_filter`."""
     passed, failed = [], []
-    name = label_of(factory)
-    for check in CHECKS:
+    for check in checks:
         line = (inspect.getdoc(check) or check.__name__).splitlines()[0].rstrip(".")
         try:
-            check(make)
+            check(subject)
         except AssertionError as error:
             failed.append(f"{line}: {error}")
-        except Exception as error:  # a filter may raise anything; that is a failed check like any other
+        except Exception as error:  # whatever else it raises is a failed check, too
             failed.append(f"{line}: raised {type(error).__name__}: {error}")
         else:
             passed.append(line)

@@ -1,11 +1,12 @@
-"""The checks of `check_filter` as pytest cases (after scikit-learn's `parametrize_with_checks`)."""
+"""The checks of `check_filter` and `check_part` as pytest cases (after scikit-learn's `parametrize_with_checks`)."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
 
 from filters.conformance import CHECKS, as_benchmarks_make_it
+from filters.part_checks import checks_of
 from filters.registry import FilterFactory, label_of
 
 if TYPE_CHECKING:
@@ -37,13 +38,43 @@ def parametrize_with_checks(filters: Sequence[str | FilterFactory]) -> pytest.Ma
     ... def test_contract(filter, check):
     ...     check(filter)
     """
-    import pytest  # a test has it; estimation does without
-
     if isinstance(filters, str) or not isinstance(filters, Sequence) or not filters:
         raise ValueError(f"filters must be a list of filter classes and names, such as [MyFilter], got {filters!r}")
+    return _cases("filter", [(label_of(factory), as_benchmarks_make_it(factory), CHECKS) for factory in filters])
+
+
+def parametrize_with_part_checks(parts: Sequence[object]) -> pytest.MarkDecorator:
+    """Decorate a test with arguments `part` and `check`: one case for each part and check of `check_part`.
+
+    Parameters
+    ----------
+    parts : sequence of LandmarkModel, MeasurementModel, MotionModel or ErrorDefinition
+        Parts, each as `check_part` takes it.
+
+    Raises
+    ------
+    ValueError
+        `parts` is empty or no sequence, or something in it is no such part.
+
+    Examples
+    --------
+    >>> @parametrize_with_part_checks([MyLandmark(), MyMotion(0.3)])
+    ... def test_part(part, check):
+    ...     check(part)
+    """
+    if not isinstance(parts, Sequence) or not parts:
+        raise ValueError(f"parts must be a list of parts, such as [MyLandmark()], got {parts!r}")
+    return _cases("part", [(type(part).__name__, part, checks_of(part)) for part in parts])
+
+
+def _cases(
+    argument: str, subjects: Sequence[tuple[str, object, Sequence[Callable[[Any], None]]]]
+) -> pytest.MarkDecorator:
+    import pytest  # a test has it; estimation does without
+
     cases = [
-        pytest.param(make, check, id=f"{label_of(factory)}-{check.__name__}")
-        for factory, make in [(factory, as_benchmarks_make_it(factory)) for factory in filters]
-        for check in CHECKS
+        pytest.param(subject, check, id=f"{name}-{check.__name__}")
+        for name, subject, checks in subjects
+        for check in checks
     ]
-    return pytest.mark.parametrize(("filter", "check"), cases)
+    return pytest.mark.parametrize((argument, "check"), cases)

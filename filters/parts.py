@@ -28,9 +28,15 @@ from filters.landmarks.euclidean import Euclidean
 from filters.landmarks.hybrid import Hybrid
 from filters.landmarks.inverse_depth import InverseDepth
 from filters.landmarks.model import LandmarkModel
+from filters.landmarks.polar import Polar
 from filters.landmarks.shared_anchor import SharedAnchorInverseDepth
+from filters.landmarks.spherical import Spherical
+from filters.measurements.calibrated_pair import CalibratedPair
+from filters.measurements.depth_camera import DepthCamera
+from filters.measurements.fisheye_pair import FisheyePair
 from filters.measurements.model import MeasurementModel
 from filters.measurements.rectified_pair import LeftOnly, LeftThenRight, RangeBearing, Stacked
+from filters.measurements.unrectified_pair import UnrectifiedPair
 from filters.motions.constant_velocity import ConstantVelocity
 from filters.motions.model import MotionModel
 from filters.motions.velocity_driven import VelocityDriven
@@ -71,12 +77,23 @@ SLOTS: Mapping[str, Slot] = {
             "shared-anchor": SharedAnchorInverseDepth,
             "euclidean": Euclidean,
             "hybrid": Hybrid,
+            "spherical": Spherical,
+            "polar": Polar,
         },
         "stereo_slam.landmarks",
     ),
     "measurement": Slot(
         MeasurementModel,
-        {"joint": RangeBearing, "sequential": LeftThenRight, "stacked": Stacked, "left": LeftOnly},
+        {
+            "joint": RangeBearing,
+            "sequential": LeftThenRight,
+            "stacked": Stacked,
+            "left": LeftOnly,
+            "calibrated": CalibratedPair,
+            "unrectified": UnrectifiedPair,
+            "depth": DepthCamera,
+            "fisheye": FisheyePair,
+        },
         "stereo_slam.measurements",
     ),
     "motion": Slot(

@@ -28,6 +28,7 @@ class FirstEstimates(ErrorDefinition):
 
     constrains: ClassVar[bool] = True
     linearises_at_the_state: ClassVar[bool] = False
+    reset = False
     kernel: ClassVar[str | None] = "first-estimates"
 
     def transport(self, state: JointState, moved: JointState, delta: FloatArray) -> Transport:

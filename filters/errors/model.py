@@ -34,6 +34,8 @@ class ErrorDefinition:
         Whether `linearisation_point` is always None.
     submaps : bool
         Whether `SubmapEKF` can use it: blocks are corrected one by one.
+    reset : bool
+        Whether `transport` is the full Jacobian of the retraction.
     kernel : str or None
         Compiled counterpart. It holds for the class that states it, not for its subclasses.
     """
@@ -42,6 +44,7 @@ class ErrorDefinition:
     constrains: ClassVar[bool] = False
     linearises_at_the_state: ClassVar[bool] = True
     submaps: ClassVar[bool] = True
+    reset: bool = True
     kernel: ClassVar[str | None] = None
 
     def moved(self, state: JointState, delta: FloatArray) -> JointState:

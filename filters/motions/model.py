@@ -139,10 +139,10 @@ class MotionModel:
         size = CAMERA_SIZE + sum(variable.size for variable in self.variables)
 
         def by_state(delta: FloatArray) -> FloatArray:
-            return self._error(there, self.move(self._corrected(state, delta), dt, odometry, still))
+            return self.difference(there, self.move(self.corrected(state, delta), dt, odometry, still))
 
         F = differences.jacobian(by_state, size)
-        G = differences.jacobian(lambda n: self._error(there, self.move(state, dt, odometry, n)), len(Q))
+        G = differences.jacobian(lambda n: self.difference(there, self.move(state, dt, odometry, n)), len(Q))
         return MotionPrediction(there, F, G, Q)
 
     def odometry_measurement(self, state: CameraState, dt: float, odometry: BodyVelocity) -> LinearMeasurement | None:
@@ -154,7 +154,8 @@ class MotionModel:
         """Names of what F moves, in its order."""
         return (POSE, VELOCITY, *(variable.name for variable in self.variables))
 
-    def _corrected(self, state: CameraState, delta: FloatArray) -> CameraState:
+    def corrected(self, state: CameraState, delta: FloatArray) -> CameraState:
+        """The state with errors (m,) of what the model moves added."""
         moved, row = dict(state.variables), CAMERA_SIZE
         for variable in self.variables:
             part = delta[row : row + variable.size]
@@ -168,7 +169,8 @@ class MotionModel:
             moved,
         )
 
-    def _error(self, state: CameraState, other: CameraState) -> FloatArray:
+    def difference(self, state: CameraState, other: CameraState) -> FloatArray:
+        """Errors (m,) that take `state` to `other`."""
         own = [x.retraction.local(state.variables[x.name], other.variables[x.name]) for x in self.variables]
         return np.concatenate(
             [

@@ -12,14 +12,19 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
-from stereo_slam_env.cli.parts import Interrupted, console, one_line_errors, rig_from, show_place
+from stereo_slam_env.cli.parts import Interrupted, console, listed, one_line_errors, rig_from, show_place
 
 if TYPE_CHECKING:
     from stereo_slam_env.benchmark import FilterChoice, PolicyChoice, Scenario, Study
     from stereo_slam_env.benchmark.storage.store import StudyDirectory
 
 Choice = TypeVar("Choice", "FilterChoice", "PolicyChoice")
-FiltersOption = Annotated[str | None, typer.Option("--filters", help="Names, separated by commas.", metavar="A,B")]
+FiltersOption = Annotated[
+    str | None,
+    typer.Option(
+        "--filters", help="Names, or tables such as {name = 'hybrid', options = {gate = 0.9}}.", metavar="A,B"
+    ),
+]
 PolicyOption = Annotated[
     str | None,
     typer.Option(
@@ -145,7 +150,7 @@ def bench(
             if odometry is not None:
                 changes["use_odometry"] = odometry
             if policy is not None:
-                changes["policies"] = _chosen(policy, one.policies, policy_choice)
+                changes["policies"] = _chosen("--policy", policy, one.policies, policy_choice)
             one = replace(one, **changes).with_sensor(measured, drawn)
             return _adjusted(one, filters, frames, sigma_px, gate, search)
 
@@ -224,7 +229,7 @@ def _adjusted(
 
     changes: dict[str, Any] = {}
     if filters is not None:
-        changes["filters"] = _chosen(filters, scenario.filters, filter_choice)
+        changes["filters"] = _chosen("--filters", filters, scenario.filters, filter_choice)
     if frames is not None:
         changes["frames"] = frames
     if sigma_px is not None:
@@ -237,11 +242,13 @@ def _adjusted(
     return replace(scenario, **changes)
 
 
-def _chosen(names: str, own: Sequence[Choice], usual: Callable[[str], Choice]) -> tuple[Choice, ...]:
-    """The choices that a scenario has under these labels, or else the usual ones of these names."""
+def _chosen(
+    option: str, text: str, own: Sequence[Choice], usual: Callable[[str | dict[str, Any]], Choice]
+) -> tuple[Choice, ...]:
+    """The choices that a scenario has under these labels, or else the usual ones of these names or tables."""
     labelled = {choice.label: choice for choice in own}
-    wanted = [name.strip() for name in names.split(",") if name.strip()]
-    return tuple(labelled.get(name) or usual(name) for name in wanted)
+    entries = listed(option, text)
+    return tuple((isinstance(entry, str) and labelled.get(entry)) or usual(entry) for entry in entries)
 
 
 def _gate(text: str) -> float | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -69,6 +70,38 @@ def rig_from(text: str) -> str | dict[str, Any]:
             raise ValueError(f"--rig must give each number and the name once, got {text!r}")
         rig[key] = number
     return text.strip() if set(rig) == {"name"} else rig
+
+
+def listed(option: str, text: str) -> list[str | dict[str, Any]]:
+    """Names, and tables as scenario files have them, separated by commas: A,{name = "B", options = {gate = 0.9}}.
+
+    Raises
+    ------
+    ValueError
+        A table is not written as TOML has it.
+    """
+    pieces, depth = [""], 0
+    for character in text:
+        depth += {"{": 1, "}": -1}.get(character, 0)
+        if character == "," and depth == 0:
+            pieces.append("")
+        else:
+            pieces[-1] += character
+    entries = [piece.strip() for piece in pieces if piece.strip()]
+    return [_table(option, entry) if entry.startswith("{") else entry for entry in entries]
+
+
+def _table(option: str, text: str) -> dict[str, Any]:
+    if sys.version_info >= (3, 11):
+        import tomllib
+    else:
+        import tomli as tomllib
+    try:
+        table: dict[str, Any] = tomllib.loads(f"table = {text}")["table"]
+    except tomllib.TOMLDecodeError as error:
+        usual = '{name = "hybrid", options = {gate = 0.9}}'
+        raise ValueError(f"{option} must be names, or tables such as {usual}, got {text}: {error}") from None
+    return table
 
 
 def show_place(page: Path) -> None:

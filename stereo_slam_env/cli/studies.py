@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from stereo_slam_env.cli.parts import Interrupted, console, one_line_errors, show_place
+from stereo_slam_env.cli.parts import Interrupted, console, listed, one_line_errors, show_place
 
 if TYPE_CHECKING:
     from stereo_slam_env.studies.faults import FaultMatrix
@@ -106,7 +106,7 @@ def faults(
             for name, fault in FAULTS.items():
                 typer.echo(f"{name:<{width}}  {fault.line}")
             return
-        choices = [filter_choice(name.strip()) for name in filters.split(",")]
+        choices = [filter_choice(entry) for entry in listed("--filters", filters)]
         with progress_bar(console(stderr=True), "drives") as progress:
             matrix = run_matrix(choices, tuple(names or FAULTS), seeds, Backend(jobs=jobs), progress)
         if out is not None:

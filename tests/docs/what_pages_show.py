@@ -218,6 +218,16 @@ def shows_write_a_filter(names, printed):
     assert "0 of 10   0 of 10" in table
 
 
+def shows_write_a_part(names, printed):
+    assert "InverseVector must have parameters_of" in printed  # the empty file
+    for part in ("InverseVector", "LooseCentre", "Coasting", "RodriguesError"):
+        assert re.search(f"^{part}: . checks passed, 0 failed$", printed, re.MULTILINE)
+    assert re.search("^Careless: . checks passed, 1 failed$", printed, re.MULTILINE)
+    assert re.search("^mine: .* checks passed, 0 failed$", printed, re.MULTILINE)
+    figures = {summary.filter_name: summary for summary in names["comparison"].summaries}
+    assert figures["mine"].position_rmse_m < 2.0 * figures["inverse-depth"].position_rmse_m
+
+
 def shows_your_data(names, printed):
     written = open_image_sequence("out/sequences/00")
     assert len(written) == 4
@@ -247,6 +257,7 @@ SHOWS = {
     "docs/view.md": shows_view,
     "docs/wrappers.md": shows_wrappers,
     "docs/write_a_filter.md": shows_write_a_filter,
+    "docs/write_a_part.md": shows_write_a_part,
     "docs/your_data.md": shows_your_data,
 }
 """Called with the names that a page leaves behind and what it printed."""

@@ -98,14 +98,16 @@ DEFAULT_FILTERS = (
 )
 
 
-def filter_choice(name: str) -> FilterChoice:
-    """The default choice of that name, or the filter as it comes."""
-    return next((choice for choice in DEFAULT_FILTERS if choice.label == name), FilterChoice(name, name))
+def filter_choice(entry: str | Mapping[str, Any]) -> FilterChoice:
+    """The default choice of that name, or the filter as it comes; or what a table of name, options and label says."""
+    if not isinstance(entry, str):
+        return FilterChoice.from_dict("filters", entry)
+    return next((choice for choice in DEFAULT_FILTERS if choice.label == entry), FilterChoice(entry, entry))
 
 
-def policy_choice(name: str) -> PolicyChoice:
-    """The policy as it comes."""
-    return PolicyChoice(name, name)
+def policy_choice(entry: str | Mapping[str, Any]) -> PolicyChoice:
+    """The policy as it comes, or what a table of name, options and label says."""
+    return PolicyChoice(entry, entry) if isinstance(entry, str) else PolicyChoice.from_dict("policies", entry)
 
 
 @dataclass(frozen=True)
@@ -330,14 +332,13 @@ class Scenario:
             raise ValueError("scenario must have a name")
         values = dict(data)
         source = source_of(values.pop("kind", "street"), values.pop("options", {}))
-        choices: tuple[tuple[str, type[_Choice], Callable[[str], _Choice]], ...] = (
-            ("filters", FilterChoice, filter_choice),
-            ("policies", PolicyChoice, policy_choice),
+        choices: tuple[tuple[str, Callable[[str | Mapping[str, Any]], _Choice]], ...] = (
+            ("filters", filter_choice),
+            ("policies", policy_choice),
         )
-        for key, kind, usual in choices:
+        for key, choice in choices:
             if key in values:
-                entries = checked(key, values[key], list[str | dict[str, Any]])
-                values[key] = tuple(usual(e) if isinstance(e, str) else kind.from_dict(key, e) for e in entries)
+                values[key] = tuple(choice(e) for e in checked(key, values[key], list[str | dict[str, Any]]))
         return cls(source=source, **values)
 
 

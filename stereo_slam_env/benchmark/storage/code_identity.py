@@ -19,6 +19,8 @@ ROOT = Path(__file__).resolve().parents[3]
 NO_RESULT = (
     "filters/compilation.py",
     "filters/conformance",
+    "filters/part_checks",
+    "filters/part_contracts/",
     "stereo_slam_env/api.py",
     "stereo_slam_env/benchmark/campaign.py",
     "stereo_slam_env/benchmark/head_to_head.py",

@@ -224,6 +224,29 @@ def test_a_full_disk_is_told_in_one_line_with_what_is_kept(command, tmp_path, mo
     monkeypatch.undo()
 
 
+NEAR_IS_XYZ = {"landmark": {"name": "hybrid", "linearity_limit": 0.02}}
+TABLE = '{label = "near", name = "inverse-depth", options = {landmark = {name = "hybrid", linearity_limit = 0.02}}}'
+
+
+def test_filters_are_named_or_written_as_in_a_scenario_file(command, tmp_path):
+    """A part is a table of its settings with its name, in `bench`, in `replay` and in a file alike."""
+    (tmp_path / "mine.toml").write_text(
+        'name = "mine"\nkind = "reference"\nseeds = 1\nframes = 4\noptions = { name = "short_turn" }\n'
+        f'filters = ["inverse-depth", {TABLE}]\n'
+    )
+    drive = kitti07(tmp_path / "drive")
+    for name, arguments in {
+        "bench": (*BENCH, "--filters", f"inverse-depth, {TABLE}"),
+        "replay": ("replay", drive, "--jobs", 1, "--filters", f"inverse-depth,{TABLE}"),
+        "file": ("bench", "--scenario", tmp_path / "mine.toml", "--jobs", 1),
+    }.items():
+        assert command(*arguments, "--out", tmp_path / name)[0] == 0
+        filters = json.loads((tmp_path / name / "summary.json").read_text())["filters"]
+        assert list(filters) == ["inverse-depth", "near"]
+        assert filters["near"]["options"].items() >= NEAR_IS_XYZ.items()
+        assert "landmark" not in filters["inverse-depth"]["options"]
+
+
 @pytest.mark.parametrize("layout", [kitti07, kitti00])
 def test_replay_runs_filters_over_a_folder(command, tmp_path, layout):
     layout(tmp_path / "drive")
@@ -359,6 +382,15 @@ def test_scenes_are_listed_and_drawn(command, tmp_path):
         (("bench", "--scenario", "no.json"), "no.json does not exist"),
         (("bench", "--filters", "inverse-dept"), "did you mean 'inverse-depth'?"),
         (("bench", "--filters", ","), "at least one filter"),
+        (("bench", "--filters", '{name = "hybrid"'), '--filters must be names, or tables such as {name = "hybrid",'),
+        (
+            ("bench", "--filters", '{name = "hybrid", gate = 0.9}'),
+            "filters has no key 'gate'. Known: label, name, options",
+        ),
+        (("bench", "--filters", TABLE.replace("hybrid", "hybird")), "landmark must be one of 'inverse-depth', "),
+        (("bench", "--filters", TABLE.replace("_limit", "_limt")), "did you mean 'linearity_limit'?"),
+        (("bench", "--filters", TABLE.replace("0.02", "-1")), "linearity_limit must be a finite number > 0, got -1"),
+        (("faults", "--filters", '{name = "hybrid"'), "--filters must be names, or tables such as"),
         (("bench", "--gate", "tight"), "--gate must be a probability"),
         (("bench", "--gate", "2"), "gate must be a probability"),
         (("bench", "--sigma", "-1"), "must be a finite number > 0"),

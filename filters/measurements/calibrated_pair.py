@@ -1,0 +1,80 @@
+"""The rectified pair with the errors of its calibration as a variable of the state."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from filters import rotations
+from filters.camera import StereoCamera
+from filters.measurements.model import MeasurementModel, SensorJacobians, Values
+from filters.validation import FloatArray, positive
+from filters.variables import Variable
+
+_PRIORS = ("offset_sigma", "focal_sigma", "baseline_sigma", *("misalignment_sigma",) * 3)
+
+
+@dataclass(frozen=True)
+class CalibratedPair(MeasurementModel):
+    """u = cx + (1 + s_f) (u0 - cx), v alike, d = (1 + s_f) (1 + s_b) d0 + o; (u0, v0, d0) is Eq. 10 of Exp(X) h_c.
+
+    The variable "calibration" has those of o, s_f, s_b and X (3) that have a prior, in this order, zero at the start.
+
+    Parameters
+    ----------
+    offset_sigma, focal_sigma, baseline_sigma, misalignment_sigma : float, optional
+        Priors of o, px; of s_f and s_b, the shares by which focal lengths and baseline are larger than stated; and of
+        each angle of X, by which the camera is turned against the body whose pose is estimated. None: no such error.
+    considered : bool
+        Whether the errors are only considered (Schmidt), not estimated.
+    """
+
+    offset_sigma: float | None = None
+    focal_sigma: float | None = None
+    baseline_sigma: float | None = None
+    misalignment_sigma: float | None = None
+    considered: bool = False
+
+    def __post_init__(self) -> None:
+        for name in (name for name in _PRIORS if getattr(self, name) is not None):
+            positive(name, getattr(self, name), allow_zero=True)
+        sigmas = np.array([sigma for sigma in self._sigmas if sigma is not None])
+        if len(sigmas):
+            errors = Variable("calibration", 0.0 * sigmas, np.diag(sigmas**2), considered=self.considered)
+            object.__setattr__(self, "variables", (errors,))
+
+    def predict(self, camera: StereoCamera, points_c: FloatArray, values: Values) -> FloatArray:
+        """(u, v, d) with the errors."""
+        centre, gains, offset, X = self._errors(camera, values)
+        u0v0d0 = camera.project_scaled(points_c[..., :3] @ rotations.exp(X).T, points_c[..., 3])
+        return centre + gains * (u0v0d0 - centre) + offset
+
+    def backproject(self, camera: StereoCamera, uvd: FloatArray, values: Values) -> FloatArray:
+        """The exact inverse."""
+        centre, gains, offset, X = self._errors(camera, values)
+        u0v0d0 = centre + (uvd - offset - centre) / gains
+        return np.column_stack([camera.ray(u0v0d0) @ rotations.exp(X), u0v0d0[:, 2] / camera.disparity_constant])
+
+    def jacobians(self, camera: StereoCamera, points_c: FloatArray, values: Values) -> SensorJacobians:
+        """By the chain rule through Eq. 10."""
+        centre, gains, offset, X = self._errors(camera, values)
+        R, spread = rotations.exp(X), self.predict(camera, points_c, values) - offset - centre
+        h, by_error = points_c[:, :3] @ R.T, np.zeros((len(points_c), 3, 6))
+        J = gains[:, None] * camera.project_scaled_jacobian(h, points_c[:, 3])
+        by_error[:, 2, 0], by_error[:, :, 1] = 1.0, spread / gains[0]
+        by_error[:, 2, 2] = spread[:, 2] * gains[0] / gains[2]
+        by_error[:, :, 3:] = -J[:, :, :3] @ rotations.skew(h) @ rotations.right_jacobian(-X)
+        by_variable = {x.name: by_error[:, :, [sigma is not None for sigma in self._sigmas]] for x in self.variables}
+        return SensorJacobians(np.concatenate([J[:, :, :3] @ R, J[:, :, 3:]], axis=2), by_variable)
+
+    @property
+    def _sigmas(self) -> list[float | None]:
+        return [getattr(self, name) for name in _PRIORS]
+
+    def _errors(self, camera: StereoCamera, values: Values) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Centre, gains and offset of (u, v, d) = centre + gains * ((u0, v0, d0) - centre) + offset, and X."""
+        numbers = iter(values["calibration"] if self.variables else ())
+        o, focal, baseline, *X = (0.0 if sigma is None else next(numbers) for sigma in self._sigmas)
+        gains = (1.0 + focal) * np.array([1.0, 1.0, 1.0 + baseline])
+        return np.array([camera.cx, camera.cy, 0.0]), gains, np.array([0.0, 0.0, o]), np.array(X)
