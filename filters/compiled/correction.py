@@ -6,7 +6,7 @@ import math
 
 from numba import njit, types
 
-from filters.compiled.blas import KERNEL, at, call
+from filters.compiled.blas import KERNEL, at, call, multiply_panel
 from filters.compiled.covariance import keep_considered, restore_considered, take_leading, take_rows
 from filters.compiled.prediction import measure_odometry
 from filters.compiled.recipe import Plan
@@ -19,81 +19,53 @@ DROWNED = 1e12
 
 
 @njit(**KERNEL)
-def _add_product(target: FloatArray, H: FloatArray, first: int, block: FloatArray, columns: int, add: bool) -> None:
-    """target = H block, or target += H block, with three columns of H; (k, columns), (k, w), (3, columns)."""
-    for row in range(len(target)):
-        a, b, c = H[row, first], H[row, first + 1], H[row, first + 2]
-        if add:
-            for j in range(columns):
-                target[row, j] += a * block[0, j] + b * block[1, j] + c * block[2, j]
-        else:
-            for j in range(columns):
-                target[row, j] = a * block[0, j] + b * block[1, j] + c * block[2, j]
-
-
-@njit(**KERNEL)
 def times_covariance(
     plan: Plan, P: FloatArray, n: int, s: Scratch, select: IntArray, first: int, last: int, size: int
 ) -> None:
     """H P of the selected measurements first to last - 1, in the first rows of HP."""
-    HP, measured = s.HP, plan.measured
+    measured, held = plan.measured, -1
+    width = measured + (6 if plan.anchored else 3)
     take_leading(P, n, measured, s.lead)
     for i in range(first, last):
-        H, top = s.H[select[i]], (i - first) * size
-        for k in range(size):
-            target = HP[top + k]
-            for c in range(0, measured - measured % 3, 3):
-                _add_product(HP[top + k : top + k + 1], H[k : k + 1], c, s.lead[c : c + 3], n, c > 0)
-            for c in range(measured - measured % 3, measured):
-                a = H[k, c]
-                for j in range(n):
-                    target[j] += a * s.lead[c, j]
-    if plan.anchored:
-        held = -1
-        for i in range(first, last):
-            m, top = select[i], (i - first) * size
-            if s.base[m, 0] != held:  # neighbours often share an anchor
-                held = s.base[m, 0]
-                take_rows(P, n, held, s.block)
-            _add_product(HP[top : top + size], s.H[m], measured, s.block, n, True)
-    own = measured + 3 if plan.anchored else measured
-    for i in range(first, last):
-        m, top = select[i], (i - first) * size
-        take_rows(P, n, s.base[m, 1], s.block)
-        _add_product(HP[top : top + size], s.H[m], own, s.block, n, True)
+        m = select[i]
+        if plan.anchored and s.base[m, 0] != held:  # neighbours often share an anchor
+            held = s.base[m, 0]
+            take_rows(P, n, held, s.lead[measured:])
+        take_rows(P, n, s.base[m, 1], s.lead[width - 3 :])
+        multiply_panel(s.HP[(i - first) * size :], 0, s.H[m], size, s.lead, 0, 0, width, n)
+
+
+@njit(**KERNEL)
+def take_columns(plan: Plan, s: Scratch, m: int, top: int, rows: int) -> None:
+    """Columns of HP that belong to a landmark, transposed, below those of the leading rows in `shared`."""
+    HP, shared, column = s.HP, s.shared, plan.measured
+    for which in range(0 if plan.anchored else 1, 2):
+        base = s.base[m, which]
+        for row in range(top, rows):
+            shared[column, row] = HP[row, base]
+            shared[column + 1, row] = HP[row, base + 1]
+            shared[column + 2, row] = HP[row, base + 2]
+        column += 3
+
+
+@njit(**KERNEL)
+def take_leading_columns(plan: Plan, s: Scratch, rows: int) -> None:
+    """The first columns of HP, transposed, in `shared`."""
+    for row in range(rows):
+        for c in range(plan.measured):
+            s.shared[c, row] = s.HP[row, c]
 
 
 @njit(**KERNEL)
 def innovation_covariance(plan: Plan, s: Scratch, select: IntArray, first: int, last: int, size: int) -> bool:
     """Upper triangle of S = (H P) H^T + R of these measurements; whether R is left in it."""
-    HP, S, shared, measured = s.HP, s.S, s.shared, plan.measured
-    rows = (last - first) * size
-    width = measured + (6 if plan.anchored else 3)
-    for row in range(rows):
-        for c in range(measured):
-            shared[c, row] = HP[row, c]
+    S, rows = s.S, (last - first) * size
+    width = plan.measured + (6 if plan.anchored else 3)
+    take_leading_columns(plan, s, rows)
     for i in range(first, last):
         m, top = select[i], (i - first) * size
-        H = s.H[m]
-        for row in range(top, rows):
-            column = measured
-            if plan.anchored:
-                for c in range(3):
-                    shared[column + c, row] = HP[row, s.base[m, 0] + c]
-                column += 3
-            for c in range(3):
-                shared[column + c, row] = HP[row, s.base[m, 1] + c]
-        for k in range(size):
-            target = S[top + k]
-            for row in range(top, rows):
-                target[row] = 0.0
-            for c in range(0, width - width % 3, 3):
-                _add_product(
-                    S[top + k : top + k + 1, top:rows], H[k : k + 1], c, shared[c : c + 3, top:], rows - top, True
-                )
-            for c in range(width - width % 3, width):
-                for row in range(top, rows):
-                    target[row] += H[k, c] * shared[c, row]
+        take_columns(plan, s, m, top, rows)
+        multiply_panel(S[top:], top, s.H[m], size, s.shared, 0, top, width, rows - top)
         for a in range(size):
             for b in range(a, size):
                 S[top + a, top + b] += s.R[m, a, b]
@@ -178,7 +150,7 @@ def _take(
 def correct(
     routines: tuple[int, ...], plan: Plan, P: FloatArray, n: int, s: Scratch, select: IntArray, count: int, size: int
 ) -> None:
-    """`kalman.update` with the selected measurements: P in place, delta, `used` and the NIS (`result`) in the scratch."""
+    """`kalman.update` with the selected measurements: P in place; delta, `used` and the NIS (`result`) written."""
     for j in range(n):
         s.delta[j] = 0.0
     nis, chunk = 0.0, max(1, CHUNK_ROWS // size)

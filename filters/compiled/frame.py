@@ -39,7 +39,7 @@ from filters.compiled.units import (
 from filters.validation import FloatArray
 
 USED, BEHIND, GATED, FAILED, STARTED, REJECTED = range(6)
-"""Outcome of a measurement: used, predicted behind the camera, gated, no Cholesky factor of S; started a landmark, or not."""
+"""Outcome of a measurement: used, behind the camera, gated, no Cholesky factor of S; started a landmark, or not."""
 
 
 @unit(PLAN, types.int64, types.int64, STORAGE, types.int64, VECTOR, MATRIX, SCRATCH, types.int64)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, types
 
-from filters.compiled.blas import KERNEL
-from filters.compiled.correction import times_covariance
+from filters.compiled.blas import KERNEL, multiply_panel
+from filters.compiled.correction import take_columns, take_leading_columns, times_covariance
 from filters.compiled.recipe import Plan
 from filters.compiled.storage import Scratch
 from filters.compiled.units import INDEX, MATRIX, PLAN, SCRATCH, unit
@@ -50,14 +50,9 @@ def squared_distances(plan: Plan, P: FloatArray, s: Scratch, select: IntArray, c
             for q in range(measured, p + 1):
                 other = rows[q]
                 C[q, p] = C[p, q] = P[min(row, other), max(row, other)]
+        multiply_panel(HP, 0, s.H[m], size, C, 0, 0, total, total)
         for a in range(size):
             x[a] = s.nu[m, a]
-            for p in range(total):
-                HP[a, p] = 0.0
-            for q in range(total):
-                h = s.H[m, a, q]
-                for p in range(total):
-                    HP[a, p] += h * C[q, p]
             for b in range(a + 1):
                 value = s.R[m, a, b]
                 for p in range(total):
@@ -78,23 +73,14 @@ def reweight(plan: Plan, s: Scratch, select: IntArray, count: int, size: int) ->
 
 
 @njit(**KERNEL)
-def _cross(plan: Plan, s: Scratch, H: FloatArray, m: int, j: int, size: int, width: int, cross: FloatArray) -> None:
-    """H_j P H_m^T (k, k), j a place in the selection and m a measurement."""
-    measured = plan.measured
-    for a in range(size):
-        row = s.HP[j * size + a]
-        for b in range(size):
-            total = 0.0
-            for c in range(measured):
-                total += row[c] * H[b, c]
-            c = measured
-            if plan.anchored:
-                base = s.base[m, 0]
-                total += row[base] * H[b, c] + row[base + 1] * H[b, c + 1] + row[base + 2] * H[b, c + 2]
-                c += 3
-            base = s.base[m, 1]
-            total += row[base] * H[b, c] + row[base + 1] * H[b, c + 1] + row[base + 2] * H[b, c + 2]
-            cross[a, b] = total
+def _invert(S: FloatArray, inverse: FloatArray, factors: FloatArray, size: int) -> None:
+    """Inverse of a symmetric positive definite matrix, column by column."""
+    for column in range(size):
+        for a in range(size):
+            inverse[column, a] = 1.0 if a == column else 0.0
+            for b in range(size):
+                factors[a, b] = S[a, b]
+        _solve_whole(factors, inverse[column], size)
 
 
 @njit(**KERNEL)
@@ -111,7 +97,7 @@ def _solve_whole(S: FloatArray, x: FloatArray, size: int) -> None:
 def largest_agreement(
     plan: Plan, P: FloatArray, n: int, s: Scratch, select: IntArray, count: int, size: int, limit: float
 ) -> None:
-    """`consensus.largest_agreement`: place in the selection of the best hypothesis, in `result`; its followers in `support`.
+    """`consensus.largest_agreement`: place of the best hypothesis in `result`, its followers in `support`.
 
     Row j, column i of `support`: whether measurement j agrees with hypothesis i.
     """
@@ -120,34 +106,35 @@ def largest_agreement(
             s.support[i, i] = True
         s.result[0] = 0.0
         return
-    measured = plan.measured
-    width = measured + (6 if plan.anchored else 3)
+    rows, width = count * size, plan.measured + (6 if plan.anchored else 3)
     times_covariance(plan, P, n, s, select, 0, count, size)
-    cross, own, x, proposal = s.small[0], s.small[1], s.small[2, 0], s.small[2, 1]
+    take_leading_columns(plan, s, rows)
+    own, proposal, x = s.small[1], s.small[2, 0], s.small[2, 1]
+    for i in range(count):
+        _invert(s.R[select[i]], s.inverse_R[select[i]], s.small[0], size)
     best, most, least = -1, -1, np.inf
+    cross = s.S  # of all measurements with one of them, transposed: H_i P H_j^T
     for i in range(count):
         m = select[i]
-        H = s.H[m]
-        _cross(plan, s, H, m, i, size, width, own)
+        take_columns(plan, s, m, 0, rows)
+        multiply_panel(cross, 0, s.H[m], size, s.shared, 0, 0, width, rows)
         for a in range(size):
             proposal[a] = s.nu[m, a]
             for b in range(size):
-                own[a, b] += s.R[m, a, b]
+                cross[a, i * size + b] += s.R[m, a, b]
+                own[a, b] = cross[a, i * size + b]
         _solve_whole(own, proposal, size)
         followers, tightness = 0, 0.0
         for j in range(count):
-            other = select[j]
-            _cross(plan, s, H, m, j, size, width, cross)
-            if j == i:
-                for a in range(size):
-                    for b in range(size):
-                        cross[a, b] += s.R[m, a, b]
+            other, distance = select[j], 0.0
+            inverse = s.inverse_R[other]
             for a in range(size):
                 x[a] = s.nu[other, a]
                 for b in range(size):
-                    x[a] -= cross[a, b] * proposal[b]
-                    own[a, b] = s.R[other, a, b]
-            distance = solve(own, x, size)
+                    x[a] -= cross[b, j * size + a] * proposal[b]
+            for a in range(size):
+                for b in range(size):
+                    distance += x[a] * inverse[a, b] * x[b]
             agrees = distance <= limit or i == j
             s.support[j, i] = agrees
             if agrees:

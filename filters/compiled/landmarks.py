@@ -6,7 +6,7 @@ import math
 
 from numba import njit, types
 
-from filters.compiled.blas import KERNEL
+from filters.compiled.blas import KERNEL, multiply_panel
 from filters.compiled.covariance import move_block, take_leading
 from filters.compiled.prediction import (
     constrain,
@@ -129,7 +129,7 @@ def initialise(
 ) -> None:
     """`LandmarkModel.initialise` with the calibration: block (3,), J by the measured leading rows, B by (u, v, d)."""
     offset, focal, baseline, x0, x1, x2 = calibration(plan, x)
-    rows, measured = plan.calibration, plan.measured
+    measured = plan.measured
     fu, fv = plan.fx * (1.0 + focal), plan.fy * (1.0 + focal)
     per_d = 1.0 / ((1.0 + focal) * (1.0 + baseline) * plan.disparity_constant)
     e0, e1 = (u - plan.cx) / fu, (v - plan.cy) / fv  # the ray (e0, e1, 1) that is projected
@@ -208,15 +208,8 @@ def _add_block(plan: Plan, S: Storage, b: int, s: Scratch, n: int, row: int, J: 
 @njit(**KERNEL)
 def _write_rows(plan: Plan, P: FloatArray, n: int, row: int, J: FloatArray, s: Scratch) -> None:
     """Rows row to row + 2 of P: J times the leading rows, whole."""
-    block, measured = s.block, plan.measured
-    for c in range(3):
-        for j in range(n):
-            block[c, j] = J[c, 0] * s.lead[0, j]
-        for k in range(1, measured):
-            a = J[c, k]
-            if a != 0.0:
-                for j in range(n):
-                    block[c, j] += a * s.lead[k, j]
+    block = s.block
+    multiply_panel(block, 0, J, 3, s.lead, 0, 0, plan.measured, n)
     for j in range(row):
         for c in range(3):
             P[j, row + c] = block[c, j]
@@ -283,7 +276,7 @@ def enter(
     R_predicted = orientation(S.predicted[b])
     if plan.error == FIRST_ESTIMATES:
         world_rotation(S.predicted[b], plan.velocity, source[:leading])
-    J, B = s.F[:3], s.half  # of the anchors and of one landmark at a time
+    J = s.F[:3]  # of an anchor
     for i in range(anchors):
         for a in range(3):
             blocks[made[i], a] = S.first[b, made[i], a] = x[a]

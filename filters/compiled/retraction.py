@@ -120,10 +120,7 @@ def moved_by(
         moved[i] = x[i] + delta[i]
     for i in range(6, plan.leading):
         moved[i + 1] = x[i + 1] + delta[i]
-    if plan.error == QUATERNION:
-        turn = (0.5 * q0, 0.5 * q1, 0.5 * q2, 1.0)
-    else:
-        turn = quaternion_of(q0, q1, q2)
+    turn = (0.5 * q0, 0.5 * q1, 0.5 * q2, 1.0) if plan.error == QUATERNION else quaternion_of(q0, q1, q2)
     moved[3], moved[4], moved[5], moved[6] = product_of(x[3], x[4], x[5], x[6], turn[0], turn[1], turn[2], turn[3])
     leading = plan.leading
     if plan.error < RIGHT_INVARIANT:
@@ -303,7 +300,7 @@ def retract(
     plan: Plan, P: FloatArray, x: FloatArray, blocks: FloatArray, own: IntArray, landmarks: int, count: int, s: Scratch
 ) -> None:
     """Move the state by delta and carry P along (`StereoEKF._retract`)."""
-    leading, v, delta = plan.leading, plan.velocity, s.delta
+    leading, delta = plan.leading, s.delta
     n = leading + 3 * count
     if plan.error >= RIGHT_INVARIANT:
         mark_rays(plan, own, landmarks, count, s.is_own)

@@ -90,7 +90,7 @@ class Scratch(NamedTuple):
     half: FloatArray
     changed: BoolArray
     lead: FloatArray
-    """(leading, n): whole leading rows of P."""
+    """(leading or measured + 6, n): whole leading rows of P, and of the blocks of one landmark."""
     G: FloatArray
     """(6, n): factors of a change of rank six."""
     block: FloatArray
@@ -129,6 +129,7 @@ class Scratch(NamedTuple):
     gate_rows: IntArray
     gate_P: FloatArray
     gate_HP: FloatArray
+    inverse_R: FloatArray
     small: FloatArray
     result: FloatArray
     """What a unit gives back, (2,)."""
@@ -180,7 +181,7 @@ def scratch(recipe: Recipe, storage: Storage, measurements: int) -> Scratch:
         old=np.zeros((leading, leading)),
         half=np.zeros((leading, leading)),
         changed=np.zeros(leading, dtype=np.bool_),
-        lead=np.zeros((leading, n)),
+        lead=np.zeros((max(leading, width), n)),
         G=np.zeros((6, n)),
         block=np.zeros((3, n)),
         point=np.zeros(recipe.values),
@@ -199,8 +200,8 @@ def scratch(recipe: Recipe, storage: Storage, measurements: int) -> Scratch:
         used=np.zeros(M, dtype=np.bool_),
         support=np.zeros((M, M) if recipe.consensus else (1, 1), dtype=np.bool_),
         HP=np.zeros((rows, n + 8)),
-        S=np.zeros((rows, rows)),
-        shared=np.zeros((width, rows)),
+        S=np.zeros((rows, rows + 8)),
+        shared=np.zeros((width, rows + 8)),
         delta=np.zeros(n),
         kept=np.zeros((max(1, len(recipe.considered)),) * 2),
         W=np.zeros((n, 3)),
@@ -210,8 +211,9 @@ def scratch(recipe: Recipe, storage: Storage, measurements: int) -> Scratch:
         odometry=np.zeros((6, leading)),
         odometry_nu=np.zeros(6),
         gate_rows=np.zeros(width, dtype=np.int64),
-        gate_P=np.zeros((width, width)),
-        gate_HP=np.zeros((MOST_ROWS, width)),
+        gate_P=np.zeros((width, width + 8)),
+        gate_HP=np.zeros((MOST_ROWS, width + 8)),
+        inverse_R=np.zeros((M if recipe.consensus else 1, MOST_ROWS, MOST_ROWS)),
         small=np.zeros((3, MOST_ROWS, MOST_ROWS)),
         result=np.zeros(2),
         letters=np.array((76, 82, 78, 84), dtype=np.uint8),  # L, R, N, T
