@@ -8,12 +8,23 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from filters import Start, rotations
-from filters.camera import StereoCamera
-from filters.engine.ekf import StereoEKF
-from filters.interface import BodyVelocity, Forecast, LandmarkBelief, StereoObservation, UpdateReport
-from filters.motion import CAMERA_SIZE, POSE_SIZE, CameraState, ConstantVelocity, MotionModel, VelocityDriven
-from filters.noise import StereoNoise
+from filters import (
+    BodyVelocity,
+    CameraState,
+    ConstantVelocity,
+    Forecast,
+    LandmarkBelief,
+    MotionModel,
+    Start,
+    StereoCamera,
+    StereoEKF,
+    StereoNoise,
+    StereoObservation,
+    UpdateReport,
+    VelocityDriven,
+    rotations,
+)
+from filters.motion import CAMERA_SIZE, POSE_SIZE
 from filters.validation import FloatArray, IntArray, positive
 from stereo_slam_env.baselines.dead_reckoning import CameraBelief, CameraFilter
 from stereo_slam_env.baselines.smoothing_graph import Sightings, Smoothed, SmoothingGraph, load_gtsam

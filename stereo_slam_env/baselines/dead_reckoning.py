@@ -9,32 +9,26 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from filters import rotations
-from filters.camera import StereoCamera
-from filters.interface import (
-    AT_ORIGIN,
+from filters import (
     BodyVelocity,
+    CameraState,
     Forecast,
     LandmarkBelief,
+    MotionModel,
     PoseBelief,
+    Start,
+    StereoCamera,
     StereoFilter,
+    StereoNoise,
     StereoObservation,
     UpdateReport,
     VelocityBelief,
-    check_rig,
-    check_start,
+    VelocityDriven,
+    rotations,
 )
-from filters.motion import POSE_SIZE, CameraState, MotionModel, VelocityDriven, motion_model, predict_camera
-from filters.noise import StereoNoise
-from filters.start import Start
-from filters.validation import (
-    FloatArray,
-    IntArray,
-    finite_array,
-    positive,
-    unique_ids,
-    unit_quaternion,
-)
+from filters.interface import AT_ORIGIN, check_rig, check_start
+from filters.motion import POSE_SIZE, motion_model, predict_camera
+from filters.validation import FloatArray, IntArray, finite_array, positive, unique_ids, unit_quaternion
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,24 +10,21 @@ from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 from scipy.stats import chi2
 
-from filters import rotations
-from filters.camera import StereoCamera
-from filters.engine.retraction import AdditiveQuaternion
-from filters.interface import BodyVelocity, Forecast, LandmarkBelief, StereoObservation, UpdateReport
-from filters.landmarks.inverse_depth import InverseDepth
-from filters.motion import (
-    ANGULAR,
-    CAMERA_SIZE,
-    LINEAR,
-    POSE_SIZE,
-    POSITION,
-    ROTATION,
+from filters import (
+    BodyVelocity,
     CameraState,
+    Forecast,
+    InverseDepth,
+    LandmarkBelief,
     MotionModel,
-    measure_odometry,
-    predict_camera,
+    StereoCamera,
+    StereoNoise,
+    StereoObservation,
+    UpdateReport,
+    rotations,
 )
-from filters.noise import StereoNoise
+from filters.engine.retraction import AdditiveQuaternion
+from filters.motion import ANGULAR, CAMERA_SIZE, LINEAR, POSE_SIZE, POSITION, ROTATION, measure_odometry, predict_camera
 from filters.validation import BoolArray, FloatArray, IntArray, gate_probability, unique_ids
 from stereo_slam_env.baselines.dead_reckoning import CameraBelief, CameraFilter, symmetrised
 

@@ -8,11 +8,17 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import chi2
 
-from filters import rotations
-from filters.camera import StereoCamera
-from filters.interface import BodyVelocity, StereoObservation, UpdateReport
-from filters.motion import ANGULAR, LINEAR, POSE_SIZE, POSITION, ROTATION, CameraState, MotionModel
-from filters.noise import StereoNoise
+from filters import (
+    BodyVelocity,
+    CameraState,
+    MotionModel,
+    StereoCamera,
+    StereoNoise,
+    StereoObservation,
+    UpdateReport,
+    rotations,
+)
+from filters.motion import ANGULAR, LINEAR, POSE_SIZE, POSITION, ROTATION
 from filters.validation import FloatArray, IntArray, gate_probability, positive, unique_ids
 from stereo_slam_env.baselines.dead_reckoning import CameraBelief, CameraFilter, symmetrised
 from stereo_slam_env.frontend.ego_motion import (

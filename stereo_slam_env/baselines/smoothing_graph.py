@@ -14,11 +14,9 @@ from typing import Any
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from filters import rotations
-from filters.camera import StereoCamera
+from filters import BodyVelocity, CameraState, MotionModel, StereoCamera, rotations
 from filters.extras import install_command
-from filters.interface import BodyVelocity
-from filters.motion import POSE_SIZE, POSITION, ROTATION, CameraState, MotionModel, predict_camera
+from filters.motion import POSE_SIZE, POSITION, ROTATION, predict_camera
 from filters.validation import BoolArray, FloatArray, IntArray
 
 # How far a landmark may lie from where it starts, m: it decides nothing, and keeps a point whose depth is not told by

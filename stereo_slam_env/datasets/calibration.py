@@ -8,9 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from filters import rotations
-from filters.camera import StereoCamera
-from filters.poses import Pose
+from filters import Pose, StereoCamera, rotations
 from filters.validation import FloatArray
 from stereo_slam_env.datasets.frames import FramePair
 from stereo_slam_env.files.readers import read_text

@@ -20,7 +20,7 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
-from filters.poses import Pose
+from filters import Pose
 from filters.validation import FloatArray, IntArray
 from stereo_slam_env.datasets.calibration import RectifiedRig, rectified_rig
 from stereo_slam_env.datasets.frames import CameraFiles, Faults, OnBroken, Times, Truth, usable_pairs

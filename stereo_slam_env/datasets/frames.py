@@ -13,8 +13,7 @@ from typing import Literal
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from filters.interface import BodyVelocity
-from filters.poses import Pose
+from filters import BodyVelocity, Pose
 from filters.validation import FloatArray
 from stereo_slam_env.datasets.image_files import BrokenPair
 

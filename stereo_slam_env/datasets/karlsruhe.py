@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from filters.poses import Pose
+from filters import Pose
 from filters.validation import FloatArray, positive
 from stereo_slam_env.datasets.calibration import entry, read_entries, rectified_rig
 from stereo_slam_env.datasets.frames import CameraFiles, Faults, OnBroken, Times, Truth, usable_pairs

@@ -15,11 +15,9 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from filters.camera import StereoCamera
+from filters import Pose, StereoCamera, StereoNoise
 from filters.extras import install_command
 from filters.known_names import require_known
-from filters.noise import StereoNoise
-from filters.poses import Pose
 from filters.validation import FloatArray, IntArray
 from stereo_slam_env.datasets.tracks import ASSUMED_SIGMA_PX, Tracks, frames_of
 from stereo_slam_env.files.readers import read_poses, read_table, require_rotations, split_poses

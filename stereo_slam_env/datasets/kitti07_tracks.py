@@ -9,9 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from filters.camera import StereoCamera
-from filters.noise import StereoNoise
-from filters.poses import Pose
+from filters import Pose, StereoCamera, StereoNoise
 from stereo_slam_env.datasets.odometry import camera_velocities
 from stereo_slam_env.datasets.tracks import ASSUMED_SIGMA_PX, frames_of, tracks_of_pixels
 from stereo_slam_env.files.readers import Shape, read_archive, read_poses

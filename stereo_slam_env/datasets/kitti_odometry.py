@@ -17,9 +17,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from filters import rotations
-from filters.camera import StereoCamera
-from filters.poses import Pose
+from filters import Pose, StereoCamera, rotations
 from filters.validation import FloatArray
 from stereo_slam_env.datasets.calibration import entry, read_entries, rectified_rig
 from stereo_slam_env.datasets.frames import CameraFiles, Faults, OnBroken, Times, Truth, poses_of_rows, usable_pairs

@@ -20,8 +20,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from filters.interface import BodyVelocity
-from filters.poses import Pose
+from filters import BodyVelocity, Pose
 from filters.validation import FloatArray
 from stereo_slam_env.datasets.calibration import camera_position, entry, read_entries, rectified_rig
 from stereo_slam_env.datasets.frames import Faults, OnBroken, Times, Truth, usable_pairs

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from filters import rotations
-from filters.interface import BodyVelocity
+from filters import BodyVelocity, rotations
 from filters.validation import FloatArray, positive
 
 

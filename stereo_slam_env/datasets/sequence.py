@@ -7,11 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from filters import rotations
-from filters.camera import StereoCamera
-from filters.interface import BodyVelocity
-from filters.poses import Pose
-from filters.start import Start
+from filters import BodyVelocity, Pose, Start, StereoCamera, rotations
 from stereo_slam_env.datasets.frames import Faults, FramePair
 from stereo_slam_env.datasets.image_files import BrokenPair, read_grey
 from stereo_slam_env.recording.recording import GreyImage, Reference, StereoPair

@@ -12,9 +12,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from filters.camera import StereoCamera
-from filters.noise import StereoNoise
-from filters.poses import Pose
+from filters import Pose, StereoCamera, StereoNoise
 from filters.validation import FloatArray, positive
 from stereo_slam_env.datasets.odometry import camera_velocities
 from stereo_slam_env.datasets.tracks import frames_of, tracks_of_pixels

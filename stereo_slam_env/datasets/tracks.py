@@ -8,8 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from filters.interface import BodyVelocity, StereoObservation
-from filters.poses import Pose
+from filters import BodyVelocity, Pose, StereoObservation
 from filters.validation import BoolArray, FloatArray, IntArray
 from stereo_slam_env.recording.recording import Frame
 

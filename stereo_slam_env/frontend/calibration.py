@@ -14,7 +14,7 @@ from itertools import islice
 
 import numpy as np
 
-from filters.camera import StereoCamera
+from filters import StereoCamera
 from stereo_slam_env.frontend.ego_motion import Pairs, Step, most_likely_step, robust_step
 from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.frontend.tracker import StereoTracker

@@ -16,8 +16,7 @@ import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 from scipy.stats import chi2
 
-from filters import rotations
-from filters.camera import StereoCamera
+from filters import StereoCamera, rotations
 from filters.engine.gating import gate_limit
 from filters.validation import BoolArray, FloatArray, IntArray
 

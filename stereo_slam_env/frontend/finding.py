@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from filters.camera import StereoCamera
+from filters import StereoCamera
 from filters.engine.gating import gate_limit
 from filters.validation import BoolArray, FloatArray, IntArray, finite_array
 from stereo_slam_env.frontend.matching import match_rows, search

@@ -6,9 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from filters.camera import StereoCamera
-from filters.interface import StereoObservation
-from filters.poses import Pose
+from filters import Pose, StereoCamera, StereoObservation
 from filters.validation import BoolArray, FloatArray, IntArray
 from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.frontend.tracker import StereoTracker

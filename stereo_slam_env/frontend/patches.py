@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from filters.camera import StereoCamera
+from filters import StereoCamera
 from filters.validation import FloatArray, IntArray, finite_array
 
 Image = NDArray[np.uint8]

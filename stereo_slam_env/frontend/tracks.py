@@ -7,9 +7,8 @@ from enum import IntEnum
 
 import numpy as np
 
-from filters.camera import StereoCamera
+from filters import Forecast, StereoCamera, StereoObservation
 from filters.engine.gating import gate_limit
-from filters.interface import Forecast, StereoObservation
 from filters.validation import BoolArray, FloatArray, IntArray, covariance_matrix, finite_array, unique_ids
 from stereo_slam_env.frontend.ego_motion import MIN_POINTS, Pairs, Step, predicted, robust_step
 from stereo_slam_env.frontend.patches import Patches

@@ -17,11 +17,7 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from filters.camera import StereoCamera
-from filters.interface import BodyVelocity, StereoObservation
-from filters.noise import StereoNoise
-from filters.poses import Pose
-from filters.start import Start
+from filters import BodyVelocity, Pose, Start, StereoCamera, StereoNoise, StereoObservation
 from filters.validation import FloatArray
 from stereo_slam_env.files.atomic import write_atomically
 from stereo_slam_env.files.readers import read_arrays

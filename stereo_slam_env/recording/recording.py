@@ -13,11 +13,7 @@ from typing import Any, Literal, Protocol, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from filters.camera import StereoCamera
-from filters.interface import BodyVelocity, StereoObservation
-from filters.noise import StereoNoise
-from filters.poses import Pose
-from filters.start import Start
+from filters import BodyVelocity, Pose, Start, StereoCamera, StereoNoise, StereoObservation
 from filters.validation import FloatArray, IntArray
 
 

@@ -7,9 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from filters.camera import StereoCamera
-from filters.interface import StereoObservation
-from filters.noise import StereoNoise
+from filters import StereoCamera, StereoNoise, StereoObservation
 from filters.validation import BoolArray, FloatArray, IntArray, finite_number, positive, probability
 from stereo_slam_env.recording.recording import Frame, LandmarkTruth, Recording
 

@@ -17,8 +17,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from filters import rotations
-from filters.interface import BodyVelocity, StereoObservation
+from filters import BodyVelocity, StereoObservation, rotations
 from filters.known_names import require_known
 from filters.validation import FloatArray, positive, probability
 from stereo_slam_env.recording.recording import Frame, Recording, Velocity

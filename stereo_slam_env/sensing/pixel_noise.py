@@ -8,7 +8,7 @@ from typing import Literal, Protocol
 
 import numpy as np
 
-from filters.noise import StereoNoise
+from filters import StereoNoise
 from filters.validation import FloatArray, positive
 
 

@@ -7,10 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from filters import rotations
-from filters.camera import StereoCamera
-from filters.interface import BodyVelocity, StereoObservation
-from filters.poses import Pose
+from filters import BodyVelocity, Pose, StereoCamera, StereoObservation, rotations
 from filters.validation import BoolArray, FloatArray, IntArray, positive, unchecked
 from stereo_slam_env.recording.recording import LandmarkTruth, Velocity
 from stereo_slam_env.sensing.pixel_noise import PixelNoise
