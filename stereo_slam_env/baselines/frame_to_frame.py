@@ -35,23 +35,12 @@ REFINEMENTS = ("stereo", "opencv")
 
 @dataclass(frozen=True, eq=False)
 class _Reference:
-    """The frame to compare the next one with.
+    """The frame to compare the next one with."""
 
-    Attributes
-    ----------
-    belief : CameraBelief
-        Of the camera then.
-    observation : StereoObservation
-        Its measurements, ascending ids.
-    R : (M, 3, 3)
-        Their covariance, px^2.
-    cross : (M, 12, 3)
-        Covariance of the camera's error with the error of each measurement: they made the step before.
-    """
-
-    belief: CameraBelief
-    observation: StereoObservation
-    R: FloatArray
+    belief: CameraBelief  # of the camera then
+    observation: StereoObservation  # its measurements, ascending ids
+    R: FloatArray  # (M, 3, 3): their covariance, px^2
+    # (M, 12, 3): covariance of the camera's error with the error of each measurement: they made the step before
     cross: FloatArray
 
 

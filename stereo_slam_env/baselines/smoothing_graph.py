@@ -47,22 +47,12 @@ def load_gtsam() -> ModuleType:
 
 @dataclass(frozen=True, eq=False)
 class Sightings:
-    """Measurements of landmarks, flat.
+    """Measurements of landmarks, flat."""
 
-    Attributes
-    ----------
-    pose : (M,) int64
-        Numbers of the poses they were taken from.
-    track : (M,) int64
-        Numbers of the tracks they belong to; a track is a landmark.
-    uvd, R : (M, 3), (M, 3, 3)
-        Measurements and their covariances, px.
-    """
-
-    pose: IntArray
-    track: IntArray
-    uvd: FloatArray
-    R: FloatArray
+    pose: IntArray  # (M,): numbers of the poses they were taken from
+    track: IntArray  # (M,): numbers of the tracks they belong to; a track is a landmark
+    uvd: FloatArray  # (M, 3): measurements, px
+    R: FloatArray  # (M, 3, 3): their covariances, px^2
 
     @classmethod
     def joined(cls, parts: Sequence[Sightings]) -> Sightings:
@@ -76,24 +66,13 @@ class Sightings:
 
 @dataclass(frozen=True, eq=False)
 class Smoothed:
-    """All poses given all measurements: one for `reset` and one for each `predict`.
+    """All poses given all measurements: one for `reset` and one for each `predict`."""
 
-    Attributes
-    ----------
-    positions : (K, 3)
-        r^WC, m.
-    orientations : (K, 4)
-        q^WC, xyzw.
-    chi_square : float
-        Twice the final cost.
-    degrees_of_freedom : int
-        Residuals minus unknowns: `chi_square` is about as large where model and noise are right. A larger one tells a
-        wrong noise, outliers, or a false minimum.
-    """
-
-    positions: FloatArray
-    orientations: FloatArray
-    chi_square: float
+    positions: FloatArray  # (K, 3): r^WC, m
+    orientations: FloatArray  # (K, 4): q^WC, xyzw
+    chi_square: float  # twice the final cost
+    # Residuals minus unknowns: `chi_square` is about as large where model and noise are right. A larger one tells a
+    # wrong noise, outliers, or a false minimum.
     degrees_of_freedom: int
 
 

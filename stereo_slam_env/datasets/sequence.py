@@ -59,30 +59,16 @@ class Faults:
 
 @dataclass(frozen=True, eq=False)
 class ImageFiles:
-    """Files of a recording of images, and what is known of each frame.
+    """Files of a recording of images, and what is known of each frame."""
 
-    Attributes
-    ----------
-    folders : (Path, Path)
-        Of the left and of the right images, for messages.
-    images : (mapping of int to Path, mapping of int to Path)
-        Left and right ones by frame number.
-    seconds : (K,)
-        Time of frame k in row k, s; NaN where it cannot be read.
-    times_file, truth_file : Path
-        Where times and truth are from, for messages.
-    truth : sequence of Pose or None, optional
-        Pose of the left camera of frame k in row k, in any world; None where the row is no pose.
-    odometry : sequence of BodyVelocity or None
-        Of the step to frame k from the one before; frames beyond its end have none.
-    """
-
-    folders: tuple[Path, Path]
-    images: tuple[Mapping[int, Path], Mapping[int, Path]]
-    seconds: FloatArray
-    times_file: Path
+    folders: tuple[Path, Path]  # of the left and of the right images, for messages
+    images: tuple[Mapping[int, Path], Mapping[int, Path]]  # left and right ones by frame number
+    seconds: FloatArray  # (K,): time of frame k in row k, s; NaN where it cannot be read
+    times_file: Path  # for messages
+    # Pose of the left camera of frame k in row k, in any world; None where the row is no pose.
     truth: Sequence[Pose | None] | None = None
-    truth_file: Path = Path()
+    truth_file: Path = Path()  # for messages
+    # Of the step to frame k from the one before; frames beyond its end have none.
     odometry: Sequence[BodyVelocity | None] = ()
 
     def frame(self, number: int) -> FramePair:

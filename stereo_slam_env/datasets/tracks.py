@@ -19,24 +19,12 @@ ASSUMED_SIGMA_PX = 2.0
 
 @dataclass(frozen=True, eq=False)
 class Tracks:
-    """Every observation of a run, flat, in any order.
+    """Every observation of a run, flat, in any order."""
 
-    Attributes
-    ----------
-    frame : (n,) int64
-        Index of the frame of each observation.
-    ids : (n,) int64
-        Landmark identity.
-    uvd : (n, 3)
-        Left pixel and disparity, px.
-    v_right : (n,), optional
-        Row in the right image where it was measured on its own, px.
-    """
-
-    frame: IntArray
-    ids: IntArray
-    uvd: FloatArray
-    v_right: FloatArray | None = None
+    frame: IntArray  # (n,): index of the frame of each observation
+    ids: IntArray  # (n,): landmark identity
+    uvd: FloatArray  # (n, 3): left pixel and disparity, px
+    v_right: FloatArray | None = None  # (n,): row in the right image where it was measured on its own, px
 
     def __len__(self) -> int:
         return len(self.frame)

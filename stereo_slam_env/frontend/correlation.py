@@ -33,27 +33,15 @@ _NEIGHBOURHOOD = 2
 
 @dataclass(frozen=True, eq=False)
 class Peaks:
-    """The best candidate pixel of each template.
+    """The best candidate pixel of each template."""
 
-    Attributes
-    ----------
-    pixel : (N, 2) int64
-        (u, v); meaningless where `score` is -1.
-    score : (N,)
-        Correlation there, raised to the top of the parabolas through its neighbours; -1 where there was no candidate.
-    second : (N,)
-        The same of the best other local maximum among the candidates; -1 where there is none above 1/2.
-    offset : (N, 2)
-        From the pixel to the top of the parabolas, px, within 0.5.
-    rising : (N,) bool
-        The correlation is larger right beside the pixel, where there are no candidates.
-    """
-
-    pixel: IntArray
+    pixel: IntArray  # (N, 2): (u, v); meaningless where `score` is -1
+    # (N,): correlation there, raised to the top of the parabolas through its neighbours; -1 without a candidate
     score: FloatArray
+    # (N,): the same of the best other local maximum among the candidates; -1 where there is none above 1/2
     second: FloatArray
-    offset: FloatArray
-    rising: BoolArray
+    offset: FloatArray  # (N, 2): from the pixel to the top of the parabolas, px, within 0.5
+    rising: BoolArray  # (N,): the correlation is larger right beside the pixel, where there are no candidates
 
 
 def best_peaks(
@@ -190,23 +178,12 @@ _SIGMA_FLOOR = 0.03
 
 @dataclass(frozen=True, eq=False)
 class Refined:
-    """Positions between the pixels.
+    """Positions between the pixels."""
 
-    Attributes
-    ----------
-    position : (N, 2)
-        (u, v), px.
-    score : (N,)
-        Correlation there.
-    covariance : (N, 2, 2)
-        Of the position, px^2.
-    converged : (N,) bool
-        The correlation has its maximum near the pixel; where not, the position is the top of the parabolas.
-    """
-
-    position: FloatArray
-    score: FloatArray
-    covariance: FloatArray
+    position: FloatArray  # (N, 2): (u, v), px
+    score: FloatArray  # (N,): correlation there
+    covariance: FloatArray  # (N, 2, 2): of the position, px^2
+    # (N,): the correlation has its maximum near the pixel; where not, the position is the top of the parabolas
     converged: BoolArray
 
 

@@ -21,28 +21,13 @@ _RETURNS_WITHIN = 1.0
 
 @dataclass(frozen=True, eq=False)
 class SearchResult:
-    """Matches of templates.
+    """Matches of templates."""
 
-    Attributes
-    ----------
-    position : (N, 2)
-        (u, v), px; NaN where there was no candidate inside the image.
-    score : (N,)
-        Correlation there; -1 where there was no candidate.
-    second : (N,)
-        Best correlation of another peak inside the ellipse, near `score` if the match is not unique; -1 if none is
-        above 1/2.
-    on_border : (N,) bool
-        The correlation is still rising where the ellipse ends: the landmark may be outside it.
-    covariance : (N, 2, 2)
-        Of the position, px^2; NaN where there was no candidate.
-    """
-
-    position: FloatArray
-    score: FloatArray
-    second: FloatArray
-    on_border: BoolArray
-    covariance: FloatArray
+    position: FloatArray  # (N, 2): (u, v), px; NaN where there was no candidate inside the image
+    score: FloatArray  # (N,): correlation there; -1 where there was no candidate
+    second: FloatArray  # (N,): correlation of the best other peak inside the ellipse; -1 if none is above 1/2
+    on_border: BoolArray  # (N,): the correlation is still rising where the ellipse ends: the landmark may be outside it
+    covariance: FloatArray  # (N, 2, 2): of the position, px^2; NaN where there was no candidate
 
 
 def search(
@@ -113,27 +98,13 @@ def search(
 
 @dataclass(frozen=True, eq=False)
 class RowMatch:
-    """Matches along the rows.
+    """Matches along the rows."""
 
-    Attributes
-    ----------
-    disparity : (N,)
-        u_left - u_right, px; NaN where there was nothing to compare with.
-    score : (N,)
-        Correlation; -1 where there was nothing to compare with.
-    accepted : (N,) bool
-        Good enough, unique, inside the range, and found again from the right.
-    variance : (N,)
-        Of the disparity, px^2; NaN where there was nothing to compare with.
-    v_right : (N,)
-        Row in the right image, px; NaN where there was nothing to compare with.
-    """
-
-    disparity: FloatArray
-    score: FloatArray
-    accepted: BoolArray
-    variance: FloatArray
-    v_right: FloatArray
+    disparity: FloatArray  # (N,): u_left - u_right, px; NaN where there was nothing to compare with
+    score: FloatArray  # (N,): correlation; -1 where there was nothing to compare with
+    accepted: BoolArray  # (N,): good enough, unique, inside the range, and found again from the right
+    variance: FloatArray  # (N,): of the disparity, px^2; NaN where there was nothing to compare with
+    v_right: FloatArray  # (N,): row in the right image, px; NaN where there was nothing to compare with
 
 
 def match_rows(

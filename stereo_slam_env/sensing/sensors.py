@@ -18,28 +18,14 @@ Occlusion = Callable[[Pose, FloatArray], BoolArray]
 
 @dataclass(frozen=True)
 class TrackingPolicy:
-    """Number and visibility limits of the tracked landmarks.
+    """Number and visibility limits of the tracked landmarks."""
 
-    Attributes
-    ----------
-    max_landmarks : int
-        Most landmarks in one frame.
-    refill_below : int
-        New ones are only taken up, to `max_landmarks`, when fewer than this are left.
-    nearest, farthest : float
-        Range of depths z, m.
-    margin : float
-        Distance to the edge of both images, px.
-    revisit : bool
-        Whether a lost landmark may be tracked again, under its old id.
-    """
-
-    max_landmarks: int = 90
-    refill_below: int = 65
-    nearest: float = 4.0
-    farthest: float = 150.0
-    margin: float = 2.0
-    revisit: bool = False
+    max_landmarks: int = 90  # most landmarks in one frame
+    refill_below: int = 65  # new ones are only taken up, to `max_landmarks`, when fewer than this are left
+    nearest: float = 4.0  # least depth z, m
+    farthest: float = 150.0  # largest depth z, m
+    margin: float = 2.0  # distance to the edge of both images, px
+    revisit: bool = False  # whether a lost landmark may be tracked again, under its old id
 
 
 class LandmarkSensor:

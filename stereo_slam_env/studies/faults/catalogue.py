@@ -67,33 +67,17 @@ def rendered_drive(surroundings: str, seed: int, frames: int, blank_from: float 
 
 @dataclass(frozen=True)
 class Fault:
-    """One thing that goes wrong in a drive.
+    """One thing that goes wrong in a drive."""
 
-    Attributes
-    ----------
-    line : str
-        What, in one line.
-    corruption : Corruption, optional
-        How it changes the stream; None: not at all, beyond what is wrong with the drive itself.
-    begins : float
-        When, s; before that the drive is as it should be.
-    lasts : float
-        How long, s.
-    frames : int
-        Of the drive.
-    hidden : str
-        Why the measurements agree with each other all the same, where they do: no monitor of innovations can tell.
-    driven : callable
-        (seed, frames) -> the drive; same seed, same bits.
-    """
-
-    line: str
+    line: str  # what, in one line
+    # How it changes the stream; None: not at all, beyond what is wrong with the drive itself.
     corruption: Corruption | None
-    begins: float = _ONSET
-    lasts: float = math.inf
-    frames: int = 200
+    begins: float = _ONSET  # when, s; before that the drive is as it should be
+    lasts: float = math.inf  # how long, s
+    frames: int = 200  # of the drive
+    # Why the measurements agree with each other all the same, where they do: no monitor of innovations can tell.
     hidden: str = ""
-    driven: Callable[[int, int], Recording] = reference_drive
+    driven: Callable[[int, int], Recording] = reference_drive  # (seed, frames) -> the drive; same seed, same bits
 
     def drive(self, seed: int) -> Recording:
         """The drive of a seed with this fault; same seed, same bits."""

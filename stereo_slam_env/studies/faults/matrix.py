@@ -37,28 +37,15 @@ IN_TIME = 2.0
 
 @dataclass(frozen=True, eq=False)
 class Session:
-    """Result of a drive.
+    """Result of a drive."""
 
-    Attributes
-    ----------
-    times : (K,)
-        Of the frames that were not refused for their time, s.
-    position_errors, travelled, nees : (K,)
-        Error of the position, m; length of the true drive so far, m; NEES of the pose over 6.
-    alarms : tuple of Alarm
-        In order; their times are those of the drive.
-    refused : int
-        Calls that were refused as illegal input, with the state left as it was.
-    broken : str
-        What the contract does not allow and happened all the same, one line; empty: nothing. The drive ends there.
-    """
-
-    times: FloatArray
-    position_errors: FloatArray
-    travelled: FloatArray
-    nees: FloatArray
-    alarms: tuple[Alarm, ...]
-    refused: int
+    times: FloatArray  # (K,): of the frames that were not refused for their time, s
+    position_errors: FloatArray  # (K,): m
+    travelled: FloatArray  # (K,): length of the true drive so far, m
+    nees: FloatArray  # (K,): NEES of the pose over 6
+    alarms: tuple[Alarm, ...]  # in order; their times are those of the drive
+    refused: int  # calls that were refused as illegal input, with the state left as it was
+    # What the contract does not allow and happened all the same, one line; empty: nothing. The drive ends there.
     broken: str
 
 
@@ -173,39 +160,20 @@ DIVERGED = Limits(0.10, 1.0, 100.0)
 
 @dataclass(frozen=True)
 class Run:
-    """One fault, filter and seed.
-
-    Attributes
-    ----------
-    fault, filter, seed : str, str, int
-        Which.
-    outcome : str
-        One of `OUTCOMES`.
-    diverged_at : float or None
-        First frame that has diverged since the fault began, s.
-    detected_after : float or None
-        From then to the first alarm since the fault began, s; negative: the alarm came first. None: no alarm, or
-        nothing to detect.
-    in_time : bool or None
-        Whether that was in time (`IN_TIME`); None: nothing to detect.
-    causes : tuple of str
-        Of all alarms, in order (names of `Cause`).
-    worst_percent : float
-        Largest position error over the distance travelled, %.
-    refused, broken : int, str
-        As of the `Session`.
-    """
+    """One fault, filter and seed."""
 
     fault: str
     filter: str
     seed: int
-    outcome: str
-    diverged_at: float | None
+    outcome: str  # one of `OUTCOMES`
+    diverged_at: float | None  # first frame that has diverged since the fault began, s
+    # From then to the first alarm since the fault began, s; negative: the alarm came first. None: no alarm, or
+    # nothing to detect.
     detected_after: float | None
-    in_time: bool | None
-    causes: tuple[str, ...]
-    worst_percent: float
-    refused: int
+    in_time: bool | None  # whether that was in time (`IN_TIME`); None: nothing to detect
+    causes: tuple[str, ...]  # of all alarms, in order (names of `Cause`)
+    worst_percent: float  # largest position error over the distance travelled, %
+    refused: int  # as of the `Session`
     broken: str
 
 

@@ -46,31 +46,18 @@ Progress = Callable[[float, int], None]
 class PaperSettings:
     """Size of the study.
 
-    Attributes
-    ----------
-    samples : int
-        Of each Monte-Carlo cloud of section 4.1.
-    turn_seeds : int
-        Recordings of 4.3, for each noise.
-    drive_seeds, drive_frames : int
-        Recordings of 4.4, for each noise, and their length.
-    sizes : tuple of int
-        Numbers of landmarks that the speed is measured at.
-    repeats : int
-        Rounds of that measurement.
-
     Raises
     ------
     ValueError
         A number is not positive.
     """
 
-    samples: int = 10_000
-    turn_seeds: int = 200
-    drive_seeds: int = 20
-    drive_frames: int = 800
-    sizes: tuple[int, ...] = (25, 50, 100, 200)
-    repeats: int = 30
+    samples: int = 10_000  # of each Monte-Carlo cloud of section 4.1
+    turn_seeds: int = 200  # recordings of 4.3, for each noise
+    drive_seeds: int = 20  # recordings of 4.4, for each noise
+    drive_frames: int = 800  # and their length
+    sizes: tuple[int, ...] = (25, 50, 100, 200)  # numbers of landmarks that the speed is measured at
+    repeats: int = 30  # rounds of that measurement
 
     def __post_init__(self) -> None:
         for field in fields(self):
