@@ -30,13 +30,7 @@ STEREO_ROWS = np.array([[1.0, 0.0, 0.0], [1.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 
 
 def load_gtsam() -> ModuleType:
-    """The gtsam module.
-
-    Raises
-    ------
-    ValueError
-        It is not installed.
-    """
+    """The gtsam module; a `ValueError` where it is not installed."""
     try:
         import gtsam
     except ImportError as error:
@@ -79,16 +73,8 @@ class Smoothed:
 class SmoothingGraph:
     """Factors and the best values so far of all poses and landmarks.
 
-    Parameters
-    ----------
-    camera : StereoCamera
-        The rig.
-    start : CameraState
-        Of pose 0.
-    P : (12, 12)
-        Its covariance; how pose and velocity correlate at the start is not used.
-    tail_dof : float, optional
-        Measurements count by Cauchy's loss of this width squared, in standard deviations. None: by their square.
+    Pose 0 is at `start` with covariance `P` (12, 12); how its pose and velocity correlate is not used. With `tail_dof`
+    measurements count by Cauchy's loss of that width squared, in standard deviations, without by their square.
     """
 
     def __init__(self, camera: StereoCamera, start: CameraState, P: FloatArray, tail_dof: float | None = None) -> None:
@@ -172,19 +158,10 @@ class SmoothingGraph:
         self._time_steps.append(dt)
 
     def add_sightings(self, seen: Sightings, located: Mapping[int, tuple[int, FloatArray]]) -> Sightings:
-        """Measurements of landmarks that are in the graph, or can enter it.
+        """Add the measurements of landmarks that are in the graph, or can enter it; returns those that have to wait.
 
-        Parameters
-        ----------
-        seen : Sightings
-            What is new.
-        located : mapping
-            Of tracks whose depth is known: the number of a pose, and where it sees them, (3,) m.
-
-        Returns
-        -------
-        Sightings
-            Those that have to wait: the landmark has no depth yet, or would lie behind a camera that saw it.
+        `located` says of tracks whose depth is known the number of a pose, and where it sees them, (3,) m. The landmarks of
+        the others have no depth yet, or would lie behind a camera that saw them.
         """
         cameras = np.array([self._values.atPose3(self._pose_key(k)).matrix() for k in range(self.last + 1)])
         waits = np.zeros(len(seen.track), dtype=bool)

@@ -183,29 +183,8 @@ class RecordedSequence:
     """An `ImageSequence` of files; images are read pair by pair.
 
     W is the left camera at the first pair that is used, and truth is told in it. Where that pair has no true pose, no
-    pair has one: it could not be told in W.
-
-    Parameters
-    ----------
-    name : str
-        Short name.
-    files : ImageFiles
-        All frames.
-    choice : Choice
-        Which of them to use.
-    camera : callable
-        Gives the rectified rig for the width and height, px, of the image in a file.
-    source : mapping
-        Reader, path and settings; JSON-able. The range of frames and what is done about broken ones are added.
-    truth_from : Reference
-        What the truth of the frames is, where they have one.
-    rectify : callable, optional
-        Makes rectified images, left and right, of those on disk.
-
-    Raises
-    ------
-    BrokenPair, ValueError
-        As `open_image_sequence`.
+    pair has one: it could not be told in W. `camera` gives the rectified rig for an image file of the left camera,
+    `rectify` makes rectified images, left and right, of those on disk, and `source` says reader, path and settings.
     """
 
     def __init__(
@@ -240,13 +219,7 @@ class RecordedSequence:
         return len(self._frames)
 
     def pairs(self) -> Iterator[StereoPair]:
-        """The pairs in time order; may be called again.
-
-        Raises
-        ------
-        BrokenPair
-            An image is missing, damaged or of another size, and broken pairs are not skipped.
-        """
+        """The pairs in time order; may be called again. A `BrokenPair` unless those are skipped."""
         faults = Faults(self._found_at_opening.on_broken, self._found_at_opening.counts.copy())
         origin: Pose | None = None
         before: FramePair | None = None

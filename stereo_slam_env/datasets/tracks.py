@@ -44,11 +44,6 @@ class Tracks:
         A landmark that is taken is kept until its track ends; a free place goes to the visible landmark with most
         frames still ahead of it, ties to the smaller id. The choice is deterministic and cuts no track short, but it
         looks ahead: it is a way to thin out a data set, not a front end.
-
-        Raises
-        ------
-        ValueError
-            `max_per_frame` is not a whole number >= 1.
         """
         if max_per_frame is None:
             return self
@@ -69,13 +64,7 @@ class Tracks:
 
 
 def tracks_of_pixels(pixels: FloatArray) -> Tracks:
-    """Observations out of a dense table.
-
-    Parameters
-    ----------
-    pixels : (4, K, N) ndarray
-        u_left, v_left, u_right, v_right of landmark j in frame k, px; -1 where it was not seen.
-    """
+    """Observations out of a table (4, K, N) of u_left, v_left, u_right, v_right of landmark j in frame k; -1: not seen."""
     frame, landmark = np.nonzero((pixels != -1.0).all(axis=0))
     u_left, v_left, u_right, v_right = pixels[:, frame, landmark]
     return Tracks(frame, landmark, np.column_stack([u_left, v_left, u_left - u_right]), v_right)
@@ -89,21 +78,7 @@ def frames_of(
 ) -> tuple[Frame, ...]:
     """Frames in time order, each with its observations in ascending order of ids.
 
-    Parameters
-    ----------
-    tracks : Tracks
-        Frame indices refer to `timestamps`.
-    timestamps : (K,) ndarray
-        s, strictly increasing.
-    truth : sequence of K
-        True pose of each frame or None.
-    odometry : sequence of K, optional
-        Mean velocity of the step that ends at each frame, or None.
-
-    Raises
-    ------
-    ValueError
-        Times do not increase, or an observation refers to a frame that does not exist.
+    Frame indices of the tracks refer to `timestamps` (K,), s; `truth` and `odometry` have an entry for each frame, or None.
     """
     stuck = np.flatnonzero(~(np.diff(timestamps) > 0))
     if stuck.size:

@@ -18,10 +18,7 @@ from stereo_slam_env.world.routes import FRAME_PERIOD
 
 
 class ImageSensor:
-    """Measures landmarks in the pairs that `take_pair` renders.
-
-    `moves` tells which points of W (N, 3) are on a moving body now: they are no landmarks.
-    """
+    """Measures landmarks in the pairs that `take_pair` renders; what `moves` (points of W (N, 3) -> (N,)) is none."""
 
     def __init__(
         self,

@@ -39,28 +39,11 @@ def search(
     gate: float = 3.0,
     max_radius: float = 40.0,
 ) -> SearchResult:
-    """Find templates inside their innovation ellipses.
+    """Find templates (N, 11, 11) inside their innovation ellipses: `centers` (N, 2) px, `S` (N, 2, 2) px^2.
 
-    Parameters
-    ----------
-    image : (H, W) uint8
-        Grey image.
-    templates : (N, 11, 11) float32
-        How the surroundings of the landmarks should look.
-    centers : (N, 2) array_like
-        Expected (u, v), px.
-    S : (N, 2, 2) array_like
-        Innovation covariance, px^2.
-    gate : float
-        Radius of the ellipse in standard deviations: candidates x have (x - c)^T S^-1 (x - c) <= gate^2, with half a
-        pixel's diagonal added, so that there is always one.
-    max_radius : float
-        No candidate is further away than this in u or v, px.
-
-    Raises
-    ------
-    ValueError
-        Wrong shapes, NaN or infinity, an S that is not positive semi-definite.
+    Candidates x have (x - c)^T S^-1 (x - c) <= gate^2, with half a pixel's diagonal added, so that there is always one,
+    and are no further away than `max_radius` in u or v, px. A `ValueError` where an argument is not finite, of another
+    shape, or S not positive semi-definite.
     """
     c = finite_array("centers", centers, (len(templates), 2))
     covariance = finite_array("S", S, (len(templates), 2, 2))
@@ -119,29 +102,11 @@ def match_rows(
     ratio: float = 0.9,
     left_right_check: bool = True,
 ) -> RowMatch:
-    """Find the surroundings of left pixels in the right image.
+    """Find the surroundings of left pixels `uv` (N, 2) in the right image, at disparities from low to high (N,), px.
 
-    Parameters
-    ----------
-    left, right : (H, W) uint8
-        Rectified grey images.
-    uv : (N, 2) array_like
-        Positions in the left image, px.
-    disparity_low, disparity_high : (N,) array_like
-        Range of disparities, px.
-    rows : int
-        How far the right image's rows may be off, px: searched on either side, and taken for three standard deviations.
-    min_score : float
-        Least correlation.
-    ratio : float
-        The second best peak must stay below this share of the best.
-    left_right_check : bool
-        Match back from the right image over the same range; it must return to within 1 px.
-
-    Raises
-    ------
-    ValueError
-        Wrong shapes, NaN or infinity, or images of different size.
+    The right image's rows may be off by `rows` px: searched on either side, and taken for three standard deviations. A
+    match is accepted with a correlation of at least `min_score`, where the second best peak stays below the share
+    `ratio` of the best and, with `left_right_check`, where matching back over the same range returns to within 1 px.
     """
     if left.shape != right.shape:
         raise ValueError(f"right must have the size of left: {right.shape} and {left.shape}")

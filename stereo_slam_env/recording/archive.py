@@ -58,13 +58,7 @@ def save_recording(path: str | Path, recording: Recording) -> None:
 
 
 def packed_recording(recording: Recording) -> bytes:
-    """Bytes that `save_recording` writes.
-
-    Raises
-    ------
-    ValueError
-        The source of the recording is not JSON-able.
-    """
+    """Bytes that `save_recording` writes; a `ValueError` where the source of the recording is not JSON-able."""
     camera = {name: _plain(value) for name, value in dataclasses.asdict(recording.camera).items()}
     about = {
         "format": FORMAT,
@@ -84,13 +78,7 @@ def packed_recording(recording: Recording) -> bytes:
 
 
 def unpacked_recording(content: bytes) -> Recording:
-    """The recording of `packed_recording`.
-
-    Raises
-    ------
-    ValueError
-        See `load_recording`.
-    """
+    """The recording of `packed_recording`; raises as `load_recording`."""
     return _read(io.BytesIO(content), "the recording")
 
 

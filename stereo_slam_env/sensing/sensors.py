@@ -102,13 +102,7 @@ class LandmarkSensor:
 
 
 class OdometrySensor:
-    """Measures the mean velocity of the left camera over a step.
-
-    Parameters
-    ----------
-    sigma_linear, sigma_angular : float
-        Standard deviation of each component, m/s and rad/s; 0 is allowed.
-    """
+    """Measures the mean velocity of the left camera over a step, with noise of a sigma for each axis, m/s and rad/s."""
 
     def __init__(self, sigma_linear: float, sigma_angular: float) -> None:
         sigmas = [

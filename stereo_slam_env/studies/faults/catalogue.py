@@ -46,19 +46,11 @@ def reference_drive(seed: int, frames: int) -> Recording:
 
 
 def rendered_drive(surroundings: str, seed: int, frames: int, blank_from: float | None) -> Recording:
-    """Drive round a block in small rendered images, measured by the front end.
+    """Drive round a block in small rendered images, measured by the front end; the first turn is from 7 to 13 s.
 
-    Look and cameras are drawn from the seed. The cameras are noisy on purpose: without noise, corners are found where
-    two walls differ by one grey level. There is no odometry, as in the reference drive: it would carry a filter on.
-
-    Parameters
-    ----------
-    surroundings : str
-        Of the environment: "street", "corridor", ...
-    seed, frames : int
-        Same seed, same bits; the first turn is from 7 to 13 s.
-    blank_from : float, optional
-        From then on nothing has a texture, s; None: never.
+    Look and cameras are drawn from the seed; from `blank_from` s on nothing has a texture. The cameras are noisy on
+    purpose: without noise, corners are found where two walls differ by one grey level. There is no odometry, as in the
+    reference drive: it would carry a filter on.
     """
     images: dict[str, Any] = {"rig": "qvga", "sensor": "images", "renderer": "tiny", "randomise": True}
     drive = record(seed=seed, frames=frames, route="loop", surroundings=surroundings, blank_from=blank_from, **images)

@@ -50,16 +50,9 @@ class Session:
 
 
 def drive_through(recording: Recording, slam: StereoFilter, monitor: DivergenceMonitor) -> Session:
-    """Feed a stream to a filter as a robot would: what is refused is left out, and the drive goes on.
+    """Feed a stream with truth to a filter as a robot would: what is refused is left out, and the drive goes on.
 
-    Parameters
-    ----------
-    recording : Recording
-        With truth. Its frames may be out of order, and their observations illegal.
-    slam : StereoFilter
-        Is reset to the start of the recording.
-    monitor : DivergenceMonitor
-        Is reset.
+    Its frames may be out of order, and their observations illegal. Filter and monitor are reset.
     """
     watched = _WatchedFilter(slam)
     loop = FilterLoop(cast(StereoFilter, watched), recording.reference)
@@ -310,25 +303,11 @@ def run_matrix(
     backend: Backend | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> FaultMatrix:
-    """Run every fault with every filter.
+    """Run every fault of those names with every filter, on the drives of the seeds from 0 on.
 
-    Parameters
-    ----------
-    filters : sequence of FilterChoice
-        With the gate that they have by default, 0.99.
-    faults : sequence of str
-        Keys of `FAULTS`.
-    seeds : int
-        Drives of each, from seed 0 on.
-    backend : Backend, optional
-        Where; None: one after the other, in this process.
-    progress : callable, optional
-        Called with (drives done, drives) after each.
-
-    Raises
-    ------
-    ValueError
-        There is no such fault or filter, or an option is refused.
+    The filters have the gate that they have by default, 0.99. `backend` says where (None: one after the other, in this
+    process), `progress` is called with (drives done, drives). A `ValueError` where there is no such fault or filter, or an
+    option is refused.
     """
     wanted = {name: find_fault(name) for name in faults}
     for choice in filters:  # before any work is done

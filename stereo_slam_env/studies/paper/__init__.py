@@ -44,13 +44,7 @@ Progress = Callable[[float, int], None]
 
 @dataclass(frozen=True)
 class PaperSettings:
-    """Size of the study.
-
-    Raises
-    ------
-    ValueError
-        A number is not positive.
-    """
+    """Size of the study; a `ValueError` where a number is not positive."""
 
     samples: int = 10_000  # of each Monte-Carlo cloud of section 4.1
     turn_seeds: int = 200  # recordings of 4.3, for each noise
@@ -156,19 +150,7 @@ def run_paper(
 def run_experiments(
     experiments: Mapping[str, partial[Arrays]], folder: Path, backend: Backend, progress: Progress
 ) -> dict[str, Arrays]:
-    """Results by name; what `folder` has of the same arguments and code is not computed again.
-
-    Parameters
-    ----------
-    experiments : mapping of str to partial
-        Name of a file -> function and its arguments, JSON-able.
-    folder : Path
-        For one npz file an experiment; a damaged one is computed again.
-    backend : Backend
-        Where they run.
-    progress : callable
-        Called with (experiments done, experiments).
-    """
+    """Results by name of a file; what `folder` has of the same arguments and code is not computed again."""
     folder.mkdir(parents=True, exist_ok=True)
     own_code = b"".join(path.read_bytes() for path in sorted(Path(__file__).parent.glob("*.py")))
     code = [versions()["code"], hashlib.sha256(own_code).hexdigest()]
