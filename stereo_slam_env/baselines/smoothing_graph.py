@@ -160,8 +160,8 @@ class SmoothingGraph:
     def add_sightings(self, seen: Sightings, located: Mapping[int, tuple[int, FloatArray]]) -> Sightings:
         """Add the measurements of landmarks that are in the graph, or can enter it; returns those that have to wait.
 
-        `located` says of tracks whose depth is known the number of a pose, and where it sees them, (3,) m. The landmarks of
-        the others have no depth yet, or would lie behind a camera that saw them.
+        `located` says of tracks whose depth is known the number of a pose, and where it sees them, (3,) m. The
+        landmarks of the others have no depth yet, or would lie behind a camera that saw them.
         """
         cameras = np.array([self._values.atPose3(self._pose_key(k)).matrix() for k in range(self.last + 1)])
         waits = np.zeros(len(seen.track), dtype=bool)

@@ -20,11 +20,11 @@ def camera_velocities(
 ) -> list[BodyVelocity | None]:
     """Velocities of the left camera from those of the IMU (K, 3), m/s and rad/s; None for frame 0.
 
-    v_c = R (v_i + w_i x p), w_c = R w_i, with the rotation R_ci (3, 3) and the camera position p_i (3,) in the IMU frame.
-    Row k describes the step from frame k - 1 to k, as `Frame.odometry` does. The lever arm p couples the errors: their
-    covariance is J diag(sigma_v^2 I, sigma_w^2 I) J^T with J = [[R, -R [p]x], [0, R]], for white noise of `sigma_linear`
-    and `sigma_angular` per axis in the IMU frame. With a `seed` that noise is added first, for recordings whose truth was
-    made from the same INS: its velocities as they are would be the truth by another name.
+    v_c = R (v_i + w_i x p), w_c = R w_i, with the rotation R_ci (3, 3) and the camera position p_i (3,) in the IMU
+    frame. Row k describes the step from frame k - 1 to k, as `Frame.odometry` does. The lever arm p couples the errors:
+    their covariance is J diag(sigma_v^2 I, sigma_w^2 I) J^T with J = [[R, -R [p]x], [0, R]], for white noise of
+    `sigma_linear` and `sigma_angular` per axis in the IMU frame. With a `seed` that noise is added first, for
+    recordings whose truth was made from the same INS: its velocities as they are would be the truth by another name.
     """
     sigmas = positive("sigma_linear", sigma_linear), positive("sigma_angular", sigma_angular)
     if seed is not None:

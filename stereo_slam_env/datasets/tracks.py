@@ -64,7 +64,7 @@ class Tracks:
 
 
 def tracks_of_pixels(pixels: FloatArray) -> Tracks:
-    """Observations out of a table (4, K, N) of u_left, v_left, u_right, v_right of landmark j in frame k; -1: not seen."""
+    """Observations out of u_left, v_left, u_right, v_right (4, K, N) of landmark j in frame k; -1: not seen."""
     frame, landmark = np.nonzero((pixels != -1.0).all(axis=0))
     u_left, v_left, u_right, v_right = pixels[:, frame, landmark]
     return Tracks(frame, landmark, np.column_stack([u_left, v_left, u_left - u_right]), v_right)
@@ -78,7 +78,8 @@ def frames_of(
 ) -> tuple[Frame, ...]:
     """Frames in time order, each with its observations in ascending order of ids.
 
-    Frame indices of the tracks refer to `timestamps` (K,), s; `truth` and `odometry` have an entry for each frame, or None.
+    Frame indices of the tracks refer to `timestamps` (K,), s; `truth` and `odometry` have an entry for each frame, or
+    None.
     """
     stuck = np.flatnonzero(~(np.diff(timestamps) > 0))
     if stuck.size:

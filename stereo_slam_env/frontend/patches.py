@@ -127,8 +127,8 @@ def _resampled(patches: Patches, affine: FloatArray, size: int, step: float) -> 
 def local_affine(camera: StereoCamera, uvd_then: ArrayLike, R: ArrayLike, t: ArrayLike) -> FloatArray:
     """Change of the appearance of landmarks' surroundings: offset in the image now -> offset then, (N, 2, 2) px.
 
-    `uvd_then` (N, 3) px is the landmark in the view of the patch, and p_now = R p_then + t, one pose or one for
-    each. The surroundings are taken for a plane through the landmark, parallel to the image in which the patch was cut. Such
+    `uvd_then` (N, 3) px is the landmark in the view of the patch, and p_now = R p_then + t, one pose or one for each.
+    The surroundings are taken for a plane through the landmark, parallel to the image in which the patch was cut. Such
     a plane n . p = z with n = (0, 0, 1) induces the homography R + t n^T / z of the rays; this is the inverse of its
     derivative at the landmark, in pixels. 1/z = d / (f b), so a landmark at infinity (d = 0) is nothing special. Not
     finite where the plane is seen edge-on, without meaning where the landmark is behind the camera.

@@ -306,8 +306,8 @@ def run_matrix(
     """Run every fault of those names with every filter, on the drives of the seeds from 0 on.
 
     The filters have the gate that they have by default, 0.99. `backend` says where (None: one after the other, in this
-    process), `progress` is called with (drives done, drives). A `ValueError` where there is no such fault or filter, or an
-    option is refused.
+    process), `progress` is called with (drives done, drives). A `ValueError` where there is no such fault or filter, or
+    an option is refused.
     """
     wanted = {name: find_fault(name) for name in faults}
     for choice in filters:  # before any work is done
