@@ -61,7 +61,7 @@ def load(source: str | Path, **options: Any) -> Recording:
     ----------
     source : str or Path
         A folder, whose layout is recognised by its files; a file of `save_recording` (`NAME.npz`); or `gtsam`, the
-        example data inside the gtsam wheel (`gtsam:NAME` for one of several).
+        example data inside the gtsam wheel.
     **options
         Options of the reader, see its `read`; for images those of `open_for_front_end`.
 
@@ -79,10 +79,9 @@ def load(source: str | Path, **options: Any) -> Recording:
         The example data needs gtsam, which is not installed.
     """
     path = Path(source)
-    prefix, _, name = str(source).partition(":")
-    if prefix == EXAMPLE and not is_there(path):
+    if source == EXAMPLE and not is_there(path):
         _require_options(EXAMPLE, kitti00_stereo_tracks.read_example, options)
-        return kitti00_stereo_tracks.read_example(name or "kitti00", **options)
+        return kitti00_stereo_tracks.read_example(**options)
     if path.suffix == ".npz" and is_there(path) and path.is_file():
         require_known("a recording in one file has no option", options, [])
         return load_recording(path)
