@@ -199,7 +199,8 @@ def refine(image: Image, templates: Patches, pixel: IntArray, offset: FloatArray
     """
     stack = np.ascontiguousarray(templates.transpose(1, 2, 0))
     t, length = _normalised(stack)
-    g_u, g_v = (_derivative(gradient, t, length) for gradient in _gradients(stack))
+    gradients: list[Patches] = list(np.gradient(stack, axis=(1, 0)))
+    g_u, g_v = (_derivative(gradient, t, length) for gradient in gradients)
     texture = np.array([[_dot(g_u, g_u), _dot(g_u, g_v)], [_dot(g_v, g_u), _dot(g_v, g_v)]])
     texture[[0, 1], [0, 1]] += _LEAST_TEXTURE * (texture[0, 0] + texture[1, 1] + _LEAST_TEXTURE)
     away, stays = offset.copy(), np.ones(len(pixel), dtype=np.bool_)
@@ -225,17 +226,6 @@ def _normalised(stack: Patches) -> tuple[Patches, Patches]:
     columns = columns - columns.sum(axis=0) * np.float32(1.0 / _PIXELS)
     length: Patches = np.maximum(np.sqrt((columns * columns).sum(axis=0)), np.float32(FLAT * PATCH))
     return columns / length, length
-
-
-def _gradients(stack: Patches) -> tuple[Patches, Patches]:
-    """Differences of (11, 11, N) along u and v: central ones, and at both ends those of neighbours."""
-    along_u, along_v = np.empty_like(stack), np.empty_like(stack)
-    for image, out in ((stack.swapaxes(0, 1), along_u.swapaxes(0, 1)), (stack, along_v)):
-        np.subtract(image[2:], image[:-2], out=out[1:-1])
-        out[1:-1] *= np.float32(0.5)
-        np.subtract(image[1], image[0], out=out[0])
-        np.subtract(image[-1], image[-2], out=out[-1])
-    return along_u, along_v
 
 
 def _derivative(gradient: Patches, t: Patches, length: Patches) -> Patches:

@@ -14,7 +14,7 @@ from filters.validation import BoolArray, FloatArray, IntArray, finite_array
 from stereo_slam_env.frontend.matching import match_rows, search
 from stereo_slam_env.frontend.patches import Image, local_affine, parallax, warped_patches
 from stereo_slam_env.frontend.settings import TrackerSettings
-from stereo_slam_env.frontend.tracks import Expectation, Outcome, Tracks
+from stereo_slam_env.frontend.tracks import Expectation, Outcome, Tracks, rows_from
 from stereo_slam_env.recording.recording import GreyImage
 
 _CELL = 48
@@ -149,11 +149,7 @@ class Found:
 
     def merged(self, other: Found, rows: BoolArray) -> Found:
         """This one, with `rows` (N,) from the other."""
-        return Found(
-            np.where(rows[:, None], other.uvd, self.uvd),
-            np.where(rows[:, None, None], other.R, self.R),
-            np.where(rows, other.outcome, self.outcome),
-        )
+        return Found(*rows_from(other, self, rows, "uvd", "R", "outcome"))
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from enum import IntEnum
+from typing import Any
 
 import numpy as np
 
@@ -128,6 +130,13 @@ Rows = tuple[IntArray, IntArray]
 """Positions of the same landmarks in the tracks and in a forecast."""
 
 
+def rows_from(other: object, own: object, rows: BoolArray, *names: str) -> Iterator[Any]:
+    """Arrays of those names, N rows each: `rows` (N,) of them from `other`, the rest from `own`."""
+    for name in names:
+        values = getattr(own, name)
+        yield np.where(rows.reshape(-1, *[1] * (values.ndim - 1)), getattr(other, name), values)
+
+
 @dataclass(frozen=True, eq=False)
 class Expectation:
     """Expected measurements of N tracks."""
@@ -139,12 +148,8 @@ class Expectation:
 
     def merged(self, other: Expectation, rows: BoolArray) -> Expectation:
         """This one, with `rows` (N,) from the other."""
-        return Expectation(
-            np.where(rows[:, None], other.uvd, self.uvd),
-            np.where(rows[:, None, None], other.S, self.S),
-            np.where(rows, other.in_view, self.in_view),
-            other.step,
-        )
+        uvd, S, in_view = rows_from(other, self, rows, "uvd", "S", "in_view")
+        return Expectation(uvd, S, in_view, other.step)
 
 
 def require_legal(forecast: Forecast) -> None:
