@@ -113,12 +113,9 @@ class FrameToFrame(CameraFilter):
         gone = unique_ids("ids", np.asarray(ids))
         if self._reference is not None:
             kept = ~np.isin(self._reference.observation.ids, gone)
-            self._reference = _Reference(
-                self._reference.belief,
-                self._reference.observation.select(kept),
-                self._reference.R[kept],
-                self._reference.cross[kept],
-            )
+            before = self._reference
+            seen, R, cross = before.observation.select(kept), before.R[kept], before.cross[kept]
+            self._reference = _Reference(before.belief, seen, R, cross)
 
     def _use(self, observation: StereoObservation) -> UpdateReport:
         """Measure the step from the reference frame; the frame becomes the next reference if it can be one."""

@@ -14,8 +14,8 @@ import numpy as np
 
 from stereo_slam_env.datasets.calibration import rig_of
 from stereo_slam_env.datasets.image_files import numbered_images
-from stereo_slam_env.datasets.odometry import camera_velocities
 from stereo_slam_env.datasets.sequence import Choice, ImageFiles, RecordedSequence, poses_of_rows
+from stereo_slam_env.datasets.tracks import camera_velocities
 from stereo_slam_env.files.readers import read_table
 from stereo_slam_env.recording.recording import Reference
 

@@ -31,8 +31,8 @@ from stereo_slam_env.datasets.calibration import (
 )
 from stereo_slam_env.datasets.image_files import numbered_images
 from stereo_slam_env.datasets.kitti_odometry import CAMERAS, chosen_cameras
-from stereo_slam_env.datasets.odometry import camera_velocities
 from stereo_slam_env.datasets.sequence import Choice, ImageFiles, RecordedSequence, known_poses
+from stereo_slam_env.datasets.tracks import camera_velocities
 from stereo_slam_env.files.paths import require_inside
 from stereo_slam_env.files.readers import finite_rows, read_text
 from stereo_slam_env.recording.recording import Reference

@@ -14,8 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from filters import Pose, StereoCamera, StereoNoise
 from filters.validation import FloatArray, positive
-from stereo_slam_env.datasets.odometry import camera_velocities
-from stereo_slam_env.datasets.tracks import frames_of, tracks_of_pixels
+from stereo_slam_env.datasets.tracks import camera_velocities, frames_of, tracks_of_pixels
 from stereo_slam_env.files.readers import Shape, read_archive, require_rotations
 from stereo_slam_env.recording.recording import LandmarkTruth, Recording, Reference
 

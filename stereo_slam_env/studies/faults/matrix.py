@@ -107,11 +107,8 @@ class _WatchedFilter:
     def update(self, seen: StereoObservation) -> UpdateReport:
         """Use the arrays of a camera, which need not be legal; an empty report where they are refused."""
         reports = [UpdateReport()]
-        self._accepted(
-            lambda: reports.append(
-                self._slam.update(StereoObservation(seen.ids, seen.uvd, seen.v_right, seen.R)),
-            )
-        )
+        measured = (seen.ids, seen.uvd, seen.v_right, seen.R)
+        self._accepted(lambda: reports.append(self._slam.update(StereoObservation(*measured))))
         return reports[-1]
 
     def _check(self) -> None:
@@ -191,33 +188,26 @@ def judge(session: Session, fault: str, label: str, seed: int) -> Run:
     return Run(fault, label, seed, outcome, at, detected, in_time, causes, worst, session.refused, session.broken)
 
 
-@dataclass(frozen=True)
-class Cell:
-    """The runs of one fault and filter."""
+def in_words(runs: Sequence[Run]) -> str:
+    """Outcomes, detections, and what was broken, in a few words."""
+    counts = {outcome: sum(run.outcome == outcome for run in runs) for outcome in OUTCOMES}
+    present = [outcome for outcome in OUTCOMES if counts[outcome]]
+    said = [f"{counts[outcome]} {outcome}" for outcome in present] if len(present) > 1 else present
+    delays = [run.detected_after for run in runs if run.detected_after is not None]
+    alarmed = sum(bool(run.causes) for run in runs)
+    if diverged := counts["diverged"]:
+        late = f", after {delay:.1f} s" if delays and (delay := statistics.median(delays)) >= 0.05 else ""
+        said.append(f"told {sum(run.in_time is True for run in runs)}/{diverged}{late}")
+    elif alarmed:
+        said.append(f"alarms {alarmed}/{len(runs)}")
+    broken = [f"BROKEN: {run.broken}" for run in runs if run.broken]
+    return "; ".join([*said, *broken[:1]])
 
-    runs: tuple[Run, ...]
 
-    @property
-    def words(self) -> str:
-        """Outcomes, detections, and what was broken, in a few words."""
-        counts = {outcome: sum(run.outcome == outcome for run in self.runs) for outcome in OUTCOMES}
-        present = [outcome for outcome in OUTCOMES if counts[outcome]]
-        said = [f"{counts[outcome]} {outcome}" for outcome in present] if len(present) > 1 else present
-        delays = [run.detected_after for run in self.runs if run.detected_after is not None]
-        alarmed = sum(bool(run.causes) for run in self.runs)
-        if diverged := counts["diverged"]:
-            late = f", after {delay:.1f} s" if delays and (delay := statistics.median(delays)) >= 0.05 else ""
-            said.append(f"told {sum(run.in_time is True for run in self.runs)}/{diverged}{late}")
-        elif alarmed:
-            said.append(f"alarms {alarmed}/{len(self.runs)}")
-        broken = [f"BROKEN: {run.broken}" for run in self.runs if run.broken]
-        return "; ".join([*said, *broken[:1]])
-
-    @property
-    def cause(self) -> str:
-        """The most frequent first cause of an alarm."""
-        first = Counter(run.causes[0] for run in self.runs if run.causes)
-        return Cause[first.most_common(1)[0][0]].value if first else ""
+def first_cause(runs: Sequence[Run]) -> str:
+    """The most frequent first cause of an alarm."""
+    first = Counter(run.causes[0] for run in runs if run.causes)
+    return Cause[first.most_common(1)[0][0]].value if first else ""
 
 
 @dataclass(frozen=True)
@@ -237,9 +227,9 @@ class FaultMatrix:
         """In the order asked for."""
         return tuple(dict.fromkeys(run.filter for run in self.runs))
 
-    def cell(self, fault: str, label: str | None = None) -> Cell:
+    def runs_of(self, fault: str, label: str | None = None) -> list[Run]:
         """The runs of a fault with one filter; None: with all."""
-        return Cell(tuple(run for run in self.runs if run.fault == fault and label in (None, run.filter)))
+        return [run for run in self.runs if run.fault == fault and label in (None, run.filter)]
 
     @property
     def broken(self) -> tuple[Run, ...]:
@@ -284,8 +274,8 @@ class FaultMatrix:
     def rows(self) -> list[list[str]]:
         """The table: fault, a column for each filter, most frequent cause."""
         return [
-            [name, *(self.cell(name, label).words for label in self.filters), self.cell(name).cause]
-            for name in self.faults
+            [fault, *(in_words(self.runs_of(fault, label)) for label in self.filters), first_cause(self.runs_of(fault))]
+            for fault in self.faults
         ]
 
     def as_markdown(self) -> str:

@@ -192,20 +192,13 @@ def _write_json(path: Path, data: Mapping[str, Any]) -> None:
 def _as_dict(claim: Claim) -> dict[str, Any]:
     sentence = asdict(claim.sentence)
     del sentence["asked"]  # of each finding
-    return {
-        **sentence,
-        "verdict": claim.verdict.value,
-        "says": claim.says,
-        "findings": [_finding(finding) for finding in claim.findings],
-    }
+    findings = [_finding(finding) for finding in claim.findings]
+    return {**sentence, "verdict": claim.verdict.value, "says": claim.says, "findings": findings}
 
 
 def _finding(finding: Finding) -> dict[str, Any]:
-    measured, asked = finding.measured, finding.asked
-    value, *limits = (
-        number if math.isfinite(number) else None
-        for number in (measured.value, measured.low, measured.high, asked.low, asked.high)
-    )
+    ends = (*vars(finding.measured).values(), *vars(finding.asked).values())
+    value, *limits = (number if math.isfinite(number) else None for number in ends)
     return {
         "condition": dict(finding.condition),
         "measured": value,
@@ -219,19 +212,12 @@ def _write_rows(path: Path, claims: Sequence[Claim]) -> None:
     """One row a finding."""
     heads = ("key", "section", "claim", "statement", "condition", "measured", "low", "high", "asked", "verdict", "says")
     with path.open("w", encoding="utf-8", newline="") as file:
-        rows = csv.DictWriter(file, (*heads, "evidence"), lineterminator="\n")
-        rows.writeheader()
+        rows = csv.writer(file, lineterminator="\n")
+        rows.writerow((*heads, "evidence"))
         for claim in claims:
-            for finding in claim.findings:
-                rows.writerow(
-                    {
-                        **{name: getattr(claim.sentence, name) for name in (*heads[:4], "evidence")},
-                        "condition": ", ".join(f"{factor}: {level}" for factor, level in finding.condition.items()),
-                        "measured": finding.measured.value,
-                        "low": finding.measured.low,
-                        "high": finding.measured.high,
-                        "asked": str(finding.asked),
-                        "verdict": finding.verdict.value,
-                        "says": claim.says,
-                    }
-                )
+            said = claim.sentence
+            for found in claim.findings:
+                condition = ", ".join(f"{factor}: {level}" for factor, level in found.condition.items())
+                about = said.key, said.section, said.claim, said.statement, condition
+                verdict = found.asked, found.verdict.value, claim.says, said.evidence
+                rows.writerow((*about, *vars(found.measured).values(), *verdict))
