@@ -11,7 +11,7 @@ import numpy as np
 
 from filters import StereoCamera, StereoNoise, StereoObservation
 from filters.validation import BoolArray, FloatArray, IntArray, finite_number, positive, probability
-from stereo_slam_env.recording.recording import Frame, LandmarkTruth, Recording
+from stereo_slam_env.recording.recording import LandmarkTruth, Recording
 
 
 def checked(check: Callable[[str, Any], object], **default: Any) -> Any:
@@ -24,7 +24,8 @@ class Checked:
 
     def __post_init__(self) -> None:
         for one in fields(self):  # type: ignore[arg-type]
-            one.metadata["check"](one.name, getattr(self, one.name))
+            if check := one.metadata.get("check"):
+                check(one.name, getattr(self, one.name))
 
 
 class OfMeasurements(Checked):
@@ -33,10 +34,11 @@ class OfMeasurements(Checked):
     def applied_to(self, recording: Recording, rng: np.random.Generator) -> Recording:
         """See `Corruption`."""
         return recording.with_observations(
-            self._changed(frame.observation, recording.camera, rng) for frame in recording.frames
+            self.changed(frame.observation, recording.camera, rng) for frame in recording.frames
         )
 
-    def _changed(self, seen: StereoObservation, camera: StereoCamera, rng: np.random.Generator) -> StereoObservation:
+    def changed(self, seen: StereoObservation, camera: StereoCamera, rng: np.random.Generator) -> StereoObservation:
+        """What is measured in a frame instead of `seen`, everything random from `rng`."""
         raise NotImplementedError
 
 
@@ -65,8 +67,8 @@ class Outliers(OfMeasurements):
     share: float = checked(probability)
     sigma: float | None = checked(_positive_if_given, default=None)
 
-    def _changed(self, seen: StereoObservation, camera: StereoCamera, rng: np.random.Generator) -> StereoObservation:
-        """The row of the right image, where measured, moves along."""
+    def changed(self, seen: StereoObservation, camera: StereoCamera, rng: np.random.Generator) -> StereoObservation:
+        """See `OfMeasurements`; the row of the right image, where measured, moves along."""
         hit, drawn = rng.random(len(seen)) < self.share, rng.random((len(seen), 3))
         errors = rng.standard_normal((len(seen), 3))
         if self.sigma is None:
@@ -89,7 +91,8 @@ class WrongIds(OfMeasurements):
 
     probability: float = checked(probability)
 
-    def _changed(self, seen: StereoObservation, camera: StereoCamera, rng: np.random.Generator) -> StereoObservation:
+    def changed(self, seen: StereoObservation, camera: StereoCamera, rng: np.random.Generator) -> StereoObservation:
+        """See `OfMeasurements`."""
         starting = np.flatnonzero(rng.random(len(seen)) < self.probability)
         if len(seen) < 2 or not len(starting):
             return seen
@@ -116,7 +119,8 @@ class MissedDetections(OfMeasurements):
 
     probability: float = checked(probability)
 
-    def _changed(self, seen: StereoObservation, camera: StereoCamera, rng: np.random.Generator) -> StereoObservation:
+    def changed(self, seen: StereoObservation, camera: StereoCamera, rng: np.random.Generator) -> StereoObservation:
+        """See `OfMeasurements`."""
         return seen.select(rng.random(len(seen)) >= self.probability)
 
 
@@ -132,7 +136,8 @@ class BiasedDisparity(OfMeasurements):
 
     bias: float = checked(finite_number)
 
-    def _changed(self, seen: StereoObservation, camera: StereoCamera, rng: np.random.Generator) -> StereoObservation:
+    def changed(self, seen: StereoObservation, camera: StereoCamera, rng: np.random.Generator) -> StereoObservation:
+        """See `OfMeasurements`."""
         return _moved(seen, seen.uvd + np.array([0.0, 0.0, self.bias]))
 
 
@@ -150,8 +155,8 @@ class WrongCalibration(OfMeasurements):
     baseline_percent: float = checked(_more_than_nothing, default=0.0)
     principal_point_percent: float = checked(finite_number, default=0.0)
 
-    def _changed(self, seen: StereoObservation, camera: StereoCamera, rng: np.random.Generator) -> StereoObservation:
-        """The rays and depths stay, so noise scales with the focal length."""
+    def changed(self, seen: StereoObservation, camera: StereoCamera, rng: np.random.Generator) -> StereoObservation:
+        """See `OfMeasurements`; rays and depths stay, so noise scales with the focal length."""
         longer, wider = 1.0 + self.focal_percent / 100.0, 1.0 + self.baseline_percent / 100.0
         centre = np.array([camera.cx, camera.cy])
         moved_centre = centre * (1.0 + self.principal_point_percent / 100.0)
@@ -177,7 +182,8 @@ class MisscaledNoise(OfMeasurements):
         noise = StereoNoise(self.factor**2 * recording.noise.R)
         return replace(super().applied_to(recording, rng), noise=noise)
 
-    def _changed(self, seen: StereoObservation, camera: StereoCamera, rng: np.random.Generator) -> StereoObservation:
+    def changed(self, seen: StereoObservation, camera: StereoCamera, rng: np.random.Generator) -> StereoObservation:
+        """See `OfMeasurements`."""
         return seen if seen.R is None else replace(seen, R=self.factor**2 * seen.R)
 
 
@@ -205,20 +211,12 @@ class MovingLandmarks(Checked):
         moving = rng.random(len(landmarks.ids)) < self.share
         heading = rng.uniform(0.0, 2.0 * np.pi, len(landmarks.ids))
         velocities = self.speed * np.stack([np.sin(heading), np.zeros_like(heading), np.cos(heading)], axis=1)
-        first_seen = np.full(len(landmarks.ids), np.nan)
-        observations = []
-        for frame in recording.frames:
-            place, concerned = _places(landmarks.ids, frame.observation.ids)
-            concerned &= moving[place]
-            those = place[concerned]
-            first_seen[those] = np.fmin(first_seen[those], frame.timestamp)
-            displacements = velocities[those] * (frame.timestamp - first_seen[those])[:, None]
-            positions = landmarks.positions[those]
-            observations.append(
-                seen_elsewhere(frame, recording.camera, concerned, positions, positions + displacements)
-            )
+
+        def driven(time: float, first_seen: FloatArray, index: IntArray) -> FloatArray:
+            return np.asarray(velocities[index] * (time - first_seen)[:, None])
+
         static = LandmarkTruth(landmarks.ids[~moving], landmarks.positions[~moving])
-        return replace(recording.with_observations(observations), landmarks=static)
+        return replace(moved_on(recording, moving, driven), landmarks=static)
 
 
 def known_world(recording: Recording) -> LandmarkTruth:
@@ -229,25 +227,38 @@ def known_world(recording: Recording) -> LandmarkTruth:
     return landmarks
 
 
-def seen_elsewhere(
-    frame: Frame, camera: StereoCamera, concerned: BoolArray, static_w: FloatArray, moved_w: FloatArray
-) -> StereoObservation:
-    """The observation of a frame in which the `concerned` landmarks are at `moved_w` instead of `static_w`."""
-    assert frame.truth is not None
-    points_c = frame.truth.to_camera(moved_w)
-    there = camera.project(points_c)
-    uvd = frame.observation.uvd.copy()
-    uvd[concerned] += there - camera.project(frame.truth.to_camera(static_w))
-    visible = np.ones(len(uvd), dtype=np.bool_)
-    visible[concerned] = (points_c[:, 2] > 0) & camera.in_view(there)
-    uvd[~visible] = 0.0
-    return _moved(frame.observation, uvd).select(visible)
+def moved_on(
+    recording: Recording, moving: BoolArray, displacement: Callable[[float, FloatArray, IntArray], FloatArray]
+) -> Recording:
+    """The drive past landmarks of which some move on from where they are first seen.
 
-
-def _places(known: IntArray, ids: IntArray) -> tuple[IntArray, BoolArray]:
-    """Index of each of `ids` in the ascending array `known`, and whether it is there."""
-    place = np.minimum(np.searchsorted(known, ids), len(known) - 1)
-    return place, known[place] == ids
+    Parameters
+    ----------
+    recording : Recording
+        With N true landmarks and the true pose of every frame.
+    moving : (N,) bool
+        Which of the landmarks move.
+    displacement : callable
+        Time, s, times of first sight (K,), s, and indices (K,) of landmarks -> their displacements (K, 3), m in W.
+    """
+    landmarks, camera = known_world(recording), recording.camera
+    first_seen, observations = np.full(len(moving), np.nan), []
+    for frame in recording.frames:
+        assert frame.truth is not None
+        place = np.minimum(np.searchsorted(landmarks.ids, frame.observation.ids), len(moving) - 1)
+        concerned = (landmarks.ids[place] == frame.observation.ids) & moving[place]
+        those = place[concerned]
+        first_seen[those] = np.fmin(first_seen[those], frame.timestamp)
+        static_w = landmarks.positions[those]
+        moved_w = static_w + displacement(frame.timestamp, first_seen[those], those)
+        points_c = frame.truth.to_camera(moved_w)
+        there, uvd = camera.project(points_c), frame.observation.uvd.copy()
+        uvd[concerned] += there - camera.project(frame.truth.to_camera(static_w))
+        visible = np.ones(len(uvd), dtype=np.bool_)
+        visible[concerned] = (points_c[:, 2] > 0) & camera.in_view(there)
+        uvd[~visible] = 0.0
+        observations.append(_moved(frame.observation, uvd).select(visible))
+    return recording.with_observations(observations)
 
 
 def _moved(seen: StereoObservation, uvd: FloatArray) -> StereoObservation:

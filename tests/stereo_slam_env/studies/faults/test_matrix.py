@@ -9,7 +9,7 @@ from filters.monitor import Alarm, Cause
 from stereo_slam_env.benchmark.scenarios.scenario import filter_choice
 from stereo_slam_env.cli import app as cli
 from stereo_slam_env.studies.faults import FAULTS, FaultMatrix, Session, run_matrix
-from stereo_slam_env.studies.faults.matrix import in_words, judge
+from stereo_slam_env.studies.faults.matrix import first_cause, in_words, judge
 
 ONSET = FAULTS["outliers-30"].begins
 
