@@ -12,6 +12,7 @@ in the file. The truth is that of the turned left camera; frames outside the tim
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -78,9 +79,7 @@ def _read_listing(folder: Path) -> tuple[list[int], list[str]]:
     """Timestamps, ns, and file names of `data.csv`."""
     path = folder / "data.csv"
     stamps, names = [], []
-    for number, line in enumerate(read_text(path, errors="replace").splitlines(), start=1):
-        if not line.strip() or line.lstrip().startswith("#"):
-            continue
+    for number, line in _rows(path):
         stamp, _, name = (part.strip() for part in line.partition(","))
         if not re.fullmatch(r"[0-9]{1,19}", stamp) or int(stamp) > _LATEST_NS or not is_plain_name(name):
             raise ValueError(f"{path}: line {number} is not 'timestamp in ns,file name': correct it")
@@ -89,6 +88,13 @@ def _read_listing(folder: Path) -> tuple[list[int], list[str]]:
     if not stamps:
         raise ValueError(f"{path} lists no images: copy it again")
     return stamps, names
+
+
+def _rows(path: Path) -> Iterator[tuple[int, str]]:
+    """Lines of a table with their numbers, without comments and empty ones."""
+    for number, line in enumerate(read_text(path, errors="replace").splitlines(), start=1):
+        if line.strip() and not line.lstrip().startswith("#"):
+            yield number, line
 
 
 def _existing(folder: Path, names: dict[int, str]) -> dict[int, Path]:
@@ -130,9 +136,7 @@ def _camera_poses(
 def _read_truth(path: Path) -> tuple[IntArray, FloatArray]:
     """Timestamps (K,) ns, increasing, and rows (K, 7): position and quaternion xyzw."""
     stamps, rows = [], []
-    for number, line in enumerate(read_text(path, errors="replace").splitlines(), start=1):
-        if not line.strip() or line.lstrip().startswith("#"):
-            continue
+    for number, line in _rows(path):
         words = line.split(",")
         try:
             x, y, z, qw, qx, qy, qz = (float(word) for word in words[1:8])

@@ -10,20 +10,20 @@ from __future__ import annotations
 
 import json
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
 import numpy as np
 
-from filters import Pose, StereoCamera, rotations
+from filters import Pose, StereoCamera
 from filters.validation import FloatArray
 from stereo_slam_env.datasets.calibration import of_left_camera, projections, rig_of
 from stereo_slam_env.datasets.image_files import numbered_images
 from stereo_slam_env.datasets.sequence import Choice, ImageFiles, RecordedSequence, poses_of_rows
 from stereo_slam_env.files.paths import require_inside
 from stereo_slam_env.files.readers import read_table
-from stereo_slam_env.recording.recording import GreyImage, ImageSequence, Reference, StereoPair
+from stereo_slam_env.recording.recording import ImageSequence, Reference, StereoPair
 
 NAME = "kitti_odometry"
 FILES = (("calib.txt", "times.txt", "image_0", "image_1"), ("calib.txt", "times.txt", "image_2", "image_3"))
@@ -142,7 +142,8 @@ def write_kitti_sequence(
     known = [pose for pose in truth if pose is not None]
     if len(known) == len(truth):
         poses.parent.mkdir(exist_ok=True)
-        poses.write_text(_pose_rows(known))
+        rows = (np.column_stack([pose.R_wc, pose.position]) for pose in known)
+        poses.write_text("".join(f"{_row(row.ravel())}\n" for row in rows))
     elif known:
         log.warning("%s not written: %d of %d pairs have no true pose", poses, len(truth) - len(known), len(truth))
     if final.exists():
@@ -168,14 +169,10 @@ def _write_images(folder: Path, number: int, pair: StereoPair, camera: StereoCam
                 f"pair {number} cannot be written to {path}: its images must be uint8 of shape "
                 f"{(camera.height, camera.width)}, got {image.dtype} of shape {image.shape}"
             )
-        path.write_bytes(_png(image))
-
-
-def _png(image: GreyImage) -> bytes:
-    done, data = cv2.imencode(".png", image)
-    if not done:
-        raise ValueError("OpenCV could not encode an image as PNG: install opencv-python-headless with PNG support")
-    return bytes(data)
+        done, data = cv2.imencode(".png", image)
+        if not done:
+            raise ValueError("OpenCV could not encode an image as PNG: install opencv-python-headless with PNG support")
+        path.write_bytes(bytes(data))
 
 
 def _calibration(camera: StereoCamera) -> str:
@@ -186,11 +183,6 @@ def _calibration(camera: StereoCamera) -> str:
 
     grey = (projection(0.0), projection(-camera.disparity_constant))
     return "".join(f"P{n}: {_row(grey[n % 2].ravel())}\n" for n in range(4))
-
-
-def _pose_rows(poses: Sequence[Pose]) -> str:
-    rows = (np.column_stack([rotations.matrix(pose.orientation), pose.position]) for pose in poses)
-    return "".join(f"{_row(row.ravel())}\n" for row in rows)
 
 
 def _row(numbers: FloatArray) -> str:
