@@ -265,7 +265,11 @@ def _undecided(open_ones: Sequence[Comparison]) -> str:
     """Words on rivals that are not shown to be worse; of many only the names."""
     if len(open_ones) > _MOST_WORDED:
         names = ", ".join(c.other for c in open_ones[:_MOST_WORDED])
-        return f"no difference to {names} and {len(open_ones) - _MOST_WORDED} more is shown"
+        names += f" and {len(open_ones) - _MOST_WORDED} more"
+        most = max(open_ones, key=lambda c: c.runs).difference
+        if most.count > 1 and most.too_few:
+            return f"{most.count} runs are too few to show a difference to {names}, {most.needed} are needed"
+        return f"no difference to {names} is shown"
     few = [c for c in open_ones if c.runs and c.interval_percent is None]
     if len(few) > 1 and len({c.runs for c in few}) == 1:
         return "; ".join([_too_few(few), *(c.words for c in open_ones if c not in few)])
