@@ -267,7 +267,9 @@ def _undecided(open_ones: Sequence[Comparison]) -> str:
         names = ", ".join(c.other for c in open_ones[:_MOST_WORDED])
         names += f" and {len(open_ones) - _MOST_WORDED} more"
         most = max(open_ones, key=lambda c: c.runs).difference
-        if most.count > 1 and most.too_few:
+        if most.count == 1:
+            return f"one run shows no general difference to {names}"
+        if most.count and most.too_few:
             return f"{most.count} runs are too few to show a difference to {names}, {most.needed} are needed"
         return f"no difference to {names} is shown"
     few = [c for c in open_ones if c.runs and c.interval_percent is None]
