@@ -54,7 +54,12 @@ def train(
         best = min(rows, key=lambda row: row["final_pose_logdet"])
         for name, value in straight.items():
             typer.echo(f"{name:<24} network {best[name]:8.3f}   straight ahead {value:8.3f}")
-        typer.echo(f"network: {network.resolve()}")
+        made = int(rows[-1]["decisions"])
+        if made < decisions:
+            typer.echo(
+                f"stopped after {made:,} of {decisions:,} decisions; to go on: the same command, --out {directory}"
+            )
+        typer.echo(f"network: {network.resolve()} (the best so far, after {int(best['decisions']):,} decisions)")
 
 
 def _arguments(text: str) -> dict[str, object]:

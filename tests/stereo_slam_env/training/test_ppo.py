@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from filters import extras
+from stereo_slam_env.cli import app as cli
 from stereo_slam_env.policies import make_policy
 from stereo_slam_env.policies.network import Network
 from stereo_slam_env.training import ppo
-from stereo_slam_env.training.evaluation import Evaluation
+from stereo_slam_env.training.evaluation import Evaluation, LearningCurve
 from stereo_slam_env.training.ppo import PPOSettings, train
 from stereo_slam_env.training.task import GazeTask
 
@@ -30,6 +31,26 @@ def quick(monkeypatch):
     pytest.importorskip("stable_baselines3", reason="needs the extra rl")
     looks = iter(range(100))
     monkeypatch.setattr(ppo, "evaluate", lambda *_, **__: Evaluation(0.5, -40.0 - next(looks), 0.2, 0.3))
+
+
+@pytest.mark.parametrize(("made", "says_stopped"), [(0, True), (2000, True), (4000, False)])
+def test_the_command_says_how_far_the_training_came_and_which_network_is_kept(
+    monkeypatch, tmp_path, capsys, made, says_stopped
+):
+    """A time limit may end it before the first decision: the figures are then those of an untrained network."""
+
+    def trained(task, settings, out, **_):
+        curve = LearningCurve(out / "learning_curve.csv")
+        for decisions in range(0, made + 1, 1000):
+            curve.add(decisions, 60.0 + decisions, 1.0, Evaluation(0.5, -40.0 - (decisions == 1000), 0.2, 0.3))
+        return out / "policy.npz"
+
+    monkeypatch.setattr(ppo, "train", trained)
+    monkeypatch.setattr("stereo_slam_env.training.evaluation.evaluate", lambda *_: Evaluation(0.6, -39.0, 0.3, 0.4))
+    assert cli.main(["train", "--decisions", "4000", "--minutes", "1", "--out", str(tmp_path)]) == 0
+    said = capsys.readouterr().out
+    assert (f"stopped after {made:,} of 4,000 decisions" in said) == says_stopped
+    assert f"policy.npz (the best so far, after {min(made, 1000):,} decisions)" in said
 
 
 @pytest.mark.slow
