@@ -118,8 +118,8 @@ def _link(out: Path, study: Study, name: str) -> str:
 
 _MATRIX_NOTE = (
     "Position RMSE, and pose NEES / 6 (1 is ideal) below it. Green: the smallest error, and shown to be; red: shown to"
-    " be larger than the smallest; plain: neither is shown. NEES: green in its band, red overconfident, brown too"
-    " cautious. Links lead to the full report of each scenario."
+    " be larger than the smallest, or diverged; plain: nothing is shown. NEES: green in its band, red overconfident,"
+    " brown too cautious. Links lead to the full report of each scenario."
 )
 
 
