@@ -252,7 +252,10 @@ def serve(descriptor: int) -> None:
     with socket.socket(fileno=descriptor) as requests, selectors.DefaultSelector() as waiting:
         waiting.register(requests, selectors.EVENT_READ)
         waiting.register(wake_up, selectors.EVENT_READ)
-        requests.sendall(_READY)
+        try:
+            requests.sendall(_READY)
+        except BrokenPipeError:  # the caller was killed meanwhile
+            return
         while True:
             ready = {key.fileobj for key, _ in waiting.select()}
             if wake_up in ready:
