@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import Any
 
 import gymnasium as gym
@@ -11,7 +11,6 @@ import numpy as np
 from gymnasium import spaces
 from gymnasium.wrappers import FilterObservation, RepeatAction, TransformAction
 
-from filters.known_names import require_known
 from filters.validation import FloatArray, positive, whole_number
 from stereo_slam_env.policies.interface import gaze_action, require_head
 from stereo_slam_env.wrappers import BeliefObservation, BeliefPanorama, InformationGain
@@ -91,13 +90,3 @@ class GazeTask:
         if self.pans is None:
             return None
         return np.column_stack([np.linspace(-1.0, 1.0, self.pans), np.zeros(self.pans)])
-
-    def as_dict(self) -> dict[str, Any]:
-        """JSON-able form; `from_dict` reads it."""
-        return asdict(self)
-
-    @classmethod
-    def from_dict(cls, data: Mapping[str, Any]) -> GazeTask:
-        """A task from its JSON form; an unknown key is refused with the nearest known one."""
-        require_known("task has no key", data, [*cls.__dataclass_fields__])
-        return cls(**data)
