@@ -197,4 +197,3 @@ def _place(dataset_id: str, folder: str | Path) -> Path:
     if match is None or match.group("version") is None:
         raise ValueError(f"dataset_id must be like 'gaze/sweep-v0', got {dataset_id!r}")
     return Path(folder) / dataset_id
-

@@ -247,7 +247,9 @@ def network_of(
     hidden = sorted({int(name.split(".")[2]) for name in state if name.startswith("mlp_extractor.policy_net.")})
     layers = [f"mlp_extractor.policy_net.{number}" for number in hidden] + ["action_net"]
     keys = tuple(scaling.obs_rms)  # in the order in which the features are joined
-    mean, variance = (np.concatenate([np.ravel(getattr(scaling.obs_rms[k], of)) for k in keys]) for of in ("mean", "var"))
+    mean, variance = (
+        np.concatenate([np.ravel(getattr(scaling.obs_rms[k], of)) for k in keys]) for of in ("mean", "var")
+    )
     return Network(
         keys,
         mean,
