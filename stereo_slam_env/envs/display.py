@@ -22,15 +22,7 @@ _REMEDY = (
 
 
 def window_for(render_mode: str | None, fps: float) -> Window | None:
-    """A window for "human", none for other render modes.
-
-    Raises
-    ------
-    ImportError
-        pygame is missing.
-    RuntimeError
-        There is no display, and SDL_VIDEODRIVER does not say to do without.
-    """
+    """A window for "human", none for other render modes; an error where pygame or a display is missing."""
     if render_mode != "human":
         return None
     if find_spec("pygame") is None:

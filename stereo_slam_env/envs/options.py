@@ -32,13 +32,7 @@ correlation does not see it. Measured with `stereo-slam scenes noise`."""
 
 @dataclass(frozen=True)
 class StereoOptions:
-    """Arguments that every environment takes, described there; `as_dict` is JSON-able.
-
-    Raises
-    ------
-    ValueError
-        A value is not allowed; the message says what is.
-    """
+    """Arguments that every environment takes, described there; `as_dict` is JSON-able, a wrong value a `ValueError`."""
 
     route: str = "town"
     surroundings: str = "street"

@@ -57,18 +57,9 @@ def _drive(env: StereoDriveEnv, seed: int) -> Iterator[Mapping[str, Any]]:
 def recording_of(
     env: StereoEnv, frames: Sequence[Frame], seed: int, about: Mapping[str, Any] | None = None
 ) -> Recording:
-    """The measurements of an environment in the episode of a seed.
+    """The measurements of an environment in the episode of a seed, after its last frame.
 
-    Parameters
-    ----------
-    env : StereoEnv
-        After the last frame.
-    frames : sequence of Frame
-        Its `frame` after `reset` and after each step.
-    seed : int
-        Of the episode.
-    about : mapping, optional
-        Further entries of `source`; JSON-able.
+    `frames` are its `frame` after `reset` and after each step, `about` further JSON-able entries of `source`.
     """
     seen_by = env.options.renderer if env.options.sensor == "images" else env.options.noise
     return Recording(

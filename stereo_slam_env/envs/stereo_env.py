@@ -44,15 +44,7 @@ Observation = dict[str, Any]
 
 
 class StereoEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
-    """A car with a stereo camera; subclasses say what the agent moves and which terms the reward has.
-
-    Parameters
-    ----------
-    render_mode : str, optional
-        One of `metadata["render_modes"]`.
-    **options
-        Fields of `Options`.
-    """
+    """A car with a stereo camera; subclasses say what the agent moves and give their `Options`."""
 
     metadata = {"render_modes": ["rgb_array", "human"], "render_fps": 10}  # noqa: RUF012 (Gymnasium's contract)
     Options: ClassVar[type[StereoOptions]]

@@ -136,18 +136,7 @@ class GLRenderer:
             self._set_look(scene.look)
 
     def render_pair(self, pose: Pose, time: float = 0.0) -> StereoImages:
-        """Draw what the rig sees from `pose` (left camera in W) when moving bodies are where they are at `time` s.
-
-        Returns
-        -------
-        StereoImages
-            The depth is that of the pixel centres, whatever the samples.
-
-        Raises
-        ------
-        RuntimeError
-            There is no scene yet, or the renderer is closed.
-        """
+        """See `StereoRenderer`; a RuntimeError where there is no scene yet, or the renderer is closed."""
         position = self._frame.to_scene(pose.position)
         R_sc = self._frame.rotation_to_scene(rotations.matrix(pose.orientation))
         view = ViewVolume.of(self.camera, position, R_sc, NEAR, FAR)

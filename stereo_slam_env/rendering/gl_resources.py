@@ -31,18 +31,10 @@ _CELL = 6.0
 
 @dataclass(frozen=True, eq=False)
 class DrawList:
-    """Triangles, ordered by chunk.
+    """Triangles, ordered by chunk: vertices in the frame of the meshes, (T, 3) vertex indices.
 
-    Attributes
-    ----------
-    vertices : (V,) `VERTEX`
-        In the frame of the meshes.
-    triangles : (T, 3) uint32
-        Vertex indices.
-    starts : (C + 1,) int
-        Chunk i has the triangles from starts[i] to starts[i + 1] - 1.
-    centers, half_sizes : (C, 3)
-        Bounding box of each chunk, m.
+    Chunk i of C has the triangles from starts[i] to starts[i + 1] - 1; `centers` and `half_sizes` (C, 3) are of its
+    bounding box, m.
     """
 
     vertices: NDArray[np.void]
@@ -126,14 +118,9 @@ def _first_process() -> int:
 
 
 def check_process() -> None:
-    """Raise where drawing could hang: threads of the driver do not survive a fork.
+    """Raise a RuntimeError in a fork of a process that had used OpenGL: threads of the driver do not survive it.
 
     Mesa has one for its cache of shaders, even where `LP_NUM_THREADS` is 0.
-
-    Raises
-    ------
-    RuntimeError
-        This process is a fork of one that had used OpenGL.
     """
     if _first_process() != os.getpid():
         raise RuntimeError(
@@ -143,15 +130,7 @@ def check_process() -> None:
 
 
 def new_context() -> Any:
-    """A context of moderngl without a window.
-
-    Raises
-    ------
-    ImportError
-        moderngl is not installed.
-    RuntimeError
-        There is no EGL, or see `check_process`.
-    """
+    """A context of moderngl without a window; errors as of `make_renderer`."""
     try:
         moderngl: Any = import_module("moderngl")
     except ImportError as error:

@@ -162,7 +162,8 @@ def _episode(env: gym.Env[Any, Any], policy: Policy, seed: int, steps: int | Non
 
     observation, info = env.reset(seed=seed)
     policy.reset(env, rng_of_policy(seed))
-    observations, infos, outcomes, over = [observation], [info], [], False
+    outcomes: list[tuple[Action, float, bool, bool]] = []
+    observations, infos, over = [observation], [info], False
     while not over:
         action = policy.act(observation)
         observation, reward, terminated, truncated, info = env.step(action)

@@ -232,16 +232,8 @@ def network_of(
 ) -> Network:
     """The policy network of a PPO model with a `MultiInputPolicy` of tanh layers, as plain arrays.
 
-    Parameters
-    ----------
-    model : stable_baselines3.PPO
-        The model.
-    scaling : stable_baselines3.common.vec_env.VecNormalize
-        Of its observations, a Dict of boxes.
-    about : mapping
-        Kept with the network; JSON-able.
-    choices : (A, n), optional
-        The actions that the numbers of a discrete action space stand for.
+    `scaling` is that of its observations, a Dict of boxes; `about` is kept with it; `choices` (A, n) are the actions
+    that the numbers of a discrete action space stand for.
     """
     state = {name: np.asarray(tensor.tolist()) for name, tensor in model.policy.state_dict().items()}
     hidden = sorted({int(name.split(".")[2]) for name in state if name.startswith("mlp_extractor.policy_net.")})

@@ -70,15 +70,7 @@ class PhysicsWorld:
         self._stop: weakref.finalize[[int], PhysicsWorld] | None = None
 
     def build(self, scene: Scene, ego_size: tuple[float, float, float]) -> None:
-        """Replace whatever is there by the solids of `scene` at time 0 and the body of the driving car.
-
-        Parameters
-        ----------
-        scene : Scene
-            What to build.
-        ego_size : tuple
-            Length, width, height of the car's body, m.
-        """
+        """Replace what is there by the solids of `scene` at time 0 and a car's body: length, width, height, m."""
         if self._client is None:
             self._client = pybullet.connect(pybullet.DIRECT)
             self._stop = weakref.finalize(self, pybullet.disconnect, self._client)

@@ -51,15 +51,7 @@ _LEAVES = (
 
 
 class Placed:
-    """A place to build at: turns local coordinates (x along, y to the left, z up) into S.
-
-    Parameters
-    ----------
-    xy : (2,)
-        Origin, m.
-    yaw : float
-        Direction of local x about z, rad.
-    """
+    """A place to build at: turns local coordinates (x along `yaw`, y to the left, z up) from `xy` (2,), m, into S."""
 
     def __init__(self, xy: FloatArray, yaw: float) -> None:
         self.yaw = float(yaw)

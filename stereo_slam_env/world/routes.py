@@ -239,23 +239,12 @@ _STRAIGHT_BELOW = 0.08
 
 
 def kitti_route(path: str | Path, period: float = KITTI_PERIOD) -> Route:
-    """The drive of a KITTI pose file, on flat ground and smooth.
+    """The drive of a KITTI pose file with `period` s between two rows, on flat ground and smooth.
 
     The horizontal path is smoothed over 1.5 m, the distance driven over 0.3 s, both are resampled to `FRAME_PERIOD`;
-    the camera looks where it drives. W starts in the first direction of travel.
-
-    Parameters
-    ----------
-    path : str or Path
-        12 numbers a row: the upper 3x4 part of T_world_cam (x right, y down, z forward).
-    period : float
-        Time between two rows, s.
-
-    Raises
-    ------
-    ValueError
-        Not such a file, a jump between two rows, a drive backwards, or one shorter than 5 m: the message names the
-        file.
+    the camera looks where it drives. W starts in the first direction of travel. A `ValueError` names the file where it
+    is none of 12 numbers a row (the upper 3x4 part of T_world_cam), jumps between two rows, drives backwards, or is
+    shorter than 5 m.
     """
     positive("period", period)
     path = Path(path)

@@ -164,14 +164,7 @@ class BeliefObservation(RecordedWrapper):
         noise: float | list[list[float]] | None = None,
         options: Mapping[str, Any] | None = None,
     ) -> None:
-        super().__init__(
-            env,
-            filter=filter,
-            max_landmarks=max_landmarks,
-            use_odometry=use_odometry,
-            noise=noise,
-            options=options,
-        )
+        super().__init__(env)
         self._rows = whole_number("max_landmarks", max_landmarks, 1)
         camera, assumed = self.inner("camera"), assumed_noise(noise, self.inner("noise"))
         slam = make_filter(filter, camera=camera, noise=assumed, **filter_arguments(dict(options or {})))

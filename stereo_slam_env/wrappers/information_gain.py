@@ -97,20 +97,7 @@ class InformationGain(RecordedWrapper):
         use_odometry: bool = True,
         report_both: bool = False,
     ) -> None:
-        super().__init__(
-            env,
-            criterion=criterion,
-            of=of,
-            prior_sigma=prior_sigma,
-            resolution=tuple(resolution),
-            belief=belief,
-            nees_gate=nees_gate,
-            weight=weight,
-            keep_reward=keep_reward,
-            max_age=max_age,
-            use_odometry=use_odometry,
-            report_both=report_both,
-        )
+        super().__init__(env)
         one_of("belief", belief, get_args(BeliefOf))
         if nees_gate is not None and belief == "reference":
             raise ValueError("nees_gate must be None with belief='reference', which claims nothing to be judged")
