@@ -214,13 +214,8 @@ class UnseenPlaces:
 
     def discovered(self, cameras: CameraPoses) -> IntArray:
         """Number of places in view of each of B sequences of K looks, (B, K) cameras; (B,)."""
-        near = self._near(cameras.positions)
+        low, high = (end(cameras.positions.reshape(-1, 3), axis=0) for end in (np.min, np.max))
+        reach = self._sensor.reach
+        near = self._points[((self._points >= low - reach) & (self._points <= high + reach)).all(axis=1)]
         discovered: IntArray = self._sensor.sight(near, cameras).in_view.any(axis=-2).sum(axis=-1)
         return discovered
-
-    def _near(self, positions: FloatArray) -> FloatArray:
-        """Places within reach of one of the cameras."""
-        low, high = (end(positions.reshape(-1, 3), axis=0) for end in (np.min, np.max))
-        reach = self._sensor.reach
-        near: FloatArray = self._points[((self._points >= low - reach) & (self._points <= high + reach)).all(axis=1)]
-        return near

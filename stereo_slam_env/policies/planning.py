@@ -57,14 +57,12 @@ class Outlook:
             margin=tracking.margin,
             most=tracking.max_landmarks,
         )
+        self.slam: StereoFilter = env.get_wrapper_attr("slam")
         self.route: Route = env.get_wrapper_attr("route")
-        self._sigmas = FRAME_PERIOD * options.odometry_sigma_linear, FRAME_PERIOD * options.odometry_sigma_angular
-
-    @property
-    def slam(self) -> StereoFilter:
-        """The filter."""
-        slam: StereoFilter = self._env.get_wrapper_attr("slam")
-        return slam
+        self.odometry_sigmas = (
+            FRAME_PERIOD * options.odometry_sigma_linear,
+            FRAME_PERIOD * options.odometry_sigma_angular,
+        )
 
     @property
     def angles(self) -> FloatArray:
@@ -81,16 +79,6 @@ class Outlook:
         """Estimated pose of the left camera."""
         belief = self.slam.pose
         return Pose(belief.position, belief.orientation)
-
-    def bodies(self, step: int, steps: int) -> CameraPoses:
-        """Poses of the camera in the next steps, after `step`, if it looks straight ahead."""
-        return planned_bodies(self.head.body_pose(self.pose, self.angles), self.route, step, steps)
-
-    def drift(self, positions: FloatArray) -> FloatArray:
-        """Noise of the odometry in the steps that end at `positions` (K, 3), see `motion_noise`."""
-        ends = positions - self.pose.position
-        starts = np.concatenate([np.zeros((1, 3)), ends[:-1]])
-        return motion_noise(0.5 * (starts + ends), *self._sigmas)
 
 
 @dataclass(frozen=True)
@@ -167,12 +155,15 @@ class Planner:
         `angles` (B, K, 2) are pan and tilt in the next K steps if the head turns there, rad.
         """
         outlook, wanted = self.outlook, self._preferences
-        bodies = outlook.bodies(self.step, angles.shape[1])
+        body = outlook.head.body_pose(outlook.pose, outlook.angles)
+        bodies = planned_bodies(body, outlook.route, self.step, angles.shape[1])
         cameras = seen_from(outlook.head, bodies, angles)
         away = np.linalg.norm(cameras.positions - outlook.pose.position, axis=-1).max()
         knowledge = Knowledge.of(outlook.slam, within=outlook.sensor.reach + float(away))
         looks = outlook.sensor.information(knowledge.points, cameras)
-        gains = expected_gain(knowledge, looks, outlook.drift(bodies.positions), wanted.gain)
+        ends = bodies.positions - outlook.pose.position
+        middles = 0.5 * (np.concatenate([np.zeros((1, 3)), ends[:-1]]) + ends)
+        gains = expected_gain(knowledge, looks, motion_noise(middles, *outlook.odometry_sigmas), wanted.gain)
         turn = np.abs(targets - outlook.angles) / np.maximum(outlook.head.max_angles, np.finfo(float).tiny)
         worth: FloatArray = gains - wanted.effort * turn.sum(axis=1)
         worth += wanted.curiosity * self._places.discovered(cameras)

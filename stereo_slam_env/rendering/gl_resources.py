@@ -208,8 +208,10 @@ class TextureArray:
         keys = sorted(wanted | self._layers.keys())
         images = [np.full((1, 1, 3), 255, np.uint8) if key == self._PLAIN else texture(*key) for key in keys]
         size = max(max(image.shape[:2]) for image in images)
-        pixels = np.stack([_rgba(_enlarged(image, size)) for image in images])
-        self.release()
+        # With alpha and the bottom row first, as OpenGL wants it.
+        pixels = np.stack([cv2.cvtColor(_enlarged(image, size)[::-1], cv2.COLOR_RGB2RGBA) for image in images])
+        if self._array is not None:
+            self._array.release()
         self._array = self._context.texture_array((size, size, len(keys)), 4, pixels)
         self._array.build_mipmaps()
         # Never with anisotropic filtering: on the CPU it takes several times longer than all the rest.
@@ -220,19 +222,8 @@ class TextureArray:
         """Put it where the shaders look for it."""
         self._array.use(0)
 
-    def release(self) -> None:
-        """Free the memory."""
-        if self._array is not None:
-            self._array.release()
-        self._array, self._layers = None, {}
-
     def _key(self, material: Material) -> tuple[str, int]:
         return self._PLAIN if material.texture is None else (material.texture, material.variant)
-
-
-def _rgba(image: Image) -> Image:
-    """The image with alpha and the bottom row first, as OpenGL wants it."""
-    return np.asarray(cv2.cvtColor(image[::-1], cv2.COLOR_RGB2RGBA), dtype=np.uint8)
 
 
 def _enlarged(image: Image, size: int) -> Image:

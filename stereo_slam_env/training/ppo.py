@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import logging
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,8 +20,7 @@ from filters.validation import FloatArray, positive, probability, whole_number
 from stereo_slam_env.files.atomic import write_atomically
 from stereo_slam_env.files.folders import claimed_folder
 from stereo_slam_env.policies.network import Network
-from stereo_slam_env.training.evaluation import LearningCurve, evaluate
-from stereo_slam_env.training.task import GazeTask
+from stereo_slam_env.training.task import Evaluation, GazeTask, evaluate
 
 if TYPE_CHECKING:
     from stable_baselines3 import PPO
@@ -100,6 +100,40 @@ class PPOSettings:
     def steps(self) -> int:
         """Decisions of each environment between two updates."""
         return max(self.rollout // self.environments, 1)
+
+
+class LearningCurve:
+    """Learning curve in a CSV file, read back when a training goes on.
+
+    Parameters
+    ----------
+    file : Path
+        Need not exist yet.
+    """
+
+    def __init__(self, file: Path) -> None:
+        self._file = file
+        self.rows: list[dict[str, float]] = []
+        if file.exists():
+            with file.open(encoding="utf-8", newline="") as stream:
+                self.rows = [{name: float(value) for name, value in row.items()} for row in csv.DictReader(stream)]
+
+    @property
+    def seconds(self) -> float:
+        """Time of the training so far, s."""
+        return self.rows[-1]["seconds"] if self.rows else 0.0
+
+    def add(self, decisions: int, seconds: float, mean_return: float, results: Evaluation) -> bool:
+        """Add a row; whether it is the best so far, by the log det of the pose in the end."""
+        row = {"decisions": float(decisions), "seconds": seconds, "mean_return": mean_return, **asdict(results)}
+        best = all(results.final_pose_logdet < other["final_pose_logdet"] for other in self.rows)
+        self.rows.append(row)
+        with self._file.open("w", encoding="utf-8", newline="") as stream:
+            columns = ("decisions", "seconds", "mean_return", *(field.name for field in fields(Evaluation)))
+            writer = csv.DictWriter(stream, columns)
+            writer.writeheader()
+            writer.writerows({name: f"{value:.6g}" for name, value in row.items()} for row in self.rows)
+        return best
 
 
 def train(

@@ -12,9 +12,8 @@ from filters import extras
 from stereo_slam_env.policies import make_policy
 from stereo_slam_env.policies.network import Network
 from stereo_slam_env.training import ppo
-from stereo_slam_env.training.evaluation import Evaluation
 from stereo_slam_env.training.ppo import PPOSettings, train
-from stereo_slam_env.training.task import GazeTask
+from stereo_slam_env.training.task import Evaluation, GazeTask
 
 TASK = GazeTask(arguments={"route": "right-turn"}, hold=8)
 SETTINGS = PPOSettings(decisions=40, environments=1, rollout=20, minibatch=20, epochs=1, evaluate_every=20)
