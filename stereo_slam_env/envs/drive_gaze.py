@@ -14,13 +14,8 @@ class StereoDriveGazeEnv(StereoEnv):
     Both tasks at once: `StereoSlam/Drive-v0`, to come to the end of the route, and `StereoSlam/Gaze-v0`, to look where
     most is to be learnt on the way. How fast and on which side of the lane to drive is part of what can be seen.
 
-    The environment knows no filter. `BeliefObservation` puts the belief of any filter into the observation, and
-    `InformationGain` pays for what the filter learns, see `stereo_slam_env.wrappers`. Filters need the odometry: the
-    head turns faster than a motion model without it would believe.
-
-    Scene, sensors and truth are those of `StereoSlam/Drive-v0`. The pose is that of the left camera, in the frame W:
-    the left camera at reset, looking straight ahead (x right, y down, z forward). The head turns it by
-    R_wc = R_wb R_y(pan) R_x(tilt) about the middle between the cameras. The true motion obeys Eq. 6 exactly.
+    Scene, sensors and truth are those of `StereoSlam/Drive-v0`; head, camera and what filters need are those of
+    `StereoSlam/Gaze-v0`.
 
     ## Action Space
 
@@ -35,13 +30,7 @@ class StereoDriveGazeEnv(StereoEnv):
 
     ## Observation Space
 
-    That of `StereoSlam/Drive-v0`, and:
-
-    | Key | Shape | Type | Meaning |
-    |-----|-------|------|---------|
-    | `head` | (2,) | float32 | pan and tilt now, rad, without error |
-
-    The odometry is that of the camera, not of the car: it contains the turning of the head.
+    That of `StereoSlam/Gaze-v0`.
 
     ## Info
 
@@ -64,21 +53,7 @@ class StereoDriveGazeEnv(StereoEnv):
 
     ## Arguments
 
-    Those of `StereoSlam/Drive-v0`, but for:
-
-    | Argument | Default | Meaning |
-    |----------|---------|---------|
-    | `route` | `"straight"` | 98 m |
-    | `surroundings` | `"groves"` | groups of things on either side |
-    | `visibility` | `30.0` | fog, m |
-    | `rig` | `"vga"` | 640x480, f = 460 px |
-    | `max_landmarks` | `24` | most landmarks in one frame |
-    | `revisit` | `True` | a lost landmark can be tracked again under its id |
-    | `effort_weight` | `0.01` | of the reward, for turning the head as fast as it can |
-    | `max_pan` | `2.0` | how far the head turns to either side, rad |
-    | `max_tilt` | `0.4` | how far it turns up and down, rad |
-    | `pan_rate` | `1.5` | how fast it turns sideways, rad/s |
-    | `tilt_rate` | `1.0` | how fast it turns up and down, rad/s |
+    Those of `StereoSlam/Drive-v0`, with the defaults and the further ones of `StereoSlam/Gaze-v0`.
 
     ## Version History
 

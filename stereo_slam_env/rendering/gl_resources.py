@@ -51,7 +51,8 @@ class DrawList:
     def front_to_back(self, view: ViewVolume) -> NDArray[np.uint32]:
         """Triangles of the chunks that reach into `view`, the nearest chunks first; (K, 3)."""
         seen = np.flatnonzero(view.touches(self.centers, self.half_sizes))
-        order = seen[np.argsort(view.distance(self.centers[seen]), kind="stable")]
+        away = np.linalg.norm(self.centers[seen] - view.position, axis=1)
+        order = seen[np.argsort(away, kind="stable")]
         parts = [self.triangles[self.starts[i] : self.starts[i + 1]] for i in order]
         return np.concatenate(parts) if parts else self.triangles[:0]
 
@@ -81,10 +82,6 @@ class ViewVolume:
         """Which upright boxes (..., 3) may reach into it; (...)."""
         reach = centers @ self.normals.T + half_sizes @ np.abs(self.normals.T)
         return np.asarray((reach >= self.offsets).all(axis=-1))
-
-    def distance(self, points: FloatArray) -> FloatArray:
-        """From the left camera to points (N, 3); (N,) m."""
-        return np.asarray(np.linalg.norm(points - self.position, axis=1))
 
 
 def draw_list(meshes: Mapping[Material, Mesh], layer: Callable[[Material], int]) -> DrawList:

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
-from filters.validation import FloatArray
+from filters.validation import BoolArray, FloatArray
 
 Painter = Callable[[np.random.Generator], FloatArray]
 """Paints an image (H, W, 3) of reflectances, about 0..1; sides are powers of two where it must repeat."""
@@ -38,6 +38,13 @@ def grain(rng: np.random.Generator, size: int, level: float, strength: float) ->
     """Grey with noise of all scales."""
     return grey(level + noise(rng, size, 1, 0.4 * strength) + noise(rng, size, 4, 0.5 * strength)
                  + noise(rng, size, 32, strength))  # fmt: skip
+
+
+def written(shape: tuple[int, int], text: str, at: tuple[int, int], scale: float, thickness: int) -> BoolArray:
+    """Mask of the ink of `text` written with its lower left corner `at` (x, y)."""
+    ink = np.zeros(shape, dtype=np.uint8)
+    cv2.putText(ink, text, at, cv2.FONT_HERSHEY_SIMPLEX, scale, 255, thickness)
+    return np.asarray(ink > 127)
 
 
 class Speckle(NamedTuple):
@@ -127,9 +134,7 @@ def _paint_door(rng: np.random.Generator) -> FloatArray:
     image[20:46, 31:33] = 0.8
     image[68:72, 46:58] = 0.15
     image[104:120, 8:56] *= 0.8
-    ink = np.zeros((128, 64), dtype=np.uint8)
-    cv2.putText(ink, str(int(rng.integers(10, 99))), (16, 64), cv2.FONT_HERSHEY_SIMPLEX, 0.5, 255, 1)
-    image[ink > 127] = 0.1
+    image[written((128, 64), str(int(rng.integers(10, 99))), (16, 64), 0.5, 1)] = 0.1
     return image
 
 
@@ -140,7 +145,7 @@ def _paint_notice(rng: np.random.Generator) -> FloatArray:
     image[:3] = image[-3:] = image[:, :3] = image[:, -3:] = 0.95
     ink = np.zeros((64, 128), dtype=np.uint8)
     cv2.arrowedLine(ink, (40, 32), (12, 32), 255, 5, tipLength=0.5)
-    cv2.putText(ink, f"EXIT {int(rng.integers(1, 9))}", (50, 28), cv2.FONT_HERSHEY_SIMPLEX, 0.55, 255, 2)
-    cv2.putText(ink, f"{int(rng.integers(20, 400))} m", (50, 52), cv2.FONT_HERSHEY_SIMPLEX, 0.5, 255, 1)
-    image[ink > 127] = 0.95
+    exit_sign = written((64, 128), f"EXIT {int(rng.integers(1, 9))}", (50, 28), 0.55, 2)
+    distance = written((64, 128), f"{int(rng.integers(20, 400))} m", (50, 52), 0.5, 1)
+    image[(ink > 127) | exit_sign | distance] = 0.95
     return image

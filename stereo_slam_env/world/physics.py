@@ -270,17 +270,13 @@ def _neighbours(shapes: Iterable[dict[str, Any]]) -> list[list[dict[str, Any]]]:
     """Groups of consecutive collision shapes that stand together."""
     groups: list[list[dict[str, Any]]] = []
     for shape in shapes:
-        near = groups and math.dist(_stands_at(shape), _stands_at(groups[-1][0])) < _BODY_REACH
+        here = shape["collisionFramePositions"][:2]
+        near = groups and math.dist(here, groups[-1][0]["collisionFramePositions"][:2]) < _BODY_REACH
         if near and len(groups[-1]) < _SHAPES_PER_BODY:
             groups[-1].append(shape)
         else:
             groups.append([shape])
     return groups
-
-
-def _stands_at(shape: dict[str, Any]) -> tuple[float, float]:
-    x, y, _ = shape["collisionFramePositions"]
-    return x, y
 
 
 def _collision_shape(shape: Primitive) -> dict[str, Any]:

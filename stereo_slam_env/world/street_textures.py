@@ -5,8 +5,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from filters.validation import BoolArray, FloatArray
-from stereo_slam_env.world.painting import grain, grey, noise, tinted
+from filters.validation import FloatArray
+from stereo_slam_env.world.painting import grain, grey, noise, tinted, written
 
 
 def _paint_asphalt(rng: np.random.Generator) -> FloatArray:
@@ -146,19 +146,12 @@ _NAMES = ("FRACHT", "MILCH", "BLITZ", "NORDGAS", "PAKET 24", "OBST", "KRONE", "A
 _PLATES = ("KA S 1203", "B LM 417", "M UV 9021", "HD EK 388")
 
 
-def _written(shape: tuple[int, int], text: str, at: tuple[int, int], scale: float, thickness: int) -> BoolArray:
-    """Mask of the ink of `text` written with its lower left corner `at` (x, y)."""
-    ink = np.zeros(shape, dtype=np.uint8)
-    cv2.putText(ink, text, at, cv2.FONT_HERSHEY_SIMPLEX, scale, 255, thickness)
-    return np.asarray(ink > 127)
-
-
 def _plate(image: FloatArray, rng: np.random.Generator, x: int, y: int) -> None:
     """A number plate of 56 x 14 px with its upper left corner at (x, y)."""
     image[y : y + 14, x : x + 56] = 1.15
     image[y : y + 14, x : x + 4] = [0.2, 0.3, 0.8]
     text = _PLATES[rng.integers(len(_PLATES))].replace(" ", "")
-    image[_written(image.shape[:2], text, (x + 6, y + 11), 0.32, 1)] = 0.1
+    image[written(image.shape[:2], text, (x + 6, y + 11), 0.32, 1)] = 0.1
 
 
 def _paint_car_side(rng: np.random.Generator) -> FloatArray:
@@ -219,9 +212,9 @@ def _paint_livery(rng: np.random.Generator) -> FloatArray:
     image[emblem < 0.7] = 0.95
     image[emblem < 0.4] = 1.0 - color
     name = _NAMES[rng.integers(len(_NAMES))]
-    image[_written((256, 512), name, (140, 122), 2.3 if len(name) < 7 else 1.9, 9)] = color
+    image[written((256, 512), name, (140, 122), 2.3 if len(name) < 7 else 1.9, 9)] = color
     number = "0721 " + str(int(rng.integers(10_000, 99_999)))
-    image[_written((256, 512), number, (150, 226), 1.1, 3)] = 0.2
+    image[written((256, 512), number, (150, 226), 1.1, 3)] = 0.2
     image[:6] = image[-8:] = 0.45
     image[:, ::128] *= 0.72
     return image
@@ -242,7 +235,7 @@ def _paint_cargo_doors(rng: np.random.Generator) -> FloatArray:
     image[226:] = 0.18
     _plate(image, rng, 100, 232)
     name = _NAMES[rng.integers(len(_NAMES))]
-    image[_written((256, 256), name, (24, 66), 1.0, 4)] = rng.uniform(0.05, 0.6, 3)
+    image[written((256, 256), name, (24, 66), 1.0, 4)] = rng.uniform(0.05, 0.6, 3)
     return image
 
 
