@@ -33,10 +33,9 @@ def train(
     with one_line_errors():
         from stereo_slam_env.report.charts.policies import plot_learning
         from stereo_slam_env.report.console import progress_bar
-        from stereo_slam_env.training.evaluation import LearningCurve, evaluate
-        from stereo_slam_env.training.ppo import VALIDATION_SEEDS, PPOSettings
+        from stereo_slam_env.training.ppo import VALIDATION_SEEDS, LearningCurve, PPOSettings
         from stereo_slam_env.training.ppo import train as train_network
-        from stereo_slam_env.training.task import GazeTask
+        from stereo_slam_env.training.task import GazeTask, evaluate
 
         task = GazeTask(environment, _arguments(arguments), filter_name)
         settings = PPOSettings(decisions=decisions, seed=seed, environments=environments)
