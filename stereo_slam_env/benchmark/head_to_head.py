@@ -47,23 +47,13 @@ def which_seeds(seeds: int | Sequence[int]) -> tuple[int, ...]:
 
 @dataclass(frozen=True)
 class HeadToHead:
-    """A filter against a reference on the same recordings; its assertions say the figures when they fail.
+    """A filter against a reference on the same recordings; its assertions say the figures when they fail."""
 
-    Attributes
-    ----------
-    summary, reference : FilterSummary
-        Of the filter, and of what it is held against.
-    runs : tuple of FilterRun
-        Runs of the filter, one for each recording.
-    figures, reference_figures : RunFigures
-        Figures of the runs of both.
-    title : str
-        What they ran on.
-    """
-
+    # Of the filter, and of what it is held against.
     summary: FilterSummary
     reference: FilterSummary
-    runs: tuple[FilterRun, ...]
+    runs: tuple[FilterRun, ...]  # runs of the filter, one for each recording
+    # Figures of the runs of both.
     figures: RunFigures
     reference_figures: RunFigures
     title: str

@@ -50,15 +50,9 @@ _AS_MEASURED = np.eye(3)
 
 @dataclass(frozen=True, eq=False)
 class Bound:
-    """Lower bound of the error covariance of any unbiased filter, frame by frame.
+    """Lower bound of the error covariance of any unbiased filter, frame by frame."""
 
-    Attributes
-    ----------
-    pose : (K, 6, 6)
-        Of position in W, m, and rotation in the camera frame, rad, after the frame's update.
-    """
-
-    pose: FloatArray
+    pose: FloatArray  # (K, 6, 6): of position in W, m, and rotation in the camera frame, rad, after the frame's update
 
 
 def efficiency_interval(bounds: FloatArray, errors: FloatArray, confidence: float = 0.95) -> tuple[float, float]:

@@ -26,24 +26,12 @@ SCORED_RANGE = 40.0  # m; farther landmarks have no useful position error, and n
 
 @dataclass(frozen=True, eq=False)
 class MapView:
-    """The map in the current camera.
+    """The map in the current camera."""
 
-    Attributes
-    ----------
-    ids : (N,) int64
-        Landmarks.
-    uvd : (N, 3)
-        Predicted measurement, px.
-    covariance : (N, 3, 3)
-        Of the prediction: H P H^T, without the measurement noise, px^2.
-    true_points : (N, 3)
-        True positions in the true camera frame, m; NaN where unknown.
-    """
-
-    ids: IntArray
-    uvd: FloatArray
-    covariance: FloatArray
-    true_points: FloatArray
+    ids: IntArray  # (N,) int64
+    uvd: FloatArray  # (N, 3): predicted measurement, px
+    covariance: FloatArray  # (N, 3, 3): of the prediction: H P H^T, without the measurement noise, px^2
+    true_points: FloatArray  # (N, 3): true positions in the true camera frame, m; NaN where unknown
 
 
 def view_map(estimator: StereoFilter, pose: Pose | None, landmarks: LandmarkTruth | None) -> MapView:
@@ -60,30 +48,17 @@ def view_map(estimator: StereoFilter, pose: Pose | None, landmarks: LandmarkTrut
 
 @dataclass(frozen=True, eq=False)
 class MapScore:
-    """Errors of the landmarks of a `MapView`; NaN where it is not truly in both images.
+    """Errors of the landmarks of a `MapView`; NaN where it is not truly in both images."""
 
-    Attributes
-    ----------
-    ids : (N,) int64
-        Landmarks.
-    in_view : (N,) bool
-        Truly in both images: what any filter has, whether or not it keeps what it has passed.
-    true_points, points : (N, 3)
-        True and estimated positions in the camera frame, m; estimated ones are NaN where d <= 0.
-    distance : (N,)
-        True distance from the camera, m.
-    nees : (N,)
-        In (u, v, d) space, 3 degrees of freedom.
-    disparity_error, disparity_variance : (N,)
-        True minus predicted d, px, and the variance claimed for it, px^2.
-    """
-
-    ids: IntArray
+    ids: IntArray  # (N,) int64
+    # (N,) bool: truly in both images: what any filter has, whether or not it keeps what it has passed.
     in_view: BoolArray
+    # (N, 3): true and estimated positions in the camera frame, m; estimated ones are NaN where d <= 0.
     true_points: FloatArray
     points: FloatArray
-    distance: FloatArray
-    nees: FloatArray
+    distance: FloatArray  # (N,): true distance from the camera, m
+    nees: FloatArray  # (N,): in (u, v, d) space, 3 degrees of freedom
+    # (N,): true minus predicted d, px, and the variance claimed for it, px^2.
     disparity_error: FloatArray
     disparity_variance: FloatArray
 

@@ -25,18 +25,10 @@ Bounds = Mapping[RunKey, Bound]
 
 @dataclass(frozen=True)
 class RunFigures:
-    """Figures of every run of a filter.
+    """Figures of every run of a filter."""
 
-    Attributes
-    ----------
-    of_run : mapping of RunKey to mapping
-        Of each run alone, see `trial_figures`; None where not known.
-    segments : mapping of RunKey to SegmentErrors
-        Relative errors of each run.
-    """
-
-    of_run: Mapping[RunKey, Mapping[str, Any]]
-    segments: Mapping[RunKey, SegmentErrors] = field(default_factory=dict)
+    of_run: Mapping[RunKey, Mapping[str, Any]]  # of each run alone, see `trial_figures`; None where not known
+    segments: Mapping[RunKey, SegmentErrors] = field(default_factory=dict)  # relative errors of each run
 
     def diverged(self, keys: Iterable[RunKey]) -> BoolArray:
         """Whether each run diverged or failed."""

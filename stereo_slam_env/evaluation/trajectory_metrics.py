@@ -21,17 +21,10 @@ SEGMENT_STEP = 10  # rows from the start of one segment to the next
 
 @dataclass(frozen=True, eq=False)
 class SegmentErrors:
-    """Relative error of S segments.
+    """Relative error of S segments."""
 
-    Attributes
-    ----------
-    lengths : (S,)
-        Nominal length, m.
-    translation_percent, rotation_deg_per_100m : (S,)
-        Of the motion over the segment, per length.
-    """
-
-    lengths: FloatArray
+    lengths: FloatArray  # (S,): nominal length, m
+    # (S,): of the motion over the segment, per length.
     translation_percent: FloatArray
     rotation_deg_per_100m: FloatArray
 

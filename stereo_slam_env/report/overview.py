@@ -39,23 +39,14 @@ MARK_WIDTH, MARK_HEIGHT = 120, 12
 
 @dataclass(frozen=True)
 class Answer:
-    """Answer to one question for one competitor.
+    """Answer to one question for one competitor."""
 
-    Attributes
-    ----------
-    value, word, tone : str
-        A value, and a word on it below.
-    mark : str
-        Drawn beside the value, markup.
-    key : float, optional
-        What sorting goes by.
-    """
-
+    # A value, and a word on it below.
     value: str
     word: str = ""
     tone: Tone = "none"
-    mark: Markup | None = None
-    key: float | None = None
+    mark: Markup | None = None  # drawn beside the value, markup
+    key: float | None = None  # what sorting goes by
 
     @property
     def sorted_by(self) -> str:

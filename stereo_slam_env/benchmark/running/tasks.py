@@ -64,24 +64,14 @@ class MadeRecording:
 
 @dataclass(frozen=True, eq=False)
 class TrialTask:
-    """Run a filter on a recording; without a filter: compute the bound.
+    """Run a filter on a recording; without a filter: compute the bound."""
 
-    Attributes
-    ----------
-    cell : int
-        Of the study.
-    recording : bytes, optional
-        See `recording_archive`; None: the policy of `choice` drives an episode of its own.
-    provenance : mapping
-        Kept with the result.
-    """
-
-    cell: int
+    cell: int  # of the study
     scenario: Scenario
     seed: int | None
     choice: FilterChoice | None
-    recording: bytes | None
-    provenance: Mapping[str, Any]
+    recording: bytes | None  # see `recording_archive`; None: the policy of `choice` drives an episode of its own
+    provenance: Mapping[str, Any]  # kept with the result
 
 
 @dataclass(frozen=True, eq=False)

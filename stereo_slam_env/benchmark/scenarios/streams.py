@@ -200,31 +200,16 @@ def seed_description(given: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class NoiseOfRange:
-    """Errors of the measurements of landmarks in one range of depths; each triple is for u, v, d.
+    """Errors of the measurements of landmarks in one range of depths; each triple is for u, v, d."""
 
-    Attributes
-    ----------
-    low, high : float
-        Depths z, m.
-    count : int
-        Measurements.
-    bias : (3,) tuple
-        Median error, px.
-    sigma : (3,) tuple
-        1.4826 x median absolute deviation, px.
-    outliers : (3,) tuple
-        Share of errors beyond `OUTLIER` px.
-    claimed : (3,) tuple
-        Median of the standard deviations that the measurements claim, px.
-    """
-
+    # Depths z, m.
     low: float
     high: float
     count: int
-    bias: tuple[float, float, float]
-    sigma: tuple[float, float, float]
-    outliers: tuple[float, float, float]
-    claimed: tuple[float, float, float]
+    bias: tuple[float, float, float]  # median error, px
+    sigma: tuple[float, float, float]  # 1.4826 x median absolute deviation, px
+    outliers: tuple[float, float, float]  # share of errors beyond `OUTLIER` px
+    claimed: tuple[float, float, float]  # median of the standard deviations that the measurements claim, px
 
 
 def description_of(recording: Recording) -> dict[str, Any]:

@@ -54,40 +54,20 @@ class HasRuns(Protocol):
 
 @dataclass(frozen=True)
 class Change:
-    """One measure of one filter, before and after.
+    """One measure of one filter, before and after."""
 
-    Attributes
-    ----------
-    filter_name : str
-        Label; in a grid with the name of the cell before it.
-    measure : str
-        In words: "position error", "diverged runs".
-    unit : str
-        Of `before` and `after`; may be empty.
-    before, after : float
-        Over the common recordings: geometric mean over runs, of consistency the mean, of divergences their number.
-    count : int
-        Recordings, pairs where they are paired.
-    interval_percent : pair of float, optional
-        Of by how much it became larger; of consistency, of how much farther from the ideal it came; None where there is
-        none (too few runs, divergences).
-    p_value : float
-        Corrected.
-    finding : Finding
-        Better or worse after than before, or no difference shown.
-    words : str
-        The conclusion, a clause.
-    """
-
-    filter_name: str
-    measure: str
-    unit: str
+    filter_name: str  # label; in a grid with the name of the cell before it
+    measure: str  # in words: "position error", "diverged runs"
+    unit: str  # of `before` and `after`; may be empty
+    # Over the common recordings: geometric mean over runs, of consistency the mean, of divergences their number.
     before: float
     after: float
-    count: int
+    count: int  # recordings, pairs where they are paired
+    # Of by how much it became larger; of consistency, of how much farther from the ideal it came; None where there is
+    # none (too few runs, divergences).
     interval_percent: tuple[float, float] | None
-    p_value: float
-    finding: Finding
+    p_value: float  # corrected
+    finding: Finding  # better or worse after than before, or no difference shown
     words: str
 
 

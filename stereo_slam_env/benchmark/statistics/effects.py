@@ -22,127 +22,59 @@ _WORTH_WORDS = 1.0
 
 @dataclass(frozen=True, eq=False)
 class Response:
-    """Response of an experiment: the values that the factors explain.
+    """Response of an experiment: the values that the factors explain."""
 
-    Attributes
-    ----------
-    logarithms : (*levels, S) ndarray
-        One for each combination and each seed; NaN where there is none.
-    unit : str
-        Of the value itself; may be empty.
-    ideal : float, optional
-        The value that is best; None: the smaller the better.
-    """
-
-    logarithms: FloatArray
-    unit: str = ""
-    ideal: float | None = None
+    logarithms: FloatArray  # (*levels, S): one for each combination and each seed; NaN where there is none
+    unit: str = ""  # of the value itself; may be empty
+    ideal: float | None = None  # the value that is best; None: the smaller the better
 
 
 @dataclass(frozen=True)
 class Effect:
-    """Effect of a level against the average of all, or of two levels together beyond what each does alone.
+    """Effect of a level against the average of all, or of two levels together beyond what each does alone."""
 
-    Attributes
-    ----------
-    factors : tuple of str
-        One name (a main effect) or two (an interaction).
-    levels : tuple
-        The level of each.
-    percent : float
-        By how much the response is larger with it, %: +100 doubles it.
-    interval_percent : pair of float, optional
-        Its confidence interval, corrected for the number of such effects; None with too few seeds.
-    shown : bool
-        Whether the runs show that there is any effect.
-    """
-
-    factors: tuple[str, ...]
-    levels: tuple[Any, ...]
-    percent: float
+    factors: tuple[str, ...]  # one name (a main effect) or two (an interaction)
+    levels: tuple[Any, ...]  # the level of each
+    percent: float  # by how much the response is larger with it, %: +100 doubles it
+    # Its confidence interval, corrected for the number of such effects; None with too few seeds.
     interval_percent: tuple[float, float] | None
-    shown: bool
+    shown: bool  # whether the runs show that there is any effect
 
 
 @dataclass(frozen=True)
 class Contrast:
-    """One level of a factor instead of its first one, all else being averaged over.
-
-    Attributes
-    ----------
-    factor : str
-        Name.
-    level, instead_of : value
-        The two levels.
-    percent : float
-        By how much the response is larger, %.
-    interval_percent : pair of float, optional
-        Its confidence interval, corrected for the number of contrasts; None with too few seeds.
-    p_value : float
-        Of the signed-rank test over seeds, corrected in the same way.
-    finding : Finding
-        Whether the response is shown to be better (smaller, or nearer to its ideal), worse, or neither.
-    words : str
-        One clause.
-    """
+    """One level of a factor instead of its first one, all else being averaged over."""
 
     factor: str
     level: Any
     instead_of: Any
-    percent: float
+    percent: float  # by how much the response is larger, %
+    # Its confidence interval, corrected for the number of contrasts; None with too few seeds.
     interval_percent: tuple[float, float] | None
-    p_value: float
-    finding: Finding
+    p_value: float  # of the signed-rank test over seeds, corrected in the same way
+    finding: Finding  # whether the response is shown to be better (smaller, or nearer to its ideal), worse, or neither
     words: str
 
 
 @dataclass(frozen=True)
 class Share:
-    """Share of the variance between combinations, on the same seed, that a factor or an interaction explains.
+    """Share of the variance between combinations, on the same seed, that a factor or an interaction explains."""
 
-    Attributes
-    ----------
-    factors : tuple of str
-        One name, two for an interaction, none for the rest.
-    percent : float
-        Of the variance of the logarithms, %.
-    """
-
-    factors: tuple[str, ...]
-    percent: float
+    factors: tuple[str, ...]  # one name, two for an interaction, none for the rest
+    percent: float  # of the variance of the logarithms, %
 
 
 @dataclass(frozen=True)
 class ResponseAttribution:
-    """The effects on one response.
+    """The effects on one response."""
 
-    Attributes
-    ----------
-    response : str
-        Its name: "position error", "pose NEES / 6", "time".
-    unit : str
-        Of `mean`: "m", "", "ms".
-    mean : float
-        Geometric mean over combinations and seeds, in `unit`.
-    effects : tuple of Effect
-        Main effects, in the order of factors and levels.
-    interactions : tuple of Effect
-        Of two factors, those that can be estimated: beyond what each does alone.
-    contrasts : tuple of Contrast
-        Every level against the first of its factor.
-    shares : tuple of Share
-        Largest first, the rest last.
-    conclusion : str
-        One sentence.
-    """
-
-    response: str
-    unit: str
-    mean: float
-    effects: tuple[Effect, ...]
-    interactions: tuple[Effect, ...]
-    contrasts: tuple[Contrast, ...]
-    shares: tuple[Share, ...]
+    response: str  # its name: "position error", "pose NEES / 6", "time"
+    unit: str  # of `mean`: "m", "", "ms"
+    mean: float  # geometric mean over combinations and seeds, in `unit`
+    effects: tuple[Effect, ...]  # main effects, in the order of factors and levels
+    interactions: tuple[Effect, ...]  # of two factors, those that can be estimated: beyond what each does alone
+    contrasts: tuple[Contrast, ...]  # every level against the first of its factor
+    shares: tuple[Share, ...]  # largest first, the rest last
     conclusion: str
 
 
@@ -247,24 +179,13 @@ def _conclusion(
 
 @dataclass(frozen=True, eq=False)
 class FactorialFit:
-    """Result of a fit: effects, and the variance they explain.
+    """Result of a fit: effects, and the variance they explain."""
 
-    Attributes
-    ----------
-    blocks : mapping of Term to (S, *levels) ndarray
-        The effect of each level, or pair of levels, block by block; the estimate is the mean over blocks.
-    shares : mapping of Term to float
-        Share of the variance within blocks that a term explains beyond all others, 0 to 1.
-    rest : float
-        Share that no term explains.
-    left_out : tuple of Term
-        Interactions that cannot be told from other terms, because combinations are missing.
-    """
-
+    # The effect of each level, or pair of levels, block by block; the estimate is the mean over blocks.
     blocks: dict[Term, FloatArray]
-    shares: dict[Term, float]
-    rest: float
-    left_out: tuple[Term, ...]
+    shares: dict[Term, float]  # share of the variance within blocks that a term explains beyond all others, 0 to 1
+    rest: float  # share that no term explains
+    left_out: tuple[Term, ...]  # interactions that cannot be told from other terms, because combinations are missing
 
 
 def fit_factorial(values: FloatArray) -> FactorialFit:

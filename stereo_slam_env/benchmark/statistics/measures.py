@@ -25,15 +25,9 @@ from stereo_slam_env.evaluation.run_figures import Figures, RunFigures, RunKey, 
 
 @dataclass(frozen=True)
 class Measure:
-    """Measure of comparison: a figure, divided by its ideal value where it has one.
+    """Measure of comparison: a figure, divided by its ideal value where it has one."""
 
-    Attributes
-    ----------
-    figure : Figure
-        Entry of the table of figures.
-    """
-
-    figure: Figure
+    figure: Figure  # entry of the table of figures
 
     @property
     def key(self) -> str:
@@ -126,25 +120,13 @@ CLAIM_AND_TRUTH = (FINAL_SIGMA, FINAL_LOGDET, FINAL_ERROR, POSITION, ROTATION, P
 
 @dataclass(frozen=True)
 class PairVerdict:
-    """One filter against another one, by one measure.
-
-    Attributes
-    ----------
-    measure : Measure
-        What is compared.
-    filter_name, against : str
-        Who against whom.
-    difference : Difference
-        Of the measure; for consistency, of the distance from the ideal.
-    words : str
-        "12 % smaller (−15 to −9 % at 95 % confidence, 10 paired runs)", or that no difference is shown.
-    """
+    """One filter against another one, by one measure."""
 
     measure: Measure
     filter_name: str
     against: str
-    difference: Difference
-    words: str
+    difference: Difference  # of the measure; for consistency, of the distance from the ideal
+    words: str  # "12 % smaller (−15 to −9 % at 95 % confidence, 10 paired runs)", or that no difference is shown
 
     @property
     def finding(self) -> Finding:
@@ -154,21 +136,11 @@ class PairVerdict:
 
 @dataclass(frozen=True)
 class PairwiseTable:
-    """Each filter against each other one, or all against a baseline.
+    """Each filter against each other one, or all against a baseline."""
 
-    Attributes
-    ----------
-    filters : tuple of str
-        In the order of the summaries.
-    measures : tuple of Measure
-        Those that some pair could be compared by.
-    cells : mapping of (key of the measure, filter, against) to PairVerdict
-        Both directions of every pair.
-    """
-
-    filters: tuple[str, ...]
-    measures: tuple[Measure, ...]
-    cells: Mapping[tuple[str, str, str], PairVerdict]
+    filters: tuple[str, ...]  # in the order of the summaries
+    measures: tuple[Measure, ...]  # those that some pair could be compared by
+    cells: Mapping[tuple[str, str, str], PairVerdict]  # both directions of every pair
 
     def cell(self, measure: Measure, filter_name: str, against: str) -> PairVerdict | None:
         """The verdict on `filter_name`; None where the two were not compared."""

@@ -42,31 +42,16 @@ class Agreement(Enum):
 
 @dataclass(frozen=True)
 class ClaimAndTruth:
-    """A policy against the baseline.
-
-    Attributes
-    ----------
-    policy, baseline : str
-        Labels.
-    claim : PairVerdict
-        On the standard deviation claimed for the final position.
-    final, path : PairVerdict
-        On the true position error, in the last frame and along the drive.
-    consistency : Consistency
-        Of the filter with this policy.
-    agreement : Agreement
-        Whether claim and truth show the same.
-    words : str
-        All of it, one sentence.
-    """
+    """A policy against the baseline."""
 
     policy: str
     baseline: str
-    claim: PairVerdict
+    claim: PairVerdict  # on the standard deviation claimed for the final position
+    # On the true position error, in the last frame and along the drive.
     final: PairVerdict
     path: PairVerdict
-    consistency: Consistency
-    agreement: Agreement
+    consistency: Consistency  # of the filter with this policy
+    agreement: Agreement  # whether claim and truth show the same
     words: str
 
     @property
@@ -77,43 +62,22 @@ class ClaimAndTruth:
 
 @dataclass(frozen=True)
 class PolicyVerdict:
-    """Verdict on all policies: the first lines of their report.
+    """Verdict on all policies: the first lines of their report."""
 
-    Attributes
-    ----------
-    baseline : str
-        What all others are held against.
-    best : str, optional
-        Whose filter claims the least uncertainty of the final position, of those that never diverged.
-    comparisons : mapping of str to ClaimAndTruth
-        By label of the other policies; those that cannot be compared are left out.
-    compared : PairwiseTable
-        Each against the baseline, by every measure of `CLAIM_AND_TRUTH`.
-    headline : str
-        The policy with the least uncertain pose, and every disagreement, in sentences.
-    """
-
-    baseline: str
-    best: str | None
+    baseline: str  # what all others are held against
+    best: str | None  # whose filter claims the least uncertainty of the final position, of those that never diverged
+    # By label of the other policies; those that cannot be compared are left out.
     comparisons: Mapping[str, ClaimAndTruth]
-    compared: PairwiseTable
-    headline: str
+    compared: PairwiseTable  # each against the baseline, by every measure of `CLAIM_AND_TRUTH`
+    headline: str  # the policy with the least uncertain pose, and every disagreement, in sentences
 
 
 @dataclass(frozen=True, eq=False)
 class Looks:
-    """Baseline of the policies, and a recording of each competitor.
+    """Baseline of the policies, and a recording of each competitor."""
 
-    Attributes
-    ----------
-    baseline : str
-        Label of a competitor.
-    recordings : mapping of str to Recording
-        Of one seed, by label.
-    """
-
-    baseline: str
-    recordings: Mapping[str, Recording]
+    baseline: str  # label of a competitor
+    recordings: Mapping[str, Recording]  # of one seed, by label
 
 
 def baseline_of(competitors: Sequence[FilterChoice]) -> str:

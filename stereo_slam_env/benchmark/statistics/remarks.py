@@ -103,21 +103,11 @@ class Reach(Enum):
 
 @dataclass(frozen=True)
 class LimitReached:
-    """Bound over error of a filter.
+    """Bound over error of a filter."""
 
-    Attributes
-    ----------
-    percent : float
-        Ratio of both root mean squares over runs.
-    interval : pair of float, optional
-        95 % interval of it over runs, in percent; None with fewer than `MIN_PAIRS`.
-    runs : int
-        How many have a bound and an error.
-    """
-
-    percent: float
-    interval: tuple[float, float] | None
-    runs: int
+    percent: float  # ratio of both root mean squares over runs
+    interval: tuple[float, float] | None  # 95 % interval of it over runs, in percent; None with fewer than `MIN_PAIRS`
+    runs: int  # how many have a bound and an error
 
     @property
     def reach(self) -> Reach:

@@ -92,24 +92,14 @@ class Comparison:
 
 @dataclass(frozen=True)
 class Verdict:
-    """Verdict on all filters: the first lines of a report.
+    """Verdict on all filters: the first lines of a report."""
 
-    Attributes
-    ----------
-    best : str, optional
-        Filter with the smallest position error of those that never diverged; None where there is none, or no error.
-    comparisons : mapping of str to Comparison
-        By name of the other filter.
-    headline : str
-        A few sentences.
-    answers : mapping of str to str
-        The sentences of the headline by the question they answer: "best" (who, by how much, is it sure),
-        "consistent", "limit", "cost"; what is not known is left out.
-    """
-
+    # Filter with the smallest position error of those that never diverged; None where there is none, or no error.
     best: str | None
-    comparisons: Mapping[str, Comparison]
-    headline: str
+    comparisons: Mapping[str, Comparison]  # by name of the other filter
+    headline: str  # a few sentences
+    # The sentences of the headline by the question they answer: "best" (who, by how much, is it sure), "consistent",
+    # "limit", "cost"; what is not known is left out.
     answers: Mapping[str, str] = field(default_factory=dict)
 
     @property

@@ -64,28 +64,14 @@ SETTINGS, STUDY, CELLS = "settings.json", "study.json", "cells"
 
 @dataclass(frozen=True, eq=False)
 class CellResult:
-    """Results of one cell.
-
-    Attributes
-    ----------
-    directory : RunDirectory
-        Where they are.
-    runs, summaries : tuple of FilterRun, tuple of FilterSummary
-        All runs, and one summary for each filter.
-    recordings : tuple of mapping
-        Description of each recording, JSON-able, as in `summary.json`.
-    figures : mapping of str to RunFigures
-        Figures of every run, by label of the filter.
-    bounds : mapping of (str, seed) to Bound
-        Cramer-Rao bounds by recording, where there are any.
-    """
+    """Results of one cell."""
 
     directory: RunDirectory
     runs: tuple[FilterRun, ...]
-    recordings: tuple[Mapping[str, Any], ...]
-    figures: Figures
+    recordings: tuple[Mapping[str, Any], ...]  # description of each recording, JSON-able, as in `summary.json`
+    figures: Figures  # figures of every run, by label of the filter
     summaries: tuple[FilterSummary, ...]
-    bounds: Bounds
+    bounds: Bounds  # Cramer-Rao bounds by recording, where there are any
 
     @property
     def cell(self) -> Cell:

@@ -21,26 +21,15 @@ _SHOWN = {True: ("effect shown", PALETTE[0]), False: ("no effect shown", MUTED)}
 
 @dataclass(frozen=True, eq=False)
 class FactorResponse:
-    """One response of every filter at every level of a factor.
+    """One response of every filter at every level of a factor."""
 
-    Attributes
-    ----------
-    title : str
-        With its unit in brackets.
-    means, lows, highs : mapping of str to (L,) ndarray
-        Of each filter: mean over seeds and the other factors, and its interval; NaN where not known.
-    band : pair of float, optional
-        Where a consistent filter would be.
-    log : bool
-        Whether the axis is logarithmic.
-    """
-
-    title: str
+    title: str  # with its unit in brackets
+    # Of each filter: mean over seeds and the other factors, and its interval; NaN where not known.
     means: Mapping[str, FloatArray]
     lows: Mapping[str, FloatArray]
     highs: Mapping[str, FloatArray]
-    band: tuple[float, float] | None = None
-    log: bool = True
+    band: tuple[float, float] | None = None  # where a consistent filter would be
+    log: bool = True  # whether the axis is logarithmic
 
 
 def plot_factor(factor: str, levels: Sequence[Any], responses: Sequence[FactorResponse]) -> Chart:
