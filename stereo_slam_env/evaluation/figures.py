@@ -16,6 +16,7 @@ from filters.motion import POSITION, ROTATION
 from filters.validation import FloatArray, IntArray
 from stereo_slam_env.evaluation import trajectory_metrics as metrics
 from stereo_slam_env.evaluation.consistency_figures import DOF, landmark_anees, nis_per_dof, pooled
+from stereo_slam_env.evaluation.results import FilterSummary
 from stereo_slam_env.evaluation.trajectory_metrics import mean, root_mean_square
 from stereo_slam_env.evaluation.trial import Sample, Trial
 
@@ -73,6 +74,11 @@ class Figure:
     def title(self) -> str:
         """Label and unit: "position error, m"."""
         return f"{self.label}, {self.unit}" if self.unit else self.label
+
+    def of(self, figures: FilterSummary | Mapping[str, Any]) -> float:
+        """The value in a summary or in the figures of a run, as tables show it; NaN where it is not known."""
+        values = figures.figures if isinstance(figures, FilterSummary) else figures
+        return self.shown(values.get(self.name))
 
     def shown(self, value: Value) -> float:
         """The value as tables show it, by its ideal; NaN where it is not known."""

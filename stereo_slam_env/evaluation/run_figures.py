@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from filters.validation import BoolArray
+from filters.validation import BoolArray, FloatArray
 from stereo_slam_env.evaluation.cramer_rao import Bound
-from stereo_slam_env.evaluation.figures import FIGURES, trial_figures
+from stereo_slam_env.evaluation.figures import FIGURES, Figure, trial_figures
 from stereo_slam_env.evaluation.landmark_statistics import depth_convergence, range_errors
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary, SegmentError
 from stereo_slam_env.evaluation.trajectory_metrics import SegmentErrors
@@ -29,6 +29,10 @@ class RunFigures:
 
     of_run: Mapping[RunKey, Mapping[str, Any]]  # of each run alone, see `trial_figures`; None where not known
     segments: Mapping[RunKey, SegmentErrors] = field(default_factory=dict)  # relative errors of each run
+
+    def values(self, figure: Figure, keys: Iterable[RunKey]) -> FloatArray:
+        """A figure in the runs on these recordings, as tables show it; NaN where not known."""
+        return np.array([figure.of(self.of_run[key]) for key in keys])
 
     def diverged(self, keys: Iterable[RunKey]) -> BoolArray:
         """Whether each run diverged or failed."""

@@ -14,11 +14,12 @@ from filters.validation import FloatArray
 from stereo_slam_env.benchmark.scenarios.study import Study
 from stereo_slam_env.benchmark.statistics.attribution import Attribution, attribute_runs
 from stereo_slam_env.benchmark.statistics.differences import CONFIDENCE, MIN_PAIRS, Finding, listed, mean_interval
-from stereo_slam_env.benchmark.statistics.measures import EFFICIENCY, POSE_NEES, POSITION, Measure
+from stereo_slam_env.benchmark.statistics.measures import EFFICIENCY, POSE_NEES, POSITION
 from stereo_slam_env.benchmark.statistics.policy_verdict import Looks, baseline_of
 from stereo_slam_env.benchmark.statistics.verdict import Verdict, consistency, judge
 from stereo_slam_env.benchmark.storage.store import CellResult, StudyDirectory
 from stereo_slam_env.evaluation.consistency import mean_band
+from stereo_slam_env.evaluation.figures import Figure
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
 from stereo_slam_env.evaluation.run_figures import Figures
 from stereo_slam_env.recording.archive import load_recording
@@ -246,9 +247,9 @@ def _responses(groups: Sequence[Sequence[CellOutcome]]) -> list[FactorResponse]:
     seeds = max(len(s.position_rmse_by_run) for group in groups for outcome in group for s in outcome.summaries)
     low, high = mean_band(_POSE_DOF, max(seeds, 1))
     kinds = (
-        (f"{capital(POSITION.words)} ({POSITION.unit})", POSITION, None, True),
-        (f"{capital(POSE_NEES.words)}, band of its mean in grey", POSE_NEES, (low / _POSE_DOF, high / _POSE_DOF), True),
-        (f"{capital(EFFICIENCY.words)}, bound / RMSE ({EFFICIENCY.unit})", EFFICIENCY, None, False),
+        (f"{capital(POSITION.label)} ({POSITION.unit})", POSITION, None, True),
+        (f"{capital(POSE_NEES.label)}, band of its mean in grey", POSE_NEES, (low / _POSE_DOF, high / _POSE_DOF), True),
+        (f"{capital(EFFICIENCY.label)}, bound / RMSE ({EFFICIENCY.unit})", EFFICIENCY, None, False),
     )
     responses = []
     for title, measure, band, log in kinds:
@@ -280,7 +281,7 @@ def _mean_and_interval(cells: Sequence[Mapping[int | None, float]]) -> tuple[flo
     return mean, float(np.exp(low[0])), float(np.exp(high[0]))
 
 
-def _by_seed(outcome: CellOutcome, name: str, measure: Measure) -> dict[int | None, float]:
+def _by_seed(outcome: CellOutcome, name: str, measure: Figure) -> dict[int | None, float]:
     """The values of a measure in the runs of a filter, as far as they are known."""
     of_run = outcome.figures[name].of_run if name in outcome.figures else {}
     values = {seed: measure.of(figures) for (_, seed), figures in of_run.items()}
@@ -306,8 +307,8 @@ def _everything(
     for cell, outcome in results.items():
         for s in outcome.summaries:
             tones = {
-                POSITION.key: _standing(s, verdicts[cell]),
-                POSE_NEES.key: TONES[consistency(s)],
+                POSITION.name: _standing(s, verdicts[cell]),
+                POSE_NEES.name: TONES[consistency(s)],
             }
             first = [
                 Cell(cell, link=links[cell]),
@@ -322,12 +323,12 @@ def _against_best(summary: FilterSummary, verdict: Verdict) -> Cell:
     if summary.filter_name == verdict.best:
         return Cell("tie" if len(verdict.leaders) > 1 else "smallest", 0.0, "none")
     comparison = verdict.comparisons.get(summary.filter_name)
-    if comparison is None or not np.isfinite(comparison.excess_percent):
+    if comparison is None or not comparison.difference.count:
         return number(None)
     if comparison.tied:
         return Cell("tie", 0.0, "none")
     tone = finding_tone(Finding.WORSE if comparison.shown else Finding.NOT_SHOWN)
-    return percent_cell(comparison.excess_percent, comparison.interval_percent, tone)
+    return percent_cell(comparison.difference, tone)
 
 
 def write_report_of(directory: StudyDirectory, results: Sequence[CellResult]) -> Path:

@@ -134,7 +134,7 @@ def attribution_section(attribution: Attribution, folder: Path) -> Markup:
         part("titled", "Share of the differences explained", _shares(attribution.responses)),
     ]
     if any(response.interactions for response in attribution.responses):
-        shown = sum(effect.shown for response in attribution.responses for effect in response.interactions)
+        shown = sum(effect.difference.shown for response in attribution.responses for effect in response.interactions)
         total = sum(len(response.interactions) for response in attribution.responses)
         said = f"Interactions of two options: {shown} of {total} shown"
         parts.append(part("folded", said, _interactions(attribution.responses)))
@@ -174,7 +174,7 @@ def _contrasts(responses: Sequence[ResponseAttribution]) -> Markup:
 def _contrast_cell(contrast: Contrast | None) -> Cell:
     if contrast is None:
         return number(None)
-    return percent_cell(contrast.percent, contrast.interval_percent, finding_tone(contrast.finding))
+    return percent_cell(contrast.difference, finding_tone(contrast.finding))
 
 
 def _interactions(responses: Sequence[ResponseAttribution]) -> Markup:
@@ -187,31 +187,28 @@ def _interactions(responses: Sequence[ResponseAttribution]) -> Markup:
     ]
     rows: list[list[Cell | str]] = []
     for response in responses:
-        for effect in sorted(response.interactions, key=lambda e: (not e.shown, -abs(e.percent))):
-            tone: Tone = "" if effect.shown else "none"
+        for effect in sorted(response.interactions, key=lambda e: (not e.difference.shown, -abs(e.difference.percent))):
+            shown = effect.difference.shown
+            tone: Tone = "" if shown else "none"
             rows.append(
                 [
                     response.response,
                     " × ".join(effect.factors),
                     ", ".join(map(str, effect.levels)),
-                    percent_cell(effect.percent, effect.interval_percent, tone),
-                    Cell("yes" if effect.shown else "no", tone=tone),
+                    percent_cell(effect.difference, tone),
+                    Cell("yes" if shown else "no", tone=tone),
                 ]
             )
     return table(columns, rows)
 
 
 def _shares(responses: Sequence[ResponseAttribution]) -> Markup:
-    keys = list(dict.fromkeys(share.factors for response in responses for share in response.shares))
+    keys = list(dict.fromkeys(names for response in responses for names in response.shares))
     columns = [
         Column("Options", kind="text"),
         *(Column(capital(r.response), "% of the variance") for r in responses),
     ]
     rows: list[list[Cell | str]] = []
     for key in keys:
-        row: list[Cell | str] = [" × ".join(key) or "the rest"]
-        for response in responses:
-            percent = next((share.percent for share in response.shares if share.factors == key), None)
-            row.append(number(percent, ".1f"))
-        rows.append(row)
+        rows.append([" × ".join(key) or "the rest", *(number(r.shares.get(key), ".1f") for r in responses)])
     return table(columns, rows)

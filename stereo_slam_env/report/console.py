@@ -238,7 +238,7 @@ def _cells(summaries: Sequence[FilterSummary], *, claims: bool, brief: bool) -> 
     rows = {}
     for figure in figures:
         rows[_title(figure, summaries)] = [_cell(figure, summary) for summary in summaries]
-        if figure is EFFICIENCY.figure and not brief:
+        if figure is EFFICIENCY and not brief:
             limits = [limit_reached(summary) for summary in summaries]
             rows["95 % interval of that"] = [UNKNOWN if found is None else found.sureness for found in limits]
     return {title: cells for title, cells in rows.items() if set(cells) != {UNKNOWN}}
@@ -247,18 +247,14 @@ def _cells(summaries: Sequence[FilterSummary], *, claims: bool, brief: bool) -> 
 def _title(figure: Figure, summaries: Sequence[FilterSummary]) -> str:
     """With the band of the pose NEES, where it is the same for all."""
     bands = {pose_nees(s)[1] for s in summaries if s.pose_anees_band is not None}
-    return (
-        f"{figure.title} (95 %: {next(iter(bands))})"
-        if figure is POSE_NEES.figure and len(bands) == 1
-        else figure.title
-    )
+    return f"{figure.title} (95 %: {next(iter(bands))})" if figure is POSE_NEES and len(bands) == 1 else figure.title
 
 
 def _cell(figure: Figure, summary: FilterSummary) -> str:
     value = summary.figures[figure.name]
     if figure.per_runs:
         return f"{value} of {summary.runs}"
-    found = limit_reached(summary) if figure is EFFICIENCY.figure else None
+    found = limit_reached(summary) if figure is EFFICIENCY else None
     return figure.text(value) if found is None else found.value.removesuffix(" %")
 
 

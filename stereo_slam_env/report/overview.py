@@ -16,12 +16,12 @@ from stereo_slam_env.benchmark.statistics.measures import (
     FINAL_SIGMA,
     POSE_NEES,
     POSITION,
-    Measure,
 )
 from stereo_slam_env.benchmark.statistics.policy_verdict import Agreement, PolicyVerdict
 from stereo_slam_env.benchmark.statistics.remarks import innovation_factor, limit_reached, times_the_claim
 from stereo_slam_env.benchmark.statistics.verdict import Comparison, Consistency, Verdict, consistency, loss
 from stereo_slam_env.evaluation.consistency_figures import DOF
+from stereo_slam_env.evaluation.figures import Figure
 from stereo_slam_env.evaluation.results import FilterSummary
 from stereo_slam_env.report.charts.style import filter_colours
 from stereo_slam_env.report.page import joined, part
@@ -223,32 +223,32 @@ def _difference(summary: FilterSummary, verdict: Verdict) -> Answer | None:
     if summary.filter_name == verdict.best:
         return Answer("0 %", "what the others are held against", "none", _interval_mark(None, verdict), 0.0)
     comparison = verdict.comparisons.get(summary.filter_name)
-    if comparison is None or not np.isfinite(comparison.excess_percent):
+    if comparison is None or not comparison.difference.count:
         return None
     word, tone = _finding(comparison)
-    value = f"{signed(comparison.excess_percent)} %"
-    if comparison.interval_percent is not None and not comparison.tied:
-        word = f"{word}, {comparison.difference.interval_words}"
-    return Answer(value, word, tone, _interval_mark(comparison, verdict), comparison.excess_percent)
+    found = comparison.difference
+    if found.interval is not None and not comparison.tied:
+        word = f"{word}, {found.interval_words}"
+    return Answer(f"{signed(found.percent)} %", word, tone, _interval_mark(comparison, verdict), found.percent)
 
 
 def _finding(comparison: Comparison) -> tuple[str, Tone]:
+    found = comparison.difference
     if comparison.tied:
-        return f"tie, {comparison.difference.tie_words}", "none"
+        return f"tie, {found.tie_words}", "none"
     if comparison.shown:
         return "worse", "bad"
-    if comparison.finding is Finding.BETTER:
+    if found.finding is Finding.BETTER:
         return "better run by run", "fair"
-    if comparison.difference.too_few and comparison.interval_percent is not None:
-        return f"too few runs to be sure ({comparison.runs})", "none"
-    if comparison.interval_percent is None:
-        return f"{comparison.runs} run{'' if comparison.runs == 1 else 's'}, {Finding.NOT_SHOWN.value}", "none"
-    return Finding.NOT_SHOWN.value, "none"
+    if found.interval is None:
+        return f"{found.count} run{'' if found.count == 1 else 's'}, {Finding.NOT_SHOWN.value}", "none"
+    return f"too few runs to be sure ({found.count})" if found.too_few else Finding.NOT_SHOWN.value, "none"
 
 
 def _interval_mark(comparison: Comparison | None, verdict: Verdict) -> Markup:
     """The interval as a bar on a scale that all rows share; the line is "no difference"."""
-    ends = [p for c in verdict.comparisons.values() for p in (c.interval_percent or (c.excess_percent,))]
+    differences = [c.difference for c in verdict.comparisons.values()]
+    ends = [p for d in differences for p in (d.interval_percent or (d.percent,))]
     logs = np.clip(np.log1p(np.array([p for p in ends if np.isfinite(p)] + [0.0]) / 100), -1.5, 2.5)
     low, high = float(logs.min()), float(logs.max())
     room = 0.06 * max(high - low, 0.02)
@@ -261,11 +261,11 @@ def _interval_mark(comparison: Comparison | None, verdict: Verdict) -> Markup:
     line = ("line", {"x1": zero, "x2": zero, "y1": 0, "y2": MARK_HEIGHT, "stroke": "var(--muted)"})
     if comparison is None:
         return drawn(line)
-    colour = "var(--bad)" if comparison.shown else "var(--muted)"
-    dot = ("circle", {"cx": place(comparison.excess_percent), "cy": middle, "r": 3.5, "fill": colour})
-    if comparison.interval_percent is None:
+    colour, found = "var(--bad)" if comparison.shown else "var(--muted)", comparison.difference
+    dot = ("circle", {"cx": place(found.percent), "cy": middle, "r": 3.5, "fill": colour})
+    if found.interval_percent is None:
         return drawn(line, dot)
-    start, end = (place(percent) for percent in comparison.interval_percent)
+    start, end = (place(percent) for percent in found.interval_percent)
     size = {"x": start, "y": middle - 2, "width": max(end - start, 1), "height": 4, "rx": 2}
     return drawn(line, ("rect", {**size, "fill": colour, "opacity": 0.4}), dot)
 
@@ -355,16 +355,15 @@ def _claimed(summary: FilterSummary, verdict: PolicyVerdict) -> Answer | None:
     return dataclasses.replace(_by(FINAL_SIGMA, summary, verdict), mark=beside if np.isfinite(determinant) else None)
 
 
-def _by(measure: Measure, summary: FilterSummary, verdict: PolicyVerdict) -> Answer:
+def _by(measure: Figure, summary: FilterSummary, verdict: PolicyVerdict) -> Answer:
     """The value of a measure, and its difference to that of the baseline."""
     value = measure.of(summary)
     shown = short(value, f" {measure.unit}")
     if summary.filter_name == verdict.baseline:
         return Answer(shown, "baseline", "none", key=value)
-    found = verdict.compared.cell(measure, summary.filter_name, verdict.baseline)
-    if found is None:
+    difference = verdict.compared.cell(measure, summary.filter_name, verdict.baseline)
+    if difference is None:
         return Answer(shown, "", "none", key=value)
-    difference = found.difference
     words = [f"{signed(difference.percent)} %"]
     if difference.too_few:
         words.append(f"{difference.count} runs are too few")

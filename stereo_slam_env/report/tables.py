@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from stereo_slam_env.benchmark.statistics.differences import Finding, signed
-from stereo_slam_env.benchmark.statistics.measures import EFFICIENCY, PairVerdict, PairwiseTable
+from stereo_slam_env.benchmark.statistics.differences import Difference, Finding, signed
+from stereo_slam_env.benchmark.statistics.measures import EFFICIENCY, PairwiseTable
 from stereo_slam_env.benchmark.statistics.remarks import limit_reached
 from stereo_slam_env.evaluation.figures import FIGURES, Figure, Group
 from stereo_slam_env.evaluation.results import ConsistencyFigure, FilterSummary
@@ -49,8 +49,8 @@ def pair_table(compared: PairwiseTable, who: str = "Filter") -> str:
     """A row for each pair of filters, a column for each question."""
     columns = [Column(who, kind="text"), Column("against", kind="text")]
     for measure in compared.measures:
-        unit = "nearness to 1" if measure.ideal is not None else "%" if measure.figure.is_ratio else "difference"
-        columns.append(Column(capital(measure.words), unit))
+        unit = "nearness to 1" if measure.ideal is not None else "%" if measure.is_ratio else "difference"
+        columns.append(Column(capital(measure.label), unit))
     colours = filter_colours(compared.filters)
     pairs = list(dict.fromkeys((a, b) for _, a, b in compared.cells))
     order = {name: i for i, name in enumerate(compared.filters)}
@@ -58,8 +58,8 @@ def pair_table(compared: PairwiseTable, who: str = "Filter") -> str:
     for a, b in pairs:
         if (b, a) in pairs and order[a] > order[b]:
             continue
-        found = (compared.cell(measure, a, b) for measure in compared.measures)
-        rows.append([filter_cell(a, colours), filter_cell(b, colours), *map(pair_cell, found)])
+        found = (pair_cell(measure, compared.cell(measure, a, b)) for measure in compared.measures)
+        rows.append([filter_cell(a, colours), filter_cell(b, colours), *found])
     return table(columns, rows, wide=True)
 
 
@@ -71,28 +71,28 @@ def finding_tone(finding: Finding) -> Tone:
     return _FINDING_TONES[finding]
 
 
-def pair_cell(verdict: PairVerdict | None) -> Cell:
+def pair_cell(measure: Figure, difference: Difference | None) -> Cell:
     """Difference and interval; of consistency, which is nearer to its ideal."""
-    if verdict is None:
+    if difference is None:
         return number(None)
-    difference, tone = verdict.difference, finding_tone(verdict.finding)
+    tone = finding_tone(difference.finding)
     if difference.tied:
         return Cell("tie", difference.estimate, tone)
-    if verdict.measure.ideal is not None:
-        nearer = {Finding.BETTER: "nearer", Finding.WORSE: "farther"}.get(verdict.finding, Finding.NOT_SHOWN.value)
+    if measure.ideal is not None:
+        nearer = {Finding.BETTER: "nearer", Finding.WORSE: "farther"}.get(difference.finding, Finding.NOT_SHOWN.value)
         return Cell(nearer, difference.estimate, tone)
-    if not verdict.measure.figure.is_ratio:
+    if not measure.is_ratio:
         interval = f" ({difference.interval_words})" if difference.interval is not None else ""
         return Cell(f"{signed(difference.estimate, 2)}{interval}", difference.estimate, tone)
-    return percent_cell(difference.percent, difference.interval_percent, tone)
+    return percent_cell(difference, tone)
 
 
-def percent_cell(percent: float, interval: tuple[float, float] | None, tone: Tone) -> Cell:
+def percent_cell(difference: Difference, tone: Tone) -> Cell:
     """A change in %, with its interval in brackets where there is one."""
-    text = signed(percent)
+    text, interval = signed(difference.percent), difference.interval_percent
     if interval is not None:
         text += f" ({' to '.join(signed(end) for end in interval)})"
-    return Cell(text, percent, tone)
+    return Cell(text, difference.percent, tone)
 
 
 def capital(words: str) -> str:
@@ -107,14 +107,14 @@ def console_columns(summaries: Sequence[FilterSummary]) -> list[Figure]:
 
 def figure_column(figure: Figure) -> Column:
     """Heading of a figure."""
-    unit = "95 % interval" if figure is EFFICIENCY.figure else figure.unit
+    unit = "95 % interval" if figure is EFFICIENCY else figure.unit
     return _column(figure, "ideal 1" if figure.ideal is not None else unit)
 
 
 def figure_cell(figure: Figure, summary: FilterSummary, tone: Tone = "") -> Cell:
     """Value of a figure."""
     value = summary.figures[figure.name]
-    if figure is EFFICIENCY.figure:
+    if figure is EFFICIENCY:
         return efficiency_cell(summary)
     if figure.per_runs:
         return Cell(f"{value}/{summary.runs}", value, "bad" if value else "")

@@ -35,10 +35,7 @@ class Effect:
 
     factors: tuple[str, ...]  # one name (a main effect) or two (an interaction)
     levels: tuple[Any, ...]  # the level of each
-    percent: float  # by how much the response is larger with it, %: +100 doubles it
-    # Its confidence interval, corrected for the number of such effects; None with too few seeds.
-    interval_percent: tuple[float, float] | None
-    shown: bool  # whether the runs show that there is any effect
+    difference: Difference  # of the logarithm, corrected for the number of such effects
 
 
 @dataclass(frozen=True)
@@ -48,20 +45,9 @@ class Contrast:
     factor: str
     level: Any
     instead_of: Any
-    percent: float  # by how much the response is larger, %
-    # Its confidence interval, corrected for the number of contrasts; None with too few seeds.
-    interval_percent: tuple[float, float] | None
-    p_value: float  # of the signed-rank test over seeds, corrected in the same way
+    difference: Difference  # of the logarithm, corrected for the number of contrasts
     finding: Finding  # whether the response is shown to be better (smaller, or nearer to its ideal), worse, or neither
     words: str
-
-
-@dataclass(frozen=True)
-class Share:
-    """Share of the variance between combinations, on the same seed, that a factor or an interaction explains."""
-
-    factors: tuple[str, ...]  # one name, two for an interaction, none for the rest
-    percent: float  # of the variance of the logarithms, %
 
 
 @dataclass(frozen=True)
@@ -74,7 +60,9 @@ class ResponseAttribution:
     effects: tuple[Effect, ...]  # main effects, in the order of factors and levels
     interactions: tuple[Effect, ...]  # of two factors, those that can be estimated: beyond what each does alone
     contrasts: tuple[Contrast, ...]  # every level against the first of its factor
-    shares: tuple[Share, ...]  # largest first, the rest last
+    # Share of the variance between combinations, on the same seed, that a factor or two together explain, %: by their
+    # names, largest first; of none of them, (), last.
+    shares: Mapping[tuple[str, ...], float]
     conclusion: str
 
 
@@ -87,16 +75,15 @@ def explain(
     """
     fit = fit_factorial(response.logarithms)
     names = list(factors)
-    mains = [term for term in fit.blocks if len(term) == 1]
-    pairs = [term for term in fit.blocks if len(term) == 2]
-    effects = _effects(fit, mains, factors)
-    interactions = _effects(fit, pairs, factors)
+    effects, interactions = (
+        _effects({term: blocks for term, blocks in fit.blocks.items() if len(term) == size}, factors) for size in (1, 2)
+    )
     contrasts = _contrasts(name, response, factors, fit)
-    shares = [Share(tuple(names[i] for i in term), 100.0 * share) for term, share in fit.shares.items()]
-    shares.sort(key=lambda share: -share.percent)
-    strong = {share.factors for share in shares if len(share.factors) == 2 and share.percent >= _WORTH_WORDS}
-    together = [p for p in strong if any(e.shown for e in interactions if e.factors == p)]
-    by_share = [share.factors[0] for share in shares if len(share.factors) == 1]
+    by_share = sorted(fit.shares.items(), key=lambda item: -item[1])
+    shares = {tuple(names[i] for i in term): 100.0 * share for term, share in by_share}
+    shown = {effect.factors for effect in interactions if effect.difference.shown}
+    together = [term for term in shown if shares[term] >= _WORTH_WORDS]
+    mains = [term[0] for term in shares if len(term) == 1]
     found = ResponseAttribution(
         response=name,
         unit=response.unit,
@@ -104,28 +91,25 @@ def explain(
         effects=effects,
         interactions=interactions,
         contrasts=contrasts,
-        shares=(*shares, Share((), 100.0 * fit.rest)),
-        conclusion=_conclusion(name, by_share, contrasts, together),
+        shares={**shares, (): 100.0 * fit.rest},
+        conclusion=_conclusion(name, mains, contrasts, together),
     )
     return found, fit.left_out
 
 
-def _effects(
-    fit: FactorialFit, terms: Sequence[tuple[int, ...]], factors: Mapping[str, Sequence[Any]]
-) -> tuple[Effect, ...]:
+def _effects(blocks: Mapping[Term, FloatArray], factors: Mapping[str, Sequence[Any]]) -> tuple[Effect, ...]:
     """Effects of all terms of one kind; two levels have one effect with two signs."""
-    if not terms:
-        return ()
     names, levels = list(factors), list(factors.values())
-    comparisons = sum(int(np.prod([n if n > 2 else 1 for n in fit.blocks[t].shape[1:]])) for t in terms)
-    found = []
-    for term in terms:
-        blocks = fit.blocks[term]
-        differences = differences_of(blocks.reshape(len(blocks), -1), comparisons=comparisons)
-        for combination, d in zip(product(*(levels[i] for i in term)), differences, strict=True):
-            of = tuple(names[i] for i in term)
-            found.append(Effect(of, tuple(combination), d.percent, d.interval_percent, d.shown))
-    return tuple(found)
+    comparisons = sum(int(np.prod([n if n > 2 else 1 for n in found.shape[1:]])) for found in blocks.values())
+    return tuple(
+        Effect(tuple(names[i] for i in term), combination, difference)
+        for term, found in blocks.items()
+        for combination, difference in zip(
+            product(*(levels[i] for i in term)),
+            differences_of(found.reshape(len(found), -1), comparisons=comparisons),
+            strict=True,
+        )
+    )
 
 
 def _contrasts(
@@ -143,9 +127,7 @@ def _contrasts(
                 ideal = np.log(response.ideal)
                 finding = Finding.BETTER if abs(at[k] - ideal) < abs(at[0] - ideal) else Finding.WORSE
             words = _contrast_words(name, levels[k], levels[0], d)
-            found.append(
-                Contrast(factor, levels[k], levels[0], d.percent, d.interval_percent, d.p_value, finding, words)
-            )
+            found.append(Contrast(factor, levels[k], levels[0], d, finding, words))
     return tuple(found)
 
 
@@ -191,16 +173,8 @@ class FactorialFit:
 def fit_factorial(values: FloatArray) -> FactorialFit:
     """Fit main effects and the interactions of two factors that can be estimated.
 
-    Parameters
-    ----------
-    values : (*levels, S) ndarray
-        One value for each combination of levels and each block; NaN where missing. Blocks without two values are left
-        out.
-
-    Raises
-    ------
-    ValueError
-        What is missing leaves main effects that cannot be told apart.
+    `values` (*levels, S) has one value for each combination of levels and each block, NaN where missing; blocks without
+    two values are left out. Raises a `ValueError` where what is missing leaves main effects that cannot be told apart.
     """
     levels = values.shape[:-1]
     rows = values.reshape(-1, values.shape[-1]).T

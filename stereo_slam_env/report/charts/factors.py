@@ -142,10 +142,12 @@ def _effects_panel(rows: Sequence[tuple[str, Any]], response: ResponseAttributio
 
 
 def _effect_curve(row: int, effect: Effect, names: Sequence[tuple[str, Any]]) -> Curve:
-    ratio = 1 + effect.percent / 100
-    low, high = (1 + end / 100 for end in effect.interval_percent or (effect.percent, effect.percent))
-    key, colour = _SHOWN[bool(effect.shown)]
-    return Curve(key, [ratio], [row], colour, [low], [high], said=": ".join(map(str, names[row])) + f", {key}")
+    percent = effect.difference.percent
+    low, high = (1 + end / 100 for end in effect.difference.interval_percent or (percent, percent))
+    key, colour = _SHOWN[effect.difference.shown]
+    return Curve(
+        key, [1 + percent / 100], [row], colour, [low], [high], said=": ".join(map(str, names[row])) + f", {key}"
+    )
 
 
 def plot_changes(changes: Sequence[Change]) -> Chart:
