@@ -171,13 +171,7 @@ def run_checked(
 
 
 def as_study(what: Study | Scenario | str | Path, *, data: str | Path | None = None, allow_code: bool = False) -> Study:
-    """Study from itself, a scenario, the name of a preset or a file.
-
-    Raises
-    ------
-    ValueError
-        No such preset or file, or the file is wrong.
-    """
+    """Study from itself, a scenario, the name of a preset or a file; a `ValueError` where there is none or it is wrong."""
     if isinstance(what, Study):
         return what
     if isinstance(what, Scenario):

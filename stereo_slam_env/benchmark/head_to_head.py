@@ -197,11 +197,6 @@ class Bench:
             How many recordings, or which.
         options, against_options : mapping, optional
             Options of the two, JSON-able; None: those of the benchmark.
-
-        Raises
-        ------
-        ValueError
-            An unknown filter, option or preset, or a source that cannot be used.
         """
         on = QUICK if scenario is None else preset(scenario) if isinstance(scenario, str) else scenario
         which = which_seeds(self.seeds if seeds is None else seeds)

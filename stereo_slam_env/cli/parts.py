@@ -49,13 +49,7 @@ def one_line_errors() -> Iterator[None]:
 
 
 def rig_from(text: str) -> str | dict[str, Any]:
-    """The rig that `--rig` says: NAME, KEY=NUMBER,... or NAME,KEY=NUMBER,... .
-
-    Raises
-    ------
-    ValueError
-        The text has another form.
-    """
+    """The rig that `--rig` says: NAME, KEY=NUMBER,... or NAME,KEY=NUMBER,... ."""
     rig: dict[str, Any] = {}
     for part in text.split(","):
         key, equals, value = (piece.strip() for piece in part.partition("="))

@@ -76,29 +76,12 @@ def cramer_rao_bound(
     landmark: LandmarkModel | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Bound | None:
-    """Posterior Cramer-Rao bound along the true trajectory of a recording.
+    """Posterior Cramer-Rao bound along the true trajectory of a recording; None where the truth is not complete.
 
-    Costs about as much as a filter run.
-
-    Parameters
-    ----------
-    recording : Recording
-        With the true pose in every frame and the true position of every landmark seen.
-    motion : ConstantVelocity
-        The motion model the estimator knows.
-    use_odometry : bool
-        Whether the estimator is given the odometry of the recording.
-    right_row : bool
-        Whether the estimator is given the row of the right image, where it was measured.
-    landmark : LandmarkModel, optional
-        Parametrisation to calculate in; the result does not depend on it. None: XYZ.
-    progress : callable, optional
-        Called with (frames done, frames) after each frame.
-
-    Returns
-    -------
-    Bound or None
-        None where the truth is not complete.
+    Costs about as much as a filter run. `motion` is the motion model that the estimator knows; `use_odometry` and
+    `right_row` say whether it is given the odometry, and the row of the right image where that was measured. `landmark` is
+    the parametrisation to calculate in, None: XYZ; the result does not depend on it. `progress` is called with (frames
+    done, frames).
     """
     poses = [frame.truth for frame in recording.frames if frame.truth is not None]
     if len(poses) < len(recording) or not poses or not _every_landmark_is_known(recording):
@@ -140,24 +123,8 @@ def _every_landmark_is_known(recording: Recording) -> bool:
 class ReferenceBelief:
     """The covariance of the best estimator, with the true camera and map as its state.
 
-    Parameters
-    ----------
-    camera : StereoCamera
-        The rig.
-    noise : StereoNoise
-        R of measurements that bring none of their own: what it really is.
-    motion : MotionModel
-        The motion model the estimator knows.
-    start : Start
-        What the estimator is told of the start: its velocity and covariance.
-    truth : Pose
-        The true pose at the start.
-    landmark : LandmarkModel, optional
-        Parametrisation to calculate in; the result does not depend on it. None: XYZ.
-    right_row : bool
-        Whether the estimator is given the row of the right image, where it was measured.
-    use_odometry : bool
-        Whether `step` gives it the odometry.
+    `noise` is what the noise of measurements that bring none of their own really is. Of the start the estimator is told
+    the velocity and covariance of `start`, while its pose is the `truth`. Other arguments as of `cramer_rao_bound`.
     """
 
     def __init__(

@@ -69,13 +69,7 @@ SERIES = tuple(f.name for f in dataclasses.fields(LandmarkStatistics))
 
 
 class LandmarkScorer:
-    """Collects the statistics of a run, a frame at a time.
-
-    Parameters
-    ----------
-    camera : StereoCamera
-        The rig.
-    """
+    """Collects the statistics of a run, a frame at a time."""
 
     def __init__(self, camera: StereoCamera) -> None:
         self.statistics = LandmarkStatistics()

@@ -64,26 +64,7 @@ def write_study_report(
 ) -> Path:
     """Write `out/report.html` over all cells of a study; each has its own report at `out/cells/<name>/report.html`.
 
-    Parameters
-    ----------
-    out : Path
-        Directory; made if it is not there.
-    study : Study
-        What was run.
-    results : mapping of str to CellOutcome
-        Runs and summaries by name of the cell; cells without are left out.
-    attribution : Attribution, optional
-        Effects of the options of a filter.
-
-    Returns
-    -------
-    Path
-        The page.
-
-    Raises
-    ------
-    ValueError
-        No cell has a result.
+    `results` is by name of the cell, and cells without are left out; without any a `ValueError` says so. Returns the page.
     """
     results = {cell.name: results[cell.name] for cell in study.cells if cell.name in results}
     if not results:

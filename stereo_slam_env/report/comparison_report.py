@@ -20,20 +20,7 @@ from stereo_slam_env.report.tables import capital, finding_tone, percent_cell
 
 
 def write_comparison_report(out: Path, comparison: RunComparison) -> Path:
-    """Write `out/comparison.html`, and its figure as `out/figures/changes.png` and `.svg`.
-
-    Parameters
-    ----------
-    out : Path
-        Directory; made if it is not there.
-    comparison : RunComparison
-        Of two runs.
-
-    Returns
-    -------
-    Path
-        The page.
-    """
+    """Write `out/comparison.html`, and its figure as `out/figures/changes.png` and `.svg`; returns the page."""
     folder = out / FIGURES
     body = [
         part("paragraph", comparison.headline, "headline"),
@@ -112,15 +99,7 @@ def conclusions(attribution: Attribution) -> Markup:
 
 
 def attribution_section(attribution: Attribution, folder: Path) -> Markup:
-    """Markup of the section: a figure of the main effects, and tables.
-
-    Parameters
-    ----------
-    attribution : Attribution
-        Effects of the options of a filter.
-    folder : Path
-        Where figures go, see `figure_block`.
-    """
+    """A figure of the main effects, and tables; `folder`: where figures go, see `figure_block`."""
     caption = (
         "Main effects: how many times the average over all combinations a response is with that choice, with intervals"
         " corrected for their number. Blue: an effect is shown."

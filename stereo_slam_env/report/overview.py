@@ -64,17 +64,7 @@ class Question:
 
 
 def answers_table(who: str, questions: Sequence[Question], summaries: Sequence[FilterSummary]) -> Markup:
-    """Markup; questions that nobody has an answer to are left out.
-
-    Parameters
-    ----------
-    who : str
-        What a row is: "Filter".
-    questions : sequence of Question
-        Columns.
-    summaries : sequence of FilterSummary
-        Rows.
-    """
+    """Table with a row for each summary, `who`; questions that nobody has an answer to are left out."""
     colours = filter_colours(s.filter_name for s in summaries)
     answers = [[question.answer(summary) for summary in summaries] for question in questions]
     shown = [(q, column) for q, column in zip(questions, answers, strict=True) if any(a is not None for a in column)]
@@ -165,20 +155,7 @@ def short(value: float | None, unit: str = "") -> str:
 
 
 def overview(summaries: Sequence[FilterSummary], verdict: Verdict) -> Markup:
-    """Headline and answers: a row for each filter, a column for each question that can be answered.
-
-    Parameters
-    ----------
-    summaries : sequence of FilterSummary
-        One for each filter.
-    verdict : Verdict
-        Of the same filters.
-
-    Returns
-    -------
-    str
-        Markup.
-    """
+    """Headline and answers: a row for each filter, a column for each question that can be answered."""
     first = "Which is best?" if len(summaries) > 1 else "How accurate is it?"
     questions = [
         Question(first, "position RMSE", lambda s: _accuracy(s, verdict)),
@@ -314,20 +291,7 @@ _SAID: dict[Agreement, tuple[str, Tone]] = {
 
 
 def policy_overview(summaries: Sequence[FilterSummary], verdict: PolicyVerdict) -> Markup:
-    """Headline, answers and a sentence for each policy.
-
-    Parameters
-    ----------
-    summaries : sequence of FilterSummary
-        One for each policy.
-    verdict : PolicyVerdict
-        On the same policies.
-
-    Returns
-    -------
-    str
-        Markup.
-    """
+    """Headline, answers and a sentence for each policy."""
     against = f"and against {verdict.baseline}, 95 % interval"
     questions = [
         Question(

@@ -99,21 +99,9 @@ def figure_block(chart: Chart, name: str, description: str, folder: Path) -> Mar
 
 
 def inline_svg(svg: str, name: str, description: str) -> Markup:
-    """Turn an SVG document into an `<svg>` element that takes colours and font from the page around it.
+    """Turn an SVG document, drawn with the colours of `style`, into an element that takes those of the page around it.
 
-    Parameters
-    ----------
-    svg : str
-        From `Chart.svg`, drawn with the colours of `style`.
-    name : str
-        Prefix of the ids inside, unique in the page.
-    description : str
-        What a screen reader says, plain text.
-
-    Returns
-    -------
-    Markup
-        Without any reference to the outside.
+    `name` prefixes the ids inside, `description` is what a screen reader says. Nothing in it refers to the outside.
     """
 
     def of_page(found: re.Match[str]) -> str:

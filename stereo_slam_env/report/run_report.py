@@ -40,38 +40,12 @@ def write_report(
     attribution: Attribution | None = None,
     looks: Looks | None = None,
 ) -> Path:
-    """Write `out/report.html`, and each of its figures as `out/figures/<name>.png` and `.svg`.
+    """Write `out/report.html`, and each of its figures as `out/figures/<name>.png` and `.svg`; returns the page.
 
-    Parameters
-    ----------
-    out : Path
-        Directory; made if it is not there.
-    title : str
-        Heading of the page.
-    runs : sequence of FilterRun
-        All runs of all filters.
-    summaries : sequence of FilterSummary
-        One for each filter, of the same runs.
-    figures : mapping of str to RunFigures
-        Of the same runs, see `figures_of`.
-    settings : mapping
-        What was asked for (scenario, noise, gate, seeds, versions); JSON-able, may be nested.
-    bounds : mapping of (recording_name, seed) to Bound, optional
-        Theoretical limits, drawn below the errors over time.
-    attribution : Attribution, optional
-        Of the options that the filters differ in.
-    looks : Looks, optional
-        Where policies are compared: the page then first says what they claim and what is true.
-
-    Returns
-    -------
-    Path
-        The page. It needs nothing but itself.
-
-    Raises
-    ------
-    ValueError
-        No runs, or no summaries.
+    The page needs nothing but itself. `summaries` and `figures` are those of `runs`; `settings` is what was asked for
+    (scenario, noise, gate, seeds, versions), JSON-able, perhaps nested; `attribution` is of the options that the filters
+    differ in. With `looks` policies are compared: the page then first says what they claim and what is true. A
+    `ValueError` says that there are no runs.
     """
     if not runs or not summaries:
         raise ValueError("runs and summaries must not be empty: there is nothing to report")

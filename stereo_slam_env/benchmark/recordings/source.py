@@ -180,13 +180,7 @@ class Source(msgspec.Struct, frozen=True, tag_field="kind", forbid_unknown_field
 
 
 def checked(what: str, value: object, kind: Any) -> Any:
-    """The value as `kind`, a type that `msgspec` knows.
-
-    Raises
-    ------
-    ValueError
-        It cannot be: one line that begins with `what`.
-    """
+    """The value as `kind`, a type that `msgspec` knows; else a `ValueError` of one line that begins with `what`."""
     try:
         return msgspec.convert(value, kind)
     except msgspec.ValidationError as error:

@@ -66,17 +66,10 @@ class WorkTooSlow(RuntimeError):
 def run_isolated(work: Callable[[Tell], Result], *, silence_limit: float, progress: Tell | None = None) -> Result:
     """Run `work` in a process of its own and return what it returns.
 
-    Where the system cannot fork, `work` runs in this process, without protection.
-
-    Parameters
-    ----------
-    work : callable
-        Called with a function (done, total) that it calls as it goes on: a sign of life. It is sent by cloudpickle, so
-        functions and classes of a script or notebook will do; what it returns or raises must be picklable, too.
-    silence_limit : float
-        Longest time without a sign of life, s.
-    progress : callable, optional
-        Is told of the signs of life.
+    `work` is called with a function (done, total) that it calls as it goes on: a sign of life, which `progress` is told of
+    and which must come within `silence_limit`, s. It is sent by cloudpickle, so functions and classes of a script or
+    notebook will do; what it returns or raises must be picklable, too. Where the system cannot fork, it runs in this
+    process, without protection.
 
     Raises
     ------

@@ -88,12 +88,7 @@ class DoneTrial:
 def make(task: RecordingTask, progress: Tell | None = None) -> MadeRecording:
     """Make a recording: in a process of its own if it is drawn or calculated, in this one if it is only read.
 
-    Raises
-    ------
-    ValueError
-        See `streams.make_recording`.
-    RuntimeError
-        The process ended, or gave no sign of life for the scenario's `recording_time_limit`.
+    A `RuntimeError` says that the process ended, or gave no sign of life for the scenario's `recording_time_limit`.
     """
     scenario = task.scenario
     if not scenario.source.isolated:  # a drive that is replayed has been read already (see `sources`)
@@ -214,19 +209,8 @@ def _bounded(task: TrialTask, tell: Tell) -> Bound | None:
 def watch_search(scenario: Scenario, watch: Watch, progress: Tell | None = None) -> None:
     """Run the front end over the scenario's first seed, guided by the first filter if `search` is "forecast".
 
-    Parameters
-    ----------
-    scenario : Scenario
-        One that takes images.
-    watch : callable
-        Called with each pair and what was found in it.
-    progress : callable, optional
-        Called with (pairs done, pairs) after each.
-
-    Raises
-    ------
-    ValueError
-        The scenario has no images, or the filter that guides fails: the message says where.
+    `watch` is called with each pair and what was found in it, `progress` with (pairs done, pairs). A `ValueError` says that
+    the scenario has no images, or where the filter that guides fails.
     """
     seed = scenario.recording_seeds[0]
     sequence, settings = make_sequence(scenario, seed)

@@ -53,13 +53,7 @@ def make_recording(scenario: Scenario, seed: int | None, progress: Progress | No
 
 
 def make_sequence(scenario: Scenario, seed: int | None) -> OpenedImages:
-    """The images of a scenario that has them, and the settings of the front end for them.
-
-    Raises
-    ------
-    ValueError
-        The scenario has no images, or its options are refused.
-    """
+    """The images of a scenario, and the settings of the front end; a `ValueError` for one without images."""
     if not scenario.source.takes_images:
         raise ValueError(f"scenario {scenario.name!r} has no images: give sensor='images' or a recording of images")
     return scenario.source.sequence(seed, scenario.frames)
@@ -100,21 +94,10 @@ def check_source(scenario: Scenario) -> None:
 def drive_episode(
     scenario: Scenario, seed: int, choice: FilterChoice, progress: Callable[[int, int], None] | None = None
 ) -> Episode:
-    """Episode of a competitor: its policy turns the head, with its filter in the loop.
+    """Episode of one of the `competitors` of a scenario with policies: its policy turns the head, its filter in the loop.
 
     The filter is made and told exactly what `run_filter` makes and tells it, so that a run over the recording says what
     the policy heard.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        One with policies.
-    seed : int
-        Of the episode.
-    choice : FilterChoice
-        One of `scenario.competitors`.
-    progress : callable, optional
-        Called with (frames done, frames) after each.
     """
     from stereo_slam_env.policies import make_policy
     from stereo_slam_env.policies.episode import run_episode
@@ -254,13 +237,7 @@ def stream_digest(recording: Recording) -> str:
 
 
 def measurement_errors(recording: Recording) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Depths z (n,), m, errors (n, 3) of (u, v, d), px, and claimed R (n, 3, 3), px^2, where the truth is known.
-
-    Raises
-    ------
-    ValueError
-        The recording knows no landmarks.
-    """
+    """Depths z (n,), m, errors (n, 3) of (u, v, d), px, and claimed R (n, 3, 3), px^2, where the truth is known."""
     truth = recording.landmarks
     if truth is None:
         raise ValueError(f"recording {recording.name!r} has no true landmarks: its errors cannot be known")

@@ -230,10 +230,7 @@ def load_study(path: str | Path, *, data: str | Path | None = None, allow_code: 
 def study_from(tables: Mapping[str, Any], *, data: str | Path | None = None, allow_code: bool = False) -> Study:
     """A study from the tables of a scenario file; `data` and `allow_code` as for `load_study`.
 
-    Raises
-    ------
-    ValueError
-        An unknown key, an impossible value, too many cells or trials, or code that is not allowed.
+    A `ValueError` names an unknown key or impossible value, too many cells or trials, or code that is not allowed.
     """
     checked("scenario", tables, dict[str, Any])
     require_known("scenario has no key", tables, (*KEYS, *_OWN_KEYS))

@@ -85,14 +85,9 @@ def baseline_of(competitors: Sequence[FilterChoice]) -> str:
 
 
 def judge_policies(summaries: Sequence[FilterSummary], figures: Figures, *, baseline: str) -> PolicyVerdict:
-    """Compare every policy with the baseline, by claimed uncertainty and by true error.
+    """Compare every policy with the baseline, by claimed uncertainty and by true error; raises as `compare_all`.
 
     Intervals and tests are corrected for the number of policies; each measure stands for itself.
-
-    Raises
-    ------
-    ValueError
-        There is no such baseline.
     """
     compared = compare_all(summaries, figures, baseline=baseline, measures=CLAIM_AND_TRUTH)
     comparisons = {}

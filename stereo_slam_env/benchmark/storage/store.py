@@ -250,16 +250,9 @@ class RunDirectory:
 
 
 class StudyDirectory:
-    """Run directory of a study. `open_study` starts or resumes one, `read_study` reads one.
+    """Run directory `out` of a study. `open_study` starts or resumes one, `read_study` reads one.
 
-    Attributes
-    ----------
-    out : Path
-        The directory.
-    study : Study
-        What is run.
-    cells : tuple of RunDirectory
-        One for each cell; that of a study of one scenario is `out` itself.
+    `cells` has a `RunDirectory` for each cell; that of a study of one scenario is `out` itself.
     """
 
     def __init__(self, out: Path, study: Study) -> None:
@@ -281,13 +274,7 @@ class StudyDirectory:
 
 
 def open_study(out: Path, study: Study) -> StudyDirectory:
-    """Start a study, or resume the one in `out`: finished trials of the same settings are kept.
-
-    Raises
-    ------
-    ValueError
-        `out` is a file, or holds something else.
-    """
+    """Start a study, or resume the one in `out`, whose finished trials are kept; raises as `prepared_study`."""
     directory = prepared_study(out, study)
     write_json(out / STUDY, study.as_dict())
     for run in directory.cells:
@@ -296,9 +283,9 @@ def open_study(out: Path, study: Study) -> StudyDirectory:
 
 
 def prepared_study(out: Path, study: Study) -> StudyDirectory:
-    """Directory that `open_study` would return, with nothing written yet: a check of `out` before long work.
+    """Directory for a study, with nothing written yet: a check of `out` before long work.
 
-    Raises as `open_study`.
+    A `ValueError` says that `out` is a file, holds something else, or a run with other settings.
     """
     refuse_foreign(out)
     if (out / STUDY).exists():

@@ -71,15 +71,7 @@ def _cell(value: Any) -> Any:
 
 
 def write_trial_table(path: Path, results: Sequence[CellResult]) -> None:
-    """Write the table of all trials; the file appears complete or not at all.
-
-    Parameters
-    ----------
-    path : Path
-        The SQLite file.
-    results : sequence of CellResult
-        The cells.
-    """
+    """Write the table of all trials of the cells; the SQLite file appears complete or not at all."""
     rows = [row for result in results for row in _rows(path.parent, result)]
     factors = list(dict.fromkeys(name for result in results for name in _factors(result)))
     columns = [

@@ -68,14 +68,9 @@ def position_error(run: FilterRun) -> FloatArray:
 
 
 def belief_error(run: FilterRun) -> tuple[FloatArray, FloatArray]:
-    """Error of the `PoseBelief` and the standard deviation it claims.
+    """Error of the `PoseBelief` (K, 6), NaN where unknown, and the standard deviation it claims (K, 6).
 
-    Returns
-    -------
-    error : (K, 6) ndarray
-        [p_true - p_est in W, m ; Log(R_est^T R_true) in the camera frame, rad]; NaN where unknown.
-    sigma : (K, 6) ndarray
-        Square root of the diagonal of the covariance.
+    [p_true - p_est in W, m ; Log(R_est^T R_true) in the camera frame, rad].
     """
     error = np.full((len(run), 6), np.nan)
     known = scored(run)
