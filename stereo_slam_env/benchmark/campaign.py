@@ -171,7 +171,7 @@ def run_checked(
 
 
 def as_study(what: Study | Scenario | str | Path, *, data: str | Path | None = None, allow_code: bool = False) -> Study:
-    """Study from itself, a scenario, the name of a preset or a file; a `ValueError` where there is none or it is wrong."""
+    """Study from itself, a scenario, the name of a preset or a file; raises as `load_study` and `preset_study`."""
     if isinstance(what, Study):
         return what
     if isinstance(what, Scenario):

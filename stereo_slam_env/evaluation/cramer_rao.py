@@ -79,9 +79,9 @@ def cramer_rao_bound(
     """Posterior Cramer-Rao bound along the true trajectory of a recording; None where the truth is not complete.
 
     Costs about as much as a filter run. `motion` is the motion model that the estimator knows; `use_odometry` and
-    `right_row` say whether it is given the odometry, and the row of the right image where that was measured. `landmark` is
-    the parametrisation to calculate in, None: XYZ; the result does not depend on it. `progress` is called with (frames
-    done, frames).
+    `right_row` say whether it is given the odometry, and the row of the right image where that was measured. `landmark`
+    is the parametrisation to calculate in, None: XYZ; the result does not depend on it. `progress` is called with
+    (frames done, frames).
     """
     poses = [frame.truth for frame in recording.frames if frame.truth is not None]
     if len(poses) < len(recording) or not poses or not _every_landmark_is_known(recording):

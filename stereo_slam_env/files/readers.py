@@ -85,7 +85,8 @@ def read_table(
     Raises
     ------
     ValueError
-        Missing, not a table of that width, empty, or, where `finite`, with NaN or infinity: the message names file and row.
+        Missing, not a table of that width, empty, or, where `finite`, with NaN or infinity: the message names file and
+        row.
     """
     try:
         text = read_text(path)

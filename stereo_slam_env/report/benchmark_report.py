@@ -64,7 +64,8 @@ def write_study_report(
 ) -> Path:
     """Write `out/report.html` over all cells of a study; each has its own report at `out/cells/<name>/report.html`.
 
-    `results` is by name of the cell, and cells without are left out; without any a `ValueError` says so. Returns the page.
+    `results` is by name of the cell, and cells without are left out; without any a `ValueError` says so. Returns the
+    page.
     """
     results = {cell.name: results[cell.name] for cell in study.cells if cell.name in results}
     if not results:

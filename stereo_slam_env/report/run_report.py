@@ -43,8 +43,8 @@ def write_report(
     """Write `out/report.html`, and each of its figures as `out/figures/<name>.png` and `.svg`; returns the page.
 
     The page needs nothing but itself. `summaries` and `figures` are those of `runs`; `settings` is what was asked for
-    (scenario, noise, gate, seeds, versions), JSON-able, perhaps nested; `attribution` is of the options that the filters
-    differ in. With `looks` policies are compared: the page then first says what they claim and what is true. A
+    (scenario, noise, gate, seeds, versions), JSON-able, perhaps nested; `attribution` is of the options that the
+    filters differ in. With `looks` policies are compared: the page then first says what they claim and what is true. A
     `ValueError` says that there are no runs.
     """
     if not runs or not summaries:

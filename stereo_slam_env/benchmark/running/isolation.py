@@ -66,8 +66,8 @@ class WorkTooSlow(RuntimeError):
 def run_isolated(work: Callable[[Tell], Result], *, silence_limit: float, progress: Tell | None = None) -> Result:
     """Run `work` in a process of its own and return what it returns.
 
-    `work` is called with a function (done, total) that it calls as it goes on: a sign of life, which `progress` is told of
-    and which must come within `silence_limit`, s. It is sent by cloudpickle, so functions and classes of a script or
+    `work` is called with a function (done, total) that it calls as it goes on: a sign of life, which `progress` is told
+    of and which must come within `silence_limit`, s. It is sent by cloudpickle, so functions and classes of a script or
     notebook will do; what it returns or raises must be picklable, too. Where the system cannot fork, it runs in this
     process, without protection.
 

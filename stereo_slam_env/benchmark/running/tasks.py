@@ -209,8 +209,8 @@ def _bounded(task: TrialTask, tell: Tell) -> Bound | None:
 def watch_search(scenario: Scenario, watch: Watch, progress: Tell | None = None) -> None:
     """Run the front end over the scenario's first seed, guided by the first filter if `search` is "forecast".
 
-    `watch` is called with each pair and what was found in it, `progress` with (pairs done, pairs). A `ValueError` says that
-    the scenario has no images, or where the filter that guides fails.
+    `watch` is called with each pair and what was found in it, `progress` with (pairs done, pairs). A `ValueError` says
+    that the scenario has no images, or where the filter that guides fails.
     """
     seed = scenario.recording_seeds[0]
     sequence, settings = make_sequence(scenario, seed)

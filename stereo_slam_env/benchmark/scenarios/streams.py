@@ -94,7 +94,7 @@ def check_source(scenario: Scenario) -> None:
 def drive_episode(
     scenario: Scenario, seed: int, choice: FilterChoice, progress: Callable[[int, int], None] | None = None
 ) -> Episode:
-    """Episode of one of the `competitors` of a scenario with policies: its policy turns the head, its filter in the loop.
+    """Episode of one of `scenario.competitors`: its policy turns the head, with its filter in the loop.
 
     The filter is made and told exactly what `run_filter` makes and tells it, so that a run over the recording says what
     the policy heard.

@@ -40,8 +40,8 @@ _UNSAID = {"ctx", "kind", "type_comment"}
 def code_digest(without: tuple[str, ...] = NO_RESULT, root: Path = ROOT) -> str:
     """SHA-256 of both packages in the folder `root`, so that results of different code are never mixed.
 
-    Comments, docstrings and formatting make no difference, nor does the version of Python, nor modules whose paths begin
-    as one of `without`. Trained networks count.
+    Comments, docstrings and formatting make no difference, nor does the version of Python, nor modules whose paths
+    begin as one of `without`. Trained networks count.
     """
     files = [path for package in ("filters", "stereo_slam_env") for path in (root / package).rglob("*.*")]
     paths = {path.relative_to(root).as_posix(): path for path in files if path.suffix in (".py", ".npz")}

@@ -123,9 +123,9 @@ def _checked(arrays: Mapping[str, Any]) -> dict[str, Any]:
 def write_trajectory(path: Path, timestamps: FloatArray, positions: FloatArray, orientations: FloatArray) -> None:
     """Write the poses that are known as rows of the formats of TUM RGB-D and of KITTI odometry.
 
-    The files are `path` with the endings ".tum", `t x y z qx qy qz qw`, and ".kitti", the 3x4 matrix T_wc, row-major, which
-    has no times: where poses are missing, its rows are no longer those of the frames. Times (K,), s, positions (K, 3), m in
-    W, orientations (K, 4), q^WC xyzw.
+    The files are `path` with the endings ".tum", `t x y z qx qy qz qw`, and ".kitti", the 3x4 matrix T_wc, row-major,
+    which has no times: where poses are missing, its rows are no longer those of the frames. Times (K,), s, positions
+    (K, 3), m in W, orientations (K, 4), q^WC xyzw.
     """
     tum = np.column_stack([timestamps, positions, orientations])
     known = np.isfinite(tum).all(axis=1)
