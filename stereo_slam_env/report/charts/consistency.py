@@ -11,7 +11,7 @@ from stereo_slam_env.evaluation.consistency import mean_band
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
 from stereo_slam_env.report.charts import series
 from stereo_slam_env.report.charts.axes import WIDTH, Axis, label_room, panel_width
-from stereo_slam_env.report.charts.drawing import DASHED, Box, Chart, Curve, Panel, figure
+from stereo_slam_env.report.charts.drawing import DASHED, Box, Chart, Curve, Panel, figure, limit_of
 from stereo_slam_env.report.charts.style import (
     BAND,
     MUTED,
@@ -134,7 +134,11 @@ def _against_band(
     low, high = band
     colours = filter_colours(curves)
     known = np.isfinite(low)
-    limit = shared_limit({name: series.peak(curve) for name, curve in curves.items()}, spread=100.0)
+    lines = [
+        Curve(name, time, np.where(curve > 0, curve, np.nan), colours[name], width=1.4)
+        for name, curve in curves.items()
+    ]
+    limit = limit_of(lines, spread=100.0)
     floor = min((float(np.percentile(c[c > 0], 1)) for c in curves.values() if (c > 0).any()), default=0.1)
     bottom = max(min(floor, float(low[known].min(initial=np.inf))), 0.02)
     top = max(limit.upper, float(high[known].max(initial=0.0)), 1.01 * bottom)
@@ -145,14 +149,10 @@ def _against_band(
     # What goes below 0.02 is drawn at the lower end: 0 has no place on a logarithmic axis.
     panel.bands([Curve("", time, low, BAND, np.maximum(low, y.low), high)])
     panel.rule(y=1.0, dash=DASHED)
-    panel.lines(
-        Curve(name, time, np.where(curve > 0, curve, np.nan), colours[name], width=1.4)
-        for name, curve in curves.items()
-    )
+    panel.lines(lines)
     panel.note_beyond(limit, colours)
     centre = float(np.sqrt(low[known][-1] * high[known][-1])) if known.any() else np.nan
-    ends = [(name, series.last_known(curve), colours[name]) for name, curve in curves.items()]
-    panel.end_labels([*(end for end in ends if end[0] not in limit.beyond), ("95 % band", centre, MUTED)])
+    panel.name_ends([*lines, Curve("95 % band", time[-1:], [centre], MUTED)], limit)
     return figure([panel], colours)
 
 
@@ -180,7 +180,7 @@ def plot_consistency(summaries: Sequence[FilterSummary]) -> Chart:
     high = 1.3 * max(limit.upper, *(box.x1 for box in boxes), 1.2) if boxes else 1.3 * max(limit.upper, 1.2)
     left, right = label_room(_QUANTITIES.values()), label_room(colours)
     share = (WIDTH - left - right - 70) / 3.2
-    y = Axis(-0.5, len(keys) - 0.5, ticks=(), reverse=True)
+    y = Axis.of_rows(len(keys))
     height = max(len(keys) * max(len(summaries), 2) * 14.0, 70.0)
     x = Axis(low, high, "1 is ideal; above: overconfident", log=True)
     mean = Panel(x, y, 2.2 * share, height, "Mean / degrees of freedom, 95 % band in grey")

@@ -13,7 +13,7 @@ from stereo_slam_env.evaluation.map_scoring import LandmarkTrace
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
 from stereo_slam_env.report.charts import series
 from stereo_slam_env.report.charts.axes import Axis, label_room, log_axis, panel_width
-from stereo_slam_env.report.charts.drawing import DASHED, Chart, Curve, Panel, figure
+from stereo_slam_env.report.charts.drawing import DASHED, Chart, Curve, Panel, ends_of, figure
 from stereo_slam_env.report.charts.style import INK, MUTED, filter_colours, nested_widths
 
 
@@ -82,11 +82,12 @@ def _sigma_panel(traces: dict[str, LandmarkTrace], colours: Mapping[str, str], w
     last = max(int(trace.frames[-1]) for trace in traces.values())
     x = Axis(0, max(last - first, 1), "frames since it was first seen")
     panel = Panel(x, log_axis(trace.sigma for trace in traces.values()), width, 180.0, "σ of its depth (m)")
-    panel.lines(
+    curves = [
         Curve(name, trace.frames - first, trace.sigma, colours[name], width=line)
         for (name, trace), line in zip(traces.items(), nested_widths(len(traces)), strict=True)
-    )
-    panel.end_labels((name, series.last_known(trace.sigma), colours[name]) for name, trace in traces.items())
+    ]
+    panel.lines(curves)
+    panel.name_ends(curves)
     return panel
 
 
@@ -103,8 +104,7 @@ def plot_landmark_errors(summaries: Sequence[FilterSummary]) -> Chart:
     panels = []
     for title, value, spread, ideal in kinds:
         curves = _by_range(shown, ranges, colours, value, spread)
-        values = [np.concatenate([np.asarray(c.low), np.asarray(c.high)]) for c in curves]
-        y = _axis_around(values, ideal)
+        y = _axis_around(ends_of(curves), ideal)
         x = Axis(-0.5, len(ranges) - 0.5, "true distance from the camera (m)", ticks=(), grid=False)
         panel = Panel(x, y, panel_width(3, label_room(colours), 56.0), 200.0, title, zoom=False)
         if ideal is not None:
@@ -182,7 +182,7 @@ def _convergence_panel(
     error = [Curve(name, c.frames, c.rmse_m, colours[name], said=f"{name}, true error") for name, c in found.items()]
     panel.lines(sigma)
     panel.lines(error, DASHED)
-    panel.end_labels((c.key, series.last_known(np.array(c.y, dtype=np.float64)), c.colour) for c in sigma)
+    panel.name_ends(sigma)
     return panel
 
 
