@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import datetime
 import errno
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -12,14 +11,22 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
-from stereo_slam_env.cli.parts import Interrupted, console, one_line_errors, rig_from, show_place
+from stereo_slam_env.cli.parts import (
+    FiltersOption,
+    Interrupted,
+    JobsOption,
+    OutOption,
+    console,
+    new_directory,
+    rig_from,
+    show_place,
+)
 
 if TYPE_CHECKING:
     from stereo_slam_env.benchmark import FilterChoice, PolicyChoice, Scenario, Study
     from stereo_slam_env.benchmark.storage.store import StudyDirectory
 
 Choice = TypeVar("Choice", "FilterChoice", "PolicyChoice")
-FiltersOption = Annotated[str | None, typer.Option("--filters", help="Names, separated by commas.", metavar="A,B")]
 PolicyOption = Annotated[
     str | None,
     typer.Option(
@@ -30,10 +37,6 @@ PolicyOption = Annotated[
     ),
 ]
 FramesOption = Annotated[int | None, typer.Option("--frames", help="Cut after so many frames.", min=2)]
-JobsOption = Annotated[int, typer.Option("--jobs", help="Processes, one BLAS thread each.", min=1)]
-OutOption = Annotated[
-    Path | None, typer.Option("--out", help="Run directory; an interrupted run in it is resumed.", show_default="new")
-]
 BackendOption = Annotated[
     str, typer.Option("--backend", help="Where trials run: 'processes' here, or on a cluster with 'ray' or 'dask'.")
 ]
@@ -119,44 +122,42 @@ def bench(
     show_list: Annotated[bool, typer.Option("--list", help="List the ready-made scenarios and stop.")] = False,
 ) -> None:
     """Compare filters, or policies that decide where to look: scenarios x filters x seeds, one report."""
-    with one_line_errors():
-        from stereo_slam_env.benchmark import load_study, preset_study, presets
-        from stereo_slam_env.benchmark.campaign import check_study
-        from stereo_slam_env.benchmark.recordings.source import Renderer, checked
-        from stereo_slam_env.benchmark.scenarios.scenario import Sensor, policy_choice
+    from stereo_slam_env.benchmark import load_study, preset_study, presets
+    from stereo_slam_env.benchmark.campaign import check_study
+    from stereo_slam_env.benchmark.recordings.source import Renderer, checked
+    from stereo_slam_env.benchmark.scenarios.scenario import Sensor, policy_choice
 
-        if show_list:
-            for name, description in presets().items():
-                typer.echo(f"{name:<16} {description}")
-            return
-        if preset is not None and scenario is not None:
-            raise ValueError("--preset and --scenario exclude each other: give one of them")
-        usual = "quick" if policy is None else "gaze"
-        if scenario is not None:
-            study = load_study(scenario, data=data, allow_code=allow_code)
-        else:
-            study = preset_study(preset or usual, data=data)
+    if show_list:
+        show_list(presets())
+        return
+    if preset is not None and scenario is not None:
+        raise ValueError("--preset and --scenario exclude each other: give one of them")
+    usual = "quick" if policy is None else "gaze"
+    if scenario is not None:
+        study = load_study(scenario, data=data, allow_code=allow_code)
+    else:
+        study = preset_study(preset or usual, data=data)
 
-        measured: Sensor | None = checked("--sensor", sensor, Sensor | None)
-        drawn: Renderer | None = checked("--renderer", renderer, Renderer | None)
+    measured: Sensor | None = checked("--sensor", sensor, Sensor | None)
+    drawn: Renderer | None = checked("--renderer", renderer, Renderer | None)
 
-        def adjusted(one: Scenario) -> Scenario:
-            changes: dict[str, Any] = {} if seeds is None else {"seeds": range(seeds)}
-            if odometry is not None:
-                changes["use_odometry"] = odometry
-            if policy is not None:
-                changes["policies"] = _chosen(policy, one.policies, policy_choice)
-            one = replace(one, **changes).with_sensor(measured, drawn)
-            return _adjusted(one, filters, frames, sigma_px, gate, search)
+    def adjusted(one: Scenario) -> Scenario:
+        changes: dict[str, Any] = {} if seeds is None else {"seeds": range(seeds)}
+        if odometry is not None:
+            changes["use_odometry"] = odometry
+        if policy is not None:
+            changes["policies"] = _chosen(policy, one.policies, policy_choice)
+        one = replace(one, **changes).with_sensor(measured, drawn)
+        return _adjusted(one, filters, frames, sigma_px, gate, search)
 
-        study = study.with_scenarios(adjusted)
-        if rig is not None:
-            study = study.with_rig(rig_from(rig))
-        check_study(study)
-        directory = _ready(study, out)
-        with _film(study.name, record) as show:
-            show(study.cells[0].scenario)
-        _run(directory, jobs, backend, address)
+    study = study.with_scenarios(adjusted)
+    if rig is not None:
+        study = study.with_rig(rig_from(rig))
+    check_study(study)
+    directory = _ready(study, out)
+    with _film(study.name, record) as show:
+        show(study.cells[0].scenario)
+    _run(directory, jobs, backend, address)
 
 
 def replay(
@@ -183,32 +184,31 @@ def replay(
     ] = False,
 ) -> None:
     """Run filters over a real drive, of tracks or of images."""
-    with one_line_errors():
-        from stereo_slam_env.benchmark import Scenario, Study
-        from stereo_slam_env.benchmark.campaign import check_study
-        from stereo_slam_env.benchmark.recordings.sources import DatasetSource
-        from stereo_slam_env.benchmark.scenarios.streams import make_recording
-        from stereo_slam_env.report.console import progress_bar, show_recording
+    from stereo_slam_env.benchmark import Scenario, Study
+    from stereo_slam_env.benchmark.campaign import check_study
+    from stereo_slam_env.benchmark.recordings.sources import DatasetSource
+    from stereo_slam_env.benchmark.scenarios.streams import make_recording
+    from stereo_slam_env.report.console import progress_bar, show_recording
 
-        where = path if path.partition(":")[0] == "gtsam" else str(Path(path).resolve())
-        source = DatasetSource(where, {"on_broken": "skip"} if skip_broken else {})
-        name = f"replay-{Path(where).name.replace(':', '-')}"
-        # No bound: the true noise is not known.
-        scenario = Scenario(name, source, use_odometry=odometry, metrics=("map",))
-        scenario = _adjusted(scenario, filters, frames, sigma_px, gate, search)
-        joint = scenario.gate is not None if consensus is None else consensus
-        scenario = replace(scenario, consensus=joint)
-        check_study(Study.of(scenario))
-        with _film(scenario.name, record) as show:
-            with progress_bar(console(stderr=True), "pairs") as progress:
-                recording = make_recording(scenario, None, progress)
-            show_recording(console(), recording)
-            # What is stored must be what happened.
-            if not any(frame.odometry is not None for frame in recording.frames):
-                scenario = replace(scenario, use_odometry=False)
-            directory = _ready(Study.of(scenario), out)
-            show(scenario)
-        _run(directory, jobs, backend, address)
+    where = path if path.partition(":")[0] == "gtsam" else str(Path(path).resolve())
+    source = DatasetSource(where, {"on_broken": "skip"} if skip_broken else {})
+    name = f"replay-{Path(where).name.replace(':', '-')}"
+    # No bound: the true noise is not known.
+    scenario = Scenario(name, source, use_odometry=odometry, metrics=("map",))
+    scenario = _adjusted(scenario, filters, frames, sigma_px, gate, search)
+    joint = scenario.gate is not None if consensus is None else consensus
+    scenario = replace(scenario, consensus=joint)
+    check_study(Study.of(scenario))
+    with _film(scenario.name, record) as show:
+        with progress_bar(console(stderr=True), "pairs") as progress:
+            recording = make_recording(scenario, None, progress)
+        show_recording(console(), recording)
+        # What is stored must be what happened.
+        if not any(frame.odometry is not None for frame in recording.frames):
+            scenario = replace(scenario, use_odometry=False)
+        directory = _ready(Study.of(scenario), out)
+        show(scenario)
+    _run(directory, jobs, backend, address)
 
 
 def _adjusted(
@@ -257,8 +257,7 @@ def _ready(study: Study, out: Path | None) -> StudyDirectory:
     """The run directory, once it is known that it can be used for this study."""
     from stereo_slam_env.benchmark.storage.store import prepared_study
 
-    stamp = datetime.datetime.now().strftime("%Y%m%d-%H%M%S")
-    return prepared_study(Path("runs") / f"{study.name}-{stamp}" if out is None else out, study)
+    return prepared_study(out or new_directory(study.name), study)
 
 
 @contextmanager

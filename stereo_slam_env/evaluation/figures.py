@@ -15,7 +15,7 @@ import numpy as np
 from filters.motion import POSITION, ROTATION
 from filters.validation import FloatArray, IntArray
 from stereo_slam_env.evaluation import trajectory_metrics as metrics
-from stereo_slam_env.evaluation.consistency_figures import DOF, landmark_anees, nis_per_dof, pooled
+from stereo_slam_env.evaluation.consistency import DOF, landmark_anees, nis_per_dof, pooled
 from stereo_slam_env.evaluation.results import FilterSummary
 from stereo_slam_env.evaluation.trajectory_metrics import mean, root_mean_square
 from stereo_slam_env.evaluation.trial import Sample, Trial

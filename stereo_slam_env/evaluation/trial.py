@@ -13,7 +13,7 @@ from filters.interface import PoseBelief, UpdateReport
 from filters.monitor import Alarm, DivergenceMonitor
 from filters.validation import BoolArray, FloatArray
 from stereo_slam_env.evaluation import trajectory_metrics as metrics
-from stereo_slam_env.evaluation.consistency_figures import consistency_figures
+from stereo_slam_env.evaluation.consistency import consistency_figures
 from stereo_slam_env.evaluation.cramer_rao import Bound
 from stereo_slam_env.evaluation.results import ConsistencyFigure, FilterRun
 from stereo_slam_env.evaluation.trajectory_metrics import SegmentErrors

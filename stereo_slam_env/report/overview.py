@@ -20,7 +20,7 @@ from stereo_slam_env.benchmark.statistics.measures import (
 from stereo_slam_env.benchmark.statistics.policy_verdict import Agreement, PolicyVerdict
 from stereo_slam_env.benchmark.statistics.remarks import innovation_factor, limit_reached, times_the_claim
 from stereo_slam_env.benchmark.statistics.verdict import Comparison, Consistency, Verdict, consistency, loss
-from stereo_slam_env.evaluation.consistency_figures import DOF
+from stereo_slam_env.evaluation.consistency import DOF
 from stereo_slam_env.evaluation.figures import Figure
 from stereo_slam_env.evaluation.results import FilterSummary
 from stereo_slam_env.report.charts.style import filter_colours

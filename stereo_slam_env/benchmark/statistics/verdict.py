@@ -21,7 +21,7 @@ from stereo_slam_env.benchmark.statistics.differences import (
 )
 from stereo_slam_env.benchmark.statistics.measures import POSITION, difference_between
 from stereo_slam_env.benchmark.statistics.remarks import Reach, limit_reached
-from stereo_slam_env.evaluation.consistency_figures import DOF
+from stereo_slam_env.evaluation.consistency import DOF
 from stereo_slam_env.evaluation.results import FilterSummary
 from stereo_slam_env.evaluation.run_figures import Figures, RunFigures, common_keys
 from stereo_slam_env.evaluation.trial import FEWEST_FRAMES

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from filters.validation import FloatArray
-from stereo_slam_env.evaluation.consistency_figures import DOF
+from stereo_slam_env.evaluation.consistency import DOF
 from stereo_slam_env.evaluation.landmark_statistics import DepthConvergence, RangeError
 from stereo_slam_env.evaluation.map_scoring import LandmarkTrace
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
