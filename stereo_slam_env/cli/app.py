@@ -15,7 +15,7 @@ from stereo_slam_env.cli import scenes as cli_scenes
 from stereo_slam_env.cli import studies as cli_studies
 from stereo_slam_env.cli import train as cli_train
 from stereo_slam_env.cli import view as cli_view
-from stereo_slam_env.cli.parts import Interrupted, console, group, refuse, show_list, show_place
+from stereo_slam_env.cli.parts import Interrupted, console, group, refuse, show_lines, show_place
 
 INTERRUPTED = 130
 
@@ -122,7 +122,7 @@ def list_filters() -> None:
     """Names of all filters, with one line on each."""
     from filters import available_filters
 
-    show_list(available_filters())
+    show_lines(available_filters())
 
 
 @policies_app.command("list")
@@ -130,7 +130,7 @@ def list_policies() -> None:
     """Names of all policies, with one line on each."""
     from stereo_slam_env.policies import available_policies
 
-    show_list(available_policies())
+    show_lines(available_policies())
 
 
 @filters_app.command("check")

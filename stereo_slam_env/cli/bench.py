@@ -128,7 +128,7 @@ def bench(
     from stereo_slam_env.benchmark.scenarios.scenario import Sensor, policy_choice
 
     if show_list:
-        show_list(presets())
+        show_lines(presets())
         return
     if preset is not None and scenario is not None:
         raise ValueError("--preset and --scenario exclude each other: give one of them")

@@ -77,7 +77,7 @@ def _help_without_command(context: typer.Context) -> None:
         typer.echo(context.get_help())
 
 
-def show_list(lines: Mapping[str, str], width: int = 0) -> None:
+def show_lines(lines: Mapping[str, str], width: int = 0) -> None:
     """Names, and one line on each."""
     width = max(width, *map(len, lines))
     for name, line in lines.items():

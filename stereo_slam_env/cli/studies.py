@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from stereo_slam_env.cli.parts import Interrupted, JobsOption, OutOption, console, new_directory, show_list, show_place
+from stereo_slam_env.cli.parts import Interrupted, JobsOption, OutOption, console, new_directory, show_lines, show_place
 
 if TYPE_CHECKING:
     from stereo_slam_env.studies.faults import FaultMatrix
@@ -96,7 +96,7 @@ def faults(
     from stereo_slam_env.studies.faults import FAULTS, run_matrix
 
     if show:
-        show_list({name: fault.line for name, fault in FAULTS.items()})
+        show_lines({name: fault.line for name, fault in FAULTS.items()})
         return
     choices = [filter_choice(name.strip()) for name in filters.split(",")]
     with progress_bar(console(stderr=True), "drives") as progress:
