@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import logging
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -215,7 +215,10 @@ def check_filters(scenario: Scenario) -> None:
 def _run_missing(cells: Sequence[RunDirectory], backend: Backend, progress: Progress) -> None:
     """Make what is missing and keep each result as soon as it is there."""
     missing = [(number, seed, choice) for number, run in enumerate(cells) for seed, choice in run.missing()]
-    to_record = _recordings_to_make(cells, [(n, seed) for n, seed, choice in missing if not _drives(choice)])
+    to_record: dict[Path, tuple[int, int | None]] = {}  # once for all cells that share a recording
+    for number, seed, choice in missing:
+        if not _drives(choice) and not cells[number].recording_is_made(seed):
+            to_record.setdefault(cells[number].recording_path(seed), (number, seed))
     wanted = sum(len(run.seeds) * (len(run.scenario.competitors) + run.scenario.has_bound) for run in cells)
     total = wanted + len(to_record)
     done = wanted - len(missing)
@@ -237,7 +240,7 @@ def _run_missing(cells: Sequence[RunDirectory], backend: Backend, progress: Prog
         return
     with backend.started() as run_all:
         told = within if backend.in_this_process else None
-        recordings = [RecordingTask(number, cells[number].scenario, seed) for number, seed in to_record]
+        recordings = [RecordingTask(number, cells[number].scenario, seed) for number, seed in to_record.values()]
         # The only one is made here: a real drive has often been read by this process already (see `sources`).
         alone = len(recordings) == 1
         for made in (map if alone else run_all)(partial(make, progress=within if alone else told), recordings):
@@ -256,15 +259,3 @@ def _run_missing(cells: Sequence[RunDirectory], backend: Backend, progress: Prog
 def _drives(choice: FilterChoice | None) -> bool:
     """Whether a policy makes the recording of the trial itself."""
     return choice is not None and choice.policy is not None
-
-
-def _recordings_to_make(
-    cells: Sequence[RunDirectory], needed: Iterable[tuple[int, int | None]]
-) -> list[tuple[int, int | None]]:
-    """Cell and seed of each recording that is not there yet, once for all cells that share it."""
-    todo: dict[Path, tuple[int, int | None]] = {}
-    for number, seed in needed:
-        run = cells[number]
-        if run.recording_path(seed) not in todo and not run.recording_is_made(seed):
-            todo[run.recording_path(seed)] = number, seed
-    return list(todo.values())

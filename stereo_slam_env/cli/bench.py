@@ -19,6 +19,7 @@ from stereo_slam_env.cli.parts import (
     console,
     new_directory,
     rig_from,
+    show_lines,
     show_place,
 )
 

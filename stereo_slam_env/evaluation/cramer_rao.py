@@ -41,7 +41,7 @@ from filters.motion import POSE_SIZE, CameraState, ConstantVelocity, MotionModel
 from filters.noise import StereoNoise
 from filters.poses import Pose
 from filters.start import Start
-from filters.validation import BoolArray, FloatArray, IntArray
+from filters.validation import FloatArray, IntArray
 from stereo_slam_env.recording.recording import Frame, LandmarkTruth, Recording
 
 RESAMPLES = 10_000
@@ -84,10 +84,11 @@ def cramer_rao_bound(
     (frames done, frames).
     """
     poses = [frame.truth for frame in recording.frames if frame.truth is not None]
-    if len(poses) < len(recording) or not poses or not _every_landmark_is_known(recording):
-        return None
     start, truth = recording.start, recording.landmarks
-    assert truth is not None
+    if truth is None or not poses or len(poses) < len(recording):
+        return None
+    if not np.isin(np.concatenate([frame.observation.ids for frame in recording.frames]), truth.ids).all():
+        return None
     best = ReferenceBelief(
         recording.camera,
         recording.noise,
@@ -110,14 +111,6 @@ def cramer_rao_bound(
             if progress is not None:
                 progress(k + 1, len(recording))
     return Bound(covariances)
-
-
-def _every_landmark_is_known(recording: Recording) -> bool:
-    if recording.landmarks is None:
-        return False
-    seen = [frame.observation.ids for frame in recording.frames]
-    known: BoolArray = np.isin(np.concatenate(seen), recording.landmarks.ids)
-    return bool(known.all())
 
 
 class ReferenceBelief:

@@ -17,6 +17,7 @@ from filters.consistency import nees
 from filters.interface import StereoFilter, StereoObservation
 from filters.poses import Pose
 from filters.validation import BoolArray, FloatArray, IntArray
+from stereo_slam_env.evaluation.trajectory_metrics import mean
 from stereo_slam_env.recording.recording import Frame, LandmarkTruth, Recording
 
 TRACED_DEPTHS: Mapping[str, float] = {"near": 20.0, "far": 75.0}  # m, the paper's
@@ -62,6 +63,20 @@ class MapScore:
     disparity_error: FloatArray
     disparity_variance: FloatArray
 
+    @property
+    def mean_nees(self) -> float:
+        """Mean NEES of the landmarks in view; NaN without truth."""
+        return mean(self.nees[np.isfinite(self.nees)])
+
+    @property
+    def position_rmse(self) -> float:
+        """Root mean square error of positions relative to the camera, m; NaN without truth.
+
+        Over landmarks truly in view and within `SCORED_RANGE`, and estimated in front of the camera.
+        """
+        squared = np.sum((self.points - self.true_points) ** 2, axis=1)[self.distance <= SCORED_RANGE]
+        return float(np.sqrt(mean(squared[np.isfinite(squared)])))
+
 
 def score_map(view: MapView, camera: StereoCamera) -> MapScore:
     """Compare the map with the truth."""
@@ -85,30 +100,11 @@ def score_map(view: MapView, camera: StereoCamera) -> MapScore:
     )
 
 
-def mean_nees(score: MapScore) -> float:
-    """Mean NEES of the landmarks in view, in (u, v, d) space, 3 degrees of freedom each; NaN without truth."""
-    return _mean(score.nees)
-
-
-def position_rmse(score: MapScore) -> float:
-    """Root mean square error of landmark positions relative to the camera, m; NaN without truth.
-
-    Over landmarks truly in view and within `SCORED_RANGE`, and estimated in front of the camera.
-    """
-    errors = score.points - score.true_points
-    return float(np.sqrt(_mean(np.sum(errors**2, axis=1)[score.distance <= SCORED_RANGE])))
-
-
 def depths(view: MapView, camera: StereoCamera) -> tuple[FloatArray, FloatArray]:
     """Depth of each landmark and its standard deviation to first order, m; NaN where d <= 0."""
     d = np.where(view.uvd[:, 2] > 0, view.uvd[:, 2], np.nan)
     depth = camera.disparity_constant / d
     return depth, depth / d * np.sqrt(np.maximum(view.covariance[:, 2, 2], 0.0))
-
-
-def _mean(values: FloatArray) -> float:
-    finite = values[np.isfinite(values)]
-    return float(finite.mean()) if finite.size else float("nan")
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,7 +16,7 @@ from stereo_slam_env.report.charts.factors import plot_changes, plot_effects
 from stereo_slam_env.report.charts.style import filter_colours
 from stereo_slam_env.report.page import FIGURES, figure_block, html_page, joined, part
 from stereo_slam_env.report.page_tables import Cell, Column, Tone, filter_cell, number, table
-from stereo_slam_env.report.tables import capital, finding_tone, percent_cell
+from stereo_slam_env.report.tables import FINDING_TONES, capital, percent_cell
 
 
 def write_comparison_report(out: Path, comparison: RunComparison) -> Path:
@@ -62,7 +62,7 @@ def _table(changes: tuple[Change, ...]) -> Markup:
     colours = filter_colours(change.filter_name for change in changes)
     rows: list[list[Cell | str]] = []
     for change in changes:
-        tone = finding_tone(change.finding)
+        tone = FINDING_TONES[change.finding]
         interval = change.interval_percent
         text = "–" if interval is None else " to ".join(dict.fromkeys(signed(end) for end in interval))
         rows.append(
@@ -153,7 +153,7 @@ def _contrasts(responses: Sequence[ResponseAttribution]) -> Markup:
 def _contrast_cell(contrast: Contrast | None) -> Cell:
     if contrast is None:
         return number(None)
-    return percent_cell(contrast.difference, finding_tone(contrast.finding))
+    return percent_cell(contrast.difference, FINDING_TONES[contrast.finding])
 
 
 def _interactions(responses: Sequence[ResponseAttribution]) -> Markup:

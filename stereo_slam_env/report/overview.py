@@ -25,7 +25,7 @@ from stereo_slam_env.evaluation.results import FilterSummary
 from stereo_slam_env.report.charts.style import filter_colours
 from stereo_slam_env.report.page import joined, part
 from stereo_slam_env.report.page_tables import UNKNOWN, Cell, Column, Tone, filter_cell, number, table
-from stereo_slam_env.report.tables import finding_tone
+from stereo_slam_env.report.tables import FINDING_TONES
 
 TONES: dict[Consistency, Tone] = {
     Consistency.CONSISTENT: "good",
@@ -320,7 +320,7 @@ def _by(measure: Figure, summary: FilterSummary, verdict: PolicyVerdict) -> Cell
         words.append(difference.interval_words)
         if difference.finding is Finding.NOT_SHOWN:
             words.append("not shown")
-    return answer(shown, ", ".join(words), finding_tone(difference.finding), key=value)
+    return answer(shown, ", ".join(words), FINDING_TONES[difference.finding], key=value)
 
 
 def _agreement(summary: FilterSummary, verdict: PolicyVerdict) -> Cell | None:

@@ -129,7 +129,7 @@ def _sections(
     if looks is not None:
         yield part("section", "Where policies look, and what that is worth", "", [*_gaze(runs, looks, shown, draw)])
     if with_truth:
-        table = Markup(tables.accuracy_table(summaries, who))
+        table = tables.figures_table(summaries, ["accuracy"], who)
         yield part("section", "Accuracy", "", [table, *_accuracy(runs, summaries, shown, draw)])
     else:
         drawn = draw("trajectory", f"Path on {shown}.", accuracy.plot_trajectory, runs)
@@ -142,7 +142,7 @@ def _sections(
         )
         yield part("section", "Distance from the limit", guide, limits)
     guide = "Above the band a filter is overconfident, below it too cautious."
-    table = Markup(tables.consistency_table(summaries, who))
+    table = tables.consistency_table(summaries, who)
     yield part("section", "Consistency", guide, [table, *_consistency(runs, summaries, with_nees, draw)])
     if with_nees:
         limit = consistency.error_limits(first)
@@ -159,7 +159,7 @@ def _sections(
     caption = f"Velocity in the world and heading on {shown}."
     yield part("section", "Velocity and heading", "", [draw("velocity", caption, accuracy.plot_velocity, runs)])
     guide = "Compare filters within a report, not across machines."
-    table = Markup(tables.cost_table(summaries, who))
+    table = tables.figures_table(summaries, ["cost", "events"], who)
     yield part("section", "Cost and events", guide, [table, *_cost(runs, summaries, draw)])
 
 
@@ -259,7 +259,7 @@ def _against(compared: PairwiseTable, baseline: str | None, who: str) -> Markup:
         "corrected for the number of pairs. A colour means that interval and signed-rank test both show the difference."
     )
     heading = f"Each against {baseline}" if baseline else "Each against each"
-    return part("section", heading, guide, [Markup(tables.pair_table(compared, who))])
+    return part("section", heading, guide, [tables.pair_table(compared, who)])
 
 
 def _failures(summaries: Sequence[FilterSummary]) -> Markup:

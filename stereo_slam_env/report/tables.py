@@ -5,38 +5,40 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from markupsafe import Markup
 
 from stereo_slam_env.benchmark.statistics.differences import Difference, Finding, signed
 from stereo_slam_env.benchmark.statistics.measures import EFFICIENCY, PairwiseTable
 from stereo_slam_env.benchmark.statistics.remarks import limit_reached
 from stereo_slam_env.evaluation.figures import FIGURES, Figure, Group
-from stereo_slam_env.evaluation.results import ConsistencyFigure, FilterSummary
+from stereo_slam_env.evaluation.results import FilterSummary
 from stereo_slam_env.report.charts.style import filter_colours
 from stereo_slam_env.report.page_tables import Cell, Column, Tone, filter_cell, number, table
 
 
-def accuracy_table(summaries: Sequence[FilterSummary], who: str = "Filter") -> str:
-    """Errors of pose, velocity and map, and the distance from the limit; a row is called `who`."""
-    return _table(summaries, ("accuracy",), who)
+def figures_table(summaries: Sequence[FilterSummary], groups: Sequence[Group], who: str = "Filter") -> Markup:
+    """Figures of these groups; a row is called `who`."""
+    figures = _shown(summaries, groups)
+    cells = [[figure_cell(figure, s) for figure in figures] for s in summaries]
+    return _rows(summaries, who, [figure_column(figure) for figure in figures], cells)
 
 
-def cost_table(summaries: Sequence[FilterSummary], who: str = "Filter") -> str:
-    """Time, memory and events."""
-    return _table(summaries, ("cost", "events"), who)
-
-
-def consistency_table(summaries: Sequence[FilterSummary], who: str = "Filter") -> str:
+def consistency_table(summaries: Sequence[FilterSummary], who: str = "Filter") -> Markup:
     """Mean NEES and NIS in their bands, and the share of the frames inside theirs; "" where nothing is known."""
     figures = _shown(summaries, ("consistency",))
     if not figures:
-        return ""
+        return Markup()
     columns, cells = [], []
     for figure in figures:
         found = [s.consistency.get(figure.name.removesuffix("_anees")) for s in summaries]
         ideal = figure.ideal or 1.0
         bands = {f"{f.band[0] / ideal:.2f}–{f.band[1] / ideal:.2f}" for f in found if f is not None}
         columns.append(_column(figure, "ideal 1" + (f", {next(iter(bands))}" if len(bands) == 1 else "")))
-        cells.append([_banded_cell(figure, s, f) for s, f in zip(summaries, found, strict=True)])
+        tones: list[Tone] = [
+            "" if f is None else "bad" if f.mean > f.band[1] else "fair" if f.mean < f.band[0] else "good"
+            for f in found
+        ]
+        cells.append([figure_cell(figure, s, tone) for s, tone in zip(summaries, tones, strict=True)])
         if bands:
             columns.append(
                 Column("inside", "% frames", f"{figure.heading}: mean over runs inside the band of its frame")
@@ -45,7 +47,7 @@ def consistency_table(summaries: Sequence[FilterSummary], who: str = "Filter") -
     return _rows(summaries, who, columns, list(zip(*cells, strict=True)))
 
 
-def pair_table(compared: PairwiseTable, who: str = "Filter") -> str:
+def pair_table(compared: PairwiseTable, who: str = "Filter") -> Markup:
     """A row for each pair of filters, a column for each question."""
     columns = [Column(who, kind="text"), Column("against", kind="text")]
     for measure in compared.measures:
@@ -63,19 +65,16 @@ def pair_table(compared: PairwiseTable, who: str = "Filter") -> str:
     return table(columns, rows, wide=True)
 
 
-_FINDING_TONES: dict[Finding, Tone] = {Finding.BETTER: "good", Finding.WORSE: "bad", Finding.NOT_SHOWN: "none"}
+FINDING_TONES: dict[Finding, Tone] = {Finding.BETTER: "good", Finding.WORSE: "bad", Finding.NOT_SHOWN: "none"}
 
-
-def finding_tone(finding: Finding) -> Tone:
-    """Colour of a finding."""
-    return _FINDING_TONES[finding]
+"""Colour of each finding."""
 
 
 def pair_cell(measure: Figure, difference: Difference | None) -> Cell:
     """Difference and interval; of consistency, which is nearer to its ideal."""
     if difference is None:
         return number(None)
-    tone = finding_tone(difference.finding)
+    tone = FINDING_TONES[difference.finding]
     if difference.tied:
         return Cell("tie", difference.estimate, tone)
     if measure.ideal is not None:
@@ -115,7 +114,8 @@ def figure_cell(figure: Figure, summary: FilterSummary, tone: Tone = "") -> Cell
     """Value of a figure."""
     value = summary.figures[figure.name]
     if figure is EFFICIENCY:
-        return efficiency_cell(summary)
+        found = limit_reached(summary)
+        return number(None) if found is None else Cell(found.words, found.percent)
     if figure.per_runs:
         return Cell(f"{value}/{summary.runs}", value, "bad" if value else "")
     return number(figure.shown(value), f".{figure.digits}f", tone=tone)
@@ -136,30 +136,10 @@ def _shown(summaries: Sequence[FilterSummary], groups: Sequence[Group]) -> list[
     return [f for f in FIGURES.values() if f.group in groups and "report" in f.places and _is_known(f, summaries)]
 
 
-def _table(summaries: Sequence[FilterSummary], groups: Sequence[Group], who: str) -> str:
-    figures = _shown(summaries, groups)
-    cells = [[figure_cell(figure, s) for figure in figures] for s in summaries]
-    return _rows(summaries, who, [figure_column(figure) for figure in figures], cells)
-
-
 def _rows(
     summaries: Sequence[FilterSummary], who: str, columns: Sequence[Column], cells: Sequence[Sequence[Cell]]
-) -> str:
+) -> Markup:
     """Markup of a table with a row a filter."""
     colours = filter_colours(s.filter_name for s in summaries)
     rows = [[filter_cell(s.filter_name, colours), *row] for s, row in zip(summaries, cells, strict=True)]
     return table([Column(who, kind="text"), *columns], rows, wide=True)
-
-
-def _banded_cell(figure: Figure, summary: FilterSummary, found: ConsistencyFigure | None) -> Cell:
-    tone: Tone = ""
-    if found is not None:
-        low, high = found.band
-        tone = "bad" if found.mean > high else "fair" if found.mean < low else "good"
-    return figure_cell(figure, summary, tone)
-
-
-def efficiency_cell(summary: FilterSummary) -> Cell:
-    """Bound over RMSE with its interval, or that it is at the limit."""
-    found = limit_reached(summary)
-    return number(None) if found is None else Cell(found.words, found.percent)

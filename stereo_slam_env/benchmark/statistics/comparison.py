@@ -13,7 +13,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -24,21 +24,12 @@ from stereo_slam_env.benchmark.statistics.measures import DIVERGED, MEASURES, TI
 from stereo_slam_env.benchmark.storage.store import SETTINGS, read_study
 from stereo_slam_env.evaluation.figures import Figure
 from stereo_slam_env.evaluation.results import FilterRun
-from stereo_slam_env.evaluation.run_figures import Figures, RunFigures, RunKey, common_keys, key_of
+from stereo_slam_env.evaluation.run_figures import RunFigures, RunKey, common_keys, key_of
+
+if TYPE_CHECKING:
+    from stereo_slam_env.benchmark.campaign import BenchmarkResult
 
 _MACHINE = ("platform", "python", "numpy", "scipy")
-
-
-class HasRuns(Protocol):
-    """A `BenchmarkResult`, or anything else with runs and their figures."""
-
-    @property
-    def runs(self) -> Sequence[FilterRun]:
-        """All runs."""
-
-    @property
-    def figures(self) -> Figures:
-        """Figures of the same runs, see `figures_of`."""
 
 
 @dataclass(frozen=True)
@@ -117,7 +108,7 @@ class RunComparison:
 COLUMNS = ("filter", "measure", "before", "after", "change", "finding")
 
 
-def compare(before: str | Path | HasRuns, after: str | Path | HasRuns) -> RunComparison:
+def compare(before: str | Path | BenchmarkResult, after: str | Path | BenchmarkResult) -> RunComparison:
     """Find the significant changes between two runs of the benchmark.
 
     Parameters
@@ -171,7 +162,7 @@ class _Side:
         return list(dict.fromkeys(key for _, key in self.trials))
 
 
-def _opened(source: str | Path | HasRuns, name: str) -> _Side:
+def _opened(source: str | Path | BenchmarkResult, name: str) -> _Side:
     if not isinstance(source, (str, Path)):
         out = getattr(source, "out", None)
         if out is None or not Path(out).is_dir():

@@ -109,12 +109,8 @@ class RunDirectory:
     def missing(self) -> list[tuple[int | None, FilterChoice | None]]:
         """Trials still to be run, by seed, then filter; None instead of a filter: the bound.
 
-        That is what is not there, and what another version of the code made.
-
-        Raises
-        ------
-        ValueError
-            A finished trial is damaged, or was made with other options of the filter.
+        That is what is not there, and what another version of the code made. A `ValueError` says that a finished trial is
+        damaged, or was made with other options of the filter.
         """
         todo: list[tuple[int | None, FilterChoice | None]] = []
         code = code_digest()
@@ -165,11 +161,8 @@ class RunDirectory:
     def load(self) -> tuple[list[FilterRun], list[dict[str, Any]]]:
         """All runs, by seed, then filter, and one description of each recording.
 
-        Raises
-        ------
-        ValueError
-            A trial is missing or damaged, filters were not given the identical recording, or images were drawn by
-            different renderers.
+        A `ValueError` says that a trial is missing or damaged, that filters were not given the identical recording, or that
+        images were drawn by different renderers.
         """
         runs, recordings = [], []
         for seed in self.seeds:
@@ -189,7 +182,13 @@ class RunDirectory:
                     )
                 runs.append(run)
             recordings.append({"seed": seed, **seed_description(given)})
-        self._refuse_several_renderers(recordings)
+        # The same renderer of another version or device draws other pictures, too.
+        drawn = {json.dumps(about.get("source", {}).get("renderer"), sort_keys=True) for about in recordings}
+        if len(drawn) > 1:
+            raise ValueError(
+                f"{self.out}: its recordings were drawn by different renderers, {' and '.join(sorted(drawn))}, and are "
+                f"not to be compared: choose another output directory"
+            )
         return runs, recordings
 
     def bounds(self) -> dict[tuple[str, int | None], Bound]:
@@ -213,15 +212,6 @@ class RunDirectory:
         with damage_named(path):
             about: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
             return about
-
-    def _refuse_several_renderers(self, recordings: list[dict[str, Any]]) -> None:
-        # The same renderer of another version or device draws other pictures, too.
-        drawn = {json.dumps(about.get("source", {}).get("renderer"), sort_keys=True) for about in recordings}
-        if len(drawn) > 1:
-            raise ValueError(
-                f"{self.out}: its recordings were drawn by different renderers, {' and '.join(sorted(drawn))}, and are "
-                f"not to be compared: choose another output directory"
-            )
 
     def results(self) -> CellResult:
         """Results of the finished trials; raises as `load`."""
@@ -302,13 +292,7 @@ def prepared_study(out: Path, study: Study) -> StudyDirectory:
 
 
 def read_study(out: Path) -> StudyDirectory:
-    """The study in a directory; one cell of a grid is a study, too.
-
-    Raises
-    ------
-    ValueError
-        No study there, or its settings are damaged.
-    """
+    """The study in a directory; one cell of a grid is a study, too. A `ValueError` says what is not there, or damaged."""
     path = out / STUDY
     if not path.exists():
         return StudyDirectory(out, Study.of(_scenario_in(out)))

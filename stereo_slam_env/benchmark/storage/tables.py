@@ -18,12 +18,13 @@ from __future__ import annotations
 import csv
 import io
 import json
-import math
 import sqlite3
 from collections.abc import Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import msgspec
 
 from stereo_slam_env.evaluation.figures import trial_columns
 from stereo_slam_env.evaluation.run_figures import key_of
@@ -38,36 +39,24 @@ _TYPES = {"text": "TEXT", "integer": "INTEGER", "real": "REAL", "any": ""}
 
 def write_json(path: Path, data: Mapping[str, Any]) -> None:
     """Write JSON that any reader takes, whole or not at all: NaN and infinity are null."""
-    text = json.dumps(_without_nan(data), indent=2, allow_nan=False) + "\n"
-    write_atomically(path, lambda stream: stream.write(text.encode()))
+    text = msgspec.json.format(msgspec.json.encode(data, enc_hook=_plain), indent=2) + b"\n"
+    write_atomically(path, lambda stream: stream.write(text))
 
 
-def _without_nan(value: Any) -> Any:
-    """JSON form: tuples become lists, NaN and infinity null."""
-    if isinstance(value, Mapping):
-        return {key: _without_nan(entry) for key, entry in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_without_nan(entry) for entry in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
+def _plain(value: Any) -> Any:
+    return dict(value) if isinstance(value, Mapping) else float(value)
 
 
 def write_csv(path: Path, rows: Mapping[str, Mapping[str, Any]]) -> None:
     """Write summaries, one row for each filter; what does not apply is empty."""
+    plain = msgspec.json.decode(msgspec.json.encode(rows, enc_hook=_plain))
     text = io.StringIO()
-    columns = list(next(iter(rows.values())))
     table = csv.writer(text, lineterminator="\n")
-    table.writerow(["filter", *columns])
-    for label, row in _without_nan(rows).items():
-        table.writerow([label, *(_cell(row[column]) for column in columns)])
+    table.writerow(["filter", *next(iter(plain.values()))])
+    for label, row in plain.items():
+        cells = (json.dumps(cell) if isinstance(cell, (list, dict)) else cell for cell in row.values())
+        table.writerow([label, *cells])
     write_atomically(path, lambda stream: stream.write(text.getvalue().encode()))
-
-
-def _cell(value: Any) -> Any:
-    if value is None:
-        return ""
-    return json.dumps(value) if isinstance(value, (list, dict)) else value
 
 
 def write_trial_table(path: Path, results: Sequence[CellResult]) -> None:
