@@ -203,19 +203,20 @@ def _responses(groups: Sequence[Sequence[CellResult]]) -> list[FactorResponse]:
     """Responses at each level; a group is the cells of a level."""
     seeds = max(len(s.position_rmse_by_run) for group in groups for outcome in group for s in outcome.summaries)
     low, high = mean_band(DOF["pose"], max(seeds, 1))
+    band = low / DOF["pose"], high / DOF["pose"]
     kinds = (
-        (f"{capital(POSITION.label)} ({POSITION.unit})", POSITION, None, True),
+        (f"{capital(POSITION.label)} ({POSITION.unit})", POSITION, True),
         (
             f"{capital(POSE_NEES.label)}, band of its mean in grey",
             POSE_NEES,
             (low / DOF["pose"], high / DOF["pose"]),
             True,
         ),
-        (f"{capital(EFFICIENCY.label)}, bound / RMSE ({EFFICIENCY.unit})", EFFICIENCY, None, False),
+        (f"{capital(EFFICIENCY.label)}, bound / RMSE ({EFFICIENCY.unit})", EFFICIENCY, False),
     )
     names = list(dict.fromkeys(s.filter_name for group in groups for o in group for s in o.summaries))
     responses = []
-    for title, measure, band, log in kinds:
+    for title, measure, log in kinds:
         points = {
             name: np.array([_mean_and_interval([_by_seed(o, name, measure) for o in group]) for group in groups]).T
             for name in names
@@ -223,7 +224,7 @@ def _responses(groups: Sequence[Sequence[CellResult]]) -> list[FactorResponse]:
         points = {name: found for name, found in points.items() if np.isfinite(found[0]).any()}
         if points:
             means, lows, highs = ({name: found[i] for name, found in points.items()} for i in range(3))
-            responses.append(FactorResponse(title, means, lows, highs, band, log))
+            responses.append(FactorResponse(title, means, lows, highs, band if measure is POSE_NEES else None, log))
     return responses
 
 

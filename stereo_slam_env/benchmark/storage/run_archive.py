@@ -76,7 +76,7 @@ def load_provenance(path: Path) -> dict[str, Any]:
 
 
 def load_run(path: Path) -> tuple[FilterRun, dict[str, Any]]:
-    """Read a run and its provenance; a `ValueError` names a file that is damaged or of an unknown format, and the remedy."""
+    """Read a run and its provenance; a `ValueError` names a file that is damaged, or of an unknown format."""
     with damage_named(path):
         arrays: dict[str, Any] = read_arrays(path)
         about = _checked(arrays)

@@ -109,8 +109,8 @@ class RunDirectory:
     def missing(self) -> list[tuple[int | None, FilterChoice | None]]:
         """Trials still to be run, by seed, then filter; None instead of a filter: the bound.
 
-        That is what is not there, and what another version of the code made. A `ValueError` says that a finished trial is
-        damaged, or was made with other options of the filter.
+        That is what is not there, and what another version of the code made. A `ValueError` says that a finished trial
+        is damaged, or was made with other options of the filter.
         """
         todo: list[tuple[int | None, FilterChoice | None]] = []
         code = code_digest()
@@ -161,8 +161,8 @@ class RunDirectory:
     def load(self) -> tuple[list[FilterRun], list[dict[str, Any]]]:
         """All runs, by seed, then filter, and one description of each recording.
 
-        A `ValueError` says that a trial is missing or damaged, that filters were not given the identical recording, or that
-        images were drawn by different renderers.
+        A `ValueError` says that a trial is missing or damaged, that filters were not given the identical recording, or
+        that images were drawn by different renderers.
         """
         runs, recordings = [], []
         for seed in self.seeds:
@@ -292,7 +292,7 @@ def prepared_study(out: Path, study: Study) -> StudyDirectory:
 
 
 def read_study(out: Path) -> StudyDirectory:
-    """The study in a directory; one cell of a grid is a study, too. A `ValueError` says what is not there, or damaged."""
+    """The study in a directory, be it one cell of a grid; a `ValueError` says what is missing or damaged."""
     path = out / STUDY
     if not path.exists():
         return StudyDirectory(out, Study.of(_scenario_in(out)))
