@@ -15,7 +15,7 @@ from filters.camera import StereoCamera
 from filters.common_options import make_with_common_options
 from filters.noise import StereoNoise
 from stereo_slam_env.benchmark.running.backends import Backend, BackendName
-from stereo_slam_env.benchmark.running.tasks import RecordingTask, TrialTask, make, run_trial
+from stereo_slam_env.benchmark.running.tasks import Task, make, run_trial
 from stereo_slam_env.benchmark.scenarios.scenario import (
     FilterChoice,
     PolicyChoice,
@@ -229,18 +229,18 @@ def _run_missing(cells: Sequence[RunDirectory], backend: Backend, progress: Prog
     def within(frames: int, of: int) -> None:
         tell(frames / of)
 
-    def trials() -> Iterator[TrialTask]:
+    def trials() -> Iterator[Task]:
         for number, seed, choice in missing:
             run = cells[number]
             recording = None if _drives(choice) else run.recording_path(seed).read_bytes()
-            yield TrialTask(number, run.scenario, seed, choice, recording, run.provenance(seed, choice))
+            yield Task(number, run.scenario, seed, choice, recording, run.provenance(seed, choice))
 
     tell()
     if not missing:
         return
     with backend.started() as run_all:
         told = within if backend.in_this_process else None
-        recordings = [RecordingTask(number, cells[number].scenario, seed) for number, seed in to_record.values()]
+        recordings = [Task(number, cells[number].scenario, seed) for number, seed in to_record.values()]
         # The only one is made here: a real drive has often been read by this process already (see `sources`).
         alone = len(recordings) == 1
         for made in (map if alone else run_all)(partial(make, progress=within if alone else told), recordings):

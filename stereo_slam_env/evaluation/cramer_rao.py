@@ -3,18 +3,9 @@
 The recursion of Tichavsky, Muravchik and Nehorai (IEEE Trans. Signal Processing 46(5), 1998) is, in covariance form,
 that of an extended Kalman filter whose Jacobians are taken at the truth and whose estimates are never needed. So it is
 the filters' own algebra with the true camera in the state (`ReferenceBelief`), after the fact over a recording
-(`cramer_rao_bound`) or frame by frame:
-
-- start covariance of the recording; motion of Eq. 6 with the impulses of `ConstantVelocity`;
-- every sighting of the recording with the noise it really has (of the observation, or else of the recording), and
-  with the row of the right image where that was measured: a second measurement of v, which not every filter uses;
-- a landmark enters at its first sighting with what that says and no prior: (u, v, d) and the pose determine it;
-- it leaves after its last sighting; marginalising what is never measured again loses nothing. One that comes back is
-  kept until then, so the bound also holds for filters that recognise places.
-
-What it bounds, and how far it is to be trusted, is in docs/metrics.md: it holds on average over noise and drives drawn
-from the motion model, with Jacobians at one true drive for their expectation; with heavy-tailed noise of covariance R
-it bounds estimators that know only R.
+(`cramer_rao_bound`) or frame by frame. Every sighting counts with the noise it really has. A landmark enters at its
+first sighting with what that says and no prior, and leaves after its last one: marginalising what is never measured
+again loses nothing. What is bounded, and how far it is to be trusted, is in docs/metrics.md.
 """
 
 from __future__ import annotations

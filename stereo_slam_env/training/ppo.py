@@ -17,8 +17,7 @@ from joblib import cpu_count
 from filters.extras import require_module
 from filters.known_names import require_known
 from filters.validation import FloatArray, positive, probability, whole_number
-from stereo_slam_env.files.atomic import write_atomically
-from stereo_slam_env.files.folders import claimed_folder
+from stereo_slam_env.files.folders import claimed_folder, write_atomically
 from stereo_slam_env.policies.network import Network
 from stereo_slam_env.training.evaluation import LearningCurve, evaluate
 from stereo_slam_env.training.task import GazeTask

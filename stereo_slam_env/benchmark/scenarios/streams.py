@@ -127,14 +127,14 @@ def drive_episode(
         core.close()
 
 
-def drive_straight_ahead(scenario: Scenario, seed: int) -> Episode:
+def drive_straight_ahead(scenario: Scenario, seed: int | None, progress: Progress | None = None) -> Episode:
     """Episode with a fixed head and without a filter."""
     from stereo_slam_env.policies.episode import run_episode
     from stereo_slam_env.policies.open_loop import FixedGaze
 
     env = scenario.source.make_environment()
     try:
-        return run_episode(env, FixedGaze(), seed, frames=scenario.frames)
+        return run_episode(env, FixedGaze(), seed or 0, frames=scenario.frames, progress=progress)
     finally:
         env.close()
 

@@ -12,7 +12,7 @@ from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
-from stereo_slam_env.files.atomic import write_atomically
+from stereo_slam_env.files.folders import write_atomically
 from stereo_slam_env.files.package_versions import version_of
 
 ROOT = Path(__file__).resolve().parents[3]

@@ -20,7 +20,7 @@ from stereo_slam_env.evaluation.landmark_statistics import SERIES as _LANDMARK_S
 from stereo_slam_env.evaluation.landmark_statistics import LandmarkStatistics
 from stereo_slam_env.evaluation.map_scoring import LandmarkTrace
 from stereo_slam_env.evaluation.results import FilterRun
-from stereo_slam_env.files.atomic import write_atomically
+from stereo_slam_env.files.folders import write_atomically
 from stereo_slam_env.files.readers import read_arrays
 from stereo_slam_env.recording.archive import reference_of
 

@@ -1,34 +1,8 @@
 """Run directory of a study: inputs, results and everything needed to redo the report.
 
-Layout of a study of one scenario, and of each cell of a grid::
-
-    settings.json                         the exact inputs: scenario, versions
-    summary.json, summary.csv             the result table
-    trials/<seed>/<filter>.npz            time series of one filter on one recording
-    bounds/<seed>.npz                     the Cramer-Rao bound: pose (K, 6, 6); empty where there is none
-    trajectories/<seed>/<filter>.tum      and truth.tum (<policy>-truth.tum): `t x y z qx qy qz qw`, as TUM RGB-D has it
-    trajectories/<seed>/<filter>.kitti    the same as rows of 3x4 matrices, the format of KITTI odometry
-
-`<seed>` is `seed-0007`, or `recording` for real data. Beside it, and only once for a grid::
-
-    study.json                            the exact inputs: name, cells with their factors and scenarios, factorial
-    trials.sqlite                         every trial of every cell, one row each, see `tables`
-    recordings/<stream>/<seed>.npz        what every filter was given, see `stereo_slam_env.recording.archive`
-    recordings/<stream>/<seed>.json       what there is to say of it; a policy has its own: <stream> is <label>-<...>
-    cells/<cell>/                         of a grid: the directory of each cell, as above
-    summary.json                          of a grid: {"version": 2, "study": str,
-                                                      "cells": {<cell>: {"factors": {...}, "filters": {...}}}}
-
-`summary.json` of one scenario, version 2::
-
-    {"version": 2, "scenario": str,
-     "recordings": [{"seed": int | null, "name": str, "frames": int, "stream_sha256": str, "assumed_R": 3x3,
-                     "reference": {"kind": str, "description": str},  # what estimates are held against, see `Reference`
-                     "source": {...},           # with policies: "drive_sha256", and "streams" by label instead
-                     "sensor_noise": [...]}],   # rendered images only: errors by range, see `NoiseOfRange`
-     "filters": {<label>: {every field of `FilterSummary` but filter_name}}}
-
-A figure that does not apply is null; NaN and infinity never appear.
+What lies where, and the schema of `summary.json`, is in docs/benchmark.md ("The run directory"). `<seed>` in the names
+of files is `seed-0007`, or `recording` for real data; beside each recording (npz) there is what there is to say of it
+(JSON). A figure that does not apply is null; NaN and infinity never appear.
 """
 
 from __future__ import annotations
@@ -55,8 +29,7 @@ from stereo_slam_env.benchmark.storage.tables import write_csv, write_json, writ
 from stereo_slam_env.evaluation.cramer_rao import Bound
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
 from stereo_slam_env.evaluation.run_figures import Bounds, Figures, figures_of, summarise_all
-from stereo_slam_env.files.atomic import write_atomically
-from stereo_slam_env.files.folders import is_occupied
+from stereo_slam_env.files.folders import is_occupied, write_atomically
 
 VERSION = 2
 SETTINGS, STUDY, CELLS = "settings.json", "study.json", "cells"

@@ -1,16 +1,7 @@
 """Result tables on disk: summaries as JSON and CSV, and all trials as SQLite, for analysis with other tools.
 
-`trials.sqlite` has one row a trial, in the tables
-
-- `trials`: `cell`, one column a factor of the grid (`factor.` and its name in the scenario file, e.g.
-  `factor.options.sigma`), the figures of single runs of `evaluation.figures`, `policy` and `options`
-  (JSON), and `series`, the path of the time series (npz) relative to the file itself;
-- `columns`: `name`, `unit` and `meaning` of every column of `trials`.
-
-`PRAGMA user_version` is the version of this schema. NULL is what does not apply or is not finite.
-
->>> import pandas, sqlite3                                                       # doctest: +SKIP
->>> pandas.read_sql("select * from trials", sqlite3.connect("trials.sqlite"))    # doctest: +SKIP
+The trial table is in docs/benchmark.md ("The run directory"); its table `columns` says what each column is. NULL is
+what does not apply or is not finite.
 """
 
 from __future__ import annotations
@@ -28,7 +19,7 @@ import msgspec
 
 from stereo_slam_env.evaluation.figures import trial_columns
 from stereo_slam_env.evaluation.run_figures import key_of
-from stereo_slam_env.files.atomic import unfinished_name, write_atomically
+from stereo_slam_env.files.folders import unfinished_name, write_atomically
 
 if TYPE_CHECKING:
     from stereo_slam_env.benchmark.storage.store import CellResult

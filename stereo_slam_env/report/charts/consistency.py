@@ -7,20 +7,12 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from filters.validation import FloatArray
-from stereo_slam_env.evaluation.consistency import mean_band
+from stereo_slam_env.evaluation.consistency import DOF, mean_bands
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
 from stereo_slam_env.report.charts import series
 from stereo_slam_env.report.charts.axes import WIDTH, Axis, label_room, panel_width
 from stereo_slam_env.report.charts.drawing import DASHED, Box, Chart, Curve, Panel, figure, limit_of
-from stereo_slam_env.report.charts.style import (
-    BAND,
-    MUTED,
-    filter_colours,
-    shared_limit,
-    short_number,
-)
-
-POSE_DOF = 6
+from stereo_slam_env.report.charts.style import BAND, MUTED, filter_colours, shared_limit, short_number
 
 # The order of the panels; columns of the pose error. The camera frame is x right, y down, z forward: roll is about z.
 _PANELS = (
@@ -85,13 +77,13 @@ def plot_error_bounds(run: FilterRun, limits: FloatArray | None = None) -> Chart
 def plot_nees(runs: Sequence[FilterRun]) -> Chart:
     """NEES / 6 of the pose, averaged over runs, with its two-sided 95 % chi-square band."""
     tables = {
-        name: series.stack(group, lambda run: run.pose_nees / POSE_DOF)
+        name: series.stack(group, lambda run: run.pose_nees / DOF["pose"])
         for name, group in series.by_filter(runs).items()
     }
     curves = {name: series.column_mean(table) for name, table in tables.items()}
     most = max(tables.values(), key=lambda table: int(np.isfinite(table).sum()))
     count = np.isfinite(most).sum(axis=0)
-    low, high = (end / POSE_DOF for end in _bands(POSE_DOF, count))
+    low, high = (end / DOF["pose"] for end in mean_bands(DOF["pose"], np.where(count > 0, count, np.nan)))
     runs_shown = int(count.max(initial=0))
     of_runs = f", mean of {runs_shown} runs" if runs_shown > 1 else ""
     title = f"Pose NEES / 6{of_runs} (1 is ideal)"
@@ -115,16 +107,9 @@ def plot_nis(runs: Sequence[FilterRun], points: int = 80) -> Chart:
         pooled = np.add.reduceat(np.nansum(dof, axis=0), starts)
         curves[name] = np.divide(sums, pooled, out=np.full(len(starts), np.nan), where=pooled > 0)
         dofs.append(pooled)
-    return _against_band(
-        "NIS per degree of freedom (1 is ideal)", time[starts], curves, _bands(1, np.min(dofs, axis=0))
-    )
-
-
-def _bands(dof: int, counts: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the 95 % band of a mean of `counts` chi-square(dof) variables; NaN where a count is 0."""
-    known = {float(n): mean_band(dof, int(n)) for n in np.unique(counts[counts > 0])}
-    pairs = np.array([known.get(float(n), (np.nan, np.nan)) for n in counts])
-    return pairs[:, 0], pairs[:, 1]
+    fewest = np.min(dofs, axis=0)
+    band = mean_bands(1, np.where(fewest > 0, fewest, np.nan))
+    return _against_band("NIS per degree of freedom (1 is ideal)", time[starts], curves, band)
 
 
 def _against_band(
