@@ -111,7 +111,7 @@ def faults(
 
 
 def _write_matrix(out: Path, matrix: FaultMatrix) -> None:
-    from stereo_slam_env.files.atomic import write_atomically
+    from stereo_slam_env.files.folders import write_atomically
 
     figures = json.dumps(matrix.as_dict(), indent=1) + "\n"
     out.mkdir(parents=True, exist_ok=True)
