@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 
@@ -166,41 +167,23 @@ def range_errors(runs: Sequence[LandmarkStatistics]) -> tuple[RangeError, ...]:
         bias = total.depth_error / total.position_count
         anees = total.nees / total.nees_count
     sigma = _standard_error([run.depth_error for run in runs], [run.position_count for run in runs], bias)
-    return tuple(
-        RangeError(
-            low_m=RANGE_EDGES[i],
-            high_m=RANGE_EDGES[i + 1],
-            count=int(total.nees_count[i]),
-            rmse_m=float(rmse[i]),
-            depth_bias_m=float(bias[i]),
-            depth_bias_sigma_m=float(sigma[i]),
-            anees=float(anees[i]),
-        )
-        for i in np.flatnonzero(total.nees_count)
-    )
+    columns = zip(*(values.tolist() for values in (rmse, bias, sigma, anees)), strict=True)
+    rows = zip(pairwise(RANGE_EDGES), total.nees_count.astype(int).tolist(), columns, strict=True)
+    return tuple(RangeError(*ends, count, *figures) for ends, count, figures in rows if count)
 
 
 def depth_convergence(runs: Sequence[LandmarkStatistics]) -> tuple[DepthConvergence, ...]:
     """The curves of the classes of which landmarks were seen: near, then far."""
     total = LandmarkStatistics.total(runs)
     curves = []
-    for (label, (low, high)), count, variance, square in zip(
+    for (label, ends), count, *sums in zip(
         DEPTH_CLASSES.items(), total.age_count, total.depth_variance, total.squared_depth_error, strict=True
     ):
-        ages = np.arange(AGES)[count > 0]
-        if not len(ages):
-            continue
-        curves.append(
-            DepthConvergence(
-                label=label,
-                low_m=low,
-                high_m=high,
-                frames=tuple(ages.tolist()),
-                count=tuple(count[ages].astype(int).tolist()),
-                sigma_m=tuple(np.sqrt(variance[ages] / count[ages]).tolist()),
-                rmse_m=tuple(np.sqrt(square[ages] / count[ages]).tolist()),
-            )
-        )
+        ages = np.flatnonzero(count > 0)
+        if len(ages):
+            roots = (tuple(np.sqrt(values[ages] / count[ages]).tolist()) for values in sums)
+            counted = tuple(count[ages].astype(int).tolist())
+            curves.append(DepthConvergence(label, *ends, tuple(ages.tolist()), counted, *roots))
     return tuple(curves)
 
 
