@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import datetime
-from collections.abc import Mapping
+import inspect
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -87,3 +88,23 @@ def show_lines(lines: Mapping[str, str], width: int = 0) -> None:
 def new_directory(name: str) -> Path:
     """Run directory that is named after the command or scenario and the time."""
     return Path("runs") / f"{name}-{datetime.datetime.now():%Y%m%d-%H%M%S}"
+
+
+def with_options(of: Callable[..., Any], name: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Decorator of commands that share options: those of `of`, whose result they get as the parameter `name`."""
+
+    def of_both(command: Callable[..., None]) -> Callable[..., None]:
+        shared, own = (inspect.signature(function, eval_str=True).parameters for function in (of, command))
+        options = [*(about for key, about in own.items() if key != name), *shared.values()]
+
+        def run(**given: Any) -> None:
+            result = of(**{key: given.pop(key) for key in shared})
+            command(**given, **{name: result})
+
+        run.__name__, run.__doc__ = command.__name__, command.__doc__
+        run.__annotations__ = {about.name: about.annotation for about in options}
+        parameters = [about.replace(kind=inspect.Parameter.KEYWORD_ONLY) for about in options]
+        vars(run)["__signature__"] = inspect.Signature(parameters)
+        return run
+
+    return of_both

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import inspect
-from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from stereo_slam_env.cli.parts import console, group, rig_from
+from stereo_slam_env.cli.parts import console, group, rig_from, with_options
 
 app = group("The simulated scenes: list, render, record, noise.")
 
@@ -45,21 +43,6 @@ def _scene(
     }
 
 
-def _with_scene(command: Callable[..., None]) -> Callable[..., None]:
-    """The command with the options of a scene, which it gets as `scene`: arguments of the environment."""
-    of_scene, own = (inspect.signature(function, eval_str=True).parameters for function in (_scene, command))
-    route, *shared = of_scene.values()
-    options = [route, *(about for name, about in own.items() if name != "scene"), *shared]
-
-    def run(**given: Any) -> None:
-        command(_scene(**{name: given.pop(name) for name in of_scene}), **given)
-
-    run.__doc__ = command.__doc__
-    run.__annotations__ = {about.name: about.annotation for about in options}
-    vars(run)["__signature__"] = inspect.Signature([o.replace(kind=inspect.Parameter.KEYWORD_ONLY) for o in options])
-    return run
-
-
 @app.command("list")
 def list_scenes() -> None:
     """Routes, surroundings and renderers, and the ready-made scenarios of `bench`."""
@@ -81,12 +64,13 @@ def list_scenes() -> None:
 
 
 @app.command("render")
-@_with_scene
+@with_options(_scene, "scene")
 def render_scene(
-    scene: dict[str, Any],
     out: Annotated[Path, typer.Option("--out", help="PNG file to write.")],
     seed: SeedOption = 0,
     frame: Annotated[int, typer.Option("--frame", help="Drive so many frames first.", min=0)] = 0,
+    *,
+    scene: dict[str, Any],
 ) -> None:
     """Draw both views, with the observed landmarks."""
     import cv2
@@ -112,13 +96,14 @@ def render_scene(
 
 
 @app.command("record")
-@_with_scene
+@with_options(_scene, "scene")
 def record_scene(
-    scene: dict[str, Any],
     out: Annotated[Path, typer.Option("--out", help="Folder for sequences/NAME and poses/NAME.txt.")],
     name: Annotated[str, typer.Option("--name", help="Of the sequence, two digits for KITTI tools.")] = "00",
     seed: SeedOption = 0,
     frames: FramesOption = None,
+    *,
+    scene: dict[str, Any],
 ) -> None:
     """Write a rendered drive as a KITTI odometry sequence, for other people's SLAM systems (and `replay`)."""
     from stereo_slam_env.datasets import write_kitti_sequence
@@ -132,11 +117,12 @@ def record_scene(
 
 
 @app.command("noise")
-@_with_scene
+@with_options(_scene, "scene")
 def scene_noise(
-    scene: dict[str, Any],
     seed: SeedOption = 0,
     frames: FramesOption = None,
+    *,
+    scene: dict[str, Any],
 ) -> None:
     """Measure the noise of the front end: bias, spread and outliers of u, v and d by range, against the render."""
     from stereo_slam_env.benchmark.scenarios.streams import noise_by_range
