@@ -17,7 +17,7 @@ from stereo_slam_env.benchmark.statistics.verdict import Verdict, judge
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
 from stereo_slam_env.evaluation.run_figures import Bounds, Figures, key_of
 from stereo_slam_env.report import tables
-from stereo_slam_env.report.charts import accuracy, consistency, cost, landmarks, policies, series
+from stereo_slam_env.report.charts import accuracy, consistency, cost, policies, series
 from stereo_slam_env.report.charts.drawing import Chart
 from stereo_slam_env.report.comparison_report import attribution_section, conclusions
 from stereo_slam_env.report.overview import overview, policy_overview
@@ -222,15 +222,15 @@ def _map(
         caption = (
             "By true distance: error relative to the camera, mean depth error (Sibley's bias), NEES / 3 in (u, v, d)."
         )
-        yield draw("landmarks", caption, landmarks.plot_landmark_errors, summaries)
+        yield draw("landmarks", caption, consistency.plot_landmark_errors, summaries)
     if any(s.depth_convergence for s in summaries):
         caption = "All landmarks of that depth at first sight: the σ a filter claims should follow its true error."
-        yield draw("convergence", caption, landmarks.plot_depth_convergence, summaries)
+        yield draw("convergence", caption, consistency.plot_depth_convergence, summaries)
     if same_landmarks and any(run.traces for run in runs):
         caption = (
             "Two landmarks. Dots: the frame's own disparity. A narrow band that misses the truth is false confidence."
         )
-        yield draw("depth", caption, landmarks.plot_depth, runs)
+        yield draw("depth", caption, consistency.plot_depth, runs)
 
 
 def _cost(
