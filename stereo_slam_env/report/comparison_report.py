@@ -14,7 +14,7 @@ from stereo_slam_env.benchmark.statistics.differences import signed
 from stereo_slam_env.benchmark.statistics.effects import Contrast, ResponseAttribution
 from stereo_slam_env.report.charts.factors import plot_changes, plot_effects
 from stereo_slam_env.report.charts.style import filter_colours
-from stereo_slam_env.report.page import FIGURES, figure_block, html_page, joined, part
+from stereo_slam_env.report.page import FIGURES, figure_block, html_page, part
 from stereo_slam_env.report.page_tables import Cell, Column, Tone, filter_cell, number, table
 from stereo_slam_env.report.tables import FINDING_TONES, capital, percent_cell
 
@@ -35,7 +35,7 @@ def write_comparison_report(out: Path, comparison: RunComparison) -> Path:
     out.mkdir(parents=True, exist_ok=True)
     path = out / "comparison.html"
     subtitle = f"Before: {comparison.before} · After: {comparison.after}"
-    path.write_text(html_page(title="What changed", subtitle=subtitle, body=joined(body)), encoding="utf-8")
+    path.write_text(html_page(title="What changed", subtitle=subtitle, body=Markup("\n").join(body)), encoding="utf-8")
     return path
 
 

@@ -20,11 +20,11 @@ from stereo_slam_env.benchmark.statistics.policy_verdict import Agreement, Polic
 from stereo_slam_env.benchmark.statistics.remarks import innovation_factor, limit_reached, times_the_claim
 from stereo_slam_env.benchmark.statistics.verdict import Comparison, Consistency, Verdict, consistency, loss
 from stereo_slam_env.evaluation.consistency import DOF
-from stereo_slam_env.evaluation.figures import Figure
+from stereo_slam_env.evaluation.figures import UNKNOWN, Figure
 from stereo_slam_env.evaluation.results import FilterSummary
 from stereo_slam_env.report.charts.style import filter_colours
-from stereo_slam_env.report.page import joined, part
-from stereo_slam_env.report.page_tables import UNKNOWN, Cell, Column, Tone, filter_cell, number, table
+from stereo_slam_env.report.page import part
+from stereo_slam_env.report.page_tables import Cell, Column, Tone, filter_cell, number, table
 from stereo_slam_env.report.tables import FINDING_TONES
 
 TONES: dict[Consistency, Tone] = {
@@ -150,7 +150,9 @@ def overview(summaries: Sequence[FilterSummary], verdict: Verdict) -> Markup:
         (Column("How far from the limit?", _limit_of(summaries)), _efficiency),
         (Column("What does it cost?", "median time a frame"), lambda s: _cost(s, summaries)),
     ]
-    return joined([part("paragraph", verdict.headline, "headline"), answers_table("Filter", questions, summaries)])
+    return Markup("\n").join(
+        [part("paragraph", verdict.headline, "headline"), answers_table("Filter", questions, summaries)]
+    )
 
 
 # ---- accuracy -------------------------------------------------------------------------------------------------------
@@ -289,7 +291,7 @@ def policy_overview(summaries: Sequence[FilterSummary], verdict: PolicyVerdict) 
         consistency_question(summaries, with_share=False),
         (Column("Is the claim true?", f"by the difference to {verdict.baseline}"), lambda s: _agreement(s, verdict)),
     ]
-    return joined(
+    return Markup("\n").join(
         [
             part("paragraph", verdict.headline, "headline"),
             answers_table("Policy", questions, summaries),

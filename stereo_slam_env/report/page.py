@@ -60,11 +60,6 @@ def part(name: str, /, *arguments: Any, **named: Any) -> Markup:
     return Markup(macro(*arguments, **named).strip())
 
 
-def joined(parts: list[Markup] | list[str]) -> Markup:
-    """Parts one below the other; plain text is escaped."""
-    return Markup("\n").join(parts)
-
-
 def figure_block(chart: Chart, name: str, description: str, folder: Path) -> Markup:
     """Save a chart as PNG and SVG, and return it as markup for a page.
 

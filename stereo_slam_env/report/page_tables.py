@@ -9,12 +9,10 @@ from typing import Literal
 import numpy as np
 from markupsafe import Markup
 
+from stereo_slam_env.evaluation.figures import UNKNOWN
 from stereo_slam_env.report.page import part
 
 Tone = Literal["", "good", "fair", "bad", "none"]
-
-UNKNOWN = "–"
-"""What a cell without a value shows."""
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from stereo_slam_env.report.charts import accuracy, consistency, cost, policies,
 from stereo_slam_env.report.charts.drawing import Chart
 from stereo_slam_env.report.comparison_report import attribution_section, conclusions
 from stereo_slam_env.report.overview import overview, policy_overview
-from stereo_slam_env.report.page import clean_figures, data_links, figure_block, html_page, joined, part
+from stereo_slam_env.report.page import clean_figures, data_links, figure_block, html_page, part
 
 MOST_SHOWN = 6
 """Of more filters than that, each is compared with the best one only, and the first ones have figures of their own."""
@@ -70,13 +70,15 @@ def write_report(
         data_links(out),
     ]
     path = out / "report.html"
-    path.write_text(html_page(title=title, subtitle=_subtitle(runs, looks), body=joined(body)), encoding="utf-8")
+    path.write_text(
+        html_page(title=title, subtitle=_subtitle(runs, looks), body=Markup("\n").join(body)), encoding="utf-8"
+    )
     return path
 
 
 def reference_banner(runs: Sequence[FilterRun]) -> Markup:
     """Reference of the runs; one that is no independent truth stands out."""
-    return joined(
+    return Markup("\n").join(
         [
             part("paragraph", words, "quiet" if reference.is_independent else "banner")
             for reference, words in reference_remarks(runs).items()
