@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Sequence
 from contextlib import suppress
 from functools import cache
 from importlib.metadata import version
@@ -52,6 +53,13 @@ def html_page(*, title: str, subtitle: str, body: str) -> str:
             script=Markup(_resource("page.js")),
         )
     )
+
+
+def write_page(path: Path, *, title: str, subtitle: str, parts: Sequence[Markup]) -> Path:
+    """Write a page with these parts one below the other, in a folder that is made; returns its path."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(html_page(title=title, subtitle=subtitle, body=Markup("\n").join(parts)), encoding="utf-8")
+    return path
 
 
 def part(name: str, /, *arguments: Any, **named: Any) -> Markup:
