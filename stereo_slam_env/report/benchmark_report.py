@@ -25,7 +25,7 @@ from stereo_slam_env.report.charts.factors import FactorResponse, plot_factor
 from stereo_slam_env.report.charts.style import filter_colours
 from stereo_slam_env.report.comparison_report import attribution_section, conclusions
 from stereo_slam_env.report.overview import TONES, lost, short
-from stereo_slam_env.report.page import clean_figures, data_links, figure_block, html_page, part
+from stereo_slam_env.report.page import clean_figures, data_links, figure_block, part, write_page
 from stereo_slam_env.report.page_tables import Cell, Column, Tone, filter_cell, number, table
 from stereo_slam_env.report.run_report import reference_banner, write_report
 from stereo_slam_env.report.tables import (
@@ -68,13 +68,9 @@ def write_study_report(
         _everything(results, verdicts, links),
         data_links(out),
     ]
-    path = out / "report.html"
     cells, filters = len(results), len(names)
     subtitle = f"{cells} scenario{'s' * (cells > 1)} · {filters} filter{'s' * (filters > 1)} on identical measurements"
-    path.write_text(
-        html_page(title=f"Study: {study.name}", subtitle=subtitle, body=Markup("\n").join(body)), encoding="utf-8"
-    )
-    return path
+    return write_page(out / "report.html", title=f"Study: {study.name}", subtitle=subtitle, parts=body)
 
 
 # ---- first screen ---------------------------------------------------------------------------------------------------

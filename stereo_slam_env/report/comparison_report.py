@@ -14,7 +14,7 @@ from stereo_slam_env.benchmark.statistics.differences import signed
 from stereo_slam_env.benchmark.statistics.effects import Contrast, ResponseAttribution
 from stereo_slam_env.report.charts.factors import plot_changes, plot_effects
 from stereo_slam_env.report.charts.style import filter_colours
-from stereo_slam_env.report.page import FIGURES, figure_block, html_page, part
+from stereo_slam_env.report.page import FIGURES, figure_block, part, write_page
 from stereo_slam_env.report.page_tables import Cell, Column, Tone, filter_cell, number, table
 from stereo_slam_env.report.tables import FINDING_TONES, capital, percent_cell
 
@@ -32,11 +32,8 @@ def write_comparison_report(out: Path, comparison: RunComparison) -> Path:
         caption = "Change of every measure with its 95 % interval; left of the line it became smaller."
         body.append(figure_block(plot_changes(comparison.changes), "changes", caption, folder))
     body.append(_only(comparison))
-    out.mkdir(parents=True, exist_ok=True)
-    path = out / "comparison.html"
     subtitle = f"Before: {comparison.before} · After: {comparison.after}"
-    path.write_text(html_page(title="What changed", subtitle=subtitle, body=Markup("\n").join(body)), encoding="utf-8")
-    return path
+    return write_page(out / "comparison.html", title="What changed", subtitle=subtitle, parts=body)
 
 
 def _guide(comparison: RunComparison) -> str:

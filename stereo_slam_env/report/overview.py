@@ -150,9 +150,8 @@ def overview(summaries: Sequence[FilterSummary], verdict: Verdict) -> Markup:
         (Column("How far from the limit?", _limit_of(summaries)), _efficiency),
         (Column("What does it cost?", "median time a frame"), lambda s: _cost(s, summaries)),
     ]
-    return Markup("\n").join(
-        [part("paragraph", verdict.headline, "headline"), answers_table("Filter", questions, summaries)]
-    )
+    answers = answers_table("Filter", questions, summaries)
+    return Markup("\n").join([part("paragraph", verdict.headline, "headline"), answers])
 
 
 # ---- accuracy -------------------------------------------------------------------------------------------------------

@@ -21,7 +21,7 @@ from stereo_slam_env.report.charts import accuracy, consistency, cost, policies,
 from stereo_slam_env.report.charts.drawing import Chart
 from stereo_slam_env.report.comparison_report import attribution_section, conclusions
 from stereo_slam_env.report.overview import overview, policy_overview
-from stereo_slam_env.report.page import clean_figures, data_links, figure_block, html_page, part
+from stereo_slam_env.report.page import clean_figures, data_links, figure_block, part, write_page
 
 MOST_SHOWN = 6
 """Of more filters than that, each is compared with the best one only, and the first ones have figures of their own."""
@@ -69,11 +69,7 @@ def write_report(
         part("section", "Settings", "", [part("settings", settings)]),
         data_links(out),
     ]
-    path = out / "report.html"
-    path.write_text(
-        html_page(title=title, subtitle=_subtitle(runs, looks), body=Markup("\n").join(body)), encoding="utf-8"
-    )
-    return path
+    return write_page(out / "report.html", title=title, subtitle=_subtitle(runs, looks), parts=body)
 
 
 def reference_banner(runs: Sequence[FilterRun]) -> Markup:
