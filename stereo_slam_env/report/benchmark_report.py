@@ -204,12 +204,7 @@ def _responses(groups: Sequence[Sequence[CellResult]]) -> list[FactorResponse]:
     band = low / DOF["pose"], high / DOF["pose"]
     kinds = (
         (f"{capital(POSITION.label)} ({POSITION.unit})", POSITION, True),
-        (
-            f"{capital(POSE_NEES.label)}, band of its mean in grey",
-            POSE_NEES,
-            (low / DOF["pose"], high / DOF["pose"]),
-            True,
-        ),
+        (f"{capital(POSE_NEES.label)}, band of its mean in grey", POSE_NEES, True),
         (f"{capital(EFFICIENCY.label)}, bound / RMSE ({EFFICIENCY.unit})", EFFICIENCY, False),
     )
     names = list(dict.fromkeys(s.filter_name for group in groups for o in group for s in o.summaries))
