@@ -50,9 +50,7 @@ class Figure:
     # Value of one `Trial`; None: it is one of many runs only, and has no column in the trial table.
     of_run: Callable[[Trial], Value] | None = None
     over_runs: Combination | None = None  # None: it is one of single runs only, and not in the summary
-    # Of its values of one run. Of a run that failed, an integer is 0, everything else
-    # None.
-    kind: Kind = "real"
+    kind: Kind = "real"  # of its values of one run; of a run that failed, an integer is 0, everything else None
     of_failed: bool = False  # whether it is computed of a run that failed, too
     digits: int = 3  # after the point
     per_runs: bool = False  # whether it counts runs: "2 of 10"
