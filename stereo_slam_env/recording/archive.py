@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from filters import BodyVelocity, Pose, Start, StereoCamera, StereoNoise, StereoObservation
 from filters.validation import FloatArray
-from stereo_slam_env.files.atomic import write_atomically
+from stereo_slam_env.files.folders import write_atomically
 from stereo_slam_env.files.readers import read_arrays
 from stereo_slam_env.recording.recording import GIVEN_TRUTH, Frame, LandmarkTruth, Recording, Reference, Velocity
 

@@ -17,8 +17,7 @@ from joblib import cpu_count
 
 from filters.extras import require_module
 from filters.validation import FloatArray, positive, probability, whole_number
-from stereo_slam_env.files.atomic import write_atomically
-from stereo_slam_env.files.folders import claimed_folder
+from stereo_slam_env.files.folders import claimed_folder, write_atomically
 from stereo_slam_env.policies.network import Network
 from stereo_slam_env.training.task import Evaluation, GazeTask, evaluate
 
