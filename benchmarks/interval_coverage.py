@@ -21,7 +21,7 @@ from rich.table import Table
 from scipy.stats import norm, t
 
 from stereo_slam_env.benchmark.statistics.differences import difference_of, level, mean_interval
-from stereo_slam_env.benchmark.statistics.measures import POSE_NEES
+from stereo_slam_env.benchmark.statistics.measures import POSE_NEES, difference_by
 
 RESAMPLES = 1999
 DISTRIBUTIONS: dict[str, Callable[[np.random.Generator, tuple[int, int]], np.ndarray]] = {
@@ -139,7 +139,7 @@ def consistency(counts: list[int], experiments: int) -> Table:
                     f * ((0.9 * common + np.sqrt(0.19) * x) ** 2).mean(1) for f, x in zip((a, b), own, strict=True)
                 )
                 by_run = difference_of(np.abs(np.log(ours)) - np.abs(np.log(theirs)))
-                for kind, found in (("mean", POSE_NEES.difference(ours, theirs)), ("single", by_run)):
+                for kind, found in (("mean", difference_by(POSE_NEES, ours, theirs)), ("single", by_run)):
                     low, high = found.interval or (np.nan, np.nan)
                     cells[kind] += (low <= truth <= high, found.shown)
             shares = (f"{held:.0f}, {shown:.0f}" for held, shown in (100 * c / experiments for c in cells.values()))

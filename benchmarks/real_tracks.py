@@ -1,8 +1,8 @@
 """How far off every filter is on the real tracks, with one set of settings.
 
-    python benchmarks/real_tracks.py ../shared/data                      # 10 min on two cores
-    python benchmarks/real_tracks.py ../shared/data --only shared-anchor,batch
-    python benchmarks/real_tracks.py ../shared/data --options '{"tail_dof": 4}' --sigma-px 1
+    python benchmarks/real_tracks.py DATA                      # 10 min on two cores
+    python benchmarks/real_tracks.py DATA --only shared-anchor,batch
+    python benchmarks/real_tracks.py DATA --options '{"tail_dof": 4}' --sigma-px 1
 
 DATA is the folder that holds the recordings; those of a known layout are run, and the example of the gtsam wheel where
 that is installed. Settings are those of `stereo-slam replay`: 2 px, gate 0.99, the joint test over the frame. Rigidly

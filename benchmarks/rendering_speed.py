@@ -4,10 +4,12 @@
     OPENBLAS_NUM_THREADS=1 taskset -c 0 python benchmarks/rendering_speed.py --sizes 320x240 --bodies 300
 
 A street of textured boxes: houses, poles, parked cars and clutter, as many as asked for. Measured in turns, in one
-process: two bare `getCameraImage` calls with the same matrices and flags, `TinyRenderer.render_pair` and
-`GLRenderer.render_pair` (without and with four samples a pixel). Everything is on one core: `taskset` for the process,
-and Mesa's renderer without threads (LP_NUM_THREADS=0, the default of the back end). Times are processor time, 20 %
-quantile; ratios are those of times of the same turn, median, because the machine's speed changes from turn to turn.
+process: two bare `getCameraImage` calls with the same matrices and flags, their pixels and depths made arrays;
+`TinyRenderer.render_pair` and `GLRenderer.render_pair` (without and with four samples a pixel). PyBullet built with
+NumPy returns arrays. Built without, it returns tuples, and making arrays of them adds half of the time of the calls: a
+cost of that build, not of the renderer. Everything is on one core: `taskset` for the process, and Mesa's renderer
+without threads (LP_NUM_THREADS=0, the default of the back end). Times are processor time, 20 % quantile; ratios are
+those of times of the same turn, median, because the machine's speed changes from turn to turn.
 """
 
 from __future__ import annotations
@@ -73,7 +75,7 @@ def _box(rng: np.random.Generator, kind: int) -> Box:
 
 
 def bare_calls(world: PhysicsWorld, camera: StereoCamera, pose: Pose) -> Callable[[], object]:
-    """What `TinyRenderer` cannot do without: its two calls of PyBullet."""
+    """What `TinyRenderer` cannot do without: two calls of PyBullet, and arrays of what they return."""
     R_wc = rotations.matrix(pose.orientation)
     eyes = (pose.position, pose.position + camera.baseline * R_wc[:, 0])
     views = [pinhole.view_matrix(FRAME.to_scene(eye), FRAME.rotation_to_scene(R_wc)) for eye in eyes]
@@ -81,7 +83,7 @@ def bare_calls(world: PhysicsWorld, camera: StereoCamera, pose: Pose) -> Callabl
 
     def draw() -> None:
         for view in views:
-            pybullet.getCameraImage(
+            _, _, rgba, depth, _ = pybullet.getCameraImage(
                 camera.width,
                 camera.height,
                 viewMatrix=view.flatten(order="F").tolist(),
@@ -96,6 +98,8 @@ def bare_calls(world: PhysicsWorld, camera: StereoCamera, pose: Pose) -> Callabl
                 renderer=pybullet.ER_TINY_RENDERER,
                 physicsClientId=world._connected,
             )
+            np.frombuffer(bytes(rgba), dtype=np.uint8)
+            np.asarray(depth, dtype=np.float32)
 
     return draw
 

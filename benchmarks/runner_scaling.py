@@ -2,7 +2,7 @@
 
     python benchmarks/runner_scaling.py                  # 3 min on two idle cores
 
-The same trials (pure geometry, 8 drives of 120 m, two filters and the bound) with one job and with two, in turns;
+The same trials (pure geometry, 8 drives of 133 m, two filters and the bound) with one job and with two, in turns;
 wall-clock time of the whole run, tables included. The ratio is the median of the rounds. Below it, the time of an
 empty trial in a process of its own against one in this process. Target: 1.8 on two cores.
 """

@@ -1,6 +1,6 @@
 """Real measurements of surveyed landmarks: what the data say about themselves, and how far off filters are.
 
-    python benchmarks/starry_night.py ../shared/data/starry_night_a        # 2 min
+    python benchmarks/starry_night.py DATA/starry_night_a        # 2 min
 
 First which reading of the velocities belongs to which step, with which sign, and how late: every reading is carried
 over 20 steps and compared with motion capture. Then the measurements against the projections of the surveyed landmarks

@@ -12,7 +12,7 @@ from typing import Any
 import gymnasium as gym
 from rich.console import Console
 
-from filters.noise import StereoNoise
+from filters import StereoNoise
 from filters.registry import filter_factory, label_of
 from stereo_slam_env.benchmark.head_to_head import FilterLike, HeadToHead, which_seeds
 from stereo_slam_env.benchmark.scenarios import streams

@@ -11,12 +11,19 @@ from typing import Any
 
 import numpy as np
 
-from filters.consistency import nees
-from filters.interface import LandmarkBelief, PoseBelief, StereoFilter, StereoObservation, UpdateReport
-from filters.noise import StereoNoise
-from filters.poses import Pose
-from filters.registry import FilterFactory, label_of, make_filter
-from filters.start import Start
+from filters import (
+    LandmarkBelief,
+    Pose,
+    PoseBelief,
+    Start,
+    StereoFilter,
+    StereoNoise,
+    StereoObservation,
+    UpdateReport,
+    make_filter,
+    nees,
+)
+from filters.registry import FilterFactory, label_of
 from filters.validation import FloatArray
 from stereo_slam_env.recording.recording import SIMULATION, Frame, Recording, Reference
 

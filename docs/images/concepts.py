@@ -17,23 +17,18 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from scipy.stats import norm
+from scipy.stats import chi2, norm
 
 from filters import Start, StereoCamera, StereoFilter, StereoNoise, StereoObservation, make_filter
-from filters.engine.gating import gate_limit, squared_distances
-from filters.motions.model import POSITION, ROTATION
-from stereo_slam_env.benchmark.recordings.reference_problem import long_drive
-from stereo_slam_env.evaluation.filter_run import run_filter
-from stereo_slam_env.evaluation.results import FilterRun
-from stereo_slam_env.report.charts.consistency import plot_error_bounds, plot_nees
-from stereo_slam_env.report.charts.drawing import Chart, on_white
-from stereo_slam_env.report.charts.style import BAND, INK, MUTED, PALETTE
-from stereo_slam_env.viewer.drive_picture import style_context
-from stereo_slam_env.wrappers.information import InformationCriterion, log_det
+from stereo_slam_env.benchmark import long_drive
+from stereo_slam_env.evaluation import FilterRun, run_filter
+from stereo_slam_env.report import BAND, INK, MUTED, Chart, filter_colours, plot_error_bounds, plot_nees
+from stereo_slam_env.viewer import style_context
+from stereo_slam_env.wrappers import InformationCriterion, log_det
 
 HERE = Path(__file__).resolve().parent
 WIDTH_INCHES = 10.4
-BLUE, ORANGE, GREEN = PALETTE[:3]
+BLUE, ORANGE, GREEN = COLOURS = tuple(filter_colours(("inverse-depth", "dual-bearing", "euclidean")).values())
 CAMERA = StereoCamera(fx=721.5, fy=721.5, cx=672.0, cy=196.0, baseline=0.571, width=1344, height=391)
 FULL_R = StereoNoise.independent_pixels(1.0)
 SIGMA_D = float(np.sqrt(FULL_R.R[2, 2]))
@@ -111,7 +106,7 @@ def inverse_depth() -> Figure:
     figure.subplots_adjust(left=0.065, right=0.985, bottom=0.16, top=0.88, wspace=0.2)
     rng = np.random.default_rng(3)
     angle = np.linspace(0, 2 * np.pi, 200)
-    circle = np.sqrt(gate_limit(0.95, 2)) * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    circle = np.sqrt(chi2.ppf(0.95, 2)) * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     rows = np.ix_([0, 2], [0, 2])
     for ax, z in zip(panels, (20.0, 60.0, 120.0), strict=True):
         uvd = CAMERA.project([0.0, 0.0, z])
@@ -166,9 +161,9 @@ def gate() -> Figure:
     predicted = np.diag([9.0, 1.0, 1.0])  # a pose known to 3 px sideways
     S = predicted + FULL_R.R
     good, bad = rng.multivariate_normal(np.zeros(3), S, 400), rng.uniform(-14, 14, (25, 3))
-    limit = gate_limit(0.99, 3)
+    limit = chi2.ppf(0.99, 3)
     for innovations, colour, name in ((good, BLUE, "right"), (bad, ORANGE, "wrong match")):
-        distances = squared_distances(innovations, np.broadcast_to(S, (len(innovations), 3, 3)))
+        distances = np.einsum("mi,mi->m", innovations, np.linalg.solve(S, innovations.T).T)
         inside = distances <= limit
         plane.plot(*innovations[inside][:, [0, 2]].T, ".", color=colour, label=name)
         plane.plot(*innovations[~inside][:, [0, 2]].T, "x", color=colour, markersize=5)
@@ -197,7 +192,7 @@ def information_gain() -> Figure:
     figure = Figure(figsize=(WIDTH_INCHES, 2.7))
     panels = figure.subplots(1, len(gains), sharey=True)
     figure.subplots_adjust(left=0.17, right=0.985, bottom=0.1, top=0.88, wspace=0.1)
-    for ax, (subject, by_look), colour in zip(panels, gains.items(), PALETTE[:3], strict=True):
+    for ax, (subject, by_look), colour in zip(panels, gains.items(), COLOURS, strict=True):
         names = list(by_look)[::-1]
         ax.barh(names, [by_look[name] for name in names], color=colour, height=0.6)
         for row, name in enumerate(names):
@@ -238,8 +233,8 @@ def look_gains() -> dict[str, dict[str, float]]:
 def _unknown(slam: StereoFilter) -> dict[str, float]:
     P = slam.joint_covariance(slam.landmarks.ids)
     return {
-        "position": log_det(P[POSITION, POSITION]),
-        "orientation": log_det(P[ROTATION, ROTATION]),
+        "position": log_det(P[:3, :3]),
+        "orientation": log_det(P[3:6, 3:6]),
         "pose and map": InformationCriterion("log-det").potential(P),
     }
 
@@ -316,10 +311,8 @@ def _two_densities(ax: Axes, x: np.ndarray, true: np.ndarray, claimed: np.ndarra
     ax.set(yticks=[], ylim=(0, None), xlim=(x[0], x[-1]))
 
 
-def svg_of(figure: Figure | Chart) -> str:
+def svg_of(figure: Figure) -> str:
     """The drawing on white, with its texts as text."""
-    if isinstance(figure, Chart):
-        return on_white(figure.svg())
     buffer = io.StringIO()
     with style_context():
         figure.savefig(buffer, format="svg", facecolor="white", metadata={"Date": None, "Creator": None})
@@ -330,7 +323,11 @@ def main(names: list[str]) -> None:
     """Write the figures named, or all."""
     for draw in FIGURES:
         if not names or draw.__name__ in names:
-            (HERE / f"concept_{draw.__name__}.svg").write_text(svg_of(draw()), encoding="utf-8")
+            figure, path = draw(), HERE / f"concept_{draw.__name__}.svg"
+            if isinstance(figure, Chart):
+                figure.save(path)
+            else:
+                path.write_text(svg_of(figure), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -8,13 +8,22 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from filters import Start, rotations
-from filters.camera import StereoCamera
-from filters.engine.ekf import StereoEKF
-from filters.interface import BodyVelocity, Forecast, LandmarkBelief, StereoObservation, UpdateReport
-from filters.motions.model import CAMERA_SIZE, POSE_SIZE, CameraState, MotionModel
-from filters.motions.velocity_driven import VelocityDriven
-from filters.noise import StereoNoise
+from filters import (
+    BodyVelocity,
+    CameraState,
+    Forecast,
+    LandmarkBelief,
+    MotionModel,
+    Start,
+    StereoCamera,
+    StereoEKF,
+    StereoNoise,
+    StereoObservation,
+    UpdateReport,
+    VelocityDriven,
+    rotations,
+)
+from filters.motions.model import CAMERA_SIZE, POSE_SIZE
 from filters.parts import Named
 from filters.validation import FloatArray, IntArray, positive
 from stereo_slam_env.baselines.dead_reckoning import CameraBelief, CameraFilter

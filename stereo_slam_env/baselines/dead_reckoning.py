@@ -9,34 +9,27 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from filters import rotations
-from filters.camera import StereoCamera
-from filters.interface import (
-    AT_ORIGIN,
+from filters import (
     BodyVelocity,
+    CameraState,
     Forecast,
     LandmarkBelief,
+    MotionModel,
     PoseBelief,
+    Start,
+    StereoCamera,
     StereoFilter,
+    StereoNoise,
     StereoObservation,
     UpdateReport,
     VelocityBelief,
-    check_rig,
-    check_start,
+    VelocityDriven,
+    rotations,
 )
-from filters.motions.model import POSE_SIZE, CameraState, MotionModel, predict_camera
-from filters.motions.velocity_driven import VelocityDriven
-from filters.noise import StereoNoise
+from filters.interface import AT_ORIGIN, check_rig, check_start
+from filters.motions.model import POSE_SIZE, predict_camera
 from filters.parts import Named, make_part
-from filters.start import Start
-from filters.validation import (
-    FloatArray,
-    IntArray,
-    finite_array,
-    positive,
-    unique_ids,
-    unit_quaternion,
-)
+from filters.validation import FloatArray, IntArray, finite_array, positive, unique_ids, unit_quaternion
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,14 +6,22 @@ from collections.abc import Sequence
 
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
-from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
-from scipy.stats import chi2
 
-from filters import rotations
-from filters.camera import StereoCamera
-from filters.interface import BodyVelocity, Forecast, LandmarkBelief, StereoObservation, UpdateReport
-from filters.landmarks.inverse_depth import InverseDepth
+from filters import (
+    BodyVelocity,
+    CameraState,
+    Forecast,
+    InverseDepth,
+    LandmarkBelief,
+    MotionModel,
+    StereoCamera,
+    StereoNoise,
+    StereoObservation,
+    UpdateReport,
+    rotations,
+)
+from filters.engine.gating import gate_limit, passes
 from filters.motions.model import (
     ANGULAR,
     CAMERA_SIZE,
@@ -21,20 +29,15 @@ from filters.motions.model import (
     POSE_SIZE,
     POSITION,
     ROTATION,
-    CameraState,
-    MotionModel,
     measure_odometry,
     predict_camera,
 )
-from filters.noise import StereoNoise
 from filters.parts import Named
-from filters.retractions import AdditiveQuaternion
 from filters.validation import BoolArray, FloatArray, IntArray, gate_probability, unique_ids
 from stereo_slam_env.baselines.dead_reckoning import CameraBelief, CameraFilter, symmetrised
 
-LANDMARK_SIZE = 6
+_LANDMARK = 6
 _MODEL = InverseDepth()
-_ROTATION_ERROR = AdditiveQuaternion()
 
 
 class FilterpyEKF(CameraFilter):
@@ -70,19 +73,19 @@ class FilterpyEKF(CameraFilter):
         motion: Named | MotionModel | None = None,
         gate: float | None = 0.99,
     ) -> None:
-        self._gate = gate_probability(gate)
+        probability = gate_probability(gate)
+        self._limit = np.inf if probability is None else gate_limit(probability, 3)
         super().__init__(camera, noise, motion=motion)
 
     def _restart(self) -> None:
         self._ids: IntArray = np.zeros(0, dtype=np.int64)  # ascending
-        self._map = np.zeros((0, LANDMARK_SIZE))
-        self._P = self._belief.P
+        self._map, self._P = np.zeros((0, _LANDMARK)), self._belief.P
 
     def _move(self, dt: float, odometry: BodyVelocity | None) -> None:
         """Move the belief forward (Eq. 6, 11, 12), then fuse what odometry adds."""
-        step = predict_camera(self._motion, self._belief.state, dt, odometry)
+        step, rest = predict_camera(self._motion, self._belief.state, dt, odometry), self._map.size
         measured = None if odometry is None else measure_odometry(self._motion, step.state, dt, odometry)
-        ekf, rest = self._kalman_filter(), self._map.size
+        ekf = self._kalman_filter()
         ekf.F = block_diag(step.F, np.eye(rest))
         ekf.Q = block_diag(step.G @ step.Q @ step.G.T, np.zeros((rest, rest)))
         ekf.predict()
@@ -90,50 +93,20 @@ class FilterpyEKF(CameraFilter):
         if measured is not None:
             self._correct(measured.innovation, np.pad(measured.H, ((0, 0), (0, rest))), measured.R)
 
-    def forecast(self, ids: Sequence[int] | IntArray | None = None) -> Forecast:
-        """Predicted (u, v, d) and S of landmarks at the current pose."""
-        wanted, index = self._wanted(ids)
-        uvd, H, forward = self._linearised(index)
-        S = H @ self._P @ H.transpose(0, 2, 1) + self.noise.R
-        return Forecast(wanted, uvd, symmetrised(S), forward & self.camera.in_view(uvd))
-
-    def forget(self, ids: Sequence[int] | IntArray) -> None:
-        """Marginalise landmarks out; ids not in the map are ignored."""
-        self._keep(np.flatnonzero(~np.isin(self._ids, unique_ids("ids", np.asarray(ids)))))
-
-    @property
-    def landmarks(self) -> LandmarkBelief:
-        """The map, in ascending order of ids."""
-        positions = _MODEL.points(self._map[:, :3], self._map[:, 3:]).positions
-        joint, rows = self.joint_covariance(), POSE_SIZE + np.arange(positions.size).reshape(-1, 3)
-        covariances = joint[rows[:, :, None], rows[:, None, :]]
-        variances = np.diag(self._P)[CAMERA_SIZE + 5 :: LANDMARK_SIZE]
-        return LandmarkBelief(self._ids.copy(), positions, covariances, self._map[:, 5].copy(), variances.copy())
-
-    def joint_covariance(self, ids: Sequence[int] | IntArray | None = None) -> FloatArray:
-        """Covariance of the pose error and landmark positions, correlations included; see `StereoFilter`."""
-        _, index = self._wanted(ids)
-        by_map = _MODEL.points(self._map[index, :3], self._map[index, 3:]).by_map
-        J = np.concatenate([np.eye(POSE_SIZE, len(self._P)), *self._placed(by_map, index)])
-        with np.errstate(invalid="ignore", over="ignore"):
-            return symmetrised(J @ self._P @ J.T)
-
     def _use(self, observation: StereoObservation) -> UpdateReport:
         """Correct with known landmarks (Eq. 13-18), drop those not seen, add the new ones (Eq. 19-25)."""
         ids, R = observation.ids, observation.covariances(self.noise)
         known = np.isin(ids, self._ids)
-        index = np.searchsorted(self._ids, ids[known])
-        uvd, H, forward = self._linearised(index)
+        uvd, H, forward = self._linearised(np.searchsorted(self._ids, ids[known]))
         innovations = observation.uvd[known] - uvd
-        used = forward & self._believable(innovations, H, R[known])
-        nis = 0.0
+        S = H @ self._P @ H.transpose(0, 2, 1) + R[known]
+        used, nis = forward & (np.isinf(self._limit) | passes(innovations, S, self._limit)), 0.0
         if used.any():
             nis = self._correct(innovations[used].ravel(), np.concatenate(H[used]), block_diag(*R[known][used]))
         dropped = self._ids[~np.isin(self._ids, ids)]
         self.forget(dropped)
-        new = ~known & _MODEL.can_start(
-            self.camera.ray(observation.uvd) @ self._belief.state.R_wc.T, observation.uvd[:, 2]
-        )
+        h_w = self.camera.ray(observation.uvd) @ self._belief.state.R_wc.T
+        new = ~known & _MODEL.can_start(h_w, observation.uvd[:, 2])
         if new.any():
             self._add(ids[new], observation.uvd[new], R[new])
         return UpdateReport(
@@ -157,16 +130,16 @@ class FilterpyEKF(CameraFilter):
         """Estimate the error (Eq. 15-18) and move it into the state; the NIS of the innovation."""
         ekf = self._kalman_filter(len(innovation))
         ekf.update(innovation, lambda error: H, lambda error: np.zeros(len(innovation)), R)
-        state, delta = self._belief.state, ekf.x
+        state, delta, half_turn = self._belief.state, ekf.x, 0.5 * ekf.x[ROTATION]
         moved = CameraState(
             state.position + delta[POSITION],
-            _ROTATION_ERROR.retract(state.orientation, delta[ROTATION]),
+            rotations.multiply(state.orientation, np.append(half_turn, 1.0)),
             state.linear_velocity + delta[LINEAR],
             state.angular_velocity + delta[ANGULAR],
         )
-        self._map = self._map + delta[CAMERA_SIZE:].reshape(-1, LANDMARK_SIZE)
+        self._map = self._map + delta[CAMERA_SIZE:].reshape(-1, _LANDMARK)
         by_error = np.eye(len(delta))  # of the error at the moved state by that at the old one
-        by_error[ROTATION, ROTATION] = _ROTATION_ERROR.transport(delta[ROTATION])
+        by_error[ROTATION, ROTATION] = (np.eye(3) - rotations.skew(half_turn)) / (1.0 + half_turn @ half_turn)
         self._move_to(moved, by_error @ ekf.P @ by_error.T)
         return float(ekf.y @ ekf.SI @ ekf.y)
 
@@ -186,54 +159,71 @@ class FilterpyEKF(CameraFilter):
         H[:, :, ROTATION] = by_camera[:, :, :3] @ rotations.skew(h_c)
         return self.camera.project_scaled(h_c, scale), H, h_c[:, 2] > 0
 
-    def _believable(self, innovations: FloatArray, H: FloatArray, R: FloatArray) -> BoolArray:
-        """Which innovations (M, 3) pass the chi-square gate."""
-        if self._gate is None:
-            return np.ones(len(innovations), dtype=bool)
-        S = H @ self._P @ H.transpose(0, 2, 1) + R
-        distances = (innovations * np.linalg.solve(S, innovations[:, :, None])[:, :, 0]).sum(axis=1)
-        inside: BoolArray = distances <= chi2.ppf(self._gate, 3)
-        return inside
-
-    def _keep(self, index: IntArray) -> None:
-        """Only the landmarks at `index`, in that order."""
-        rows = np.concatenate([np.arange(CAMERA_SIZE), _rows(index).ravel()])
-        self._ids, self._map, self._P = self._ids[index], self._map[index], self._P[np.ix_(rows, rows)]
-
-    def _add(self, ids: IntArray, uvd: FloatArray, R: FloatArray) -> None:
-        """Enter new landmarks with their correlations to all others (Eq. 25)."""
-        position = self._belief.state.position
-        h_c, scale = self.camera.ray(uvd), uvd[:, 2] / self.camera.disparity_constant
-        R_wc = self._belief.state.R_wc
-        new = _MODEL.started(position, h_c @ R_wc.T, scale)
-        by_state = np.zeros((len(ids), LANDMARK_SIZE, len(self._P)))
-        by_state[:, :3, POSITION] = np.eye(3)  # the anchor is the camera
-        by_state[:, 3:, ROTATION] = -new.by_direction @ R_wc @ rotations.skew(h_c)
-        by_ray = (new.by_direction @ R_wc)[:, :, :2] / (self.camera.fx, self.camera.fy)
-        by_uvd = np.concatenate([by_ray, new.by_scale[:, :, None] / self.camera.disparity_constant], axis=2)
-        by_uvd = np.pad(by_uvd, ((0, 0), (3, 0), (0, 0)))
-        J, own = np.concatenate(by_state), block_diag(*(by_uvd @ R @ by_uvd.transpose(0, 2, 1)))
-        self._P = np.block([[self._P, self._P @ J.T], [J @ self._P, symmetrised(J @ self._P @ J.T + own)]])
-        self._map = np.concatenate([self._map, np.insert(new.parameters, [0, 0, 0], position, axis=1)])
-        self._ids = np.concatenate([self._ids, ids])
-        self._keep(np.argsort(self._ids))
-
     def _placed(self, by_landmark: FloatArray, index: IntArray) -> FloatArray:
         """Jacobians (M, k, 6), each by its own landmark, as Jacobians (M, k, 12 + 6 N) by all errors."""
         placed = np.zeros((*by_landmark.shape[:2], len(self._P)))
         np.put_along_axis(placed, _rows(index)[:, None, :], by_landmark, axis=2)
         return placed
 
-    def _wanted(self, ids: ArrayLike | None) -> tuple[IntArray, IntArray]:
+    def _add(self, ids: IntArray, uvd: FloatArray, R: FloatArray) -> None:
+        """Enter new landmarks with their correlations to all others (Eq. 25)."""
+        position = self._belief.state.position
+        h_c, R_wc = self.camera.ray(uvd), self._belief.state.R_wc
+        new = _MODEL.started(position, h_c @ R_wc.T, uvd[:, 2] / self.camera.disparity_constant)
+        by_ray, by_scale = new.by_direction @ R_wc, new.by_scale[:, :, None] / self.camera.disparity_constant
+        by_uvd = np.concatenate([by_ray[:, :, :2] / (self.camera.fx, self.camera.fy), by_scale], axis=2)
+        J = np.zeros((len(ids), _LANDMARK, len(self._P)))
+        J[:, :3, POSITION], J[:, 3:, ROTATION] = np.eye(3), -by_ray @ rotations.skew(h_c)  # the anchor is the camera
+        J, by_uvd = np.concatenate(J), np.pad(by_uvd, ((0, 0), (3, 0), (0, 0)))
+        own = J @ self._P @ J.T + block_diag(*(by_uvd @ R @ by_uvd.transpose(0, 2, 1)))
+        self._P = np.block([[self._P, self._P @ J.T], [J @ self._P, symmetrised(own)]])
+        self._map = np.concatenate([self._map, np.insert(new.parameters, [0, 0, 0], position, axis=1)])
+        self._ids = np.concatenate([self._ids, ids])
+        self._keep(np.argsort(self._ids))
+
+    def _keep(self, index: IntArray) -> None:
+        """Only the landmarks at `index`, in that order."""
+        rows = np.concatenate([np.arange(CAMERA_SIZE), _rows(index).ravel()])
+        self._ids, self._map, self._P = self._ids[index], self._map[index], self._P[np.ix_(rows, rows)]
+
+    def forget(self, ids: Sequence[int] | IntArray) -> None:
+        """Marginalise landmarks out; ids not in the map are ignored."""
+        self._keep(np.flatnonzero(~np.isin(self._ids, unique_ids("ids", np.asarray(ids)))))
+
+    def forecast(self, ids: Sequence[int] | IntArray | None = None) -> Forecast:
+        """Predicted (u, v, d) and S of landmarks at the current pose."""
+        wanted, index = self._wanted(ids)
+        uvd, H, forward = self._linearised(index)
+        S = H @ self._P @ H.transpose(0, 2, 1) + self.noise.R
+        return Forecast(wanted, uvd, symmetrised(S), forward & self.camera.in_view(uvd))
+
+    @property
+    def landmarks(self) -> LandmarkBelief:
+        """The map, in ascending order of ids."""
+        positions = _MODEL.points(self._map[:, :3], self._map[:, 3:]).positions
+        joint, rows = self.joint_covariance(), POSE_SIZE + np.arange(positions.size).reshape(-1, 3)
+        covariances, variances = (
+            joint[rows[:, :, None], rows[:, None, :]],
+            np.diag(self._P)[CAMERA_SIZE + 5 :: _LANDMARK],
+        )
+        return LandmarkBelief(self._ids.copy(), positions, covariances, self._map[:, 5].copy(), variances.copy())
+
+    def joint_covariance(self, ids: Sequence[int] | IntArray | None = None) -> FloatArray:
+        """Covariance of the pose error and landmark positions, correlations included; see `StereoFilter`."""
+        _, index = self._wanted(ids)
+        by_map = _MODEL.points(self._map[index, :3], self._map[index, 3:]).by_map
+        J = np.concatenate([np.eye(POSE_SIZE, len(self._P)), *self._placed(by_map, index)])
+        with np.errstate(invalid="ignore", over="ignore"):
+            return symmetrised(J @ self._P @ J.T)
+
+    def _wanted(self, ids: Sequence[int] | IntArray | None) -> tuple[IntArray, IntArray]:
         """The landmarks asked for (None: all), and where they are; refuses those that are not there."""
         wanted = self._ids if ids is None else unique_ids("ids", np.asarray(ids))
-        missing = wanted[~np.isin(wanted, self._ids)]
-        if len(missing):
+        if len(missing := np.setdiff1d(wanted, self._ids)):
             raise ValueError(f"ids must be in the map, not there: {missing[:5].tolist()}: see landmarks.ids")
         return wanted.copy(), np.searchsorted(self._ids, wanted)
 
 
 def _rows(index: IntArray) -> IntArray:
     """Rows of P of the landmarks at `index`; (M,) -> (M, 6)."""
-    rows: IntArray = CAMERA_SIZE + LANDMARK_SIZE * index[:, None] + np.arange(LANDMARK_SIZE)
-    return rows
+    return np.asarray(CAMERA_SIZE + _LANDMARK * index[:, None] + np.arange(_LANDMARK))

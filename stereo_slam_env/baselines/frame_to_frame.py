@@ -8,11 +8,17 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import chi2
 
-from filters import rotations
-from filters.camera import StereoCamera
-from filters.interface import BodyVelocity, StereoObservation, UpdateReport
-from filters.motions.model import ANGULAR, LINEAR, POSE_SIZE, POSITION, ROTATION, CameraState, MotionModel
-from filters.noise import StereoNoise
+from filters import (
+    BodyVelocity,
+    CameraState,
+    MotionModel,
+    StereoCamera,
+    StereoNoise,
+    StereoObservation,
+    UpdateReport,
+    rotations,
+)
+from filters.motions.model import ANGULAR, LINEAR, POSE_SIZE, POSITION, ROTATION
 from filters.parts import Named
 from filters.validation import FloatArray, IntArray, gate_probability, positive, unique_ids
 from stereo_slam_env.baselines.dead_reckoning import CameraBelief, CameraFilter, symmetrised
@@ -30,23 +36,12 @@ REFINEMENTS = ("stereo", "opencv")
 
 @dataclass(frozen=True, eq=False)
 class _Reference:
-    """The frame to compare the next one with.
+    """The frame to compare the next one with."""
 
-    Attributes
-    ----------
-    belief : CameraBelief
-        Of the camera then.
-    observation : StereoObservation
-        Its measurements, ascending ids.
-    R : (M, 3, 3)
-        Their covariance, px^2.
-    cross : (M, 12, 3)
-        Covariance of the camera's error with the error of each measurement: they made the step before.
-    """
-
-    belief: CameraBelief
-    observation: StereoObservation
-    R: FloatArray
+    belief: CameraBelief  # of the camera then
+    observation: StereoObservation  # its measurements, ascending ids
+    R: FloatArray  # (M, 3, 3): their covariance, px^2
+    # (M, 12, 3): covariance of the camera's error with the error of each measurement: they made the step before
     cross: FloatArray
 
 
@@ -119,12 +114,9 @@ class FrameToFrame(CameraFilter):
         gone = unique_ids("ids", np.asarray(ids))
         if self._reference is not None:
             kept = ~np.isin(self._reference.observation.ids, gone)
-            self._reference = _Reference(
-                self._reference.belief,
-                self._reference.observation.select(kept),
-                self._reference.R[kept],
-                self._reference.cross[kept],
-            )
+            before = self._reference
+            seen, R, cross = before.observation.select(kept), before.R[kept], before.cross[kept]
+            self._reference = _Reference(before.belief, seen, R, cross)
 
     def _use(self, observation: StereoObservation) -> UpdateReport:
         """Measure the step from the reference frame; the frame becomes the next reference if it can be one."""

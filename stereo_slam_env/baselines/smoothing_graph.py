@@ -14,11 +14,9 @@ from typing import Any
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from filters import rotations
-from filters.camera import StereoCamera
+from filters import BodyVelocity, CameraState, MotionModel, StereoCamera, rotations
 from filters.extras import install_command
-from filters.interface import BodyVelocity
-from filters.motions.model import POSE_SIZE, POSITION, ROTATION, CameraState, MotionModel, predict_camera
+from filters.motions.model import POSE_SIZE, POSITION, ROTATION, predict_camera
 from filters.validation import BoolArray, FloatArray, IntArray
 
 # How far a landmark may lie from where it starts, m: it decides nothing, and keeps a point whose depth is not told by
@@ -32,13 +30,7 @@ STEREO_ROWS = np.array([[1.0, 0.0, 0.0], [1.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 
 
 def load_gtsam() -> ModuleType:
-    """The gtsam module.
-
-    Raises
-    ------
-    ValueError
-        It is not installed.
-    """
+    """The gtsam module; a `ValueError` where it is not installed."""
     try:
         import gtsam
     except ImportError as error:
@@ -49,22 +41,12 @@ def load_gtsam() -> ModuleType:
 
 @dataclass(frozen=True, eq=False)
 class Sightings:
-    """Measurements of landmarks, flat.
+    """Measurements of landmarks, flat."""
 
-    Attributes
-    ----------
-    pose : (M,) int64
-        Numbers of the poses they were taken from.
-    track : (M,) int64
-        Numbers of the tracks they belong to; a track is a landmark.
-    uvd, R : (M, 3), (M, 3, 3)
-        Measurements and their covariances, px.
-    """
-
-    pose: IntArray
-    track: IntArray
-    uvd: FloatArray
-    R: FloatArray
+    pose: IntArray  # (M,): numbers of the poses they were taken from
+    track: IntArray  # (M,): numbers of the tracks they belong to; a track is a landmark
+    uvd: FloatArray  # (M, 3): measurements, px
+    R: FloatArray  # (M, 3, 3): their covariances, px^2
 
     @classmethod
     def joined(cls, parts: Sequence[Sightings]) -> Sightings:
@@ -78,40 +60,21 @@ class Sightings:
 
 @dataclass(frozen=True, eq=False)
 class Smoothed:
-    """All poses given all measurements: one for `reset` and one for each `predict`.
+    """All poses given all measurements: one for `reset` and one for each `predict`."""
 
-    Attributes
-    ----------
-    positions : (K, 3)
-        r^WC, m.
-    orientations : (K, 4)
-        q^WC, xyzw.
-    chi_square : float
-        Twice the final cost.
-    degrees_of_freedom : int
-        Residuals minus unknowns: `chi_square` is about as large where model and noise are right. A larger one tells a
-        wrong noise, outliers, or a false minimum.
-    """
-
-    positions: FloatArray
-    orientations: FloatArray
-    chi_square: float
+    positions: FloatArray  # (K, 3): r^WC, m
+    orientations: FloatArray  # (K, 4): q^WC, xyzw
+    chi_square: float  # twice the final cost
+    # Residuals minus unknowns: `chi_square` is about as large where model and noise are right. A larger one tells a
+    # wrong noise, outliers, or a false minimum.
     degrees_of_freedom: int
 
 
 class SmoothingGraph:
     """Factors and the best values so far of all poses and landmarks.
 
-    Parameters
-    ----------
-    camera : StereoCamera
-        The rig.
-    start : CameraState
-        Of pose 0.
-    P : (12, 12)
-        Its covariance; how pose and velocity correlate at the start is not used.
-    tail_dof : float, optional
-        Measurements count by Cauchy's loss of this width squared, in standard deviations. None: by their square.
+    Pose 0 is at `start` with covariance `P` (12, 12); how its pose and velocity correlate is not used. With `tail_dof`
+    measurements count by Cauchy's loss of that width squared, in standard deviations, without by their square.
     """
 
     def __init__(self, camera: StereoCamera, start: CameraState, P: FloatArray, tail_dof: float | None = None) -> None:
@@ -195,19 +158,10 @@ class SmoothingGraph:
         self._time_steps.append(dt)
 
     def add_sightings(self, seen: Sightings, located: Mapping[int, tuple[int, FloatArray]]) -> Sightings:
-        """Measurements of landmarks that are in the graph, or can enter it.
+        """Add the measurements of landmarks that are in the graph, or can enter it; returns those that have to wait.
 
-        Parameters
-        ----------
-        seen : Sightings
-            What is new.
-        located : mapping
-            Of tracks whose depth is known: the number of a pose, and where it sees them, (3,) m.
-
-        Returns
-        -------
-        Sightings
-            Those that have to wait: the landmark has no depth yet, or would lie behind a camera that saw it.
+        `located` says of tracks whose depth is known the number of a pose, and where it sees them, (3,) m. The
+        landmarks of the others have no depth yet, or would lie behind a camera that saw them.
         """
         cameras = np.array([self._values.atPose3(self._pose_key(k)).matrix() for k in range(self.last + 1)])
         waits = np.zeros(len(seen.track), dtype=bool)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import logging
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -15,7 +15,7 @@ from filters.camera import StereoCamera
 from filters.common_options import make_with_common_options
 from filters.noise import StereoNoise
 from stereo_slam_env.benchmark.running.backends import Backend, BackendName
-from stereo_slam_env.benchmark.running.tasks import RecordingTask, TrialTask, make, run_trial
+from stereo_slam_env.benchmark.running.tasks import Task, make, run_trial
 from stereo_slam_env.benchmark.scenarios.scenario import (
     FilterChoice,
     PolicyChoice,
@@ -171,13 +171,7 @@ def run_checked(
 
 
 def as_study(what: Study | Scenario | str | Path, *, data: str | Path | None = None, allow_code: bool = False) -> Study:
-    """Study from itself, a scenario, the name of a preset or a file.
-
-    Raises
-    ------
-    ValueError
-        No such preset or file, or the file is wrong.
-    """
+    """Study from itself, a scenario, the name of a preset or a file; raises as `load_study` and `preset_study`."""
     if isinstance(what, Study):
         return what
     if isinstance(what, Scenario):
@@ -221,7 +215,10 @@ def check_filters(scenario: Scenario) -> None:
 def _run_missing(cells: Sequence[RunDirectory], backend: Backend, progress: Progress) -> None:
     """Make what is missing and keep each result as soon as it is there."""
     missing = [(number, seed, choice) for number, run in enumerate(cells) for seed, choice in run.missing()]
-    to_record = _recordings_to_make(cells, [(n, seed) for n, seed, choice in missing if not _drives(choice)])
+    to_record: dict[Path, tuple[int, int | None]] = {}  # once for all cells that share a recording
+    for number, seed, choice in missing:
+        if not _drives(choice) and not cells[number].recording_is_made(seed):
+            to_record.setdefault(cells[number].recording_path(seed), (number, seed))
     wanted = sum(len(run.seeds) * (len(run.scenario.competitors) + run.scenario.has_bound) for run in cells)
     total = wanted + len(to_record)
     done = wanted - len(missing)
@@ -232,18 +229,18 @@ def _run_missing(cells: Sequence[RunDirectory], backend: Backend, progress: Prog
     def within(frames: int, of: int) -> None:
         tell(frames / of)
 
-    def trials() -> Iterator[TrialTask]:
+    def trials() -> Iterator[Task]:
         for number, seed, choice in missing:
             run = cells[number]
             recording = None if _drives(choice) else run.recording_path(seed).read_bytes()
-            yield TrialTask(number, run.scenario, seed, choice, recording, run.provenance(seed, choice))
+            yield Task(number, run.scenario, seed, choice, recording, run.provenance(seed, choice))
 
     tell()
     if not missing:
         return
     with backend.started() as run_all:
         told = within if backend.in_this_process else None
-        recordings = [RecordingTask(number, cells[number].scenario, seed) for number, seed in to_record]
+        recordings = [Task(number, cells[number].scenario, seed) for number, seed in to_record.values()]
         # The only one is made here: a real drive has often been read by this process already (see `sources`).
         alone = len(recordings) == 1
         for made in (map if alone else run_all)(partial(make, progress=within if alone else told), recordings):
@@ -262,15 +259,3 @@ def _run_missing(cells: Sequence[RunDirectory], backend: Backend, progress: Prog
 def _drives(choice: FilterChoice | None) -> bool:
     """Whether a policy makes the recording of the trial itself."""
     return choice is not None and choice.policy is not None
-
-
-def _recordings_to_make(
-    cells: Sequence[RunDirectory], needed: Iterable[tuple[int, int | None]]
-) -> list[tuple[int, int | None]]:
-    """Cell and seed of each recording that is not there yet, once for all cells that share it."""
-    todo: dict[Path, tuple[int, int | None]] = {}
-    for number, seed in needed:
-        run = cells[number]
-        if run.recording_path(seed) not in todo and not run.recording_is_made(seed):
-            todo[run.recording_path(seed)] = number, seed
-    return list(todo.values())

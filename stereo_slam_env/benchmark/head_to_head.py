@@ -17,8 +17,9 @@ from stereo_slam_env.benchmark.scenarios.scenario import Scenario, filter_choice
 from stereo_slam_env.benchmark.scenarios.streams import make_recording
 from stereo_slam_env.benchmark.scenarios.study import preset
 from stereo_slam_env.benchmark.statistics.differences import Difference, ShareDifference, share_difference, signed
-from stereo_slam_env.benchmark.statistics.measures import DIVERGED, MEASURES, POSITION, Measure, finding_words
+from stereo_slam_env.benchmark.statistics.measures import DIVERGED, MEASURES, POSITION, change_words, difference_between
 from stereo_slam_env.benchmark.statistics.verdict import Consistency, consistency, pose_nees
+from stereo_slam_env.evaluation.figures import Figure
 from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
 from stereo_slam_env.evaluation.run_figures import RunFigures, common_keys, figures_of, summarise_all
@@ -47,39 +48,27 @@ def which_seeds(seeds: int | Sequence[int]) -> tuple[int, ...]:
 
 @dataclass(frozen=True)
 class HeadToHead:
-    """A filter against a reference on the same recordings; its assertions say the figures when they fail.
+    """A filter against a reference on the same recordings; its assertions say the figures when they fail."""
 
-    Attributes
-    ----------
-    summary, reference : FilterSummary
-        Of the filter, and of what it is held against.
-    runs : tuple of FilterRun
-        Runs of the filter, one for each recording.
-    figures, reference_figures : RunFigures
-        Figures of the runs of both.
-    title : str
-        What they ran on.
-    """
-
+    # Of the filter, and of what it is held against.
     summary: FilterSummary
     reference: FilterSummary
-    runs: tuple[FilterRun, ...]
+    runs: tuple[FilterRun, ...]  # runs of the filter, one for each recording
+    # Figures of the runs of both.
     figures: RunFigures
     reference_figures: RunFigures
     title: str
 
-    def difference(self, measure: Measure = POSITION) -> Difference:
+    def difference(self, measure: Figure = POSITION) -> Difference:
         """Difference by which a measure of the filter is worse than that of the reference."""
-        keys = common_keys(self.figures, self.reference_figures)
-        ours, theirs = (measure.by_run(side, keys) for side in (self.figures, self.reference_figures))
-        return measure.difference(ours, theirs)
+        return difference_between(self.figures, self.reference_figures, measure)
 
     def divergences(self) -> ShareDifference:
         """Whether the filter diverges in more recordings than the reference."""
         keys = common_keys(self.figures, self.reference_figures)
         return share_difference(self.figures.diverged(keys), self.reference_figures.diverged(keys))
 
-    def assert_not_worse(self, percent: float = 5.0, *, measure: Measure = POSITION) -> None:
+    def assert_not_worse(self, percent: float = 5.0, *, measure: Figure = POSITION) -> None:
         """Assert that an error is shown to be at most `percent` larger than that of the reference.
 
         The whole 95 % interval of the paired difference must lie below `percent`: few runs, or runs that scatter, show
@@ -96,7 +85,7 @@ class HeadToHead:
         if difference.not_worse_than(percent):
             return
         name, other = self.summary.filter_name, self.reference.filter_name
-        found = f"its {measure.words} is at {signed(difference.percent, 1)} % ({difference.evidence})"
+        found = f"its {measure.label} is at {signed(difference.percent, 1)} % ({difference.evidence})"
         if difference.interval_percent is not None and difference.interval_percent[0] > percent:
             raise AssertionError(f"{name} is worse than {other} by more than {percent:g} %: {found}.\n{self}")
         seeds = difference.pairs_to_show(percent)
@@ -105,14 +94,14 @@ class HeadToHead:
             f"{name} is not shown to be at most {percent:g} % worse than {other}: {found}.{remedy}\n{self}"
         )
 
-    def assert_better(self, *, measure: Measure = POSITION) -> None:
+    def assert_better(self, *, measure: Figure = POSITION) -> None:
         """Assert that an error is shown to be smaller than that of the reference, by interval and signed-rank test."""
         __tracebackhide__ = True  # pytest then shows the test, not this
         self.assert_completed()
         difference = self.difference(measure)
         name, other = self.summary.filter_name, self.reference.filter_name
         if not (difference.shown and difference.estimate < 0.0):
-            found = f"its {measure.words} is at {signed(difference.percent, 1)} % ({difference.evidence})"
+            found = f"its {measure.label} is at {signed(difference.percent, 1)} % ({difference.evidence})"
             raise AssertionError(f"{name} is not shown to be better than {other}: {found}.\n{self}")
 
     def assert_consistent(self, *, or_cautious: bool = False) -> None:
@@ -154,11 +143,11 @@ class HeadToHead:
         for measure in MEASURES:
             values = [measure.of(side) for side in sides]
             if not all(value != value for value in values):
-                unit = f", {measure.unit}" if measure.unit else ""
-                words = finding_words(measure, self.difference(measure))
-                rows.append((f"{measure.words}{unit}", *(f"{value:.4g}" for value in values), words))
+                found = self.difference(measure)
+                words = f"{found.finding.value}: " * found.shown + change_words(measure, found)
+                rows.append((measure.title, *(f"{value:.4g}" for value in values), words))
         diverged = (f"{side.diverged} of {side.runs}" for side in sides)
-        rows.append((DIVERGED.words, *diverged, self.divergences().finding.value))
+        rows.append((DIVERGED.label, *diverged, self.divergences().finding.value))
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
         lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
         lines += [f"note: {remark}" for side in sides for remark in side.remarks]
@@ -208,11 +197,6 @@ class Bench:
             How many recordings, or which.
         options, against_options : mapping, optional
             Options of the two, JSON-able; None: those of the benchmark.
-
-        Raises
-        ------
-        ValueError
-            An unknown filter, option or preset, or a source that cannot be used.
         """
         on = QUICK if scenario is None else preset(scenario) if isinstance(scenario, str) else scenario
         which = which_seeds(self.seeds if seeds is None else seeds)

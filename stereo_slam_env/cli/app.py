@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -15,7 +15,7 @@ from stereo_slam_env.cli import scenes as cli_scenes
 from stereo_slam_env.cli import studies as cli_studies
 from stereo_slam_env.cli import train as cli_train
 from stereo_slam_env.cli import view as cli_view
-from stereo_slam_env.cli.parts import Interrupted, console, help_without_command, one_line_errors, refuse, show_place
+from stereo_slam_env.cli.parts import Interrupted, console, group, refuse, show_lines, show_place
 
 INTERRUPTED = 130
 
@@ -25,9 +25,9 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-filters_app = typer.Typer(help="The filters: ours and installed third-party ones.")
+filters_app = group("The filters: ours and installed third-party ones.")
 app.add_typer(filters_app, name="filters")
-policies_app = typer.Typer(help="The policies, which decide where to look: ours and installed third-party ones.")
+policies_app = group("The policies, which decide where to look: ours and installed third-party ones.")
 app.add_typer(policies_app, name="policies")
 app.add_typer(cli_scenes.app, name="scenes")
 app.command()(cli_bench.bench)
@@ -50,6 +50,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         typer.echo(f"interrupted: {stopped.kept} finished trials are kept in {stopped.directory}", err=True)
         typer.echo(f"to go on: stereo-slam {shlex.join(resume)}", err=True)
         return INTERRUPTED
+    except (ValueError, OSError, ImportError) as error:  # wrong input is the user's business, not a crash
+        return refuse(str(error))
     except Exception as error:
         # Usage errors of typer have no public base class in every version; what they share is this method.
         explain = getattr(error, "format_message", None)
@@ -73,17 +75,8 @@ def _start(
         except PackageNotFoundError:
             typer.echo("stereo-slam (not installed, run from source)")
         raise typer.Exit()
-    help_without_command(context)
-
-
-@filters_app.callback(invoke_without_command=True)
-def _filters(context: typer.Context) -> None:
-    help_without_command(context)
-
-
-@policies_app.callback(invoke_without_command=True)
-def _policies(context: typer.Context) -> None:
-    help_without_command(context)
+    if context.invoked_subcommand is None:
+        typer.echo(context.get_help())
 
 
 @app.command()
@@ -97,21 +90,20 @@ def report(
     ] = None,
 ) -> None:
     """Write tables and report of a finished run again; with a second run, say what changed significantly."""
-    with one_line_errors():
-        from stereo_slam_env.benchmark.storage.store import read_study, root_of
-        from stereo_slam_env.files.folders import claimed_folder
-        from stereo_slam_env.report.benchmark_report import write_report_of
-        from stereo_slam_env.report.console import show_cells
+    from stereo_slam_env.benchmark.storage.store import read_study, root_of
+    from stereo_slam_env.files.folders import claimed_folder
+    from stereo_slam_env.report.benchmark_report import write_report_of
+    from stereo_slam_env.report.console import show_cells
 
-        if after is not None:
-            _compare(directory, after, out)
-            return
-        study = read_study(directory)
-        with claimed_folder(root_of(study.out)):
-            results = study.write_results()
-            page = write_report_of(study, results)
-        show_cells(console(), results)
-        show_place(page)
+    if after is not None:
+        _compare(directory, after, out)
+        return
+    study = read_study(directory)
+    with claimed_folder(root_of(study.out)):
+        results = study.write_results()
+        page = write_report_of(study, results)
+    show_cells(console(), results)
+    show_place(page)
 
 
 def _compare(before: Path, after: Path, out: Path | None) -> None:
@@ -130,33 +122,25 @@ def list_filters() -> None:
     """Names of all filters, with one line on each."""
     from filters import available_filters
 
-    _list(available_filters())
+    show_lines(available_filters())
 
 
 @policies_app.command("list")
 def list_policies() -> None:
     """Names of all policies, with one line on each."""
-    with one_line_errors():
-        from stereo_slam_env.policies import available_policies
+    from stereo_slam_env.policies import available_policies
 
-        _list(available_policies())
-
-
-def _list(lines: Mapping[str, str]) -> None:
-    width = max(map(len, lines))
-    for name, line in lines.items():
-        typer.echo(f"{name:<{width}}  {line}")
+    show_lines(available_policies())
 
 
 @filters_app.command("check")
 def check(name: Annotated[str, typer.Argument(help="Name of a filter.")]) -> None:
     """Check that a filter keeps the contract; exit code 1 if it does not."""
-    with one_line_errors():
-        from filters import make_filter
-        from filters.conformance import REFERENCE_CAMERA, REFERENCE_NOISE, check_filter
+    from filters import make_filter
+    from filters.conformance import REFERENCE_CAMERA, REFERENCE_NOISE, check_filter
 
-        make_filter(name, camera=REFERENCE_CAMERA, noise=REFERENCE_NOISE)
-        result = check_filter(name, raise_on_failure=False)
-        typer.echo(str(result))
+    make_filter(name, camera=REFERENCE_CAMERA, noise=REFERENCE_NOISE)
+    result = check_filter(name, raise_on_failure=False)
+    typer.echo(str(result))
     if result.failed:
         raise typer.Exit(1)

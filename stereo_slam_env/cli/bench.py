@@ -2,80 +2,144 @@
 
 from __future__ import annotations
 
-import datetime
 import errno
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
-from stereo_slam_env.cli.parts import Interrupted, console, listed, one_line_errors, rig_from, show_place
+from stereo_slam_env.cli.parts import (
+    FiltersOption,
+    Interrupted,
+    JobsOption,
+    OutOption,
+    console,
+    listed,
+    new_directory,
+    rig_from,
+    show_lines,
+    show_place,
+    with_options,
+)
 
 if TYPE_CHECKING:
     from stereo_slam_env.benchmark import FilterChoice, PolicyChoice, Scenario, Study
     from stereo_slam_env.benchmark.storage.store import StudyDirectory
 
 Choice = TypeVar("Choice", "FilterChoice", "PolicyChoice")
-FiltersOption = Annotated[
-    str | None,
-    typer.Option(
-        "--filters", help="Names, or tables such as {name = 'hybrid', options = {gate = 0.9}}.", metavar="A,B"
-    ),
-]
-PolicyOption = Annotated[
-    str | None,
-    typer.Option(
-        "--policy",
-        "--policies",
-        help="Who looks, separated by commas (preset 'gaze' unless said); see 'policies list'.",
-        metavar="A,B",
-    ),
-]
-FramesOption = Annotated[int | None, typer.Option("--frames", help="Cut after so many frames.", min=2)]
-JobsOption = Annotated[int, typer.Option("--jobs", help="Processes, one BLAS thread each.", min=1)]
-OutOption = Annotated[
-    Path | None, typer.Option("--out", help="Run directory; an interrupted run in it is resumed.", show_default="new")
-]
-BackendOption = Annotated[
-    str, typer.Option("--backend", help="Where trials run: 'processes' here, or on a cluster with 'ray' or 'dask'.")
-]
-AddressOption = Annotated[
-    str | None,
-    typer.Option("--address", help="Scheduler of the Ray or Dask cluster.", show_default="one on this machine"),
-]
-SigmaOption = Annotated[
-    float | None,
-    typer.Option(
-        "--sigma-px", "--sigma", help="Pixel noise the filters assume, px.", show_default="what the recording says"
-    ),
-]
-RigOption = Annotated[
-    str | None,
-    typer.Option(
-        "--rig",
-        help="Rig of simulated drives: 'reference', 'vga', 'qvga'; or numbers: baseline=0.2 or vga,baseline=0.2.",
-        show_default="what the scenario says",
-    ),
-]
-SearchOption = Annotated[
-    str | None,
-    typer.Option(
-        "--search",
-        help="In images: 'flow', the same tracks for all, or 'forecast', guided by each filter (the paper's way).",
-        show_default="flow",
-    ),
-]
-RecordOption = Annotated[
-    Path | None, typer.Option("--record", help="Write the search in the images to a film, OUT.mp4.", metavar="OUT.mp4")
-]
-GateOption = Annotated[
-    str | None, typer.Option("--gate", help="Gate, a probability per landmark, or 'none'.", show_default="0.99")
-]
 
 
+@dataclass
+class RunOptions:
+    """Options of the commands that run filters."""
+
+    filters: FiltersOption = None
+    frames: Annotated[int | None, typer.Option("--frames", help="Cut after so many frames.", min=2)] = None
+    jobs: JobsOption = 2
+    out: OutOption = None
+    sigma_px: Annotated[
+        float | None,
+        typer.Option(
+            "--sigma-px", "--sigma", help="Pixel noise the filters assume, px.", show_default="what the recording says"
+        ),
+    ] = None
+    gate: Annotated[
+        str | None, typer.Option("--gate", help="Gate, a probability per landmark, or 'none'.", show_default="0.99")
+    ] = None
+    search: Annotated[
+        str | None,
+        typer.Option(
+            "--search",
+            help="In images: 'flow', the same tracks for all, or 'forecast', guided by each filter (the paper's way).",
+            show_default="flow",
+        ),
+    ] = None
+    record: Annotated[
+        Path | None,
+        typer.Option("--record", help="Write the search in the images to a film, OUT.mp4.", metavar="OUT.mp4"),
+    ] = None
+    backend: Annotated[
+        str, typer.Option("--backend", help="Where trials run: 'processes' here, or on a cluster with 'ray' or 'dask'.")
+    ] = "processes"
+    address: Annotated[
+        str | None,
+        typer.Option("--address", help="Scheduler of the Ray or Dask cluster.", show_default="one on this machine"),
+    ] = None
+
+    def adjusted(self, scenario: Scenario) -> Scenario:
+        """The scenario with these options in place of its own."""
+        from stereo_slam_env.benchmark.scenarios.scenario import filter_choice
+
+        changes: dict[str, Any] = {}
+        if self.filters is not None:
+            changes["filters"] = _chosen("--filters", self.filters, scenario.filters, filter_choice)
+        if self.frames is not None:
+            changes["frames"] = self.frames
+        if self.sigma_px is not None:
+            changes["noise"] = {"independent_pixels": self.sigma_px}
+        if self.gate is not None:
+            changes["gate"] = _gate(self.gate)
+            changes["consensus"] = scenario.consensus and changes["gate"] is not None
+        if self.search is not None:
+            changes["search"] = self.search
+        return replace(scenario, **changes)
+
+    def directory(self, study: Study) -> StudyDirectory:
+        """The run directory, once it is known that it can be used for this study."""
+        from stereo_slam_env.benchmark.storage.store import prepared_study
+
+        return prepared_study(self.out or new_directory(study.name), study)
+
+    @contextmanager
+    def film(self, title: str) -> Iterator[Callable[[Scenario], None]]:
+        """Film of the search in the images of a scenario, if that was asked for; a wrong file is known first."""
+        if self.record is None:
+            yield lambda scenario: None
+            return
+        from stereo_slam_env.benchmark.running.tasks import watch_search
+        from stereo_slam_env.report.console import progress_bar
+        from stereo_slam_env.viewer.search_view import search_film
+
+        with search_film(title, self.record) as watch:
+
+            def show(scenario: Scenario) -> None:
+                with progress_bar(console(stderr=True), "pairs") as progress:
+                    watch_search(scenario, watch, progress)
+
+            yield show
+        typer.echo(f"film: {self.record.resolve()}")
+
+    def run(self, directory: StudyDirectory) -> None:
+        """Run, show the table, and say where everything is; when interrupted, say how to go on."""
+        from stereo_slam_env.benchmark.campaign import run_checked
+        from stereo_slam_env.benchmark.recordings.source import checked
+        from stereo_slam_env.benchmark.running.backends import Backend, BackendName
+        from stereo_slam_env.report.benchmark_report import write_report_of
+        from stereo_slam_env.report.console import progress_bar, show_cells, show_study
+
+        workers = Backend(checked("backend", self.backend, BackendName), self.jobs, self.address)
+        show_study(console(), directory.study)
+        try:
+            with progress_bar(console(stderr=True), "steps") as progress:
+                result = run_checked(directory, workers, progress, write_report_of)
+        except KeyboardInterrupt:
+            raise Interrupted(directory.out) from None
+        except OSError as error:
+            if error.errno != errno.ENOSPC:
+                raise
+            kept = Interrupted(directory.out).kept
+            raise OSError(
+                f"the disk is full: {kept} finished trials are kept in {directory.out}; make room and run the same "
+                f"command again with --out {directory.out}"
+            ) from error
+        show_cells(console(), result.cells)
+        show_place(result.report or result.out)
+
+
+@with_options(RunOptions, "options")
 def bench(
     preset: Annotated[
         str | None, typer.Option("--preset", help="A ready-made scenario, see --list.", show_default="quick")
@@ -83,14 +147,16 @@ def bench(
     scenario: Annotated[
         Path | None, typer.Option("--scenario", help="A scenario file of your own, TOML, perhaps a grid.")
     ] = None,
-    filters: FiltersOption = None,
-    policy: PolicyOption = None,
+    policy: Annotated[
+        str | None,
+        typer.Option(
+            "--policy",
+            "--policies",
+            help="Who looks, separated by commas (preset 'gaze' unless said); see 'policies list'.",
+            metavar="A,B",
+        ),
+    ] = None,
     seeds: Annotated[int | None, typer.Option("--seeds", help="Number of recordings, seeds 0, 1, ...", min=1)] = None,
-    frames: FramesOption = None,
-    jobs: JobsOption = 2,
-    out: OutOption = None,
-    sigma_px: SigmaOption = None,
-    gate: GateOption = None,
     odometry: Annotated[
         bool | None, typer.Option("--odometry/--no-odometry", help="Give the filters the odometry.")
     ] = None,
@@ -108,138 +174,106 @@ def bench(
             "--renderer", help="Who draws the images: 'tiny', everywhere, or 'gl', fast.", show_default="tiny"
         ),
     ] = None,
-    rig: RigOption = None,
-    search: SearchOption = None,
-    record: RecordOption = None,
+    rig: Annotated[
+        str | None,
+        typer.Option(
+            "--rig",
+            help="Rig of simulated drives: 'reference', 'vga', 'qvga'; or numbers: baseline=0.2 or vga,baseline=0.2.",
+            show_default="what the scenario says",
+        ),
+    ] = None,
     data: Annotated[
         Path | None,
         typer.Option("--data", help="Folder of the real recordings a scenario asks for.", envvar="STEREO_SLAM_DATA"),
     ] = None,
-    backend: BackendOption = "processes",
-    address: AddressOption = None,
     allow_code: Annotated[
         bool,
         typer.Option("--allow-code", help="Let a scenario of kind 'factory' run the function that its file names."),
     ] = False,
     show_list: Annotated[bool, typer.Option("--list", help="List the ready-made scenarios and stop.")] = False,
+    *,
+    options: RunOptions,
 ) -> None:
     """Compare filters, or policies that decide where to look: scenarios x filters x seeds, one report."""
-    with one_line_errors():
-        from stereo_slam_env.benchmark import load_study, preset_study, presets
-        from stereo_slam_env.benchmark.campaign import check_study
-        from stereo_slam_env.benchmark.recordings.source import Renderer, checked
-        from stereo_slam_env.benchmark.scenarios.scenario import Sensor, policy_choice
+    from stereo_slam_env.benchmark import load_study, preset_study, presets
+    from stereo_slam_env.benchmark.campaign import check_study
+    from stereo_slam_env.benchmark.recordings.source import Renderer, checked
+    from stereo_slam_env.benchmark.scenarios.scenario import Sensor, policy_choice
 
-        if show_list:
-            for name, description in presets().items():
-                typer.echo(f"{name:<16} {description}")
-            return
-        if preset is not None and scenario is not None:
-            raise ValueError("--preset and --scenario exclude each other: give one of them")
-        usual = "quick" if policy is None else "gaze"
-        if scenario is not None:
-            study = load_study(scenario, data=data, allow_code=allow_code)
-        else:
-            study = preset_study(preset or usual, data=data)
+    if show_list:
+        show_lines(presets())
+        return
+    if preset is not None and scenario is not None:
+        raise ValueError("--preset and --scenario exclude each other: give one of them")
+    usual = "quick" if policy is None else "gaze"
+    if scenario is not None:
+        study = load_study(scenario, data=data, allow_code=allow_code)
+    else:
+        study = preset_study(preset or usual, data=data)
 
-        measured: Sensor | None = checked("--sensor", sensor, Sensor | None)
-        drawn: Renderer | None = checked("--renderer", renderer, Renderer | None)
+    measured: Sensor | None = checked("--sensor", sensor, Sensor | None)
+    drawn: Renderer | None = checked("--renderer", renderer, Renderer | None)
 
-        def adjusted(one: Scenario) -> Scenario:
-            changes: dict[str, Any] = {} if seeds is None else {"seeds": range(seeds)}
-            if odometry is not None:
-                changes["use_odometry"] = odometry
-            if policy is not None:
-                changes["policies"] = _chosen("--policy", policy, one.policies, policy_choice)
-            one = replace(one, **changes).with_sensor(measured, drawn)
-            return _adjusted(one, filters, frames, sigma_px, gate, search)
+    def adjusted(one: Scenario) -> Scenario:
+        changes: dict[str, Any] = {} if seeds is None else {"seeds": range(seeds)}
+        if odometry is not None:
+            changes["use_odometry"] = odometry
+        if policy is not None:
+            changes["policies"] = _chosen("--policy", policy, one.policies, policy_choice)
+        one = replace(one, **changes).with_sensor(measured, drawn)
+        return options.adjusted(one)
 
-        study = study.with_scenarios(adjusted)
-        if rig is not None:
-            study = study.with_rig(rig_from(rig))
-        check_study(study)
-        directory = _ready(study, out)
-        with _film(study.name, record) as show:
-            show(study.cells[0].scenario)
-        _run(directory, jobs, backend, address)
+    study = study.with_scenarios(adjusted)
+    if rig is not None:
+        study = study.with_rig(rig_from(rig))
+    check_study(study)
+    directory = options.directory(study)
+    with options.film(study.name) as show:
+        show(study.cells[0].scenario)
+    options.run(directory)
 
 
+@with_options(RunOptions, "options")
 def replay(
     path: Annotated[
         str, typer.Argument(help="Folder of a real recording (known by its files), or 'gtsam' for the wheel's example.")
     ],
-    filters: FiltersOption = None,
-    out: OutOption = None,
     odometry: Annotated[bool, typer.Option("--odometry/--no-odometry", help="Use it where there is any.")] = True,
-    sigma_px: SigmaOption = None,
-    gate: GateOption = None,
     consensus: Annotated[
         bool | None,
         typer.Option("--consensus/--no-consensus", help="Joint test over each frame.", show_default="with a gate"),
     ] = None,
-    frames: FramesOption = None,
-    jobs: JobsOption = 2,
-    search: SearchOption = None,
-    record: RecordOption = None,
-    backend: BackendOption = "processes",
-    address: AddressOption = None,
     skip_broken: Annotated[
         bool, typer.Option("--skip-broken", help="Leave out pairs with missing or damaged images, and count them.")
     ] = False,
+    *,
+    options: RunOptions,
 ) -> None:
     """Run filters over a real drive, of tracks or of images."""
-    with one_line_errors():
-        from stereo_slam_env.benchmark import Scenario, Study
-        from stereo_slam_env.benchmark.campaign import check_study
-        from stereo_slam_env.benchmark.recordings.sources import DatasetSource
-        from stereo_slam_env.benchmark.scenarios.streams import make_recording
-        from stereo_slam_env.report.console import progress_bar, show_recording
+    from stereo_slam_env.benchmark import Scenario, Study
+    from stereo_slam_env.benchmark.campaign import check_study
+    from stereo_slam_env.benchmark.recordings.sources import DatasetSource
+    from stereo_slam_env.benchmark.scenarios.streams import make_recording
+    from stereo_slam_env.report.console import progress_bar, show_recording
 
-        where = path if path.partition(":")[0] == "gtsam" else str(Path(path).resolve())
-        source = DatasetSource(where, {"on_broken": "skip"} if skip_broken else {})
-        name = f"replay-{Path(where).name.replace(':', '-')}"
-        # No bound: the true noise is not known.
-        scenario = Scenario(name, source, use_odometry=odometry, metrics=("map",))
-        scenario = _adjusted(scenario, filters, frames, sigma_px, gate, search)
-        joint = scenario.gate is not None if consensus is None else consensus
-        scenario = replace(scenario, consensus=joint)
-        check_study(Study.of(scenario))
-        with _film(scenario.name, record) as show:
-            with progress_bar(console(stderr=True), "pairs") as progress:
-                recording = make_recording(scenario, None, progress)
-            show_recording(console(), recording)
-            # What is stored must be what happened.
-            if not any(frame.odometry is not None for frame in recording.frames):
-                scenario = replace(scenario, use_odometry=False)
-            directory = _ready(Study.of(scenario), out)
-            show(scenario)
-        _run(directory, jobs, backend, address)
-
-
-def _adjusted(
-    scenario: Scenario,
-    filters: str | None,
-    frames: int | None,
-    sigma_px: float | None,
-    gate: str | None,
-    search: str | None,
-) -> Scenario:
-    """The scenario with the options of the command line in place of its own."""
-    from stereo_slam_env.benchmark.scenarios.scenario import filter_choice
-
-    changes: dict[str, Any] = {}
-    if filters is not None:
-        changes["filters"] = _chosen("--filters", filters, scenario.filters, filter_choice)
-    if frames is not None:
-        changes["frames"] = frames
-    if sigma_px is not None:
-        changes["noise"] = {"independent_pixels": sigma_px}
-    if gate is not None:
-        changes["gate"] = _gate(gate)
-        changes["consensus"] = scenario.consensus and changes["gate"] is not None
-    if search is not None:
-        changes["search"] = search
-    return replace(scenario, **changes)
+    where = path if path.partition(":")[0] == "gtsam" else str(Path(path).resolve())
+    source = DatasetSource(where, {"on_broken": "skip"} if skip_broken else {})
+    name = f"replay-{Path(where).name.replace(':', '-')}"
+    # No bound: the true noise is not known.
+    scenario = options.adjusted(Scenario(name, source, use_odometry=odometry, metrics=("map",)))
+    joint = scenario.gate is not None if consensus is None else consensus
+    scenario = replace(scenario, consensus=joint)
+    check_study(Study.of(scenario))
+    with options.film(scenario.name) as show:
+        with progress_bar(console(stderr=True), "pairs") as progress:
+            recording = make_recording(scenario, None, progress)
+        show_recording(console(), recording)
+        # What is stored must be what happened.
+        if not any(frame.odometry is not None for frame in recording.frames):
+            scenario = replace(scenario, use_odometry=False)
+        directory = options.directory(Study.of(scenario))
+        show(scenario)
+    options.run(directory)
 
 
 def _chosen(
@@ -258,58 +292,3 @@ def _gate(text: str) -> float | None:
         return float(text)
     except ValueError:
         raise ValueError(f"--gate must be a probability between 0 and 1, or 'none', got {text!r}") from None
-
-
-def _ready(study: Study, out: Path | None) -> StudyDirectory:
-    """The run directory, once it is known that it can be used for this study."""
-    from stereo_slam_env.benchmark.storage.store import prepared_study
-
-    stamp = datetime.datetime.now().strftime("%Y%m%d-%H%M%S")
-    return prepared_study(Path("runs") / f"{study.name}-{stamp}" if out is None else out, study)
-
-
-@contextmanager
-def _film(title: str, record: Path | None) -> Iterator[Callable[[Scenario], None]]:
-    """Film of the search in the images of a scenario, if that was asked for; a wrong file is known first."""
-    if record is None:
-        yield lambda scenario: None
-        return
-    from stereo_slam_env.benchmark.running.tasks import watch_search
-    from stereo_slam_env.report.console import progress_bar
-    from stereo_slam_env.viewer.search_view import search_film
-
-    with search_film(title, record) as watch:
-
-        def show(scenario: Scenario) -> None:
-            with progress_bar(console(stderr=True), "pairs") as progress:
-                watch_search(scenario, watch, progress)
-
-        yield show
-    typer.echo(f"film: {record.resolve()}")
-
-
-def _run(directory: StudyDirectory, jobs: int, backend: str, address: str | None) -> None:
-    """Run, show the table, and say where everything is; when interrupted, say how to go on."""
-    from stereo_slam_env.benchmark.campaign import run_checked
-    from stereo_slam_env.benchmark.recordings.source import checked
-    from stereo_slam_env.benchmark.running.backends import Backend, BackendName
-    from stereo_slam_env.report.benchmark_report import write_report_of
-    from stereo_slam_env.report.console import progress_bar, show_cells, show_study
-
-    workers = Backend(checked("backend", backend, BackendName), jobs, address)
-    show_study(console(), directory.study)
-    try:
-        with progress_bar(console(stderr=True), "steps") as progress:
-            result = run_checked(directory, workers, progress, write_report_of)
-    except KeyboardInterrupt:
-        raise Interrupted(directory.out) from None
-    except OSError as error:
-        if error.errno != errno.ENOSPC:
-            raise
-        kept = Interrupted(directory.out).kept
-        raise OSError(
-            f"the disk is full: {kept} finished trials are kept in {directory.out}; make room and run the same command "
-            f"again with --out {directory.out}"
-        ) from error
-    show_cells(console(), result.cells)
-    show_place(result.report or result.out)

@@ -2,16 +2,29 @@
 
 from __future__ import annotations
 
+import datetime
+import inspect
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 if TYPE_CHECKING:
     from rich.console import Console
+
+
+FiltersOption = Annotated[
+    str | None,
+    typer.Option(
+        "--filters", help="Names, or tables such as {name = 'hybrid', options = {gate = 0.9}}.", metavar="A,B"
+    ),
+]
+JobsOption = Annotated[int, typer.Option("--jobs", help="Processes, one BLAS thread each.", min=1)]
+OutOption = Annotated[
+    Path | None, typer.Option("--out", help="Run directory; an interrupted run in it is resumed.", show_default="new")
+]
 
 
 class Interrupted(Exception):
@@ -38,25 +51,8 @@ def refuse(message: str) -> int:
     return 2
 
 
-@contextmanager
-def one_line_errors() -> Iterator[None]:
-    """Wrong input is the user's business, not a crash: one line on stderr, exit code 2."""
-    try:
-        yield
-    except BrokenPipeError:  # who reads has seen enough (`... | head`): typer ends without a word
-        raise
-    except (ValueError, OSError, ImportError) as error:
-        raise typer.Exit(refuse(str(error))) from error
-
-
 def rig_from(text: str) -> str | dict[str, Any]:
-    """The rig that `--rig` says: NAME, KEY=NUMBER,... or NAME,KEY=NUMBER,... .
-
-    Raises
-    ------
-    ValueError
-        The text has another form.
-    """
+    """The rig that `--rig` says: NAME, KEY=NUMBER,... or NAME,KEY=NUMBER,... ."""
     rig: dict[str, Any] = {}
     for part in text.split(","):
         key, equals, value = (piece.strip() for piece in part.partition("="))
@@ -110,7 +106,43 @@ def show_place(page: Path) -> None:
     typer.echo(f"report: {page.resolve()}")
 
 
-def help_without_command(context: typer.Context) -> None:
-    """The help of a group of commands that is called without one."""
+def group(about: str, **options: Any) -> typer.Typer:
+    """A group of commands, which shows its help where it is called without one."""
+    return typer.Typer(help=about, callback=_help_without_command, invoke_without_command=True, **options)
+
+
+def _help_without_command(context: typer.Context) -> None:
     if context.invoked_subcommand is None:
         typer.echo(context.get_help())
+
+
+def show_lines(lines: Mapping[str, str], width: int = 0) -> None:
+    """Names, and one line on each."""
+    width = max(width, *map(len, lines))
+    for name, line in lines.items():
+        typer.echo(f"{name:<{width}}  {line}")
+
+
+def new_directory(name: str) -> Path:
+    """Run directory that is named after the command or scenario and the time."""
+    return Path("runs") / f"{name}-{datetime.datetime.now():%Y%m%d-%H%M%S}"
+
+
+def with_options(of: Callable[..., Any], name: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Decorator of commands that share options: those of `of`, whose result they get as the parameter `name`."""
+
+    def of_both(command: Callable[..., None]) -> Callable[..., None]:
+        shared, own = (inspect.signature(function, eval_str=True).parameters for function in (of, command))
+        options = [*(about for key, about in own.items() if key != name), *shared.values()]
+
+        def run(**given: Any) -> None:
+            result = of(**{key: given.pop(key) for key in shared})
+            command(**given, **{name: result})
+
+        run.__name__, run.__doc__ = command.__name__, command.__doc__
+        run.__annotations__ = {about.name: about.annotation for about in options}
+        parameters = [about.replace(kind=inspect.Parameter.KEYWORD_ONLY) for about in options]
+        vars(run)["__signature__"] = inspect.Signature(parameters)
+        return run
+
+    return of_both

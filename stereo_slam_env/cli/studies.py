@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import datetime
 import json
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,7 +10,16 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from stereo_slam_env.cli.parts import Interrupted, console, listed, one_line_errors, show_place
+from stereo_slam_env.cli.parts import (
+    Interrupted,
+    JobsOption,
+    OutOption,
+    console,
+    listed,
+    new_directory,
+    show_lines,
+    show_place,
+)
 
 if TYPE_CHECKING:
     from stereo_slam_env.studies.faults import FaultMatrix
@@ -26,37 +34,33 @@ def paper(
     turns: Annotated[
         int | None, typer.Option("--turns", help="Short turns for each noise.", min=1, show_default="200")
     ] = None,
-    jobs: Annotated[int, typer.Option("--jobs", help="Processes, one BLAS thread each.", min=1)] = 2,
-    out: Annotated[
-        Path | None, typer.Option("--out", help="Directory; an interrupted run in it is resumed.", show_default="new")
-    ] = None,
+    jobs: JobsOption = 2,
+    out: OutOption = None,
     karlsruhe: Annotated[
         Path | None,
         typer.Option("--karlsruhe", help="Folder of 2009_09_08_drive_0010 and 2009_09_08_drive_0015, to judge too."),
     ] = None,
 ) -> None:
     """Run the paper's experiments again and judge its claims: figures, a table, one report (15 minutes)."""
-    with one_line_errors():
-        from stereo_slam_env.report.console import progress_bar
-        from stereo_slam_env.studies.paper import FULL, QUICK, run_paper
-        from stereo_slam_env.studies.paper.karlsruhe import HOW_TO_GET_IT
+    from stereo_slam_env.report.console import progress_bar
+    from stereo_slam_env.studies.paper import FULL, QUICK, run_paper
+    from stereo_slam_env.studies.paper.karlsruhe import HOW_TO_GET_IT
 
-        settings = QUICK if quick else FULL
-        if seeds is not None:
-            settings = dataclasses.replace(settings, drive_seeds=seeds)
-        if turns is not None:
-            settings = dataclasses.replace(settings, turn_seeds=turns)
-        stamp = datetime.datetime.now().strftime("%Y%m%d-%H%M%S")
-        directory = Path("runs") / f"paper-{stamp}" if out is None else out
-        try:
-            with progress_bar(console(stderr=True), "parts") as progress:
-                result = run_paper(directory, settings, jobs=jobs, karlsruhe_path=karlsruhe, progress=progress)
-        except KeyboardInterrupt:
-            raise Interrupted(directory) from None
-        _show_claims(result.claims)
-        if karlsruhe is None:
-            typer.echo(HOW_TO_GET_IT)
-        show_place(result.report)
+    settings = QUICK if quick else FULL
+    if seeds is not None:
+        settings = dataclasses.replace(settings, drive_seeds=seeds)
+    if turns is not None:
+        settings = dataclasses.replace(settings, turn_seeds=turns)
+    directory = out or new_directory("paper")
+    try:
+        with progress_bar(console(stderr=True), "parts") as progress:
+            result = run_paper(directory, settings, jobs=jobs, karlsruhe_path=karlsruhe, progress=progress)
+    except KeyboardInterrupt:
+        raise Interrupted(directory) from None
+    _show_claims(result.claims)
+    if karlsruhe is None:
+        typer.echo(HOW_TO_GET_IT)
+    show_place(result.report)
 
 
 def _show_claims(claims: Sequence[Claim]) -> None:
@@ -88,38 +92,35 @@ def faults(
         str, typer.Option("--filters", help="Names, separated by commas.", metavar="A,B")
     ] = "inverse-depth,dual-bearing,euclidean",
     seeds: Annotated[int, typer.Option("--seeds", help="Drives of each fault and filter.", min=1)] = 3,
-    jobs: Annotated[int, typer.Option("--jobs", help="Processes.", min=1)] = 2,
+    jobs: JobsOption = 2,
     out: Annotated[
         Path | None, typer.Option("--out", help="Directory for faults.json and faults.md.", show_default="none")
     ] = None,
     show: Annotated[bool, typer.Option("--list", help="Only say which faults there are.")] = False,
 ) -> None:
     """Run filters on faulty data: which diverge, which raise an alarm; exit code 1 if one breaks."""
-    with one_line_errors():
-        from stereo_slam_env.benchmark.running.backends import Backend
-        from stereo_slam_env.benchmark.scenarios.scenario import filter_choice
-        from stereo_slam_env.report.console import progress_bar
-        from stereo_slam_env.studies.faults import FAULTS, run_matrix
+    from stereo_slam_env.benchmark.running.backends import Backend
+    from stereo_slam_env.benchmark.scenarios.scenario import filter_choice
+    from stereo_slam_env.report.console import progress_bar
+    from stereo_slam_env.studies.faults import FAULTS, run_matrix
 
-        if show:
-            width = max(map(len, FAULTS))
-            for name, fault in FAULTS.items():
-                typer.echo(f"{name:<{width}}  {fault.line}")
-            return
-        choices = [filter_choice(entry) for entry in listed("--filters", filters)]
-        with progress_bar(console(stderr=True), "drives") as progress:
-            matrix = run_matrix(choices, tuple(names or FAULTS), seeds, Backend(jobs=jobs), progress)
-        if out is not None:
-            _write_matrix(out, matrix)
-        _show_matrix(matrix)
-        if out is not None:
-            typer.echo(f"results: {out.resolve()}")
+    if show:
+        show_lines({name: fault.line for name, fault in FAULTS.items()})
+        return
+    choices = [filter_choice(entry) for entry in listed("--filters", filters)]
+    with progress_bar(console(stderr=True), "drives") as progress:
+        matrix = run_matrix(choices, tuple(names or FAULTS), seeds, Backend(jobs=jobs), progress)
+    if out is not None:
+        _write_matrix(out, matrix)
+    _show_matrix(matrix)
+    if out is not None:
+        typer.echo(f"results: {out.resolve()}")
     if matrix.broken:
         raise typer.Exit(1)
 
 
 def _write_matrix(out: Path, matrix: FaultMatrix) -> None:
-    from stereo_slam_env.files.atomic import write_atomically
+    from stereo_slam_env.files.folders import write_atomically
 
     figures = json.dumps(matrix.as_dict(), indent=1) + "\n"
     out.mkdir(parents=True, exist_ok=True)

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-import datetime
 import json
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from stereo_slam_env.cli.parts import console, one_line_errors
+from stereo_slam_env.cli.parts import OutOption, console, new_directory
 
 
 def train(
@@ -25,36 +23,34 @@ def train(
     environment: Annotated[str, typer.Option("--environment", help="Id of one with a head.")] = "StereoSlam/Gaze-v0",
     arguments: Annotated[str, typer.Option("--arguments", help="Of the environment, as JSON.")] = "{}",
     filter_name: Annotated[str, typer.Option("--filter", help="The filter in the loop.")] = "shared-anchor",
-    out: Annotated[
-        Path | None, typer.Option("--out", help="Run directory; an interrupted run in it goes on.", show_default="new")
-    ] = None,
+    out: OutOption = None,
 ) -> None:
     """Train a network with PPO to look where a filter learns most; needs the extra rl."""
-    with one_line_errors():
-        from stereo_slam_env.report.charts.policies import plot_learning
-        from stereo_slam_env.report.console import progress_bar
-        from stereo_slam_env.training.evaluation import LearningCurve, evaluate
-        from stereo_slam_env.training.ppo import VALIDATION_SEEDS, PPOSettings
-        from stereo_slam_env.training.ppo import train as train_network
-        from stereo_slam_env.training.task import GazeTask
+    from stereo_slam_env.report.charts.policies import plot_learning
+    from stereo_slam_env.report.console import progress_bar
+    from stereo_slam_env.training.ppo import VALIDATION_SEEDS, LearningCurve, PPOSettings
+    from stereo_slam_env.training.ppo import train as train_network
+    from stereo_slam_env.training.task import GazeTask, evaluate
 
-        task = GazeTask(environment, _arguments(arguments), filter_name)
-        settings = PPOSettings(decisions=decisions, seed=seed, environments=environments)
-        stamp = datetime.datetime.now().strftime("%Y%m%d-%H%M%S")
-        directory = Path("runs") / f"train-{stamp}" if out is None else out
-        try:
-            with progress_bar(console(stderr=True), "decisions") as progress:
-                network = train_network(task, settings, directory, minutes=minutes, progress=progress)
-        except KeyboardInterrupt:
-            typer.echo(f"interrupted: to go on, run the same command with --out {directory}", err=True)
-            raise typer.Exit(130) from None
-        straight = dataclasses.asdict(evaluate(None, task, VALIDATION_SEEDS))
-        rows = LearningCurve(directory / "learning_curve.csv").rows
-        plot_learning(rows, straight).save(directory / "learning_curve.png")
-        best = min(rows, key=lambda row: row["final_pose_logdet"])
-        for name, value in straight.items():
-            typer.echo(f"{name:<24} network {best[name]:8.3f}   straight ahead {value:8.3f}")
-        typer.echo(f"network: {network.resolve()}")
+    task = GazeTask(environment, _arguments(arguments), filter_name)
+    settings = PPOSettings(decisions=decisions, seed=seed, environments=environments)
+    directory = out or new_directory("train")
+    try:
+        with progress_bar(console(stderr=True), "decisions") as progress:
+            network = train_network(task, settings, directory, minutes=minutes, progress=progress)
+    except KeyboardInterrupt:
+        typer.echo(f"interrupted: to go on, run the same command with --out {directory}", err=True)
+        raise typer.Exit(130) from None
+    straight = dataclasses.asdict(evaluate(None, task, VALIDATION_SEEDS))
+    rows = LearningCurve(directory / "learning_curve.csv").rows
+    plot_learning(rows, straight).save(directory / "learning_curve.png")
+    best = min(rows, key=lambda row: row["final_pose_logdet"])
+    for name, value in straight.items():
+        typer.echo(f"{name:<24} network {best[name]:8.3f}   straight ahead {value:8.3f}")
+    made = int(rows[-1]["decisions"])
+    if made < decisions:
+        typer.echo(f"stopped after {made:,} of {decisions:,} decisions; to go on: the same command, --out {directory}")
+    typer.echo(f"network: {network.resolve()} (the best so far, after {int(best['decisions']):,} decisions)")
 
 
 def _arguments(text: str) -> dict[str, object]:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from stereo_slam_env.cli.parts import console, one_line_errors
+from stereo_slam_env.cli.parts import console
 
 if TYPE_CHECKING:
     from stereo_slam_env.viewer.drive import Drive
@@ -39,29 +39,28 @@ def view(
     Without an option it opens Rerun's viewer (extra viewer) and shows the drive while the filter computes it. Pictures
     and films need no extra.
     """
-    with one_line_errors():
-        from stereo_slam_env.report.console import progress_bar
-        from stereo_slam_env.viewer.drive import revisit
-        from stereo_slam_env.viewer.drive_picture import save_film, save_still
+    from stereo_slam_env.report.console import progress_bar
+    from stereo_slam_env.viewer.drive import revisit
+    from stereo_slam_env.viewer.drive_picture import save_film, save_still
 
-        if frame is not None and still is None:
-            raise ValueError("--frame needs --still OUT.png: it says what the picture shows")
-        drive = revisit(run, filter_name, seed)
-        typer.echo(f"{drive.title}, {drive.frames} frames")
-        try:
-            with progress_bar(console(stderr=True), "frames") as progress:
-                if still is not None:
-                    save_still(drive, still, frame, progress)
-                if film is not None:
-                    save_film(drive, film, progress)
-                if save is not None or connect is not None or (still is None and film is None):
-                    _show_in_rerun(drive, save, connect, progress)
-        except KeyboardInterrupt:
-            typer.echo("interrupted", err=True)
-            raise typer.Exit(130) from None
-        for what, path in (("picture", still), ("film", film), ("for Rerun", save)):
-            if path is not None:
-                typer.echo(f"{what}: {path.resolve()}")
+    if frame is not None and still is None:
+        raise ValueError("--frame needs --still OUT.png: it says what the picture shows")
+    drive = revisit(run, filter_name, seed)
+    typer.echo(f"{drive.title}, {drive.frames} frames")
+    try:
+        with progress_bar(console(stderr=True), "frames") as progress:
+            if still is not None:
+                save_still(drive, still, frame, progress)
+            if film is not None:
+                save_film(drive, film, progress)
+            if save is not None or connect is not None or (still is None and film is None):
+                _show_in_rerun(drive, save, connect, progress)
+    except KeyboardInterrupt:
+        typer.echo("interrupted", err=True)
+        raise typer.Exit(130) from None
+    for what, path in (("picture", still), ("film", film), ("for Rerun", save)):
+        if path is not None:
+            typer.echo(f"{what}: {path.resolve()}")
 
 
 def _show_in_rerun(drive: Drive, save: Path | None, connect: str | None, progress: Progress) -> None:

@@ -1,9 +1,9 @@
 """Readers of real recordings: `load` gives a `Recording` of tracks or of images, whatever layout a folder has.
 
 A layout is a module with `NAME`, `FILES` and a reader: `read(path, **options)` gives the recording of a layout of
-tracks (`TRACK_LAYOUTS`), `open_sequence(path, **options)` the sequence of a layout of images (`IMAGE_LAYOUTS`), which
-then goes through the front end. `FILES` holds one or more sets of entries, any of which tells a folder of this layout;
-`*` stands for anything, `../` for the folder around.
+tracks (`TRACK_LAYOUTS`), `open_sequence(path, choice, **options)` the sequence of a layout of images (`IMAGE_LAYOUTS`),
+which then goes through the front end. `FILES` holds one or more sets of entries, any of which tells a folder of this
+layout; `*` stands for anything, `../` for the folder around.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from stereo_slam_env.datasets import (
 )
 from stereo_slam_env.datasets.image_files import BrokenPair
 from stereo_slam_env.datasets.kitti_odometry import write_kitti_sequence
-from stereo_slam_env.datasets.sequence import RecordedSequence
+from stereo_slam_env.datasets.sequence import Choice, OnBroken, RecordedSequence
 from stereo_slam_env.files.paths import is_there, require_inside, require_links_inside
 from stereo_slam_env.frontend.calibration import calibrated
 from stereo_slam_env.frontend.recorder import record_tracks
@@ -39,8 +39,7 @@ from stereo_slam_env.recording.recording import ImageSequence, Recording
 TRACK_LAYOUTS: tuple[ModuleType, ...] = (kitti07_tracks, kitti00_stereo_tracks, starry_night)
 IMAGE_LAYOUTS: tuple[ModuleType, ...] = (kitti06_stereo51, kitti_odometry, kitti_raw, karlsruhe, euroc)
 EXAMPLE = "gtsam"
-_DEPTH = 2
-"""How many levels below the given folder recordings of images are looked for."""
+_CHOICE = ("first", "last", "on_broken")
 
 __all__ = [
     "IMAGE_LAYOUTS",
@@ -62,7 +61,7 @@ def load(source: str | Path, **options: Any) -> Recording:
     ----------
     source : str or Path
         A folder, whose layout is recognised by its files; a file of `save_recording` (`NAME.npz`); or `gtsam`, the
-        example data inside the gtsam wheel (`gtsam:NAME` for one of several).
+        example data inside the gtsam wheel.
     **options
         Options of the reader, see its `read`; for images those of `open_for_front_end`.
 
@@ -80,10 +79,9 @@ def load(source: str | Path, **options: Any) -> Recording:
         The example data needs gtsam, which is not installed.
     """
     path = Path(source)
-    prefix, _, name = str(source).partition(":")
-    if prefix == EXAMPLE and not is_there(path):
+    if source == EXAMPLE and not is_there(path):
         _require_options(EXAMPLE, kitti00_stereo_tracks.read_example, options)
-        return kitti00_stereo_tracks.read_example(name or "kitti00", **options)
+        return kitti00_stereo_tracks.read_example(**options)
     if path.suffix == ".npz" and is_there(path) and path.is_file():
         require_known("a recording in one file has no option", options, [])
         return load_recording(path)
@@ -123,17 +121,26 @@ def open_for_front_end(path: str | Path, **options: Any) -> tuple[ImageSequence,
     return sequence, settings if "disparity_offset" in given else calibrated(sequence, settings)
 
 
-def open_image_sequence(path: str | Path, **options: Any) -> RecordedSequence:
+def open_image_sequence(
+    path: str | Path,
+    *,
+    first: int | None = None,
+    last: int | None = None,
+    on_broken: OnBroken = "raise",
+    **options: Any,
+) -> RecordedSequence:
     """Open a recording of stereo images; the layout is recognised by the files in the folder.
 
     Parameters
     ----------
     path : str or Path
         A folder of a known layout, or one that holds exactly one such folder, up to two levels down.
+    first, last : int, optional
+        Frame numbers to start and to end with, both included.
+    on_broken : {"raise", "skip"}
+        What is done about pairs that cannot be used; "skip" leaves them out and counts them in `skipped`.
     **options
-        Options of the reader, see its `open_sequence`. All readers have `first`, `last` (frame numbers to start and to
-        end with, both included) and `on_broken` ("raise", or "skip" to leave out pairs that cannot be used and count
-        them in `skipped`).
+        Options of the reader, see its `open_sequence`.
 
     Raises
     ------
@@ -152,8 +159,8 @@ def open_image_sequence(path: str | Path, **options: Any) -> RecordedSequence:
         raise _unknown_layout(given, IMAGE_LAYOUTS)
     folder = require_inside(found[0], given)
     require_links_inside(folder)
-    _require_options(layout.NAME, layout.open_sequence, options)
-    sequence: RecordedSequence = layout.open_sequence(folder, **options)
+    _require_options(layout.NAME, layout.open_sequence, options, _CHOICE)
+    sequence: RecordedSequence = layout.open_sequence(folder, Choice(first, last, on_broken), **options)
     return sequence
 
 
@@ -193,17 +200,8 @@ def _image_recordings(folder: Path) -> list[Path]:
 
 def _folders(folder: Path) -> list[Path]:
     """The folder and those up to two levels below it, level by level."""
-    levels = [[folder]]
-    for _ in range(_DEPTH):
-        levels.append([below for parent in levels[-1] for below in _subfolders(parent)])
-    return [found for level in levels for found in level]
-
-
-def _subfolders(folder: Path) -> list[Path]:
-    try:
-        return sorted(below for below in folder.iterdir() if below.is_dir())
-    except OSError:  # not ours to read
-        return []
+    below = (path for pattern in ("*", "*/*") for path in sorted(folder.glob(pattern)))
+    return [folder, *(path for path in below if path.is_dir())]
 
 
 def _require_folder(path: Path, others: str = "") -> None:
@@ -213,9 +211,11 @@ def _require_folder(path: Path, others: str = "") -> None:
         raise ValueError(f"{path} {what}: give a folder with a recording{others}")
 
 
-def _require_options(reader: str, read: Callable[..., Any], options: Mapping[str, Any]) -> None:
+def _require_options(
+    reader: str, read: Callable[..., Any], options: Mapping[str, Any], others: Sequence[str] = ()
+) -> None:
     parameters = inspect.signature(read).parameters.values()
-    known = [parameter.name for parameter in parameters if parameter.kind is parameter.KEYWORD_ONLY]
+    known = [*others, *(parameter.name for parameter in parameters if parameter.kind is parameter.KEYWORD_ONLY)]
     require_known(f"the reader {reader} has no option", options, known)
 
 

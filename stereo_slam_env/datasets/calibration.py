@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from filters import rotations
-from filters.camera import StereoCamera
-from filters.poses import Pose
+from filters import Pose, StereoCamera
 from filters.validation import FloatArray
-from stereo_slam_env.datasets.frames import FramePair
+from stereo_slam_env.datasets.image_files import image_size
 from stereo_slam_env.files.readers import read_text
 
 _SAME_K = 1e-6
@@ -20,13 +17,7 @@ _SAME_K = 1e-6
 
 
 def read_entries(path: Path) -> dict[str, FloatArray]:
-    """The lines `NAME: number number ...` of a file; lines that are not of this form are left out.
-
-    Raises
-    ------
-    ValueError
-        The file is missing or no text.
-    """
+    """The lines `NAME: number number ...` of a file that must be there; others are left out."""
     try:
         text = read_text(path)
     except FileNotFoundError:
@@ -44,13 +35,7 @@ def read_entries(path: Path) -> dict[str, FloatArray]:
 
 
 def entry(path: Path, entries: Mapping[str, FloatArray], name: str, shape: tuple[int, ...]) -> FloatArray:
-    """The entry of that name as an array.
-
-    Raises
-    ------
-    ValueError
-        It is missing, has another size, or is not finite.
-    """
+    """The entry of that name as an array; a `ValueError` where it is missing, of another size, or not finite."""
     if name not in entries:
         found = ", ".join(entries) or "nothing"
         raise ValueError(f"{path} lacks the entry '{name}:' (it has {found}): take the calibration of this recording")
@@ -62,48 +47,10 @@ def entry(path: Path, entries: Mapping[str, FloatArray], name: str, shape: tuple
     return numbers.reshape(shape)
 
 
-@dataclass(frozen=True, eq=False)
-class RectifiedRig:
-    """A rectified pair of cameras.
+def rectified_rig(path: Path, P_left: FloatArray, P_right: FloatArray, size: tuple[int, int]) -> StereoCamera:
+    """The rig of two projection matrices P = K [I | t] (3, 4) with one common K, for images of that size, px.
 
-    Attributes
-    ----------
-    camera : StereoCamera
-        The rig.
-    left_in_reference : (3,)
-        Where the left camera is in the camera that the projection matrices refer to, m; same orientation.
-    """
-
-    camera: StereoCamera
-    left_in_reference: FloatArray
-
-    def of_left(self, frames: Sequence[FramePair]) -> list[FramePair]:
-        """The frames with the pose of the left camera, given with that of the reference camera."""
-        return [replace(frame, truth=self._left_pose(frame.truth)) for frame in frames]
-
-    def _left_pose(self, reference: Pose | None) -> Pose | None:
-        if reference is None or not self.left_in_reference.any():
-            return reference
-        R = rotations.matrix(reference.orientation)
-        return Pose(reference.position + R @ self.left_in_reference, reference.orientation)
-
-
-def rectified_rig(path: Path, P_left: FloatArray, P_right: FloatArray, size: tuple[int, int]) -> RectifiedRig:
-    """The rig of two projection matrices P = K [I | t] (3, 4) with one common K; the cameras are at -t.
-
-    Parameters
-    ----------
-    path : Path
-        For messages.
-    P_left, P_right : (3, 4)
-        Projections from one reference camera.
-    size : (int, int)
-        Width and height, px.
-
-    Raises
-    ------
-    ValueError
-        The matrices are not of that form: not rectified, or the right camera is not to the right.
+    Both project from one reference camera; a `ValueError` that names `path` where they are of another form.
     """
     K = P_left[:, :3]
     form = np.array([[K[0, 0], 0.0, K[0, 2]], [0.0, K[1, 1], K[1, 2]], [0.0, 0.0, 1.0]])
@@ -112,12 +59,31 @@ def rectified_rig(path: Path, P_left: FloatArray, P_right: FloatArray, size: tup
         raise ValueError(f"{path}: the left projection matrix is not [fx 0 cx; 0 fy cy; 0 0 1 | ...]: not rectified")
     if not (np.abs(P_right[:, :3] - K) <= _SAME_K * scale).all():
         raise ValueError(f"{path}: both cameras must have the same focal lengths and principal point: not rectified")
-    left, right = camera_position(P_left), camera_position(P_right)
-    baseline = float(right[0] - left[0])
+    baseline = float(camera_position(P_right)[0] - camera_position(P_left)[0])
     if baseline <= 0:
         raise ValueError(f"{path}: the baseline is {baseline:.6g} m, it must be > 0: are left and right swapped?")
     fx, fy, cx, cy = (float(K[at]) for at in ((0, 0), (1, 1), (0, 2), (1, 2)))
-    return RectifiedRig(StereoCamera(fx, fy, cx, cy, baseline, *size), left)
+    return StereoCamera(fx, fy, cx, cy, baseline, *size)
+
+
+def rig_of(path: Path, P: tuple[FloatArray, FloatArray]) -> Callable[[Path], StereoCamera]:
+    """Gives the rig of the projection matrices `P`, see `rectified_rig`, for the size of the image in a file."""
+    return lambda image: rectified_rig(path, *P, image_size(image))
+
+
+def projections(path: Path, names: Sequence[str]) -> tuple[FloatArray, FloatArray]:
+    """Projection matrices (3, 4) of the left and of the right camera by the names of their entries."""
+    entries = read_entries(path)
+    left, right = (entry(path, entries, name, (3, 4)) for name in names)
+    return left, right
+
+
+def of_left_camera(poses: Sequence[Pose | None], P_left: FloatArray) -> list[Pose | None]:
+    """Poses of the left camera from those of the reference camera that `P_left` = K [I | t] projects from."""
+    offset = camera_position(P_left)
+    if not offset.any():
+        return list(poses)
+    return [pose and Pose(pose.position + pose.R_wc @ offset, pose.orientation) for pose in poses]
 
 
 def camera_position(P: FloatArray) -> FloatArray:

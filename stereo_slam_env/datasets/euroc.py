@@ -12,20 +12,19 @@ in the file. The truth is that of the turned left camera; frames outside the tim
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
-from filters.poses import Pose
+from filters import Pose, StereoCamera
 from filters.validation import FloatArray, IntArray
-from stereo_slam_env.datasets.calibration import RectifiedRig, rectified_rig
-from stereo_slam_env.datasets.frames import CameraFiles, Faults, OnBroken, Times, Truth, usable_pairs
+from stereo_slam_env.datasets.calibration import rectified_rig
 from stereo_slam_env.datasets.image_files import MAX_PIXELS
-from stereo_slam_env.datasets.sequence import RecordedSequence, Rectify
+from stereo_slam_env.datasets.sequence import Choice, ImageFiles, RecordedSequence, Rectify, known_poses
 from stereo_slam_env.files.paths import is_plain_name
 from stereo_slam_env.files.readers import finite_rows, first_line, read_text
 from stereo_slam_env.recording.recording import GreyImage, Reference
@@ -42,71 +41,45 @@ LARGEST_TRUTH_GAP_NS = 100_000_000
 _LATEST_NS = np.iinfo(np.int64).max
 
 
-def open_sequence(
-    path: Path,
-    *,
-    first: int | None = None,
-    last: int | None = None,
-    on_broken: OnBroken = "raise",
-    use_truth: bool = True,
-) -> RecordedSequence:
+def open_sequence(path: Path, choice: Choice, *, use_truth: bool = True) -> RecordedSequence:
     """Open the folder that holds `mav0`, or `mav0` itself.
 
     Parameters
     ----------
     path : Path
         For example `MH_01_easy`.
-    first, last, on_broken
-        See `open_image_sequence`, also for what is raised.
+    choice : Choice
+        Frames to use, see `open_image_sequence`, also for what is raised.
     use_truth : bool
         Whether to read the truth, where there is one, and to leave out the frames that it does not cover.
     """
-    root = _root(path.resolve())
-    faults = Faults(on_broken)
-    stamps, left_names = _read_listing(root / "cam0")
-    right_of = dict(zip(*_read_listing(root / "cam1"), strict=True))
-    left_files = _existing(root / "cam0", dict(enumerate(left_names)))
-    right_files = _existing(root / "cam1", {k: right_of[stamp] for k, stamp in enumerate(stamps) if stamp in right_of})
-    sensors = (_read_sensor(root / "cam0" / "sensor.yaml"), _read_sensor(root / "cam1" / "sensor.yaml"))
-    rig, turned, rectify = _rectification(sensors, root / "cam1" / "sensor.yaml")
+    path = path.resolve()
+    root = path / "mav0" if (path / "mav0").is_dir() else path
+    cameras = root / "cam0", root / "cam1"
+    stamps, left_names = _read_listing(cameras[0])
+    right_of = dict(zip(*_read_listing(cameras[1]), strict=True))
+    left = _existing(cameras[0], dict(enumerate(left_names)))
+    right = _existing(cameras[1], {k: right_of[stamp] for k, stamp in enumerate(stamps) if stamp in right_of})
+    sensor, other = (_read_sensor(camera / "sensor.yaml") for camera in cameras)
+    rig, turned, rectify = _rectification(sensor, other, cameras[1] / "sensor.yaml")
     ns = np.array(stamps, dtype=np.int64)
-    times = Times(root / "cam0" / "data.csv", 1e-9 * (ns - ns[0]))
     truth, table = None, root / TRUTH / "data.csv"
     if use_truth and table.is_file():
-        poses, covered = _camera_poses(table, ns, sensors[0], turned)
-        truth = Truth(table, poses)
-        first = max(first or 0, covered[0])
-        last = covered[1] if last is None else min(last, covered[1])
-    frames = usable_pairs(
-        (CameraFiles(root / "cam0" / "data", left_files), CameraFiles(root / "cam1" / "data", right_files)),
-        times,
-        faults,
-        truth=truth,
-        first=first,
-        last=last,
-    )
+        truth, (first, last) = _camera_poses(table, ns, sensor, turned)
+        last = last if choice.last is None else min(last, choice.last)
+        choice = Choice(max(choice.first or 0, first), last, choice.on_broken)
+    folders = cameras[0] / "data", cameras[1] / "data"
+    files = ImageFiles(folders, (left, right), 1e-9 * (ns - ns[0]), cameras[0] / "data.csv", truth, table)
     name = root.parent.name if root.name == "mav0" else root.name
-    source: dict[str, Any] = {
-        "reader": NAME,
-        "path": str(root),
-        "rectified": "cv2.stereoRectify, alpha 0",
-    }
-    return RecordedSequence(
-        f"{NAME}_{name}", rig.camera, frames, faults, source, TRUTH_FROM, stored_size=sensors[0].size, rectify=rectify
-    )
-
-
-def _root(path: Path) -> Path:
-    return path / "mav0" if (path / "mav0").is_dir() else path
+    source = {"reader": NAME, "path": str(root), "rectified": "cv2.stereoRectify, alpha 0"}
+    return RecordedSequence(f"{NAME}_{name}", files, choice, lambda image: rig, source, TRUTH_FROM, rectify)
 
 
 def _read_listing(folder: Path) -> tuple[list[int], list[str]]:
     """Timestamps, ns, and file names of `data.csv`."""
     path = folder / "data.csv"
     stamps, names = [], []
-    for number, line in enumerate(read_text(path, errors="replace").splitlines(), start=1):
-        if not line.strip() or line.lstrip().startswith("#"):
-            continue
+    for number, line in _rows(path):
         stamp, _, name = (part.strip() for part in line.partition(","))
         if not re.fullmatch(r"[0-9]{1,19}", stamp) or int(stamp) > _LATEST_NS or not is_plain_name(name):
             raise ValueError(f"{path}: line {number} is not 'timestamp in ns,file name': correct it")
@@ -115,6 +88,13 @@ def _read_listing(folder: Path) -> tuple[list[int], list[str]]:
     if not stamps:
         raise ValueError(f"{path} lists no images: copy it again")
     return stamps, names
+
+
+def _rows(path: Path) -> Iterator[tuple[int, str]]:
+    """Lines of a table with their numbers, without comments and empty ones."""
+    for number, line in enumerate(read_text(path, errors="replace").splitlines(), start=1):
+        if line.strip() and not line.lstrip().startswith("#"):
+            yield number, line
 
 
 def _existing(folder: Path, names: dict[int, str]) -> dict[int, Path]:
@@ -130,11 +110,10 @@ def _camera_poses(
     A pose is None where the rows around it hold NaN or are too far apart.
     """
     rows_ns, rows = _read_truth(path)
-    T_bs_truth = np.eye(4)
     sensor = path.with_name("sensor.yaml")
-    if sensor.is_file():
-        T_bs_truth = _read_transform(sensor)
-    covered = np.flatnonzero((stamps >= rows_ns[0]) & (stamps <= rows_ns[-1]))
+    T_bs_truth = _transform(sensor, _text(sensor)) if sensor.is_file() else np.eye(4)
+    inside = (stamps >= rows_ns[0]) & (stamps <= rows_ns[-1])
+    covered = np.flatnonzero(inside)
     if covered.size == 0:
         raise ValueError(f"{path} covers none of the images: it is of another recording, or use_truth=False")
     after = np.clip(np.searchsorted(rows_ns, stamps), 1, len(rows_ns) - 1)
@@ -142,7 +121,6 @@ def _camera_poses(
     before = np.where(exact, after, after - 1)
     finite = finite_rows(rows) & (np.abs(np.linalg.norm(rows[:, 3:], axis=1) - 1.0) < 1e-2)
     near = exact | (rows_ns[after] - rows_ns[before] <= LARGEST_TRUTH_GAP_NS)
-    inside = (stamps >= rows_ns[0]) & (stamps <= rows_ns[-1])
     good = inside & near & finite[after] & finite[before]
     usable = np.where(finite[:, None], rows, [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
     seconds = 1e-9 * (rows_ns - rows_ns[0])
@@ -150,18 +128,15 @@ def _camera_poses(
     positions = np.column_stack([np.interp(wanted, seconds, usable[:, i]) for i in range(3)])
     R_ws = Slerp(seconds, Rotation.from_quat(usable[:, 3:]))(wanted)
     T_sc = np.linalg.solve(T_bs_truth, left.T_bs)
-    camera_positions = positions + R_ws.apply(T_sc[:3, 3])
-    orientations = (R_ws * Rotation.from_matrix(T_sc[:3, :3] @ turned.T)).as_quat()
-    poses = [Pose(r, q) if ok else None for r, q, ok in zip(camera_positions, orientations, good, strict=True)]
+    orientations = R_ws * Rotation.from_matrix(T_sc[:3, :3] @ turned.T)
+    poses = known_poses(positions + R_ws.apply(T_sc[:3, 3]), orientations, good)
     return poses, (int(covered[0]), int(covered[-1]))
 
 
 def _read_truth(path: Path) -> tuple[IntArray, FloatArray]:
     """Timestamps (K,) ns, increasing, and rows (K, 7): position and quaternion xyzw."""
     stamps, rows = [], []
-    for number, line in enumerate(read_text(path, errors="replace").splitlines(), start=1):
-        if not line.strip() or line.lstrip().startswith("#"):
-            continue
+    for number, line in _rows(path):
         words = line.split(",")
         try:
             x, y, z, qw, qx, qy, qz = (float(word) for word in words[1:8])
@@ -196,24 +171,18 @@ def _read_sensor(path: Path) -> _Sensor:
     if width < 1 or height < 1 or width * height > MAX_PIXELS:
         raise ValueError(f"{path}: resolution {width}x{height} is none of an image that is read: correct it")
     return _Sensor(
-        _parsed_transform(path, text),
+        _transform(path, text),
         np.array([[fu, 0.0, cu], [0.0, fv, cv], [0.0, 0.0, 1.0]]),
         _numbers(path, text, "distortion_coefficients", 4),
         (width, height),
     )
 
 
-def _read_transform(path: Path) -> FloatArray:
-    """T_BS (4, 4) of a `sensor.yaml`; raises as `read_sensor`."""
-    return _parsed_transform(path, _text(path))
-
-
-def _rectification(sensors: tuple[_Sensor, _Sensor], path: Path) -> tuple[RectifiedRig, FloatArray, Rectify]:
+def _rectification(left: _Sensor, right: _Sensor, path: Path) -> tuple[StereoCamera, FloatArray, Rectify]:
     """The rectified rig, R (3, 3) from the left camera of the file to it, and what rectifies a pair of images.
 
     Both cameras are turned to a common plane and freed of distortion; only pixels that exist are kept.
     """
-    left, right = sensors
     if left.size != right.size:
         raise ValueError(f"{path}: the images are {right.size}, those of the left camera {left.size}: not one rig")
     T_rl = np.linalg.solve(right.T_bs, left.T_bs)
@@ -256,7 +225,7 @@ def _numbers(path: Path, text: str, key: str, count: int) -> FloatArray:
     return _parsed(path, found[1], key, count)
 
 
-def _parsed_transform(path: Path, text: str) -> FloatArray:
+def _transform(path: Path, text: str) -> FloatArray:
     found = re.search(r"^T_BS\s*:[^\[]*\[([^\]]*)\]", text, re.MULTILINE)
     if found is None:
         raise ValueError(f"{path} lacks 'T_BS' with 'data: [...]': take the calibration of this recording")

@@ -48,13 +48,7 @@ class BrokenPair(ValueError):
 
 
 def numbered_images(folder: Path, prefix: str = "") -> dict[int, Path]:
-    """The images `<prefix><digits>.png|jpg|jpeg` of a folder by their number; empty where there is no folder.
-
-    Raises
-    ------
-    ValueError
-        Two files have the same number, or one of them a number that no recording comes to.
-    """
+    """The images `<prefix><digits>.png|jpg|jpeg` of a folder by their number; empty where there is no folder."""
     pattern = re.compile(re.escape(prefix) + r"(\d+)\.(png|jpg|jpeg)", re.IGNORECASE)
     found: dict[int, Path] = {}
     for path in sorted(folder.iterdir()) if folder.is_dir() else ():
@@ -71,23 +65,9 @@ def numbered_images(folder: Path, prefix: str = "") -> dict[int, Path]:
 
 
 def read_grey(path: Path, size: tuple[int, int] | None = None) -> GreyImage:
-    """Read an image as grey values.
+    """Grey values (H, W) of a PNG or JPEG; a `BrokenPair` names what is wrong with the file.
 
-    Parameters
-    ----------
-    path : Path
-        PNG or JPEG, grey or colour.
-    size : (int, int), optional
-        Width and height that it must have, px.
-
-    Returns
-    -------
-    (H, W) uint8
-
-    Raises
-    ------
-    BrokenPair
-        Missing, cut, damaged, of another size, too large, or no PNG or JPEG: one line that names the file.
+    Missing, cut, damaged, too large, no PNG or JPEG, or not of the width and height in `size`.
     """
     data = _content(path)
     found = _checked_size(path, data)

@@ -21,17 +21,15 @@ from __future__ import annotations
 
 import logging
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from filters.poses import Pose
+from filters import Pose
 from filters.validation import FloatArray, positive
-from stereo_slam_env.datasets.calibration import entry, read_entries, rectified_rig
-from stereo_slam_env.datasets.frames import CameraFiles, Faults, OnBroken, Times, Truth, usable_pairs
-from stereo_slam_env.datasets.image_files import image_size, numbered_images
-from stereo_slam_env.datasets.sequence import RecordedSequence
+from stereo_slam_env.datasets.calibration import projections, rig_of
+from stereo_slam_env.datasets.image_files import numbered_images
+from stereo_slam_env.datasets.sequence import Choice, ImageFiles, RecordedSequence, known_poses
 from stereo_slam_env.files.paths import require_inside
 from stereo_slam_env.files.readers import finite_rows, read_table
 from stereo_slam_env.recording.recording import Reference
@@ -60,13 +58,7 @@ log = logging.getLogger(__name__)
 
 
 def open_sequence(
-    path: Path,
-    *,
-    first: int | None = None,
-    last: int | None = None,
-    on_broken: OnBroken = "raise",
-    use_truth: bool = True,
-    rate_hz: float | None = None,
+    path: Path, choice: Choice, *, use_truth: bool = True, rate_hz: float | None = None
 ) -> RecordedSequence:
     """Open the folder of a sequence.
 
@@ -74,36 +66,32 @@ def open_sequence(
     ----------
     path : Path
         For example `2009_09_08_drive_0010`.
-    first, last, on_broken
-        See `open_image_sequence` (the paper's right turn is frames 61 to 72 of drive 0010).
+    choice : Choice
+        Frames to use, see `open_image_sequence` (the paper's right turn is frames 61 to 72 of drive 0010).
     use_truth : bool
         Whether to take the poses of the GPS/IMU unit as (weak) truth.
     rate_hz : float, optional
         Frame rate to take instead of the times in `insdata.txt`; None takes those, and 10 Hz where there are none.
     """
     path = path.resolve()
-    faults = Faults(on_broken)
-    left, right = (CameraFiles(path, numbered_images(path, prefix)) for prefix in ("I1_", "I2_"))
+    left, right = (numbered_images(path, prefix) for prefix in ("I1_", "I2_"))
     calibration = _calibration(path)
-    entries = read_entries(calibration)
-    P_left, P_right = (entry(calibration, entries, name, (3, 4)) for name in ("P1_roi", "P2_roi"))
+    P = projections(calibration, ["P1_roi", "P2_roi"])
     ins = path / "insdata.txt"
     table = read_table(ins, INS_COLUMNS, finite=False) if ins.is_file() else None
     if table is not None and rate_hz is None:
-        times = _stored_times(ins, table)
+        seconds = _stored_times(ins, table)
     else:
         rate_hz = positive("rate_hz", DEFAULT_RATE_HZ if rate_hz is None else rate_hz)
-        count = max([*left.files, *right.files], default=-1) + 1
-        times = Times(ins, np.arange(count) / rate_hz)
-    reading = reading_of_yaw(table) if use_truth and table is not None else None
-    truth = None
-    if table is not None and reading is not None:
-        truth = Truth(ins, camera_poses(table, reading))
-    elif use_truth and table is not None:
-        log.warning("%s: yaw fits no direction of motion, the sequence has no truth", ins)
-    frames = usable_pairs((left, right), times, faults, truth=truth, first=first, last=last)
-    rig = rectified_rig(calibration, P_left, P_right, image_size(frames[0].left))
-    source: dict[str, Any] = {
+        seconds = np.arange(max([*left, *right], default=-1) + 1) / rate_hz
+    truth = reading = None
+    if use_truth and table is not None:
+        if (reading := _reading_of_yaw(table)) is None:
+            log.warning("%s: yaw fits no direction of motion, the sequence has no truth", ins)
+        else:
+            truth = _camera_poses(table, reading)
+    files = ImageFiles((path, path), (left, right), seconds, ins, truth, ins)
+    source = {
         "reader": NAME,
         "path": str(path),
         "calibration": str(calibration),
@@ -113,17 +101,11 @@ def open_sequence(
         "independent truth",
         f"The car's GPS/IMU unit, taken to sit at the left camera, its yaw counted {reading}: weak, to metres.",
     )
-    return RecordedSequence(f"{NAME}_{path.name}", rig.camera, frames, faults, source, truth_from)
+    return RecordedSequence(f"{NAME}_{path.name}", files, choice, rig_of(calibration, P), source, truth_from)
 
 
-def reading_of_yaw(table: FloatArray) -> str | None:
-    """The key of `_YAW` that agrees best with the course made good; None where none does or nothing moves.
-
-    Parameters
-    ----------
-    table : (K, 10)
-        Rows of `insdata.txt`.
-    """
+def _reading_of_yaw(table: FloatArray) -> str | None:
+    """The key of `_YAW` that agrees best with the course in rows of `insdata.txt`; None: none, or no motion."""
     good = table[finite_rows(table)]
     steps = np.diff(good[:, POSITION], axis=0)[:, :2]
     moving = np.linalg.norm(steps, axis=1) > _MOVES
@@ -141,41 +123,33 @@ def reading_of_yaw(table: FloatArray) -> str | None:
     return best if misfit[best] < _AGREES else None
 
 
-def camera_poses(table: FloatArray, reading: str) -> list[Pose | None]:
+def _camera_poses(table: FloatArray, reading: str) -> list[Pose | None]:
     """Poses of the left camera in the frame of x, y, z; None where a row is not finite."""
     good = finite_rows(table)
     roll, pitch, yaw = np.where(good[:, None], table[:, ATTITUDE], 0.0).T
     sign, offset = _YAW[reading]
     R_wu = Rotation.from_euler("ZYX", np.column_stack([sign * yaw + offset, pitch, roll]))
-    orientations = (R_wu * Rotation.from_matrix(R_UNIT_CAMERA)).as_quat()
-    positions = table[:, POSITION]
-    return [Pose(r.copy(), q) if ok else None for r, q, ok in zip(positions, orientations, good, strict=True)]
+    return known_poses(table[:, POSITION], R_wu * Rotation.from_matrix(R_UNIT_CAMERA), good)
 
 
-def _stored_times(path: Path, table: FloatArray) -> Times:
+def _stored_times(path: Path, table: FloatArray) -> FloatArray:
     """From the first one on, s."""
     finite = table[np.isfinite(table[:, 0]), 0]
     step = float(np.median(np.diff(finite))) if finite.size > 1 else _LIKELY_STEP[0]
     if not _LIKELY_STEP[0] <= step <= _LIKELY_STEP[1]:
         raise ValueError(f"{path}: times are {step:.6g} apart, which are no seconds: give rate_hz=10 instead of them")
-    return Times(path, table[:, 0] - (finite[0] if finite.size else 0.0))
+    return np.asarray(table[:, 0] - (finite[0] if finite.size else 0.0))
 
 
 def _wrapped(angle: FloatArray) -> FloatArray:
     return (angle + np.pi) % (2 * np.pi) - np.pi
 
 
-def _calibrations(path: Path) -> list[Path]:
-    """Files that can be the calibration of this sequence, best first."""
-    path = path.resolve()
-    date = "_".join(path.name.split("_")[:3])
-    beside = [path.parent / f"{path.name}_calib.txt", path.parent / f"{date}_calib.txt", path.parent / "calib.txt"]
-    return [*sorted(path.glob("*calib.txt")), *(candidate for candidate in beside if candidate.is_file())]
-
-
 def _calibration(path: Path) -> Path:
-    found = _calibrations(path)
+    """The file that is most likely the calibration of this sequence."""
+    date = "_".join(path.name.split("_")[:3])
+    beside = (path.parent / f"{name}calib.txt" for name in (f"{path.name}_", f"{date}_", ""))
+    found = [*sorted(path.glob("*calib.txt")), *(candidate for candidate in beside if candidate.is_file())]
     if not found:
-        date = "_".join(path.name.split("_")[:3])
         raise ValueError(f"{path} has no calibration: put {date}_calib.txt into it or beside it")
     return require_inside(found[0], path.parent)

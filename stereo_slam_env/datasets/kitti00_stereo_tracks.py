@@ -15,11 +15,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from filters.camera import StereoCamera
+from filters import Pose, StereoCamera, StereoNoise
 from filters.extras import install_command
-from filters.known_names import require_known
-from filters.noise import StereoNoise
-from filters.poses import Pose
 from filters.validation import FloatArray, IntArray
 from stereo_slam_env.datasets.tracks import ASSUMED_SIGMA_PX, Tracks, frames_of
 from stereo_slam_env.files.readers import read_poses, read_table, require_rotations, split_poses
@@ -33,8 +30,8 @@ TRUTH = Reference(
     f"KITTI's ground truth (GPS/INS) from frame {FIRST_SCORED_FRAME} on, moved as a whole onto the stereo odometry of "
     "that frame: its shape is independent of the images, its place is not.",
 )
-EXAMPLES = {"kitti00": ("VO_stereo_factors00.txt", "VO_calibration00.txt", "VO_camera_poses00.txt")}
-"""Stereo factors, calibration and poses of each example in the gtsam wheel."""
+EXAMPLE = ("VO_stereo_factors00.txt", "VO_calibration00.txt", "VO_camera_poses00.txt")
+"""Stereo factors, calibration and poses of the example in the gtsam wheel."""
 EXAMPLE_INTERVAL = 0.1037  # s between frames; the wheel holds no times
 EXAMPLE_REFERENCE = Reference(
     "odometry from the same images", "The stereo odometry that comes with the tracks and was fitted to the same pixels."
@@ -68,7 +65,7 @@ def read(path: Path, *, sigma_px: float = ASSUMED_SIGMA_PX, max_per_frame: int |
     ValueError
         A file is damaged, has the wrong shape, or holds NaN: the message names it.
     """
-    frame_ids, odometry_poses = _read_odometry_poses(path / "vo_poses.txt")
+    frame_ids, odometry = _read_odometry(path / "vo_poses.txt")
     times = read_table(path / "times.txt", 1).reshape(-1)
     positions, orientations = read_poses(path / "poses.txt")
     known = min(len(times), len(positions))
@@ -78,61 +75,31 @@ def read(path: Path, *, sigma_px: float = ASSUMED_SIGMA_PX, max_per_frame: int |
     truth: list[Pose | None] = [None] * len(frame_ids)
     if first < len(frame_ids):
         scored = frame_ids[first:]
-        truth[first:] = _moved_to(odometry_poses[first], positions[scored], orientations[scored])
-    return _tracks_recording(
-        NAME,
-        stereo_factors=path / "stereo_factors.txt",
-        calibration=path / "calibration.txt",
-        frame_ids=frame_ids,
-        timestamps=times[frame_ids],
-        truth=truth,
-        sigma_px=sigma_px,
-        max_per_frame=max_per_frame,
-        source={"reader": NAME, "path": str(path)},
-        truth_from=TRUTH,
-    )
+        truth[first:] = _moved_to(odometry[first], positions[scored], orientations[scored])
+    files = path / "stereo_factors.txt", path / "calibration.txt"
+    source = {"reader": NAME, "path": str(path)}
+    return _recording(NAME, files, frame_ids, times[frame_ids], truth, sigma_px, max_per_frame, source, TRUTH)
 
 
-def read_example(
-    name: str = "kitti00", *, sigma_px: float = ASSUMED_SIGMA_PX, max_per_frame: int | None = 100
-) -> Recording:
-    """Read an example inside the gtsam wheel.
+def read_example(*, sigma_px: float = ASSUMED_SIGMA_PX, max_per_frame: int | None = 100) -> Recording:
+    """Read the example inside the gtsam wheel; options as of `read`.
 
-    Parameters
-    ----------
-    name : str
-        A key of `EXAMPLES`.
-    sigma_px, max_per_frame
-        As for `read`.
-
-    Returns
-    -------
-    Recording
-        The wheel has no ground truth: the reference is the stereo odometry that comes with the tracks, which was
-        fitted to the same pixels. It shows gross errors, not which filter is better by centimetres.
+    The wheel has no ground truth: the reference is the stereo odometry that comes with the tracks, which was fitted to
+    the same pixels. It shows gross errors, not which filter is better by centimetres.
 
     Raises
     ------
-    ValueError
-        No such example.
     ImportError
         gtsam is not installed.
     """
-    require_known("there is no example", [f"gtsam:{name}"], [f"gtsam:{known}" for known in EXAMPLES])
-    stereo_factors, calibration, poses = (_in_wheel(file_name) for file_name in EXAMPLES[name])
-    frame_ids, odometry_poses = _read_odometry_poses(poses)
-    return _tracks_recording(
-        f"gtsam_{name}",
-        stereo_factors=stereo_factors,
-        calibration=calibration,
-        frame_ids=frame_ids,
-        timestamps=EXAMPLE_INTERVAL * frame_ids.astype(np.float64),
-        truth=[Pose(r, q) for r, q in zip(*split_poses(odometry_poses), strict=True)],
-        sigma_px=sigma_px,
-        max_per_frame=max_per_frame,
-        source={"reader": f"gtsam:{name}", "frame_interval_s": EXAMPLE_INTERVAL},
-        truth_from=EXAMPLE_REFERENCE,
-    )
+    stereo_factors, calibration, poses = map(_in_wheel, EXAMPLE)
+    frame_ids, odometry = _read_odometry(poses)
+    truth: list[Pose | None] = [Pose(r, q) for r, q in zip(*split_poses(odometry), strict=True)]
+    times = EXAMPLE_INTERVAL * frame_ids.astype(np.float64)
+    files = stereo_factors, calibration
+    source = {"reader": "gtsam:kitti00", "frame_interval_s": EXAMPLE_INTERVAL}
+    reference = EXAMPLE_REFERENCE
+    return _recording("gtsam_kitti00", files, frame_ids, times, truth, sigma_px, max_per_frame, source, reference)
 
 
 def _in_wheel(file_name: str) -> Path:
@@ -146,7 +113,7 @@ def _in_wheel(file_name: str) -> Path:
         raise ValueError(f"the installed gtsam has no example file {file_name}: install gtsam 4.3 or newer") from error
 
 
-def _read_odometry_poses(path: Path) -> tuple[IntArray, FloatArray]:
+def _read_odometry(path: Path) -> tuple[IntArray, FloatArray]:
     """Frame ids (K,), ascending, and T_world_cam (K, 4, 4) of a table `frame_id T00 ... T33`."""
     table = read_table(path, 17)
     frame_ids = table[:, 0].astype(np.int64)
@@ -157,11 +124,9 @@ def _read_odometry_poses(path: Path) -> tuple[IntArray, FloatArray]:
     return frame_ids, matrices
 
 
-def _tracks_recording(
+def _recording(
     name: str,
-    *,
-    stereo_factors: Path,
-    calibration: Path,
+    files: tuple[Path, Path],
     frame_ids: IntArray,
     timestamps: FloatArray,
     truth: list[Pose | None],
@@ -170,7 +135,8 @@ def _tracks_recording(
     source: Mapping[str, Any],
     truth_from: Reference,
 ) -> Recording:
-    """The recording of the frames `frame_ids` (K,), ascending, at `timestamps` (K,), s."""
+    """The recording of stereo factors and calibration in two files; K frames with ascending ids, at `timestamps`, s."""
+    stereo_factors, calibration = files
     fx, fy, _, cx, cy, baseline = read_table(calibration, 6)[0].tolist()
     table = read_table(stereo_factors, 8)
     ids = table[:, 0].astype(np.int64)

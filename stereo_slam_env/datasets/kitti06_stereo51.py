@@ -12,11 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from stereo_slam_env.datasets.calibration import rectified_rig
-from stereo_slam_env.datasets.frames import CameraFiles, Faults, OnBroken, Times, Truth, poses_of_rows, usable_pairs
-from stereo_slam_env.datasets.image_files import image_size, numbered_images
-from stereo_slam_env.datasets.odometry import camera_velocities
-from stereo_slam_env.datasets.sequence import RecordedSequence
+from stereo_slam_env.datasets.calibration import rig_of
+from stereo_slam_env.datasets.image_files import numbered_images
+from stereo_slam_env.datasets.sequence import Choice, ImageFiles, RecordedSequence, poses_of_rows
+from stereo_slam_env.datasets.tracks import camera_velocities
 from stereo_slam_env.files.readers import read_table
 from stereo_slam_env.recording.recording import Reference
 
@@ -33,14 +32,7 @@ P_I = np.array([1.1, -0.3, 0.7])
 
 
 def open_sequence(
-    path: Path,
-    *,
-    first: int | None = None,
-    last: int | None = None,
-    on_broken: OnBroken = "raise",
-    sigma_linear: float = 0.5,
-    sigma_angular: float = 0.05,
-    odometry_seed: int = 0,
+    path: Path, choice: Choice, *, sigma_linear: float = 0.5, sigma_angular: float = 0.05, odometry_seed: int = 0
 ) -> RecordedSequence:
     """Open the folder.
 
@@ -48,23 +40,21 @@ def open_sequence(
     ----------
     path : Path
         Folder with the files named in `FILES`.
-    first, last, on_broken
-        See `open_image_sequence`, also for what is raised.
+    choice : Choice
+        Frames to use, see `open_image_sequence`, also for what is raised.
     sigma_linear, sigma_angular : float
         White noise that is added to the velocities, m/s and rad/s per axis.
     odometry_seed : int
         Of that noise.
     """
-    faults = Faults(on_broken)
-    left, right = (CameraFiles(folder := path / name, numbered_images(folder)) for name in ("image_l", "image_r"))
-    calibration, velocities = path / "calib.txt", path / "odometry_oxts.csv"
-    projections = read_table(calibration, 12)
+    folders = path / "image_l", path / "image_r"
+    left, right = map(numbered_images, folders)
+    calibration, velocities, poses = path / "calib.txt", path / "odometry_oxts.csv", path / "poses.txt"
+    projections = read_table(calibration, 12).reshape(-1, 3, 4)
     if len(projections) != 2:
         raise ValueError(f"{calibration} has {len(projections)} rows where 2 projection matrices were expected")
     table = read_table(velocities, 7, delimiter=",", header_lines=1, finite=False)
-    frames_stored = max([*left.files, *right.files], default=-1) + 1
-    times = Times(velocities, table[:frames_stored, 0])  # one row more than frames
-    truth = Truth(path / "poses.txt", poses_of_rows(read_table(path / "poses.txt", 12, finite=False)))
+    frames_stored = max([*left, *right], default=-1) + 1  # the table has one row more
     odometry = camera_velocities(
         np.nan_to_num(table[:, 1:4]),
         np.nan_to_num(table[:, 4:7]),
@@ -75,10 +65,8 @@ def open_sequence(
         seed=odometry_seed,
     )
     steps = [step if np.isfinite(row).all() else None for step, row in zip(odometry, table, strict=True)]
-    frames = usable_pairs((left, right), times, faults, truth=truth, odometry=steps, first=first, last=last)
-    rig = rectified_rig(
-        calibration, projections[0].reshape(3, 4), projections[1].reshape(3, 4), image_size(frames[0].left)
-    )
+    truth = poses_of_rows(read_table(poses, 12, finite=False))
+    files = ImageFiles(folders, (left, right), table[:frames_stored, 0], velocities, truth, poses, steps)
     source: dict[str, Any] = {
         "reader": NAME,
         "path": str(path),
@@ -87,4 +75,5 @@ def open_sequence(
         "sigma_angular_rad_s": float(sigma_angular),
         "odometry_seed": int(odometry_seed),
     }
-    return RecordedSequence(NAME, rig.camera, frames, faults, source, TRUTH)
+    P = projections[0], projections[1]
+    return RecordedSequence(NAME, files, choice, rig_of(calibration, P), source, TRUTH)

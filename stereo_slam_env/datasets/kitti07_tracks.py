@@ -9,11 +9,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from filters.camera import StereoCamera
-from filters.noise import StereoNoise
-from filters.poses import Pose
-from stereo_slam_env.datasets.odometry import camera_velocities
-from stereo_slam_env.datasets.tracks import ASSUMED_SIGMA_PX, frames_of, tracks_of_pixels
+from filters import Pose, StereoCamera, StereoNoise
+from stereo_slam_env.datasets.tracks import ASSUMED_SIGMA_PX, camera_velocities, frames_of, tracks_of_pixels
 from stereo_slam_env.files.readers import Shape, read_archive, read_poses
 from stereo_slam_env.recording.recording import Recording, Reference
 

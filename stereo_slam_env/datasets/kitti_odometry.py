@@ -10,24 +10,20 @@ from __future__ import annotations
 
 import json
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
 
-from filters import rotations
-from filters.camera import StereoCamera
-from filters.poses import Pose
+from filters import Pose, StereoCamera
 from filters.validation import FloatArray
-from stereo_slam_env.datasets.calibration import entry, read_entries, rectified_rig
-from stereo_slam_env.datasets.frames import CameraFiles, Faults, OnBroken, Times, Truth, poses_of_rows, usable_pairs
-from stereo_slam_env.datasets.image_files import image_size, numbered_images
-from stereo_slam_env.datasets.sequence import RecordedSequence
+from stereo_slam_env.datasets.calibration import of_left_camera, projections, rig_of
+from stereo_slam_env.datasets.image_files import numbered_images
+from stereo_slam_env.datasets.sequence import Choice, ImageFiles, RecordedSequence, poses_of_rows
 from stereo_slam_env.files.paths import require_inside
 from stereo_slam_env.files.readers import read_table
-from stereo_slam_env.recording.recording import GreyImage, ImageSequence, Reference, StereoPair
+from stereo_slam_env.recording.recording import ImageSequence, Reference, StereoPair
 
 NAME = "kitti_odometry"
 FILES = (("calib.txt", "times.txt", "image_0", "image_1"), ("calib.txt", "times.txt", "image_2", "image_3"))
@@ -45,13 +41,7 @@ def poses_file(path: Path) -> Path:
 
 
 def open_sequence(
-    path: Path,
-    *,
-    first: int | None = None,
-    last: int | None = None,
-    on_broken: OnBroken = "raise",
-    cameras: str | None = None,
-    use_truth: bool = True,
+    path: Path, choice: Choice, *, cameras: str | None = None, use_truth: bool = True
 ) -> RecordedSequence:
     """Open `sequences/NN`.
 
@@ -59,55 +49,38 @@ def open_sequence(
     ----------
     path : Path
         The folder of the sequence.
-    first, last, on_broken
-        See `open_image_sequence`, also for what is raised.
+    choice : Choice
+        Frames to use, see `open_image_sequence`, also for what is raised.
     cameras : {"grey", "colour"}, optional
         Which pair of cameras; None takes grey where present.
     use_truth : bool
         Whether to read the true poses, where there are any.
     """
     path = path.resolve()
-    faults = Faults(on_broken)
-    chosen, (left, right) = chosen_cameras(lambda number: path / f"image_{number}", cameras)
-    calibration = path / "calib.txt"
-    entries = read_entries(calibration)
-    P_left, P_right = (entry(calibration, entries, f"P{n}", (3, 4)) for n in CAMERAS[chosen])
-    times = Times(path / "times.txt", read_table(path / "times.txt", 1, finite=False).reshape(-1))
-    poses, truth = poses_file(path), None
+    cameras, folders = chosen_cameras(lambda number: path / f"image_{number}", cameras)
+    calibration, times, poses = path / "calib.txt", path / "times.txt", poses_file(path)
+    P = projections(calibration, [f"P{n}" for n in CAMERAS[cameras]])
+    seconds, truth = read_table(times, 1, finite=False).reshape(-1), None
     if use_truth and poses.is_file():
         require_inside(poses, path.parent.parent)
-        truth = Truth(poses, poses_of_rows(read_table(poses, 12, finite=False)))
-    frames = usable_pairs((left, right), times, faults, truth=truth, first=first, last=last)
-    rig = rectified_rig(calibration, P_left, P_right, image_size(frames[0].left))
-    source: dict[str, Any] = {
-        "reader": NAME,
-        "path": str(path),
-        "cameras": chosen,
-    }
+        truth = of_left_camera(poses_of_rows(read_table(poses, 12, finite=False)), P[0])
+    images = numbered_images(folders[0]), numbered_images(folders[1])
+    files = ImageFiles(folders, images, seconds, times, truth, poses)
+    source = {"reader": NAME, "path": str(path), "cameras": cameras}
     truth_from = Reference("independent truth", f"poses/{poses.name} of the recording; KITTI made its own by GPS/INS.")
-    return RecordedSequence(f"{NAME}_{path.name}", rig.camera, rig.of_left(frames), faults, source, truth_from)
+    return RecordedSequence(f"{NAME}_{path.name}", files, choice, rig_of(calibration, P), source, truth_from)
 
 
-def chosen_cameras(folder_of: Callable[[int], Path], asked: str | None) -> tuple[str, tuple[CameraFiles, CameraFiles]]:
-    """The pair of cameras that was asked for (None: grey where present), and the images of left and right.
+def chosen_cameras(folder_of: Callable[[int], Path], asked: str | None) -> tuple[str, tuple[Path, Path]]:
+    """The pair of cameras that was asked for (None: grey where present), and the folders of left and right.
 
-    Parameters
-    ----------
-    folder_of : callable
-        Gives the folder of a camera by its number.
-    asked : str, optional
-        A key of `CAMERAS`.
-
-    Raises
-    ------
-    ValueError
-        There is no such pair.
+    `folder_of` gives the folder of a camera by its number; a `ValueError` where there is no such pair.
     """
     if asked is None:
         asked = "grey" if all(folder_of(number).is_dir() for number in CAMERAS["grey"]) else "colour"
     if asked not in CAMERAS:
         raise ValueError(f"cameras must be one of {', '.join(CAMERAS)}, got {asked!r}")
-    left, right = (CameraFiles(folder_of(number), numbered_images(folder_of(number))) for number in CAMERAS[asked])
+    left, right = map(folder_of, CAMERAS[asked])
     return asked, (left, right)
 
 
@@ -169,7 +142,8 @@ def write_kitti_sequence(
     known = [pose for pose in truth if pose is not None]
     if len(known) == len(truth):
         poses.parent.mkdir(exist_ok=True)
-        poses.write_text(_pose_rows(known))
+        rows = (np.column_stack([pose.R_wc, pose.position]) for pose in known)
+        poses.write_text("".join(f"{_row(row.ravel())}\n" for row in rows))
     elif known:
         log.warning("%s not written: %d of %d pairs have no true pose", poses, len(truth) - len(known), len(truth))
     if final.exists():
@@ -195,14 +169,10 @@ def _write_images(folder: Path, number: int, pair: StereoPair, camera: StereoCam
                 f"pair {number} cannot be written to {path}: its images must be uint8 of shape "
                 f"{(camera.height, camera.width)}, got {image.dtype} of shape {image.shape}"
             )
-        path.write_bytes(_png(image))
-
-
-def _png(image: GreyImage) -> bytes:
-    done, data = cv2.imencode(".png", image)
-    if not done:
-        raise ValueError("OpenCV could not encode an image as PNG: install opencv-python-headless with PNG support")
-    return bytes(data)
+        done, data = cv2.imencode(".png", image)
+        if not done:
+            raise ValueError("OpenCV could not encode an image as PNG: install opencv-python-headless with PNG support")
+        path.write_bytes(bytes(data))
 
 
 def _calibration(camera: StereoCamera) -> str:
@@ -213,11 +183,6 @@ def _calibration(camera: StereoCamera) -> str:
 
     grey = (projection(0.0), projection(-camera.disparity_constant))
     return "".join(f"P{n}: {_row(grey[n % 2].ravel())}\n" for n in range(4))
-
-
-def _pose_rows(poses: Sequence[Pose]) -> str:
-    rows = (np.column_stack([rotations.matrix(pose.orientation), pose.position]) for pose in poses)
-    return "".join(f"{_row(row.ravel())}\n" for row in rows)
 
 
 def _row(numbers: FloatArray) -> str:

@@ -13,22 +13,26 @@ unit's frame by roll and pitch. Row k is taken for the step from frame k - 1 to 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from filters.interface import BodyVelocity
-from filters.poses import Pose
+from filters import BodyVelocity, Pose
 from filters.validation import FloatArray
-from stereo_slam_env.datasets.calibration import camera_position, entry, read_entries, rectified_rig
-from stereo_slam_env.datasets.frames import Faults, OnBroken, Times, Truth, usable_pairs
-from stereo_slam_env.datasets.image_files import image_size
+from stereo_slam_env.datasets.calibration import (
+    camera_position,
+    entry,
+    of_left_camera,
+    projections,
+    read_entries,
+    rig_of,
+)
+from stereo_slam_env.datasets.image_files import numbered_images
 from stereo_slam_env.datasets.kitti_odometry import CAMERAS, chosen_cameras
-from stereo_slam_env.datasets.odometry import camera_velocities
-from stereo_slam_env.datasets.sequence import RecordedSequence
+from stereo_slam_env.datasets.sequence import Choice, ImageFiles, RecordedSequence, known_poses
+from stereo_slam_env.datasets.tracks import camera_velocities
 from stereo_slam_env.files.paths import require_inside
 from stereo_slam_env.files.readers import finite_rows, read_text
 from stereo_slam_env.recording.recording import Reference
@@ -55,10 +59,8 @@ LEVEL_VELOCITY, BODY_RATES = slice(8, 11), slice(17, 20)
 
 def open_sequence(
     path: Path,
+    choice: Choice,
     *,
-    first: int | None = None,
-    last: int | None = None,
-    on_broken: OnBroken = "raise",
     cameras: str | None = None,
     use_oxts: bool = True,
     sigma_linear: float = 0.5,
@@ -71,8 +73,8 @@ def open_sequence(
     ----------
     path : Path
         The folder of the drive.
-    first, last, on_broken
-        See `open_image_sequence`, also for what is raised.
+    choice : Choice
+        Frames to use, see `open_image_sequence`, also for what is raised.
     cameras : {"grey", "colour"}, optional
         Which pair of cameras; None takes grey where present.
     use_oxts : bool
@@ -83,41 +85,32 @@ def open_sequence(
         Of that noise.
     """
     path = path.resolve()
-    faults = Faults(on_broken)
-    chosen, (left, right) = chosen_cameras(lambda number: path / f"image_{number:02d}" / "data", cameras)
+    cameras, folders = chosen_cameras(lambda number: path / f"image_{number:02d}" / "data", cameras)
     calibration = require_inside(path.parent / CALIBRATION, path.parent)
-    entries = read_entries(calibration)
-    P_left, P_right = (entry(calibration, entries, f"P_rect_{n:02d}", (3, 4)) for n in CAMERAS[chosen])
-    times = read_timestamps(left.folder.parent / "timestamps.txt")
+    P = projections(calibration, [f"P_rect_{n:02d}" for n in CAMERAS[cameras]])
+    times, oxts = folders[0].parent / "timestamps.txt", path / "oxts" / "data"
+    seconds = _read_timestamps(times)
     truth, odometry = None, []
-    if known := use_oxts and _has_oxts(path):
-        packets = _read_packets(path / "oxts" / "data", len(times.seconds))
-        T_ci = _imu_to_reference_camera(path.parent, calibration, entries)
-        truth = Truth(path / "oxts" / "data", _reference_camera_poses(packets, T_ci))
-        noise = sigma_linear, sigma_angular, odometry_seed
-        odometry = _odometry(packets, T_ci, camera_position(P_left), *noise)
-    frames = usable_pairs((left, right), times, faults, truth=truth, odometry=odometry, first=first, last=last)
-    rig = rectified_rig(calibration, P_left, P_right, image_size(frames[0].left))
+    if known := use_oxts and oxts.is_dir() and all((path.parent / name).is_file() for name in EXTRINSICS):
+        packets, T_ci = _read_packets(oxts, len(seconds)), _imu_to_reference_camera(path.parent, calibration)
+        truth = of_left_camera(_reference_camera_poses(packets, T_ci), P[0])
+        odometry = _odometry(packets, T_ci, camera_position(P[0]), sigma_linear, sigma_angular, odometry_seed)
+    images = numbered_images(folders[0]), numbered_images(folders[1])
+    files = ImageFiles(folders, images, seconds, times, truth, oxts, odometry)
     source: dict[str, Any] = {
         "reader": NAME,
         "path": str(path),
-        "cameras": chosen,
+        "cameras": cameras,
         "odometry": "velocities of the GPS/IMU unit with white noise added" if known else None,
         "sigma_linear_m_s": float(sigma_linear),
         "sigma_angular_rad_s": float(sigma_angular),
         "odometry_seed": int(odometry_seed),
     }
-    return RecordedSequence(path.name, rig.camera, rig.of_left(frames), faults, source, TRUTH)
+    return RecordedSequence(path.name, files, choice, rig_of(calibration, P), source, TRUTH)
 
 
-def read_timestamps(path: Path) -> Times:
-    """Lines `2011-09-26 13:02:25.964389445` as s since the first one; NaN where a line is no time.
-
-    Raises
-    ------
-    ValueError
-        The file is missing or holds no time.
-    """
+def _read_timestamps(path: Path) -> FloatArray:
+    """Lines `2011-09-26 13:02:25.964389445` as s since the first one; NaN where a line is no time."""
     try:
         lines = read_text(path).splitlines()
     except FileNotFoundError:
@@ -129,7 +122,7 @@ def read_timestamps(path: Path) -> Times:
     if good.size == 0:
         raise ValueError(f"{path} holds no time such as '2011-09-26 13:02:25.964389445': copy it again")
     nanoseconds = (stamps - good[0]) / np.timedelta64(1, "ns")
-    return Times(path, 1e-9 * nanoseconds)
+    return np.asarray(1e-9 * nanoseconds)
 
 
 def _stamp(line: str) -> np.datetime64:
@@ -137,10 +130,6 @@ def _stamp(line: str) -> np.datetime64:
         return np.datetime64(line.strip(), "ns")
     except ValueError:
         return np.datetime64("NaT", "ns")
-
-
-def _has_oxts(path: Path) -> bool:
-    return (path / "oxts" / "data").is_dir() and all((path.parent / name).is_file() for name in EXTRINSICS)
 
 
 def _read_packets(folder: Path, count: int) -> FloatArray:
@@ -158,7 +147,7 @@ def _read_packets(folder: Path, count: int) -> FloatArray:
     return packets
 
 
-def _imu_to_reference_camera(folder: Path, calibration: Path, entries: Mapping[str, FloatArray]) -> FloatArray:
+def _imu_to_reference_camera(folder: Path, calibration: Path) -> FloatArray:
     """T (4, 4) that takes points from the IMU frame to the rectified frame of camera 00."""
     T = np.eye(4)
     for name in EXTRINSICS:
@@ -168,7 +157,7 @@ def _imu_to_reference_camera(folder: Path, calibration: Path, entries: Mapping[s
         step[:3, :3], step[:3, 3] = entry(path, found, "R", (3, 3)), entry(path, found, "T", (3,))
         T = step @ T
     rectify = np.eye(4)
-    rectify[:3, :3] = entry(calibration, entries, "R_rect_00", (3, 3))
+    rectify[:3, :3] = entry(calibration, read_entries(calibration), "R_rect_00", (3, 3))
     return np.asarray(rectify @ T, dtype=np.float64)
 
 
@@ -178,9 +167,7 @@ def _reference_camera_poses(packets: FloatArray, T_ci: FloatArray) -> list[Pose 
     positions = _mercator_positions(*np.where(good[:, None], packets[:, :3], np.nan).T)
     R_wi = Rotation.from_euler("ZYX", usable[:, [YAW, PITCH, ROLL]])
     R_ci, t_ci = T_ci[:3, :3], T_ci[:3, 3]
-    camera_positions = positions + R_wi.apply(-R_ci.T @ t_ci)
-    orientations = (R_wi * Rotation.from_matrix(R_ci.T)).as_quat()
-    return [Pose(r, q) if ok else None for r, q, ok in zip(camera_positions, orientations, good, strict=True)]
+    return known_poses(positions + R_wi.apply(-R_ci.T @ t_ci), R_wi * Rotation.from_matrix(R_ci.T), good)
 
 
 def _odometry(

@@ -1,69 +1,207 @@
-"""A recording of images on disk as an `ImageSequence`."""
+"""A recording of images on disk as an `ImageSequence`, and what is done about pairs that cannot be used."""
 
 from __future__ import annotations
 
+import logging
+from bisect import bisect_left
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from filters import rotations
-from filters.camera import StereoCamera
-from filters.interface import BodyVelocity
-from filters.poses import Pose
-from filters.start import Start
-from stereo_slam_env.datasets.frames import Faults, FramePair
+from filters import BodyVelocity, Pose, Start, StereoCamera, rotations
+from filters.validation import BoolArray, FloatArray
 from stereo_slam_env.datasets.image_files import BrokenPair, read_grey
 from stereo_slam_env.recording.recording import GreyImage, Reference, StereoPair
 
 Rectify = Callable[[GreyImage, GreyImage], tuple[GreyImage, GreyImage]]
+OnBroken = Literal["raise", "skip"]
+_ORTHONORMAL = 1e-2
+"""Largest entry of R R^T - I of a pose that is believed to be one; files have as few as six digits."""
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Frames `first` to `last`, both included (None: no limit), and whether broken pairs raise or are skipped."""
+
+    first: int | None = None
+    last: int | None = None
+    on_broken: OnBroken = "raise"
+
+    def __post_init__(self) -> None:
+        for name, value in (("first", self.first), ("last", self.last)):
+            if value is not None and (type(value) is not int or value < 0):
+                raise ValueError(f"{name} must be a frame number >= 0, got {value!r}")
+        if self.on_broken not in ("raise", "skip"):
+            raise ValueError(f"on_broken must be 'raise' or 'skip', got {self.on_broken!r}")
+
+
+@dataclass
+class Faults:
+    """Broken pairs: each raises, or is logged and counted (reason -> number of pairs)."""
+
+    on_broken: OnBroken
+    counts: Counter[str] = field(default_factory=Counter)
+
+    def meet(self, fault: BrokenPair) -> None:
+        """Raise `fault`, or log and count it."""
+        if self.on_broken == "raise":
+            raise fault
+        self.counts[fault.reason] += 1
+        log.warning("pair skipped: %s", fault)
+
+
+@dataclass(frozen=True, eq=False)
+class ImageFiles:
+    """Files of a recording of images, and what is known of each frame."""
+
+    folders: tuple[Path, Path]  # of the left and of the right images, for messages
+    images: tuple[Mapping[int, Path], Mapping[int, Path]]  # left and right ones by frame number
+    seconds: FloatArray  # (K,): time of frame k in row k, s; NaN where it cannot be read
+    times_file: Path  # for messages
+    # Pose of the left camera of frame k in row k, in any world; None where the row is no pose.
+    truth: Sequence[Pose | None] | None = None
+    truth_file: Path = Path()  # for messages
+    # Of the step to frame k from the one before; frames beyond its end have none.
+    odometry: Sequence[BodyVelocity | None] = ()
+
+    def frame(self, number: int) -> FramePair:
+        """Data of a pair; a `BrokenPair` where an image, its time or its pose is missing or no use."""
+        left, right = self.images
+        for side, folder, images in zip(("left", "right"), self.folders, self.images, strict=True):
+            if number not in images:
+                raise BrokenPair(
+                    f"{side} image missing",
+                    f"{folder} has no image of frame {number} ({len(left)} left images, "
+                    f"{len(right)} right images, {len(self.seconds)} times in {self.times_file.name}): "
+                    "copy it again, choose others with first and last, or skip broken pairs",
+                )
+        if number >= len(self.seconds):
+            raise BrokenPair(
+                "no time stamp",
+                f"{self.times_file} has {len(self.seconds)} times where {self.folders[0].name} has {len(left)} "
+                f"images (frame {number} has none): complete it, or skip broken pairs",
+            )
+        if not np.isfinite(self.seconds[number]):
+            said = f"{self.times_file} has NaN or infinity as the time of frame {number}: correct the row"
+            raise BrokenPair("no time stamp", said)
+        pose, row = None, f"{self.truth_file} has NaN, infinity or no rotation in row {number}: correct the row"
+        if self.truth is not None:
+            if number >= len(self.truth):
+                row = f"{self.truth_file} has {len(self.truth)} poses and none for frame {number}: complete it"
+            elif (pose := self.truth[number]) is not None:
+                row = ""
+            if row:
+                raise BrokenPair("no true pose", f"{row}, or skip broken pairs")
+        step = self.odometry[number] if number < len(self.odometry) else None
+        return FramePair(number, float(self.seconds[number]), left[number], right[number], pose, step)
+
+
+@dataclass(frozen=True, eq=False)
+class FramePair:
+    """Data of a pair before its images are read; `number` is that of the frame in the recording."""
+
+    number: int
+    timestamp: float
+    left: Path
+    right: Path
+    truth: Pose | None
+    odometry: BodyVelocity | None
+
+
+def usable_pairs(files: ImageFiles, choice: Choice, faults: Faults) -> list[FramePair]:
+    """The chosen frames that have all they need, in time order; the others are met by `faults`."""
+    folder, first, last = files.folders[0], choice.first, choice.last
+    numbers = {*files.images[0], *files.images[1], *range(len(files.seconds))}
+    if not numbers:
+        raise ValueError(f"{folder} has no images: check that the recording was unpacked there")
+    low, high = first or 0, max(numbers) if last is None else last
+    chosen = sorted(number for number in numbers if low <= number <= high)
+    if not chosen:
+        there = f"its frames are {min(numbers)} to {max(numbers)}"
+        raise ValueError(f"first={first}, last={last} select no frame of {folder}: {there}")
+    pairs = []
+    for number in chosen:
+        try:
+            pairs.append(files.frame(number))
+        except BrokenPair as fault:
+            faults.meet(fault)
+    kept = _longest_increase([pair.timestamp for pair in pairs])
+    for at, pair in enumerate(pairs):
+        if at not in kept:
+            other = pairs[at - 1 if at else 1]
+            message = (
+                f"{files.times_file}: times must increase, frame {pair.number} has {pair.timestamp:.9g} s next to "
+                f"{other.timestamp:.9g} s of frame {other.number}: correct it, or skip broken pairs"
+            )
+            faults.meet(BrokenPair("time stamp does not increase", message))
+    if not kept:
+        raise ValueError(f"{folder} has no usable pair among its {len(chosen)} frames: check the files in it")
+    return [pair for at, pair in enumerate(pairs) if at in kept]
+
+
+def _longest_increase(values: list[float]) -> set[int]:
+    """Indices of a longest strictly increasing subsequence: one wild time costs one pair, not all that follow."""
+    tails: list[float] = []
+    ends: list[int] = []
+    previous: list[int] = []
+    for i, value in enumerate(values):
+        at = bisect_left(tails, value)
+        tails[at : at + 1] = [value]
+        ends[at : at + 1] = [i]
+        previous.append(ends[at - 1] if at else -1)
+    chosen, i = set(), ends[-1] if ends else -1
+    while i >= 0:
+        chosen.add(i)
+        i = previous[i]
+    return chosen
+
+
+def poses_of_rows(rows: FloatArray) -> list[Pose | None]:
+    """Poses of (K, 12) rows that hold the upper 3x4 part of T_world_cam; None where a row is not finite or no pose."""
+    matrices = rows.reshape(-1, 3, 4)
+    R = np.nan_to_num(matrices[:, :, :3], nan=0.0, posinf=0.0, neginf=0.0)
+    defect = np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
+    good = np.isfinite(rows).all(axis=1) & (defect < _ORTHONORMAL) & (np.linalg.det(R) > 0)
+    R[~good] = np.eye(3)
+    return known_poses(matrices[:, :, 3], Rotation.from_matrix(R), good)
+
+
+def known_poses(positions: FloatArray, orientations: Rotation, known: BoolArray) -> list[Pose | None]:
+    """K poses of positions (K, 3), m, and K rotations; None where they are not `known` (K,)."""
+    quaternions = orientations.as_quat().reshape(-1, 4)
+    return [Pose(r.copy(), q) if ok else None for r, q, ok in zip(positions, quaternions, known, strict=True)]
 
 
 class RecordedSequence:
     """An `ImageSequence` of files; images are read pair by pair.
 
     W is the left camera at the first pair that is used, and truth is told in it. Where that pair has no true pose, no
-    pair has one: it could not be told in W.
-
-    Parameters
-    ----------
-    name : str
-        Short name.
-    camera : StereoCamera
-        The rectified rig.
-    frames : sequence of FramePair
-        In time order.
-    faults : Faults
-        What is done about broken pairs, with those met so far.
-    source : mapping
-        Reader, path and settings; JSON-able. The range of frames and what is done about broken ones are added.
-    truth_from : Reference
-        What the truth of the frames is, where they have one.
-    stored_size : (int, int), optional
-        Width and height of the images on disk, px; that of the camera unless `rectify` changes it.
-    rectify : callable, optional
-        Makes rectified images, left and right, of those on disk.
+    pair has one: it could not be told in W. `camera` gives the rectified rig for an image file of the left camera,
+    `rectify` makes rectified images, left and right, of those on disk, and `source` says reader, path and settings.
     """
 
     def __init__(
         self,
         name: str,
-        camera: StereoCamera,
-        frames: Sequence[FramePair],
-        faults: Faults,
+        files: ImageFiles,
+        choice: Choice,
+        camera: Callable[[Path], StereoCamera],
         source: Mapping[str, Any],
         truth_from: Reference,
-        *,
-        stored_size: tuple[int, int] | None = None,
         rectify: Rectify | None = None,
     ) -> None:
-        self.name, self.camera, self.start, self.truth_from = name, camera, Start(), truth_from
-        selected = {"first": frames[0].number, "last": frames[-1].number, "on_broken": faults.on_broken}
-        self.source: Mapping[str, Any] = {**source, **selected}
-        self._frames = tuple(frames)
-        self._found_at_opening = faults
+        self._found_at_opening = faults = Faults(choice.on_broken)
+        self._frames = frames = tuple(usable_pairs(files, choice, faults))
+        self.name, self.camera, self.start, self.truth_from = name, camera(frames[0].left), Start(), truth_from
+        self.source = {**source, **vars(replace(choice, first=frames[0].number, last=frames[-1].number))}
         self._skipped = dict(faults.counts)
-        self._stored_size = stored_size or (camera.width, camera.height)
         self._rectify = rectify
 
     @property
@@ -81,20 +219,15 @@ class RecordedSequence:
         return len(self._frames)
 
     def pairs(self) -> Iterator[StereoPair]:
-        """The pairs in time order; may be called again.
-
-        Raises
-        ------
-        BrokenPair
-            An image is missing, damaged or of another size, and broken pairs are not skipped.
-        """
+        """The pairs in time order; may be called again. A `BrokenPair` unless those are skipped."""
         faults = Faults(self._found_at_opening.on_broken, self._found_at_opening.counts.copy())
         origin: Pose | None = None
         before: FramePair | None = None
         left_out: list[FramePair] = []
         for frame in self._frames:
             try:
-                left, right = (read_grey(path, self._stored_size) for path in (frame.left, frame.right))
+                size = self.camera.width, self.camera.height
+                left, right = (read_grey(path, size) for path in (frame.left, frame.right))
             except BrokenPair as fault:
                 faults.meet(fault)
                 self._skipped = dict(faults.counts)
@@ -114,21 +247,18 @@ class RecordedSequence:
 def _seen_from(origin: Pose | None, pose: Pose | None) -> Pose | None:
     if origin is None or pose is None:
         return None
-    R_wo = rotations.matrix(origin.orientation)
-    orientation = rotations.between(origin.orientation, pose.orientation)
-    return Pose(R_wo.T @ (pose.position - origin.position), orientation)
+    return Pose(origin.to_camera(pose.position), rotations.between(origin.orientation, pose.orientation))
 
 
 def _mean_velocity(before: FramePair, frames: Sequence[FramePair]) -> BodyVelocity | None:
     """Mean over the steps from `before` to the last of `frames`; None where a step between is unknown."""
     if len(frames) == 1 and frames[0].number == before.number + 1:
         return frames[0].odometry
-    numbers = [before.number, *(frame.number for frame in frames)]
+    every = [before, *frames]
     steps = [frame.odometry for frame in frames if frame.odometry is not None]
-    if len(steps) < len(frames) or (np.diff(numbers) != 1).any():
+    if len(steps) < len(frames) or (np.diff([frame.number for frame in every]) != 1).any():
         return None
-    times = [before.timestamp, *(frame.timestamp for frame in frames)]
-    shares = np.diff(times) / (times[-1] - times[0])
+    shares = np.diff([frame.timestamp for frame in every]) / (frames[-1].timestamp - before.timestamp)
     return BodyVelocity(
         sum(share * step.linear for share, step in zip(shares, steps, strict=True)),
         sum(share * step.angular for share, step in zip(shares, steps, strict=True)),

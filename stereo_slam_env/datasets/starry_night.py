@@ -12,12 +12,9 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from filters.camera import StereoCamera
-from filters.noise import StereoNoise
-from filters.poses import Pose
+from filters import Pose, StereoCamera, StereoNoise
 from filters.validation import FloatArray, positive
-from stereo_slam_env.datasets.odometry import camera_velocities
-from stereo_slam_env.datasets.tracks import frames_of, tracks_of_pixels
+from stereo_slam_env.datasets.tracks import camera_velocities, frames_of, tracks_of_pixels
 from stereo_slam_env.files.readers import Shape, read_archive, require_rotations
 from stereo_slam_env.recording.recording import LandmarkTruth, Recording, Reference
 
@@ -131,25 +128,13 @@ def read(
 def step_velocities(
     timestamps: FloatArray, linear_v: FloatArray, angular_v: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Mean velocities over each step, out of the readings.
+    """Mean velocities (K, 3) over each step, out of the readings (K, 3) in the vehicle frame; row 0, of no step, is 0.
 
     Found out by residuals against motion capture (steps 100 to 1199): a linear reading describes the step that begins
     with it (over 20 steps 8 to 17 mm, taken with the attitude of motion capture; the reading at the end of the step
     24 to 38 mm). The angular readings have the opposite sign of the rotation (variance of the residual 0.003 to 0.009
     after turning it, 0.06 to 0.09 (rad/s)^2 before, which is where the published `w_var` comes from), and are
     `GYRO_DELAY` late (the same in both halves).
-
-    Parameters
-    ----------
-    timestamps : (K,) ndarray
-        s.
-    linear_v, angular_v : (K, 3) ndarray
-        As stored, m/s and rad/s in the vehicle frame.
-
-    Returns
-    -------
-    linear, angular : (K, 3) ndarray
-        Row k describes the step from k - 1 to k; row 0, of no step, is 0.
     """
     late = np.stack([np.interp(timestamps + GYRO_DELAY, timestamps, column) for column in angular_v.T], axis=1)
     linear, angular = np.zeros_like(linear_v), np.zeros_like(angular_v)

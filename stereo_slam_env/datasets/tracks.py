@@ -1,4 +1,4 @@
-"""Feature tracks as a flat list of observations, and the frames of a recording made of them."""
+"""Feature tracks and odometry of data sets, and the frames of a recording made of them."""
 
 from __future__ import annotations
 
@@ -8,9 +8,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from filters.interface import BodyVelocity, StereoObservation
-from filters.poses import Pose
-from filters.validation import BoolArray, FloatArray, IntArray
+from filters import BodyVelocity, Pose, StereoObservation, rotations
+from filters.validation import BoolArray, FloatArray, IntArray, positive, whole_number
 from stereo_slam_env.recording.recording import Frame
 
 # Standard deviation to assume for the pixels of real tracks. Their core is sharper (0.2 to 0.6 px), but they drift:
@@ -20,24 +19,12 @@ ASSUMED_SIGMA_PX = 2.0
 
 @dataclass(frozen=True, eq=False)
 class Tracks:
-    """Every observation of a run, flat, in any order.
+    """Every observation of a run, flat, in any order."""
 
-    Attributes
-    ----------
-    frame : (n,) int64
-        Index of the frame of each observation.
-    ids : (n,) int64
-        Landmark identity.
-    uvd : (n, 3)
-        Left pixel and disparity, px.
-    v_right : (n,), optional
-        Row in the right image where it was measured on its own, px.
-    """
-
-    frame: IntArray
-    ids: IntArray
-    uvd: FloatArray
-    v_right: FloatArray | None = None
+    frame: IntArray  # (n,): index of the frame of each observation
+    ids: IntArray  # (n,): landmark identity
+    uvd: FloatArray  # (n, 3): left pixel and disparity, px
+    v_right: FloatArray | None = None  # (n,): row in the right image where it was measured on its own, px
 
     def __len__(self) -> int:
         return len(self.frame)
@@ -57,16 +44,10 @@ class Tracks:
         A landmark that is taken is kept until its track ends; a free place goes to the visible landmark with most
         frames still ahead of it, ties to the smaller id. The choice is deterministic and cuts no track short, but it
         looks ahead: it is a way to thin out a data set, not a front end.
-
-        Raises
-        ------
-        ValueError
-            `max_per_frame` is not a whole number >= 1.
         """
         if max_per_frame is None:
             return self
-        if not isinstance(max_per_frame, int) or max_per_frame < 1:
-            raise ValueError(f"max_per_frame must be a whole number >= 1 or None, got {max_per_frame!r}")
+        whole_number("max_per_frame", max_per_frame, 1)
         values, landmark = np.unique(self.ids, return_inverse=True)
         never = np.iinfo(np.int64).max
         last = np.full(len(values), -1, dtype=np.int64)
@@ -82,13 +63,7 @@ class Tracks:
 
 
 def tracks_of_pixels(pixels: FloatArray) -> Tracks:
-    """Observations out of a dense table.
-
-    Parameters
-    ----------
-    pixels : (4, K, N) ndarray
-        u_left, v_left, u_right, v_right of landmark j in frame k, px; -1 where it was not seen.
-    """
+    """Observations out of u_left, v_left, u_right, v_right (4, K, N) of landmark j in frame k; -1: not seen."""
     frame, landmark = np.nonzero((pixels != -1.0).all(axis=0))
     u_left, v_left, u_right, v_right = pixels[:, frame, landmark]
     return Tracks(frame, landmark, np.column_stack([u_left, v_left, u_left - u_right]), v_right)
@@ -102,21 +77,8 @@ def frames_of(
 ) -> tuple[Frame, ...]:
     """Frames in time order, each with its observations in ascending order of ids.
 
-    Parameters
-    ----------
-    tracks : Tracks
-        Frame indices refer to `timestamps`.
-    timestamps : (K,) ndarray
-        s, strictly increasing.
-    truth : sequence of K
-        True pose of each frame or None.
-    odometry : sequence of K, optional
-        Mean velocity of the step that ends at each frame, or None.
-
-    Raises
-    ------
-    ValueError
-        Times do not increase, or an observation refers to a frame that does not exist.
+    Frame indices of the tracks refer to `timestamps` (K,), s; `truth` and `odometry` have an entry for each frame, or
+    None.
     """
     stuck = np.flatnonzero(~(np.diff(timestamps) > 0))
     if stuck.size:
@@ -139,3 +101,33 @@ def frames_of(
         step = None if odometry is None else odometry[k]
         frames.append(Frame(float(timestamps[k]), observation, step, truth[k]))
     return tuple(frames)
+
+
+def camera_velocities(
+    linear_imu: FloatArray,
+    angular_imu: FloatArray,
+    R_ci: FloatArray,
+    p_i: FloatArray,
+    *,
+    sigma_linear: float,
+    sigma_angular: float,
+    seed: int | None = None,
+) -> list[BodyVelocity | None]:
+    """Velocities of the left camera from those of the IMU (K, 3), m/s and rad/s; None for frame 0.
+
+    v_c = R (v_i + w_i x p), w_c = R w_i, with the rotation R_ci (3, 3) and the camera position p_i (3,) in the IMU
+    frame. Row k describes the step from frame k - 1 to k, as `Frame.odometry` does. The lever arm p couples the errors:
+    their covariance is J diag(sigma_v^2 I, sigma_w^2 I) J^T with J = [[R, -R [p]x], [0, R]], for white noise of
+    `sigma_linear` and `sigma_angular` per axis in the IMU frame. With a `seed` that noise is added first, for
+    recordings whose truth was made from the same INS: its velocities as they are would be the truth by another name.
+    """
+    sigmas = positive("sigma_linear", sigma_linear), positive("sigma_angular", sigma_angular)
+    if seed is not None:
+        noise = np.random.default_rng(seed).standard_normal((2, len(linear_imu), 3))
+        linear_imu, angular_imu = linear_imu + sigmas[0] * noise[0], angular_imu + sigmas[1] * noise[1]
+    linear = (linear_imu + np.cross(angular_imu, p_i)) @ R_ci.T
+    angular = angular_imu @ R_ci.T
+    J = np.block([[R_ci, -R_ci @ rotations.skew(p_i)], [np.zeros((3, 3)), R_ci]])
+    covariance = (J * np.repeat([sigmas[0] ** 2, sigmas[1] ** 2], 3)) @ J.T
+    covariance = 0.5 * (covariance + covariance.T)
+    return [None, *(BodyVelocity(v, w, covariance) for v, w in zip(linear[1:], angular[1:], strict=True))]

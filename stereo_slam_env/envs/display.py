@@ -22,15 +22,7 @@ _REMEDY = (
 
 
 def window_for(render_mode: str | None, fps: float) -> Window | None:
-    """A window for "human", none for other render modes.
-
-    Raises
-    ------
-    ImportError
-        pygame is missing.
-    RuntimeError
-        There is no display, and SDL_VIDEODRIVER does not say to do without.
-    """
+    """A window for "human", none for other render modes; an error where pygame or a display is missing."""
     if render_mode != "human":
         return None
     if find_spec("pygame") is None:
@@ -53,31 +45,28 @@ def modes_here(metadata: Mapping[str, Any]) -> dict[str, Any]:
 
 
 class Window:
-    """A window on the screen; it opens with the first picture.
-
-    Parameters
-    ----------
-    fps : float
-        Most pictures a second: `show` waits.
-    """
+    """A window on the screen that shows at most `fps` pictures a second; it opens with the first one."""
 
     def __init__(self, fps: float) -> None:
         self._fps = fps
         self._screen: Any = None
-        self._clock: Any = None
 
     def show(self, picture: Image) -> None:
-        """Show a picture (H, W, 3), all of one size.
-
-        Raises
-        ------
-        RuntimeError
-            No window can be opened.
-        """
+        """Show a picture (H, W, 3), all of one size; a RuntimeError where no window can be opened."""
         import pygame
 
         if self._screen is None:
-            self._screen, self._clock = self._open(picture), pygame.time.Clock()
+            try:
+                pygame.display.init()
+                self._screen = pygame.display.set_mode((picture.shape[1], picture.shape[0]))
+            except pygame.error as error:
+                raise RuntimeError(f"render_mode='human' cannot open a window: {error}: {_REMEDY}") from error
+            # SDL falls back to no screen where the display that is named does not answer.
+            if pygame.display.get_driver() in ("offscreen", "dummy") and not _driver_named():
+                self.close()
+                raise RuntimeError(f"render_mode='human' cannot open a window, the display does not answer: {_REMEDY}")
+            pygame.display.set_caption("stereo-slam")
+            self._clock = pygame.time.Clock()
         pygame.event.pump()
         self._screen.blit(pygame.surfarray.make_surface(np.swapaxes(picture, 0, 1)), (0, 0))
         pygame.display.flip()
@@ -91,22 +80,6 @@ class Window:
             pygame.display.quit()
             self._screen = None
 
-    def _open(self, picture: Image) -> Any:
-        import pygame
-
-        height, width = picture.shape[:2]
-        try:
-            pygame.display.init()
-            screen = pygame.display.set_mode((width, height))
-        except pygame.error as error:
-            raise RuntimeError(f"render_mode='human' cannot open a window: {error}: {_REMEDY}") from error
-        # SDL falls back to no screen where the display that is named does not answer.
-        if pygame.display.get_driver() in ("offscreen", "dummy") and not _driver_named():
-            pygame.display.quit()
-            raise RuntimeError(f"render_mode='human' cannot open a window, the display does not answer: {_REMEDY}")
-        pygame.display.set_caption("stereo-slam")
-        return screen
-
 
 def _driver_named() -> bool:
     return any(os.environ.get(name) for name in _DRIVER)
@@ -114,6 +87,4 @@ def _driver_named() -> bool:
 
 def _display_named() -> bool:
     """Whether there is a screen, or the user says what to do instead; only X11 and Wayland tell by variables."""
-    if not sys.platform.startswith("linux"):
-        return True
-    return _driver_named() or any(os.environ.get(name) for name in _SCREENS)
+    return not sys.platform.startswith("linux") or any(os.environ.get(name) for name in (*_DRIVER, *_SCREENS))

@@ -32,13 +32,7 @@ correlation does not see it. Measured with `stereo-slam scenes noise`."""
 
 @dataclass(frozen=True)
 class StereoOptions:
-    """Arguments that every environment takes, described there; `as_dict` is JSON-able.
-
-    Raises
-    ------
-    ValueError
-        A value is not allowed; the message says what is.
-    """
+    """Arguments that every environment takes, described there; `as_dict` is JSON-able, a wrong value a `ValueError`."""
 
     route: str = "town"
     surroundings: str = "street"
@@ -69,8 +63,9 @@ class StereoOptions:
             choices = (True, False) if kind is bool else get_args(kind) if get_origin(kind) is Literal else None
             if choices is not None:
                 one_of(name, getattr(self, name), choices)
-        whole_number("moving_cars", self.moving_cars, 0, 100)
-        whole_number("pedestrians", self.pedestrians, 0, 100)
+        limits = {"moving_cars": (0, 100), "pedestrians": (0, 100), "max_landmarks": (1, 10_000), "supersample": (1, 4)}
+        for name, (low, high) in limits.items():
+            whole_number(name, getattr(self, name), low, high)
         if isinstance(self.rig, str):
             camera_of(self.rig)
         else:  # numbers that are not given are those of the usual rig
@@ -79,10 +74,8 @@ class StereoOptions:
         _number("visibility", self.visibility, 2 * TrackingPolicy.nearest, TrackingPolicy.farthest)
         if self.blank_from is not None:
             positive("blank_from", self.blank_from, allow_zero=True)
-        whole_number("max_landmarks", self.max_landmarks, 1, 10_000)
         if self.refill_below is not None:
             whole_number("refill_below", self.refill_below, 0, self.max_landmarks)
-        whole_number("supersample", self.supersample, 1, 4)
         for field in fields(self):
             if field.name.startswith(("odometry_", "perturbation")) or field.name.endswith("_weight"):
                 positive(field.name, getattr(self, field.name), allow_zero=True)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -23,70 +25,41 @@ def record(
     frames: int | None = None,
     progress: Callable[[int, int | None], None] | None = None,
 ) -> Recording:
-    """Drive a scripted route and keep the measurements.
-
-    Parameters
-    ----------
-    env_kwargs : mapping, optional
-        Arguments of `StereoDriveEnv`; `policy` is "route" and can be nothing else.
-    seed : int
-        Seed of the episode: same seed, same bits.
-    frames : int, optional
-        Stop after this many; None: at the end of the route.
-    progress : callable, optional
-        Called after each frame with the number of frames so far and the number wanted (None: not known).
-
-    Returns
-    -------
-    Recording
-        With truth; `source` says how to make it again.
-
-    Raises
-    ------
-    ValueError
-        An argument of the environment is not allowed, `policy` is not "route", `frames` is less than 1, or the
-        drive ended before `frames`.
-    """
+    """Drive a scripted route with the arguments of `StereoDriveEnv`, see `stereo_slam_env.record`."""
     kwargs = {"policy": "route", **(env_kwargs or {})}
     if kwargs["policy"] != "route":
         raise ValueError(f"policy must be 'route' to record without an agent, got {kwargs['policy']!r}")
     if frames is not None and frames < 1:
         raise ValueError(f"frames must be at least 1, got {frames!r}")
-    env = StereoDriveEnv(**kwargs)
-    try:
-        if frames is not None and frames > env.route.frames:  # known before the drive, which may take minutes
-            raise ValueError(f"frames must be at most {env.route.frames} on route {env.options.route!r}, got {frames}")
-        env.reset(seed=seed)
-        collected = [env.frame]
-        idle = np.zeros(2, dtype=np.float32)
-        over = False
-        while not over and (frames is None or len(collected) < frames):
-            over = env.step(idle)[2]
-            collected.append(env.frame)
-            if progress is not None:
-                progress(len(collected), frames)
+    with closing(StereoDriveEnv(**kwargs)) as env:
+        wanted = env.route.frames if frames is None else frames
+        collected = []
+        if wanted <= env.route.frames:  # known before the drive, which may take minutes
+            for _ in islice(_drive(env, seed), wanted):
+                collected.append(env.frame)
+                if progress is not None and len(collected) > 1:
+                    progress(len(collected), frames)
         if frames is not None and len(collected) < frames:
-            raise ValueError(f"frames must be at most {len(collected)} on route {env.options.route!r}, got {frames}")
+            most = len(collected) or env.route.frames
+            raise ValueError(f"frames must be at most {most} on route {env.options.route!r}, got {frames}")
         return recording_of(env, collected, seed)
-    finally:
-        env.close()
+
+
+def _drive(env: StereoDriveEnv, seed: int) -> Iterator[Mapping[str, Any]]:
+    """The observations of a scripted drive, to its end."""
+    observation, over = env.reset(seed=seed)[0], False
+    yield observation
+    while not over:
+        observation, _, over, _, _ = env.step(np.zeros(2, dtype=np.float32))
+        yield observation
 
 
 def recording_of(
     env: StereoEnv, frames: Sequence[Frame], seed: int, about: Mapping[str, Any] | None = None
 ) -> Recording:
-    """The measurements of an environment in the episode of a seed.
+    """The measurements of an environment in the episode of a seed, after its last frame.
 
-    Parameters
-    ----------
-    env : StereoEnv
-        After the last frame.
-    frames : sequence of Frame
-        Its `frame` after `reset` and after each step.
-    seed : int
-        Of the episode.
-    about : mapping, optional
-        Further entries of `source`; JSON-able.
+    `frames` are its `frame` after `reset` and after each step, `about` further JSON-able entries of `source`.
     """
     seen_by = env.options.renderer if env.options.sensor == "images" else env.options.noise
     return Recording(
@@ -138,12 +111,9 @@ class RenderedDrive:
         self._kwargs = {**(env_kwargs or {}), "policy": "route", "sensor": "landmarks"}
         self._kwargs |= {"max_landmarks": 1, "refill_below": None, "render_images": False}
         self._seed = seed
-        env = StereoDriveEnv(**self._kwargs)
-        try:
+        with closing(StereoDriveEnv(**self._kwargs)) as env:
             env.reset(seed=seed)
             self.start, self._count, options = env.start, env.route.frames, env.options
-        finally:
-            env.close()
         if frames is not None and not 1 <= frames <= self._count:
             raise ValueError(f"frames must be from 1 to {self._count} on route {options.route!r}, got {frames}")
         self._count = frames or self._count
@@ -159,15 +129,8 @@ class RenderedDrive:
 
     def pairs(self) -> Iterator[StereoPair]:
         """The pairs in time order."""
-        env = StereoDriveEnv(**self._kwargs)
-        idle = np.zeros(2, dtype=np.float32)
-        try:
-            observation, _ = env.reset(seed=self._seed)
-            for number in range(self._count):
-                if number:
-                    observation = env.step(idle)[0]
+        with closing(StereoDriveEnv(**self._kwargs)) as env:
+            for observation in islice(_drive(env, self._seed), self._count):
                 frame = env.frame
                 left, right = grey(observation["left"]), grey(observation["right"])
                 yield StereoPair(frame.timestamp, left, right, frame.truth, frame.odometry)
-        finally:
-            env.close()

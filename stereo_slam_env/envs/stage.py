@@ -25,19 +25,7 @@ from stereo_slam_env.world.vehicle import Car
 
 
 class Stage:
-    """The simulated world of one environment.
-
-    Parameters
-    ----------
-    options : StereoOptions
-        Scene and renderer.
-    route : Route
-        Along which it is built.
-    camera : StereoCamera
-        The rig.
-    car : Car
-        Whose body collides.
-    """
+    """The simulated world of one environment: built along `route`, seen by `camera`, hit by the body of `car`."""
 
     def __init__(self, options: StereoOptions, route: Route, camera: StereoCamera, car: Car) -> None:
         self._options, self._route, self._camera, self._car = options, route, camera, car

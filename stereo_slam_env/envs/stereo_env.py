@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import gymnasium as gym
@@ -45,51 +43,8 @@ _START_SIGMAS = np.repeat([1e-6, 1e-6, 0.5, 0.05], 3)
 Observation = dict[str, Any]
 
 
-@dataclass(frozen=True, eq=False)
-class Outcome:
-    """Outcome of a step, for the terms of the reward.
-
-    Attributes
-    ----------
-    progress : float
-        Along the route, m; negative backwards.
-    tracked : float
-        Landmarks in the frame as a share of the most there can be.
-    failed : bool
-        Whether the car hit something or left the arena.
-    arrived : bool
-        Whether it came to the end of the route without that.
-    turned : (2,)
-        Turn of pan and tilt, as a share of the largest in a step.
-    """
-
-    progress: float = 0.0
-    tracked: float = 0.0
-    failed: bool = False
-    arrived: bool = False
-    turned: FloatArray | None = None
-
-
-TERMS: dict[str, Callable[[Outcome], float]] = {
-    "progress": lambda outcome: outcome.progress,
-    "tracking": lambda outcome: outcome.tracked,
-    "collision": lambda outcome: -1.0 if outcome.failed else 0.0,
-    "goal": lambda outcome: 1.0 if outcome.arrived else 0.0,
-    "effort": lambda outcome: 0.0 if outcome.turned is None else -float(np.mean(outcome.turned**2)),
-}
-"""Term of the reward -> its value per unit of weight; the weight is the argument `<name>_weight` of the environment."""
-
-
 class StereoEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
-    """A car with a stereo camera; subclasses say what the agent moves and which terms the reward has.
-
-    Parameters
-    ----------
-    render_mode : str, optional
-        One of `metadata["render_modes"]`.
-    **options
-        Fields of `Options`.
-    """
+    """A car with a stereo camera; subclasses say what the agent moves and give their `Options`."""
 
     metadata = {"render_modes": ["rgb_array", "human"], "render_fps": 10}  # noqa: RUF012 (Gymnasium's contract)
     Options: ClassVar[type[StereoOptions]]
@@ -209,7 +164,7 @@ class StereoEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
         odometry = self._odometry.measure(self._pose, velocity, FRAME_PERIOD, self._odometry_rng)
         self._sense(velocity, None)
         self._show()
-        return self._observation(odometry), self._info(Outcome(tracked=self._tracked), collision=False)
+        return self._observation(odometry), self._info({"tracking": self._tracked}, collision=False)
 
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Drive for 0.1 s and measure."""
@@ -229,11 +184,16 @@ class StereoEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
         collision = self._stage.collides(self._body)
         away = float(np.linalg.norm(self._route.positions[nearest] - self._body.position)) > _ARENA
         failed = collision or away
-        turned = None
+        terms = {
+            "progress": progress,
+            "tracking": self._tracked,
+            "collision": -1.0 if failed else 0.0,
+            "goal": 1.0 if self._driver.finished and not failed else 0.0,
+        }
         if self.head is not None:
             turned = (self._angles - angles_before) / (np.array(self.head.max_rates) * FRAME_PERIOD)
-        outcome = Outcome(progress, self._tracked, failed, self._driver.finished and not failed, turned)
-        info = self._info(outcome, collision=collision)
+            terms["effort"] = -float(np.mean(turned**2))
+        info = self._info(terms, collision=collision)
         reward = float(sum(info[f"reward_{name}"] for name in self._weights))
         self._over = failed or self._driver.finished
         return self._observation(odometry), reward, self._over, False, info
@@ -285,8 +245,10 @@ class StereoEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
     @property
     def _weights(self) -> dict[str, float]:
         """Weights of the terms of the reward that this environment has."""
-        weights = {name: getattr(self.options, f"{name}_weight", None) for name in TERMS}
-        return {name: weight for name, weight in weights.items() if weight is not None}
+        terms = ("progress", "tracking", "collision", "goal", "effort")
+        return {
+            name: getattr(self.options, f"{name}_weight") for name in terms if hasattr(self.options, f"{name}_weight")
+        }
 
     @property
     def _tracked(self) -> float:
@@ -330,7 +292,7 @@ class StereoEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
             observation |= {"left": images.left, "right": images.right}
         return observation
 
-    def _info(self, outcome: Outcome, *, collision: bool) -> dict[str, Any]:
+    def _info(self, terms: dict[str, float], *, collision: bool) -> dict[str, Any]:
         frame = self.frame
         assert frame.truth is not None
         assert frame.truth_velocity is not None
@@ -342,7 +304,7 @@ class StereoEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
             "time": frame.timestamp,
             "distance": self._distance,
             "collision": collision,
-            **{f"reward_{name}": weight * TERMS[name](outcome) for name, weight in self._weights.items()},
+            **{f"reward_{name}": weight * terms.get(name, 0.0) for name, weight in self._weights.items()},
             **padded_extras(frame.observation, self.options.max_landmarks),
         }
 

@@ -3,18 +3,9 @@
 The recursion of Tichavsky, Muravchik and Nehorai (IEEE Trans. Signal Processing 46(5), 1998) is, in covariance form,
 that of an extended Kalman filter whose Jacobians are taken at the truth and whose estimates are never needed. So it is
 the filters' own algebra with the true camera in the state (`ReferenceBelief`), after the fact over a recording
-(`cramer_rao_bound`) or frame by frame:
-
-- start covariance of the recording; motion of Eq. 6 with the impulses of `ConstantVelocity`;
-- every sighting of the recording with the noise it really has (of the observation, or else of the recording), and
-  with the row of the right image where that was measured: a second measurement of v, which not every filter uses;
-- a landmark enters at its first sighting with what that says and no prior: (u, v, d) and the pose determine it;
-- it leaves after its last sighting; marginalising what is never measured again loses nothing. One that comes back is
-  kept until then, so the bound also holds for filters that recognise places.
-
-What it bounds, and how far it is to be trusted, is in docs/metrics.md: it holds on average over noise and drives drawn
-from the motion model, with Jacobians at one true drive for their expectation; with heavy-tailed noise of covariance R
-it bounds estimators that know only R.
+(`cramer_rao_bound`) or frame by frame. Every sighting counts with the noise it really has. A landmark enters at its
+first sighting with what that says and no prior, and leaves after its last one: marginalising what is never measured
+again loses nothing. What is bounded, and how far it is to be trusted, is in docs/metrics.md.
 """
 
 from __future__ import annotations
@@ -46,7 +37,7 @@ from filters.state.joint_state import JointState
 from filters.state.layout import Layout
 from filters.state.linearised import of_variables
 from filters.updates.extended import Extended
-from filters.validation import BoolArray, FloatArray, IntArray
+from filters.validation import FloatArray, IntArray
 from stereo_slam_env.recording.recording import Frame, LandmarkTruth, Recording
 
 RESAMPLES = 10_000
@@ -56,15 +47,9 @@ _SENSOR = RangeBearing()
 
 @dataclass(frozen=True, eq=False)
 class Bound:
-    """Lower bound of the error covariance of any unbiased filter, frame by frame.
+    """Lower bound of the error covariance of any unbiased filter, frame by frame."""
 
-    Attributes
-    ----------
-    pose : (K, 6, 6)
-        Of position in W, m, and rotation in the camera frame, rad, after the frame's update.
-    """
-
-    pose: FloatArray
+    pose: FloatArray  # (K, 6, 6): of position in W, m, and rotation in the camera frame, rad, after the frame's update
 
 
 def efficiency_interval(bounds: FloatArray, errors: FloatArray, confidence: float = 0.95) -> tuple[float, float]:
@@ -88,35 +73,19 @@ def cramer_rao_bound(
     landmark: LandmarkModel | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Bound | None:
-    """Posterior Cramer-Rao bound along the true trajectory of a recording.
+    """Posterior Cramer-Rao bound along the true trajectory of a recording; None where the truth is not complete.
 
-    Costs about as much as a filter run.
-
-    Parameters
-    ----------
-    recording : Recording
-        With the true pose in every frame and the true position of every landmark seen.
-    motion : ConstantVelocity
-        The motion model the estimator knows.
-    use_odometry : bool
-        Whether the estimator is given the odometry of the recording.
-    right_row : bool
-        Whether the estimator is given the row of the right image, where it was measured.
-    landmark : LandmarkModel, optional
-        Parametrisation to calculate in; the result does not depend on it. None: XYZ.
-    progress : callable, optional
-        Called with (frames done, frames) after each frame.
-
-    Returns
-    -------
-    Bound or None
-        None where the truth is not complete.
+    Costs about as much as a filter run. `motion` is the motion model that the estimator knows; `use_odometry` and
+    `right_row` say whether it is given the odometry, and the row of the right image where that was measured. `landmark`
+    is the parametrisation to calculate in, None: XYZ; the result does not depend on it. `progress` is called with
+    (frames done, frames).
     """
     poses = [frame.truth for frame in recording.frames if frame.truth is not None]
-    if len(poses) < len(recording) or not poses or not _every_landmark_is_known(recording):
-        return None
     start, truth = recording.start, recording.landmarks
-    assert truth is not None
+    if truth is None or not poses or len(poses) < len(recording):
+        return None
+    if not np.isin(np.concatenate([frame.observation.ids for frame in recording.frames]), truth.ids).all():
+        return None
     best = ReferenceBelief(
         recording.camera,
         recording.noise,
@@ -141,35 +110,11 @@ def cramer_rao_bound(
     return Bound(covariances)
 
 
-def _every_landmark_is_known(recording: Recording) -> bool:
-    if recording.landmarks is None:
-        return False
-    seen = [frame.observation.ids for frame in recording.frames]
-    known: BoolArray = np.isin(np.concatenate(seen), recording.landmarks.ids)
-    return bool(known.all())
-
-
 class ReferenceBelief:
     """The covariance of the best estimator, with the true camera and map as its state.
 
-    Parameters
-    ----------
-    camera : StereoCamera
-        The rig.
-    noise : StereoNoise
-        R of measurements that bring none of their own: what it really is.
-    motion : MotionModel
-        The motion model the estimator knows.
-    start : Start
-        What the estimator is told of the start: its velocity and covariance.
-    truth : Pose
-        The true pose at the start.
-    landmark : LandmarkModel, optional
-        Parametrisation to calculate in; the result does not depend on it. None: XYZ.
-    right_row : bool
-        Whether the estimator is given the row of the right image, where it was measured.
-    use_odometry : bool
-        Whether `step` gives it the odometry.
+    `noise` is what the noise of measurements that bring none of their own really is. Of the start the estimator is told
+    the velocity and covariance of `start`, while its pose is the `truth`. Other arguments as of `cramer_rao_bound`.
     """
 
     def __init__(

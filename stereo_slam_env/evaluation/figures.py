@@ -15,7 +15,8 @@ import numpy as np
 from filters.motions.model import POSITION, ROTATION
 from filters.validation import FloatArray, IntArray
 from stereo_slam_env.evaluation import trajectory_metrics as metrics
-from stereo_slam_env.evaluation.consistency_figures import DOF, landmark_anees, nis_per_dof, pooled
+from stereo_slam_env.evaluation.consistency import DOF, landmark_anees, nis_per_dof, pooled
+from stereo_slam_env.evaluation.results import FilterSummary
 from stereo_slam_env.evaluation.trajectory_metrics import mean, root_mean_square
 from stereo_slam_env.evaluation.trial import Sample, Trial
 
@@ -38,57 +39,28 @@ class Combination:
 
 @dataclass(frozen=True)
 class Figure:
-    """One figure of merit.
+    """One figure of merit."""
 
-    Attributes
-    ----------
-    name : str
-        Key in `summary.json` and the trial table, attribute of `FilterSummary`.
-    heading, unit : str
-        What tables call it, and the unit of its values; either may be empty.
-    group : str
-        What it is about, and so the table it stands in.
-    meaning : str
-        What it is, and when it is null.
-    of_run : callable, optional
-        Value of one `Trial`; None: it is one of many runs only, and has no column in the trial table.
-    over_runs : Combination, optional
-        None: it is one of single runs only, and not in the summary.
-    kind : {"real", "integer", "text"}
-        Of its values of one run. Of a run that failed, an integer is 0, everything else None.
-    of_failed : bool
-        Whether it is computed of a run that failed, too.
-    digits : int
-        After the point.
-    per_runs : bool
-        Whether it counts runs: "2 of 10".
-    ideal : float, optional
-        The value that a consistent filter has; tables then show value / ideal. None: the smaller the better.
-    larger_is_better : bool
-        Whether it is an efficiency.
-    is_ratio : bool
-        Whether filters are compared by their ratio; False: by their difference, because it is a logarithm already.
-    compared : bool
-        Whether comparisons of filters are about it.
-    places : tuple of str
-        Where it is shown: also where there is little room ("brief"), on the console, in the tables of a report.
-    """
-
-    name: str
+    name: str  # key in `summary.json` and the trial table, attribute of `FilterSummary`
+    # What tables call it, and the unit of its values; either may be empty.
     heading: str
     unit: str
-    group: Group
-    meaning: str
+    group: Group  # the table it stands in
+    meaning: str  # what it is, and when it is null
+    # Value of one `Trial`; None: it is one of many runs only, and has no column in the trial table.
     of_run: Callable[[Trial], Value] | None = None
-    over_runs: Combination | None = None
-    kind: Kind = "real"
-    of_failed: bool = False
-    digits: int = 3
-    per_runs: bool = False
+    over_runs: Combination | None = None  # None: it is one of single runs only, and not in the summary
+    kind: Kind = "real"  # of its values of one run; of a run that failed, an integer is 0, everything else None
+    of_failed: bool = False  # whether it is computed of a run that failed, too
+    digits: int = 3  # after the point
+    per_runs: bool = False  # whether it counts runs: "2 of 10"
+    # The value that a consistent filter has; tables then show value / ideal. None: the smaller the better.
     ideal: float | None = None
-    larger_is_better: bool = False
+    larger_is_better: bool = False  # whether it is an efficiency
+    # Whether filters are compared by their ratio; False: by their difference, because it is a logarithm already.
     is_ratio: bool = True
-    compared: bool = False
+    compared: bool = False  # whether comparisons of filters are about it
+    # Where it is shown: also where there is little room ("brief"), on the console, in the tables of a report.
     places: tuple[Place, ...] = ("console", "report")
 
     @property
@@ -100,6 +72,11 @@ class Figure:
     def title(self) -> str:
         """Label and unit: "position error, m"."""
         return f"{self.label}, {self.unit}" if self.unit else self.label
+
+    def of(self, figures: FilterSummary | Mapping[str, Any]) -> float:
+        """The value in a summary or in the figures of a run, as tables show it; NaN where it is not known."""
+        values = figures.figures if isinstance(figures, FilterSummary) else figures
+        return self.shown(values.get(self.name))
 
     def shown(self, value: Value) -> float:
         """The value as tables show it, by its ideal; NaN where it is not known."""

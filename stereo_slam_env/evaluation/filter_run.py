@@ -16,7 +16,7 @@ from filters.motions.model import POSE_SIZE, POSITION, ROTATION
 from filters.registry import FilterFactory, label_of
 from filters.validation import FloatArray, IntArray
 from stereo_slam_env.evaluation.landmark_statistics import LandmarkScorer
-from stereo_slam_env.evaluation.map_scoring import TraceRecorder, mean_nees, position_rmse, score_map, view_map
+from stereo_slam_env.evaluation.map_scoring import TraceRecorder, score_map, view_map
 from stereo_slam_env.evaluation.results import COUNTS, EVENTS, FilterRun, peak_memory_mb
 from stereo_slam_env.loop import Moment, Observe, run
 from stereo_slam_env.recording.recording import Recording
@@ -105,9 +105,19 @@ def run_filter(
                     progress(frame_number, len(recording))
             failure = None
         except Exception as error:  # a stranger's filter may raise anything; the comparison goes on without it
-            failure = failure_line(frame_number, error)
+            where = f"frame {frame_number}" if frame_number >= 0 else "start"
+            failure = f"{where}: {type(error).__name__}: {(str(error).strip() or 'no message').splitlines()[0]}"
             _log.info("%s on %s failed at %s", name, recording.name, failure)
     return log.result(name, used, seed, failure, peak_memory_mb() - memory, not_given)
+
+
+_SERIES: Mapping[str, tuple[int, ...]] = {
+    **{"positions": (3,), "orientations": (4,), "pose_covariances": (6, 6)},
+    **{"linear_velocities": (3,), "angular_velocities": (3,), "velocity_covariances": (6, 6), "pose_errors": (6,)},
+    **dict.fromkeys(("pose_nees", "position_nees", "rotation_nees", "landmark_nees", "landmark_rmse", "nis"), ()),
+    **dict.fromkeys(("milliseconds", "predict_milliseconds", "update_milliseconds", "state_size"), ()),
+}
+"""Series of floating point numbers of a `FilterRun` that are filled frame by frame, and the shapes of their rows."""
 
 
 class RunLog:
@@ -117,29 +127,7 @@ class RunLog:
         self._recording = recording
         self._has_independent_truth = recording.reference.is_independent
         count = len(recording)
-
-        def unknown(*shape: int) -> FloatArray:
-            return np.full((count, *shape), np.nan)
-
-        self._series: dict[str, FloatArray] = {
-            "positions": unknown(3),
-            "orientations": unknown(4),
-            "pose_covariances": unknown(6, 6),
-            "linear_velocities": unknown(3),
-            "angular_velocities": unknown(3),
-            "velocity_covariances": unknown(6, 6),
-            "pose_errors": unknown(6),
-            "pose_nees": unknown(),
-            "position_nees": unknown(),
-            "rotation_nees": unknown(),
-            "landmark_nees": unknown(),
-            "landmark_rmse": unknown(),
-            "nis": unknown(),
-            "milliseconds": unknown(),
-            "predict_milliseconds": unknown(),
-            "update_milliseconds": unknown(),
-            "state_size": unknown(),
-        }
+        self._series = {name: np.full((count, *shape), np.nan) for name, shape in _SERIES.items()}
         self._nis_dof: IntArray = np.zeros(count, dtype=np.int64)
         self._counts: dict[str, IntArray] = {name: np.zeros(count, dtype=np.int64) for name in COUNTS}
         self._traces = TraceRecorder(recording)
@@ -147,13 +135,7 @@ class RunLog:
 
     def add(self, moment: Moment) -> None:
         """Note what a filter believes after a frame; raises ArithmeticError where that is not finite."""
-        k, series, pose, velocity, report = (
-            moment.number,
-            self._series,
-            moment.pose,
-            moment.slam.velocity,
-            moment.report,
-        )
+        k, pose, velocity, report = moment.number, moment.pose, moment.slam.velocity, moment.report
         belief = {
             "positions": pose.position,
             "orientations": pose.orientation,
@@ -165,43 +147,42 @@ class RunLog:
         for name, value in belief.items():
             if not np.isfinite(value).all():
                 raise ArithmeticError(f"the filter returned NaN or infinity in its {name.replace('_', ' ')}")
-        for name, value in belief.items():
-            series[name][k] = value
-        series["nis"][k], self._nis_dof[k] = report.nis, report.nis_dof
+        predicting, updating = 1000.0 * moment.predict_seconds, 1000.0 * moment.update_seconds
+        self._note(
+            k,
+            **belief,
+            nis=report.nis,
+            predict_milliseconds=predicting,
+            update_milliseconds=updating,
+            milliseconds=predicting + updating,
+            state_size=getattr(moment.slam, "state_size", np.nan),
+        )
+        self._nis_dof[k] = report.nis_dof
         for name in EVENTS:
             self._counts[name][k] = len(getattr(report, name))
         self._counts["failed_factorisations"][k] = report.failed_factorisations
-        predicting, updating = 1000.0 * moment.predict_seconds, 1000.0 * moment.update_seconds
-        series["predict_milliseconds"][k], series["update_milliseconds"][k] = predicting, updating
-        series["milliseconds"][k] = predicting + updating
-        series["state_size"][k] = getattr(moment.slam, "state_size", np.nan)
-        if moment.pose_error is not None:
-            self._add_pose_error(k, *moment.pose_error)
-
-    def _add_pose_error(self, k: int, error: FloatArray, covariance: FloatArray) -> None:
-        """Note the pose error (6,) and, where the truth is independent, its NEES by the covariance (6, 6) claimed."""
-        self._series["pose_errors"][k] = error
-        if not self._has_independent_truth:
+        if moment.pose_error is None:
             return
-        for name, part in (
-            ("pose_nees", slice(0, POSE_SIZE)),
-            ("position_nees", POSITION),
-            ("rotation_nees", ROTATION),
-        ):
-            self._series[name][k] = nees(error[None, part], covariance[None, part, part])[0]
+        error, covariance = moment.pose_error
+        self._note(k, pose_errors=error)
+        if self._has_independent_truth:
+            parts = {"pose_nees": slice(0, POSE_SIZE), "position_nees": POSITION, "rotation_nees": ROTATION}
+            self._note(k, **{n: nees(error[None, p], covariance[None, p, p])[0] for n, p in parts.items()})
+
+    def _note(self, k: int, **values: FloatArray | float) -> None:
+        for name, value in values.items():
+            self._series[name][k] = value
 
     def add_map(self, moment: Moment) -> None:
         """Score the map and follow the traced landmarks."""
-        k, series, camera = moment.number, self._series, self._recording.camera
-        landmarks = self._recording.landmarks if self._has_independent_truth else None
+        k, landmarks = moment.number, self._recording.landmarks if self._has_independent_truth else None
         view = view_map(moment.slam, moment.truth, landmarks)
-        score = score_map(view, camera)
-        series["landmark_nees"][k] = mean_nees(score)
-        series["landmark_rmse"][k] = position_rmse(score)
+        score = score_map(view, self._recording.camera)
+        self._note(k, landmark_nees=score.mean_nees, landmark_rmse=score.position_rmse)
         self._scorer.add(score)
         self._traces.add(k, view, moment.observation)
         behind = view.ids[view.uvd[:, 2] <= 0]
-        self._counts["negative_depth"][k] = int(np.isin(behind, moment.observation.ids).sum()) if len(behind) else 0
+        self._counts["negative_depth"][k] = np.isin(behind, moment.observation.ids).sum()
         self._counts["map_size"][k] = len(view.ids)
 
     def result(
@@ -244,10 +225,3 @@ def failed_run(
 ) -> FilterRun:
     """The result of a filter that gave none; `failure` is one line."""
     return RunLog(recording).result(label, options, seed, failure, float("nan"))
-
-
-def failure_line(frame_number: int, error: Exception) -> str:
-    """One line on what a filter raised, and in which frame (negative: before the first)."""
-    where = f"frame {frame_number}" if frame_number >= 0 else "start"
-    text = str(error).strip()
-    return f"{where}: {type(error).__name__}: {text.splitlines()[0] if text else 'no message'}"

@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 
@@ -35,31 +36,23 @@ def _by_age() -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class LandmarkStatistics:
-    """Sums over the landmarks truly in both images, over the frames of a run. All float64.
+    """Sums over the landmarks truly in both images, over the frames of a run. All float64."""
 
-    Attributes
-    ----------
-    nees_count, nees : (5,)
-        By the ranges of `RANGE_EDGES`: landmarks x frames with a NEES in (u, v, d), and its sum.
-    position_count : (5,)
-        Those of them with a metric position: 0 < d, and not farther than `AT_INFINITY` times the truth. Disparity is
-        nearly Gaussian and depth is its inverse, whose square has no mean: one estimate at d = 0 would be all there is
-        to see.
-    squared_error, depth_error : (5,)
-        Sums over them of the squared position error relative to the camera, m^2, and of estimated minus true depth, m.
-    age_count : (2, 31)
-        By the classes of `DEPTH_CLASSES` and the frames since the landmark entered the map: how many.
-    depth_variance, squared_depth_error : (2, 31)
-        Sums of the claimed variance of depth and of its squared error, m^2, both to first order at the true depth,
-        z^2 / (f b) times those of the disparity: defined for d <= 0, too, so nobody is left out.
-    """
-
+    # (5,): by the ranges of `RANGE_EDGES`: landmarks x frames with a NEES in (u, v, d), and its sum.
     nees_count: FloatArray = field(default_factory=_by_range)
     nees: FloatArray = field(default_factory=_by_range)
+    # (5,): those of them with a metric position: 0 < d, and not farther than `AT_INFINITY` times the truth. Disparity
+    # is nearly Gaussian and depth is its inverse, whose square has no mean: one estimate at d = 0 would be all there is
+    # to see.
     position_count: FloatArray = field(default_factory=_by_range)
+    # (5,): sums over them of the squared position error relative to the camera, m^2, and of estimated minus true depth,
+    # m.
     squared_error: FloatArray = field(default_factory=_by_range)
     depth_error: FloatArray = field(default_factory=_by_range)
+    # (2, 31): by the classes of `DEPTH_CLASSES` and the frames since the landmark entered the map: how many.
     age_count: FloatArray = field(default_factory=_by_age)
+    # (2, 31): sums of the claimed variance of depth and of its squared error, m^2, both to first order at the true
+    # depth, z^2 / (f b) times those of the disparity: defined for d <= 0, too, so nobody is left out.
     depth_variance: FloatArray = field(default_factory=_by_age)
     squared_depth_error: FloatArray = field(default_factory=_by_age)
 
@@ -77,13 +70,7 @@ SERIES = tuple(f.name for f in dataclasses.fields(LandmarkStatistics))
 
 
 class LandmarkScorer:
-    """Collects the statistics of a run, a frame at a time.
-
-    Parameters
-    ----------
-    camera : StereoCamera
-        The rig.
-    """
+    """Collects the statistics of a run, a frame at a time."""
 
     def __init__(self, camera: StereoCamera) -> None:
         self.statistics = LandmarkStatistics()
@@ -140,57 +127,34 @@ def _add(sums: FloatArray, cells: IntArray, values: FloatArray | None = None) ->
 
 @dataclass(frozen=True)
 class RangeError:
-    """Landmarks of one range of true distance from the camera, over frames and runs.
+    """Landmarks of one range of true distance from the camera, over frames and runs."""
 
-    Attributes
-    ----------
-    low_m, high_m : float
-        The range; high_m is infinity for the last one.
-    count : int
-        Landmarks x frames.
-    rmse_m : float
-        Position error relative to the camera; estimates at d <= 0, or far beyond the truth, have no metric position and
-        are left out, see `LandmarkStatistics`. NaN where nothing is left.
-    depth_bias_m, depth_bias_sigma_m : float
-        Mean of estimated minus true depth of the same ones (Sibley's bias), and its standard error over runs; that is
-        NaN for a single run.
-    anees : float
-        Mean NEES in (u, v, d), 3 is ideal.
-    """
-
+    # The range; high_m is infinity for the last one.
     low_m: float
     high_m: float
-    count: int
+    count: int  # landmarks x frames
+    # Position error relative to the camera; estimates at d <= 0, or far beyond the truth, have no metric position and
+    # are left out, see `LandmarkStatistics`. NaN where nothing is left.
     rmse_m: float
+    # Mean of estimated minus true depth of the same ones (Sibley's bias), and its standard error over runs; that is NaN
+    # for a single run.
     depth_bias_m: float
     depth_bias_sigma_m: float
-    anees: float
+    anees: float  # mean NEES in (u, v, d), 3 is ideal
 
 
 @dataclass(frozen=True)
 class DepthConvergence:
-    """Depth of the landmarks that began near or far, by number of frames since they entered the map.
+    """Depth of the landmarks that began near or far, by number of frames since they entered the map."""
 
-    Attributes
-    ----------
-    label : str
-        "near" or "far".
-    low_m, high_m : float
-        True depth at first sight.
-    frames : tuple of int
-        Frames since then, 0 at first sight.
-    count : tuple of int
-        Landmarks still there.
-    sigma_m, rmse_m : tuple of float
-        Root mean square of the claimed standard deviation of depth, and of its true error, both to first order at the
-        true depth, so that estimates at d <= 0 have theirs, too.
-    """
-
-    label: str
+    label: str  # "near" or "far"
+    # True depth at first sight.
     low_m: float
     high_m: float
-    frames: tuple[int, ...]
-    count: tuple[int, ...]
+    frames: tuple[int, ...]  # frames since then, 0 at first sight
+    count: tuple[int, ...]  # landmarks still there
+    # Root mean square of the claimed standard deviation of depth, and of its true error, both to first order at the
+    # true depth, so that estimates at d <= 0 have theirs, too.
     sigma_m: tuple[float, ...]
     rmse_m: tuple[float, ...]
 
@@ -203,41 +167,23 @@ def range_errors(runs: Sequence[LandmarkStatistics]) -> tuple[RangeError, ...]:
         bias = total.depth_error / total.position_count
         anees = total.nees / total.nees_count
     sigma = _standard_error([run.depth_error for run in runs], [run.position_count for run in runs], bias)
-    return tuple(
-        RangeError(
-            low_m=RANGE_EDGES[i],
-            high_m=RANGE_EDGES[i + 1],
-            count=int(total.nees_count[i]),
-            rmse_m=float(rmse[i]),
-            depth_bias_m=float(bias[i]),
-            depth_bias_sigma_m=float(sigma[i]),
-            anees=float(anees[i]),
-        )
-        for i in np.flatnonzero(total.nees_count)
-    )
+    columns = zip(*(values.tolist() for values in (rmse, bias, sigma, anees)), strict=True)
+    rows = zip(pairwise(RANGE_EDGES), total.nees_count.astype(int).tolist(), columns, strict=True)
+    return tuple(RangeError(*ends, count, *figures) for ends, count, figures in rows if count)
 
 
 def depth_convergence(runs: Sequence[LandmarkStatistics]) -> tuple[DepthConvergence, ...]:
     """The curves of the classes of which landmarks were seen: near, then far."""
     total = LandmarkStatistics.total(runs)
     curves = []
-    for (label, (low, high)), count, variance, square in zip(
+    for (label, ends), count, *sums in zip(
         DEPTH_CLASSES.items(), total.age_count, total.depth_variance, total.squared_depth_error, strict=True
     ):
-        ages = np.arange(AGES)[count > 0]
-        if not len(ages):
-            continue
-        curves.append(
-            DepthConvergence(
-                label=label,
-                low_m=low,
-                high_m=high,
-                frames=tuple(ages.tolist()),
-                count=tuple(count[ages].astype(int).tolist()),
-                sigma_m=tuple(np.sqrt(variance[ages] / count[ages]).tolist()),
-                rmse_m=tuple(np.sqrt(square[ages] / count[ages]).tolist()),
-            )
-        )
+        ages = np.flatnonzero(count > 0)
+        if len(ages):
+            roots = (tuple(np.sqrt(values[ages] / count[ages]).tolist()) for values in sums)
+            counted = tuple(count[ages].astype(int).tolist())
+            curves.append(DepthConvergence(label, *ends, tuple(ages.tolist()), counted, *roots))
     return tuple(curves)
 
 

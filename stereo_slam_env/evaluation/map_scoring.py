@@ -17,6 +17,7 @@ from filters.consistency import nees
 from filters.interface import StereoFilter, StereoObservation
 from filters.poses import Pose
 from filters.validation import BoolArray, FloatArray, IntArray
+from stereo_slam_env.evaluation.trajectory_metrics import mean
 from stereo_slam_env.recording.recording import Frame, LandmarkTruth, Recording
 
 TRACED_DEPTHS: Mapping[str, float] = {"near": 20.0, "far": 75.0}  # m, the paper's
@@ -26,24 +27,12 @@ SCORED_RANGE = 40.0  # m; farther landmarks have no useful position error, and n
 
 @dataclass(frozen=True, eq=False)
 class MapView:
-    """The map in the current camera.
+    """The map in the current camera."""
 
-    Attributes
-    ----------
-    ids : (N,) int64
-        Landmarks.
-    uvd : (N, 3)
-        Predicted measurement, px.
-    covariance : (N, 3, 3)
-        Of the prediction: H P H^T, without the measurement noise, px^2.
-    true_points : (N, 3)
-        True positions in the true camera frame, m; NaN where unknown.
-    """
-
-    ids: IntArray
-    uvd: FloatArray
-    covariance: FloatArray
-    true_points: FloatArray
+    ids: IntArray  # (N,) int64
+    uvd: FloatArray  # (N, 3): predicted measurement, px
+    covariance: FloatArray  # (N, 3, 3): of the prediction: H P H^T, without the measurement noise, px^2
+    true_points: FloatArray  # (N, 3): true positions in the true camera frame, m; NaN where unknown
 
 
 def view_map(estimator: StereoFilter, pose: Pose | None, landmarks: LandmarkTruth | None) -> MapView:
@@ -60,32 +49,33 @@ def view_map(estimator: StereoFilter, pose: Pose | None, landmarks: LandmarkTrut
 
 @dataclass(frozen=True, eq=False)
 class MapScore:
-    """Errors of the landmarks of a `MapView`; NaN where it is not truly in both images.
+    """Errors of the landmarks of a `MapView`; NaN where it is not truly in both images."""
 
-    Attributes
-    ----------
-    ids : (N,) int64
-        Landmarks.
-    in_view : (N,) bool
-        Truly in both images: what any filter has, whether or not it keeps what it has passed.
-    true_points, points : (N, 3)
-        True and estimated positions in the camera frame, m; estimated ones are NaN where d <= 0.
-    distance : (N,)
-        True distance from the camera, m.
-    nees : (N,)
-        In (u, v, d) space, 3 degrees of freedom.
-    disparity_error, disparity_variance : (N,)
-        True minus predicted d, px, and the variance claimed for it, px^2.
-    """
-
-    ids: IntArray
+    ids: IntArray  # (N,) int64
+    # (N,) bool: truly in both images: what any filter has, whether or not it keeps what it has passed.
     in_view: BoolArray
+    # (N, 3): true and estimated positions in the camera frame, m; estimated ones are NaN where d <= 0.
     true_points: FloatArray
     points: FloatArray
-    distance: FloatArray
-    nees: FloatArray
+    distance: FloatArray  # (N,): true distance from the camera, m
+    nees: FloatArray  # (N,): in (u, v, d) space, 3 degrees of freedom
+    # (N,): true minus predicted d, px, and the variance claimed for it, px^2.
     disparity_error: FloatArray
     disparity_variance: FloatArray
+
+    @property
+    def mean_nees(self) -> float:
+        """Mean NEES of the landmarks in view; NaN without truth."""
+        return mean(self.nees[np.isfinite(self.nees)])
+
+    @property
+    def position_rmse(self) -> float:
+        """Root mean square error of positions relative to the camera, m; NaN without truth.
+
+        Over landmarks truly in view and within `SCORED_RANGE`, and estimated in front of the camera.
+        """
+        squared = np.sum((self.points - self.true_points) ** 2, axis=1)[self.distance <= SCORED_RANGE]
+        return float(np.sqrt(mean(squared[np.isfinite(squared)])))
 
 
 def score_map(view: MapView, camera: StereoCamera) -> MapScore:
@@ -110,30 +100,11 @@ def score_map(view: MapView, camera: StereoCamera) -> MapScore:
     )
 
 
-def mean_nees(score: MapScore) -> float:
-    """Mean NEES of the landmarks in view, in (u, v, d) space, 3 degrees of freedom each; NaN without truth."""
-    return _mean(score.nees)
-
-
-def position_rmse(score: MapScore) -> float:
-    """Root mean square error of landmark positions relative to the camera, m; NaN without truth.
-
-    Over landmarks truly in view and within `SCORED_RANGE`, and estimated in front of the camera.
-    """
-    errors = score.points - score.true_points
-    return float(np.sqrt(_mean(np.sum(errors**2, axis=1)[score.distance <= SCORED_RANGE])))
-
-
 def depths(view: MapView, camera: StereoCamera) -> tuple[FloatArray, FloatArray]:
     """Depth of each landmark and its standard deviation to first order, m; NaN where d <= 0."""
     d = np.where(view.uvd[:, 2] > 0, view.uvd[:, 2], np.nan)
     depth = camera.disparity_constant / d
     return depth, depth / d * np.sqrt(np.maximum(view.covariance[:, 2, 2], 0.0))
-
-
-def _mean(values: FloatArray) -> float:
-    finite = values[np.isfinite(values)]
-    return float(finite.mean()) if finite.size else float("nan")
 
 
 @dataclass(frozen=True, eq=False)

@@ -140,44 +140,24 @@ class FilterRun:
 
 @dataclass(frozen=True)
 class SegmentError:
-    """Relative error over the segments of one length, as KITTI measures it.
+    """Relative error over the segments of one length, as KITTI measures it."""
 
-    Attributes
-    ----------
-    length_m : float
-        Length of the segments along the true path.
-    segments : int
-        How many there were, over all runs.
-    translation_percent, rotation_deg_per_100m : float
-        Means over the segments.
-    """
-
-    length_m: float
-    segments: int
+    length_m: float  # length of the segments along the true path
+    segments: int  # how many there were, over all runs
+    # Means over the segments.
     translation_percent: float
     rotation_deg_per_100m: float
 
 
 @dataclass(frozen=True)
 class ConsistencyFigure:
-    """A mean NEES or NIS against what a consistent filter has.
+    """A mean NEES or NIS against what a consistent filter has."""
 
-    Attributes
-    ----------
-    mean : float
-        Over frames and runs; `dof` is ideal.
-    dof : float
-        Degrees of freedom of one value.
-    band : pair of float
-        Two-sided 95 % band of the mean over this number of runs (of innovations, for NIS), see `consistency_figures`.
-    inside_percent : float
-        Share of the frames whose mean over runs lies inside the band of that frame.
-    """
-
-    mean: float
-    dof: float
+    mean: float  # over frames and runs; `dof` is ideal
+    dof: float  # degrees of freedom of one value
+    # Two-sided 95 % band of the mean over this number of runs (of innovations, for NIS), see `consistency_figures`.
     band: tuple[float, float]
-    inside_percent: float
+    inside_percent: float  # share of the frames whose mean over runs lies inside the band of that frame
 
 
 @dataclass(frozen=True)

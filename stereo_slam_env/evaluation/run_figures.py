@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from filters.validation import BoolArray
+from filters.validation import BoolArray, FloatArray
 from stereo_slam_env.evaluation.cramer_rao import Bound
-from stereo_slam_env.evaluation.figures import FIGURES, trial_figures
+from stereo_slam_env.evaluation.figures import FIGURES, Figure, trial_figures
 from stereo_slam_env.evaluation.landmark_statistics import depth_convergence, range_errors
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary, SegmentError
 from stereo_slam_env.evaluation.trajectory_metrics import SegmentErrors
@@ -25,18 +25,14 @@ Bounds = Mapping[RunKey, Bound]
 
 @dataclass(frozen=True)
 class RunFigures:
-    """Figures of every run of a filter.
+    """Figures of every run of a filter."""
 
-    Attributes
-    ----------
-    of_run : mapping of RunKey to mapping
-        Of each run alone, see `trial_figures`; None where not known.
-    segments : mapping of RunKey to SegmentErrors
-        Relative errors of each run.
-    """
+    of_run: Mapping[RunKey, Mapping[str, Any]]  # of each run alone, see `trial_figures`; None where not known
+    segments: Mapping[RunKey, SegmentErrors] = field(default_factory=dict)  # relative errors of each run
 
-    of_run: Mapping[RunKey, Mapping[str, Any]]
-    segments: Mapping[RunKey, SegmentErrors] = field(default_factory=dict)
+    def values(self, figure: Figure, keys: Iterable[RunKey]) -> FloatArray:
+        """A figure in the runs on these recordings, as tables show it; NaN where not known."""
+        return np.array([figure.of(self.of_run[key]) for key in keys])
 
     def diverged(self, keys: Iterable[RunKey]) -> BoolArray:
         """Whether each run diverged or failed."""

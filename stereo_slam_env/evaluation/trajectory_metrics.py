@@ -21,17 +21,10 @@ SEGMENT_STEP = 10  # rows from the start of one segment to the next
 
 @dataclass(frozen=True, eq=False)
 class SegmentErrors:
-    """Relative error of S segments.
+    """Relative error of S segments."""
 
-    Attributes
-    ----------
-    lengths : (S,)
-        Nominal length, m.
-    translation_percent, rotation_deg_per_100m : (S,)
-        Of the motion over the segment, per length.
-    """
-
-    lengths: FloatArray
+    lengths: FloatArray  # (S,): nominal length, m
+    # (S,): of the motion over the segment, per length.
     translation_percent: FloatArray
     rotation_deg_per_100m: FloatArray
 
@@ -45,30 +38,17 @@ class SegmentErrors:
         return cls(*(np.concatenate(column) for column in columns))
 
 
-def align_rigid(estimate: FloatArray, reference: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Rotation R (3, 3) and translation t (3,), no scale, that bring `estimate` (K, 3) to `reference`.
-
-    Source: Umeyama, PAMI 1991, with the scale held at 1.
-
-    Raises
-    ------
-    ValueError
-        Fewer than 3 positions, or they lie on one line (within rounding): the rotation is then not determined.
-    """
-    R, t, singular_values = _least_squares_motion(*_paired(estimate, reference))
-    if singular_values[1] <= 1e-12 * max(singular_values[0], np.finfo(float).tiny):
-        raise ValueError("estimate and reference cannot be aligned: the positions lie on one line or one point")
-    return R, t
-
-
 def ate_rigid(estimate: FloatArray, reference: FloatArray) -> float:
     """Root mean square distance after the best rigid motion without scale, m.
 
-    Defined for positions on a line too: the motion is then not unique, but its residual is.
+    Defined for positions on a line too: the motion is then not unique, but its residual is. Source: Umeyama, PAMI 1991,
+    with the scale held at 1.
     """
     estimate, reference = _paired(estimate, reference)
-    R, t, _ = _least_squares_motion(estimate, reference)
-    return root_mean_square(estimate @ R.T + t - reference)
+    mean_estimate, mean_reference = estimate.mean(axis=0), reference.mean(axis=0)
+    U, _, Vt = np.linalg.svd((reference - mean_reference).T @ (estimate - mean_estimate))
+    R = (U * np.array([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))])) @ Vt
+    return root_mean_square(estimate @ R.T + (mean_reference - R @ mean_estimate) - reference)
 
 
 def ate_unaligned(estimate: FloatArray, reference: FloatArray) -> float:
@@ -179,15 +159,6 @@ def _motion(
     """Displacement in the frame at `first`, and rotation from there to `last`."""
     start = Rotation.from_quat(orientations[first]).inv()
     return start.apply(positions[last] - positions[first]), start * Rotation.from_quat(orientations[last])
-
-
-def _least_squares_motion(estimate: FloatArray, reference: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    mean_estimate, mean_reference = estimate.mean(axis=0), reference.mean(axis=0)
-    covariance = (reference - mean_reference).T @ (estimate - mean_estimate)
-    U, singular_values, Vt = np.linalg.svd(covariance)
-    handedness = np.array([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))])
-    R = (U * handedness) @ Vt
-    return R, mean_reference - R @ mean_estimate, singular_values
 
 
 def _paired(estimate: FloatArray, reference: FloatArray) -> tuple[FloatArray, FloatArray]:

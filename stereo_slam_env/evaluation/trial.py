@@ -13,7 +13,7 @@ from filters.interface import PoseBelief, UpdateReport
 from filters.monitor import Alarm, DivergenceMonitor
 from filters.validation import BoolArray, FloatArray
 from stereo_slam_env.evaluation import trajectory_metrics as metrics
-from stereo_slam_env.evaluation.consistency_figures import consistency_figures
+from stereo_slam_env.evaluation.consistency import consistency_figures
 from stereo_slam_env.evaluation.cramer_rao import Bound
 from stereo_slam_env.evaluation.results import ConsistencyFigure, FilterRun
 from stereo_slam_env.evaluation.trajectory_metrics import SegmentErrors
@@ -31,19 +31,12 @@ class Trial:
     """One run, with the intermediate results that several of its figures need.
 
     The first frame only initialises and is not scored, nor are frames without truth.
-
-    Attributes
-    ----------
-    run : FilterRun
-        The run.
-    divergence_percent : float
-        The run diverged if it ends farther from the truth than this share of the distance travelled.
-    bound : Bound, optional
-        Theoretical limit on its recording, one entry a frame; another number is refused with a `ValueError`.
     """
 
     run: FilterRun
+    # The run diverged if it ends farther from the truth than this share of the distance travelled.
     divergence_percent: float
+    # Theoretical limit on its recording, one entry a frame; another number is refused with a `ValueError`.
     bound: Bound | None = None
 
     def __post_init__(self) -> None:
@@ -122,21 +115,11 @@ def position_rmse(run: FilterRun) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """The runs of one filter with their figures.
+    """The runs of one filter with their figures."""
 
-    Attributes
-    ----------
-    runs : sequence of FilterRun
-        One a recording.
-    rows : sequence of mapping
-        The figures of each.
-    segments : SegmentErrors
-        Of all runs together.
-    """
-
-    runs: Sequence[FilterRun]
-    rows: Sequence[Mapping[str, Any]]
-    segments: SegmentErrors
+    runs: Sequence[FilterRun]  # one a recording
+    rows: Sequence[Mapping[str, Any]]  # the figures of each
+    segments: SegmentErrors  # of all runs together
 
     @cached_property
     def completed(self) -> list[FilterRun]:

@@ -11,15 +11,10 @@ _LONGEST_NAME = 255
 
 
 def require_links_inside(folder: Path) -> None:
-    """Refuse a folder with links that lead out of it.
+    """Refuse a folder with links that lead out of it: a `ValueError` names the first one.
 
     What is in a folder can be reached by names without ".." only through links, and every link below it is looked at;
     so whatever a reader then opens by such names is inside. The folder itself may be given as a link.
-
-    Raises
-    ------
-    ValueError
-        The first link that leads out.
     """
     root = folder.resolve()
     for here, folders, files in os.walk(root):
@@ -30,13 +25,7 @@ def require_links_inside(folder: Path) -> None:
 
 
 def require_inside(path: Path, root: Path) -> Path:
-    """The path, if what it stands for is inside `root`.
-
-    Raises
-    ------
-    ValueError
-        It leads out, or in a circle.
-    """
+    """The path, if what it stands for is inside `root`; a `ValueError` where it leads out, or in a circle."""
     try:
         target = path.resolve()
         _refuse_circle(path)

@@ -51,16 +51,7 @@ class DamagedArchive(ValueError):
 
 
 def read_text(path: Path, *, errors: str = "strict", most_bytes: int = MOST_TEXT) -> str:
-    """Read a text file.
-
-    Parameters
-    ----------
-    path : Path
-        The file, UTF-8.
-    errors : {"strict", "replace"}
-        What to do about bytes that are no text.
-    most_bytes : int
-        Larger files are refused.
+    """Read a text file in UTF-8; `errors` as `str.decode` has it, files of more than `most_bytes` are refused.
 
     Raises
     ------
@@ -87,30 +78,15 @@ def read_text(path: Path, *, errors: str = "strict", most_bytes: int = MOST_TEXT
 def read_table(
     path: Path, columns: int, *, delimiter: str | None = None, header_lines: int = 0, finite: bool = True
 ) -> FloatArray:
-    """Read a numeric table.
+    """Read a numeric table from a text file, one row a line: (rows, columns).
 
-    Parameters
-    ----------
-    path : Path
-        Text file, one row a line.
-    columns : int
-        Wanted number of columns.
-    delimiter : str, optional
-        None for white space.
-    header_lines : int
-        Lines to skip.
-    finite : bool
-        Whether NaN and infinity are refused.
-
-    Returns
-    -------
-    (rows, columns) ndarray
+    `delimiter` None: white space. With `finite`, NaN and infinity are refused.
 
     Raises
     ------
     ValueError
-        Missing, not a table of that width, empty, or, where `finite`, with NaN or infinity: the message names file
-        and row.
+        Missing, not a table of that width, empty, or, where `finite`, with NaN or infinity: the message names file and
+        row.
     """
     try:
         text = read_text(path)
@@ -161,18 +137,9 @@ def require_rotations(path: Path, matrices: FloatArray) -> None:
 def read_archive(path: Path, shapes: Mapping[str, Shape]) -> dict[str, FloatArray]:
     """Read float64 arrays of known shapes from an npz archive (no pickles).
 
-    Parameters
-    ----------
-    path : Path
-        The archive.
-    shapes : mapping
-        Name of each array -> its shape, or, of one that is returned flat, its number of entries. A letter stands for
-        a length that is the same wherever it stands.
-
-    Raises
-    ------
-    ValueError
-        The archive is damaged, lacks an array, or one has another shape, NaN or infinity; the message names the file.
+    `shapes` has the shape of each array, or, of one that is returned flat, its number of entries. A letter stands for a
+    length that is the same wherever it stands. A `ValueError` names the file: it is damaged, lacks an array, or one has
+    another shape, NaN or infinity.
     """
     if path.exists() and not path.is_file():  # a pipe could be read for ever
         raise ValueError(f"{path} is no regular file: copy it again")
@@ -206,14 +173,7 @@ def read_archive(path: Path, shapes: Mapping[str, Shape]) -> dict[str, FloatArra
 
 
 def read_arrays(source: str | Path | IO[bytes], names: Collection[str] | None = None) -> dict[str, NDArray[Any]]:
-    """Read arrays as `np.load` does, without pickles and with a limit to what they take.
-
-    Parameters
-    ----------
-    source : str, Path or binary stream
-        The npz archive.
-    names : collection of str, optional
-        Arrays to read, those of them that there are; None reads all.
+    """Read arrays, all or those of `names` that there are, as `np.load` does, without pickles and within limits.
 
     Raises
     ------

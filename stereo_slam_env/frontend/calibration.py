@@ -14,7 +14,7 @@ from itertools import islice
 
 import numpy as np
 
-from filters.camera import StereoCamera
+from filters import StereoCamera
 from stereo_slam_env.frontend.ego_motion import Pairs, Step, most_likely_step, robust_step
 from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.frontend.tracker import StereoTracker
@@ -70,10 +70,7 @@ class DisparityOffset:
         return float(self._information**-0.5)
 
     def learn(self, pairs: Pairs, step: Step, *, shared: int = 1) -> None:
-        """Learn from pairs as measured and the approximate step between them.
-
-        Where `shared` calls look at overlapping parts of the drive, each counts for one part in so many.
-        """
+        """Learn from pairs as measured and the approximate step between them, one of `shared` overlapping ones."""
         found = robust_step(self._camera, self._shifted(pairs, self.value), step)
         if found is None:
             return

@@ -33,27 +33,15 @@ _NEIGHBOURHOOD = 2
 
 @dataclass(frozen=True, eq=False)
 class Peaks:
-    """The best candidate pixel of each template.
+    """The best candidate pixel of each template."""
 
-    Attributes
-    ----------
-    pixel : (N, 2) int64
-        (u, v); meaningless where `score` is -1.
-    score : (N,)
-        Correlation there, raised to the top of the parabolas through its neighbours; -1 where there was no candidate.
-    second : (N,)
-        The same of the best other local maximum among the candidates; -1 where there is none above 1/2.
-    offset : (N, 2)
-        From the pixel to the top of the parabolas, px, within 0.5.
-    rising : (N,) bool
-        The correlation is larger right beside the pixel, where there are no candidates.
-    """
-
-    pixel: IntArray
+    pixel: IntArray  # (N, 2): (u, v); meaningless where `score` is -1
+    # (N,): correlation there, raised to the top of the parabolas through its neighbours; -1 without a candidate
     score: FloatArray
+    # (N,): the same of the best other local maximum among the candidates; -1 where there is none above 1/2
     second: FloatArray
-    offset: FloatArray
-    rising: BoolArray
+    offset: FloatArray  # (N, 2): from the pixel to the top of the parabolas, px, within 0.5
+    rising: BoolArray  # (N,): the correlation is larger right beside the pixel, where there are no candidates
 
 
 def best_peaks(
@@ -190,23 +178,12 @@ _SIGMA_FLOOR = 0.03
 
 @dataclass(frozen=True, eq=False)
 class Refined:
-    """Positions between the pixels.
+    """Positions between the pixels."""
 
-    Attributes
-    ----------
-    position : (N, 2)
-        (u, v), px.
-    score : (N,)
-        Correlation there.
-    covariance : (N, 2, 2)
-        Of the position, px^2.
-    converged : (N,) bool
-        The correlation has its maximum near the pixel; where not, the position is the top of the parabolas.
-    """
-
-    position: FloatArray
-    score: FloatArray
-    covariance: FloatArray
+    position: FloatArray  # (N, 2): (u, v), px
+    score: FloatArray  # (N,): correlation there
+    covariance: FloatArray  # (N, 2, 2): of the position, px^2
+    # (N,): the correlation has its maximum near the pixel; where not, the position is the top of the parabolas
     converged: BoolArray
 
 
@@ -222,7 +199,8 @@ def refine(image: Image, templates: Patches, pixel: IntArray, offset: FloatArray
     """
     stack = np.ascontiguousarray(templates.transpose(1, 2, 0))
     t, length = _normalised(stack)
-    g_u, g_v = (_derivative(gradient, t, length) for gradient in _gradients(stack))
+    gradients: list[Patches] = list(np.gradient(stack, axis=(1, 0)))
+    g_u, g_v = (_derivative(gradient, t, length) for gradient in gradients)
     texture = np.array([[_dot(g_u, g_u), _dot(g_u, g_v)], [_dot(g_v, g_u), _dot(g_v, g_v)]])
     texture[[0, 1], [0, 1]] += _LEAST_TEXTURE * (texture[0, 0] + texture[1, 1] + _LEAST_TEXTURE)
     away, stays = offset.copy(), np.ones(len(pixel), dtype=np.bool_)
@@ -248,17 +226,6 @@ def _normalised(stack: Patches) -> tuple[Patches, Patches]:
     columns = columns - columns.sum(axis=0) * np.float32(1.0 / _PIXELS)
     length: Patches = np.maximum(np.sqrt((columns * columns).sum(axis=0)), np.float32(FLAT * PATCH))
     return columns / length, length
-
-
-def _gradients(stack: Patches) -> tuple[Patches, Patches]:
-    """Differences of (11, 11, N) along u and v: central ones, and at both ends those of neighbours."""
-    along_u, along_v = np.empty_like(stack), np.empty_like(stack)
-    for image, out in ((stack.swapaxes(0, 1), along_u.swapaxes(0, 1)), (stack, along_v)):
-        np.subtract(image[2:], image[:-2], out=out[1:-1])
-        out[1:-1] *= np.float32(0.5)
-        np.subtract(image[1], image[0], out=out[0])
-        np.subtract(image[-1], image[-2], out=out[-1])
-    return along_u, along_v
 
 
 def _derivative(gradient: Patches, t: Patches, length: Patches) -> Patches:

@@ -16,8 +16,7 @@ import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 from scipy.stats import chi2
 
-from filters import rotations
-from filters.camera import StereoCamera
+from filters import StereoCamera, rotations
 from filters.engine.gating import gate_limit
 from filters.validation import BoolArray, FloatArray, IntArray
 
@@ -43,24 +42,12 @@ class Step:
 
 @dataclass(frozen=True, eq=False)
 class Transfer:
-    """Measurements of the first frame as the second should see them.
+    """Measurements of the first frame as the second should see them."""
 
-    Attributes
-    ----------
-    uvd : (M, 3)
-        Predicted, px.
-    by_step : (M, 3, 6)
-        Derivatives by the error of the step.
-    by_first : (M, 3, 3)
-        Derivatives by the measurement in the first frame.
-    in_front : (M,) bool
-        Whether the ray points forward in the second camera.
-    """
-
-    uvd: FloatArray
-    by_step: FloatArray
-    by_first: FloatArray
-    in_front: BoolArray
+    uvd: FloatArray  # (M, 3): predicted, px
+    by_step: FloatArray  # (M, 3, 6): derivatives by the error of the step
+    by_first: FloatArray  # (M, 3, 3): derivatives by the measurement in the first frame
+    in_front: BoolArray  # (M,): whether the ray points forward in the second camera
 
 
 def transfer(camera: StereoCamera, uvd: FloatArray, step: Step) -> Transfer:
@@ -110,30 +97,14 @@ class Pairs:
 
 @dataclass(frozen=True, eq=False)
 class StepEstimate:
-    """An estimated step, as a linear function of the noise: its error is -sum K_i (n_second,i - A_i n_first,i).
+    """An estimated step, as a linear function of the noise: its error is -sum K_i (n_second,i - A_i n_first,i)."""
 
-    Attributes
-    ----------
-    step : Step
-        The estimate.
-    gain : (M, 6, 3)
-        K of each pair.
-    by_first : (M, 3, 3)
-        A of each pair.
-    covariance : (6, 6)
-        Of the error, for measurements that are independent of each other.
-    nis : float
-        Squared normalised residuals, chi-square with `nis_dof`; 0 and 0 where the estimator does not say.
-    nis_dof : int
-        3 M - 6.
-    """
-
-    step: Step
-    gain: FloatArray
-    by_first: FloatArray
-    covariance: FloatArray
-    nis: float = 0.0
-    nis_dof: int = 0
+    step: Step  # the estimate
+    gain: FloatArray  # (M, 6, 3): K of each pair
+    by_first: FloatArray  # (M, 3, 3): A of each pair
+    covariance: FloatArray  # (6, 6): of the error, for measurements that are independent of each other
+    nis: float = 0.0  # squared normalised residuals, chi-square with `nis_dof`; 0 where the estimator does not say
+    nis_dof: int = 0  # 3 M - 6
 
 
 def squared_distances(camera: StereoCamera, pairs: Pairs, step: Step) -> FloatArray:
@@ -257,18 +228,10 @@ _TRUSTED_SHARE = 0.85  # with fewer inliers the start may have been wrong, or ne
 
 @dataclass(frozen=True, eq=False)
 class RobustStep:
-    """A step and the pairs that agree with it.
+    """A step and the pairs that agree with it."""
 
-    Attributes
-    ----------
-    estimate : StepEstimate
-        From the inliers.
-    inliers : (M,) bool
-        Within the gate.
-    """
-
-    estimate: StepEstimate
-    inliers: BoolArray
+    estimate: StepEstimate  # from the inliers
+    inliers: BoolArray  # (M,): within the gate
 
     @property
     def step(self) -> Step:

@@ -8,15 +8,20 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from filters.camera import StereoCamera
+from filters import StereoCamera
 from filters.engine.gating import gate_limit
 from filters.validation import BoolArray, FloatArray, IntArray, finite_array
 from stereo_slam_env.frontend.matching import match_rows, search
 from stereo_slam_env.frontend.patches import Image, local_affine, parallax, warped_patches
 from stereo_slam_env.frontend.settings import TrackerSettings
-from stereo_slam_env.frontend.tracks import Expectation, Outcome, Tracks
+from stereo_slam_env.frontend.tracks import Expectation, Outcome, Tracks, rows_from
 from stereo_slam_env.recording.recording import GreyImage
 
+_CELL = 48
+"""Side of a cell, px."""
+_MIN_GRADIENT = 1.5
+"""Least root mean square of the gradient of a corner along its weakest direction, grey levels / px. With s grey levels
+of noise, a patch is located to about sqrt(2) s / (11 * 1.5) px."""
 _BLOCK = 5
 """Side of the window that a corner is judged by, px of the half-size image: 10 px, about a patch."""
 _REFINE = 4
@@ -31,42 +36,15 @@ def detect_corners(
     wanted: int,
     occupied: ArrayLike,
     *,
-    cell: int = 48,
     margin: int = 12,
     min_distance: float = 12.0,
-    mask: BoolArray | None = None,
-    min_gradient: float = 1.5,
 ) -> FloatArray:
-    """Shi-Tomasi corners where there are few landmarks yet.
+    """Up to `wanted` Shi-Tomasi corners (M, 2) (u, v) px where there are few landmarks yet, best first.
 
     The image is divided into cells. Of the corners, those come first that fill the emptiest cells (landmarks already
     there and better corners of the same cell count), of these the strongest. Corners are looked for at half the size
-    (a window of the size of a patch, a quarter of the time) and placed at full size.
-
-    Parameters
-    ----------
-    image : (H, W) uint8
-        Grey image.
-    wanted : int
-        At most this many.
-    occupied : (K, 2) array_like
-        Landmarks that are there already, (u, v) px; none is returned within `min_distance` of them.
-    cell : int
-        Side of a cell, px.
-    margin : int
-        Distance kept from the border of the image, px.
-    min_distance : float
-        Between any two, px.
-    mask : (H, W) bool, optional
-        Where corners may be.
-    min_gradient : float
-        Root mean square of the gradient along its weakest direction, grey levels / px. With s grey levels of noise, a
-        patch is located to about sqrt(2) s / (11 min_gradient) px.
-
-    Returns
-    -------
-    (M, 2) ndarray
-        (u, v), px, M <= wanted, best first; the same for the same arguments.
+    (a window of the size of a patch, a quarter of the time) and placed at full size. They keep `min_distance` px from
+    each other and from the landmarks `occupied` (K, 2), and `margin` px from the border.
     """
     taken = finite_array("occupied", np.zeros((0, 2)) if np.size(occupied) == 0 else occupied, ("K", 2))
     height, width = image.shape
@@ -74,13 +52,13 @@ def detect_corners(
         return np.zeros((0, 2))
     min_distance = min(min_distance, float(np.hypot(height, width)))
     strength = _strength(image)
-    strength[~_free(strength.shape, image.shape, taken, max(margin, _REFINE + 2), min_distance, mask)] = 0.0
+    strength[~_free(strength.shape, image.shape, taken, max(margin, _REFINE + 2), min_distance)] = 0.0
     side = max(3, 2 * int(np.ceil(0.5 * min_distance)) - 1)
     highest = np.asarray(cv2.dilate(strength, np.ones((side, side), dtype=np.uint8)))
-    peaks = np.flatnonzero((strength == highest) & (strength > min_gradient**2))
+    peaks = np.flatnonzero((strength == highest) & (strength > _MIN_GRADIENT**2))
     v, u = np.unravel_index(peaks, strength.shape)
     found, value = np.stack([2.0 * u, 2.0 * v], axis=1), strength[v, u]
-    order = _emptiest_first(found, value, taken, cell, width, height)[: wanted + wanted // 4]
+    order = _emptiest_first(found, value, taken, width, height)[: wanted + wanted // 4]
     corners = _refined(image, found[order])
     return corners[_apart(corners, taken, min_distance)][:wanted]
 
@@ -94,12 +72,7 @@ def _strength(image: Image) -> NDArray[np.float32]:
 
 
 def _free(
-    half: tuple[int, ...],
-    full: tuple[int, ...],
-    taken: FloatArray,
-    margin: int,
-    min_distance: float,
-    mask: BoolArray | None,
+    half: tuple[int, ...], full: tuple[int, ...], taken: FloatArray, margin: int, min_distance: float
 ) -> BoolArray:
     """Pixels of the half-size image at which a corner may be."""
     used = np.zeros(half, dtype=np.uint8)
@@ -112,19 +85,17 @@ def _free(
     edge = margin // 2 + 1
     free[:edge] = free[:, :edge] = False
     free[(full[0] - margin) // 2 :] = free[:, (full[1] - margin) // 2 :] = False
-    if mask is not None:
-        free &= np.asarray(mask, dtype=bool)[::2, ::2]
     return free
 
 
 def _emptiest_first(
-    found: FloatArray, value: NDArray[np.float32], taken: FloatArray, cell: int, width: int, height: int
+    found: FloatArray, value: NDArray[np.float32], taken: FloatArray, width: int, height: int
 ) -> IntArray:
     """Order of the corners: by how many are in the cell before them, then by strength."""
-    columns, rows = -(-width // cell), -(-height // cell)
+    columns, rows = -(-width // _CELL), -(-height // _CELL)
 
     def cell_of(points: FloatArray) -> IntArray:
-        at = np.clip(points // cell, 0, (columns - 1, rows - 1)).astype(np.int64)
+        at = np.clip(points // _CELL, 0, (columns - 1, rows - 1)).astype(np.int64)
         number: IntArray = at[:, 1] * columns + at[:, 0]
         return number
 
@@ -178,11 +149,7 @@ class Found:
 
     def merged(self, other: Found, rows: BoolArray) -> Found:
         """This one, with `rows` (N,) from the other."""
-        return Found(
-            np.where(rows[:, None], other.uvd, self.uvd),
-            np.where(rows[:, None, None], other.R, self.R),
-            np.where(rows, other.outcome, self.outcome),
-        )
+        return Found(*rows_from(other, self, rows, "uvd", "R", "outcome"))
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,9 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from filters.camera import StereoCamera
-from filters.interface import StereoObservation
-from filters.poses import Pose
+from filters import Pose, StereoCamera, StereoObservation
 from filters.validation import BoolArray, FloatArray, IntArray
 from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.frontend.tracker import StereoTracker
@@ -20,10 +18,7 @@ from stereo_slam_env.world.routes import FRAME_PERIOD
 
 
 class ImageSensor:
-    """Measures landmarks in the pairs that `take_pair` renders.
-
-    `moves` tells which points of W (N, 3) are on a moving body now: they are no landmarks.
-    """
+    """Measures landmarks in the pairs that `take_pair` renders; what `moves` (points of W (N, 3) -> (N,)) is none."""
 
     def __init__(
         self,

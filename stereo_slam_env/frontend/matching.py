@@ -21,28 +21,13 @@ _RETURNS_WITHIN = 1.0
 
 @dataclass(frozen=True, eq=False)
 class SearchResult:
-    """Matches of templates.
+    """Matches of templates."""
 
-    Attributes
-    ----------
-    position : (N, 2)
-        (u, v), px; NaN where there was no candidate inside the image.
-    score : (N,)
-        Correlation there; -1 where there was no candidate.
-    second : (N,)
-        Best correlation of another peak inside the ellipse, near `score` if the match is not unique; -1 if none is
-        above 1/2.
-    on_border : (N,) bool
-        The correlation is still rising where the ellipse ends: the landmark may be outside it.
-    covariance : (N, 2, 2)
-        Of the position, px^2; NaN where there was no candidate.
-    """
-
-    position: FloatArray
-    score: FloatArray
-    second: FloatArray
-    on_border: BoolArray
-    covariance: FloatArray
+    position: FloatArray  # (N, 2): (u, v), px; NaN where there was no candidate inside the image
+    score: FloatArray  # (N,): correlation there; -1 where there was no candidate
+    second: FloatArray  # (N,): correlation of the best other peak inside the ellipse; -1 if none is above 1/2
+    on_border: BoolArray  # (N,): the correlation is still rising where the ellipse ends: the landmark may be outside it
+    covariance: FloatArray  # (N, 2, 2): of the position, px^2; NaN where there was no candidate
 
 
 def search(
@@ -54,28 +39,11 @@ def search(
     gate: float = 3.0,
     max_radius: float = 40.0,
 ) -> SearchResult:
-    """Find templates inside their innovation ellipses.
+    """Find templates (N, 11, 11) inside their innovation ellipses: `centers` (N, 2) px, `S` (N, 2, 2) px^2.
 
-    Parameters
-    ----------
-    image : (H, W) uint8
-        Grey image.
-    templates : (N, 11, 11) float32
-        How the surroundings of the landmarks should look.
-    centers : (N, 2) array_like
-        Expected (u, v), px.
-    S : (N, 2, 2) array_like
-        Innovation covariance, px^2.
-    gate : float
-        Radius of the ellipse in standard deviations: candidates x have (x - c)^T S^-1 (x - c) <= gate^2, with half a
-        pixel's diagonal added, so that there is always one.
-    max_radius : float
-        No candidate is further away than this in u or v, px.
-
-    Raises
-    ------
-    ValueError
-        Wrong shapes, NaN or infinity, an S that is not positive semi-definite.
+    Candidates x have (x - c)^T S^-1 (x - c) <= gate^2, with half a pixel's diagonal added, so that there is always one,
+    and are no further away than `max_radius` in u or v, px. A `ValueError` where an argument is not finite, of another
+    shape, or S not positive semi-definite.
     """
     c = finite_array("centers", centers, (len(templates), 2))
     covariance = finite_array("S", S, (len(templates), 2, 2))
@@ -113,27 +81,13 @@ def search(
 
 @dataclass(frozen=True, eq=False)
 class RowMatch:
-    """Matches along the rows.
+    """Matches along the rows."""
 
-    Attributes
-    ----------
-    disparity : (N,)
-        u_left - u_right, px; NaN where there was nothing to compare with.
-    score : (N,)
-        Correlation; -1 where there was nothing to compare with.
-    accepted : (N,) bool
-        Good enough, unique, inside the range, and found again from the right.
-    variance : (N,)
-        Of the disparity, px^2; NaN where there was nothing to compare with.
-    v_right : (N,)
-        Row in the right image, px; NaN where there was nothing to compare with.
-    """
-
-    disparity: FloatArray
-    score: FloatArray
-    accepted: BoolArray
-    variance: FloatArray
-    v_right: FloatArray
+    disparity: FloatArray  # (N,): u_left - u_right, px; NaN where there was nothing to compare with
+    score: FloatArray  # (N,): correlation; -1 where there was nothing to compare with
+    accepted: BoolArray  # (N,): good enough, unique, inside the range, and found again from the right
+    variance: FloatArray  # (N,): of the disparity, px^2; NaN where there was nothing to compare with
+    v_right: FloatArray  # (N,): row in the right image, px; NaN where there was nothing to compare with
 
 
 def match_rows(
@@ -148,29 +102,11 @@ def match_rows(
     ratio: float = 0.9,
     left_right_check: bool = True,
 ) -> RowMatch:
-    """Find the surroundings of left pixels in the right image.
+    """Find the surroundings of left pixels `uv` (N, 2) in the right image, at disparities from low to high (N,), px.
 
-    Parameters
-    ----------
-    left, right : (H, W) uint8
-        Rectified grey images.
-    uv : (N, 2) array_like
-        Positions in the left image, px.
-    disparity_low, disparity_high : (N,) array_like
-        Range of disparities, px.
-    rows : int
-        How far the right image's rows may be off, px: searched on either side, and taken for three standard deviations.
-    min_score : float
-        Least correlation.
-    ratio : float
-        The second best peak must stay below this share of the best.
-    left_right_check : bool
-        Match back from the right image over the same range; it must return to within 1 px.
-
-    Raises
-    ------
-    ValueError
-        Wrong shapes, NaN or infinity, or images of different size.
+    The right image's rows may be off by `rows` px: searched on either side, and taken for three standard deviations. A
+    match is accepted with a correlation of at least `min_score`, where the second best peak stays below the share
+    `ratio` of the best and, with `left_right_check`, where matching back over the same range returns to within 1 px.
     """
     if left.shape != right.shape:
         raise ValueError(f"right must have the size of left: {right.shape} and {left.shape}")

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.stats import chi2
 
-from filters.camera import StereoCamera
+from filters import StereoCamera
 from filters.engine.gating import gate_limit
 from filters.validation import BoolArray, FloatArray, IntArray
 from stereo_slam_env.frontend.ego_motion import Pairs, Step, chained, squared_distances

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from filters.camera import StereoCamera
+from filters import StereoCamera
 from filters.validation import FloatArray, IntArray, finite_array
 
 Image = NDArray[np.uint8]
@@ -89,29 +89,11 @@ def windows_at(image: Image, origin: IntArray, height: int, width: int) -> Image
 
 
 def warped_patches(patches: Patches, affine: ArrayLike, size: int = PATCH) -> Patches:
-    """Stored patches as they should look now.
+    """Stored patches (N, s, s) as they should look now, (N, size, size); `affine` (N, 2, 2) is of `local_affine`.
 
     Bilinear; the centre stays the centre, so the interpolation has no preferred side. Where the patch shrinks (one
     step in the current image spans more than 1.15 px of the stored one), every value is the average of 2 x 2 samples a
     half step apart: enough against aliasing up to twice the size. Samples beyond the stored patch repeat its border.
-
-    Parameters
-    ----------
-    patches : (N, s, s) float32
-        From `cut_patches`.
-    affine : (N, 2, 2) array_like
-        Offset in the current image -> offset in the stored one, px; see `local_affine`.
-    size : int
-        Odd side of the result, px.
-
-    Returns
-    -------
-    (N, size, size) float32
-
-    Raises
-    ------
-    ValueError
-        `affine` has the wrong shape or is not finite.
     """
     A = finite_array("affine", affine, ("N", 2, 2))
     if len(A) != len(patches):
@@ -143,28 +125,13 @@ def _resampled(patches: Patches, affine: FloatArray, size: int, step: float) -> 
 
 
 def local_affine(camera: StereoCamera, uvd_then: ArrayLike, R: ArrayLike, t: ArrayLike) -> FloatArray:
-    """Change of the appearance of landmarks' surroundings between two views.
+    """Change of the appearance of landmarks' surroundings: offset in the image now -> offset then, (N, 2, 2) px.
 
+    `uvd_then` (N, 3) px is the landmark in the view of the patch, and p_now = R p_then + t, one pose or one for each.
     The surroundings are taken for a plane through the landmark, parallel to the image in which the patch was cut. Such
     a plane n . p = z with n = (0, 0, 1) induces the homography R + t n^T / z of the rays; this is the inverse of its
-    derivative at the landmark, in pixels. 1/z = d / (f b), so a landmark at infinity (d = 0) is nothing special.
-
-    Parameters
-    ----------
-    camera : StereoCamera
-        Of both views.
-    uvd_then : (N, 3) array_like
-        Landmark in the view of the patch, px.
-    R : (3, 3) or (N, 3, 3) array_like
-        Rotation from the camera then to the camera now: p_now = R p_then + t.
-    t : (3,) or (N, 3) array_like
-        Position of the camera then in the camera frame now, m.
-
-    Returns
-    -------
-    (N, 2, 2) ndarray
-        Offset from the landmark in the image now -> offset in the image then, px. Not finite where the plane is seen
-        edge-on, without meaning where the landmark is behind the camera.
+    derivative at the landmark, in pixels. 1/z = d / (f b), so a landmark at infinity (d = 0) is nothing special. Not
+    finite where the plane is seen edge-on, without meaning where the landmark is behind the camera.
     """
     uvd = np.asarray(uvd_then, dtype=np.float64)
     R_now_then = np.broadcast_to(np.asarray(R, dtype=np.float64), (len(uvd), 3, 3))

@@ -8,10 +8,7 @@ from itertools import islice
 
 import numpy as np
 
-from filters import rotations
-from filters.interface import StereoFilter, StereoObservation
-from filters.noise import StereoNoise
-from filters.start import Start
+from filters import Start, StereoFilter, StereoNoise, StereoObservation, rotations
 from stereo_slam_env.frontend.ego_motion import Step
 from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.frontend.tracker import StereoTracker

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from filters.validation import finite_array, positive
+from filters.validation import finite_array, positive, whole_number
 
 _POSITIVE = (
     "nearest",
@@ -85,13 +85,10 @@ class TrackerSettings:
     def __post_init__(self) -> None:
         lowest = {"max_landmarks": 1, "refill_below": 0, "probation": 0, "max_misses": 0, "margin": 8}
         for name, low in lowest.items():
-            value = getattr(self, name)
-            if type(value) is not int or value < low:
-                raise ValueError(f"{name} must be a whole number >= {low}, got {value!r}")
+            whole_number(name, getattr(self, name), low)
         if self.refill_below > self.max_landmarks:
-            raise ValueError(
-                f"refill_below must be at most max_landmarks = {self.max_landmarks}, got {self.refill_below}"
-            )
+            most = f"max_landmarks = {self.max_landmarks}"
+            raise ValueError(f"refill_below must be at most {most}, got {self.refill_below}")
         finite_array("disparity_offset", self.disparity_offset, ())
         for name in _POSITIVE:
             positive(name, getattr(self, name))

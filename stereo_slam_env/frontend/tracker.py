@@ -7,8 +7,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from filters.camera import StereoCamera
-from filters.interface import Forecast, StereoObservation
+from filters import Forecast, StereoCamera, StereoObservation
 from filters.validation import BoolArray, FloatArray, IntArray, positive
 from stereo_slam_env.frontend.ego_motion import (
     MIN_POINTS,

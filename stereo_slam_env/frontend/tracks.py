@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from enum import IntEnum
+from typing import Any
 
 import numpy as np
 
-from filters.camera import StereoCamera
+from filters import Forecast, StereoCamera, StereoObservation
 from filters.engine.gating import gate_limit
-from filters.interface import Forecast, StereoObservation
 from filters.validation import BoolArray, FloatArray, IntArray, covariance_matrix, finite_array, unique_ids
 from stereo_slam_env.frontend.ego_motion import MIN_POINTS, Pairs, Step, predicted, robust_step
 from stereo_slam_env.frontend.patches import Patches
@@ -35,52 +36,25 @@ class Outcome(IntEnum):
 
 @dataclass(frozen=True, eq=False)
 class Search:
-    """Search for the N landmarks tracked so far: where, and what was found.
+    """Search for the N landmarks tracked so far: where, and what was found."""
 
-    Attributes
-    ----------
-    ids : (N,) int64
-        Landmarks.
-    predicted : (N, 3)
-        Expected (u, v, d), px.
-    S : (N, 3, 3)
-        Covariance of measured minus expected, px^2: the ellipse that was searched.
-    found : (N, 3)
-        Where it was found, px; NaN where it was not.
-    outcome : (N,) int64
-        An `Outcome` each.
-    """
-
-    ids: IntArray
-    predicted: FloatArray
-    S: FloatArray
-    found: FloatArray
-    outcome: IntArray
+    ids: IntArray  # (N,): landmarks
+    predicted: FloatArray  # (N, 3): expected (u, v, d), px
+    S: FloatArray  # (N, 3, 3): covariance of measured minus expected, px^2: the ellipse that was searched
+    found: FloatArray  # (N, 3): where it was found, px; NaN where it was not
+    outcome: IntArray  # (N,): an `Outcome` each
 
 
 @dataclass(frozen=True, eq=False)
 class TrackedPair:
-    """The front end's result for one pair.
+    """The front end's result for one pair."""
 
-    Attributes
-    ----------
-    observation : StereoObservation
-        The measurements for the filter, ids ascending, each with its own R.
-    search : Search
-        How the landmarks of earlier pairs were followed.
-    corners : StereoObservation
-        New corners of this pair; those that stand still will be given to the filter after their probation.
-    initialised : (K,) int64
-        Ids in `observation` that are new to the filter.
-    dropped : (L,) int64
-        Ids that will not come again: out of view, missed too often, or moving.
-    """
-
-    observation: StereoObservation
-    search: Search
+    observation: StereoObservation  # the measurements for the filter, ids ascending, each with its own R
+    search: Search  # how the landmarks of earlier pairs were followed
+    # new corners of this pair; those that stand still will be given to the filter after their probation
     corners: StereoObservation
-    initialised: IntArray
-    dropped: IntArray
+    initialised: IntArray  # (K,): ids in `observation` that are new to the filter
+    dropped: IntArray  # (L,): ids that will not come again: out of view, missed too often, or moving
 
 
 MEMORY = 6
@@ -89,50 +63,22 @@ MEMORY = 6
 
 @dataclass(frozen=True, eq=False)
 class Tracks:
-    """N landmarks, one row each in every array.
+    """N landmarks, one row each in every array."""
 
-    Attributes
-    ----------
-    ids : (N,) int64
-        Ascending.
-    patches : (N, s, s)
-        Cut around the landmark in the left image where it was first seen.
-    first_uvd : (N, 3)
-        Measured there, px.
-    first_R, first_position : (N, 3, 3), (N, 3)
-        Pose of the left camera then, in the front end's own world.
-    uvd, R : (N, 3), (N, 3, 3)
-        Last measured, or carried over by the motion since; px.
-    measured : (N, MEMORY, 3)
-        The last measurements, newest first; NaN where the landmark was not found. px.
-    measured_R : (N, MEMORY, 3, 3)
-        Their covariances, px^2.
-    age : (N,) int64
-        Pairs in which it was found after the first.
-    misses : (N,) int64
-        Pairs in a row in which it was not found.
-    strikes : (N,) int64
-        Pairs in a row in which it moved unlike the scene.
-    moving : (N,) bool
-        On a body that moves.
-    released : (N,) bool
-        Whether it has been given to the filter.
-    """
-
-    ids: IntArray
-    patches: Patches
-    first_uvd: FloatArray
-    first_R: FloatArray
-    first_position: FloatArray
-    uvd: FloatArray
-    R: FloatArray
-    measured: FloatArray
-    measured_R: FloatArray
-    age: IntArray
-    misses: IntArray
-    strikes: IntArray
-    moving: BoolArray
-    released: BoolArray
+    ids: IntArray  # (N,): ascending
+    patches: Patches  # (N, s, s): cut around the landmark in the left image where it was first seen
+    first_uvd: FloatArray  # (N, 3): measured there, px
+    first_R: FloatArray  # (N, 3, 3): orientation of the left camera then, in the front end's own world
+    first_position: FloatArray  # (N, 3): and its position, m
+    uvd: FloatArray  # (N, 3): last measured, or carried over by the motion since; px
+    R: FloatArray  # (N, 3, 3): its covariance, px^2
+    measured: FloatArray  # (N, MEMORY, 3): the last measurements, px, newest first; NaN where it was not found
+    measured_R: FloatArray  # (N, MEMORY, 3, 3): their covariances, px^2
+    age: IntArray  # (N,): pairs in which it was found after the first
+    misses: IntArray  # (N,): pairs in a row in which it was not found
+    strikes: IntArray  # (N,): pairs in a row in which it moved unlike the scene
+    moving: BoolArray  # (N,): on a body that moves
+    released: BoolArray  # (N,): whether it has been given to the filter
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -184,35 +130,26 @@ Rows = tuple[IntArray, IntArray]
 """Positions of the same landmarks in the tracks and in a forecast."""
 
 
+def rows_from(other: object, own: object, rows: BoolArray, *names: str) -> Iterator[Any]:
+    """Arrays of those names, N rows each: `rows` (N,) of them from `other`, the rest from `own`."""
+    for name in names:
+        values = getattr(own, name)
+        yield np.where(rows.reshape(-1, *[1] * (values.ndim - 1)), getattr(other, name), values)
+
+
 @dataclass(frozen=True, eq=False)
 class Expectation:
-    """Expected measurements of N tracks.
+    """Expected measurements of N tracks."""
 
-    Attributes
-    ----------
-    uvd : (N, 3)
-        Expected (u, v, d), px.
-    S : (N, 3, 3)
-        Covariance of measured minus expected, px^2.
-    in_view : (N,) bool
-        In front of the camera and inside both images.
-    step : Step
-        The motion of the camera that goes with it.
-    """
-
-    uvd: FloatArray
-    S: FloatArray
-    in_view: BoolArray
-    step: Step
+    uvd: FloatArray  # (N, 3): expected (u, v, d), px
+    S: FloatArray  # (N, 3, 3): covariance of measured minus expected, px^2
+    in_view: BoolArray  # (N,): in front of the camera and inside both images
+    step: Step  # the motion of the camera that goes with it
 
     def merged(self, other: Expectation, rows: BoolArray) -> Expectation:
         """This one, with `rows` (N,) from the other."""
-        return Expectation(
-            np.where(rows[:, None], other.uvd, self.uvd),
-            np.where(rows[:, None, None], other.S, self.S),
-            np.where(rows, other.in_view, self.in_view),
-            other.step,
-        )
+        uvd, S, in_view = rows_from(other, self, rows, "uvd", "S", "in_view")
+        return Expectation(uvd, S, in_view, other.step)
 
 
 def require_legal(forecast: Forecast) -> None:

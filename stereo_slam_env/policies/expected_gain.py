@@ -30,30 +30,14 @@ Gain = Literal["pose", "map"]
 
 
 def expected_gain(knowledge: Knowledge, looks: FloatArray, Q: FloatArray, gain: Gain) -> FloatArray:
-    """0.5 log of prior over posterior determinant of the covariance after sequences of looks, in nats.
+    """0.5 log of prior over posterior determinant of the covariance after sequences of looks, (B,) nats.
 
     Prior is the covariance after the same motion without a look. Of pose and map together, one look gains the mutual
     information 0.5 logdet S - 0.5 logdet R of its measurements.
 
-    Parameters
-    ----------
-    knowledge : Knowledge
-        Pose and map now.
-    looks : (B, K, N, 3, 3)
-        H^T R^-1 H of each landmark in each of K looks of B sequences, see `SensorModel.information`.
-    Q : (K, 6, 6)
-        Noise that the motion before each look adds to the pose, see `motion_noise`.
-    gain : {"pose", "map"}
-        Of the pose, or of the pose and the map.
-
-    Returns
-    -------
-    (B,) ndarray
-
-    Raises
-    ------
-    ArithmeticError
-        The covariance is not positive definite.
+    `looks` (B, K, N, 3, 3) are H^T R^-1 H of each landmark in each of K looks of B sequences, see
+    `SensorModel.information`; `Q` (K, 6, 6) is the noise that the motion before each look adds to the pose, see
+    `motion_noise`. An `ArithmeticError` where the covariance is not positive definite.
     """
     seen = looks.any(axis=(0, 1, 3, 4))
     if not seen.any():
@@ -67,21 +51,12 @@ def expected_gain(knowledge: Knowledge, looks: FloatArray, Q: FloatArray, gain: 
 
 
 def motion_noise(middles: FloatArray, sigma_position: float, sigma_rotation: float) -> FloatArray:
-    """Noise that a step of dead reckoning adds to the pose, in errors that a known motion does not change.
+    """Noise that a step of dead reckoning adds to the pose, in errors that a known motion does not change; (..., 6, 6).
 
     These are delta r + [r]x phi and phi, with r the position: an error of the turn turns the camera about the middle of
     the step, as in `filters.VelocityDriven`, and so acts on the first by the lever that this is from the origin.
-
-    Parameters
-    ----------
-    middles : (..., 3)
-        r half-way through the step, from the camera as it is now, m.
-    sigma_position, sigma_rotation : float
-        Standard deviation of each axis, m and rad.
-
-    Returns
-    -------
-    (..., 6, 6) ndarray
+    `middles` (..., 3) are r half-way through the step, from the camera as it is now, m; the standard deviations are of
+    each axis, m and rad.
     """
     G = np.zeros((*middles.shape[:-1], POSE_SIZE, POSE_SIZE))
     G[..., POSITION, POSITION] = sigma_position * np.eye(3)

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -35,15 +36,7 @@ _OFFSETS = np.array([-0.75, -0.5, -0.25, 0.25, 0.5, 0.75])
 
 @dataclass(frozen=True, eq=False)
 class CameraPoses:
-    """Poses of the left camera in W, with any leading dimensions.
-
-    Attributes
-    ----------
-    positions : (..., 3)
-        m.
-    R_wc : (..., 3, 3)
-        Camera to W.
-    """
+    """Poses of the left camera in W with any leading dimensions: positions (..., 3), m, and R_wc (..., 3, 3)."""
 
     positions: FloatArray
     R_wc: FloatArray
@@ -61,18 +54,10 @@ class CameraPoses:
 
 @dataclass(frozen=True, eq=False)
 class Knowledge:
-    """Belief of a filter: the pose and N landmarks.
+    """Belief of a filter: the pose of the left camera and N landmarks, `points` (N, 3) in W, m.
 
-    Attributes
-    ----------
-    ids : (N,) int64
-        Landmarks.
-    pose : Pose
-        Of the left camera.
-    points : (N, 3)
-        Landmarks in W, m.
-    covariance : (6 + 3 N, 6 + 3 N)
-        Of the errors of the position (W, m), of the rotation (**in the axes of W**, rad) and of `points` (m).
+    `covariance` (6 + 3 N, 6 + 3 N) is of the errors of the position (W, m), of the rotation (**in the axes of W**, rad)
+    and of `points` (m).
     """
 
     ids: IntArray
@@ -108,31 +93,9 @@ class Knowledge:
         J[:, :, ROTATION] = rotations.skew(self.points - self.pose.position)
         return J
 
-    @property
-    def relative_covariances(self) -> FloatArray:
-        """C, covariance of each landmark as seen from the camera, in the axes of W; (N, 3, 3) m^2."""
-        rows = POSE_SIZE + 3 * np.arange(len(self.points))[:, None] + np.arange(3)
-        J = self.by_pose
-        J_P = J @ self.covariance[:POSE_SIZE, :POSE_SIZE]
-        cross = J @ self.covariance[:POSE_SIZE, rows].transpose(1, 0, 2)
-        own = self.covariance[rows[:, :, None], rows[:, None, :]]
-        relative: FloatArray = J_P @ J.transpose(0, 2, 1) + cross + cross.transpose(0, 2, 1) + own
-        return relative
 
-
-@dataclass(frozen=True, eq=False)
-class Sight:
-    """Predicted view of N landmarks, from cameras with any leading dimensions.
-
-    Attributes
-    ----------
-    uvd : (..., N, 3)
-        Predicted left pixel and disparity, px; of no meaning behind the camera.
-    in_view : (..., N) bool
-        Whether it could be measured, if nothing hid it.
-    points_c : (..., N, 3)
-        In each camera frame, m.
-    """
+class Sight(NamedTuple):
+    """Predicted (u, v, d), px (..., N, 3); whether they are in view (..., N); points in each camera, m (..., N, 3)."""
 
     uvd: FloatArray
     in_view: BoolArray
@@ -141,20 +104,10 @@ class Sight:
 
 @dataclass(frozen=True)
 class SensorModel:
-    """The stereo sensor as a planner knows it.
+    """The stereo sensor as a planner knows it: the rig, and R of (u, v, d).
 
-    Attributes
-    ----------
-    camera : StereoCamera
-        The rig.
-    noise : StereoNoise
-        R of (u, v, d).
-    nearest, farthest : float
-        Range of depths z in which landmarks are measured, m.
-    margin : float
-        px that a landmark must be inside both images.
-    most : int, optional
-        Landmarks that are measured in one frame at most. None: all in view.
+    It measures landmarks at depths z from `nearest` to `farthest`, m, that are `margin` px inside both images, and at
+    most `most` of them in one frame (None: all in view).
     """
 
     camera: StereoCamera
@@ -205,23 +158,10 @@ class SensorModel:
 
 
 def planned_bodies(body: Pose, route: Route, step: int, steps: int) -> CameraPoses:
-    """Poses of the camera, looking straight ahead, of a car that is at `body` now, after each step of its route.
+    """Poses of the camera, looking straight ahead, after each of the next steps of the car's route; K = `steps`.
 
-    Speeds and yaw rates are the route's, from `step` on; after its end the car stands still.
-
-    Parameters
-    ----------
-    body : Pose
-        Now, after `step` steps, as it is believed to be.
-    route : Route
-        The nominal drive.
-    step, steps : int
-        Steps driven so far; steps to imagine, K.
-
-    Returns
-    -------
-    CameraPoses
-        (K, 3) and (K, 3, 3).
+    The car is believed to be at `body` now, after `step` steps. Speeds and yaw rates are the route's; after its end the
+    car stands still.
     """
     frames = np.minimum(step + np.arange(1, steps + 1), route.frames - 1)
     now = min(step, route.frames - 1)
@@ -249,14 +189,9 @@ def seen_from(head: Head, bodies: CameraPoses, angles: FloatArray) -> CameraPose
 
 
 class UnseenPlaces:
-    """Places beside the route, at the height of the camera, that have not been in view so far.
+    """Places beside the route, at the height of the camera, that have not been in view of `sensor` so far.
 
-    Parameters
-    ----------
-    route : Route
-        The nominal drive; places go on straight ahead after its end, as far as can be seen.
-    sensor : SensorModel
-        What is in view of a camera.
+    They go on straight ahead after the end of the route, as far as can be seen.
     """
 
     def __init__(self, route: Route, sensor: SensorModel) -> None:
@@ -279,13 +214,8 @@ class UnseenPlaces:
 
     def discovered(self, cameras: CameraPoses) -> IntArray:
         """Number of places in view of each of B sequences of K looks, (B, K) cameras; (B,)."""
-        near = self._near(cameras.positions)
+        low, high = (end(cameras.positions.reshape(-1, 3), axis=0) for end in (np.min, np.max))
+        reach = self._sensor.reach
+        near = self._points[((self._points >= low - reach) & (self._points <= high + reach)).all(axis=1)]
         discovered: IntArray = self._sensor.sight(near, cameras).in_view.any(axis=-2).sum(axis=-1)
         return discovered
-
-    def _near(self, positions: FloatArray) -> FloatArray:
-        """Places within reach of one of the cameras."""
-        low, high = (end(positions.reshape(-1, 3), axis=0) for end in (np.min, np.max))
-        reach = self._sensor.reach
-        near: FloatArray = self._points[((self._points >= low - reach) & (self._points <= high + reach)).all(axis=1)]
-        return near

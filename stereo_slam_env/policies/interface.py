@@ -39,13 +39,7 @@ class Policy(Protocol):
 
 
 def require_head(env: gym.Env[Any, Any]) -> Head:
-    """The head of an environment.
-
-    Raises
-    ------
-    ValueError
-        It has none that moves.
-    """
+    """The head of an environment; a `ValueError` where it has none that moves."""
     head = env.get_wrapper_attr("head")
     if not isinstance(head, Head):
         raise ValueError("the policy turns the head, and that of this environment is fixed: use StereoSlam/Gaze-v0")

@@ -12,7 +12,7 @@ import gymnasium as gym
 import numpy as np
 
 from filters.validation import FloatArray
-from stereo_slam_env.files.atomic import write_atomically
+from stereo_slam_env.files.folders import write_atomically
 from stereo_slam_env.files.readers import read_arrays
 from stereo_slam_env.policies.interface import Action, gaze_action, require_head
 
@@ -25,20 +25,11 @@ _FORMAT = 1
 class Network:
     """A multi-layer perceptron with tanh between its layers.
 
-    Attributes
-    ----------
-    keys : tuple of str
-        Entries of the observation it sees, flattened and joined in this order; N numbers.
-    mean, scale : (N,)
-        They are shifted and scaled, (x - mean) / scale, ...
-    clip : float
-        ... and clipped to so much on either side.
-    weights, biases : tuple of ndarray
-        (outputs, inputs) and (outputs,) of each layer.
-    about : mapping
-        How it was made; JSON-able. `about["task"]["hold"]` is for how many steps a decision holds.
-    choices : (outputs, n), optional
-        The largest output chooses a row of it, which is the action. None: the outputs are the action.
+    The entries `keys` of the observation, flattened and joined in this order, are its N inputs, shifted and scaled, (x
+    - `mean`) / `scale`, and clipped to `clip` on either side. `weights` are (outputs, inputs) and `biases` (outputs,)
+    of each layer. The largest output chooses a row of `choices` (outputs, n), which is the action; None: the outputs
+    are the action. `about` says how it was made and is JSON-able; `about["task"]["hold"]` is for how many steps a
+    decision holds.
     """
 
     keys: tuple[str, ...]
@@ -79,13 +70,7 @@ class Network:
 
     @classmethod
     def load(cls, path: Path) -> Network:
-        """Read what `save` wrote; nothing in the file is executed.
-
-        Raises
-        ------
-        ValueError
-            There is no such file, or it is not a network.
-        """
+        """Read what `save` wrote; nothing in the file is executed. A `ValueError` where it is missing or no network."""
         try:
             arrays = read_arrays(path)
             about = json.loads(str(arrays["json"]))

@@ -8,12 +8,29 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from filters.validation import finite_number, positive
+from filters.validation import FloatArray, finite_number, positive
 from stereo_slam_env.policies.interface import Action, look_towards, require_head
 from stereo_slam_env.world.routes import FRAME_PERIOD
 
 
-class FixedGaze:
+class _OpenLoop:
+    """Looks where `_angles` says after each number of steps."""
+
+    def reset(self, env: gym.Env[Any, Any], rng: np.random.Generator) -> None:
+        """See `Policy.reset`."""
+        self._limits = np.array(require_head(env).max_angles)
+        self._env, self._rng, self._step = env, rng, -1
+
+    def act(self, observation: Mapping[str, Any]) -> Action:
+        """See `Policy.act`."""
+        self._step += 1
+        return look_towards(self._env, self._angles())
+
+    def _angles(self) -> FloatArray:
+        raise NotImplementedError
+
+
+class FixedGaze(_OpenLoop):
     """Look in one direction, straight ahead by default.
 
     Parameters
@@ -23,18 +40,13 @@ class FixedGaze:
     """
 
     def __init__(self, pan: float = 0.0, tilt: float = 0.0) -> None:
-        self._angles = np.array([finite_number("pan", pan), finite_number("tilt", tilt)])
+        self._direction = np.array([finite_number("pan", pan), finite_number("tilt", tilt)])
 
-    def reset(self, env: gym.Env[Any, Any], rng: np.random.Generator) -> None:
-        """See `Policy.reset`."""
-        self._action = look_towards(env, self._angles)
-
-    def act(self, observation: Mapping[str, Any]) -> Action:
-        """See `Policy.act`."""
-        return self._action
+    def _angles(self) -> FloatArray:
+        return self._direction
 
 
-class RandomGaze:
+class RandomGaze(_OpenLoop):
     """Look in a random direction for a while, then in another.
 
     Parameters
@@ -46,20 +58,13 @@ class RandomGaze:
     def __init__(self, seconds: float = 1.0) -> None:
         self._steps = max(1, round(positive("seconds", seconds) / FRAME_PERIOD))
 
-    def reset(self, env: gym.Env[Any, Any], rng: np.random.Generator) -> None:
-        """See `Policy.reset`."""
-        self._env, self._rng, self._step = env, rng, 0
-        self._limits = np.array(require_head(env).max_angles)
-
-    def act(self, observation: Mapping[str, Any]) -> Action:
-        """See `Policy.act`."""
+    def _angles(self) -> FloatArray:
         if self._step % self._steps == 0:
-            self._action = look_towards(self._env, self._rng.uniform(-self._limits, self._limits))
-        self._step += 1
-        return self._action
+            self._direction = self._rng.uniform(-self._limits, self._limits)
+        return self._direction
 
 
-class Sweep:
+class Sweep(_OpenLoop):
     """Pan from side to side, in a sine.
 
     Parameters
@@ -73,13 +78,6 @@ class Sweep:
     def __init__(self, period: float = 5.0, amplitude: float = 1.2) -> None:
         self._period, self._amplitude = positive("period", period), positive("amplitude", amplitude)
 
-    def reset(self, env: gym.Env[Any, Any], rng: np.random.Generator) -> None:
-        """See `Policy.reset`."""
-        require_head(env)
-        self._env, self._step = env, 0
-
-    def act(self, observation: Mapping[str, Any]) -> Action:
-        """See `Policy.act`."""
-        self._step += 1
-        phase = 2 * np.pi * self._step * FRAME_PERIOD / self._period
-        return look_towards(self._env, np.array([self._amplitude * np.sin(phase), 0.0]))
+    def _angles(self) -> FloatArray:
+        phase = 2 * np.pi * (self._step + 1) * FRAME_PERIOD / self._period
+        return np.array([self._amplitude * np.sin(phase), 0.0])

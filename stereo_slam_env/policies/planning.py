@@ -12,7 +12,7 @@ import numpy as np
 from filters.interface import StereoFilter
 from filters.known_names import one_of
 from filters.poses import Pose
-from filters.validation import BoolArray, FloatArray, positive, whole_number
+from filters.validation import FloatArray, positive, whole_number
 from stereo_slam_env.policies.expected_gain import Gain, expected_gain, motion_noise
 from stereo_slam_env.policies.foresight import (
     CameraPoses,
@@ -27,6 +27,7 @@ from stereo_slam_env.policies.interface import Action, look_towards, require_hea
 from stereo_slam_env.sensing.sensors import TrackingPolicy
 from stereo_slam_env.world.routes import FRAME_PERIOD, Route
 from stereo_slam_env.world.vehicle import Head
+from stereo_slam_env.wrappers import Belief
 
 _THERE = 1e-3
 """Distance at which the head has arrived at its target, rad."""
@@ -35,15 +36,7 @@ _THERE = 1e-3
 class Outlook:
     """The part of an environment that a planner may use: belief of the filter, sensor, head and route.
 
-    Parameters
-    ----------
-    env : gymnasium.Env
-        Reset, with a filter in the loop and a head that moves.
-
-    Raises
-    ------
-    ValueError
-        One of the two is missing.
+    A `ValueError` where there is no filter in the loop, or no head that moves.
     """
 
     def __init__(self, env: gym.Env[Any, Any]) -> None:
@@ -64,14 +57,12 @@ class Outlook:
             margin=tracking.margin,
             most=tracking.max_landmarks,
         )
+        self.slam: StereoFilter = env.get_wrapper_attr("slam")
         self.route: Route = env.get_wrapper_attr("route")
-        self._sigmas = FRAME_PERIOD * options.odometry_sigma_linear, FRAME_PERIOD * options.odometry_sigma_angular
-
-    @property
-    def slam(self) -> StereoFilter:
-        """The filter."""
-        slam: StereoFilter = self._env.get_wrapper_attr("slam")
-        return slam
+        self.odometry_sigmas = (
+            FRAME_PERIOD * options.odometry_sigma_linear,
+            FRAME_PERIOD * options.odometry_sigma_angular,
+        )
 
     @property
     def angles(self) -> FloatArray:
@@ -88,16 +79,6 @@ class Outlook:
         """Estimated pose of the left camera."""
         belief = self.slam.pose
         return Pose(belief.position, belief.orientation)
-
-    def bodies(self, step: int, steps: int) -> CameraPoses:
-        """Poses of the camera in the next steps, after `step`, if it looks straight ahead."""
-        return planned_bodies(self.head.body_pose(self.pose, self.angles), self.route, step, steps)
-
-    def drift(self, positions: FloatArray) -> FloatArray:
-        """Noise of the odometry in the steps that end at `positions` (K, 3), see `motion_noise`."""
-        ends = positions - self.pose.position
-        starts = np.concatenate([np.zeros((1, 3)), ends[:-1]])
-        return motion_noise(0.5 * (starts + ends), *self._sigmas)
 
 
 @dataclass(frozen=True)
@@ -169,22 +150,20 @@ class Planner:
         return choice
 
     def worth(self, targets: FloatArray, angles: FloatArray) -> FloatArray:
-        """Worth of each of B directions, (B,) nats.
+        """Worth of each of B directions `targets` (B, 2), rad; (B,) nats.
 
-        Parameters
-        ----------
-        targets : (B, 2)
-            Directions, rad.
-        angles : (B, K, 2)
-            Pan and tilt in the next K steps if the head turns there.
+        `angles` (B, K, 2) are pan and tilt in the next K steps if the head turns there, rad.
         """
         outlook, wanted = self.outlook, self._preferences
-        bodies = outlook.bodies(self.step, angles.shape[1])
+        body = outlook.head.body_pose(outlook.pose, outlook.angles)
+        bodies = planned_bodies(body, outlook.route, self.step, angles.shape[1])
         cameras = seen_from(outlook.head, bodies, angles)
         away = np.linalg.norm(cameras.positions - outlook.pose.position, axis=-1).max()
         knowledge = Knowledge.of(outlook.slam, within=outlook.sensor.reach + float(away))
         looks = outlook.sensor.information(knowledge.points, cameras)
-        gains = expected_gain(knowledge, looks, outlook.drift(bodies.positions), wanted.gain)
+        ends = bodies.positions - outlook.pose.position
+        middles = 0.5 * (np.concatenate([np.zeros((1, 3)), ends[:-1]]) + ends)
+        gains = expected_gain(knowledge, looks, motion_noise(middles, *outlook.odometry_sigmas), wanted.gain)
         turn = np.abs(targets - outlook.angles) / np.maximum(outlook.head.max_angles, np.finfo(float).tiny)
         worth: FloatArray = gains - wanted.effort * turn.sum(axis=1)
         worth += wanted.curiosity * self._places.discovered(cameras)
@@ -224,45 +203,55 @@ class MostUncertain:
     def act(self, observation: Mapping[str, Any]) -> Action:
         """See `Policy.act`."""
         outlook = self._outlook
-        knowledge = Knowledge.of(outlook.slam, within=outlook.sensor.reach)
+        belief: Belief = self._env.get_wrapper_attr("belief")
+        body = outlook.head.body_pose(outlook.pose, outlook.angles)
+        x, y, z = body.to_camera(belief.points_w).T
+        bearings = np.stack([np.arctan2(x, z), np.arctan2(-y, np.hypot(x, z))], axis=1)
+        distance = np.linalg.norm(belief.points_c, axis=1)
         if self._step % self._patience == 0:
             if self._wanted >= 0 and self._wanted not in observation["ids"]:
                 self._in_vain = np.append(self._in_vain, self._wanted)[-self._patience :]
-            self._wanted = self._worst_known(knowledge)
+            # In the middle of the image of a camera turned to it, and not looked at in vain.
+            can = (distance >= outlook.sensor.nearest) & (distance <= outlook.sensor.farthest)
+            can &= (np.abs(bearings) <= outlook.head.max_angles).all(axis=1) & ~np.isin(belief.ids, self._in_vain)
+            uncertainty = np.where(can, np.trace(belief.relative_covariances, axis1=1, axis2=2), -np.inf)
+            self._wanted = int(belief.ids[uncertainty.argmax()]) if can.any() else -1
         self._step += 1
-        wanted = knowledge.ids == self._wanted
+        wanted = (belief.ids == self._wanted) & (distance <= outlook.sensor.reach)
         if wanted.any():
-            self._target = self._bearings(knowledge)[wanted][0]
+            self._target = bearings[wanted][0]
         return look_towards(self._env, self._target)
 
-    def _worst_known(self, knowledge: Knowledge) -> int:
-        """Id of the landmark to look at, -1 if there is none."""
-        candidates = np.flatnonzero(self._can_be_seen(knowledge) & ~np.isin(knowledge.ids, self._in_vain))
-        if len(candidates) == 0:
-            return -1
-        uncertainty = np.trace(knowledge.relative_covariances[candidates], axis1=1, axis2=2)
-        return int(knowledge.ids[candidates[np.argmax(uncertainty)]])
 
-    def _can_be_seen(self, knowledge: Knowledge) -> BoolArray:
-        """Whether each landmark is in the middle of the image of a camera turned to it, (N,)."""
-        head, sensor = self._outlook.head, self._outlook.sensor
-        bearings = self._bearings(knowledge)
-        distance = np.linalg.norm(knowledge.points - knowledge.pose.position, axis=1)
-        can: BoolArray = (distance >= sensor.nearest) & (distance <= sensor.farthest)
-        can &= (np.abs(bearings) <= head.max_angles).all(axis=1)
-        return can
+class _Planning:
+    """Turn to the most worthwhile direction, arrive, then choose again after `replan` steps at the earliest.
 
-    def _bearings(self, knowledge: Knowledge) -> FloatArray:
-        """Pan and tilt that look at each landmark, (N, 2) rad."""
-        body = CameraPoses.at(self._outlook.head.body_pose(knowledge.pose, self._outlook.angles))
-        x, y, z = body.to_camera(knowledge.points).T
-        return np.stack([np.arctan2(x, z), np.arctan2(-y, np.hypot(x, z))], axis=1)
+    Choosing again on the way would leave the head between two groups that are worth about the same. The looks that
+    count are those of the next `steps` steps of turning there; None: one look from there.
+    """
+
+    def __init__(self, preferences: Preferences, replan: int = 1, steps: int | None = None) -> None:
+        self._preferences, self._replan, self._steps = preferences, replan, steps
+
+    def reset(self, env: gym.Env[Any, Any], rng: np.random.Generator) -> None:
+        """See `Policy.reset`."""
+        self._env, self._planner = env, Planner(env, self._preferences)
+        self._target, self._decided = self._planner.outlook.angles, -self._replan
+
+    def act(self, observation: Mapping[str, Any]) -> Action:
+        """See `Policy.act`."""
+        planner, outlook = self._planner, self._planner.outlook
+        planner.look()
+        if planner.step >= self._decided + self._replan and outlook.is_turned_to(self._target):
+            angles = planner.targets[:, None]
+            if self._steps is not None:
+                angles = turning_head(outlook.head, outlook.angles, planner.targets, self._steps)
+            self._target, self._decided = planner.best(angles), planner.step
+        return look_towards(self._env, self._target)
 
 
-class Greedy:
+class Greedy(_Planning):
     """Turn to the direction in which one look has the largest expected gain; arrive, then choose again.
-
-    Choosing again on the way would leave the head between two groups that are worth about the same.
 
     Parameters
     ----------
@@ -273,23 +262,10 @@ class Greedy:
     def __init__(
         self, gain: Gain = "map", pans: int = 17, tilts: int = 1, curiosity: float = 0.15, effort: float = 0.05
     ) -> None:
-        self._preferences = Preferences(gain, pans, tilts, curiosity, effort)
-
-    def reset(self, env: gym.Env[Any, Any], rng: np.random.Generator) -> None:
-        """See `Policy.reset`."""
-        self._env, self._planner = env, Planner(env, self._preferences)
-        self._target = self._planner.outlook.angles
-
-    def act(self, observation: Mapping[str, Any]) -> Action:
-        """See `Policy.act`."""
-        planner = self._planner
-        planner.look()
-        if planner.outlook.is_turned_to(self._target):
-            self._target = planner.best(planner.targets[:, None])
-        return look_towards(self._env, self._target)
+        super().__init__(Preferences(gain, pans, tilts, curiosity, effort))
 
 
-class Lookahead:
+class Lookahead(_Planning):
     """Turn to the direction with the largest expected gain of all looks in the next steps of the planned drive.
 
     The head arrives before the next decision, see `Greedy`; it turns as fast as it can.
@@ -314,20 +290,5 @@ class Lookahead:
         curiosity: float = 0.15,
         effort: float = 0.05,
     ) -> None:
-        self._steps, self._replan = whole_number("steps", steps, 1), whole_number("replan", replan, 1)
-        self._preferences = Preferences(gain, pans, tilts, curiosity, effort)
-
-    def reset(self, env: gym.Env[Any, Any], rng: np.random.Generator) -> None:
-        """See `Policy.reset`."""
-        self._env, self._planner = env, Planner(env, self._preferences)
-        self._target, self._decided = self._planner.outlook.angles, -self._replan
-
-    def act(self, observation: Mapping[str, Any]) -> Action:
-        """See `Policy.act`."""
-        planner = self._planner
-        planner.look()
-        outlook = planner.outlook
-        if planner.step >= self._decided + self._replan and outlook.is_turned_to(self._target):
-            angles = turning_head(outlook.head, outlook.angles, planner.targets, self._steps)
-            self._target, self._decided = planner.best(angles), planner.step
-        return look_towards(self._env, self._target)
+        preferences = Preferences(gain, pans, tilts, curiosity, effort)
+        super().__init__(preferences, whole_number("replan", replan, 1), whole_number("steps", steps, 1))

@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable
-from importlib import import_module
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
 from filters.known_names import did_you_mean, require_known
@@ -17,14 +16,14 @@ from stereo_slam_env.policies.interface import Policy
 
 ENTRY_POINT_GROUP = "stereo_slam.policies"
 
-_OWN: dict[str, str] = {
-    "fixed": "stereo_slam_env.policies.open_loop:FixedGaze",
-    "random": "stereo_slam_env.policies.open_loop:RandomGaze",
-    "sweep": "stereo_slam_env.policies.open_loop:Sweep",
-    "most-uncertain": "stereo_slam_env.policies.planning:MostUncertain",
-    "greedy": "stereo_slam_env.policies.planning:Greedy",
-    "lookahead": "stereo_slam_env.policies.planning:Lookahead",
-    "ppo": "stereo_slam_env.policies.network:NetworkPolicy",
+_OWN = {
+    "fixed": "open_loop:FixedGaze",
+    "random": "open_loop:RandomGaze",
+    "sweep": "open_loop:Sweep",
+    "most-uncertain": "planning:MostUncertain",
+    "greedy": "planning:Greedy",
+    "lookahead": "planning:Lookahead",
+    "ppo": "network:NetworkPolicy",
 }
 
 
@@ -52,26 +51,24 @@ def make_policy(name: str, **options: Any) -> Policy:
 
 def available_policies() -> dict[str, str]:
     """Names and one line on each."""
-    return {name: (inspect.getdoc(_found(name)) or "no description").splitlines()[0] for name in _names()}
+    return {name: (inspect.getdoc(_found(name)) or "no description").splitlines()[0] for name in _entry_points()}
 
 
-def _names() -> list[str]:
-    return [*_OWN, *(point.name for point in entry_points(group=ENTRY_POINT_GROUP) if point.name not in _OWN)]
+def _entry_points() -> dict[str, EntryPoint]:
+    """Ours, and those of third parties that have another name."""
+    own = {name: EntryPoint(name, f"{__package__}.{what}", ENTRY_POINT_GROUP) for name, what in _OWN.items()}
+    return {**own, **{point.name: point for point in entry_points(group=ENTRY_POINT_GROUP) if point.name not in own}}
 
 
 def _found(name: str) -> Callable[..., Any]:
-    if name in _OWN:
-        module, _, attribute = _OWN[name].partition(":")
-        found: Callable[..., Any] = getattr(import_module(module), attribute)
-        return found
-    for point in entry_points(group=ENTRY_POINT_GROUP):
-        if point.name == name:
-            try:
-                found = point.load()
-            except Exception as error:  # whatever a stranger's module does at import must not take the run down
-                raise ValueError(
-                    f"policy {name!r} ({point.value}) cannot be loaded: {type(error).__name__}: {error}"
-                ) from error
-            return found
-    names = _names()
-    raise ValueError(f"policy must be one of {', '.join(names)}, got {name!r}{did_you_mean(name, names)}")
+    known = _entry_points()
+    if name not in known:
+        raise ValueError(f"policy must be one of {', '.join(known)}, got {name!r}{did_you_mean(name, known)}")
+    point = known[name]
+    try:
+        found: Callable[..., Any] = point.load()
+    except Exception as error:  # whatever a stranger's module does at import must not take the run down
+        raise ValueError(
+            f"policy {name!r} ({point.value}) cannot be loaded: {type(error).__name__}: {error}"
+        ) from error
+    return found

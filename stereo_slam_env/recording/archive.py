@@ -17,13 +17,9 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from filters.camera import StereoCamera
-from filters.interface import BodyVelocity, StereoObservation
-from filters.noise import StereoNoise
-from filters.poses import Pose
-from filters.start import Start
+from filters import BodyVelocity, Pose, Start, StereoCamera, StereoNoise, StereoObservation
 from filters.validation import FloatArray
-from stereo_slam_env.files.atomic import write_atomically
+from stereo_slam_env.files.folders import write_atomically
 from stereo_slam_env.files.readers import read_arrays
 from stereo_slam_env.recording.recording import GIVEN_TRUTH, Frame, LandmarkTruth, Recording, Reference, Velocity
 
@@ -62,13 +58,7 @@ def save_recording(path: str | Path, recording: Recording) -> None:
 
 
 def packed_recording(recording: Recording) -> bytes:
-    """Bytes that `save_recording` writes.
-
-    Raises
-    ------
-    ValueError
-        The source of the recording is not JSON-able.
-    """
+    """Bytes that `save_recording` writes; a `ValueError` where the source of the recording is not JSON-able."""
     camera = {name: _plain(value) for name, value in dataclasses.asdict(recording.camera).items()}
     about = {
         "format": FORMAT,
@@ -88,13 +78,7 @@ def packed_recording(recording: Recording) -> bytes:
 
 
 def unpacked_recording(content: bytes) -> Recording:
-    """The recording of `packed_recording`.
-
-    Raises
-    ------
-    ValueError
-        See `load_recording`.
-    """
+    """The recording of `packed_recording`; raises as `load_recording`."""
     return _read(io.BytesIO(content), "the recording")
 
 

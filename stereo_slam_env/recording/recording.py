@@ -13,11 +13,7 @@ from typing import Any, Literal, Protocol, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from filters.camera import StereoCamera
-from filters.interface import BodyVelocity, StereoObservation
-from filters.noise import StereoNoise
-from filters.poses import Pose
-from filters.start import Start
+from filters import BodyVelocity, Pose, Start, StereoCamera, StereoNoise, StereoObservation
 from filters.validation import FloatArray, IntArray
 
 
@@ -165,25 +161,13 @@ GreyImage = NDArray[np.uint8]
 
 @dataclass(frozen=True, eq=False)
 class StereoPair:
-    """Both images of one instant, rectified.
+    """Both images of one instant, rectified."""
 
-    Attributes
-    ----------
-    timestamp : float
-        s.
-    left, right : (H, W) uint8
-        Grey.
-    truth : Pose, optional
-        True pose of the left camera in W.
-    odometry : BodyVelocity, optional
-        Mean body velocity of the step from the previous pair to this one.
-    """
-
-    timestamp: float
-    left: GreyImage
+    timestamp: float  # s
+    left: GreyImage  # rectified, grey
     right: GreyImage
-    truth: Pose | None = None
-    odometry: BodyVelocity | None = None
+    truth: Pose | None = None  # true pose of the left camera in W
+    odometry: BodyVelocity | None = None  # mean body velocity of the step from the previous pair to this one
 
 
 class ImageSequence(Protocol):

@@ -30,27 +30,10 @@ class CameraEffects:
     Noise is the same in all colours of a pixel, as if the camera were a grey one, and independent between pixels,
     cameras and frames. The default is a perfect camera.
 
-    Parameters
-    ----------
-    gain : float
-        Exposure, > 0: factor on the grey level.
-    gamma : float
-        Exponent of the tone curve, > 0: level / 255 to the power of `gamma`.
-    read_noise : float
-        Standard deviation that does not depend on the light, grey levels, >= 0.
-    shot_noise : float
-        Variance for each grey level of light, grey levels, >= 0.
-    vignetting : float
-        Share of the light that is missing in the corners, 0 to 1.
-    blur : float
-        Standard deviation of the lens' point spread, px, >= 0.
-    seed : int
-        Of the noise, >= 0.
-
-    Raises
-    ------
-    ValueError
-        A number is out of its range.
+    `gain` is the factor on the grey level, `gamma` the exponent of level / 255; `read_noise` is the standard deviation
+    that does not depend on the light, `shot_noise` the variance for each grey level of light; `vignetting` is the share
+    of the light that is missing in the corners, `blur` the standard deviation of the lens' point spread, px; `seed`
+    that of the noise. A `ValueError` where a number is out of its range.
     """
 
     gain: float = 1.0

@@ -87,15 +87,14 @@ def caption_bar(width: int, caption: Sequence[str]) -> Image:
 def _color_key(bar: Image, scale: float, left_edge: int) -> None:
     """The colours of the disparities, at the right end of the bar, if there is room."""
     length, thick = int(150 * scale), int(12 * scale)
-    words = [(f"{_FAR_DISPARITY:.0f}", True), (f"{_NEAR_DISPARITY:.0f} px disparity", False)]
-    sizes = [cv2.getTextSize(text, FONT, 0.5 * scale, 1)[0] for text, _ in words]
+    far, near = f"{_FAR_DISPARITY:.0f}", f"{_NEAR_DISPARITY:.0f} px disparity"
+    far_width, near_width = (cv2.getTextSize(text, FONT, 0.5 * scale, 1)[0][0] for text in (far, near))
     space = int(8 * scale)
-    x = bar.shape[1] - sizes[1][0] - 2 * space - length
-    if x - sizes[0][0] - space < left_edge:
+    x = bar.shape[1] - near_width - 2 * space - length
+    if x - far_width - space < left_edge:
         return
     y = (bar.shape[0] - thick) // 2
     ramp = np.exp(np.linspace(np.log(_FAR_DISPARITY), np.log(_NEAR_DISPARITY), length))
     bar[y : y + thick, x : x + length] = disparity_colors(ramp)
-    baseline = int(25 * scale)
-    cv2.putText(bar, words[0][0], (x - sizes[0][0] - space, baseline), FONT, 0.5 * scale, PAPER, 1, cv2.LINE_AA)
-    cv2.putText(bar, words[1][0], (x + length + space, baseline), FONT, 0.5 * scale, PAPER, 1, cv2.LINE_AA)
+    for text, at in ((far, x - far_width - space), (near, x + length + space)):
+        cv2.putText(bar, text, (at, int(25 * scale)), FONT, 0.5 * scale, PAPER, 1, cv2.LINE_AA)

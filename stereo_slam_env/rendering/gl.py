@@ -30,7 +30,7 @@ from stereo_slam_env.rendering.images import StereoImages
 from stereo_slam_env.rendering.pinhole import FAR, NEAR, sky_slope
 from stereo_slam_env.world.frames import WorldFrame
 from stereo_slam_env.world.meshes import body_meshes, scene_meshes
-from stereo_slam_env.world.scene import Look, MovingBody, Scene
+from stereo_slam_env.world.scene import MovingBody, Scene
 
 SURFACE_VERTEX = """
 #version 330
@@ -126,28 +126,26 @@ class GLRenderer:
         standing = scene_meshes(scene)
         moving = [body_meshes(body) for body in scene.moving]
         with self._current() as context:
-            self._release_meshes()
+            for mesh in [self._standing, *(mesh for _, mesh in self._moving)]:
+                if mesh is not None:
+                    mesh.release()
+            self._standing, self._moving = None, []
             self._textures.load(material for meshes in (standing, *moving) for material in meshes)
             buffers = [
                 MeshBuffer(context, self._surface, draw_list(meshes, self._textures.layer))
                 for meshes in (standing, *moving)
             ]
             self._standing, self._moving = buffers[0], list(zip(scene.moving, buffers[1:], strict=True))
-            self._set_look(scene.look)
+            look = scene.look
+            horizon, zenith = (tuple(value / 255.0 for value in color) for color in (look.horizon, look.zenith))
+            self._surface["sun"].value = tuple(np.array(look.sun) / np.linalg.norm(look.sun))
+            self._surface["light"].value = (look.ambient, look.diffuse)
+            self._surface["haze"].value = 1.0 / look.haze_range
+            self._surface["horizon"].value = self._sky["horizon"].value = horizon
+            self._sky["zenith"].value = zenith
 
     def render_pair(self, pose: Pose, time: float = 0.0) -> StereoImages:
-        """Draw what the rig sees from `pose` (left camera in W) when moving bodies are where they are at `time` s.
-
-        Returns
-        -------
-        StereoImages
-            The depth is that of the pixel centres, whatever the samples.
-
-        Raises
-        ------
-        RuntimeError
-            There is no scene yet, or the renderer is closed.
-        """
+        """See `StereoRenderer`; a RuntimeError where there is no scene yet, or the renderer is closed."""
         position = self._frame.to_scene(pose.position)
         R_sc = self._frame.rotation_to_scene(rotations.matrix(pose.orientation))
         view = ViewVolume.of(self.camera, position, R_sc, NEAR, FAR)
@@ -207,20 +205,6 @@ class GLRenderer:
         top = side * self._fine.height
         self._sky["slope"].value = (a, b, c - 0.5 * a - (0.5 + top) * b)
         self._everywhere.render(vertices=3)
-
-    def _set_look(self, look: Look) -> None:
-        horizon, zenith = (tuple(value / 255.0 for value in color) for color in (look.horizon, look.zenith))
-        self._surface["sun"].value = tuple(np.array(look.sun) / np.linalg.norm(look.sun))
-        self._surface["light"].value = (look.ambient, look.diffuse)
-        self._surface["haze"].value = 1.0 / look.haze_range
-        self._surface["horizon"].value = self._sky["horizon"].value = horizon
-        self._sky["zenith"].value = zenith
-
-    def _release_meshes(self) -> None:
-        for mesh in [self._standing, *(mesh for _, mesh in self._moving)]:
-            if mesh is not None:
-                mesh.release()
-        self._standing, self._moving = None, []
 
 
 def _projection(camera: StereoCamera) -> FloatArray:

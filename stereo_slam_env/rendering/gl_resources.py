@@ -31,18 +31,10 @@ _CELL = 6.0
 
 @dataclass(frozen=True, eq=False)
 class DrawList:
-    """Triangles, ordered by chunk.
+    """Triangles, ordered by chunk: vertices in the frame of the meshes, (T, 3) vertex indices.
 
-    Attributes
-    ----------
-    vertices : (V,) `VERTEX`
-        In the frame of the meshes.
-    triangles : (T, 3) uint32
-        Vertex indices.
-    starts : (C + 1,) int
-        Chunk i has the triangles from starts[i] to starts[i + 1] - 1.
-    centers, half_sizes : (C, 3)
-        Bounding box of each chunk, m.
+    Chunk i of C has the triangles from starts[i] to starts[i + 1] - 1; `centers` and `half_sizes` (C, 3) are of its
+    bounding box, m.
     """
 
     vertices: NDArray[np.void]
@@ -59,7 +51,8 @@ class DrawList:
     def front_to_back(self, view: ViewVolume) -> NDArray[np.uint32]:
         """Triangles of the chunks that reach into `view`, the nearest chunks first; (K, 3)."""
         seen = np.flatnonzero(view.touches(self.centers, self.half_sizes))
-        order = seen[np.argsort(view.distance(self.centers[seen]), kind="stable")]
+        away = np.linalg.norm(self.centers[seen] - view.position, axis=1)
+        order = seen[np.argsort(away, kind="stable")]
         parts = [self.triangles[self.starts[i] : self.starts[i + 1]] for i in order]
         return np.concatenate(parts) if parts else self.triangles[:0]
 
@@ -89,10 +82,6 @@ class ViewVolume:
         """Which upright boxes (..., 3) may reach into it; (...)."""
         reach = centers @ self.normals.T + half_sizes @ np.abs(self.normals.T)
         return np.asarray((reach >= self.offsets).all(axis=-1))
-
-    def distance(self, points: FloatArray) -> FloatArray:
-        """From the left camera to points (N, 3); (N,) m."""
-        return np.asarray(np.linalg.norm(points - self.position, axis=1))
 
 
 def draw_list(meshes: Mapping[Material, Mesh], layer: Callable[[Material], int]) -> DrawList:
@@ -126,14 +115,9 @@ def _first_process() -> int:
 
 
 def check_process() -> None:
-    """Raise where drawing could hang: threads of the driver do not survive a fork.
+    """Raise a RuntimeError in a fork of a process that had used OpenGL: threads of the driver do not survive it.
 
     Mesa has one for its cache of shaders, even where `LP_NUM_THREADS` is 0.
-
-    Raises
-    ------
-    RuntimeError
-        This process is a fork of one that had used OpenGL.
     """
     if _first_process() != os.getpid():
         raise RuntimeError(
@@ -143,15 +127,7 @@ def check_process() -> None:
 
 
 def new_context() -> Any:
-    """A context of moderngl without a window.
-
-    Raises
-    ------
-    ImportError
-        moderngl is not installed.
-    RuntimeError
-        There is no EGL, or see `check_process`.
-    """
+    """A context of moderngl without a window; errors as of `make_renderer`."""
     try:
         moderngl: Any = import_module("moderngl")
     except ImportError as error:
@@ -229,8 +205,10 @@ class TextureArray:
         keys = sorted(wanted | self._layers.keys())
         images = [np.full((1, 1, 3), 255, np.uint8) if key == self._PLAIN else texture(*key) for key in keys]
         size = max(max(image.shape[:2]) for image in images)
-        pixels = np.stack([_rgba(_enlarged(image, size)) for image in images])
-        self.release()
+        # With alpha and the bottom row first, as OpenGL wants it.
+        pixels = np.stack([cv2.cvtColor(_enlarged(image, size)[::-1], cv2.COLOR_RGB2RGBA) for image in images])
+        if self._array is not None:
+            self._array.release()
         self._array = self._context.texture_array((size, size, len(keys)), 4, pixels)
         self._array.build_mipmaps()
         # Never with anisotropic filtering: on the CPU it takes several times longer than all the rest.
@@ -241,19 +219,8 @@ class TextureArray:
         """Put it where the shaders look for it."""
         self._array.use(0)
 
-    def release(self) -> None:
-        """Free the memory."""
-        if self._array is not None:
-            self._array.release()
-        self._array, self._layers = None, {}
-
     def _key(self, material: Material) -> tuple[str, int]:
         return self._PLAIN if material.texture is None else (material.texture, material.variant)
-
-
-def _rgba(image: Image) -> Image:
-    """The image with alpha and the bottom row first, as OpenGL wants it."""
-    return np.asarray(cv2.cvtColor(image[::-1], cv2.COLOR_RGB2RGBA), dtype=np.uint8)
 
 
 def _enlarged(image: Image, size: int) -> Image:

@@ -18,15 +18,7 @@ Image = NDArray[np.uint8]
 
 @dataclass(frozen=True, eq=False)
 class StereoImages:
-    """A rendered pair.
-
-    Attributes
-    ----------
-    left, right : (H, W, 3) uint8
-        RGB.
-    depth : (H, W) float64
-        Depth z of the left image, m; infinity where there is nothing.
-    """
+    """A rendered pair, RGB (H, W, 3) uint8, and depth z of the left pixel centres (H, W), m; infinity: nothing."""
 
     left: Image
     right: Image

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import cv2
 import numpy as np
@@ -53,9 +53,10 @@ def inset_map(image: Image, path: FloatArray, pose: Pose, pan: float = 0.0) -> N
         offset = (points - 0.5 * (low + high)) * zoom + 0.5 * size
         return fixed_point(offset)
 
-    _line(window, pixel(plan))
-    nose = _heading(pose, pan) * [1.0, -1.0]
-    _arrow(window, pixel(_triangle(pose.position[[0, 2]] * [1.0, -1.0], nose, 0.075 * size / zoom)))
+    _draw_line(window, pixel(plan))
+    _draw_car(
+        window, pixel, pose.position[[0, 2]] * [1.0, -1.0], _heading(pose, pan) * [1.0, -1.0], 0.075 * size / zoom
+    )
 
 
 def inset_gaze(
@@ -77,9 +78,10 @@ def inset_gaze(
         return fixed_point(offset)
 
     near = path[np.linalg.norm(path - pose.position, axis=1) < 1.4 * _REACH]
-    _line(window, pixel((near - pose.position)[:, [0, 2]] @ axes.T))
-    middle = pixel(np.zeros(2))
-    cv2.circle(window, _pair(middle), int(_REACH * zoom * (1 << SUBPIXEL)), _RING, 1, cv2.LINE_AA, SUBPIXEL)
+    _draw_line(window, pixel((near - pose.position)[:, [0, 2]] @ axes.T))
+    cv2.circle(
+        window, pixel(np.zeros(2)).tolist(), int(_REACH * zoom * (1 << SUBPIXEL)), _RING, 1, cv2.LINE_AA, SUBPIXEL
+    )
     edges = pan + np.arctan((np.array([0.0, camera.width - 1.0]) - camera.cx) / camera.fx)
     bearings = np.linspace(edges[0], edges[1], 24)
     wedge = np.concatenate([np.zeros((1, 2)), _REACH * np.column_stack([np.sin(bearings), -np.cos(bearings)])])
@@ -94,9 +96,9 @@ def inset_gaze(
     away = np.linalg.norm(plan, axis=1, keepdims=True)
     dots = pixel(plan * np.minimum(1.0, _REACH / np.maximum(away, 1e-9)))
     radius = int(max(1.2, 0.016 * size) * (1 << SUBPIXEL))
-    for dot, color in zip(dots, disparity_colors(uvd[:, 2]), strict=True):
-        cv2.circle(window, _pair(dot), radius, tuple(int(c) for c in color), -1, cv2.LINE_AA, SUBPIXEL)
-    _arrow(window, pixel(_triangle(np.zeros(2), np.array([0.0, -1.0]), 0.075 * size / zoom)))
+    for dot, color in zip(dots.tolist(), disparity_colors(uvd[:, 2]).tolist(), strict=True):
+        cv2.circle(window, dot, radius, color, -1, cv2.LINE_AA, SUBPIXEL)
+    _draw_car(window, pixel, np.zeros(2), np.array([0.0, -1.0]), 0.075 * size / zoom)
     cv2.putText(window, f"{_REACH:.0f} m", (3, size - 4), cv2.FONT_HERSHEY_SIMPLEX, 0.003 * size, PAPER, 1, cv2.LINE_AA)
 
 
@@ -119,22 +121,19 @@ def _heading(pose: Pose, pan: float) -> FloatArray:
     return np.array([np.sin(yaw), np.cos(yaw)])
 
 
-def _triangle(at: FloatArray, nose: FloatArray, length: float) -> FloatArray:
-    side = np.array([-nose[1], nose[0]])
-    return np.stack([at + length * nose, at - 0.7 * length * nose + 0.7 * length * side,
-                     at - 0.7 * length * nose - 0.7 * length * side])  # fmt: skip
-
-
-def _line(window: Image, pixels: NDArray[np.int32]) -> None:
+def _draw_line(window: Image, pixels: NDArray[np.int32]) -> None:
     cv2.polylines(window, [pixels.reshape(-1, 1, 2)], False, _ROUTE, 2, cv2.LINE_AA, SUBPIXEL)
 
 
-def _arrow(window: Image, pixels: NDArray[np.int32]) -> None:
-    cv2.fillConvexPoly(window, pixels, _CAR, cv2.LINE_AA, SUBPIXEL)
-
-
-def _pair(pixel: NDArray[np.int32]) -> tuple[int, int]:
-    return int(pixel[0]), int(pixel[1])
+def _draw_car(
+    window: Image, pixel: Callable[[FloatArray], NDArray[np.int32]], at: FloatArray, nose: FloatArray, length: float
+) -> None:
+    """A triangle of so many metres."""
+    side = np.array([-nose[1], nose[0]])
+    corners = np.stack(
+        [at + length * nose, *(at - 0.7 * length * nose + sign * 0.7 * length * side for sign in (1, -1))]
+    )
+    cv2.fillConvexPoly(window, pixel(corners), _CAR, cv2.LINE_AA, SUBPIXEL)
 
 
 def annotated_pair(
@@ -147,29 +146,10 @@ def annotated_pair(
     camera: StereoCamera | None = None,
     pan: float = 0.0,
 ) -> Image:
-    """Both views with the landmarks drawn in, under a caption.
+    """Both views with the landmarks drawn in, under a caption; RGB of even sides, wide views one above the other.
 
-    Parameters
-    ----------
-    pair : StereoImages
-        The views.
-    observation : StereoObservation
-        What the sensor measured; warm colours are near, cold ones far.
-    caption : sequence of str
-        Short texts for the bar at the top.
-    path : (K, 3)
-        Nominal positions in W, m, for the map.
-    pose : Pose
-        Of the left camera.
-    camera : StereoCamera, optional
-        The rig: a second map then shows where it looks.
-    pan : float
-        How far the head is turned from the direction of the car, positive to the right, rad.
-
-    Returns
-    -------
-    (H', W', 3) uint8
-        Wide images one above the other, others side by side; H' and W' are even.
+    Warm colours are near, cold ones far. The maps show the nominal `path` (K, 3) in W, m, and the `pose` of the left
+    camera; with a `camera`, also where it looks, `pan` rad to the right of the direction of the car.
     """
     uvd = observation.uvd
     v_right = uvd[:, 1] if observation.v_right is None else observation.v_right
@@ -188,14 +168,8 @@ def annotated_pair(
 def _with_landmarks(image: Image, pixels: FloatArray, disparities: FloatArray) -> Image:
     drawn = image.copy()
     radius = max(3.0, 6.0 * line_scale(image.shape[1]))
-    fixed = 1 << SUBPIXEL
-    centers = fixed_point(pixels)
-    colors = disparity_colors(disparities)
-    order = np.argsort(disparities)  # near ones on top
-    for i in order:
-        center = (int(centers[i, 0]), int(centers[i, 1]))
-        color = tuple(int(c) for c in colors[i])
-        cv2.circle(drawn, center, int(radius * fixed), INK, 4, cv2.LINE_AA, SUBPIXEL)
-        cv2.circle(drawn, center, int(radius * fixed), color, 2, cv2.LINE_AA, SUBPIXEL)
-        cv2.circle(drawn, center, int(1.0 * fixed), color, -1, cv2.LINE_AA, SUBPIXEL)
+    centers, colors = fixed_point(pixels).tolist(), disparity_colors(disparities).tolist()
+    for i in np.argsort(disparities):  # near ones on top
+        for reach, color, thickness in ((radius, INK, 4), (radius, colors[i], 2), (1.0, colors[i], -1)):
+            cv2.circle(drawn, centers[i], int(reach * (1 << SUBPIXEL)), color, thickness, cv2.LINE_AA, SUBPIXEL)
     return drawn

@@ -39,10 +39,9 @@ def view_matrix(position: FloatArray, R_sc: FloatArray) -> FloatArray:
 
 
 def projection_matrix(camera: StereoCamera, near: float, far: float, offset: tuple[float, float]) -> FloatArray:
-    """OpenGL projection matrix (4, 4), row-major, of one camera.
+    """OpenGL projection matrix (4, 4), row-major, of one camera, with clipping distances `near` and `far`, m.
 
-    `near` and `far` are the clipping distances, m; `offset` is where the renderer samples a pixel, `OPENGL_OFFSET` or
-    `TINY_OFFSET`.
+    `offset` is where the renderer samples a pixel, `OPENGL_OFFSET` or `TINY_OFFSET`.
     """
     w, h, (ox, oy) = camera.width, camera.height, offset
     return np.array(
@@ -108,25 +107,10 @@ _RESOLUTION = 1e-6
 
 
 def depth_at(depth: FloatArray, uv: ArrayLike) -> FloatArray:
-    """Depth of the surface seen at sub-pixel places.
+    """Depth z, m, of the surface seen at sub-pixel places `uv` (N, 2), px; `depth` (H, W) as in `StereoImages`; (N,).
 
-    Parameters
-    ----------
-    depth : (H, W)
-        As in `StereoImages`, m: of the pixel centres, infinity where there is nothing.
-    uv : (N, 2) array_like
-        px; integers are pixel centres.
-
-    Returns
-    -------
-    (N,) ndarray
-        z in m; infinity in the sky; NaN where the 4x4 pixels around are not on one smooth surface (an edge), and
-        less than 1 px from the border or outside.
-
-    Raises
-    ------
-    ValueError
-        `uv` has another shape or is not finite.
+    Infinity in the sky; NaN where the 4x4 pixels around are not on one smooth surface (an edge), and less than 1 px
+    from the border or outside. A `ValueError` where `uv` has another shape or is not finite.
     """
     places = finite_array("uv", uv, ("N", 2))
     height, width = depth.shape

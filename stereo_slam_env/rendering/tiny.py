@@ -68,13 +68,7 @@ class TinyRenderer:
         """Nothing: the world is its owner's to close."""
 
     def render_pair(self, pose: Pose, time: float = 0.0) -> StereoImages:
-        """Draw what the rig sees from `pose` (left camera in W) when moving bodies are where they are at `time` s.
-
-        Returns
-        -------
-        StereoImages
-            The depth is that of the pixel centres, never averaged.
-        """
+        """See `StereoRenderer`."""
         self._world.set_time(time)
         R_wc = rotations.matrix(pose.orientation)
         left, buffer = self._draw(pose.position, R_wc)

@@ -5,6 +5,8 @@ from .charts.axes import Axis as Axis
 from .charts.axes import label_room as label_room
 from .charts.axes import log_axis as log_axis
 from .charts.axes import panel_width as panel_width
+from .charts.consistency import plot_error_bounds as plot_error_bounds
+from .charts.consistency import plot_nees as plot_nees
 from .charts.drawing import DASHED as DASHED
 from .charts.drawing import Box as Box
 from .charts.drawing import Chart as Chart

@@ -5,95 +5,62 @@ from __future__ import annotations
 import logging
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from markupsafe import Markup
 
-from filters.validation import FloatArray
 from stereo_slam_env.benchmark.scenarios.study import Study
 from stereo_slam_env.benchmark.statistics.attribution import Attribution, attribute_runs
 from stereo_slam_env.benchmark.statistics.differences import CONFIDENCE, MIN_PAIRS, Finding, listed, mean_interval
-from stereo_slam_env.benchmark.statistics.measures import EFFICIENCY, POSE_NEES, POSITION, Measure
+from stereo_slam_env.benchmark.statistics.measures import EFFICIENCY, POSE_NEES, POSITION
 from stereo_slam_env.benchmark.statistics.policy_verdict import Looks, baseline_of
 from stereo_slam_env.benchmark.statistics.verdict import Verdict, consistency, judge
 from stereo_slam_env.benchmark.storage.store import CellResult, StudyDirectory
-from stereo_slam_env.evaluation.consistency import mean_band
-from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
-from stereo_slam_env.evaluation.run_figures import Figures
+from stereo_slam_env.evaluation.consistency import DOF, mean_band
+from stereo_slam_env.evaluation.figures import Figure
+from stereo_slam_env.evaluation.results import FilterSummary
 from stereo_slam_env.recording.archive import load_recording
 from stereo_slam_env.report.charts.factors import FactorResponse, plot_factor
 from stereo_slam_env.report.charts.style import filter_colours
 from stereo_slam_env.report.comparison_report import attribution_section, conclusions
 from stereo_slam_env.report.overview import TONES, lost, short
-from stereo_slam_env.report.page import clean_figures, data_links, figure_block, html_page, joined, part
+from stereo_slam_env.report.page import clean_figures, data_links, figure_block, part, write_page
 from stereo_slam_env.report.page_tables import Cell, Column, Tone, filter_cell, number, table
 from stereo_slam_env.report.run_report import reference_banner, write_report
 from stereo_slam_env.report.tables import (
+    FINDING_TONES,
     capital,
     console_columns,
     figure_cell,
     figure_column,
-    finding_tone,
     percent_cell,
 )
 
-_POSE_DOF = 6
 _log = logging.getLogger(__name__)
 
 
-class CellOutcome(Protocol):
-    """Result of a cell."""
-
-    @property
-    def runs(self) -> Sequence[FilterRun]:
-        """All runs of all filters."""
-
-    @property
-    def summaries(self) -> Sequence[FilterSummary]:
-        """One for each filter."""
-
-    @property
-    def figures(self) -> Figures:
-        """Of the same runs, see `figures_of`."""
-
-
 def write_study_report(
-    out: Path, study: Study, results: Mapping[str, CellOutcome], attribution: Attribution | None = None
+    out: Path, study: Study, results: Mapping[str, CellResult], attribution: Attribution | None = None
 ) -> Path:
     """Write `out/report.html` over all cells of a study; each has its own report at `out/cells/<name>/report.html`.
 
-    Parameters
-    ----------
-    out : Path
-        Directory; made if it is not there.
-    study : Study
-        What was run.
-    results : mapping of str to CellOutcome
-        Runs and summaries by name of the cell; cells without are left out.
-    attribution : Attribution, optional
-        Effects of the options of a filter.
-
-    Returns
-    -------
-    Path
-        The page.
-
-    Raises
-    ------
-    ValueError
-        No cell has a result.
+    `results` is by name of the cell, and cells without are left out; without any a `ValueError` says so. Returns the
+    page.
     """
     results = {cell.name: results[cell.name] for cell in study.cells if cell.name in results}
     if not results:
         raise ValueError("results must hold at least one cell of the study: there is nothing to report")
     folder = clean_figures(out)
     verdicts = {name: judge(outcome.summaries, outcome.figures) for name, outcome in results.items()}
-    links = {name: _link(out, study, name) for name in results}
+    pages = {name: f"cells/{name}/report.html" for name in results}
+    links = {name: page if len(study.cells) > 1 or (out / page).is_file() else "" for name, page in pages.items()}
     names = list(dict.fromkeys(s.filter_name for outcome in results.values() for s in outcome.summaries))
     body: list[Markup] = [
         reference_banner([run for outcome in results.values() for run in outcome.runs]),
-        conclusions(attribution) if attribution is not None else _headline(verdicts, names),
+        conclusions(attribution)
+        if attribution is not None
+        else part("paragraph", " ".join(_sentences(verdicts, names)), "headline"),
         _matrix(results, verdicts, names, links),
         part("paragraph", _MATRIX_NOTE),
         *([attribution_section(attribution, folder)] if attribution is not None else []),
@@ -101,16 +68,9 @@ def write_study_report(
         _everything(results, verdicts, links),
         data_links(out),
     ]
-    path = out / "report.html"
     cells, filters = len(results), len(names)
     subtitle = f"{cells} scenario{'s' * (cells > 1)} · {filters} filter{'s' * (filters > 1)} on identical measurements"
-    path.write_text(html_page(title=f"Study: {study.name}", subtitle=subtitle, body=joined(body)), encoding="utf-8")
-    return path
-
-
-def _link(out: Path, study: Study, name: str) -> str:
-    address = f"cells/{name}/report.html"
-    return address if (out / address).is_file() or len(study.cells) > 1 else ""
+    return write_page(out / "report.html", title=f"Study: {study.name}", subtitle=subtitle, parts=body)
 
 
 # ---- first screen ---------------------------------------------------------------------------------------------------
@@ -118,13 +78,9 @@ def _link(out: Path, study: Study, name: str) -> str:
 
 _MATRIX_NOTE = (
     "Position RMSE, and pose NEES / 6 (1 is ideal) below it. Green: the smallest error, and shown to be; red: shown to"
-    " be larger than the smallest; plain: neither is shown. NEES: green in its band, red overconfident, brown too"
-    " cautious. Links lead to the full report of each scenario."
+    " be larger than the smallest, or diverged; plain: nothing is shown. NEES: green in its band, red overconfident,"
+    " brown too cautious. Links lead to the full report of each scenario."
 )
-
-
-def _headline(verdicts: Mapping[str, Verdict], names: Sequence[str]) -> Markup:
-    return part("paragraph", " ".join(_sentences(verdicts, names)), "headline")
 
 
 def _sentences(verdicts: Mapping[str, Verdict], names: Sequence[str]) -> list[str]:
@@ -165,7 +121,7 @@ def _why(unknown: Sequence[Verdict]) -> str:
 
 
 def _matrix(
-    results: Mapping[str, CellOutcome], verdicts: Mapping[str, Verdict], names: Sequence[str], links: Mapping[str, str]
+    results: Mapping[str, CellResult], verdicts: Mapping[str, Verdict], names: Sequence[str], links: Mapping[str, str]
 ) -> Markup:
     """Scenarios down and filters across, or the other way round where there are more filters."""
     colours = filter_colours(names)
@@ -206,11 +162,11 @@ def _standing(summary: FilterSummary, verdict: Verdict) -> Tone:
 # ---- factors --------------------------------------------------------------------------------------------------------
 
 
-def _factors(study: Study, results: Mapping[str, CellOutcome], folder: Path) -> list[Markup]:
+def _factors(study: Study, results: Mapping[str, CellResult], folder: Path) -> list[Markup]:
     factors = list(dict.fromkeys(name for cell in study.cells for name in cell.factors))
     sections = []
     for i, factor in enumerate(factors):
-        groups: dict[str, list[CellOutcome]] = {}
+        groups: dict[str, list[CellResult]] = {}
         levels: dict[str, Any] = {}
         for cell in study.cells:
             if cell.name in results and factor in cell.factors:
@@ -241,27 +197,27 @@ def _level(value: Any) -> str:
     return "none" if value is None else str(value)
 
 
-def _responses(groups: Sequence[Sequence[CellOutcome]]) -> list[FactorResponse]:
+def _responses(groups: Sequence[Sequence[CellResult]]) -> list[FactorResponse]:
     """Responses at each level; a group is the cells of a level."""
     seeds = max(len(s.position_rmse_by_run) for group in groups for outcome in group for s in outcome.summaries)
-    low, high = mean_band(_POSE_DOF, max(seeds, 1))
+    low, high = mean_band(DOF["pose"], max(seeds, 1))
+    band = low / DOF["pose"], high / DOF["pose"]
     kinds = (
-        (f"{capital(POSITION.words)} ({POSITION.unit})", POSITION, None, True),
-        (f"{capital(POSE_NEES.words)}, band of its mean in grey", POSE_NEES, (low / _POSE_DOF, high / _POSE_DOF), True),
-        (f"{capital(EFFICIENCY.words)}, bound / RMSE ({EFFICIENCY.unit})", EFFICIENCY, None, False),
+        (f"{capital(POSITION.label)} ({POSITION.unit})", POSITION, True),
+        (f"{capital(POSE_NEES.label)}, band of its mean in grey", POSE_NEES, True),
+        (f"{capital(EFFICIENCY.label)}, bound / RMSE ({EFFICIENCY.unit})", EFFICIENCY, False),
     )
+    names = list(dict.fromkeys(s.filter_name for group in groups for o in group for s in o.summaries))
     responses = []
-    for title, measure, band, log in kinds:
-        means: dict[str, FloatArray] = {}
-        lows: dict[str, FloatArray] = {}
-        highs: dict[str, FloatArray] = {}
-        names = list(dict.fromkeys(s.filter_name for group in groups for o in group for s in o.summaries))
-        for name in names:
-            points = np.array([_mean_and_interval([_by_seed(o, name, measure) for o in group]) for group in groups])
-            if np.isfinite(points[:, 0]).any():
-                means[name], lows[name], highs[name] = points.T
-        if means:
-            responses.append(FactorResponse(title, means, lows, highs, band, log))
+    for title, measure, log in kinds:
+        points = {
+            name: np.array([_mean_and_interval([_by_seed(o, name, measure) for o in group]) for group in groups]).T
+            for name in names
+        }
+        points = {name: found for name, found in points.items() if np.isfinite(found[0]).any()}
+        if points:
+            means, lows, highs = ({name: found[i] for name, found in points.items()} for i in range(3))
+            responses.append(FactorResponse(title, means, lows, highs, band if measure is POSE_NEES else None, log))
     return responses
 
 
@@ -271,16 +227,14 @@ def _mean_and_interval(cells: Sequence[Mapping[int | None, float]]) -> tuple[flo
     table_of = np.array([[values[seed] for values in cells] for seed in seeds]).reshape(len(seeds), len(cells))
     usable = (np.isfinite(table_of) & (table_of > 0)).all(axis=1)
     logs = np.log(table_of[usable]).mean(axis=1)
-    if len(logs) == 0:
-        return float("nan"), float("nan"), float("nan")
-    mean = float(np.exp(logs.mean()))
+    mean = float(np.exp(logs.mean())) if len(logs) else float("nan")
     if len(logs) < MIN_PAIRS:
         return mean, float("nan"), float("nan")
     low, high = mean_interval(logs[:, None], CONFIDENCE, 0)
     return mean, float(np.exp(low[0])), float(np.exp(high[0]))
 
 
-def _by_seed(outcome: CellOutcome, name: str, measure: Measure) -> dict[int | None, float]:
+def _by_seed(outcome: CellResult, name: str, measure: Figure) -> dict[int | None, float]:
     """The values of a measure in the runs of a filter, as far as they are known."""
     of_run = outcome.figures[name].of_run if name in outcome.figures else {}
     values = {seed: measure.of(figures) for (_, seed), figures in of_run.items()}
@@ -290,9 +244,7 @@ def _by_seed(outcome: CellOutcome, name: str, measure: Measure) -> dict[int | No
 # ---- the long table -------------------------------------------------------------------------------------------------
 
 
-def _everything(
-    results: Mapping[str, CellOutcome], verdicts: Mapping[str, Verdict], links: Mapping[str, str]
-) -> Markup:
+def _everything(results: Mapping[str, CellResult], verdicts: Mapping[str, Verdict], links: Mapping[str, str]) -> Markup:
     summaries = [s for outcome in results.values() for s in outcome.summaries]
     figures = console_columns(summaries)
     columns = [
@@ -306,8 +258,8 @@ def _everything(
     for cell, outcome in results.items():
         for s in outcome.summaries:
             tones = {
-                POSITION.key: _standing(s, verdicts[cell]),
-                POSE_NEES.key: TONES[consistency(s)],
+                POSITION.name: _standing(s, verdicts[cell]),
+                POSE_NEES.name: TONES[consistency(s)],
             }
             first = [
                 Cell(cell, link=links[cell]),
@@ -322,12 +274,12 @@ def _against_best(summary: FilterSummary, verdict: Verdict) -> Cell:
     if summary.filter_name == verdict.best:
         return Cell("tie" if len(verdict.leaders) > 1 else "smallest", 0.0, "none")
     comparison = verdict.comparisons.get(summary.filter_name)
-    if comparison is None or not np.isfinite(comparison.excess_percent):
+    if comparison is None or not comparison.difference.count:
         return number(None)
     if comparison.tied:
         return Cell("tie", 0.0, "none")
-    tone = finding_tone(Finding.WORSE if comparison.shown else Finding.NOT_SHOWN)
-    return percent_cell(comparison.excess_percent, comparison.interval_percent, tone)
+    tone = FINDING_TONES[Finding.WORSE if comparison.shown else Finding.NOT_SHOWN]
+    return percent_cell(comparison.difference, tone)
 
 
 def write_report_of(directory: StudyDirectory, results: Sequence[CellResult]) -> Path:

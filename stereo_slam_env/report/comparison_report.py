@@ -14,26 +14,13 @@ from stereo_slam_env.benchmark.statistics.differences import signed
 from stereo_slam_env.benchmark.statistics.effects import Contrast, ResponseAttribution
 from stereo_slam_env.report.charts.factors import plot_changes, plot_effects
 from stereo_slam_env.report.charts.style import filter_colours
-from stereo_slam_env.report.page import FIGURES, figure_block, html_page, joined, part
+from stereo_slam_env.report.page import FIGURES, figure_block, part, write_page
 from stereo_slam_env.report.page_tables import Cell, Column, Tone, filter_cell, number, table
-from stereo_slam_env.report.tables import capital, finding_tone, percent_cell
+from stereo_slam_env.report.tables import FINDING_TONES, capital, percent_cell
 
 
 def write_comparison_report(out: Path, comparison: RunComparison) -> Path:
-    """Write `out/comparison.html`, and its figure as `out/figures/changes.png` and `.svg`.
-
-    Parameters
-    ----------
-    out : Path
-        Directory; made if it is not there.
-    comparison : RunComparison
-        Of two runs.
-
-    Returns
-    -------
-    Path
-        The page.
-    """
+    """Write `out/comparison.html`, and its figure as `out/figures/changes.png` and `.svg`; returns the page."""
     folder = out / FIGURES
     body = [
         part("paragraph", comparison.headline, "headline"),
@@ -45,11 +32,8 @@ def write_comparison_report(out: Path, comparison: RunComparison) -> Path:
         caption = "Change of every measure with its 95 % interval; left of the line it became smaller."
         body.append(figure_block(plot_changes(comparison.changes), "changes", caption, folder))
     body.append(_only(comparison))
-    out.mkdir(parents=True, exist_ok=True)
-    path = out / "comparison.html"
     subtitle = f"Before: {comparison.before} · After: {comparison.after}"
-    path.write_text(html_page(title="What changed", subtitle=subtitle, body=joined(body)), encoding="utf-8")
-    return path
+    return write_page(out / "comparison.html", title="What changed", subtitle=subtitle, parts=body)
 
 
 def _guide(comparison: RunComparison) -> str:
@@ -75,7 +59,7 @@ def _table(changes: tuple[Change, ...]) -> Markup:
     colours = filter_colours(change.filter_name for change in changes)
     rows: list[list[Cell | str]] = []
     for change in changes:
-        tone = finding_tone(change.finding)
+        tone = FINDING_TONES[change.finding]
         interval = change.interval_percent
         text = "–" if interval is None else " to ".join(dict.fromkeys(signed(end) for end in interval))
         rows.append(
@@ -112,15 +96,7 @@ def conclusions(attribution: Attribution) -> Markup:
 
 
 def attribution_section(attribution: Attribution, folder: Path) -> Markup:
-    """Markup of the section: a figure of the main effects, and tables.
-
-    Parameters
-    ----------
-    attribution : Attribution
-        Effects of the options of a filter.
-    folder : Path
-        Where figures go, see `figure_block`.
-    """
+    """A figure of the main effects, and tables; `folder`: where figures go, see `figure_block`."""
     caption = (
         "Main effects: how many times the average over all combinations a response is with that choice, with intervals"
         " corrected for their number. Blue: an effect is shown."
@@ -134,7 +110,7 @@ def attribution_section(attribution: Attribution, folder: Path) -> Markup:
         part("titled", "Share of the differences explained", _shares(attribution.responses)),
     ]
     if any(response.interactions for response in attribution.responses):
-        shown = sum(effect.shown for response in attribution.responses for effect in response.interactions)
+        shown = sum(effect.difference.shown for response in attribution.responses for effect in response.interactions)
         total = sum(len(response.interactions) for response in attribution.responses)
         said = f"Interactions of two options: {shown} of {total} shown"
         parts.append(part("folded", said, _interactions(attribution.responses)))
@@ -174,7 +150,7 @@ def _contrasts(responses: Sequence[ResponseAttribution]) -> Markup:
 def _contrast_cell(contrast: Contrast | None) -> Cell:
     if contrast is None:
         return number(None)
-    return percent_cell(contrast.percent, contrast.interval_percent, finding_tone(contrast.finding))
+    return percent_cell(contrast.difference, FINDING_TONES[contrast.finding])
 
 
 def _interactions(responses: Sequence[ResponseAttribution]) -> Markup:
@@ -187,31 +163,28 @@ def _interactions(responses: Sequence[ResponseAttribution]) -> Markup:
     ]
     rows: list[list[Cell | str]] = []
     for response in responses:
-        for effect in sorted(response.interactions, key=lambda e: (not e.shown, -abs(e.percent))):
-            tone: Tone = "" if effect.shown else "none"
+        for effect in sorted(response.interactions, key=lambda e: (not e.difference.shown, -abs(e.difference.percent))):
+            shown = effect.difference.shown
+            tone: Tone = "" if shown else "none"
             rows.append(
                 [
                     response.response,
                     " × ".join(effect.factors),
                     ", ".join(map(str, effect.levels)),
-                    percent_cell(effect.percent, effect.interval_percent, tone),
-                    Cell("yes" if effect.shown else "no", tone=tone),
+                    percent_cell(effect.difference, tone),
+                    Cell("yes" if shown else "no", tone=tone),
                 ]
             )
     return table(columns, rows)
 
 
 def _shares(responses: Sequence[ResponseAttribution]) -> Markup:
-    keys = list(dict.fromkeys(share.factors for response in responses for share in response.shares))
+    keys = list(dict.fromkeys(names for response in responses for names in response.shares))
     columns = [
         Column("Options", kind="text"),
         *(Column(capital(r.response), "% of the variance") for r in responses),
     ]
     rows: list[list[Cell | str]] = []
     for key in keys:
-        row: list[Cell | str] = [" × ".join(key) or "the rest"]
-        for response in responses:
-            percent = next((share.percent for share in response.shares if share.factors == key), None)
-            row.append(number(percent, ".1f"))
-        rows.append(row)
+        rows.append([" × ".join(key) or "the rest", *(number(r.shares.get(key), ".1f") for r in responses)])
     return table(columns, rows)

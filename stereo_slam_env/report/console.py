@@ -59,6 +59,10 @@ def show_settings(console: Console, scenario: Scenario) -> None:
         lines["search"] = {"flow": "the same for all filters", "forecast": "guided by each filter"}[scenario.search]
     if scenario.source.seeded:
         lines["seeds"] = f"{len(scenario.seeds)} ({_ranges(scenario.seeds)})"
+    _show_lines(console, lines)
+
+
+def _show_lines(console: Console, lines: Mapping[str, str]) -> None:
     for name, value in lines.items():
         console.print(f"[dim]{name:>14}[/dim]  {value}", highlight=False, soft_wrap=True)
 
@@ -73,18 +77,15 @@ def _choices(choices: Sequence[FilterChoice] | Sequence[PolicyChoice]) -> str:
 
 def show_study(console: Console, study: Study) -> None:
     """Print what is going to be run."""
-    first = study.cells[0]
+    first, lines = study.cells[0], {}
     if study.factorial is not None:
-        factors = "; ".join(f"{name}: {', '.join(map(str, levels))}" for name, levels in study.factorial.items())
-        console.print(f"[dim]{'crossed':>14}[/dim]  {factors}", highlight=False, soft_wrap=True)
-    if not study.is_grid:
-        show_settings(console, first.scenario)
-        return
-    console.print(f"[dim]{'study':>14}[/dim]  {study.name}: {len(study.cells)} scenarios", highlight=False)
-    for factor in first.factors:
-        levels = dict.fromkeys(str(cell.factors.get(factor)) for cell in study.cells)
-        console.print(f"[dim]{factor:>14}[/dim]  {', '.join(levels)}", highlight=False, soft_wrap=True)
-    console.print(f"[dim]{'':>14}[/dim]  the first of them:", highlight=False)
+        lines["crossed"] = "; ".join(f"{name}: {', '.join(map(str, of))}" for name, of in study.factorial.items())
+    if study.is_grid:
+        lines["study"] = f"{study.name}: {len(study.cells)} scenarios"
+        for factor in first.factors:
+            lines[factor] = ", ".join(dict.fromkeys(str(cell.factors.get(factor)) for cell in study.cells))
+        lines[""] = "the first of them:"
+    _show_lines(console, lines)
     show_settings(console, first.scenario)
 
 
@@ -111,8 +112,7 @@ def show_recording(console: Console, recording: Recording) -> None:
         usual = dataclasses.asdict(TrackerSettings())
         changed = {key: value for key, value in front_end.items() if value != usual[key]}
         lines["front end"] = _listed(changed) if changed else "default settings"
-    for name, value in lines.items():
-        console.print(f"[dim]{name:>14}[/dim]  {value}", highlight=False, soft_wrap=True)
+    _show_lines(console, lines)
 
 
 def show_noise(console: Console, name: str, rows: Sequence[NoiseOfRange]) -> None:
@@ -233,32 +233,23 @@ def _cells(summaries: Sequence[FilterSummary], *, claims: bool, brief: bool) -> 
     figures = [f for f in FIGURES.values() if "console" in f.places and (claims or f.group != "claim")]
     figures.sort(key=lambda figure: figure.group != "claim")
     if brief:
-        figures = [f for f in figures if f.name in _CLAIMS_MATTER_MOST] if claims else figures
-        figures = [f for f in figures if claims or "brief" in f.places]
+        figures = [f for f in figures if (f.name in _CLAIMS_MATTER_MOST if claims else "brief" in f.places)]
     rows = {}
+    bands = {pose_nees(s)[1] for s in summaries if s.pose_anees_band is not None}
     for figure in figures:
-        rows[_title(figure, summaries)] = [_cell(figure, summary) for summary in summaries]
-        if figure is EFFICIENCY.figure and not brief:
+        of_all = f" (95 %: {next(iter(bands))})" if figure is POSE_NEES and len(bands) == 1 else ""
+        rows[f"{figure.title}{of_all}"] = [_cell(figure, summary) for summary in summaries]
+        if figure is EFFICIENCY and not brief:
             limits = [limit_reached(summary) for summary in summaries]
             rows["95 % interval of that"] = [UNKNOWN if found is None else found.sureness for found in limits]
     return {title: cells for title, cells in rows.items() if set(cells) != {UNKNOWN}}
-
-
-def _title(figure: Figure, summaries: Sequence[FilterSummary]) -> str:
-    """With the band of the pose NEES, where it is the same for all."""
-    bands = {pose_nees(s)[1] for s in summaries if s.pose_anees_band is not None}
-    return (
-        f"{figure.title} (95 %: {next(iter(bands))})"
-        if figure is POSE_NEES.figure and len(bands) == 1
-        else figure.title
-    )
 
 
 def _cell(figure: Figure, summary: FilterSummary) -> str:
     value = summary.figures[figure.name]
     if figure.per_runs:
         return f"{value} of {summary.runs}"
-    found = limit_reached(summary) if figure is EFFICIENCY.figure else None
+    found = limit_reached(summary) if figure is EFFICIENCY else None
     return figure.text(value) if found is None else found.value.removesuffix(" %")
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from markupsafe import Markup
@@ -16,17 +15,17 @@ from stereo_slam_env.benchmark.statistics.measures import (
     FINAL_SIGMA,
     POSE_NEES,
     POSITION,
-    Measure,
 )
 from stereo_slam_env.benchmark.statistics.policy_verdict import Agreement, PolicyVerdict
 from stereo_slam_env.benchmark.statistics.remarks import innovation_factor, limit_reached, times_the_claim
 from stereo_slam_env.benchmark.statistics.verdict import Comparison, Consistency, Verdict, consistency, loss
-from stereo_slam_env.evaluation.consistency_figures import DOF
+from stereo_slam_env.evaluation.consistency import DOF
+from stereo_slam_env.evaluation.figures import UNKNOWN, Figure
 from stereo_slam_env.evaluation.results import FilterSummary
 from stereo_slam_env.report.charts.style import filter_colours
-from stereo_slam_env.report.page import joined, part
-from stereo_slam_env.report.page_tables import UNKNOWN, Tone
-from stereo_slam_env.report.tables import finding_tone
+from stereo_slam_env.report.page import part
+from stereo_slam_env.report.page_tables import Cell, Column, Tone, filter_cell, number, table
+from stereo_slam_env.report.tables import FINDING_TONES
 
 TONES: dict[Consistency, Tone] = {
     Consistency.CONSISTENT: "good",
@@ -37,72 +36,40 @@ TONES: dict[Consistency, Tone] = {
 MARK_WIDTH, MARK_HEIGHT = 120, 12
 
 
-@dataclass(frozen=True)
-class Answer:
-    """Answer to one question for one competitor.
-
-    Attributes
-    ----------
-    value, word, tone : str
-        A value, and a word on it below.
-    mark : str
-        Drawn beside the value, markup.
-    key : float, optional
-        What sorting goes by.
-    """
-
-    value: str
-    word: str = ""
-    tone: Tone = "none"
-    mark: Markup | None = None
-    key: float | None = None
-
-    @property
-    def sorted_by(self) -> str:
-        """The key as text, "" where it is not known."""
-        return "" if self.key is None or not np.isfinite(self.key) else repr(float(self.key))
+Question = tuple[Column, Callable[[FilterSummary], Cell | None]]
+"""A column: the question and how it is measured, and what answers it (None: nothing)."""
 
 
-@dataclass(frozen=True)
-class Question:
-    """A column: the question, how it is measured, and what answers it (None: nothing)."""
-
-    words: str
-    measure: str
-    answer: Callable[[FilterSummary], Answer | None]
+def answer(
+    value: str, word: str = "", tone: Tone = "none", mark: Markup | None = None, key: float | None = None
+) -> Cell:
+    """A value with a mark beside it, and a word on it below."""
+    known = key is not None and np.isfinite(key)
+    return Cell(value, float(key or 0.0) if known else None, note=word, note_tone=tone, mark=mark)
 
 
 def answers_table(who: str, questions: Sequence[Question], summaries: Sequence[FilterSummary]) -> Markup:
-    """Markup; questions that nobody has an answer to are left out.
-
-    Parameters
-    ----------
-    who : str
-        What a row is: "Filter".
-    questions : sequence of Question
-        Columns.
-    summaries : sequence of FilterSummary
-        Rows.
-    """
+    """Table with a row for each summary, `who`; questions that nobody has an answer to are left out."""
     colours = filter_colours(s.filter_name for s in summaries)
-    answers = [[question.answer(summary) for summary in summaries] for question in questions]
-    shown = [(q, column) for q, column in zip(questions, answers, strict=True) if any(a is not None for a in column)]
+    found = [(column, [answered(summary) for summary in summaries]) for column, answered in questions]
+    shown = [(column, cells) for column, cells in found if any(cell is not None for cell in cells)]
     rows = [
-        (s.filter_name, colours[s.filter_name], [column[i] for _, column in shown]) for i, s in enumerate(summaries)
+        [filter_cell(s.filter_name, colours), *(cells[i] or number(None) for _, cells in shown)]
+        for i, s in enumerate(summaries)
     ]
-    return part("answers", who, [question for question, _ in shown], rows)
+    return table([Column(who), *(column for column, _ in shown)], rows, answers=True)
 
 
 def consistency_question(summaries: Sequence[FilterSummary], *, with_share: bool = True) -> Question:
     """Whether NEES, or else NIS, is what a consistent filter has; `with_share`: and in how many frames."""
     if all(s.pose_anees is None for s in summaries):
-        return Question("Is it consistent?", "NIS / dof, 1 is ideal", _innovations)
+        return Column("Is it consistent?", "NIS / dof, 1 is ideal"), _innovations
     bands = {s.pose_anees_band for s in summaries if s.pose_anees_band is not None}
     band = " to ".join(f"{end / DOF['pose']:.2f}" for end in next(iter(bands))) if len(bands) == 1 else "of each"
-    return Question("Is it consistent?", f"pose NEES / 6, band {band}", lambda s: _honesty(s, with_share))
+    return Column("Is it consistent?", f"pose NEES / 6, band {band}"), lambda s: _honesty(s, with_share)
 
 
-def _honesty(summary: FilterSummary, with_share: bool) -> Answer | None:
+def _honesty(summary: FilterSummary, with_share: bool) -> Cell | None:
     if summary.pose_anees is None:
         return None
     state = consistency(summary)
@@ -110,7 +77,7 @@ def _honesty(summary: FilterSummary, with_share: bool) -> Answer | None:
     if with_share and summary.frames_in_band_percent is not None:
         word += f", {summary.frames_in_band_percent:.0f} % of frames inside"
     mean = POSE_NEES.of(summary)
-    return Answer(short(mean), word, TONES[state], _band_mark(summary), mean)
+    return answer(short(mean), word, TONES[state], _band_mark(summary), mean)
 
 
 def _band_mark(summary: FilterSummary) -> Markup:
@@ -136,14 +103,14 @@ def _band_mark(summary: FilterSummary) -> Markup:
     )
 
 
-def _innovations(summary: FilterSummary) -> Answer | None:
+def _innovations(summary: FilterSummary) -> Cell | None:
     if summary.nis is None:
         return None
     factor = innovation_factor(summary)
     if factor is None:
-        return Answer(short(summary.nis), key=summary.nis)
+        return answer(short(summary.nis), key=summary.nis)
     state = Consistency.CAUTIOUS if factor < 1.0 else Consistency.OVERCONFIDENT
-    return Answer(short(summary.nis), f"innovations {times_the_claim(factor)}", TONES[state], key=summary.nis)
+    return answer(short(summary.nis), f"innovations {times_the_claim(factor)}", TONES[state], key=summary.nis)
 
 
 def drawn(*shapes: tuple[str, Mapping[str, object]], width: int = MARK_WIDTH) -> Markup:
@@ -174,40 +141,28 @@ def short(value: float | None, unit: str = "") -> str:
 
 
 def overview(summaries: Sequence[FilterSummary], verdict: Verdict) -> Markup:
-    """Headline and answers: a row for each filter, a column for each question that can be answered.
-
-    Parameters
-    ----------
-    summaries : sequence of FilterSummary
-        One for each filter.
-    verdict : Verdict
-        Of the same filters.
-
-    Returns
-    -------
-    str
-        Markup.
-    """
+    """Headline and answers: a row for each filter, a column for each question that can be answered."""
     first = "Which is best?" if len(summaries) > 1 else "How accurate is it?"
-    questions = [
-        Question(first, "position RMSE", lambda s: _accuracy(s, verdict)),
-        Question("By how much, is it sure?", _against(verdict), lambda s: _difference(s, verdict)),
+    questions: list[Question] = [
+        (Column(first, "position RMSE"), lambda s: _accuracy(s, verdict)),
+        (Column("By how much, is it sure?", _against(verdict)), lambda s: _difference(s, verdict)),
         consistency_question(summaries),
-        Question("How far from the limit?", _limit_of(summaries), _efficiency),
-        Question("What does it cost?", "median time a frame", lambda s: _cost(s, summaries)),
+        (Column("How far from the limit?", _limit_of(summaries)), _efficiency),
+        (Column("What does it cost?", "median time a frame"), lambda s: _cost(s, summaries)),
     ]
-    return joined([part("paragraph", verdict.headline, "headline"), answers_table("Filter", questions, summaries)])
+    answers = answers_table("Filter", questions, summaries)
+    return Markup("\n").join([part("paragraph", verdict.headline, "headline"), answers])
 
 
 # ---- accuracy -------------------------------------------------------------------------------------------------------
 
 
-def _accuracy(summary: FilterSummary, verdict: Verdict) -> Answer | None:
+def _accuracy(summary: FilterSummary, verdict: Verdict) -> Cell | None:
     if summary.position_rmse_m is None:
-        return Answer(UNKNOWN, lost(summary), "bad") if summary.diverged else None
+        return answer(UNKNOWN, lost(summary), "bad") if summary.diverged else None
     value = short(summary.position_rmse_m, " m")
     word, tone = _standing(summary, verdict)
-    return Answer(value, word, tone, key=summary.position_rmse_m)
+    return answer(value, word, tone, key=summary.position_rmse_m)
 
 
 def _standing(summary: FilterSummary, verdict: Verdict) -> tuple[str, Tone]:
@@ -226,38 +181,38 @@ def _against(verdict: Verdict) -> str:
     return f"error against {verdict.best}, 95 % interval" if verdict.best else "error against the best"
 
 
-def _difference(summary: FilterSummary, verdict: Verdict) -> Answer | None:
+def _difference(summary: FilterSummary, verdict: Verdict) -> Cell | None:
     if not verdict.comparisons:
         return None
     if summary.filter_name == verdict.best:
-        return Answer("0 %", "what the others are held against", "none", _interval_mark(None, verdict), 0.0)
+        return answer("0 %", "what the others are held against", "none", _interval_mark(None, verdict), 0.0)
     comparison = verdict.comparisons.get(summary.filter_name)
-    if comparison is None or not np.isfinite(comparison.excess_percent):
+    if comparison is None or not comparison.difference.count:
         return None
     word, tone = _finding(comparison)
-    value = f"{signed(comparison.excess_percent)} %"
-    if comparison.interval_percent is not None and not comparison.tied:
-        word = f"{word}, {comparison.difference.interval_words}"
-    return Answer(value, word, tone, _interval_mark(comparison, verdict), comparison.excess_percent)
+    found = comparison.difference
+    if found.interval is not None and not comparison.tied:
+        word = f"{word}, {found.interval_words}"
+    return answer(f"{signed(found.percent)} %", word, tone, _interval_mark(comparison, verdict), found.percent)
 
 
 def _finding(comparison: Comparison) -> tuple[str, Tone]:
+    found = comparison.difference
     if comparison.tied:
-        return f"tie, {comparison.difference.tie_words}", "none"
+        return f"tie, {found.tie_words}", "none"
     if comparison.shown:
         return "worse", "bad"
-    if comparison.finding is Finding.BETTER:
+    if found.finding is Finding.BETTER:
         return "better run by run", "fair"
-    if comparison.difference.too_few and comparison.interval_percent is not None:
-        return f"too few runs to be sure ({comparison.runs})", "none"
-    if comparison.interval_percent is None:
-        return f"{comparison.runs} run{'' if comparison.runs == 1 else 's'}, {Finding.NOT_SHOWN.value}", "none"
-    return Finding.NOT_SHOWN.value, "none"
+    if found.interval is None:
+        return f"{found.count} run{'' if found.count == 1 else 's'}, {Finding.NOT_SHOWN.value}", "none"
+    return f"too few runs to be sure ({found.count})" if found.too_few else Finding.NOT_SHOWN.value, "none"
 
 
 def _interval_mark(comparison: Comparison | None, verdict: Verdict) -> Markup:
     """The interval as a bar on a scale that all rows share; the line is "no difference"."""
-    ends = [p for c in verdict.comparisons.values() for p in (c.interval_percent or (c.excess_percent,))]
+    differences = [c.difference for c in verdict.comparisons.values()]
+    ends = [p for d in differences for p in (d.interval_percent or (d.percent,))]
     logs = np.clip(np.log1p(np.array([p for p in ends if np.isfinite(p)] + [0.0]) / 100), -1.5, 2.5)
     low, high = float(logs.min()), float(logs.max())
     room = 0.06 * max(high - low, 0.02)
@@ -270,11 +225,11 @@ def _interval_mark(comparison: Comparison | None, verdict: Verdict) -> Markup:
     line = ("line", {"x1": zero, "x2": zero, "y1": 0, "y2": MARK_HEIGHT, "stroke": "var(--muted)"})
     if comparison is None:
         return drawn(line)
-    colour = "var(--bad)" if comparison.shown else "var(--muted)"
-    dot = ("circle", {"cx": place(comparison.excess_percent), "cy": middle, "r": 3.5, "fill": colour})
-    if comparison.interval_percent is None:
+    colour, found = "var(--bad)" if comparison.shown else "var(--muted)", comparison.difference
+    dot = ("circle", {"cx": place(found.percent), "cy": middle, "r": 3.5, "fill": colour})
+    if found.interval_percent is None:
         return drawn(line, dot)
-    start, end = (place(percent) for percent in comparison.interval_percent)
+    start, end = (place(percent) for percent in found.interval_percent)
     size = {"x": start, "y": middle - 2, "width": max(end - start, 1), "height": 4, "rx": 2}
     return drawn(line, ("rect", {**size, "fill": colour, "opacity": 0.4}), dot)
 
@@ -287,7 +242,7 @@ def _limit_of(summaries: Sequence[FilterSummary]) -> str:
     return f"bound {next(iter(bounds))} / RMSE, 95 % interval" if len(bounds) == 1 else "bound / RMSE, 95 % interval"
 
 
-def _efficiency(summary: FilterSummary) -> Answer | None:
+def _efficiency(summary: FilterSummary) -> Cell | None:
     found = limit_reached(summary)
     if found is None:
         return None
@@ -298,10 +253,10 @@ def _efficiency(summary: FilterSummary) -> Answer | None:
         ("rect", {**bar, "width": max(share * width, 2), "fill": "var(--series-0)"}),
         width=width,
     )
-    return Answer(found.value, found.sureness, "none", mark, found.percent)
+    return answer(found.value, found.sureness, "none", mark, found.percent)
 
 
-def _cost(summary: FilterSummary, summaries: Sequence[FilterSummary]) -> Answer | None:
+def _cost(summary: FilterSummary, summaries: Sequence[FilterSummary]) -> Cell | None:
     quickest = min((s.ms_per_frame for s in summaries if s.ms_per_frame), default=None)
     if summary.ms_per_frame is None or not quickest:
         return None
@@ -309,7 +264,7 @@ def _cost(summary: FilterSummary, summaries: Sequence[FilterSummary]) -> Answer 
     words = [f"{signed(excess)} %" if excess else "quickest"] if len(summaries) > 1 else []
     if summary.memory_mb is not None and summary.memory_mb >= 0.5:
         words.append(f"{summary.memory_mb:.0f} MB")
-    return Answer(f"{summary.ms_per_frame:.2f} ms", ", ".join(words), "none", key=summary.ms_per_frame)
+    return answer(f"{summary.ms_per_frame:.2f} ms", ", ".join(words), "none", key=summary.ms_per_frame)
 
 
 # ---- policies -------------------------------------------------------------------------------------------------------
@@ -323,33 +278,19 @@ _SAID: dict[Agreement, tuple[str, Tone]] = {
 
 
 def policy_overview(summaries: Sequence[FilterSummary], verdict: PolicyVerdict) -> Markup:
-    """Headline, answers and a sentence for each policy.
-
-    Parameters
-    ----------
-    summaries : sequence of FilterSummary
-        One for each policy.
-    verdict : PolicyVerdict
-        On the same policies.
-
-    Returns
-    -------
-    str
-        Markup.
-    """
+    """Headline, answers and a sentence for each policy."""
     against = f"and against {verdict.baseline}, 95 % interval"
-    questions = [
-        Question(
-            "What does it claim at the end?",
-            f"σ of the position {against}; log det of the pose",
+    questions: list[Question] = [
+        (
+            Column("What does it claim at the end?", f"σ of the position {against}; log det of the pose"),
             lambda s: _claimed(s, verdict),
         ),
-        Question("How wrong is it then?", f"true position error, {against}", lambda s: _by(FINAL_ERROR, s, verdict)),
-        Question("And along the drive?", f"position RMSE, {against}", lambda s: _by(POSITION, s, verdict)),
+        (Column("How wrong is it then?", f"true position error, {against}"), lambda s: _by(FINAL_ERROR, s, verdict)),
+        (Column("And along the drive?", f"position RMSE, {against}"), lambda s: _by(POSITION, s, verdict)),
         consistency_question(summaries, with_share=False),
-        Question("Is the claim true?", f"by the difference to {verdict.baseline}", lambda s: _agreement(s, verdict)),
+        (Column("Is the claim true?", f"by the difference to {verdict.baseline}"), lambda s: _agreement(s, verdict)),
     ]
-    return joined(
+    return Markup("\n").join(
         [
             part("paragraph", verdict.headline, "headline"),
             answers_table("Policy", questions, summaries),
@@ -358,22 +299,21 @@ def policy_overview(summaries: Sequence[FilterSummary], verdict: PolicyVerdict) 
     )
 
 
-def _claimed(summary: FilterSummary, verdict: PolicyVerdict) -> Answer | None:
+def _claimed(summary: FilterSummary, verdict: PolicyVerdict) -> Cell | None:
     determinant = FINAL_LOGDET.of(summary)
     beside = Markup("<span>{}</span>").format(short(determinant).replace("-", "−"))
     return dataclasses.replace(_by(FINAL_SIGMA, summary, verdict), mark=beside if np.isfinite(determinant) else None)
 
 
-def _by(measure: Measure, summary: FilterSummary, verdict: PolicyVerdict) -> Answer:
+def _by(measure: Figure, summary: FilterSummary, verdict: PolicyVerdict) -> Cell:
     """The value of a measure, and its difference to that of the baseline."""
     value = measure.of(summary)
     shown = short(value, f" {measure.unit}")
     if summary.filter_name == verdict.baseline:
-        return Answer(shown, "baseline", "none", key=value)
-    found = verdict.compared.cell(measure, summary.filter_name, verdict.baseline)
-    if found is None:
-        return Answer(shown, "", "none", key=value)
-    difference = found.difference
+        return answer(shown, "baseline", "none", key=value)
+    difference = verdict.compared.cell(measure, summary.filter_name, verdict.baseline)
+    if difference is None:
+        return answer(shown, "", "none", key=value)
     words = [f"{signed(difference.percent)} %"]
     if difference.too_few:
         words.append(f"{difference.count} runs are too few")
@@ -381,14 +321,14 @@ def _by(measure: Measure, summary: FilterSummary, verdict: PolicyVerdict) -> Ans
         words.append(difference.interval_words)
         if difference.finding is Finding.NOT_SHOWN:
             words.append("not shown")
-    return Answer(shown, ", ".join(words), finding_tone(difference.finding), key=value)
+    return answer(shown, ", ".join(words), FINDING_TONES[difference.finding], key=value)
 
 
-def _agreement(summary: FilterSummary, verdict: PolicyVerdict) -> Answer | None:
+def _agreement(summary: FilterSummary, verdict: PolicyVerdict) -> Cell | None:
     found = verdict.comparisons.get(summary.filter_name)
     if found is None:
         return None
     word, tone = _SAID[found.agreement]
     if found.agreement is Agreement.AGREE and found.consistency is Consistency.OVERCONFIDENT:
-        return Answer("in part", "too much is claimed", "fair")
-    return Answer(word, "", tone)
+        return answer("in part", "too much is claimed", "fair")
+    return answer(word, "", tone)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Sequence
 from contextlib import suppress
 from functools import cache
 from importlib.metadata import version
@@ -15,7 +16,7 @@ import vl_convert
 from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup, escape
 
-from stereo_slam_env.files.atomic import write_atomically
+from stereo_slam_env.files.folders import write_atomically
 from stereo_slam_env.report.charts.drawing import Chart
 from stereo_slam_env.report.charts.style import in_page_colours
 
@@ -54,15 +55,17 @@ def html_page(*, title: str, subtitle: str, body: str) -> str:
     )
 
 
+def write_page(path: Path, *, title: str, subtitle: str, parts: Sequence[Markup]) -> Path:
+    """Write a page with these parts one below the other, in a folder that is made; returns its path."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(html_page(title=title, subtitle=subtitle, body=Markup("\n").join(parts)), encoding="utf-8")
+    return path
+
+
 def part(name: str, /, *arguments: Any, **named: Any) -> Markup:
     """A part of a page, a macro of `parts.html`; plain text is escaped there, `Markup` is not."""
     macro = getattr(_templates().get_template("parts.html").module, name)
     return Markup(macro(*arguments, **named).strip())
-
-
-def joined(parts: list[Markup] | list[str]) -> Markup:
-    """Parts one below the other; plain text is escaped."""
-    return Markup("\n").join(parts)
 
 
 def figure_block(chart: Chart, name: str, description: str, folder: Path) -> Markup:
@@ -99,21 +102,9 @@ def figure_block(chart: Chart, name: str, description: str, folder: Path) -> Mar
 
 
 def inline_svg(svg: str, name: str, description: str) -> Markup:
-    """Turn an SVG document into an `<svg>` element that takes colours and font from the page around it.
+    """Turn an SVG document, drawn with the colours of `style`, into an element that takes those of the page around it.
 
-    Parameters
-    ----------
-    svg : str
-        From `Chart.svg`, drawn with the colours of `style`.
-    name : str
-        Prefix of the ids inside, unique in the page.
-    description : str
-        What a screen reader says, plain text.
-
-    Returns
-    -------
-    Markup
-        Without any reference to the outside.
+    `name` prefixes the ids inside, `description` is what a screen reader says. Nothing in it refers to the outside.
     """
 
     def of_page(found: re.Match[str]) -> str:

@@ -9,12 +9,10 @@ from typing import Literal
 import numpy as np
 from markupsafe import Markup
 
+from stereo_slam_env.evaluation.figures import UNKNOWN
 from stereo_slam_env.report.page import part
 
 Tone = Literal["", "good", "fair", "bad", "none"]
-
-UNKNOWN = "–"
-"""What a cell without a value shows."""
 
 
 @dataclass(frozen=True)
@@ -60,6 +58,8 @@ class Cell:
         A second line below it.
     note_tone : str
         Its tone.
+    mark : Markup, optional
+        Drawn beside an answer.
     """
 
     text: str
@@ -69,6 +69,7 @@ class Cell:
     link: str = ""
     note: str = ""
     note_tone: Tone = "none"
+    mark: Markup | None = None
 
 
 def number(value: float | None, form: str = ".3g", unit: str = "", tone: Tone = "") -> Cell:
@@ -84,7 +85,13 @@ def filter_cell(name: str, colours: Mapping[str, str], link: str = "") -> Cell:
     return Cell(name, name, dot=colours[name], link=link)
 
 
-def table(columns: Sequence[Column], rows: Sequence[Sequence[Cell | str]], *, wide: bool = False) -> Markup:
+def table(
+    columns: Sequence[Column],
+    rows: Sequence[Sequence[Cell | str]],
+    *,
+    wide: bool = False,
+    answers: bool = False,
+) -> Markup:
     """Markup of a sortable table.
 
     Parameters
@@ -95,6 +102,8 @@ def table(columns: Sequence[Column], rows: Sequence[Sequence[Cell | str]], *, wi
         One cell a column; a str is plain text. The first cell names the row.
     wide : bool
         Takes the width of the page.
+    answers : bool
+        The cells answer questions: in large type, with a mark beside and a note below.
 
     Raises
     ------
@@ -104,7 +113,8 @@ def table(columns: Sequence[Column], rows: Sequence[Sequence[Cell | str]], *, wi
     for row in rows:
         if len(row) != len(columns):
             raise ValueError(f"rows must have {len(columns)} cells each, got one with {len(row)}")
-    return part("table", columns, [[_placed(cell) for cell in row] for row in rows], wide)
+    look = "answers" if answers else "wide" if wide else ""
+    return part("table", columns, [[_placed(cell) for cell in row] for row in rows], look)
 
 
 def _placed(cell: Cell | str) -> Cell:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,13 +15,13 @@ from stereo_slam_env.benchmark.statistics.policy_verdict import Looks, judge_pol
 from stereo_slam_env.benchmark.statistics.remarks import innovation_remarks, reference_remarks
 from stereo_slam_env.benchmark.statistics.verdict import Verdict, judge
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
-from stereo_slam_env.evaluation.run_figures import Bounds, Figures
+from stereo_slam_env.evaluation.run_figures import Bounds, Figures, key_of
 from stereo_slam_env.report import tables
-from stereo_slam_env.report.charts import accuracy, consistency, cost, landmarks, policies, series
+from stereo_slam_env.report.charts import accuracy, consistency, cost, policies, series
 from stereo_slam_env.report.charts.drawing import Chart
 from stereo_slam_env.report.comparison_report import attribution_section, conclusions
 from stereo_slam_env.report.overview import overview, policy_overview
-from stereo_slam_env.report.page import clean_figures, data_links, figure_block, html_page, joined, part
+from stereo_slam_env.report.page import clean_figures, data_links, figure_block, part, write_page
 
 MOST_SHOWN = 6
 """Of more filters than that, each is compared with the best one only, and the first ones have figures of their own."""
@@ -40,38 +39,12 @@ def write_report(
     attribution: Attribution | None = None,
     looks: Looks | None = None,
 ) -> Path:
-    """Write `out/report.html`, and each of its figures as `out/figures/<name>.png` and `.svg`.
+    """Write `out/report.html`, and each of its figures as `out/figures/<name>.png` and `.svg`; returns the page.
 
-    Parameters
-    ----------
-    out : Path
-        Directory; made if it is not there.
-    title : str
-        Heading of the page.
-    runs : sequence of FilterRun
-        All runs of all filters.
-    summaries : sequence of FilterSummary
-        One for each filter, of the same runs.
-    figures : mapping of str to RunFigures
-        Of the same runs, see `figures_of`.
-    settings : mapping
-        What was asked for (scenario, noise, gate, seeds, versions); JSON-able, may be nested.
-    bounds : mapping of (recording_name, seed) to Bound, optional
-        Theoretical limits, drawn below the errors over time.
-    attribution : Attribution, optional
-        Of the options that the filters differ in.
-    looks : Looks, optional
-        Where policies are compared: the page then first says what they claim and what is true.
-
-    Returns
-    -------
-    Path
-        The page. It needs nothing but itself.
-
-    Raises
-    ------
-    ValueError
-        No runs, or no summaries.
+    The page needs nothing but itself. `summaries` and `figures` are those of `runs`; `settings` is what was asked for
+    (scenario, noise, gate, seeds, versions), JSON-able, perhaps nested; `attribution` is of the options that the
+    filters differ in. With `looks` policies are compared: the page then first says what they claim and what is true. A
+    `ValueError` says that there are no runs.
     """
     if not runs or not summaries:
         raise ValueError("runs and summaries must not be empty: there is nothing to report")
@@ -90,20 +63,18 @@ def write_report(
         part("paragraph", _note(summaries, looks)),
         part("items", [remark for s in summaries for remark in s.remarks], "failures fair"),
         *([attribution_section(attribution, folder)] if attribution is not None else []),
-        *(_drawn(section, folder) for section in _sections(runs, summaries, bounds or {}, looks)),
+        *_sections(runs, summaries, bounds or {}, looks, folder),
         pairs,
         _failures(summaries),
         part("section", "Settings", "", [part("settings", settings)]),
         data_links(out),
     ]
-    path = out / "report.html"
-    path.write_text(html_page(title=title, subtitle=_subtitle(runs, looks), body=joined(body)), encoding="utf-8")
-    return path
+    return write_page(out / "report.html", title=title, subtitle=_subtitle(runs, looks), parts=body)
 
 
 def reference_banner(runs: Sequence[FilterRun]) -> Markup:
     """Reference of the runs; one that is no independent truth stands out."""
-    return joined(
+    return Markup("\n").join(
         [
             part("paragraph", words, "quiet" if reference.is_independent else "banner")
             for reference, words in reference_remarks(runs).items()
@@ -122,7 +93,7 @@ def _note(summaries: Sequence[FilterSummary], looks: Looks | None) -> str:
 
 
 def _subtitle(runs: Sequence[FilterRun], looks: Looks | None) -> str:
-    recordings = dict.fromkeys((run.recording_name, run.seed) for run in runs)
+    recordings = set(map(key_of, runs))
     first = series.first_recording(runs)[0]
     length = series.last_known(series.distance(first))
     who = len(series.by_filter(runs))
@@ -141,155 +112,133 @@ def _subtitle(runs: Sequence[FilterRun], looks: Looks | None) -> str:
 # ---- sections -------------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class _Section:
-    """Heading, a sentence on how to read it, a table, and figures by name with their captions."""
-
-    heading: str
-    guide: str = ""
-    table: str = ""
-    figures: Mapping[str, tuple[Callable[[], Chart], str]] | None = None
-
-
 def _sections(
-    runs: Sequence[FilterRun], summaries: Sequence[FilterSummary], bounds: Bounds, looks: Looks | None
-) -> list[_Section]:
+    runs: Sequence[FilterRun], summaries: Sequence[FilterSummary], bounds: Bounds, looks: Looks | None, folder: Path
+) -> Iterator[Markup]:
     who = "Filter" if looks is None else "Policy"
     with_truth = any(series.scored(run).any() for run in runs)
     with_nees = any(np.isfinite(run.pose_nees).any() for run in runs)
     first = series.first_recording(runs)
     shown = f"{first[0].recording_name}" + (f", seed {first[0].seed}" if first[0].seed is not None else "")
-    sections = [] if looks is None else [_gaze(runs, looks, shown)]
-    sections += [_accuracy(runs, summaries, shown, who)] if with_truth else [_trajectory(runs, shown)]
-    sections += _limits(runs, summaries, bounds)
-    sections.append(_consistency(runs, summaries, with_nees, who))
+
+    def draw(name: str, caption: str, plot: Callable[..., Chart], *arguments: Any) -> Markup:
+        return figure_block(plot(*arguments), name, caption, folder)
+
+    if looks is not None:
+        yield part("section", "Where policies look, and what that is worth", "", [*_gaze(runs, looks, shown, draw)])
+    if with_truth:
+        table = tables.figures_table(summaries, ["accuracy"], who)
+        yield part("section", "Accuracy", "", [table, *_accuracy(runs, summaries, shown, draw)])
+    else:
+        drawn = draw("trajectory", f"Path on {shown}.", accuracy.plot_trajectory, runs)
+        yield part("section", "Trajectory", "There is no ground truth to hold it against.", [drawn])
+    if limits := [*_limits(runs, summaries, bounds, draw)]:
+        guide = (
+            "The posterior Cramér–Rao bound along the true trajectory: on average over such drives and noise, no"
+            " unbiased filter that knows no more has a smaller error. Over few runs bound / RMSE scatters, and where"
+            " its 95 % interval includes 100 %, a filter is at the limit."
+        )
+        yield part("section", "Distance from the limit", guide, limits)
+    guide = "Above the band a filter is overconfident, below it too cautious."
+    table = tables.consistency_table(summaries, who)
+    yield part("section", "Consistency", guide, [table, *_consistency(runs, summaries, with_nees, draw)])
     if with_nees:
-        limits = consistency.error_limits(first)
-        bounded = {
-            f"error_{i}": (_later(consistency.plot_error_bounds, run, limits), f"{run.filter_name} on {shown}.")
-            for i, run in enumerate(first[:MOST_SHOWN])
-        }
+        limit = consistency.error_limits(first)
         guide = "Position in the world, rotation in the camera frame; equal scales for all filters."
         if len(first) > MOST_SHOWN:
             guide += f" The first {MOST_SHOWN} of {len(first)} filters."
-        sections.append(_Section("Errors and their 3σ bounds", guide, figures=bounded))
-    sections += _map(runs, summaries, same_landmarks=looks is None)
+        bounded = [
+            draw(f"error_{i}", f"{run.filter_name} on {shown}.", consistency.plot_error_bounds, run, limit)
+            for i, run in enumerate(first[:MOST_SHOWN])
+        ]
+        yield part("section", "Errors and their 3σ bounds", guide, bounded)
+    if found := [*_map(runs, summaries, draw, same_landmarks=looks is None)]:
+        yield part("section", "Map and depth", "", found)
     caption = f"Velocity in the world and heading on {shown}."
-    sections.append(
-        _Section("Velocity and heading", figures={"velocity": (_later(accuracy.plot_velocity, runs), caption)})
-    )
-    sections.append(_cost(runs, summaries, who))
-    return sections
+    yield part("section", "Velocity and heading", "", [draw("velocity", caption, accuracy.plot_velocity, runs)])
+    guide = "Compare filters within a report, not across machines."
+    table = tables.figures_table(summaries, ["cost", "events"], who)
+    yield part("section", "Cost and events", guide, [table, *_cost(runs, summaries, draw)])
 
 
-def _gaze(runs: Sequence[FilterRun], looks: Looks, shown: str) -> _Section:
+def _gaze(runs: Sequence[FilterRun], looks: Looks, shown: str, draw: Callable[..., Markup]) -> Iterator[Markup]:
     caption = (
         "Root mean squares over the runs, on one scale: a policy that claims less than its true error is overconfident."
     )
-    figures = {"claim_and_truth": (_later(policies.plot_claim_and_truth, runs), caption)}
+    yield draw("claim_and_truth", caption, policies.plot_claim_and_truth, runs)
     if looks.recordings:
-        caption = f"Pan and tilt of the head on {shown}."
-        figures["gaze"] = (_later(policies.plot_gaze, looks.recordings), caption)
+        yield draw("gaze", f"Pan and tilt of the head on {shown}.", policies.plot_gaze, looks.recordings)
         caption = f"{shown} from above: path, landmarks seen (the others are faint), lines of sight twice a second."
-        figures["gaze_map"] = (_later(policies.plot_gaze_map, looks.recordings), caption)
-    return _Section("Where policies look, and what that is worth", figures=figures)
+        yield draw("gaze_map", caption, policies.plot_gaze_map, looks.recordings)
 
 
-def _accuracy(runs: Sequence[FilterRun], summaries: Sequence[FilterSummary], shown: str, who: str) -> _Section:
-    figures = {}
-    if len({(run.recording_name, run.seed) for run in runs}) > 1 and any(
-        s.position_rmse_m is not None for s in summaries
-    ):
+def _accuracy(
+    runs: Sequence[FilterRun], summaries: Sequence[FilterSummary], shown: str, draw: Callable[..., Markup]
+) -> Iterator[Markup]:
+    if len(set(map(key_of, runs))) > 1 and any(s.position_rmse_m is not None for s in summaries):
         caption = "The error of each run."
         if len(summaries) > 1:
             caption = "A line joins the errors on the same recording: look at its direction, not at the spread."
-        figures["error_by_run"] = (_later(accuracy.plot_error_by_run, runs), caption)
+        yield draw("error_by_run", caption, accuracy.plot_error_by_run, runs)
     caption = f"Path on {shown}; errors of all runs, single ones thin, without alignment."
-    figures["trajectory"] = (_later(accuracy.plot_trajectory, runs), caption)
+    yield draw("trajectory", caption, accuracy.plot_trajectory, runs)
     if any(s.rpe for s in summaries):
         caption = "Relative error over segments of the path, averaged over segments and runs."
-        figures["relative_error"] = (_later(accuracy.plot_segment_errors, summaries), caption)
-    return _Section("Accuracy", "", tables.accuracy_table(summaries, who), figures)
+        yield draw("relative_error", caption, accuracy.plot_segment_errors, summaries)
 
 
-def _trajectory(runs: Sequence[FilterRun], shown: str) -> _Section:
-    figures = {"trajectory": (_later(accuracy.plot_trajectory, runs), f"Path on {shown}.")}
-    return _Section("Trajectory", "There is no ground truth to hold it against.", figures=figures)
-
-
-def _limits(runs: Sequence[FilterRun], summaries: Sequence[FilterSummary], bounds: Bounds) -> list[_Section]:
-    figures = {}
-    if any((run.recording_name, run.seed) in bounds for run in runs):
+def _limits(
+    runs: Sequence[FilterRun], summaries: Sequence[FilterSummary], bounds: Bounds, draw: Callable[..., Markup]
+) -> Iterator[Markup]:
+    if any(key_of(run) in bounds for run in runs):
         caption = (
             "Root mean square over the runs with a bound, and the posterior Cramér–Rao bound, dashed: a lower limit on"
             " average, which the mean of few runs may fall below."
         )
-        figures["error_and_limit"] = (_later(accuracy.plot_error_against_bound, runs, bounds), caption)
+        yield draw("error_and_limit", caption, accuracy.plot_error_against_bound, runs, bounds)
     if any(s.efficiency_percent is not None for s in summaries):
         caption = "Bound over RMSE of each run; the stroke is that over all runs."
-        figures["efficiency"] = (_later(accuracy.plot_efficiency, summaries), caption)
-    guide = (
-        "The posterior Cramér–Rao bound along the true trajectory: on average over such drives and noise, no unbiased"
-        " filter that knows no more has a smaller error. Over few runs bound / RMSE scatters, and where its 95 %"
-        " interval includes 100 %, a filter is at the limit."
-    )
-    return [_Section("Distance from the limit", guide, figures=figures)] if figures else []
+        yield draw("efficiency", caption, accuracy.plot_efficiency, summaries)
 
 
-def _consistency(runs: Sequence[FilterRun], summaries: Sequence[FilterSummary], with_nees: bool, who: str) -> _Section:
-    figures = {}
+def _consistency(
+    runs: Sequence[FilterRun], summaries: Sequence[FilterSummary], with_nees: bool, draw: Callable[..., Markup]
+) -> Iterator[Markup]:
     if any(s.consistency for s in summaries):
         caption = "Means by their degrees of freedom in their 95 % bands, and the share of the frames inside."
-        figures["consistency"] = (_later(consistency.plot_consistency, summaries), caption)
+        yield draw("consistency", caption, consistency.plot_consistency, summaries)
     if with_nees:
-        figures["nees"] = (
-            _later(consistency.plot_nees, runs),
-            "Pose NEES / 6 along the drive; the scale is logarithmic.",
-        )
+        yield draw("nees", "Pose NEES / 6 along the drive; the scale is logarithmic.", consistency.plot_nees, runs)
     caption = "Innovations along the drive, pooled over runs and short stretches of time."
-    figures["nis"] = (_later(consistency.plot_nis, runs), caption)
-    guide = "Above the band a filter is overconfident, below it too cautious."
-    return _Section("Consistency", guide, tables.consistency_table(summaries, who), figures)
+    yield draw("nis", caption, consistency.plot_nis, runs)
 
 
-def _map(runs: Sequence[FilterRun], summaries: Sequence[FilterSummary], *, same_landmarks: bool) -> list[_Section]:
-    figures = {}
+def _map(
+    runs: Sequence[FilterRun], summaries: Sequence[FilterSummary], draw: Callable[..., Markup], *, same_landmarks: bool
+) -> Iterator[Markup]:
     if any(s.landmark_by_range for s in summaries):
         caption = (
             "By true distance: error relative to the camera, mean depth error (Sibley's bias), NEES / 3 in (u, v, d)."
         )
-        figures["landmarks"] = (_later(landmarks.plot_landmark_errors, summaries), caption)
+        yield draw("landmarks", caption, consistency.plot_landmark_errors, summaries)
     if any(s.depth_convergence for s in summaries):
         caption = "All landmarks of that depth at first sight: the σ a filter claims should follow its true error."
-        figures["convergence"] = (_later(landmarks.plot_depth_convergence, summaries), caption)
+        yield draw("convergence", caption, consistency.plot_depth_convergence, summaries)
     if same_landmarks and any(run.traces for run in runs):
         caption = (
             "Two landmarks. Dots: the frame's own disparity. A narrow band that misses the truth is false confidence."
         )
-        figures["depth"] = (_later(landmarks.plot_depth, runs), caption)
-    return [_Section("Map and depth", figures=figures)] if figures else []
+        yield draw("depth", caption, consistency.plot_depth, runs)
 
 
-def _cost(runs: Sequence[FilterRun], summaries: Sequence[FilterSummary], who: str) -> _Section:
-    figures = {}
+def _cost(
+    runs: Sequence[FilterRun], summaries: Sequence[FilterSummary], draw: Callable[..., Markup]
+) -> Iterator[Markup]:
     if any(s.ms_per_frame is not None for s in summaries):
-        figures["cost"] = (
-            _later(cost.plot_cost, summaries),
-            "Medians over frames and runs; of the memory, the largest growth in a run.",
-        )
+        caption = "Medians over frames and runs; of the memory, the largest growth in a run."
+        yield draw("cost", caption, cost.plot_cost, summaries)
     caption = "Predict and update, median over runs, along the drive and by the size of the map."
-    figures["time_per_frame"] = (_later(cost.plot_time_per_frame, runs), caption)
-    guide = "Compare filters within a report, not across machines."
-    return _Section("Cost and events", guide, tables.cost_table(summaries, who), figures)
-
-
-def _later(plot: Callable[..., Chart], *arguments: Any) -> Callable[[], Chart]:
-    return lambda: plot(*arguments)
-
-
-def _drawn(section: _Section, folder: Path) -> Markup:
-    blocks = [figure_block(plot(), name, caption, folder) for name, (plot, caption) in (section.figures or {}).items()]
-    return part("section", section.heading, section.guide, [Markup(section.table), *blocks])
+    yield draw("time_per_frame", caption, cost.plot_time_per_frame, runs)
 
 
 def _pairs(summaries: Sequence[FilterSummary], figures: Figures, verdict: Verdict) -> Markup:
@@ -308,7 +257,7 @@ def _against(compared: PairwiseTable, baseline: str | None, who: str) -> Markup:
         "corrected for the number of pairs. A colour means that interval and signed-rank test both show the difference."
     )
     heading = f"Each against {baseline}" if baseline else "Each against each"
-    return part("section", heading, guide, [Markup(tables.pair_table(compared, who))])
+    return part("section", heading, guide, [tables.pair_table(compared, who)])
 
 
 def _failures(summaries: Sequence[FilterSummary]) -> Markup:

@@ -5,38 +5,40 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from markupsafe import Markup
 
-from stereo_slam_env.benchmark.statistics.differences import Finding, signed
-from stereo_slam_env.benchmark.statistics.measures import EFFICIENCY, PairVerdict, PairwiseTable
+from stereo_slam_env.benchmark.statistics.differences import Difference, Finding, signed
+from stereo_slam_env.benchmark.statistics.measures import EFFICIENCY, PairwiseTable
 from stereo_slam_env.benchmark.statistics.remarks import limit_reached
 from stereo_slam_env.evaluation.figures import FIGURES, Figure, Group
-from stereo_slam_env.evaluation.results import ConsistencyFigure, FilterSummary
+from stereo_slam_env.evaluation.results import FilterSummary
 from stereo_slam_env.report.charts.style import filter_colours
 from stereo_slam_env.report.page_tables import Cell, Column, Tone, filter_cell, number, table
 
 
-def accuracy_table(summaries: Sequence[FilterSummary], who: str = "Filter") -> str:
-    """Errors of pose, velocity and map, and the distance from the limit; a row is called `who`."""
-    return _table(summaries, ("accuracy",), who)
+def figures_table(summaries: Sequence[FilterSummary], groups: Sequence[Group], who: str = "Filter") -> Markup:
+    """Figures of these groups; a row is called `who`."""
+    figures = _shown(summaries, groups)
+    cells = [[figure_cell(figure, s) for figure in figures] for s in summaries]
+    return _rows(summaries, who, [figure_column(figure) for figure in figures], cells)
 
 
-def cost_table(summaries: Sequence[FilterSummary], who: str = "Filter") -> str:
-    """Time, memory and events."""
-    return _table(summaries, ("cost", "events"), who)
-
-
-def consistency_table(summaries: Sequence[FilterSummary], who: str = "Filter") -> str:
+def consistency_table(summaries: Sequence[FilterSummary], who: str = "Filter") -> Markup:
     """Mean NEES and NIS in their bands, and the share of the frames inside theirs; "" where nothing is known."""
     figures = _shown(summaries, ("consistency",))
     if not figures:
-        return ""
+        return Markup()
     columns, cells = [], []
     for figure in figures:
         found = [s.consistency.get(figure.name.removesuffix("_anees")) for s in summaries]
         ideal = figure.ideal or 1.0
         bands = {f"{f.band[0] / ideal:.2f}–{f.band[1] / ideal:.2f}" for f in found if f is not None}
         columns.append(_column(figure, "ideal 1" + (f", {next(iter(bands))}" if len(bands) == 1 else "")))
-        cells.append([_banded_cell(figure, s, f) for s, f in zip(summaries, found, strict=True)])
+        tones: list[Tone] = [
+            "" if f is None else "bad" if f.mean > f.band[1] else "fair" if f.mean < f.band[0] else "good"
+            for f in found
+        ]
+        cells.append([figure_cell(figure, s, tone) for s, tone in zip(summaries, tones, strict=True)])
         if bands:
             columns.append(
                 Column("inside", "% frames", f"{figure.heading}: mean over runs inside the band of its frame")
@@ -45,12 +47,12 @@ def consistency_table(summaries: Sequence[FilterSummary], who: str = "Filter") -
     return _rows(summaries, who, columns, list(zip(*cells, strict=True)))
 
 
-def pair_table(compared: PairwiseTable, who: str = "Filter") -> str:
+def pair_table(compared: PairwiseTable, who: str = "Filter") -> Markup:
     """A row for each pair of filters, a column for each question."""
     columns = [Column(who, kind="text"), Column("against", kind="text")]
     for measure in compared.measures:
-        unit = "nearness to 1" if measure.ideal is not None else "%" if measure.figure.is_ratio else "difference"
-        columns.append(Column(capital(measure.words), unit))
+        unit = "nearness to 1" if measure.ideal is not None else "%" if measure.is_ratio else "difference"
+        columns.append(Column(capital(measure.label), unit))
     colours = filter_colours(compared.filters)
     pairs = list(dict.fromkeys((a, b) for _, a, b in compared.cells))
     order = {name: i for i, name in enumerate(compared.filters)}
@@ -58,41 +60,38 @@ def pair_table(compared: PairwiseTable, who: str = "Filter") -> str:
     for a, b in pairs:
         if (b, a) in pairs and order[a] > order[b]:
             continue
-        found = (compared.cell(measure, a, b) for measure in compared.measures)
-        rows.append([filter_cell(a, colours), filter_cell(b, colours), *map(pair_cell, found)])
+        found = (pair_cell(measure, compared.cell(measure, a, b)) for measure in compared.measures)
+        rows.append([filter_cell(a, colours), filter_cell(b, colours), *found])
     return table(columns, rows, wide=True)
 
 
-_FINDING_TONES: dict[Finding, Tone] = {Finding.BETTER: "good", Finding.WORSE: "bad", Finding.NOT_SHOWN: "none"}
+FINDING_TONES: dict[Finding, Tone] = {Finding.BETTER: "good", Finding.WORSE: "bad", Finding.NOT_SHOWN: "none"}
+
+"""Colour of each finding."""
 
 
-def finding_tone(finding: Finding) -> Tone:
-    """Colour of a finding."""
-    return _FINDING_TONES[finding]
-
-
-def pair_cell(verdict: PairVerdict | None) -> Cell:
+def pair_cell(measure: Figure, difference: Difference | None) -> Cell:
     """Difference and interval; of consistency, which is nearer to its ideal."""
-    if verdict is None:
+    if difference is None:
         return number(None)
-    difference, tone = verdict.difference, finding_tone(verdict.finding)
+    tone = FINDING_TONES[difference.finding]
     if difference.tied:
         return Cell("tie", difference.estimate, tone)
-    if verdict.measure.ideal is not None:
-        nearer = {Finding.BETTER: "nearer", Finding.WORSE: "farther"}.get(verdict.finding, Finding.NOT_SHOWN.value)
+    if measure.ideal is not None:
+        nearer = {Finding.BETTER: "nearer", Finding.WORSE: "farther"}.get(difference.finding, Finding.NOT_SHOWN.value)
         return Cell(nearer, difference.estimate, tone)
-    if not verdict.measure.figure.is_ratio:
+    if not measure.is_ratio:
         interval = f" ({difference.interval_words})" if difference.interval is not None else ""
         return Cell(f"{signed(difference.estimate, 2)}{interval}", difference.estimate, tone)
-    return percent_cell(difference.percent, difference.interval_percent, tone)
+    return percent_cell(difference, tone)
 
 
-def percent_cell(percent: float, interval: tuple[float, float] | None, tone: Tone) -> Cell:
+def percent_cell(difference: Difference, tone: Tone) -> Cell:
     """A change in %, with its interval in brackets where there is one."""
-    text = signed(percent)
+    text, interval = signed(difference.percent), difference.interval_percent
     if interval is not None:
         text += f" ({' to '.join(signed(end) for end in interval)})"
-    return Cell(text, percent, tone)
+    return Cell(text, difference.percent, tone)
 
 
 def capital(words: str) -> str:
@@ -107,15 +106,16 @@ def console_columns(summaries: Sequence[FilterSummary]) -> list[Figure]:
 
 def figure_column(figure: Figure) -> Column:
     """Heading of a figure."""
-    unit = "95 % interval" if figure is EFFICIENCY.figure else figure.unit
+    unit = "95 % interval" if figure is EFFICIENCY else figure.unit
     return _column(figure, "ideal 1" if figure.ideal is not None else unit)
 
 
 def figure_cell(figure: Figure, summary: FilterSummary, tone: Tone = "") -> Cell:
     """Value of a figure."""
     value = summary.figures[figure.name]
-    if figure is EFFICIENCY.figure:
-        return efficiency_cell(summary)
+    if figure is EFFICIENCY:
+        found = limit_reached(summary)
+        return number(None) if found is None else Cell(found.words, found.percent)
     if figure.per_runs:
         return Cell(f"{value}/{summary.runs}", value, "bad" if value else "")
     return number(figure.shown(value), f".{figure.digits}f", tone=tone)
@@ -136,30 +136,10 @@ def _shown(summaries: Sequence[FilterSummary], groups: Sequence[Group]) -> list[
     return [f for f in FIGURES.values() if f.group in groups and "report" in f.places and _is_known(f, summaries)]
 
 
-def _table(summaries: Sequence[FilterSummary], groups: Sequence[Group], who: str) -> str:
-    figures = _shown(summaries, groups)
-    cells = [[figure_cell(figure, s) for figure in figures] for s in summaries]
-    return _rows(summaries, who, [figure_column(figure) for figure in figures], cells)
-
-
 def _rows(
     summaries: Sequence[FilterSummary], who: str, columns: Sequence[Column], cells: Sequence[Sequence[Cell]]
-) -> str:
+) -> Markup:
     """Markup of a table with a row a filter."""
     colours = filter_colours(s.filter_name for s in summaries)
     rows = [[filter_cell(s.filter_name, colours), *row] for s, row in zip(summaries, cells, strict=True)]
     return table([Column(who, kind="text"), *columns], rows, wide=True)
-
-
-def _banded_cell(figure: Figure, summary: FilterSummary, found: ConsistencyFigure | None) -> Cell:
-    tone: Tone = ""
-    if found is not None:
-        low, high = found.band
-        tone = "bad" if found.mean > high else "fair" if found.mean < low else "good"
-    return figure_cell(figure, summary, tone)
-
-
-def efficiency_cell(summary: FilterSummary) -> Cell:
-    """Bound over RMSE with its interval, or that it is at the limit."""
-    found = limit_reached(summary)
-    return number(None) if found is None else Cell(found.words, found.percent)

@@ -4,11 +4,12 @@ from .corrupted_measurements import BiasedDisparity as BiasedDisparity
 from .corrupted_measurements import MisscaledNoise as MisscaledNoise
 from .corrupted_measurements import MissedDetections as MissedDetections
 from .corrupted_measurements import MovingLandmarks as MovingLandmarks
+from .corrupted_measurements import OfMeasurements as OfMeasurements
 from .corrupted_measurements import Outliers as Outliers
 from .corrupted_measurements import WrongCalibration as WrongCalibration
 from .corrupted_measurements import WrongIds as WrongIds
 from .corrupted_measurements import known_world as known_world
-from .corrupted_measurements import seen_elsewhere as seen_elsewhere
+from .corrupted_measurements import moved_on as moved_on
 from .corruptions import Blackouts as Blackouts
 from .corruptions import Corruption as Corruption
 from .corruptions import DroppedFrames as DroppedFrames

@@ -12,29 +12,31 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 from typing import Any, Protocol
 
 import numpy as np
 
-from filters import rotations
-from filters.interface import BodyVelocity, StereoObservation
+from filters import BodyVelocity, StereoObservation, rotations
 from filters.known_names import require_known
-from filters.validation import FloatArray, positive, probability
+from filters.validation import FloatArray, positive, probability, whole_number
 from stereo_slam_env.recording.recording import Frame, Recording, Velocity
 from stereo_slam_env.sensing.corrupted_measurements import (
     BiasedDisparity,
+    Checked,
     MisscaledNoise,
     MissedDetections,
     MovingLandmarks,
     Outliers,
     WrongCalibration,
     WrongIds,
+    checked,
 )
 
 
 @dataclass(frozen=True)
-class Blackouts:
+class Blackouts(Checked):
     """For a while nothing at all is measured: glare, a dark tunnel, a blank wall.
 
     Parameters
@@ -45,12 +47,8 @@ class Blackouts:
         How long each lasts, s; those that overlap are one.
     """
 
-    probability: float
-    seconds: float
-
-    def __post_init__(self) -> None:
-        probability("probability", self.probability)
-        positive("seconds", self.seconds)
+    probability: float = checked(probability)
+    seconds: float = checked(positive)
 
     def applied_to(self, recording: Recording, rng: np.random.Generator) -> Recording:
         """See `Corruption`."""
@@ -65,7 +63,7 @@ class Blackouts:
 
 
 @dataclass(frozen=True)
-class DroppedFrames:
+class DroppedFrames(Checked):
     """Frames that never arrive; the step over the gap is longer, and its odometry is that of the whole step.
 
     Parameters
@@ -74,10 +72,7 @@ class DroppedFrames:
         Of each frame but the first to be missing.
     """
 
-    probability: float
-
-    def __post_init__(self) -> None:
-        probability("probability", self.probability)
+    probability: float = checked(probability)
 
     def applied_to(self, recording: Recording, rng: np.random.Generator) -> Recording:
         """See `Corruption`."""
@@ -89,7 +84,7 @@ class DroppedFrames:
 
 
 @dataclass(frozen=True)
-class DuplicatedFrames:
+class DuplicatedFrames(Checked):
     """The camera delivers the picture before once more, as if it were new.
 
     Parameters
@@ -98,10 +93,7 @@ class DuplicatedFrames:
         Of each frame but the first to show the measurements of the one before.
     """
 
-    probability: float
-
-    def __post_init__(self) -> None:
-        probability("probability", self.probability)
+    probability: float = checked(probability)
 
     def applied_to(self, recording: Recording, rng: np.random.Generator) -> Recording:
         """See `Corruption`; time, odometry and truth go on."""
@@ -112,7 +104,7 @@ class DuplicatedFrames:
 
 
 @dataclass(frozen=True)
-class Latency:
+class Latency(Checked):
     """Measurements arrive late and are taken for current ones.
 
     Parameters
@@ -121,11 +113,7 @@ class Latency:
         By how many frames.
     """
 
-    frames: int
-
-    def __post_init__(self) -> None:
-        if type(self.frames) is not int or self.frames < 0:
-            raise ValueError(f"frames must be a whole number >= 0, got {self.frames!r}")
+    frames: int = checked(partial(whole_number, low=0))
 
     def applied_to(self, recording: Recording, rng: np.random.Generator) -> Recording:
         """See `Corruption`; nothing is random. Before the first measurements arrive there are none."""

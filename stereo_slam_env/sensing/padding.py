@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from filters.interface import StereoObservation
+from filters import StereoObservation
 
 NO_LANDMARK = -1
 """Id of a padding row."""

@@ -8,7 +8,7 @@ from typing import Literal, Protocol
 
 import numpy as np
 
-from filters.noise import StereoNoise
+from filters import StereoNoise
 from filters.validation import FloatArray, positive
 
 
@@ -93,21 +93,20 @@ def matching_errors(rng: np.random.Generator, shape: tuple[int, ...]) -> FloatAr
     return np.where(part == 2, rng.uniform(-_REACH, _REACH, shape), gaussian)
 
 
-class QuantisedPixels:
+class QuantisedPixels(IndependentPixels):
     """As `IndependentPixels`, and then all four coordinates are rounded to whole pixels, so that d is whole, too.
 
     Rounding adds 1/12 px^2 to each, independent of the rest as long as landmarks fall anywhere between pixels.
     """
 
     def __init__(self, sigma: float) -> None:
-        self.sigma = positive("sigma", sigma)
+        super().__init__(sigma)
         self.stereo_noise = StereoNoise.independent_pixels(float(np.sqrt(self.sigma**2 + 1.0 / 12.0)))
-        self._before = IndependentPixels(sigma)
-        self.largest_error = self._before.largest_error + 1.0
+        self.largest_error += 1.0
 
     def corrupt(self, uvd: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
         """See `PixelNoise.corrupt`; `v_right` is measured."""
-        measured, v_right = self._before.corrupt(uvd, rng)
+        measured, v_right = super().corrupt(uvd, rng)
         u_left, v_left, u_right = np.rint([measured[:, 0], measured[:, 1], measured[:, 0] - measured[:, 2]])
         return np.stack([u_left, v_left, u_left - u_right], axis=1), np.rint(v_right)
 

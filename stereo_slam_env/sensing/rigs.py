@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from filters.camera import StereoCamera
+from filters import StereoCamera
 from filters.known_names import require_known
 from filters.validation import finite_number
 

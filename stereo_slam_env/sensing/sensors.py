@@ -7,10 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from filters import rotations
-from filters.camera import StereoCamera
-from filters.interface import BodyVelocity, StereoObservation
-from filters.poses import Pose
+from filters import BodyVelocity, Pose, StereoCamera, StereoObservation, rotations
 from filters.validation import BoolArray, FloatArray, IntArray, positive, unchecked
 from stereo_slam_env.recording.recording import LandmarkTruth, Velocity
 from stereo_slam_env.sensing.pixel_noise import PixelNoise
@@ -21,28 +18,14 @@ Occlusion = Callable[[Pose, FloatArray], BoolArray]
 
 @dataclass(frozen=True)
 class TrackingPolicy:
-    """Number and visibility limits of the tracked landmarks.
+    """Number and visibility limits of the tracked landmarks."""
 
-    Attributes
-    ----------
-    max_landmarks : int
-        Most landmarks in one frame.
-    refill_below : int
-        New ones are only taken up, to `max_landmarks`, when fewer than this are left.
-    nearest, farthest : float
-        Range of depths z, m.
-    margin : float
-        Distance to the edge of both images, px.
-    revisit : bool
-        Whether a lost landmark may be tracked again, under its old id.
-    """
-
-    max_landmarks: int = 90
-    refill_below: int = 65
-    nearest: float = 4.0
-    farthest: float = 150.0
-    margin: float = 2.0
-    revisit: bool = False
+    max_landmarks: int = 90  # most landmarks in one frame
+    refill_below: int = 65  # new ones are only taken up, to `max_landmarks`, when fewer than this are left
+    nearest: float = 4.0  # least depth z, m
+    farthest: float = 150.0  # largest depth z, m
+    margin: float = 2.0  # distance to the edge of both images, px
+    revisit: bool = False  # whether a lost landmark may be tracked again, under its old id
 
 
 class LandmarkSensor:
@@ -119,13 +102,7 @@ class LandmarkSensor:
 
 
 class OdometrySensor:
-    """Measures the mean velocity of the left camera over a step.
-
-    Parameters
-    ----------
-    sigma_linear, sigma_angular : float
-        Standard deviation of each component, m/s and rad/s; 0 is allowed.
-    """
+    """Measures the mean velocity of the left camera over a step, with noise of a sigma for each axis, m/s and rad/s."""
 
     def __init__(self, sigma_linear: float, sigma_angular: float) -> None:
         sigmas = [

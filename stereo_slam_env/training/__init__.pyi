@@ -1,12 +1,12 @@
 """Public names of this room; each is imported when it is first used."""
 
-from .evaluation import Evaluation as Evaluation
-from .evaluation import LearningCurve as LearningCurve
-from .evaluation import evaluate as evaluate
 from .minari_episodes import export_episodes as export_episodes
 from .minari_episodes import load_episodes as load_episodes
 from .minari_episodes import recording_of_episode as recording_of_episode
 from .minari_episodes import seed_of as seed_of
+from .ppo import LearningCurve as LearningCurve
 from .ppo import PPOSettings as PPOSettings
 from .ppo import train as train
+from .task import Evaluation as Evaluation
 from .task import GazeTask as GazeTask
+from .task import evaluate as evaluate

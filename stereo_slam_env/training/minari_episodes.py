@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from unittest import mock
 
 import gymnasium as gym
 import numpy as np
@@ -21,8 +21,6 @@ from stereo_slam_env.world.routes import FRAME_PERIOD
 if TYPE_CHECKING:
     from minari import MinariDataset
     from minari.data_collector import EpisodeBuffer
-
-_FOLDER_VARIABLE = "MINARI_DATASETS_PATH"
 
 
 def export_episodes(
@@ -78,9 +76,14 @@ def export_episodes(
         raise ValueError(f"dataset_id {dataset_id!r} is taken in {folder}: use another version, or delete {place}")
     if not len(seeds):
         raise ValueError("seeds must name at least one episode, got none")
-    _require_recipe(env)
+    try:
+        recipe = env.spec and env.spec.to_json()
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"env cannot be made again from its spec: {error}") from error
+    if not recipe:
+        raise ValueError("env cannot be made again, as it has no spec: use gym.make and wrappers that keep arguments")
     episodes = [_episode(env, policy, seed, steps) for seed in seeds]
-    with _datasets_in(Path(folder)), warnings.catch_warnings():
+    with mock.patch.dict(os.environ, {"MINARI_DATASETS_PATH": str(folder)}), warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # Minari asks for an author, an e-mail address and a link
         return minari.create_dataset_from_buffers(
             dataset_id,
@@ -159,28 +162,24 @@ def _episode(env: gym.Env[Any, Any], policy: Policy, seed: int, steps: int | Non
 
     observation, info = env.reset(seed=seed)
     policy.reset(env, rng_of_policy(seed))
-    observations, infos = [observation], [info]
-    actions: list[Action] = []
-    rewards, terminations, truncations = [], [], []
-    over = False
+    outcomes: list[tuple[Action, float, bool, bool]] = []
+    observations, infos, over = [observation], [info], False
     while not over:
         action = policy.act(observation)
         observation, reward, terminated, truncated, info = env.step(action)
-        truncated = truncated or (len(actions) + 1 == steps and not terminated)
+        truncated = truncated or (len(outcomes) + 1 == steps and not terminated)
         over = terminated or truncated
         observations.append(observation)
         infos.append(info)
-        actions.append(action)
-        rewards.append(float(reward))
-        terminations.append(terminated)
-        truncations.append(truncated)
+        outcomes.append((action, float(reward), terminated, truncated))
+    actions, rewards, terminations, truncations = zip(*outcomes, strict=True)
     return EpisodeBuffer(
         seed=seed,
         observations=_stacked(observations),
         actions=np.stack(actions),
-        rewards=rewards,
-        terminations=terminations,
-        truncations=truncations,
+        rewards=list(rewards),
+        terminations=list(terminations),
+        truncations=list(truncations),
         infos=_stacked(infos),
     )
 
@@ -192,15 +191,6 @@ def _stacked(values: Sequence[Any]) -> Any:
     return np.stack(values)
 
 
-def _require_recipe(env: gym.Env[Any, Any]) -> None:
-    try:
-        recipe = env.spec and env.spec.to_json()
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"env cannot be made again from its spec: {error}") from error
-    if not recipe:
-        raise ValueError("env cannot be made again, as it has no spec: use gym.make and wrappers that keep arguments")
-
-
 def _place(dataset_id: str, folder: str | Path) -> Path:
     from minari.dataset.minari_dataset import DATASET_ID_RE
 
@@ -208,17 +198,3 @@ def _place(dataset_id: str, folder: str | Path) -> Path:
     if match is None or match.group("version") is None:
         raise ValueError(f"dataset_id must be like 'gaze/sweep-v0', got {dataset_id!r}")
     return Path(folder) / dataset_id
-
-
-@contextmanager
-def _datasets_in(folder: Path) -> Iterator[None]:
-    """Set the environment variable in which Minari looks for its folder."""
-    before = os.environ.get(_FOLDER_VARIABLE)
-    os.environ[_FOLDER_VARIABLE] = str(folder)
-    try:
-        yield
-    finally:
-        if before is None:
-            del os.environ[_FOLDER_VARIABLE]
-        else:
-            os.environ[_FOLDER_VARIABLE] = before

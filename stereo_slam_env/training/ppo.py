@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import logging
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,13 +16,10 @@ import numpy as np
 from joblib import cpu_count
 
 from filters.extras import require_module
-from filters.known_names import require_known
 from filters.validation import FloatArray, positive, probability, whole_number
-from stereo_slam_env.files.atomic import write_atomically
-from stereo_slam_env.files.folders import claimed_folder
+from stereo_slam_env.files.folders import claimed_folder, write_atomically
 from stereo_slam_env.policies.network import Network
-from stereo_slam_env.training.evaluation import LearningCurve, evaluate
-from stereo_slam_env.training.task import GazeTask
+from stereo_slam_env.training.task import Evaluation, GazeTask, evaluate
 
 if TYPE_CHECKING:
     from stable_baselines3 import PPO
@@ -102,11 +100,39 @@ class PPOSettings:
         """Decisions of each environment between two updates."""
         return max(self.rollout // self.environments, 1)
 
-    @classmethod
-    def from_dict(cls, data: Mapping[str, Any]) -> PPOSettings:
-        """Settings from their JSON form; an unknown key is refused with the nearest known one."""
-        require_known("settings have no key", data, [*cls.__dataclass_fields__])
-        return cls(**data)
+
+class LearningCurve:
+    """Learning curve in a CSV file, read back when a training goes on.
+
+    Parameters
+    ----------
+    file : Path
+        Need not exist yet.
+    """
+
+    def __init__(self, file: Path) -> None:
+        self._file = file
+        self.rows: list[dict[str, float]] = []
+        if file.exists():
+            with file.open(encoding="utf-8", newline="") as stream:
+                self.rows = [{name: float(value) for name, value in row.items()} for row in csv.DictReader(stream)]
+
+    @property
+    def seconds(self) -> float:
+        """Time of the training so far, s."""
+        return self.rows[-1]["seconds"] if self.rows else 0.0
+
+    def add(self, decisions: int, seconds: float, mean_return: float, results: Evaluation) -> bool:
+        """Add a row; whether it is the best so far, by the log det of the pose in the end."""
+        row = {"decisions": float(decisions), "seconds": seconds, "mean_return": mean_return, **asdict(results)}
+        best = all(results.final_pose_logdet < other["final_pose_logdet"] for other in self.rows)
+        self.rows.append(row)
+        with self._file.open("w", encoding="utf-8", newline="") as stream:
+            columns = ("decisions", "seconds", "mean_return", *(field.name for field in fields(Evaluation)))
+            writer = csv.DictWriter(stream, columns)
+            writer.writeheader()
+            writer.writerows({name: f"{value:.6g}" for name, value in row.items()} for row in self.rows)
+        return best
 
 
 def train(
@@ -160,10 +186,11 @@ def train(
 
         def look() -> None:
             """Evaluate the network, keep it if it is the best so far, and save the state of the training."""
-            about = {"task": task.as_dict(), "settings": asdict(settings), "decisions": model.num_timesteps}
+            about = {"task": asdict(task), "settings": asdict(settings), "decisions": model.num_timesteps}
             network = network_of(model, scaling, about, task.choices)
             results = evaluate(network, task, VALIDATION_SEEDS, processes=min(settings.environments, cpu_count()))
-            if curve.add(model.num_timesteps, time.monotonic() - began, _mean_return(model), results):
+            returns = [episode["r"] for episode in model.ep_info_buffer or ()] or [np.nan]
+            if curve.add(model.num_timesteps, time.monotonic() - began, float(np.mean(returns)), results):
                 network.save(out / "policy.npz")
             _save_state(out / "state.pt", model, scaling)
             _log.info("%d decisions: final position sigma %.3f m", model.num_timesteps, results.final_position_sigma_m)
@@ -182,14 +209,9 @@ def train(
     return out / "policy.npz"
 
 
-def _mean_return(model: PPO) -> float:
-    episodes = model.ep_info_buffer or ()
-    return float(np.mean([episode["r"] for episode in episodes])) if episodes else float("nan")
-
-
 def _claim(out: Path, task: GazeTask, settings: PPOSettings) -> None:
     """Write task and settings, or check that those of the run in `out` are the same except for its length."""
-    about = json.loads(json.dumps({"task": task.as_dict(), "settings": asdict(settings)}))
+    about = json.loads(json.dumps({"task": asdict(task), "settings": asdict(settings)}))
     file = out / "run.json"
     if file.exists():
         there = json.loads(file.read_text(encoding="utf-8"))
@@ -243,25 +265,19 @@ def network_of(
 ) -> Network:
     """The policy network of a PPO model with a `MultiInputPolicy` of tanh layers, as plain arrays.
 
-    Parameters
-    ----------
-    model : stable_baselines3.PPO
-        The model.
-    scaling : stable_baselines3.common.vec_env.VecNormalize
-        Of its observations, a Dict of boxes.
-    about : mapping
-        Kept with the network; JSON-able.
-    choices : (A, n), optional
-        The actions that the numbers of a discrete action space stand for.
+    `scaling` is that of its observations, a Dict of boxes; `about` is kept with it; `choices` (A, n) are the actions
+    that the numbers of a discrete action space stand for.
     """
     state = {name: np.asarray(tensor.tolist()) for name, tensor in model.policy.state_dict().items()}
     hidden = sorted({int(name.split(".")[2]) for name in state if name.startswith("mlp_extractor.policy_net.")})
     layers = [f"mlp_extractor.policy_net.{number}" for number in hidden] + ["action_net"]
     keys = tuple(scaling.obs_rms)  # in the order in which the features are joined
-    variance = np.concatenate([np.ravel(scaling.obs_rms[key].var) for key in keys])
+    mean, variance = (
+        np.concatenate([np.ravel(getattr(scaling.obs_rms[k], of)) for k in keys]) for of in ("mean", "var")
+    )
     return Network(
         keys,
-        np.concatenate([np.ravel(scaling.obs_rms[key].mean) for key in keys]),
+        mean,
         np.sqrt(variance + scaling.epsilon),
         float(scaling.clip_obs),
         tuple(state[f"{layer}.weight"] for layer in layers),
@@ -269,6 +285,11 @@ def network_of(
         about,
         choices,
     )
+
+
+def _moments(scaling: VecNormalize) -> dict[str, Any]:
+    """Running moments of each key of the observation and, under "", of the reward."""
+    return {**scaling.obs_rms, "": scaling.ret_rms}
 
 
 def _save_state(file: Path, model: PPO, scaling: VecNormalize) -> None:
@@ -279,8 +300,10 @@ def _save_state(file: Path, model: PPO, scaling: VecNormalize) -> None:
         "policy": model.policy.state_dict(),
         "optimizer": model.policy.optimizer.state_dict(),
         "decisions": model.num_timesteps,
-        "observation": {key: _moments(moments) for key, moments in scaling.obs_rms.items()},
-        "reward": _moments(scaling.ret_rms),
+        "moments": {
+            key: (np.asarray(rms.mean).tolist(), np.asarray(rms.var).tolist(), float(rms.count))
+            for key, rms in _moments(scaling).items()
+        },
     }
     write_atomically(file, lambda stream: torch.save(state, stream))
 
@@ -292,21 +315,6 @@ def _load_state(file: Path, model: PPO, scaling: VecNormalize) -> None:
     model.policy.load_state_dict(state["policy"])
     model.policy.optimizer.load_state_dict(state["optimizer"])
     model.num_timesteps = state["decisions"]
-    for key, moments in state["observation"].items():
-        _set_moments(scaling.obs_rms[key], moments)
-    _set_moments(scaling.ret_rms, state["reward"])
-
-
-def _moments(moments: Any) -> dict[str, Any]:
-    import torch
-
-    return {
-        "mean": torch.tensor(np.asarray(moments.mean)),
-        "var": torch.tensor(np.asarray(moments.var)),
-        "count": float(moments.count),
-    }
-
-
-def _set_moments(moments: Any, stored: Mapping[str, Any]) -> None:
-    moments.mean, moments.var = stored["mean"].numpy(), stored["var"].numpy()
-    moments.count = stored["count"]
+    for key, rms in _moments(scaling).items():
+        mean, variance, rms.count = state["moments"][key]
+        rms.mean, rms.var = np.asarray(mean), np.asarray(variance)

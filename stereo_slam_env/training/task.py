@@ -1,19 +1,21 @@
-"""The task of a training: an environment with a filter in the loop, and information gain as the reward."""
+"""The task of a training, with information gain as the reward, and how well a network does in it."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 from gymnasium.wrappers import FilterObservation, RepeatAction, TransformAction
+from joblib import Parallel, delayed
+from threadpoolctl import threadpool_limits
 
-from filters.known_names import require_known
 from filters.validation import FloatArray, positive, whole_number
 from stereo_slam_env.policies.interface import gaze_action, require_head
+from stereo_slam_env.policies.network import Network
 from stereo_slam_env.wrappers import BeliefObservation, BeliefPanorama, InformationGain
 from stereo_slam_env.wrappers.information import Criterion
 
@@ -92,12 +94,50 @@ class GazeTask:
             return None
         return np.column_stack([np.linspace(-1.0, 1.0, self.pans), np.zeros(self.pans)])
 
-    def as_dict(self) -> dict[str, Any]:
-        """JSON-able form; `from_dict` reads it."""
-        return asdict(self)
 
-    @classmethod
-    def from_dict(cls, data: Mapping[str, Any]) -> GazeTask:
-        """A task from its JSON form; an unknown key is refused with the nearest known one."""
-        require_known("task has no key", data, [*cls.__dataclass_fields__])
-        return cls(**data)
+@dataclass(frozen=True)
+class Evaluation:
+    """Means over episodes.
+
+    Attributes
+    ----------
+    final_position_sigma_m : float
+        Root of the trace of the position covariance at the end.
+    final_pose_logdet : float
+        Natural logarithm of the determinant of the pose covariance at the end (m, rad).
+    position_rmse_m : float
+        Root mean square of the true position error over each episode.
+    final_position_error_m : float
+        True position error at the end.
+    """
+
+    final_position_sigma_m: float
+    final_pose_logdet: float
+    position_rmse_m: float
+    final_position_error_m: float
+
+
+def evaluate(network: Network | None, task: GazeTask, seeds: Sequence[int], *, processes: int = 1) -> Evaluation:
+    """Run an episode for each seed; without a network the head looks straight ahead."""
+    with threadpool_limits(1):
+        rows = Parallel(processes)(delayed(_figures)(network, task, seed) for seed in seeds)
+    return Evaluation(*(float(value) for value in np.mean(rows, axis=0)))
+
+
+def _figures(network: Network | None, task: GazeTask, seed: int) -> list[float]:
+    """The figures of `Evaluation`, of one episode."""
+    env = task.make_held()
+    try:
+        observation, info = env.reset(seed=seed)
+        slam = env.get_wrapper_attr("slam")
+        errors, over = [], False
+        while not over:
+            action = gaze_action(env, np.zeros(2) if network is None else network.action(observation))
+            observation, _, terminated, truncated, info = env.step(action)
+            errors.append(float(np.linalg.norm(slam.pose.position - info["truth_position"])))
+            over = terminated or truncated
+    finally:
+        env.close()
+    P = slam.pose.covariance
+    rmse = float(np.sqrt(np.mean(np.square(errors))))
+    return [float(np.sqrt(np.trace(P[:3, :3]))), float(np.linalg.slogdet(P)[1]), rmse, errors[-1]]

@@ -4,6 +4,7 @@ from .drive import Drive as Drive
 from .drive import revisit as revisit
 from .drive_picture import save_film as save_film
 from .drive_picture import save_still as save_still
+from .drive_picture import style_context as style_context
 from .rerun_view import RerunView as RerunView
 from .search_view import search_film as search_film
 from .search_view import search_picture as search_picture

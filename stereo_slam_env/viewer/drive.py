@@ -19,7 +19,6 @@ from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice
 from stereo_slam_env.benchmark.scenarios.streams import make_sequence, without_measurements
 from stereo_slam_env.benchmark.storage.run_archive import load_run
 from stereo_slam_env.benchmark.storage.store import RunDirectory, read_study
-from stereo_slam_env.evaluation.results import FilterRun
 from stereo_slam_env.frontend.recorder import ActiveSearch
 from stereo_slam_env.loop import Moment, Observe, run
 from stereo_slam_env.recording.archive import load_recording
@@ -111,7 +110,10 @@ def revisit(directory: Path, filter_name: str | None = None, seed: int | None = 
     """
     kept = _only_cell(directory)
     choice = _chosen(kept, filter_name)
-    which = _seed(kept, seed)
+    which = kept.seeds[0] if seed is None else seed
+    if which not in kept.seeds:
+        known = "none, it is one real recording" if kept.seeds == (None,) else ", ".join(map(str, kept.seeds))
+        raise ValueError(f"seed must be one of the run's ({known}), got {seed}")
     scenario = kept.scenario
     path = kept.trial_path(which, choice)
     if not path.exists():
@@ -120,7 +122,10 @@ def revisit(directory: Path, filter_name: str | None = None, seed: int | None = 
     recording = load_recording(kept.recording_path(which, choice))
     failed = ""
     if done.failure is not None:
-        recording = _until_failure(recording, done)
+        frames = int(np.isfinite(done.positions).all(axis=1).sum())
+        if frames == 0:
+            raise ValueError(f"{done.filter_name} has nothing to show, it failed in {done.failure}")
+        recording = dataclasses.replace(recording, frames=recording.frames[:frames])
         failed = f", until it failed in {done.failure}"
     observe: Observe | None = None
     if scenario.search == "forecast":
@@ -140,14 +145,6 @@ def revisit(directory: Path, filter_name: str | None = None, seed: int | None = 
     )
 
 
-def _until_failure(recording: Recording, done: FilterRun) -> Recording:
-    """The frames before the failure of the filter."""
-    frames = int(np.isfinite(done.positions).all(axis=1).sum())
-    if frames == 0:
-        raise ValueError(f"{done.filter_name} has nothing to show, it failed in {done.failure}")
-    return dataclasses.replace(recording, frames=recording.frames[:frames])
-
-
 def _only_cell(directory: Path) -> RunDirectory:
     cells = read_study(directory).cells
     if len(cells) > 1:
@@ -162,12 +159,3 @@ def _chosen(run: RunDirectory, name: str | None) -> FilterChoice:
         if name in (None, choice.label):
             return choice
     raise ValueError(f"filter must be one of {', '.join(c.label for c in competitors)}, got {name!r}")
-
-
-def _seed(run: RunDirectory, seed: int | None) -> int | None:
-    if seed is None:
-        return run.seeds[0]
-    if seed not in run.seeds:
-        known = "none, it is one real recording" if run.seeds == (None,) else ", ".join(map(str, run.seeds))
-        raise ValueError(f"seed must be one of the run's ({known}), got {seed}")
-    return seed

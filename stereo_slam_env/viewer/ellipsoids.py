@@ -16,16 +16,10 @@ LARGEST = 25.0
 
 
 class Ellipsoids(NamedTuple):
-    """Ellipsoids of covariances at `SIGMAS` standard deviations.
+    """Ellipsoids of N covariances at `SIGMAS` standard deviations: half axes (N, n), m, and their directions (N, n, n).
 
-    Attributes
-    ----------
-    half_sizes : (N, n)
-        Half axes, m.
-    axes : (N, n, n)
-        Directions as columns, a right-handed rotation.
-    drawn : (N,) bool
-        Whether to draw it: the covariance is finite and positive semi-definite, no half axis above `LARGEST`.
+    The directions are columns, a right-handed rotation. `drawn` (N,) says whether to draw it: the covariance is finite
+    and positive semi-definite, no half axis above `LARGEST`.
     """
 
     half_sizes: FloatArray

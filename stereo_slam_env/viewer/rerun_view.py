@@ -23,7 +23,7 @@ import sysconfig
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from types import ModuleType, TracebackType
+from types import ModuleType
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -100,7 +100,7 @@ class RerunView:
         self._rr = require_rerun()
         self._camera = camera
         self._colours = filter_colours(labels)
-        self._last: dict[str, FloatArray] = {}
+        self._last: dict[tuple[str, ...], FloatArray] = {}
         self._stream = self._rr.RecordingStream("stereo-slam")
         open_sink(self._stream, _layout(self._rr, list(labels)), save, connect)
         self._stream.send_recording_name(title)
@@ -137,9 +137,7 @@ class RerunView:
     def __enter__(self) -> RerunView:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _log(self, path: tuple[str, ...], *what: Any, static: bool = False) -> None:
@@ -221,14 +219,13 @@ class RerunView:
 
     def _extend(self, path: tuple[str, ...], position: FloatArray, colour: str, radius: float) -> None:
         """Log the newest piece of a path; the layout shows all pieces up to the time that is looked at."""
-        key = "/".join(path)
-        before = self._last.get(key, position)
-        self._last[key] = position.copy()
+        before = self._last.get(path, position)
+        self._last[path] = position.copy()
         self._log(path, self._rr.LineStrips3D([[before, position]], colors=[_rgb(colour)], radii=[radius]))
 
 
 def _rgb(colour: str) -> tuple[int, int, int]:
-    red, green, blue = (int(colour[at : at + 2], 16) for at in (1, 3, 5))
+    red, green, blue = bytes.fromhex(colour[1:])
     return red, green, blue
 
 
@@ -262,26 +259,7 @@ def require_rerun() -> ModuleType:
 
 
 def open_sink(stream: Any, layout: Any, save: str | Path | None = None, connect: str | None = None) -> None:
-    """Send a recording to a file, to the viewer at an address or, without both, to a viewer opened here.
-
-    Parameters
-    ----------
-    stream : rerun.RecordingStream
-        The recording; nothing has been logged yet.
-    layout : rerun.blueprint.Blueprint
-        Initial layout of the viewer.
-    save : str or Path, optional
-        An .rrd file.
-    connect : str, optional
-        Address of a viewer, such as rerun+http://127.0.0.1:9876/proxy.
-
-    Raises
-    ------
-    ValueError
-        `save` and `connect` together, a file that cannot be written, an address that is none, or no display.
-    ConnectionError
-        No viewer answers at the address, or none could be opened.
-    """
+    """Send a recording to a file, to the viewer at an address or, without both, to a viewer opened here."""
     if save is not None and connect is not None:
         raise ValueError("save and connect exclude each other: give one of them")
     if save is not None:
@@ -292,19 +270,16 @@ def open_sink(stream: Any, layout: Any, save: str | Path | None = None, connect:
         with _one_line():
             stream.connect_grpc(connect, default_blueprint=layout)
     else:
-        _require_display()
+        if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+            raise ValueError("no display for Rerun's viewer here: save a file, or connect to a viewer elsewhere")
+        # The viewer that came with this Python: its folder need not be on the PATH. None leaves the search to Rerun.
+        viewer = shutil.which("rerun", path=sysconfig.get_path("scripts"))
         with _one_line():
-            require_rerun().spawn(executable_path=_viewer(), recording=stream, default_blueprint=layout)
+            require_rerun().spawn(executable_path=viewer, recording=stream, default_blueprint=layout)
 
 
 def close_sink(stream: Any) -> None:
-    """Send or write what is left; may be called twice.
-
-    Raises
-    ------
-    ConnectionError
-        The viewer went away, or the file cannot take it: what was shown is not whole.
-    """
+    """Send or write what is left; may be called twice."""
     try:
         with _one_line():
             stream.flush(timeout_sec=_FLUSH)
@@ -337,13 +312,3 @@ def _require_answer(address: str) -> None:
             f"no viewer answers at {address} ({error.strerror or error}): start one there, "
             "with `rerun`, or with `rerun --serve-web` for a browser"
         ) from error
-
-
-def _require_display() -> None:
-    if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        raise ValueError("no display for Rerun's viewer here: save a file, or connect to a viewer that runs elsewhere")
-
-
-def _viewer() -> str | None:
-    """The viewer that came with this Python: its folder need not be on the PATH. None leaves the search to Rerun."""
-    return shutil.which("rerun", path=sysconfig.get_path("scripts"))

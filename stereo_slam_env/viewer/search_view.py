@@ -22,6 +22,7 @@ from stereo_slam_env.rendering.drawing import (
     both_views,
     caption_bar,
     disparity_colors,
+    fixed_point,
     label,
     line_scale,
 )
@@ -38,13 +39,27 @@ _FOUND: Color = (120, 235, 205)
 _TO_RIGHT = np.array([[1.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 """(u, v, d) to the pixel of the right image."""
 
-Draw = Callable[[Image, FloatArray, Color, float], None]
-
 
 class _Mark(NamedTuple):
     words: str
     color: Color
-    draw: Draw
+    shape: str
+
+
+_MATCHED = _Mark("matched", (120, 230, 90), "dot")
+_NEW = _Mark("new", (255, 255, 255), "square")
+_MARKS = {
+    Outcome.NO_MATCH: _Mark("no match", (255, 214, 80), "saltire"),
+    Outcome.NO_DISPARITY: _Mark("no disparity", (255, 150, 60), "plus"),
+    Outcome.INCONSISTENT: _Mark("inconsistent", (255, 90, 90), "saltire"),
+    Outcome.MOVING: _Mark("moving", (255, 105, 230), "ring"),
+    Outcome.OUT_OF_VIEW: _Mark("out of view", (170, 176, 184), "plus"),
+}
+_STROKES = {
+    "square": np.array([[(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0)]]),
+    "saltire": np.array([[(-1.0, -1.0), (1.0, 1.0)], [(-1.0, 1.0), (1.0, -1.0)]]),
+    "plus": 1.2 * np.array([[(-1.0, 0.0), (1.0, 0.0)], [(0.0, -1.0), (0.0, 1.0)]]),
+}
 
 
 @contextmanager
@@ -132,7 +147,6 @@ def _pixels(uvd: FloatArray, view: int) -> FloatArray:
 
 
 def _draw_searches(canvas: Image, search: Search, view: int, factor: int) -> None:
-    size = _mark_size(canvas.shape[1])
     project = np.eye(3)[:2] if view == 0 else _TO_RIGHT
     axes, angles = _ellipses(project @ search.S @ project.T)
     expected = _on_canvas(_pixels(search.predicted, view), factor)
@@ -142,29 +156,27 @@ def _draw_searches(canvas: Image, search: Search, view: int, factor: int) -> Non
     for i in np.flatnonzero(np.isfinite(expected).all(axis=1) & np.isfinite(axes).all(axis=1)):
         mark = _MARKS.get(Outcome(int(search.outcome[i])))
         color = _FOUND if mark is None else mark.color
-        _ellipse(canvas, expected[i], axes[i] * factor, float(angles[i]), color)
+        if (np.abs(expected[i]) <= 4 * _LARGEST_AXIS).all():
+            size = _fixed(np.clip(axes[i] * factor, 1.0, _LARGEST_AXIS))
+            for thickness, ink in ((3, INK), (1, color)):
+                angle = float(angles[i])
+                cv2.ellipse(canvas, _fixed(expected[i]), size, angle, 0, 360, ink, thickness, cv2.LINE_AA, SUBPIXEL)
         if mark is not None:
-            mark.draw(canvas, places[i], mark.color, size)
+            _draw_mark(canvas, mark.shape, places[i], color)
 
 
 def _draw_measurements(canvas: Image, tracked: TrackedPair, view: int, factor: int) -> None:
-    size = _mark_size(canvas.shape[1])
     uvd = tracked.observation.uvd
     pixels = _pixels(uvd, view)
     if view == 1 and tracked.observation.v_right is not None:
         pixels = np.column_stack([pixels[:, 0], tracked.observation.v_right])
     centers = _on_canvas(pixels, factor)
-    colors = disparity_colors(uvd[:, 2])
+    colors = disparity_colors(uvd[:, 2]).tolist()
     new = np.isin(tracked.observation.ids, tracked.initialised)
     for i in np.argsort(uvd[:, 2]):  # near ones on top
-        color = (int(colors[i][0]), int(colors[i][1]), int(colors[i][2]))
-        if new[i]:
-            if view == 0:
-                end = centers[i] - [float(uvd[i, 2]) * factor, 0.0]
-                _lines(canvas, [(centers[i], end)], color, (3, 1))
-            _square(canvas, centers[i], color, size)
-        else:
-            _dot(canvas, centers[i], color, size)
+        if new[i] and view == 0:
+            _draw_lines(canvas, np.array([[centers[i], centers[i] - [uvd[i, 2] * factor, 0.0]]]), colors[i], (3, 1))
+        _draw_mark(canvas, (_NEW if new[i] else _MATCHED).shape, centers[i], colors[i])
 
 
 def _ellipses(covariances: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -176,57 +188,23 @@ def _ellipses(covariances: FloatArray) -> tuple[FloatArray, FloatArray]:
     return np.where(finite[:, None], axes, np.nan), angles
 
 
-def _ellipse(canvas: Image, center: FloatArray, axes: FloatArray, angle: float, color: Color) -> None:
-    if (np.abs(center) > _LARGEST_AXIS * 4).any():
+def _draw_mark(canvas: Image, shape: str, center: FloatArray, color: Color, size: float | None = None) -> None:
+    """A mark with a dark edge; it is as large as suits the width of the picture."""
+    size = _mark_size(canvas.shape[1]) if size is None else size
+    if shape in _STROKES:
+        _draw_lines(canvas, center + (3.8 * size + 0.6) * _STROKES[shape], color, (4, 2))
         return
-    size = _fixed(np.clip(axes, 1.0, _LARGEST_AXIS))
-    for thickness, ink in ((3, INK), (1, color)):
-        cv2.ellipse(canvas, _fixed(center), size, angle, 0.0, 360.0, ink, thickness, cv2.LINE_AA, SUBPIXEL)
+    for wider, ink in ((1, INK), (0, color)):
+        dot = shape == "dot"
+        radius = 3.6 * size + 0.4 + wider * (size + 0.4) if dot else 6.2 * size + 1.0
+        reach, thickness = round(radius * (1 << SUBPIXEL)), -1 if dot else 2 + 3 * wider
+        cv2.circle(canvas, _fixed(center), reach, ink, thickness, cv2.LINE_AA, SUBPIXEL)
 
 
-def _dot(canvas: Image, center: FloatArray, color: Color, size: float) -> None:
-    for radius, ink in ((4.6 * size + 0.8, INK), (3.6 * size + 0.4, color)):
-        cv2.circle(canvas, _fixed(center), _length(radius), ink, -1, cv2.LINE_AA, SUBPIXEL)
-
-
-def _ring(canvas: Image, center: FloatArray, color: Color, size: float) -> None:
-    for thickness, ink in ((5, INK), (2, color)):
-        cv2.circle(canvas, _fixed(center), _length(6.2 * size + 1.0), ink, thickness, cv2.LINE_AA, SUBPIXEL)
-
-
-def _square(canvas: Image, center: FloatArray, color: Color, size: float) -> None:
-    half = 3.8 * size + 0.6
-    for thickness, ink in ((4, INK), (2, color)):
-        cv2.rectangle(canvas, _fixed(center - half), _fixed(center + half), ink, thickness, cv2.LINE_AA, SUBPIXEL)
-
-
-def _saltire(canvas: Image, center: FloatArray, color: Color, size: float) -> None:
-    reach = 3.8 * size + 0.6
-    _lines(canvas, [(center - step, center + step) for step in reach * np.array([[1.0, 1.0], [1.0, -1.0]])], color)
-
-
-def _plus(canvas: Image, center: FloatArray, color: Color, size: float) -> None:
-    reach = 4.6 * size + 0.6
-    _lines(canvas, [(center - step, center + step) for step in reach * np.eye(2)], color)
-
-
-def _lines(
-    canvas: Image, ends: Sequence[tuple[FloatArray, FloatArray]], color: Color, widths: tuple[int, int] = (4, 2)
-) -> None:
+def _draw_lines(canvas: Image, lines: FloatArray, color: Color, widths: tuple[int, int]) -> None:
+    pixels = fixed_point(np.clip(lines, -_FARTHEST, _FARTHEST))
     for thickness, ink in zip(widths, (INK, color), strict=True):
-        for begin, end in ends:
-            cv2.line(canvas, _fixed(begin), _fixed(end), ink, thickness, cv2.LINE_AA, SUBPIXEL)
-
-
-_MATCHED = _Mark("matched", (120, 230, 90), _dot)
-_NEW = _Mark("new", (255, 255, 255), _square)
-_MARKS = {
-    Outcome.NO_MATCH: _Mark("no match", (255, 214, 80), _saltire),
-    Outcome.NO_DISPARITY: _Mark("no disparity", (255, 150, 60), _plus),
-    Outcome.INCONSISTENT: _Mark("inconsistent", (255, 90, 90), _saltire),
-    Outcome.MOVING: _Mark("moving", (255, 105, 230), _ring),
-    Outcome.OUT_OF_VIEW: _Mark("out of view", (170, 176, 184), _plus),
-}
+        cv2.polylines(canvas, list(pixels), False, ink, thickness, cv2.LINE_AA, SUBPIXEL)
 
 
 def _legend(width: int, tracked: TrackedPair, size: float) -> Image:
@@ -247,16 +225,12 @@ def _legend(width: int, tracked: TrackedPair, size: float) -> Image:
     bar = np.full((rows * row + int(6 * size), width, 3), INK, dtype=np.uint8)
     for mark, words, x, line in places:
         middle = (line - 0.5) * row + 3 * size
-        mark.draw(bar, np.array([x, middle]), mark.color, size)
+        _draw_mark(bar, mark.shape, np.array([x, middle]), mark.color, size)
         at = (x + int(0.7 * gap), int(middle + 5 * size))
         cv2.putText(bar, words, at, FONT, text, PAPER, 1, cv2.LINE_AA)
     return bar
 
 
 def _fixed(pixel: FloatArray) -> tuple[int, int]:
-    u, v = (_length(min(max(float(x), -_FARTHEST), _FARTHEST)) for x in pixel)
+    u, v = fixed_point(np.clip(pixel, -_FARTHEST, _FARTHEST)).tolist()
     return u, v
-
-
-def _length(pixels: float) -> int:
-    return round(pixels * (1 << SUBPIXEL))

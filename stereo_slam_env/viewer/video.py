@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from types import TracebackType
 
 import cv2
 import numpy as np
@@ -81,26 +80,18 @@ class Recorder:
 
     def close(self) -> None:
         """Complete the file and give it its name; may be called twice."""
-        if self._writer is None:
-            return
-        self._release()
-        os.replace(self._partial, self.path)
-
-    def discard(self) -> None:
-        """Leave no file; may be called twice, and after `close` does nothing."""
-        self._release()
-        self._partial.unlink(missing_ok=True)
+        if self._writer is not None:
+            self._release()
+            os.replace(self._partial, self.path)
 
     def __enter__(self) -> Recorder:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         if kind is None:
             self.close()
-        else:
-            self.discard()
+        self._release()
+        self._partial.unlink(missing_ok=True)
 
     def _open(self, size: tuple[int, int]) -> cv2.VideoWriter:
         writer = cv2.VideoWriter(str(self._partial), cv2.VideoWriter.fourcc(*_CODEC), self._fps, size)

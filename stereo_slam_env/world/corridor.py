@@ -102,9 +102,8 @@ def _wall(start: FloatArray, end: FloatArray, outwards: float, free: _Free) -> l
 
 
 def _ceiling(road: Road, piece: slice) -> list[Primitive]:
-    joints = _joints(road, piece)
     slabs: list[Primitive] = []
-    for first, last in pairwise(joints):
+    for first, last in pairwise(_joints(road, piece)):
         along = road.points[last] - road.points[first]
         length = float(np.hypot(*along))
         bend = float(np.abs(road.bends[first : last + 1]).max())

@@ -7,7 +7,6 @@ W, the world frame of filters and truth: the left camera at reset (x right, y do
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,31 +20,20 @@ R_SW.flags.writeable = False
 
 @dataclass(frozen=True)
 class WorldFrame:
-    """Pose of W in S.
-
-    Parameters
-    ----------
-    camera_height : float
-        Height of the first camera above the ground, m.
-    """
+    """Pose of W in S, by the height of the first camera above the ground, m."""
 
     camera_height: float
 
     def to_scene(self, points_w: ArrayLike) -> FloatArray:
         """Points of W in S; (..., 3) m -> (..., 3) m."""
-        points: FloatArray = np.asarray(points_w, dtype=np.float64) @ R_SW.T + self._origin_s
+        points: FloatArray = np.asarray(points_w, dtype=np.float64) @ R_SW.T + [0.0, 0.0, self.camera_height]
         return points
 
     def to_world(self, points_s: ArrayLike) -> FloatArray:
         """Points of S in W; (..., 3) m -> (..., 3) m."""
-        points: FloatArray = (np.asarray(points_s, dtype=np.float64) - self._origin_s) @ R_SW
+        points: FloatArray = (np.asarray(points_s, dtype=np.float64) - [0.0, 0.0, self.camera_height]) @ R_SW
         return points
 
     def rotation_to_scene(self, R_wc: ArrayLike) -> FloatArray:
         """R_sc of a camera whose rotation in W is `R_wc`; (3, 3) -> (3, 3)."""
-        rotation: FloatArray = R_SW @ np.asarray(R_wc, dtype=np.float64)
-        return rotation
-
-    @cached_property
-    def _origin_s(self) -> FloatArray:
-        return np.array([0.0, 0.0, self.camera_height])
+        return R_SW @ np.asarray(R_wc, dtype=np.float64)

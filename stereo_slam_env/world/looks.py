@@ -56,21 +56,10 @@ _DEPTH = 60.0
 
 
 def in_fog(scene: Scene, visibility: float) -> Scene:
-    """The scene in fog; layout, colours and sun stay.
+    """The scene in fog in which 5 % of the contrast is left at `visibility`, m; layout, colours and sun stay.
 
-    The sky fades to the grey of its horizon. Call it after `with_other_look`, which draws air of its own.
-
-    Parameters
-    ----------
-    scene : Scene
-    visibility : float
-        Distance at which 5 % of the contrast is left (Koschmieder's law, C = exp(-3 d / visibility)), m. Where the
-        scene is hazier already, that stays.
-
-    Raises
-    ------
-    ValueError
-        `visibility` is not positive.
+    Koschmieder's law: C = exp(-3 d / visibility); where the scene is hazier already, that stays. The sky fades to the
+    grey of its horizon. Call it after `with_other_look`, which draws air of its own.
     """
     look = scene.look
     haze_range = min(look.haze_range, positive("visibility", visibility) / _RANGES)

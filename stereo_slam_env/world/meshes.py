@@ -23,16 +23,9 @@ Drawn = Ground | Ribbon | Primitive
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """Triangles in S, or in the frame of a moving body.
+    """Triangles (T, 3) in S, or in the frame of a moving body, counter-clockwise from outside.
 
-    Attributes
-    ----------
-    vertices, normals : (V, 3)
-        m; unit outward normals.
-    uvs : (V, 2)
-        Texture coordinates >= 0 in repeats: u along, v up.
-    triangles : (T, 3) int
-        Vertex indices, counter-clockwise from outside.
+    Vertices (V, 3), m, with unit outward normals (V, 3) and texture coordinates >= 0 in repeats (V, 2): u along, v up.
     """
 
     vertices: FloatArray

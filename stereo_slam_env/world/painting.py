@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
-from filters.validation import FloatArray
+from filters.validation import BoolArray, FloatArray
 
 Painter = Callable[[np.random.Generator], FloatArray]
 """Paints an image (H, W, 3) of reflectances, about 0..1; sides are powers of two where it must repeat."""
@@ -39,23 +40,38 @@ def grain(rng: np.random.Generator, size: int, level: float, strength: float) ->
                  + noise(rng, size, 32, strength))  # fmt: skip
 
 
-def _meadow(rng: np.random.Generator) -> FloatArray:
-    """Grass with hardly any contrast, in large smooth patches."""
-    return tinted((0.46, 0.56, 0.30), 1.0 + noise(rng, 256, 64, 0.025) + noise(rng, 256, 16, 0.006))
+def written(shape: tuple[int, int], text: str, at: tuple[int, int], scale: float, thickness: int) -> BoolArray:
+    """Mask of the ink of `text` written with its lower left corner `at` (x, y)."""
+    ink = np.zeros(shape, dtype=np.uint8)
+    cv2.putText(ink, text, at, cv2.FONT_HERSHEY_SIMPLEX, scale, 255, thickness)
+    return np.asarray(ink > 127)
 
 
-def _track(rng: np.random.Generator) -> FloatArray:
-    """A lane of fine gravel, smooth from a car."""
-    return tinted((0.62, 0.59, 0.53), 1.0 + noise(rng, 256, 64, 0.02) + noise(rng, 256, 16, 0.006))
+class Speckle(NamedTuple):
+    """A surface of one tint: brightness within bounds, and noise by scale (px) and strength."""
+
+    color: tuple[float, float, float]
+    size: int
+    level: float
+    noises: tuple[tuple[int, float], ...]
+    bounds: tuple[float, float] = (-np.inf, np.inf)
+
+    def __call__(self, rng: np.random.Generator) -> FloatArray:
+        """Paint it."""
+        shade = sum(noise(rng, self.size, scale, strength) for scale, strength in self.noises)
+        return tinted(self.color, np.clip(self.level + shade, *self.bounds))
 
 
-def _woods(rng: np.random.Generator) -> FloatArray:
-    """The crowns of a forest from afar."""
-    shade = noise(rng, 256, 4, 0.10) + noise(rng, 256, 8, 0.12) + noise(rng, 256, 32, 0.10)
-    return tinted((0.45, 0.60, 0.34), np.clip(0.8 + shade, 0.25, 1.15))
+SPECKLES = {
+    "meadow": Speckle((0.46, 0.56, 0.30), 256, 1.0, ((64, 0.025), (16, 0.006))),  # hardly any contrast
+    "track": Speckle((0.62, 0.59, 0.53), 256, 1.0, ((64, 0.02), (16, 0.006))),  # fine gravel, smooth from a car
+    "woods": Speckle((0.45, 0.60, 0.34), 256, 0.8, ((4, 0.10), (8, 0.12), (32, 0.10)), (0.25, 1.15)),  # from afar
+    "grass": Speckle((0.40, 0.50, 0.25), 256, 1.0, ((2, 0.05), (16, 0.05), (64, 0.04))),
+    "leaves": Speckle((0.62, 0.85, 0.42), 128, 0.75, ((4, 0.16), (16, 0.12)), (0.3, 1.0)),
+}
 
 
-def _planks(rng: np.random.Generator) -> FloatArray:
+def _paint_planks(rng: np.random.Generator) -> FloatArray:
     """The wall of a barn: boards, a gate, two hatches."""
     image = grain(rng, 256, 0.86, 0.03) * np.repeat(rng.uniform(0.75, 1.1, 32), 8)[None, :, None]
     image[:, ::8] *= 0.55
@@ -68,7 +84,7 @@ def _planks(rng: np.random.Generator) -> FloatArray:
     return image
 
 
-def _panels(rng: np.random.Generator) -> FloatArray:
+def _paint_panels(rng: np.random.Generator) -> FloatArray:
     """Sheets of painted metal with seams and rust."""
     image = grain(rng, 128, 0.9, 0.02)
     image *= np.kron(rng.uniform(0.8, 1.1, (4, 4)), np.ones((32, 32)))[..., None]
@@ -78,14 +94,14 @@ def _panels(rng: np.random.Generator) -> FloatArray:
     return image
 
 
-def _rock(rng: np.random.Generator) -> FloatArray:
+def _paint_rock(rng: np.random.Generator) -> FloatArray:
     """Weathered stone: patches, grains and cracks."""
     level = 0.8 + noise(rng, 128, 32, 0.10) + noise(rng, 128, 8, 0.09) + noise(rng, 128, 2, 0.05)
     level -= 0.3 * (np.abs(noise(rng, 128, 16, 1.0)) < 0.06)
     return tinted((0.72, 0.70, 0.66), np.clip(level, 0.2, 1.1))
 
 
-def _logs(rng: np.random.Generator) -> FloatArray:
+def _paint_logs(rng: np.random.Generator) -> FloatArray:
     """The sawn ends of stacked logs."""
     image = np.full((256, 256, 3), 0.2)
     for row in range(8):
@@ -98,7 +114,7 @@ def _logs(rng: np.random.Generator) -> FloatArray:
     return image
 
 
-def _straw(rng: np.random.Generator) -> FloatArray:
+def _paint_straw(rng: np.random.Generator) -> FloatArray:
     """Pressed straw, bound with twine."""
     stalks: FloatArray = np.asarray(cv2.GaussianBlur(rng.standard_normal((128, 128)), (15, 1), 0))
     image = tinted((0.86, 0.72, 0.40), np.clip(0.85 + 0.45 * stalks + noise(rng, 128, 32, 0.06), 0.3, 1.15))
@@ -106,47 +122,30 @@ def _straw(rng: np.random.Generator) -> FloatArray:
     return image
 
 
-def _concrete(rng: np.random.Generator) -> FloatArray:
+def _paint_concrete(rng: np.random.Generator) -> FloatArray:
     """Smooth wall, nearly uniform."""
     return grey(0.80 + noise(rng, 256, 64, 0.008))
 
 
-def _door(rng: np.random.Generator) -> FloatArray:
+def _paint_door(rng: np.random.Generator) -> FloatArray:
     """A steel door with a handle, a small window and a number."""
     image = grain(rng, 128, 0.85, 0.01)[:, :64]
     image[20:46, 20:44] = 0.25
     image[20:46, 31:33] = 0.8
     image[68:72, 46:58] = 0.15
     image[104:120, 8:56] *= 0.8
-    ink = np.zeros((128, 64), dtype=np.uint8)
-    cv2.putText(ink, str(int(rng.integers(10, 99))), (16, 64), cv2.FONT_HERSHEY_SIMPLEX, 0.5, 255, 1)
-    image[ink > 127] = 0.1
+    image[written((128, 64), str(int(rng.integers(10, 99))), (16, 64), 0.5, 1)] = 0.1
     return image
 
 
-def _notice(rng: np.random.Generator) -> FloatArray:
+def _paint_notice(rng: np.random.Generator) -> FloatArray:
     """A sign: an arrow and two lines of print on a coloured ground."""
     grounds = np.array([[0.1, 0.45, 0.25], [0.15, 0.3, 0.65], [0.75, 0.6, 0.1]])
     image: FloatArray = np.ones((64, 128, 3)) * grounds[rng.integers(3)]
     image[:3] = image[-3:] = image[:, :3] = image[:, -3:] = 0.95
     ink = np.zeros((64, 128), dtype=np.uint8)
     cv2.arrowedLine(ink, (40, 32), (12, 32), 255, 5, tipLength=0.5)
-    cv2.putText(ink, f"EXIT {int(rng.integers(1, 9))}", (50, 28), cv2.FONT_HERSHEY_SIMPLEX, 0.55, 255, 2)
-    cv2.putText(ink, f"{int(rng.integers(20, 400))} m", (50, 52), cv2.FONT_HERSHEY_SIMPLEX, 0.5, 255, 1)
-    image[ink > 127] = 0.95
+    exit_sign = written((64, 128), f"EXIT {int(rng.integers(1, 9))}", (50, 28), 0.55, 2)
+    distance = written((64, 128), f"{int(rng.integers(20, 400))} m", (50, 52), 0.5, 1)
+    image[(ink > 127) | exit_sign | distance] = 0.95
     return image
-
-
-PLAIN_PAINTERS: dict[str, Painter] = {
-    "meadow": _meadow,
-    "track": _track,
-    "woods": _woods,
-    "planks": _planks,
-    "panels": _panels,
-    "rock": _rock,
-    "logs": _logs,
-    "straw": _straw,
-    "concrete": _concrete,
-    "door": _door,
-    "notice": _notice,
-}

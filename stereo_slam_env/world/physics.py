@@ -51,7 +51,6 @@ _EGO_GROUP = 64
 _NOT_EGO = 0xFFFF & ~_EGO_GROUP
 _SURFACE_GAP = 0.05
 """A ray to a point on a surface stops this short of it, m, so that the surface itself does not hide it."""
-_BELOW_EVERYTHING = [0.0, 0.0, -500.0]
 
 
 class PhysicsWorld:
@@ -63,31 +62,32 @@ class PhysicsWorld:
 
     def __init__(self) -> None:
         self._client: int | None = None
-        self._ground = self._ego = -1
+        self._ground = self._ego = self._speck = -1
         self._time = 0.0
         self._drawn = False
         self._moving: list[tuple[MovingBody, list[int]]] = []
         self._stop: weakref.finalize[[int], PhysicsWorld] | None = None
 
     def build(self, scene: Scene, ego_size: tuple[float, float, float]) -> None:
-        """Replace whatever is there by the solids of `scene` at time 0 and the body of the driving car.
-
-        Parameters
-        ----------
-        scene : Scene
-            What to build.
-        ego_size : tuple
-            Length, width, height of the car's body, m.
-        """
+        """Replace what is there by the solids of `scene` at time 0 and a car's body: length, width, height, m."""
         if self._client is None:
             self._client = pybullet.connect(pybullet.DIRECT)
             self._stop = weakref.finalize(self, pybullet.disconnect, self._client)
         pybullet.resetSimulation(physicsClientId=self._client)
         pybullet.setPhysicsEngineParameter(enableFileCaching=0, physicsClientId=self._client)
         self._drawn = False
-        self._add_solids(scene.solids)
+        # Below everything: a body without a visual would be drawn by TinyRenderer as its collision shape.
+        self._speck = pybullet.createVisualShape(
+            pybullet.GEOM_BOX, halfExtents=[0.001] * 3, visualFramePosition=[0, 0, -500], physicsClientId=self._client
+        )
+        plane = pybullet.createCollisionShape(pybullet.GEOM_PLANE, physicsClientId=self._client)
+        self._ground = self._body(plane)
+        self._bodies(scene.solids)
         self._moving = [(body, self._bodies(p for p in body.parts if p.solid)) for body in scene.moving]
-        self._ego = self._add_ego(ego_size)
+        half = [0.5 * side for side in ego_size]
+        ego = pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=half, physicsClientId=self._client)
+        self._ego = self._body(ego, mass=1.0)
+        pybullet.setCollisionFilterGroupMask(self._ego, -1, _EGO_GROUP, _NOT_EGO, physicsClientId=self._client)
         self.set_time(0.0)
 
     def dress(self, scene: Scene) -> None:
@@ -196,41 +196,17 @@ class PhysicsWorld:
             raise RuntimeError("the world is not built: reset the environment first")
         return self._client
 
-    def _add_solids(self, solids: Sequence[Primitive]) -> None:
-        client = self._connected
-        plane = pybullet.createCollisionShape(pybullet.GEOM_PLANE, physicsClientId=client)
-        self._ground = int(pybullet.createMultiBody(0, plane, self._hidden_visual(), physicsClientId=client))
-        self._bodies(solids)
-
     def _bodies(self, solids: Iterable[Primitive]) -> list[int]:
         """Collision bodies of some solids, all with their origin where that of the solids is."""
-        client, hidden = self._connected, self._hidden_visual()
         bodies = []
         for group in _neighbours([_collision_shape(solid) for solid in solids]):
             columns = {key: [shape[key] for shape in group] for key in group[0]}
-            body = pybullet.createCollisionShapeArray(**columns, physicsClientId=client)
-            bodies.append(int(pybullet.createMultiBody(0, body, hidden, physicsClientId=client)))
+            bodies.append(self._body(pybullet.createCollisionShapeArray(**columns, physicsClientId=self._connected)))
         return bodies
 
-    def _hidden_visual(self) -> int:
-        """A speck below everything: without a visual, TinyRenderer would draw the collision shape."""
-        return int(
-            pybullet.createVisualShape(
-                pybullet.GEOM_BOX,
-                halfExtents=[0.001, 0.001, 0.001],
-                visualFramePosition=_BELOW_EVERYTHING,
-                physicsClientId=self._connected,
-            )
-        )
-
-    def _add_ego(self, size: tuple[float, float, float]) -> int:
-        client = self._connected
-        shape = pybullet.createCollisionShape(
-            pybullet.GEOM_BOX, halfExtents=[0.5 * s for s in size], physicsClientId=client
-        )
-        ego = int(pybullet.createMultiBody(1.0, shape, self._hidden_visual(), physicsClientId=client))
-        pybullet.setCollisionFilterGroupMask(ego, -1, _EGO_GROUP, _NOT_EGO, physicsClientId=client)
-        return ego
+    def _body(self, shape: int, mass: float = 0.0) -> int:
+        """A collision body that is not drawn."""
+        return int(pybullet.createMultiBody(mass, shape, self._speck, physicsClientId=self._connected))
 
     def _draw(self, meshes: Mapping[Material, Mesh], folder: Path) -> list[int]:
         """Visual bodies of some meshes, one for each material."""
@@ -294,17 +270,13 @@ def _neighbours(shapes: Iterable[dict[str, Any]]) -> list[list[dict[str, Any]]]:
     """Groups of consecutive collision shapes that stand together."""
     groups: list[list[dict[str, Any]]] = []
     for shape in shapes:
-        near = groups and math.dist(_stands_at(shape), _stands_at(groups[-1][0])) < _BODY_REACH
+        here = shape["collisionFramePositions"][:2]
+        near = groups and math.dist(here, groups[-1][0]["collisionFramePositions"][:2]) < _BODY_REACH
         if near and len(groups[-1]) < _SHAPES_PER_BODY:
             groups[-1].append(shape)
         else:
             groups.append([shape])
     return groups
-
-
-def _stands_at(shape: dict[str, Any]) -> tuple[float, float]:
-    x, y, _ = shape["collisionFramePositions"]
-    return x, y
 
 
 def _collision_shape(shape: Primitive) -> dict[str, Any]:

@@ -51,15 +51,7 @@ _LEAVES = (
 
 
 class Placed:
-    """A place to build at: turns local coordinates (x along, y to the left, z up) into S.
-
-    Parameters
-    ----------
-    xy : (2,)
-        Origin, m.
-    yaw : float
-        Direction of local x about z, rad.
-    """
+    """A place to build at: turns local coordinates (x along `yaw`, y to the left, z up) from `xy` (2,), m, into S."""
 
     def __init__(self, xy: FloatArray, yaw: float) -> None:
         self.yaw = float(yaw)
@@ -242,10 +234,10 @@ def _car(rng: np.random.Generator) -> list[Primitive]:
         _HERE.box((0, 0, 0.25), body, paint),
         _HERE.box((-0.2, 0, 0.87), cabin, paint),
         _HERE.box((-0.2, 0, 0.87 + cabin[2]), (2.15 * long, 1.52, 0.08), paint),
-        *_sides(0.0, 0.25, body, _picture(paint, "car-side", (body[0], body[2]), variant)),
-        *_ends(0.0, 0.25, body, _picture(paint, "car-end", (body[1], body[2]), variant)),
-        *_sides(-0.2, 0.87, cabin, _picture(_WHITE, "car-window", (cabin[0], cabin[2]), variant)),
-        *_ends(-0.2, 0.87, cabin, _picture(_WHITE, "car-window", (cabin[1], cabin[2]), variant)),
+        *_panels(0.0, 0.25, body, "left right", paint, "car-side", variant),
+        *_panels(0.0, 0.25, body, "front rear", paint, "car-end", variant),
+        *_panels(-0.2, 0.87, cabin, "left right", _WHITE, "car-window", variant),
+        *_panels(-0.2, 0.87, cabin, "front rear", _WHITE, "car-window", variant),
         *_wheels((-1.3 * long, 1.35 * long), 0.33, 0.88),
         *_lights(0.5 * body[0], 0.6, 0.6),
     ]
@@ -258,10 +250,10 @@ def _van(rng: np.random.Generator) -> list[Primitive]:
         _HERE.box((0, 0, 0.03), (5.0, 1.8, 0.02), RUBBER, solid=False),
         _HERE.box((-0.6, 0, 0.35), body, paint),
         _HERE.box((1.95, 0, 0.35), nose, paint),
-        *_sides(-0.6, 0.35, body, _picture(paint, "livery", (body[0], body[2]), variant)),
-        *_rear(-0.6, 0.35, body, _picture(paint, "cargo-doors", (body[1], body[2]), variant)),
-        *_front(1.95, 0.35, nose, _picture(paint, "car-end", (nose[1], nose[2]), variant)),
-        *_front(-0.6, 1.22, (body[0], 1.7, 0.75), _picture(_WHITE, "car-window", (1.7, 0.75), variant)),
+        *_panels(-0.6, 0.35, body, "left right", paint, "livery", variant),
+        *_panels(-0.6, 0.35, body, "rear", paint, "cargo-doors", variant),
+        *_panels(1.95, 0.35, nose, "front", paint, "car-end", variant),
+        *_panels(-0.6, 1.22, (body[0], 1.7, 0.75), "front", _WHITE, "car-window", variant),
         *_wheels((-1.8, 1.8), 0.36, 0.93),
         *_lights(2.55, 0.7, 0.72, rear=-2.55),
     ]
@@ -275,38 +267,29 @@ def _lorry(rng: np.random.Generator) -> list[Primitive]:
         _HERE.box((-1.0, 0, 0.95), cargo, _WHITE),
         _HERE.box((-1.0, 0, 0.55), (5.4, 1.0, 0.4), STEEL),
         _HERE.box((2.75, 0, 0.45), cab, paint),
-        *_sides(-1.0, 0.95, cargo, _picture(_WHITE, "livery", (cargo[0], cargo[2]), variant)),
-        *_rear(-1.0, 0.95, cargo, _picture(_WHITE, "cargo-doors", (cargo[1], cargo[2]), variant)),
-        *_front(2.75, 0.45, (cab[0], cab[1], 0.8), _picture(paint, "car-end", (cab[1], 0.8), variant)),
-        *_front(2.75, 1.35, (cab[0], 2.0, 0.8), _picture(_WHITE, "car-window", (2.0, 0.8), variant)),
-        *_sides(2.9, 1.35, (1.0, cab[1], 0.7), _picture(_WHITE, "car-window", (1.0, 0.7), variant)),
+        *_panels(-1.0, 0.95, cargo, "left right", _WHITE, "livery", variant),
+        *_panels(-1.0, 0.95, cargo, "rear", _WHITE, "cargo-doors", variant),
+        *_panels(2.75, 0.45, (cab[0], cab[1], 0.8), "front", paint, "car-end", variant),
+        *_panels(2.75, 1.35, (cab[0], 2.0, 0.8), "front", _WHITE, "car-window", variant),
+        *_panels(2.9, 1.35, (1.0, cab[1], 0.7), "left right", _WHITE, "car-window", variant),
         *_wheels((-2.9, -1.9, 2.7), 0.46, 1.1),
         *_lights(3.6, 0.85, 0.65, rear=-3.7),
     ]
 
 
-def _picture(ground: Material, name: str, tile: tuple[float, float], variant: int) -> Material:
-    return Material(ground.color, name, tile, variant)
-
-
-def _sides(x: float, z: float, size: Vector, picture: Material) -> list[Primitive]:
-    """Pictures on the left and right of a box whose bottom centre is at (x, 0, z)."""
-    return [
-        _HERE.box((x, sign * 0.5 * (size[1] + _DECAL), z), (size[0], _DECAL, size[2]), picture, solid=False)
-        for sign in (1, -1)
-    ]
-
-
-def _front(x: float, z: float, size: Vector, picture: Material) -> list[Primitive]:
-    return [_HERE.box((x + 0.5 * (size[0] + _DECAL), 0, z), (_DECAL, size[1], size[2]), picture, solid=False)]
-
-
-def _rear(x: float, z: float, size: Vector, picture: Material) -> list[Primitive]:
-    return [_HERE.box((x - 0.5 * (size[0] + _DECAL), 0, z), (_DECAL, size[1], size[2]), picture, solid=False)]
-
-
-def _ends(x: float, z: float, size: Vector, picture: Material) -> list[Primitive]:
-    return [*_front(x, z, size, picture), *_rear(x, z, size, picture)]
+def _panels(
+    x: float, z: float, size: Vector, faces: str, paint: Material, picture: str, variant: int
+) -> list[Primitive]:
+    """Pictures on the left, right, front or rear of a box whose bottom centre is at (x, 0, z)."""
+    panels: list[Primitive] = []
+    for face in faces.split():
+        axis, sign = {"left": (1, 1), "right": (1, -1), "front": (0, 1), "rear": (0, -1)}[face]
+        at, shape = [x, 0.0, z], list(size)
+        at[axis] += sign * 0.5 * (size[axis] + _DECAL)
+        shape[axis] = _DECAL
+        look = Material(paint.color, picture, (size[1 - axis], size[2]), variant)
+        panels.append(_HERE.box((at[0], at[1], at[2]), (shape[0], shape[1], shape[2]), look, solid=False))
+    return panels
 
 
 def _wheels(axles: tuple[float, ...], radius: float, half_track: float) -> list[Primitive]:

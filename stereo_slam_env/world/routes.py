@@ -239,23 +239,12 @@ _STRAIGHT_BELOW = 0.08
 
 
 def kitti_route(path: str | Path, period: float = KITTI_PERIOD) -> Route:
-    """The drive of a KITTI pose file, on flat ground and smooth.
+    """The drive of a KITTI pose file with `period` s between two rows, on flat ground and smooth.
 
     The horizontal path is smoothed over 1.5 m, the distance driven over 0.3 s, both are resampled to `FRAME_PERIOD`;
-    the camera looks where it drives. W starts in the first direction of travel.
-
-    Parameters
-    ----------
-    path : str or Path
-        12 numbers a row: the upper 3x4 part of T_world_cam (x right, y down, z forward).
-    period : float
-        Time between two rows, s.
-
-    Raises
-    ------
-    ValueError
-        Not such a file, a jump between two rows, a drive backwards, or one shorter than 5 m: the message names the
-        file.
+    the camera looks where it drives. W starts in the first direction of travel. A `ValueError` names the file where it
+    is none of 12 numbers a row (the upper 3x4 part of T_world_cam), jumps between two rows, drives backwards, or is
+    shorter than 5 m.
     """
     positive("period", period)
     path = Path(path)
@@ -332,25 +321,20 @@ def _strides(level: FloatArray) -> tuple[FloatArray, FloatArray]:
 def _steady(driven: FloatArray, period: float) -> FloatArray:
     """The distance at every row (K,), smoothed over time as if the speeds at both ends went on."""
     margin = min(int(4 * _TIME_SMOOTHING / period), len(driven) - 1)
-    before, after = 2 * driven[0] - driven[margin:0:-1], 2 * driven[-1] - driven[-2 : -2 - margin : -1]
-    smooth = gaussian_filter1d(np.concatenate([before, driven, after]), _TIME_SMOOTHING / period, mode="nearest")
-    steady: FloatArray = smooth[margin : margin + len(driven)]
-    return steady
+    going_on = np.pad(driven, margin, mode="reflect", reflect_type="odd")
+    smooth: FloatArray = gaussian_filter1d(going_on, _TIME_SMOOTHING / period, mode="nearest")
+    return smooth[margin : margin + len(driven)]
 
 
 def _smoothed(strides: FloatArray) -> tuple[FloatArray, FloatArray]:
     """The path by arc length: lengths (N,) and points (N, 2), continued straight at both ends while smoothing."""
     margin = 4 * _PATH_SMOOTHING
     few = min(5, len(strides) - 1)
-    first, last = _unit(strides[0] - strides[few]), _unit(strides[-1] - strides[-1 - few])
+    ends = np.stack([strides[0] - strides[few], strides[-1] - strides[-1 - few]])
+    first, last = ends / np.linalg.norm(ends, axis=1, keepdims=True)
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(strides, axis=0), axis=1))])
     knots = np.concatenate([[-margin], along, [along[-1] + margin]])
     points = np.concatenate([strides[:1] + margin * first, strides, strides[-1:] + margin * last])
     arc = np.arange(-margin, along[-1] + margin, _SPACING)
     dense = np.stack([np.interp(arc, knots, points[:, i]) for i in range(2)], axis=1)
     return arc, np.asarray(gaussian_filter1d(dense, _PATH_SMOOTHING / _SPACING, axis=0, mode="nearest"))
-
-
-def _unit(vector: FloatArray) -> FloatArray:
-    direction: FloatArray = vector / np.linalg.norm(vector)
-    return direction

@@ -97,20 +97,10 @@ class Ground:
 
 @dataclass(frozen=True, eq=False)
 class MovingBody:
-    """A rigid thing that moves on the ground: its parts in its own frame, and where that frame is over time.
+    """A rigid thing ("car", "pedestrian") that moves on the ground.
 
-    Attributes
-    ----------
-    kind : str
-        What it is: "car", "pedestrian".
-    parts : tuple of Box, Cylinder or Sphere
-        In the frame of the body: x forward, y left, z up, origin on the ground.
-    times : (K,)
-        s, increasing.
-    positions : (K, 3)
-        Origin of the body in S, m.
-    yaws : (K,)
-        About z, rad, without jumps.
+    Its parts are in its own frame (x forward, y left, z up, origin on the ground), which at `times` (K,), s,
+    increasing, is at `positions` (K, 3) of S, m, and turned by `yaws` (K,) about z, rad, without jumps.
     """
 
     kind: str
@@ -129,16 +119,9 @@ class MovingBody:
 class Look:
     """Light and air, the same for every renderer.
 
-    Attributes
-    ----------
-    sun : (3,) tuple
-        Direction towards the sun in S.
-    ambient, diffuse : float
-        Shares of the light: brightness is ambient + diffuse * max(0, normal . sun).
-    horizon, zenith : (3,) tuple
-        Colour of the sky (and of the haze: the horizon's), RGB in 0..255.
-    haze_range : float
-        Distance after which 1/e of the contrast is left, m.
+    `sun` is the direction towards it in S; brightness is `ambient` + `diffuse` * max(0, normal . sun). The sky has the
+    colours `horizon`, also that of the haze, and `zenith`, RGB in 0..255. After `haze_range`, m, 1/e of the contrast is
+    left.
     """
 
     sun: Vector = (0.35, 0.55, 0.9)

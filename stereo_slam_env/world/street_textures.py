@@ -5,11 +5,11 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from filters.validation import BoolArray, FloatArray
-from stereo_slam_env.world.painting import Painter, grain, grey, noise, tinted
+from filters.validation import FloatArray
+from stereo_slam_env.world.painting import grain, grey, noise, tinted, written
 
 
-def _asphalt(rng: np.random.Generator) -> FloatArray:
+def _paint_asphalt(rng: np.random.Generator) -> FloatArray:
     """The road across its width: two lanes between two parking strips; one repeat is a dash and a gap."""
     image = grain(rng, 512, 0.36, 0.025)
     for lane_edge, dashed in ((0.195, False), (0.5, True), (0.805, False)):
@@ -21,7 +21,7 @@ def _asphalt(rng: np.random.Generator) -> FloatArray:
     return image
 
 
-def _paving(rng: np.random.Generator) -> FloatArray:
+def _paint_paving(rng: np.random.Generator) -> FloatArray:
     image = grain(rng, 256, 0.66, 0.02)
     slabs = rng.uniform(-0.05, 0.05, (8, 4))
     image += np.kron(slabs, np.ones((32, 64)))[..., None]
@@ -30,17 +30,7 @@ def _paving(rng: np.random.Generator) -> FloatArray:
     return image
 
 
-def _grass(rng: np.random.Generator) -> FloatArray:
-    shade = noise(rng, 256, 2, 0.05) + noise(rng, 256, 16, 0.05) + noise(rng, 256, 64, 0.04)
-    return tinted((0.40, 0.50, 0.25), 1.0 + shade)
-
-
-def _leaves(rng: np.random.Generator) -> FloatArray:
-    shade = noise(rng, 128, 4, 0.16) + noise(rng, 128, 16, 0.12)
-    return tinted((0.62, 0.85, 0.42), np.clip(0.75 + shade, 0.3, 1.0))
-
-
-def _bark(rng: np.random.Generator) -> FloatArray:
+def _paint_bark(rng: np.random.Generator) -> FloatArray:
     stripes = cv2.GaussianBlur(rng.standard_normal((128, 128)), (1, 31), 0)
     return tinted((0.55, 0.45, 0.36), 1.0 + 0.5 * np.asarray(stripes))
 
@@ -92,21 +82,21 @@ def _facade(wall: FloatArray, rng: np.random.Generator, window: tuple[float, flo
     return image
 
 
-def _plaster_facade(rng: np.random.Generator) -> FloatArray:
+def _paint_plaster(rng: np.random.Generator) -> FloatArray:
     return _facade(grain(rng, 512, 0.95, 0.02), rng, (0.40, 0.58), bands=True)
 
 
-def _brick_facade(rng: np.random.Generator) -> FloatArray:
+def _paint_brick(rng: np.random.Generator) -> FloatArray:
     return _facade(_bricks(rng, 512, 0.10) * 0.86, rng, (0.46, 0.54), bands=False)
 
 
-def _office_facade(rng: np.random.Generator) -> FloatArray:
+def _paint_office(rng: np.random.Generator) -> FloatArray:
     image = _facade(grain(rng, 512, 0.9, 0.02), rng, (0.86, 0.60), bands=False)
     image[::128] = 0.55
     return image
 
 
-def _balcony_facade(rng: np.random.Generator) -> FloatArray:
+def _paint_balcony(rng: np.random.Generator) -> FloatArray:
     image = _facade(grain(rng, 512, 0.94, 0.025), rng, (0.56, 0.62), bands=False)
     for row in range(4):
         rail = image[row * 128 + 76 : row * 128 + 112, 20:236]
@@ -129,7 +119,7 @@ def _shop_window(rng: np.random.Generator) -> FloatArray:
     return pane * np.linspace(1.05, 0.6, 308)[:, None, None]
 
 
-def _shop(rng: np.random.Generator) -> FloatArray:
+def _paint_shop(rng: np.random.Generator) -> FloatArray:
     """Ground floor: four shop windows with a sign band above and a plinth below."""
     image = grain(rng, 512, 0.74, 0.03)
     for column in range(4):
@@ -146,36 +136,14 @@ def _shop(rng: np.random.Generator) -> FloatArray:
     return image
 
 
-def _roof(rng: np.random.Generator) -> FloatArray:
+def _paint_roof(rng: np.random.Generator) -> FloatArray:
     image = grain(rng, 128, 0.8, 0.05)
     image[::16] *= 0.8
     return image
 
 
-STREET_PAINTERS: dict[str, Painter] = {
-    "asphalt": _asphalt,
-    "paving": _paving,
-    "grass": _grass,
-    "leaves": _leaves,
-    "bark": _bark,
-    "plaster": _plaster_facade,
-    "brick": _brick_facade,
-    "office": _office_facade,
-    "balcony": _balcony_facade,
-    "shop": _shop,
-    "roof": _roof,
-}
-
-
 _NAMES = ("FRACHT", "MILCH", "BLITZ", "NORDGAS", "PAKET 24", "OBST", "KRONE", "ALPEN")
 _PLATES = ("KA S 1203", "B LM 417", "M UV 9021", "HD EK 388")
-
-
-def _written(shape: tuple[int, int], text: str, at: tuple[int, int], scale: float, thickness: int) -> BoolArray:
-    """Mask of the ink of `text` written with its lower left corner `at` (x, y)."""
-    ink = np.zeros(shape, dtype=np.uint8)
-    cv2.putText(ink, text, at, cv2.FONT_HERSHEY_SIMPLEX, scale, 255, thickness)
-    return np.asarray(ink > 127)
 
 
 def _plate(image: FloatArray, rng: np.random.Generator, x: int, y: int) -> None:
@@ -183,10 +151,10 @@ def _plate(image: FloatArray, rng: np.random.Generator, x: int, y: int) -> None:
     image[y : y + 14, x : x + 56] = 1.15
     image[y : y + 14, x : x + 4] = [0.2, 0.3, 0.8]
     text = _PLATES[rng.integers(len(_PLATES))].replace(" ", "")
-    image[_written(image.shape[:2], text, (x + 6, y + 11), 0.32, 1)] = 0.1
+    image[written(image.shape[:2], text, (x + 6, y + 11), 0.32, 1)] = 0.1
 
 
-def _car_side(rng: np.random.Generator) -> FloatArray:
+def _paint_car_side(rng: np.random.Generator) -> FloatArray:
     """The lower half of a car from the side: wheel arches, doors, handles, mouldings."""
     image = grain(rng, 256, 0.93, 0.015)[:96]
     image *= np.linspace(1.07, 0.86, 96)[:, None, None]
@@ -205,7 +173,7 @@ def _car_side(rng: np.random.Generator) -> FloatArray:
     return image
 
 
-def _car_end(rng: np.random.Generator) -> FloatArray:
+def _paint_car_end(rng: np.random.Generator) -> FloatArray:
     """Front or rear of a car: lid, grille, plate, bumper."""
     image = grain(rng, 256, 0.94, 0.015)[:96, :192]
     image[8:10, 14:178] = 0.45
@@ -219,7 +187,7 @@ def _car_end(rng: np.random.Generator) -> FloatArray:
     return image
 
 
-def _car_window(rng: np.random.Generator) -> FloatArray:
+def _paint_car_window(rng: np.random.Generator) -> FloatArray:
     """Side windows: the sky in the panes, pillars, seats behind."""
     image: FloatArray = np.repeat(np.linspace(0.62, 0.22, 64)[:, None, None], 256, axis=1) * np.array([0.85, 0.97, 1.1])
     image += grey(noise(rng, 256, 16, 0.04)[:64])
@@ -231,7 +199,7 @@ def _car_window(rng: np.random.Generator) -> FloatArray:
     return image
 
 
-def _livery(rng: np.random.Generator) -> FloatArray:
+def _paint_livery(rng: np.random.Generator) -> FloatArray:
     """The side of a van or a lorry: a name in large letters, a stripe, an emblem, small print."""
     image = grain(rng, 512, 0.95, 0.01)[:256]
     color = rng.uniform(0.05, 0.75, 3)
@@ -244,15 +212,15 @@ def _livery(rng: np.random.Generator) -> FloatArray:
     image[emblem < 0.7] = 0.95
     image[emblem < 0.4] = 1.0 - color
     name = _NAMES[rng.integers(len(_NAMES))]
-    image[_written((256, 512), name, (140, 122), 2.3 if len(name) < 7 else 1.9, 9)] = color
+    image[written((256, 512), name, (140, 122), 2.3 if len(name) < 7 else 1.9, 9)] = color
     number = "0721 " + str(int(rng.integers(10_000, 99_999)))
-    image[_written((256, 512), number, (150, 226), 1.1, 3)] = 0.2
+    image[written((256, 512), number, (150, 226), 1.1, 3)] = 0.2
     image[:6] = image[-8:] = 0.45
     image[:, ::128] *= 0.72
     return image
 
 
-def _cargo_doors(rng: np.random.Generator) -> FloatArray:
+def _paint_cargo_doors(rng: np.random.Generator) -> FloatArray:
     """The rear of a van or a lorry: two doors with bars, warning stripes, a plate."""
     image = grain(rng, 256, 0.92, 0.015)
     image[8:200, 126:130] = 0.2
@@ -267,11 +235,11 @@ def _cargo_doors(rng: np.random.Generator) -> FloatArray:
     image[226:] = 0.18
     _plate(image, rng, 100, 232)
     name = _NAMES[rng.integers(len(_NAMES))]
-    image[_written((256, 256), name, (24, 66), 1.0, 4)] = rng.uniform(0.05, 0.6, 3)
+    image[written((256, 256), name, (24, 66), 1.0, 4)] = rng.uniform(0.05, 0.6, 3)
     return image
 
 
-def _cloth(rng: np.random.Generator) -> FloatArray:
+def _paint_cloth(rng: np.random.Generator) -> FloatArray:
     """Clothes: stripes or checks, a seam, buttons."""
     image = grain(rng, 128, 0.9, 0.04)
     if rng.random() < 0.5:
@@ -282,13 +250,3 @@ def _cloth(rng: np.random.Generator) -> FloatArray:
         image *= np.where(np.add.outer(np.arange(128) // 16, np.arange(128) // 16) % 2, 1.0, 0.65)[..., None]
     image[:, 62:65] = 0.3
     return image
-
-
-BODY_PAINTERS: dict[str, Painter] = {
-    "car-side": _car_side,
-    "car-end": _car_end,
-    "car-window": _car_window,
-    "livery": _livery,
-    "cargo-doors": _cargo_doors,
-    "cloth": _cloth,
-}

@@ -22,17 +22,7 @@ Builder = Callable[[Route, np.random.Generator], Scene]
 
 @dataclass(frozen=True)
 class Surroundings:
-    """A kind of scene.
-
-    Attributes
-    ----------
-    description : str
-        One line.
-    build : callable
-        (route, generator) -> what stands along the route, with landmarks.
-    walkway : float
-        Where pedestrians walk, m to either side of the centreline.
-    """
+    """A kind of scene: one line, its builder, and where pedestrians walk, m to either side of the centreline."""
 
     description: str
     build: Builder
@@ -83,13 +73,7 @@ def available_scenes() -> dict[str, str]:
 
 
 def named_surroundings(name: str) -> Surroundings:
-    """The registered scene of that name.
-
-    Raises
-    ------
-    ValueError
-        There is none; the message lists the names and the nearest one.
-    """
+    """The registered scene of that name; a `ValueError` lists the names and the nearest one where there is none."""
     if name not in SURROUNDINGS:
         load_registrations()
     if name not in SURROUNDINGS:

@@ -8,11 +8,17 @@ from zlib import crc32
 import numpy as np
 from numpy.typing import NDArray
 
-from stereo_slam_env.world.painting import PLAIN_PAINTERS, Painter
-from stereo_slam_env.world.street_textures import BODY_PAINTERS, STREET_PAINTERS
+from stereo_slam_env.world import painting, street_textures
+from stereo_slam_env.world.painting import SPECKLES, Painter
 
 Image = NDArray[np.uint8]
-_PAINTERS: dict[str, Painter] = STREET_PAINTERS | BODY_PAINTERS | PLAIN_PAINTERS
+_PAINTERS: dict[str, Painter] = SPECKLES | {
+    name.removeprefix("_paint_").replace("_", "-"): painter
+    for module in (street_textures, painting)
+    for name, painter in vars(module).items()
+    if name.startswith("_paint_")
+}
+"""The textures of one tint, and the functions `_paint_<name>`."""
 TEXTURES: tuple[str, ...] = tuple(_PAINTERS)
 """Names a `Material` may use."""
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
@@ -16,20 +15,10 @@ from stereo_slam_env.world.routes import FRAME_PERIOD, Route
 
 @dataclass(frozen=True)
 class Car:
-    """Limits and size of the car.
+    """Limits and size of the car, in m, s and rad; steering is that of the front wheels.
 
-    Attributes
-    ----------
-    wheelbase : float
-        m.
-    camera_forward : float
-        From the rear axle to the left camera, m.
-    max_speed, max_acceleration, max_steering, max_steering_rate : float
-        m/s, m/s^2, rad at the front wheels, rad/s.
-    size : (3,) tuple
-        Length, width, height of the body, m.
-    body_c : (3,) tuple
-        Centre of the body in the left camera frame, m.
+    `camera_forward` is from the rear axle to the left camera, `size` length, width and height of the body, and `body_c`
+    its centre in the left camera frame.
     """
 
     wheelbase: float = 2.7
@@ -56,8 +45,7 @@ class AgentDriver:
 
     def start(self) -> tuple[Pose, Velocity]:
         """Pose and velocity of the first frame."""
-        pose = Pose(np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]))
-        return pose, Velocity(np.array([0.0, 0.0, self.speed]), np.zeros(3))
+        return Pose(), Velocity(np.array([0.0, 0.0, self.speed]), np.zeros(3))
 
     def drive(self, pose: Pose, action: FloatArray) -> Velocity:
         """Mean velocity (v in W, omega in the camera frame) of the next step from the camera pose.
@@ -85,20 +73,6 @@ def _direction(heading: float) -> FloatArray:
     return np.array([np.sin(heading), 0.0, np.cos(heading)])
 
 
-class Driver(Protocol):
-    """A driver: moves the camera."""
-
-    @property
-    def finished(self) -> bool:
-        """Whether the end of the route is reached."""
-
-    def start(self) -> tuple[Pose, Velocity]:
-        """Pose and velocity of the first frame."""
-
-    def drive(self, pose: Pose, action: FloatArray) -> Velocity:
-        """Velocity (v in W, omega in the camera frame) of the next step from `pose`."""
-
-
 class RouteDriver:
     """Drives the camera along a route with small, bounded perturbations; scale 0 drives the nominal route exactly.
 
@@ -122,8 +96,7 @@ class RouteDriver:
 
     def start(self) -> tuple[Pose, Velocity]:
         """Pose and velocity of the first frame."""
-        pose = Pose(np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]))
-        return pose, self._velocity(pose, 0)
+        return Pose(), self._velocity(Pose(), 0)
 
     @property
     def finished(self) -> bool:
@@ -150,29 +123,22 @@ class RouteDriver:
         )
 
 
+Driver = AgentDriver | RouteDriver
+
+
 def advance(pose: Pose, velocity: Velocity, dt: float) -> Pose:
     """Eq. 6: r' = r + v dt, q' = q x q(omega dt)."""
-    return Pose(
-        pose.position + velocity.linear * dt,
-        rotations.multiply(pose.orientation, rotations.exp_quaternion(velocity.angular * dt)),
-    )
+    turned = rotations.multiply(pose.orientation, rotations.exp_quaternion(velocity.angular * dt))
+    return Pose(pose.position + velocity.linear * dt, turned)
 
 
 @dataclass(frozen=True)
 class Head:
-    """A pan-tilt head whose axes meet half-way between the two cameras.
+    """A pan-tilt head whose axes meet half-way between the two cameras, `baseline` m apart.
 
-    R_wc = R_wb R_y(pan) R_x(tilt), where B is where the left camera is when the head looks straight ahead: positive
-    pan looks right, positive tilt looks up.
-
-    Attributes
-    ----------
-    baseline : float
-        Distance of the cameras, m.
-    max_angles : (2,) tuple
-        Largest pan and tilt to either side, rad.
-    max_rates : (2,) tuple
-        Fastest pan and tilt, rad/s.
+    R_wc = R_wb R_y(pan) R_x(tilt), where B is where the left camera is when the head looks straight ahead: positive pan
+    looks right, positive tilt looks up. `max_angles` and `max_rates` are the largest pan and tilt to either side, rad,
+    and the fastest, rad/s.
     """
 
     baseline: float
@@ -190,20 +156,16 @@ class Head:
 
     def camera_pose(self, body: Pose, angles: FloatArray) -> Pose:
         """Pose of the left camera, from its pose when looking straight ahead and pan and tilt, rad."""
-        turn = head_turn(angles)
-        middle = np.array([0.5 * self.baseline, 0.0, 0.0])
-        shift = middle - rotations.matrix(turn) @ middle
-        return Pose(
-            body.position + rotations.matrix(body.orientation) @ shift, rotations.multiply(body.orientation, turn)
-        )
+        return body @ self._turned(angles)
 
     def body_pose(self, camera: Pose, angles: FloatArray) -> Pose:
         """Inverse of `camera_pose`: where the left camera would be if the head looked straight ahead."""
-        turn = head_turn(angles)
-        orientation = rotations.multiply(camera.orientation, turn * np.array([-1.0, -1.0, -1.0, 1.0]))
-        middle = np.array([0.5 * self.baseline, 0.0, 0.0])
-        shift = middle - rotations.matrix(turn) @ middle
-        return Pose(camera.position - rotations.matrix(orientation) @ shift, orientation)
+        return camera @ self._turned(angles).inverse()
+
+    def _turned(self, angles: FloatArray) -> Pose:
+        """Pose of the left camera in the frame that it has straight ahead."""
+        turn, middle = head_turn(angles), np.array([0.5 * self.baseline, 0.0, 0.0])
+        return Pose(middle - rotations.matrix(turn) @ middle, turn)
 
 
 def head_turn(angles: FloatArray) -> FloatArray:
@@ -214,5 +176,5 @@ def head_turn(angles: FloatArray) -> FloatArray:
 
 def velocity_between(before: Pose, after: Pose, dt: float) -> Velocity:
     """The constant velocity that leads from one pose to the other (Eq. 6)."""
-    turn = rotations.matrix(before.orientation).T @ rotations.matrix(after.orientation)
+    turn = before.R_wc.T @ after.R_wc
     return Velocity((after.position - before.position) / dt, rotations.log(turn) / dt)

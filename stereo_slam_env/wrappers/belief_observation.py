@@ -164,14 +164,7 @@ class BeliefObservation(RecordedWrapper):
         noise: float | list[list[float]] | None = None,
         options: Mapping[str, Any] | None = None,
     ) -> None:
-        super().__init__(
-            env,
-            filter=filter,
-            max_landmarks=max_landmarks,
-            use_odometry=use_odometry,
-            noise=noise,
-            options=options,
-        )
+        super().__init__(env)
         self._rows = whole_number("max_landmarks", max_landmarks, 1)
         camera, assumed = self.inner("camera"), assumed_noise(noise, self.inner("noise"))
         slam = make_filter(filter, camera=camera, noise=assumed, **dict(options or {}))
@@ -185,7 +178,6 @@ class BeliefObservation(RecordedWrapper):
             "belief_landmarks": (FARTHEST, (max_landmarks, 3)),
             "belief_landmark_covariances": (LARGEST_COVARIANCE, (max_landmarks, 3, 3)),
         }
-        self._bounds = {key: bound for key, (bound, _) in bounds.items()}
         added: dict[str, spaces.Space[Any]] = {
             key: spaces.Box(-bound, bound, shape, np.float32) for key, (bound, shape) in bounds.items()
         }
@@ -257,9 +249,8 @@ class BeliefObservation(RecordedWrapper):
             "belief_landmarks": landmarks,
             "belief_landmark_covariances": covariances,
         }
-        added = {
-            key: value.clip(-self._bounds[key], self._bounds[key]).astype(np.float32) for key, value in values.items()
-        }
+        boxes: Any = self.observation_space
+        added = {key: value.clip(boxes[key].low, boxes[key].high).astype(np.float32) for key, value in values.items()}
         return {**observation, **added, "belief_landmark_ids": ids, "belief_mask": mask}
 
 

@@ -67,7 +67,7 @@ class BeliefPanorama(RecordedWrapper, gym.ObservationWrapper[Any, Any, Any]):
     """
 
     def __init__(self, env: gym.Env[Any, Any], sectors: int = 12, reach: float | None = None) -> None:
-        super().__init__(env, sectors=sectors, reach=reach)
+        super().__init__(env)
         self._sectors = whole_number("sectors", sectors, 3)
         self.inner("slam")
         inner = dict_space(env, "BeliefPanorama")
@@ -119,27 +119,19 @@ def around(
 ) -> FloatArray:
     """The first four columns of `BeliefPanorama`, those of the map; (sectors, 4), not clipped.
 
-    Parameters
-    ----------
-    belief : Belief
-        The map.
-    camera, noise : StereoCamera, StereoNoise
-        Of the measurements that a look would bring.
-    pan, tilt : float
-        Of the head, rad.
-    sectors : int
-        Rows.
-    most : int
-        Number of landmarks whose share is 1.
-    reach : float
-        Landmarks farther away do not count, m.
+    `camera` and `noise` are of the measurements that a look would bring, `pan` and `tilt` of the head, rad; the share
+    of `most` landmarks is 1; landmarks farther away than `reach`, m, do not count.
     """
     seen = np.zeros((sectors, 4))
     if len(belief) == 0:
         return seen
     distances = np.sqrt(np.einsum("ni,ni->n", belief.points_c, belief.points_c))
     near = distances <= reach
-    points_b, distances = belief.points_c[near] @ (_about_y(pan) @ _about_x(tilt)).T, distances[near]
+    (c_pan, s_pan), (c_tilt, s_tilt) = ((math.cos(angle), math.sin(angle)) for angle in (pan, tilt))
+    R_bc = np.array(
+        [[c_pan, s_pan * s_tilt, s_pan * c_tilt], [0.0, c_tilt, -s_tilt], [-s_pan, c_pan * s_tilt, c_pan * c_tilt]]
+    )
+    points_b, distances = belief.points_c[near] @ R_bc.T, distances[near]
     azimuth = np.arctan2(points_b[:, 0], points_b[:, 2])
     elevation = np.arctan2(-points_b[:, 1], np.hypot(points_b[:, 0], points_b[:, 2]))
     sector = np.floor((azimuth + math.pi) * (sectors / (2.0 * math.pi))).astype(np.int64) % sectors
@@ -175,13 +167,3 @@ def share_in_view(camera: StereoCamera, pan: float, sectors: int) -> FloatArray:
     overlap = 0.5 * (right - left + width) - away
     share: FloatArray = overlap.clip(0.0, min(width, right - left)) / width
     return share
-
-
-def _about_y(angle: float) -> FloatArray:
-    c, s = math.cos(angle), math.sin(angle)
-    return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
-
-
-def _about_x(angle: float) -> FloatArray:
-    c, s = math.cos(angle), math.sin(angle)
-    return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])

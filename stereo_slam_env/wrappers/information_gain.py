@@ -97,20 +97,7 @@ class InformationGain(RecordedWrapper):
         use_odometry: bool = True,
         report_both: bool = False,
     ) -> None:
-        super().__init__(
-            env,
-            criterion=criterion,
-            of=of,
-            prior_sigma=prior_sigma,
-            resolution=tuple(resolution),
-            belief=belief,
-            nees_gate=nees_gate,
-            weight=weight,
-            keep_reward=keep_reward,
-            max_age=max_age,
-            use_odometry=use_odometry,
-            report_both=report_both,
-        )
+        super().__init__(env)
         one_of("belief", belief, get_args(BeliefOf))
         if nees_gate is not None and belief == "reference":
             raise ValueError("nees_gate must be None with belief='reference', which claims nothing to be judged")
@@ -138,7 +125,13 @@ class InformationGain(RecordedWrapper):
         """Reset the environment; nothing is gained yet."""
         observation, info = self.env.reset(seed=seed, options=options)
         if self._both or self._belief == "reference":
-            self._start_reference()
+            camera, noise, start = (self.inner(name) for name in ("camera", "noise", "start"))
+            self._reference = ReferenceBelief(
+                camera, noise, ConstantVelocity(), start, self.inner("frame").truth, use_odometry=self._use_odometry
+            )
+        if self._recent is not None:
+            self._recent.clear()
+        self._use_frame()
         self._potentials = self._now()
         self._credited = self._potentials[self._belief]
         return observation, self._with_gains(info, 0.0, dict.fromkeys(self._potentials, 0.0))
@@ -146,8 +139,7 @@ class InformationGain(RecordedWrapper):
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Step the environment; the reward is the information gained."""
         observation, reward, terminated, truncated, info = self.env.step(action)
-        if self._reference is not None:
-            self._step_reference(self._reference)
+        self._use_frame()
         before, self._potentials = self._potentials, self._now()
         claims = self._potentials[self._belief]
         credited = claims if self._is_consistent() else max(self._credited, claims)
@@ -157,22 +149,14 @@ class InformationGain(RecordedWrapper):
         total = float(reward) + gain if self._keep_reward else gain
         return observation, total, terminated, truncated, self._with_gains(info, gain, gains)
 
-    def _start_reference(self) -> None:
-        camera, noise, start = (self.inner(name) for name in ("camera", "noise", "start"))
-        self._reference = ReferenceBelief(
-            camera, noise, ConstantVelocity(), start, self.inner("frame").truth, use_odometry=self._use_odometry
-        )
-        if self._recent is not None:
-            self._recent.clear()
-        self._step_reference(self._reference)
-
-    def _step_reference(self, reference: ReferenceBelief) -> None:
-        """Feed the current frame to the reference belief; landmarks leave it by age."""
+    def _use_frame(self) -> None:
+        """Feed the current frame to the reference belief, if there is one; landmarks leave it by age."""
         frame = self.inner("frame")
-        reference.step(frame, self.inner("landmark_truth")())
-        if self._recent is not None:
-            self._recent.append(frame.observation.ids)
-            reference.keep(np.concatenate(self._recent))
+        if self._reference is not None:
+            self._reference.step(frame, self.inner("landmark_truth")())
+            if self._recent is not None:
+                self._recent.append(frame.observation.ids)
+                self._reference.keep(np.concatenate(self._recent))
 
     def _now(self) -> dict[str, float]:
         """The potential of each belief that is needed."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
@@ -58,62 +57,41 @@ class FlattenUVD(RecordedWrapper, gym.ObservationWrapper[Any, Any, Any]):
 
     def __init__(self, env: gym.Env[Any, Any]) -> None:
         super().__init__(env)
-        parts: list[_Part] = []
+        self._scales: dict[str, tuple[FloatArray, FloatArray, float | None]] = {}
+        layout: dict[str, slice] = {}
         size = 0
         for key, space in dict_space(env, "FlattenUVD").spaces.items():
-            part = _part(key, space, size)
-            if part is not None:
-                parts.append(part)
-                size = part.where.stop
-        self._parts = tuple(parts)
-        self.layout: Mapping[str, slice] = MappingProxyType({part.key: part.where for part in parts})
+            if isinstance(space, spaces.MultiBinary):
+                low, high = -np.ones(space.shape), np.ones(space.shape)
+            elif isinstance(space, spaces.Box) and np.issubdtype(space.dtype, np.floating):
+                low, high = space.low.astype(np.float64), space.high.astype(np.float64)
+            else:
+                continue
+            if not (np.isfinite(low).all() and np.isfinite(high).all() and (high > low).all()):
+                raise ValueError(
+                    f"observation key {key!r} must be a bounded Box, got {space}: FlattenUVD scales by the bounds"
+                )
+            self._scales[key] = low, high, UNITS.get(key)
+            layout[key] = slice(size, size + low.size)
+            size += low.size
+        self.layout: Mapping[str, slice] = MappingProxyType(layout)
         """Entries of the observation that come from each key."""
         self.observation_space = spaces.Box(-1.0, 1.0, (size,), np.float32)
 
     def observation(self, observation: Mapping[str, Any]) -> NDArray[np.float32]:
         """The flat observation."""
         flat = np.empty(self.observation_space.shape or (0,), dtype=np.float32)
-        for part in self._parts:
-            values = part.scaled(observation[part.key])
-            mask = observation.get(_MASK_OF.get(part.key, ""))
+        for key, (low, high, unit) in self._scales.items():
+            values = np.array(observation[key], dtype=np.float64)
+            if unit is None:
+                values = (2.0 * values - low - high) / (high - low)
+            else:
+                values = np.copysign(np.log1p(np.abs(values) / unit) / np.log1p(high / unit), values)
+            mask = observation.get(_MASK_OF.get(key, ""))
             if mask is not None:
                 values[np.asarray(mask) == 0] = 0.0
-            flat[part.where] = values.ravel()
+            flat[self.layout[key]] = values.ravel()
         return flat.clip(-1.0, 1.0)
-
-
-@dataclass(frozen=True, eq=False)
-class _Part:
-    """A key, its entries in the flat observation, and its scale: as it is without bounds, linear without a unit."""
-
-    key: str
-    where: slice
-    bounds: tuple[FloatArray, FloatArray] | None = None
-    unit: float | None = None
-
-    def scaled(self, observed: Any) -> FloatArray:
-        value: FloatArray = np.array(observed, dtype=np.float64)
-        if self.bounds is None:
-            return value
-        low, high = self.bounds
-        if self.unit is None:
-            linear: FloatArray = (2.0 * value - low - high) / (high - low)
-            return linear
-        sizes: FloatArray = np.log1p(np.abs(value) / self.unit) / np.log1p(high / self.unit)
-        signed: FloatArray = np.copysign(sizes, value)
-        return signed
-
-
-def _part(key: str, space: spaces.Space[Any], start: int) -> _Part | None:
-    """Place and scaling of the key in the flat observation, from `start` on; None: it is left out."""
-    if isinstance(space, spaces.MultiBinary):
-        return _Part(key, slice(start, start + int(np.prod(space.shape))))
-    if not isinstance(space, spaces.Box) or not np.issubdtype(space.dtype, np.floating):
-        return None
-    low, high = space.low.astype(np.float64), space.high.astype(np.float64)
-    if not (np.isfinite(low).all() and np.isfinite(high).all() and (high > low).all()):
-        raise ValueError(f"observation key {key!r} must be a bounded Box, got {space}: FlattenUVD scales by the bounds")
-    return _Part(key, slice(start, start + low.size), (low, high), UNITS.get(key))
 
 
 class SequenceObservation(RecordedWrapper, gym.ObservationWrapper[Any, Any, Any]):

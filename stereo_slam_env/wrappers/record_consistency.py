@@ -19,18 +19,11 @@ PARTS = ("position", "rotation", "pose")
 
 @dataclass(frozen=True)
 class EpisodeConsistency:
-    """Consistency over a whole episode.
+    """Consistency over the `steps` frames of an episode after the first one.
 
-    Attributes
-    ----------
-    steps : int
-        Frames after the first one.
-    anees_position, anees_rotation, anees_pose : float
-        Mean NEES over them; 3, 3 and 6 where the filter is consistent.
-    pose_band : (float, float)
-        95 % band of `anees_pose` for independent frames.
-    nis_ratio : float
-        Sum of the NIS over the sum of its degrees of freedom: 1 where the filter is consistent; 0 without updates.
+    `anees_*` are the mean NEES over them: 3, 3 and 6 where the filter is consistent; `pose_band` is the 95 % band of
+    `anees_pose` for independent frames. `nis_ratio`, the sum of the NIS over that of its degrees of freedom, is then 1;
+    0 without updates.
     """
 
     steps: int
@@ -77,7 +70,7 @@ class RecordConsistency(RecordedWrapper):
     """
 
     def __init__(self, env: gym.Env[Any, Any], window: int | None = None, buffer_length: int = 100) -> None:
-        super().__init__(env, window=window, buffer_length=buffer_length)
+        super().__init__(env)
         for name, value in (("window", window), ("buffer_length", buffer_length)):
             if value is not None:
                 whole_number(name, value, 1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from inspect import signature
 from typing import Any
 
 import gymnasium as gym
@@ -11,29 +12,29 @@ from gymnasium.utils import RecordConstructorArgs
 class RecordedWrapper(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
     """Wrapper whose arguments are kept: `env.spec` knows it, and pickle and deepcopy make a fresh one, no snapshot.
 
-    Parameters
-    ----------
-    env : gymnasium.Env
-        The environment inside.
-    **arguments
-        JSON-able arguments of the subclass.
+    Arguments of subclasses beside `env` are JSON-able.
     """
 
-    def __init__(self, env: gym.Env[Any, Any], **arguments: Any) -> None:
-        RecordConstructorArgs.__init__(self, **arguments)
+    _arguments: dict[str, Any]
+
+    def __new__(cls, env: gym.Env[Any, Any], *args: Any, **arguments: Any) -> RecordedWrapper:
+        """Keep the arguments of the subclass, defaults included."""
+        made = super().__new__(cls)
+        bound = signature(cls).bind(env, *args, **arguments)
+        bound.apply_defaults()
+        given = list(bound.arguments.items())[1:]
+        made._arguments = {name: tuple(value) if isinstance(value, list) else value for name, value in given}
+        return made
+
+    def __init__(self, env: gym.Env[Any, Any]) -> None:
+        RecordConstructorArgs.__init__(self, **self._arguments)
         gym.Wrapper.__init__(self, env)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _made_again, (type(self), self.env, self._saved_kwargs)
+        return _made_again, (type(self), self.env, self._arguments)
 
     def inner(self, name: str) -> Any:
-        """Attribute `name` of the wrapped environment or of a wrapper inside.
-
-        Raises
-        ------
-        ValueError
-            There is none; the message says which wrapper or environment offers it.
-        """
+        """Attribute `name` of the environment or of a wrapper inside; a `ValueError` says what would offer it."""
         try:
             return self.env.get_wrapper_attr(name)
         except AttributeError:

@@ -183,17 +183,10 @@ def relative_noise_loop(
         Of the landmarks and of all noise; the path is always the same.
     level : float
         Standard deviation of the noise, relative to what is measured; 0.01 and 0.05 are published.
-    frames : int
-        Length, one second each.
-    landmarks : int
-        Landmarks in the box.
+    frames, landmarks : int
+        Length, one second each, and landmarks in the box.
     sight : float
         How far the camera sees, m: the fewer landmarks in view, the larger the uncertainty.
-
-    Raises
-    ------
-    ValueError
-        level or sight is not positive, fewer than 2 frames or no landmark.
     """
     level, sight = positive("level", level), positive("sight", sight)
     if frames < 2:

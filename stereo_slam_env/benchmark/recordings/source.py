@@ -137,7 +137,7 @@ class Source(msgspec.Struct, frozen=True, tag_field="kind", forbid_unknown_field
     @property
     def takes_images(self) -> bool:
         """Whether the measurements come from images through the front end."""
-        return False
+        return self.has_rig and self.options.get("sensor") == "images"
 
     def sequence(self, seed: int | None, frames: int | None = None) -> OpenedImages:
         """The images of a seed, and the settings of the front end for them; only where `takes_images`."""
@@ -180,13 +180,7 @@ class Source(msgspec.Struct, frozen=True, tag_field="kind", forbid_unknown_field
 
 
 def checked(what: str, value: object, kind: Any) -> Any:
-    """The value as `kind`, a type that `msgspec` knows.
-
-    Raises
-    ------
-    ValueError
-        It cannot be: one line that begins with `what`.
-    """
+    """The value as `kind`, a type that `msgspec` knows; else a `ValueError` of one line that begins with `what`."""
     try:
         return msgspec.convert(value, kind)
     except msgspec.ValidationError as error:

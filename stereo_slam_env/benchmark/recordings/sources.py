@@ -42,11 +42,6 @@ class StreetSource(Source, frozen=True, tag="street"):
 
     arguments: dict[str, Any] = msgspec.field(default_factory=dict)
 
-    @property
-    def takes_images(self) -> bool:
-        """Whether images are rendered."""
-        return self.arguments.get("sensor") == "images"
-
     def record(self, seed: int | None, frames: int | None = None, progress: Progress | None = None) -> Recording:
         """Drive the scripted route."""
         from stereo_slam_env.envs.recorder import record  # PyBullet and Gymnasium, only where they are needed
@@ -93,11 +88,6 @@ class GazeSource(Source, frozen=True, tag="gaze"):
     has_rig: ClassVar[bool] = True
 
     arguments: dict[str, Any] = msgspec.field(default_factory=dict)
-
-    @property
-    def takes_images(self) -> bool:
-        """Whether images are rendered."""
-        return self.arguments.get("sensor") == "images"
 
     def record(self, seed: int | None, frames: int | None = None, progress: Progress | None = None) -> Recording:
         """Refuse: there is no recording for all policies."""

@@ -26,7 +26,6 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from functools import cache
 from multiprocessing.connection import Connection, wait
 from typing import NoReturn, TypeVar, cast
@@ -66,17 +65,10 @@ class WorkTooSlow(RuntimeError):
 def run_isolated(work: Callable[[Tell], Result], *, silence_limit: float, progress: Tell | None = None) -> Result:
     """Run `work` in a process of its own and return what it returns.
 
-    Where the system cannot fork, `work` runs in this process, without protection.
-
-    Parameters
-    ----------
-    work : callable
-        Called with a function (done, total) that it calls as it goes on: a sign of life. It is sent by cloudpickle, so
-        functions and classes of a script or notebook will do; what it returns or raises must be picklable, too.
-    silence_limit : float
-        Longest time without a sign of life, s.
-    progress : callable, optional
-        Is told of the signs of life.
+    `work` is called with a function (done, total) that it calls as it goes on: a sign of life, which `progress` is told
+    of and which must come within `silence_limit`, s. It is sent by cloudpickle, so functions and classes of a script or
+    notebook will do; what it returns or raises must be picklable, too. Where the system cannot fork, it runs in this
+    process, without protection.
 
     Raises
     ------
@@ -92,42 +84,30 @@ def run_isolated(work: Callable[[Tell], Result], *, silence_limit: float, progre
     if not hasattr(os, "fork"):
         return work(progress or (lambda done, total: None))
     try:
-        content = cloudpickle.dumps(_Work(tuple(sys.path), os.getcwd(), cloudpickle.dumps(work)))
+        content = pickle.dumps((sys.path, os.getcwd(), cloudpickle.dumps(work)))
     except Exception as error:  # whatever the objects in it raise
         raise ValueError(f"work must be picklable, to be done in a process of its own: {error}") from error
-    with _clean_process() as process:
+    with _clean_process() as (connection, status):
         with suppress(BrokenPipeError):  # it died at once: `_listen` says how
-            process.connection.send_bytes(content)
-        return cast(Result, _listen(process, silence_limit, progress))
-
-
-@dataclass(frozen=True)
-class _Process:
-    """Forked process, as its caller sees it."""
-
-    connection: Connection
-    status: int
-    id: int
-
-    def exit_code(self) -> int:
-        """Exit code, or minus the number of the signal, as reported by the server."""
-        return _status(self.status, "how a process ended")
+            connection.send_bytes(content)
+        return cast(Result, _listen(connection, status, silence_limit, progress))
 
 
 @contextmanager
-def _clean_process() -> Iterator[_Process]:
+def _clean_process() -> Iterator[tuple[Connection, int]]:
+    """A new process: the connection to it, and the pipe on which the server will tell its exit code."""
     here, there = socket.socketpair()
     status, telling = os.pipe()
     with Connection(here.detach()) as connection, open(status, "rb"):
         with there, open(telling, "wb"):
             _server().request(there.fileno(), telling)
-        process = _Process(connection, status, _status(status, "the id of a new process"))
+        process = _status(status, "the id of a new process")
         try:
-            yield process
+            yield connection, status
         finally:
             with suppress(ProcessLookupError):
                 if not wait([status], 0):  # the server has not told its end
-                    os.kill(process.id, signal.SIGKILL)
+                    os.kill(process, signal.SIGKILL)
 
 
 def _status(pipe: int, what: str) -> int:
@@ -139,15 +119,15 @@ def _status(pipe: int, what: str) -> int:
     return int(_STATUS.unpack(content)[0])
 
 
-def _listen(process: _Process, limit: float, progress: Tell | None) -> object:
+def _listen(connection: Connection, status: int, limit: float, progress: Tell | None) -> object:
     while True:
         began = time.monotonic()
-        if not process.connection.poll(limit):
+        if not connection.poll(limit):
             raise WorkTooSlow(f"no sign of life for {time.monotonic() - began:.0f} s")
         try:
-            kind, content = pickle.loads(process.connection.recv_bytes())
+            kind, content = pickle.loads(connection.recv_bytes())
         except (EOFError, ConnectionResetError):
-            _raise_for_death(process.exit_code())
+            _raise_for_death(_status(status, "how a process ended"))
         if kind == "result":
             return content
         if kind == "error":
@@ -157,6 +137,7 @@ def _listen(process: _Process, limit: float, progress: Tell | None) -> object:
 
 
 def _raise_for_death(code: int) -> NoReturn:
+    """Raise for an exit code, or minus the number of the signal."""
     if code >= 0:
         raise WorkDied(f"its process ended with code {code}")
     by = signal.Signals(-code)
@@ -176,7 +157,7 @@ class _Server:
                 f"import sys; sys.path[:] = {sys.path!r}; "
                 f"from stereo_slam_env.benchmark.running.isolation import serve; serve({theirs.fileno()})"
             )
-            self._popen = subprocess.Popen(
+            self.process = subprocess.Popen(
                 [sys.executable, "-c", code],
                 pass_fds=[theirs.fileno()],
                 stdin=subprocess.DEVNULL,
@@ -185,12 +166,7 @@ class _Server:
         atexit.register(self.close)
         self._socket.settimeout(SECONDS_TO_START)
         if self._socket.recv(1) != _READY:
-            raise WorkDied(f"the server of processes ended with code {self._popen.wait(SECONDS_TO_START)}")
-
-    @property
-    def alive(self) -> bool:
-        """Whether it can be asked for processes."""
-        return self._popen.poll() is None
+            raise WorkDied(f"the server of processes ended with code {self.process.wait(SECONDS_TO_START)}")
 
     def request(self, connection: int, status: int) -> None:
         """Ask for a process that is given these descriptors."""
@@ -200,9 +176,9 @@ class _Server:
         """End the server and all its processes."""
         self._socket.close()
         try:
-            self._popen.wait(5.0)
+            self.process.wait(5.0)
         except subprocess.TimeoutExpired:
-            self._popen.kill()
+            self.process.kill()
 
 
 _starting = threading.Lock()
@@ -211,7 +187,7 @@ _starting = threading.Lock()
 def _server() -> _Server:
     with _starting:
         server = _server_of(os.getpid())
-        if not server.alive:
+        if server.process.poll() is not None:
             _log.warning("the server of processes has ended and is started again")
             _server_of.cache_clear()
             server = _server_of(os.getpid())
@@ -224,15 +200,6 @@ def _server_of(process: int) -> _Server:
 
 
 # ---- the server ------------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class _Work:
-    """A pickled function, with the import path and the working folder of its caller."""
-
-    path: tuple[str, ...]
-    folder: str
-    function: bytes
 
 
 def serve(descriptor: int) -> None:
@@ -252,7 +219,10 @@ def serve(descriptor: int) -> None:
     with socket.socket(fileno=descriptor) as requests, selectors.DefaultSelector() as waiting:
         waiting.register(requests, selectors.EVENT_READ)
         waiting.register(wake_up, selectors.EVENT_READ)
-        requests.sendall(_READY)
+        try:
+            requests.sendall(_READY)
+        except BrokenPipeError:  # the caller was killed meanwhile
+            return
         while True:
             ready = {key.fileobj for key, _ in waiting.select()}
             if wake_up in ready:
@@ -313,12 +283,9 @@ def _work(connection: Connection) -> NoReturn:
 
 def _answer(connection: Connection) -> tuple[str, object]:
     try:
-        work: _Work = pickle.loads(connection.recv_bytes())
-        sys.path[:] = work.path
-        os.chdir(work.folder)
-        return "result", pickle.loads(work.function)(
-            lambda done, total: connection.send_bytes(_packed("alive", (done, total)))
-        )
+        sys.path[:], folder, work = pickle.loads(connection.recv_bytes())
+        os.chdir(folder)
+        return "result", pickle.loads(work)(lambda done, total: connection.send_bytes(_packed("alive", (done, total))))
     except Exception as error:
         return "error", error
 

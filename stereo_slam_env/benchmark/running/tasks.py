@@ -8,12 +8,11 @@ from __future__ import annotations
 import dataclasses
 import logging
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from filters import ConstantVelocity
 from stereo_slam_env.benchmark.recordings.source import OpenedImages
@@ -43,67 +42,34 @@ if TYPE_CHECKING:
 _log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True)
-class RecordingTask:
-    """Make the measurement stream of a seed, for a cell of the study and those that share it."""
+@dataclass(frozen=True, eq=False)
+class Task:
+    """Run a filter on a recording; without a filter: compute the bound, or make the recording (`make`)."""
 
-    cell: int
+    cell: int  # of the study
     scenario: Scenario
     seed: int | None
+    choice: FilterChoice | None = None
+    recording: bytes | None = None  # see `recording.archive`; None: the policy of `choice` drives an episode of its own
+    provenance: Mapping[str, Any] = field(default_factory=dict)  # kept with the result
 
 
 @dataclass(frozen=True, eq=False)
-class MadeRecording:
-    """A recording as bytes, and its description (JSON-able)."""
-
-    cell: int
-    seed: int | None
-    content: bytes
-    description: Mapping[str, Any]
-
-
-@dataclass(frozen=True, eq=False)
-class TrialTask:
-    """Run a filter on a recording; without a filter: compute the bound.
-
-    Attributes
-    ----------
-    cell : int
-        Of the study.
-    recording : bytes, optional
-        See `recording_archive`; None: the policy of `choice` drives an episode of its own.
-    provenance : mapping
-        Kept with the result.
-    """
-
-    cell: int
-    scenario: Scenario
-    seed: int | None
-    choice: FilterChoice | None
-    recording: bytes | None
-    provenance: Mapping[str, Any]
-
-
-@dataclass(frozen=True, eq=False)
-class DoneTrial:
-    """Bytes of the result file, and the recording that the policy made, if it did."""
+class Done:
+    """A result as bytes: a recording with its description (JSON-able), or a trial, with the one its policy made."""
 
     cell: int
     seed: int | None
     choice: FilterChoice | None
     content: bytes
-    made: MadeRecording | None = None
+    description: Mapping[str, Any] = field(default_factory=dict)
+    made: Done | None = None
 
 
-def make(task: RecordingTask, progress: Tell | None = None) -> MadeRecording:
+def make(task: Task, progress: Tell | None = None) -> Done:
     """Make a recording: in a process of its own if it is drawn or calculated, in this one if it is only read.
 
-    Raises
-    ------
-    ValueError
-        See `streams.make_recording`.
-    RuntimeError
-        The process ended, or gave no sign of life for the scenario's `recording_time_limit`.
+    A `RuntimeError` says that the process ended, or gave no sign of life for the scenario's `recording_time_limit`.
     """
     scenario = task.scenario
     if not scenario.source.isolated:  # a drive that is replayed has been read already (see `sources`)
@@ -114,15 +80,15 @@ def make(task: RecordingTask, progress: Tell | None = None) -> MadeRecording:
         raise RuntimeError(f"the recording of scenario {scenario.name!r}, seed {task.seed}, failed: {error}") from error
 
 
-def _make(task: RecordingTask, tell: Tell) -> MadeRecording:
+def _make(task: Task, tell: Tell) -> Done:
     recording = make_recording(task.scenario, task.seed, tell)
-    return MadeRecording(task.cell, task.seed, packed_recording(recording), description_of(recording))
+    return Done(task.cell, task.seed, None, packed_recording(recording), description_of(recording))
 
 
-def run_trial(task: TrialTask, progress: Tell | None = None) -> DoneTrial:
+def run_trial(task: Task, progress: Tell | None = None) -> Done:
     """Run a filter, or compute a bound, in a process of its own; what goes wrong there is a result, too."""
     if task.choice is None:
-        return DoneTrial(task.cell, task.seed, None, packed_bound(_bound_or_none(task), task.provenance["code"]))
+        return Done(task.cell, task.seed, None, packed_bound(_bound(task), task.provenance["code"]))
     limit = task.scenario.frame_time_limit
     if task.choice.policy is not None:
         return _drive(task, task.choice, limit, progress)
@@ -133,24 +99,24 @@ def run_trial(task: TrialTask, progress: Tell | None = None) -> DoneTrial:
         run = run_isolated(work, silence_limit=limit, progress=progress)
     except (WorkDied, WorkTooSlow) as error:
         run = _lost(_given(task), task, task.choice, error)
-    return DoneTrial(task.cell, task.seed, task.choice, packed_run(run, task.provenance))
+    return Done(task.cell, task.seed, task.choice, packed_run(run, task.provenance))
 
 
-def _drive(task: TrialTask, choice: FilterChoice, limit: float, progress: Tell | None) -> DoneTrial:
+def _drive(task: Task, choice: FilterChoice, limit: float, progress: Tell | None) -> Done:
     """The trial of a policy: its episode, and the run of its filter over what was measured there."""
-    made: MadeRecording | None = None
+    made: Done | None = None
     try:
         run, made = run_isolated(partial(_driven, task, choice), silence_limit=limit, progress=progress)
         description = made.description
     except (WorkDied, WorkTooSlow) as error:
-        look = partial(_straight_ahead, task)  # what there was to see, for the figures
+        look = partial(drive_straight_ahead, task.scenario, task.seed)  # what there was to see, for the figures
         episode = run_isolated(look, silence_limit=task.scenario.recording_time_limit)
         run, description = _lost(episode.recording, task, choice, error), _description_of(episode)
     provenance = {**task.provenance, "recording": as_given(description, task.scenario)}
-    return DoneTrial(task.cell, task.seed, choice, packed_run(run, provenance), made)
+    return Done(task.cell, task.seed, choice, packed_run(run, provenance), made=made)
 
 
-def _driven(task: TrialTask, choice: FilterChoice, tell: Tell) -> tuple[FilterRun, MadeRecording]:
+def _driven(task: Task, choice: FilterChoice, tell: Tell) -> tuple[FilterRun, Done]:
     """The filter is run again over the recording: there is one way to judge a filter, and it is timed alone."""
     assert task.seed is not None
     episode = drive_episode(task.scenario, task.seed, choice, lambda done, of: tell(done, 2 * of))
@@ -158,19 +124,14 @@ def _driven(task: TrialTask, choice: FilterChoice, tell: Tell) -> tuple[FilterRu
     run = _run_on(recording, task, choice, lambda done, of: tell(of + done, 2 * of))
     if episode.failure is not None and run.failure is None:
         run = dataclasses.replace(run, failure=episode.failure)
-    return run, MadeRecording(task.cell, task.seed, packed_recording(recording), _description_of(episode))
-
-
-def _straight_ahead(task: TrialTask, tell: Tell) -> Episode:
-    assert task.seed is not None
-    return drive_straight_ahead(task.scenario, task.seed)
+    return run, Done(task.cell, task.seed, choice, packed_recording(recording), _description_of(episode))
 
 
 def _description_of(episode: Episode) -> dict[str, Any]:
     return {**description_of(episode.recording), "drive_sha256": episode.drive_digest}
 
 
-def _filtered(task: TrialTask, choice: FilterChoice, opened: OpenedImages | None, tell: Tell) -> FilterRun:
+def _filtered(task: Task, choice: FilterChoice, opened: OpenedImages | None, tell: Tell) -> FilterRun:
     recording = _given(task)
     if task.scenario.search != "forecast":
         return _run_on(recording, task, choice, tell)
@@ -179,7 +140,7 @@ def _filtered(task: TrialTask, choice: FilterChoice, opened: OpenedImages | None
 
 
 def _run_on(
-    recording: Recording, task: TrialTask, choice: FilterChoice, tell: Tell, observe: Observe | None = None
+    recording: Recording, task: Task, choice: FilterChoice, tell: Tell, observe: Observe | None = None
 ) -> FilterRun:
     scenario = task.scenario
     return run_filter(
@@ -195,17 +156,18 @@ def _run_on(
     )
 
 
-def _lost(recording: Recording, task: TrialTask, choice: FilterChoice, error: Exception) -> FilterRun:
+def _lost(recording: Recording, task: Task, choice: FilterChoice, error: Exception) -> FilterRun:
     _log.warning("%s on %s: %s", choice.label, recording.name, error)
     return failed_run(recording, choice.label, choice.options, task.seed, str(error))
 
 
-def _given(task: TrialTask) -> Recording:
+def _given(task: Task) -> Recording:
     assert task.recording is not None
     return unpacked_recording(task.recording)
 
 
-def _bound_or_none(task: TrialTask) -> Bound | None:
+def _bound(task: Task) -> Bound | None:
+    """The bound; None, and a warning, where it cannot be computed."""
     try:
         return run_isolated(partial(_bounded, task), silence_limit=task.scenario.frame_time_limit)
     except (WorkDied, WorkTooSlow, ArithmeticError, np.linalg.LinAlgError) as error:
@@ -213,30 +175,16 @@ def _bound_or_none(task: TrialTask) -> Bound | None:
         return None
 
 
-def _bounded(task: TrialTask, tell: Tell) -> Bound | None:
-    recording, scenario = _given(task), task.scenario
-    with threadpool_limits(limits=1):
-        return cramer_rao_bound(
-            recording, ConstantVelocity(**scenario.motion), use_odometry=scenario.use_odometry, progress=tell
-        )
+def _bounded(task: Task, tell: Tell) -> Bound | None:
+    motion = ConstantVelocity(**task.scenario.motion)
+    return cramer_rao_bound(_given(task), motion, use_odometry=task.scenario.use_odometry, progress=tell)
 
 
 def watch_search(scenario: Scenario, watch: Watch, progress: Tell | None = None) -> None:
     """Run the front end over the scenario's first seed, guided by the first filter if `search` is "forecast".
 
-    Parameters
-    ----------
-    scenario : Scenario
-        One that takes images.
-    watch : callable
-        Called with each pair and what was found in it.
-    progress : callable, optional
-        Called with (pairs done, pairs) after each.
-
-    Raises
-    ------
-    ValueError
-        The scenario has no images, or the filter that guides fails: the message says where.
+    `watch` is called with each pair and what was found in it, `progress` with (pairs done, pairs). A `ValueError` says
+    that the scenario has no images, or where the filter that guides fails.
     """
     seed = scenario.recording_seeds[0]
     sequence, settings = make_sequence(scenario, seed)

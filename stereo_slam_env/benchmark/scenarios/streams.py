@@ -53,13 +53,7 @@ def make_recording(scenario: Scenario, seed: int | None, progress: Progress | No
 
 
 def make_sequence(scenario: Scenario, seed: int | None) -> OpenedImages:
-    """The images of a scenario that has them, and the settings of the front end for them.
-
-    Raises
-    ------
-    ValueError
-        The scenario has no images, or its options are refused.
-    """
+    """The images of a scenario, and the settings of the front end; a `ValueError` for one without images."""
     if not scenario.source.takes_images:
         raise ValueError(f"scenario {scenario.name!r} has no images: give sensor='images' or a recording of images")
     return scenario.source.sequence(seed, scenario.frames)
@@ -100,21 +94,10 @@ def check_source(scenario: Scenario) -> None:
 def drive_episode(
     scenario: Scenario, seed: int, choice: FilterChoice, progress: Callable[[int, int], None] | None = None
 ) -> Episode:
-    """Episode of a competitor: its policy turns the head, with its filter in the loop.
+    """Episode of one of `scenario.competitors`: its policy turns the head, with its filter in the loop.
 
     The filter is made and told exactly what `run_filter` makes and tells it, so that a run over the recording says what
     the policy heard.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        One with policies.
-    seed : int
-        Of the episode.
-    choice : FilterChoice
-        One of `scenario.competitors`.
-    progress : callable, optional
-        Called with (frames done, frames) after each.
     """
     from stereo_slam_env.policies import make_policy
     from stereo_slam_env.policies.episode import run_episode
@@ -144,14 +127,14 @@ def drive_episode(
         core.close()
 
 
-def drive_straight_ahead(scenario: Scenario, seed: int) -> Episode:
+def drive_straight_ahead(scenario: Scenario, seed: int | None, progress: Progress | None = None) -> Episode:
     """Episode with a fixed head and without a filter."""
     from stereo_slam_env.policies.episode import run_episode
     from stereo_slam_env.policies.open_loop import FixedGaze
 
     env = scenario.source.make_environment()
     try:
-        return run_episode(env, FixedGaze(), seed, frames=scenario.frames)
+        return run_episode(env, FixedGaze(), seed or 0, frames=scenario.frames, progress=progress)
     finally:
         env.close()
 
@@ -200,31 +183,16 @@ def seed_description(given: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class NoiseOfRange:
-    """Errors of the measurements of landmarks in one range of depths; each triple is for u, v, d.
+    """Errors of the measurements of landmarks in one range of depths; each triple is for u, v, d."""
 
-    Attributes
-    ----------
-    low, high : float
-        Depths z, m.
-    count : int
-        Measurements.
-    bias : (3,) tuple
-        Median error, px.
-    sigma : (3,) tuple
-        1.4826 x median absolute deviation, px.
-    outliers : (3,) tuple
-        Share of errors beyond `OUTLIER` px.
-    claimed : (3,) tuple
-        Median of the standard deviations that the measurements claim, px.
-    """
-
+    # Depths z, m.
     low: float
     high: float
     count: int
-    bias: tuple[float, float, float]
-    sigma: tuple[float, float, float]
-    outliers: tuple[float, float, float]
-    claimed: tuple[float, float, float]
+    bias: tuple[float, float, float]  # median error, px
+    sigma: tuple[float, float, float]  # 1.4826 x median absolute deviation, px
+    outliers: tuple[float, float, float]  # share of errors beyond `OUTLIER` px
+    claimed: tuple[float, float, float]  # median of the standard deviations that the measurements claim, px
 
 
 def description_of(recording: Recording) -> dict[str, Any]:
@@ -269,13 +237,7 @@ def stream_digest(recording: Recording) -> str:
 
 
 def measurement_errors(recording: Recording) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Depths z (n,), m, errors (n, 3) of (u, v, d), px, and claimed R (n, 3, 3), px^2, where the truth is known.
-
-    Raises
-    ------
-    ValueError
-        The recording knows no landmarks.
-    """
+    """Depths z (n,), m, errors (n, 3) of (u, v, d), px, and claimed R (n, 3, 3), px^2, where the truth is known."""
     truth = recording.landmarks
     if truth is None:
         raise ValueError(f"recording {recording.name!r} has no true landmarks: its errors cannot be known")

@@ -1,25 +1,8 @@
 """Studies: one scenario, or a grid of them, from scenario files and as presets.
 
-A scenario file is TOML (or JSON), checked key by key. The keys are the fields of `Scenario`, with the source as `kind`
-and `options`, and four more that make many scenarios of one file::
-
-    name = "noise-mismatch"
-    kind = "reference"
-    seeds = 20                            # 0 to 19; or a list
-    filters = ["dual-bearing", { name = "inverse-depth", label = "paper", options = { error = "so3" } }]
-    gate = false                          # TOML has no null: false is none
-
-    [options]
-    name = "long_drive"
-
-    [grid]                                # every combination; keys are fields, dots go into tables
-    "options.noise" = ["pixels", "uvd"]
-    "noise.independent_pixels" = [0.5, 1.0, 2.0]
-    "options.rig.baseline" = [0.2, 0.4]   # a table over a name, as in rig = "vga", keeps it as the table's `name`
-
-`[[cells]]`, instead of a grid, lists scenarios one by one: each has a name and the fields in which it differs.
-`[factorial]` crosses options of one filter: `filter` names it, every other key is an option with its levels.
-`description` is one line for lists. `{data}` at the beginning of a path is the folder of the recordings.
+A scenario file is TOML (or JSON), checked key by key, see docs/benchmark.md ("Scenario files"). The keys are the fields
+of `Scenario`, with the source as `kind` and `options`, and four more: `[grid]`, `[[cells]]` and `[factorial]` make many
+scenarios of one file, and `description` is one line for lists. TOML has no null: false is none.
 """
 
 from __future__ import annotations
@@ -230,10 +213,7 @@ def load_study(path: str | Path, *, data: str | Path | None = None, allow_code: 
 def study_from(tables: Mapping[str, Any], *, data: str | Path | None = None, allow_code: bool = False) -> Study:
     """A study from the tables of a scenario file; `data` and `allow_code` as for `load_study`.
 
-    Raises
-    ------
-    ValueError
-        An unknown key, an impossible value, too many cells or trials, or code that is not allowed.
+    A `ValueError` names an unknown key or impossible value, too many cells or trials, or code that is not allowed.
     """
     checked("scenario", tables, dict[str, Any])
     require_known("scenario has no key", tables, (*KEYS, *_OWN_KEYS))

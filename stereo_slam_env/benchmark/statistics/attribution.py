@@ -87,7 +87,7 @@ def attribute_runs(factorial: Mapping[str, Sequence[Any]], figures: Figures) -> 
                 for measure, table in values.items():
                     table[row, column] = measure.of(of_filter.of_run[key])
     responses = {
-        measure.words: Response(_logarithms(table).reshape(shape), measure.unit, measure.ideal)
+        measure.label: Response(_logarithms(table).reshape(shape), measure.unit, None if measure.ideal is None else 1.0)
         for measure, table in values.items()
         if np.isfinite(table).any()
     }
@@ -103,14 +103,8 @@ def attribute(
 ) -> Attribution:
     """Main effects and interactions of crossed factors, seeds being blocks.
 
-    Parameters
-    ----------
-    factors : mapping of str to sequence
-        Levels of each factor, at least two; the first is what the others are held against.
-    responses : mapping of str to Response
-        By name.
-    ran, diverged : (*levels, S) bool ndarray, optional
-        Whether there was such a run, and whether it diverged; None: all ran, none diverged.
+    The first level of each factor, of at least two, is what the others are held against. `ran` and `diverged`
+    (*levels, S) say whether there was such a run, and whether it diverged; None: all ran, none diverged.
 
     Raises
     ------

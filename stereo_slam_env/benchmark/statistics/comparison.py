@@ -13,81 +13,41 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from filters.validation import BoolArray, FloatArray
 from stereo_slam_env.benchmark.scenarios.streams import pairing_digest
-from stereo_slam_env.benchmark.statistics.differences import (
-    TIE_PERCENT,
-    Difference,
-    Finding,
-    pairs_needed,
-    share_difference,
-)
-from stereo_slam_env.benchmark.statistics.measures import (
-    DIVERGED,
-    MEASURES,
-    TIME,
-    Measure,
-    change_words,
-)
+from stereo_slam_env.benchmark.statistics.differences import TIE_PERCENT, Finding, pairs_needed, share_difference
+from stereo_slam_env.benchmark.statistics.measures import DIVERGED, MEASURES, TIME, change_words, difference_by
 from stereo_slam_env.benchmark.storage.store import SETTINGS, read_study
+from stereo_slam_env.evaluation.figures import Figure
 from stereo_slam_env.evaluation.results import FilterRun
-from stereo_slam_env.evaluation.run_figures import Figures, RunFigures, RunKey, common_keys, key_of
+from stereo_slam_env.evaluation.run_figures import RunFigures, RunKey, common_keys, key_of
+
+if TYPE_CHECKING:
+    from stereo_slam_env.benchmark.campaign import BenchmarkResult
 
 _MACHINE = ("platform", "python", "numpy", "scipy")
 
 
-class HasRuns(Protocol):
-    """A `BenchmarkResult`, or anything else with runs and their figures."""
-
-    @property
-    def runs(self) -> Sequence[FilterRun]:
-        """All runs."""
-
-    @property
-    def figures(self) -> Figures:
-        """Figures of the same runs, see `figures_of`."""
-
-
 @dataclass(frozen=True)
 class Change:
-    """One measure of one filter, before and after.
+    """One measure of one filter, before and after."""
 
-    Attributes
-    ----------
-    filter_name : str
-        Label; in a grid with the name of the cell before it.
-    measure : str
-        In words: "position error", "diverged runs".
-    unit : str
-        Of `before` and `after`; may be empty.
-    before, after : float
-        Over the common recordings: geometric mean over runs, of consistency the mean, of divergences their number.
-    count : int
-        Recordings, pairs where they are paired.
-    interval_percent : pair of float, optional
-        Of by how much it became larger; of consistency, of how much farther from the ideal it came; None where there is
-        none (too few runs, divergences).
-    p_value : float
-        Corrected.
-    finding : Finding
-        Better or worse after than before, or no difference shown.
-    words : str
-        The conclusion, a clause.
-    """
-
-    filter_name: str
-    measure: str
-    unit: str
+    filter_name: str  # label; in a grid with the name of the cell before it
+    measure: str  # in words: "position error", "diverged runs"
+    unit: str  # of `before` and `after`; may be empty
+    # Over the common recordings: geometric mean over runs, of consistency the mean, of divergences their number.
     before: float
     after: float
-    count: int
+    count: int  # recordings, pairs where they are paired
+    # Of by how much it became larger; of consistency, of how much farther from the ideal it came; None where there is
+    # none (too few runs, divergences).
     interval_percent: tuple[float, float] | None
-    p_value: float
-    finding: Finding
+    p_value: float  # corrected
+    finding: Finding  # better or worse after than before, or no difference shown
     words: str
 
 
@@ -148,7 +108,7 @@ class RunComparison:
 COLUMNS = ("filter", "measure", "before", "after", "change", "finding")
 
 
-def compare(before: str | Path | HasRuns, after: str | Path | HasRuns) -> RunComparison:
+def compare(before: str | Path | BenchmarkResult, after: str | Path | BenchmarkResult) -> RunComparison:
     """Find the significant changes between two runs of the benchmark.
 
     Parameters
@@ -170,7 +130,7 @@ def compare(before: str | Path | HasRuns, after: str | Path | HasRuns) -> RunCom
             f"{', '.join(now.figures)}"
         )
     paired, about_streams = _same_streams(was, now)
-    changes = _changes([_pair(was, now, name, paired) for name in filters])
+    changes = _changes(was, now, filters, paired)
     warnings = [*_failures(was), *_failures(now), *about_streams, *_other_settings(was, now), *_other_machine(was, now)]
     return RunComparison(
         before=was.name,
@@ -202,7 +162,7 @@ class _Side:
         return list(dict.fromkeys(key for _, key in self.trials))
 
 
-def _opened(source: str | Path | HasRuns, name: str) -> _Side:
+def _opened(source: str | Path | BenchmarkResult, name: str) -> _Side:
     if not isinstance(source, (str, Path)):
         out = getattr(source, "out", None)
         if out is None or not Path(out).is_dir():
@@ -239,79 +199,58 @@ def _same_streams(was: _Side, now: _Side) -> tuple[bool, list[str]]:
             f"The measurements of {which} are not the same in both runs: they are compared as two samples, not pair by "
             f"pair, and a difference may come from the recordings."
         ]
-    if all(_same_drive(was.trials[trial], now.trials[trial]) for trial in common):
+    pairs = [(was.trials[trial], now.trials[trial]) for trial in common]
+    if all(
+        np.array_equal(getattr(a, name), getattr(b, name), equal_nan=True)
+        for a, b in pairs
+        for name in ("timestamps", "true_positions")
+    ):
         return True, [
             "Whether the measurements are bit-identical is not known; time stamps and truth are, so runs are paired."
         ]
     return False, ["The drives of the two runs are not the same: they are compared as two samples, not pair by pair."]
 
 
-def _same_drive(a: FilterRun, b: FilterRun) -> bool:
-    return all(
-        np.array_equal(getattr(a, name), getattr(b, name), equal_nan=True) for name in ("timestamps", "true_positions")
+def _changes(was: _Side, now: _Side, filters: Sequence[str], paired: bool) -> tuple[Change, ...]:
+    """All changes; values that are identical before and after do not count as a comparison."""
+    found = {(name, m): _values(was, now, name, m, paired) for name in filters for m in (*MEASURES, DIVERGED)}
+    known = {
+        (name, measure): values
+        for (name, measure), values in found.items()
+        if all(map(len, values)) and (measure is not DIVERGED or any(side.any() for side in values))
+    }
+    moved = [measure is TIME for (_, measure), values in known.items() if not np.array_equal(*values)]
+    of_time, of_others = max(1, sum(moved)), max(1, len(moved) - sum(moved))
+    return tuple(
+        _change(name, measure, *values, paired, of_time if measure is TIME else of_others)
+        for (name, measure), values in known.items()
     )
 
 
-@dataclass(frozen=True)
-class _Pair:
-    """One filter in both runs, with the recordings of each, which are the same where they are paired."""
-
-    name: str
-    after: RunFigures
-    before: RunFigures
-    keys_after: Sequence[RunKey]
-    keys_before: Sequence[RunKey]
-    paired: bool
-
-    def values(self, measure: Measure) -> tuple[FloatArray, FloatArray]:
-        """After and before; of pairs, those that both know."""
-        after, before = measure.by_run(self.after, self.keys_after), measure.by_run(self.before, self.keys_before)
-        if not self.paired:
-            return after[np.isfinite(after)], before[np.isfinite(before)]
-        known = np.isfinite(after) & np.isfinite(before)
-        return after[known], before[known]
-
-    @property
-    def diverged(self) -> tuple[BoolArray, BoolArray]:
-        """After and before."""
-        return self.after.diverged(self.keys_after), self.before.diverged(self.keys_before)
+def _values(was: _Side, now: _Side, name: str, measure: Figure, paired: bool) -> tuple[FloatArray, FloatArray]:
+    """Values of a measure in the runs after and before; of pairs, those that both know."""
+    sides = now.figures[name], was.figures[name]
+    common = common_keys(*reversed(sides))
+    after, before = (side.values(measure, common if paired else list(side.of_run)) for side in sides)
+    if not paired:
+        return after[np.isfinite(after)], before[np.isfinite(before)]
+    known = np.isfinite(after) & np.isfinite(before)
+    return after[known], before[known]
 
 
-def _pair(was: _Side, now: _Side, name: str, paired: bool) -> _Pair:
-    after, before = now.figures[name], was.figures[name]
-    both = common_keys(before, after)
-    own = (both, both) if paired else (list(after.of_run), list(before.of_run))
-    return _Pair(name, after, before, *own, paired)
-
-
-def _changes(pairs: Sequence[_Pair]) -> tuple[Change, ...]:
-    """All changes; values that are identical before and after do not count as a comparison."""
-    known = {(p.name, m): values for p in pairs for m in MEASURES for values in [p.values(m)] if all(map(len, values))}
-    moved = [measure for (_, measure), values in known.items() if not np.array_equal(*values)]
-    lost = sum(not np.array_equal(*pair.diverged) for pair in pairs)
-    of_time = max(1, moved.count(TIME))
-    of_others = max(1, len(moved) - moved.count(TIME) + lost)
-    changes = []
-    for pair in pairs:
-        for measure in MEASURES:
-            if (pair.name, measure) in known:
-                after, before = known[pair.name, measure]
-                comparisons = of_time if measure is TIME else of_others
-                difference = measure.difference(after, before, paired=pair.paired, comparisons=comparisons)
-                changes.append(_change(pair.name, measure, after, before, difference))
-        if any(side.any() for side in pair.diverged):
-            changes.append(_divergences(pair, of_others))
-    return tuple(changes)
-
-
-def _change(name: str, measure: Measure, after: FloatArray, before: FloatArray, difference: Difference) -> Change:
-    percent = difference.reversed if measure.figure.larger_is_better else difference
+def _change(
+    name: str, measure: Figure, after: FloatArray, before: FloatArray, paired: bool, comparisons: int
+) -> Change:
+    if measure is DIVERGED:
+        return _divergences(name, after > 0, before > 0, paired, comparisons)
+    difference = difference_by(measure, after, before, paired=paired, comparisons=comparisons)
+    percent = difference.reversed if measure.larger_is_better else difference
     return Change(
         filter_name=name,
-        measure=measure.words,
+        measure=measure.label,
         unit=measure.unit,
-        before=measure.over_runs(before),
-        after=measure.over_runs(after),
+        before=over_runs(measure, before),
+        after=over_runs(measure, after),
         count=difference.count,
         interval_percent=percent.interval_percent,
         p_value=difference.p_value,
@@ -320,26 +259,25 @@ def _change(name: str, measure: Measure, after: FloatArray, before: FloatArray, 
     )
 
 
-def _divergences(pair: _Pair, comparisons: int) -> Change:
-    after, before = pair.diverged
-    share = share_difference(after, before, paired=pair.paired, comparisons=comparisons)
-    words = f"{int(before.sum())} of {len(before)} runs before, {int(after.sum())} of {len(after)} after"
+def _divergences(name: str, after: BoolArray, before: BoolArray, paired: bool, comparisons: int) -> Change:
+    share = share_difference(after, before, paired=paired, comparisons=comparisons)
+    lost, are_lost = int(before.sum()), int(after.sum())
+    words = f"{lost} of {len(before)} runs before, {are_lost} of {len(after)} after"
     if np.array_equal(after, before):
-        words = f"the same {int(after.sum())} of {len(after)} runs"
+        words = f"the same {are_lost} of {len(after)} runs"
     elif share.finding is Finding.NOT_SHOWN:
         words = f"{words}, which may be chance"
-    return Change(
-        filter_name=pair.name,
-        measure=DIVERGED.words,
-        unit="",
-        before=float(before.sum()),
-        after=float(after.sum()),
-        count=share.count,
-        interval_percent=None,
-        p_value=share.p_value,
-        finding=share.finding,
-        words=words,
-    )
+    return Change(name, DIVERGED.label, "", lost, are_lost, share.count, None, share.p_value, share.finding, words)
+
+
+def over_runs(measure: Figure, values: FloatArray) -> float:
+    """One value for many runs: their geometric mean; of consistency and logarithms their mean; NaN without any."""
+    finite = values[np.isfinite(values)]
+    if finite.size == 0:
+        return float("nan")
+    if measure.ideal is not None or not measure.is_ratio or not (finite > 0.0).all():
+        return float(finite.mean())
+    return float(np.exp(np.log(finite).mean()))
 
 
 def _failures(side: _Side) -> list[str]:
@@ -383,7 +321,7 @@ def _headline(changes: Sequence[Change]) -> str:
             sentences.append(f"{finding.value.capitalize()} after than before: {'; '.join(shown)}.")
     if sentences:
         return " ".join(sentences)
-    others = [c.words for c in changes if c.measure != TIME.words]
+    others = [c.words for c in changes if c.measure != TIME.label]
     if all(words.startswith("the same") for words in others):
         tied = any(words.startswith("the same to within") for words in others)
         return f"Nothing has changed{f' by {TIE_PERCENT:g} % or more' if tied else ''} but perhaps the time."

@@ -327,25 +327,14 @@ def _ratio(shift: FloatArray, error: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class ShareDifference:
-    """Difference of the shares of recordings in which something (a divergence) happened.
+    """Difference of the shares of recordings in which something (a divergence) happened."""
 
-    Attributes
-    ----------
-    only_a, only_b : int
-        Recordings where it happened to one of them alone; where nothing is paired, all where it happened.
-    count : int
-        Recordings.
-    p_value : float
-        Two-sided, exact, corrected for the number of comparisons.
-    finding : Finding
-        About a; less often is better.
-    """
-
+    # Recordings where it happened to one of them alone; where nothing is paired, all where it happened.
     only_a: int
     only_b: int
     count: int
-    p_value: float
-    finding: Finding
+    p_value: float  # two-sided, exact, corrected for the number of comparisons
+    finding: Finding  # about a; less often is better
 
 
 def share_difference(a: BoolArray, b: BoolArray, *, paired: bool = True, comparisons: int = 1) -> ShareDifference:

@@ -22,127 +22,47 @@ _WORTH_WORDS = 1.0
 
 @dataclass(frozen=True, eq=False)
 class Response:
-    """Response of an experiment: the values that the factors explain.
+    """Response of an experiment: the values that the factors explain."""
 
-    Attributes
-    ----------
-    logarithms : (*levels, S) ndarray
-        One for each combination and each seed; NaN where there is none.
-    unit : str
-        Of the value itself; may be empty.
-    ideal : float, optional
-        The value that is best; None: the smaller the better.
-    """
-
-    logarithms: FloatArray
-    unit: str = ""
-    ideal: float | None = None
+    logarithms: FloatArray  # (*levels, S): one for each combination and each seed; NaN where there is none
+    unit: str = ""  # of the value itself; may be empty
+    ideal: float | None = None  # the value that is best; None: the smaller the better
 
 
 @dataclass(frozen=True)
 class Effect:
-    """Effect of a level against the average of all, or of two levels together beyond what each does alone.
+    """Effect of a level against the average of all, or of two levels together beyond what each does alone."""
 
-    Attributes
-    ----------
-    factors : tuple of str
-        One name (a main effect) or two (an interaction).
-    levels : tuple
-        The level of each.
-    percent : float
-        By how much the response is larger with it, %: +100 doubles it.
-    interval_percent : pair of float, optional
-        Its confidence interval, corrected for the number of such effects; None with too few seeds.
-    shown : bool
-        Whether the runs show that there is any effect.
-    """
-
-    factors: tuple[str, ...]
-    levels: tuple[Any, ...]
-    percent: float
-    interval_percent: tuple[float, float] | None
-    shown: bool
+    factors: tuple[str, ...]  # one name (a main effect) or two (an interaction)
+    levels: tuple[Any, ...]  # the level of each
+    difference: Difference  # of the logarithm, corrected for the number of such effects
 
 
 @dataclass(frozen=True)
 class Contrast:
-    """One level of a factor instead of its first one, all else being averaged over.
-
-    Attributes
-    ----------
-    factor : str
-        Name.
-    level, instead_of : value
-        The two levels.
-    percent : float
-        By how much the response is larger, %.
-    interval_percent : pair of float, optional
-        Its confidence interval, corrected for the number of contrasts; None with too few seeds.
-    p_value : float
-        Of the signed-rank test over seeds, corrected in the same way.
-    finding : Finding
-        Whether the response is shown to be better (smaller, or nearer to its ideal), worse, or neither.
-    words : str
-        One clause.
-    """
+    """One level of a factor instead of its first one, all else being averaged over."""
 
     factor: str
     level: Any
     instead_of: Any
-    percent: float
-    interval_percent: tuple[float, float] | None
-    p_value: float
-    finding: Finding
+    difference: Difference  # of the logarithm, corrected for the number of contrasts
+    finding: Finding  # whether the response is shown to be better (smaller, or nearer to its ideal), worse, or neither
     words: str
 
 
 @dataclass(frozen=True)
-class Share:
-    """Share of the variance between combinations, on the same seed, that a factor or an interaction explains.
-
-    Attributes
-    ----------
-    factors : tuple of str
-        One name, two for an interaction, none for the rest.
-    percent : float
-        Of the variance of the logarithms, %.
-    """
-
-    factors: tuple[str, ...]
-    percent: float
-
-
-@dataclass(frozen=True)
 class ResponseAttribution:
-    """The effects on one response.
+    """The effects on one response."""
 
-    Attributes
-    ----------
-    response : str
-        Its name: "position error", "pose NEES / 6", "time".
-    unit : str
-        Of `mean`: "m", "", "ms".
-    mean : float
-        Geometric mean over combinations and seeds, in `unit`.
-    effects : tuple of Effect
-        Main effects, in the order of factors and levels.
-    interactions : tuple of Effect
-        Of two factors, those that can be estimated: beyond what each does alone.
-    contrasts : tuple of Contrast
-        Every level against the first of its factor.
-    shares : tuple of Share
-        Largest first, the rest last.
-    conclusion : str
-        One sentence.
-    """
-
-    response: str
-    unit: str
-    mean: float
-    effects: tuple[Effect, ...]
-    interactions: tuple[Effect, ...]
-    contrasts: tuple[Contrast, ...]
-    shares: tuple[Share, ...]
+    response: str  # its name: "position error", "pose NEES / 6", "time"
+    unit: str  # of `mean`: "m", "", "ms"
+    mean: float  # geometric mean over combinations and seeds, in `unit`
+    effects: tuple[Effect, ...]  # main effects, in the order of factors and levels
+    interactions: tuple[Effect, ...]  # of two factors, those that can be estimated: beyond what each does alone
+    contrasts: tuple[Contrast, ...]  # every level against the first of its factor
+    # Share of the variance between combinations, on the same seed, that a factor or two together explain, %: by their
+    # names, largest first; of none of them, (), last.
+    shares: Mapping[tuple[str, ...], float]
     conclusion: str
 
 
@@ -155,16 +75,15 @@ def explain(
     """
     fit = fit_factorial(response.logarithms)
     names = list(factors)
-    mains = [term for term in fit.blocks if len(term) == 1]
-    pairs = [term for term in fit.blocks if len(term) == 2]
-    effects = _effects(fit, mains, factors)
-    interactions = _effects(fit, pairs, factors)
+    effects, interactions = (
+        _effects({term: blocks for term, blocks in fit.blocks.items() if len(term) == size}, factors) for size in (1, 2)
+    )
     contrasts = _contrasts(name, response, factors, fit)
-    shares = [Share(tuple(names[i] for i in term), 100.0 * share) for term, share in fit.shares.items()]
-    shares.sort(key=lambda share: -share.percent)
-    strong = {share.factors for share in shares if len(share.factors) == 2 and share.percent >= _WORTH_WORDS}
-    together = [p for p in strong if any(e.shown for e in interactions if e.factors == p)]
-    by_share = [share.factors[0] for share in shares if len(share.factors) == 1]
+    by_share = sorted(fit.shares.items(), key=lambda item: -item[1])
+    shares = {tuple(names[i] for i in term): 100.0 * share for term, share in by_share}
+    shown = {effect.factors for effect in interactions if effect.difference.shown}
+    together = [term for term in shown if shares[term] >= _WORTH_WORDS]
+    mains = [term[0] for term in shares if len(term) == 1]
     found = ResponseAttribution(
         response=name,
         unit=response.unit,
@@ -172,28 +91,25 @@ def explain(
         effects=effects,
         interactions=interactions,
         contrasts=contrasts,
-        shares=(*shares, Share((), 100.0 * fit.rest)),
-        conclusion=_conclusion(name, by_share, contrasts, together),
+        shares={**shares, (): 100.0 * fit.rest},
+        conclusion=_conclusion(name, mains, contrasts, together),
     )
     return found, fit.left_out
 
 
-def _effects(
-    fit: FactorialFit, terms: Sequence[tuple[int, ...]], factors: Mapping[str, Sequence[Any]]
-) -> tuple[Effect, ...]:
+def _effects(blocks: Mapping[Term, FloatArray], factors: Mapping[str, Sequence[Any]]) -> tuple[Effect, ...]:
     """Effects of all terms of one kind; two levels have one effect with two signs."""
-    if not terms:
-        return ()
     names, levels = list(factors), list(factors.values())
-    comparisons = sum(int(np.prod([n if n > 2 else 1 for n in fit.blocks[t].shape[1:]])) for t in terms)
-    found = []
-    for term in terms:
-        blocks = fit.blocks[term]
-        differences = differences_of(blocks.reshape(len(blocks), -1), comparisons=comparisons)
-        for combination, d in zip(product(*(levels[i] for i in term)), differences, strict=True):
-            of = tuple(names[i] for i in term)
-            found.append(Effect(of, tuple(combination), d.percent, d.interval_percent, d.shown))
-    return tuple(found)
+    comparisons = sum(int(np.prod([n if n > 2 else 1 for n in found.shape[1:]])) for found in blocks.values())
+    return tuple(
+        Effect(tuple(names[i] for i in term), combination, difference)
+        for term, found in blocks.items()
+        for combination, difference in zip(
+            product(*(levels[i] for i in term)),
+            differences_of(found.reshape(len(found), -1), comparisons=comparisons),
+            strict=True,
+        )
+    )
 
 
 def _contrasts(
@@ -211,9 +127,7 @@ def _contrasts(
                 ideal = np.log(response.ideal)
                 finding = Finding.BETTER if abs(at[k] - ideal) < abs(at[0] - ideal) else Finding.WORSE
             words = _contrast_words(name, levels[k], levels[0], d)
-            found.append(
-                Contrast(factor, levels[k], levels[0], d.percent, d.interval_percent, d.p_value, finding, words)
-            )
+            found.append(Contrast(factor, levels[k], levels[0], d, finding, words))
     return tuple(found)
 
 
@@ -247,39 +161,20 @@ def _conclusion(
 
 @dataclass(frozen=True, eq=False)
 class FactorialFit:
-    """Result of a fit: effects, and the variance they explain.
+    """Result of a fit: effects, and the variance they explain."""
 
-    Attributes
-    ----------
-    blocks : mapping of Term to (S, *levels) ndarray
-        The effect of each level, or pair of levels, block by block; the estimate is the mean over blocks.
-    shares : mapping of Term to float
-        Share of the variance within blocks that a term explains beyond all others, 0 to 1.
-    rest : float
-        Share that no term explains.
-    left_out : tuple of Term
-        Interactions that cannot be told from other terms, because combinations are missing.
-    """
-
+    # The effect of each level, or pair of levels, block by block; the estimate is the mean over blocks.
     blocks: dict[Term, FloatArray]
-    shares: dict[Term, float]
-    rest: float
-    left_out: tuple[Term, ...]
+    shares: dict[Term, float]  # share of the variance within blocks that a term explains beyond all others, 0 to 1
+    rest: float  # share that no term explains
+    left_out: tuple[Term, ...]  # interactions that cannot be told from other terms, because combinations are missing
 
 
 def fit_factorial(values: FloatArray) -> FactorialFit:
     """Fit main effects and the interactions of two factors that can be estimated.
 
-    Parameters
-    ----------
-    values : (*levels, S) ndarray
-        One value for each combination of levels and each block; NaN where missing. Blocks without two values are left
-        out.
-
-    Raises
-    ------
-    ValueError
-        What is missing leaves main effects that cannot be told apart.
+    `values` (*levels, S) has one value for each combination of levels and each block, NaN where missing; blocks without
+    two values are left out. Raises a `ValueError` where what is missing leaves main effects that cannot be told apart.
     """
     levels = values.shape[:-1]
     rows = values.reshape(-1, values.shape[-1]).T

@@ -18,7 +18,6 @@ from stereo_slam_env.benchmark.statistics.measures import (
     FINAL_ERROR,
     FINAL_SIGMA,
     POSITION,
-    PairVerdict,
     PairwiseTable,
     compare_all,
 )
@@ -42,31 +41,15 @@ class Agreement(Enum):
 
 @dataclass(frozen=True)
 class ClaimAndTruth:
-    """A policy against the baseline.
-
-    Attributes
-    ----------
-    policy, baseline : str
-        Labels.
-    claim : PairVerdict
-        On the standard deviation claimed for the final position.
-    final, path : PairVerdict
-        On the true position error, in the last frame and along the drive.
-    consistency : Consistency
-        Of the filter with this policy.
-    agreement : Agreement
-        Whether claim and truth show the same.
-    words : str
-        All of it, one sentence.
-    """
+    """A policy against the baseline: the claimed uncertainty of the final position, and the true position error."""
 
     policy: str
     baseline: str
-    claim: PairVerdict
-    final: PairVerdict
-    path: PairVerdict
-    consistency: Consistency
-    agreement: Agreement
+    claim: Difference
+    final: Difference  # of the true error in the last frame
+    path: Difference  # and along the drive
+    consistency: Consistency  # of the filter with this policy
+    agreement: Agreement  # whether claim and truth show the same
     words: str
 
     @property
@@ -77,43 +60,22 @@ class ClaimAndTruth:
 
 @dataclass(frozen=True)
 class PolicyVerdict:
-    """Verdict on all policies: the first lines of their report.
+    """Verdict on all policies: the first lines of their report."""
 
-    Attributes
-    ----------
-    baseline : str
-        What all others are held against.
-    best : str, optional
-        Whose filter claims the least uncertainty of the final position, of those that never diverged.
-    comparisons : mapping of str to ClaimAndTruth
-        By label of the other policies; those that cannot be compared are left out.
-    compared : PairwiseTable
-        Each against the baseline, by every measure of `CLAIM_AND_TRUTH`.
-    headline : str
-        The policy with the least uncertain pose, and every disagreement, in sentences.
-    """
-
-    baseline: str
-    best: str | None
+    baseline: str  # what all others are held against
+    best: str | None  # whose filter claims the least uncertainty of the final position, of those that never diverged
+    # By label of the other policies; those that cannot be compared are left out.
     comparisons: Mapping[str, ClaimAndTruth]
-    compared: PairwiseTable
-    headline: str
+    compared: PairwiseTable  # each against the baseline, by every measure of `CLAIM_AND_TRUTH`
+    headline: str  # the policy with the least uncertain pose, and every disagreement, in sentences
 
 
 @dataclass(frozen=True, eq=False)
 class Looks:
-    """Baseline of the policies, and a recording of each competitor.
+    """Baseline of the policies, and a recording of each competitor."""
 
-    Attributes
-    ----------
-    baseline : str
-        Label of a competitor.
-    recordings : mapping of str to Recording
-        Of one seed, by label.
-    """
-
-    baseline: str
-    recordings: Mapping[str, Recording]
+    baseline: str  # label of a competitor
+    recordings: Mapping[str, Recording]  # of one seed, by label
 
 
 def baseline_of(competitors: Sequence[FilterChoice]) -> str:
@@ -123,14 +85,9 @@ def baseline_of(competitors: Sequence[FilterChoice]) -> str:
 
 
 def judge_policies(summaries: Sequence[FilterSummary], figures: Figures, *, baseline: str) -> PolicyVerdict:
-    """Compare every policy with the baseline, by claimed uncertainty and by true error.
+    """Compare every policy with the baseline, by claimed uncertainty and by true error; raises as `compare_all`.
 
     Intervals and tests are corrected for the number of policies; each measure stands for itself.
-
-    Raises
-    ------
-    ValueError
-        There is no such baseline.
     """
     compared = compare_all(summaries, figures, baseline=baseline, measures=CLAIM_AND_TRUTH)
     comparisons = {}
@@ -139,8 +96,9 @@ def judge_policies(summaries: Sequence[FilterSummary], figures: Figures, *, base
             compared.cell(measure, summary.filter_name, baseline) for measure in (FINAL_SIGMA, FINAL_ERROR, POSITION)
         )
         if claim is not None and final is not None and path is not None:
-            comparisons[summary.filter_name] = _compared(summary, claim, final, path)
-    best = _least_uncertain(summaries)
+            comparisons[summary.filter_name] = _compared(summary, baseline, claim, final, path)
+    steady = [s for s in summaries if s.diverged == 0 and s.final_position_sigma_m is not None]
+    best = min(steady, key=lambda s: float(s.final_position_sigma_m or 0.0), default=None)
     return PolicyVerdict(
         baseline=baseline,
         best=None if best is None else best.filter_name,
@@ -150,63 +108,49 @@ def judge_policies(summaries: Sequence[FilterSummary], figures: Figures, *, base
     )
 
 
-def _compared(summary: FilterSummary, claim: PairVerdict, final: PairVerdict, path: PairVerdict) -> ClaimAndTruth:
-    agreement = _agreement(claim.difference, [path.difference, final.difference])
-    state = consistency(summary)
-    but = "and" if agreement is Agreement.DISAGREE else "but"
-    said = f"{agreement.value}{_too_few(claim.difference)}{_honesty(summary, state, but)}"
-    words = f"{_claim(claim)}, {_truth(path, final)}: {said}."
-    return ClaimAndTruth(claim.filter_name, claim.against, claim, final, path, state, agreement, words)
+def _compared(
+    summary: FilterSummary, baseline: str, claim: Difference, final: Difference, path: Difference
+) -> ClaimAndTruth:
+    policy, state, agreement = summary.filter_name, consistency(summary), _agreement(claim, [path, final])
+    said = agreement.value
+    if claim.too_few:
+        said += f", for {claim.count} paired runs are too few: {claim.needed} are needed"
+    if state in (Consistency.OVERCONFIDENT, Consistency.CAUTIOUS):
+        but = "and" if agreement is Agreement.DISAGREE else "but"
+        what = "is overconfident" if state is Consistency.OVERCONFIDENT else "claims more uncertainty than it has"
+        said += f"; {but} it {what}, {_nees(summary)}"
+    words = f"{_claim(policy, baseline, claim)}, {_truth(path, final)}: {said}."
+    return ClaimAndTruth(policy, baseline, claim, final, path, state, agreement, words)
 
 
 def _agreement(claim: Difference, truths: Sequence[Difference]) -> Agreement:
     """Agreement of the claimed difference with the true ones."""
-    true = _shown_by([difference.finding for difference in truths])
-    if true is claim.finding:
-        return Agreement.NOTHING_SHOWN if claim.finding is Finding.NOT_SHOWN else Agreement.AGREE
+    shown = {difference.finding for difference in truths} - {Finding.NOT_SHOWN}
+    if shown == {claim.finding} - {Finding.NOT_SHOWN}:
+        return Agreement.AGREE if shown else Agreement.NOTHING_SHOWN
     intervals = [difference.interval for difference in truths if difference.interval is not None]
     possible = all(low <= claim.estimate <= high for low, high in intervals)
-    return Agreement.OPEN if true is Finding.NOT_SHOWN and possible else Agreement.DISAGREE
+    return Agreement.OPEN if not shown and possible else Agreement.DISAGREE
 
 
-def _shown_by(findings: Sequence[Finding]) -> Finding | None:
-    """Common result of several findings; None where they contradict each other."""
-    shown = {finding for finding in findings if finding is not Finding.NOT_SHOWN}
-    if len(shown) > 1:
-        return None
-    return next(iter(shown), Finding.NOT_SHOWN)
+def _claim(policy: str, baseline: str, claim: Difference) -> str:
+    if claim.identical:
+        return f"{policy} claims exactly the uncertainty of {baseline}"
+    if claim.tied:
+        return f"{policy} claims the uncertainty of {baseline}, {claim.tie_words}"
+    if not claim.shown:
+        return f"{policy} is not shown to claim another uncertainty than {baseline} ({_change(claim)})"
+    much = percent_words(claim.percent, "more", "less")
+    return f"{policy} claims {much} uncertainty of the final position than {baseline} ({claim.evidence})"
 
 
-def _claim(claim: PairVerdict) -> str:
-    difference, who, other = claim.difference, claim.filter_name, claim.against
-    if difference.identical:
-        return f"{who} claims exactly the uncertainty of {other}"
-    if difference.tied:
-        return f"{who} claims the uncertainty of {other}, {difference.tie_words}"
-    if not difference.shown:
-        return f"{who} is not shown to claim another uncertainty than {other} ({_change(difference)})"
-    much = percent_words(difference.percent, "more", "less")
-    return f"{who} claims {much} uncertainty of the final position than {other} ({difference.evidence})"
-
-
-def _truth(path: PairVerdict, final: PairVerdict) -> str:
+def _truth(path: Difference, final: Difference) -> str:
     parts = [(path, "along the drive"), (final, "at the end")]
-    shown = [
-        f"{percent_words(pair.difference.percent)} {where} ({pair.difference.interval_words})"
-        for pair, where in parts
-        if pair.difference.shown
-    ]
+    shown = [f"{percent_words(d.percent)} {where} ({d.interval_words})" for d, where in parts if d.shown]
     if shown:
         return f"and its true position error is {' and '.join(shown)}"
-    open_ones = "; ".join(f"{where} {_change(pair.difference)}" for pair, where in parts)
+    open_ones = "; ".join(f"{where} {_change(d)}" for d, where in parts)
     return f"and no difference of the true position error is shown ({open_ones})"
-
-
-def _honesty(summary: FilterSummary, state: Consistency, but: str) -> str:
-    if state not in (Consistency.OVERCONFIDENT, Consistency.CAUTIOUS):
-        return ""
-    what = "is overconfident" if state is Consistency.OVERCONFIDENT else "claims more uncertainty than it has"
-    return f"; {but} it {what}, {_nees(summary)}"
 
 
 def _nees(summary: FilterSummary) -> str:
@@ -217,17 +161,6 @@ def _nees(summary: FilterSummary) -> str:
 def _change(difference: Difference) -> str:
     known = difference.interval is not None and not difference.too_few
     return f"{signed(difference.percent)} %" + (f", {difference.interval_words}" if known else "")
-
-
-def _too_few(difference: Difference) -> str:
-    if not difference.too_few:
-        return ""
-    return f", for {difference.count} paired runs are too few: {difference.needed} are needed"
-
-
-def _least_uncertain(summaries: Sequence[FilterSummary]) -> FilterSummary | None:
-    steady = [s for s in summaries if s.diverged == 0 and s.final_position_sigma_m is not None]
-    return min(steady, key=lambda s: float(s.final_position_sigma_m or 0.0), default=None)
 
 
 def _headline(

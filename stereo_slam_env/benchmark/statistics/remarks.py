@@ -8,7 +8,7 @@ from enum import Enum
 
 import numpy as np
 
-from stereo_slam_env.benchmark.statistics.differences import CONFIDENCE, MIN_PAIRS
+from stereo_slam_env.benchmark.statistics.differences import CONFIDENCE, MIN_PAIRS, listed
 from stereo_slam_env.evaluation.cramer_rao import efficiency_interval
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
 from stereo_slam_env.recording.recording import Reference, ReferenceKind
@@ -82,10 +82,8 @@ def _far(factors: Mapping[str, float]) -> str:
 
 
 def _named(names: Sequence[str]) -> str:
-    shown = list(names[:_MOST_NAMED])
-    if len(names) > _MOST_NAMED:
-        shown.append(f"{len(names) - _MOST_NAMED} more")
-    return shown[0] if len(shown) == 1 else f"{', '.join(shown[:-1])} and {shown[-1]}"
+    more = [f"{len(names) - _MOST_NAMED} more"] if len(names) > _MOST_NAMED else []
+    return listed([*names[:_MOST_NAMED], *more])
 
 
 # ---- distance from the limit -----------------------------------------------------------------------------------------
@@ -103,21 +101,11 @@ class Reach(Enum):
 
 @dataclass(frozen=True)
 class LimitReached:
-    """Bound over error of a filter.
+    """Bound over error of a filter."""
 
-    Attributes
-    ----------
-    percent : float
-        Ratio of both root mean squares over runs.
-    interval : pair of float, optional
-        95 % interval of it over runs, in percent; None with fewer than `MIN_PAIRS`.
-    runs : int
-        How many have a bound and an error.
-    """
-
-    percent: float
-    interval: tuple[float, float] | None
-    runs: int
+    percent: float  # ratio of both root mean squares over runs
+    interval: tuple[float, float] | None  # 95 % interval of it over runs, in percent; None with fewer than `MIN_PAIRS`
+    runs: int  # how many have a bound and an error
 
     @property
     def reach(self) -> Reach:

@@ -19,9 +19,9 @@ from stereo_slam_env.benchmark.statistics.differences import (
     share_difference,
     signed,
 )
-from stereo_slam_env.benchmark.statistics.measures import POSITION
+from stereo_slam_env.benchmark.statistics.measures import POSITION, difference_between
 from stereo_slam_env.benchmark.statistics.remarks import Reach, limit_reached
-from stereo_slam_env.evaluation.consistency_figures import DOF
+from stereo_slam_env.evaluation.consistency import DOF
 from stereo_slam_env.evaluation.results import FilterSummary
 from stereo_slam_env.evaluation.run_figures import Figures, RunFigures, common_keys
 from stereo_slam_env.evaluation.trial import FEWEST_FRAMES
@@ -38,78 +38,33 @@ class Consistency(Enum):
 
 @dataclass(frozen=True)
 class Comparison:
-    """The best filter against another one.
-
-    Attributes
-    ----------
-    best, other : str
-        Names.
-    difference : Difference
-        The error of the other one by that of the best one, on the recordings that both completed.
-    divergences : ShareDifference
-        Which of them diverges in more recordings; of the other one.
-    shown : bool
-        Whether the best one is better: its error is shown to be smaller, or the other one diverged, be it by chance.
-    tied : bool
-        Whether the other one never diverged and has the same error on every recording.
-    words : str
-        The conclusion, a clause.
-    """
+    """The best filter against another one, on the recordings that both completed."""
 
     best: str
     other: str
-    difference: Difference
-    divergences: ShareDifference
+    difference: Difference  # by which the position error of the other one is larger
+    divergences: ShareDifference  # of the other one: whether it diverges in more recordings
+    # Whether the best one is better: its error is shown to be smaller, or the other one diverged, be it by chance.
     shown: bool
-    tied: bool
-    words: str
-
-    @property
-    def runs(self) -> int:
-        """Recordings that both completed."""
-        return self.difference.count
-
-    @property
-    def excess_percent(self) -> float:
-        """Relative excess of the other filter's error (geometric mean over runs), %; NaN without a common run."""
-        return self.difference.percent
-
-    @property
-    def interval_percent(self) -> tuple[float, float] | None:
-        """95 % confidence interval of it; None with too few runs for one."""
-        return self.difference.interval_percent
-
-    @property
-    def finding(self) -> Finding:
-        """Whether the other one's error is shown to be larger, or smaller (the best one is that by its RMS)."""
-        return self.difference.finding
+    tied: bool  # whether the other one never diverged and has the same error on every recording
+    words: str  # the conclusion, a clause
 
     @property
     def is_sure(self) -> bool:
         """Whether it is better by more than a divergence that may be chance."""
-        return self.runs == 0 or Finding.WORSE in (self.difference.finding, self.divergences.finding)
+        return self.difference.count == 0 or Finding.WORSE in (self.difference.finding, self.divergences.finding)
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """Verdict on all filters: the first lines of a report.
+    """Verdict on all filters: the first lines of a report."""
 
-    Attributes
-    ----------
-    best : str, optional
-        Filter with the smallest position error of those that never diverged; None where there is none, or no error.
-    comparisons : mapping of str to Comparison
-        By name of the other filter.
-    headline : str
-        A few sentences.
-    answers : mapping of str to str
-        The sentences of the headline by the question they answer: "best" (who, by how much, is it sure),
-        "consistent", "limit", "cost"; what is not known is left out.
-    """
-
+    # Filter with the smallest position error of those that never diverged; None where there is none, or no error.
     best: str | None
-    comparisons: Mapping[str, Comparison]
-    headline: str
+    comparisons: Mapping[str, Comparison]  # by name of the other filter
+    headline: str  # a few sentences
+    # The sentences of the headline by the question they answer: "best" (who, by how much, is it sure), "consistent",
+    # "limit", "cost"; what is not known is left out.
     answers: Mapping[str, str] = field(default_factory=dict)
 
     @property
@@ -152,8 +107,7 @@ def against_best(
 ) -> Comparison:
     """Compare another filter with the best one, by position error, on the recordings that both completed."""
     keys = common_keys(best_figures, other_figures)
-    errors = (POSITION.by_run(figures, keys) for figures in (other_figures, best_figures))
-    difference = POSITION.difference(*errors, comparisons=comparisons)
+    difference = difference_between(other_figures, best_figures, POSITION, comparisons)
     divergences = share_difference(other_figures.diverged(keys), best_figures.diverged(keys), comparisons=comparisons)
     return Comparison(
         best=best.filter_name,
@@ -265,28 +219,32 @@ def _undecided(open_ones: Sequence[Comparison]) -> str:
     """Words on rivals that are not shown to be worse; of many only the names."""
     if len(open_ones) > _MOST_WORDED:
         names = ", ".join(c.other for c in open_ones[:_MOST_WORDED])
-        return f"no difference to {names} and {len(open_ones) - _MOST_WORDED} more is shown"
-    few = [c for c in open_ones if c.runs and c.interval_percent is None]
-    if len(few) > 1 and len({c.runs for c in few}) == 1:
+        names += f" and {len(open_ones) - _MOST_WORDED} more"
+        most = max((c.difference for c in open_ones), key=lambda d: d.count)
+        if most.count == 1:
+            return f"one run shows no general difference to {names}"
+        if most.count and most.too_few:
+            return f"{most.count} runs are too few to show a difference to {names}, {most.needed} are needed"
+        return f"no difference to {names} is shown"
+    few = [c for c in open_ones if c.difference.count and c.difference.interval is None]
+    if len(few) > 1 and len({c.difference.count for c in few}) == 1:
         return "; ".join([_too_few(few), *(c.words for c in open_ones if c not in few)])
     return "; ".join(c.words for c in open_ones)
 
 
 def _too_few(open_ones: Sequence[Comparison]) -> str:
     """Words on several rivals with the same, too small number of runs."""
-    first, *others = (percent_words(c.excess_percent) for c in open_ones)
-    errors = [f"the error of {open_ones[0].other} is {first}"]
-    errors += [f"that of {c.other} {words}" for c, words in zip(open_ones[1:], others, strict=True)]
-    runs = open_ones[0].runs
+    first, *others = ((c.other, percent_words(c.difference.percent)) for c in open_ones)
+    errors = [f"the error of {first[0]} is {first[1]}", *(f"that of {name} {words}" for name, words in others)]
+    runs, needed = open_ones[0].difference.count, open_ones[0].difference.needed
     if runs == 1:
         return f"one run shows no general difference (in it {listed(errors)})"
-    needed = open_ones[0].difference.needed
     return f"{runs} runs are too few to show a difference, {needed} are needed (on average {listed(errors)})"
 
 
 def _nearest(settled: Sequence[Comparison]) -> str:
     """Words on the nearest rivals; those that diverged count as the farthest."""
-    in_order = sorted(settled, key=lambda c: (c.divergences.only_a, c.excess_percent))
+    in_order = sorted(settled, key=lambda c: (c.divergences.only_a, c.difference.percent))
     more = len(settled) - _MOST_WORDED
     words = "; ".join(c.words for c in in_order[:_MOST_WORDED])
     return f"{words}; and {more} more" if more > 0 else words

@@ -12,7 +12,7 @@ from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
-from stereo_slam_env.files.atomic import write_atomically
+from stereo_slam_env.files.folders import write_atomically
 from stereo_slam_env.files.package_versions import version_of
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -40,16 +40,10 @@ _UNSAID = {"ctx", "kind", "type_comment"}
 
 @cache
 def code_digest(without: tuple[str, ...] = NO_RESULT, root: Path = ROOT) -> str:
-    """SHA-256 of both packages, so that results of different code are never mixed.
+    """SHA-256 of both packages in the folder `root`, so that results of different code are never mixed.
 
-    Comments, docstrings and formatting make no difference, nor does the version of Python. Trained networks count.
-
-    Parameters
-    ----------
-    without : tuple of str
-        Where the paths of modules begin, from `root`, that do not count.
-    root : Path
-        The folder of both packages.
+    Comments, docstrings and formatting make no difference, nor does the version of Python, nor modules whose paths
+    begin as one of `without`. Trained networks count.
     """
     files = [path for package in ("filters", "stereo_slam_env") for path in (root / package).rglob("*.*")]
     paths = {path.relative_to(root).as_posix(): path for path in files if path.suffix in (".py", ".npz")}

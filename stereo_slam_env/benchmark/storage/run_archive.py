@@ -20,7 +20,7 @@ from stereo_slam_env.evaluation.landmark_statistics import SERIES as _LANDMARK_S
 from stereo_slam_env.evaluation.landmark_statistics import LandmarkStatistics
 from stereo_slam_env.evaluation.map_scoring import LandmarkTrace
 from stereo_slam_env.evaluation.results import FilterRun
-from stereo_slam_env.files.atomic import write_atomically
+from stereo_slam_env.files.folders import write_atomically
 from stereo_slam_env.files.readers import read_arrays
 from stereo_slam_env.recording.archive import reference_of
 
@@ -76,13 +76,7 @@ def load_provenance(path: Path) -> dict[str, Any]:
 
 
 def load_run(path: Path) -> tuple[FilterRun, dict[str, Any]]:
-    """Read a run and its provenance.
-
-    Raises
-    ------
-    ValueError
-        The file is damaged, or of a format this version does not know: the message names it and says what to do.
-    """
+    """Read a run and its provenance; a `ValueError` names a file that is damaged, or of an unknown format."""
     with damage_named(path):
         arrays: dict[str, Any] = read_arrays(path)
         about = _checked(arrays)
@@ -123,14 +117,9 @@ def _checked(arrays: Mapping[str, Any]) -> dict[str, Any]:
 def write_trajectory(path: Path, timestamps: FloatArray, positions: FloatArray, orientations: FloatArray) -> None:
     """Write the poses that are known as rows of the formats of TUM RGB-D and of KITTI odometry.
 
-    The latter has no times: where poses are missing, its rows are no longer those of the frames.
-
-    Parameters
-    ----------
-    path : Path
-        The files, without their endings: ".tum", `t x y z qx qy qz qw`, and ".kitti", the 3x4 matrix T_wc, row-major.
-    timestamps, positions, orientations : (K,), (K, 3), (K, 4)
-        s, m in W, q^WC xyzw.
+    The files are `path` with the endings ".tum", `t x y z qx qy qz qw`, and ".kitti", the 3x4 matrix T_wc, row-major,
+    which has no times: where poses are missing, its rows are no longer those of the frames. Times (K,), s, positions
+    (K, 3), m in W, orientations (K, 4), q^WC xyzw.
     """
     tum = np.column_stack([timestamps, positions, orientations])
     known = np.isfinite(tum).all(axis=1)

@@ -1,34 +1,8 @@
 """Run directory of a study: inputs, results and everything needed to redo the report.
 
-Layout of a study of one scenario, and of each cell of a grid::
-
-    settings.json                         the exact inputs: scenario, versions
-    summary.json, summary.csv             the result table
-    trials/<seed>/<filter>.npz            time series of one filter on one recording
-    bounds/<seed>.npz                     the Cramer-Rao bound: pose (K, 6, 6); empty where there is none
-    trajectories/<seed>/<filter>.tum      and truth.tum (<policy>-truth.tum): `t x y z qx qy qz qw`, as TUM RGB-D has it
-    trajectories/<seed>/<filter>.kitti    the same as rows of 3x4 matrices, the format of KITTI odometry
-
-`<seed>` is `seed-0007`, or `recording` for real data. Beside it, and only once for a grid::
-
-    study.json                            the exact inputs: name, cells with their factors and scenarios, factorial
-    trials.sqlite                         every trial of every cell, one row each, see `tables`
-    recordings/<stream>/<seed>.npz        what every filter was given, see `stereo_slam_env.recording.archive`
-    recordings/<stream>/<seed>.json       what there is to say of it; a policy has its own: <stream> is <label>-<...>
-    cells/<cell>/                         of a grid: the directory of each cell, as above
-    summary.json                          of a grid: {"version": 2, "study": str,
-                                                      "cells": {<cell>: {"factors": {...}, "filters": {...}}}}
-
-`summary.json` of one scenario, version 2::
-
-    {"version": 2, "scenario": str,
-     "recordings": [{"seed": int | null, "name": str, "frames": int, "stream_sha256": str, "assumed_R": 3x3,
-                     "reference": {"kind": str, "description": str},  # what estimates are held against, see `Reference`
-                     "source": {...},           # with policies: "drive_sha256", and "streams" by label instead
-                     "sensor_noise": [...]}],   # rendered images only: errors by range, see `NoiseOfRange`
-     "filters": {<label>: {every field of `FilterSummary` but filter_name}}}
-
-A figure that does not apply is null; NaN and infinity never appear.
+What lies where, and the schema of `summary.json`, is in docs/benchmark.md ("The run directory"). `<seed>` in the names
+of files is `seed-0007`, or `recording` for real data; beside each recording (npz) there is what there is to say of it
+(JSON). A figure that does not apply is null; NaN and infinity never appear.
 """
 
 from __future__ import annotations
@@ -55,8 +29,7 @@ from stereo_slam_env.benchmark.storage.tables import write_csv, write_json, writ
 from stereo_slam_env.evaluation.cramer_rao import Bound
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
 from stereo_slam_env.evaluation.run_figures import Bounds, Figures, figures_of, summarise_all
-from stereo_slam_env.files.atomic import write_atomically
-from stereo_slam_env.files.folders import is_occupied
+from stereo_slam_env.files.folders import is_occupied, write_atomically
 
 VERSION = 2
 SETTINGS, STUDY, CELLS = "settings.json", "study.json", "cells"
@@ -64,28 +37,14 @@ SETTINGS, STUDY, CELLS = "settings.json", "study.json", "cells"
 
 @dataclass(frozen=True, eq=False)
 class CellResult:
-    """Results of one cell.
-
-    Attributes
-    ----------
-    directory : RunDirectory
-        Where they are.
-    runs, summaries : tuple of FilterRun, tuple of FilterSummary
-        All runs, and one summary for each filter.
-    recordings : tuple of mapping
-        Description of each recording, JSON-able, as in `summary.json`.
-    figures : mapping of str to RunFigures
-        Figures of every run, by label of the filter.
-    bounds : mapping of (str, seed) to Bound
-        Cramer-Rao bounds by recording, where there are any.
-    """
+    """Results of one cell."""
 
     directory: RunDirectory
     runs: tuple[FilterRun, ...]
-    recordings: tuple[Mapping[str, Any], ...]
-    figures: Figures
+    recordings: tuple[Mapping[str, Any], ...]  # description of each recording, JSON-able, as in `summary.json`
+    figures: Figures  # figures of every run, by label of the filter
     summaries: tuple[FilterSummary, ...]
-    bounds: Bounds
+    bounds: Bounds  # Cramer-Rao bounds by recording, where there are any
 
     @property
     def cell(self) -> Cell:
@@ -123,12 +82,8 @@ class RunDirectory:
     def missing(self) -> list[tuple[int | None, FilterChoice | None]]:
         """Trials still to be run, by seed, then filter; None instead of a filter: the bound.
 
-        That is what is not there, and what another version of the code made.
-
-        Raises
-        ------
-        ValueError
-            A finished trial is damaged, or was made with other options of the filter.
+        That is what is not there, and what another version of the code made. A `ValueError` says that a finished trial
+        is damaged, or was made with other options of the filter.
         """
         todo: list[tuple[int | None, FilterChoice | None]] = []
         code = code_digest()
@@ -179,11 +134,8 @@ class RunDirectory:
     def load(self) -> tuple[list[FilterRun], list[dict[str, Any]]]:
         """All runs, by seed, then filter, and one description of each recording.
 
-        Raises
-        ------
-        ValueError
-            A trial is missing or damaged, filters were not given the identical recording, or images were drawn by
-            different renderers.
+        A `ValueError` says that a trial is missing or damaged, that filters were not given the identical recording, or
+        that images were drawn by different renderers.
         """
         runs, recordings = [], []
         for seed in self.seeds:
@@ -203,7 +155,13 @@ class RunDirectory:
                     )
                 runs.append(run)
             recordings.append({"seed": seed, **seed_description(given)})
-        self._refuse_several_renderers(recordings)
+        # The same renderer of another version or device draws other pictures, too.
+        drawn = {json.dumps(about.get("source", {}).get("renderer"), sort_keys=True) for about in recordings}
+        if len(drawn) > 1:
+            raise ValueError(
+                f"{self.out}: its recordings were drawn by different renderers, {' and '.join(sorted(drawn))}, and are "
+                f"not to be compared: choose another output directory"
+            )
         return runs, recordings
 
     def bounds(self) -> dict[tuple[str, int | None], Bound]:
@@ -227,15 +185,6 @@ class RunDirectory:
         with damage_named(path):
             about: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
             return about
-
-    def _refuse_several_renderers(self, recordings: list[dict[str, Any]]) -> None:
-        # The same renderer of another version or device draws other pictures, too.
-        drawn = {json.dumps(about.get("source", {}).get("renderer"), sort_keys=True) for about in recordings}
-        if len(drawn) > 1:
-            raise ValueError(
-                f"{self.out}: its recordings were drawn by different renderers, {' and '.join(sorted(drawn))}, and are "
-                f"not to be compared: choose another output directory"
-            )
 
     def results(self) -> CellResult:
         """Results of the finished trials; raises as `load`."""
@@ -264,16 +213,9 @@ class RunDirectory:
 
 
 class StudyDirectory:
-    """Run directory of a study. `open_study` starts or resumes one, `read_study` reads one.
+    """Run directory `out` of a study. `open_study` starts or resumes one, `read_study` reads one.
 
-    Attributes
-    ----------
-    out : Path
-        The directory.
-    study : Study
-        What is run.
-    cells : tuple of RunDirectory
-        One for each cell; that of a study of one scenario is `out` itself.
+    `cells` has a `RunDirectory` for each cell; that of a study of one scenario is `out` itself.
     """
 
     def __init__(self, out: Path, study: Study) -> None:
@@ -295,13 +237,7 @@ class StudyDirectory:
 
 
 def open_study(out: Path, study: Study) -> StudyDirectory:
-    """Start a study, or resume the one in `out`: finished trials of the same settings are kept.
-
-    Raises
-    ------
-    ValueError
-        `out` is a file, or holds something else.
-    """
+    """Start a study, or resume the one in `out`, whose finished trials are kept; raises as `prepared_study`."""
     directory = prepared_study(out, study)
     write_json(out / STUDY, study.as_dict())
     for run in directory.cells:
@@ -310,9 +246,9 @@ def open_study(out: Path, study: Study) -> StudyDirectory:
 
 
 def prepared_study(out: Path, study: Study) -> StudyDirectory:
-    """Directory that `open_study` would return, with nothing written yet: a check of `out` before long work.
+    """Directory for a study, with nothing written yet: a check of `out` before long work.
 
-    Raises as `open_study`.
+    A `ValueError` says that `out` is a file, holds something else, or a run with other settings.
     """
     refuse_foreign(out)
     if (out / STUDY).exists():
@@ -329,13 +265,7 @@ def prepared_study(out: Path, study: Study) -> StudyDirectory:
 
 
 def read_study(out: Path) -> StudyDirectory:
-    """The study in a directory; one cell of a grid is a study, too.
-
-    Raises
-    ------
-    ValueError
-        No study there, or its settings are damaged.
-    """
+    """The study in a directory, be it one cell of a grid; a `ValueError` says what is missing or damaged."""
     path = out / STUDY
     if not path.exists():
         return StudyDirectory(out, Study.of(_scenario_in(out)))

@@ -1,16 +1,7 @@
 """Result tables on disk: summaries as JSON and CSV, and all trials as SQLite, for analysis with other tools.
 
-`trials.sqlite` has one row a trial, in the tables
-
-- `trials`: `cell`, one column a factor of the grid (`factor.` and its name in the scenario file, e.g.
-  `factor.options.sigma`), the figures of single runs of `evaluation.figures`, `policy` and `options`
-  (JSON), and `series`, the path of the time series (npz) relative to the file itself;
-- `columns`: `name`, `unit` and `meaning` of every column of `trials`.
-
-`PRAGMA user_version` is the version of this schema. NULL is what does not apply or is not finite.
-
->>> import pandas, sqlite3                                                       # doctest: +SKIP
->>> pandas.read_sql("select * from trials", sqlite3.connect("trials.sqlite"))    # doctest: +SKIP
+The trial table is in docs/benchmark.md ("The run directory"); its table `columns` says what each column is. NULL is
+what does not apply or is not finite.
 """
 
 from __future__ import annotations
@@ -18,16 +9,17 @@ from __future__ import annotations
 import csv
 import io
 import json
-import math
 import sqlite3
 from collections.abc import Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import msgspec
+
 from stereo_slam_env.evaluation.figures import trial_columns
 from stereo_slam_env.evaluation.run_figures import key_of
-from stereo_slam_env.files.atomic import unfinished_name, write_atomically
+from stereo_slam_env.files.folders import unfinished_name, write_atomically
 
 if TYPE_CHECKING:
     from stereo_slam_env.benchmark.storage.store import CellResult
@@ -38,48 +30,28 @@ _TYPES = {"text": "TEXT", "integer": "INTEGER", "real": "REAL", "any": ""}
 
 def write_json(path: Path, data: Mapping[str, Any]) -> None:
     """Write JSON that any reader takes, whole or not at all: NaN and infinity are null."""
-    text = json.dumps(_without_nan(data), indent=2, allow_nan=False) + "\n"
-    write_atomically(path, lambda stream: stream.write(text.encode()))
+    text = msgspec.json.format(msgspec.json.encode(data, enc_hook=_plain), indent=2) + b"\n"
+    write_atomically(path, lambda stream: stream.write(text))
 
 
-def _without_nan(value: Any) -> Any:
-    """JSON form: tuples become lists, NaN and infinity null."""
-    if isinstance(value, Mapping):
-        return {key: _without_nan(entry) for key, entry in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_without_nan(entry) for entry in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
+def _plain(value: Any) -> Any:
+    return dict(value) if isinstance(value, Mapping) else float(value)
 
 
 def write_csv(path: Path, rows: Mapping[str, Mapping[str, Any]]) -> None:
     """Write summaries, one row for each filter; what does not apply is empty."""
+    plain = msgspec.json.decode(msgspec.json.encode(rows, enc_hook=_plain))
     text = io.StringIO()
-    columns = list(next(iter(rows.values())))
     table = csv.writer(text, lineterminator="\n")
-    table.writerow(["filter", *columns])
-    for label, row in _without_nan(rows).items():
-        table.writerow([label, *(_cell(row[column]) for column in columns)])
+    table.writerow(["filter", *next(iter(plain.values()))])
+    for label, row in plain.items():
+        cells = (json.dumps(cell) if isinstance(cell, (list, dict)) else cell for cell in row.values())
+        table.writerow([label, *cells])
     write_atomically(path, lambda stream: stream.write(text.getvalue().encode()))
 
 
-def _cell(value: Any) -> Any:
-    if value is None:
-        return ""
-    return json.dumps(value) if isinstance(value, (list, dict)) else value
-
-
 def write_trial_table(path: Path, results: Sequence[CellResult]) -> None:
-    """Write the table of all trials; the file appears complete or not at all.
-
-    Parameters
-    ----------
-    path : Path
-        The SQLite file.
-    results : sequence of CellResult
-        The cells.
-    """
+    """Write the table of all trials of the cells; the SQLite file appears complete or not at all."""
     rows = [row for result in results for row in _rows(path.parent, result)]
     factors = list(dict.fromkeys(name for result in results for name in _factors(result)))
     columns = [

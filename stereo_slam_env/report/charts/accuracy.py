@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import dataclasses
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
 from filters.validation import FloatArray
-from stereo_slam_env.evaluation.cramer_rao import Bound
-from stereo_slam_env.evaluation.results import FilterRun, FilterSummary, SegmentError
-from stereo_slam_env.evaluation.run_figures import Bounds
+from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
+from stereo_slam_env.evaluation.run_figures import Bounds, key_of
 from stereo_slam_env.evaluation.trial import position_rmse
 from stereo_slam_env.report.charts import series
 from stereo_slam_env.report.charts.axes import WIDTH, Axis, label_room, panel_width
-from stereo_slam_env.report.charts.drawing import DASHED, ROW, Chart, Curve, Panel, figure
+from stereo_slam_env.report.charts.drawing import DASHED, ROW, Chart, Curve, Panel, figure, limit_of
 from stereo_slam_env.report.charts.style import (
     INK,
     MUTED,
@@ -83,28 +83,27 @@ def map_panel(track: FloatArray, axes: tuple[int, int], width: float, height: fl
 def _error_over_distance(runs: Sequence[FilterRun], width: float, height: float) -> Panel:
     groups = series.by_filter(runs)
     colours = filter_colours(groups)
-    curves, peaks = {}, {}
-    for name, group in groups.items():
-        errors = series.stack(group, series.position_error)
-        distances = series.column_mean(series.stack(group, series.distance))
-        curves[name] = (distances, errors, series.column_median(errors))
-        # Nine runs out of ten fit: a single bad run is told in the table, not by flattening the rest.
-        most = float(np.nanquantile([series.peak(row) for row in errors], 0.9, method="lower"))
-        peaks[name] = float(np.fmax(most, series.peak(curves[name][2])))
-    limit = shared_limit(peaks, spread=30.0)
-    farthest = max((series.peak(distances) for distances, *_ in curves.values()), default=1.0)
+    errors = {name: series.stack(group, series.position_error) for name, group in groups.items()}
+    medians = [
+        Curve(name, series.column_mean(series.stack(group, series.distance)), median, colours[name], width=2.2)
+        for name, group in groups.items()
+        for median in [series.column_median(errors[name])]
+    ]
+    # Nine runs out of ten fit: a single bad run is told in the table, not by flattening the rest.
+    most = {
+        name: float(np.nanquantile([series.peak(row) for row in table], 0.9, method="lower"))
+        for name, table in errors.items()
+    }
+    limit = shared_limit({c.key: float(np.fmax(most[c.key], series.peak(c.y))) for c in medians}, spread=30.0)
+    farthest = max((series.peak(curve.x) for curve in medians), default=1.0)
     count = max(len(group) for group in groups.values())
     title = f"Position error (m), median of {count}" if count > 1 else "Position error (m)"
     panel = Panel(Axis(0, farthest, "distance travelled (m)"), Axis(0, 1.08 * limit.upper), width, height, title)
-    for name, (distances, errors, median) in curves.items():
-        if len(errors) > 1:
-            panel.lines(
-                Curve(name, distances, single, colours[name], width=0.8, opacity=0.25, said=None)
-                for single in errors[:MAX_THIN_LINES]
-            )
-        panel.lines([Curve(name, distances, median, colours[name], width=2.2)])
-    ends = [(name, series.last_known(median), colours[name]) for name, (*_, median) in curves.items()]
-    panel.end_labels(end for end in ends if end[0] not in limit.beyond)
+    for curve in medians:
+        thin = errors[curve.key][:MAX_THIN_LINES] if len(errors[curve.key]) > 1 else ()
+        panel.lines(dataclasses.replace(curve, y=single, width=0.8, opacity=0.25, said=None) for single in thin)
+        panel.lines([curve])
+    panel.name_ends(medians, limit)
     panel.note_beyond(limit, colours, " m")
     return panel
 
@@ -117,7 +116,7 @@ def plot_error_by_run(runs: Sequence[FilterRun]) -> Chart:
     notes = {name: f"({count} failed)" for name, count in failed.items() if count}
     rmse = {(run.filter_name, run.recording_name, run.seed): position_rmse(run) for run in runs}
     panel = _rows("position RMSE of each run (m)", names, rmse.values(), spread=10.0, notes=notes)
-    recordings = dict.fromkeys((run.recording_name, run.seed) for run in runs)
+    recordings = dict.fromkeys(key_of(run) for run in runs)
     rows = np.arange(len(names))
     joined = ([rmse.get((name, *recording), np.nan) for name in names] for recording in recordings)
     panel.lines(Curve("", values, rows, MUTED, width=0.9, opacity=0.35, said=None) for values in joined)
@@ -191,34 +190,27 @@ def plot_segment_errors(summaries: Sequence[FilterSummary]) -> Chart:
     shown = [s for s in summaries if s.rpe]
     colours = filter_colours(s.filter_name for s in summaries)
     lengths = sorted({error.length_m for s in shown for error in s.rpe})
-    width = panel_width(2, label_room(colours))
-    kinds: tuple[tuple[str, Callable[[SegmentError], float]], ...] = (
-        ("Translation error over a segment (%)", lambda e: e.translation_percent),
-        ("Rotation error over a segment (°/100 m)", lambda e: e.rotation_deg_per_100m),
-    )
+    beside = 0.04 * (lengths[-1] - lengths[0]) + 0.5
+    ticks = lengths[:: -(-len(lengths) // 8)]  # of many, each second, third ...
+    x = Axis(lengths[0] - beside, lengths[-1] + beside, "length of the segment (m)", ticks=ticks)
+    kinds = {
+        "Translation error over a segment (%)": "translation_percent",
+        "Rotation error over a segment (°/100 m)": "rotation_deg_per_100m",
+    }
     panels = []
-    for title, value in kinds:
-        values = {s.filter_name: np.array([value(error) for error in s.rpe]) for s in shown}
-        limit = shared_limit({name: series.peak(found) for name, found in values.items()})
-        beside = 0.04 * (lengths[-1] - lengths[0]) + 0.5
-        x = Axis(lengths[0] - beside, lengths[-1] + beside, "length of the segment (m)", ticks=_few(lengths))
-        panel = Panel(x, Axis(0, 1.12 * limit.upper), width, 200.0, title)
+    for title, name in kinds.items():
         curves = [
-            Curve(s.filter_name, [e.length_m for e in s.rpe], values[s.filter_name], colours[s.filter_name])
+            Curve(s.filter_name, [e.length_m for e in s.rpe], [getattr(e, name) for e in s.rpe], colours[s.filter_name])
             for s in shown
         ]
+        limit = limit_of(curves)
+        panel = Panel(x, Axis(0, 1.12 * limit.upper), panel_width(2, label_room(colours)), 200.0, title)
         panel.lines(curves)
         panel.dots(curves)
         panel.note_beyond(limit, colours)
         panels.append(panel)
-    ends = [(name, series.last_known(found), colours[name]) for name, found in values.items()]
-    panels[-1].end_labels(end for end in ends if end[0] not in limit.beyond)
+    panels[-1].name_ends(curves, limit)
     return figure(panels, colours)
-
-
-def _few(values: Sequence[float], most: int = 8) -> Sequence[float]:
-    """Each second, third ... of many."""
-    return values[:: -(-len(values) // most)]
 
 
 # ---- distance from the limit ----------------------------------------------------------------------------------------
@@ -258,49 +250,41 @@ def plot_error_against_bound(runs: Sequence[FilterRun], bounds: Bounds) -> Chart
 
     Raises ValueError where no run has a bound.
     """
-    bounded = [run for run in runs if (run.recording_name, run.seed) in bounds]
+    bounded = [run for run in runs if key_of(run) in bounds]
     if not bounded:
         raise ValueError("bounds must have the recording of at least one of the runs")
     groups = series.by_filter(bounded)
     colours = filter_colours(series.by_filter(runs))
     frames = max(len(run) for run in bounded)
     time = series.elapsed(max(bounded, key=len))
-    recordings = dict.fromkeys((run.recording_name, run.seed) for run in bounded)
-    width = panel_width(2, label_room([*groups, "limit"]))
-    kinds = (
+    on_each = {key_of(run): run for run in bounded}.values()
+    panels = []
+    for title, part, scale in (
         ("Position RMSE over runs (m)", slice(0, 3), 1.0),
         ("Rotation RMSE over runs (°)", slice(3, 6), 180 / np.pi),
-    )
-    panels = []
-    for title, part, scale in kinds:
-        bound = scale * np.sqrt(_mean_trace([bounds[key] for key in recordings], part, frames))
-        curves = {
-            name: scale * np.sqrt(series.column_mean(series.stack(group, _squared_error(part), frames)))
-            for name, group in groups.items()
-        }
-        limit = shared_limit({name: series.peak(curve) for name, curve in curves.items()}, spread=20.0)
-        top = 1.1 * max(limit.upper, series.peak(bound))
-        panel = Panel(Axis(0, float(time[-1]), "time (s)"), Axis(0, top), width, 220.0, title)
-        panel.lines(Curve(name, time, curve, colours[name]) for name, curve in curves.items())
-        panel.lines([Curve("limit", time, bound, INK, width=2.0)], DASHED)
+    ):
+
+        def rms(group: Iterable[FilterRun], squared: series.Quantity, scale: float = scale) -> FloatArray:
+            return np.asarray(scale * np.sqrt(series.column_mean(series.stack([*group], squared, frames))))
+
+        def squared_error(run: FilterRun, part: slice = part) -> FloatArray:
+            return np.asarray((series.belief_error(run)[0][:, part] ** 2).sum(axis=1))
+
+        def squared_bound(run: FilterRun, part: slice = part) -> FloatArray:
+            return np.asarray(np.trace(bounds[key_of(run)].pose[:, part, part], axis1=1, axis2=2))
+
+        curves = [Curve(name, time, rms(group, squared_error), colours[name]) for name, group in groups.items()]
+        lowest = Curve("limit", time, rms(on_each, squared_bound), INK, width=2.0)
+        limit = limit_of(curves, spread=20.0)
+        y = Axis(0, 1.1 * max(limit.upper, series.peak(lowest.y)))
+        width = panel_width(2, label_room([*groups, "limit"]))
+        panel = Panel(Axis(0, float(time[-1]), "time (s)"), y, width, 220.0, title)
+        panel.lines(curves)
+        panel.lines([lowest], DASHED)
         panel.note_beyond(limit, colours)
         panels.append(panel)
-    ends = [(name, series.last_known(curve), colours[name]) for name, curve in curves.items()]
-    ends.append(("limit", series.last_known(bound), INK))
-    panels[-1].end_labels(end for end in ends if end[0] not in limit.beyond)
+    panels[-1].name_ends([*curves, lowest], limit)
     return figure(panels, {name: colours[name] for name in groups} | {"limit": INK})
-
-
-def _mean_trace(bounds: Sequence[Bound], part: slice, frames: int) -> FloatArray:
-    """Mean over recordings of the trace of a block of the bound; (K,)."""
-    table = np.full((len(bounds), frames), np.nan)
-    for row, bound in zip(table, bounds, strict=True):
-        row[: len(bound.pose)] = np.trace(bound.pose[:, part, part], axis1=1, axis2=2)
-    return series.column_mean(table)
-
-
-def _squared_error(part: slice) -> series.Quantity:
-    return lambda run: np.asarray((series.belief_error(run)[0][:, part] ** 2).sum(axis=1))
 
 
 # ---- a row for each filter ------------------------------------------------------------------------------------------
@@ -320,7 +304,7 @@ def _rows(
     finite = np.array([value for value in values if np.isfinite(value) and value > 0])
     log = bool(finite.size and finite.max() > spread * finite.min())
     low, high = (finite.min() / 1.25, finite.max() * 1.25) if log else (0.0, 1.06 * finite.max(initial=1e-9))
-    y = Axis(-0.5, len(names) - 0.5, ticks=(), reverse=True)
+    y = Axis.of_rows(len(names))
     panel = Panel(Axis(float(low), float(high), title, log=log), y, WIDTH - left - 40, ROW * len(names))
     panel.row_names(names, colours or filter_colours(names), notes)
     return panel

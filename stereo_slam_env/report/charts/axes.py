@@ -41,6 +41,11 @@ class Axis:
     ticks: Sequence[float] | None = None
     grid: bool = True
 
+    @classmethod
+    def of_rows(cls, count: int) -> Axis:
+        """An axis of named rows at 0, 1, ... from top to bottom."""
+        return cls(-0.5, count - 0.5, ticks=(), reverse=True)
+
     def share(self, value: float) -> float:
         """Position of a value between both ends, 0 to 1 (beyond them: less or more)."""
         ends = np.array([self.low, self.high, value], dtype=np.float64)

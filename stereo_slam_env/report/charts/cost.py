@@ -29,7 +29,7 @@ def plot_cost(summaries: Sequence[FilterSummary]) -> Chart:
     for title, values in kinds.items():
         width = 2 * share if not panels else share
         longest = max((value for value in values if value is not None), default=1.0) or 1.0
-        y = Axis(-0.5, len(names) - 0.5, ticks=(), reverse=True)
+        y = Axis.of_rows(len(names))
         panel = Panel(Axis(0, 1.22 * longest, "", ticks=None), y, width, ROW * len(names), title, zoom=False)
         if panels:
             panel.boxes(
@@ -92,8 +92,7 @@ def plot_time_per_frame(runs: Sequence[FilterRun]) -> Chart:
     curves = [Curve(name, *by_size[name], colours[name]) for name in groups]
     over_size.lines(curves)
     over_size.dots(curves, 22)
-    ends = ((name, series.last_known(typical), colours[name]) for name, (_, typical) in by_size.items())
-    over_size.end_labels(end for end in ends if end[0] not in limit.beyond)
+    over_size.name_ends(curves, limit)
     return figure([along, over_size], colours)
 
 

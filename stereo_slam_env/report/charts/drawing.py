@@ -17,9 +17,10 @@ import numpy as np
 import vl_convert
 from numpy.typing import ArrayLike
 
-from filters.validation import IntArray
+from filters.validation import FloatArray, IntArray
 from stereo_slam_env.report.charts.axes import Axis, short, spread_out
-from stereo_slam_env.report.charts.style import INK, MUTED, PAPER, Limit
+from stereo_slam_env.report.charts.series import last_known, peak
+from stereo_slam_env.report.charts.style import INK, MUTED, PAPER, Limit, shared_limit
 from stereo_slam_env.report.charts.vega import (
     COLOURED,
     ID,
@@ -201,6 +202,11 @@ class Panel:
         for place, (_, name, colour) in zip(places, inside, strict=True):
             self.text(name, self.width + 7, (1.0 - place) * self.height, colour, key=name)
 
+    def name_ends(self, curves: Iterable[Curve], limit: Limit | None = None) -> None:
+        """Write the name of each curve that stays within the limit at its last value."""
+        beyond = () if limit is None else limit.beyond
+        self.end_labels((c.key, last_known(c.y), c.colour) for c in curves if c.key not in beyond)
+
     def colour_key(self, colours: Mapping[str, str], gap: float = 16.0) -> None:
         """Write the names one below the other in the right margin, for lines that lie on top of each other."""
         for row, (name, colour) in enumerate(colours.items()):
@@ -303,6 +309,16 @@ class Chart:
 
     def _repr_mimebundle_(self, **_: Any) -> dict[str, Spec]:
         return {"application/vnd.vegalite.v6+json": self.spec}
+
+
+def limit_of(curves: Iterable[Curve], spread: float = 10.0) -> Limit:
+    """End of an axis for curves, see `shared_limit`."""
+    return shared_limit({curve.key: peak(curve.y) for curve in curves}, spread)
+
+
+def ends_of(curves: Iterable[Curve]) -> list[FloatArray]:
+    """Ends of the intervals of curves."""
+    return [np.asarray(end, dtype=np.float64) for curve in curves for end in (curve.low, curve.high)]
 
 
 def on_white(svg: str) -> str:

@@ -13,7 +13,7 @@ from stereo_slam_env.benchmark.statistics.attribution import Attribution
 from stereo_slam_env.benchmark.statistics.comparison import Change
 from stereo_slam_env.benchmark.statistics.effects import Effect, ResponseAttribution
 from stereo_slam_env.report.charts.axes import WIDTH, Axis, label_room, log_axis, panel_width
-from stereo_slam_env.report.charts.drawing import Box, Chart, Curve, Panel, figure
+from stereo_slam_env.report.charts.drawing import Box, Chart, Curve, Panel, ends_of, figure
 from stereo_slam_env.report.charts.style import BAND, INK, MUTED, PALETTE, filter_colours
 
 _SHOWN = {True: ("effect shown", PALETTE[0]), False: ("no effect shown", MUTED)}
@@ -21,26 +21,15 @@ _SHOWN = {True: ("effect shown", PALETTE[0]), False: ("no effect shown", MUTED)}
 
 @dataclass(frozen=True, eq=False)
 class FactorResponse:
-    """One response of every filter at every level of a factor.
+    """One response of every filter at every level of a factor."""
 
-    Attributes
-    ----------
-    title : str
-        With its unit in brackets.
-    means, lows, highs : mapping of str to (L,) ndarray
-        Of each filter: mean over seeds and the other factors, and its interval; NaN where not known.
-    band : pair of float, optional
-        Where a consistent filter would be.
-    log : bool
-        Whether the axis is logarithmic.
-    """
-
-    title: str
+    title: str  # with its unit in brackets
+    # Of each filter: mean over seeds and the other factors, and its interval; NaN where not known.
     means: Mapping[str, FloatArray]
     lows: Mapping[str, FloatArray]
     highs: Mapping[str, FloatArray]
-    band: tuple[float, float] | None = None
-    log: bool = True
+    band: tuple[float, float] | None = None  # where a consistent filter would be
+    log: bool = True  # whether the axis is logarithmic
 
 
 def plot_factor(factor: str, levels: Sequence[Any], responses: Sequence[FactorResponse]) -> Chart:
@@ -56,7 +45,7 @@ def plot_factor(factor: str, levels: Sequence[Any], responses: Sequence[FactorRe
     panels = []
     for response in responses:
         curves = _response_curves(response, names, colours, x, places, joined=to_scale)
-        ends = [np.concatenate([np.asarray(c.low), np.asarray(c.high)]) for c in curves]
+        ends = ends_of(curves)
         if response.band is not None:
             ends.append(np.array(response.band))
         top = max((float(np.max(end, initial=0.0)) for end in ends), default=0.0)
@@ -133,9 +122,9 @@ def _effects_panel(rows: Sequence[tuple[str, Any]], response: ResponseAttributio
     effects = {(effect.factors[0], effect.levels[0]): effect for effect in response.effects}
     found = [(row, effects[choice]) for row, choice in enumerate(rows) if choice in effects]
     curves = [_effect_curve(row, effect, names=rows) for row, effect in found]
-    ends = [np.concatenate([np.asarray(c.low), np.asarray(c.high)]) for c in curves] + [np.array([0.98, 1.02])]
+    ends = [*ends_of(curves), np.array([0.98, 1.02])]
     title = response.response[:1].upper() + response.response[1:]
-    y = Axis(-0.5, len(rows) - 0.5, ticks=(), reverse=True)
+    y = Axis.of_rows(len(rows))
     around = log_axis(ends, "times the average")
     panel = Panel(around, y, width, 24.0 * len(rows), title, zoom=False)
     start = 0
@@ -153,10 +142,12 @@ def _effects_panel(rows: Sequence[tuple[str, Any]], response: ResponseAttributio
 
 
 def _effect_curve(row: int, effect: Effect, names: Sequence[tuple[str, Any]]) -> Curve:
-    ratio = 1 + effect.percent / 100
-    low, high = (1 + end / 100 for end in effect.interval_percent or (effect.percent, effect.percent))
-    key, colour = _SHOWN[bool(effect.shown)]
-    return Curve(key, [ratio], [row], colour, [low], [high], said=": ".join(map(str, names[row])) + f", {key}")
+    percent = effect.difference.percent
+    low, high = (1 + end / 100 for end in effect.difference.interval_percent or (percent, percent))
+    key, colour = _SHOWN[effect.difference.shown]
+    return Curve(
+        key, [1 + percent / 100], [row], colour, [low], [high], said=": ".join(map(str, names[row])) + f", {key}"
+    )
 
 
 def plot_changes(changes: Sequence[Change]) -> Chart:
@@ -172,11 +163,9 @@ def plot_changes(changes: Sequence[Change]) -> Chart:
         ends = 1 + np.array([change.interval_percent for change in own], dtype=np.float64) / 100
         curves.append(Curve(name, np.sqrt(ends[:, 0] * ends[:, 1]), rows, colours[name], ends[:, 0], ends[:, 1]))
     title = "after / before; of consistency: distance from the ideal"
-    x = log_axis(
-        [*(np.concatenate([np.asarray(c.low), np.asarray(c.high)]) for c in curves), np.array([0.98, 1.02])], title
-    )
+    x = log_axis([*ends_of(curves), np.array([0.98, 1.02])], title)
     left, right = label_room(measures), label_room(names)
-    y = Axis(-0.5, len(measures) - 0.5, ticks=(), reverse=True)
+    y = Axis.of_rows(len(measures))
     panel = Panel(x, y, WIDTH - left - right - 20, 15.0 * len(measures) * max(len(names), 2), zoom=False)
     panel.rule(x=1.0, colour=INK)
     panel.intervals(curves, across=True)

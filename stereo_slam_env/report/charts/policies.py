@@ -14,8 +14,8 @@ from stereo_slam_env.recording.recording import Recording
 from stereo_slam_env.report.charts import series
 from stereo_slam_env.report.charts.accuracy import map_panel
 from stereo_slam_env.report.charts.axes import WIDTH, Axis, label_room, panel_width
-from stereo_slam_env.report.charts.drawing import DASHED, Chart, Curve, Panel, figure
-from stereo_slam_env.report.charts.style import GRID, INK, MUTED, PALETTE, filter_colours, shared_limit
+from stereo_slam_env.report.charts.drawing import DASHED, Chart, Curve, Panel, figure, limit_of
+from stereo_slam_env.report.charts.style import GRID, INK, MUTED, PALETTE, filter_colours
 
 _LOOK_EVERY = 0.5
 """s between two lines of sight in the map."""
@@ -75,27 +75,25 @@ def plot_claim_and_truth(runs: Sequence[FilterRun]) -> Chart:
     groups = series.by_filter(runs)
     colours = filter_colours(groups)
     kinds = {"Claimed: σ of the position (m)": _claimed_sigma, "True: position error (m)": series.position_error}
-    curves = {
-        title: {
-            name: np.sqrt(series.column_mean(np.square(series.stack(group, quantity))))
+    times = {name: series.elapsed(max(group, key=len)) for name, group in groups.items()}
+    found = {
+        title: [
+            Curve(name, times[name], np.sqrt(series.column_mean(np.square(table))), colours[name], width=2.0)
             for name, group in groups.items()
-        }
+            for table in [series.stack(group, quantity)]
+        ]
         for title, quantity in kinds.items()
     }
-    times = {name: series.elapsed(max(group, key=len)) for name, group in groups.items()}
-    last = max(float(time[-1]) for time in times.values())
-    limits = [
-        shared_limit({name: series.peak(y) for name, y in found.items()}, spread=30.0) for found in curves.values()
-    ]
-    y = Axis(0, 1.15 * max(limit.upper for limit in limits))
+    limits = {title: limit_of(curves, spread=30.0) for title, curves in found.items()}
+    x = Axis(0, max(float(time[-1]) for time in times.values()), "time (s)")
+    y = Axis(0, 1.15 * max(limit.upper for limit in limits.values()))
     panels = []
-    for (title, found), limit in zip(curves.items(), limits, strict=True):
-        panel = Panel(Axis(0, last, "time (s)"), y, panel_width(2, label_room(colours)), 240.0, title)
-        panel.lines(Curve(name, times[name], curve, colours[name], width=2.0) for name, curve in found.items())
-        panel.note_beyond(limit, colours, " m")
+    for title, curves in found.items():
+        panel = Panel(x, y, panel_width(2, label_room(colours)), 240.0, title)
+        panel.lines(curves)
+        panel.note_beyond(limits[title], colours, " m")
         panels.append(panel)
-    ends = ((name, series.last_known(curve), colours[name]) for name, curve in found.items())
-    panels[-1].end_labels(end for end in ends if end[0] not in limit.beyond)
+    panels[-1].name_ends(curves, limits[title])
     return figure(panels, colours)
 
 

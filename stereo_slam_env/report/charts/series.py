@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from filters.validation import BoolArray, FloatArray
@@ -68,14 +69,9 @@ def position_error(run: FilterRun) -> FloatArray:
 
 
 def belief_error(run: FilterRun) -> tuple[FloatArray, FloatArray]:
-    """Error of the `PoseBelief` and the standard deviation it claims.
+    """Error of the `PoseBelief` (K, 6), NaN where unknown, and the standard deviation it claims (K, 6).
 
-    Returns
-    -------
-    error : (K, 6) ndarray
-        [p_true - p_est in W, m ; Log(R_est^T R_true) in the camera frame, rad]; NaN where unknown.
-    sigma : (K, 6) ndarray
-        Square root of the diagonal of the covariance.
+    [p_true - p_est in W, m ; Log(R_est^T R_true) in the camera frame, rad].
     """
     error = np.full((len(run), 6), np.nan)
     known = scored(run)
@@ -123,13 +119,18 @@ def _over_runs(average: Callable[..., FloatArray], table: FloatArray) -> FloatAr
     return result
 
 
-def peak(values: FloatArray) -> float:
+def peak(values: ArrayLike) -> float:
     """Largest finite absolute value, NaN if there is none."""
-    finite = np.abs(values[np.isfinite(values)])
+    finite = np.abs(_finite(values))
     return float(finite.max()) if finite.size else float("nan")
 
 
-def last_known(values: FloatArray) -> float:
+def last_known(values: ArrayLike) -> float:
     """Last finite value, NaN if there is none."""
-    finite = values[np.isfinite(values)]
+    finite = _finite(values)
     return float(finite[-1]) if finite.size else float("nan")
+
+
+def _finite(values: ArrayLike) -> FloatArray:
+    known = np.asarray(values, dtype=np.float64)
+    return known[np.isfinite(known)]

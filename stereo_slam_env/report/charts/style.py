@@ -74,17 +74,8 @@ class Limit(NamedTuple):
 def shared_limit(peaks: Mapping[str, float], spread: float = 10.0) -> Limit:
     """Find the end of an axis so that one diverged filter does not flatten the others.
 
-    Parameters
-    ----------
-    peaks : mapping of str to float
-        Largest value of each filter; entries that are not finite or not positive are left out.
-    spread : float
-        Filters whose peak is more than this many times the smallest peak go beyond the axis.
-
-    Returns
-    -------
-    Limit
-        Upper end, and the filters that are cut off.
+    `peaks` has the largest value of each filter, of which those that are not finite and positive are left out; filters
+    whose peak is more than `spread` times the smallest one go beyond the axis.
     """
     known = {name: peak for name, peak in peaks.items() if np.isfinite(peak) and peak > 0}
     if not known:

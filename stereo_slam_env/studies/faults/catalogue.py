@@ -14,9 +14,9 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from filters import Pose, StereoObservation
+from filters import Pose, StereoCamera, StereoObservation
 from stereo_slam_env import Frame, LandmarkTruth, Recording, record
 from stereo_slam_env.benchmark import long_drive
 from stereo_slam_env.sensing import (
@@ -27,13 +27,16 @@ from stereo_slam_env.sensing import (
     Latency,
     MisscaledNoise,
     MissedDetections,
+    OfMeasurements,
     Outliers,
     WrongCalibration,
     WrongIds,
     known_world,
-    seen_elsewhere,
+    moved_on,
 )
 
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 NOMINAL = "nominal"
 LANDMARKS = 30
 _ONSET = 8.0
@@ -46,19 +49,11 @@ def reference_drive(seed: int, frames: int) -> Recording:
 
 
 def rendered_drive(surroundings: str, seed: int, frames: int, blank_from: float | None) -> Recording:
-    """Drive round a block in small rendered images, measured by the front end.
+    """Drive round a block in small rendered images, measured by the front end; the first turn is from 7 to 13 s.
 
-    Look and cameras are drawn from the seed. The cameras are noisy on purpose: without noise, corners are found where
-    two walls differ by one grey level. There is no odometry, as in the reference drive: it would carry a filter on.
-
-    Parameters
-    ----------
-    surroundings : str
-        Of the environment: "street", "corridor", ...
-    seed, frames : int
-        Same seed, same bits; the first turn is from 7 to 13 s.
-    blank_from : float, optional
-        From then on nothing has a texture, s; None: never.
+    Look and cameras are drawn from the seed; from `blank_from` s on nothing has a texture. The cameras are noisy on
+    purpose: without noise, corners are found where two walls differ by one grey level. There is no odometry, as in the
+    reference drive: it would carry a filter on.
     """
     images: dict[str, Any] = {"rig": "qvga", "sensor": "images", "renderer": "tiny", "randomise": True}
     drive = record(seed=seed, frames=frames, route="loop", surroundings=surroundings, blank_from=blank_from, **images)
@@ -67,33 +62,17 @@ def rendered_drive(surroundings: str, seed: int, frames: int, blank_from: float 
 
 @dataclass(frozen=True)
 class Fault:
-    """One thing that goes wrong in a drive.
+    """One thing that goes wrong in a drive."""
 
-    Attributes
-    ----------
-    line : str
-        What, in one line.
-    corruption : Corruption, optional
-        How it changes the stream; None: not at all, beyond what is wrong with the drive itself.
-    begins : float
-        When, s; before that the drive is as it should be.
-    lasts : float
-        How long, s.
-    frames : int
-        Of the drive.
-    hidden : str
-        Why the measurements agree with each other all the same, where they do: no monitor of innovations can tell.
-    driven : callable
-        (seed, frames) -> the drive; same seed, same bits.
-    """
-
-    line: str
+    line: str  # what, in one line
+    # How it changes the stream; None: not at all, beyond what is wrong with the drive itself.
     corruption: Corruption | None
-    begins: float = _ONSET
-    lasts: float = math.inf
-    frames: int = 200
+    begins: float = _ONSET  # when, s; before that the drive is as it should be
+    lasts: float = math.inf  # how long, s
+    frames: int = 200  # of the drive
+    # Why the measurements agree with each other all the same, where they do: no monitor of innovations can tell.
     hidden: str = ""
-    driven: Callable[[int, int], Recording] = reference_drive
+    driven: Callable[[int, int], Recording] = reference_drive  # (seed, frames) -> the drive; same seed, same bits
 
     def drive(self, seed: int) -> Recording:
         """The drive of a seed with this fault; same seed, same bits."""
@@ -125,7 +104,7 @@ class Reordered:
 
 
 @dataclass(frozen=True)
-class BadNumbers:
+class BadNumbers(OfMeasurements):
     """Numbers that no camera measures, NaN and infinity among them, which are illegal by contract.
 
     `value` is written over each u, v or d with probability `share`, in frames that are drawn with probability `frames`.
@@ -135,32 +114,26 @@ class BadNumbers:
     frames: float = 0.3
     share: float = 0.2
 
-    def applied_to(self, recording: Recording, rng: np.random.Generator) -> Recording:
-        """See `Corruption`; the observations are as a camera driver hands them out: not checked."""
-        observations = []
-        for frame in recording.frames:
-            hit = (rng.random(frame.observation.uvd.shape) < self.share) & (rng.random() < self.frames)
-            wrong = copy.copy(frame.observation)
-            object.__setattr__(wrong, "uvd", np.where(hit, self.value, wrong.uvd))  # its constructor would refuse it
-            observations.append(wrong)
-        return recording.with_observations(observations)
+    def changed(self, seen: StereoObservation, camera: StereoCamera, rng: np.random.Generator) -> StereoObservation:
+        """See `OfMeasurements`; the observations are as a camera driver hands them out: not checked."""
+        hit = (rng.random(seen.uvd.shape) < self.share) & (rng.random() < self.frames)
+        wrong = copy.copy(seen)
+        object.__setattr__(wrong, "uvd", np.where(hit, self.value, wrong.uvd))  # its constructor would refuse it
+        return wrong
 
 
 @dataclass(frozen=True)
-class NoDisparity:
+class NoDisparity(OfMeasurements):
     """Landmarks for which the two images do not agree: each with probability `share` has d <= 0, which is legal."""
 
     share: float
 
-    def applied_to(self, recording: Recording, rng: np.random.Generator) -> Recording:
-        """See `Corruption`."""
-        observations = []
-        for frame in recording.frames:
-            uvd = frame.observation.uvd.copy()
-            hit = rng.random(len(uvd)) < self.share
-            uvd[hit, 2] = -rng.integers(0, 3, int(hit.sum()))
-            observations.append(replace(frame.observation, uvd=uvd))
-        return recording.with_observations(observations)
+    def changed(self, seen: StereoObservation, camera: StereoCamera, rng: np.random.Generator) -> StereoObservation:
+        """See `OfMeasurements`."""
+        uvd = seen.uvd.copy()
+        hit = rng.random(len(uvd)) < self.share
+        uvd[hit, 2] = -rng.integers(0, 3, int(hit.sum()))
+        return replace(seen, uvd=uvd)
 
 
 @dataclass(frozen=True)
@@ -213,21 +186,13 @@ class MovingTruck:
 
     def applied_to(self, recording: Recording, rng: np.random.Generator) -> Recording:
         """See `Corruption`: a landmark is on the truck from where it is first seen."""
-        landmarks = known_world(recording)
-        on_truck = self._on_truck(recording, landmarks, rng)
+        on_truck = self._on_truck(recording, known_world(recording), rng)
         begins, forward = recording.frames[0].timestamp, _true_pose(recording.frames[0]).R_wc[:, 2]
-        boarded = np.full(len(landmarks.ids), np.nan)
-        observations = []
-        for frame in recording.frames:
-            place = np.searchsorted(landmarks.ids, frame.observation.ids)
-            concerned = on_truck[place]
-            those = place[concerned]
-            driven = self._driven(frame.timestamp - begins)
-            boarded[those] = np.fmin(boarded[those], driven)
-            static = landmarks.positions[those]
-            moved = static + (driven - boarded[those])[:, None] * forward
-            observations.append(seen_elsewhere(frame, recording.camera, concerned, static, moved))
-        return recording.with_observations(observations)
+
+        def moved(time: float, boarded: FloatArray, index: IntArray) -> FloatArray:
+            return np.asarray((self._driven(time - begins) - self._driven(boarded - begins))[:, None] * forward)
+
+        return moved_on(recording, on_truck, moved)
 
     def _on_truck(self, recording: Recording, landmarks: LandmarkTruth, rng: np.random.Generator) -> NDArray[np.bool_]:
         """Which landmarks (N,): in every view about that share, not none or all by chance."""
@@ -238,10 +203,10 @@ class MovingTruck:
         on_truck[np.searchsorted(landmarks.ids, seen[np.argsort(first)])] = np.diff(count) > 0
         return on_truck
 
-    def _driven(self, seconds: float) -> float:
+    def _driven(self, seconds: ArrayLike) -> FloatArray:
         """Metres after that time."""
-        speeding = min(seconds, self.speed / self.acceleration)
-        return 0.5 * self.acceleration * speeding**2 + self.speed * (seconds - speeding)
+        speeding = np.minimum(seconds, self.speed / self.acceleration)
+        return np.asarray(0.5 * self.acceleration * speeding**2 + self.speed * (seconds - speeding))
 
 
 def _true_pose(frame: Frame) -> Pose:

@@ -37,42 +37,22 @@ IN_TIME = 2.0
 
 @dataclass(frozen=True, eq=False)
 class Session:
-    """Result of a drive.
+    """Result of a drive."""
 
-    Attributes
-    ----------
-    times : (K,)
-        Of the frames that were not refused for their time, s.
-    position_errors, travelled, nees : (K,)
-        Error of the position, m; length of the true drive so far, m; NEES of the pose over 6.
-    alarms : tuple of Alarm
-        In order; their times are those of the drive.
-    refused : int
-        Calls that were refused as illegal input, with the state left as it was.
-    broken : str
-        What the contract does not allow and happened all the same, one line; empty: nothing. The drive ends there.
-    """
-
-    times: FloatArray
-    position_errors: FloatArray
-    travelled: FloatArray
-    nees: FloatArray
-    alarms: tuple[Alarm, ...]
-    refused: int
+    times: FloatArray  # (K,): of the frames that were not refused for their time, s
+    position_errors: FloatArray  # (K,): m
+    travelled: FloatArray  # (K,): length of the true drive so far, m
+    nees: FloatArray  # (K,): NEES of the pose over 6
+    alarms: tuple[Alarm, ...]  # in order; their times are those of the drive
+    refused: int  # calls that were refused as illegal input, with the state left as it was
+    # What the contract does not allow and happened all the same, one line; empty: nothing. The drive ends there.
     broken: str
 
 
 def drive_through(recording: Recording, slam: StereoFilter, monitor: DivergenceMonitor) -> Session:
-    """Feed a stream to a filter as a robot would: what is refused is left out, and the drive goes on.
+    """Feed a stream with truth to a filter as a robot would: what is refused is left out, and the drive goes on.
 
-    Parameters
-    ----------
-    recording : Recording
-        With truth. Its frames may be out of order, and their observations illegal.
-    slam : StereoFilter
-        Is reset to the start of the recording.
-    monitor : DivergenceMonitor
-        Is reset.
+    Its frames may be out of order, and their observations illegal. Filter and monitor are reset.
     """
     watched = _WatchedFilter(slam)
     loop = FilterLoop(cast(StereoFilter, watched), recording.reference)
@@ -127,11 +107,8 @@ class _WatchedFilter:
     def update(self, seen: StereoObservation) -> UpdateReport:
         """Use the arrays of a camera, which need not be legal; an empty report where they are refused."""
         reports = [UpdateReport()]
-        self._accepted(
-            lambda: reports.append(
-                self._slam.update(StereoObservation(seen.ids, seen.uvd, seen.v_right, seen.R)),
-            )
-        )
+        measured = (seen.ids, seen.uvd, seen.v_right, seen.R)
+        self._accepted(lambda: reports.append(self._slam.update(StereoObservation(*measured))))
         return reports[-1]
 
     def _check(self) -> None:
@@ -173,39 +150,20 @@ DIVERGED = Limits(0.10, 1.0, 100.0)
 
 @dataclass(frozen=True)
 class Run:
-    """One fault, filter and seed.
-
-    Attributes
-    ----------
-    fault, filter, seed : str, str, int
-        Which.
-    outcome : str
-        One of `OUTCOMES`.
-    diverged_at : float or None
-        First frame that has diverged since the fault began, s.
-    detected_after : float or None
-        From then to the first alarm since the fault began, s; negative: the alarm came first. None: no alarm, or
-        nothing to detect.
-    in_time : bool or None
-        Whether that was in time (`IN_TIME`); None: nothing to detect.
-    causes : tuple of str
-        Of all alarms, in order (names of `Cause`).
-    worst_percent : float
-        Largest position error over the distance travelled, %.
-    refused, broken : int, str
-        As of the `Session`.
-    """
+    """One fault, filter and seed."""
 
     fault: str
     filter: str
     seed: int
-    outcome: str
-    diverged_at: float | None
+    outcome: str  # one of `OUTCOMES`
+    diverged_at: float | None  # first frame that has diverged since the fault began, s
+    # From then to the first alarm since the fault began, s; negative: the alarm came first. None: no alarm, or
+    # nothing to detect.
     detected_after: float | None
-    in_time: bool | None
-    causes: tuple[str, ...]
-    worst_percent: float
-    refused: int
+    in_time: bool | None  # whether that was in time (`IN_TIME`); None: nothing to detect
+    causes: tuple[str, ...]  # of all alarms, in order (names of `Cause`)
+    worst_percent: float  # largest position error over the distance travelled, %
+    refused: int  # as of the `Session`
     broken: str
 
 
@@ -230,33 +188,26 @@ def judge(session: Session, fault: str, label: str, seed: int) -> Run:
     return Run(fault, label, seed, outcome, at, detected, in_time, causes, worst, session.refused, session.broken)
 
 
-@dataclass(frozen=True)
-class Cell:
-    """The runs of one fault and filter."""
+def in_words(runs: Sequence[Run]) -> str:
+    """Outcomes, detections, and what was broken, in a few words."""
+    counts = {outcome: sum(run.outcome == outcome for run in runs) for outcome in OUTCOMES}
+    present = [outcome for outcome in OUTCOMES if counts[outcome]]
+    said = [f"{counts[outcome]} {outcome}" for outcome in present] if len(present) > 1 else present
+    delays = [run.detected_after for run in runs if run.detected_after is not None]
+    alarmed = sum(bool(run.causes) for run in runs)
+    if diverged := counts["diverged"]:
+        late = f", after {delay:.1f} s" if delays and (delay := statistics.median(delays)) >= 0.05 else ""
+        said.append(f"told {sum(run.in_time is True for run in runs)}/{diverged}{late}")
+    elif alarmed:
+        said.append(f"alarms {alarmed}/{len(runs)}")
+    broken = [f"BROKEN: {run.broken}" for run in runs if run.broken]
+    return "; ".join([*said, *broken[:1]])
 
-    runs: tuple[Run, ...]
 
-    @property
-    def words(self) -> str:
-        """Outcomes, detections, and what was broken, in a few words."""
-        counts = {outcome: sum(run.outcome == outcome for run in self.runs) for outcome in OUTCOMES}
-        present = [outcome for outcome in OUTCOMES if counts[outcome]]
-        said = [f"{counts[outcome]} {outcome}" for outcome in present] if len(present) > 1 else present
-        delays = [run.detected_after for run in self.runs if run.detected_after is not None]
-        alarmed = sum(bool(run.causes) for run in self.runs)
-        if diverged := counts["diverged"]:
-            late = f", after {delay:.1f} s" if delays and (delay := statistics.median(delays)) >= 0.05 else ""
-            said.append(f"told {sum(run.in_time is True for run in self.runs)}/{diverged}{late}")
-        elif alarmed:
-            said.append(f"alarms {alarmed}/{len(self.runs)}")
-        broken = [f"BROKEN: {run.broken}" for run in self.runs if run.broken]
-        return "; ".join([*said, *broken[:1]])
-
-    @property
-    def cause(self) -> str:
-        """The most frequent first cause of an alarm."""
-        first = Counter(run.causes[0] for run in self.runs if run.causes)
-        return Cause[first.most_common(1)[0][0]].value if first else ""
+def first_cause(runs: Sequence[Run]) -> str:
+    """The most frequent first cause of an alarm."""
+    first = Counter(run.causes[0] for run in runs if run.causes)
+    return Cause[first.most_common(1)[0][0]].value if first else ""
 
 
 @dataclass(frozen=True)
@@ -276,9 +227,9 @@ class FaultMatrix:
         """In the order asked for."""
         return tuple(dict.fromkeys(run.filter for run in self.runs))
 
-    def cell(self, fault: str, label: str | None = None) -> Cell:
+    def runs_of(self, fault: str, label: str | None = None) -> list[Run]:
         """The runs of a fault with one filter; None: with all."""
-        return Cell(tuple(run for run in self.runs if run.fault == fault and label in (None, run.filter)))
+        return [run for run in self.runs if run.fault == fault and label in (None, run.filter)]
 
     @property
     def broken(self) -> tuple[Run, ...]:
@@ -323,8 +274,8 @@ class FaultMatrix:
     def rows(self) -> list[list[str]]:
         """The table: fault, a column for each filter, most frequent cause."""
         return [
-            [name, *(self.cell(name, label).words for label in self.filters), self.cell(name).cause]
-            for name in self.faults
+            [fault, *(in_words(self.runs_of(fault, label)) for label in self.filters), first_cause(self.runs_of(fault))]
+            for fault in self.faults
         ]
 
     def as_markdown(self) -> str:
@@ -342,25 +293,11 @@ def run_matrix(
     backend: Backend | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> FaultMatrix:
-    """Run every fault with every filter.
+    """Run every fault of those names with every filter, on the drives of the seeds from 0 on.
 
-    Parameters
-    ----------
-    filters : sequence of FilterChoice
-        With the gate that they have by default, 0.99.
-    faults : sequence of str
-        Keys of `FAULTS`.
-    seeds : int
-        Drives of each, from seed 0 on.
-    backend : Backend, optional
-        Where; None: one after the other, in this process.
-    progress : callable, optional
-        Called with (drives done, drives) after each.
-
-    Raises
-    ------
-    ValueError
-        There is no such fault or filter, or an option is refused.
+    The filters have the gate that they have by default, 0.99. `backend` says where (None: one after the other, in this
+    process), `progress` is called with (drives done, drives). A `ValueError` where there is no such fault or filter, or
+    an option is refused.
     """
     wanted = {name: find_fault(name) for name in faults}
     for choice in filters:  # before any work is done

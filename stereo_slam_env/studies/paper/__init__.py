@@ -44,33 +44,14 @@ Progress = Callable[[float, int], None]
 
 @dataclass(frozen=True)
 class PaperSettings:
-    """Size of the study.
+    """Size of the study; a `ValueError` where a number is not positive."""
 
-    Attributes
-    ----------
-    samples : int
-        Of each Monte-Carlo cloud of section 4.1.
-    turn_seeds : int
-        Recordings of 4.3, for each noise.
-    drive_seeds, drive_frames : int
-        Recordings of 4.4, for each noise, and their length.
-    sizes : tuple of int
-        Numbers of landmarks that the speed is measured at.
-    repeats : int
-        Rounds of that measurement.
-
-    Raises
-    ------
-    ValueError
-        A number is not positive.
-    """
-
-    samples: int = 10_000
-    turn_seeds: int = 200
-    drive_seeds: int = 20
-    drive_frames: int = 800
-    sizes: tuple[int, ...] = (25, 50, 100, 200)
-    repeats: int = 30
+    samples: int = 10_000  # of each Monte-Carlo cloud of section 4.1
+    turn_seeds: int = 200  # recordings of 4.3, for each noise
+    drive_seeds: int = 20  # recordings of 4.4, for each noise
+    drive_frames: int = 800  # and their length
+    sizes: tuple[int, ...] = (25, 50, 100, 200)  # numbers of landmarks that the speed is measured at
+    repeats: int = 30  # rounds of that measurement
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -169,19 +150,7 @@ def run_paper(
 def run_experiments(
     experiments: Mapping[str, partial[Arrays]], folder: Path, backend: Backend, progress: Progress
 ) -> dict[str, Arrays]:
-    """Results by name; what `folder` has of the same arguments and code is not computed again.
-
-    Parameters
-    ----------
-    experiments : mapping of str to partial
-        Name of a file -> function and its arguments, JSON-able.
-    folder : Path
-        For one npz file an experiment; a damaged one is computed again.
-    backend : Backend
-        Where they run.
-    progress : callable
-        Called with (experiments done, experiments).
-    """
+    """Results by name of a file; what `folder` has of the same arguments and code is not computed again."""
     folder.mkdir(parents=True, exist_ok=True)
     own_code = b"".join(path.read_bytes() for path in sorted(Path(__file__).parent.glob("*.py")))
     code = [versions()["code"], hashlib.sha256(own_code).hexdigest()]
@@ -223,20 +192,13 @@ def _write_json(path: Path, data: Mapping[str, Any]) -> None:
 def _as_dict(claim: Claim) -> dict[str, Any]:
     sentence = asdict(claim.sentence)
     del sentence["asked"]  # of each finding
-    return {
-        **sentence,
-        "verdict": claim.verdict.value,
-        "says": claim.says,
-        "findings": [_finding(finding) for finding in claim.findings],
-    }
+    findings = [_finding(finding) for finding in claim.findings]
+    return {**sentence, "verdict": claim.verdict.value, "says": claim.says, "findings": findings}
 
 
 def _finding(finding: Finding) -> dict[str, Any]:
-    measured, asked = finding.measured, finding.asked
-    value, *limits = (
-        number if math.isfinite(number) else None
-        for number in (measured.value, measured.low, measured.high, asked.low, asked.high)
-    )
+    ends = (*vars(finding.measured).values(), *vars(finding.asked).values())
+    value, *limits = (number if math.isfinite(number) else None for number in ends)
     return {
         "condition": dict(finding.condition),
         "measured": value,
@@ -250,19 +212,12 @@ def _write_rows(path: Path, claims: Sequence[Claim]) -> None:
     """One row a finding."""
     heads = ("key", "section", "claim", "statement", "condition", "measured", "low", "high", "asked", "verdict", "says")
     with path.open("w", encoding="utf-8", newline="") as file:
-        rows = csv.DictWriter(file, (*heads, "evidence"), lineterminator="\n")
-        rows.writeheader()
+        rows = csv.writer(file, lineterminator="\n")
+        rows.writerow((*heads, "evidence"))
         for claim in claims:
-            for finding in claim.findings:
-                rows.writerow(
-                    {
-                        **{name: getattr(claim.sentence, name) for name in (*heads[:4], "evidence")},
-                        "condition": ", ".join(f"{factor}: {level}" for factor, level in finding.condition.items()),
-                        "measured": finding.measured.value,
-                        "low": finding.measured.low,
-                        "high": finding.measured.high,
-                        "asked": str(finding.asked),
-                        "verdict": finding.verdict.value,
-                        "says": claim.says,
-                    }
-                )
+            said = claim.sentence
+            for found in claim.findings:
+                condition = ", ".join(f"{factor}: {level}" for factor, level in found.condition.items())
+                about = said.key, said.section, said.claim, said.statement, condition
+                verdict = found.asked, found.verdict.value, claim.says, said.evidence
+                rows.writerow((*about, *vars(found.measured).values(), *verdict))

@@ -114,21 +114,12 @@ def decide(measured: Interval, asked: Range) -> Verdict:
 
 @dataclass(frozen=True)
 class Finding:
-    """A claim under one condition.
+    """A claim under one condition."""
 
-    Attributes
-    ----------
-    condition : mapping of str to str
-        Factor -> level, e.g. {"noise": "pixels independent", "R": "full"}; the same factors in all of a claim.
-    measured : Interval
-        The quantity.
-    asked : Range
-        Where it must lie if the claim is true.
-    """
-
+    # factor -> level, e.g. {"noise": "pixels independent", "R": "full"}; the same factors in all of a claim
     condition: Mapping[str, str]
-    measured: Interval
-    asked: Range
+    measured: Interval  # the quantity
+    asked: Range  # where it must lie if the claim is true
 
     @property
     def verdict(self) -> Verdict:
@@ -138,26 +129,14 @@ class Finding:
 
 @dataclass(frozen=True)
 class Sentence:
-    """Something the paper says that can be checked: an entry of `claims.json`.
+    """Something the paper says that can be checked: an entry of `claims.json`."""
 
-    Attributes
-    ----------
-    key, section, claim : str
-        A short, unique name; the section of the paper; what it says there.
-    statement : str
-        What is measured, and when that counts as true.
-    evidence : str
-        Name of the figure that it is shown with.
-    asked : Range
-        Where the quantity must lie.
-    """
-
-    key: str
-    section: str
-    claim: str
-    statement: str
-    evidence: str
-    asked: Range = Range()
+    key: str  # a short, unique name
+    section: str  # of the paper
+    claim: str  # what it says there
+    statement: str  # what is measured, and when that counts as true
+    evidence: str  # name of the figure that it is shown with
+    asked: Range = Range()  # where the quantity must lie
 
 
 @dataclass(frozen=True)

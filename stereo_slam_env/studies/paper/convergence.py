@@ -56,45 +56,24 @@ DRIVES_AT_ONCE = 20
 
 @dataclass(frozen=True, eq=False)
 class DepthHistory:
-    """L landmarks through K frames, as a filter believes.
+    """L landmarks through K frames, as a filter believes."""
 
-    Attributes
-    ----------
-    d, sigma_d : (L, K)
-        Estimated disparity and its claimed standard deviation, px: inverse depth, up to a constant.
-    hindsight : (L, K)
-        Depth that the last estimate of the landmark has in each frame, by the filter's own motion, m.
-    """
-
-    d: FloatArray
-    sigma_d: FloatArray
+    d: FloatArray  # (L, K): estimated disparity, px: inverse depth, up to a constant
+    sigma_d: FloatArray  # (L, K): its claimed standard deviation, px
+    # (L, K): depth that the last estimate of the landmark has in each frame, by the filter's own motion, m
     hindsight: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
 class Depths:
-    """L landmarks of some drives through K frames.
+    """L landmarks of some drives through K frames."""
 
-    Attributes
-    ----------
-    drive : (L,) int64
-        What intervals are made over: the number of the drive.
-    label : (L,) str
-        "near" or "far".
-    true, raw : (L, K)
-        True depth (NaN where unknown), and the one that the frame's own disparity says (NaN where d <= 0), m.
-    filters : mapping of (str, str) to DepthHistory
-        (Filter, assumed R) -> what it believed.
-    disparity_constant : float
-        fx b, px m.
-    """
-
-    drive: IntArray
-    label: NDArray[np.str_]
-    true: FloatArray
-    raw: FloatArray
-    filters: Mapping[tuple[str, str], DepthHistory]
-    disparity_constant: float = RIGS["reference"].disparity_constant
+    drive: IntArray  # (L,): what intervals are made over: the number of the drive
+    label: NDArray[np.str_]  # (L,): "near" or "far"
+    true: FloatArray  # (L, K): true depth, m; NaN where unknown
+    raw: FloatArray  # (L, K): the one that the frame's own disparity says, m; NaN where d <= 0
+    filters: Mapping[tuple[str, str], DepthHistory]  # (filter, assumed R) -> what it believed
+    disparity_constant: float = RIGS["reference"].disparity_constant  # fx b, px m
 
     def depth(self, history: DepthHistory) -> tuple[FloatArray, FloatArray]:
         """Estimated depths and their standard deviations to first order, (L, K) m; NaN where d <= 0."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from scipy.stats import chi2, norm
@@ -55,7 +55,8 @@ COLOURS = filter_colours((JOINT, DUAL, EUCLIDEAN))
 NAMES = {JOINT: "inverse depth, (u, v, d)", DUAL: "two bearing updates", EUCLIDEAN: "XYZ"}
 SHOWN = 1000
 """Points of a cloud that are drawn: all of them would make the picture heavy, not clearer."""
-_FORM_DASHES: tuple[tuple[float, ...], ...] = ((), DASHED, (7, 3, 1, 3), (2, 3))
+Dash = tuple[float, ...]
+_FORM_DASHES: tuple[Dash, ...] = ((), DASHED, (7, 3, 1, 3), (2, 3))
 _DEPTHS = (0.0, 260.0)
 """What figure 1 shows, m."""
 
@@ -92,14 +93,13 @@ def figure_4(results: Mapping[str, Arrays]) -> Chart:
             claimed = np.sqrt(np.nanmean(sigma**2, axis=0))[1:]
             error = np.sqrt(np.nanmean((z - depths.true[used]) ** 2, axis=0))[1:]
             called = _called(name, R)
-            claims.append((R, Curve(called, updates, claimed, COLOURS[name], said=f"{called}: claimed σ")))
-            errors.append((R, Curve(called, updates, error, COLOURS[name], said=f"{called}: true error")))
-        y = log_axis(np.asarray(curve.y) for _, curve in (*claims, *errors))
+            claims.append((Curve(called, updates, claimed, COLOURS[name], said=f"{called}: claimed σ"), _dash(R)))
+            errors.append((Curve(called, updates, error, COLOURS[name], said=f"{called}: true error"), R != DIAGONAL))
+        y = log_axis(np.asarray(curve.y) for curve, _ in (*claims, *errors))
         panel = Panel(Axis(0, float(updates[-1]), "update"), y, width, 190.0, title)
-        for R, dash in ((DIAGONAL, ()), (COUPLED, DASHED)):
-            panel.lines([curve for of, curve in claims if (of == DIAGONAL) == (R == DIAGONAL)], dash)
-            panel.dots([curve for of, curve in errors if (of == DIAGONAL) == (R == DIAGONAL)], hollow=R != DIAGONAL)
-        panel.end_labels((curve.key, float(np.asarray(curve.y)[-1]), curve.colour) for _, curve in claims)
+        _draw_lines(panel, claims)
+        for curve, hollow in errors:
+            panel.dots([curve], hollow=hollow)
         return panel
 
     return _near_and_far(results, draw, "Claimed σ of the depth, lines, and true RMS error, markers (m)")
@@ -126,17 +126,14 @@ def figure_karlsruhe(depths: convergence.Depths) -> Chart:
         used = np.flatnonzero(depths.label == label)
         if not len(used):
             continue
-        claims = {
-            (name, R): np.nanmedian(depths.depth(history)[1][used], axis=0)
-            for (name, R), history in depths.filters.items()
-        }
+        claims = []
+        for (name, R), history in depths.filters.items():
+            sigma = np.nanmedian(depths.depth(history)[1][used], axis=0)
+            claims.append((Curve(_called(name, R), np.arange(len(sigma)), sigma, COLOURS[name]), _dash(R)))
         title = f"{label.capitalize()}: claimed σ of the depth (m), median of {len(used)}"
-        last = max(len(sigma) for sigma in claims.values()) - 1.0
-        panel = Panel(Axis(0, last), log_axis(claims.values()), width, 200.0, title)
-        for (name, R), sigma in claims.items():
-            key = _called(name, R)
-            panel.lines([Curve(key, np.arange(len(sigma)), sigma, COLOURS[name])], _dash(R))
-        panel.end_labels((_called(name, R), float(sigma[-1]), COLOURS[name]) for (name, R), sigma in claims.items())
+        y = log_axis(np.asarray(curve.y) for curve, _ in claims)
+        panel = Panel(Axis(0, depths.raw.shape[1] - 1.0), y, width, 200.0, title)
+        _draw_lines(panel, claims)
         upper.append(panel)
         title = "Depth of one, less where ours sees it in the end (m)"
         lower.append(_landmark_panel(depths, used[0], ours.hindsight[used[0]], "in the end", title, width))
@@ -182,32 +179,24 @@ def figure_6(said: Mapping[str, FloatArray], true: Mapping[str, FloatArray]) -> 
 
 def figure_nees(runs: long_drive.Runs) -> Chart:
     """Pose NEES of all filters, mean over the drives, with the band of a consistent one."""
-    keys: dict[str, str] = {}
-    rows = []
+    keys, panels = {}, []
+    for R in ASSUMED:
+        keys[f"ours, R = {R}"] = COLOURS[JOINT]
+    keys |= {"competitor, 1 px an image": COLOURS[DUAL], "XYZ": COLOURS[EUCLIDEAN]}
     for noise, name in NOISES.items():
-        cases = long_drive.cases(long_drive.DRIVE, noise)
-        drives = len(runs[cases[0]])
-        low, high = (end / 6 for end in mean_band(6, drives))
-        curves = []
-        for case in cases:
-            filter_name, R = case[2:]
+        lines = []
+        for text, case in zip(keys, long_drive.cases(long_drive.DRIVE, noise), strict=True):
             nees = np.array([run.pose_nees for run in runs[case]])
-            text = {JOINT: f"ours, R = {R}", DUAL: "competitor, 1 px an image", EUCLIDEAN: "XYZ"}[filter_name]
             mean = _smoothed(nees.mean(axis=0)[1:]) / 6
-            curve = Curve(text, np.arange(1, len(mean) + 1), mean, COLOURS[filter_name])
-            curves.append((curve, DASHED if filter_name == JOINT and R == COUPLED else ()))
-            keys[text] = COLOURS[filter_name]
-        rows.append((f"Pose NEES / 6, mean of {drives} drives, noise: {name}", curves, low, high))
-    panels = []
-    for title, curves, low, high in rows:
-        y = log_axis([*(np.asarray(curve.y) for curve, _ in curves), np.array([low, high])])
-        last = max(len(np.asarray(curve.y)) for curve, _ in curves)
-        panel = Panel(Axis(0, last, "frame"), y, panel_width(1, label_room([*keys, "95 % band"])), 200.0, title)
-        panel.boxes([Box(0, last, low, high, BAND)])
-        for curve, dash in curves:
-            panel.lines([curve], dash)
-        ends = [(curve.key, float(np.asarray(curve.y)[-1]), curve.colour) for curve, _ in curves]
-        panel.end_labels([*ends, ("95 % band", float(np.sqrt(low * high)), MUTED)])
+            curve = Curve(text, np.arange(1, len(mean) + 1), mean, keys[text])
+            lines.append((curve, DASHED if case[2:] == (JOINT, COUPLED) else ()))
+        low, high = (end / 6 for end in mean_band(6, len(nees)))
+        y = log_axis([*(np.asarray(curve.y) for curve, _ in lines), np.array([low, high])])
+        title = f"Pose NEES / 6, mean of {len(nees)} drives, noise: {name}"
+        width = panel_width(1, label_room([*keys, "95 % band"]))
+        panel = Panel(Axis(0, nees.shape[1] - 1.0, "frame"), y, width, 200.0, title)
+        panel.boxes([Box(0, nees.shape[1] - 1.0, low, high, BAND)])
+        _draw_lines(panel, lines, ("95 % band", float(np.sqrt(low * high)), MUTED))
         panels.append(panel)
     return figure(panels, keys, columns=1)
 
@@ -217,32 +206,31 @@ def figure_speed(results: Mapping[str, Arrays]) -> Chart:
     measured = speed.milliseconds(results)
     sizes = np.array(list(measured), dtype=np.float64)
     times, ratios = [], []
-    for number, form in enumerate(speed.FORMS):
+    for number, (form, dash) in enumerate(zip(speed.FORMS, _FORM_DASHES, strict=False)):
         for name in (JOINT, DUAL):
             medians = [float(np.median(measured[n][f"{form}.{name}"])) for n in measured]
             said = f"{form}, {NAMES[name]}"
-            times.append((number, Curve(form, sizes, medians, COLOURS[name], said=said)))
+            times.append((Curve(form, sizes, medians, COLOURS[name], said=said), dash))
         found = [ratio_interval(measured[n][f"{form}.{JOINT}"], measured[n][f"{form}.{DUAL}"]) for n in measured]
         ends = np.array([(one.value, one.low, one.high) for one in found]).T
         low, high = (np.where(np.isfinite(end), end, ends[0]) for end in ends[1:])
-        ratios.append(Curve(form, sizes * 1.015 ** (number - 1.5), ends[0], COLOURS[JOINT], low, high))
+        ratios.append((Curve(form, sizes * 1.015 ** (number - 1.5), ends[0], COLOURS[JOINT], low, high), dash))
     width = panel_width(2, label_room(speed.FORMS))
     margin = (sizes.max() / sizes.min()) ** 0.05 if len(sizes) > 1 else 1.1
     x = Axis(sizes.min() / margin, sizes.max() * margin, "landmarks", log=True, ticks=sizes.tolist())
     title = "Predict + update (ms), ours in blue, competitor in red"
-    left = Panel(x, log_axis(np.asarray(curve.y) for _, curve in times), width, 240.0, title)
-    everything = np.concatenate([np.ravel([curve.low, curve.high]) for curve in ratios] + [np.ones(1)])
+    left = Panel(x, log_axis(np.asarray(curve.y) for curve, _ in times), width, 240.0, title)
+    everything = np.concatenate([np.ravel([curve.low, curve.high]) for curve, _ in ratios] + [np.ones(1)])
     top = 0.08 * float(np.ptp(everything)) + 0.02
     y = Axis(max(float(everything.min()) - top, 0.0), float(everything.max()) + top)
     right = Panel(x, y, width, 240.0, "Ours over competitor, with 95 % interval: below 1 is faster")
     right.rule(y=1.0)
-    for number, dash in enumerate(_FORM_DASHES[: len(speed.FORMS)]):
-        left.lines([curve for of, curve in times if of == number], dash)
-        right.lines([ratios[number]], dash)
-    left.dots([curve for _, curve in times], 22)
-    right.intervals(ratios)
-    right.dots(ratios, 22)
-    right.end_labels((curve.key, float(np.asarray(curve.y)[-1]), curve.colour) for curve in ratios)
+    for curve, dash in times:
+        left.lines([curve], dash)
+    left.dots([curve for curve, _ in times], 22)
+    _draw_lines(right, ratios)
+    right.intervals([curve for curve, _ in ratios])
+    right.dots([curve for curve, _ in ratios], 22)
     return figure([left, right])
 
 
@@ -314,20 +302,24 @@ def _landmark_panel(
     updates = np.arange(len(reference))
     raw = depths.raw[at] - reference
     mean = float(np.nanmean(raw))
-    curves = [
+    lines = [
         (Curve(_called(of, R), updates, depths.depth(history)[0][at] - reference, COLOURS[of]), _dash(R))
         for (of, R), history in depths.filters.items()
     ]
-    y = _around(np.concatenate([raw, *(np.asarray(curve.y) for curve, _ in curves)]), "")
+    y = _around(np.concatenate([raw, *(np.asarray(curve.y) for curve, _ in lines)]), "")
     panel = Panel(Axis(0, float(updates[-1]), "update"), y, width, 190.0, title)
     panel.rule(y=0.0, colour=INK, width=5.0, opacity=0.18)
     panel.rule(y=mean, dash=(1, 3), width=1.2)
     panel.dots([Curve("", updates, raw, MUTED, said="raw")], 20)
-    for curve, dash in curves:
-        panel.lines([curve], dash)
-    ends = [(curve.key, float(np.asarray(curve.y)[-1]), curve.colour) for curve, _ in curves]
-    panel.end_labels([(name, 0.0, MUTED), ("mean of raw", mean, MUTED), *ends])
+    _draw_lines(panel, lines, (name, 0.0, MUTED), ("mean of raw", mean, MUTED))
     return panel
+
+
+def _draw_lines(panel: Panel, lines: Sequence[tuple[Curve, Dash]], *labels: tuple[str, float, str]) -> None:
+    """Draw curves with their dashes, their names at the right end, and other labels there."""
+    for curve, dash in lines:
+        panel.lines([curve], dash)
+    panel.end_labels([*labels, *((curve.key, float(np.asarray(curve.y)[-1]), curve.colour) for curve, _ in lines)])
 
 
 def _near_and_far(
@@ -360,7 +352,7 @@ def _around(values: FloatArray, title: str) -> Axis:
     return Axis(low - margin, high + margin, title)
 
 
-def _dash(R: str) -> tuple[float, ...]:
+def _dash(R: str) -> Dash:
     return () if R == DIAGONAL else DASHED
 
 

@@ -56,13 +56,7 @@ CASES = tuple((name, R) for name in (JOINT, DUAL) for R in R_NAMES)
 
 
 def sequences(path: Path) -> dict[str, Path]:
-    """The folders of those of the two sequences that are in a folder (or are the folder).
-
-    Raises
-    ------
-    ValueError
-        Neither is there.
-    """
+    """The folders of those of the two sequences that are in a folder (or are the folder); at least one."""
     found = {
         name: folder
         for name in (TURN, DRIVE)

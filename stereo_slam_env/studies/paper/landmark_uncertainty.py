@@ -50,18 +50,10 @@ TRUE = {UVD: DIAGONAL_OF_4_1, PIXELS: ASSUMED[COUPLED]}
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """Gaussian description of a cloud in a parametrisation.
+    """Gaussian description of a cloud in a parametrisation."""
 
-    Attributes
-    ----------
-    coverage : Interval
-        Share of the cloud in the region that is meant to hold 95 % of it.
-    distance : float
-        Kolmogorov-Smirnov distance of the distribution of depth from the one claimed.
-    """
-
-    coverage: Interval
-    distance: float
+    coverage: Interval  # share of the cloud in the region that is meant to hold 95 % of it
+    distance: float  # Kolmogorov-Smirnov distance of the distribution of depth from the one claimed
 
 
 def measurements(depth: float, noise: str, samples: int) -> FloatArray:

@@ -52,21 +52,7 @@ def write_report(
     settings: PaperSettings,
     with_karlsruhe: bool,
 ) -> Path:
-    """Write `report.html` and `figures` into a directory.
-
-    Parameters
-    ----------
-    out : Path
-        The directory.
-    claims : sequence of Claim
-        What is judged.
-    results, runs : mapping
-        Of all experiments, and of the drives of section 4.4.
-    settings : PaperSettings
-        How much was measured.
-    with_karlsruhe : bool
-        Whether the paper's own recordings were run.
-    """
+    """Write `report.html` and `figures` into a directory."""
     place, samples = out / "figures", settings.samples
     ours = runs[long_drive.DRIVE, PIXELS, JOINT, RIGHT[PIXELS]][0]
     rule, conditions = (f"<p>{escape(TABLE[name])}</p>" for name in ("rule", "conditions"))

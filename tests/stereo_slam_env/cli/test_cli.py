@@ -397,7 +397,6 @@ def test_scenes_are_listed_and_drawn(command, tmp_path):
         (("replay",), "argument"),
         (("replay", "nowhere"), "nowhere does not exist: give a folder with a recording"),
         (("view", "nowhere"), "nowhere does not exist: give the directory of a run"),
-        (("replay", "gtsam:kiti00"), "did you mean 'gtsam:kitti00'?"),
         (("report", "nowhere"), "nowhere does not exist: give the directory of a run"),
         (("report", "."), "holds no run: it has no settings.json"),
         (("report", __file__), "is a file: give the directory of a run"),

@@ -24,15 +24,10 @@ def test_the_wheel_holds_the_same_measurements_as_the_folder():
 
 def test_its_reference_says_that_it_is_no_ground_truth():
     pytest.importorskip("gtsam", reason="needs the extra gtsam")
-    assert load("gtsam:kitti00").reference.kind == "odometry from the same images"
+    assert load("gtsam").reference.kind == "odometry from the same images"
 
 
 def test_without_gtsam_the_message_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "gtsam", None)
     with pytest.raises(ImportError, match=re.escape(install_command("gtsam")) + "$"):
         load("gtsam")
-
-
-def test_an_unknown_example_is_answered_with_the_known_ones():
-    with pytest.raises(ValueError, match=r"no example 'gtsam:kiti00', did you mean 'gtsam:kitti00'\?"):
-        load("gtsam:kiti00")

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from stereo_slam_env.datasets import layout_of, load
-from stereo_slam_env.datasets.odometry import camera_velocities
+from stereo_slam_env.datasets.tracks import camera_velocities
 from stereo_slam_env.evaluation.trajectory_metrics import ate_rigid, path_length
 
 from ..real_data import real_data

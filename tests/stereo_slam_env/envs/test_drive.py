@@ -83,9 +83,9 @@ def test_resetting_does_not_depend_on_what_was_before(make):
     assert data_equivalence(first, rollout(env, 5, 5), exact=True)
 
 
-@pytest.mark.parametrize("mode", ["sync", "async"])
-def test_vector_environments_give_the_same_bits(make, mode):
-    vector = gym.make_vec(ID, num_envs=2, vectorization_mode=mode, policy="route", **QUICK)
+@pytest.mark.parametrize(("mode", "how"), [("sync", {}), ("async", {"context": "forkserver"})])
+def test_vector_environments_give_the_same_bits(make, mode, how):
+    vector = gym.make_vec(ID, num_envs=2, vectorization_mode=mode, vector_kwargs=how, policy="route", **QUICK)
     try:
         observation, info = vector.reset(seed=[11, 12])
         frames = [(observation, info)]

@@ -40,6 +40,19 @@ def table(text):
     return [[cell.strip() for cell in row] for row in rows[2:]]
 
 
+DRIVE, GAZE = (inspect.getdoc(environment_class(f"StereoSlam/{name}-v0")) for name in ("Drive", "Gaze"))
+DRIVE_REWARDS = section(DRIVE, "Rewards")
+
+
+def with_others(page, title):
+    """Rows of the table of a section, after those of the pages it refers to, or that these refer to, by first cell."""
+    rows, text = {}, section(page, title)
+    pages = [DRIVE, *([GAZE] if "Gaze-v0" in text else []), page]
+    for each in pages:
+        rows |= {row[0]: row for row in table(section(each, title))}
+    return list(rows.values())
+
+
 @pytest.fixture(params=IDS)
 def page_and_class(request):
     made = environment_class(request.param)
@@ -70,7 +83,7 @@ def test_the_observation_table_is_the_observation_space(page_and_class):
     env = made(render_images=True)
     named = {"N": env.options.max_landmarks, "H": env.camera.height, "W": env.camera.width}
     shown = {}
-    for keys, shape, kind, _ in table(section(page, "Observation Space")):
+    for keys, shape, kind, _ in with_others(page, "Observation Space"):
         numbers = [named.get(part, part) for part in re.findall(r"\w+", shape)]
         for key in re.findall(r"`(\w+)`", keys):
             shown[key] = (tuple(int(n) for n in numbers), kind)
@@ -87,17 +100,18 @@ def test_info_and_rewards_are_named(page_and_class):
     formula, *terms = section(page, "Rewards").split("\n\n- ")
     terms_in_info = {key for key in info if key.startswith("reward_")}
     assert set(re.findall(r"reward_\w+", formula)) == terms_in_info
-    listed = "\n".join(terms)
+    listed = "\n".join([*terms, *([DRIVE_REWARDS] if "those of `StereoSlam/Drive-v0`" in formula else [])])
     for key in terms_in_info:
         assert f"*{key}*" in listed
         assert f"`{key.removeprefix('reward_')}_weight`" in listed
     for key in info.keys() - terms_in_info:
-        assert f"`{key}`" in section(page, "Info")
+        assert f"`{key}`" in section(DRIVE if "Drive-v0" in section(page, "Info") else page, "Info")
 
 
 def test_the_argument_table_has_every_argument_and_its_default(page_and_class):
     page, made = page_and_class
-    shown = {row[0]: row[1] for row in table(section(page, "Arguments"))}
+    missing = re.findall(r"`\w+`", section(page, "Arguments").partition("without")[2].partition("but for:")[0])
+    shown = {row[0]: row[1] for row in with_others(page, "Arguments") if row[0] not in missing}
     defaults = {**made.Options().as_dict(), "render_mode": None}
     expected = {f"`{k}`": f'`"{v}"`' if isinstance(v, str) else f"`{v}`" for k, v in defaults.items()}
     assert shown == expected

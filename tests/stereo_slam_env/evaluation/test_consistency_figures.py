@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from stereo_slam_env.evaluation.consistency import mean_band
-from stereo_slam_env.evaluation.consistency_figures import consistency_figures
+from stereo_slam_env.evaluation.consistency import consistency_figures, mean_band
 from stereo_slam_env.evaluation.landmark_statistics import LandmarkStatistics
 
 from ...synthetic_runs import THREE, make_runs

@@ -20,7 +20,7 @@ from stereo_slam_env.evaluation.figures import FIGURES, LARGEST, Figure, trial_c
 from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.evaluation.trial import Trial
 from stereo_slam_env.report.console import show_results
-from stereo_slam_env.report.tables import accuracy_table
+from stereo_slam_env.report.tables import figures_table
 
 from ...synthetic_runs import scored
 from ..benchmark.small_recordings import small_recording
@@ -130,7 +130,7 @@ def test_a_figure_added_to_the_table_is_everywhere(tmp_path, monkeypatch):
     console = Console(file=io.StringIO(), width=120)
     show_results(console, result.summaries)
     assert re.search(rf"^largest position error, m +{largest:.3f} *$", console.file.getvalue(), re.MULTILINE)
-    report = accuracy_table(result.summaries)
+    report = figures_table(result.summaries, ["accuracy"])
     assert "Largest position error<small>m</small>" in report
     assert f">{largest:.3f}</td>" in report
 

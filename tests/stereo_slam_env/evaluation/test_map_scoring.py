@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from filters import make_filter
-from stereo_slam_env.evaluation.map_scoring import MapView, depths, mean_nees, position_rmse, score_map, view_map
+from stereo_slam_env.evaluation.map_scoring import MapView, depths, score_map, view_map
 
 from ..benchmark.small_recordings import CAMERA, small_recording
 
@@ -36,18 +36,18 @@ def test_the_covariance_of_new_landmarks_is_the_noise_of_their_measurement():
 def test_nees_is_that_of_the_predicted_measurement():
     points = [[0.0, 0.0, 35.0], [1.0, 1.0, 17.5]]
     uvd = CAMERA.project(points) + np.array([2.0, 0.0, 0.0])
-    assert mean_nees(scored(points, uvd, spread=2.0)) == pytest.approx(1.0)
+    assert scored(points, uvd, spread=2.0).mean_nees == pytest.approx(1.0)
 
 
 def test_landmarks_without_truth_or_truly_behind_are_not_scored():
-    assert np.isnan(mean_nees(scored([[np.nan] * 3, [0.0, 0.0, -5.0]], [[600.0, 180.0, 10.0]] * 2)))
-    assert np.isnan(position_rmse(scored([[np.nan] * 3], [[600.0, 180.0, 10.0]])))
+    assert np.isnan(scored([[np.nan] * 3, [0.0, 0.0, -5.0]], [[600.0, 180.0, 10.0]] * 2).mean_nees)
+    assert np.isnan(scored([[np.nan] * 3], [[600.0, 180.0, 10.0]]).position_rmse)
 
 
 def test_position_error_is_of_near_landmarks_only():
     points = [[0.0, 0.0, 35.0], [0.0, 0.0, 70.0]]
     shifted = CAMERA.project(np.array(points) + np.array([0.0, 0.0, 0.5]))
-    assert position_rmse(scored(points, shifted)) == pytest.approx(0.5)
+    assert scored(points, shifted).position_rmse == pytest.approx(0.5)
 
 
 def test_depth_and_its_spread_follow_from_the_disparity():
@@ -60,5 +60,5 @@ def test_a_kept_landmark_out_of_view_is_not_scored():
     """Beside the camera a pixel of error is nothing like Gaussian, and filters that drop it are not judged by it."""
     seen, passed = [0.0, 0.0, 20.0], [30.0, 0.0, 1.0]
     uvd = CAMERA.project([seen, passed]) + np.array([[1.0, 0.0, 0.0], [500.0, 0.0, 0.0]])
-    assert mean_nees(scored([seen, passed], uvd)) == mean_nees(scored([seen], uvd[:1]))
-    assert position_rmse(scored([seen, passed], uvd)) == position_rmse(scored([seen], uvd[:1]))
+    assert scored([seen, passed], uvd).mean_nees == scored([seen], uvd[:1]).mean_nees
+    assert scored([seen, passed], uvd).position_rmse == scored([seen], uvd[:1]).position_rmse

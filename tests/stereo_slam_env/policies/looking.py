@@ -34,4 +34,14 @@ def innovation_covariances(sensor, knowledge, cameras):
     """S (Eq. 15) of each landmark from each camera, the motion to it being known exactly; (..., N, 3, 3) px^2."""
     H = sensor.camera.project_jacobian(cameras.to_camera(knowledge.points))
     H = H @ np.swapaxes(cameras.R_wc, -1, -2)[..., None, :, :]
-    return H @ knowledge.relative_covariances @ np.swapaxes(H, -1, -2) + sensor.noise.R
+    return H @ relative_covariances(knowledge) @ np.swapaxes(H, -1, -2) + sensor.noise.R
+
+
+def relative_covariances(knowledge):
+    """Covariance of each landmark as seen from the camera, in the axes of W; (N, 3, 3) m^2."""
+    count = len(knowledge.points)
+    J = np.zeros((count, 3, 6 + 3 * count))
+    J[:, :, :6] = knowledge.by_pose
+    for k in range(count):
+        J[k, :, 6 + 3 * k : 9 + 3 * k] = np.eye(3)
+    return J @ knowledge.covariance @ J.transpose(0, 2, 1)

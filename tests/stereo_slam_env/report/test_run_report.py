@@ -190,7 +190,7 @@ def test_a_worse_filter_is_called_worse_with_its_interval():
 
 
 def test_of_many_filters_the_headline_counts():
-    runs = make_runs([Behaviour(f"filter-{i}", 0.1) for i in range(8)], range(6), frames=30)
+    runs = make_runs([Behaviour(f"filter-{i}", 0.1) for i in range(8)], range(10), frames=30)
     summaries, figures = scored(runs)
     said = "".join(Page(overview(summaries, judge(summaries, figures))).text)
     assert "and 4 more is shown" in said

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from filters import extras
+from stereo_slam_env.cli import app as cli
 from stereo_slam_env.policies import make_policy
 from stereo_slam_env.policies.network import Network
 from stereo_slam_env.training import ppo
-from stereo_slam_env.training.evaluation import Evaluation
-from stereo_slam_env.training.ppo import PPOSettings, train
-from stereo_slam_env.training.task import GazeTask
+from stereo_slam_env.training.ppo import LearningCurve, PPOSettings, train
+from stereo_slam_env.training.task import Evaluation, GazeTask
 
 TASK = GazeTask(arguments={"route": "right-turn"}, hold=8)
 SETTINGS = PPOSettings(decisions=40, environments=1, rollout=20, minibatch=20, epochs=1, evaluate_every=20)
@@ -32,13 +32,33 @@ def quick(monkeypatch):
     monkeypatch.setattr(ppo, "evaluate", lambda *_, **__: Evaluation(0.5, -40.0 - next(looks), 0.2, 0.3))
 
 
+@pytest.mark.parametrize(("made", "says_stopped"), [(0, True), (2000, True), (4000, False)])
+def test_the_command_says_how_far_the_training_came_and_which_network_is_kept(
+    monkeypatch, tmp_path, capsys, made, says_stopped
+):
+    """A time limit may end it before the first decision: the figures are then those of an untrained network."""
+
+    def trained(task, settings, out, **_):
+        curve = LearningCurve(out / "learning_curve.csv")
+        for decisions in range(0, made + 1, 1000):
+            curve.add(decisions, 60.0 + decisions, 1.0, Evaluation(0.5, -40.0 - (decisions == 1000), 0.2, 0.3))
+        return out / "policy.npz"
+
+    monkeypatch.setattr(ppo, "train", trained)
+    monkeypatch.setattr("stereo_slam_env.training.task.evaluate", lambda *_: Evaluation(0.6, -39.0, 0.3, 0.4))
+    assert cli.main(["train", "--decisions", "4000", "--minutes", "1", "--out", str(tmp_path)]) == 0
+    said = capsys.readouterr().out
+    assert (f"stopped after {made:,} of 4,000 decisions" in said) == says_stopped
+    assert f"policy.npz (the best so far, after {min(made, 1000):,} decisions)" in said
+
+
 @pytest.mark.slow
 def test_a_run_leaves_a_network_a_curve_and_what_it_was_made_with(quick, tmp_path):
     network = train(TASK, SETTINGS, tmp_path)
     assert [float(row["decisions"]) for row in rows(tmp_path)] == [0, 20, 40]
     about = json.loads((tmp_path / "run.json").read_text())
-    assert GazeTask.from_dict(about["task"]) == TASK
-    assert PPOSettings.from_dict(about["settings"]) == SETTINGS
+    assert GazeTask(**about["task"]) == TASK
+    assert PPOSettings(**about["settings"]) == SETTINGS
     assert Network.load(network).about["settings"]["seed"] == 0
     assert Network.load(network).about["decisions"] == 40
     make_policy("ppo", checkpoint=str(network))
@@ -90,9 +110,8 @@ def test_importing_the_package_does_not_import_torch():
         ({"decisions": 0}, "decisions must be a whole number >= 1, got 0"),
         ({"layers": (0,)}, r"layers must be a whole number >= 1, got 0"),
         ({"discount": 1.5}, "discount must be a probability from 0 to 1, got 1.5"),
-        ({"seeds": 1}, "settings have no key 'seeds', did you mean 'seed'"),
     ],
 )
 def test_wrong_settings_get_one_clear_line(wrong, message):
     with pytest.raises(ValueError, match=message):
-        PPOSettings.from_dict(wrong)
+        PPOSettings(**wrong)

@@ -1,5 +1,6 @@
 """What an agent is trained on."""
 
+import dataclasses
 import json
 
 import numpy as np
@@ -13,7 +14,7 @@ QUICK = {"route": "right-turn"}
 
 def test_a_task_is_json_able_and_read_back():
     task = GazeTask(arguments=QUICK, hold=2, filter="right-invariant")
-    assert GazeTask.from_dict(json.loads(json.dumps(task.as_dict()))) == task
+    assert GazeTask(**json.loads(json.dumps(dataclasses.asdict(task)))) == task
 
 
 @pytest.mark.parametrize(
@@ -22,12 +23,11 @@ def test_a_task_is_json_able_and_read_back():
         ({"hold": 0}, "hold must be a whole number >= 1, got 0"),
         ({"resolution": (0.01, -1.0)}, "resolution must be a finite number > 0, got -1.0"),
         ({"pans": 1}, "pans must be a whole number >= 2, got 1"),
-        ({"filters": "x"}, "task has no key 'filters', did you mean 'filter'?"),
     ],
 )
 def test_a_wrong_value_gets_one_clear_line(wrong, message):
-    with pytest.raises(ValueError, match=message.replace("?", r"\?")):
-        GazeTask.from_dict(wrong)
+    with pytest.raises(ValueError, match=message):
+        GazeTask(**wrong)
 
 
 def test_an_environment_without_a_head_is_refused():

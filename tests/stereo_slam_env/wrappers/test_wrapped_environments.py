@@ -98,10 +98,10 @@ def test_from_the_spec_by_pickle_and_by_deepcopy_comes_a_fresh_environment():
     env.close()
 
 
-@pytest.mark.parametrize("mode", ["sync", "async"])
-def test_vector_environments_give_the_same_bits(mode):
+@pytest.mark.parametrize(("mode", "how"), [("sync", {}), ("async", {"context": "forkserver"})])
+def test_vector_environments_give_the_same_bits(mode, how):
     parts = PARTS["everything"][:-1]
-    vector = gym.make_vec(ID, num_envs=2, vectorization_mode=mode, wrappers=parts, **QUICK)
+    vector = gym.make_vec(ID, num_envs=2, vectorization_mode=mode, vector_kwargs=how, wrappers=parts, **QUICK)
     try:
         frames = [vector.reset(seed=[11, 12])]
         for _ in range(3):

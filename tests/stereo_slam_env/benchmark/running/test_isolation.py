@@ -2,6 +2,7 @@
 
 import os
 import signal
+import socket
 import subprocess
 import sys
 import textwrap
@@ -188,6 +189,17 @@ def test_a_server_that_does_not_start_is_told_within_its_limit(monkeypatch):
     monkeypatch.setattr(sys, "executable", "/bin/sleep")
     with pytest.raises(WorkDied, match="the server of processes ended with code"):
         isolation._Server()
+
+
+def test_a_server_whose_caller_was_killed_before_it_was_ready_ends_in_silence():
+    ours, its = socket.socketpair()
+    ours.close()
+    code = f"from stereo_slam_env.benchmark.running.isolation import serve; serve({its.fileno()})"
+    with its:
+        ended = subprocess.run(
+            [sys.executable, "-c", code], pass_fds=[its.fileno()], capture_output=True, text=True, timeout=120
+        )
+    assert (ended.returncode, ended.stdout, ended.stderr) == (0, "", "")
 
 
 def test_everything_ends_with_its_caller(tmp_path):

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from stereo_slam_env.benchmark.statistics.comparison import over_runs
 from stereo_slam_env.benchmark.statistics.differences import Finding
-from stereo_slam_env.benchmark.statistics.measures import EFFICIENCY, POSE_NEES, POSITION, TIME
+from stereo_slam_env.benchmark.statistics.measures import EFFICIENCY, POSE_NEES, POSITION, TIME, difference_by
 from stereo_slam_env.evaluation.run_figures import common_keys, figures_of
 
 from ....synthetic_runs import THREE, make_runs, scored
@@ -15,16 +16,16 @@ def test_the_figures_of_the_runs_are_those_of_the_summary():
     (first, _), figures = scored(runs)
     keys = common_keys(*figures.values())
     assert keys == [("drive-0", 0), ("drive-1", 1), ("drive-2", 2)]
-    assert tuple(POSITION.by_run(figures["inverse-depth"], keys)) == first.position_rmse_by_run
-    assert POSE_NEES.by_run(figures["inverse-depth"], keys).mean() == pytest.approx(first.pose_anees / 6)
-    assert np.isnan(EFFICIENCY.by_run(figures["inverse-depth"], keys)).all()
+    assert tuple(figures["inverse-depth"].values(POSITION, keys)) == first.position_rmse_by_run
+    assert figures["inverse-depth"].values(POSE_NEES, keys).mean() == pytest.approx(first.pose_anees / 6)
+    assert np.isnan(figures["inverse-depth"].values(EFFICIENCY, keys)).all()
     assert not figures["inverse-depth"].diverged(keys).any()
 
 
 def test_larger_efficiency_is_better():
     ours = np.linspace(80, 95, 8)
-    assert EFFICIENCY.difference(ours, 0.7 * ours + np.arange(8) / 100).finding is Finding.BETTER
-    assert TIME.difference(ours, 0.7 * ours + np.arange(8) / 100).finding is Finding.WORSE
+    assert difference_by(EFFICIENCY, ours, 0.7 * ours + np.arange(8) / 100).finding is Finding.BETTER
+    assert difference_by(TIME, ours, 0.7 * ours + np.arange(8) / 100).finding is Finding.WORSE
 
 
 def nees_by_run(rng, runs, factor_a, factor_b):
@@ -36,23 +37,23 @@ def nees_by_run(rng, runs, factor_a, factor_b):
 
 def test_consistency_is_the_distance_of_the_mean_nees_from_its_ideal():
     a, b = nees_by_run(np.random.default_rng(0), 20, 1.5, 0.95)
-    difference = POSE_NEES.difference(a, b)
+    difference = difference_by(POSE_NEES, a, b)
     assert difference.estimate == pytest.approx(abs(np.log(a.mean())) - abs(np.log(b.mean())))
     assert difference.finding is Finding.WORSE
-    assert POSE_NEES.difference(b, a) == difference.reversed
+    assert difference_by(POSE_NEES, b, a) == difference.reversed
 
 
 @pytest.mark.parametrize("factors", [(1.0, 1.0), (1.3, 1.3), (1.2, 1 / 1.2)], ids=str)
 def test_filters_equally_far_from_their_ideal_are_not_ranked(factors):
     rng = np.random.default_rng(1)
-    alarms = [POSE_NEES.difference(*nees_by_run(rng, 10, *factors)).shown for _ in range(150)]
+    alarms = [difference_by(POSE_NEES, *nees_by_run(rng, 10, *factors)).shown for _ in range(150)]
     assert np.mean(alarms) < 0.09
 
 
 def test_over_runs_is_the_geometric_mean_or_of_consistency_the_mean():
-    assert POSITION.over_runs(np.array([1.0, 4.0, np.nan])) == pytest.approx(2.0)
-    assert POSE_NEES.over_runs(np.array([1.0, 4.0])) == pytest.approx(2.5)
-    assert np.isnan(TIME.over_runs(np.full(3, np.nan)))
+    assert over_runs(POSITION, np.array([1.0, 4.0, np.nan])) == pytest.approx(2.0)
+    assert over_runs(POSE_NEES, np.array([1.0, 4.0])) == pytest.approx(2.5)
+    assert np.isnan(over_runs(TIME, np.full(3, np.nan)))
 
 
 def test_which_runs_diverged_has_no_limit_of_its_own():

@@ -95,8 +95,8 @@ def test_few_runs_show_nothing():
 
 
 def test_intervals_grow_with_the_number_of_policies():
-    one = judged(BETTER)[0].comparisons["greedy"].path.difference
-    three = judged(BETTER, WORSE, SAME)[0].comparisons["greedy"].path.difference
+    one = judged(BETTER)[0].comparisons["greedy"].path
+    three = judged(BETTER, WORSE, SAME)[0].comparisons["greedy"].path
     assert (one.comparisons, three.comparisons) == (1, 3)
     assert np.diff(three.interval) > np.diff(one.interval)
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from stereo_slam_env.benchmark.statistics.differences import Finding
-from stereo_slam_env.benchmark.statistics.measures import POSITION, TIME, compare_all
+from stereo_slam_env.benchmark.statistics.measures import POSE_NEES, POSITION, TIME, change_words, compare_all
 from stereo_slam_env.benchmark.statistics.verdict import Consistency, against_best, consistency, judge
 from stereo_slam_env.evaluation.run_figures import RunFigures
 
@@ -38,8 +38,8 @@ def test_a_constant_gap_is_found_although_recordings_differ_more_than_filters():
     noise = np.exp(0.03 * np.random.default_rng(2).standard_normal(10))
     comparison = compared(HARDNESS, 1.2 * HARDNESS * noise)
     assert comparison.shown
-    assert comparison.finding is Finding.WORSE
-    low, high = comparison.interval_percent
+    assert comparison.difference.finding is Finding.WORSE
+    low, high = comparison.difference.interval_percent
     assert low < 20 < high
     assert 0 < low < high < 30
     assert "% larger" in comparison.words
@@ -56,8 +56,8 @@ def test_equal_filters_are_not_ranked():
 def test_more_comparisons_need_more_evidence():
     noise = np.exp(0.1 * np.random.default_rng(3).standard_normal(10))
     narrow, wide = (compared(HARDNESS, 1.1 * HARDNESS * noise, n) for n in (1, 6))
-    assert wide.interval_percent[0] < narrow.interval_percent[0]
-    assert wide.interval_percent[1] > narrow.interval_percent[1]
+    assert wide.difference.interval_percent[0] < narrow.difference.interval_percent[0]
+    assert wide.difference.interval_percent[1] > narrow.difference.interval_percent[1]
     assert wide.difference.p_value == min(1.0, 6 * narrow.difference.p_value)
 
 
@@ -73,7 +73,7 @@ def test_more_comparisons_need_more_evidence():
 def test_few_runs_show_nothing(ours, theirs, says):
     comparison = compared(ours, theirs)
     assert not comparison.shown
-    assert comparison.interval_percent is None
+    assert comparison.difference.interval_percent is None
     assert says in comparison.words
 
 
@@ -85,7 +85,7 @@ def test_a_gap_in_too_few_runs_for_so_many_comparisons_is_not_shown():
 
 def test_a_filter_that_completed_nothing_is_not_compared_by_number():
     comparison = compared([0.1] * 6, [np.nan] * 6, runs=6, diverged=6, failures=("no",) * 6)
-    assert np.isnan(comparison.excess_percent)
+    assert np.isnan(comparison.difference.percent)
     assert comparison.words == "other failed in 6 of 6 runs"
 
 
@@ -160,17 +160,30 @@ def test_many_rivals_do_not_make_a_long_headline():
     assert best.endswith("; and 2 more.")
 
 
+@pytest.mark.parametrize(
+    ("seeds", "words"),
+    [
+        (1, "but one run shows no general difference to blunt-0, blunt-1, blunt-2 and 2 more."),
+        (6, "but 6 runs are too few to show a difference to blunt-0, blunt-1, blunt-2 and 2 more, 8 are needed."),
+    ],
+)
+def test_too_few_runs_for_many_rivals_are_called_that_and_not_a_result(seeds, words):
+    behaviours = [Behaviour("sharp", 0.02), *(Behaviour(f"blunt-{k}", 1.0) for k in range(5))]
+    best = judge(*scored(make_runs(behaviours, seeds=range(seeds), frames=60))).answers["best"]
+    assert words in best
+
+
 def test_each_filter_is_held_against_each_other_one_by_every_question():
     runs = make_runs((*THREE[:2], replace(THREE[2], error_m=0.6)), seeds=range(10), frames=120)
     table = compare_all(*scored(runs))
-    assert [m.words for m in table.measures] == ["position error", "rotation error", "pose NEES / 6", "time"]
+    assert [m.label for m in table.measures] == ["position error", "rotation error", "pose NEES / 6", "time"]
     assert len(table.cells) == 4 * 3 * 2
     worse = table.cell(POSITION, "euclidean", "inverse-depth")
     better = table.cell(POSITION, "inverse-depth", "euclidean")
     assert (worse.finding, better.finding) == (Finding.WORSE, Finding.BETTER)
-    assert better.difference.estimate == -worse.difference.estimate
+    assert better.estimate == -worse.estimate
     assert table.cell(TIME, "euclidean", "dual-bearing").finding is Finding.BETTER
-    assert "farther from its ideal" in table.cells["pose_anees", "euclidean", "inverse-depth"].words
+    assert "farther from its ideal" in change_words(POSE_NEES, table.cell(POSE_NEES, "euclidean", "inverse-depth"))
     assert table.cell(POSITION, "inverse-depth", "inverse-depth") is None
 
 

@@ -11,10 +11,9 @@ import pytest
 from stereo_slam_env.benchmark.statistics.attribution import attribute_runs
 from stereo_slam_env.evaluation.landmark_statistics import RangeError
 from stereo_slam_env.report.charts.accuracy import plot_efficiency, plot_error_against_bound, plot_segment_errors
-from stereo_slam_env.report.charts.consistency import plot_consistency
+from stereo_slam_env.report.charts.consistency import plot_consistency, plot_depth_convergence, plot_landmark_errors
 from stereo_slam_env.report.charts.cost import plot_cost
 from stereo_slam_env.report.charts.factors import FactorResponse, plot_changes, plot_effects, plot_factor
-from stereo_slam_env.report.charts.landmarks import plot_depth_convergence, plot_landmark_errors
 from stereo_slam_env.report.charts.style import filter_colours
 
 from ....synthetic_runs import THREE, THREE_ONE_DIVERGING, Behaviour, changed, make_bounds, make_runs, scored

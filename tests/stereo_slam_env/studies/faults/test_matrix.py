@@ -9,7 +9,7 @@ from filters.monitor import Alarm, Cause
 from stereo_slam_env.benchmark.scenarios.scenario import filter_choice
 from stereo_slam_env.cli import app as cli
 from stereo_slam_env.studies.faults import FAULTS, FaultMatrix, Session, run_matrix
-from stereo_slam_env.studies.faults.matrix import judge
+from stereo_slam_env.studies.faults.matrix import first_cause, in_words, judge
 
 ONSET = FAULTS["outliers-30"].begins
 
@@ -61,14 +61,14 @@ def test_where_nothing_diverges_there_is_nothing_to_detect():
 
 def test_the_table_says_how_many_of_each():
     runs = (judged(), judged(error=20.0, alarms=[9.0]), judged(error=20.0), judged(broken="it raised"))
-    cell = FaultMatrix(runs).cell("outliers-30", "some-filter")
-    assert cell.words == "1 ok; 3 diverged; told 1/3; BROKEN: it raised"
-    assert cell.cause == Cause.INNOVATIONS.value
+    cell = FaultMatrix(runs).runs_of("outliers-30", "some-filter")
+    assert in_words(cell) == "1 ok; 3 diverged; told 1/3; BROKEN: it raised"
+    assert first_cause(cell) == Cause.INNOVATIONS.value
 
 
 def test_the_table_says_how_late_it_was_told():
     late = FaultMatrix((judged(error=20.0, alarms=[11.5]),))
-    assert late.cell("outliers-30").words == "diverged; told 1/1, after 1.5 s"
+    assert in_words(late.runs_of("outliers-30")) == "diverged; told 1/1, after 1.5 s"
 
 
 def test_what_cannot_be_seen_is_counted_apart():
