@@ -30,7 +30,13 @@ class StereoDriveGazeEnv(StereoEnv):
 
     ## Observation Space
 
-    That of `StereoSlam/Gaze-v0`.
+    That of `StereoSlam/Drive-v0`, and:
+
+    | Key | Shape | Type | Meaning |
+    |-----|-------|------|---------|
+    | `head` | (2,) | float32 | pan and tilt now, rad, without error |
+
+    The odometry is that of the camera, not of the car: it contains the turning of the head.
 
     ## Info
 
@@ -53,7 +59,21 @@ class StereoDriveGazeEnv(StereoEnv):
 
     ## Arguments
 
-    Those of `StereoSlam/Drive-v0`, with the defaults and the further ones of `StereoSlam/Gaze-v0`.
+    Those of `StereoSlam/Drive-v0`, but for:
+
+    | Argument | Default | Meaning |
+    |----------|---------|---------|
+    | `route` | `"straight"` | 98 m |
+    | `surroundings` | `"groves"` | groups of things on either side |
+    | `visibility` | `30.0` | fog, m |
+    | `rig` | `"vga"` | 640x480, f = 460 px |
+    | `max_landmarks` | `24` | most landmarks in one frame |
+    | `revisit` | `True` | a lost landmark can be tracked again under its id |
+    | `effort_weight` | `0.01` | of the reward, for turning the head as fast as it can |
+    | `max_pan` | `2.0` | how far the head turns to either side, rad |
+    | `max_tilt` | `0.4` | how far it turns up and down, rad |
+    | `pan_rate` | `1.5` | how fast it turns sideways, rad/s |
+    | `tilt_rate` | `1.0` | how fast it turns up and down, rad/s |
 
     ## Version History
 

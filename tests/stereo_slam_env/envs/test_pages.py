@@ -40,17 +40,13 @@ def table(text):
     return [[cell.strip() for cell in row] for row in rows[2:]]
 
 
-DRIVE, GAZE = (inspect.getdoc(environment_class(f"StereoSlam/{name}-v0")) for name in ("Drive", "Gaze"))
+DRIVE = inspect.getdoc(environment_class("StereoSlam/Drive-v0"))
 DRIVE_REWARDS = section(DRIVE, "Rewards")
 
 
-def with_others(page, title):
-    """Rows of the table of a section, after those of the pages it refers to, or that these refer to, by first cell."""
-    rows, text = {}, section(page, title)
-    pages = [DRIVE, *([GAZE] if "Gaze-v0" in text else []), page]
-    for each in pages:
-        rows |= {row[0]: row for row in table(section(each, title))}
-    return list(rows.values())
+def with_drive(page, title):
+    """Rows of the table of a section by first cell, after those of the page of Drive: others list what differs."""
+    return list({row[0]: row for each in (DRIVE, page) for row in table(section(each, title))}.values())
 
 
 @pytest.fixture(params=IDS)
@@ -83,7 +79,7 @@ def test_the_observation_table_is_the_observation_space(page_and_class):
     env = made(render_images=True)
     named = {"N": env.options.max_landmarks, "H": env.camera.height, "W": env.camera.width}
     shown = {}
-    for keys, shape, kind, _ in with_others(page, "Observation Space"):
+    for keys, shape, kind, _ in with_drive(page, "Observation Space"):
         numbers = [named.get(part, part) for part in re.findall(r"\w+", shape)]
         for key in re.findall(r"`(\w+)`", keys):
             shown[key] = (tuple(int(n) for n in numbers), kind)
@@ -111,7 +107,7 @@ def test_info_and_rewards_are_named(page_and_class):
 def test_the_argument_table_has_every_argument_and_its_default(page_and_class):
     page, made = page_and_class
     missing = re.findall(r"`\w+`", section(page, "Arguments").partition("without")[2].partition("but for:")[0])
-    shown = {row[0]: row[1] for row in with_others(page, "Arguments") if row[0] not in missing}
+    shown = {row[0]: row[1] for row in with_drive(page, "Arguments") if row[0] not in missing}
     defaults = {**made.Options().as_dict(), "render_mode": None}
     expected = {f"`{k}`": f'`"{v}"`' if isinstance(v, str) else f"`{v}`" for k, v in defaults.items()}
     assert shown == expected
