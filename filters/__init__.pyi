@@ -1,7 +1,7 @@
 """Public names of `filters`; each is imported when it is first used."""
 
+from .batch import FilterBatch as FilterBatch
 from .camera import StereoCamera as StereoCamera
-from .compiled.batch import FilterBatch as FilterBatch
 from .conformance import ConformanceError as ConformanceError
 from .conformance import ConformanceReport as ConformanceReport
 from .conformance import assert_healthy as assert_healthy
@@ -11,7 +11,6 @@ from .conformance_pytest import parametrize_with_checks as parametrize_with_chec
 from .conformance_pytest import parametrize_with_part_checks as parametrize_with_part_checks
 from .consistency import nees as nees
 from .differences import jacobian as jacobian
-from .engine.ekf import StereoEKF as StereoEKF
 from .errors.first_estimates import FirstEstimates as FirstEstimates
 from .errors.invariant import LeftInvariant as LeftInvariant
 from .errors.invariant import RightInvariant as RightInvariant
@@ -75,6 +74,7 @@ from .registry import available_filters as available_filters
 from .registry import make_filter as make_filter
 from .retractions import Retraction as Retraction
 from .start import Start as Start
+from .stereo_ekf import StereoEKF as StereoEKF
 from .submaps.submap_ekf import SubmapEKF as SubmapEKF
 from .updates.extended import Extended as Extended
 from .updates.model import Linearisation as Linearisation

@@ -21,11 +21,11 @@ from typing import Any
 
 from filters.camera import StereoCamera
 from filters.constructor_calls import ConstructorCall, constructor_calls
-from filters.engine.ekf import StereoEKF
 from filters.interface import StereoFilter
 from filters.motions.constant_velocity import ConstantVelocity
 from filters.noise import StereoNoise
 from filters.registry import FilterFactory, filter_factory, make_filter
+from filters.stereo_ekf import StereoEKF
 
 USUAL: Mapping[str, Any] = {"gate": 0.99, "motion": dataclasses.asdict(ConstantVelocity())}
 """Common options where nobody says otherwise, as scenario files have them."""

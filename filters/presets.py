@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from typing import Any
 
 from filters.camera import StereoCamera
-from filters.engine.ekf import StereoEKF
 from filters.interface import StereoFilter
 from filters.noise import StereoNoise
+from filters.stereo_ekf import StereoEKF
 from filters.submaps.submap_ekf import SubmapEKF
 
 

@@ -40,7 +40,7 @@ def make_filter(name: str | FilterFactory, *, camera: StereoCamera, noise: Stere
     noise : StereoNoise
         R of (u, v, d).
     **options
-        The filter's own; for EKF-based ones see `filters.engine.ekf.StereoEKF`.
+        The filter's own; for EKF-based ones see `filters.stereo_ekf.StereoEKF`.
 
     Raises
     ------

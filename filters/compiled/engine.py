@@ -194,15 +194,15 @@ class CompiledEngine:
         return Outcome(frame.fates[:M].copy(), frame.nis.copy(), frame.dof.copy(), dropped)
 
     def _run(self) -> None:
-        whole = self._plan.address, self._storage.address
+        plan, storage, frame = self._plan.address, self._storage.address, self._frame.address
         if self.threads == 1:
-            advance(KERNELS, *whole, self._scratch[0].address, self._frame.address, 0, self.count)
+            advance(KERNELS, plan, storage, self._scratch[0].address, frame, 0, self.count)
             return
         if self._pool is None:
             self._pool = ThreadPoolExecutor(self.threads)
         edges = [self.count * i // self.threads for i in range(self.threads + 1)]
         runs = [
-            self._pool.submit(advance, KERNELS, *whole, room.address, self._frame.address, first, last)
+            self._pool.submit(advance, KERNELS, plan, storage, room.address, frame, first, last)
             for room, first, last in zip(self._scratch, edges[:-1], edges[1:], strict=True)
         ]
         for run in runs:

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from filters.camera import StereoCamera
-from filters.engine.ekf import StereoEKF
 from filters.interface import (
     AT_ORIGIN,
     BodyVelocity,
@@ -27,6 +26,7 @@ from filters.interface import (
 from filters.noise import StereoNoise
 from filters.parts import SLOTS
 from filters.start import Start
+from filters.stereo_ekf import StereoEKF
 from filters.submaps.chain import SubmapChain
 from filters.validation import FloatArray, IntArray, unique_ids
 

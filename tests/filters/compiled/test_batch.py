@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from filters import BodyVelocity, Start, StereoEKF, StereoObservation, VelocityDriven
-from filters.compiled.batch import FilterBatch
+from filters.batch import FilterBatch
 
 from ..drives import CAMERA, DT, INDEPENDENT_PIXELS, SPEED, START_COVARIANCE, drive
 from ..engine.beliefs import assert_same_belief

@@ -15,7 +15,6 @@ from numpy.typing import ArrayLike
 
 from filters.camera import StereoCamera
 from filters.engine import gating, kalman
-from filters.engine.compiled import compiled_filter
 from filters.engine.consensus import largest_agreement
 from filters.engine.gating import BEHIND, FAILED, GATED, USED, FateArray
 from filters.engine.heavy_tails import reweighted
@@ -38,6 +37,7 @@ from filters.interface import (
 )
 from filters.known_names import require_known
 from filters.landmarks.model import LandmarkModel
+from filters.machine_code import compiled_filter
 from filters.measurements.model import MeasurementModel, Stage
 from filters.motions.model import CameraState, MotionModel, MotionPrediction, measure_odometry, predict_camera
 from filters.noise import StereoNoise

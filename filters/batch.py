@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import overload
+from typing import Any, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from filters.compiled.engine import CompiledEngine, Observations, Outcome
 from filters.compiled.stereo_ekf import CompiledFilter, report
-from filters.engine.ekf import StereoEKF
 from filters.interface import AT_ORIGIN, BodyVelocity, StereoObservation, UpdateReport, check_start
 from filters.start import Start
+from filters.stereo_ekf import StereoEKF
 from filters.validation import FloatArray, IntArray, positive, whole_number
 
 
@@ -173,7 +173,7 @@ class FilterBatch(Sequence[StereoEKF]):
         everybody = np.ones(len(self), dtype=np.bool_)
         return self._report(steps, Observations(everybody, offsets, flat_ids, flat_uvd, noise, ~everybody), *odometry)
 
-    def _report(self, dt: FloatArray | float, packed: Observations, *odometry: FloatArray | None) -> Reports:
+    def _report(self, dt: FloatArray | float, packed: Observations, *odometry: Any) -> Reports:
         return Reports(packed.offsets, packed.ids, self._engine.step(dt, packed, *odometry))
 
     def _check_length(self, name: str, given: Sequence[object]) -> None:
