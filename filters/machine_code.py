@@ -36,19 +36,19 @@ def compiled_filter(camera: StereoCamera, options: Options) -> CompiledFilter | 
     if options.compiled is False:
         return None
     missing = without_kernel(options)
-    trouble = None if missing else _trouble()
-    if missing is None and trouble is None:
+    broken = None if missing else trouble()
+    if missing is None and broken is None:
         from filters.compiled.stereo_ekf import CompiledFilter
 
         return CompiledFilter.of(camera, options)
     if options.compiled:
-        why = f"{missing} has no compiled form" if missing else f"Numba does not work here ({trouble})"
+        why = f"{missing} has no compiled form" if missing else f"Numba does not work here ({broken})"
         raise ValueError(f"compiled must be False or None where {why}")
     return None
 
 
 @lru_cache
-def _trouble() -> str | None:
+def trouble() -> str | None:
     """Why the kernels cannot be had on this machine, told once in the log; None: they can."""
     try:
         import filters.compiled.stereo_ekf  # noqa: F401

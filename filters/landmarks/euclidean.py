@@ -68,3 +68,12 @@ class Euclidean(LandmarkModel):
     ) -> FloatArray:
         """turn X + spread correction: the exponential of the group."""
         return parameters @ turn.T + correction @ spread.T
+
+    def turned_jacobians(
+        self, anchors: FloatArray | None, parameters: FloatArray, theta: FloatArray, correction: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """J_l(theta), and -[Exp(theta) X]x J_l(theta) + d (J_l(theta) correction) / d theta."""
+        spread = rotations.right_jacobian(-theta)
+        by_theta = -rotations.skew(parameters @ rotations.exp(theta).T) @ spread
+        by_theta += rotations.left_jacobian_derivative(theta, correction)
+        return np.broadcast_to(spread, by_theta.shape), by_theta

@@ -69,6 +69,6 @@ class Transport:
             blocks = place[(measurements.map_rows[:, ::3] - size) // 3]
             J = np.where((blocks < 0)[:, :, None, None], np.eye(3), self.own[blocks])
             shape = by_map.shape
-            by_map = np.einsum("mkbi,mbij->mkbj", by_map.reshape(*shape[:2], -1, 3), J).reshape(shape)
+            by_map = np.einsum("mkbi,mbij->mkbj", by_map.reshape(*shape[:2], shape[2] // 3, 3), J).reshape(shape)
         earlier = replace(measurements, by_leading=by_leading, by_map=by_map)
         return replace(earlier, innovation=measurements.innovation + earlier.times(delta))

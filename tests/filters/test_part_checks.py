@@ -301,13 +301,15 @@ def test_a_failure_is_raised_with_each_check_that_failed() -> None:
     assert str(check_part(Euclidean())) == "Euclidean: 6 checks passed, 0 failed"
 
 
-@pytest.mark.parametrize("value", ["euclidean", Euclidean, Variable("bias", np.zeros(1), np.eye(1))], ids=str)
+@pytest.mark.parametrize(
+    "value", ["euclidean", Euclidean, Variable("bias", np.zeros(1), np.eye(1))], ids=["a name", "a class", "a variable"]
+)
 def test_what_is_no_part_is_refused_in_one_line(value: object) -> None:
     with pytest.raises(ValueError, match=r"^part must be one of LandmarkModel, MeasurementModel, .* make_part makes$"):
         check_part(value)
 
 
-@pytest.mark.parametrize("parts", [[], Euclidean()], ids=str)
+@pytest.mark.parametrize("parts", [[], Euclidean()], ids=["none", "one"])
 def test_cases_are_made_of_a_list_of_parts(parts: Any) -> None:
     with pytest.raises(ValueError, match=r"^parts must be a list of parts, such as \[MyLandmark\(\)\], got "):
         parametrize_with_part_checks(parts)

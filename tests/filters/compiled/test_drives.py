@@ -1,20 +1,32 @@
-"""The compiled engine believes what the NumPy engine does, over whole drives."""
+"""Filters in machine code believe what filters by NumPy do, over whole drives; and what asks for machine code."""
 
 from __future__ import annotations
 
+import copy
+import logging
+import pickle
 from itertools import product
 
 import numpy as np
 import pytest
 
-from filters import BodyVelocity, LeftThenRight, Stacked, VelocityDriven
+from filters import (
+    BodyVelocity,
+    LeftThenRight,
+    RightInvariant,
+    Stacked,
+    StereoEKF,
+    UpdateReport,
+    VelocityDriven,
+    machine_code,
+)
 
-from ..drives import SPEED, drive
-from .reference import assert_both_agree
+from ..drives import DT, SPEED, Frame, drive
+from ..engine.beliefs import assert_same_belief, make
 
 LANDMARKS = ("inverse-depth", "shared-anchor", "euclidean")
 MEASUREMENTS = ("joint", "sequential", "stacked", "left")
-ERRORS = ("quaternion", "so3", "first-estimates", "right-invariant")
+ERRORS = ("quaternion", "so3", "first-estimates", "right-invariant", "left-invariant")
 OTHERS: dict[str, dict[str, object]] = {
     "no gate": {"gate": None},
     "tight gate": {"gate": 0.5},
@@ -26,6 +38,34 @@ OTHERS: dict[str, dict[str, object]] = {
     "everything": {"consensus": True, "tail_dof": 4.0, "iterations": 2, "drop_unseen": False},
 }
 ODOMETRY = BodyVelocity((0.0, 0.0, SPEED), (0.0, 0.2, 0.0), np.diag(np.repeat([0.3, 0.1], 3) ** 2))
+
+
+NAMES = ("updated", "initialised", "dropped", "gated", "rejected", "behind_camera", "failed")
+
+
+def reports_over(slam: StereoEKF, frames: list[Frame], odometry: BodyVelocity | None = None) -> list[UpdateReport]:
+    reports = []
+    for number, frame in enumerate(frames):
+        if number:
+            slam.predict(DT, odometry)
+        reports.append(slam.update(frame.observation))
+    return reports
+
+
+def assert_both_agree(
+    frames: list[Frame], odometry: BodyVelocity | None = None, tolerance: float = 1e-10, **options: object
+) -> list[UpdateReport]:
+    """Reports to the id, beliefs to the tolerance; gives the reports of NumPy."""
+    options = {"gate": 0.99, **options}
+    by_numpy, by_machine_code = make(**options, compiled=False), make(**options, compiled=True)
+    expected, actual = (reports_over(slam, frames, odometry) for slam in (by_numpy, by_machine_code))
+    for one, other in zip(actual, expected, strict=True):
+        for name in NAMES:
+            np.testing.assert_array_equal(np.sort(getattr(one, name)), np.sort(getattr(other, name)), err_msg=name)
+        assert one.nis_dof == other.nis_dof
+        assert one.nis == pytest.approx(other.nis, rel=1e-8, abs=1e-12)
+    assert_same_belief(by_machine_code, by_numpy, tolerance)
+    return expected
 
 
 @pytest.mark.parametrize(("landmark", "measurement", "error"), list(product(LANDMARKS, MEASUREMENTS, ERRORS)))
@@ -56,3 +96,67 @@ def test_odometry_gives_the_same_beliefs(motion: VelocityDriven | None, error: s
 @pytest.mark.parametrize("v_right", [False, True])
 def test_a_copied_row_counts_alike(model: object, v_right: bool) -> None:
     assert_both_agree(drive(5, 12, v_right=v_right), measurement=model)
+
+
+def test_right_invariant_errors_without_reset_agree_too() -> None:
+    assert_both_agree(drive(1, 12, depths=(6.0, 30.0)), error=RightInvariant(reset=False), landmark="shared-anchor")
+
+
+def test_compiled_filters_can_be_copied_and_sent_to_other_processes() -> None:
+    frames = drive(7, 6)
+    original = make(landmark="shared-anchor", compiled=True)
+    reports_over(original, frames[:3])
+    twins = [copy.deepcopy(original), pickle.loads(pickle.dumps(original))]
+    reports_over(original, frames[3:])
+    for twin in twins:
+        reports_over(twin, frames[3:])
+        assert_same_belief(twin, original, 1e-14)
+
+
+def test_a_clone_of_the_pose_makes_a_filter_go_on_by_numpy() -> None:
+    frames = drive(8, 8)
+    plain, with_clone = make(compiled=None), make(compiled=None)
+    for slam in (plain, with_clone):
+        reports_over(slam, frames[:4])
+    with_clone.clone_pose("then")
+    for slam in (plain, with_clone):
+        reports_over(slam, frames[4:])
+    assert_same_belief(with_clone, plain, 1e-10)
+    assert with_clone.belief("then").covariance.shape == (6, 6)
+
+
+def test_a_filter_is_compiled_where_all_its_parts_are() -> None:
+    assert make(compiled=None).compiled is not None
+    assert make(compiled=None, landmark="hybrid").compiled is None
+    assert make(compiled=None, update="unscented").compiled is None
+    assert make(compiled=None, max_landmarks=9).compiled is None
+    assert make(compiled=False).compiled is None
+
+
+def test_a_subclass_of_a_part_has_no_kernel_of_its_own() -> None:
+    class Own(LeftThenRight):
+        """Perhaps it measures something else."""
+
+    assert make(compiled=None, measurement=Own()).compiled is None
+
+
+@pytest.mark.parametrize("options", [{"landmark": "hybrid"}, {"update": "unscented"}, {"max_landmarks": 9}])
+def test_compiled_parts_can_be_demanded(options: dict[str, object]) -> None:
+    with pytest.raises(ValueError, match=r"^compiled must be False or None where .* has no compiled form$"):
+        make(compiled=True, **options)
+
+
+def test_where_numba_does_not_work_filters_run_by_numpy(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setitem(__import__("sys").modules, "filters.compiled.stereo_ekf", None)
+    machine_code.trouble.cache_clear()
+    try:
+        with caplog.at_level(logging.WARNING):
+            assert make(compiled=None).compiled is None
+            assert make(compiled=None).compiled is None
+        assert caplog.text.count("Numba does not work here") == 1
+        with pytest.raises(ValueError, match="Numba does not work here"):
+            make(compiled=True)
+    finally:
+        machine_code.trouble.cache_clear()

@@ -9,6 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from filters.compiled.engine import CompiledEngine, Observations
+from filters.compiled.frame import FAILED
 from filters.compiled.recipe import CALIBRATION, Recipe
 from filters.compiled.storage import FilterState
 
@@ -247,3 +248,23 @@ def test_a_random_walk_adds_its_variance() -> None:
         engine.predict(0.1)
     added = np.diag(0.1 * np.linspace(0.0, 1.0, recipe.leading))
     np.testing.assert_allclose(moving.export(0).P - still.export(0).P, added, atol=1e-15)
+
+
+@pytest.mark.parametrize("iterations", [1, 2])
+def test_a_measurement_without_a_cholesky_factor_is_left_out_alone(iterations: int) -> None:
+    recipe = recipe_with("shared-anchor", iterations=iterations)
+    broken, without = started(recipe), started(recipe)
+    for engine in (broken, without):
+        engine.update(observed(UVD))
+    seen = observed(UVD + 0.5)
+    noise = np.tile(R, (4, 1, 1))
+    noise[2] = -1e6 * np.eye(3)
+    others = [0, 1, 3]
+    outcome = broken.update(replace(seen, R=noise))
+    kept = replace(seen, ids=seen.ids[others], uvd=seen.uvd[others], offsets=np.array([0, 3]))
+    expected = CompiledEngine(replace(recipe, drop_unseen=False))
+    expected.load(0, without.export(0))
+    expected.update(kept)
+    np.testing.assert_array_equal(outcome.fates == FAILED, [False, False, True, False])
+    assert outcome.dof[0] == 9
+    np.testing.assert_allclose(broken.export(0).x, expected.export(0).x, rtol=1e-10, atol=1e-12)
