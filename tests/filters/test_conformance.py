@@ -132,7 +132,9 @@ class _DependsOnTheOrder(InverseDepthStereoEKF):
 class _Overconfident(InverseDepthStereoEKF):
     def predict(self, dt: float, odometry: Any = None) -> None:
         super().predict(dt, odometry)
-        self.state.P *= 0.5
+        state = self.state
+        state.P *= 0.5
+        self.state = state
 
 
 class _Asymmetric(InverseDepthStereoEKF):
@@ -145,11 +147,16 @@ class _Asymmetric(InverseDepthStereoEKF):
 class _Random(InverseDepthStereoEKF):
     def update(self, observation: StereoObservation) -> UpdateReport:
         report = super().update(observation)
-        self.state.blocks = self.state.blocks + 1e-9 * np.random.default_rng().standard_normal(self.state.blocks.shape)
+        state = self.state
+        state.blocks = state.blocks + 1e-9 * np.random.default_rng().standard_normal(state.blocks.shape)
+        self.state = state
         return report
 
 
 class _HandsOutItsState(InverseDepthStereoEKF):
+    def __init__(self, camera: Any, noise: Any, **options: Any) -> None:
+        super().__init__(camera, noise, compiled=False, **options)
+
     @property
     def pose(self) -> Any:
         pose = super().pose

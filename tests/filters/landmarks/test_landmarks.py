@@ -19,9 +19,8 @@ UVD = RNG.uniform([50, 30, 2], [1250, 400, 40], (12, 3))
 ANY_UVD = np.vstack([UVD, [[600, 200, 0.0], [100, 50, -1.0]]])
 
 every = pytest.mark.parametrize("model", LANDMARKS.values(), ids=LANDMARKS.keys())
-anchored = pytest.mark.parametrize(
-    "model", [m for m in LANDMARKS.values() if m.anchored], ids=[n for n, m in LANDMARKS.items() if m.anchored]
-)
+ANGLES = ("inverse-depth", "shared-anchor", "hybrid")
+by_angles = pytest.mark.parametrize("model", [LANDMARKS[name] for name in ANGLES], ids=ANGLES)
 
 
 def started(model, uvd: np.ndarray):
@@ -36,7 +35,8 @@ def can_start(model, R_wc: np.ndarray, uvd: np.ndarray) -> list[bool]:
 
 @every
 def test_a_new_landmark_is_seen_where_it_was_measured(model) -> None:
-    uvd = ANY_UVD if model.anchored else UVD
+    uvd = ANY_UVD[can_start(model, R_WC, ANY_UVD)]
+    assert len(uvd) >= len(UVD)
     anchors, parameters = started(model, uvd)
     seen = model.relative_to(POSITION, anchors, parameters).homogeneous
     np.testing.assert_allclose(CAMERA.project_scaled(seen[:, :3] @ R_WC, seen[:, 3]), uvd, rtol=1e-10, atol=1e-10)
@@ -69,16 +69,33 @@ def test_inverse_distance_is_that_of_the_point_from_where_it_was_seen(model) -> 
 def test_no_landmark_is_no_error(model) -> None:
     empty = np.zeros((0, 3))
     new = first_sight(model, CAMERA, POSITION, R_WC, empty)
-    assert new.started.parameters.shape == (0, 3)
+    assert new.started.parameters.shape == (0, model.value_size)
     assert new.by_leading.shape == (0, 3, 6)
     assert new.noise.shape == (0, 3, 3)
-    anchors = empty if model.anchored else None
-    assert model.relative_to(POSITION, anchors, empty).by_map.shape[:2] == (0, 4)
-    assert model.points(anchors, empty).positions.shape == (0, 3)
-    assert model.inverse_distances(POSITION, anchors, empty).values.shape == (0,)
+    anchors, values = empty if model.anchored else None, np.zeros((0, model.value_size))
+    assert model.relative_to(POSITION, anchors, values).by_map.shape[:2] == (0, 4)
+    assert model.points(anchors, values).positions.shape == (0, 3)
+    assert model.inverse_distances(POSITION, anchors, values).values.shape == (0,)
 
 
-@anchored
+@every
+def test_in_a_turned_world_it_is_seen_in_the_turned_direction(model) -> None:
+    anchors, parameters = started(model, UVD)
+    R, other = Rotation.from_rotvec([0.4, 0.9, -0.6]).as_matrix(), np.array([4.0, 0.0, 9.0])
+    seen = model.homogeneous(other, anchors, parameters)
+    turned = None if anchors is None else anchors @ R.T
+    again = model.homogeneous(R @ other, turned, model.rotated(anchors, parameters, R))
+    np.testing.assert_allclose(again, np.hstack([seen[:, :3] @ R.T, seen[:, 3:]]), rtol=1e-10, atol=1e-12)
+
+
+@every
+def test_local_undoes_retract(model) -> None:
+    _, parameters = started(model, UVD)
+    delta = 0.1 * RNG.standard_normal((len(UVD), 3))
+    np.testing.assert_allclose(model.local(parameters, model.retract(parameters, delta)), delta, rtol=0, atol=1e-12)
+
+
+@by_angles
 def test_rho_is_zero_at_no_disparity_and_changes_sign_with_it(model) -> None:
     _, parameters = started(model, ANY_UVD)
     np.testing.assert_array_equal(np.sign(parameters[:, 2]), np.sign(ANY_UVD[:, 2]))
@@ -87,13 +104,13 @@ def test_rho_is_zero_at_no_disparity_and_changes_sign_with_it(model) -> None:
     np.testing.assert_array_equal(mirrored[:, :2], parameters[:, :2])
 
 
-@anchored
+@by_angles
 def test_a_point_at_infinity_has_no_finite_position_and_no_warning(model) -> None:
     anchors, parameters = started(model, np.array([[600.0, 200.0, 0.0]]))
     assert not np.isfinite(model.points(anchors, parameters).positions).all()
 
 
-@anchored
+@by_angles
 def test_the_vertical_of_the_world_is_refused_and_what_is_near_it_is_not(model) -> None:
     """There the azimuth of Eq. 24 is undefined."""
     down = Rotation.from_rotvec([-np.pi / 2, 0, 0]).as_matrix()
@@ -124,4 +141,6 @@ def test_only_shared_anchors_are_shared() -> None:
         "shared-anchor": (True, True),
         "euclidean": (False, False),
         "hybrid": (True, True),
+        "spherical": (True, True),
+        "polar": (True, True),
     }

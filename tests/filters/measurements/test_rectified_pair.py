@@ -28,7 +28,7 @@ every = pytest.mark.parametrize("model", MEASUREMENTS.values(), ids=MEASUREMENTS
 def test_every_stage_has_matching_shapes_and_a_covariance(model, observation: StereoObservation, R: np.ndarray) -> None:
     for stage in model.stages(observation, R):
         rows = len(stage.T)
-        assert stage.T.shape == (rows, 3)
+        assert stage.T.shape == (rows, model.size)
         assert stage.z.shape == (2, rows)
         assert stage.R.shape == (2, rows, rows)
         np.testing.assert_array_equal(stage.R, np.swapaxes(stage.R, 1, 2))
@@ -39,8 +39,10 @@ def test_every_stage_has_matching_shapes_and_a_covariance(model, observation: St
 @pytest.mark.parametrize("R", [PIXELS, FULL], ids=["pixels", "correlated"])
 def test_without_a_right_row_everything_is_a_function_of_uvd(model, R: np.ndarray) -> None:
     for stage in model.stages(without_row, R):
-        np.testing.assert_allclose(stage.z, UVD @ stage.T.T)
-        np.testing.assert_allclose(stage.R, stage.T @ R @ stage.T.T)
+        T = stage.T[:, :3]
+        assert not stage.T[:, 3:].any()
+        np.testing.assert_allclose(stage.z, UVD @ T.T)
+        np.testing.assert_allclose(stage.R, T @ R @ T.T)
 
 
 @every

@@ -23,7 +23,8 @@ def random_new(rng: np.random.Generator, ids: list[int], model: LandmarkModel) -
     count = len(ids)
     anchored = rng.uniform(size=count) < 0.5 if isinstance(model, Hybrid) else np.full(count, model.anchored)
     by_pose = rng.standard_normal((count, 3, 6))
-    return new_landmarks(np.array(ids), rng.standard_normal((count, 3)), by_pose, random_noise(rng, count), anchored)
+    values = rng.standard_normal((count, model.value_size))
+    return new_landmarks(np.array(ids), values, by_pose, random_noise(rng, count), anchored)
 
 
 def random_noise(rng: np.random.Generator, count: int) -> np.ndarray:

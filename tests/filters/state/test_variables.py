@@ -22,11 +22,8 @@ ODOMETRY = BodyVelocity([0.1, 0.05, SPEED], [0.01, 0.2, -0.02], np.diag(np.repea
 
 
 def make(**options) -> StereoEKF:
-    return start(
-        StereoEKF(
-            CAMERA, INDEPENDENT_PIXELS, **{"gate": None, "compiled": False, "measurement": ShearedPair(), **options}
-        )
-    )
+    parts = {"gate": None, "compiled": False, "measurement": ShearedPair(), **options}
+    return start(StereoEKF(CAMERA, INDEPENDENT_PIXELS, **parts))
 
 
 def with_variable(**changes) -> ShearedPair:
