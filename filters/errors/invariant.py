@@ -88,11 +88,12 @@ class RightInvariant(_InvariantError):
     Parameters
     ----------
     reset : bool
-        Whether the covariance is carried along by the full Jacobian of the retraction. False: P stays what it was in
-        invariant coordinates, as Barrau and Bonnabel, and Zhang et al. have it.
+        Whether the covariance is carried along by the full Jacobian of the retraction (Ge et al. 2025). False: P stays
+        what it was in invariant coordinates, as Barrau and Bonnabel, and Zhang et al. have it. Then a rotation of the
+        world stays unobservable, which under large orientation uncertainty is worth more (docs/derivations/errors.md).
     """
 
-    reset: bool = True
+    reset: bool = False
     kernel: ClassVar[str | None] = "right-invariant"
 
     def _points(

@@ -52,7 +52,7 @@ def test_every_part_has_a_line_of_description(slot: str) -> None:
         ("landmark", {"name": "hybrid", "linearity_limit": 0.02}, Hybrid(linearity_limit=0.02)),
         ("measurement", {"name": "sequential", "copied_row_variance": 1.0}, LeftThenRight(1.0)),
         ("motion", {"name": "constant-velocity", "sigma_acceleration": 1.0}, ConstantVelocity(1.0)),
-        ("error", {"name": "right-invariant", "reset": False}, RightInvariant(reset=False)),
+        ("error", {"name": "right-invariant", "reset": True}, RightInvariant(reset=True)),
         ("update", {"name": "unscented", "alpha": 0.1}, Unscented(alpha=0.1)),
     ],
 )

@@ -98,8 +98,8 @@ def test_a_copied_row_counts_alike(model: object, v_right: bool) -> None:
     assert_both_agree(drive(5, 12, v_right=v_right), measurement=model)
 
 
-def test_right_invariant_errors_without_reset_agree_too() -> None:
-    assert_both_agree(drive(1, 12, depths=(6.0, 30.0)), error=RightInvariant(reset=False), landmark="shared-anchor")
+def test_right_invariant_errors_with_reset_agree_too() -> None:
+    assert_both_agree(drive(1, 12, depths=(6.0, 30.0)), error=RightInvariant(reset=True), landmark="shared-anchor")
 
 
 def test_compiled_filters_can_be_copied_and_sent_to_other_processes() -> None:

@@ -30,7 +30,7 @@ from ..invariant_ekf import InvariantEKF, wedge
 from ..slots import LANDMARKS
 from .worlds import odometry, small_correction, some_state, standard_error, turned_world
 
-SIDES: dict[str, ErrorDefinition] = {"right": RightInvariant(), "left": LeftInvariant()}
+SIDES: dict[str, ErrorDefinition] = {"right": RightInvariant(reset=True), "left": LeftInvariant()}
 
 
 def to_right(state: JointState) -> np.ndarray:
