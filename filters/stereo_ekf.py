@@ -5,21 +5,16 @@ The named filters are choices of these parts; this module only says in which ord
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from copy import copy
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from filters.camera import StereoCamera
-from filters.engine import gating, kalman
-from filters.engine.consensus import largest_agreement
-from filters.engine.gating import BEHIND, FAILED, GATED, USED, FateArray
-from filters.engine.heavy_tails import reweighted
-from filters.engine.map_policy import MapPolicy
 from filters.engine.marginals import joint_covariance, pose_landmark_covariances
+from filters.engine.numpy_filter import NumpyFilter, locate
 from filters.engine.options import Options
 from filters.errors.model import ErrorDefinition
 from filters.interface import (
@@ -39,17 +34,15 @@ from filters.known_names import require_known
 from filters.landmarks.model import LandmarkModel
 from filters.machine_code import compiled_filter
 from filters.measurements.model import MeasurementModel, Stage
-from filters.motions.model import CameraState, MotionModel, MotionPrediction, measure_odometry, predict_camera
+from filters.motions.model import MotionModel
 from filters.noise import StereoNoise
 from filters.parts import Named
 from filters.start import Start
 from filters.state import symmetric
-from filters.state.joint_state import JointState, world_rotation_of_variables
-from filters.state.linearised import LinearisedMeasurements, of_variables
+from filters.state.joint_state import JointState
 from filters.updates.extended import Extended
 from filters.updates.model import Linearisation, points_in_camera
 from filters.validation import (
-    BoolArray,
     FloatArray,
     IntArray,
     finite_array,
@@ -147,8 +140,8 @@ class StereoEKF(StereoFilter):
             max_landmarks=max_landmarks,
             compiled=compiled,
         )
-        self._policy = MapPolicy(camera, noise, self.options)
-        self._compiled = compiled_filter(camera, self.options)
+        state = JointState.at(AT_ORIGIN, self.options.layout, self.options.landmark)
+        self._filter = compiled_filter(camera, self.options) or NumpyFilter(camera, self.options, state)
         self.reset()
 
     def reset(self, start: Start = AT_ORIGIN) -> None:
@@ -161,37 +154,15 @@ class StereoEKF(StereoFilter):
         dt = positive("dt", dt)
         if odometry is not None and not isinstance(odometry, BodyVelocity):
             raise ValueError(f"odometry must be a BodyVelocity or None, got {odometry!r}")
-        motion = self.options.motion
-        if self._compiled is not None:
-            motion.check_odometry(odometry)
-            self._compiled.predict(dt, odometry)
-            return
-        predicted = predict_camera(motion, self._state.camera, dt, odometry)
-        measured = None if odometry is None else measure_odometry(motion, predicted.state, dt, odometry)
-        # The model has said all it has to say, in the right shapes: only now does the state change.
-        self._move_covariance(predicted, dt)
-        self._state.camera = self._state.predicted = predicted.state
-        if measured is not None:
-            layout = self.options.layout
-            linear = of_variables(measured, layout.rows_of(motion.moves), layout.size)
-            self._retract(kalman.update(self._state.P, linear, layout.considered).delta)
+        self.options.motion.check_odometry(odometry)
+        self._filter.predict(dt, odometry)
 
     def update(self, observation: StereoObservation) -> UpdateReport:
         """Known ids correct the state, unseen ones leave, new ones enter; see `StereoFilter.update`."""
         if not isinstance(observation, StereoObservation):
             raise ValueError(f"observation must be a StereoObservation, got {type(observation).__name__}")
         # One order for everything below, so that the result cannot depend on the order of the measurements.
-        observation = observation.ordered()
-        if self._compiled is not None:
-            return self._compiled.update(observation, self.noise)
-        known, index = _locate(self._state.ids, observation.ids)
-        all_known = len(index) == len(observation)
-        measured = observation if all_known else observation.select(known)
-        report = self._correct(measured, index)
-        if all_known and self.options.is_steady and (len(index) == len(self._state) or not self.options.drop_unseen):
-            return report
-        change = self._policy.renew(self._state, measured, index, observation.select(~known))
-        return replace(report, **vars(change))
+        return self._filter.update(observation.ordered(), self.noise)
 
     def forecast(self, ids: Sequence[int] | IntArray | None = None) -> Forecast:
         """Predicted (u, v, d) and S of landmarks at the current pose."""
@@ -226,46 +197,43 @@ class StereoEKF(StereoFilter):
     @property
     def state(self) -> JointState:
         """The joint state, for filters built on this one; a copy, to be assigned after a change."""
-        return self._state if self._compiled is None else self._compiled.state
+        return self._filter.state
 
     @state.setter
     def state(self, state: JointState) -> None:
-        if self._compiled is None:
-            self._state = state
-        else:
-            self._compiled.state = state
+        self._filter.state = state
 
     @property
     def compiled(self) -> CompiledFilter | None:
         """The filter in machine code; None: it runs by NumPy."""
-        return self._compiled
+        return None if isinstance(self._filter, NumpyFilter) else self._filter
 
     def share(self, compiled: CompiledFilter) -> None:
         """Keep what the filter knows from now on in a storage with others; its map is empty until it is reset."""
-        self._compiled = compiled
+        self._filter = compiled
         self.reset()
 
     @property
     def ids(self) -> IntArray:
         """Landmarks in the map, (N,), in no order; cheaper to ask than `landmarks`."""
-        return self._state.ids if self._compiled is None else self._compiled.ids
+        return self._filter.ids
 
     def with_state(self, state: JointState) -> StereoEKF:
         """The same filter with another state: what it says of landmarks that are kept elsewhere."""
         other = copy(self)
-        other._compiled, other._state = None, state
+        other._filter = NumpyFilter(self.camera, self.options, state)
         return other
 
     @property
     def pose(self) -> PoseBelief:
         """Pose of the left camera."""
-        camera = self._camera
+        camera = self._filter.camera
         return PoseBelief(camera.position.copy(), camera.orientation.copy(), self._covariance_of(POSE))
 
     @property
     def velocity(self) -> VelocityBelief:
         """Velocity of the left camera."""
-        camera = self._camera
+        camera = self._filter.camera
         return VelocityBelief(
             camera.linear_velocity.copy(), camera.angular_velocity.copy(), self._covariance_of(VELOCITY)
         )
@@ -304,7 +272,7 @@ class StereoEKF(StereoFilter):
         if name in (*self.options.layout.places, *state.clones):
             raise ValueError(f"name must be new, there is a variable {name!r} already: forget_clone it first")
         state.clone_pose(name)
-        self._compiled, self._state = None, state  # the kernels know no clones
+        self._filter = NumpyFilter(self.camera, self.options, state)  # the kernels know no clones
 
     def forget_clone(self, name: str) -> None:
         """Marginalise a clone of the pose out.
@@ -339,143 +307,17 @@ class StereoEKF(StereoFilter):
         """Error of the pose in this filter's error definition; see `StereoFilter.pose_error`."""
         true_position = finite_array("position", position, (3,))
         true_orientation = unit_quaternion("orientation", orientation)
-        camera = self._camera
+        camera = self._filter.camera
         return self.options.error.pose_error(camera, self.pose.covariance, true_position, true_orientation)
 
     def _wanted(self, ids: Sequence[int] | IntArray | None) -> tuple[IntArray, IntArray]:
         """The landmarks asked for (None: all, ascending), and where they are; refuses those that are not there."""
         there = self.ids
         wanted = np.sort(there) if ids is None else unique_ids("ids", np.asarray(ids))
-        known, index = _locate(there, wanted)
+        known, index = locate(there, wanted)
         if not known.all():
             raise ValueError(f"ids must be in the map, not there: {wanted[~known][:5].tolist()}: see landmarks.ids")
         return wanted, index
 
-    @property
-    def _camera(self) -> CameraState:
-        """Values of the named variables."""
-        return self._state.camera if self._compiled is None else self._compiled.camera
-
     def _covariance_of(self, name: str) -> FloatArray:
-        place = self.options.layout.places[name]
-        if self._compiled is not None:
-            return self._compiled.covariance(place)
-        return symmetric.full(self._state.P[place, place])
-
-    def _move_covariance(self, predicted: MotionPrediction, dt: float) -> None:
-        """P of the predicted variables (Eq. 12)."""
-        state, layout, error = self._state, self.options.layout, self.options.error
-        rows = np.ix_(*[layout.rows_of(self.options.motion.moves)] * 2)
-        F, added = np.eye(layout.size), np.zeros((layout.size, layout.size))
-        F[rows], added[rows] = predicted.F, predicted.G @ predicted.Q @ predicted.G.T
-        if layout.walk_rates is not None:
-            added[layout.rows, layout.rows] += layout.walk_rates * dt
-        if error.constrains:
-            F = error.constrained(F, world_rotation_of_variables(layout, predicted.state), state)
-        symmetric.transform_leading(state.P, F, added)
-
-    def _linearise(self, state: JointState, index: IntArray, stage: Stage) -> LinearisedMeasurements:
-        options = self.options
-        point = options.error.linearisation_point(state)
-        return options.update.linearise(options.measurement, self.camera, state, index, stage, point)
-
-    def _correct(self, observation: StereoObservation, index: IntArray) -> UpdateReport:
-        """Stage by stage: leave out what is behind the camera or not believable, correct with the rest.
-
-        A landmark refused in one stage takes no part in the later ones. Each of n stages has the gate
-        probability^(1/n), so that a consistent landmark passes all of them with the probability asked for.
-        """
-        if len(index) == 0:
-            return UpdateReport()
-        stages = self.options.measurement.stages(observation, observation.covariances(self.noise))
-        gate = self.options.gate and self.options.gate ** (1 / len(stages))
-        fates = np.zeros(len(index), dtype=np.uint8)
-        nis, dof = 0.0, 0
-        for stage in stages:
-            gained, rows = self._correct_stage(stage, index, gate, fates)
-            nis, dof = nis + gained, dof + rows
-        if not np.count_nonzero(fates):
-            return UpdateReport(updated=observation.ids, nis=nis, nis_dof=dof)
-        updated, behind, gated, failed = (observation.ids[fates == fate] for fate in (USED, BEHIND, GATED, FAILED))
-        return UpdateReport(updated, gated=gated, behind_camera=behind, failed=failed, nis=nis, nis_dof=dof)
-
-    def _correct_stage(self, stage: Stage, index: IntArray, gate: float | None, fates: FateArray) -> tuple[float, int]:
-        """Correct with the measurements whose fate so far is USED, and write their fates; the NIS and its dof."""
-        candidates = fates == USED
-        forward = self.options.measurement.in_front(points_in_camera(self._state, index))
-        fates[candidates & ~forward] = BEHIND
-        candidates &= forward
-        fates[candidates] = GATED
-        nis, dof = 0.0, 0
-        for where, measurements in self._passes(stage, index, candidates, gate):
-            correction = self._apply(measurements, _select(stage, where), index[where])
-            fates[where] = np.where(correction.used, USED, FAILED)
-            nis, dof = nis + correction.nis, dof + correction.dof
-        return nis, dof
-
-    def _passes(
-        self, stage: Stage, index: IntArray, candidates: BoolArray, gate: float | None
-    ) -> Iterator[tuple[BoolArray, LinearisedMeasurements]]:
-        """The measurements (M,) to correct with next, chosen and linearised at the state the previous ones left."""
-        if gate is None:
-            yield candidates, self._linearise(self._state, index[candidates], _select(stage, candidates))
-            return
-        limit = gating.gate_limit(gate, stage.z.shape[1])
-        believable, measurements = self._believable(stage, index, candidates, limit)
-        if not self.options.consensus:
-            yield believable, measurements
-            return
-        core = believable.copy()
-        agree = largest_agreement(self._state.P, measurements, limit)
-        core[believable] = agree
-        yield core, measurements[agree]
-        yield self._believable(stage, index, candidates & ~core, limit)
-
-    def _believable(
-        self, stage: Stage, index: IntArray, candidates: BoolArray, limit: float
-    ) -> tuple[BoolArray, LinearisedMeasurements]:
-        """Which of the candidates (M,) pass the gate at the current state, and those linearised."""
-        measurements = self._linearise(self._state, index[candidates], _select(stage, candidates))
-        passed = kalman.squared_distances(self._state.P, measurements) <= limit
-        if passed.all():
-            return candidates, measurements
-        believable = candidates.copy()
-        believable[candidates] = passed
-        return believable, measurements[passed]
-
-    def _apply(self, measurements: LinearisedMeasurements, stage: Stage, index: IntArray) -> kalman.Correction:
-        """One pass of the update, or Gauss-Newton passes with the prior held."""
-        if self.options.tail_dof is not None:
-            measurements = reweighted(self._state.P, measurements, self.options.tail_dof)
-            stage = replace(stage, R=measurements.R)
-        prior, considered = self._state, self.options.layout.considered
-        for _ in range(self.options.iterations - 1):
-            delta = kalman.update(prior.P.copy(order="F"), measurements, considered).delta
-            moved = self.options.error.moved(prior, delta)
-            there = self._linearise(moved, index, stage)
-            measurements = self.options.error.transport(prior, moved, delta).pulled_back(there, delta)
-        correction = kalman.update(prior.P, measurements, considered)
-        self._retract(correction.delta)
-        return correction
-
-    def _retract(self, delta: FloatArray) -> None:
-        """Move the state by the correction (Eq. 17) and carry P along."""
-        moved = self.options.error.moved(self._state, delta)
-        self.options.error.transport(self._state, moved, delta).apply(moved.P)
-        self._state = moved
-
-
-def _select(stage: Stage, mask: BoolArray) -> Stage:
-    return stage if mask.all() else Stage(stage.z[mask], stage.T, stage.R[mask])
-
-
-def _locate(there: IntArray, ids: IntArray) -> tuple[BoolArray, IntArray]:
-    """Which of `ids` are among those that are `there`, and where those are."""
-    if len(there) == 0:
-        return np.zeros(len(ids), dtype=bool), np.zeros(0, dtype=np.int64)
-    if len(ids) == len(there) and (ids == there).all():
-        return np.ones(len(ids), dtype=bool), np.arange(len(ids))
-    order = np.argsort(there)
-    candidate = order.take(np.searchsorted(there, ids, sorter=order), mode="clip")
-    known = there[candidate] == ids
-    return known, candidate[known]
+        return self._filter.covariance(self.options.layout.places[name])
