@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from filters import BodyVelocity, Hybrid, MotionModel, StereoNoise, StereoObservation, VelocityDriven, rotations
 from filters.engine.map_policy import start_landmarks
+from filters.errors.invariant import RightInvariant
 from filters.errors.model import ErrorDefinition
 from filters.landmarks.model import LandmarkModel
 from filters.measurements.model import MeasurementModel
@@ -603,7 +604,8 @@ def whole_matrix(transport: Transport, size: int) -> np.ndarray:
     return J
 
 
-for _error, _definition in ERRORS.items():
+# Without the reset, P is left as it was in invariant coordinates, which is no Jacobian of the retraction.
+for _error, _definition in {**ERRORS, "right-invariant": RightInvariant(reset=True)}.items():
     for _landmark, _model in MODELS.items():
         for _layout, _places in LAYOUTS.items():
 

@@ -36,7 +36,6 @@ LOADS_MODULES = {  # by name; and where that name comes from
     "stereo_slam_env/benchmark/running/isolation.py": "a table in the module",
     "stereo_slam_env/evaluation/results.py": "a literal",
     "stereo_slam_env/benchmark/recordings/sources.py": "kind 'factory', which load_study refuses without consent",
-    "stereo_slam_env/policies/registry.py": "a table in the module",
     "stereo_slam_env/rendering/gl_resources.py": "a literal",
     "stereo_slam_env/viewer/rerun_view.py": "a literal",
 }
