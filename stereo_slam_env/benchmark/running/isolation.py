@@ -32,6 +32,8 @@ from typing import NoReturn, TypeVar, cast
 
 import cloudpickle
 
+from filters.machine_code import trouble
+
 Result = TypeVar("Result")
 Tell = Callable[[int, int], None]
 
@@ -42,7 +44,6 @@ PRELOADED = (
     "stereo_slam_env.policies.episode",
     "stereo_slam_env.wrappers.belief_panorama",
     "stereo_slam_env.envs.recorder",
-    "numba",
 )
 """Modules that most trials need; importing them once in the server is why a process costs milliseconds."""
 
@@ -196,6 +197,7 @@ def _server() -> _Server:
 
 @cache
 def _server_of(process: int) -> _Server:
+    trouble()  # compiles the kernels where that has not been done: no process of a trial should wait for it
     return _Server()
 
 
@@ -210,6 +212,7 @@ def serve(descriptor: int) -> None:
             importlib.import_module(module)
         except ImportError:  # an extra that is not installed
             continue
+    trouble()  # reads the kernels
     wake_up, woken_by = os.pipe()
     for end in (wake_up, woken_by):
         os.set_blocking(end, False)
