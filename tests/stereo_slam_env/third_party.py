@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from filters import ConstantVelocity, Forecast, LandmarkBelief, PoseBelief, Start, StereoEKF, StereoFilter
+from filters import ConstantVelocity, Forecast, LandmarkBelief, MotionModel, PoseBelief, Start, StereoEKF, StereoFilter
 from filters import UpdateReport, VelocityBelief
 
 
@@ -117,12 +117,9 @@ class ItsOwnWay(StereoEKF):
         super().__init__(camera, noise, motion=Gliding(), **options)
 
 
-class Gliding:
+class Gliding(MotionModel):
     def predict(self, state, dt, odometry):
         return ConstantVelocity(2.0, 0.2).predict(state, dt, odometry)
-
-    def odometry_measurement(self, state, dt, odometry):
-        return None
 
 
 class Waits(DeadReckoning):
