@@ -3,13 +3,14 @@
     python benchmarks/hybrid_thresholds.py --seeds 50      # 800 frames, 350 m, pixel noise: half an hour on two cores
 
 The default of `Hybrid` is the largest linearity index with which the pose stays in its 95 % band in at least 90 % of
-the frames. At first sight by a stereo pair the index is 4 sigma_d / d, so a split by disparity is a threshold, too.
+the frames. At first sight by a stereo pair the index is 4 sigma_d / d, so a split by
+distance is a threshold, too: 13.7 m are 30 px.
 """
 
 from __future__ import annotations
 
 import argparse
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from joblib import Parallel, delayed
@@ -24,12 +25,20 @@ from stereo_slam_env.evaluation.consistency import mean_band, share_inside
 from stereo_slam_env.recording.recording import Recording
 
 LIMITS = (0.02, 0.03, 0.05, 0.1)
-DISPARITIES = (30.0,)
+DISTANCES = (13.7,)
+
+
+class OwnAnchors(Hybrid):
+    """Every landmark that is not XYZ has an anchor of its own."""
+
+    shares_anchors: ClassVar[bool] = False
+
+
 CASES: dict[str, dict[str, Any]] = {
     "inverse depth": {"landmark": "shared-anchor"},
     **{f"index < {limit:g}": {"landmark": Hybrid(limit)} for limit in LIMITS},
-    "index < 0.03, an anchor each": {"landmark": Hybrid(0.03, shares_anchors=False)},
-    **{f"first disparity >= {near:g} px": {"landmark": Hybrid(None, near)} for near in DISPARITIES},
+    "index < 0.03, an anchor each": {"landmark": OwnAnchors(0.03)},
+    **{f"first distance <= {near:g} m": {"landmark": Hybrid(None, near)} for near in DISTANCES},
 }
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -207,8 +206,8 @@ def test_iterating_converges_to_the_map_estimate(landmark: str, error: str) -> N
     start_at = np.zeros(root.shape[1])
     optimum = least_squares(residuals, start_at, jac="3-point", xtol=1e-15, ftol=1e-15, gtol=1e-10)
     best = moved(optimum.x)
-    once, converged = copy.deepcopy(prior), copy.deepcopy(prior)
-    once.options = replace(once.options, iterations=1)
+    converged, once = copy.deepcopy(prior), make(landmark=landmark, error=error, drop_unseen=False)
+    once.state = copy.deepcopy(prior.state)
     once.update(seen)
     converged.update(seen)
     np.testing.assert_allclose(converged.pose.position, best.pose.position, rtol=0, atol=1e-6)
