@@ -17,7 +17,7 @@ from stereo_slam_env.files.package_versions import version_of
 
 ROOT = Path(__file__).resolve().parents[3]
 NO_RESULT = (
-    "filters/compilation.py",
+    "filters/compiled/__main__.py",
     "filters/conformance",
     "filters/part_checks",
     "filters/part_contracts/",

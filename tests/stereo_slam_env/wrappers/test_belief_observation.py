@@ -1,5 +1,7 @@
 """A filter in the loop, and its belief in the observation (2 s)."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -115,6 +117,7 @@ def test_what_is_beyond_the_bounds_is_clipped_and_what_is_at_infinity_left_out()
     env.reset(seed=0)
     state = env.slam.state
     state.blocks[state.parameter_block[:4], 2] = [1e-6, 0.0, -0.01, 1e-9]
+    env.slam.state = state
     seen = env.step(env.action_space.sample())[0]
     assert env.observation_space.contains(seen)
     assert env.report.nis_dof < 3 * len(state.ids)
@@ -133,7 +136,9 @@ class Broken(StereoFilter):
                 return update(observation)
             if what == "raise":
                 raise ZeroDivisionError("division of something\nby zero")
-            made.state.camera.position[:] = np.nan
+            state = made.state
+            state.camera = replace(state.camera, position=np.full(3, np.nan))
+            made.state = state
             return update(observation)
 
         made.update = breaking
@@ -161,7 +166,7 @@ def test_a_filter_that_breaks_down_is_named_with_frame_and_cause(monkeypatch, wh
     [
         ({"filter": "shared-anker"}, "did you mean 'shared-anchor'"),
         ({"options": {"gat": 0.9}}, "option 'gat' is not one of filter 'shared-anchor', did you mean 'gate'"),
-        ({"options": {"motion": {"sigma": 1.0}}}, "motion has no number 'sigma'"),
+        ({"options": {"motion": {"sigma": 1.0}}}, "motion 'constant-velocity' has no setting 'sigma'"),
         ({"max_landmarks": 0}, "max_landmarks must be a whole number >= 1, got 0"),
         ({"noise": -1.0}, "noise must be a finite number > 0"),
         ({"noise": [[1.0]]}, r"R must have shape \(3, 3\)"),
