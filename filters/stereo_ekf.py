@@ -192,7 +192,7 @@ class StereoEKF(StereoFilter):
     @property
     def state_size(self) -> int:
         """Numbers in the error state: of the named variables, and three for every landmark and every anchor."""
-        return len(self.state.rows_in_use)
+        return self._filter.state_size
 
     @property
     def state(self) -> JointState:

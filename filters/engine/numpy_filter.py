@@ -72,6 +72,11 @@ class NumpyFilter:
         return self.state.ids
 
     @property
+    def state_size(self) -> int:
+        """Rows of the covariance in use."""
+        return len(self.state.rows_in_use)
+
+    @property
     def camera(self) -> CameraState:
         """Values of the named variables."""
         return self.state.camera

@@ -78,6 +78,25 @@ def test_every_combination_gives_the_same_beliefs(landmark: str, measurement: st
 
 
 @pytest.mark.parametrize("error", ERRORS)
+@pytest.mark.parametrize("landmark", LANDMARKS)
+def test_what_lies_outside_the_upper_triangle_in_use_plays_no_part(landmark: str, error: str) -> None:
+    frames = drive(1, 12, depths=(6.0, 30.0))
+    clean, soiled = (make(landmark=landmark, error=error, gate=0.99, consensus=True, compiled=True) for _ in range(2))
+    for frame in frames:
+        assert soiled.compiled is not None
+        engine = soiled.compiled.engine
+        P = engine.storage.P[0]
+        row, column = np.indices(P.shape)
+        used = engine.recipe.leading + 3 * engine.storage.counts[0, 1]
+        P[(column < row) | (column >= used)] = np.nan
+        for slam in (clean, soiled):
+            slam.predict(DT)
+            slam.update(frame.observation)
+    assert len(soiled.ids) > 10
+    assert_same_belief(soiled, clean, 0.0)
+
+
+@pytest.mark.parametrize("error", ERRORS)
 @pytest.mark.parametrize("options", OTHERS.values(), ids=OTHERS.keys())
 @pytest.mark.parametrize("landmark", LANDMARKS)
 def test_every_other_option_gives_the_same_beliefs(landmark: str, options: dict[str, object], error: str) -> None:
