@@ -11,6 +11,7 @@ from .conformance_pytest import parametrize_with_checks as parametrize_with_chec
 from .conformance_pytest import parametrize_with_part_checks as parametrize_with_part_checks
 from .consistency import nees as nees
 from .differences import jacobian as jacobian
+from .drift import LandmarkDrift as LandmarkDrift
 from .errors.first_estimates import FirstEstimates as FirstEstimates
 from .errors.invariant import LeftInvariant as LeftInvariant
 from .errors.invariant import RightInvariant as RightInvariant

@@ -5,14 +5,15 @@ The named filters are choices of these parts; this module only says in which ord
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from copy import copy
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from filters.camera import StereoCamera
+from filters.drift import LandmarkDrift
 from filters.engine.marginals import joint_covariance, pose_landmark_covariances
 from filters.engine.numpy_filter import NumpyFilter, locate
 from filters.engine.options import Options
@@ -85,6 +86,9 @@ class StereoEKF(StereoFilter):
         those that pass the gate at the corrected state.
     tail_dof : float, optional
         Degrees of freedom of Student's t for heavy-tailed noise: surprising measurements count less. None: Gaussian.
+    drift : float, mapping or LandmarkDrift, optional
+        Process noise of measured landmarks: a share of their R, or a table of `LandmarkDrift`'s numbers. None: points
+        that are tracked stay where they are.
     iterations : int
         Passes of the update; 1 is the plain EKF, more relinearise at the result with the prior held (Gauss-Newton).
     drop_unseen : bool
@@ -116,6 +120,7 @@ class StereoEKF(StereoFilter):
         update: Named | Linearisation = "extended",
         consensus: bool = False,
         tail_dof: float | None = None,
+        drift: float | Mapping[str, Any] | LandmarkDrift | None = None,
         iterations: int = 1,
         drop_unseen: bool = True,
         min_disparity: float | None = None,
@@ -134,6 +139,7 @@ class StereoEKF(StereoFilter):
             update=update,
             consensus=consensus,
             tail_dof=tail_dof,
+            drift=drift,
             iterations=iterations,
             drop_unseen=drop_unseen,
             min_disparity=min_disparity,

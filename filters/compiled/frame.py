@@ -7,6 +7,7 @@ from numba import njit, types
 from filters.compiled.blas import ENTRY, KERNEL, ROUTINES, call
 from filters.compiled.correction import correct, explained, factorise, fuse, innovation_covariance, times_covariance
 from filters.compiled.covariance import keep_considered, restore_considered
+from filters.compiled.drift import take_steps
 from filters.compiled.gating import largest_agreement, reweight, squared_distances
 from filters.compiled.landmarks import can_start, close_gaps, enter, find, leave
 from filters.compiled.prediction import orientation, predict, put, right_jacobian_of, times, transposed
@@ -162,10 +163,11 @@ def _apply(
     size = plan.rows[variant, stage, 0]
     P, x, blocks, counts = S.P[b], S.x[b], S.blocks[b], S.counts[b]
     n = plan.leading + 3 * counts[BLOCKS]
+    if plan.drift[1].any():
+        take_steps(plan, plan.drift[1], P, s, s.select, count)
     if plan.tail_dof < 1e300:
         call(routines[GATE], (plan, P, s, s.select, count, size))
         reweight(plan, s, s.select, count, size)
-    # Process noise of landmarks would go here: P_own += J^-1 Q J^-T of each selected one, J = d (u, v, d) / d own.
     for _ in range(plan.iterations - 1):
         call(routines[PROPOSE], (routines, plan, S, b, s, count, size, n))
         for i in plan.considered:
@@ -222,6 +224,8 @@ def _stage(
         else:
             s.fates[m] = BEHIND
     count = ahead
+    if plan.drift[0].any():
+        take_steps(plan, plan.drift[0], P, s, s.select, count)
     if gated:
         count = _believable(routines, plan, variant, stage, S, b, s, count)
     if not (gated and plan.consensus):

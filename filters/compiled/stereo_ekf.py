@@ -54,6 +54,7 @@ def recipe_of(camera: StereoCamera, options: Options) -> Recipe:
         gate=options.gate,
         consensus=options.consensus,
         tail_dof=options.tail_dof,
+        drift=options.drift,
         iterations=options.iterations,
         drop_unseen=options.drop_unseen,
         min_disparity=options.min_disparity,

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
+from filters.drift import LandmarkDrift
 from filters.errors.model import ErrorDefinition
 from filters.landmarks.model import LandmarkModel
 from filters.measurements.model import MeasurementModel
@@ -35,6 +36,7 @@ class Options:
     gate: float | None
     consensus: bool
     tail_dof: float | None
+    drift: LandmarkDrift | None
     iterations: int
     drop_unseen: bool
     min_disparity: float | None
@@ -42,7 +44,9 @@ class Options:
     compiled: bool | None
 
     @classmethod
-    def of(cls, *, motion: Any, landmark: Any, measurement: Any, error: Any, update: Any, **others: Any) -> Options:
+    def of(
+        cls, *, motion: Any, landmark: Any, measurement: Any, error: Any, update: Any, drift: Any, **others: Any
+    ) -> Options:
         """Options with the parts that their names stand for."""
         return cls(
             motion=make_part("motion", "constant-velocity" if motion is None else motion),
@@ -50,6 +54,7 @@ class Options:
             measurement=make_part("measurement", measurement),
             error=make_part("error", error),
             update=make_part("update", update),
+            drift=LandmarkDrift.of(drift),
             **others,
         )
 

@@ -179,3 +179,16 @@ def test_where_numba_does_not_work_filters_run_by_numpy(
             make(compiled=True)
     finally:
         machine_code.trouble.cache_clear()
+
+
+@pytest.mark.parametrize("error", ERRORS)
+@pytest.mark.parametrize("landmark", LANDMARKS)
+@pytest.mark.parametrize(
+    "drift", [0.4, {"pixels": (1.2, 1.0, 0.5), "gate_pixels": (0.4, 0.4, 0.2)}, {"share": 0.2, "pixels": (0.5, 0.5, 0.1)}]
+)
+@pytest.mark.parametrize("consensus", [False, True])
+def test_landmarks_that_drift_have_the_same_beliefs(landmark: str, error: str, drift: object, consensus: bool) -> None:
+    reports = assert_both_agree(
+        drive(1, 12, depths=(6.0, 30.0)), landmark=landmark, error=error, drift=drift, consensus=consensus, tail_dof=6.0
+    )
+    assert sum(len(report.updated) for report in reports) > 80
