@@ -18,6 +18,7 @@ from .errors.invariant import RightInvariant as RightInvariant
 from .errors.model import ErrorDefinition as ErrorDefinition
 from .errors.standard import QuaternionError as QuaternionError
 from .errors.standard import RotationVectorError as RotationVectorError
+from .gauge_walk import GaugeWalk as GaugeWalk
 from .interface import BodyVelocity as BodyVelocity
 from .interface import Forecast as Forecast
 from .interface import LandmarkBelief as LandmarkBelief

@@ -108,5 +108,3 @@ def in_own_numbers(Q: FloatArray, by_own: FloatArray) -> FloatArray:
     inverse = np.linalg.inv(by_own[regular])
     steps[regular] = inverse @ Q[regular] @ inverse.transpose(0, 2, 1)
     return steps
-
-

@@ -47,8 +47,8 @@ LANES = 8  # columns at a time
 PANEL = 4  # rows of a large product at a time
 
 
-def _panel(rows: int, lanes: int, less: bool = False) -> Any:
-    """Kernel of so many rows of a small product, as vector instructions; `less`: of target -= H^T source."""
+def _panel(rows: int, lanes: int, sign: int = 0) -> Any:
+    """Kernel of so many rows of a small product, as vector instructions; with a sign: of target += sign H^T source."""
     wide = ir.VectorType(ir.DoubleType(), lanes)
 
     @intrinsic
@@ -82,10 +82,9 @@ def _panel(rows: int, lanes: int, less: bool = False) -> Any:
                 with cgutils.for_range(builder, inner) as term:
                     vector = builder.load(entry(right, term.index, under_right, column, wide), align=8)
                     for row, total in enumerate(sums):
-                        at_row = (
-                            (term.index, ir.Constant(integer, row)) if less else (ir.Constant(integer, row), term.index)
-                        )
-                        factor = builder.load(entry(left, at_row[0], under_left, at_row[1], real))
+                        place = ir.Constant(integer, row), term.index
+                        one, other = reversed(place) if sign else place
+                        factor = builder.load(entry(left, one, under_left, other, real))
                         spread = builder.insert_element(nothing, factor, ir.IntType(32)(0))
                         spread = builder.shuffle_vector(spread, nothing, ir.Constant(all_first, [0] * lanes))
                         product = builder.fmul(spread, vector, flags=("contract",))
@@ -93,8 +92,9 @@ def _panel(rows: int, lanes: int, less: bool = False) -> Any:
                 for row, total in enumerate(sums):
                     result = entry(goal, ir.Constant(integer, row), under, column, wide)
                     value = builder.load(total)
-                    if less:
-                        value = builder.fsub(builder.load(result, align=8), value)
+                    if sign:
+                        combine = builder.fadd if sign > 0 else builder.fsub
+                        value = combine(builder.load(result, align=8), value)
                     builder.store(value, result, align=8)
             return context.get_dummy_value()
 
@@ -104,7 +104,7 @@ def _panel(rows: int, lanes: int, less: bool = False) -> Any:
 
 
 _one_row, _two_rows, _three_rows, _four_rows = (_panel(rows, LANES) for rows in (1, 2, 3, 4))
-_less_product = _panel(PANEL, LANES, less=True)
+_less_product, _more_product = _panel(PANEL, LANES, -1), _panel(PANEL, LANES, 1)
 
 
 @njit(**KERNEL)
@@ -146,18 +146,26 @@ def solve_triangular(S: Any, HP: Any, rows: int, columns: int) -> None:
                 row[j] *= inverse
 
 
-@njit(**KERNEL)
-def subtract_square(P: Any, HP: Any, rows: int, n: int) -> None:
-    """P -= HP^T HP in the upper triangle of the first n rows; below it, and behind row and column n, it may write."""
-    for top in range(0, n, PANEL):
-        left = top - top % LANES
-        _less_product(
-            at(P) + 8 * (top * P.shape[1] + left),
-            P.shape[1],
-            at(HP) + 8 * top,
-            HP.shape[1],
-            at(HP) + 8 * left,
-            HP.shape[1],
-            rows,
-            n - left,
-        )
+def _change_by_square(product: Any) -> Any:
+    """Kernel that changes the upper triangle of the first n rows of P by HP^T HP."""
+
+    @njit(**KERNEL)
+    def change(P: Any, HP: Any, rows: int, n: int) -> None:
+        for top in range(0, n, PANEL):
+            left = top - top % LANES
+            product(
+                at(P) + 8 * (top * P.shape[1] + left),
+                P.shape[1],
+                at(HP) + 8 * top,
+                HP.shape[1],
+                at(HP) + 8 * left,
+                HP.shape[1],
+                rows,
+                n - left,
+            )
+
+    return change
+
+
+subtract_square, add_square = _change_by_square(_less_product), _change_by_square(_more_product)
+"""P -= HP^T HP and P += HP^T HP: below the triangle, and behind row and column n, they may write, too."""

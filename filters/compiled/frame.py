@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from numba import njit, types
 
 from filters.compiled.blas import ENTRY, KERNEL, ROUTINES, call
@@ -9,6 +11,7 @@ from filters.compiled.correction import correct, explained, factorise, fuse, inn
 from filters.compiled.covariance import keep_considered, restore_considered
 from filters.compiled.drift import take_steps
 from filters.compiled.gating import largest_agreement, reweight, squared_distances
+from filters.compiled.gauge_walk import walk_gauge
 from filters.compiled.landmarks import can_start, close_gaps, enter, find, leave
 from filters.compiled.prediction import orientation, predict, put, right_jacobian_of, times, transposed
 from filters.compiled.projection import linearise, prepare, project
@@ -31,6 +34,7 @@ from filters.compiled.units import (
     SCRATCH,
     STORAGE,
     VECTOR,
+    WALK,
     read_frame,
     read_plan,
     read_scratch,
@@ -308,9 +312,12 @@ def _advance(routines: tuple[int, ...], plan: Plan, S: Storage, b: int, s: Scrat
     dt = frame.dt[b]
     if dt > 0.0:
         P, x = S.P[b], S.x[b]
-        n = plan.leading + 3 * counts[BLOCKS]
+        n, here = plan.leading + 3 * counts[BLOCKS], (x[0], x[1], x[2])
         odometry, covariance = frame.odometry[b], frame.odometry_covariance[b]
         call(routines[PREDICT], (plan, P, n, x, S.predicted[b], dt, odometry, covariance, s))
+        if plan.gauge_rotation > 0.0 or plan.gauge_translation > 0.0:
+            distance = math.sqrt((x[0] - here[0]) ** 2 + (x[1] - here[1]) ** 2 + (x[2] - here[2]) ** 2)
+            call(routines[WALK], (plan, S, b, s, distance))
         if frame.fused[b] and not plan.velocity_driven:
             call(routines[FUSE], (routines, plan, P, n, x, dt, odometry, covariance, s))
             if s.result[0] > 0.0:
@@ -348,6 +355,17 @@ def advance(
         _advance(routines, plan, S, b, s, frame)
 
 
-UNITS = (predict, fuse, linearise_unit, squared_distances, largest_agreement, propose_unit, correct, retract, enter)
+UNITS = (
+    predict,
+    fuse,
+    linearise_unit,
+    squared_distances,
+    largest_agreement,
+    propose_unit,
+    correct,
+    retract,
+    enter,
+    walk_gauge,
+)
 KERNELS = (*ROUTINES, *(kernel.address for kernel in UNITS))
 """Addresses that `advance` wants, of BLAS and of the units."""

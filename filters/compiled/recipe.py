@@ -10,6 +10,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from filters.drift import LandmarkDrift
+from filters.gauge_walk import GaugeWalk
 from filters.validation import FloatArray, IntArray
 
 LANDMARKS = ("inverse-depth", "shared-anchor", "euclidean")
@@ -62,6 +63,9 @@ class Plan(NamedTuple):
     """Factor of the variance of that row, (2, stages)."""
     drift: FloatArray
     """Steps of measured landmarks, `LandmarkDrift.parts`: (2, 4)."""
+    gauge_rotation: float
+    gauge_translation: float
+    """Walk of camera and map together, rad and m per root of a metre."""
     limits: FloatArray
     """Squared distance up to which a measurement is believed, (2, stages)."""
 
@@ -112,6 +116,8 @@ class Recipe:
         As of `StereoEKF`.
     drift : LandmarkDrift, optional
         Process noise of measured landmarks, with (u, v, d) in one stage.
+    gauge_walk : GaugeWalk, optional
+        Walk of camera and map together.
     motion : {"constant-velocity", "velocity-driven"}
         Motion model.
     sigma_acceleration, sigma_angular_acceleration : float
@@ -143,6 +149,7 @@ class Recipe:
     drop_unseen: bool = True
     min_disparity: float | None = None
     drift: LandmarkDrift | None = None
+    gauge_walk: GaugeWalk | None = None
     motion: str = "constant-velocity"
     sigma_acceleration: float = 3.0
     sigma_angular_acceleration: float = 0.6
@@ -237,6 +244,8 @@ class Recipe:
             T=T,
             rows=rows,
             apart_scale=scales,
+            gauge_rotation=float(self.gauge_walk.rotation) if self.gauge_walk else 0.0,
+            gauge_translation=float(self.gauge_walk.translation) if self.gauge_walk else 0.0,
             drift=np.zeros((2, 4)) if self.drift is None else self.drift.parts,
             limits=limits,
         )

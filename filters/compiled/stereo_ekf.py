@@ -55,6 +55,7 @@ def recipe_of(camera: StereoCamera, options: Options) -> Recipe:
         consensus=options.consensus,
         tail_dof=options.tail_dof,
         drift=options.drift,
+        gauge_walk=options.gauge_walk,
         iterations=options.iterations,
         drop_unseen=options.drop_unseen,
         min_disparity=options.min_disparity,

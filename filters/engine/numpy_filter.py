@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
+from scipy.linalg import blas
 
 from filters.camera import StereoCamera
 from filters.drift import in_own_numbers, step_covariances
@@ -15,6 +16,7 @@ from filters.engine.gating import BEHIND, FAILED, GATED, USED, FateArray
 from filters.engine.heavy_tails import reweighted
 from filters.engine.map_policy import MapPolicy
 from filters.engine.options import Options
+from filters.gauge_walk import GaugeWalk
 from filters.interface import BodyVelocity, StereoObservation, UpdateReport
 from filters.measurements.model import Stage
 from filters.motions.model import CameraState, MotionPrediction, measure_odometry, predict_camera
@@ -48,9 +50,12 @@ class NumpyFilter:
         motion = self.options.motion
         predicted = predict_camera(motion, self.state.camera, dt, odometry)
         measured = None if odometry is None else measure_odometry(motion, predicted.state, dt, odometry)
+        distance = float(np.linalg.norm(predicted.state.position - self.state.camera.position))
         # The model has said all it has to say, in the right shapes: only now does the state change.
         self._move_covariance(predicted, dt)
         self.state.camera = self.state.predicted = predicted.state
+        if self.options.gauge_walk is not None:
+            self._walk_gauge(self.options.gauge_walk, distance)
         if measured is not None:
             layout = self.options.layout
             linear = of_variables(measured, layout.rows_of(motion.moves), layout.size)
@@ -98,6 +103,12 @@ class NumpyFilter:
         if error.constrains:
             F = error.constrained(F, world_rotation_of_variables(layout, predicted.state), state)
         symmetric.transform_leading(state.P, F, added)
+
+    def _walk_gauge(self, walk: GaugeWalk, distance: float) -> None:
+        """Add to P what no measurement can see."""
+        at = self.options.error.linearisation_point(self.state) or self.state
+        B = walk.directions(at.world_rotation(), at.world_translation(), at.camera.position, distance)
+        blas.dsyrk(1.0, B, beta=1.0, c=self.state.P, lower=1, overwrite_c=1)
 
     def _linearise(self, state: JointState, index: IntArray, stage: Stage) -> LinearisedMeasurements:
         options = self.options

@@ -9,6 +9,7 @@ from typing import Any
 
 from filters.drift import LandmarkDrift
 from filters.errors.model import ErrorDefinition
+from filters.gauge_walk import GaugeWalk
 from filters.landmarks.model import LandmarkModel
 from filters.measurements.model import MeasurementModel
 from filters.motions.model import MotionModel
@@ -37,6 +38,7 @@ class Options:
     consensus: bool
     tail_dof: float | None
     drift: LandmarkDrift | None
+    gauge_walk: GaugeWalk | None
     iterations: int
     drop_unseen: bool
     min_disparity: float | None
@@ -45,7 +47,16 @@ class Options:
 
     @classmethod
     def of(
-        cls, *, motion: Any, landmark: Any, measurement: Any, error: Any, update: Any, drift: Any, **others: Any
+        cls,
+        *,
+        motion: Any,
+        landmark: Any,
+        measurement: Any,
+        error: Any,
+        update: Any,
+        drift: Any,
+        gauge_walk: Any,
+        **others: Any,
     ) -> Options:
         """Options with the parts that their names stand for."""
         return cls(
@@ -55,6 +66,7 @@ class Options:
             error=make_part("error", error),
             update=make_part("update", update),
             drift=LandmarkDrift.of(drift),
+            gauge_walk=GaugeWalk.of(gauge_walk),
             **others,
         )
 
@@ -88,6 +100,11 @@ class Options:
                     f"measurement must have no variables with update={type(self.update).__name__}, which takes no "
                     f'Jacobians, got {type(self.measurement).__name__}: use update="extended"'
                 )
+        if self.gauge_walk is not None and not self.error.keeps_gauge:
+            raise ValueError(
+                "error must keep what cannot be observed unobservable with gauge_walk, "
+                f'got {type(self.error).__name__}: use "first-estimates" or "right-invariant"'
+            )
         _ = self.layout
 
     @cached_property

@@ -184,11 +184,21 @@ def test_where_numba_does_not_work_filters_run_by_numpy(
 @pytest.mark.parametrize("error", ERRORS)
 @pytest.mark.parametrize("landmark", LANDMARKS)
 @pytest.mark.parametrize(
-    "drift", [0.4, {"pixels": (1.2, 1.0, 0.5), "gate_pixels": (0.4, 0.4, 0.2)}, {"share": 0.2, "pixels": (0.5, 0.5, 0.1)}]
+    "drift",
+    [0.4, {"pixels": (1.2, 1.0, 0.5), "gate_pixels": (0.4, 0.4, 0.2)}, {"share": 0.2, "pixels": (0.5, 0.5, 0.1)}],
 )
 @pytest.mark.parametrize("consensus", [False, True])
 def test_landmarks_that_drift_have_the_same_beliefs(landmark: str, error: str, drift: object, consensus: bool) -> None:
     reports = assert_both_agree(
         drive(1, 12, depths=(6.0, 30.0)), landmark=landmark, error=error, drift=drift, consensus=consensus, tail_dof=6.0
     )
+    assert sum(len(report.updated) for report in reports) > 80
+
+
+@pytest.mark.parametrize("error", ["first-estimates", "right-invariant"])
+@pytest.mark.parametrize("landmark", LANDMARKS)
+def test_a_walk_of_the_gauge_has_the_same_beliefs(landmark: str, error: str) -> None:
+    walk = {"rotation": 0.002, "translation": 0.03}
+    frames = drive(1, 12, depths=(6.0, 30.0))
+    reports = assert_both_agree(frames, ODOMETRY, landmark=landmark, error=error, gauge_walk=walk)
     assert sum(len(report.updated) for report in reports) > 80
