@@ -65,7 +65,13 @@ def test_points_can_be_worse_than_the_odometry():
 
 @pytest.mark.parametrize(
     ("options", "complaint"),
-    [({"level": 0.0}, "level"), ({"point_level": -0.1}, "point_level"), ({"sight": -1.0}, "sight"), ({"frames": 1}, "frames"), ({"landmarks": 0}, "landmarks")],
+    [
+        ({"level": 0.0}, "level"),
+        ({"point_level": -0.1}, "point_level"),
+        ({"sight": -1.0}, "sight"),
+        ({"frames": 1}, "frames"),
+        ({"landmarks": 0}, "landmarks"),
+    ],
 )
 def test_impossible_options_are_named(options, complaint):
     with pytest.raises(ValueError, match=complaint):
