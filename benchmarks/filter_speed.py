@@ -23,6 +23,7 @@ import time
 from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
+from typing import ParamSpec, TypeVar
 
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
@@ -35,6 +36,7 @@ from filters import CalibratedPair, Start, StereoEKF, StereoNoise, StereoObserva
 from filters.conformance import REFERENCE_CAMERA as CAMERA
 from filters.engine import kalman
 
+Given, Told = ParamSpec("Given"), TypeVar("Told")
 COMPILED = find_spec("numba") is not None
 NOISE = StereoNoise.independent_pixels(1.0)
 ANCHORS = 10
@@ -154,13 +156,13 @@ def filterpy_step(rows: int, states: int) -> Callable[[], float]:
     return step
 
 
-def in_one_batch(step: Callable[[], float], landmarks: int) -> Callable[[], float]:
-    """The step of a filter that factorises the whole frame's measurement in one batch."""
+def in_one_batch(step: Callable[Given, Told], landmarks: int) -> Callable[Given, Told]:
+    """The step of a filter by NumPy that factorises the whole frame's measurement in one batch."""
 
-    def at_once() -> float:
+    def at_once(*given: Given.args, **named: Given.kwargs) -> Told:
         usual, kalman.CHUNK_ROWS = kalman.CHUNK_ROWS, 3 * landmarks
         try:
-            return step()
+            return step(*given, **named)
         finally:
             kalman.CHUNK_ROWS = usual
 
