@@ -44,7 +44,6 @@ TURNOVER = 0.03
 BURST = 5  # frames of one filter in a row: in use it does not share the processor's caches with its rivals
 DT, SPEED = 0.1, 0.05  # slow, so that every landmark stays in view through the whole measurement
 SLOW_FRAMES = 6  # of the rivals that take long
-CONSIDERED = CalibratedPair(0.25, 3e-3, 2e-3, 5e-3, considered=True)
 SHARED = "shared anchors"
 ONE_BATCH = "6-D, one batch"
 FILTERS: dict[str, dict[str, object]] = {
@@ -52,10 +51,18 @@ FILTERS: dict[str, dict[str, object]] = {
     "dual-bearing": {"landmark": "shared-anchor", "measurement": "sequential", "compiled": False},
     "euclidean": {"landmark": "euclidean", "compiled": False},
     "6-D": {"landmark": "inverse-depth", "compiled": False},
-    "calibration considered": {"landmark": "shared-anchor", "measurement": CONSIDERED, "compiled": False},
+}
+CHOICES: dict[str, dict[str, object]] = {
+    "consensus": {"consensus": True},
+    "first-estimates": {"error": "first-estimates"},
+    "right-invariant": {"error": "right-invariant"},
+    "calibration considered": {"measurement": CalibratedPair(0.25, 3e-3, 2e-3, 5e-3, considered=True)},
 }
 if COMPILED:
     FILTERS |= {f"{name}, compiled": {**options, "compiled": True} for name, options in FILTERS.items()}
+    FILTERS |= {
+        f"{SHARED}, compiled, {name}": {**FILTERS[SHARED], "compiled": True, **CHOICES[name]} for name in CHOICES
+    }
 FILTERS[ONE_BATCH] = FILTERS["6-D"]
 
 
