@@ -23,6 +23,7 @@ import time
 from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
+from typing import ParamSpec, TypeVar
 
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
@@ -31,10 +32,11 @@ from rich.table import Table
 from scipy.linalg import blas, lapack
 from threadpoolctl import threadpool_limits
 
-from filters import Start, StereoEKF, StereoNoise, StereoObservation
+from filters import CalibratedPair, Start, StereoEKF, StereoNoise, StereoObservation
 from filters.conformance import REFERENCE_CAMERA as CAMERA
 from filters.engine import kalman
 
+Given, Told = ParamSpec("Given"), TypeVar("Told")
 COMPILED = find_spec("numba") is not None
 NOISE = StereoNoise.independent_pixels(1.0)
 ANCHORS = 10
@@ -50,8 +52,17 @@ FILTERS: dict[str, dict[str, object]] = {
     "euclidean": {"landmark": "euclidean", "compiled": False},
     "6-D": {"landmark": "inverse-depth", "compiled": False},
 }
+CHOICES: dict[str, dict[str, object]] = {
+    "consensus": {"consensus": True},
+    "first-estimates": {"error": "first-estimates"},
+    "right-invariant": {"error": "right-invariant"},
+    "calibration considered": {"measurement": CalibratedPair(0.25, 3e-3, 2e-3, 5e-3, considered=True)},
+}
 if COMPILED:
     FILTERS |= {f"{name}, compiled": {**options, "compiled": True} for name, options in FILTERS.items()}
+    FILTERS |= {
+        f"{SHARED}, compiled, {name}": {**FILTERS[SHARED], "compiled": True, **CHOICES[name]} for name in CHOICES
+    }
 FILTERS[ONE_BATCH] = FILTERS["6-D"]
 
 
@@ -152,13 +163,13 @@ def filterpy_step(rows: int, states: int) -> Callable[[], float]:
     return step
 
 
-def in_one_batch(step: Callable[[], float], landmarks: int) -> Callable[[], float]:
-    """The step of a filter that factorises the whole frame's measurement in one batch."""
+def in_one_batch(step: Callable[Given, Told], landmarks: int) -> Callable[Given, Told]:
+    """The step of a filter by NumPy that factorises the whole frame's measurement in one batch."""
 
-    def at_once() -> float:
+    def at_once(*given: Given.args, **named: Given.kwargs) -> Told:
         usual, kalman.CHUNK_ROWS = kalman.CHUNK_ROWS, 3 * landmarks
         try:
-            return step()
+            return step(*given, **named)
         finally:
             kalman.CHUNK_ROWS = usual
 

@@ -28,7 +28,7 @@ from filters import Start, StereoEKF, StereoNoise, StereoObservation
 from filters.conformance import REFERENCE_CAMERA as CAMERA
 
 sys.path.insert(0, str(Path(__file__).parent))
-from filter_speed import COMPILED, filterpy_step, one_batch_update, undisturbed
+from filter_speed import COMPILED, filterpy_step, in_one_batch, undisturbed
 
 try:
     import gtsam
@@ -136,13 +136,12 @@ class Isam2:
 def measure(landmarks: int, frames: int) -> tuple[dict[str, float], float]:
     """Seconds a frame of everything, and how many landmarks enter in a frame."""
     street = Street(landmarks)
-    solvers: dict[str, Ours | Isam2] = {"shared anchors": Ours(landmark="shared-anchor")}
+    steps = {"shared anchors": Ours(landmark="shared-anchor", compiled=False).step}
     if COMPILED:
-        solvers["shared anchors, compiled"] = Ours(landmark="shared-anchor", compiled=True)
-    solvers["6-D, one batch"] = Ours(landmark="inverse-depth")
-    one_batch_update(solvers["6-D, one batch"].slam, landmarks)
+        steps["shared anchors, compiled"] = Ours(landmark="shared-anchor", compiled=True).step
+    steps["6-D, one batch"] = in_one_batch(Ours(landmark="inverse-depth", compiled=False).step, landmarks)
     if gtsam is not None:
-        solvers["GTSAM iSAM2"] = Isam2()
+        steps["GTSAM iSAM2"] = Isam2().step
     filterpy = filterpy_step(3 * landmarks, 12 + 6 * landmarks)
     times: dict[str, list[float]] = {}
     entered = []
@@ -150,8 +149,8 @@ def measure(landmarks: int, frames: int) -> tuple[dict[str, float], float]:
         before = street.next_id
         observation = street.observe()
         entered.append(street.next_id - before)
-        for name, solver in solvers.items():
-            for part, seconds in solver.step(observation).items():
+        for name, step in steps.items():
+            for part, seconds in step(observation).items():
                 times.setdefault(name + part, []).append(seconds)
         if WARM_UP <= frame < WARM_UP + SLOW_FRAMES:
             times.setdefault("filterpy EKF, 6-D state", [0.0] * WARM_UP).append(filterpy())

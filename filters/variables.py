@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from filters import differences, rotations
 from filters.retractions import ADDITIVE, Retraction
 from filters.validation import FloatArray, covariance_matrix, finite_array
 
@@ -32,6 +33,8 @@ class Variable:
         its own covariance.
     random_walk : (s,) array_like, optional
         Process noise, a standard deviation per square root of a second. None: the variable is constant.
+    in_world : bool
+        Whether the value is a vector in W, such as gravity, which turns with the world.
 
     Raises
     ------
@@ -50,12 +53,14 @@ class Variable:
     retraction: Retraction = ADDITIVE
     considered: bool = False
     random_walk: FloatArray | None = None
+    in_world: bool = False
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not self.name or self.name in (POSE, VELOCITY):
             raise ValueError(f'name must be that of a new variable, not "{POSE}" or "{VELOCITY}", got {self.name!r}')
         what = f"variable {self.name!r}"
-        object.__setattr__(self, "value", finite_array(f"value of {what}", self.value, ("v",)))
+        shape: tuple[int | str, ...] = (3,) if self.in_world else ("v",)
+        object.__setattr__(self, "value", finite_array(f"value of {what}", self.value, shape))
         size = len(np.atleast_1d(np.asarray(self.covariance, dtype=np.float64)))
         object.__setattr__(self, "covariance", covariance_matrix(f"covariance of {what}", self.covariance, size))
         if self.random_walk is not None:
@@ -68,6 +73,16 @@ class Variable:
     def size(self) -> int:
         """Numbers of its error."""
         return len(self.covariance)
+
+    def turned(self, value: FloatArray, R: FloatArray) -> FloatArray:
+        """The value in a world rotated about its origin by R (3, 3)."""
+        return R @ value if self.in_world else value
+
+    def world_rotation(self, value: FloatArray) -> FloatArray:
+        """Effect of a rotation of the world on the error; (s, 3)."""
+        if not self.in_world:
+            return np.zeros((self.size, 3))
+        return differences.jacobian(lambda e: self.retraction.local(value, rotations.exp(e) @ value), 3)
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,17 +10,15 @@ from filters.compiled.blas import KERNEL, multiply_panel
 from filters.compiled.covariance import move_block, take_leading
 from filters.compiled.prediction import (
     constrain,
-    matrix_of,
     orientation,
     put,
-    quaternion_of,
     right_jacobian_of,
     skew,
     times,
     transposed,
     world_rotation,
 )
-from filters.compiled.projection import calibration
+from filters.compiled.projection import view_of
 from filters.compiled.recipe import FIRST_ESTIMATES, Plan
 from filters.compiled.retraction import angles_jacobian, ray_rotation
 from filters.compiled.storage import BLOCKS, LANDMARKS, Scratch, Storage
@@ -113,13 +111,11 @@ def can_start(plan: Plan, x: FloatArray, u: float, v: float, d: float) -> bool:
     """Whether a landmark can start from a measurement (`MapPolicy._can_start`)."""
     if not (abs(u) < FARTHEST and abs(v) < FARTHEST and abs(d) < FARTHEST and d >= plan.min_disparity):
         return False
-    offset, focal, _, x0, x1, x2 = calibration(plan, x)
+    view = view_of(plan, x)
     if not plan.anchored:
-        return d - offset > 0.0
-    q = quaternion_of(x0, x1, x2)
-    a, b = (u - plan.cx) / (plan.fx * (1.0 + focal)), (v - plan.cy) / (plan.fy * (1.0 + focal))
-    h0, h1, h2 = times(transposed(matrix_of(q[0], q[1], q[2], q[3])), a, b, 1.0)
-    w0, w1, w2 = times(orientation(x), h0, h1, h2)
+        return d - view.offset > 0.0
+    h0, h1, h2 = times(transposed(view.E), (u - plan.cx) / view.scale_u, (v - plan.cy) / view.scale_v, 1.0)
+    w0, w1, w2 = times(view.R, h0, h1, h2)
     return w0 * w0 + w2 * w2 > VERTICAL * VERTICAL * w1 * w1
 
 
@@ -128,17 +124,13 @@ def initialise(
     plan: Plan, x: FloatArray, u: float, v: float, d: float, block: FloatArray, J: FloatArray, B: FloatArray
 ) -> None:
     """`LandmarkModel.initialise` with the calibration: block (3,), J by the measured leading rows, B by (u, v, d)."""
-    offset, focal, baseline, x0, x1, x2 = calibration(plan, x)
-    measured = plan.measured
-    fu, fv = plan.fx * (1.0 + focal), plan.fy * (1.0 + focal)
-    per_d = 1.0 / ((1.0 + focal) * (1.0 + baseline) * plan.disparity_constant)
-    e0, e1 = (u - plan.cx) / fu, (v - plan.cy) / fv  # the ray (e0, e1, 1) that is projected
-    scale = (d - offset) * per_d
-    q = quaternion_of(x0, x1, x2)
-    E_back = transposed(matrix_of(q[0], q[1], q[2], q[3]))
+    view, measured = view_of(plan, x), plan.measured
+    e0, e1 = (u - plan.cx) / view.scale_u, (v - plan.cy) / view.scale_v  # the ray (e0, e1, 1) that is projected
+    per_d = 1.0 / view.scale_d
+    scale = (d - view.offset) * per_d
+    E_back = transposed(view.E)
     h0, h1, h2 = times(E_back, e0, e1, 1.0)
-    R = orientation(x)
-    w0, w1, w2 = times(R, h0, h1, h2)
+    w0, w1, w2 = times(view.R, h0, h1, h2)
     for i in range(3):
         for c in range(measured):
             J[i, c] = 0.0
@@ -152,7 +144,7 @@ def initialise(
         for i in range(3):
             J[i, i] = 1.0
     A = angles_jacobian(w0, w1, w2)
-    left = transposed(right_jacobian_of(x0, x1, x2))
+    left = transposed(right_jacobian_of(*view.misalignment))
     for c in range(12):  # rotation (3), u, v, d, and the six numbers of the calibration
         row = plan.calibration[c - 6] if c >= 6 else c
         if row < 0:
@@ -162,7 +154,7 @@ def initialise(
             a0, a1, a2 = 1.0 if c == 0 else 0.0, 1.0 if c == 1 else 0.0, 1.0 if c == 2 else 0.0
             d0, d1, d2 = a1 * h2 - a2 * h1, a2 * h0 - a0 * h2, a0 * h1 - a1 * h0
         elif c < 5:
-            by0, by1 = (1.0 / fu, 0.0) if c == 3 else (0.0, 1.0 / fv)
+            by0, by1 = (1.0 / view.scale_u, 0.0) if c == 3 else (0.0, 1.0 / view.scale_v)
             d0, d1, d2 = times(E_back, by0, by1, 0.0)
             along = e0 * by0 + e1 * by1
         elif c == 5:
@@ -170,15 +162,15 @@ def initialise(
         elif c == 6:
             ds = -per_d
         elif c == 7:
-            by0, by1 = -e0 / (1.0 + focal), -e1 / (1.0 + focal)
+            by0, by1 = -e0 / view.focal, -e1 / view.focal
             d0, d1, d2 = times(E_back, by0, by1, 0.0)
-            along, ds = e0 * by0 + e1 * by1, -scale / (1.0 + focal)
+            along, ds = e0 * by0 + e1 * by1, -scale / view.focal
         elif c == 8:
-            ds = -scale / (1.0 + baseline)
+            ds = -scale / view.baseline
         else:  # E_back [e]x J_l
             a0, a1, a2 = left[c - 9], left[3 + c - 9], left[6 + c - 9]
             d0, d1, d2 = times(E_back, e1 * a2 - a1, a0 - e0 * a2, e0 * a1 - e1 * a0)
-        g0, g1, g2 = times(R, d0, d1, d2)
+        g0, g1, g2 = times(view.R, d0, d1, d2)
         if plan.anchored:
             by0 = A[0] * g0 + A[1] * g1 + A[2] * g2
             by1 = A[3] * g0 + A[4] * g1 + A[5] * g2

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 from numba import njit
 
@@ -10,20 +11,45 @@ from filters.compiled.blas import KERNEL
 from filters.compiled.prediction import matrix_of, orientation, quaternion_of, right_jacobian_of, times, transposed
 from filters.compiled.recipe import Plan
 from filters.compiled.storage import Scratch
+from filters.rotations import Nine, Three
 from filters.validation import FloatArray, IntArray
 
 
+class View(NamedTuple):
+    """Eq. 10 at the values of pose and calibration: a turn from W by R^T, then by E, a projection, an offset of d."""
+
+    R: Nine
+    E: Nine
+    misalignment: Three
+    focal: float
+    baseline: float
+    scale_u: float
+    scale_v: float
+    scale_d: float
+    offset: float
+
+
 @njit(**KERNEL)
-def calibration(plan: Plan, x: FloatArray) -> tuple[float, float, float, float, float, float]:
-    """Disparity offset, focal scale, baseline scale and misalignment (3); zero where they are no variables."""
+def view_of(plan: Plan, x: FloatArray) -> View:
+    """What the leading variables say; a calibration that is no variable is zero."""
     rows = plan.calibration
-    return (
-        x[rows[0] + 1] if rows[0] >= 0 else 0.0,
-        x[rows[1] + 1] if rows[1] >= 0 else 0.0,
-        x[rows[2] + 1] if rows[2] >= 0 else 0.0,
-        x[rows[3] + 1] if rows[3] >= 0 else 0.0,
-        x[rows[4] + 1] if rows[4] >= 0 else 0.0,
-        x[rows[5] + 1] if rows[5] >= 0 else 0.0,
+    offset = x[rows[0] + 1] if rows[0] >= 0 else 0.0
+    focal = 1.0 + (x[rows[1] + 1] if rows[1] >= 0 else 0.0)
+    baseline = 1.0 + (x[rows[2] + 1] if rows[2] >= 0 else 0.0)
+    x0, x1, x2 = 0.0, 0.0, 0.0
+    if rows[3] >= 0:
+        x0, x1, x2 = x[rows[3] + 1], x[rows[4] + 1], x[rows[5] + 1]
+    q = quaternion_of(x0, x1, x2)
+    return View(
+        orientation(x),
+        matrix_of(q[0], q[1], q[2], q[3]),
+        (x0, x1, x2),
+        focal,
+        baseline,
+        focal * plan.fx,
+        focal * plan.fy,
+        focal * baseline * plan.disparity_constant,
+        offset,
     )
 
 
@@ -59,19 +85,15 @@ def project(
     """Innovations of the selected measurements, and whether their rays point forward."""
     size = plan.rows[variant, stage, 0]
     T = plan.T[variant, stage]
-    offset, focal, baseline, x0, x1, x2 = calibration(plan, x)
-    R_cw = transposed(orientation(x))
-    q = quaternion_of(x0, x1, x2)
-    E = matrix_of(q[0], q[1], q[2], q[3])
-    scale_u, scale_v = (1.0 + focal) * plan.fx, (1.0 + focal) * plan.fy
-    scale_d = (1.0 + focal) * (1.0 + baseline) * plan.disparity_constant
+    view = view_of(plan, x)
+    R_cw = transposed(view.R)
     for i in range(count):
         m = s.select[i]
         a, b, c, rho = seen_from(plan.anchored, x, blocks, anchor[s.land[m]], own[s.land[m]])
         a, b, c = times(R_cw, a, b, c)
-        a, b, c = times(E, a, b, c)
+        a, b, c = times(view.E, a, b, c)
         s.ahead[m] = c > 0.0
-        u, v, d = scale_u * a / c + plan.cx, scale_v * b / c + plan.cy, scale_d * rho / c + offset
+        u, v, d = view.scale_u * a / c + plan.cx, view.scale_v * b / c + plan.cy, view.scale_d * rho / c + view.offset
         for k in range(size):
             s.nu[m, k] = s.z[m, k] - (T[k, 0] * u + T[k, 1] * v + T[k, 2] * d)
 
@@ -91,16 +113,10 @@ def linearise(
     """`linearisation.linearise`: innovation, H and first rows of the selected measurements, in the scratch."""
     size, measured = plan.rows[variant, stage, 0], plan.measured
     T = plan.T[variant, stage]
-    offset, focal, baseline, x0, x1, x2 = calibration(plan, x)
-    rows = plan.calibration
-    R = orientation(x)
-    R_cw = transposed(R)
-    q = quaternion_of(x0, x1, x2)
-    E = matrix_of(q[0], q[1], q[2], q[3])
-    E_back = transposed(E)
-    by_misalignment = right_jacobian_of(x0, x1, x2)  # of its transpose, the left one
-    scale_u, scale_v = (1.0 + focal) * plan.fx, (1.0 + focal) * plan.fy
-    scale_d = (1.0 + focal) * (1.0 + baseline) * plan.disparity_constant
+    rows, view = plan.calibration, view_of(plan, x)
+    scale_u, scale_v, scale_d = view.scale_u, view.scale_v, view.scale_d
+    R_cw, E_back = transposed(view.R), transposed(view.E)
+    by_misalignment = right_jacobian_of(*view.misalignment)  # of its transpose, the left one
     for i in range(count):
         m = s.select[i]
         anchor_block, own_block = anchor[s.land[m]], own[s.land[m]]
@@ -123,21 +139,21 @@ def linearise(
             w0, w1, w2, rho = theta - x[0], phi - x[1], rho - x[2], 1.0
         s.base[m, 1] = plan.leading + 3 * own_block
         h0, h1, h2 = times(R_cw, w0, w1, w2)
-        e0, e1, e2 = times(E, h0, h1, h2)
+        e0, e1, e2 = times(view.E, h0, h1, h2)
         inverse = 1.0 / e2
         s.ahead[m] = e2 > 0.0
         from_centre_u, from_centre_v, d0 = scale_u * e0 * inverse, scale_v * e1 * inverse, scale_d * rho * inverse
         for k in range(size):
             t0, t1, t2 = T[k, 0], T[k, 1], T[k, 2]
             s.nu[m, k] = s.z[m, k] - (
-                t0 * (from_centre_u + plan.cx) + t1 * (from_centre_v + plan.cy) + t2 * (d0 + offset)
+                t0 * (from_centre_u + plan.cx) + t1 * (from_centre_v + plan.cy) + t2 * (d0 + view.offset)
             )
             # z by direction in the projecting frame (f), in the camera frame (c) and in the world (g), and by scale
             by_scale = t2 * scale_d * inverse
             f0, f1 = t0 * scale_u * inverse, t1 * scale_v * inverse
             f2 = -(f0 * e0 + f1 * e1 + by_scale * rho) * inverse
             c0, c1, c2 = times(E_back, f0, f1, f2)
-            g0, g1, g2 = times(R, c0, c1, c2)
+            g0, g1, g2 = times(view.R, c0, c1, c2)
             # c^T [h]x = (c x h)^T
             H[k, 3] = c1 * h2 - c2 * h1
             H[k, 4] = c2 * h0 - c0 * h2
@@ -146,9 +162,9 @@ def linearise(
                 if rows[0] >= 0:
                     H[k, rows[0]] = t2
                 if rows[1] >= 0:
-                    H[k, rows[1]] = (t0 * from_centre_u + t1 * from_centre_v + t2 * d0) / (1.0 + focal)
+                    H[k, rows[1]] = (t0 * from_centre_u + t1 * from_centre_v + t2 * d0) / view.focal
                 if rows[2] >= 0:
-                    H[k, rows[2]] = t2 * d0 / (1.0 + baseline)
+                    H[k, rows[2]] = t2 * d0 / view.baseline
                 if rows[3] >= 0:
                     r0, r1, r2 = e1 * f2 - e2 * f1, e2 * f0 - e0 * f2, e0 * f1 - e1 * f0
                     # row times the left Jacobian = right Jacobian times column

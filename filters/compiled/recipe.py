@@ -17,7 +17,7 @@ LANDMARKS = ("inverse-depth", "shared-anchor", "euclidean")
 ERRORS = ("quaternion", "so3", "first-estimates", "right-invariant", "invariant")
 QUATERNION, SO3, FIRST_ESTIMATES, RIGHT_INVARIANT, INVARIANT = range(5)
 MOTIONS = ("constant-velocity", "velocity-driven")
-CALIBRATION = ("disparity_offset", "focal_scale", "baseline_scale", "misalignment")
+CALIBRATION_SIZE = 6
 POSE_SIZE = 6
 MOST_ROWS = 4  # of a landmark's measurement in one stage
 
@@ -48,7 +48,7 @@ class Plan(NamedTuple):
     leading: int
     """Leading rows in all."""
     calibration: IntArray
-    """Row of disparity offset, focal scale, baseline scale and misalignment (3); -1 where it is no variable."""
+    """Row of each error of the calibration, -1 where it is no variable; (6,)."""
     considered: IntArray
     """Rows whose values never move."""
     walk: FloatArray
@@ -122,9 +122,9 @@ class Recipe:
         Motion model.
     sigma_acceleration, sigma_angular_acceleration : float
         Of constant velocity, m/s^2 and rad/s^2.
-    calibration : tuple of str
-        Numbers of the rectified pair that are variables: "disparity_offset" (px), "focal_scale", "baseline_scale",
-        "misalignment" (3 rad: directions are turned by Exp of it before they are projected).
+    calibration : tuple of int
+        Which errors of the pair are variables, ascending: those of disparity (0), focal lengths (1), baseline (2) and
+        orientation (3, 4, 5), see `CalibratedPair`.
     others : int
         Further numbers of the state, after the velocity.
     considered : tuple of int
@@ -153,7 +153,7 @@ class Recipe:
     motion: str = "constant-velocity"
     sigma_acceleration: float = 3.0
     sigma_angular_acceleration: float = 0.6
-    calibration: tuple[str, ...] = ()
+    calibration: tuple[int, ...] = ()
     others: int = 0
     considered: tuple[int, ...] = ()
     walk: tuple[float, ...] = ()
@@ -162,9 +162,8 @@ class Recipe:
         for name, known in (("landmark", LANDMARKS), ("error", ERRORS), ("motion", MOTIONS)):
             if getattr(self, name) not in known:
                 raise ValueError(f"{name} must be one of {', '.join(map(repr, known))}, got {getattr(self, name)!r}")
-        unknown = [name for name in self.calibration if name not in CALIBRATION]
-        if unknown or len(set(self.calibration)) < len(self.calibration):
-            raise ValueError(f"calibration must be different ones of {CALIBRATION}, got {self.calibration!r}")
+        if list(self.calibration) != [k for k in range(CALIBRATION_SIZE) if k in self.calibration]:
+            raise ValueError(f"calibration must be ascending numbers below {CALIBRATION_SIZE}, got {self.calibration}")
         if any(not 0 <= row < self.leading for row in self.considered):
             raise ValueError(f"considered must be rows below {self.leading}, got {self.considered!r}")
         if len(self.walk) not in (0, self.leading):
@@ -174,19 +173,15 @@ class Recipe:
 
     @cached_property
     def calibration_rows(self) -> IntArray:
-        """Row of each of the six numbers of the calibration, -1 where it is no variable; (6,)."""
-        rows, next_row = np.full(6, -1), POSE_SIZE
-        for place, name in enumerate(CALIBRATION):
-            if name in self.calibration:
-                count = 3 if name == "misalignment" else 1
-                rows[place : place + count] = next_row + np.arange(count)
-                next_row += count
+        """Row of each error of the calibration, -1 where it is no variable; (6,)."""
+        rows = np.full(CALIBRATION_SIZE, -1)
+        rows[[*self.calibration]] = POSE_SIZE + np.arange(len(self.calibration))
         return rows
 
     @property
     def measured(self) -> int:
         """Leading rows that the measurements depend on."""
-        return POSE_SIZE + int((self.calibration_rows >= 0).sum())
+        return POSE_SIZE + len(self.calibration)
 
     @property
     def velocity(self) -> int:

@@ -9,7 +9,7 @@ import numpy as np
 from filters.camera import StereoCamera
 from filters.compiled import frame
 from filters.compiled.engine import CompiledEngine, Observations, Outcome
-from filters.compiled.recipe import CALIBRATION, JOINT, Recipe, StageRows
+from filters.compiled.recipe import JOINT, Recipe, StageRows
 from filters.compiled.storage import FilterState
 from filters.engine.options import Options
 from filters.interface import BodyVelocity, StereoObservation, UpdateReport
@@ -62,7 +62,7 @@ def recipe_of(camera: StereoCamera, options: Options) -> Recipe:
         motion=kernel_of(options.motion) or "",
         sigma_acceleration=getattr(options.motion, "sigma_acceleration", 0.0),
         sigma_angular_acceleration=getattr(options.motion, "sigma_angular_acceleration", 0.0),
-        calibration=tuple(name for name in CALIBRATION if name in getattr(options.measurement, "numbers", ())),
+        calibration=getattr(options.measurement, "numbers", ()),
         considered=tuple(layout.considered.tolist()),
     )
     if rates is None:

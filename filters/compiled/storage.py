@@ -199,7 +199,7 @@ def scratch(recipe: Recipe, storage: Storage, measurements: int) -> Scratch:
         ahead=np.zeros(M, dtype=np.bool_),
         used=np.zeros(M, dtype=np.bool_),
         support=np.zeros((M, M) if recipe.consensus else (1, 1), dtype=np.bool_),
-        HP=np.zeros((rows, n + 8)),
+        HP=np.zeros((rows, n + 16)),  # rows of 512 numbers, 8 more than 504, would fall on the same lines of a cache
         S=np.zeros((rows, rows + 8)),
         shared=np.zeros((width, rows + 8)),
         delta=np.zeros(n),

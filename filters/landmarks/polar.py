@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from filters.landmarks.model import StartedLandmarks
+from filters.landmarks.model import ScaledPoints, StartedLandmarks
 from filters.landmarks.spherical import Spherical
 from filters.validation import BoolArray, FloatArray
 
@@ -42,5 +42,15 @@ class Polar(Spherical):
 
     def homogeneous(self, position: FloatArray, anchors: FloatArray | None, parameters: FloatArray) -> FloatArray:
         """As `Spherical` at rho = exp(-log-distance)."""
-        spherical = np.hstack([parameters[:, :3], np.exp(-parameters[:, 3:])])
-        return _SPHERICAL.homogeneous(position, anchors, spherical)
+        return _SPHERICAL.homogeneous(position, anchors, self._with_rho(parameters))
+
+    def relative_to(self, position: FloatArray, anchors: FloatArray | None, parameters: FloatArray) -> ScaledPoints:
+        """As `Spherical`, with d rho / d log-distance = -rho."""
+        spherical = self._with_rho(parameters)
+        seen = _SPHERICAL.relative_to(position, anchors, spherical)
+        seen.by_map[:, :, 5] *= -spherical[:, 3:]
+        return seen
+
+    @staticmethod
+    def _with_rho(parameters: FloatArray) -> FloatArray:
+        return np.hstack([parameters[:, :3], np.exp(-parameters[:, 3:])])

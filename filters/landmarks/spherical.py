@@ -7,7 +7,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from filters.landmarks.model import LandmarkModel
+from filters import rotations
+from filters.landmarks.model import LandmarkModel, ScaledPoints, StartedLandmarks
 from filters.validation import FloatArray
 
 _TURNED_OVER = -0.9
@@ -28,6 +29,12 @@ def tangent_basis(m: FloatArray) -> FloatArray:
     return np.stack([np.stack(first, axis=1), np.stack(second, axis=1)], axis=2)
 
 
+def bearing_jacobian(m: FloatArray) -> FloatArray:
+    """d m / d (its two error numbers), the columns b x m of the tangent basis; transposed, d local / d m; (M, 3, 2)."""
+    basis = tangent_basis(m)
+    return np.stack([-basis[:, :, 1], basis[:, :, 0]], axis=2)
+
+
 @dataclass(frozen=True)
 class Spherical(LandmarkModel):
     """A landmark is a unit vector in W from its anchor, and rho: four numbers.
@@ -44,15 +51,42 @@ class Spherical(LandmarkModel):
         m_rho: FloatArray = np.column_stack([h_w, scale]) / np.linalg.norm(h_w, axis=1, keepdims=True)
         return m_rho
 
+    def started(self, position: FloatArray, h_w: FloatArray, scale: FloatArray) -> StartedLandmarks:
+        """`parameters_of` with its Jacobians."""
+        parameters, inverse = self.parameters_of(position, h_w, scale), 1.0 / np.linalg.norm(h_w, axis=1)
+        m, rho = parameters[:, :3], parameters[:, 3]
+        by_direction, by_scale = np.empty((len(h_w), 3, 3)), np.zeros((len(h_w), 3))
+        by_direction[:, :2] = inverse[:, None, None] * bearing_jacobian(m).transpose(0, 2, 1)
+        by_direction[:, 2] = -(inverse * rho)[:, None] * m
+        by_scale[:, 2] = inverse
+        anchored = np.ones(len(h_w), dtype=bool)
+        return StartedLandmarks(parameters, np.zeros((len(h_w), 3, 3)), by_direction, by_scale, anchored)
+
     def homogeneous(self, position: FloatArray, anchors: FloatArray | None, parameters: FloatArray) -> FloatArray:
         """Direction = rho (anchor - r) + m, scale = rho."""
         assert anchors is not None
         m, rho = parameters[:, :3], parameters[:, 3:]
         return np.hstack([rho * (anchors - position) + m, rho])
 
+    def relative_to(self, position: FloatArray, anchors: FloatArray | None, parameters: FloatArray) -> ScaledPoints:
+        """`homogeneous` with its Jacobians."""
+        assert anchors is not None
+        by_map = np.zeros((len(parameters), 4, 6))
+        by_map[:, [0, 1, 2], [0, 1, 2]] = parameters[:, 3:]
+        by_map[:, :3, 3:5] = bearing_jacobian(parameters[:, :3])
+        by_map[:, :3, 5] = anchors - position
+        by_map[:, 3, 5] = 1.0
+        return ScaledPoints(self.homogeneous(position, anchors, parameters), -by_map[:, :, :3], by_map)
+
     def rotated(self, anchors: FloatArray | None, parameters: FloatArray, R: FloatArray) -> FloatArray:
         """The bearing turns, rho stays."""
         return np.hstack([parameters[:, :3] @ R.T, parameters[:, 3:]])
+
+    def world_rotation(self, anchors: FloatArray | None, parameters: FloatArray) -> FloatArray:
+        """The part of the rotation vector perpendicular to the bearing."""
+        effect = np.zeros((len(parameters), 3, 3))
+        effect[:, :2] = tangent_basis(parameters[:, :3]).transpose(0, 2, 1)
+        return effect
 
     def retract(self, parameters: FloatArray, delta: FloatArray) -> FloatArray:
         """Exp(B a) m = cos|a| m + sin|a| / |a| (B a) x m, and rho plus its correction."""
@@ -69,6 +103,30 @@ class Spherical(LandmarkModel):
         longer = np.divide(np.arctan2(sine, cosine), sine, out=np.ones(len(m)), where=sine > 0.0)
         turn = longer[:, None] * np.einsum("mij,mi->mj", tangent_basis(m), across)
         return np.hstack([turn, other[:, 3:] - parameters[:, 3:]])
+
+    def transport(self, parameters: FloatArray, delta: FloatArray) -> FloatArray | None:
+        """Without a turn of the world."""
+        return self._carried(parameters, delta, np.eye(3))[0]
+
+    def turned_jacobians(
+        self, anchors: FloatArray | None, parameters: FloatArray, theta: FloatArray, correction: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """By the left Jacobians of both turns, seen in the basis where they end."""
+        by_correction, back = self._carried(parameters, correction, rotations.exp(theta))
+        by_theta = np.zeros_like(by_correction)
+        by_theta[:, :2] = back @ rotations.right_jacobian(-theta)
+        return by_correction, by_theta
+
+    def _carried(self, parameters: FloatArray, delta: FloatArray, R: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Jacobian of retraction, then rotation R, by delta; and the transposed basis (M, 2, 3) there."""
+        basis = tangent_basis(parameters[:, :3])
+        axis = (basis @ delta[..., :2, None])[..., 0]
+        end = self.retract(parameters, delta)[:, :3] @ R.T
+        back = tangent_basis(end).transpose(0, 2, 1)
+        J = np.zeros((len(parameters), 3, 3))
+        J[:, :2, :2] = back @ R @ rotations.right_jacobian(-axis) @ basis
+        J[:, 2, 2] = 1.0
+        return J, back
 
     def first_estimates(self, anchors: FloatArray | None, first: FloatArray, current: FloatArray) -> FloatArray:
         """The first bearing, the current rho, as of inverse depth."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -35,12 +36,11 @@ class CalibratedPair(MeasurementModel):
     baseline_sigma: float | None = None
     misalignment_sigma: float | None = None
     considered: bool = False
+    kernel: ClassVar[str | None] = "calibrated-pair"
 
     def __post_init__(self) -> None:
-        for name in (name for name in _PRIORS if getattr(self, name) is not None):
-            positive(name, getattr(self, name), allow_zero=True)
-        sigmas = np.array([sigma for sigma in self._sigmas if sigma is not None])
-        if len(sigmas):
+        sigmas = np.array([positive(_PRIORS[k], getattr(self, _PRIORS[k]), allow_zero=True) for k in self.numbers])
+        if self.numbers:
             errors = Variable("calibration", 0.0 * sigmas, np.diag(sigmas**2), considered=self.considered)
             object.__setattr__(self, "variables", (errors,))
 
@@ -65,16 +65,33 @@ class CalibratedPair(MeasurementModel):
         by_error[:, 2, 0], by_error[:, :, 1] = 1.0, spread / gains[0]
         by_error[:, 2, 2] = spread[:, 2] * gains[0] / gains[2]
         by_error[:, :, 3:] = -J[:, :, :3] @ rotations.skew(h) @ rotations.right_jacobian(-X)
-        by_variable = {x.name: by_error[:, :, [sigma is not None for sigma in self._sigmas]] for x in self.variables}
-        return SensorJacobians(np.concatenate([J[:, :, :3] @ R, J[:, :, 3:]], axis=2), by_variable)
+        return SensorJacobians(np.concatenate([J[:, :, :3] @ R, J[:, :, 3:]], axis=2), self._by_variable(by_error))
+
+    def backprojection_jacobians(self, camera: StereoCamera, uvd: FloatArray, values: Values) -> SensorJacobians:
+        """By the chain rule through (u0, v0, d0) and the ray."""
+        centre, gains, offset, X = self._errors(camera, values)
+        R, spread, by_error = rotations.exp(X), (uvd - offset - centre) / gains, np.zeros((len(uvd), 4, 6))
+        J = np.zeros((4, 3))
+        J[:3, :2] = R.T[:, :2] / [camera.fx, camera.fy]
+        J[3, 2] = 1.0 / camera.disparity_constant
+        by_error[:, :, 0], by_error[:, :, 1] = -J[:, 2] / gains[2], -spread @ J.T / gains[0]
+        by_error[:, :, 2] = -spread[:, 2:] * J[:, 2] * gains[0] / gains[2]
+        by_error[:, :3, 3:] = R.T @ rotations.skew(camera.ray(centre + spread)) @ rotations.right_jacobian(-X)
+        return SensorJacobians(np.broadcast_to(J / gains, (len(uvd), 4, 3)), self._by_variable(by_error))
 
     @property
-    def _sigmas(self) -> list[float | None]:
-        return [getattr(self, name) for name in _PRIORS]
+    def numbers(self) -> tuple[int, ...]:
+        """Which of the six numbers o, s_f, s_b and X are in the variable."""
+        return tuple(k for k, prior in enumerate(_PRIORS) if getattr(self, prior) is not None)
+
+    def _by_variable(self, by_error: FloatArray) -> dict[str, FloatArray]:
+        return {x.name: by_error[:, :, self.numbers] for x in self.variables}
 
     def _errors(self, camera: StereoCamera, values: Values) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Centre, gains and offset of (u, v, d) = centre + gains * ((u0, v0, d0) - centre) + offset, and X."""
-        numbers = iter(values["calibration"] if self.variables else ())
-        o, focal, baseline, *X = (0.0 if sigma is None else next(numbers) for sigma in self._sigmas)
+        numbers = np.zeros(len(_PRIORS))
+        if self.variables:
+            numbers[[*self.numbers]] = values["calibration"]
+        o, focal, baseline = numbers[:3]
         gains = (1.0 + focal) * np.array([1.0, 1.0, 1.0 + baseline])
-        return np.array([camera.cx, camera.cy, 0.0]), gains, np.array([0.0, 0.0, o]), np.array(X)
+        return np.array([camera.cx, camera.cy, 0.0]), gains, np.array([0.0, 0.0, o]), numbers[3:]

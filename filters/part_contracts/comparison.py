@@ -7,6 +7,7 @@ import numpy as np
 from filters import rotations
 from filters.motions.model import CameraState
 from filters.validation import FloatArray
+from filters.variables import Variable
 
 TOLERANCE = 1e-6
 """Largest error of a Jacobian, as a share of the largest entry of its row; that of differences is about 1e-9."""
@@ -39,12 +40,12 @@ def unit_directions(homogeneous: FloatArray) -> FloatArray:
     return unit
 
 
-def moved_world(camera: CameraState, shift: FloatArray = SHIFT) -> CameraState:
-    """The same camera in a world that is turned and shifted."""
+def moved_world(camera: CameraState, shift: FloatArray = SHIFT, variables: tuple[Variable, ...] = ()) -> CameraState:
+    """The same camera and variables in a world that is turned and shifted."""
     return CameraState(
         TURN @ camera.position + shift,
         rotations.from_matrix(TURN @ camera.R_wc),
         TURN @ camera.linear_velocity,
         camera.angular_velocity,
-        camera.variables,
+        {**camera.variables, **{x.name: x.turned(camera.variables[x.name], TURN) for x in variables}},
     )

@@ -69,12 +69,15 @@ def check_motion_jacobians(motion: MotionModel) -> None:
 
 
 def check_motion_invariance(motion: MotionModel) -> None:
-    """In a world that is turned and shifted the motion is the same."""
+    """In a world that is turned and shifted, with its variables that are vectors in W, the motion is the same."""
     state, odometry = _before(motion)
-    after = motion.predict(state, DT, odometry).state
-    in_another = motion.predict(moved_world(state), DT, odometry).state
+    expected = moved_world(motion.predict(state, DT, odometry).state, variables=motion.variables)
+    in_another = motion.predict(moved_world(state, variables=motion.variables), DT, odometry).state
+    where = "in a moved world (a vector in W is to be a Variable with in_world=True)"
     for name in ("position", "linear_velocity", "angular_velocity", "R_wc"):
-        assert_close(f"{name} in a moved world", getattr(in_another, name), getattr(moved_world(after), name), 1e-9)
+        assert_close(f"{name} {where}", getattr(in_another, name), getattr(expected, name), 1e-9)
+    for name in (variable.name for variable in motion.variables):
+        assert_close(f"{name} in a moved world", in_another.variables[name], expected.variables[name], 1e-9)
 
 
 CHECKS = (

@@ -71,6 +71,8 @@ def world_rotation_of_variables(layout: Layout, camera: CameraState) -> FloatArr
     effect[POSITION] = -rotations.skew(camera.position)
     effect[ROTATION] = camera.R_wc.T
     effect[layout.linear_velocity] = -rotations.skew(camera.linear_velocity)
+    for variable in layout.variables:
+        effect[layout.places[variable.name]] = variable.world_rotation(camera.variables[variable.name])
     return effect
 
 

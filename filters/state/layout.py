@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import accumulate
 
 import numpy as np
 
@@ -62,15 +63,12 @@ class Layout:
     @cached_property
     def places(self) -> Mapping[str, slice]:
         """Rows of each variable by name."""
-        places, row = {POSE: slice(0, POSE_SIZE)}, POSE_SIZE
-        velocity = self.measured == row
-        if velocity:
-            places[VELOCITY], row = slice(row, row + CAMERA_SIZE - POSE_SIZE), row + CAMERA_SIZE - POSE_SIZE
-        for variable in self.variables:
-            places[variable.name], row = slice(row, row + variable.size), row + variable.size
-            if row == self.measured and not velocity:
-                places[VELOCITY], row = slice(row, row + CAMERA_SIZE - POSE_SIZE), row + CAMERA_SIZE - POSE_SIZE
-                velocity = True
+        sizes = [(POSE, POSE_SIZE), *((variable.name, variable.size) for variable in self.variables)]
+        stops = list(accumulate(size for _, size in sizes))
+        sizes.insert(stops.index(self.measured) + 1, (VELOCITY, CAMERA_SIZE - POSE_SIZE))
+        places, row = {}, 0
+        for name, size in sizes:
+            places[name], row = slice(row, row + size), row + size
         return places
 
     @cached_property

@@ -213,12 +213,13 @@ def _interval_mark(comparison: Comparison | None, verdict: Verdict) -> Markup:
     """The interval as a bar on a scale that all rows share; the line is "no difference"."""
     differences = [c.difference for c in verdict.comparisons.values()]
     ends = [p for d in differences for p in (d.interval_percent or (d.percent,))]
-    logs = np.clip(np.log1p(np.array([p for p in ends if np.isfinite(p)] + [0.0]) / 100), -1.5, 2.5)
+    shares = np.array([p for p in ends if np.isfinite(p)] + [0.0]) / 100
+    logs = np.log1p(np.clip(shares, *np.expm1([-1.5, 2.5])))
     low, high = float(logs.min()), float(logs.max())
     room = 0.06 * max(high - low, 0.02)
 
     def place(percent: float) -> float:
-        value = np.clip(np.log1p(percent / 100), low, high)
+        value = np.log1p(np.clip(percent / 100, *np.expm1([low, high])))
         return float(round(MARK_WIDTH * (value - low + room) / (high - low + 2 * room), 1))
 
     middle, zero = MARK_HEIGHT / 2, place(0.0)

@@ -31,6 +31,22 @@ def script(name: str) -> ModuleType:
 soak = script("covariance_soak")
 
 
+@pytest.mark.parametrize("name", sorted(path.stem for path in BENCHMARKS.glob("*.py")))
+def test_every_benchmark_finds_what_it_imports(name: str) -> None:
+    assert callable(script(name).main)
+
+
+def test_filters_of_all_forms_are_timed_beside_each_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    """20 landmarks, 6 frames; the benchmarks have up to 200, and 60."""
+    beside_rivals, alone = script("rival_speed"), script("filter_speed")
+    monkeypatch.setattr(beside_rivals, "WARM_UP", 2)
+    seconds, entering = beside_rivals.measure(20, 4)
+    assert entering > 0.0
+    assert {"shared anchors", "6-D, one batch", "filterpy EKF, 6-D state"} <= set(seconds)
+    monkeypatch.setattr(alone, "FILTERS", {name: alone.FILTERS[name] for name in (alone.SHARED, alone.ONE_BATCH)})
+    assert all(time > 0.0 for time in (*seconds.values(), *alone.measure(20, alone.BURST).values()))
+
+
 @pytest.mark.parametrize("case", soak.CASES, ids=str)
 def test_the_covariance_stays_a_covariance(case: soak.Case, monkeypatch: pytest.MonkeyPatch) -> None:
     """300 updates and five blind stretches; the benchmark has 100,000."""

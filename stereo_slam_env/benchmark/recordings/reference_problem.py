@@ -173,7 +173,12 @@ KNOWN_START = 1e-6
 
 
 def relative_noise_loop(
-    seed: int, level: float = 0.05, frames: int = 500, landmarks: int = 300, sight: float = SIGHT
+    seed: int,
+    level: float = 0.05,
+    frames: int = 500,
+    landmarks: int = 300,
+    sight: float = SIGHT,
+    point_level: float | None = None,
 ) -> Recording:
     """The tumbling camera, with odometry in every frame and an R for every measurement.
 
@@ -187,8 +192,11 @@ def relative_noise_loop(
         Length, one second each, and landmarks in the box.
     sight : float
         How far the camera sees, m: the fewer landmarks in view, the larger the uncertainty.
+    point_level : float, optional
+        Level of the measured points, where it is not that of the odometry: the higher, the worse landmarks start.
     """
     level, sight = positive("level", level), positive("sight", sight)
+    point_level = level if point_level is None else positive("point_level", point_level)
     if frames < 2:
         raise ValueError(f"frames must be at least 2, got {frames!r}")
     if landmarks < 1:
@@ -206,7 +214,7 @@ def relative_noise_loop(
         odometry, velocity = None, None
         if k:
             odometry, velocity = _step(positions[k - 1 : k + 1], rotations[k - 1 : k + 1], level, rng)
-        observation = _observe(rotations[k].inv().apply(points_w - positions[k]), level, sight, rng)
+        observation = _observe(rotations[k].inv().apply(points_w - positions[k]), point_level, sight, rng)
         pose = Pose(positions[k], rotations[k].as_quat())
         taken.append(Frame(float(k), observation, odometry, truth=pose, truth_velocity=velocity))
     return Recording(
@@ -217,7 +225,7 @@ def relative_noise_loop(
         Start(covariance=KNOWN_START**2 * np.eye(12)),
         LandmarkTruth(np.arange(landmarks), points_w),
         {"problem": "relative-noise-loop", "seed": seed, "level": level, "frames": frames}
-        | {"landmarks": landmarks, "sight": sight},
+        | {"landmarks": landmarks, "sight": sight, "point_level": point_level},
         SIMULATION,
     )
 

@@ -12,6 +12,7 @@ import pytest
 
 from filters import (
     BodyVelocity,
+    CalibratedPair,
     LeftThenRight,
     RightInvariant,
     Stacked,
@@ -36,6 +37,13 @@ OTHERS: dict[str, dict[str, object]] = {
     "kept map": {"drop_unseen": False},
     "near ones only": {"min_disparity": 20.0},
     "everything": {"consensus": True, "tail_dof": 4.0, "iterations": 2, "drop_unseen": False},
+}
+CALIBRATED = {
+    "disparity offset": CalibratedPair(offset_sigma=0.25),
+    "focal lengths and orientation": CalibratedPair(focal_sigma=3e-3, misalignment_sigma=5e-3),
+    "all of it": CalibratedPair(0.25, 3e-3, 2e-3, 5e-3),
+    "all of it, considered": CalibratedPair(0.25, 3e-3, 2e-3, 5e-3, considered=True),
+    "nothing": CalibratedPair(),
 }
 ODOMETRY = BodyVelocity((0.0, 0.0, SPEED), (0.0, 0.2, 0.0), np.diag(np.repeat([0.3, 0.1], 3) ** 2))
 
@@ -115,6 +123,21 @@ def test_odometry_gives_the_same_beliefs(motion: VelocityDriven | None, error: s
 @pytest.mark.parametrize("v_right", [False, True])
 def test_a_copied_row_counts_alike(model: object, v_right: bool) -> None:
     assert_both_agree(drive(5, 12, v_right=v_right), measurement=model)
+
+
+@pytest.mark.parametrize("error", ERRORS)
+@pytest.mark.parametrize("model", CALIBRATED.values(), ids=CALIBRATED)
+@pytest.mark.parametrize("landmark", LANDMARKS)
+def test_a_calibration_in_the_state_gives_the_same_beliefs(landmark: str, model: CalibratedPair, error: str) -> None:
+    frames = drive(4, 12, depths=(6.0, 30.0))
+    assert_both_agree(frames, landmark=landmark, measurement=model, error=error)
+
+
+@pytest.mark.parametrize("considered", [False, True])
+@pytest.mark.parametrize("options", OTHERS.values(), ids=OTHERS.keys())
+def test_every_other_option_goes_with_a_calibration(options: dict[str, object], considered: bool) -> None:
+    model = CalibratedPair(0.25, 3e-3, 2e-3, 5e-3, considered=considered)
+    assert_both_agree(drive(2, 12, depths=(6.0, 30.0)), landmark="shared-anchor", measurement=model, **options)
 
 
 def test_right_invariant_errors_with_reset_agree_too() -> None:

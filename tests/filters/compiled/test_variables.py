@@ -10,13 +10,14 @@ from scipy.spatial.transform import Rotation
 
 from filters.compiled.engine import CompiledEngine, Observations
 from filters.compiled.frame import FAILED
-from filters.compiled.recipe import CALIBRATION, Recipe
+from filters.compiled.recipe import CALIBRATION_SIZE, Recipe
 from filters.compiled.storage import FilterState
 from filters.state import symmetric
 
 from ..drives import CAMERA
 
 R = np.array([[1.0, 0.0, 1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 2.0]])
+CALIBRATION = tuple(range(CALIBRATION_SIZE))
 LANDMARKS = ("inverse-depth", "shared-anchor", "euclidean")
 
 

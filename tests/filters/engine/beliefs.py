@@ -31,13 +31,18 @@ def assert_identical(first: list[np.ndarray], second: list[np.ndarray]) -> None:
 
 
 def assert_same_belief(first: StereoEKF, second: StereoEKF, tolerance: float) -> None:
-    """Means relative to sigma, covariances relative to their sigmas, for pose, velocity and every landmark."""
+    """Means relative to sigma, covariances relative to their sigmas, for every variable and every landmark."""
     for one, other in ((first.pose, second.pose), (first.velocity, second.velocity)):
         np.testing.assert_allclose(*scaled(one.covariance, other.covariance), rtol=0, atol=tolerance)
     np.testing.assert_allclose(first.pose.position, second.pose.position, rtol=0, atol=tolerance)
     np.testing.assert_allclose(first.pose.orientation, second.pose.orientation, rtol=0, atol=tolerance)
     np.testing.assert_allclose(first.velocity.linear, second.velocity.linear, rtol=0, atol=tolerance)
     np.testing.assert_allclose(first.velocity.angular, second.velocity.angular, rtol=0, atol=tolerance)
+    for variable in second.options.layout.variables:
+        one, other = first.belief(variable.name), second.belief(variable.name)
+        sigmas = np.sqrt(np.diag(variable.covariance))
+        np.testing.assert_allclose(one.value / sigmas, other.value / sigmas, rtol=0, atol=tolerance)
+        np.testing.assert_allclose(*scaled(one.covariance, other.covariance), rtol=0, atol=tolerance)
     one, other = first.landmarks, second.landmarks
     np.testing.assert_array_equal(one.ids, other.ids)
     np.testing.assert_allclose(one.positions, other.positions, rtol=tolerance, atol=tolerance)

@@ -22,6 +22,16 @@ def test_gamma_is_the_effect_of_turning_the_world(landmark: str) -> None:
     assert relative_difference(state.world_rotation(), numeric) < 1e-7
 
 
+@pytest.mark.parametrize("landmark", LANDMARKS)
+def test_the_unobservable_directions_depend_on_the_distance_of_a_landmark_only_without_anchors(landmark: str) -> None:
+    """Of an anchored one on its anchor and bearing (Cohen, Korotkine and Forbes, arXiv 2606.19307)."""
+    model, h_w = LANDMARKS[landmark], np.random.default_rng(0).standard_normal((5, 3))
+    near, far = (model.started(np.zeros(3), h_w, np.full(5, scale)).parameters for scale in (1.0, 0.1))
+    anchors = np.zeros((5, 3)) if model.anchored else None
+    same = np.allclose(model.world_rotation(anchors, near), model.world_rotation(anchors, far), rtol=0, atol=1e-9)
+    assert same == model.anchored
+
+
 @pytest.mark.parametrize("error", ERRORS)
 @pytest.mark.parametrize("landmark", LANDMARKS)
 def test_every_correction_is_delta_to_first_order(landmark: str, error: str) -> None:

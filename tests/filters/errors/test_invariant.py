@@ -196,3 +196,10 @@ def test_the_reset_keeps_that_where_every_point_is_an_anchor_and_loses_it_with_p
         assert kept_by_a_still_camera(landmark, error) == pytest.approx(1.0, abs=1e-7)
     plain, kept = kept_by_a_still_camera("euclidean", "so3"), kept_by_a_still_camera("euclidean", error)
     assert 2.0 * plain < kept < 0.99
+
+
+@pytest.mark.parametrize("landmark", ["shared-anchor", "spherical", "polar"])
+def test_with_anchors_a_plain_ekf_takes_less_for_a_compass_but_still_most(landmark: str) -> None:
+    """Their unobservable directions do not depend on the distance; they do on the bearing, which is kept in W."""
+    kept, without = (kept_by_a_still_camera(name, "so3") for name in (landmark, "euclidean"))
+    assert 5.0 * without < kept < 0.01

@@ -41,6 +41,16 @@ def test_jacobians_are_those_of_differences() -> None:
     assert claimed.by_variable["calibration"] == pytest.approx(by_error, rel=1e-7, abs=1e-6)
 
 
+def test_jacobians_of_backprojection_are_those_of_differences() -> None:
+    e = values(SIGMAS * np.array([1.0, -2.0, 1.5, 3.0, -2.0, 1.0]))
+    uvd = ALL.predict(CAMERA, POINTS, e)
+    claimed = ALL.backprojection_jacobians(CAMERA, uvd, e)
+    by_measurement = jacobian(lambda d: ALL.backproject(CAMERA, uvd + d, e), 3)
+    by_error = jacobian(lambda d: ALL.backproject(CAMERA, uvd, values(e["calibration"] + d)), 6)
+    assert claimed.by_point == pytest.approx(by_measurement, rel=1e-7, abs=1e-10)
+    assert claimed.by_variable["calibration"] == pytest.approx(by_error, rel=1e-7, abs=1e-10)
+
+
 def test_of_small_errors_the_columns_are_those_of_the_field() -> None:
     """Around a perfect calibration: (0, 0, 1), (u - cx, v - cy, d), (0, 0, d), and the flow of a rotation."""
     u, v, d = CAMERA.project(POINTS[0, :3])

@@ -56,9 +56,22 @@ def test_the_level_scales_the_noise_and_nothing_else():
         np.testing.assert_array_equal(one.truth.position, other.truth.position)
 
 
+def test_points_can_be_worse_than_the_odometry():
+    same, worse = relative_noise_loop(1, 0.05, 10), relative_noise_loop(1, 0.05, 10, point_level=0.15)
+    for one, other in zip(same.frames[1:], worse.frames[1:], strict=True):
+        np.testing.assert_allclose(9 * one.observation.R, other.observation.R, rtol=1e-12)
+        np.testing.assert_array_equal(one.odometry.covariance, other.odometry.covariance)
+
+
 @pytest.mark.parametrize(
     ("options", "complaint"),
-    [({"level": 0.0}, "level"), ({"sight": -1.0}, "sight"), ({"frames": 1}, "frames"), ({"landmarks": 0}, "landmarks")],
+    [
+        ({"level": 0.0}, "level"),
+        ({"point_level": -0.1}, "point_level"),
+        ({"sight": -1.0}, "sight"),
+        ({"frames": 1}, "frames"),
+        ({"landmarks": 0}, "landmarks"),
+    ],
 )
 def test_impossible_options_are_named(options, complaint):
     with pytest.raises(ValueError, match=complaint):

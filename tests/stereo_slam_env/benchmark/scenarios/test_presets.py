@@ -57,6 +57,13 @@ def test_the_choices_of_the_core_are_crossed():
     assert len(study.only_scenario().filters) == 2 * 4 * 3
 
 
+def test_landmarks_with_and_without_anchors_are_crossed_with_the_errors():
+    study = preset_study("anchored")
+    assert {factor: len(levels) for factor, levels in study.factorial.items()} == {"landmark": 3, "error": 4}
+    assert [cell.factors["options.point_level"] for cell in study.cells] == [0.05, 0.15]
+    assert all(cell.scenario.use_odometry and cell.scenario.gate is None for cell in study.cells)
+
+
 def test_the_manual_lists_all_of_them():
     manual = (Path(__file__).resolve().parents[4] / "docs" / "benchmark.md").read_text(encoding="utf-8")
     listed = re.findall(r"^\| `([a-z-]+)` \| (.*) \|$", manual.partition("## Presets")[2].partition("\n## ")[0], re.M)
