@@ -3,7 +3,7 @@
 References
 ----------
 Politis and Romano, "The stationary bootstrap", JASA 89(428), 1994. Politis and White, "Automatic block-length selection
-for the dependent bootstrap", Econometric Reviews 23(1), 2004; corrected by Patton, Politis and White, ibid. 28(4), 2009.
+for the dependent bootstrap", Econometric Reviews 23(1), 2004.
 """
 
 from __future__ import annotations

@@ -85,7 +85,9 @@ class Trajectory:
         if self.timestamps is not None:
             times = finite_array("timestamps", self.timestamps, (count,))
             if (late := np.flatnonzero(np.diff(times) <= 0)).size:
-                raise ValueError(f"timestamps must ascend, row {late[0] + 1} is not later than the one before: sort them")
+                raise ValueError(
+                    f"timestamps must ascend, row {late[0] + 1} is not later than row {late[0]}: sort them"
+                )
             object.__setattr__(self, "timestamps", times)
         if self.covariances is not None:
             covariances = np.asarray(self.covariances, dtype=np.float64)
@@ -120,8 +122,8 @@ class Trajectory:
         """The covariances (K, 6, 6) for the error of `PoseBelief`; None where nothing is claimed."""
         if self.covariances is None:
             return None
-        J = np.linalg.inv(tangent_jacobian(self.tangent, self.positions, self.orientations))
-        return transformed(J, self.covariances)
+        J = tangent_jacobian(self.tangent, self.positions, self.orientations)
+        return transformed(np.linalg.inv(J).astype(np.float64), self.covariances)
 
     def moved(self, T: Pose) -> Trajectory:
         """The same trajectory in another world: T times each pose, covariances with them."""
@@ -174,8 +176,7 @@ def tangent_jacobian(tangent: Tangent, positions: FloatArray, orientations: Floa
 def transformed(J: FloatArray, covariances: FloatArray) -> FloatArray:
     """J C J^T, symmetric to the last bit."""
     moved = J @ covariances @ J.swapaxes(-1, -2)
-    symmetric: FloatArray = 0.5 * (moved + moved.swapaxes(-1, -2))
-    return symmetric
+    return np.asarray(0.5 * (moved + moved.swapaxes(-1, -2)), dtype=np.float64)
 
 
 def _solved(matrices: FloatArray, vectors: FloatArray) -> FloatArray:

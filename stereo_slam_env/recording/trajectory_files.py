@@ -35,6 +35,7 @@ _CHARTS: Mapping[str, Tangent] = {
     "position_rotation_vector": "position-rotation",
     "position_quaternion": "position-quaternion",
 }
+_NAMES = {tangent: chart for chart, tangent in _CHARTS.items()}
 _SIDES: Mapping[str, Tangent] = {"right_perturbation": "right", "left_perturbation": "left"}
 _ORDERS = {"translation_rotation": np.arange(POSE_SIZE), "rotation_translation": np.array([3, 4, 5, 0, 1, 2])}
 _GAUGES: Mapping[str, Gauge] = {"fixed": "fixed", "se3": "se3"}
@@ -141,8 +142,8 @@ def _write_square(trajectory: Trajectory, stream: IO[bytes]) -> None:
             "TANGENT_CONVENTION": "left_perturbation" if trajectory.tangent == "left" else "right_perturbation",
             "TANGENT_ORDER": "translation_rotation",
             "ROTATION_PARAM": "axis_angle",
-            **{"TANGENT_CHART": chart for chart, tangent in _CHARTS.items() if tangent == trajectory.tangent},
         }
+        header |= {"TANGENT_CHART": chart} if (chart := _NAMES.get(trajectory.tangent)) else {}
         in_file = trajectory if trajectory.tangent in _SIDES.values() else _turned(trajectory, into_body=True)
         assert in_file.covariances is not None
         columns.append(in_file.covariances[:, _LOWER[0], _LOWER[1]])
