@@ -175,10 +175,9 @@ def tangent_jacobian(tangent: Tangent, positions: FloatArray, orientations: Floa
 
 def transformed(J: FloatArray, covariances: FloatArray) -> FloatArray:
     """J C J^T, symmetric to the last bit."""
-    moved = J @ covariances @ J.swapaxes(-1, -2)
+    moved: FloatArray = J @ covariances @ J.swapaxes(-1, -2)
     return np.asarray(0.5 * (moved + moved.swapaxes(-1, -2)), dtype=np.float64)
 
 
 def _solved(matrices: FloatArray, vectors: FloatArray) -> FloatArray:
-    solved: FloatArray = np.linalg.solve(matrices, vectors[..., None])[..., 0]
-    return solved
+    return np.asarray(np.linalg.solve(matrices, vectors[..., None])[..., 0], dtype=np.float64)
