@@ -36,9 +36,10 @@ from filters.known_names import require_known
 from filters.landmarks.model import LandmarkModel
 from filters.machine_code import compiled_filter
 from filters.measurements.model import MeasurementModel, Stage
-from filters.motions.model import MotionModel
+from filters.motions.model import POSE_SIZE, MotionModel
 from filters.noise import StereoNoise
 from filters.parts import Named
+from filters.poses import Pose, relative_jacobian
 from filters.start import Start
 from filters.state import symmetric
 from filters.state.joint_state import JointState
@@ -297,6 +298,27 @@ class StereoEKF(StereoFilter):
         state = self.state
         require_known("there is no clone", [name], state.clones)
         state.forget_clone(name)
+
+    def relative_pose(self, name: str) -> PoseBelief:
+        """Pose of the camera as seen from a clone of an earlier one: how the camera has moved since.
+
+        Its covariance holds the correlation of both poses, so what is common to both, such as the error of an early
+        heading, is not in it.
+
+        Raises
+        ------
+        ValueError
+            There is no clone of that name.
+        """
+        state = self.state
+        require_known("there is no clone", [name], state.clones)
+        clone = state.clones[name]
+        rows = np.concatenate([state.block_rows(clone.blocks), np.arange(POSE_SIZE)])
+        first = Pose(clone.position, clone.orientation)
+        last = Pose(state.camera.position, state.camera.orientation)
+        J, moved = relative_jacobian(first, last), first.inverse() @ last
+        covariance = J @ symmetric.full(symmetric.rows(state.P, rows)[:, rows]) @ J.T
+        return PoseBelief(moved.position, moved.orientation, covariance)
 
     @property
     def landmarks(self) -> LandmarkBelief:

@@ -260,7 +260,7 @@ def replay(
     source = DatasetSource(where, {"on_broken": "skip"} if skip_broken else {})
     name = f"replay-{Path(where).name.replace(':', '-')}"
     # No bound: the true noise is not known.
-    scenario = options.adjusted(Scenario(name, source, use_odometry=odometry, metrics=("map",)))
+    scenario = options.adjusted(Scenario(name, source, use_odometry=odometry, metrics=("map", "windows")))
     joint = scenario.gate is not None if consensus is None else consensus
     scenario = replace(scenario, consensus=joint)
     check_study(Study.of(scenario))
