@@ -178,8 +178,8 @@ class JointState:
     def world_translation(self) -> FloatArray:
         """Effect of a shift of the world on the error state; (n, 3)."""
         effect = np.broadcast_to(np.eye(3), (len(self.blocks), 3, 3)).copy()
-        on_a_ray = self.parameter_block[self.anchor_block >= 0] if self.model.anchored else []
-        effect[on_a_ray] = 0.0
+        if self.model.anchored:  # rays have no place of their own
+            effect[self.parameter_block[self.anchor_block >= 0]] = 0.0
         for clone in self.clones.values():
             effect[clone.blocks[1]] = 0.0
         leading = np.zeros((self.layout.size, 3))
