@@ -105,9 +105,11 @@ class NumpyFilter:
         symmetric.transform_leading(state.P, F, added)
 
     def _walk_gauge(self, walk: GaugeWalk, distance: float) -> None:
-        """Add to P what no measurement can see."""
+        """Add to P what no measurement can see. Clones of the pose stay where the camera was."""
         at = self.options.error.linearisation_point(self.state) or self.state
         B = walk.directions(at.world_rotation(), at.world_translation(), at.camera.position, distance)
+        for clone in at.clones.values():
+            B[at.block_rows(clone.blocks)] = 0.0
         blas.dsyrk(1.0, B, beta=1.0, c=self.state.P, lower=1, overwrite_c=1)
 
     def _linearise(self, state: JointState, index: IntArray, stage: Stage) -> LinearisedMeasurements:

@@ -34,6 +34,9 @@ def test_the_walk_shows_in_the_pose_and_in_no_forecast(landmark: str, error: str
     growth = np.diag(walked.pose.covariance - still.pose.covariance)
     distance = SPEED * DT
     np.testing.assert_allclose(growth, np.repeat([0.05**2, 0.01**2], 3) * distance, rtol=1e-6)
+    np.testing.assert_allclose(  # the camera walks away from where it was
+        walked.belief("where it started").covariance, still.belief("where it started").covariance, rtol=1e-9, atol=1e-15
+    )
     seen, expected = walked.forecast(), still.forecast()
     np.testing.assert_allclose(seen.S, expected.S, rtol=0, atol=1e-9 * np.abs(expected.S).max())
 
