@@ -24,8 +24,8 @@ NAME = "kitti06_stereo51"
 FILES = (("image_l", "image_r", "calib.txt", "poses.txt", "odometry_oxts.csv"),)
 TRUTH = Reference(
     "independent truth",
-    "KITTI's ground truth: GPS/INS, which is still settling in frames 0 to 10; the odometry is of the same INS, with "
-    "noise added.",
+    "KITTI's ground truth: GPS/INS, which is still settling in frames 0 to 10, so that frames from 12 on are scored; "
+    "the odometry is of the same INS, with noise added.",
 )
 SETTLED = 12
 """First frame that is scored, and used unless `first` says otherwise."""

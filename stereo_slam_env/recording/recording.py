@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from filters import BodyVelocity, Pose, Start, StereoCamera, StereoNoise, StereoObservation, rotations
+from filters.known_names import require_known
 from filters.poses import relative_jacobian
 from filters.validation import BoolArray, FloatArray, IntArray
 
@@ -62,6 +63,7 @@ class LandmarkTruth:
     positions: FloatArray
 
 
+_ERRORS = ("position_jitter", "rotation_jitter", "misalignment", "settled_at")
 ReferenceKind = Literal["independent truth", "odometry from the same images", "none"]
 
 
@@ -121,6 +123,12 @@ class Reference:
     def is_independent(self) -> bool:
         """Whether a distance to it is an error, which a filter's covariance can be held against."""
         return self.kind == "independent truth"
+
+    def stating(self, errors: Mapping[str, float]) -> Reference:
+        """The same poses with other stated errors, by name of the attribute; a `ValueError` names what is none."""
+        require_known("reference has no number", errors, _ERRORS)
+        values: dict[str, Any] = dict(errors)
+        return replace(self, **values)
 
     @property
     def is_exact(self) -> bool:

@@ -11,7 +11,7 @@ from rich.table import Table
 from scipy.stats import chi2
 
 from stereo_slam_env.evaluation.consistency import DOF, mean_band
-from stereo_slam_env.evaluation.figures import UNKNOWN
+from stereo_slam_env.evaluation.figures import FIGURES, UNKNOWN
 from stereo_slam_env.evaluation.trajectory_score import COVERED, ClaimScore, TrajectoryScore, WindowScore
 
 _Row = tuple[str, Callable[[TrajectoryScore], str]]
@@ -42,8 +42,10 @@ def _frames(score: TrajectoryScore) -> str:
     return f"{score.frames}" + (f" ({score.unmatched} more without reference)" if score.unmatched else "")
 
 
-def _number(value: float | None, digits: int = 3) -> str:
-    return UNKNOWN if value is None else f"{value:.{digits}f}" if abs(value) < 1e4 else f"{value:.1e}"
+def _figure(name: str) -> _Row:
+    """A figure that runs of filters have, too."""
+    figure = FIGURES[name]
+    return figure.title, lambda score: figure.text(getattr(score, name))
 
 
 def _of(name: str, text: Callable[[ClaimScore], str]) -> Callable[[TrajectoryScore], str]:
@@ -97,10 +99,6 @@ def _windows(scores: Sequence[TrajectoryScore]) -> list[_Row]:
 _ERRORS: list[_Row] = [
     ("scored poses", _frames),
     ("aligned", lambda score: score.alignment),
-    ("path, m", lambda score: _number(score.path_m, 1)),
-    ("position error, m", lambda score: _number(score.position_rmse_m)),
-    ("rotation error, °", lambda score: _number(score.rotation_rmse_deg)),
-    ("rigid ATE, m", lambda score: _number(score.ate_rigid_m)),
-    ("drift at the end, %", lambda score: _number(score.end_drift_percent)),
+    *map(_figure, ("path_m", "position_rmse_m", "rotation_rmse_deg", "ate_rigid_m", "end_drift_percent")),
 ]
 _CLAIMS = [row for name in ("pose", "position", "rotation") for row in _claim_rows(name)]

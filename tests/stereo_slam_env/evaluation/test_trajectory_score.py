@@ -26,7 +26,7 @@ needs_smfeval = pytest.mark.skipif(find_spec("smfeval") is None, reason="needs s
 
 
 def drives(count=400, seed=0, inflate=1.0, size=1.0, **about):
-    """A winding drive, and an estimate whose independent errors, centimetres and degrees, are of `inflate` times the claim."""
+    """A winding drive, and an estimate whose independent errors have `inflate` times the claimed covariance."""
     rng = np.random.default_rng(seed)
     t = 0.1 * np.arange(count)
     positions = np.cumsum(np.column_stack([np.sin(t / 5), 0.1 * np.cos(t / 3), np.cos(t / 5)]), axis=0)
