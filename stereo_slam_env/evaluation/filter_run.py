@@ -137,6 +137,9 @@ _SERIES: Mapping[str, tuple[int, ...]] = {
 """Series of floating point numbers of a `FilterRun` that are filled frame by frame, and the shapes of their rows."""
 
 
+_NEES = {"pose_nees": slice(0, POSE_SIZE), "position_nees": POSITION, "rotation_nees": ROTATION}
+
+
 class RunLog:
     """The arrays of a `FilterRun`, filled frame by frame."""
 
@@ -147,6 +150,7 @@ class RunLog:
         self._series = {name: np.full((count, *shape), np.nan) for name, shape in _SERIES.items()}
         self._nis_dof: IntArray = np.zeros(count, dtype=np.int64)
         self._counts: dict[str, IntArray] = {name: np.zeros(count, dtype=np.int64) for name in COUNTS}
+        self._scored = np.full((count, POSE_SIZE, POSE_SIZE), np.nan)  # covariance that pose errors are held against
         self._traces = TraceRecorder(recording)
         self._scorer = LandmarkScorer(recording.camera)
 
@@ -184,8 +188,7 @@ class RunLog:
         self._note(k, pose_errors=error)
         if moment.scored_error is not None:
             _, summed = moment.scored_error
-            parts = {"pose_nees": slice(0, POSE_SIZE), "position_nees": POSITION, "rotation_nees": ROTATION}
-            self._note(k, **{n: nees(error[None, p], summed[None, p, p])[0] for n, p in parts.items()})
+            self._scored[k] = summed
             if summed is not covariance:
                 self._note(k, pose_nees_floor=nees_floor(covariance, summed - covariance))
 
@@ -219,6 +222,8 @@ class RunLog:
         not_given: Mapping[str, str] | None = None,
     ) -> FilterRun:
         """The run so far."""
+        for name, part in _NEES.items():
+            self._series[name] = nees(self._series["pose_errors"][:, part], self._scored[:, part, part])
         frames = self._recording.frames
         nowhere, no_turn = np.full(3, np.nan), np.full(4, np.nan)
         poses, moves = [f.truth for f in frames], [f.truth_velocity for f in frames]
