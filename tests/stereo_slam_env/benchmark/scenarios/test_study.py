@@ -152,7 +152,7 @@ def test_a_study_of_one_scenario_has_it():
         ({"name": 3}, "name of a scenario must be text, got 3"),
         ({"options": 3}, "options"),
         ({"seeds": "many"}, "seeds"),
-        ({"metrics": ["maps"]}, r"metrics\[0\] must be one of map, bound, got 'maps', did you mean 'map'"),
+        ({"metrics": ["maps"]}, r"metrics\[0\] must be one of map, bound, windows, got 'maps', did you mean 'map'"),
         ({"corruptions": ["outliers"]}, r"corruptions\[0\] must be a table, got 'outliers'"),
     ],
 )
