@@ -11,12 +11,14 @@ from .conformance_pytest import parametrize_with_checks as parametrize_with_chec
 from .conformance_pytest import parametrize_with_part_checks as parametrize_with_part_checks
 from .consistency import nees as nees
 from .differences import jacobian as jacobian
+from .drift import LandmarkDrift as LandmarkDrift
 from .errors.first_estimates import FirstEstimates as FirstEstimates
 from .errors.invariant import LeftInvariant as LeftInvariant
 from .errors.invariant import RightInvariant as RightInvariant
 from .errors.model import ErrorDefinition as ErrorDefinition
 from .errors.standard import QuaternionError as QuaternionError
 from .errors.standard import RotationVectorError as RotationVectorError
+from .gauge_walk import GaugeWalk as GaugeWalk
 from .interface import BodyVelocity as BodyVelocity
 from .interface import Forecast as Forecast
 from .interface import LandmarkBelief as LandmarkBelief

@@ -22,6 +22,8 @@ def without_kernel(options: Options) -> str | None:
         part = getattr(options, slot)
         if kernel_of(part) is None:
             return f"{slot}={type(part).__name__}"
+    if options.drift is not None and kernel_of(options.measurement) not in ("joint", "calibrated-pair"):
+        return f"drift with measurement={type(options.measurement).__name__}"
     return None if options.max_landmarks is None else f"max_landmarks={options.max_landmarks}"
 
 

@@ -83,3 +83,17 @@ class Pose:
         """Points of A (the world) in B (the camera), `inverse() @ points_w`; (..., 3) m -> (..., 3) m."""
         points_c: FloatArray = (points_w - self.position) @ self.R_wc
         return points_c
+
+
+def relative_jacobian(first: Pose, last: Pose) -> FloatArray:
+    """J (6, 12) that takes the errors of two poses to that of `first.inverse() @ last`, to first order.
+
+    All errors are those of `PoseBelief`: of the position in the frame that the pose is in, of the rotation in the frame
+    whose pose it is.
+    """
+    T = first.inverse() @ last
+    J = np.zeros((6, 12))
+    J[:3, :3], J[:3, 6:9] = -first.R_wc.T, first.R_wc.T
+    J[:3, 3:6] = rotations.skew(T.position)
+    J[3:, 3:6], J[3:, 9:] = -T.R_wc.T, np.eye(3)
+    return J

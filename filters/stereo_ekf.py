@@ -5,18 +5,20 @@ The named filters are choices of these parts; this module only says in which ord
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from copy import copy
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from filters.camera import StereoCamera
+from filters.drift import LandmarkDrift
 from filters.engine.marginals import joint_covariance, pose_landmark_covariances
 from filters.engine.numpy_filter import NumpyFilter, locate
 from filters.engine.options import Options
 from filters.errors.model import ErrorDefinition
+from filters.gauge_walk import GaugeWalk
 from filters.interface import (
     AT_ORIGIN,
     BodyVelocity,
@@ -34,9 +36,10 @@ from filters.known_names import require_known
 from filters.landmarks.model import LandmarkModel
 from filters.machine_code import compiled_filter
 from filters.measurements.model import MeasurementModel, Stage
-from filters.motions.model import MotionModel
+from filters.motions.model import POSE_SIZE, MotionModel
 from filters.noise import StereoNoise
 from filters.parts import Named
+from filters.poses import Pose, relative_jacobian
 from filters.start import Start
 from filters.state import symmetric
 from filters.state.joint_state import JointState
@@ -85,6 +88,12 @@ class StereoEKF(StereoFilter):
         those that pass the gate at the corrected state.
     tail_dof : float, optional
         Degrees of freedom of Student's t for heavy-tailed noise: surprising measurements count less. None: Gaussian.
+    drift : float, mapping or LandmarkDrift, optional
+        Process noise of measured landmarks: a share of their R, or a table of `LandmarkDrift`'s numbers. None: points
+        that are tracked stay where they are.
+    gauge_walk : mapping or GaugeWalk, optional
+        Walk of camera and map together in the directions that vision cannot see, by the way travelled: for errors that
+        all landmarks have in common. It needs error="first-estimates" or "right-invariant".
     iterations : int
         Passes of the update; 1 is the plain EKF, more relinearise at the result with the prior held (Gauss-Newton).
     drop_unseen : bool
@@ -116,6 +125,8 @@ class StereoEKF(StereoFilter):
         update: Named | Linearisation = "extended",
         consensus: bool = False,
         tail_dof: float | None = None,
+        drift: float | Mapping[str, Any] | LandmarkDrift | None = None,
+        gauge_walk: Mapping[str, Any] | GaugeWalk | None = None,
         iterations: int = 1,
         drop_unseen: bool = True,
         min_disparity: float | None = None,
@@ -134,6 +145,8 @@ class StereoEKF(StereoFilter):
             update=update,
             consensus=consensus,
             tail_dof=tail_dof,
+            drift=drift,
+            gauge_walk=gauge_walk,
             iterations=iterations,
             drop_unseen=drop_unseen,
             min_disparity=min_disparity,
@@ -192,7 +205,7 @@ class StereoEKF(StereoFilter):
     @property
     def state_size(self) -> int:
         """Numbers in the error state: of the named variables, and three for every landmark and every anchor."""
-        return len(self.state.rows_in_use)
+        return self._filter.state_size
 
     @property
     def state(self) -> JointState:
@@ -285,6 +298,27 @@ class StereoEKF(StereoFilter):
         state = self.state
         require_known("there is no clone", [name], state.clones)
         state.forget_clone(name)
+
+    def relative_pose(self, name: str) -> PoseBelief:
+        """Pose of the camera as seen from a clone of an earlier one: how the camera has moved since.
+
+        Its covariance holds the correlation of both poses, so what is common to both, such as the error of an early
+        heading, is not in it.
+
+        Raises
+        ------
+        ValueError
+            There is no clone of that name.
+        """
+        state = self.state
+        require_known("there is no clone", [name], state.clones)
+        clone = state.clones[name]
+        rows = np.concatenate([state.block_rows(clone.blocks), np.arange(POSE_SIZE)])
+        first = Pose(clone.position, clone.orientation)
+        last = Pose(state.camera.position, state.camera.orientation)
+        J, moved = relative_jacobian(first, last), first.inverse() @ last
+        covariance = J @ symmetric.full(symmetric.rows(state.P, rows)[:, rows]) @ J.T
+        return PoseBelief(moved.position, moved.orientation, covariance)
 
     @property
     def landmarks(self) -> LandmarkBelief:

@@ -22,6 +22,8 @@ from stereo_slam_env.benchmark.storage.run_archive import packed_run
 from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.policies.network import Network
 from stereo_slam_env.recording.archive import packed_recording
+from stereo_slam_env.recording.trajectory import Trajectory
+from stereo_slam_env.recording.trajectory_files import save_trajectory
 
 Files = Mapping[str, bytes]
 
@@ -196,6 +198,20 @@ def recording() -> Files:
 def run() -> Files:
     """A stored run of a filter."""
     return {"run.npz": packed_run(run_filter(_drive(), "inverse-depth"), {"code": "none"})}
+
+
+def trajectories() -> Files:
+    """Five poses in every format."""
+    t = np.arange(5.0)
+    positions = np.column_stack([np.sin(t), 0.1 * t, t])
+    orientations = np.tile([0.0, 0.0, 0.0, 1.0], (5, 1))
+    made = Trajectory(positions, orientations, t, np.tile(0.01 * np.eye(6), (5, 1, 1)))
+    files = {}
+    with TemporaryDirectory() as folder:
+        for name in ("run.square", "run.tum", "run.kitti"):
+            save_trajectory(Path(folder) / name, made)
+            files[name] = (Path(folder) / name).read_bytes()
+    return files
 
 
 def route() -> Files:

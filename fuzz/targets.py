@@ -15,6 +15,7 @@ from stereo_slam_env.benchmark.scenarios.study import load_study
 from stereo_slam_env.benchmark.storage.run_archive import load_provenance, load_run
 from stereo_slam_env.benchmark.storage.store import read_study
 from stereo_slam_env.datasets import load, open_image_sequence
+from stereo_slam_env.evaluation.trajectory_score import evaluate_trajectory
 from stereo_slam_env.policies.network import Network
 from stereo_slam_env.recording.archive import load_recording
 from stereo_slam_env.world.routes import kitti_route
@@ -58,6 +59,7 @@ def targets() -> tuple[Target, ...]:
         Target("euroc", seeds.euroc(), _pairs),
         Target("recording", seeds.recording(), lambda folder: load_recording(folder / "drive.npz"), True),
         Target("run", seeds.run(), _run, True),
+        Target("trajectories", seeds.trajectories(), _score, True),
         Target("route", seeds.route(), lambda folder: kitti_route(folder / "poses.txt"), True),
         Target("network", seeds.network(), lambda folder: Network.load(folder / "network.npz"), True),
         Target("scenario", seeds.scenario(), _scenarios, True),
@@ -75,6 +77,16 @@ def _run(folder: Path) -> object:
     if not (folder / "run.npz").exists():  # looked at before it is read, wherever it is
         return None
     return load_provenance(folder / "run.npz"), load_run(folder / "run.npz")
+
+
+def _score(folder: Path) -> object:
+    """Every pair of formats."""
+    return [
+        evaluate_trajectory(folder / estimate, folder / reference, align=align)
+        for estimate in ("run.square", "run.kitti")
+        for reference in ("run.tum", "run.square")
+        for align in ("none", "rigid")
+    ]
 
 
 def _scenarios(folder: Path) -> object:

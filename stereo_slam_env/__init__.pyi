@@ -17,6 +17,8 @@ from .envs.drive import StereoDriveEnv as StereoDriveEnv
 from .envs.drive_gaze import StereoDriveGazeEnv as StereoDriveGazeEnv
 from .envs.gaze import StereoGazeEnv as StereoGazeEnv
 from .envs.recorder import RenderedDrive as RenderedDrive
+from .evaluation.trajectory_score import TrajectoryScore as TrajectoryScore
+from .evaluation.trajectory_score import evaluate_trajectory as evaluate_trajectory
 from .loop import FilterLoop as FilterLoop
 from .loop import Moment as Moment
 from .loop import run as run
@@ -27,6 +29,9 @@ from .recording.recording import LandmarkTruth as LandmarkTruth
 from .recording.recording import Recording as Recording
 from .recording.recording import Reference as Reference
 from .recording.recording import Velocity as Velocity
+from .recording.trajectory import Trajectory as Trajectory
+from .recording.trajectory_files import load_trajectory as load_trajectory
+from .recording.trajectory_files import save_trajectory as save_trajectory
 from .report.benchmark_report import write_report_of as write_report_of
 from .sensing.padding import stereo_observation as stereo_observation
 from .world.routes import register_route as register_route

@@ -20,8 +20,10 @@ from filters import (
     StereoNoise,
     StereoObservation,
     UpdateReport,
+    jacobian,
     make_filter,
     nees,
+    rotations,
 )
 from filters.registry import FilterFactory, label_of
 from filters.validation import FloatArray
@@ -49,6 +51,8 @@ class Moment:
         What the truth is.
     predict_seconds, update_seconds : float
         Time that the two calls took, s.
+    start : Pose, optional
+        True pose of the first frame, from which the reference is counted.
     """
 
     number: int
@@ -58,6 +62,7 @@ class Moment:
     reference: Reference
     predict_seconds: float
     update_seconds: float
+    start: Pose | None = None
 
     @property
     def time(self) -> float:
@@ -89,12 +94,31 @@ class Moment:
         """Error (6,) in the filter's own definition and its claimed covariance (6, 6); None without truth."""
         return None if self.truth is None else self.slam.pose_error(self.truth.position, self.truth.orientation)
 
+    @cached_property
+    def scored_error(self) -> tuple[FloatArray, FloatArray] | None:
+        """`pose_error`, with what the reference states of its own errors added to the covariance.
+
+        None where it is not to be scored: without a truth that is independent of the images, or before that has
+        settled.
+        """
+        reference = self.reference
+        if self.truth is None or self.pose_error is None:
+            return None
+        if not reference.is_independent or not reference.has_settled(self.time):
+            return None
+        if reference.is_exact or self.start is None:
+            return self.pose_error
+        error, covariance = self.pose_error
+        J = error_jacobian(self.slam)
+        summed: FloatArray = covariance + J @ reference.covariance(self.start, self.truth) @ J.T
+        return error, summed
+
     @property
     def nees(self) -> float:
-        """NEES of the pose, 6 degrees of freedom; NaN without a truth that is independent of the images."""
-        if self.pose_error is None or not self.reference.is_independent:
+        """NEES of the pose, 6 degrees of freedom; NaN where there is no `scored_error`."""
+        if self.scored_error is None:
             return float("nan")
-        error, covariance = self.pose_error
+        error, covariance = self.scored_error
         return float(nees(error[None], covariance[None])[0])
 
     def hold(self) -> Moment:
@@ -106,6 +130,17 @@ class Moment:
     def position_error(self) -> float:
         """Distance to the true position, m; NaN without truth."""
         return float("nan") if self.truth is None else float(np.linalg.norm(self.truth.position - self.pose.position))
+
+
+def error_jacobian(slam: StereoFilter) -> FloatArray:
+    """J (6, 6) that takes small pose errors as of `PoseBelief` to those of the filter's own definition."""
+    pose = slam.pose
+
+    def error(delta: FloatArray) -> FloatArray:
+        turned = rotations.multiply(pose.orientation, rotations.exp_quaternion(delta[3:]))
+        return slam.pose_error(pose.position + delta[:3], turned)[0]
+
+    return jacobian(error, 6)
 
 
 class FilterLoop:
@@ -125,6 +160,7 @@ class FilterLoop:
         self.slam = slam
         self._reference, self._use_odometry = reference, use_odometry
         self._number, self._time = -1, 0.0
+        self._first_truth: Pose | None = None
 
     def reset(self, start: Start) -> None:
         """Start the filter and the count of frames again."""
@@ -148,12 +184,15 @@ class FilterLoop:
             self.slam.predict(frame.timestamp - self._time, frame.odometry if self._use_odometry else None)
         predicted = time.perf_counter()
         self._number, self._time = number, frame.timestamp
+        if number == 0:
+            self._first_truth = frame.truth
         if observe is not None:
             frame = dataclasses.replace(frame, observation=observe(number, self.slam))
         measured = time.perf_counter()
         report = self.slam.update(frame.observation)
         updated = time.perf_counter()
-        return Moment(number, frame, self.slam, report, self._reference, predicted - began, updated - measured)
+        seconds = predicted - began, updated - measured
+        return Moment(number, frame, self.slam, report, self._reference, *seconds, self._first_truth)
 
 
 def run(

@@ -1,4 +1,7 @@
-"""BLAS and LAPACK functions of scipy for Numba code, and the compilation options of all kernels."""
+"""Linear algebra of the kernels: LAPACK's Cholesky factor, small products and rank-k updates as vector instructions.
+
+BLAS spends more on its calls than on the work at these sizes. Here are also the compilation options of all kernels.
+"""
 
 from __future__ import annotations
 
@@ -10,13 +13,8 @@ from numba import njit, types
 from numba.core import cgutils
 from numba.extending import get_cython_function_address, intrinsic
 
-ROUTINES = (
-    get_cython_function_address("scipy.linalg.cython_lapack", "dpotrf"),
-    get_cython_function_address("scipy.linalg.cython_blas", "dtrsm"),
-    get_cython_function_address("scipy.linalg.cython_blas", "dgemv"),
-    get_cython_function_address("scipy.linalg.cython_blas", "dsyrk"),
-)
-"""Where this process has them: arguments of the kernels, so that these can be cached on disk."""
+ROUTINES = (get_cython_function_address("scipy.linalg.cython_lapack", "dpotrf"),)
+"""Where this process has what LAPACK does: an argument of the kernels, so that these can be cached on disk."""
 ENTRY: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract"}, "nogil": True}
 """IEEE arithmetic with fused multiply-add, without Python's lock."""
 UNIT: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract"}, "_nrt": False}
@@ -46,11 +44,12 @@ def at(array: Any) -> int:
 
 
 LANES = 8  # columns at a time
-WIDE = ir.VectorType(ir.DoubleType(), LANES)
+PANEL = 4  # rows of a large product at a time
 
 
-def _panel(rows: int) -> Any:
-    """Kernel of so many rows of a small product, as vector instructions: see `multiply_panel`."""
+def _panel(rows: int, lanes: int, sign: int = 0) -> Any:
+    """Kernel of so many rows of a small product, as vector instructions; with a sign: of target += sign H^T source."""
+    wide = ir.VectorType(ir.DoubleType(), lanes)
 
     @intrinsic
     def panel(
@@ -66,34 +65,37 @@ def _panel(rows: int) -> Any:
     ) -> Any:
         def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
             goal, under, left, under_left, right, under_right, inner, count = values
-            integer, real, wide = under.type, ir.DoubleType().as_pointer(), WIDE.as_pointer()
-            eight, zero = ir.Constant(integer, 8), ir.Constant(WIDE, [0.0] * LANES)
+            integer, real = under.type, ir.DoubleType()
+            eight, zero = ir.Constant(integer, 8), ir.Constant(wide, [0.0] * lanes)
+            nothing, all_first = ir.Constant(wide, ir.Undefined), ir.VectorType(ir.IntType(32), lanes)
 
             def entry(base: Any, row: Any, stride: Any, column: Any, kind: Any) -> Any:
                 place = builder.add(builder.mul(row, stride), column)
-                return builder.inttoptr(builder.add(base, builder.mul(place, eight)), kind)
+                return builder.inttoptr(builder.add(base, builder.mul(place, eight)), kind.as_pointer())
 
             sums = [cgutils.alloca_once_value(builder, zero) for _ in range(rows)]
-            blocks = builder.udiv(builder.add(count, ir.Constant(integer, LANES - 1)), ir.Constant(integer, LANES))
+            blocks = builder.udiv(builder.add(count, ir.Constant(integer, lanes - 1)), ir.Constant(integer, lanes))
             with cgutils.for_range(builder, blocks) as block:
-                column = builder.mul(block.index, ir.Constant(integer, LANES))
+                column = builder.mul(block.index, ir.Constant(integer, lanes))
                 for total in sums:
                     builder.store(zero, total)
                 with cgutils.for_range(builder, inner) as term:
                     vector = builder.load(entry(right, term.index, under_right, column, wide), align=8)
                     for row, total in enumerate(sums):
-                        factor = builder.load(entry(left, ir.Constant(integer, row), under_left, term.index, real))
-                        spread = builder.insert_element(ir.Constant(WIDE, ir.Undefined), factor, ir.IntType(32)(0))
-                        spread = builder.shuffle_vector(
-                            spread,
-                            ir.Constant(WIDE, ir.Undefined),
-                            ir.Constant(ir.VectorType(ir.IntType(32), LANES), [0] * LANES),
-                        )
+                        place = ir.Constant(integer, row), term.index
+                        one, other = reversed(place) if sign else place
+                        factor = builder.load(entry(left, one, under_left, other, real))
+                        spread = builder.insert_element(nothing, factor, ir.IntType(32)(0))
+                        spread = builder.shuffle_vector(spread, nothing, ir.Constant(all_first, [0] * lanes))
                         product = builder.fmul(spread, vector, flags=("contract",))
                         builder.store(builder.fadd(builder.load(total), product, flags=("contract",)), total)
                 for row, total in enumerate(sums):
-                    place = entry(goal, ir.Constant(integer, row), under, column, wide)
-                    builder.store(builder.load(total), place, align=8)
+                    result = entry(goal, ir.Constant(integer, row), under, column, wide)
+                    value = builder.load(total)
+                    if sign:
+                        combine = builder.fadd if sign > 0 else builder.fsub
+                        value = combine(builder.load(result, align=8), value)
+                    builder.store(value, result, align=8)
             return context.get_dummy_value()
 
         return types.void(*[types.intp] * 8), generate
@@ -101,7 +103,8 @@ def _panel(rows: int) -> Any:
     return panel
 
 
-_one_row, _two_rows, _three_rows, _four_rows = (_panel(rows) for rows in (1, 2, 3, 4))
+_one_row, _two_rows, _three_rows, _four_rows = (_panel(rows, LANES) for rows in (1, 2, 3, 4))
+_less_product, _more_product = _panel(PANEL, LANES, -1), _panel(PANEL, LANES, 1)
 
 
 @njit(**KERNEL)
@@ -123,3 +126,46 @@ def multiply_panel(
         _four_rows(goal, below, start, below_H, origin, below_source, depth, columns)
     else:
         _one_row(goal, below, start, below_H, origin, below_source, depth, columns)
+
+
+@njit(**KERNEL)
+def solve_triangular(S: Any, HP: Any, rows: int, columns: int) -> None:
+    """HP <- L^-1 HP, with the factor L^T in the upper triangle of S; `rows` rows, columns rounded up to vectors."""
+    for top in range(0, rows, PANEL):
+        _less_product(
+            at(HP) + 8 * top * HP.shape[1], HP.shape[1], at(S) + 8 * top, S.shape[1], at(HP), HP.shape[1], top, columns
+        )
+        for i in range(top, min(top + PANEL, rows)):
+            row = HP[i]
+            for k in range(top, i):
+                factor, solved = S[k, i], HP[k]
+                for j in range(columns):
+                    row[j] -= factor * solved[j]
+            inverse = 1.0 / S[i, i]
+            for j in range(columns):
+                row[j] *= inverse
+
+
+def _change_by_square(product: Any) -> Any:
+    """Kernel that changes the upper triangle of the first n rows of P by HP^T HP."""
+
+    @njit(**KERNEL)
+    def change(P: Any, HP: Any, rows: int, n: int) -> None:
+        for top in range(0, n, PANEL):
+            left = top - top % LANES
+            product(
+                at(P) + 8 * (top * P.shape[1] + left),
+                P.shape[1],
+                at(HP) + 8 * top,
+                HP.shape[1],
+                at(HP) + 8 * left,
+                HP.shape[1],
+                rows,
+                n - left,
+            )
+
+    return change
+
+
+subtract_square, add_square = _change_by_square(_less_product), _change_by_square(_more_product)
+"""P -= HP^T HP and P += HP^T HP: below the triangle, and behind row and column n, they may write, too."""

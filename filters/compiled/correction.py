@@ -6,7 +6,7 @@ import math
 
 from numba import njit, types
 
-from filters.compiled.blas import KERNEL, at, call, multiply_panel
+from filters.compiled.blas import KERNEL, at, call, multiply_panel, solve_triangular, subtract_square
 from filters.compiled.covariance import keep_considered, restore_considered, take_leading, take_rows
 from filters.compiled.prediction import measure_odometry
 from filters.compiled.recipe import Plan
@@ -77,10 +77,10 @@ def innovation_covariance(plan: Plan, s: Scratch, select: IntArray, first: int, 
 @njit(**KERNEL)
 def factorise(routines: tuple[int, ...], s: Scratch, rows: int) -> bool:
     """Cholesky factor of S in place; whether there is one."""
-    sizes, lower, k = s.sizes, at(s.letters), at(s.sizes)
-    sizes[0], sizes[3], sizes[5] = rows, s.S.shape[1], 0
-    call(routines[0], (lower, k, at(s.S), k + 12, k + 20))
-    return sizes[5] == 0 and math.isfinite(s.S[rows - 1, rows - 1])
+    sizes, first = s.sizes, at(s.sizes)
+    sizes[0], sizes[1], sizes[2] = rows, s.S.shape[1], 0
+    call(routines[0], (at(s.letters), first, at(s.S), first + 4, first + 8))
+    return sizes[2] == 0 and math.isfinite(s.S[rows - 1, rows - 1])
 
 
 @njit(**KERNEL)
@@ -89,21 +89,14 @@ def absorb(routines: tuple[int, ...], P: FloatArray, n: int, s: Scratch, rows: i
     HP = s.HP
     if not factorise(routines, s, rows):
         return -1.0
-    sizes, signs = s.sizes, s.signs
-    sizes[1], sizes[2], sizes[4], sizes[6], sizes[7] = n, n + 1, 1, HP.shape[1], P.shape[1]
-    lower = at(s.letters)
-    right, plain, turned = lower + 1, lower + 2, lower + 3
-    k = at(sizes)
-    states, with_nu, room, one, stride, stride_P = k + 4, k + 8, k + 12, k + 16, k + 24, k + 28
-    plus = at(signs)
-    minus, covariance, solved, factor = plus + 8, at(P), at(HP), at(s.S)
-    # HP <- L^-1 HP, delta += HP^T nu, P -= HP^T HP; BLAS is column-major
-    call(routines[1], (right, lower, turned, plain, with_nu, k, plus, factor, room, solved, stride))
-    call(routines[2], (plain, states, k, plus, solved, stride, solved + 8 * n, stride, plus, at(s.delta), one))
-    call(routines[3], (lower, plain, states, k, minus, solved, stride, plus, covariance, stride_P))
+    solve_triangular(s.S, HP, rows, n + 1)
     nis = 0.0
     for row in range(rows):
-        nis += HP[row, n] ** 2
+        solved, nu = HP[row], HP[row, n]
+        for j in range(n):
+            s.delta[j] += nu * solved[j]
+        nis += nu**2
+    subtract_square(P, HP, rows, n)
     return nis
 
 

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import math
+
 from numba import njit, types
 
 from filters.compiled.blas import ENTRY, KERNEL, ROUTINES, call
 from filters.compiled.correction import correct, explained, factorise, fuse, innovation_covariance, times_covariance
 from filters.compiled.covariance import keep_considered, restore_considered
+from filters.compiled.drift import take_steps
 from filters.compiled.gating import largest_agreement, reweight, squared_distances
+from filters.compiled.gauge_walk import walk_gauge
 from filters.compiled.landmarks import can_start, close_gaps, enter, find, leave
 from filters.compiled.prediction import orientation, predict, put, right_jacobian_of, times, transposed
 from filters.compiled.projection import linearise, prepare, project
@@ -30,6 +34,7 @@ from filters.compiled.units import (
     SCRATCH,
     STORAGE,
     VECTOR,
+    WALK,
     read_frame,
     read_plan,
     read_scratch,
@@ -162,10 +167,11 @@ def _apply(
     size = plan.rows[variant, stage, 0]
     P, x, blocks, counts = S.P[b], S.x[b], S.blocks[b], S.counts[b]
     n = plan.leading + 3 * counts[BLOCKS]
+    if plan.drift[1].any():
+        take_steps(plan, plan.drift[1], P, s, s.select, count)
     if plan.tail_dof < 1e300:
         call(routines[GATE], (plan, P, s, s.select, count, size))
         reweight(plan, s, s.select, count, size)
-    # Process noise of landmarks would go here: P_own += J^-1 Q J^-T of each selected one, J = d (u, v, d) / d own.
     for _ in range(plan.iterations - 1):
         call(routines[PROPOSE], (routines, plan, S, b, s, count, size, n))
         for i in plan.considered:
@@ -223,6 +229,8 @@ def _stage(
         else:
             s.fates[m] = BEHIND
     count = ahead
+    if plan.drift[0].any():
+        take_steps(plan, plan.drift[0], P, s, s.select, count)
     if gated:
         count = _believable(routines, plan, variant, stage, S, b, s, count)
     if not (gated and plan.consensus):
@@ -305,9 +313,12 @@ def _advance(routines: tuple[int, ...], plan: Plan, S: Storage, b: int, s: Scrat
     dt = frame.dt[b]
     if dt > 0.0:
         P, x = S.P[b], S.x[b]
-        n = plan.leading + 3 * counts[BLOCKS]
+        n, here = plan.leading + 3 * counts[BLOCKS], (x[0], x[1], x[2])
         odometry, covariance = frame.odometry[b], frame.odometry_covariance[b]
         call(routines[PREDICT], (plan, P, n, x, S.predicted[b], dt, odometry, covariance, s))
+        if plan.gauge_rotation > 0.0 or plan.gauge_translation > 0.0:
+            distance = math.sqrt((x[0] - here[0]) ** 2 + (x[1] - here[1]) ** 2 + (x[2] - here[2]) ** 2)
+            call(routines[WALK], (plan, S, b, s, distance))
         if frame.fused[b] and not plan.velocity_driven:
             call(routines[FUSE], (routines, plan, P, n, x, dt, odometry, covariance, s))
             if s.result[0] > 0.0:
@@ -345,6 +356,17 @@ def advance(
         _advance(routines, plan, S, b, s, frame)
 
 
-UNITS = (predict, fuse, linearise_unit, squared_distances, largest_agreement, propose_unit, correct, retract, enter)
+UNITS = (
+    predict,
+    fuse,
+    linearise_unit,
+    squared_distances,
+    largest_agreement,
+    propose_unit,
+    correct,
+    retract,
+    enter,
+    walk_gauge,
+)
 KERNELS = (*ROUTINES, *(kernel.address for kernel in UNITS))
 """Addresses that `advance` wants, of BLAS and of the units."""

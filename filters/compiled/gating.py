@@ -7,6 +7,7 @@ from numba import njit, types
 
 from filters.compiled.blas import KERNEL, multiply_panel
 from filters.compiled.correction import take_columns, take_leading_columns, times_covariance
+from filters.compiled.drift import step_covariance
 from filters.compiled.recipe import Plan
 from filters.compiled.storage import Scratch
 from filters.compiled.units import INDEX, MATRIX, PLAN, SCRATCH, unit
@@ -111,7 +112,14 @@ def largest_agreement(
     take_leading_columns(plan, s, rows)
     own, proposal, x = s.small[1], s.small[2, 0], s.small[2, 1]
     for i in range(count):
-        _invert(s.R[select[i]], s.inverse_R[select[i]], s.small[0], size)
+        noise = s.R[select[i]]
+        if plan.drift[0].any():
+            step_covariance(plan.drift[0], noise, own)
+            for a in range(3):
+                for b in range(3):
+                    own[a, b] += noise[a, b]
+            noise = own
+        _invert(noise, s.inverse_R[select[i]], s.small[0], size)
     best, most, least = -1, -1, np.inf
     cross = s.S  # of all measurements with one of them, transposed: H_i P H_j^T
     for i in range(count):

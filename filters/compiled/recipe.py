@@ -9,6 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import chdtri
 
+from filters.drift import LandmarkDrift
+from filters.gauge_walk import GaugeWalk
 from filters.validation import FloatArray, IntArray
 
 LANDMARKS = ("inverse-depth", "shared-anchor", "euclidean")
@@ -59,6 +61,11 @@ class Plan(NamedTuple):
     """(2, stages, 3): rows of the stage, the row that `v_right` is for, the row apart from the others (-1: none)."""
     apart_scale: FloatArray
     """Factor of the variance of that row, (2, stages)."""
+    drift: FloatArray
+    """Steps of measured landmarks, `LandmarkDrift.parts`: (2, 4)."""
+    gauge_rotation: float
+    gauge_translation: float
+    """Walk of camera and map together, rad and m per root of a metre."""
     limits: FloatArray
     """Squared distance up to which a measurement is believed, (2, stages)."""
 
@@ -107,6 +114,10 @@ class Recipe:
         Probability with which a consistent landmark passes all stages.
     consensus, tail_dof, iterations, drop_unseen, min_disparity
         As of `StereoEKF`.
+    drift : LandmarkDrift, optional
+        Process noise of measured landmarks, with (u, v, d) in one stage.
+    gauge_walk : GaugeWalk, optional
+        Walk of camera and map together.
     motion : {"constant-velocity", "velocity-driven"}
         Motion model.
     sigma_acceleration, sigma_angular_acceleration : float
@@ -137,6 +148,8 @@ class Recipe:
     iterations: int = 1
     drop_unseen: bool = True
     min_disparity: float | None = None
+    drift: LandmarkDrift | None = None
+    gauge_walk: GaugeWalk | None = None
     motion: str = "constant-velocity"
     sigma_acceleration: float = 3.0
     sigma_angular_acceleration: float = 0.6
@@ -226,5 +239,8 @@ class Recipe:
             T=T,
             rows=rows,
             apart_scale=scales,
+            gauge_rotation=float(self.gauge_walk.rotation) if self.gauge_walk else 0.0,
+            gauge_translation=float(self.gauge_walk.translation) if self.gauge_walk else 0.0,
+            drift=np.zeros((2, 4)) if self.drift is None else self.drift.parts,
             limits=limits,
         )

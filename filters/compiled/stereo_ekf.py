@@ -54,6 +54,8 @@ def recipe_of(camera: StereoCamera, options: Options) -> Recipe:
         gate=options.gate,
         consensus=options.consensus,
         tail_dof=options.tail_dof,
+        drift=options.drift,
+        gauge_walk=options.gauge_walk,
         iterations=options.iterations,
         drop_unseen=options.drop_unseen,
         min_disparity=options.min_disparity,
@@ -133,12 +135,14 @@ class CompiledFilter:
     @property
     def state(self) -> JointState:
         """A copy of what it knows; to be assigned after a change."""
-        state, layout = self.engine.export(self.number), self.options.layout
-        rows = np.delete(np.arange(len(state.P)), np.arange(layout.size, self.engine.recipe.leading))
+        state, layout, leading = self.engine.export(self.number), self.options.layout, self.engine.recipe.leading
+        P = state.P.T  # the upper triangle of rows is the lower one of columns
+        if layout.size < leading:  # what is between them is padding
+            P = symmetric.keep(P, np.delete(np.arange(len(P)), np.arange(layout.size, leading)))
         return JointState(
             layout,
             self._camera(state.x),
-            np.asfortranarray(state.P[np.ix_(rows, rows)]),
+            P,
             self.options.landmark,
             self._camera(state.predicted),
             state.blocks,
@@ -179,6 +183,11 @@ class CompiledFilter:
         """Landmarks in the map, ascending."""
         storage = self.engine.storage
         return storage.ids[self.number, : storage.counts[self.number, 0]].copy()
+
+    @property
+    def state_size(self) -> int:
+        """Rows of the covariance."""
+        return self.options.layout.size + 3 * int(self.engine.storage.counts[self.number, 1])
 
     @property
     def camera(self) -> CameraState:

@@ -135,7 +135,7 @@ class Scratch(NamedTuple):
     """What a unit gives back, (2,)."""
     letters: IntArray
     sizes: IntArray
-    signs: FloatArray
+    """Arguments of LAPACK."""
 
 
 def empty_storage(recipe: Recipe, filters: int, blocks: int) -> Storage:
@@ -173,7 +173,7 @@ def scratch(recipe: Recipe, storage: Storage, measurements: int) -> Scratch:
     """Room for a frame of so many measurements."""
     n, blocks, leading, M = storage.P.shape[1], storage.blocks.shape[1], recipe.leading, max(1, measurements)
     at_once = recipe.consensus or recipe.iterations > 1
-    rows = max(6, M * MOST_ROWS if at_once else min(M * MOST_ROWS, CHUNK_ROWS + MOST_ROWS))
+    rows = max(8, M * MOST_ROWS if at_once else min(M * MOST_ROWS, CHUNK_ROWS + MOST_ROWS))
     width = recipe.measured + 6
     integers = {name: np.zeros(M, dtype=np.int64) for name in ("where", "place", "land", "select", "core")}
     return Scratch(
@@ -216,9 +216,8 @@ def scratch(recipe: Recipe, storage: Storage, measurements: int) -> Scratch:
         inverse_R=np.zeros((M if recipe.consensus else 1, MOST_ROWS, MOST_ROWS)),
         small=np.zeros((3, MOST_ROWS, MOST_ROWS)),
         result=np.zeros(2),
-        letters=np.array((76, 82, 78, 84), dtype=np.uint8),  # L, R, N, T
-        sizes=np.zeros(8, dtype=np.int32),
-        signs=np.array((1.0, -1.0)),
+        letters=np.array((ord("L"),), dtype=np.uint8),
+        sizes=np.zeros(3, dtype=np.int32),
     )
 
 
@@ -275,15 +274,14 @@ def empty_frame(filters: int, blocks: int, measurements: int) -> Frame:
 
 
 def exported(storage: Storage, recipe: Recipe, filter_index: int) -> FilterState:
-    """A copy of the state of one filter; P is whole."""
+    """A copy of the state of one filter."""
     b, (landmarks, blocks) = filter_index, storage.counts[filter_index]
     n = recipe.leading + 3 * blocks
-    upper = np.triu(storage.P[b, :n, :n])
     held = storage.held[b]
     return FilterState(
         x=storage.x[b].copy(),
         predicted=storage.predicted[b].copy(),
-        P=upper + np.triu(upper, 1).T,
+        P=storage.P[b, :n, :n].copy(),
         blocks=storage.blocks[b, :blocks].copy(),
         first=storage.first[b, :blocks].copy(),
         ids=storage.ids[b, :landmarks].copy(),

@@ -30,9 +30,9 @@ GIVEN, GIVEN_COVARIANCE = (
     types.Array(types.float64, 2, "C", readonly=True),
 )
 """Odometry of one filter."""
-UNITS = ("predict", "fuse", "linearise", "gate", "agree", "propose", "correct", "retract", "enter")
+UNITS = ("predict", "fuse", "linearise", "gate", "agree", "propose", "correct", "retract", "enter", "walk")
 """Places of their addresses, after those of BLAS."""
-PREDICT, FUSE, LINEARISE, GATE, AGREE, PROPOSE, CORRECT, RETRACT, ENTER = range(
+PREDICT, FUSE, LINEARISE, GATE, AGREE, PROPOSE, CORRECT, RETRACT, ENTER, WALK = range(
     len(ROUTINES), len(ROUTINES) + len(UNITS)
 )
 ADDRESSES = types.UniTuple(types.intp, len(ROUTINES) + len(UNITS))

@@ -18,7 +18,9 @@ from filters.state.linearised import LinearisedMeasurements
 from filters.validation import BoolArray, FloatArray
 
 
-def largest_agreement(P: FloatArray, measurements: LinearisedMeasurements, limit: float) -> BoolArray:
+def largest_agreement(
+    P: FloatArray, measurements: LinearisedMeasurements, noise: FloatArray, limit: float
+) -> BoolArray:
     """Which measurements agree with the best one-landmark hypothesis.
 
     Parameters
@@ -27,8 +29,10 @@ def largest_agreement(P: FloatArray, measurements: LinearisedMeasurements, limit
         Covariance, lower triangle.
     measurements : LinearisedMeasurements
         M measurements of k rows.
+    noise : (M, k, k)
+        Covariance of what is left of a measurement that agrees: its own noise, and a step of its landmark.
     limit : float
-        Squared Mahalanobis distance, with the measurement noise alone, up to which a residual counts as agreement.
+        Squared Mahalanobis distance, by `noise` alone, up to which a residual counts as agreement.
 
     Returns
     -------
@@ -43,8 +47,8 @@ def largest_agreement(P: FloatArray, measurements: LinearisedMeasurements, limit
     proposals = np.linalg.solve(own, measurements.innovation[:, :, None])[:, :, 0]
     # What hypothesis i leaves of the innovation of j: nu_j - S_ji S_ii^-1 nu_i (without the noise of j in S_ji).
     residuals = measurements.innovation[:, None] - np.einsum("jaib,ib->jia", cross, proposals)
-    noise = np.broadcast_to(measurements.R[:, None], (count, count, size, size))
-    distances = squared_distances(residuals.reshape(-1, size), noise.reshape(-1, size, size)).reshape(count, count)
+    noises = np.broadcast_to(noise[:, None], (count, count, size, size))
+    distances = squared_distances(residuals.reshape(-1, size), noises.reshape(-1, size, size)).reshape(count, count)
     np.fill_diagonal(distances, 0.0)  # exactly, or rounding would decide between hypotheses without followers
     agrees = distances <= limit
     support = agrees.sum(axis=0)

@@ -6,14 +6,17 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
+from scipy.linalg import blas
 
 from filters.camera import StereoCamera
+from filters.drift import in_own_numbers, step_covariances
 from filters.engine import gating, kalman
 from filters.engine.consensus import largest_agreement
 from filters.engine.gating import BEHIND, FAILED, GATED, USED, FateArray
 from filters.engine.heavy_tails import reweighted
 from filters.engine.map_policy import MapPolicy
 from filters.engine.options import Options
+from filters.gauge_walk import GaugeWalk
 from filters.interface import BodyVelocity, StereoObservation, UpdateReport
 from filters.measurements.model import Stage
 from filters.motions.model import CameraState, MotionPrediction, measure_odometry, predict_camera
@@ -21,6 +24,7 @@ from filters.noise import StereoNoise
 from filters.state import symmetric
 from filters.state.joint_state import JointState, world_rotation_of_variables
 from filters.state.linearised import LinearisedMeasurements, of_variables
+from filters.updates.extended import Extended
 from filters.updates.model import points_in_camera
 from filters.validation import BoolArray, FloatArray, IntArray
 
@@ -46,9 +50,12 @@ class NumpyFilter:
         motion = self.options.motion
         predicted = predict_camera(motion, self.state.camera, dt, odometry)
         measured = None if odometry is None else measure_odometry(motion, predicted.state, dt, odometry)
+        distance = float(np.linalg.norm(predicted.state.position - self.state.camera.position))
         # The model has said all it has to say, in the right shapes: only now does the state change.
         self._move_covariance(predicted, dt)
         self.state.camera = self.state.predicted = predicted.state
+        if self.options.gauge_walk is not None:
+            self._walk_gauge(self.options.gauge_walk, distance)
         if measured is not None:
             layout = self.options.layout
             linear = of_variables(measured, layout.rows_of(motion.moves), layout.size)
@@ -72,6 +79,11 @@ class NumpyFilter:
         return self.state.ids
 
     @property
+    def state_size(self) -> int:
+        """Rows of the covariance in use."""
+        return len(self.state.rows_in_use)
+
+    @property
     def camera(self) -> CameraState:
         """Values of the named variables."""
         return self.state.camera
@@ -92,6 +104,14 @@ class NumpyFilter:
             F = error.constrained(F, world_rotation_of_variables(layout, predicted.state), state)
         symmetric.transform_leading(state.P, F, added)
 
+    def _walk_gauge(self, walk: GaugeWalk, distance: float) -> None:
+        """Add to P what no measurement can see. Clones of the pose stay where the camera was."""
+        at = self.options.error.linearisation_point(self.state) or self.state
+        B = walk.directions(at.world_rotation(), at.world_translation(), at.camera.position, distance)
+        for clone in at.clones.values():
+            B[at.block_rows(clone.blocks)] = 0.0
+        blas.dsyrk(1.0, B, beta=1.0, c=self.state.P, lower=1, overwrite_c=1)
+
     def _linearise(self, state: JointState, index: IntArray, stage: Stage) -> LinearisedMeasurements:
         options = self.options
         point = options.error.linearisation_point(state)
@@ -108,33 +128,52 @@ class NumpyFilter:
         stages = self.options.measurement.stages(observation, observation.covariances(noise))
         gate = self.options.gate and self.options.gate ** (1 / len(stages))
         fates = np.zeros(len(index), dtype=np.uint8)
-        nis, dof = 0.0, 0
-        for stage in stages:
-            gained, rows = self._correct_stage(stage, index, gate, fates)
+        R, nis, dof = observation.covariances(noise), 0.0, 0
+        for number, stage in enumerate(stages):
+            gained, rows = self._correct_stage(stage, index, gate, fates, None if number else R)
             nis, dof = nis + gained, dof + rows
         if not np.count_nonzero(fates):
             return UpdateReport(updated=observation.ids, nis=nis, nis_dof=dof)
         updated, behind, gated, failed = (observation.ids[fates == fate] for fate in (USED, BEHIND, GATED, FAILED))
         return UpdateReport(updated, gated=gated, behind_camera=behind, failed=failed, nis=nis, nis_dof=dof)
 
-    def _correct_stage(self, stage: Stage, index: IntArray, gate: float | None, fates: FateArray) -> tuple[float, int]:
-        """Correct with the measurements whose fate so far is USED, and write their fates; the NIS and its dof."""
+    def _correct_stage(
+        self, stage: Stage, index: IntArray, gate: float | None, fates: FateArray, R: FloatArray | None
+    ) -> tuple[float, int]:
+        """Correct with the measurements whose fate so far is USED, and write their fates; the NIS and its dof.
+
+        R (M, 3, 3) is the noise of (u, v, d) in the first stage, before which landmarks drift, and None later.
+        """
         candidates = fates == USED
         forward = self.options.measurement.in_front(points_in_camera(self.state, index))
         fates[candidates & ~forward] = BEHIND
         candidates &= forward
         fates[candidates] = GATED
+        steps, rest = None, None
+        if R is not None and self.options.drift is not None:
+            steps, rest = (step_covariances(part, R) for part in self.options.drift.parts)
+            self._drift(index[candidates], steps[candidates])
         nis, dof = 0.0, 0
-        for where, measurements in self._passes(stage, index, candidates, gate):
+        for where, measurements in self._passes(stage, index, candidates, gate, steps):
+            if rest is not None and rest.any():
+                self._drift(index[where], rest[where])
             correction = self._apply(measurements, _select(stage, where), index[where])
             fates[where] = np.where(correction.used, USED, FAILED)
             nis, dof = nis + correction.nis, dof + correction.dof
         return nis, dof
 
     def _passes(
-        self, stage: Stage, index: IntArray, candidates: BoolArray, gate: float | None
+        self,
+        stage: Stage,
+        index: IntArray,
+        candidates: BoolArray,
+        gate: float | None,
+        steps: FloatArray | None,
     ) -> Iterator[tuple[BoolArray, LinearisedMeasurements]]:
-        """The measurements (M,) to correct with next, chosen and linearised at the state the previous ones left."""
+        """The measurements (M,) to correct with next, chosen and linearised at the state the previous ones left.
+
+        A landmark that agrees with the others may have taken a step, (M, 3, 3).
+        """
         if gate is None:
             yield candidates, self._linearise(self.state, index[candidates], _select(stage, candidates))
             return
@@ -144,7 +183,10 @@ class NumpyFilter:
             yield believable, measurements
             return
         core = believable.copy()
-        agree = largest_agreement(self.state.P, measurements, limit)
+        T, noise = stage.T[:, :3], measurements.R
+        if steps is not None:
+            noise = noise + T @ steps[believable] @ T.T
+        agree = largest_agreement(self.state.P, measurements, noise, limit)
         core[believable] = agree
         yield core, measurements[agree]
         yield self._believable(stage, index, candidates & ~core, limit)
@@ -160,6 +202,15 @@ class NumpyFilter:
         believable = candidates.copy()
         believable[candidates] = passed
         return believable, measurements[passed]
+
+    def _drift(self, index: IntArray, Q: FloatArray) -> None:
+        """Add the covariance of a step in the image, Q (M, 3, 3) px^2, to that of landmarks."""
+        sensor = self.options.measurement
+        numbers = Stage(np.zeros((len(index), 3)), np.eye(3, sensor.size), Q)
+        point = self.options.error.linearisation_point(self.state)
+        by_map = Extended().linearise(sensor, self._rig, self.state, index, numbers, point).by_map
+        rows = self.state.own_rows(index)
+        self.state.P[rows[:, :, None], rows[:, None, :]] += in_own_numbers(Q, by_map[:, :, -3:])
 
     def _apply(self, measurements: LinearisedMeasurements, stage: Stage, index: IntArray) -> kalman.Correction:
         """One pass of the update, or Gauss-Newton passes with the prior held."""

@@ -7,7 +7,9 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
+from filters.drift import LandmarkDrift
 from filters.errors.model import ErrorDefinition
+from filters.gauge_walk import GaugeWalk
 from filters.landmarks.model import LandmarkModel
 from filters.measurements.model import MeasurementModel
 from filters.motions.model import MotionModel
@@ -35,6 +37,8 @@ class Options:
     gate: float | None
     consensus: bool
     tail_dof: float | None
+    drift: LandmarkDrift | None
+    gauge_walk: GaugeWalk | None
     iterations: int
     drop_unseen: bool
     min_disparity: float | None
@@ -42,7 +46,18 @@ class Options:
     compiled: bool | None
 
     @classmethod
-    def of(cls, *, motion: Any, landmark: Any, measurement: Any, error: Any, update: Any, **others: Any) -> Options:
+    def of(
+        cls,
+        *,
+        motion: Any,
+        landmark: Any,
+        measurement: Any,
+        error: Any,
+        update: Any,
+        drift: Any,
+        gauge_walk: Any,
+        **others: Any,
+    ) -> Options:
         """Options with the parts that their names stand for."""
         return cls(
             motion=make_part("motion", "constant-velocity" if motion is None else motion),
@@ -50,6 +65,8 @@ class Options:
             measurement=make_part("measurement", measurement),
             error=make_part("error", error),
             update=make_part("update", update),
+            drift=LandmarkDrift.of(drift),
+            gauge_walk=GaugeWalk.of(gauge_walk),
             **others,
         )
 
@@ -83,6 +100,11 @@ class Options:
                     f"measurement must have no variables with update={type(self.update).__name__}, which takes no "
                     f'Jacobians, got {type(self.measurement).__name__}: use update="extended"'
                 )
+        if self.gauge_walk is not None and not self.error.keeps_gauge:
+            raise ValueError(
+                "error must keep what cannot be observed unobservable with gauge_walk, "
+                f'got {type(self.error).__name__}: use "first-estimates" or "right-invariant"'
+            )
         _ = self.layout
 
     @cached_property

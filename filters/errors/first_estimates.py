@@ -29,6 +29,7 @@ class FirstEstimates(ErrorDefinition):
     constrains: ClassVar[bool] = True
     linearises_at_the_state: ClassVar[bool] = False
     reset = False
+    keeps_gauge = True
     kernel: ClassVar[str | None] = "first-estimates"
 
     def transport(self, state: JointState, moved: JointState, delta: FloatArray) -> Transport:

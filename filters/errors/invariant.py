@@ -96,6 +96,11 @@ class RightInvariant(_InvariantError):
     reset: bool = False
     kernel: ClassVar[str | None] = "right-invariant"
 
+    @property
+    def keeps_gauge(self) -> bool:  # type: ignore[override]
+        """Whether P stays what it was in invariant coordinates, in which these directions never change."""
+        return not self.reset
+
     def _points(
         self, points: FloatArray, delta: FloatArray, theta: FloatArray, turn: FloatArray, spread: FloatArray
     ) -> FloatArray:

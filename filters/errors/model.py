@@ -34,6 +34,8 @@ class ErrorDefinition:
         Whether `linearisation_point` is always None.
     submaps : bool
         Whether `SubmapEKF` can use it: blocks are corrected one by one.
+    keeps_gauge : bool
+        Whether Jacobians and transport keep the directions that cannot be observed unobservable.
     reset : bool
         Whether `transport` is the full Jacobian of the retraction.
     kernel : str or None
@@ -44,6 +46,7 @@ class ErrorDefinition:
     constrains: ClassVar[bool] = False
     linearises_at_the_state: ClassVar[bool] = True
     submaps: ClassVar[bool] = True
+    keeps_gauge: bool = False
     reset: bool = True
     kernel: ClassVar[str | None] = None
 

@@ -175,6 +175,17 @@ class JointState:
             effect[clone.blocks] = -rotations.skew(clone.position), rotations.matrix(clone.orientation).T
         return np.vstack([world_rotation_of_variables(self.layout, self.camera), effect.reshape(-1, 3)])
 
+    def world_translation(self) -> FloatArray:
+        """Effect of a shift of the world on the error state, clones of the pose left out; (n, 3)."""
+        effect = np.broadcast_to(np.eye(3), (len(self.blocks), 3, 3)).copy()
+        if self.model.anchored:  # rays have no place of their own
+            effect[self.parameter_block[self.anchor_block >= 0]] = 0.0
+        for clone in self.clones.values():
+            effect[clone.blocks] = 0.0
+        leading = np.zeros((self.layout.size, 3))
+        leading[POSITION] = np.eye(3)
+        return np.vstack([leading, effect.reshape(-1, 3)])
+
     def at_first_estimates(self) -> JointState:
         """This state with the predicted camera and the map as it was first estimated."""
         blocks = self.first_blocks.copy()

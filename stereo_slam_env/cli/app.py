@@ -11,6 +11,7 @@ from typing import Annotated
 import typer
 
 from stereo_slam_env.cli import bench as cli_bench
+from stereo_slam_env.cli import evaluate as cli_evaluate
 from stereo_slam_env.cli import scenes as cli_scenes
 from stereo_slam_env.cli import studies as cli_studies
 from stereo_slam_env.cli import train as cli_train
@@ -32,6 +33,7 @@ app.add_typer(policies_app, name="policies")
 app.add_typer(cli_scenes.app, name="scenes")
 app.command()(cli_bench.bench)
 app.command()(cli_bench.replay)
+app.command()(cli_evaluate.evaluate)
 app.command()(cli_studies.faults)
 app.command()(cli_studies.paper)
 app.command()(cli_train.train)

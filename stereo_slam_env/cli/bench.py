@@ -19,6 +19,7 @@ from stereo_slam_env.cli.parts import (
     console,
     listed,
     new_directory,
+    numbers_from,
     rig_from,
     show_lines,
     show_place,
@@ -243,6 +244,16 @@ def replay(
         bool | None,
         typer.Option("--consensus/--no-consensus", help="Joint test over each frame.", show_default="with a gate"),
     ] = None,
+    reference: Annotated[
+        str | None,
+        typer.Option(
+            "--reference",
+            help="Errors of the truth, m and rad, which are added to what filters claim: position_jitter=0.005, "
+            "rotation_jitter, misalignment, settled_at (s); separated by commas.",
+            metavar="KEY=NUMBER,...",
+            show_default="none, or what the reader states",
+        ),
+    ] = None,
     skip_broken: Annotated[
         bool, typer.Option("--skip-broken", help="Leave out pairs with missing or damaged images, and count them.")
     ] = False,
@@ -257,10 +268,11 @@ def replay(
     from stereo_slam_env.report.console import progress_bar, show_recording
 
     where = path if path.partition(":")[0] == "gtsam" else str(Path(path).resolve())
-    source = DatasetSource(where, {"on_broken": "skip"} if skip_broken else {})
+    stated = {} if reference is None else numbers_from("--reference", reference)
+    source = DatasetSource(where, {"on_broken": "skip"} if skip_broken else {}, stated)
     name = f"replay-{Path(where).name.replace(':', '-')}"
     # No bound: the true noise is not known.
-    scenario = options.adjusted(Scenario(name, source, use_odometry=odometry, metrics=("map",)))
+    scenario = options.adjusted(Scenario(name, source, use_odometry=odometry, metrics=("map", "windows")))
     joint = scenario.gate is not None if consensus is None else consensus
     scenario = replace(scenario, consensus=joint)
     check_study(Study.of(scenario))

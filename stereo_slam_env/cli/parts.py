@@ -68,6 +68,18 @@ def rig_from(text: str) -> str | dict[str, Any]:
     return text.strip() if set(rig) == {"name"} else rig
 
 
+def numbers_from(option: str, text: str) -> dict[str, float]:
+    """Numbers by name: KEY=NUMBER,... ."""
+    numbers: dict[str, float] = {}
+    for part in text.split(","):
+        key, _, value = (piece.strip() for piece in part.partition("="))
+        try:
+            numbers[key] = float(value)
+        except ValueError:
+            raise ValueError(f"{option} must be numbers by name, as KEY=0.1,OTHER=2, got {text!r}") from None
+    return numbers
+
+
 def listed(option: str, text: str) -> list[str | dict[str, Any]]:
     """Names, and tables as scenario files have them, separated by commas: A,{name = "B", options = {gate = 0.9}}.
 

@@ -7,6 +7,7 @@ forward, y left, z up). Row k of the velocities has the time of frame k and desc
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -23,9 +24,11 @@ NAME = "kitti06_stereo51"
 FILES = (("image_l", "image_r", "calib.txt", "poses.txt", "odometry_oxts.csv"),)
 TRUTH = Reference(
     "independent truth",
-    "KITTI's ground truth: GPS/INS, which is still settling in frames 0 to 10; the odometry is of the same INS, with "
-    "noise added.",
+    "KITTI's ground truth: GPS/INS, which is still settling in frames 0 to 10, so that frames from 12 on are scored; "
+    "the odometry is of the same INS, with noise added.",
 )
+SETTLED = 12
+"""First frame that is scored, and used unless `first` says otherwise."""
 R_CI = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 P_I = np.array([1.1, -0.3, 0.7])
 """How the camera sits in the IMU frame (m), to some centimetres and a degree: far below the noise of the odometry."""
@@ -65,6 +68,8 @@ def open_sequence(
         seed=odometry_seed,
     )
     steps = [step if np.isfinite(row).all() else None for step, row in zip(odometry, table, strict=True)]
+    settled_at = float(table[SETTLED, 0]) if frames_stored > SETTLED else None
+    truth_from = TRUTH if settled_at is None else replace(TRUTH, settled_at=settled_at)
     truth = poses_of_rows(read_table(poses, 12, finite=False))
     files = ImageFiles(folders, (left, right), table[:frames_stored, 0], velocities, truth, poses, steps)
     source: dict[str, Any] = {
@@ -76,4 +81,4 @@ def open_sequence(
         "odometry_seed": int(odometry_seed),
     }
     P = projections[0], projections[1]
-    return RecordedSequence(NAME, files, choice, rig_of(calibration, P), source, TRUTH)
+    return RecordedSequence(NAME, files, choice, rig_of(calibration, P), source, truth_from)

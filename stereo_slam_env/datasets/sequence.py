@@ -182,7 +182,8 @@ def known_poses(positions: FloatArray, orientations: Rotation, known: BoolArray)
 class RecordedSequence:
     """An `ImageSequence` of files; images are read pair by pair.
 
-    W is the left camera at the first pair that is used, and truth is told in it. Where that pair has no true pose, no
+    W is the left camera at the first pair that is used, and truth is told in it. Without a choice of the first frame
+    the pairs begin where the truth has settled. Where that pair has no true pose, no
     pair has one: it could not be told in W. `camera` gives the rectified rig for an image file of the left camera,
     `rectify` makes rectified images, left and right, of those on disk, and `source` says reader, path and settings.
     """
@@ -198,7 +199,10 @@ class RecordedSequence:
         rectify: Rectify | None = None,
     ) -> None:
         self._found_at_opening = faults = Faults(choice.on_broken)
-        self._frames = frames = tuple(usable_pairs(files, choice, faults))
+        frames = tuple(usable_pairs(files, choice, faults))
+        if choice.first is None:
+            frames = tuple(pair for pair in frames if truth_from.has_settled(pair.timestamp))
+        self._frames = frames
         self.name, self.camera, self.start, self.truth_from = name, camera(frames[0].left), Start(), truth_from
         self.source = {**source, **vars(replace(choice, first=frames[0].number, last=frames[-1].number))}
         self._skipped = dict(faults.counts)

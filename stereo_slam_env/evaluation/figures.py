@@ -19,6 +19,7 @@ from stereo_slam_env.evaluation.consistency import DOF, landmark_anees, nis_per_
 from stereo_slam_env.evaluation.results import FilterSummary
 from stereo_slam_env.evaluation.trajectory_metrics import mean, root_mean_square
 from stereo_slam_env.evaluation.trial import Sample, Trial
+from stereo_slam_env.evaluation.windows import WINDOWS, series_of
 
 Value: TypeAlias = float | int | str | None
 Group = Literal["trial", "accuracy", "claim", "consistency", "cost", "events"]
@@ -221,6 +222,36 @@ def _count(series: str) -> Callable[[Trial], int | None]:
     return lambda trial: int(trial.run.counts[series].sum()) if series in trial.run.counts else None
 
 
+def _of_windows(seconds: float) -> tuple[Figure, Figure]:
+    """NEES of windows of a length, and the floor of that."""
+    series = series_of(seconds)
+    over_runs = Combination("mean over all windows", lambda s, _: number(mean(pooled(s.completed, series))))
+    return (
+        Figure(
+            series,
+            f"motion NEES, {seconds:g} s",
+            "",
+            "consistency",
+            f"mean NEES of the motion over windows of {seconds:g} s that do not overlap; 6 is ideal; null where they "
+            "were not scored, or the filter keeps no clones of the pose",
+            _mean(series),
+            over_runs,
+            digits=2,
+            ideal=DOF["pose"],
+        ),
+        Figure(
+            f"{series}_floor",
+            f"floor of that, {seconds:g} s",
+            "",
+            "consistency",
+            "as pose_nees_floor, of these windows",
+            *_median(f"{series}_floor"),
+            digits=2,
+            ideal=DOF["pose"],
+        ),
+    )
+
+
 _BRIEF: tuple[Place, ...] = ("brief", "console", "report")
 _CONSOLE: tuple[Place, ...] = ("console",)
 _REPORT: tuple[Place, ...] = ("report",)
@@ -294,6 +325,11 @@ _TABLE = (
            _mean("position_nees"), _consistency("position"), ideal=DOF["position"], **_NEES),
     Figure("rotation_anees", "rotation NEES", "", "consistency", "mean NEES of the rotation; 3 is ideal",
            _mean("rotation_nees"), _consistency("rotation"), ideal=DOF["rotation"], **_NEES),
+    Figure("pose_nees_floor", "pose NEES floor", "", "consistency",
+           "median over frames of the NEES that a consistent filter with this covariance would have if the errors that "
+           "are stated of the reference were taken for its own; null where none are stated",
+           *_median("pose_nees_floor"), digits=2, ideal=DOF["pose"]),
+    *(figure for seconds in WINDOWS for figure in _of_windows(seconds)),
     Figure("landmark_anees", "landmark NEES", "", "consistency",
            "mean NEES of landmarks in (u, v, d); 3 is ideal",
            lambda t: landmark_anees([t.run]), _consistency("landmark"), digits=2, ideal=DOF["landmark"]),

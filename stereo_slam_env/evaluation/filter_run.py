@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from filters import StereoNoise
+from filters import StereoNoise, StereoObservation
 from filters.common_options import make_with_common_options
 from filters.consistency import nees
 from filters.motions.model import POSE_SIZE, POSITION, ROTATION
@@ -18,6 +19,7 @@ from filters.validation import FloatArray, IntArray
 from stereo_slam_env.evaluation.landmark_statistics import LandmarkScorer
 from stereo_slam_env.evaluation.map_scoring import TraceRecorder, score_map, view_map
 from stereo_slam_env.evaluation.results import COUNTS, EVENTS, FilterRun, peak_memory_mb
+from stereo_slam_env.evaluation.windows import WINDOW_SERIES, nees_floor, score_windows
 from stereo_slam_env.loop import Moment, Observe, run
 from stereo_slam_env.recording.recording import Recording
 
@@ -34,6 +36,7 @@ def run_filter(
     noise: StereoNoise | None = None,
     use_odometry: bool = True,
     score_map: bool = True,
+    windows: bool = False,
     seed: int | None = None,
     observe: Observe | None = None,
     progress: Callable[[int, int], None] | None = None,
@@ -59,6 +62,9 @@ def run_filter(
         Whether `predict` is given the odometry of the recording.
     score_map : bool
         Whether the landmarks are judged, too, which costs about as much as a quick filter.
+    windows : bool
+        Whether the motion over windows is judged, too, for filters that keep clones of the pose: in a second run, which
+        is not timed, by NumPy.
     seed : int, optional
         Of the recording, for the result.
     observe : callable, optional
@@ -84,6 +90,7 @@ def run_filter(
     used: dict[str, Any] = dict(options or {})
     not_given: Mapping[str, str] = {}
     frame_number = -1
+    seen: list[StereoObservation] = []
     with threadpool_limits(limits=1):
         try:
             made = make_with_common_options(
@@ -100,6 +107,7 @@ def run_filter(
                 log.add(moment)
                 if score_map:
                     log.add_map(moment)
+                seen.append(moment.observation)
                 frame_number = moment.number + 1
                 if progress is not None:
                     progress(frame_number, len(recording))
@@ -108,13 +116,22 @@ def run_filter(
             where = f"frame {frame_number}" if frame_number >= 0 else "start"
             failure = f"{where}: {type(error).__name__}: {(str(error).strip() or 'no message').splitlines()[0]}"
             _log.info("%s on %s failed at %s", name, recording.name, failure)
-    return log.result(name, used, seed, failure, peak_memory_mb() - memory, not_given)
+        memory = peak_memory_mb() - memory
+        if windows and failure is None:
+            again = recording.with_observations(seen)
+            alive = None if progress is None else partial(progress, len(recording), len(recording))
+            try:
+                log.add_windows(score_windows(made.filter, again, use_odometry=use_odometry, alive=alive))
+            except Exception as error:  # the filter went through once: its other figures stand
+                _log.warning("%s on %s: windows are not scored: %s", name, recording.name, error)
+    return log.result(name, used, seed, failure, memory, not_given)
 
 
 _SERIES: Mapping[str, tuple[int, ...]] = {
     **{"positions": (3,), "orientations": (4,), "pose_covariances": (6, 6)},
     **{"linear_velocities": (3,), "angular_velocities": (3,), "velocity_covariances": (6, 6), "pose_errors": (6,)},
     **dict.fromkeys(("pose_nees", "position_nees", "rotation_nees", "landmark_nees", "landmark_rmse", "nis"), ()),
+    **dict.fromkeys(("pose_nees_floor", *WINDOW_SERIES), ()),
     **dict.fromkeys(("milliseconds", "predict_milliseconds", "update_milliseconds", "state_size"), ()),
 }
 """Series of floating point numbers of a `FilterRun` that are filled frame by frame, and the shapes of their rows."""
@@ -165,13 +182,20 @@ class RunLog:
             return
         error, covariance = moment.pose_error
         self._note(k, pose_errors=error)
-        if self._has_independent_truth:
+        if moment.scored_error is not None:
+            _, summed = moment.scored_error
             parts = {"pose_nees": slice(0, POSE_SIZE), "position_nees": POSITION, "rotation_nees": ROTATION}
-            self._note(k, **{n: nees(error[None, p], covariance[None, p, p])[0] for n, p in parts.items()})
+            self._note(k, **{n: nees(error[None, p], summed[None, p, p])[0] for n, p in parts.items()})
+            if summed is not covariance:
+                self._note(k, pose_nees_floor=nees_floor(covariance, summed - covariance))
 
     def _note(self, k: int, **values: FloatArray | float) -> None:
         for name, value in values.items():
             self._series[name][k] = value
+
+    def add_windows(self, series: Mapping[str, FloatArray]) -> None:
+        """Note what windows showed."""
+        self._series.update(series)
 
     def add_map(self, moment: Moment) -> None:
         """Score the map and follow the traced landmarks."""

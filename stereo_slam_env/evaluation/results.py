@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from importlib import import_module
 from typing import Any
 
@@ -79,6 +79,14 @@ class FilterRun:
         The two parts of `milliseconds`.
     state_size : (K,)
         Dimension of the error state; NaN for filters without a `state_size`.
+    pose_nees_floor : (K,)
+        Where errors of the reference are stated: the pose NEES that a consistent filter with this covariance would have
+        if they were taken for its own.
+    window_nees_1s, window_nees_10s : (K,)
+        NEES of the motion over the window that ends at the frame (6 degrees of freedom); NaN elsewhere, and where
+        windows were not scored.
+    window_nees_1s_floor, window_nees_10s_floor : (K,)
+        As `pose_nees_floor`, of these.
     memory_mb : float
         By how much the run raised the peak resident memory of its process, MB (2^20 bytes), the recording not
         included. It is zero in a process that has needed more before, so compare trials that had a process of their
@@ -120,14 +128,19 @@ class FilterRun:
     predict_milliseconds: FloatArray = field(default_factory=_not_given)
     update_milliseconds: FloatArray = field(default_factory=_not_given)
     state_size: FloatArray = field(default_factory=_not_given)
+    pose_nees_floor: FloatArray = field(default_factory=_not_given)
+    window_nees_1s: FloatArray = field(default_factory=_not_given)
+    window_nees_1s_floor: FloatArray = field(default_factory=_not_given)
+    window_nees_10s: FloatArray = field(default_factory=_not_given)
+    window_nees_10s_floor: FloatArray = field(default_factory=_not_given)
     memory_mb: float = float("nan")
     landmark_statistics: LandmarkStatistics = field(default_factory=LandmarkStatistics)
     truth_from: Reference = GIVEN_TRUTH
 
     def __post_init__(self) -> None:
-        for name in ("position_nees", "rotation_nees", "predict_milliseconds", "update_milliseconds", "state_size"):
-            if len(getattr(self, name)) == 0:  # not given: not known
-                object.__setattr__(self, name, np.full(len(self.timestamps), np.nan))
+        for series in fields(self):
+            if series.default_factory is _not_given and len(getattr(self, series.name)) == 0:  # not given: not known
+                object.__setattr__(self, series.name, np.full(len(self.timestamps), np.nan))
 
     def __len__(self) -> int:
         return len(self.timestamps)

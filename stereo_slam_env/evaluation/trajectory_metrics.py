@@ -41,14 +41,22 @@ class SegmentErrors:
 def ate_rigid(estimate: FloatArray, reference: FloatArray) -> float:
     """Root mean square distance after the best rigid motion without scale, m.
 
-    Defined for positions on a line too: the motion is then not unique, but its residual is. Source: Umeyama, PAMI 1991,
-    with the scale held at 1.
+    Defined for positions on a line too: the motion is then not unique, but its residual is.
     """
     estimate, reference = _paired(estimate, reference)
+    R, t = rigid_motion(estimate, reference)
+    return root_mean_square(estimate @ R.T + t - reference)
+
+
+def rigid_motion(estimate: FloatArray, reference: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Rotation (3, 3) and translation (3,) that bring positions (K, 3) closest to others, by least squares.
+
+    Source: Umeyama, PAMI 1991, with the scale held at 1.
+    """
     mean_estimate, mean_reference = estimate.mean(axis=0), reference.mean(axis=0)
     U, _, Vt = np.linalg.svd((reference - mean_reference).T @ (estimate - mean_estimate))
     R = (U * np.array([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))])) @ Vt
-    return root_mean_square(estimate @ R.T + (mean_reference - R @ mean_estimate) - reference)
+    return R, mean_reference - R @ mean_estimate
 
 
 def ate_unaligned(estimate: FloatArray, reference: FloatArray) -> float:

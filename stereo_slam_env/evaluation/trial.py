@@ -47,10 +47,10 @@ class Trial:
 
     @cached_property
     def scored(self) -> BoolArray:
-        """Frames with a finite position and truth, but for the first; (K,)."""
+        """Frames with a finite position and a truth that has settled, but for the first; (K,)."""
         known = np.array(np.isfinite(self.run.positions).all(axis=1) & np.isfinite(self.run.true_positions).all(axis=1))
         known[:1] = False
-        return known
+        return known & self.run.truth_from.has_settled(self.run.timestamps)
 
     @cached_property
     def positions(self) -> tuple[FloatArray, FloatArray] | None:

@@ -13,8 +13,10 @@ from typing import Any, Literal, Protocol, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from filters import BodyVelocity, Pose, Start, StereoCamera, StereoNoise, StereoObservation
-from filters.validation import FloatArray, IntArray
+from filters import BodyVelocity, Pose, Start, StereoCamera, StereoNoise, StereoObservation, rotations
+from filters.known_names import require_known
+from filters.poses import relative_jacobian
+from filters.validation import BoolArray, FloatArray, IntArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +63,7 @@ class LandmarkTruth:
     positions: FloatArray
 
 
+_ERRORS = ("position_jitter", "rotation_jitter", "misalignment", "settled_at")
 ReferenceKind = Literal["independent truth", "odometry from the same images", "none"]
 
 
@@ -75,28 +78,87 @@ class Reference:
         images shares their errors with the filters: a distance to it is no error, so it has no NEES.
     description : str
         Where the poses come from and how good they are, one sentence.
+    position_jitter, rotation_jitter : float
+        Standard deviation per axis of the errors of each pose, independent from frame to frame, m and rad.
+    misalignment : float
+        Standard deviation per axis of the constant rotation by which the poses are of another body than the left
+        camera, rad.
+    settled_at : float, optional
+        Time of the recording, s, before which the poses are not to be scored; None: all are.
 
     Raises
     ------
     ValueError
-        There is no such kind.
+        There is no such kind, or an uncertainty is negative or not finite.
     """
 
     kind: ReferenceKind
     description: str
+    position_jitter: float = 0.0
+    rotation_jitter: float = 0.0
+    misalignment: float = 0.0
+    settled_at: float | None = None
 
     def __post_init__(self) -> None:
         known = get_args(ReferenceKind)
         if self.kind not in known:
             raise ValueError(f"kind of a reference must be one of {', '.join(map(repr, known))}, got {self.kind!r}")
+        for name in ("position_jitter", "rotation_jitter", "misalignment"):
+            if not 0.0 <= getattr(self, name) < np.inf:
+                raise ValueError(f"{name} of a reference must be >= 0 and finite, got {getattr(self, name)!r}")
+        if self.settled_at is not None and not np.isfinite(self.settled_at):
+            raise ValueError(f"settled_at of a reference must be a time or None, got {self.settled_at!r}")
 
     def __str__(self) -> str:
-        return f"{self.kind}. {self.description}"
+        parts = {
+            "jitter of {:g} mm": 1e3 * self.position_jitter,
+            "jitter of {:g} mrad": 1e3 * self.rotation_jitter,
+            "misalignment of {:g} mrad": 1e3 * self.misalignment,
+        }
+        stated = ", ".join(words.format(value) for words, value in parts.items() if value > 0)
+        settled = "" if self.settled_at is None else f" It has settled at {self.settled_at:g} s: scored from there on."
+        return f"{self.kind}. {self.description}" + (f" Its stated errors: {stated}." if stated else "") + settled
 
     @property
     def is_independent(self) -> bool:
         """Whether a distance to it is an error, which a filter's covariance can be held against."""
         return self.kind == "independent truth"
+
+    def stating(self, errors: Mapping[str, float]) -> Reference:
+        """The same poses with other stated errors, by name of the attribute; a `ValueError` names what is none."""
+        require_known("reference has no number", errors, _ERRORS)
+        values: dict[str, Any] = dict(errors)
+        return replace(self, **values)
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether no errors of the poses are stated."""
+        return not (self.position_jitter or self.rotation_jitter or self.misalignment)
+
+    def has_settled(self, timestamps: FloatArray | float) -> BoolArray:
+        """Which of these times, s, are to be scored."""
+        return np.asarray(timestamps) >= (-np.inf if self.settled_at is None else self.settled_at)
+
+    def relative_covariance(self, first: Pose, last: Pose) -> FloatArray:
+        """Covariance (6, 6) of the stated errors of the pose `last` as seen from `first`, as of `PoseBelief`.
+
+        Both have their jitter. The misalignment X turns a motion T into X^-1 T X, which is to first order
+        [[p]x ; I - R^T] x of the motion's p and R.
+        """
+        jitter = np.repeat(np.square([self.position_jitter, self.rotation_jitter]), 3)
+        J = relative_jacobian(first, last)
+        T = first.inverse() @ last
+        M = np.vstack([rotations.skew(T.position), np.eye(3) - T.R_wc.T])
+        covariance: FloatArray = (J * np.tile(jitter, 2)) @ J.T + self.misalignment**2 * M @ M.T
+        return covariance
+
+    def covariance(self, start: Pose, now: Pose) -> FloatArray:
+        """Covariance (6, 6) of the stated errors of a pose in W, where estimates begin at the pose `start`."""
+        relative = self.relative_covariance(start, now)
+        turn = np.eye(6)
+        turn[:3, :3] = start.R_wc
+        covariance: FloatArray = turn @ relative @ turn.T
+        return covariance
 
 
 SIMULATION = Reference("independent truth", "Exact poses of the simulation.")

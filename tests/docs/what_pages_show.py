@@ -158,6 +158,13 @@ def shows_nees(names, printed):
     assert names["low"] < names["mean"] < names["high"]
 
 
+def shows_evaluate(names, printed):
+    position, nees, verdict = printed.split(maxsplit=2)
+    assert 0.0 < float(position) < 0.2
+    assert 0.2 < float(nees) < 2.4
+    assert verdict.strip() == "consistent, as far as one run can tell"
+
+
 def shows_policies(names, printed):
     assert float(printed) < 0.65  # m; a fixed gaze has 0.69 on average, greedy 0.43
 
@@ -247,6 +254,7 @@ SHOWS = {
     "docs/baselines.md": shows_baselines,
     "docs/benchmark.md": shows_benchmark,
     "docs/environment.md": shows_environment,
+    "docs/evaluate.md": shows_evaluate,
     "docs/faults.md": shows_faults,
     "docs/front_end.md": shows_front_end,
     "docs/index.md": shows_index,

@@ -6,7 +6,7 @@ import importlib
 import inspect
 import json
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
@@ -17,7 +17,7 @@ from filters.known_names import did_you_mean, require_known
 from stereo_slam_env.benchmark.recordings.source import OpenedImages, Progress, Renderer, Source, checked
 from stereo_slam_env.datasets import holds_images, load, open_for_front_end
 from stereo_slam_env.frontend.recorder import record_tracks
-from stereo_slam_env.recording.recording import Recording
+from stereo_slam_env.recording.recording import GIVEN_TRUTH, Recording
 from stereo_slam_env.sensing.rigs import camera_of
 
 if TYPE_CHECKING:
@@ -177,6 +177,8 @@ class DatasetSource(Source, frozen=True, tag="dataset"):
         See `datasets.load`.
     arguments : dict
         Of the reader.
+    reference : dict
+        Errors of the truth, in place of what the reader states, see `Reference.stating`.
     """
 
     seeded: ClassVar[bool] = False
@@ -184,16 +186,24 @@ class DatasetSource(Source, frozen=True, tag="dataset"):
 
     path: str
     arguments: dict[str, Any] = msgspec.field(default_factory=dict)
+    reference: dict[str, float] = msgspec.field(default_factory=dict)
 
     def record(self, seed: int | None, frames: int | None = None, progress: Progress | None = None) -> Recording:
         """Read it, or track landmarks through its images."""
         if not self.takes_images:
-            return load(self.path, **self.arguments)
+            return self._stated(load(self.path, **self.arguments))
 
         def track() -> Recording:
             return record_tracks(*self.sequence(seed), frames=frames, progress=progress)
 
-        return _tracked(_Tracking(self.key, seed, frames, track))
+        return self._stated(_tracked(_Tracking(self.key, seed, frames, track)))
+
+    def check(self, frames: int | None = None) -> None:
+        """Refuse errors of the truth that are none."""
+        GIVEN_TRUTH.stating(self.reference)
+
+    def _stated(self, recording: Recording) -> Recording:
+        return replace(recording, truth_from=recording.truth_from.stating(self.reference))
 
     @property
     def takes_images(self) -> bool:
@@ -202,7 +212,7 @@ class DatasetSource(Source, frozen=True, tag="dataset"):
 
     def sequence(self, seed: int | None, frames: int | None = None) -> OpenedImages:
         """The images of the folder."""
-        return _opened(json.dumps(self.options, sort_keys=True))
+        return _opened(json.dumps({"path": self.path, **self.arguments}, sort_keys=True))
 
 
 class FactorySource(Source, frozen=True, tag="factory"):

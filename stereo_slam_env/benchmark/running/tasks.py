@@ -150,6 +150,7 @@ def _run_on(
         label=choice.label,
         **scenario.filter_arguments(recording.noise),
         score_map="map" in scenario.metrics,
+        windows="windows" in scenario.metrics,
         seed=task.seed,
         observe=observe,
         progress=tell,

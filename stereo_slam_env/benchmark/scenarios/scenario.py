@@ -25,7 +25,7 @@ Label = Annotated[str, Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9._+-]*\Z", max_lengt
 """Name of files: of a filter, a policy or a scenario."""
 Search = Literal["flow", "forecast"]
 Sensor = Literal["landmarks", "images"]
-Metric = Literal["map", "bound"]
+Metric = Literal["map", "bound", "windows"]
 Positive = Annotated[float, Meta(gt=0)]
 
 _MOTION: Mapping[str, float] = asdict(ConstantVelocity())
@@ -145,9 +145,10 @@ class Scenario:
         Standard deviations sigma_acceleration (m/s^2) and sigma_angular_acceleration (rad/s^2) the filters assume.
     corruptions : tuple of mapping
         What happens to the measurements on their way to the filters, in this order; see `sensing.corruptions`.
-    metrics : tuple of {"map", "bound"}
+    metrics : tuple of {"map", "bound", "windows"}
         Beyond trajectory, consistency, events and cost: "map", landmark errors, by range too, landmark NEES and depth
-        convergence; "bound", the posterior Cramér-Rao bound, where truth is known and all have the same measurements.
+        convergence; "bound", the posterior Cramér-Rao bound, where truth is known and all have the same measurements;
+        "windows", NEES of the motion over 1 s and 10 s, in a second run of each filter that keeps clones of its pose.
     divergence_percent : float
         A run that ends farther from the truth than this share of the distance travelled counts as diverged.
     frame_time_limit : float

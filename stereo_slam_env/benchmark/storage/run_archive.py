@@ -1,4 +1,4 @@
-"""Files of a run: `FilterRun` and bound as npz and back, trajectories in the formats of TUM and KITTI."""
+"""Files of a run: `FilterRun` and bound as npz and back."""
 
 from __future__ import annotations
 
@@ -7,24 +7,20 @@ import io
 import json
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from filters import rotations
-from filters.validation import FloatArray
 from stereo_slam_env.evaluation.cramer_rao import Bound
 from stereo_slam_env.evaluation.landmark_statistics import SERIES as _LANDMARK_SERIES
 from stereo_slam_env.evaluation.landmark_statistics import LandmarkStatistics
 from stereo_slam_env.evaluation.map_scoring import LandmarkTrace
 from stereo_slam_env.evaluation.results import FilterRun
-from stereo_slam_env.files.folders import write_atomically
 from stereo_slam_env.files.readers import read_arrays
 from stereo_slam_env.recording.archive import reference_of
 
-FORMAT = 2
+FORMAT = 3
 _TEXT = ("filter_name", "recording_name", "options", "not_given", "seed", "failure")
 _PARTS = ("counts", "traces", "memory_mb", "landmark_statistics", "truth_from")
 _SERIES = tuple(f.name for f in dataclasses.fields(FilterRun) if f.name not in (*_TEXT, *_PARTS))
@@ -112,17 +108,3 @@ def _checked(arrays: Mapping[str, Any]) -> dict[str, Any]:
     if about["format"] != FORMAT:
         raise ValueError(f"format {about['format']}, this version reads {FORMAT}")
     return about
-
-
-def write_trajectory(path: Path, timestamps: FloatArray, positions: FloatArray, orientations: FloatArray) -> None:
-    """Write the poses that are known as rows of the formats of TUM RGB-D and of KITTI odometry.
-
-    The files are `path` with the endings ".tum", `t x y z qx qy qz qw`, and ".kitti", the 3x4 matrix T_wc, row-major,
-    which has no times: where poses are missing, its rows are no longer those of the frames. Times (K,), s, positions
-    (K, 3), m in W, orientations (K, 4), q^WC xyzw.
-    """
-    tum = np.column_stack([timestamps, positions, orientations])
-    known = np.isfinite(tum).all(axis=1)
-    T_wc = np.concatenate([rotations.matrix(orientations[known]), positions[known][:, :, None]], axis=2)
-    for ending, rows in ((".tum", tum[known]), (".kitti", T_wc.reshape(-1, 12))):
-        write_atomically(path.with_name(path.name + ending), partial(np.savetxt, X=rows, fmt="%.9f"))

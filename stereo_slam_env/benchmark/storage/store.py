@@ -23,13 +23,15 @@ from stereo_slam_env.benchmark.storage.run_archive import (
     load_bound,
     load_provenance,
     load_run,
-    write_trajectory,
 )
 from stereo_slam_env.benchmark.storage.tables import write_csv, write_json, write_trial_table
 from stereo_slam_env.evaluation.cramer_rao import Bound
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
 from stereo_slam_env.evaluation.run_figures import Bounds, Figures, figures_of, summarise_all
+from stereo_slam_env.evaluation.run_trajectories import estimate_of, reference_of, truth_of
 from stereo_slam_env.files.folders import is_occupied, write_atomically
+from stereo_slam_env.recording.trajectory import Trajectory
+from stereo_slam_env.recording.trajectory_files import save_trajectory
 
 VERSION = 2
 SETTINGS, STUDY, CELLS = "settings.json", "study.json", "cells"
@@ -203,8 +205,8 @@ class RunDirectory:
             folder = self.out / "trajectories" / seed_name(run.seed)
             # A camera that looks elsewhere is elsewhere, by the arm of the head: each policy has its own truth.
             truth = f"{run.filter_name}-truth" if self.scenario.policies else "truth"
-            write_trajectory(folder / run.filter_name, run.timestamps, run.positions, run.orientations)
-            write_trajectory(folder / truth, run.timestamps, run.true_positions, run.true_orientations)
+            _write_trajectories(folder / run.filter_name, estimate_of(run), estimate_of(run))
+            _write_trajectories(folder / truth, truth_of(run), reference_of(run))
         return found
 
     def settings(self) -> dict[str, Any]:
@@ -234,6 +236,13 @@ class StudyDirectory:
             write_json(self.out / "summary.json", {"version": VERSION, "study": self.study.name, "cells": cells})
         write_trial_table(self.out / "trials.sqlite", results)
         return results
+
+
+def _write_trajectories(path: Path, poses: Trajectory | None, claimed: Trajectory | None) -> None:
+    """Write poses as .tum and .kitti, and with what is claimed of them as .square; those that are not known are not."""
+    for ending, trajectory in ((".tum", poses), (".kitti", poses), (".square", claimed)):
+        if trajectory is not None:
+            save_trajectory(path.with_name(path.name + ending), trajectory)
 
 
 def open_study(out: Path, study: Study) -> StudyDirectory:

@@ -34,7 +34,8 @@ def drives() -> list[list[StereoObservation]]:
 
 def snapshot(batch: FilterBatch, index: int) -> list[np.ndarray]:
     state = batch.engine.export(index)
-    return [getattr(state, name) for name in ("x", "predicted", "P", "blocks", "first", "ids", "own", "anchor")]
+    values = [getattr(state, name) for name in ("x", "predicted", "blocks", "first", "ids", "own", "anchor")]
+    return [*values, np.triu(state.P)]
 
 
 def assert_same_bits(one: FilterBatch, i: int, other: FilterBatch, j: int) -> None:

@@ -88,6 +88,25 @@ def test_every_combination_gives_the_same_beliefs(landmark: str, measurement: st
 
 
 @pytest.mark.parametrize("error", ERRORS)
+@pytest.mark.parametrize("landmark", LANDMARKS)
+def test_what_lies_outside_the_upper_triangle_in_use_plays_no_part(landmark: str, error: str) -> None:
+    frames = drive(1, 12, depths=(6.0, 30.0))
+    clean, soiled = (make(landmark=landmark, error=error, gate=0.99, consensus=True, compiled=True) for _ in range(2))
+    for frame in frames:
+        assert soiled.compiled is not None
+        engine = soiled.compiled.engine
+        P = engine.storage.P[0]
+        row, column = np.indices(P.shape)
+        used = engine.recipe.leading + 3 * engine.storage.counts[0, 1]
+        P[(column < row) | (column >= used)] = np.nan
+        for slam in (clean, soiled):
+            slam.predict(DT)
+            slam.update(frame.observation)
+    assert len(soiled.ids) > 10
+    assert_same_belief(soiled, clean, 0.0)
+
+
+@pytest.mark.parametrize("error", ERRORS)
 @pytest.mark.parametrize("options", OTHERS.values(), ids=OTHERS.keys())
 @pytest.mark.parametrize("landmark", LANDMARKS)
 def test_every_other_option_gives_the_same_beliefs(landmark: str, options: dict[str, object], error: str) -> None:
@@ -200,3 +219,26 @@ def test_where_numba_does_not_work_filters_run_by_numpy(
             make(compiled=True)
     finally:
         machine_code.trouble.cache_clear()
+
+
+@pytest.mark.parametrize("error", ERRORS)
+@pytest.mark.parametrize("landmark", LANDMARKS)
+@pytest.mark.parametrize(
+    "drift",
+    [0.4, {"pixels": (1.2, 1.0, 0.5), "gate_pixels": (0.4, 0.4, 0.2)}, {"share": 0.2, "pixels": (0.5, 0.5, 0.1)}],
+)
+@pytest.mark.parametrize("consensus", [False, True])
+def test_landmarks_that_drift_have_the_same_beliefs(landmark: str, error: str, drift: object, consensus: bool) -> None:
+    reports = assert_both_agree(
+        drive(1, 12, depths=(6.0, 30.0)), landmark=landmark, error=error, drift=drift, consensus=consensus, tail_dof=6.0
+    )
+    assert sum(len(report.updated) for report in reports) > 80
+
+
+@pytest.mark.parametrize("error", ["first-estimates", "right-invariant"])
+@pytest.mark.parametrize("landmark", LANDMARKS)
+def test_a_walk_of_the_gauge_has_the_same_beliefs(landmark: str, error: str) -> None:
+    walk = {"rotation": 0.002, "translation": 0.03}
+    frames = drive(1, 12, depths=(6.0, 30.0))
+    reports = assert_both_agree(frames, ODOMETRY, landmark=landmark, error=error, gauge_walk=walk)
+    assert sum(len(report.updated) for report in reports) > 80

@@ -100,7 +100,7 @@ def test_it_is_the_best_of_all_single_updates_written_out() -> None:
         supports.append((agrees.sum(), -distances[agrees].sum(), agrees))
     most = max(support[0] for support in supports)
     possible = [agrees for count_of, _, agrees in supports if count_of == most]
-    found = largest_agreement(np.asfortranarray(np.tril(dense)), measurements, limit)
+    found = largest_agreement(np.asfortranarray(np.tril(dense)), measurements, measurements.R, limit)
     assert any(np.array_equal(found, agrees) for agrees in possible)
     assert np.array_equal(symmetric.full(np.tril(dense)), dense) or np.allclose(symmetric.full(np.tril(dense)), dense)
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from filters import Extended, StereoEKF
+from filters import Extended, Pose, StereoEKF, jacobian, rotations
+from filters.poses import relative_jacobian
 from filters.state import symmetric
 
 from ..drives import CAMERA, DT, INDEPENDENT_PIXELS, drive, run, start
@@ -129,3 +130,37 @@ def test_names_of_clones_are_checked() -> None:
     slam.reset()
     with pytest.raises(ValueError, match="there is no variable 'here'"):
         slam.belief("here")
+
+
+@pytest.mark.parametrize("error", ERRORS)
+def test_the_relative_pose_is_that_of_both_with_their_correlation(error: str) -> None:
+    """At the clone's own instant it is known; later its covariance is that of errors drawn from the joint one."""
+    slam = driven(drive(44, 5), error=error)
+    slam.clone_pose("here")
+    there = slam.relative_pose("here")
+    np.testing.assert_allclose(there.position, 0.0, atol=1e-12)
+    np.testing.assert_allclose(there.covariance, 0.0, atol=1e-15)
+    for _ in range(3):
+        slam.predict(DT)
+    clone, pose, moved = slam.belief("here").value, slam.pose, slam.relative_pose("here")
+    first, last = Pose(clone[:3], clone[3:]), Pose(pose.position, pose.orientation)
+    np.testing.assert_allclose((first @ Pose(moved.position, moved.orientation)).position, last.position, atol=1e-12)
+    state = slam.state
+    rows = np.concatenate([state.block_rows(state.clones["here"].blocks), np.arange(6)])
+    joint = symmetric.full(symmetric.rows(state.P, rows)[:, rows])
+
+    def error_of(delta: np.ndarray) -> np.ndarray:
+        a, b = (
+            Pose(T.position + d[:3], rotations.multiply(T.orientation, rotations.exp_quaternion(d[3:])))
+            for T, d in ((first, delta[:6]), (last, delta[6:]))
+        )
+        T = a.inverse() @ b
+        return np.concatenate(
+            [T.position - moved.position, 2.0 * rotations.between(moved.orientation, T.orientation)[:3]]
+        )
+
+    J = jacobian(error_of, 12)
+    np.testing.assert_allclose(relative_jacobian(first, last), J, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(moved.covariance, J @ joint @ J.T, rtol=1e-6, atol=1e-12)
+    with pytest.raises(ValueError, match="there is no clone 'gone'"):
+        slam.relative_pose("gone")

@@ -294,6 +294,66 @@ def test_replay_against_an_odometry_from_the_same_images_claims_nothing_of_consi
     assert summary["filters"]["inverse-depth"]["position_rmse_m"] > 0
 
 
+def test_what_replay_writes_is_read_by_evaluate_with_the_same_nees(command, tmp_path):
+    """Of the filters' own errors, against a truth whose errors are stated; the motion over 1 s is scored beside it."""
+    save_recording(tmp_path / "drive.npz", replace(small_recording(frames=25), truth_from=SIMULATION))
+    stated = "position_jitter=0.01, rotation_jitter=0.001,settled_at=0.45"
+    arguments = ("replay", tmp_path / "drive.npz", "--filters", "inverse-depth,right-invariant", "--jobs", 1)
+    code, out, _ = command(*arguments, "--reference", stated, "--out", tmp_path / "run")
+    assert code == 0
+    assert "jitter of 10 mm, jitter of 1 mrad. It has settled at 0.45 s: scored from there on." in " ".join(out.split())
+    assert "motion NEES, 1 s / 6" in out
+    figures = json.loads((tmp_path / "run" / "summary.json").read_text())["filters"]
+    folder = tmp_path / "run" / "trajectories" / "recording"
+    ours, theirs, truth = (folder / f"{name}.square" for name in ("inverse-depth", "right-invariant", "truth"))
+    code, out, _ = command("evaluate", ours, truth, "--against", theirs, "--out", tmp_path / "score.json")
+    assert code == 0
+    assert "Log score of the pose" in out
+    for score in json.loads((tmp_path / "score.json").read_text())["scores"]:
+        row = figures[score["estimate"]]
+        assert score["frames"] == row["frames"] == 20
+        assert score["position_rmse_m"] == pytest.approx(row["position_rmse_m"], rel=1e-9)
+        for what in ("pose", "position", "rotation"):
+            assert score["claims"][what]["nees"]["mean"] == pytest.approx(row[f"{what}_anees"], rel=1e-7)
+    assert row["pose_nees_floor"] > 6.0
+    assert row["window_nees_1s"] > 0.0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        (("none.tum", "truth.tum"), "none.tum does not exist: give a trajectory of TUM, KITTI or SQUARE format"),
+        (("truth.tum", "truth.tum", "--align", "yaw"), "--align must be"),
+        (("truth.tum", "truth.tum", "--align", "rigid"), "does not determine a rigid alignment"),
+        (("truth.tum", "truth.tum", "--max-gap", "-1"), "max_gap"),
+        (("truth.tum", "truth.tum", "--out", "score.txt"), "must end in .json"),
+    ],
+)
+def test_evaluate_says_in_one_line_what_is_wrong(command, tmp_path, monkeypatch, arguments, complaint):
+    monkeypatch.chdir(tmp_path)
+    Path("truth.tum").write_text("".join(f"{0.1 * k} {k} 0 0 0 0 0 1\n" for k in range(9)))
+    code, out, err = command("evaluate", *arguments)
+    assert (code, out) == (2, "")
+    assert complaint in err
+    assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("stated", "complaint"),
+    [
+        ("position_jitter", "--reference must be numbers by name"),
+        ("jitter=1", "reference has no number 'jitter'"),
+        ("misalignment=-1", "misalignment of a reference must be >= 0"),
+    ],
+)
+def test_stated_errors_that_are_none_are_refused(command, tmp_path, stated, complaint):
+    save_recording(tmp_path / "drive.npz", small_recording(frames=4))
+    code, _, err = command("replay", tmp_path / "drive.npz", "--reference", stated, "--out", tmp_path / "run")
+    assert code == 2
+    assert complaint in err
+    assert not (tmp_path / "run").exists()
+
+
 def test_replay_says_whether_odometry_was_used(command, tmp_path):
     kitti07(tmp_path / "with")
     kitti00(tmp_path / "without")

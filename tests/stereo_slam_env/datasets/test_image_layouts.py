@@ -257,7 +257,12 @@ def test_every_reader_says_what_it_takes(reader):
 
 
 def test_the_real_pairs_of_kitti_06():
-    sequence = open_image_sequence(real_data("kitti06_stereo51"))
+    settled = open_image_sequence(real_data("kitti06_stereo51"))
+    assert settled.frame_numbers == tuple(range(12, 51))
+    first = next(settled.pairs())
+    assert first.timestamp == settled.truth_from.settled_at
+    np.testing.assert_array_equal(first.truth.position, 0.0)
+    sequence = open_image_sequence(real_data("kitti06_stereo51"), first=0)
     pairs = list(sequence.pairs())
     assert len(pairs) == 51
     assert not sequence.skipped
@@ -266,7 +271,9 @@ def test_the_real_pairs_of_kitti_06():
     path = np.array([pair.truth.position for pair in pairs])
     assert np.linalg.norm(np.diff(path, axis=0), axis=1).sum() == pytest.approx(59.9, abs=0.1)
     # The odometry, without its noise, is the truth's: 1.2 m a frame, straight on.
-    clean = list(open_image_sequence(real_data("kitti06_stereo51"), sigma_linear=1e-6, sigma_angular=1e-6).pairs())
+    clean = list(
+        open_image_sequence(real_data("kitti06_stereo51"), first=0, sigma_linear=1e-6, sigma_angular=1e-6).pairs()
+    )
     steps = np.array([p.odometry.linear * (p.timestamp - q.timestamp) for q, p in pairwise(clean)])
     rotations = Rotation.from_quat([pair.truth.orientation for pair in pairs])
     true_steps = rotations[:-1].inv().apply(np.diff(path, axis=0))

@@ -67,7 +67,7 @@ def test_a_run_of_an_older_format_is_named_with_the_remedy(tmp_path, run, monkey
     monkeypatch.setattr(run_archive, "FORMAT", 1)
     (tmp_path / "run.npz").write_bytes(packed_run(run, {}))
     monkeypatch.undo()
-    with pytest.raises(ValueError, match=r"damaged \(format 1, this version reads 2\): delete it and run the same"):
+    with pytest.raises(ValueError, match=r"damaged \(format 1, this version reads 3\): delete it and run the same"):
         load_run(tmp_path / "run.npz")
 
 

@@ -1,0 +1,124 @@
+"""Windows of a run: the motion over some seconds, whose error does not hang on one early heading error.
+
+A window needs the correlation of two poses. Filters that keep clones of the pose have it; the others are not scored.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+
+from filters import Pose, PoseBelief, StereoFilter, nees
+from filters.validation import FloatArray
+from stereo_slam_env.loop import Moment, run
+from stereo_slam_env.recording.recording import Recording, Reference
+from stereo_slam_env.recording.trajectory import pose_errors
+
+WINDOWS = (1.0, 10.0)
+"""Lengths of the windows that are scored, s."""
+_SAME_TIME = 1e-6  # s
+
+
+def series_of(seconds: float) -> str:
+    """Name of the series of a `FilterRun` with the NEES of windows of that length; with "_floor": its floor."""
+    return f"window_nees_{seconds:g}s"
+
+
+def window_ends(timestamps: FloatArray | Sequence[float], seconds: float) -> Iterator[tuple[int, int]]:
+    """First and last rows of windows that do not overlap: each ends at the first row that is so much later."""
+    first = 0
+    for row, time in enumerate(timestamps):
+        if time - timestamps[first] >= seconds - _SAME_TIME:
+            yield first, row
+            first = row
+
+
+WINDOW_SERIES = tuple(series_of(seconds) + kind for seconds in WINDOWS for kind in ("", "_floor"))
+"""The series of a `FilterRun` that `score_windows` gives."""
+
+
+@runtime_checkable
+class Cloning(Protocol):
+    """What a filter needs for its windows to be scored, as `filters.StereoEKF` has it."""
+
+    def clone_pose(self, name: str) -> None:
+        """Keep the present pose under a name."""
+
+    def forget_clone(self, name: str) -> None:
+        """Let it go."""
+
+    def relative_pose(self, name: str) -> PoseBelief:
+        """The present pose as seen from it."""
+
+
+def score_windows(
+    slam: StereoFilter,
+    recording: Recording,
+    *,
+    use_odometry: bool = True,
+    alive: Callable[[], None] | None = None,
+) -> Mapping[str, FloatArray]:
+    """NEES of the motion over windows, in a run of its own: clones cost time, and compiled filters have none.
+
+    Parameters
+    ----------
+    slam : StereoFilter
+        The filter, which is reset.
+    recording : Recording
+        The stream; windows lie in its frames with an independent truth that has settled.
+    use_odometry : bool
+        Whether `predict` is given the odometry.
+    alive : callable, optional
+        Called after each frame.
+
+    Returns
+    -------
+    mapping of str to (K,) ndarray
+        By `series_of`: the NEES of the window that ends at a frame (6 degrees of freedom), NaN at the others; and with
+        "_floor", where errors of the reference are stated, what a consistent filter would have without them. Nothing
+        for a filter without clones.
+    """
+    if not isinstance(slam, Cloning):
+        return {}
+    reference, count = recording.reference, len(recording)
+    times = np.array([frame.timestamp for frame in recording.frames])
+    known = np.array([frame.truth is not None for frame in recording.frames]) & reference.has_settled(times)
+    rows = np.flatnonzero(known if reference.is_independent else np.zeros(count, dtype=bool))
+    ends = {seconds: [(rows[i], rows[j]) for i, j in window_ends(times[rows], seconds)] for seconds in WINDOWS}
+    found = {name: np.full(count, np.nan) for name in WINDOW_SERIES}
+    for moment in run(slam, recording, use_odometry=use_odometry):
+        for seconds, pairs in ends.items():
+            name = series_of(seconds)
+            for first, last in pairs:
+                if moment.number == last:
+                    start = recording.frames[first].truth
+                    assert start is not None
+                    value, floor = _window_nees(slam.relative_pose(name), start, moment, reference)
+                    found[name][last], found[name + "_floor"][last] = value, floor
+                    slam.forget_clone(name)
+            if any(moment.number == first for first, _ in pairs):
+                slam.clone_pose(name)
+        if alive is not None:
+            alive()
+    return found
+
+
+def _window_nees(moved: PoseBelief, start: Pose, moment: Moment, reference: Reference) -> tuple[float, float]:
+    """NEES of a motion against the true one, and its floor."""
+    assert moment.truth is not None
+    true = start.inverse() @ moment.truth
+    poses = (moved.position, moved.orientation, true.position, true.orientation)
+    error = pose_errors("position-rotation", *(part[None] for part in poses))
+    doubt = reference.relative_covariance(start, moment.truth)
+    floor = float("nan") if reference.is_exact else nees_floor(moved.covariance, doubt)
+    return float(nees(error, (moved.covariance + doubt)[None])[0]), floor
+
+
+def nees_floor(claimed: FloatArray, reference: FloatArray) -> float:
+    """Mean NEES of a consistent filter that claims one covariance, against a reference with another one (n, n).
+
+    n + tr(P^-1 C): what it would be if the errors of the reference were taken for its own.
+    """
+    return float(len(claimed) + np.trace(np.linalg.solve(claimed, reference)))

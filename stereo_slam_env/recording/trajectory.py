@@ -1,0 +1,183 @@
+"""Trajectories: poses over time with the covariance that is claimed for them, whoever estimated them.
+
+A covariance means nothing without the definition of the error it is of. There are four here, see `Tangent`; they agree
+to first order, but a NEES is to be computed in the one that the covariance is kept in.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal, get_args
+
+import numpy as np
+
+from filters import Pose, rotations
+from filters.motions.model import POSE_SIZE, POSITION, ROTATION
+from filters.validation import BoolArray, FloatArray, IntArray, finite_array
+
+Tangent = Literal["position-rotation", "position-quaternion", "right", "left"]
+"""Definition of a pose error, position part first; hats are estimates.
+
+"position-rotation": [p - p^ in W ; Log(R^^T R) in the body], as in `PoseBelief`. "position-quaternion": the same with
+twice the vector part over the scalar part of the quaternion in place of Log. "right": Log of SE(3) of T^^-1 T. "left":
+that of T T^^-1. Source of the latter two: Sola, Deray and Atchuthan, 2018.
+"""
+
+Gauge = Literal["fixed", "se3"]
+"""What an estimate leaves open: nothing, because its start pose was given, or the pose of its world."""
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """K poses of a body in W, in the order of time.
+
+    Attributes
+    ----------
+    positions : (K, 3)
+        m, in W.
+    orientations : (K, 4)
+        Unit quaternions xyzw of R_wb.
+    timestamps : (K,), optional
+        s, ascending; None: rows are numbered, not timed.
+    covariances : (K, 6, 6), optional
+        Claimed for the error that `tangent` says, position part first; None: nothing is claimed.
+    tangent : Tangent
+        Definition of that error.
+    name : str
+        Whose trajectory it is, for tables.
+    gauge : {"fixed", "se3"}
+        Whether it is in the world of the reference, or has one of its own.
+    body : str, optional
+        Frame whose poses these are, such as "left_camera"; None: not said.
+
+    Raises
+    ------
+    ValueError
+        Wrong shapes, NaN or infinity in poses, quaternions that are no rotations, times that do not ascend, no pose.
+    """
+
+    positions: FloatArray
+    orientations: FloatArray
+    timestamps: FloatArray | None = None
+    covariances: FloatArray | None = None
+    tangent: Tangent = "position-rotation"
+    name: str = "estimate"
+    gauge: Gauge = "fixed"
+    body: str | None = None
+
+    def __post_init__(self) -> None:
+        positions = finite_array("positions", self.positions, ("K", 3))
+        count = len(positions)
+        orientations = finite_array("orientations", self.orientations, (count, 4))
+        if not count:
+            raise ValueError("positions must hold at least one pose, got none")
+        lengths = np.linalg.norm(orientations, axis=1)
+        if (bad := np.flatnonzero(np.abs(lengths - 1.0) > 0.01)).size:
+            raise ValueError(
+                f"orientations must be unit quaternions xyzw, row {bad[0]} has length {lengths[bad[0]]:.3g}: correct it"
+            )
+        if self.tangent not in get_args(Tangent):
+            raise ValueError(f"tangent must be one of {', '.join(get_args(Tangent))}, got {self.tangent!r}")
+        if self.gauge not in get_args(Gauge):
+            raise ValueError(f"gauge must be one of {', '.join(get_args(Gauge))}, got {self.gauge!r}")
+        object.__setattr__(self, "positions", positions)
+        object.__setattr__(self, "orientations", orientations / lengths[:, None])
+        if self.timestamps is not None:
+            times = finite_array("timestamps", self.timestamps, (count,))
+            if (late := np.flatnonzero(np.diff(times) <= 0)).size:
+                raise ValueError(
+                    f"timestamps must ascend, row {late[0] + 1} is not later than row {late[0]}: sort them"
+                )
+            object.__setattr__(self, "timestamps", times)
+        if self.covariances is not None:
+            covariances = np.asarray(self.covariances, dtype=np.float64)
+            if covariances.shape != (count, 6, 6):
+                raise ValueError(f"covariances must have the shape ({count}, 6, 6), got {covariances.shape}")
+            object.__setattr__(self, "covariances", covariances)
+
+    def __len__(self) -> int:
+        return len(self.positions)
+
+    def pose(self, row: int) -> Pose:
+        """The pose of a row."""
+        return Pose(self.positions[row], self.orientations[row])
+
+    def rows(self, index: BoolArray | IntArray | slice) -> Trajectory:
+        """The trajectory of some rows, by number or mask."""
+        times, covariances = self.timestamps, self.covariances
+        return replace(
+            self,
+            positions=self.positions[index],
+            orientations=self.orientations[index],
+            timestamps=None if times is None else times[index],
+            covariances=None if covariances is None else covariances[index],
+        )
+
+    def errors(self, positions: FloatArray, orientations: FloatArray) -> FloatArray:
+        """Errors (K, 6) against true poses, in the definition of `tangent`."""
+        return pose_errors(self.tangent, self.positions, self.orientations, positions, orientations)
+
+    @property
+    def pose_covariances(self) -> FloatArray | None:
+        """The covariances (K, 6, 6) for the error of `PoseBelief`; None where nothing is claimed."""
+        if self.covariances is None:
+            return None
+        J = tangent_jacobian(self.tangent, self.positions, self.orientations)
+        return transformed(np.linalg.inv(J).astype(np.float64), self.covariances)
+
+    def moved(self, T: Pose) -> Trajectory:
+        """The same trajectory in another world: T times each pose, covariances with them."""
+        positions = T @ self.positions
+        orientations = rotations.multiply(np.broadcast_to(T.orientation, self.orientations.shape), self.orientations)
+        covariances = self.pose_covariances
+        if covariances is not None:
+            turn = np.eye(POSE_SIZE)
+            turn[POSITION, POSITION] = T.R_wc
+            J = tangent_jacobian(self.tangent, positions, orientations) @ turn
+            covariances = transformed(J, covariances)
+        return replace(self, positions=positions, orientations=orientations, covariances=covariances)
+
+
+def pose_errors(
+    tangent: Tangent,
+    positions: FloatArray,
+    orientations: FloatArray,
+    true_positions: FloatArray,
+    true_orientations: FloatArray,
+) -> FloatArray:
+    """Errors (K, 6) of estimated poses against true ones, in the definition of `tangent`."""
+    R, R_true = rotations.matrix(orientations), rotations.matrix(true_orientations)
+    if tangent == "left":
+        theta = rotations.log(R_true @ R.swapaxes(-1, -2))
+        shift = true_positions - rotations.turned(rotations.exp(theta), positions)
+        return np.concatenate([_solved(rotations.right_jacobian(-theta), shift), theta], axis=-1)
+    shift = true_positions - positions
+    if tangent == "position-quaternion":
+        dq = rotations.between(orientations, true_orientations)
+        return np.concatenate([shift, 2.0 * dq[..., :3] / dq[..., 3:]], axis=-1)
+    phi = rotations.log(R.swapaxes(-1, -2) @ R_true)
+    if tangent == "right":
+        shift = _solved(rotations.right_jacobian(-phi), rotations.turned(R.swapaxes(-1, -2), shift))
+    return np.concatenate([shift, phi], axis=-1)
+
+
+def tangent_jacobian(tangent: Tangent, positions: FloatArray, orientations: FloatArray) -> FloatArray:
+    """J (K, 6, 6) that takes small errors as of `PoseBelief` to those of `tangent`, at the estimate."""
+    R = rotations.matrix(orientations)
+    J = np.tile(np.eye(POSE_SIZE), (len(R), 1, 1))
+    if tangent == "right":
+        J[:, POSITION, POSITION] = R.swapaxes(-1, -2)
+    elif tangent == "left":
+        J[:, POSITION, ROTATION] = rotations.skew(positions) @ R
+        J[:, ROTATION, ROTATION] = R
+    return J
+
+
+def transformed(J: FloatArray, covariances: FloatArray) -> FloatArray:
+    """J C J^T, symmetric to the last bit."""
+    moved: FloatArray = J @ covariances @ J.swapaxes(-1, -2)
+    return np.asarray(0.5 * (moved + moved.swapaxes(-1, -2)), dtype=np.float64)
+
+
+def _solved(matrices: FloatArray, vectors: FloatArray) -> FloatArray:
+    return np.asarray(np.linalg.solve(matrices, vectors[..., None])[..., 0], dtype=np.float64)

@@ -1,0 +1,204 @@
+"""Files of trajectories: TUM, KITTI, and TUM with covariances under the header of SQUARE 0.3.
+
+- TUM: `t x y z qx qy qz qw` a row.
+- KITTI: the upper 3x4 of T_wb, row-major, 12 numbers a row, no times.
+- SQUARE: `#%KEY value` lines, then the row of TUM and the lower triangle of the 6x6 covariance, row by row, 21 numbers;
+  or the row of TUM alone ("deterministic"). 29 columns without a header are read as such a file, too, whose error is
+  the usual one: right, translation first.
+
+SQUARE (Rønning, `smfeval` 0.4, 2026) knows the logarithms of SE(3) on either side. Errors whose position part is a
+displacement are its right perturbation to first order; a further key, TANGENT_CHART, which other readers skip, says
+which they are, so that a NEES comes out to the last digit.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+
+from filters import rotations
+from filters.motions.model import POSE_SIZE
+from stereo_slam_env.files.folders import write_atomically
+from stereo_slam_env.files.readers import read_poses, read_table, read_text
+from stereo_slam_env.recording.trajectory import Gauge, Tangent, Trajectory, tangent_jacobian, transformed
+
+FORMAT = "SQUARE/0.3"
+_TUM, _KITTI, _WITH_COVARIANCE = 8, 12, 29
+_LOWER = np.tril_indices(POSE_SIZE)
+_CHARTS: Mapping[str, Tangent] = {
+    "position_rotation_vector": "position-rotation",
+    "position_quaternion": "position-quaternion",
+}
+_NAMES = {tangent: chart for chart, tangent in _CHARTS.items()}
+_SIDES: Mapping[str, Tangent] = {"right_perturbation": "right", "left_perturbation": "left"}
+_ORDERS = {"translation_rotation": np.arange(POSE_SIZE), "rotation_translation": np.array([3, 4, 5, 0, 1, 2])}
+_GAUGES: Mapping[str, Gauge] = {"fixed": "fixed", "se3": "se3"}
+
+
+def load_trajectory(path: str | Path) -> Trajectory:
+    """Read a trajectory: TUM, KITTI, or either TUM with covariances; which, its header and columns say.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+
+    Returns
+    -------
+    Trajectory
+        Named after the file, or as its header says.
+
+    Raises
+    ------
+    ValueError
+        The file is missing, of another format, or damaged: one line that names it.
+    """
+    path = Path(path)
+    try:
+        text = read_text(path)
+    except FileNotFoundError as error:
+        raise ValueError(f"{path} does not exist: give a trajectory of TUM, KITTI or SQUARE format") from error
+    header = _header(path, text)
+    columns = next((len(row.split()) for row in text.splitlines() if row.strip() and not row.startswith("#")), 0)
+    if columns == _KITTI and not header:
+        positions, orientations = read_poses(path)
+        return Trajectory(positions, orientations, name=path.stem)
+    if columns not in (_TUM, _WITH_COVARIANCE):
+        raise ValueError(
+            f"{path} has {columns} columns: a trajectory has 8 (TUM), 12 (KITTI) or 29 (TUM with covariances)"
+        )
+    about = _about(path, header, columns)
+    order = about.pop("order")
+    table = read_table(path, columns)
+    covariances = None
+    if columns == _WITH_COVARIANCE:
+        covariances = np.zeros((len(table), POSE_SIZE, POSE_SIZE))
+        covariances[:, _LOWER[0], _LOWER[1]] = covariances[:, _LOWER[1], _LOWER[0]] = table[:, _TUM:]
+        covariances = covariances[:, order[:, None], order]
+    try:
+        found = Trajectory(table[:, 1:4], table[:, 4:8], table[:, 0], covariances, **about)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+    return found if found.tangent in _SIDES.values() else _turned(found, into_body=False)
+
+
+def save_trajectory(path: str | Path, trajectory: Trajectory) -> None:
+    """Write a trajectory; the file appears complete or not at all.
+
+    Parameters
+    ----------
+    path : str or Path
+        By its ending: ".tum", ".kitti", which has no times and no covariances, or ".square", with all there is.
+    trajectory : Trajectory
+        With times, but for KITTI.
+
+    Raises
+    ------
+    ValueError
+        The ending is another one, or there are no times.
+    """
+    path = Path(path)
+    if path.suffix not in _WRITERS:
+        raise ValueError(f"path of a trajectory must end in {', '.join(_WRITERS)}, got {path}")
+    if trajectory.timestamps is None and path.suffix != ".kitti":
+        raise ValueError(f"trajectory {trajectory.name} has no timestamps: write it as .kitti")
+    write_atomically(path, partial(_WRITERS[path.suffix], trajectory))
+
+
+def _write_tum(trajectory: Trajectory, stream: IO[bytes]) -> None:
+    assert trajectory.timestamps is not None
+    rows = np.column_stack([trajectory.timestamps, trajectory.positions, trajectory.orientations])
+    np.savetxt(stream, rows, fmt="%.9f")
+
+
+def _write_kitti(trajectory: Trajectory, stream: IO[bytes]) -> None:
+    R = rotations.matrix(trajectory.orientations)
+    T_wb = np.concatenate([R, trajectory.positions[:, :, None]], axis=2)
+    np.savetxt(stream, T_wb.reshape(-1, _KITTI), fmt="%.9f")
+
+
+def _write_square(trajectory: Trajectory, stream: IO[bytes]) -> None:
+    header = {
+        "FORMAT": FORMAT,
+        "REPRESENTATION": "deterministic",
+        "POSE_FRAME": "world",
+        "BODY_FRAME": trajectory.body or "body",
+        "GAUGE": trajectory.gauge,
+        "TIMESTAMP_UNIT": "seconds",
+        "ALGORITHM": " ".join(trajectory.name.split()) or "unknown",
+        "ALGORITHM_VERSION": "unknown",
+    }
+    assert trajectory.timestamps is not None
+    columns = [trajectory.timestamps, trajectory.positions, trajectory.orientations]
+    if trajectory.covariances is not None:
+        header |= {
+            "REPRESENTATION": "gaussian_se3",
+            "TANGENT_CONVENTION": "left_perturbation" if trajectory.tangent == "left" else "right_perturbation",
+            "TANGENT_ORDER": "translation_rotation",
+            "ROTATION_PARAM": "axis_angle",
+        }
+        header |= {"TANGENT_CHART": chart} if (chart := _NAMES.get(trajectory.tangent)) else {}
+        in_file = trajectory if trajectory.tangent in _SIDES.values() else _turned(trajectory, into_body=True)
+        assert in_file.covariances is not None
+        columns.append(in_file.covariances[:, _LOWER[0], _LOWER[1]])
+    stream.write("".join(f"#%{key} {value}\n" for key, value in header.items()).encode())
+    table = np.column_stack(columns)
+    np.savetxt(stream, table, fmt=["%.9f", *["%.17g"] * (table.shape[1] - 1)])
+
+
+_WRITERS = {".tum": _write_tum, ".kitti": _write_kitti, ".square": _write_square}
+
+
+def _turned(trajectory: Trajectory, *, into_body: bool) -> Trajectory:
+    """With the displacement of the position turned from W into the body frame, as files have it, or back."""
+    if trajectory.covariances is None:
+        return trajectory
+    J = tangent_jacobian("right", trajectory.positions, trajectory.orientations)
+    return replace(trajectory, covariances=transformed(J if into_body else J.swapaxes(-1, -2), trajectory.covariances))
+
+
+def _header(path: Path, text: str) -> dict[str, str]:
+    """The `#%KEY value` lines before the first row."""
+    header: dict[str, str] = {}
+    for line in io.StringIO(text):
+        if line.strip() and not line.startswith("#"):
+            break
+        if line.startswith("#%"):
+            key, _, value = line[2:].strip().partition(" ")
+            if key.upper() in header:
+                raise ValueError(f"{path} has two header lines {key.upper()}: remove one")
+            header[key.upper()] = value.strip()
+    return header
+
+
+def _about(path: Path, header: Mapping[str, str], columns: int) -> dict[str, Any]:
+    """What the header says beyond the numbers; the usual of a file without one."""
+
+    def one_of(key: str, known: Mapping[str, Any], usual: str) -> Any:
+        value = header.get(key, usual)
+        if value not in known:
+            raise ValueError(f"{path}: {key} must be one of {', '.join(known)}, got {value!r}")
+        return known[value]
+
+    if header:
+        if not header.get("FORMAT", "").startswith("SQUARE/"):
+            raise ValueError(f"{path} has a header without FORMAT SQUARE/...: write it as {FORMAT}")
+        wanted = one_of("REPRESENTATION", {"gaussian_se3": _WITH_COVARIANCE, "deterministic": _TUM}, "")
+        if columns != wanted:
+            raise ValueError(f"{path} has {columns} columns where {header['REPRESENTATION']} has {wanted}")
+        one_of("TIMESTAMP_UNIT", {"seconds": None}, "seconds")
+        one_of("ROTATION_PARAM", {"axis_angle": None}, "axis_angle")
+    side = one_of("TANGENT_CONVENTION", _SIDES, "right_perturbation")
+    return {
+        "tangent": one_of("TANGENT_CHART", _CHARTS, "") if "TANGENT_CHART" in header else side,
+        "order": one_of("TANGENT_ORDER", _ORDERS, "translation_rotation"),
+        "gauge": one_of("GAUGE", _GAUGES, "fixed"),
+        "name": header.get("ALGORITHM") or path.stem,
+        "body": header.get("BODY_FRAME"),
+    }

@@ -1,0 +1,104 @@
+"""Scores of trajectories as a table of the console, a column an estimate."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+from scipy.stats import chi2
+
+from stereo_slam_env.evaluation.consistency import DOF, mean_band
+from stereo_slam_env.evaluation.figures import FIGURES, UNKNOWN
+from stereo_slam_env.evaluation.trajectory_score import COVERED, ClaimScore, TrajectoryScore, WindowScore
+
+_Row = tuple[str, Callable[[TrajectoryScore], str]]
+
+
+def show_trajectory_scores(console: Console, scores: Sequence[TrajectoryScore]) -> None:
+    """Print errors, claims and windows of estimates against one reference; rows that none of them has are left out."""
+    table = Table(box=SIMPLE_HEAD, pad_edge=False)
+    table.add_column(f"against {escape(scores[0].reference)}", no_wrap=True)
+    for score in scores:
+        table.add_column(escape(score.estimate), justify="right")
+    for title, text in [*_ERRORS, *_CLAIMS, *_windows(scores)]:
+        cells = [text(score) for score in scores]
+        if set(cells) != {UNKNOWN}:
+            table.add_row(title, *cells)
+    console.print(table, highlight=False)
+    for score in scores:
+        if score.unusable:
+            console.print(
+                f"[yellow]note[/yellow]: {escape(score.estimate)} has {score.unusable} covariances that are not "
+                "positive definite: they are not scored",
+                highlight=False,
+                soft_wrap=True,
+            )
+
+
+def _frames(score: TrajectoryScore) -> str:
+    return f"{score.frames}" + (f" ({score.unmatched} more without reference)" if score.unmatched else "")
+
+
+def _figure(name: str) -> _Row:
+    """A figure that runs of filters have, too."""
+    figure = FIGURES[name]
+    return figure.title, lambda score: figure.text(getattr(score, name))
+
+
+def _of(name: str, text: Callable[[ClaimScore], str]) -> Callable[[TrajectoryScore], str]:
+    return lambda score: text(score.claims[name]) if name in score.claims else UNKNOWN
+
+
+def _nees(claim: ClaimScore) -> str:
+    mean = claim.nees
+    return f"{mean.mean / claim.dof:.2f} [{mean.low / claim.dof:.2f}, {mean.high / claim.dof:.2f}]"
+
+
+def _coverage(claim: ClaimScore) -> str:
+    return " / ".join(f"{100.0 * claim.coverage[p]:.0f}" for p in COVERED)
+
+
+def _claim_rows(name: str) -> list[_Row]:
+    dof, asked = DOF[name], " / ".join(f"{100.0 * p:.0f}" for p in COVERED)
+    low, high = (end / dof for end in mean_band(dof, 1))
+    return [
+        (f"{name} NEES / {dof} [95 %] (one run: {low:.2f} to {high:.2f})", _of(name, _nees)),
+        (f"  scale gap k, median NEES / {chi2.ppf(0.5, dof):.2f}", _of(name, lambda claim: f"{claim.scale_gap:.3g}")),
+        (f"  inside the {asked} % ellipsoid, %", _of(name, _coverage)),
+        ("  log score = calibration + sharpness, nats", _of(name, _log_score)),
+        ("  claim", _of(name, lambda claim: claim.verdict)),
+    ]
+
+
+def _log_score(claim: ClaimScore) -> str:
+    return f"{claim.log_score.mean:.2f} = {claim.calibration:.2f} {claim.sharpness:+.2f}"
+
+
+def _windows(scores: Sequence[TrajectoryScore]) -> list[_Row]:
+    lengths = sorted({window.seconds for score in scores for window in score.windows})
+    rows: list[_Row] = []
+    for seconds in lengths:
+
+        def text(value: Callable[[WindowScore], str], seconds: float = seconds) -> Callable[[TrajectoryScore], str]:
+            return lambda score: next((value(w) for w in score.windows if w.seconds == seconds), UNKNOWN)
+
+        def least(window: WindowScore) -> str:
+            return UNKNOWN if window.least_nees is None else f"≥ {window.least_nees / 6.0:.2f}"
+
+        def error(window: WindowScore) -> str:
+            return f"{window.translation_rmse_m:.3f} m, {window.rotation_rmse_deg:.3f}° ({window.windows})"
+
+        rows.append((f"motion over {seconds:g} s, RMSE (windows)", text(error)))
+        rows.append(("  its NEES / 6, at least", text(least)))
+    return rows
+
+
+_ERRORS: list[_Row] = [
+    ("scored poses", _frames),
+    ("aligned", lambda score: score.alignment),
+    *map(_figure, ("path_m", "position_rmse_m", "rotation_rmse_deg", "ate_rigid_m", "end_drift_percent")),
+]
+_CLAIMS = [row for name in ("pose", "position", "rotation") for row in _claim_rows(name)]
