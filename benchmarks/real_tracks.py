@@ -81,6 +81,9 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=2)
     arguments = parser.parse_args()
     labels = arguments.only.split(",") if arguments.only else list(FILTERS)
+    unknown = [label for label in labels if label not in FILTERS]
+    if unknown:
+        parser.error(f"--only must name some of {', '.join(FILTERS)}, got {', '.join(unknown)}")
     streams = []
     for name, recording in recordings(arguments.data).items():
         if arguments.recordings in name:

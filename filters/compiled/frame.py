@@ -214,6 +214,7 @@ def _stage(
     gated = plan.limits[variant, stage] < 1e300
     count = 0
     for m in range(known):
+        s.ahead[m] = False  # of those that an earlier stage has refused
         if s.fates[m] == USED:
             s.select[count] = m
             count += 1

@@ -136,14 +136,15 @@ def largest_agreement(
         for j in range(count):
             other, distance = select[j], 0.0
             inverse = s.inverse_R[other]
-            for a in range(size):
-                x[a] = s.nu[other, a]
-                for b in range(size):
-                    x[a] -= cross[b, j * size + a] * proposal[b]
-            for a in range(size):
-                for b in range(size):
-                    distance += x[a] * inverse[a, b] * x[b]
-            agrees = distance <= limit or i == j
+            if i != j:
+                for a in range(size):
+                    x[a] = s.nu[other, a]
+                    for b in range(size):
+                        x[a] -= cross[b, j * size + a] * proposal[b]
+                for a in range(size):
+                    for b in range(size):
+                        distance += x[a] * inverse[a, b] * x[b]
+            agrees = distance <= limit
             s.support[j, i] = agrees
             if agrees:
                 followers += 1

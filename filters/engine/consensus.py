@@ -37,7 +37,7 @@ def largest_agreement(
     Returns
     -------
     (M,) bool
-        The hypothesis with most support; of equals, the one with the smallest residuals.
+        The hypothesis with most support; of equals, the one with the smallest residuals; of these, the first.
     """
     count, size = measurements.innovation.shape
     if count < 2:
@@ -49,8 +49,8 @@ def largest_agreement(
     residuals = measurements.innovation[:, None] - np.einsum("jaib,ib->jia", cross, proposals)
     noises = np.broadcast_to(noise[:, None], (count, count, size, size))
     distances = squared_distances(residuals.reshape(-1, size), noises.reshape(-1, size, size)).reshape(count, count)
+    np.fill_diagonal(distances, 0.0)  # exactly, or rounding would decide between hypotheses without followers
     agrees = distances <= limit
-    np.fill_diagonal(agrees, True)
     support = agrees.sum(axis=0)
     tightness = np.where(agrees, distances, 0.0).sum(axis=0)
     best = np.lexsort((tightness, -support))[0]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import logging
 import pickle
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -17,6 +18,7 @@ from filters import (
     RightInvariant,
     Stacked,
     StereoEKF,
+    StereoObservation,
     UpdateReport,
     VelocityDriven,
     machine_code,
@@ -111,6 +113,21 @@ def test_every_other_option_gives_the_same_beliefs(landmark: str, options: dict[
     reports = assert_both_agree(drive(2, 12, depths=(6.0, 30.0)), landmark=landmark, error=error, **options)
     if options == OTHERS["tight gate"]:
         assert sum(len(report.gated) for report in reports) > 20
+
+
+@pytest.mark.parametrize("measurement", MEASUREMENTS)
+@pytest.mark.parametrize("v_right", [False, True])
+def test_the_joint_test_of_wrong_measurements_goes_alike_in_every_stage(measurement: str, v_right: bool) -> None:
+    """Errors of ten pixels in every third measurement, in either image; frames in which nothing agrees."""
+    rng = np.random.default_rng(6)
+    frames = []
+    for number, frame in enumerate(drive(6, 14, v_right=v_right, depths=(6.0, 30.0))):
+        seen = frame.observation
+        wrong = (rng.random((len(seen), 3)) < (1.0 if number % 5 == 4 else 0.2)) & (number > 0)
+        uvd = seen.uvd + wrong * rng.normal(0.0, 10.0, wrong.shape)
+        frames.append(replace(frame, observation=StereoObservation(seen.ids, uvd, v_right=seen.v_right)))
+    reports = assert_both_agree(frames, measurement=measurement, landmark="shared-anchor", consensus=True)
+    assert sum(len(report.gated) for report in reports) > 30
 
 
 @pytest.mark.parametrize("error", ERRORS)
