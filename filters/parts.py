@@ -134,11 +134,13 @@ def make_part(slot: str, value: object) -> Any:
     kind = SLOTS[slot].kind
     if isinstance(value, kind):
         return value
-    named = _named(slot)
     name, settings = value, {}
     if isinstance(value, Mapping):
         settings = {key: setting for key, setting in value.items() if key != "name"}
         name = value.get("name", next(iter(SLOTS[slot].named)))
+    built_in = SLOTS[slot].named
+    # Reading what is installed takes longer than making a filter.
+    named = built_in if isinstance(name, str) and name in built_in else _named(slot)
     if not isinstance(name, str) or name not in named:
         hint = did_you_mean(name, named)
         raise ValueError(

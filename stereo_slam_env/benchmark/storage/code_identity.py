@@ -33,7 +33,7 @@ NO_RESULT = (
     "stereo_slam_env/viewer/",
 )
 """Beginnings of the paths of modules that neither make a recording nor run a filter; all others count."""
-_PACKAGES = ("stereo-slam-env", "numpy", "scipy", "gymnasium", "pybullet", "joblib")
+_PACKAGES = ("stereo-slam-env", "numpy", "scipy", "numba", "gymnasium", "pybullet", "joblib")
 _UNSAID = {"ctx", "kind", "type_comment"}
 """Fields of a syntax tree that follow from the others, or only from how the code is written."""
 
