@@ -55,6 +55,7 @@ def test_an_address_where_nobody_listens_is_said_at_once(free_port):
         open_sink(None, None, connect=f"rerun+http://127.0.0.1:{free_port}/proxy")
 
 
+@pytest.mark.slow
 def test_a_viewer_gets_what_is_shown(stream, free_port):
     """Rerun's own receiver: it ends well once a whole recording has arrived, and in failure if none comes."""
     import rerun

@@ -261,6 +261,7 @@ print("done")
 """
 
 
+@pytest.mark.slow
 def test_a_process_that_has_drawn_and_has_threads_can_bench(tmp_path):
     skip_where_missing("gl")
     (tmp_path / "busy.py").write_text(BUSY_PARENT)
