@@ -41,7 +41,7 @@ def paper(
         typer.Option("--karlsruhe", help="Folder of 2009_09_08_drive_0010 and 2009_09_08_drive_0015, to judge too."),
     ] = None,
 ) -> None:
-    """Run the paper's experiments again and judge its claims: figures, a table, one report (15 minutes)."""
+    """Run the paper's experiments again and judge its claims: figures, a table, one report (four minutes)."""
     from stereo_slam_env.report.console import progress_bar
     from stereo_slam_env.studies.paper import FULL, QUICK, run_paper
     from stereo_slam_env.studies.paper.karlsruhe import HOW_TO_GET_IT
