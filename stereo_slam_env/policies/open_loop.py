@@ -60,7 +60,7 @@ class RandomGaze(_OpenLoop):
 
     def _angles(self) -> FloatArray:
         if self._step % self._steps == 0:
-            self._direction = self._rng.uniform(-self._limits, self._limits)
+            self._direction: FloatArray = self._rng.uniform(-self._limits, self._limits)
         return self._direction
 
 
