@@ -47,9 +47,9 @@ LANES = 8  # columns at a time
 PANEL = 4  # rows of a large product at a time
 
 
-def _panel(rows: int, lanes: int, sign: int = 0) -> Any:
+def _panel(rows: int, sign: int = 0) -> Any:
     """Kernel of so many rows of a small product, as vector instructions; with a sign: of target += sign H^T source."""
-    wide = ir.VectorType(ir.DoubleType(), lanes)
+    wide = ir.VectorType(ir.DoubleType(), LANES)
 
     @intrinsic
     def panel(
@@ -66,17 +66,17 @@ def _panel(rows: int, lanes: int, sign: int = 0) -> Any:
         def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
             goal, under, left, under_left, right, under_right, inner, count = values
             integer, real = under.type, ir.DoubleType()
-            eight, zero = ir.Constant(integer, 8), ir.Constant(wide, [0.0] * lanes)
-            nothing, all_first = ir.Constant(wide, ir.Undefined), ir.VectorType(ir.IntType(32), lanes)
+            eight, zero = ir.Constant(integer, 8), ir.Constant(wide, [0.0] * LANES)
+            nothing, all_first = ir.Constant(wide, ir.Undefined), ir.VectorType(ir.IntType(32), LANES)
 
             def entry(base: Any, row: Any, stride: Any, column: Any, kind: Any) -> Any:
                 place = builder.add(builder.mul(row, stride), column)
                 return builder.inttoptr(builder.add(base, builder.mul(place, eight)), kind.as_pointer())
 
             sums = [cgutils.alloca_once_value(builder, zero) for _ in range(rows)]
-            blocks = builder.udiv(builder.add(count, ir.Constant(integer, lanes - 1)), ir.Constant(integer, lanes))
+            blocks = builder.udiv(builder.add(count, ir.Constant(integer, LANES - 1)), ir.Constant(integer, LANES))
             with cgutils.for_range(builder, blocks) as block:
-                column = builder.mul(block.index, ir.Constant(integer, lanes))
+                column = builder.mul(block.index, ir.Constant(integer, LANES))
                 for total in sums:
                     builder.store(zero, total)
                 with cgutils.for_range(builder, inner) as term:
@@ -86,7 +86,7 @@ def _panel(rows: int, lanes: int, sign: int = 0) -> Any:
                         one, other = reversed(place) if sign else place
                         factor = builder.load(entry(left, one, under_left, other, real))
                         spread = builder.insert_element(nothing, factor, ir.IntType(32)(0))
-                        spread = builder.shuffle_vector(spread, nothing, ir.Constant(all_first, [0] * lanes))
+                        spread = builder.shuffle_vector(spread, nothing, ir.Constant(all_first, [0] * LANES))
                         product = builder.fmul(spread, vector, flags=("contract",))
                         builder.store(builder.fadd(builder.load(total), product, flags=("contract",)), total)
                 for row, total in enumerate(sums):
@@ -103,8 +103,8 @@ def _panel(rows: int, lanes: int, sign: int = 0) -> Any:
     return panel
 
 
-_one_row, _two_rows, _three_rows, _four_rows = (_panel(rows, LANES) for rows in (1, 2, 3, 4))
-_less_product, _more_product = _panel(PANEL, LANES, -1), _panel(PANEL, LANES, 1)
+_one_row, _two_rows, _three_rows, _four_rows = (_panel(rows) for rows in (1, 2, 3, 4))
+_less_product, _more_product = _panel(PANEL, -1), _panel(PANEL, 1)
 
 
 @njit(**KERNEL)

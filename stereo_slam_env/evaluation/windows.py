@@ -86,19 +86,19 @@ def score_windows(
     times = np.array([frame.timestamp for frame in recording.frames])
     known = np.array([frame.truth is not None for frame in recording.frames]) & reference.has_settled(times)
     rows = np.flatnonzero(known if reference.is_independent else np.zeros(count, dtype=bool))
-    ends = {seconds: [(rows[i], rows[j]) for i, j in window_ends(times[rows], seconds)] for seconds in WINDOWS}
+    ends = {seconds: {rows[j]: rows[i] for i, j in window_ends(times[rows], seconds)} for seconds in WINDOWS}
     found = {name: np.full(count, np.nan) for name in WINDOW_SERIES}
     for moment in run(slam, recording, use_odometry=use_odometry):
-        for seconds, pairs in ends.items():
+        k = moment.number
+        for seconds, first_of in ends.items():
             name = series_of(seconds)
-            for first, last in pairs:
-                if moment.number == last:
-                    start = recording.frames[first].truth
-                    assert start is not None
-                    value, floor = _window_nees(slam.relative_pose(name), start, moment, reference)
-                    found[name][last], found[name + "_floor"][last] = value, floor
-                    slam.forget_clone(name)
-            if any(moment.number == first for first, _ in pairs):
+            if k in first_of:
+                start = recording.frames[first_of[k]].truth
+                assert start is not None
+                value, floor = _window_nees(slam.relative_pose(name), start, moment, reference)
+                found[name][k], found[name + "_floor"][k] = value, floor
+                slam.forget_clone(name)
+            if k in first_of.values():
                 slam.clone_pose(name)
         if alive is not None:
             alive()
