@@ -18,7 +18,6 @@ from .errors.invariant import RightInvariant as RightInvariant
 from .errors.model import ErrorDefinition as ErrorDefinition
 from .errors.standard import QuaternionError as QuaternionError
 from .errors.standard import RotationVectorError as RotationVectorError
-from .gauge_walk import GaugeWalk as GaugeWalk
 from .interface import BodyVelocity as BodyVelocity
 from .interface import Forecast as Forecast
 from .interface import LandmarkBelief as LandmarkBelief
@@ -59,11 +58,13 @@ from .motions.model import LinearMeasurement as LinearMeasurement
 from .motions.model import MotionModel as MotionModel
 from .motions.model import MotionPrediction as MotionPrediction
 from .motions.velocity_driven import VelocityDriven as VelocityDriven
+from .noise import ColouredNoise as ColouredNoise
 from .noise import StereoNoise as StereoNoise
 from .part_checks import check_part as check_part
 from .parts import available_parts as available_parts
 from .parts import make_part as make_part
 from .poses import Pose as Pose
+from .presets import ColouredNoiseEKF as ColouredNoiseEKF
 from .presets import DualBearingEKF as DualBearingEKF
 from .presets import EuclideanEKF as EuclideanEKF
 from .presets import HybridEKF as HybridEKF

@@ -1,4 +1,4 @@
-"""Covariance of one stereo measurement (u, v, d).
+"""Errors of stereo measurements (u, v, d): their covariance, and what of them lasts from frame to frame.
 
 Derivation: docs/derivations/camera.md.
 """
@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from filters.drift import LandmarkDrift
 from filters.validation import FloatArray, covariance_matrix, positive
 
 
@@ -53,3 +54,54 @@ class StereoNoise:
 
     def __hash__(self) -> int:
         return hash(self.R.tobytes())
+
+
+@dataclass(frozen=True, eq=False)
+class ColouredNoise(StereoNoise):
+    """R of (u, v, d), and the part of the errors that lasts, as tracks of real images have it.
+
+    Filters take R for white noise. Those that know better, such as the preset "coloured-noise", use the parts.
+
+    Parameters
+    ----------
+    R : (3, 3) array_like
+        For filters that know white noise only: large enough for the errors that last, px^2.
+    white : (3, 3) array_like, optional
+        Covariance of the part that is independent from frame to frame, px^2. None: R. Measurements that bring a
+        covariance of their own have that.
+    drift : LandmarkDrift, optional
+        Random walk of each tracked point on its surface. None: points stay where they are.
+    gauge_walk : float
+        Of the part that all tracks of a frame have in common, rad per root of a radian of image motion (`StereoEKF`).
+    misalignment : float
+        Standard deviation of the rotation between the camera and the frame of odometry and reference, rad per axis.
+
+    Raises
+    ------
+    ValueError
+        A matrix is not symmetric positive definite, or a number is negative or not finite.
+    """
+
+    white: FloatArray | None = None
+    drift: LandmarkDrift | None = None
+    gauge_walk: float = 0.0
+    misalignment: float = 0.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.white is not None:
+            object.__setattr__(self, "white", covariance_matrix("white", self.white, 3, definite=True))
+        object.__setattr__(self, "drift", LandmarkDrift.of(self.drift))
+        for name in ("gauge_walk", "misalignment"):
+            object.__setattr__(self, name, positive(name, getattr(self, name), allow_zero=True))
+
+    def __eq__(self, other: object) -> bool:
+        return (
+            isinstance(other, ColouredNoise)
+            and np.array_equal(self.R, other.R)
+            and (self.white is None) == (other.white is None)
+            and (self.white is None or other.white is None or np.array_equal(self.white, other.white))
+            and (self.drift, self.gauge_walk, self.misalignment) == (other.drift, other.gauge_walk, other.misalignment)
+        )
+
+    __hash__ = StereoNoise.__hash__

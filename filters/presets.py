@@ -7,7 +7,7 @@ from typing import Any
 
 from filters.camera import StereoCamera
 from filters.interface import StereoFilter
-from filters.noise import StereoNoise
+from filters.noise import ColouredNoise, StereoNoise
 from filters.stereo_ekf import StereoEKF
 from filters.submaps.submap_ekf import SubmapEKF
 
@@ -84,6 +84,26 @@ MonocularEKF = _named(
     measurement="left",
 )
 
+
+class ColouredNoiseEKF(StereoEKF):
+    """Stereo EKF for errors that last from frame to frame, as those of tracks in real images do.
+
+    What a `ColouredNoise` states becomes process noise of landmarks, a gauge walk, and an estimated misalignment
+    between camera and reference; where the noise states nothing, it is taken for white. Shared anchors, right-invariant
+    errors, and the joint test over the frame where there is a gate.
+    """
+
+    def __init__(self, camera: StereoCamera, noise: StereoNoise, *, gate: float | None = 0.99, **options: Any) -> None:
+        stated: dict[str, Any] = {}
+        if isinstance(noise, ColouredNoise):
+            stated |= {"drift": noise.drift, "gauge_walk": noise.gauge_walk}
+            if noise.misalignment:
+                stated["measurement"] = {"name": "calibrated", "misalignment_sigma": noise.misalignment}
+            noise = StereoNoise(noise.R if noise.white is None else noise.white)
+        usual = {"landmark": "shared-anchor", "error": "right-invariant", "consensus": gate is not None}
+        super().__init__(camera, noise, gate=gate, **{**usual, **stated, **options})
+
+
 PRESETS: Mapping[str, type[StereoFilter]] = {
     "inverse-depth": InverseDepthStereoEKF,
     "dual-bearing": DualBearingEKF,
@@ -93,6 +113,7 @@ PRESETS: Mapping[str, type[StereoFilter]] = {
     "right-invariant": RightInvariantEKF,
     "unscented": UnscentedStereoFilter,
     "monocular": MonocularEKF,
+    "coloured-noise": ColouredNoiseEKF,
     "submaps": SubmapEKF,
 }
 """The named filters by name; the first line of a class describes it."""

@@ -18,7 +18,6 @@ from filters.engine.marginals import joint_covariance, pose_landmark_covariances
 from filters.engine.numpy_filter import NumpyFilter, locate
 from filters.engine.options import Options
 from filters.errors.model import ErrorDefinition
-from filters.gauge_walk import GaugeWalk
 from filters.interface import (
     AT_ORIGIN,
     BodyVelocity,
@@ -91,9 +90,10 @@ class StereoEKF(StereoFilter):
     drift : float, mapping or LandmarkDrift, optional
         Process noise of measured landmarks: a share of their R, or a table of `LandmarkDrift`'s numbers. None: points
         that are tracked stay where they are.
-    gauge_walk : mapping or GaugeWalk, optional
-        Walk of camera and map together in the directions that vision cannot see, by the way travelled: for errors that
-        all landmarks have in common. It needs error="first-estimates" or "right-invariant".
+    gauge_walk : float
+        Random walk of camera and map together in the directions that vision cannot see, rad per root of a radian by
+        which the landmarks move in the image: for errors that all tracks have in common. More than 0 needs
+        error="first-estimates" or "right-invariant".
     iterations : int
         Passes of the update; 1 is the plain EKF, more relinearise at the result with the prior held (Gauss-Newton).
     drop_unseen : bool
@@ -126,7 +126,7 @@ class StereoEKF(StereoFilter):
         consensus: bool = False,
         tail_dof: float | None = None,
         drift: float | Mapping[str, Any] | LandmarkDrift | None = None,
-        gauge_walk: Mapping[str, Any] | GaugeWalk | None = None,
+        gauge_walk: float = 0.0,
         iterations: int = 1,
         drop_unseen: bool = True,
         min_disparity: float | None = None,

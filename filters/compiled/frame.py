@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 from numba import njit, types
 
 from filters.compiled.blas import ENTRY, KERNEL, ROUTINES, call
@@ -313,12 +311,14 @@ def _advance(routines: tuple[int, ...], plan: Plan, S: Storage, b: int, s: Scrat
     dt = frame.dt[b]
     if dt > 0.0:
         P, x = S.P[b], S.x[b]
-        n, here = plan.leading + 3 * counts[BLOCKS], (x[0], x[1], x[2])
+        n = plan.leading + 3 * counts[BLOCKS]
         odometry, covariance = frame.odometry[b], frame.odometry_covariance[b]
+        if plan.gauge_walk > 0.0:
+            for i in range(7):
+                s.before[i] = x[i]
         call(routines[PREDICT], (plan, P, n, x, S.predicted[b], dt, odometry, covariance, s))
-        if plan.gauge_rotation > 0.0 or plan.gauge_translation > 0.0:
-            distance = math.sqrt((x[0] - here[0]) ** 2 + (x[1] - here[1]) ** 2 + (x[2] - here[2]) ** 2)
-            call(routines[WALK], (plan, S, b, s, distance))
+        if plan.gauge_walk > 0.0:
+            call(routines[WALK], (plan, S, b, s, s.before))
         if frame.fused[b] and not plan.velocity_driven:
             call(routines[FUSE], (routines, plan, P, n, x, dt, odometry, covariance, s))
             if s.result[0] > 0.0:

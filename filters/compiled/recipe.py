@@ -10,7 +10,6 @@ import numpy as np
 from scipy.special import chdtri
 
 from filters.drift import LandmarkDrift
-from filters.gauge_walk import GaugeWalk
 from filters.validation import FloatArray, IntArray
 
 LANDMARKS = ("inverse-depth", "shared-anchor", "euclidean")
@@ -63,9 +62,8 @@ class Plan(NamedTuple):
     """Factor of the variance of that row, (2, stages)."""
     drift: FloatArray
     """Steps of measured landmarks, `LandmarkDrift.parts`: (2, 4)."""
-    gauge_rotation: float
-    gauge_translation: float
-    """Walk of camera and map together, rad and m per root of a metre."""
+    gauge_walk: float
+    """Of camera and map together, rad per root of a radian of image motion."""
     limits: FloatArray
     """Squared distance up to which a measurement is believed, (2, stages)."""
 
@@ -116,8 +114,8 @@ class Recipe:
         As of `StereoEKF`.
     drift : LandmarkDrift, optional
         Process noise of measured landmarks, with (u, v, d) in one stage.
-    gauge_walk : GaugeWalk, optional
-        Walk of camera and map together.
+    gauge_walk : float
+        Of camera and map together, rad per root of a radian of image motion.
     motion : {"constant-velocity", "velocity-driven"}
         Motion model.
     sigma_acceleration, sigma_angular_acceleration : float
@@ -149,7 +147,7 @@ class Recipe:
     drop_unseen: bool = True
     min_disparity: float | None = None
     drift: LandmarkDrift | None = None
-    gauge_walk: GaugeWalk | None = None
+    gauge_walk: float = 0.0
     motion: str = "constant-velocity"
     sigma_acceleration: float = 3.0
     sigma_angular_acceleration: float = 0.6
@@ -239,8 +237,7 @@ class Recipe:
             T=T,
             rows=rows,
             apart_scale=scales,
-            gauge_rotation=float(self.gauge_walk.rotation) if self.gauge_walk else 0.0,
-            gauge_translation=float(self.gauge_walk.translation) if self.gauge_walk else 0.0,
+            gauge_walk=float(self.gauge_walk),
             drift=np.zeros((2, 4)) if self.drift is None else self.drift.parts,
             limits=limits,
         )

@@ -95,6 +95,7 @@ class Scratch(NamedTuple):
     """(6, n): factors of a change of rank six."""
     block: FloatArray
     point: FloatArray
+    before: FloatArray
     moved: FloatArray
     moved_blocks: FloatArray
     point_blocks: FloatArray
@@ -185,6 +186,7 @@ def scratch(recipe: Recipe, storage: Storage, measurements: int) -> Scratch:
         G=np.zeros((6, n)),
         block=np.zeros((3, n)),
         point=np.zeros(recipe.values),
+        before=np.zeros(recipe.values),
         moved=np.zeros(recipe.values),
         moved_blocks=np.zeros((blocks, 3)),
         point_blocks=np.zeros((blocks, 3)),

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 from scipy.linalg import blas
 
+from filters import rotations
 from filters.camera import StereoCamera
 from filters.drift import in_own_numbers, step_covariances
 from filters.engine import gating, kalman
@@ -16,7 +18,7 @@ from filters.engine.gating import BEHIND, FAILED, GATED, USED, FateArray
 from filters.engine.heavy_tails import reweighted
 from filters.engine.map_policy import MapPolicy
 from filters.engine.options import Options
-from filters.gauge_walk import GaugeWalk
+from filters.gauge_walk import directions, image_motion
 from filters.interface import BodyVelocity, StereoObservation, UpdateReport
 from filters.measurements.model import Stage
 from filters.motions.model import CameraState, MotionPrediction, measure_odometry, predict_camera
@@ -50,12 +52,12 @@ class NumpyFilter:
         motion = self.options.motion
         predicted = predict_camera(motion, self.state.camera, dt, odometry)
         measured = None if odometry is None else measure_odometry(motion, predicted.state, dt, odometry)
-        distance = float(np.linalg.norm(predicted.state.position - self.state.camera.position))
+        before = self.state.camera
         # The model has said all it has to say, in the right shapes: only now does the state change.
         self._move_covariance(predicted, dt)
         self.state.camera = self.state.predicted = predicted.state
-        if self.options.gauge_walk is not None:
-            self._walk_gauge(self.options.gauge_walk, distance)
+        if self.options.gauge_walk:
+            self._walk_gauge(before)
         if measured is not None:
             layout = self.options.layout
             linear = of_variables(measured, layout.rows_of(motion.moves), layout.size)
@@ -104,10 +106,14 @@ class NumpyFilter:
             F = error.constrained(F, world_rotation_of_variables(layout, predicted.state), state)
         symmetric.transform_leading(state.P, F, added)
 
-    def _walk_gauge(self, walk: GaugeWalk, distance: float) -> None:
+    def _walk_gauge(self, before: CameraState) -> None:
         """Add to P what no measurement can see. Clones of the pose stay where the camera was."""
-        at = self.options.error.linearisation_point(self.state) or self.state
-        B = walk.directions(at.world_rotation(), at.world_translation(), at.camera.position, distance)
+        at, now = self.options.error.linearisation_point(self.state) or self.state, self.state.camera
+        turn = float(np.linalg.norm(rotations.log(before.R_wc.T @ now.R_wc)))
+        seen = points_in_camera(self.state, np.arange(len(self.state)))
+        motion, distance = image_motion(turn, now.R_wc.T @ (now.position - before.position), seen)
+        sigma = self.options.gauge_walk * math.sqrt(motion)
+        B = directions(at.world_rotation(), at.world_translation(), at.camera.position, sigma, distance)
         for clone in at.clones.values():
             B[at.block_rows(clone.blocks)] = 0.0
         blas.dsyrk(1.0, B, beta=1.0, c=self.state.P, lower=1, overwrite_c=1)

@@ -9,7 +9,6 @@ from typing import Any
 
 from filters.drift import LandmarkDrift
 from filters.errors.model import ErrorDefinition
-from filters.gauge_walk import GaugeWalk
 from filters.landmarks.model import LandmarkModel
 from filters.measurements.model import MeasurementModel
 from filters.motions.model import MotionModel
@@ -38,7 +37,7 @@ class Options:
     consensus: bool
     tail_dof: float | None
     drift: LandmarkDrift | None
-    gauge_walk: GaugeWalk | None
+    gauge_walk: float
     iterations: int
     drop_unseen: bool
     min_disparity: float | None
@@ -55,7 +54,6 @@ class Options:
         error: Any,
         update: Any,
         drift: Any,
-        gauge_walk: Any,
         **others: Any,
     ) -> Options:
         """Options with the parts that their names stand for."""
@@ -66,7 +64,6 @@ class Options:
             error=make_part("error", error),
             update=make_part("update", update),
             drift=LandmarkDrift.of(drift),
-            gauge_walk=GaugeWalk.of(gauge_walk),
             **others,
         )
 
@@ -100,7 +97,8 @@ class Options:
                     f"measurement must have no variables with update={type(self.update).__name__}, which takes no "
                     f'Jacobians, got {type(self.measurement).__name__}: use update="extended"'
                 )
-        if self.gauge_walk is not None and not self.error.keeps_gauge:
+        positive("gauge_walk", self.gauge_walk, allow_zero=True)
+        if self.gauge_walk and not self.error.keeps_gauge:
             raise ValueError(
                 "error must keep what cannot be observed unobservable with gauge_walk, "
                 f'got {type(self.error).__name__}: use "first-estimates" or "right-invariant"'

@@ -8,14 +8,15 @@ from itertools import islice
 
 import numpy as np
 
-from filters import Start, StereoFilter, StereoNoise, StereoObservation, rotations
+from filters import ColouredNoise, LandmarkDrift, Start, StereoFilter, StereoObservation, rotations
 from stereo_slam_env.frontend.ego_motion import Step
-from stereo_slam_env.frontend.settings import TrackerSettings
+from stereo_slam_env.frontend.settings import DRIFT_SHARE, TrackerSettings
+from stereo_slam_env.frontend.track_noise import with_measured_noise
 from stereo_slam_env.frontend.tracker import StereoTracker
 from stereo_slam_env.frontend.tracks import TrackedPair
 from stereo_slam_env.recording.recording import Frame, ImageSequence, Recording, StereoPair
 
-TYPICAL_NOISE = StereoNoise.diagonal(0.3, 0.3, 0.3)
+TYPICAL_NOISE = ColouredNoise(np.diag([0.09, 0.09, 0.09]), drift=LandmarkDrift(share=DRIFT_SHARE))
 """What a filter is told beforehand; every measurement then comes with a covariance of its own."""
 
 Watch = Callable[[StereoPair, TrackedPair], None]
@@ -49,7 +50,7 @@ def record_tracks(
     Returns
     -------
     Recording
-        With the truth and odometry of the sequence.
+        With the truth and odometry of the sequence, and with what the tracks say of their noise.
     """
     settings = TrackerSettings() if settings is None else settings
     tracker = StereoTracker(sequence.camera, settings)
@@ -66,7 +67,7 @@ def record_tracks(
         taken.append(Frame(pair.timestamp, tracked.observation, pair.odometry, pair.truth))
         if progress is not None:
             progress(number + 1, wanted)
-    return Recording(
+    recording = Recording(
         sequence.name,
         sequence.camera,
         tuple(taken),
@@ -79,6 +80,7 @@ def record_tracks(
         },
         truth_from=sequence.truth_from,
     )
+    return with_measured_noise(recording)
 
 
 def _moving_start(start: Start, step: Step, dt: float) -> Start:

@@ -17,6 +17,10 @@ _POSITIVE = (
     "sigma_relief",
 )
 
+DRIFT_SHARE = 0.37
+"""Step that a tracked point makes on its surface from pair to pair, as a share of the standard deviation of its
+measurement: sqrt(2 (1 - r)) for the correlation r = 0.93 of the errors of two pairs (docs/front_end.md)."""
+
 
 @dataclass(frozen=True)
 class TrackerSettings:

@@ -2,7 +2,7 @@
 
 What all frames have lies end to end in flat arrays. What a frame may lack (rows of the right image, covariances,
 odometry, truth) is kept for the frames that have it, and `has.*` says which those are. `about` is JSON: format version,
-name, camera, source, and what the truth is.
+name, camera, noise that lasts, source, and what the truth is.
 """
 
 from __future__ import annotations
@@ -17,7 +17,16 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from filters import BodyVelocity, Pose, Start, StereoCamera, StereoNoise, StereoObservation
+from filters import (
+    BodyVelocity,
+    ColouredNoise,
+    LandmarkDrift,
+    Pose,
+    Start,
+    StereoCamera,
+    StereoNoise,
+    StereoObservation,
+)
 from filters.validation import FloatArray
 from stereo_slam_env.files.folders import write_atomically
 from stereo_slam_env.files.readers import read_arrays
@@ -66,6 +75,7 @@ def packed_recording(recording: Recording) -> bytes:
         "camera": camera,
         "source": dict(recording.source),
         "truth_from": dataclasses.asdict(recording.truth_from),
+        **_coloured(recording.noise),
     }
     try:
         header = json.dumps(about, allow_nan=False)
@@ -180,12 +190,30 @@ def _recording_of(about: Mapping[str, Any], arrays: Arrays) -> Recording:
         str(about["name"]),
         StereoCamera(**about["camera"]),
         tuple(frames),
-        StereoNoise(arrays["noise"]),
+        _noise_of(about, arrays["noise"]),
         Start(**start, covariance=covariance),
         landmarks,
         about["source"],
         reference_of(about),
     )
+
+
+def _coloured(noise: StereoNoise) -> dict[str, Any]:
+    """What a `ColouredNoise` has besides R, for the header."""
+    if not isinstance(noise, ColouredNoise):
+        return {}
+    white = None if noise.white is None else noise.white.tolist()
+    drift = None if noise.drift is None else dataclasses.asdict(noise.drift)
+    parts = {"drift": drift, "gauge_walk": noise.gauge_walk, "misalignment": noise.misalignment}
+    return {"coloured_noise": {"white": white, **parts}}
+
+
+def _noise_of(about: Mapping[str, Any], R: FloatArray) -> StereoNoise:
+    parts = about.get("coloured_noise")
+    if parts is None:
+        return StereoNoise(R)
+    drift = parts["drift"]
+    return ColouredNoise(R, **{**parts, "drift": drift and LandmarkDrift(**drift)})
 
 
 def reference_of(about: Mapping[str, Any]) -> Reference:

@@ -238,7 +238,7 @@ def test_landmarks_that_drift_have_the_same_beliefs(landmark: str, error: str, d
 @pytest.mark.parametrize("error", ["first-estimates", "right-invariant"])
 @pytest.mark.parametrize("landmark", LANDMARKS)
 def test_a_walk_of_the_gauge_has_the_same_beliefs(landmark: str, error: str) -> None:
-    walk = {"rotation": 0.002, "translation": 0.03}
+    walk = 0.01
     frames = drive(1, 12, depths=(6.0, 30.0))
     reports = assert_both_agree(frames, ODOMETRY, landmark=landmark, error=error, gauge_walk=walk)
     assert sum(len(report.updated) for report in reports) > 80
