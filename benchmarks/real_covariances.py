@@ -1,88 +1,214 @@
-"""What makes a covariance believable on real tracks, part by part.
+"""What makes a covariance believable on real tracks, part by part, and what a recording says of its own errors.
 
-    python benchmarks/real_covariances.py DATA        # two minutes
+    python benchmarks/real_covariances.py DATA                  # five minutes
+    python benchmarks/real_covariances.py --rendered 20         # right turns in rendered images, ten minutes
+    python benchmarks/real_covariances.py DATA --estimates      # of the errors that all tracks have in common
 
-DATA is the folder that holds the recordings `kitti07_tracks`, `kitti00_stereo_tracks` and `kitti06_stereo51`; those
-that are there are run. Filter: shared anchors, gate 0.99, the joint test over the frame. Each row adds one part to the
-row above. Tracks without a noise of their own have 2 px as `stereo-slam replay` assumes it, then 0.4 px with steps of
-(1.14, 1.0, 0.55) px a frame; the others keep their R and take steps of 0.37 of it. NEES/6 should be 1, of the pose and
-of the motion over windows; frames in the two-sided 95 % band, %; rigid ATE, m.
+DATA is the folder that holds the recordings `kitti07_tracks`, `kitti00_stereo_tracks`, `kitti06_stereo51` and
+`starry_night_a`; those that are there are run. Each row adds one part to the row above; the last one is the filter
+"coloured-noise" as it is. NEES/6 should be 1, of the pose and of the motion over windows; frames in the two-sided 95 %
+band, %; rigid ATE, m.
+
+`--estimates` compares what could size the gauge walk without ground truth, all in rad per root of a radian of image
+motion: the slide of the tracks; half of the difference between motions measured by two halves of the landmarks (at
+random, left and right, near and far), over windows of ten frames; and the walk with which NEES/6 is 1, which needs the
+truth.
 """
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from filters import StereoNoise
-from stereo_slam_env.datasets import load
+import stereo_slam_env as sse
+from filters import ColouredNoise, rotations
+from filters.gauge_walk import image_motion
+from filters.validation import BoolArray, FloatArray
 from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.evaluation.results import FilterSummary
 from stereo_slam_env.evaluation.run_figures import figures_of, summarise_all
+from stereo_slam_env.frontend.ego_motion import Pairs, Step, chained, robust_step
+from stereo_slam_env.frontend.track_noise import FIRST_GUESS, flow_residuals, track_noise
 from stereo_slam_env.recording.recording import Recording
 
-RECORDINGS = ("kitti07_tracks", "kitti00_stereo_tracks", "kitti06_stereo51")
-SHORT = {"gate_pixels": (0.4, 0.4, 0.2)}
-STEPS = {"pixels": (1.14, 1.0, 0.55)}
-WALK = {"rotation": 2e-3, "translation": 0.03}
-MISALIGNED = {"name": "calibrated", "misalignment_sigma": 5e-3}
-FIRST, RIGHT = {"error": "first-estimates"}, {"error": "right-invariant"}
-OFFERED: Mapping[str, dict[str, Any]] = {
-    "plain": {},
-    "landmark drift": {"drift": STEPS},
-    "gate for short steps": {"drift": {**STEPS, **SHORT}},
-    "first estimates": {"drift": {**STEPS, **SHORT}, **FIRST},
-    "gauge walk": {"drift": {**STEPS, **SHORT}, **FIRST, "gauge_walk": WALK},
-    "right-invariant instead": {"drift": {**STEPS, **SHORT}, **RIGHT, "gauge_walk": WALK},
-    "misalignment too": {"drift": {**STEPS, **SHORT}, **RIGHT, "gauge_walk": WALK, "measurement": MISALIGNED},
-}
-OWN_NOISE: Mapping[str, dict[str, Any]] = {
-    "plain": {},
-    "landmark drift": {"drift": 0.37},
-    "first estimates": {"drift": 0.37, **FIRST},
-    "gauge walk": {"drift": 0.37, **FIRST, "gauge_walk": WALK},
-    "right-invariant instead": {"drift": 0.37, **RIGHT, "gauge_walk": WALK},
-    "misalignment too": {"drift": 0.37, **RIGHT, "gauge_walk": WALK, "measurement": MISALIGNED},
-}
+RECORDINGS = ("kitti07_tracks", "kitti00_stereo_tracks", "kitti06_stereo51", "starry_night_a")
+WINDOW = 10
+"""Frames over which the motions of two halves of the landmarks are compared."""
+BARE: Mapping[str, Any] = {"error": "quaternion", "gauge_walk": 0.0, "measurement": "joint"}
 
 
-def judged(recording: Recording, options: dict[str, Any], odometry: bool) -> FilterSummary:
-    """Shared anchors on a recording."""
-    own = recording.frames[0].observation.R is not None
-    noise = None if own or not options else StereoNoise.independent_pixels(0.4)
-    settings = {"gate": 0.99, "consensus": True, **options}
-    run = run_filter(recording, "shared-anchor", settings, noise=noise, use_odometry=odometry, windows=True)
+def parts(recording: Recording) -> Iterator[tuple[str, str, dict[str, Any], Recording]]:
+    """What is added, the filter, its options, and the recording with what is stated of its noise."""
+    usual = {"gate": 0.99, "consensus": True}
+    yield "plain", "shared-anchor", usual, recording
+    noise = recording.noise
+    if isinstance(noise, ColouredNoise) and noise.drift is not None:
+        if noise.drift.gate_pixels is not None:
+            long_gate = replace(noise, drift=replace(noise.drift, gate_pixels=None))
+            yield "landmark drift", "coloured-noise", {**BARE}, replace(recording, noise=long_gate)
+            yield "gate for short steps", "coloured-noise", {**BARE}, recording
+        else:
+            yield "landmark drift", "coloured-noise", {**BARE}, recording
+    kept = {"gauge_walk": 0.0, "measurement": "joint"}
+    yield "right-invariant errors", "coloured-noise", kept, recording
+    if isinstance(noise, ColouredNoise) and noise.gauge_walk:
+        yield "gauge walk", "coloured-noise", {"measurement": "joint"}, recording
+        yield "misalignment", "coloured-noise", {}, recording
+
+
+def judged(recording: Recording, name: str, options: Mapping[str, Any], odometry: bool, windows: bool = True) -> Any:
+    """Summary of a filter on a recording."""
+    run = run_filter(recording, name, options, use_odometry=odometry, windows=windows)
     return summarise_all([run], figures_of([run], divergence_percent=10.0))[0]
+
+
+def table_of(title: str, heads: Sequence[str]) -> Table:
+    """A table whose first column is text."""
+    table = Table(title=title)
+    for number, head in enumerate(heads):
+        table.add_column(head, justify="right" if number else "left")
+    return table
+
+
+def cells(summary: FilterSummary) -> list[str]:
+    """The figures of a row."""
+    nees = [summary.pose_anees, summary.window_nees_1s, summary.window_nees_10s]
+    one, short, long = ("-" if value is None else f"{value / 6:.2f}" for value in nees)
+    band = "-" if summary.frames_in_band_percent is None else f"{summary.frames_in_band_percent:.0f}"
+    return [one, band, short, long, f"{summary.ate_rigid_m:.2f}"]
+
+
+def show_parts(console: Console, recording: Recording) -> None:
+    """A table for each way of running it."""
+    for odometry in (True, False) if recording.frames[-1].odometry is not None else (False,):
+        title = f"{recording.name}, {'odometry' if odometry else 'vision only'}"
+        table = table_of(title, ("added", "NEES/6", "in band", "1 s", "10 s", "ATE"))
+        for label, name, options, stated in parts(recording):
+            table.add_row(label, *cells(judged(stated, name, options, odometry)))
+        console.print(table)
+
+
+def show_rendered(console: Console, seeds: int) -> None:
+    """Right turns in images that are rendered with a perfect rig."""
+    for renderer in ("gl", "tiny"):
+        title = f"right turn by {renderer}, {seeds} seeds"
+        table = table_of(title, ("filter", "NEES/6", "lowest", "highest", "in band", "rmse, mm"))
+        drives = [
+            sse.record("StereoSlam/Drive-v0", seed=seed, route="right-turn", sensor="images", renderer=renderer)
+            for seed in range(seeds)
+        ]
+        for label, name, options in (
+            ("plain", "shared-anchor", {"gate": 0.99, "consensus": True}),
+            ("right-invariant errors", "right-invariant", {"gate": 0.99, "consensus": True}),
+            ("coloured-noise", "coloured-noise", {}),
+        ):
+            runs = [judged(drive, name, options, odometry=False, windows=False) for drive in drives]
+            nees = [run.pose_anees / 6 for run in runs]
+            band = np.mean([run.frames_in_band_percent for run in runs])
+            rmse = np.mean([1e3 * run.position_rmse_m for run in runs])
+            figures = [np.mean(nees), min(nees), max(nees)]
+            table.add_row(label, *(f"{figure:.2f}" for figure in figures), f"{band:.0f}", f"{rmse:.2f}")
+        console.print(table)
+
+
+def show_estimates(console: Console, recordings: Sequence[Recording]) -> None:
+    """What could size the gauge walk, and what should."""
+    halves = ("at random", "left, right", "near, far")
+    table = table_of("errors common to all tracks, mrad per root of a radian", ("", "slide", *halves, "NEES/6 = 1"))
+    for recording in recordings:
+        slide = track_noise(flow_residuals(recording), recording.camera.fx).slide
+        figures = [slide, *half_differences(recording), consistent_walk(recording)]
+        table.add_row(recording.name, *(f"{1e3 * figure:.1f}" for figure in figures))
+    console.print(table)
+
+
+def half_differences(recording: Recording) -> list[float]:
+    """Robust half difference of the turns by two halves of the landmarks over windows, by root of image motion."""
+    rng, sides = np.random.default_rng(0), {}
+    windows: list[list[float]] = [[], [], []]
+    pending: list[tuple[float, list[tuple[Step, Step] | None]]] = []
+    frames = recording.frames
+    for before, after in pairwise(frames):
+        first, second = before.observation, after.observation
+        ids, i, j = np.intersect1d(first.ids, second.ids, assume_unique=True, return_indices=True)
+        R = [seen.covariances(FIRST_GUESS)[k] for seen, k in ((first, i), (second, j))]
+        pairs = Pairs(first.uvd[i], second.uvd[j], *R)
+        whole = robust_step(recording.camera, pairs, None)
+        for name in ids.tolist():
+            sides.setdefault(name, bool(rng.integers(2)))
+        at_random = np.array([sides[name] for name in ids.tolist()], dtype=bool)
+        splits = [at_random, *(pairs.first[:, k] < np.median(pairs.first[:, k]) for k in (0, 2))] if len(ids) else []
+        both = [_by_halves(recording, pairs, split) for split in splits] if whole else [None] * 3
+        motion = 0.0
+        if whole is not None:
+            seen = np.column_stack([recording.camera.backproject(np.maximum(pairs.first, 1e-3)), np.ones(len(ids))])
+            motion = image_motion(float(np.linalg.norm(rotations.log(whole.step.R))), whole.step.t, seen)[0]
+        pending.append((motion, both))
+        if len(pending) == WINDOW:
+            total = sum(motion for motion, _ in pending)
+            for kind, found in enumerate(windows):
+                steps = [both[kind] for _, both in pending]
+                if total > 0.0 and all(step is not None for step in steps):
+                    found.append(_half_difference([step for step in steps if step is not None]) / math.sqrt(total))
+            pending = []
+    return [float(np.median(found)) / 1.538 if found else float("nan") for found in windows]  # of 3 axes: sigma
+
+
+def _by_halves(recording: Recording, pairs: Pairs, split: BoolArray) -> tuple[Step, Step] | None:
+    one, other = (robust_step(recording.camera, pairs.select(np.flatnonzero(part)), None) for part in (split, ~split))
+    return None if one is None or other is None else (one.step, other.step)
+
+
+def _half_difference(steps: Sequence[tuple[Step, Step]]) -> float:
+    """Half of the angle between the turns over a window."""
+    one, other = steps[0]
+    for first, second in steps[1:]:
+        one, other = chained(one, first), chained(other, second)
+    difference: FloatArray = rotations.log(one.R.T @ other.R)
+    return 0.5 * float(np.linalg.norm(difference))
+
+
+def consistent_walk(recording: Recording) -> float:
+    """The gauge walk with which NEES/6 of the pose is 1, by bisection of its logarithm."""
+    low, high = math.log(1e-4), math.log(0.1)
+    for _ in range(10):
+        walk = math.exp(0.5 * (low + high))
+        nees = judged(recording, "coloured-noise", {"gauge_walk": walk}, odometry=False, windows=False).pose_anees / 6
+        low, high = (0.5 * (low + high), high) if nees > 1.0 else (low, 0.5 * (low + high))
+    return math.exp(0.5 * (low + high))
 
 
 def main() -> None:
     """Run and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("data", type=Path)
+    parser.add_argument("data", type=Path, nargs="?")
+    parser.add_argument("--estimates", action="store_true")
+    parser.add_argument("--rendered", type=int, metavar="SEEDS")
     parser.add_argument("--frames", type=int, help="of each recording; all if not given")
     arguments = parser.parse_args()
+    console = Console(width=100)
+    if arguments.rendered:
+        show_rendered(console, arguments.rendered)
+    if arguments.data is None:
+        return
     found = [name for name in RECORDINGS if (arguments.data / name).is_dir()]
     if not found:
         parser.error(f"data must hold one of {', '.join(RECORDINGS)}, {arguments.data} has none")
-    for name in found:
-        recording = load(arguments.data / name)[: arguments.frames]
-        for odometry in (True, False) if recording.frames[-1].odometry is not None else (False,):
-            table = Table(title=f"{name}, {'odometry' if odometry else 'vision only'}")
-            for head in ("added", "NEES/6", "in band", "1 s", "10 s", "ATE"):
-                table.add_column(head, justify="left" if head == "added" else "right")
-            own = recording.frames[0].observation.R is not None
-            for label, options in (OWN_NOISE if own else OFFERED).items():
-                s = judged(recording, options, odometry)
-                nees = [s.pose_anees, s.window_nees_1s, s.window_nees_10s]
-                one, short, long = ("-" if value is None else f"{value / 6:.2f}" for value in nees)
-                band = "-" if s.frames_in_band_percent is None else f"{s.frames_in_band_percent:.0f}"
-                table.add_row(label, one, band, short, long, f"{s.ate_rigid_m:.2f}")
-            Console(width=100).print(table)
+    recordings = [sse.load(arguments.data / name)[: arguments.frames] for name in found]
+    if arguments.estimates:
+        show_estimates(console, [drive for drive in recordings if isinstance(drive.noise, ColouredNoise)])
+        return
+    for recording in recordings:
+        show_parts(console, recording)
 
 
 if __name__ == "__main__":

@@ -31,6 +31,7 @@ USUAL: Mapping[str, Any] = {"gate": 0.99, "motion": dataclasses.asdict(ConstantV
 """Common options where nobody says otherwise, as scenario files have them."""
 
 UNKNOWN = "it has no such option"
+SAME = "it has chosen the same"
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,23 +83,25 @@ def make_with_common_options(
     with constructor_calls() as calls:
         made = make(options)
     way = [ConstructorCall(inspect.signature(filter_factory(name))), *calls]
-    reasons = {key: _why_not(way, key) for key in common if key not in options}
+    reasons = {key: _why_not(way, key, common[key]) for key in common if key not in options}
     taken = {key: common[key] for key, reason in reasons.items() if reason is None}
     if taken:
         made = make({**options, **taken})
     # Who knows no gate goes without one, as all do where the common gate is None.
-    missed = {key: why for key, why in reasons.items() if why and not (why == UNKNOWN and common[key] is None)}
+    without = {key for key, why in reasons.items() if why == SAME or (why == UNKNOWN and common[key] is None)}
+    missed = {key: why for key, why in reasons.items() if why and key not in without}
     return MadeFilter(made, {**options, **taken}, missed)
 
 
-def _why_not(way: Sequence[ConstructorCall], key: str) -> str | None:
-    """Why a filter that is made by these calls is not given the common option `key`; None: it is given it."""
+def _why_not(way: Sequence[ConstructorCall], key: str, value: object) -> str | None:
+    """Why a filter that is made by these calls is not given this common option; None: it is given it."""
     for call in way:
         parameter = call.signature.parameters.get(key)
         if parameter is not None:
             if key not in call.given and _says_nothing(key, parameter.default):
                 return None
-            return f"it has its own, {_shown(call.given.get(key, parameter.default))}"
+            own = call.given.get(key, parameter.default)
+            return SAME if type(own) is type(value) and own == value else f"it has its own, {_shown(own)}"
         if not any(p.kind is inspect.Parameter.VAR_KEYWORD for p in call.signature.parameters.values()):
             break
     return UNKNOWN

@@ -5,7 +5,9 @@ Derivation: docs/derivations/camera.md.
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -95,13 +97,14 @@ class ColouredNoise(StereoNoise):
         for name in ("gauge_walk", "misalignment"):
             object.__setattr__(self, name, positive(name, getattr(self, name), allow_zero=True))
 
+    @property
+    def parts(self) -> dict[str, Any]:
+        """What there is besides R, JSON-able, as the constructor takes it."""
+        white = None if self.white is None else self.white.tolist()
+        drift = None if self.drift is None else dataclasses.asdict(self.drift)
+        return {"white": white, "drift": drift, "gauge_walk": self.gauge_walk, "misalignment": self.misalignment}
+
     def __eq__(self, other: object) -> bool:
-        return (
-            isinstance(other, ColouredNoise)
-            and np.array_equal(self.R, other.R)
-            and (self.white is None) == (other.white is None)
-            and (self.white is None or other.white is None or np.array_equal(self.white, other.white))
-            and (self.drift, self.gauge_walk, self.misalignment) == (other.drift, other.gauge_walk, other.misalignment)
-        )
+        return isinstance(other, ColouredNoise) and np.array_equal(self.R, other.R) and self.parts == other.parts
 
     __hash__ = StereoNoise.__hash__

@@ -264,6 +264,7 @@ def replay(
     from stereo_slam_env.benchmark import Scenario, Study
     from stereo_slam_env.benchmark.campaign import check_study
     from stereo_slam_env.benchmark.recordings.sources import DatasetSource
+    from stereo_slam_env.benchmark.scenarios.scenario import REAL_DRIVE_FILTERS
     from stereo_slam_env.benchmark.scenarios.streams import make_recording
     from stereo_slam_env.report.console import progress_bar, show_recording
 
@@ -272,7 +273,8 @@ def replay(
     source = DatasetSource(where, {"on_broken": "skip"} if skip_broken else {}, stated)
     name = f"replay-{Path(where).name.replace(':', '-')}"
     # No bound: the true noise is not known.
-    scenario = options.adjusted(Scenario(name, source, use_odometry=odometry, metrics=("map", "windows")))
+    real = Scenario(name, source, REAL_DRIVE_FILTERS, use_odometry=odometry, metrics=("map", "windows"))
+    scenario = options.adjusted(real)
     joint = scenario.gate is not None if consensus is None else consensus
     scenario = replace(scenario, consensus=joint)
     check_study(Study.of(scenario))

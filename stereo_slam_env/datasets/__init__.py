@@ -16,6 +16,7 @@ from types import ModuleType
 from typing import Any
 
 from filters.known_names import require_known
+from filters.noise import ColouredNoise
 from stereo_slam_env.datasets import (
     euroc,
     karlsruhe,
@@ -33,8 +34,9 @@ from stereo_slam_env.files.paths import is_there, require_inside, require_links_
 from stereo_slam_env.frontend.calibration import calibrated
 from stereo_slam_env.frontend.recorder import record_tracks
 from stereo_slam_env.frontend.settings import TrackerSettings
+from stereo_slam_env.frontend.track_noise import with_measured_noise
 from stereo_slam_env.recording.archive import load_recording
-from stereo_slam_env.recording.recording import ImageSequence, Recording
+from stereo_slam_env.recording.recording import SIMULATION, ImageSequence, Recording
 
 TRACK_LAYOUTS: tuple[ModuleType, ...] = (kitti07_tracks, kitti00_stereo_tracks, starry_night)
 IMAGE_LAYOUTS: tuple[ModuleType, ...] = (kitti06_stereo51, kitti_odometry, kitti_raw, karlsruhe, euroc)
@@ -68,7 +70,8 @@ def load(source: str | Path, **options: Any) -> Recording:
     Returns
     -------
     Recording
-        The measurements in time order, with what is known of truth and odometry.
+        The measurements in time order, with what is known of truth and odometry. If it is not simulated, with what its
+        tracks say of errors that last (`with_measured_noise`), unless it says so itself.
 
     Raises
     ------
@@ -81,10 +84,10 @@ def load(source: str | Path, **options: Any) -> Recording:
     path = Path(source)
     if source == EXAMPLE and not is_there(path):
         _require_options(EXAMPLE, kitti00_stereo_tracks.read_example, options)
-        return kitti00_stereo_tracks.read_example(**options)
+        return _with_its_noise(kitti00_stereo_tracks.read_example(**options))
     if path.suffix == ".npz" and is_there(path) and path.is_file():
         require_known("a recording in one file has no option", options, [])
-        return load_recording(path)
+        return _with_its_noise(load_recording(path))
     _require_folder(path, f", a recording in one file (NAME.npz) or {EXAMPLE!r}")
     layout = _recognised(path, TRACK_LAYOUTS)
     if layout is None:
@@ -93,8 +96,12 @@ def load(source: str | Path, **options: Any) -> Recording:
         return record_tracks(*open_for_front_end(path, **options))
     _require_options(layout.NAME, layout.read, options)
     require_links_inside(path)
-    recording: Recording = layout.read(path, **options)
-    return recording
+    return _with_its_noise(layout.read(path, **options))
+
+
+def _with_its_noise(recording: Recording) -> Recording:
+    stated = isinstance(recording.noise, ColouredNoise) or recording.truth_from == SIMULATION
+    return recording if stated else with_measured_noise(recording)
 
 
 def open_for_front_end(path: str | Path, **options: Any) -> tuple[ImageSequence, TrackerSettings]:

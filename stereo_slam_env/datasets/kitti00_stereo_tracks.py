@@ -20,7 +20,6 @@ from filters.extras import install_command
 from filters.validation import FloatArray, IntArray
 from stereo_slam_env.datasets.tracks import ASSUMED_SIGMA_PX, Tracks, frames_of
 from stereo_slam_env.files.readers import read_poses, read_table, require_rotations, split_poses
-from stereo_slam_env.frontend.track_noise import with_measured_noise
 from stereo_slam_env.recording.recording import Recording, Reference
 
 NAME = "kitti00_stereo_tracks"
@@ -159,7 +158,7 @@ def _recording(
         "observations_used": len(thinned),
         "observations_in_file": len(tracks),
     }
-    recording = Recording(
+    return Recording(
         name,
         StereoCamera(fx, fy, cx, cy, baseline, *IMAGE_SIZE),
         frames_of(thinned, timestamps, truth),
@@ -167,7 +166,6 @@ def _recording(
         source={**source, **settings},
         truth_from=truth_from,
     )
-    return with_measured_noise(recording)
 
 
 def _moved_to(anchor: FloatArray, positions: FloatArray, orientations: FloatArray) -> list[Pose]:

@@ -12,7 +12,6 @@ from pathlib import Path
 from filters import Pose, StereoCamera, StereoNoise
 from stereo_slam_env.datasets.tracks import ASSUMED_SIGMA_PX, camera_velocities, frames_of, tracks_of_pixels
 from stereo_slam_env.files.readers import Shape, read_archive, read_poses
-from stereo_slam_env.frontend.track_noise import with_measured_noise
 from stereo_slam_env.recording.recording import Recording, Reference
 
 NAME = "kitti07_tracks"
@@ -93,7 +92,7 @@ def read(
         "frames_without_truth": count - len(truth),
     }
     unknown = [None] * (count - len(truth))
-    recording = Recording(
+    return Recording(
         NAME,
         StereoCamera(fx, fy, cx, cy, baseline, *IMAGE_SIZE),
         frames_of(usable.thinned(max_per_frame), timestamps, [*truth, *unknown], odometry),
@@ -101,4 +100,3 @@ def read(
         source=source,
         truth_from=TRUTH,
     )
-    return with_measured_noise(recording)

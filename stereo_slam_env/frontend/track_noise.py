@@ -83,13 +83,20 @@ class TrackNoise:
         Of residuals so many frames apart.
     slide : float
         The steady part alone, by how far the points move: root of twice the covariances over 1 to `LAGS` frames of
-        residuals in u and v over the root of the flow, rad per root of a radian.
+        residuals in u and v over the root of the flow, rad per root of a radian. 0 where residuals one frame apart are
+        not positively correlated: then most of the errors are white or a walk, and a sum of covariances above 0 is
+        chance, or the texture's.
     """
 
     step: FloatArray
     lasting: FloatArray
     correlation: FloatArray
     slide: float
+
+    @property
+    def lasts(self) -> bool:
+        """Whether errors in u and v add up: the walk's variance is over half of a residual's (white 0, walk 1)."""
+        return float(np.sum(self.lasting[:2] ** 2)) > 0.5 * float(np.sum(self.step[:2] ** 2))
 
 
 def flow_residuals(recording: Recording) -> FlowResiduals:
@@ -136,12 +143,10 @@ def track_noise(flow: FlowResiduals, focal_length: float) -> TrackNoise:
             covariances[lag] = np.mean(flow.residuals[pairs] * flow.residuals[later[pairs]], axis=0)
             by_flow_covariances[lag] = np.mean(by_flow[pairs] * by_flow[later[pairs]])
     lasting = covariances[0] + 2.0 * covariances[1:].sum(axis=0)
-    slide = 2.0 * float(by_flow_covariances[1:].sum()) / focal_length
+    correlation = covariances / np.where(covariances[0] > 0, covariances[0], 1.0)
+    slide = 2.0 * float(by_flow_covariances[1:].sum()) / focal_length if np.mean(correlation[1, :2]) > 0.0 else 0.0
     return TrackNoise(
-        np.sqrt(covariances[0]),
-        np.sqrt(np.maximum(lasting, 0.0)),
-        covariances / np.where(covariances[0] > 0, covariances[0], 1.0),
-        float(np.sqrt(max(slide, 0.0))),
+        np.sqrt(covariances[0]), np.sqrt(np.maximum(lasting, 0.0)), correlation, float(np.sqrt(max(slide, 0.0)))
     )
 
 
@@ -150,7 +155,7 @@ def with_measured_noise(recording: Recording) -> Recording:
 
     Measurements that bring a covariance of their own keep it as the white part and drift by a share of it; the others
     have what `TrackNoise` says. Tracks that slide are those of a real camera, which is mounted to `MISALIGNMENT`.
-    Where too little can be seen the noise stays as it was.
+    Where too little can be seen, and where errors are found to be white, the noise stays as it was.
     """
     flow = flow_residuals(recording)
     try:
@@ -159,6 +164,9 @@ def with_measured_noise(recording: Recording) -> Recording:
         _log.info("%s: the noise of the tracks is not measured: %s", recording.name, reason)
         return recording
     own = all(frame.observation.R is not None for frame in recording.frames)
+    if not own and not found.lasts:
+        _log.info("%s: the errors of its tracks are white", recording.name)
+        return recording
     white, drift = None, LandmarkDrift(share=DRIFT_SHARE)
     if not own:
         white = StereoNoise.independent_pixels(WHITE * float(np.sqrt(np.mean(found.step[:2] ** 2)))).R

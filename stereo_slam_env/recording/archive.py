@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from filters import (
     BodyVelocity,
     ColouredNoise,
-    LandmarkDrift,
     Pose,
     Start,
     StereoCamera,
@@ -75,7 +74,7 @@ def packed_recording(recording: Recording) -> bytes:
         "camera": camera,
         "source": dict(recording.source),
         "truth_from": dataclasses.asdict(recording.truth_from),
-        **_coloured(recording.noise),
+        **({"coloured_noise": recording.noise.parts} if isinstance(recording.noise, ColouredNoise) else {}),
     }
     try:
         header = json.dumps(about, allow_nan=False)
@@ -186,34 +185,17 @@ def _recording_of(about: Mapping[str, Any], arrays: Arrays) -> Recording:
     if "landmarks.ids" in arrays:
         known = _shaped(arrays, "landmarks.ids", (-1,))
         landmarks = LandmarkTruth(known, _shaped(arrays, "landmarks.positions", (len(known), 3)))
+    parts = about.get("coloured_noise")
     return Recording(
         str(about["name"]),
         StereoCamera(**about["camera"]),
         tuple(frames),
-        _noise_of(about, arrays["noise"]),
+        StereoNoise(arrays["noise"]) if parts is None else ColouredNoise(arrays["noise"], **parts),
         Start(**start, covariance=covariance),
         landmarks,
         about["source"],
         reference_of(about),
     )
-
-
-def _coloured(noise: StereoNoise) -> dict[str, Any]:
-    """What a `ColouredNoise` has besides R, for the header."""
-    if not isinstance(noise, ColouredNoise):
-        return {}
-    white = None if noise.white is None else noise.white.tolist()
-    drift = None if noise.drift is None else dataclasses.asdict(noise.drift)
-    parts = {"drift": drift, "gauge_walk": noise.gauge_walk, "misalignment": noise.misalignment}
-    return {"coloured_noise": {"white": white, **parts}}
-
-
-def _noise_of(about: Mapping[str, Any], R: FloatArray) -> StereoNoise:
-    parts = about.get("coloured_noise")
-    if parts is None:
-        return StereoNoise(R)
-    drift = parts["drift"]
-    return ColouredNoise(R, **{**parts, "drift": drift and LandmarkDrift(**drift)})
 
 
 def reference_of(about: Mapping[str, Any]) -> Reference:

@@ -15,6 +15,7 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
+from filters.noise import ColouredNoise
 from stereo_slam_env.benchmark.campaign import Progress as ProgressCallback
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, PolicyChoice, Scenario
 from stereo_slam_env.benchmark.scenarios.streams import OUTLIER, NoiseOfRange
@@ -106,6 +107,7 @@ def show_recording(console: Console, recording: Recording) -> None:
         f"{observed / len(frames):.0f} landmarks a frame, {referenced} with a reference pose",
         "reference": str(recording.reference),
         "its noise": noise,
+        **({"that lasts": _lasting(recording.noise)} if isinstance(recording.noise, ColouredNoise) else {}),
         "read as": _listed(source),
     }
     if front_end is not None:
@@ -113,6 +115,20 @@ def show_recording(console: Console, recording: Recording) -> None:
         changed = {key: value for key, value in front_end.items() if value != usual[key]}
         lines["front end"] = _listed(changed) if changed else "default settings"
     _show_lines(console, lines)
+
+
+def _lasting(noise: ColouredNoise) -> str:
+    said = []
+    if noise.drift is not None and any(noise.drift.pixels):
+        steps = " / ".join(f"{step:.2f}" for step in noise.drift.pixels)
+        said.append(f"each point walks {steps} px of u / v / d a frame")
+    if noise.drift is not None and noise.drift.share:
+        said.append(f"each point walks {noise.drift.share:.2f} of its sigma a frame")
+    if noise.gauge_walk:
+        said.append(f"all together by {1e3 * noise.gauge_walk:.1f} mrad per root of a radian of image motion")
+    if noise.misalignment:
+        said.append(f"camera and reference are aligned to {1e3 * noise.misalignment:.0f} mrad")
+    return "; ".join(said) or "nothing"
 
 
 def show_noise(console: Console, name: str, rows: Sequence[NoiseOfRange]) -> None:

@@ -120,6 +120,10 @@ def test_a_choice_that_equals_the_usual_value_is_a_choice_if_it_is_passed_on() -
     assert result.not_given == {"gate": "it has its own, 0.99"}
 
 
+def test_a_choice_that_equals_the_common_one_is_not_worth_a_remark() -> None:
+    assert made(lambda camera, noise, gate=0.9: StereoEKF(camera, noise, gate=gate), {"gate": 0.9}).not_given == {}
+
+
 @pytest.mark.parametrize(("default", "given"), [(0.99, 0.9), (None, 0.9), (0.5, 0.5)])
 def test_a_default_is_a_choice_unless_it_is_the_usual_one_or_none(default: float | None, given: float) -> None:
     def gated(camera: Any, noise: Any, *, gate: float | None = default) -> StereoFilter:

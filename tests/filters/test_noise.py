@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 
-from filters import StereoNoise
+from filters import ColouredNoise, LandmarkDrift, StereoNoise
 
 
 def test_independent_pixels_is_the_covariance_of_d_equal_to_left_minus_right() -> None:
@@ -55,3 +57,27 @@ def test_standard_deviations_must_be_positive(sigma: float) -> None:
         StereoNoise.independent_pixels(sigma)
     with pytest.raises(ValueError, match="sigma_v must be"):
         StereoNoise.diagonal(1.0, sigma, 1.0)
+
+
+def test_coloured_noise_is_made_again_of_its_parts() -> None:
+    """Also of those that JSON has kept, whose tuples are lists."""
+    noise = ColouredNoise(
+        np.eye(3), 0.1 * np.eye(3), LandmarkDrift(0.2, (1.0, 0.8, 0.3), (0.4, 0.4, 0.2)), 0.004, 0.005
+    )
+    assert ColouredNoise(noise.R, **json.loads(json.dumps(noise.parts))) == noise
+    assert noise != StereoNoise(noise.R)
+    assert ColouredNoise(noise.R, **{**noise.parts, "gauge_walk": 0.0}) != noise
+
+
+@pytest.mark.parametrize(
+    ("parts", "message"),
+    [
+        ({"white": np.zeros((3, 3))}, "white must be positive definite"),
+        ({"gauge_walk": -1.0}, "gauge_walk must be"),
+        ({"misalignment": np.nan}, "misalignment must be"),
+        ({"drift": {"pixels": (1.0, 1.0, -1.0)}}, "pixels of drift must be"),
+    ],
+)
+def test_impossible_parts_are_refused(parts: dict[str, object], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        ColouredNoise(np.eye(3), **parts)

@@ -13,7 +13,7 @@ from msgspec import Meta
 
 from filters.known_names import require_known
 from filters.motions.constant_velocity import ConstantVelocity
-from filters.noise import StereoNoise
+from filters.noise import ColouredNoise, StereoNoise
 from filters.validation import finite_array, gate_probability
 from stereo_slam_env.benchmark.recordings.source import Renderer, Source, checked
 from stereo_slam_env.benchmark.recordings.sources import StreetSource, source_of
@@ -96,6 +96,9 @@ DEFAULT_FILTERS = (
     # Without a guard XYZ diverges on far points (d <= 0 has no point at all), so it is given the usual one.
     FilterChoice("euclidean", "euclidean", {"min_disparity": 5.0}),
 )
+"""Those of the paper, which take errors for white."""
+REAL_DRIVE_FILTERS = (FilterChoice("coloured-noise", "coloured-noise"), *DEFAULT_FILTERS)
+"""For tracks in real images, whose errors last from frame to frame."""
 
 
 def filter_choice(entry: str | Mapping[str, Any]) -> FilterChoice:
@@ -254,15 +257,19 @@ class Scenario:
         return "bound" in self.metrics and not self.policies
 
     def assumed_noise(self, of_recording: StereoNoise) -> StereoNoise:
-        """The noise filters are told to assume."""
+        """The noise filters are told to assume; what a recording says of errors that last holds with any R."""
         if self.noise is None:
             return of_recording
         require_known("noise has no key", self.noise, ("independent_pixels", "diagonal"))
         if len(self.noise) != 1:
             raise ValueError("noise must have one key: independent_pixels or diagonal")
         if "diagonal" in self.noise:
-            return StereoNoise.diagonal(*finite_array("noise.diagonal", self.noise["diagonal"], (3,)).tolist())
-        return StereoNoise.independent_pixels(self.noise["independent_pixels"])
+            given = StereoNoise.diagonal(*finite_array("noise.diagonal", self.noise["diagonal"], (3,)).tolist())
+        else:
+            given = StereoNoise.independent_pixels(self.noise["independent_pixels"])
+        if isinstance(of_recording, ColouredNoise):
+            return dataclasses.replace(of_recording, R=given.R, white=None)
+        return given
 
     @property
     def common_options(self) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 
 from filters.common_options import make_with_common_options
 from filters.interface import StereoObservation
-from filters.noise import StereoNoise
+from filters.noise import ColouredNoise, StereoNoise
 from filters.validation import FloatArray
 from stereo_slam_env.benchmark.recordings.source import OpenedImages, Progress
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, Scenario
@@ -202,6 +202,7 @@ def description_of(recording: Recording) -> dict[str, Any]:
         "frames": len(recording),
         "stream_sha256": stream_digest(recording),
         "R": recording.noise.R.tolist(),
+        "coloured_noise": recording.noise.parts if isinstance(recording.noise, ColouredNoise) else None,
         "reference": dataclasses.asdict(recording.reference),
         "source": dict(recording.source),
     }
@@ -231,6 +232,8 @@ def stream_digest(recording: Recording) -> str:
         seen, odometry = frame.observation, frame.odometry
         parts += [np.float64(frame.timestamp), seen.ids, seen.uvd, seen.v_right, seen.R]
         parts += [None] if odometry is None else [odometry.linear, odometry.angular, odometry.covariance]
+    if isinstance(recording.noise, ColouredNoise):
+        digest.update(json.dumps(recording.noise.parts).encode())
     for part in parts:
         digest.update(b"-" if part is None else np.ascontiguousarray(part).tobytes() + b"|")
     return digest.hexdigest()

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from filters import ColouredNoise, StereoCamera, StereoNoise, StereoObservation
+from stereo_slam_env.datasets import load
 from stereo_slam_env.frontend.track_noise import (
     LAGS,
     MISALIGNMENT,
@@ -17,7 +19,8 @@ from stereo_slam_env.frontend.track_noise import (
     track_noise,
     with_measured_noise,
 )
-from stereo_slam_env.recording.recording import Frame, Recording
+from stereo_slam_env.recording.archive import save_recording
+from stereo_slam_env.recording.recording import GIVEN_TRUTH, SIMULATION, Frame, Recording, Reference
 
 CAMERA = StereoCamera(700.0, 700.0, 600.0, 200.0, 0.5, 1200, 400)
 FRAMES, TRACKS = 60, 80
@@ -81,16 +84,37 @@ def test_a_slide_goes_on_and_its_long_walk_is_found() -> None:
 
 
 def test_the_recording_is_told_what_was_found() -> None:
-    still, sliding = (with_measured_noise(drive(**errors)).noise for errors in ({"white": 0.3}, {"slide": 0.3}))
-    for noise in (still, sliding):
-        assert isinstance(noise, ColouredNoise)
-        np.testing.assert_array_equal(noise.R, StereoNoise.independent_pixels(2.0).R)
-        assert noise.white is not None
-        assert noise.drift is not None
-        assert noise.drift.share == 0.0
-    assert (still.gauge_walk, still.misalignment) == pytest.approx((0.0, 0.0), abs=0.006)
-    assert (sliding.gauge_walk, sliding.misalignment) == (MOST_IN_COMMON, MISALIGNMENT)
-    assert sliding.drift.pixels[0] > 2.0 * sliding.drift.gate_pixels[0]
+    noise = with_measured_noise(drive(slide=0.3)).noise
+    assert isinstance(noise, ColouredNoise)
+    np.testing.assert_array_equal(noise.R, StereoNoise.independent_pixels(2.0).R)
+    assert noise.white is not None
+    assert noise.drift is not None
+    assert noise.drift.share == 0.0
+    assert noise.drift.gate_pixels is not None
+    assert noise.drift.pixels[0] > 2.0 * noise.drift.gate_pixels[0]
+    assert (noise.gauge_walk, noise.misalignment) == (MOST_IN_COMMON, MISALIGNMENT)
+
+
+def test_a_walk_beside_white_errors_is_the_landmarks_alone() -> None:
+    noise = with_measured_noise(drive(white=0.1, walk=0.3)).noise
+    assert isinstance(noise, ColouredNoise)
+    assert noise.drift is not None
+    np.testing.assert_allclose(noise.drift.pixels[:2], 1.2 * np.hypot(0.3, np.sqrt(2.0) * 0.1), rtol=0.1)
+    assert (noise.gauge_walk, noise.misalignment) == (0.0, 0.0)
+
+
+def test_white_errors_leave_the_noise_as_it_was() -> None:
+    recording = drive(white=0.3)
+    assert with_measured_noise(recording) is recording
+
+
+@pytest.mark.parametrize("truth_from", [GIVEN_TRUTH, SIMULATION])
+def test_a_loaded_recording_says_how_its_errors_last_unless_it_is_simulated(tmp_path: Path, truth_from: Reference):
+    recording = dataclasses.replace(drive(slide=0.3), truth_from=truth_from)
+    expected = recording if truth_from == SIMULATION else with_measured_noise(recording)
+    for given in (recording, expected):
+        save_recording(tmp_path / "drive.npz", given)
+        assert load(tmp_path / "drive.npz").noise == expected.noise
 
 
 def test_measurements_with_a_covariance_keep_it() -> None:

@@ -2,9 +2,10 @@
 
 import json
 
+import numpy as np
 import pytest
 
-from filters import StereoNoise
+from filters import ColouredNoise, LandmarkDrift, StereoNoise
 from stereo_slam_env.benchmark.recordings.sources import ReferenceSource
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, Scenario, filter_choice
 
@@ -44,6 +45,12 @@ def test_the_assumed_noise_is_that_of_the_recording_unless_said_otherwise():
     assert pixels == StereoNoise.independent_pixels(3.0)
     diagonal = Scenario("s", noise={"diagonal": [1.0, 2.0, 3.0]}).assumed_noise(of_recording)
     assert diagonal == StereoNoise.diagonal(1.0, 2.0, 3.0)
+
+
+def test_errors_that_last_do_so_with_any_assumed_noise():
+    of_recording = ColouredNoise(np.eye(3), 0.1 * np.eye(3), LandmarkDrift(0.3), 0.004)
+    assumed = Scenario("s", noise={"diagonal": [1.0, 2.0, 3.0]}).assumed_noise(of_recording)
+    assert assumed == ColouredNoise(np.diag([1.0, 4.0, 9.0]), None, LandmarkDrift(0.3), 0.004)
 
 
 @pytest.mark.parametrize(

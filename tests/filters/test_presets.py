@@ -1,0 +1,53 @@
+"""The named filters are choices of parts of the engine; "coloured-noise" chooses by what the noise states."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import stereo_slam_env as sse
+from filters import ColouredNoise, LandmarkDrift, StereoEKF, StereoNoise, make_filter
+from stereo_slam_env.recording.recording import Recording
+
+DRIFT = LandmarkDrift(pixels=(1.1, 1.0, 0.3), gate_pixels=(0.4, 0.4, 0.2))
+
+
+@pytest.fixture(scope="module")
+def drive() -> Recording:
+    return sse.make_recording("reference-turn", 0)[:20]
+
+
+def estimates(drive: Recording, name: str, noise: StereoNoise, **options: Any) -> list[np.ndarray]:
+    """Pose and covariance after the last frame."""
+    slam = make_filter(name, camera=drive.camera, noise=noise, compiled=False, **options)
+    *_, last = sse.run(slam, drive)
+    return [last.pose.position, last.pose.orientation, last.pose.covariance]
+
+
+def test_without_errors_that_last_it_is_the_right_invariant_filter_with_the_joint_test(drive: Recording) -> None:
+    own = estimates(drive, "coloured-noise", drive.noise)
+    for mine, theirs in zip(own, estimates(drive, "right-invariant", drive.noise, consensus=True), strict=True):
+        np.testing.assert_array_equal(mine, theirs)
+
+
+def test_what_the_noise_states_is_what_the_engine_is_told(drive: Recording) -> None:
+    white = 0.1 * drive.noise.R
+    own = estimates(drive, "coloured-noise", ColouredNoise(drive.noise.R, white, DRIFT, 0.004, 0.005))
+    told = {"drift": DRIFT, "gauge_walk": 0.004, "consensus": True}
+    told["measurement"] = {"name": "calibrated", "misalignment_sigma": 0.005}
+    for mine, theirs in zip(own, estimates(drive, "right-invariant", StereoNoise(white), **told), strict=True):
+        np.testing.assert_array_equal(mine, theirs)
+
+
+def test_an_option_goes_before_what_the_noise_states(drive: Recording) -> None:
+    noise = ColouredNoise(drive.noise.R, drift=DRIFT, gauge_walk=0.004)
+    slam = make_filter("coloured-noise", camera=drive.camera, noise=noise, gauge_walk=0.0)
+    assert isinstance(slam, StereoEKF)
+    assert slam.options.gauge_walk == 0.0
+    assert slam.options.drift == DRIFT
+
+
+def test_without_a_gate_there_is_no_joint_test(drive: Recording) -> None:
+    assert not make_filter("coloured-noise", camera=drive.camera, noise=drive.noise, gate=None).options.consensus
