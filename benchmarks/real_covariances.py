@@ -62,7 +62,9 @@ def parts(recording: Recording) -> Iterator[tuple[str, str, dict[str, Any], Reco
     yield "right-invariant errors", "coloured-noise", kept, recording
     if isinstance(noise, ColouredNoise) and noise.gauge_walk:
         yield "gauge walk", "coloured-noise", {"measurement": "joint"}, recording
-        yield "misalignment", "coloured-noise", {}, recording
+        straight = replace(recording, noise=replace(noise, disparity_offset=0.0))
+        yield "misalignment", "coloured-noise", {}, straight
+        yield "disparity offset", "coloured-noise", {}, recording
 
 
 def judged(recording: Recording, name: str, options: Mapping[str, Any], odometry: bool, windows: bool = True) -> Any:

@@ -58,6 +58,9 @@ class StereoNoise:
         return hash(self.R.tobytes())
 
 
+_ERRORS_IN_COMMON = ("gauge_walk", "misalignment", "disparity_offset")
+
+
 @dataclass(frozen=True, eq=False)
 class ColouredNoise(StereoNoise):
     """R of (u, v, d), and the part of the errors that lasts, as tracks of real images have it.
@@ -77,6 +80,8 @@ class ColouredNoise(StereoNoise):
         Of the part that all tracks of a frame have in common, rad per root of a radian of image motion (`StereoEKF`).
     misalignment : float
         Standard deviation of the rotation between the camera and the frame of odometry and reference, rad per axis.
+    disparity_offset : float
+        Standard deviation of what the rectification has left in all disparities, px.
 
     Raises
     ------
@@ -88,13 +93,14 @@ class ColouredNoise(StereoNoise):
     drift: LandmarkDrift | None = None
     gauge_walk: float = 0.0
     misalignment: float = 0.0
+    disparity_offset: float = 0.0
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.white is not None:
             object.__setattr__(self, "white", covariance_matrix("white", self.white, 3, definite=True))
         object.__setattr__(self, "drift", LandmarkDrift.of(self.drift))
-        for name in ("gauge_walk", "misalignment"):
+        for name in _ERRORS_IN_COMMON:
             object.__setattr__(self, name, positive(name, getattr(self, name), allow_zero=True))
 
     @property
@@ -102,7 +108,7 @@ class ColouredNoise(StereoNoise):
         """What there is besides R, JSON-able, as the constructor takes it."""
         white = None if self.white is None else self.white.tolist()
         drift = None if self.drift is None else dataclasses.asdict(self.drift)
-        return {"white": white, "drift": drift, "gauge_walk": self.gauge_walk, "misalignment": self.misalignment}
+        return {"white": white, "drift": drift, **{name: getattr(self, name) for name in _ERRORS_IN_COMMON}}
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, ColouredNoise) and np.array_equal(self.R, other.R) and self.parts == other.parts

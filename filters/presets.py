@@ -88,17 +88,19 @@ MonocularEKF = _named(
 class ColouredNoiseEKF(StereoEKF):
     """Stereo EKF for errors that last from frame to frame, as those of tracks in real images do.
 
-    What a `ColouredNoise` states becomes process noise of landmarks, a gauge walk, and an estimated misalignment
-    between camera and reference; where the noise states nothing, it is taken for white. Shared anchors, right-invariant
-    errors, and the joint test over the frame where there is a gate.
+    What a `ColouredNoise` states becomes process noise of landmarks, a gauge walk, and variables for the misalignment
+    of camera and reference and for the offset of the disparities; where the noise states nothing, it is taken for
+    white. Shared anchors, right-invariant errors, and the joint test over the frame where there is a gate.
     """
 
     def __init__(self, camera: StereoCamera, noise: StereoNoise, *, gate: float | None = 0.99, **options: Any) -> None:
         stated: dict[str, Any] = {}
         if isinstance(noise, ColouredNoise):
             stated |= {"drift": noise.drift, "gauge_walk": noise.gauge_walk}
-            if noise.misalignment:
-                stated["measurement"] = {"name": "calibrated", "misalignment_sigma": noise.misalignment}
+            priors = {"misalignment_sigma": noise.misalignment, "offset_sigma": noise.disparity_offset}
+            if any(priors.values()):
+                given = {name: sigma for name, sigma in priors.items() if sigma}
+                stated["measurement"] = {"name": "calibrated", **given}
             noise = StereoNoise(noise.R if noise.white is None else noise.white)
         usual = {"landmark": "shared-anchor", "error": "right-invariant", "consensus": gate is not None}
         super().__init__(camera, noise, gate=gate, **{**usual, **stated, **options})

@@ -34,11 +34,13 @@ FIRST_GUESS = StereoNoise.independent_pixels(0.4)
 WHITE, GATE = 0.8, 1.2
 """Standard deviations of the white part and of the steps that the gate allows, in those of a residual; chosen on KITTI
 07, where the error hardly depends on them."""
-MOST_IN_COMMON = 0.0045
+MOST_IN_COMMON = 0.004
 """Largest gauge walk that is stated, rad per root of a radian: with worse tracks, what they add differs from point to
 point and is in the drift of the landmarks (docs/covariances.md)."""
 MISALIGNMENT = 0.005
 """Of a camera in a vehicle and the axes of its reference, rad, where nobody has measured it."""
+DISPARITY_OFFSET = 0.05
+"""What a rectification leaves in all disparities, px."""
 
 _log = logging.getLogger(__name__)
 
@@ -154,7 +156,8 @@ def with_measured_noise(recording: Recording) -> Recording:
     """The recording with what its tracks say of their noise: `ColouredNoise`, with the R that it had.
 
     Measurements that bring a covariance of their own keep it as the white part and drift by a share of it; the others
-    have what `TrackNoise` says. Tracks that slide are those of a real camera, which is mounted to `MISALIGNMENT`.
+    have what `TrackNoise` says. Tracks that slide are those of a real camera, which is mounted to `MISALIGNMENT` and
+    rectified to `DISPARITY_OFFSET`.
     Where too little can be seen, and where errors are found to be white, the noise stays as it was.
     """
     flow = flow_residuals(recording)
@@ -173,7 +176,7 @@ def with_measured_noise(recording: Recording) -> Recording:
         gate = GATE * found.step
         drift = LandmarkDrift(pixels=tuple(np.maximum(found.lasting, gate).tolist()), gate_pixels=tuple(gate.tolist()))
     gauge_walk = min(found.slide, MOST_IN_COMMON)
-    misalignment = MISALIGNMENT if gauge_walk else 0.0
-    noise = ColouredNoise(recording.noise.R, white, drift, gauge_walk, misalignment)
+    of_the_rig = (MISALIGNMENT, DISPARITY_OFFSET) if gauge_walk else (0.0, 0.0)
+    noise = ColouredNoise(recording.noise.R, white, drift, gauge_walk, *of_the_rig)
     _log.info("%s: %s", recording.name, noise)
     return dataclasses.replace(recording, noise=noise)

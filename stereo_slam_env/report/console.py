@@ -128,6 +128,8 @@ def _lasting(noise: ColouredNoise) -> str:
         said.append(f"all together by {1e3 * noise.gauge_walk:.1f} mrad per root of a radian of image motion")
     if noise.misalignment:
         said.append(f"camera and reference are aligned to {1e3 * noise.misalignment:.0f} mrad")
+    if noise.disparity_offset:
+        said.append(f"disparities have an offset of about {noise.disparity_offset:.2f} px")
     return "; ".join(said) or "nothing"
 
 

@@ -75,6 +75,7 @@ def test_coloured_noise_is_made_again_of_its_parts() -> None:
         ({"white": np.zeros((3, 3))}, "white must be positive definite"),
         ({"gauge_walk": -1.0}, "gauge_walk must be"),
         ({"misalignment": np.nan}, "misalignment must be"),
+        ({"disparity_offset": -0.1}, "disparity_offset must be"),
         ({"drift": {"pixels": (1.0, 1.0, -1.0)}}, "pixels of drift must be"),
     ],
 )

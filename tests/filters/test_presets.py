@@ -34,9 +34,9 @@ def test_without_errors_that_last_it_is_the_right_invariant_filter_with_the_join
 
 def test_what_the_noise_states_is_what_the_engine_is_told(drive: Recording) -> None:
     white = 0.1 * drive.noise.R
-    own = estimates(drive, "coloured-noise", ColouredNoise(drive.noise.R, white, DRIFT, 0.004, 0.005))
+    own = estimates(drive, "coloured-noise", ColouredNoise(drive.noise.R, white, DRIFT, 0.004, 0.005, 0.05))
     told = {"drift": DRIFT, "gauge_walk": 0.004, "consensus": True}
-    told["measurement"] = {"name": "calibrated", "misalignment_sigma": 0.005}
+    told["measurement"] = {"name": "calibrated", "misalignment_sigma": 0.005, "offset_sigma": 0.05}
     for mine, theirs in zip(own, estimates(drive, "right-invariant", StereoNoise(white), **told), strict=True):
         np.testing.assert_array_equal(mine, theirs)
 

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from filters import ColouredNoise, StereoCamera, StereoNoise, StereoObservation
 from stereo_slam_env.datasets import load
 from stereo_slam_env.frontend.track_noise import (
+    DISPARITY_OFFSET,
     LAGS,
     MISALIGNMENT,
     MOST_IN_COMMON,
@@ -93,6 +94,7 @@ def test_the_recording_is_told_what_was_found() -> None:
     assert noise.drift.gate_pixels is not None
     assert noise.drift.pixels[0] > 2.0 * noise.drift.gate_pixels[0]
     assert (noise.gauge_walk, noise.misalignment) == (MOST_IN_COMMON, MISALIGNMENT)
+    assert noise.disparity_offset == DISPARITY_OFFSET
 
 
 def test_a_walk_beside_white_errors_is_the_landmarks_alone() -> None:
@@ -100,7 +102,7 @@ def test_a_walk_beside_white_errors_is_the_landmarks_alone() -> None:
     assert isinstance(noise, ColouredNoise)
     assert noise.drift is not None
     np.testing.assert_allclose(noise.drift.pixels[:2], 1.2 * np.hypot(0.3, np.sqrt(2.0) * 0.1), rtol=0.1)
-    assert (noise.gauge_walk, noise.misalignment) == (0.0, 0.0)
+    assert (noise.gauge_walk, noise.misalignment, noise.disparity_offset) == (0.0, 0.0, 0.0)
 
 
 def test_white_errors_leave_the_noise_as_it_was() -> None:
