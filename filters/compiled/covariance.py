@@ -119,23 +119,45 @@ def shear_by_rotation(P: FloatArray, n: int, W: FloatArray, s: Scratch) -> None:
 
 
 @njit(**KERNEL)
-def scale_blocks(P: FloatArray, n: int, leading: int, D: FloatArray) -> None:
-    """P <- blockdiag(I, D) P blockdiag(I, D)^T, with D (C, 3, 3) on the blocks behind the leading rows."""
+def scale_blocks(P: FloatArray, n: int, leading: int, D: FloatArray, s: Scratch) -> None:
+    """P <- blockdiag(I, D) P blockdiag(I, D)^T, with D (C, 3, 3) on the blocks behind the leading rows.
+
+    Rows take the five diagonals of D^T as vectors, which a loop over blocks of three could not do.
+    """
+    diagonals, rows, turned = s.G, s.lead[:3], s.lead[3:6]
+    diagonals[:5, leading:n] = 0.0
+    for left in range(leading, n, 3):
+        A = D[(left - leading) // 3]
+        for j in range(3):
+            for k in range(3):
+                diagonals[2 + k - j, left + j] = A[j, k]
+    for i in range(leading):
+        _times_diagonals(P[i], leading, n, diagonals, rows[0], P[i])
     for top in range(leading, n, 3):
-        A = D[(top - leading) // 3]
         for i in range(1, 3):  # the block on the diagonal has to be whole
             for j in range(i):
                 P[top + i, top + j] = P[top + j, top + i]
-        for j in range(top, n):
-            x, y, z = P[top, j], P[top + 1, j], P[top + 2, j]
-            for i in range(3):
-                P[top + i, j] = A[i, 0] * x + A[i, 1] * y + A[i, 2] * z
-    for i in range(n):
-        for left in range(max(leading, i - (i - leading) % 3), n, 3):
-            A = D[(left - leading) // 3]
-            x, y, z = P[i, left], P[i, left + 1], P[i, left + 2]
-            for j in range(3):
-                P[i, left + j] = A[j, 0] * x + A[j, 1] * y + A[j, 2] * z
+        for i in range(3):
+            _times_diagonals(P[top + i], top, n, diagonals, rows[i], turned[i])
+        A = D[(top - leading) // 3]
+        for i in range(3):
+            target, a, b, c = P[top + i], A[i, 0], A[i, 1], A[i, 2]
+            for j in range(top, n):
+                target[j] = a * turned[0, j] + b * turned[1, j] + c * turned[2, j]
+
+
+@njit(**KERNEL)
+def _times_diagonals(
+    row: FloatArray, first: int, n: int, diagonals: FloatArray, copied: FloatArray, target: FloatArray
+) -> None:
+    """The columns first to n - 1 of a row times a matrix with these diagonals, -2 to 2, in `target`."""
+    for j in range(first, n):
+        copied[j] = row[j]
+    copied[first - 2] = copied[first - 1] = copied[n] = copied[n + 1] = 0.0
+    for j in range(first, n):
+        target[j] = diagonals[0, j] * copied[j - 2] + diagonals[1, j] * copied[j - 1] + diagonals[2, j] * copied[j]
+    for j in range(first, n):
+        target[j] += diagonals[3, j] * copied[j + 1] + diagonals[4, j] * copied[j + 2]
 
 
 @njit(**KERNEL)

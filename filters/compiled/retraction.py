@@ -292,7 +292,7 @@ def _scale(plan: Plan, P: FloatArray, n: int, x: FloatArray, delta: FloatArray, 
     put(s.F, 0, 0, J, 1.0)
     put(s.F, v, v, J, 1.0)
     transform_leading(P, n, s)
-    scale_blocks(P, n, plan.leading, s.D)
+    scale_blocks(P, n, plan.leading, s.D, s)
 
 
 @unit(PLAN, MATRIX, VECTOR, MATRIX, INDEX, types.int64, types.int64, SCRATCH)
