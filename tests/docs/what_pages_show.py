@@ -165,6 +165,12 @@ def shows_evaluate(names, printed):
     assert verdict.strip() == "consistent, as far as one run can tell"
 
 
+def shows_covariances(names, printed):
+    median = float(printed.rsplit(maxsplit=1)[1])
+    assert 0.3 < median < 2.0  # one drive; errors are white and independent here
+    assert median == pytest.approx(np.median(names["ratios"]), abs=0.005)
+
+
 def shows_policies(names, printed):
     assert float(printed) < 0.65  # m; a fixed gaze has 0.69 on average, greedy 0.43
 
@@ -253,6 +259,7 @@ SHOWS = {
     "docs/active_perception.md": shows_active_perception,
     "docs/baselines.md": shows_baselines,
     "docs/benchmark.md": shows_benchmark,
+    "docs/covariances.md": shows_covariances,
     "docs/environment.md": shows_environment,
     "docs/evaluate.md": shows_evaluate,
     "docs/faults.md": shows_faults,
