@@ -124,8 +124,8 @@ def scene_noise(
     *,
     scene: dict[str, Any],
 ) -> None:
-    """Measure the noise of the front end: bias, spread and outliers of u, v and d by range, against the render."""
-    from stereo_slam_env.benchmark.scenarios.streams import noise_by_range
+    """Measure the noise of the front end against the render: bias, spread and outliers by range; how errors last."""
+    from stereo_slam_env.benchmark.scenarios.measurement_errors import measurement_errors
     from stereo_slam_env.envs.recorder import record
     from stereo_slam_env.report.console import progress_bar, show_noise
 
@@ -135,4 +135,4 @@ def scene_noise(
             progress(done, wanted or done)
 
         recording = record({**scene, "sensor": "images"}, seed, frames, progress=on_frame)
-    show_noise(console(), recording.name, noise_by_range(recording))
+    show_noise(console(), recording.name, measurement_errors(recording))

@@ -19,7 +19,7 @@ _POSITIVE = (
 
 DRIFT_SHARE = 0.42
 """Step that a tracked point makes on its surface from pair to pair, as a share of the standard deviation of its
-measurement: sqrt(2 (1 - r)) is 0.37 and 0.51 for the correlations r = 0.93 and 0.87 of the errors of u and v of two
+measurement: sqrt(2 (1 - r)) is 0.37 and 0.47 for the correlations r = 0.93 and 0.89 of the errors of u and v of two
 pairs (docs/front_end.md)."""
 
 

@@ -17,8 +17,14 @@ from rich.table import Table
 
 from filters.noise import ColouredNoise
 from stereo_slam_env.benchmark.campaign import Progress as ProgressCallback
+from stereo_slam_env.benchmark.scenarios.measurement_errors import (
+    LAGS,
+    OUTLIER,
+    MeasurementErrors,
+    error_correlation,
+    noise_by_range,
+)
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, PolicyChoice, Scenario
-from stereo_slam_env.benchmark.scenarios.streams import OUTLIER, NoiseOfRange
 from stereo_slam_env.benchmark.scenarios.study import Study
 from stereo_slam_env.benchmark.statistics.comparison import COLUMNS, RunComparison
 from stereo_slam_env.benchmark.statistics.measures import EFFICIENCY, POSE_NEES
@@ -133,8 +139,9 @@ def _lasting(noise: ColouredNoise) -> str:
     return "; ".join(said) or "nothing"
 
 
-def show_noise(console: Console, name: str, rows: Sequence[NoiseOfRange]) -> None:
-    """Print the errors of measurements, a block a range, a line a coordinate."""
+def show_noise(console: Console, name: str, found: MeasurementErrors) -> None:
+    """Print the errors of measurements, a block a range, a line a coordinate; then how they last."""
+    rows = noise_by_range(found)
     console.print(f"errors of the measurements of {name}, px", highlight=False)
     if not rows:
         console.print("none of them has a known truth")
@@ -157,6 +164,11 @@ def show_noise(console: Console, name: str, rows: Sequence[NoiseOfRange]) -> Non
                 end_section=axis == 2,
             )
     console.print(table, highlight=False)
+    console.print("correlation of two errors of a landmark (u, v, d)", highlight=False)
+    for lag in LAGS:
+        of_u, of_v, of_d = error_correlation(found, lag)
+        frames = "1 frame" if lag == 1 else f"{lag} frames"
+        console.print(f"  {frames} apart: {of_u:+.2f}, {of_v:+.2f}, {of_d:+.2f}", highlight=False)
 
 
 @contextmanager

@@ -6,8 +6,6 @@ import dataclasses
 import hashlib
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,18 +16,13 @@ from filters.interface import StereoObservation
 from filters.noise import ColouredNoise, StereoNoise
 from filters.validation import FloatArray
 from stereo_slam_env.benchmark.recordings.source import OpenedImages, Progress
+from stereo_slam_env.benchmark.scenarios.measurement_errors import measurement_errors, noise_by_range
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, Scenario
 from stereo_slam_env.recording.recording import Recording
 from stereo_slam_env.sensing.corruptions import corrupted, make_corruption
 
 if TYPE_CHECKING:
     from stereo_slam_env.policies.episode import Episode
-
-RANGES = (0.0, 15.0, 30.0, 45.0, 70.0, 150.0, np.inf)
-"""Bounds of the bins, m."""
-OUTLIER = 1.5
-"""An error beyond this is an outlier, px: the convention of the figures it is compared with."""
-_MAD_TO_SIGMA = 1.4826
 
 
 def make_recording(scenario: Scenario, seed: int | None, progress: Progress | None = None) -> Recording:
@@ -181,20 +174,6 @@ def seed_description(given: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
     return {**first, "source": source, "streams": {label: about["stream_sha256"] for label, about in given.items()}}
 
 
-@dataclass(frozen=True)
-class NoiseOfRange:
-    """Errors of the measurements of landmarks in one range of depths; each triple is for u, v, d."""
-
-    # Depths z, m.
-    low: float
-    high: float
-    count: int
-    bias: tuple[float, float, float]  # median error, px
-    sigma: tuple[float, float, float]  # 1.4826 x median absolute deviation, px
-    outliers: tuple[float, float, float]  # share of errors beyond `OUTLIER` px
-    claimed: tuple[float, float, float]  # median of the standard deviations that the measurements claim, px
-
-
 def description_of(recording: Recording) -> dict[str, Any]:
     """Description of a recording that is kept beside it, JSON-able."""
     description: dict[str, Any] = {
@@ -208,7 +187,7 @@ def description_of(recording: Recording) -> dict[str, Any]:
     }
     from_images = any(frame.observation.R is not None for frame in recording.frames)
     if recording.landmarks is not None and from_images:
-        rows = [dataclasses.asdict(row) for row in noise_by_range(recording)]
+        rows = [dataclasses.asdict(row) for row in noise_by_range(measurement_errors(recording))]
         # The open end of the last range is null.
         description["sensor_noise"] = [
             {**row, "high": row["high"] if np.isfinite(row["high"]) else None} for row in rows
@@ -237,39 +216,3 @@ def stream_digest(recording: Recording) -> str:
     for part in parts:
         digest.update(b"-" if part is None else np.ascontiguousarray(part).tobytes() + b"|")
     return digest.hexdigest()
-
-
-def measurement_errors(recording: Recording) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Depths z (n,), m, errors (n, 3) of (u, v, d), px, and claimed R (n, 3, 3), px^2, where the truth is known."""
-    truth = recording.landmarks
-    if truth is None:
-        raise ValueError(f"recording {recording.name!r} has no true landmarks: its errors cannot be known")
-    depths, errors, claimed = [np.zeros(0)], [np.zeros((0, 3))], [np.zeros((0, 3, 3))]
-    for frame in recording.frames:
-        if frame.truth is None:
-            continue
-        seen = frame.observation
-        _, i, j = np.intersect1d(seen.ids, truth.ids, assume_unique=True, return_indices=True)
-        p_c = frame.truth.to_camera(truth.positions[j])
-        depths.append(p_c[:, 2])
-        errors.append(seen.uvd[i] - recording.camera.project(p_c))
-        claimed.append(seen.covariances(recording.noise)[i])
-    return np.concatenate(depths), np.concatenate(errors), np.concatenate(claimed)
-
-
-def noise_by_range(recording: Recording) -> tuple[NoiseOfRange, ...]:
-    """Bias, spread and outliers in each range that has measurements, then over all; raises as `measurement_errors`."""
-    depths, errors, R = measurement_errors(recording)
-    rows = []
-    for low, high in [*pairwise(RANGES), (RANGES[0], RANGES[-1])]:
-        inside = (depths >= low) & (depths < high)
-        if not inside.any():
-            continue
-        error = errors[inside]
-        bias = np.median(error, axis=0)
-        sigma = _MAD_TO_SIGMA * np.median(np.abs(error - bias), axis=0)
-        outliers = (np.abs(error) > OUTLIER).mean(axis=0)
-        claimed = np.median(np.sqrt(np.einsum("nii->ni", R[inside])), axis=0)
-        triples = (tuple(values.tolist()) for values in (bias, sigma, outliers, claimed))
-        rows.append(NoiseOfRange(low, high, int(inside.sum()), *triples))
-    return tuple(rows)

@@ -7,7 +7,12 @@ import pytest
 from rich.console import Console
 
 from filters import StereoObservation
-from stereo_slam_env.benchmark.scenarios.streams import OUTLIER, measurement_errors, noise_by_range
+from stereo_slam_env.benchmark.scenarios.measurement_errors import (
+    OUTLIER,
+    error_correlation,
+    measurement_errors,
+    noise_by_range,
+)
 from stereo_slam_env.report.console import show_noise
 
 from ..small_recordings import small_recording
@@ -31,7 +36,7 @@ def noisy_recording(outliers=0.0):
 
 
 def test_bias_spread_and_claim_are_found():
-    rows = noise_by_range(noisy_recording())
+    rows = noise_by_range(measurement_errors(noisy_recording()))
     everything = rows[-1]
     assert everything.count > 1000
     standard_error = SIGMA / np.sqrt(everything.count)
@@ -42,7 +47,7 @@ def test_bias_spread_and_claim_are_found():
 
 
 def test_outliers_are_counted_and_do_not_spoil_the_spread():
-    everything = noise_by_range(noisy_recording(outliers=0.1))[-1]
+    everything = noise_by_range(measurement_errors(noisy_recording(outliers=0.1)))[-1]
     assert everything.outliers[0] == pytest.approx(0.1, abs=0.03)
     assert everything.outliers[1] == 0.0
     assert everything.sigma[0] == pytest.approx(SIGMA[0], rel=0.2)
@@ -50,32 +55,52 @@ def test_outliers_are_counted_and_do_not_spoil_the_spread():
 
 def test_ranges_part_the_measurements():
     recording = noisy_recording()
-    depths, errors, _ = measurement_errors(recording)
-    *ranges, everything = noise_by_range(recording)
+    found = measurement_errors(recording)
+    *ranges, everything = noise_by_range(found)
     assert [(row.low, row.high) for row in ranges] == sorted({(row.low, row.high) for row in ranges})
-    assert sum(row.count for row in ranges) == everything.count == len(depths)
+    assert sum(row.count for row in ranges) == everything.count == len(found)
     for row in ranges:
-        inside = (depths >= row.low) & (depths < row.high)
+        inside = (found.depths >= row.low) & (found.depths < row.high)
         assert row.count == inside.sum()
-        np.testing.assert_allclose(row.bias, np.median(errors[inside], axis=0))
+        np.testing.assert_allclose(row.bias, np.median(found.errors[inside], axis=0))
 
 
 def test_only_what_is_known_is_judged():
     recording = noisy_recording()
     some = replace(recording.landmarks, ids=recording.landmarks.ids[:7], positions=recording.landmarks.positions[:7])
-    depths, _, _ = measurement_errors(replace(recording, landmarks=some))
+    found = measurement_errors(replace(recording, landmarks=some))
     expected = sum(np.isin(frame.observation.ids, some.ids).sum() for frame in recording.frames)
-    assert len(depths) == expected > 0
+    assert len(found) == expected > 0
     blind = replace(recording, frames=tuple(replace(frame, truth=None) for frame in recording.frames))
-    assert noise_by_range(blind) == ()
+    assert noise_by_range(measurement_errors(blind)) == ()
+    assert np.isnan(error_correlation(measurement_errors(blind), 1)).all()
     with pytest.raises(ValueError, match="recording 'small' has no true landmarks: its errors cannot be known"):
         measurement_errors(replace(recording, landmarks=None))
 
 
+def test_errors_that_last_are_told_from_white_ones():
+    """First-order autoregressive errors in u, white ones in v, constant ones in d."""
+    rng = np.random.default_rng(5)
+    exact = small_recording(frames=200, sigma=1e-9)
+    count = len(exact.landmarks.ids)
+    lasting, constant = 0.2 * rng.standard_normal((2, count))
+    frames = []
+    for frame in exact.frames:
+        lasting = 0.9 * lasting + 0.2 * np.sqrt(1.0 - 0.9**2) * rng.standard_normal(count)
+        error = np.column_stack([lasting, 0.2 * rng.standard_normal(count), constant])
+        seen = frame.observation
+        known = error[np.searchsorted(exact.landmarks.ids, seen.ids)]
+        frames.append(replace(frame, observation=StereoObservation(seen.ids, seen.uvd + known)))
+    found = measurement_errors(replace(exact, frames=tuple(frames)))
+    for lag in (1, 5):
+        np.testing.assert_allclose(error_correlation(found, lag), [0.9**lag, 0.0, 1.0], atol=0.06)
+
+
 @pytest.mark.parametrize("width", [80, 120])
 def test_the_table_is_readable_in_a_terminal(width, capsys):
-    rows = noise_by_range(noisy_recording(outliers=0.1))
-    show_noise(Console(width=width), "small", rows)
+    found = measurement_errors(noisy_recording(outliers=0.1))
+    rows = noise_by_range(found)
+    show_noise(Console(width=width), "small", found)
     lines = capsys.readouterr().out.splitlines()
     assert max(map(len, lines)) <= width
     first = [line.split() for line in lines if line.strip().startswith("all")]
@@ -86,5 +111,6 @@ def test_the_table_is_readable_in_a_terminal(width, capsys):
 
 
 def test_a_table_of_nothing_says_so(capsys):
-    show_noise(Console(width=80), "small", ())
+    none = measurement_errors(small_recording(frames=0))
+    show_noise(Console(width=80), "small", none)
     assert "none of them has a known truth" in capsys.readouterr().out
