@@ -19,7 +19,6 @@ from .envs.gaze import StereoGazeEnv as StereoGazeEnv
 from .envs.recorder import RenderedDrive as RenderedDrive
 from .evaluation.trajectory_score import TrajectoryScore as TrajectoryScore
 from .evaluation.trajectory_score import evaluate_trajectory as evaluate_trajectory
-from .frontend.track_noise import with_measured_noise as with_measured_noise
 from .loop import FilterLoop as FilterLoop
 from .loop import Moment as Moment
 from .loop import run as run

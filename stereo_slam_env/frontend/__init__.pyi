@@ -5,3 +5,4 @@ from .recorder import ActiveSearch as ActiveSearch
 from .recorder import record_tracks as record_tracks
 from .settings import TrackerSettings as TrackerSettings
 from .tracker import StereoTracker as StereoTracker
+from .track_noise import with_measured_noise as with_measured_noise
