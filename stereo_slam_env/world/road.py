@@ -169,21 +169,22 @@ class RoadNetwork:
 
     def __init__(self, roads: list[Road]) -> None:
         self.points = np.concatenate([road.points for road in roads])
-        self._tree = cKDTree(self.points)
+        self.ends = np.cumsum([len(road.points) for road in roads])
+        """Index after the last point of each road."""
+        self.spacing = _SPACING
+        """Points of a road are at most so far apart, m."""
 
     def distance(self, xy: FloatArray) -> FloatArray:
         """Distance of each point to the nearest centreline, m; (..., 2) -> (...)."""
-        return np.asarray(self._tree.query(xy)[0])
-
-    def clear(self, xy: FloatArray, distance: float) -> bool:
-        """Whether no centreline is less than `distance` m from any of the points (N, 2)."""
-        near, _ = self._tree.query(xy, distance_upper_bound=distance)  # infinite where none is
-        return not (near < distance).any()
+        return np.asarray(np.linalg.norm(self.nearest(xy) - xy, axis=-1))
 
     def nearest(self, xy: FloatArray) -> FloatArray:
         """The nearest point on a centreline; (..., 2) -> (..., 2)."""
-        found: FloatArray = self.points[self._tree.query(xy)[1]]
-        return found
+        from stereo_slam_env.world import compiled
+
+        queries = np.ascontiguousarray(xy, dtype=np.float64).reshape(-1, 2)
+        found: FloatArray = self.points[compiled.nearest(self.points, self.ends, self.spacing, queries)]
+        return found.reshape(np.shape(xy))
 
     def ground(self, reach: float, material: Material) -> Ground:
         """Ground that goes on for `reach` m around all roads."""

@@ -1,0 +1,243 @@
+"""Compiled geometry of scenes: distance to roads, room for things beside them, points on surfaces.
+
+Numba compiles it when it is first used and keeps the result on disk. Import it where a scene is built: Numba takes
+half a second to load.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numba import njit, types
+from numba.extending import intrinsic
+
+from filters.validation import FloatArray, IntArray
+
+_ENTRY: dict[str, Any] = {"cache": True, "error_model": "numpy"}
+_INLINE: dict[str, Any] = {"error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+"""For functions that only others here call."""
+
+X, Y, COS, SIN, LENGTH, WIDTH, RADIUS = range(7)
+"""Columns of a table of rectangles on the ground: centre, direction, size, radius of the circle around it."""
+BOX, CYLINDER, BALL = range(3)
+"""Kinds of surfaces: the first column of their table, see `layout`."""
+COLUMNS = 8
+_TOLERANCE = 1e-6
+
+
+@intrinsic
+def _fma(typing_context: Any, a: Any, b: Any, c: Any) -> Any:
+    """a * b + c, rounded once, as BLAS does it: a point just at a limit is on the same side on every machine."""
+
+    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        return builder.fma(*values)
+
+    return types.float64(types.float64, types.float64, types.float64), generate
+
+
+@njit(**_INLINE)
+def _distance(points: FloatArray, i: int, x: float, y: float) -> float:
+    return math.sqrt((points[i, X] - x) ** 2 + (points[i, Y] - y) ** 2)
+
+
+@njit(**_ENTRY)
+def nearest(points: FloatArray, ends: IntArray, spacing: float, xy: FloatArray) -> IntArray:
+    """Index of the point that is nearest to each of `xy` (N, 2).
+
+    `points` (K, 2) are along roads, at most `spacing` apart; each road stops before an index in `ends`. A point that
+    is too far by some metres rules out its neighbours for so many metres.
+    """
+    found = np.empty(len(xy), dtype=np.int64)
+    at = 0  # the last answer is a good guess: queries come thing by thing
+    for k in range(len(xy)):
+        x, y = xy[k]
+        least = _distance(points, at, x, y)
+        i = 0
+        for end in ends:
+            while i < end:
+                away = _distance(points, i, x, y)
+                if away < least:
+                    least, at = away, i
+                i += 1 + max(int((away - least) / spacing), 0)
+            i = end
+        found[k] = at
+    return found
+
+
+@njit(**_ENTRY)
+def claim(
+    points: FloatArray,
+    ends: IntArray,
+    spacing: float,
+    taken: FloatArray,
+    count: int,
+    place: tuple[float, float, float],
+    size: tuple[float, float],
+    room: float,
+    clearance: float,
+) -> bool:
+    """Whether a rectangle has room off the roads and between the first `count` in `taken`; it becomes the next row.
+
+    `place` is x, y, yaw; points and ends of the roads are those of `nearest`. What counts is a grid of points about
+    1.5 m apart that covers the rectangle: none less than `clearance` from a road, none within `room` of another
+    rectangle; and no centre of another within `room` of this one.
+    """
+    wanted = taken[count]
+    wanted[X], wanted[Y] = place[0], place[1]
+    wanted[COS], wanted[SIN] = math.cos(place[2]), math.sin(place[2])
+    wanted[LENGTH], wanted[WIDTH] = size
+    wanted[RADIUS] = 0.5 * math.hypot(size[0], size[1])
+    cover = _cover(wanted)
+    if not _off_roads(points, ends, spacing, wanted, cover, clearance):
+        return False
+    for other in taken[:count]:
+        away = math.hypot(other[X] - wanted[X], other[Y] - wanted[Y])
+        if away < other[RADIUS] + wanted[RADIUS] + 2 * room:
+            if _contains(wanted, other[X], other[Y], room):
+                return False
+            for x, y in cover:
+                if _contains(other, x, y, room):
+                    return False
+    return True
+
+
+@njit(**_INLINE)
+def _off_roads(
+    points: FloatArray, ends: IntArray, spacing: float, wanted: FloatArray, cover: FloatArray, clearance: float
+) -> bool:
+    reach = wanted[RADIUS] + clearance + _TOLERANCE
+    i = 0
+    for end in ends:
+        while i < end:
+            x, y = points[i]
+            away = _distance(points, i, wanted[X], wanted[Y])
+            # Few points are so near to the rectangle that its grid has to be looked at.
+            if away < reach and _contains(wanted, x, y, clearance + _TOLERANCE):
+                for k in range(len(cover)):
+                    if _distance(cover, k, x, y) < clearance:
+                        return False
+            i += 1 + max(int((away - reach) / spacing), 0)
+        i = end
+    return True
+
+
+@njit(**_INLINE)
+def _contains(rectangle: FloatArray, x: float, y: float, room: float) -> bool:
+    """Whether the rectangle grown by `room` contains the point."""
+    x, y = x - rectangle[X], y - rectangle[Y]
+    along = _fma(rectangle[SIN], y, rectangle[COS] * x)
+    across = _fma(rectangle[COS], y, -rectangle[SIN] * x)
+    return abs(along) < 0.5 * rectangle[LENGTH] + room and abs(across) < 0.5 * rectangle[WIDTH] + room
+
+
+@njit(**_INLINE)
+def _cover(rectangle: FloatArray) -> FloatArray:
+    """Points about 1.5 m apart that cover the rectangle; (N, 2)."""
+    length, width = rectangle[LENGTH], rectangle[WIDTH]
+    columns, rows = max(3, int(length / 1.5)), max(3, int(width / 1.5))
+    cover = np.empty((columns * rows, 2))
+    for i in range(columns):
+        x = length * _share(i, columns)
+        for j in range(rows):
+            y = width * _share(j, rows)
+            cover[i * rows + j, X] = _fma(y, -rectangle[SIN], x * rectangle[COS]) + rectangle[X]
+            cover[i * rows + j, Y] = _fma(y, rectangle[COS], x * rectangle[SIN]) + rectangle[Y]
+    return cover
+
+
+@njit(**_INLINE)
+def _share(i: int, count: int) -> float:
+    """Number i of `count` from -0.5 to 0.5."""
+    return 0.5 if i == count - 1 else i * (1.0 / (count - 1)) - 0.5
+
+
+@njit(**_ENTRY)
+def sampling_weights(shapes: FloatArray) -> FloatArray:
+    """Share of the points for each shape, relative to others: the root of its side area, so that poles count too."""
+    weights = np.empty(len(shapes))
+    for i, shape in enumerate(shapes):
+        if shape[0] == BOX:
+            weights[i] = math.sqrt(max(shape[4], shape[5]) * min(shape[6], 9.0))
+        elif shape[0] == CYLINDER:
+            weights[i] = math.sqrt(2 * shape[7] * _norm(shape[4:7] - shape[1:4]))
+        else:
+            weights[i] = 2 * shape[4]
+    return weights
+
+
+@njit(**_ENTRY)
+def sample(shapes: FloatArray, counts: IntArray, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+    """Points uniform on the side (of balls: the whole) surfaces of the shapes and unit outward normals; (N, 3) each.
+
+    A row of `shapes` is a kind and: centre, size, yaw of a box; start, end, radius of a cylinder; centre, radius of a
+    ball.
+    """
+    total = counts.sum()
+    points, normals = np.empty((total, 3)), np.zeros((total, 3))
+    first = 0
+    for shape, count in zip(shapes, counts):  # noqa: B905 (Numba knows no `strict`)
+        last = first + count
+        if shape[0] == BOX:
+            _sample_box(shape, rng, points[first:last], normals[first:last])
+        elif shape[0] == CYLINDER:
+            _sample_cylinder(shape, rng, points[first:last], normals[first:last])
+        else:
+            _sample_ball(shape, rng, points[first:last], normals[first:last])
+        first = last
+    return points, normals
+
+
+@njit(**_INLINE)
+def _sample_box(shape: FloatArray, rng: np.random.Generator, points: FloatArray, normals: FloatArray) -> None:
+    length, width, height = shape[4:7]
+    cos, sin = math.cos(shape[7]), math.sin(shape[7])
+    ends_share = width / (length + width)
+    axes = np.array([rng.random() >= ends_share for _ in range(len(points))])
+    signs = np.array([2.0 * rng.integers(0, 2) - 1.0 for _ in range(len(points))])
+    for i in range(len(points)):
+        x, y, z = rng.uniform(-0.5, 0.5), rng.uniform(-0.5, 0.5), rng.uniform(-0.5, 0.5)
+        if axes[i]:
+            y = 0.5 * signs[i]
+            normals[i, X], normals[i, Y] = signs[i] * -sin, signs[i] * cos
+        else:
+            x = 0.5 * signs[i]
+            normals[i, X], normals[i, Y] = signs[i] * cos, signs[i] * sin
+        x, y, z = x * length, y * width, z * height
+        points[i, X] = _fma(y, -sin, x * cos) + shape[1]
+        points[i, Y] = _fma(y, cos, x * sin) + shape[2]
+        points[i, 2] = z + shape[3]
+
+
+@njit(**_INLINE)
+def _sample_cylinder(shape: FloatArray, rng: np.random.Generator, points: FloatArray, normals: FloatArray) -> None:
+    start, axis, radius = shape[1:4], shape[4:7] - shape[1:4], shape[7]
+    x, y, z = axis / _norm(axis)
+    side = np.array([y, -x, 0.0]) if abs(z) < 0.9 else np.array([0.0, z, -y])  # across the axis
+    side /= _norm(side)
+    other = np.array(
+        [_fma(y, side[2], -z * side[1]), z * side[0] - x * side[2], _fma(-y, side[0], x * side[1])]
+    )  # across both
+    angles = np.array([rng.uniform(0.0, 2 * math.pi) for _ in range(len(points))])
+    for i in range(len(points)):
+        cos, sin, along = math.cos(angles[i]), math.sin(angles[i]), rng.random()
+        for j in range(3):
+            normals[i, j] = cos * side[j] + sin * other[j]
+            points[i, j] = start[j] + along * axis[j] + radius * normals[i, j]
+
+
+@njit(**_INLINE)
+def _sample_ball(shape: FloatArray, rng: np.random.Generator, points: FloatArray, normals: FloatArray) -> None:
+    for i in range(len(points)):
+        x, y, z = rng.standard_normal(), rng.standard_normal(), rng.standard_normal()
+        norm = math.sqrt(x * x + y * y + z * z)
+        normals[i, 0], normals[i, 1], normals[i, 2] = x / norm, y / norm, z / norm
+        for j in range(3):
+            points[i, j] = shape[4] * normals[i, j] + shape[1 + j]
+
+
+@njit(**_INLINE)
+def _norm(vector: FloatArray) -> float:
+    x, y, z = vector
+    return math.sqrt(_fma(z, z, _fma(y, y, x * x)))
