@@ -24,6 +24,7 @@ X, Y, COS, SIN, LENGTH, WIDTH, RADIUS = range(7)
 BOX, CYLINDER, BALL = range(3)
 """Kinds of surfaces: the first column of their table, see `layout`."""
 COLUMNS = 8
+_RUN = 16
 _TOLERANCE = 1e-6
 
 
@@ -37,40 +38,57 @@ def _fma(typing_context: Any, a: Any, b: Any, c: Any) -> Any:
     return types.float64(types.float64, types.float64, types.float64), generate
 
 
-@njit(**_INLINE)
-def _distance(points: FloatArray, i: int, x: float, y: float) -> float:
-    return math.sqrt((points[i, X] - x) ** 2 + (points[i, Y] - y) ** 2)
+@njit(**_ENTRY)
+def circles_around(points: FloatArray) -> FloatArray:
+    """Centre and radius of a circle around each run of 16 points along roads, so that most need no closer look."""
+    circles = np.empty((math.ceil(len(points) / _RUN), 3))
+    for k in range(len(circles)):
+        run = points[k * _RUN : (k + 1) * _RUN]
+        x, y = run[len(run) // 2]
+        circles[k, X], circles[k, Y] = x, y
+        circles[k, 2] = max([math.hypot(px - x, py - y) for px, py in run])
+    return circles
 
 
 @njit(**_ENTRY)
-def nearest(points: FloatArray, ends: IntArray, spacing: float, xy: FloatArray) -> IntArray:
-    """Index of the point that is nearest to each of `xy` (N, 2).
-
-    `points` (K, 2) are along roads, at most `spacing` apart; each road stops before an index in `ends`. A point that
-    is too far by some metres rules out its neighbours for so many metres.
-    """
+def nearest(points: FloatArray, circles: FloatArray, xy: FloatArray) -> IntArray:
+    """Index of the point of a road, with circles around these, that is nearest to each of `xy` (N, 2)."""
     found = np.empty(len(xy), dtype=np.int64)
-    at = 0  # the last answer is a good guess: queries come thing by thing
+    squares = np.empty(len(circles))
     for k in range(len(xy)):
         x, y = xy[k]
-        least = _distance(points, at, x, y)
-        i = 0
-        for end in ends:
-            while i < end:
-                away = _distance(points, i, x, y)
-                if away < least:
-                    least, at = away, i
-                i += 1 + max(int((away - least) / spacing), 0)
-            i = end
+        for c in range(len(circles)):
+            squares[c] = _square(circles, c, x, y)
+        closest = squares.argmin()
+        at, least = _nearest_of_run(points, closest, x, y, 0, np.inf)
+        for c in range(len(circles)):
+            if squares[c] < (least + circles[c, 2]) ** 2 and c != closest:
+                at, least = _nearest_of_run(points, c, x, y, at, least)
         found[k] = at
     return found
+
+
+@njit(**_INLINE)
+def _nearest_of_run(points: FloatArray, run: int, x: float, y: float, at: int, least: float) -> tuple[int, float]:
+    """Index and distance of the nearest point of a run, unless the one `at` a distance of `least` is nearer."""
+    square = least**2
+    for i in range(run * _RUN, min((run + 1) * _RUN, len(points))):
+        away = _square(points, i, x, y)
+        if away < square:
+            at, square = i, away
+    return at, math.sqrt(square)
+
+
+@njit(**_INLINE)
+def _square(points: FloatArray, i: int, x: float, y: float) -> float:
+    """Square of the distance to a point."""
+    return (points[i, X] - x) ** 2 + (points[i, Y] - y) ** 2
 
 
 @njit(**_ENTRY)
 def claim(
     points: FloatArray,
-    ends: IntArray,
-    spacing: float,
+    circles: FloatArray,
     taken: FloatArray,
     count: int,
     place: tuple[float, float, float],
@@ -80,7 +98,7 @@ def claim(
 ) -> bool:
     """Whether a rectangle has room off the roads and between the first `count` in `taken`; it becomes the next row.
 
-    `place` is x, y, yaw; points and ends of the roads are those of `nearest`. What counts is a grid of points about
+    `place` is x, y, yaw; points and circles of the roads are those of `nearest`. What counts is a grid of points about
     1.5 m apart that covers the rectangle: none less than `clearance` from a road, none within `room` of another
     rectangle; and no centre of another within `room` of this one.
     """
@@ -90,7 +108,7 @@ def claim(
     wanted[LENGTH], wanted[WIDTH] = size
     wanted[RADIUS] = 0.5 * math.hypot(size[0], size[1])
     cover = _cover(wanted)
-    if not _off_roads(points, ends, spacing, wanted, cover, clearance):
+    if not _off_roads(points, circles, wanted, cover, clearance):
         return False
     for other in taken[:count]:
         away = math.hypot(other[X] - wanted[X], other[Y] - wanted[Y])
@@ -105,21 +123,17 @@ def claim(
 
 @njit(**_INLINE)
 def _off_roads(
-    points: FloatArray, ends: IntArray, spacing: float, wanted: FloatArray, cover: FloatArray, clearance: float
+    points: FloatArray, circles: FloatArray, wanted: FloatArray, cover: FloatArray, clearance: float
 ) -> bool:
-    reach = wanted[RADIUS] + clearance + _TOLERANCE
-    i = 0
-    for end in ends:
-        while i < end:
-            x, y = points[i]
-            away = _distance(points, i, wanted[X], wanted[Y])
-            # Few points are so near to the rectangle that its grid has to be looked at.
-            if away < reach and _contains(wanted, x, y, clearance + _TOLERANCE):
-                for k in range(len(cover)):
-                    if _distance(cover, k, x, y) < clearance:
-                        return False
-            i += 1 + max(int((away - reach) / spacing), 0)
-        i = end
+    reach = wanted[RADIUS] + clearance
+    for c in range(len(circles)):
+        if _square(circles, c, wanted[X], wanted[Y]) < (circles[c, 2] + reach) ** 2:
+            for x, y in points[c * _RUN : (c + 1) * _RUN]:
+                # Few points are so near to the rectangle that its grid has to be looked at.
+                if _contains(wanted, x, y, clearance + _TOLERANCE):
+                    for k in range(len(cover)):
+                        if math.sqrt(_square(cover, k, x, y)) < clearance:
+                            return False
     return True
 
 

@@ -37,7 +37,7 @@ class Layout:
         place = (float(xy[0]), float(xy[1]), float(yaw))
         roads = self._network
         free: bool = self._claim(
-            roads.points, roads.ends, roads.spacing, self._footprints, self._count,
+            roads.points, roads.circles, self._footprints, self._count,
             place, (float(size[0]), float(size[1])), float(room), float(clearance),
         )  # fmt: skip
         if free:

@@ -169,10 +169,13 @@ class RoadNetwork:
 
     def __init__(self, roads: list[Road]) -> None:
         self.points = np.concatenate([road.points for road in roads])
-        self.ends = np.cumsum([len(road.points) for road in roads])
-        """Index after the last point of each road."""
-        self.spacing = _SPACING
-        """Points of a road are at most so far apart, m."""
+
+    @cached_property
+    def circles(self) -> FloatArray:
+        """Circles around the points, as `compiled.nearest` takes them."""
+        from stereo_slam_env.world import compiled
+
+        return np.asarray(compiled.circles_around(self.points))
 
     def distance(self, xy: FloatArray) -> FloatArray:
         """Distance of each point to the nearest centreline, m; (..., 2) -> (...)."""
@@ -183,7 +186,7 @@ class RoadNetwork:
         from stereo_slam_env.world import compiled
 
         queries = np.ascontiguousarray(xy, dtype=np.float64).reshape(-1, 2)
-        found: FloatArray = self.points[compiled.nearest(self.points, self.ends, self.spacing, queries)]
+        found: FloatArray = self.points[compiled.nearest(self.points, self.circles, queries)]
         return found.reshape(np.shape(xy))
 
     def ground(self, reach: float, material: Material) -> Ground:
