@@ -54,15 +54,14 @@ def circles_around(points: FloatArray) -> FloatArray:
 def nearest(points: FloatArray, circles: FloatArray, xy: FloatArray) -> IntArray:
     """Index of the point of a road, with circles around these, that is nearest to each of `xy` (N, 2)."""
     found = np.empty(len(xy), dtype=np.int64)
-    squares = np.empty(len(circles))
+    at = 0
     for k in range(len(xy)):
         x, y = xy[k]
+        # The last answer is a good guess, as points come thing by thing.
+        guess = at // _RUN
+        at, least = _nearest_of_run(points, guess, x, y, at, np.inf)
         for c in range(len(circles)):
-            squares[c] = _square(circles, c, x, y)
-        closest = squares.argmin()
-        at, least = _nearest_of_run(points, closest, x, y, 0, np.inf)
-        for c in range(len(circles)):
-            if squares[c] < (least + circles[c, 2]) ** 2 and c != closest:
+            if _square(circles, c, x, y) < (least + circles[c, 2]) ** 2 and c != guess:
                 at, least = _nearest_of_run(points, c, x, y, at, least)
         found[k] = at
     return found

@@ -11,9 +11,9 @@ from scipy.spatial import cKDTree
 from filters.validation import BoolArray, FloatArray
 from stereo_slam_env.world.layout import facing_points
 from stereo_slam_env.world.props import LAMP, STEEL, Placed
-from stereo_slam_env.world.road import ASPHALT_HEIGHT, Road, RoadNetwork, Strip, paved, road_along
-from stereo_slam_env.world.routes import Route
-from stereo_slam_env.world.scene import Box, Look, Material, Primitive, Scene
+from stereo_slam_env.world.road import ASPHALT_HEIGHT, Road, RoadNetwork, Strip, network_along, paved, road_along
+from stereo_slam_env.world.routes import Route, once_per_route
+from stereo_slam_env.world.scene import Box, Look, Material, Primitive, Ribbon, Scene
 
 WALKWAY = 3.5
 """Where pedestrians walk: along the walls, m from the centreline."""
@@ -44,32 +44,44 @@ _Free = Callable[[FloatArray], BoolArray]
 
 def build_corridor(route: Route, rng: np.random.Generator) -> Scene:
     """Walls, ceiling, doors, lamps and signs along `route`; its few landmarks are on doors, frames, lamps and signs."""
-    road = road_along(route)
-    network = RoadNetwork([road])
+    road, network = road_along(route), network_along(route)
+    details: list[Primitive] = []
+    for piece in road.fresh_stretches:
+        for side in (1.0, -1.0):
+            for at in _mounts(road, piece, side, network, rng):
+                details += _door(at, rng) if rng.random() < _DOOR_SHARE else _notice(at, rng)
+        for station in np.arange(road.stations[piece.start] + 6.0, road.stations[piece.stop - 1], 14.0).tolist():
+            details += _lamp(Placed(*road.place(station, 0.0)))
+    points = facing_points(details, _PER_DETAIL * len(details), 3.3, network.nearest, rng)
+    return Scene(
+        network.ground(60.0, _FLOOR),
+        (*_shell(route), *details),
+        _floor(route),
+        points,
+        look=_DIM,
+    )
+
+
+@once_per_route
+def _shell(route: Route) -> tuple[Primitive, ...]:
+    """Walls and ceiling."""
+    road, network = road_along(route), network_along(route)
 
     def free(points: FloatArray) -> BoolArray:
         return network.distance(points) >= CLEARANCE
 
     shell: list[Primitive] = []
-    details: list[Primitive] = []
-    for piece in road.stretches():
+    for piece in road.fresh_stretches:
         for side in (1.0, -1.0):
             edge = road.edge(np.array(_joints(road, piece)), side * HALF_WIDTH)
             shell += [slab for start, end in pairwise(edge) for slab in _wall(start, end, side, free)]
-            for at in _mounts(road, piece, side, network, rng):
-                details += _door(at, rng) if rng.random() < _DOOR_SHARE else _notice(at, rng)
         shell += _ceiling(road, piece)
-        for station in np.arange(road.stations[piece.start] + 6.0, road.stations[piece.stop - 1], 14.0).tolist():
-            details += _lamp(Placed(*road.place(station, 0.0)))
-    shell += [*_end(road, 0, 1.0), *_end(road, len(road.points) - 1, -1.0)]
-    points = facing_points(details, _PER_DETAIL * len(details), 3.3, network.nearest, rng)
-    return Scene(
-        network.ground(60.0, _FLOOR),
-        (*shell, *details),
-        paved([road], [Strip(HALF_WIDTH + 0.1, ASPHALT_HEIGHT, _FLOOR)]),
-        points,
-        look=_DIM,
-    )
+    return (*shell, *_end(road, 0, 1.0), *_end(road, len(road.points) - 1, -1.0))
+
+
+@once_per_route
+def _floor(route: Route) -> tuple[Ribbon, ...]:
+    return paved([road_along(route)], [Strip(HALF_WIDTH + 0.1, ASPHALT_HEIGHT, _FLOOR)])
 
 
 def _joints(road: Road, piece: slice) -> list[int]:

@@ -9,9 +9,9 @@ import numpy as np
 from filters.validation import FloatArray
 from stereo_slam_env.world.layout import Layout, Make, facing_points
 from stereo_slam_env.world.props import STEEL, Placed
-from stereo_slam_env.world.road import ASPHALT_HEIGHT, RoadNetwork, Strip, paved, road_along
-from stereo_slam_env.world.routes import Route
-from stereo_slam_env.world.scene import Material, Primitive, Scene, Sphere
+from stereo_slam_env.world.road import ASPHALT_HEIGHT, Strip, network_along, paved, road_along
+from stereo_slam_env.world.routes import Route, once_per_route
+from stereo_slam_env.world.scene import Material, Primitive, Ribbon, Scene, Sphere
 
 _HEDGE = Material((0.62, 0.72, 0.50), "leaves", (3.1, 3.1))
 _CROWNS = (
@@ -130,8 +130,7 @@ MEADOW = Material((1.0, 1.0, 1.0), "meadow", (61.3, 61.3))
 
 def build_field(route: Route, rng: np.random.Generator) -> Scene:
     """Tree lines, hedges, farms, pylons, water towers and wooded hills, nothing solid within 60 m of `route`."""
-    road = road_along(route)
-    network = RoadNetwork([road])
+    road, network = road_along(route), network_along(route)
     layout = Layout(network)
     low, high = road.points.min(axis=0) - FARTHEST, road.points.max(axis=0) + FARTHEST
     places = rng.uniform(low, high, (int(np.prod(high - low) / _AREA), 2))
@@ -143,7 +142,13 @@ def build_field(route: Route, rng: np.random.Generator) -> Scene:
     built += sum(_put_something(layout, xy, rng) for xy in places[len(hills) :])
     solids = [p for p in layout.primitives if p.solid]
     points = facing_points(solids, _PER_THING * built, 25.0, network.nearest, rng)
-    return Scene(network.ground(FARTHEST + 320.0, MEADOW), tuple(layout.primitives), paved([road], [LANE]), points)
+    return Scene(network.ground(FARTHEST + 320.0, MEADOW), tuple(layout.primitives), lane_along(route), points)
+
+
+@once_per_route
+def lane_along(route: Route) -> tuple[Ribbon, ...]:
+    """The paving of the lane."""
+    return paved([road_along(route)], [LANE])
 
 
 def _put_something(layout: Layout, xy: FloatArray, rng: np.random.Generator) -> bool:

@@ -7,10 +7,10 @@ from collections.abc import Callable
 import numpy as np
 
 from filters.validation import FloatArray
-from stereo_slam_env.world.field import LANE, MEADOW
+from stereo_slam_env.world.field import MEADOW, lane_along
 from stereo_slam_env.world.layout import Layout, Make, facing_points
 from stereo_slam_env.world.props import STEEL, Placed
-from stereo_slam_env.world.road import LANE_OFFSET, LEAD_IN, Road, RoadNetwork, paved, road_along
+from stereo_slam_env.world.road import LANE_OFFSET, LEAD_IN, Road, network_along, road_along
 from stereo_slam_env.world.routes import Route
 from stereo_slam_env.world.scene import Material, Primitive, Scene, Sphere, Vector
 
@@ -136,8 +136,7 @@ def build_groves(route: Route, rng: np.random.Generator) -> Scene:
 
     Each has about 12 landmarks, on surfaces that face the road; nothing stands within 5 m of the centreline.
     """
-    road = road_along(route)
-    network = RoadNetwork([road])
+    road, network = road_along(route), network_along(route)
     layout = Layout(network)
     points: list[FloatArray] = []
 
@@ -148,7 +147,7 @@ def build_groves(route: Route, rng: np.random.Generator) -> Scene:
         return things
 
     last = float(road.lane_stations[-1]) + _BEYOND
-    for piece in road.stretches():
+    for piece in road.fresh_stretches:
         station, end = float(road.stations[piece.start]), min(float(road.stations[piece.stop - 1]), last)
         side = float(rng.choice([-1.0, 1.0]))
         station += float(rng.uniform(0.0, SPACING))
@@ -156,7 +155,7 @@ def build_groves(route: Route, rng: np.random.Generator) -> Scene:
             side = _place(layout, road, station, side, group, rng)
             station += SPACING * float(rng.uniform(*_STRETCH))
     landmarks = np.concatenate(points)
-    return Scene(network.ground(320.0, MEADOW), tuple(layout.primitives), paved([road], [LANE]), landmarks)
+    return Scene(network.ground(320.0, MEADOW), tuple(layout.primitives), lane_along(route), landmarks)
 
 
 def _place(layout: Layout, road: Road, station: float, side: float, group: Make, rng: np.random.Generator) -> float:

@@ -12,7 +12,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.spatial import cKDTree
 
 from filters.validation import BoolArray, FloatArray, IntArray
-from stereo_slam_env.world.routes import Route
+from stereo_slam_env.world.routes import Route, once_per_route
 from stereo_slam_env.world.scene import Ground, Material, Ribbon
 
 LANE_OFFSET = 1.75
@@ -104,6 +104,11 @@ class Road:
         edges = np.flatnonzero(np.diff(np.concatenate([[False], fresh, [False]]).astype(int))).reshape(-1, 2)
         return [slice(max(a - 1, 0), min(b + 1, len(fresh))) for a, b in edges if b - a > 1]
 
+    @cached_property
+    def fresh_stretches(self) -> list[slice]:
+        """The road without what lies where it has been before: slices of the points."""
+        return self.stretches()
+
     def _repeats(self, other: Road, gap: float) -> BoolArray:
         """Which points lie along `other`, on what is more than `gap` m before them."""
         repeated = np.zeros(len(self.points), dtype=bool)
@@ -124,6 +129,7 @@ class Road:
         return cKDTree(self.points)
 
 
+@once_per_route
 def road_along(route: Route) -> Road:
     """The road whose right-hand lane is driven by `route`."""
     lane = route.positions[:, [2, 0]] * [1.0, -1.0]
@@ -138,6 +144,12 @@ def stations_of(route: Route, road: Road) -> FloatArray:
 def _moved(route: Route) -> IntArray:
     """Frames that are not in the place of the one before."""
     return np.asarray(np.unique(np.floor(route.arc_length / _LEAST_STEP), return_index=True)[1])
+
+
+@once_per_route
+def network_along(route: Route) -> RoadNetwork:
+    """The network of that road alone."""
+    return RoadNetwork([road_along(route)])
 
 
 @dataclass(frozen=True)
@@ -168,6 +180,7 @@ class RoadNetwork:
     """Distance to the nearest of several roads."""
 
     def __init__(self, roads: list[Road]) -> None:
+        self.roads = roads
         self.points = np.concatenate([road.points for road in roads])
 
     @cached_property

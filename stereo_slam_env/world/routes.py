@@ -6,10 +6,12 @@ import logging
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import cache, cached_property
+from functools import cache, cached_property, wraps
 from importlib.metadata import entry_points
 from pathlib import Path
 from types import MappingProxyType
+from typing import TypeVar
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
@@ -115,6 +117,22 @@ class Route:
             last = int(self.arc_length.searchsorted(middle + _REACH, side="right"))
         away = ((self.positions[first:last] - position) ** 2).sum(axis=1)
         return first + int(away.argmin())
+
+
+_Kept = TypeVar("_Kept")
+
+
+def once_per_route(make: Callable[[Route], _Kept]) -> Callable[[Route], _Kept]:
+    """Keep what `make` returns for a route, for as long as there is that route."""
+    kept: WeakKeyDictionary[Route, _Kept] = WeakKeyDictionary()
+
+    @wraps(make)
+    def keeping(route: Route) -> _Kept:
+        if route not in kept:
+            kept[route] = make(route)
+        return kept[route]
+
+    return keeping
 
 
 def pulse(time: FloatArray, start: float, end: float, ramp: float) -> FloatArray:

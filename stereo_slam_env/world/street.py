@@ -10,8 +10,8 @@ from filters.validation import FloatArray
 from stereo_slam_env.world import props
 from stereo_slam_env.world.layout import Layout, Make, facing_points
 from stereo_slam_env.world.road import ASPHALT_HEIGHT, Road, RoadNetwork, Strip, paved, road_along
-from stereo_slam_env.world.routes import Route
-from stereo_slam_env.world.scene import Material, Primitive, Scene
+from stereo_slam_env.world.routes import Route, once_per_route
+from stereo_slam_env.world.scene import Material, Primitive, Ribbon, Scene
 
 HALF_WIDTH = 5.75
 """Two lanes of 3.5 m between two parking strips of 2.25 m."""
@@ -36,8 +36,8 @@ def build_street(route: Route, rng: np.random.Generator) -> Scene:
 
     Where the route turns by more than 45 degrees, the old direction goes on as a side street.
     """
-    roads = [road_along(route), *_side_streets(route)]
-    network = RoadNetwork(roads)
+    network = _network(route)
+    roads = network.roads
     street = _Street(network, rng)
     sides = [(road, side) for road in roads for side in (1.0, -1.0)]
     for road, side in sides:
@@ -51,7 +51,17 @@ def build_street(route: Route, rng: np.random.Generator) -> Scene:
     built = street.primitives
     points = _landmarks(built[:houses] + built[towers:], built[houses:towers], roads, network, rng)
     ground = network.ground(320.0, _GRASS)
-    return Scene(ground, tuple(built), paved(roads, _STRIPS), points)
+    return Scene(ground, tuple(built), _paving(route), points)
+
+
+@once_per_route
+def _network(route: Route) -> RoadNetwork:
+    return RoadNetwork([road_along(route), *_side_streets(route)])
+
+
+@once_per_route
+def _paving(route: Route) -> tuple[Ribbon, ...]:
+    return paved(_network(route).roads, _STRIPS)
 
 
 def _side_streets(route: Route) -> list[Road]:
