@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit, types
 from numba.extending import intrinsic
 
-from filters.validation import FloatArray, IntArray
+from filters.validation import BoolArray, FloatArray, IntArray
 
 _ENTRY: dict[str, Any] = {"cache": True, "error_model": "numpy"}
 _INLINE: dict[str, Any] = {"error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
@@ -200,6 +200,16 @@ def sample(shapes: FloatArray, counts: IntArray, rng: np.random.Generator) -> tu
             _sample_ball(shape, rng, points[first:last], normals[first:last])
         first = last
     return points, normals
+
+
+@njit(**_ENTRY)
+def facing(points: FloatArray, normals: FloatArray, targets: FloatArray) -> BoolArray:
+    """Which surfaces with `normals` at `points` (N, 3) are turned to their target (N, 2) on the ground."""
+    turned = np.empty(len(points), dtype=np.bool_)
+    for i in range(len(points)):
+        x, y = targets[i, X] - points[i, X], targets[i, Y] - points[i, Y]
+        turned[i] = normals[i, X] * x + normals[i, Y] * y > 0.2 * math.sqrt(x * x + y * y)
+    return turned
 
 
 @njit(**_INLINE)

@@ -70,10 +70,9 @@ def facing_points(
     weights = compiled.sampling_weights(table)
     counts = np.ceil(6 * count * weights / weights.sum()).astype(np.int64)
     points, normals = compiled.sample(table, counts, rng)
-    toward = nearest(points[:, :2]) - points[:, :2]
-    facing = (normals[:, :2] * toward).sum(axis=1) > 0.2 * np.linalg.norm(toward, axis=1)
-    facing &= (points[:, 2] > 0.15) & (points[:, 2] < highest)
-    candidates = points[facing]
+    seen = (points[:, 2] > 0.15) & (points[:, 2] < highest)
+    points, normals = points[seen], normals[seen]
+    candidates = points[compiled.facing(points, normals, nearest(points[:, :2]))]
     chosen: FloatArray = candidates[rng.permutation(len(candidates))[:count]]
     return chosen
 

@@ -76,9 +76,15 @@ class Road:
 
     def place(self, station: float, left: float) -> tuple[FloatArray, float]:
         """The point `station` m along the road and `left` m to its left, and the yaw of the road there."""
-        index = min(max(round(station / _SPACING), 0), len(self.points) - 1)
-        tangent = self.tangents[index]
-        return self.points[index] + left * self._lefts[index], float(np.arctan2(tangent[1], tangent[0]))
+        x, y, left_x, left_y, yaw = self._places[min(max(round(station / _SPACING), 0), len(self.points) - 1)]
+        return np.array([x + left * left_x, y + left * left_y]), yaw
+
+    @cached_property
+    def _places(self) -> list[list[float]]:
+        """Of each point: x, y, the unit vector to the left, and the yaw."""
+        yaws = np.arctan2(self.tangents[:, 1], self.tangents[:, 0])
+        places: list[list[float]] = np.column_stack([self.points, self._lefts, yaws]).tolist()
+        return places
 
     def along(self, stations: FloatArray, left: FloatArray | float) -> tuple[FloatArray, FloatArray]:
         """Points (N, 2) `left` m to the left of the centreline and yaws (N,) at `stations` (N,), in between too."""
