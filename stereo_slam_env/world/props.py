@@ -26,6 +26,7 @@ _WALLS: tuple[tuple[str, Vector], ...] = (
     ("balcony", (0.86, 0.72, 0.58)),
     ("office", (0.78, 0.82, 0.86)),
 )
+_CHIMNEY = Material((0.55, 0.38, 0.33))
 _SHOPS: tuple[Vector, ...] = ((1.0, 0.96, 0.90), (0.92, 0.86, 0.80), (0.84, 0.88, 0.92))
 _ROOFS: tuple[Vector, ...] = ((0.50, 0.36, 0.32), (0.40, 0.40, 0.43))
 PAINTS: tuple[Vector, ...] = (
@@ -42,7 +43,7 @@ LAMP = Material((0.96, 0.94, 0.84))
 TAIL = Material((0.75, 0.10, 0.08))
 STEEL = Material((0.42, 0.45, 0.48))
 SHADE = Material((0.20, 0.20, 0.21))
-_SIGN = Material((0.14, 0.34, 0.70))
+_SIGN, _SIGN_EDGE = Material((0.14, 0.34, 0.70)), Material((0.92, 0.92, 0.92))
 _BARK = Material((0.9, 0.9, 0.9), "bark", (1.2, 2.0))
 _LEAVES = (
     Material((0.92, 1.0, 0.85), "leaves", (2.0, 2.0)),
@@ -64,11 +65,17 @@ class Placed:
 
     def box(self, at: Vector, size: Vector, material: Material, *, solid: bool = True) -> Box:
         """A box aligned with the place; `at` is the centre of its bottom face."""
-        return Box(self.point(at[0], at[1], at[2] + 0.5 * size[2]), size, self.yaw, material, solid)
+        # Written out, here and below, rather than by `point`: there are thousands of these.
+        (x, y, z), cos, sin = at, self._cos, self._sin
+        center = (self._x + cos * x - sin * y, self._y + sin * x + cos * y, z + 0.5 * size[2])
+        return Box(center, size, self.yaw, material, solid)
 
     def rod(self, start: Vector, end: Vector, radius: float, material: Material, *, solid: bool = True) -> Cylinder:
         """A cylinder from `start` to `end`."""
-        return Cylinder(self.point(*start), self.point(*end), radius, material, solid)
+        (x1, y1, z1), (x2, y2, z2), cos, sin = start, end, self._cos, self._sin
+        one = (self._x + cos * x1 - sin * y1, self._y + sin * x1 + cos * y1, z1)
+        other = (self._x + cos * x2 - sin * y2, self._y + sin * x2 + cos * y2, z2)
+        return Cylinder(one, other, radius, material, solid)
 
 
 def building(at: Placed, length: float, depth: float, floors: int, rng: np.random.Generator) -> list[Primitive]:
@@ -82,11 +89,11 @@ def building(at: Placed, length: float, depth: float, floors: int, rng: np.rando
     shape: list[Primitive] = [
         at.box((0, 0, 0), (length, depth, _GROUND_FLOOR), shop),
         at.box((0, 0, _GROUND_FLOOR), (length, depth, floors * _BAY), wall),
-        at.box((0, 0, _GROUND_FLOOR - 0.1), (length + 0.02, depth + 0.3, 0.25), replace(wall, texture=None)),
+        at.box((0, 0, _GROUND_FLOOR - 0.1), (length + 0.02, depth + 0.3, 0.25), Material(color, None, wall.tile)),
         at.box((0, 0, top), (length + 0.1, depth + 0.6, 0.45), roof),
     ]
     for side in (-0.3, 0.25):
-        shape.append(at.box((side * length, 0, top + 0.45), (0.8, 0.8, 1.2), Material((0.55, 0.38, 0.33)), solid=False))
+        shape.append(at.box((side * length, 0, top + 0.45), (0.8, 0.8, 1.2), _CHIMNEY, solid=False))
     return shape
 
 
@@ -146,22 +153,24 @@ def traffic_sign(at: Placed) -> list[Primitive]:
     """A blue sign on a post, facing local x."""
     return [
         at.rod((0, 0, 0), (0, 0, 2.9), 0.05, STEEL),
-        at.box((0.05, 0, 2.1), (0.04, 0.7, 0.7), Material((0.92, 0.92, 0.92))),
+        at.box((0.05, 0, 2.1), (0.04, 0.7, 0.7), _SIGN_EDGE),
         at.box((0.075, 0, 2.16), (0.02, 0.58, 0.58), _SIGN, solid=False),
     ]
 
 
-def _sway(rng: np.random.Generator) -> tuple[float, float]:
-    return float(rng.uniform(-0.45, 0.45)), float(rng.uniform(-0.45, 0.45))
+_CROWN_LOW = np.array([(-0.45, -0.45, 1.0), (-0.45, -0.45, 1.05), (-0.45, -0.45, 0.75)])
+_CROWN_HIGH = np.array([(0.45, 0.45, 1.35), (0.45, 0.45, 1.4), (0.45, 0.45, 1.1)])
+"""Limits of each ball of a crown: its middle off the trunk in x and y, its radius, m."""
 
 
 def tree(at: Placed, rng: np.random.Generator) -> list[Primitive]:
     """A trunk and a crown of three balls."""
     height = float(rng.uniform(2.2, 3.0))
     leaves = _LEAVES[rng.integers(len(_LEAVES))]
+    drawn = (_CROWN_LOW + (_CROWN_HIGH - _CROWN_LOW) * rng.random((3, 3))).tolist()
     crown: list[Primitive] = [
-        Sphere(at.point(*_sway(rng), height + lift), float(rng.uniform(low, low + 0.35)), leaves)
-        for lift, low in ((0.5, 1.0), (1.2, 1.05), (1.9, 0.75))
+        Sphere(at.point(x, y, height + lift), radius, leaves)
+        for (x, y, radius), lift in zip(drawn, (0.5, 1.2, 1.9), strict=True)
     ]
     return [at.rod((0, 0, 0), (0, 0, height), 0.16, _BARK), *crown]
 
