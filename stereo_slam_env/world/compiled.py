@@ -39,14 +39,18 @@ def _fma(typing_context: Any, a: Any, b: Any, c: Any) -> Any:
 
 
 @njit(**_ENTRY)
-def circles_around(points: FloatArray) -> FloatArray:
-    """Centre and radius of a circle around each run of 16 points along roads, so that most need no closer look."""
-    circles = np.empty((math.ceil(len(points) / _RUN), 3))
+def circles_around(items: FloatArray) -> FloatArray:
+    """Centre and radius of a circle around each run of 16 points along roads, or of 16 such circles.
+
+    With these, most of what is inside needs no closer look.
+    """
+    circles = np.empty((math.ceil(len(items) / _RUN), 3))
     for k in range(len(circles)):
-        run = points[k * _RUN : (k + 1) * _RUN]
-        x, y = run[len(run) // 2]
-        circles[k, X], circles[k, Y] = x, y
-        circles[k, 2] = max([math.hypot(px - x, py - y) for px, py in run])
+        run = items[k * _RUN : (k + 1) * _RUN]
+        circles[k, :2], circles[k, 2] = run[len(run) // 2, :2], 0.0
+        for item in run:
+            reach = math.hypot(item[X] - circles[k, X], item[Y] - circles[k, Y])
+            circles[k, 2] = max(circles[k, 2], reach + (item[2] if len(item) == 3 else 0.0))
     return circles
 
 
@@ -54,15 +58,18 @@ def circles_around(points: FloatArray) -> FloatArray:
 def nearest(points: FloatArray, circles: FloatArray, xy: FloatArray) -> IntArray:
     """Index of the point of a road, with circles around these, that is nearest to each of `xy` (N, 2)."""
     found = np.empty(len(xy), dtype=np.int64)
+    outer = circles_around(circles)
     at = 0
     for k in range(len(xy)):
         x, y = xy[k]
         # The last answer is a good guess, as points come thing by thing.
         guess = at // _RUN
         at, least = _nearest_of_run(points, guess, x, y, at, np.inf)
-        for c in range(len(circles)):
-            if _square(circles, c, x, y) < (least + circles[c, 2]) ** 2 and c != guess:
-                at, least = _nearest_of_run(points, c, x, y, at, least)
+        for o in range(len(outer)):
+            if _square(outer, o, x, y) < (least + outer[o, 2]) ** 2:
+                for c in range(o * _RUN, min((o + 1) * _RUN, len(circles))):
+                    if _square(circles, c, x, y) < (least + circles[c, 2]) ** 2 and c != guess:
+                        at, least = _nearest_of_run(points, c, x, y, at, least)
         found[k] = at
     return found
 
