@@ -14,12 +14,12 @@ import argparse
 import gymnasium as gym
 import numpy as np
 import torch
-from gymnasium.wrappers import FilterObservation, FlattenObservation, RepeatAction
+from gymnasium.wrappers import FlattenObservation
 from torch import nn
 from torch.distributions import Normal
 
 import stereo_slam_env  # noqa: F401 (registers the ids)
-from stereo_slam_env.wrappers import BeliefObservation, BeliefPanorama, InformationGain
+from stereo_slam_env.wrappers import BeliefObservation, BeliefPanorama, InformationGain, SelectedKeys
 
 DISCOUNT, GAE_LAMBDA, CLIP, EPOCHS, MINIBATCHES = 0.95, 0.95, 0.2, 10, 4
 VALUE_WEIGHT, MAX_GRADIENT, REWARD_SCALE = 0.5, 0.5, 0.1
@@ -28,9 +28,9 @@ VALUE_WEIGHT, MAX_GRADIENT, REWARD_SCALE = 0.5, 0.5, 0.1
 def with_belief(env):
     """Environment with the filter's information about the pose as reward; a decision holds for 0.4 s."""
     options = {"drop_unseen": False, "motion": "velocity-driven", "iterations": 2}
-    env = BeliefPanorama(BeliefObservation(env, options=options))
-    env = RepeatAction(InformationGain(env, of="pose", resolution=(0.01, 0.001)), 4)
-    return FlattenObservation(FilterObservation(env, ["belief_sigmas", "head", "panorama"]))
+    env = BeliefPanorama(BeliefObservation(env, options=options, hold=4))
+    env = InformationGain(env, of="pose", resolution=(0.01, 0.001))
+    return FlattenObservation(SelectedKeys(env, ["belief_sigmas", "head", "panorama"]))
 
 
 class Agent(nn.Module):

@@ -7,18 +7,9 @@ import argparse
 
 import gymnasium as gym
 import numpy as np
-from gymnasium.wrappers import DiscretizeAction, FilterObservation, RepeatAction
 from stable_baselines3 import PPO
 
-from stereo_slam_env.wrappers import BeliefObservation, BeliefPanorama, InformationGain
-
-
-def make(**arguments):
-    """Environment with the information about the pose as reward; one of nine directions, for 0.4 s."""
-    env = gym.make("StereoSlam/Gaze-v0", **arguments)
-    env = BeliefObservation(env, options={"drop_unseen": False, "motion": "velocity-driven", "iterations": 2})
-    env = InformationGain(BeliefPanorama(env), of="pose", resolution=(0.01, 0.001))
-    return DiscretizeAction(FilterObservation(RepeatAction(env, 4), ["belief_sigmas", "head", "panorama"]), (9, 1))
+import stereo_slam_env  # noqa: F401 (registers the ids)
 
 
 def final_sigma(look, seed):
@@ -33,7 +24,7 @@ parser = argparse.ArgumentParser()
 parser.add_argument("--decisions", type=int, default=30_000)
 parser.add_argument("--route", default="straight")
 given = parser.parse_args()
-env = make(route=given.route)
+env = gym.make("StereoSlam/ActiveGaze-v0", arguments={"route": given.route})
 model = PPO("MultiInputPolicy", env, 5e-4, min(1000, given.decisions), batch_size=250, gamma=0.95, seed=0)
 model.learn(given.decisions)
 for name, look in {"fixed": lambda _: 4, "ppo": lambda o: model.predict(o, deterministic=True)[0]}.items():

@@ -36,8 +36,9 @@ def _register(name: str, entry_point: str, max_episode_steps: int) -> None:
         _gym.register(name, entry_point=entry_point, max_episode_steps=max_episode_steps)
 
 
-_register("StereoSlam/Drive-v0", "stereo_slam_env.envs.drive:StereoDriveEnv", 3000)
+_register("StereoSlam/Drive-v0", "stereo_slam_env.envs.drive:StereoDriveEnv", 1200)
 _register("StereoSlam/Gaze-v0", "stereo_slam_env.envs.gaze:StereoGazeEnv", 3000)
-_register("StereoSlam/DriveGaze-v0", "stereo_slam_env.envs.drive_gaze:StereoDriveGazeEnv", 3000)
+_register("StereoSlam/DriveGaze-v0", "stereo_slam_env.envs.drive_gaze:StereoDriveGazeEnv", 1200)
+_register("StereoSlam/ActiveGaze-v0", "stereo_slam_env.training.task:active_gaze", 600)
 
 __getattr__, __dir__, __all__ = _lazy_loader.attach_stub(__name__, __file__)

@@ -72,7 +72,7 @@ def record(
     """
     if environment == "StereoSlam/Drive-v0":
         return record_route({"policy": policy, **arguments}, seed, frames, progress)
-    env = gym.make(environment, disable_env_checker=True, **arguments)
+    env = gym.make(environment, disable_env_checker=True, **{"max_episode_steps": -1, **arguments})
     try:
         driver = make_policy("fixed" if policy == "route" else policy)
         episode = run_episode(env, driver, seed, frames=frames, progress=progress)

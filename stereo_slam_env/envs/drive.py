@@ -34,35 +34,46 @@ class StereoDriveEnv(StereoEnv):
 
     ## Observation Space
 
-    `Dict`; N is `max_landmarks`, rows are sorted by id, padding rows come last.
+    `Dict`; N is `max_landmarks`, rows are sorted by id, padding rows come last. `car` and `route` are there where the
+    agent drives.
 
     | Key | Shape | Type | Meaning |
     |-----|-------|------|---------|
     | `uvd` | (N, 3) | float32 | left pixel and disparity, px; 0 in padding |
-    | `ids` | (N,) | int64 | identity of the landmark, never reused in an episode; -1 in padding |
+    | `ids` | (N,) | int64 | identity of the landmark, never reused; -1 in padding; not with `observe_ids=False` |
     | `mask` | (N,) | int8 | 1 where there is a landmark |
     | `odometry` | (6,) | float32 | noisy mean velocity of the left camera over the last step, m/s and rad/s |
+    | `progress` | (1,) | float32 | share of the route that has been driven, 0 to 1 |
+    | `car` | (2,) | float32 | speed, m/s, and steering angle, rad, without error |
+    | `route` | (5, 2) | float32 | points of the route 2, 5, 10, 20 and 30 m ahead: right and forward of the camera, m |
     | `left`, `right` | (H, W, 3) | uint8 | rendered views, only with `render_images=True` |
 
     The odometry is in the camera frame half-way through the turn of the step; at reset it is the initial velocity.
-    `stereo_slam_env.stereo_observation(observation, info)` makes a `StereoObservation` of the rest.
+    `route` is what a perfect navigation system would show: it is made from the true pose, and ends where the route ends.
+    `stereo_slam_env.stereo_observation(observation, info)` makes a `StereoObservation` for a filter; learners can do
+    without `ids`, which are names and no numbers.
 
     ## Info
 
     Scalars and arrays of fixed shape, the same keys from `reset` and `step`: `truth_position` (3,) and
     `truth_orientation` (4,) xyzw of the left camera in W; `truth_linear_velocity` (3,) in W and
     `truth_angular_velocity` (3,) in the camera frame, over the last step; `time` s; `distance` driven, m;
-    `collision`; `v_right` (N,), the row in the right image, and `v_right_measured`; `R` (N, 3, 3), covariances of
+    `collision`; `is_success`, whether the end of the route has been reached; `v_right` (N,), the row in the right image, and `v_right_measured`; `R` (N, 3, 3), covariances of
     (u, v, d) in px^2, and `R_measured`; and the terms of the reward.
 
     ## Rewards
 
-    *reward = reward_progress + reward_tracking + reward_collision + reward_goal*, each in `info`:
+    *reward = reward_progress + reward_tracking + reward_collision + reward_goal + reward_time*, each in `info`:
 
-    - *reward_progress*: `progress_weight` for each metre advanced along the route (negative backwards);
-    - *reward_tracking*: `tracking_weight` x tracked landmarks / `max_landmarks`: to stare at a wall is bad for SLAM;
+    - *reward_progress*: `progress_weight` for each metre of the route that is driven for the first time;
+    - *reward_tracking*: `tracking_weight` for each such metre, x tracked landmarks / `max_landmarks`: to drive where
+      nothing can be seen is bad for SLAM;
     - *reward_collision*: -`collision_weight` when the car hits something or leaves the arena;
-    - *reward_goal*: `goal_weight` when it reaches the end of the route without that.
+    - *reward_goal*: `goal_weight` when it reaches the end of the route without that;
+    - *reward_time*: -`time_weight` for each second, less over a whole episode than a collision costs.
+
+    So nothing is earned by standing still or by driving back and forth. `stereo_slam_env.policies.normalised_score`
+    puts a return on a scale from 0, actions at random, to 100, a driver that is shown the route.
 
     ## Starting State
 
@@ -73,7 +84,8 @@ class StereoDriveEnv(StereoEnv):
 
     - Termination: the car hits something, is more than 60 m off the route, or reaches the end of the route. The end of
       the route ends the task itself, for a scripted drive as for an agent; it is not a limit from outside.
-    - Truncation: after 3000 steps, by `TimeLimit` (only an agent that dawdles gets there).
+    - Truncation: after 1200 steps, by `TimeLimit`, half as much again as the route `"town"` takes at its own speed. For
+      other routes `gymnasium.make` takes `max_episode_steps`; -1 is no limit.
 
     ## Arguments
 
@@ -101,9 +113,11 @@ class StereoDriveEnv(StereoEnv):
     | `perturbation` | `1.0` | scale of the random sway of a scripted drive; 0: none |
     | `supersample` | `1` | draw images this many times finer and average |
     | `progress_weight` | `0.1` | of the reward, for each metre |
-    | `tracking_weight` | `0.02` | of the reward, for a full frame |
+    | `observe_ids` | `True` | whether `ids` are in the observation: filters need them |
+    | `tracking_weight` | `0.05` | of the reward, for each metre with all `max_landmarks` tracked |
     | `collision_weight` | `10.0` | of the reward |
     | `goal_weight` | `10.0` | of the reward |
+    | `time_weight` | `0.05` | of the reward, for each second |
     | `render_mode` | `None` | `"rgb_array"`: both views with the observed landmarks; `"human"`: in a window |
 
     `rig` is a name, a `StereoCamera` or some of its numbers (`fx`, `fy`, `cx`, `cy`, `baseline`, `width`, `height`):

@@ -44,8 +44,8 @@ class StereoDriveGazeEnv(StereoEnv):
 
     ## Rewards
 
-    *reward = reward_progress + reward_tracking + reward_collision + reward_goal + reward_effort*, each in `info`:
-    those of `StereoSlam/Drive-v0`, and
+    *reward = reward_progress + reward_tracking + reward_collision + reward_goal + reward_time +
+    reward_effort*, each in `info`: those of `StereoSlam/Drive-v0`, and
 
     - *reward_effort*: -`effort_weight` x the mean square of the turns of pan and tilt, as a share of the largest.
 
@@ -63,7 +63,6 @@ class StereoDriveGazeEnv(StereoEnv):
 
     | Argument | Default | Meaning |
     |----------|---------|---------|
-    | `route` | `"straight"` | 98 m |
     | `surroundings` | `"groves"` | groups of things on either side |
     | `visibility` | `30.0` | fog, m |
     | `rig` | `"vga"` | 640x480, f = 460 px |

@@ -36,7 +36,7 @@ class StereoGazeEnv(StereoEnv):
 
     ## Observation Space
 
-    That of `StereoSlam/Drive-v0`, and:
+    That of `StereoSlam/Drive-v0` without `car` and `route`, and:
 
     | Key | Shape | Type | Meaning |
     |-----|-------|------|---------|
@@ -52,7 +52,7 @@ class StereoGazeEnv(StereoEnv):
 
     *reward = reward_tracking + reward_effort*, each in `info`:
 
-    - *reward_tracking*: `tracking_weight` x tracked landmarks / `max_landmarks`;
+    - *reward_tracking*: `tracking_weight` for each metre of the route, x tracked landmarks / `max_landmarks`;
     - *reward_effort*: -`effort_weight` x the mean square of the turns of pan and tilt, as a share of the largest.
 
     They only keep the cameras on something. The reward of the task comes from `InformationGain`.
@@ -64,11 +64,13 @@ class StereoGazeEnv(StereoEnv):
     ## Episode End
 
     - Termination: the car reaches the end of the route (or, where traffic is asked for, is hit).
-    - Truncation: after 3000 steps, by `TimeLimit`; no route that comes with the package is that long.
+    - Truncation: after 3000 steps, by `TimeLimit`; no route that comes with the package is that long. `gymnasium.make` takes
+      `max_episode_steps`; -1 is no limit.
 
     ## Arguments
 
-    Those of `StereoSlam/Drive-v0` without `policy`, `progress_weight`, `collision_weight` and `goal_weight`, but for:
+    Those of `StereoSlam/Drive-v0` without `policy`, `progress_weight`, `collision_weight`, `goal_weight` and
+    `time_weight`, but for:
 
     | Argument | Default | Meaning |
     |----------|---------|---------|

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin, get_type_h
 import numpy as np
 
 from filters.camera import StereoCamera
-from filters.known_names import one_of, require_known
+from filters.known_names import did_you_mean, one_of
 from filters.validation import positive, whole_number
 from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.rendering.backends import RendererName
@@ -28,6 +28,10 @@ DrivenBy = Literal["agent", "route"]
 _UNFILTERED_FLOOR = 0.25
 """`tiny` takes the nearest texel, which displaces textures by up to half of one and leaves them sharp, px: the
 correlation does not see it. Measured with `stereo-slam scenes noise`."""
+
+
+class UnknownArgument(TypeError, ValueError):
+    """There is no argument of that name: a `TypeError` as with any function, a `ValueError` as with wrong values."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +58,8 @@ class StereoOptions:
     odometry_sigma_angular: float = 0.01
     perturbation: float = 1.0
     supersample: int = 1
-    tracking_weight: float = 0.02
+    observe_ids: bool = True
+    tracking_weight: float = 0.05
 
     def __post_init__(self) -> None:
         named_route(self.route)
@@ -83,7 +88,11 @@ class StereoOptions:
     @classmethod
     def checked(cls, given: Mapping[str, Any]) -> Self:
         """From keyword arguments; an unknown name is refused with the nearest known one."""
-        require_known("there is no argument", given, [field.name for field in fields(cls)])
+        known = [field.name for field in fields(cls)]
+        for name in given:
+            if name not in known:
+                near = did_you_mean(name, known) or "."
+                raise UnknownArgument(f"there is no argument {name!r}{near} Known: {', '.join(known)}")
         return cls(**given)
 
     @property
@@ -130,6 +139,7 @@ class DriveOptions(StereoOptions):
     progress_weight: float = 0.1
     collision_weight: float = 10.0
     goal_weight: float = 10.0
+    time_weight: float = 0.05
 
 
 @dataclass(frozen=True)
@@ -168,6 +178,8 @@ class GazeOptions(HeadOptions):
 @dataclass(frozen=True)
 class DriveGazeOptions(HeadOptions, DriveOptions):
     """Arguments of `StereoDriveGazeEnv`."""
+
+    route: str = "town"
 
 
 def _number(name: str, value: Any, low: float, high: float) -> None:

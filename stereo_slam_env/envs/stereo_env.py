@@ -37,6 +37,8 @@ _IMAGE_SLACK = 10.0
 """px beyond the image that what is measured in it never is; disparities come out below 0 by less."""
 _MAX_VELOCITY = np.repeat([50.0, 10.0], 3)
 """Bounds of the odometry in the observation, m/s and rad/s."""
+_LOOK_AHEAD = np.array([2.0, 5.0, 10.0, 20.0, 30.0])
+"""Distances along the route of the points of the route in the observation, m."""
 _START_SIGMAS = np.repeat([1e-6, 1e-6, 0.5, 0.05], 3)
 """What is known at reset of position, rotation, linear and angular velocity: m, rad, m/s, rad/s."""
 
@@ -67,11 +69,11 @@ class StereoEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
         if isinstance(self.options, HeadOptions):
             self.head = self.options.head(self.camera.baseline)
         self._noise = NOISE_MODELS[self.options.noise](self.options.sigma)
+        self._route = named_route(self.options.route)
+        self._car = Car()
         self.observation_space = self._make_observation_space()
         self.action_space = spaces.Box(-1.0, 1.0, (self._action_size,), np.float32)
 
-        self._route = named_route(self.options.route)
-        self._car = Car()
         self._stage = Stage(self.options, self._route, self.camera, self._car)
         self._odometry = OdometrySensor(self.options.odometry_sigma_linear, self.options.odometry_sigma_angular)
         self._driver: Driver
@@ -153,18 +155,18 @@ class StereoEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
                 self.options.tracking,
                 landmark_rng,
             )
-        if isinstance(self.options, DriveOptions) and self.options.policy == "agent":
+        if self._steered:
             self._driver = AgentDriver(self._car, self._route)
         else:
             self._driver = RouteDriver(self._route, self.options.perturbation, motion_rng)
         self._body, velocity = self._driver.start()
         self._pose, self._angles = self._body, np.zeros(2)
         self._start = _start_belief(velocity, start_rng)
-        self._step_count, self._distance, self._nearest, self._over = 0, 0.0, 0, False
+        self._step_count, self._distance, self._nearest, self._farthest, self._over = 0, 0.0, 0, 0.0, False
         odometry = self._odometry.measure(self._pose, velocity, FRAME_PERIOD, self._odometry_rng)
         self._sense(velocity, None)
         self._show()
-        return self._observation(odometry), self._info({"tracking": self._tracked}, collision=False)
+        return self._observation(odometry), self._info({}, collision=False, success=False)
 
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Drive for 0.1 s and measure."""
@@ -178,22 +180,24 @@ class StereoEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
         self._sense(velocity, odometry)
         self._show()
 
-        nearest = self._route.nearest(self._body.position, around=self._nearest)
-        progress = float(self._route.arc_length[nearest] - self._route.arc_length[self._nearest])
-        self._nearest = nearest
+        self._nearest = self._route.nearest(self._body.position, around=self._nearest)
+        advanced = max(0.0, float(self._route.arc_length[self._nearest]) - self._farthest)
+        self._farthest += advanced
         collision = self._stage.collides(self._body)
-        away = float(np.linalg.norm(self._route.positions[nearest] - self._body.position)) > _ARENA
+        away = float(np.linalg.norm(self._route.positions[self._nearest] - self._body.position)) > _ARENA
         failed = collision or away
+        success = self._driver.finished and not failed
         terms = {
-            "progress": progress,
-            "tracking": self._tracked,
-            "collision": -1.0 if failed else 0.0,
-            "goal": 1.0 if self._driver.finished and not failed else 0.0,
+            "progress": advanced,
+            "tracking": self._tracked * advanced,
+            "collision": -float(failed),
+            "goal": float(success),
+            "time": -FRAME_PERIOD,
         }
         if self.head is not None:
             turned = (self._angles - angles_before) / (np.array(self.head.max_rates) * FRAME_PERIOD)
             terms["effort"] = -float(np.mean(turned**2))
-        info = self._info(terms, collision=collision)
+        info = self._info(terms, collision=collision, success=success)
         reward = float(sum(info[f"reward_{name}"] for name in self._weights))
         self._over = failed or self._driver.finished
         return self._observation(odometry), reward, self._over, False, info
@@ -239,13 +243,18 @@ class StereoEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
         return self._sensor
 
     @property
+    def _steered(self) -> bool:
+        """Whether the agent drives, and not a script."""
+        return isinstance(self.options, DriveOptions) and self.options.policy == "agent"
+
+    @property
     def _action_size(self) -> int:
         return 2 * (self.drives + self.gazes)
 
     @property
     def _weights(self) -> dict[str, float]:
         """Weights of the terms of the reward that this environment has."""
-        terms = ("progress", "tracking", "collision", "goal", "effort")
+        terms = ("progress", "tracking", "collision", "goal", "time", "effort")
         return {
             name: getattr(self.options, f"{name}_weight") for name in terms if hasattr(self.options, f"{name}_weight")
         }
@@ -283,8 +292,15 @@ class StereoEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
 
     def _observation(self, odometry: BodyVelocity) -> Observation:
         observation = padded(self.frame.observation, self.options.max_landmarks)
+        if not self.options.observe_ids:
+            del observation["ids"]
         velocity = np.concatenate([odometry.linear, odometry.angular])
         observation["odometry"] = np.clip(velocity, -_MAX_VELOCITY, _MAX_VELOCITY).astype(np.float32)
+        observation["progress"] = np.array([self._farthest / self._route.length], dtype=np.float32)
+        if isinstance(self._driver, AgentDriver):
+            observation["car"] = np.array([self._driver.speed, self._driver.steering], dtype=np.float32)
+            points_w = self._route.points_at(self._route.arc_length[self._nearest] + _LOOK_AHEAD)
+            observation["route"] = self._body.to_camera(points_w)[:, [0, 2]].clip(-_ARENA, _ARENA).astype(np.float32)
         if self.head is not None:
             observation["head"] = self._angles.astype(np.float32)
         if self.options.render_images:
@@ -292,7 +308,7 @@ class StereoEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
             observation |= {"left": images.left, "right": images.right}
         return observation
 
-    def _info(self, terms: dict[str, float], *, collision: bool) -> dict[str, Any]:
+    def _info(self, terms: dict[str, float], *, collision: bool, success: bool) -> dict[str, Any]:
         frame = self.frame
         assert frame.truth is not None
         assert frame.truth_velocity is not None
@@ -301,10 +317,11 @@ class StereoEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
             "truth_orientation": frame.truth.orientation.copy(),
             "truth_linear_velocity": frame.truth_velocity.linear.copy(),
             "truth_angular_velocity": frame.truth_velocity.angular.copy(),
-            "time": frame.timestamp,
-            "distance": self._distance,
-            "collision": collision,
-            **{f"reward_{name}": weight * terms.get(name, 0.0) for name, weight in self._weights.items()},
+            "time": np.float64(frame.timestamp),
+            "distance": np.float64(self._distance),
+            "collision": np.bool_(collision),
+            "is_success": np.bool_(success),
+            **{f"reward_{name}": np.float64(weight * terms.get(name, 0.0)) for name, weight in self._weights.items()},
             **padded_extras(frame.observation, self.options.max_landmarks),
         }
 
@@ -321,9 +338,16 @@ class StereoEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
         shapes: dict[str, spaces.Space[Any]] = {
             "uvd": spaces.Box(np.tile(low, (rows, 1)).astype(np.float32), np.tile(high, (rows, 1)).astype(np.float32)),
             "ids": spaces.Box(NO_LANDMARK, np.iinfo(np.int32).max, (rows,), np.int64),
-            "mask": spaces.MultiBinary(rows),
+            "mask": spaces.Box(0, 1, (rows,), np.int8),
             "odometry": spaces.Box(-velocity, velocity),
+            "progress": spaces.Box(0.0, 1.0, (1,), np.float32),
         }
+        if not self.options.observe_ids:
+            del shapes["ids"]
+        if self._steered:
+            car = np.array([self._car.max_speed, self._car.max_steering], dtype=np.float32)
+            shapes["car"] = spaces.Box(-car, car)
+            shapes["route"] = spaces.Box(-_ARENA, _ARENA, (len(_LOOK_AHEAD), 2), np.float32)
         if self.head is not None:
             most = np.array(self.head.max_angles, dtype=np.float32)
             shapes["head"] = spaces.Box(-most, most)

@@ -8,3 +8,5 @@ from .planning import Planner as Planner
 from .planning import Preferences as Preferences
 from .registry import available_policies as available_policies
 from .registry import make_policy as make_policy
+from .scores import follow_route as follow_route
+from .scores import normalised_score as normalised_score

@@ -37,7 +37,7 @@ def padded_extras(observation: StereoObservation, rows: int) -> dict[str, Any]:
         extras[name] = np.zeros((rows, *shape))
         if values is not None:
             extras[name][: len(observation)] = values
-        extras[f"{name}_measured"] = values is not None
+        extras[f"{name}_measured"] = np.bool_(values is not None)
     return extras
 
 
@@ -50,7 +50,14 @@ def stereo_observation(observation: Mapping[str, Any], info: Mapping[str, Any] |
         From `reset` or `step`: `uvd`, `ids` and `mask`.
     info : mapping, optional
         From the same call; its `v_right` and `R` are used where they were measured.
+
+    Raises
+    ------
+    ValueError
+        The observation is without ids.
     """
+    if "ids" not in observation:
+        raise ValueError("observation must have ids: make the environment with observe_ids=True")
     seen = np.asarray(observation["mask"]).astype(bool)
     measured: dict[str, Any] = {}
     for name in ("v_right", "R"):

@@ -126,7 +126,7 @@ def recording_of_episode(dataset: MinariDataset, index: int) -> Recording:
     Raises
     ------
     ValueError
-        The environment skips frames (`RepeatAction`), or the episode cannot be driven again.
+        The environment skips frames (`hold` of `BeliefObservation`), or the episode cannot be driven again.
     """
     episode, seed = dataset[index], seed_of(dataset, index)
     env = dataset.recover_environment()
@@ -138,7 +138,7 @@ def recording_of_episode(dataset: MinariDataset, index: int) -> Recording:
         raise ValueError(f"episode {index} cannot be driven again: {driven.failure}")
     frames = driven.recording.frames
     if round(frames[-1].timestamp / FRAME_PERIOD) != len(frames) - 1:
-        raise ValueError(f"episode {index} of {dataset.id!r} skips frames: export without RepeatAction")
+        raise ValueError(f"episode {index} of {dataset.id!r} skips frames: export with hold=1")
     return driven.recording
 
 

@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
-from gymnasium.wrappers import FilterObservation, RepeatAction, TransformAction
 from joblib import Parallel, delayed
 from threadpoolctl import threadpool_limits
 
 from filters.validation import FloatArray, positive, whole_number
 from stereo_slam_env.policies.interface import gaze_action, require_head
 from stereo_slam_env.policies.network import Network
-from stereo_slam_env.wrappers import BeliefObservation, BeliefPanorama, InformationGain
+from stereo_slam_env.wrappers import BeliefObservation, BeliefPanorama, InformationGain, SelectedKeys
 from stereo_slam_env.wrappers.information import Criterion
+from stereo_slam_env.wrappers.recorded_wrapper import RecordedWrapper
 
 GAZE_FILTER: Mapping[str, Any] = {"drop_unseen": False, "motion": "velocity-driven", "iterations": 2}
 """Options of a filter for a head that turns: it keeps what is out of view, believes the odometry, and linearises twice,
@@ -67,32 +67,78 @@ class GazeTask:
             whole_number("pans", self.pans, 2)
         object.__setattr__(self, "resolution", tuple(positive("resolution", value) for value in self.resolution))
 
-    def make(self) -> gym.Env[Any, Any]:
-        """The environment for rules and planners: with the belief in the observation."""
+    def make(self, hold: int = 1) -> gym.Env[Any, Any]:
+        """The environment for rules and planners: with the belief in the observation; an action holds for some steps."""
         env = gym.make(self.environment, **self.arguments)
         require_head(env)
-        return BeliefPanorama(BeliefObservation(env, self.filter, options=self.filter_options))
+        return BeliefPanorama(BeliefObservation(env, self.filter, options=self.filter_options, hold=hold))
 
     def make_held(self) -> gym.Env[Any, Any]:
         """The environment for networks: `POLICY_KEYS` alone, decisions hold, the reward is information on the pose."""
-        paid = InformationGain(self.make(), self.criterion, of="pose", resolution=self.resolution)
-        return FilterObservation(RepeatAction(paid, self.hold), POLICY_KEYS)
+        paid = InformationGain(self.make(self.hold), self.criterion, of="pose", resolution=self.resolution)
+        return SelectedKeys(paid, POLICY_KEYS)
 
     def make_for_learning(self) -> gym.Env[Any, Any]:
         """`make_held`, with the number of one of `choices` for an action if there are any."""
         env = self.make_held()
-        choices = self.choices
-        if choices is None:
-            return env
-        actions = [gaze_action(env, choice) for choice in choices]
-        return TransformAction(env, lambda number: actions[number], spaces.Discrete(len(actions)))
+        return env if self.pans is None else DirectionOfGaze(env, self.pans)
 
     @property
     def choices(self) -> FloatArray | None:
         """Pan and tilt to choose from, as shares of the largest; (pans, 2)."""
-        if self.pans is None:
-            return None
-        return np.column_stack([np.linspace(-1.0, 1.0, self.pans), np.zeros(self.pans)])
+        return None if self.pans is None else directions(self.pans)
+
+
+class DirectionOfGaze(RecordedWrapper, gym.ActionWrapper[Any, Any, Any]):
+    """The action is the number of a direction to look in: `Discrete(pans)`, from the farthest left to the farthest right.
+
+    Parameters
+    ----------
+    env : gymnasium.Env
+        With a head.
+    pans : int
+        Number of directions.
+    """
+
+    def __init__(self, env: gym.Env[Any, Any], pans: int = 9) -> None:
+        super().__init__(env)
+        self._actions = [gaze_action(env, direction) for direction in directions(whole_number("pans", pans, 2))]
+        self.action_space = spaces.Discrete(pans)
+
+    def action(self, action: Any) -> Any:
+        """The action of the environment."""
+        return self._actions[int(action)]
+
+
+def directions(pans: int) -> FloatArray:
+    """Pan and tilt as shares of the largest: from left to right, at no tilt; (pans, 2)."""
+    return np.column_stack([np.linspace(-1.0, 1.0, pans), np.zeros(pans)])
+
+
+def active_gaze(render_mode: str | None = None, **arguments: Any) -> gym.Env[Any, Any]:
+    """`StereoSlam/ActiveGaze-v0`: decide where to look so that the filter knows the most about the pose in the end.
+
+    The head of `StereoSlam/Gaze-v0` is turned to one of nine directions (`Discrete(9)`, from the farthest left to the
+    farthest right), for five steps. The observation has `belief_sigmas` (6,), `head` (2,) and `panorama` (12, 6), the
+    landmarks of the filter's map around the car, see `BeliefPanorama`; the reward is the decrease of the log
+    determinant of the covariance of the pose (`InformationGain`). `info` is that of `StereoSlam/Gaze-v0` and of these
+    wrappers.
+
+    Parameters
+    ----------
+    render_mode : str, optional
+        That of `StereoSlam/Gaze-v0`.
+    **arguments
+        Of `GazeTask`: `arguments` of the environment, `filter`, `filter_options`, `criterion`, `resolution`, `hold`,
+        `pans`; JSON-able.
+
+    Raises
+    ------
+    TypeError
+        There is no argument of that name.
+    """
+    task = GazeTask(**arguments)
+    return replace(task, arguments={**task.arguments, "render_mode": render_mode}).make_for_learning()
 
 
 @dataclass(frozen=True)

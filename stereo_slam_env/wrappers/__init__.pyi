@@ -7,5 +7,6 @@ from .information import InformationCriterion as InformationCriterion
 from .information import log_det as log_det
 from .information_gain import InformationGain as InformationGain
 from .observation_shapes import FlattenUVD as FlattenUVD
+from .observation_shapes import SelectedKeys as SelectedKeys
 from .observation_shapes import SequenceObservation as SequenceObservation
 from .record_consistency import RecordConsistency as RecordConsistency

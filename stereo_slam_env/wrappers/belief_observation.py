@@ -148,6 +148,9 @@ class BeliefObservation(RecordedWrapper):
         pixels), or R (3 x 3) of (u, v, d). None: the noise of the sensor.
     options : mapping, optional
         Options of the filter, JSON-able, as in scenario files: {"drop_unseen": False, "motion": {...}}.
+    hold : int
+        Frames for which an action holds. The filter uses all of them, the belief is read after the last one, and the
+        reward is the sum; `info` is that of the last one.
 
     Raises
     ------
@@ -163,8 +166,10 @@ class BeliefObservation(RecordedWrapper):
         use_odometry: bool = True,
         noise: float | list[list[float]] | None = None,
         options: Mapping[str, Any] | None = None,
+        hold: int = 1,
     ) -> None:
         super().__init__(env)
+        self._hold = whole_number("hold", hold, 1)
         self._rows = whole_number("max_landmarks", max_landmarks, 1)
         camera, assumed = self.inner("camera"), assumed_noise(noise, self.inner("noise"))
         slam = make_filter(filter, camera=camera, noise=assumed, **dict(options or {}))
@@ -182,7 +187,7 @@ class BeliefObservation(RecordedWrapper):
             key: spaces.Box(-bound, bound, shape, np.float32) for key, (bound, shape) in bounds.items()
         }
         added["belief_landmark_ids"] = spaces.Box(NO_LANDMARK, np.iinfo(np.int32).max, (max_landmarks,), np.int64)
-        added["belief_mask"] = spaces.MultiBinary(max_landmarks)
+        added["belief_mask"] = spaces.Box(0, 1, (max_landmarks,), np.int8)
         self.observation_space = spaces.Dict({**dict_space(env, "BeliefObservation").spaces, **added})
 
     @property
@@ -208,21 +213,28 @@ class BeliefObservation(RecordedWrapper):
         """Reset the environment, and start the filter."""
         observation, info = self.env.reset(seed=seed, options=options)
         self._number = 0
-        self._use_frame(self.inner("start"))
+        self._use_frame(self.inner("start"), last=True)
         return self._with_belief(observation), self._with_nis(info)
 
     def step(self, action: Any) -> tuple[dict[str, Any], Any, bool, bool, dict[str, Any]]:
-        """Step the environment, and let the filter use the new frame."""
-        observation, reward, terminated, truncated, info = self.env.step(action)
-        self._number += 1
-        self._use_frame(None)
-        return self._with_belief(observation), reward, terminated, truncated, self._with_nis(info)
+        """Step the environment `hold` times, and let the filter use the new frames."""
+        total, left, over = 0.0, self._hold, False
+        while left > 0 and not over:
+            observation, reward, terminated, truncated, info = self.env.step(action)
+            total += reward
+            left, over = left - 1, terminated or truncated
+            self._number += 1
+            self._use_frame(None, last=over or left == 0)
+        return self._with_belief(observation), total, terminated, truncated, self._with_nis(info)
 
-    def _use_frame(self, start: Start | None) -> None:
+    def _use_frame(self, start: Start | None, *, last: bool) -> None:
+        """Let the filter use the current frame, after `start` if there is one; read its belief after the last one."""
         try:
             if start is not None:
                 self._loop.reset(start)
-            self._belief = Belief.of(self.slam, self._loop.step(self.inner("frame")).report)
+            report = self._loop.step(self.inner("frame")).report
+            if last:  # to read the map takes as long as to update it
+                self._belief = Belief.of(self.slam, report)
         except Exception as error:  # a third-party filter may raise anything; the episode cannot go on without it
             text = (str(error).strip() or "no message").splitlines()[0]
             raise RuntimeError(
@@ -231,8 +243,8 @@ class BeliefObservation(RecordedWrapper):
 
     def _with_nis(self, info: dict[str, Any]) -> dict[str, Any]:
         report = self.report
-        added = {"belief_nis": report.nis, "belief_nis_dof": report.nis_dof}
-        return {**info, **added, "belief_map_size": self.belief.map_size}
+        added = {"belief_nis": np.float64(report.nis), "belief_nis_dof": np.int64(report.nis_dof)}
+        return {**info, **added, "belief_map_size": np.int64(self.belief.map_size)}
 
     def _with_belief(self, observation: dict[str, Any]) -> dict[str, Any]:
         belief, rows = self.belief, self._rows

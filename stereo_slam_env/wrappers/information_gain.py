@@ -180,4 +180,4 @@ class InformationGain(RecordedWrapper):
         if self._both:
             added["reward_information_claimed"] = gains["filter"]
             added["reward_information_reference"] = gains["reference"]
-        return {**info, **added}
+        return {**info, **{name: np.float64(value) for name, value in added.items()}}

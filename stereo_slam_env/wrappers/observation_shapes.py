@@ -1,8 +1,8 @@
-"""Shapes of the observation for learners: one flat Box (`FlattenUVD`), or sequences (`SequenceObservation`)."""
+"""Shapes of the observation for learners: one flat Box, some keys, or sequences."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
@@ -11,6 +11,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from filters.known_names import require_known
 from filters.validation import FloatArray
 from stereo_slam_env.wrappers.recorded_wrapper import RecordedWrapper, dict_space
 
@@ -47,7 +48,7 @@ class FlattenUVD(RecordedWrapper, gym.ObservationWrapper[Any, Any, Any]):
     Parameters
     ----------
     env : gymnasium.Env
-        With a Dict observation of bounded Boxes and MultiBinary masks.
+        With a Dict observation of bounded Boxes.
 
     Raises
     ------
@@ -61,7 +62,7 @@ class FlattenUVD(RecordedWrapper, gym.ObservationWrapper[Any, Any, Any]):
         layout: dict[str, slice] = {}
         size = 0
         for key, space in dict_space(env, "FlattenUVD").spaces.items():
-            if isinstance(space, spaces.MultiBinary):
+            if key in ROWS:
                 low, high = -np.ones(space.shape), np.ones(space.shape)
             elif isinstance(space, spaces.Box) and np.issubdtype(space.dtype, np.floating):
                 low, high = space.low.astype(np.float64), space.high.astype(np.float64)
@@ -92,6 +93,33 @@ class FlattenUVD(RecordedWrapper, gym.ObservationWrapper[Any, Any, Any]):
                 values[np.asarray(mask) == 0] = 0.0
             flat[self.layout[key]] = values.ravel()
         return flat.clip(-1.0, 1.0)
+
+
+class SelectedKeys(RecordedWrapper, gym.ObservationWrapper[Any, Any, Any]):
+    """Some keys of the Dict observation. Unlike `gymnasium.wrappers.FilterObservation` it can be pickled.
+
+    Parameters
+    ----------
+    env : gymnasium.Env
+        With a Dict observation.
+    keys : sequence of str
+        Those that stay.
+
+    Raises
+    ------
+    ValueError
+        The observation is no Dict, or is without one of the keys.
+    """
+
+    def __init__(self, env: gym.Env[Any, Any], keys: Sequence[str]) -> None:
+        super().__init__(env)
+        inner = dict_space(env, "SelectedKeys").spaces
+        require_known("the observation has no key", keys, inner)
+        self.observation_space = spaces.Dict({key: inner[key] for key in keys})
+
+    def observation(self, observation: Mapping[str, Any]) -> dict[str, Any]:
+        """The observation with these keys alone."""
+        return {key: observation[key] for key in self._arguments["keys"]}
 
 
 class SequenceObservation(RecordedWrapper, gym.ObservationWrapper[Any, Any, Any]):
@@ -131,7 +159,7 @@ class SequenceObservation(RecordedWrapper, gym.ObservationWrapper[Any, Any, Any]
         for mask, keys in ROWS.items():
             if mask in rows:
                 count = int(rows.pop(mask).sum())
-                rows |= {key: rows[key][:count].copy() for key in keys}
+                rows |= {key: rows[key][:count].copy() for key in keys if key in rows}
         return rows
 
 

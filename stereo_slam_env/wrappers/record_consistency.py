@@ -113,12 +113,13 @@ class RecordConsistency(RecordedWrapper):
         if self._windowed:
             total, count = np.array(self._recent).reshape(-1, 5).sum(axis=0), len(self._recent)
         means, (low, high) = _means(total, count), _band(count)
-        *by_part, nis, dof = frame.tolist()
+        *by_part, nis, dof = frame
         figures: dict[str, Any] = {
             f"consistency_nees_{part}": value for part, value in zip(PARTS, by_part, strict=True)
         }
         figures |= {"consistency_anees": means[2], "consistency_low": low, "consistency_high": high}
-        return figures | {"consistency_nis": nis, "consistency_nis_dof": int(dof), "consistency_nis_ratio": means[3]}
+        figures |= {"consistency_nis": nis, "consistency_nis_ratio": means[3]}
+        return {name: np.float64(value) for name, value in figures.items()} | {"consistency_nis_dof": np.int64(dof)}
 
 
 def _means(total: FloatArray, count: int) -> tuple[float, float, float, float]:

@@ -23,7 +23,7 @@ class RecordedWrapper(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         bound = signature(cls).bind(env, *args, **arguments)
         bound.apply_defaults()
         given = list(bound.arguments.items())[1:]
-        made._arguments = {name: tuple(value) if isinstance(value, list) else value for name, value in given}
+        made._arguments = {name: list(value) if isinstance(value, tuple) else value for name, value in given}
         return made
 
     def __init__(self, env: gym.Env[Any, Any]) -> None:

@@ -120,7 +120,7 @@ class GazeSource(Source, frozen=True, tag="gaze"):
         if name not in gym.registry:
             known = sorted(known for known in gym.registry if known.startswith("StereoSlam/"))
             raise ValueError(f"environment must be one of {', '.join(known)}, got {name!r}{did_you_mean(name, known)}")
-        env = gym.make(name, disable_env_checker=True, **arguments)
+        env = gym.make(name, disable_env_checker=True, max_episode_steps=-1, **arguments)
         core = env.unwrapped
         if not isinstance(core, StereoEnv) or core.head is None:
             raise ValueError(f"environment {name} has no head that a policy could turn: take {GAZE}")

@@ -61,7 +61,7 @@ def test_registration_is_idempotent_and_json_able():
     stereo_slam_env._register(ID, "somewhere:Else", 1)
     spec = gym.spec(ID)
     assert spec.entry_point == "stereo_slam_env.envs.drive:StereoDriveEnv"
-    assert spec.max_episode_steps == 3000
+    assert spec.max_episode_steps == 1200
     env = gym.make(f"stereo_slam_env:{ID}", **QUICK)
     assert gym.make(gym.envs.registration.EnvSpec.from_json(env.spec.to_json())).spec == env.spec
     env.close()
@@ -175,6 +175,11 @@ def test_a_wrong_argument_gets_one_clear_line(kwargs, message):
     with pytest.raises(ValueError, match=message) as error:
         StereoDriveEnv(**kwargs)
     assert "\n" not in str(error.value)
+
+
+def test_an_unknown_argument_is_a_type_error_too():
+    with pytest.raises(TypeError, match="there is no argument 'frameskip'"):
+        StereoDriveEnv(frameskip=4)
 
 
 def test_reset_options_are_refused(make):

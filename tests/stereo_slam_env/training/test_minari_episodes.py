@@ -3,11 +3,10 @@
 import os
 import socket
 
-import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import data_equivalence
-from gymnasium.wrappers import RepeatAction, TransformReward
+from gymnasium.wrappers import TransformReward
 
 from filters import make_filter
 from stereo_slam_env import stereo_observation
@@ -114,10 +113,10 @@ def test_one_clear_line_where_it_cannot_be(dataset, folder):
 
 
 def test_frames_that_were_skipped_make_no_recording(tmp_path):
-    env = RepeatAction(gym.make("StereoSlam/Gaze-v0", route="right-turn"), 2)
+    env = GazeTask(arguments={"route": "right-turn"}).make(hold=2)
     dataset = export_episodes(env, make_policy("sweep"), [0], "gaze/skips-v0", tmp_path, steps=3)
     env.close()
-    with pytest.raises(ValueError, match="skips frames: export without RepeatAction"):
+    with pytest.raises(ValueError, match="skips frames: export with hold=1"):
         recording_of_episode(dataset, 0)
 
 

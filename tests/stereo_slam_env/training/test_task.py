@@ -2,9 +2,13 @@
 
 import dataclasses
 import json
+import pickle
+import warnings
 
+import gymnasium as gym
 import numpy as np
 import pytest
+from gymnasium.utils.env_checker import check_env, data_equivalence
 
 from stereo_slam_env.benchmark import preset_study
 from stereo_slam_env.training.task import POLICY_KEYS, GazeTask
@@ -72,3 +76,25 @@ def test_a_number_stands_for_a_direction(environment):
             np.testing.assert_allclose(env.get_wrapper_attr("head_angles"), [share * farthest, 0.0], atol=1e-6)
     finally:
         env.close()
+
+
+def test_the_task_has_an_id_and_can_be_copied():
+    env = gym.make("StereoSlam/ActiveGaze-v0", arguments=QUICK)
+    again = gym.make(gym.envs.registration.EnvSpec.from_json(env.spec.to_json()))
+    results = []
+    for made in (env, again, pickle.loads(pickle.dumps(env))):
+        observation, _ = made.reset(seed=3)
+        steps = [made.step(number) for number in (0, 4, 8)]
+        results.append([observation, *[step[:4] for step in steps]])
+        made.close()
+    assert data_equivalence(results[0], results[1], exact=True)
+    assert data_equivalence(results[0], results[2], exact=True)
+    with pytest.raises(TypeError, match="unexpected keyword argument 'holds'"):
+        gym.make("StereoSlam/ActiveGaze-v0", holds=3)
+
+
+def test_the_task_passes_the_checker():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        warnings.filterwarnings("ignore", message=".*is different from the unwrapped version")
+        check_env(gym.make("StereoSlam/ActiveGaze-v0", arguments=QUICK, disable_env_checker=True))

@@ -27,7 +27,7 @@ class ReplayEnv(gym.Env):
         shapes = {
             "uvd": spaces.Box(low.astype(np.float32), high.astype(np.float32)),
             "ids": spaces.Box(-1, np.iinfo(np.int32).max, (ROWS,), np.int64),
-            "mask": spaces.MultiBinary(ROWS),
+            "mask": spaces.Box(0, 1, (ROWS,), np.int8),
             "odometry": spaces.Box(-50.0, 50.0, (6,), np.float32),
         }
         if head is not None:

@@ -197,3 +197,12 @@ def test_a_recording_is_not_changed():
     before = recording.frames[2].observation.uvd.copy()
     episode(BeliefObservation(ReplayEnv(recording)))
     np.testing.assert_array_equal(recording.frames[2].observation.uvd, before)
+
+
+def test_a_held_action_is_that_of_every_frame_and_the_belief_that_of_the_last():
+    seen, rewards, _ = episode(BeliefObservation(ReplayEnv()), steps=9)
+    held, sums, _ = episode(BeliefObservation(ReplayEnv(), hold=3), steps=3)
+    for every_third, observation in zip(seen[::3], held, strict=True):
+        np.testing.assert_array_equal(observation["belief_covariance"], every_third["belief_covariance"])
+        np.testing.assert_array_equal(observation["belief_landmarks"], every_third["belief_landmarks"])
+    np.testing.assert_allclose(sums[1:], np.reshape(rewards[1:], (3, 3)).sum(axis=1), rtol=1e-12)

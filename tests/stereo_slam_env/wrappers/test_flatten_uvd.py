@@ -1,10 +1,12 @@
 """One row of numbers between -1 and 1 (1 s)."""
 
+import pickle
+
 import gymnasium as gym
 import numpy as np
 import pytest
 
-from stereo_slam_env.wrappers import BeliefObservation, BeliefPanorama, FlattenUVD
+from stereo_slam_env.wrappers import BeliefObservation, BeliefPanorama, FlattenUVD, SelectedKeys
 from stereo_slam_env.wrappers.observation_shapes import UNITS
 
 from .replayed import ROWS, ReplayEnv, episode
@@ -67,3 +69,14 @@ def test_what_cannot_be_scaled_is_refused():
         FlattenUVD(env)
     with pytest.raises(ValueError, match="FlattenUVD needs a Dict observation"):
         FlattenUVD(FlattenUVD(ReplayEnv()))
+
+
+def test_only_the_selected_keys_stay():
+    env = SelectedKeys(ReplayEnv(), ["mask", "uvd"])
+    observation, _ = env.reset(seed=0)
+    assert list(env.observation_space) == ["mask", "uvd"]
+    assert observation in env.observation_space
+    again, _ = pickle.loads(pickle.dumps(env)).reset(seed=0)
+    np.testing.assert_array_equal(again["uvd"], observation["uvd"])
+    with pytest.raises(ValueError, match="the observation has no key 'uvw', did you mean 'uvd'"):
+        SelectedKeys(ReplayEnv(), ["uvw"])

@@ -74,7 +74,7 @@ def test_the_keys_of_info_are_always_the_same_scalars():
     _, infos = judged()
     kinds = [{key: type(value) for key, value in info.items() if key.startswith("consistency_")} for info in infos]
     assert all(kind == kinds[0] for kind in kinds)
-    assert set(kinds[0].values()) == {float, int}
+    assert set(kinds[0].values()) == {np.float64, np.int64}
 
 
 def test_arguments_are_checked_when_it_is_made():

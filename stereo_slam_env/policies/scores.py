@@ -1,0 +1,78 @@
+"""Normalised scores of the tasks, and the driver that has 100 in those in which the agent drives."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from filters.known_names import require_known
+from filters.validation import FloatArray
+from stereo_slam_env.policies.interface import Action
+from stereo_slam_env.world.routes import FRAME_PERIOD
+from stereo_slam_env.world.vehicle import Car
+
+_LATERAL_ACCELERATION = 3.0
+"""Of the driver in a bend, m/s^2."""
+_STEER_BY, _BRAKE_BY = 1, 3
+"""Points of the observation `route`: the one to steer to, and the farthest one to be slow enough for."""
+
+REFERENCE_RETURNS: Mapping[str, tuple[float, float]] = MappingProxyType(
+    {
+        "StereoSlam/Drive-v0": (0.0, 1.0),
+        "StereoSlam/Gaze-v0": (0.0, 1.0),
+        "StereoSlam/DriveGaze-v0": (0.0, 1.0),
+        "StereoSlam/ActiveGaze-v0": (0.0, 1.0),
+    }
+)
+"""Mean returns of actions at random and of the best policy known, by id, with default arguments; measured by
+`python benchmarks/task_scores.py`."""
+
+
+def normalised_score(environment: str, returns: ArrayLike) -> FloatArray:
+    """Score of returns in an environment with its default arguments: 0 is random, 100 the best policy known.
+
+    Parameters
+    ----------
+    environment : str
+        A Gymnasium id of this package.
+    returns : array_like
+        Sums of the rewards of whole episodes, of any shape.
+
+    Raises
+    ------
+    ValueError
+        There is no score for that id.
+    """
+    require_known("there is no score for", [environment], REFERENCE_RETURNS)
+    random, best = REFERENCE_RETURNS[environment]
+    return 100.0 * (np.asarray(returns, dtype=np.float64) - random) / (best - random)
+
+
+def follow_route(observation: Mapping[str, Any], actions: int = 2) -> Action:
+    """Action that drives along the route that the observation shows (pure pursuit); the head looks straight ahead.
+
+    Steers along the circle through the rear axle and the point 5 m ahead, and keeps below 3 m/s^2 across the direction
+    of travel on the circles to all points up to 20 m ahead.
+
+    Parameters
+    ----------
+    observation : mapping
+        With `car` and `route`, from an environment in which the agent drives.
+    actions : int
+        Entries of the action; those after the first two are 0.
+    """
+    car = Car()
+    speed, _ = np.asarray(observation["car"], dtype=np.float64)
+    right, forward = np.asarray(observation["route"], dtype=np.float64).T
+    forward = forward + car.camera_forward
+    curvatures = 2.0 * right / np.maximum(right**2 + forward**2, 1.0)
+    bend = float(np.abs(curvatures[_STEER_BY : _BRAKE_BY + 1]).max())
+    wanted = min(car.max_speed, np.sqrt(_LATERAL_ACCELERATION / max(bend, 1e-6)))
+    action = np.zeros(actions, dtype=np.float32)
+    action[0] = np.clip((wanted - speed) / (car.max_acceleration * FRAME_PERIOD), -1.0, 1.0)
+    action[1] = np.clip(np.arctan(car.wheelbase * curvatures[_STEER_BY]) / car.max_steering, -1.0, 1.0)
+    return action
