@@ -31,14 +31,22 @@ def _refuse_other_filters() -> None:
 _refuse_other_filters()
 
 
-def _register(name: str, entry_point: str, max_episode_steps: int) -> None:
+def _register(name: str, entry_point: str, max_episode_steps: int, vector_entry_point: str | None = None) -> None:
     if name not in _gym.registry:
-        _gym.register(name, entry_point=entry_point, max_episode_steps=max_episode_steps)
+        _gym.register(
+            name, entry_point=entry_point, max_episode_steps=max_episode_steps, vector_entry_point=vector_entry_point
+        )
 
 
-_register("StereoSlam/Drive-v0", "stereo_slam_env.envs.drive:StereoDriveEnv", 1200)
-_register("StereoSlam/Gaze-v0", "stereo_slam_env.envs.gaze:StereoGazeEnv", 3000)
-_register("StereoSlam/DriveGaze-v0", "stereo_slam_env.envs.drive_gaze:StereoDriveGazeEnv", 1200)
+_VECTOR = "stereo_slam_env.vector.stereo_vector_env"
+_register("StereoSlam/Drive-v0", "stereo_slam_env.envs.drive:StereoDriveEnv", 1200, f"{_VECTOR}:DriveVectorEnv")
+_register("StereoSlam/Gaze-v0", "stereo_slam_env.envs.gaze:StereoGazeEnv", 3000, f"{_VECTOR}:GazeVectorEnv")
+_register(
+    "StereoSlam/DriveGaze-v0",
+    "stereo_slam_env.envs.drive_gaze:StereoDriveGazeEnv",
+    1200,
+    f"{_VECTOR}:DriveGazeVectorEnv",
+)
 _register("StereoSlam/ActiveGaze-v0", "stereo_slam_env.training.task:active_gaze", 600)
 
 __getattr__, __dir__, __all__ = _lazy_loader.attach_stub(__name__, __file__)

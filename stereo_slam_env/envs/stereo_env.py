@@ -10,6 +10,7 @@ from gymnasium import spaces
 from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
+from filters import rotations
 from filters.camera import StereoCamera
 from filters.interface import BodyVelocity
 from filters.noise import StereoNoise
@@ -31,15 +32,15 @@ from stereo_slam_env.sensing.sensors import LandmarkSensor, OdometrySensor
 from stereo_slam_env.world.routes import FRAME_PERIOD, Route, named_route
 from stereo_slam_env.world.vehicle import AgentDriver, Car, Driver, Head, RouteDriver, advance, velocity_between
 
-_ARENA = 60.0
+ARENA = 60.0
 """m from the route: what is farther away has left the arena."""
 _IMAGE_SLACK = 10.0
 """px beyond the image that what is measured in it never is; disparities come out below 0 by less."""
-_MAX_VELOCITY = np.repeat([50.0, 10.0], 3)
+MAX_VELOCITY = np.repeat([50.0, 10.0], 3)
 """Bounds of the odometry in the observation, m/s and rad/s."""
 _LOOK_AHEAD = np.array([2.0, 5.0, 10.0, 20.0, 30.0])
 """Distances along the route of the points of the route in the observation, m."""
-_START_SIGMAS = np.repeat([1e-6, 1e-6, 0.5, 0.05], 3)
+START_SIGMAS = np.repeat([1e-6, 1e-6, 0.5, 0.05], 3)
 """What is known at reset of position, rotation, linear and angular velocity: m, rad, m/s, rad/s."""
 
 Observation = dict[str, Any]
@@ -184,7 +185,7 @@ class StereoEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
         advanced = max(0.0, float(self._route.arc_length[self._nearest]) - self._farthest)
         self._farthest += advanced
         collision = self._stage.collides(self._body)
-        away = float(np.linalg.norm(self._route.positions[self._nearest] - self._body.position)) > _ARENA
+        away = float(np.linalg.norm(self._route.positions[self._nearest] - self._body.position)) > ARENA
         failed = collision or away
         success = self._driver.finished and not failed
         terms = {
@@ -295,12 +296,12 @@ class StereoEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
         if not self.options.observe_ids:
             del observation["ids"]
         velocity = np.concatenate([odometry.linear, odometry.angular])
-        observation["odometry"] = np.clip(velocity, -_MAX_VELOCITY, _MAX_VELOCITY).astype(np.float32)
+        observation["odometry"] = np.clip(velocity, -MAX_VELOCITY, MAX_VELOCITY).astype(np.float32)
         observation["progress"] = np.array([self._farthest / self._route.length], dtype=np.float32)
         if isinstance(self._driver, AgentDriver):
             observation["car"] = np.array([self._driver.speed, self._driver.steering], dtype=np.float32)
-            points_w = self._route.points_at(self._route.arc_length[self._nearest] + _LOOK_AHEAD)
-            observation["route"] = self._body.to_camera(points_w)[:, [0, 2]].clip(-_ARENA, _ARENA).astype(np.float32)
+            place = np.array([self._nearest]), self._body.position[None], self._body.orientation[None]
+            observation["route"] = route_ahead(self._route, *place)[0]
         if self.head is not None:
             observation["head"] = self._angles.astype(np.float32)
         if self.options.render_images:
@@ -334,7 +335,7 @@ class StereoEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
             slack = self._noise.largest_error  # so the bounds hold without clipping
         high = np.array([camera.width, camera.height, largest]) + slack
         low = np.full(3, -slack)
-        velocity = _MAX_VELOCITY.astype(np.float32)
+        velocity = MAX_VELOCITY.astype(np.float32)
         shapes: dict[str, spaces.Space[Any]] = {
             "uvd": spaces.Box(np.tile(low, (rows, 1)).astype(np.float32), np.tile(high, (rows, 1)).astype(np.float32)),
             "ids": spaces.Box(NO_LANDMARK, np.iinfo(np.int32).max, (rows,), np.int64),
@@ -347,7 +348,7 @@ class StereoEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
         if self._steered:
             car = np.array([self._car.max_speed, self._car.max_steering], dtype=np.float32)
             shapes["car"] = spaces.Box(-car, car)
-            shapes["route"] = spaces.Box(-_ARENA, _ARENA, (len(_LOOK_AHEAD), 2), np.float32)
+            shapes["route"] = spaces.Box(-ARENA, ARENA, (len(_LOOK_AHEAD), 2), np.float32)
         if self.head is not None:
             most = np.array(self.head.max_angles, dtype=np.float32)
             shapes["head"] = spaces.Box(-most, most)
@@ -357,11 +358,21 @@ class StereoEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
         return spaces.Dict(shapes)
 
 
+def route_ahead(
+    route: Route, nearest: IntArray, positions: FloatArray, orientations: FloatArray
+) -> NDArray[np.float32]:
+    """Points of the route ahead of cameras with these nearest frames (B,) and poses: right and forward, m; (B, 5, 2)."""
+    points_w = route.points_at(route.arc_length[nearest][:, None] + _LOOK_AHEAD)
+    points_c = np.einsum("bij,bki->bkj", rotations.matrix(orientations), points_w - positions[:, None])
+    ahead: NDArray[np.float32] = points_c[..., [0, 2]].clip(-ARENA, ARENA).astype(np.float32)
+    return ahead
+
+
 def _start_belief(velocity: Velocity, rng: np.random.Generator) -> Start:
     """A known pose, and a velocity with an error of the stated covariance."""
-    error = _START_SIGMAS[6:] * rng.standard_normal(6)
+    error = START_SIGMAS[6:] * rng.standard_normal(6)
     return Start(
         linear_velocity=velocity.linear + error[:3],
         angular_velocity=velocity.angular + error[3:],
-        covariance=np.diag(_START_SIGMAS**2),
+        covariance=np.diag(START_SIGMAS**2),
     )

@@ -12,31 +12,38 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from filters.validation import BoolArray, FloatArray, IntArray
 from stereo_slam_env.world.scene import Box, Cylinder, Primitive
 
 OPTIONS = {"error_model": "numpy", "nogil": True, "cache": True}
 """Of the compilation of all kernels of the simulation: IEEE arithmetic, in the order written."""
+KERNEL = {**OPTIONS, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+"""Of those that only other kernels call."""
 SURFACE_GAP = 0.05
 """A ray to a point on a surface stops this short of it, m, so that the surface itself does not hide it."""
-_BOX, _CYLINDER, _BALL = 0.0, 1.0, 2.0
-_SKIN = 5e-4
-"""m by which curved shapes are larger: Bullet's iteration hits what passes so close."""
+BOX, CYLINDER, BALL = 0.0, 1.0, 2.0
+_SKIN_OF_BALLS, _SKIN_OF_CYLINDERS = 5e-4, 2e-4
+"""m by which curved shapes are larger: Bullet finds a hit by iteration, of some of what passes within a millimetre."""
+_MARGIN = 2e-3
+"""m by which the boxes of the tree are larger: skins, and numbers of single precision."""
 _COLUMNS = 9
-_DEEPEST = 64
+_DEEPEST = 16
+NOTHING = 2**31
+"""Link of a branch that leads nowhere."""
 
 
 class Obstacles(NamedTuple):
     """Solids of a scene and the tree of bounding boxes over them."""
 
     solids: FloatArray
-    """(N, 9): centre; of boxes half extents, cos and sin of the yaw; of cylinders the unit axis, radius and half length;
-    of balls the radius in column 6; and the kind."""
-    bounds: FloatArray
-    """Low and high corners of the nodes, parents before children; (2 N - 1, 6)."""
+    """(N, 9): centre; of boxes half extents, cos and sin of the yaw; of cylinders the unit axis, radius, half length; of
+    balls the radius in column 6; and the kind."""
+    bounds: NDArray[np.float32]
+    """Low corners (x, y, z), then high ones, of the up to eight branches of each node; (M, 6, 8)."""
     links: IntArray
-    """The node to go on with where a ray misses, and the solid of a leaf, else -1; (2 N - 1, 2)."""
+    """What a branch leads to: a node, or solid i as -1 - i; `NOTHING`; (M, 8)."""
 
 
 def obstacles(solids: Iterable[Primitive]) -> Obstacles:
@@ -47,75 +54,110 @@ def obstacles(solids: Iterable[Primitive]) -> Obstacles:
 
 def visible(obstacles: Obstacles, cameras: FloatArray, points: FloatArray) -> BoolArray:
     """Which points (N, 3) on surfaces are seen from all `cameras` (C, 3); as `PhysicsWorld.visible`."""
-    return np.asarray(_visible(*obstacles, cameras, points), dtype=np.bool_)
+    return np.asarray(_visible(*obstacles, traversal(), cameras, points), dtype=np.bool_)
+
+
+def traversal() -> Traversal:
+    """Room for a walk through a tree, which each thread needs for itself."""
+    return Traversal(np.zeros(8, dtype=np.float32), np.zeros(8 * _DEEPEST, dtype=np.int64))
+
+
+class Traversal(NamedTuple):
+    """Room for a walk through a tree."""
+
+    gaps: NDArray[np.float32]
+    waiting: IntArray
 
 
 def _row(solid: Primitive) -> list[float]:
     if isinstance(solid, Box):
         half = [0.5 * side for side in solid.size]
-        return [*solid.center, *half, math.cos(solid.yaw), math.sin(solid.yaw), _BOX]
+        return [*solid.center, *half, math.cos(solid.yaw), math.sin(solid.yaw), BOX]
     if isinstance(solid, Cylinder):
         axis = [b - a for a, b in zip(solid.start, solid.end, strict=True)]
         length = math.sqrt(sum(x * x for x in axis))
         middle = [0.5 * (a + b) for a, b in zip(solid.start, solid.end, strict=True)]
-        return [*middle, *(x / length for x in axis), solid.radius, 0.5 * length, _CYLINDER]
-    return [*solid.center, 0.0, 0.0, 0.0, solid.radius, 0.0, _BALL]
+        return [*middle, *(x / length for x in axis), solid.radius, 0.5 * length, CYLINDER]
+    return [*solid.center, 0.0, 0.0, 0.0, solid.radius, 0.0, BALL]
 
 
 @njit(**OPTIONS)
-def tree(solids: FloatArray) -> tuple[FloatArray, IntArray]:
-    """`bounds` and `links` of the solids: halves by the middle of the longest side."""
+def tree(solids: FloatArray) -> tuple[NDArray[np.float32], IntArray]:
+    """`bounds` and `links` of the solids: each node is three times divided, across its longest side."""
     count = len(solids)
     own = np.empty((count, 6))
     for i in range(count):
         _bound(solids[i], own[i])
-    nodes = max(2 * count - 1, 0)
-    bounds, links = np.empty((nodes, 6)), np.empty((nodes, 2), dtype=np.int64)
+    bounds = np.zeros((max(count, 1), 6, 8), dtype=np.float32)
+    links = np.full((max(count, 1), 8), NOTHING)
     order = np.arange(count)
-    firsts, lasts = np.empty(_DEEPEST, dtype=np.int64), np.empty(_DEEPEST, dtype=np.int64)
-    firsts[0], lasts[0] = 0, count
-    waiting, node = min(count, 1), 0
-    while waiting > 0:
-        waiting -= 1
-        first, last = firsts[waiting], lasts[waiting]
-        for k in range(3):
-            low, high = np.inf, -np.inf
-            for i in order[first:last]:
-                low, high = min(low, own[i, k]), max(high, own[i, 3 + k])
-            bounds[node, k], bounds[node, 3 + k] = low, high
-        size = last - first
-        links[node, 0], links[node, 1] = node + 2 * size - 1, order[first] if size == 1 else -1
-        if size > 1:
-            k = 0
-            for other in range(1, 3):
-                if bounds[node, 3 + other] - bounds[node, other] > bounds[node, 3 + k] - bounds[node, k]:
-                    k = other
-            part = order[first:last].copy()
-            order[first:last] = part[np.argsort(solids[part, k])]
-            middle = first + size // 2
-            firsts[waiting], lasts[waiting] = middle, last
-            firsts[waiting + 1], lasts[waiting + 1] = first, middle
-            waiting += 2
+    ranges = np.zeros((max(count, 1), 2), dtype=np.int64)  # of `order`, for each node
+    ranges[0, 1] = count
+    nodes = 1 if count else 0
+    parts = np.empty((8, 2), dtype=np.int64)
+    node = 0
+    while node < nodes:
+        parts[0] = ranges[node]
+        whole = 1  # solids below a full branch
+        while 8 * whole < parts[0, 1] - parts[0, 0]:
+            whole *= 8
+        number = 1
+        for _ in range(3):
+            for k in range(number):
+                first, last = parts[k]
+                middle = _halved(own, order, first, last, whole)
+                parts[k, 1], parts[number + k, 0], parts[number + k, 1] = middle, middle, last
+            number *= 2
+        for k in range(8):
+            first, last = parts[k]
+            for axis in range(3):
+                low, high = np.inf, -np.inf
+                for i in order[first:last]:
+                    low, high = min(low, own[i, axis]), max(high, own[i, 3 + axis])
+                bounds[node, axis, k], bounds[node, 3 + axis, k] = low, high
+            if last - first == 1:
+                links[node, k] = -1 - order[first]
+            elif last > first:
+                links[node, k], ranges[nodes, 0], ranges[nodes, 1] = nodes, first, last
+                nodes += 1
         node += 1
-    return bounds, links
+    return bounds[:nodes].copy(), links[:nodes].copy()
+
+
+@njit(**KERNEL)
+def _halved(own: FloatArray, order: IntArray, first: int, last: int, whole: int) -> int:
+    """Sort a range by the middles along its longest side; the place between its halves, which are full branches."""
+    branches = -(-(last - first) // whole)
+    if branches < 2:
+        return last
+    longest, axis = -1.0, 0
+    for k in range(3):
+        low, high = np.inf, -np.inf
+        for i in order[first:last]:
+            low, high = min(low, own[i, k]), max(high, own[i, 3 + k])
+        if high - low > longest:
+            longest, axis = high - low, k
+    part = order[first:last].copy()
+    order[first:last] = part[np.argsort(own[part, axis] + own[part, 3 + axis])]
+    return first + whole * ((branches + 1) // 2)
 
 
 @njit(**OPTIONS)
 def _bound(solid: FloatArray, bound: FloatArray) -> None:
     """Low and high corner of the box around a solid."""
     for k in range(3):
-        if solid[8] == _BOX:
+        if solid[8] == BOX:
             reach = solid[5]
             if k == 0:
                 reach = abs(solid[6]) * solid[3] + abs(solid[7]) * solid[4]
             elif k == 1:
                 reach = abs(solid[7]) * solid[3] + abs(solid[6]) * solid[4]
-        elif solid[8] == _CYLINDER:
+        elif solid[8] == CYLINDER:
             axis = solid[3 + k]
             reach = abs(axis) * solid[7] + solid[6] * math.sqrt(max(0.0, 1.0 - axis * axis))
         else:
             reach = solid[6]
-        bound[k], bound[3 + k] = solid[k] - reach - 2 * _SKIN, solid[k] + reach + 2 * _SKIN
+        bound[k], bound[3 + k] = solid[k] - reach - _MARGIN, solid[k] + reach + _MARGIN
 
 
 @njit(**OPTIONS)
@@ -136,7 +178,7 @@ def _hits_box(solid: FloatArray, x: float, y: float, z: float, dx: float, dy: fl
 
 @njit(**OPTIONS)
 def _hits_ball(solid: FloatArray, x: float, y: float, z: float, dx: float, dy: float, dz: float) -> bool:
-    x, y, z, radius = x - solid[0], y - solid[1], z - solid[2], solid[6] + _SKIN
+    x, y, z, radius = x - solid[0], y - solid[1], z - solid[2], solid[6] + _SKIN_OF_BALLS
     outside = x * x + y * y + z * z - radius * radius
     if outside <= 0.0:
         return False
@@ -149,7 +191,7 @@ def _hits_ball(solid: FloatArray, x: float, y: float, z: float, dx: float, dy: f
 def _hits_cylinder(solid: FloatArray, x: float, y: float, z: float, dx: float, dy: float, dz: float) -> bool:
     x, y, z = x - solid[0], y - solid[1], z - solid[2]
     ax, ay, az = solid[3], solid[4], solid[5]
-    radius, half = solid[6] + _SKIN, solid[7]
+    radius, half = solid[6] + _SKIN_OF_CYLINDERS, solid[7]
     up, rise = ax * x + ay * y + az * z, ax * dx + ay * dy + az * dz
     px, py, pz = x - up * ax, y - up * ay, z - up * az
     qx, qy, qz = dx - rise * ax, dy - rise * ay, dz - rise * az
@@ -175,12 +217,40 @@ def _hits_cylinder(solid: FloatArray, x: float, y: float, z: float, dx: float, d
     return enters <= leaves
 
 
-@njit(**OPTIONS)
+@njit(**{**KERNEL, "fastmath": {"nnan", "nsz"}})
+def _enter(
+    bounds: NDArray[np.float32],
+    gaps: NDArray[np.float32],
+    x: float,
+    y: float,
+    z: float,
+    ix: float,
+    iy: float,
+    iz: float,
+) -> None:
+    """For the eight branches of a node (6, 8) how long a ray is inside; negative where it misses. One vector operation
+    each, which is why there are eight."""
+    for k in range(8):
+        ax, bx = (bounds[0, k] - x) * ix, (bounds[3, k] - x) * ix
+        ay, by = (bounds[1, k] - y) * iy, (bounds[4, k] - y) * iy
+        az, bz = (bounds[2, k] - z) * iz, (bounds[5, k] - z) * iz
+        enters = max(max(min(ax, bx), min(ay, by)), max(min(az, bz), np.float32(0.0)))
+        leaves = min(min(max(ax, bx), max(ay, by)), min(max(az, bz), np.float32(1.0)))
+        gaps[k] = leaves - enters
+
+
+@njit(**KERNEL)
+def _inverse(x: float) -> float:
+    return np.float32(1.0 / x) if abs(x) > 1e-12 else np.float32(1e12)
+
+
+@njit(**KERNEL)
 def is_blocked(
     solids: FloatArray,
-    bounds: FloatArray,
+    bounds: NDArray[np.float32],
     links: IntArray,
     nodes: int,
+    room: Traversal,
     x: float,
     y: float,
     z: float,
@@ -191,52 +261,70 @@ def is_blocked(
     """Whether the way from (x, y, z) by (dx, dy, dz) is through a solid or the ground; none hides what it contains."""
     if z + dz <= 0.0 < z:
         return True
-    ix = 1.0 / dx if dx != 0.0 else 1e300
-    iy = 1.0 / dy if dy != 0.0 else 1e300
-    iz = 1.0 / dz if dz != 0.0 else 1e300
-    node = 0
-    while node < nodes:
-        box = bounds[node]
-        ax, bx = (box[0] - x) * ix, (box[3] - x) * ix
-        ay, by = (box[1] - y) * iy, (box[4] - y) * iy
-        az, bz = (box[2] - z) * iz, (box[5] - z) * iz
-        enters = max(max(min(ax, bx), min(ay, by)), max(min(az, bz), 0.0))
-        leaves = min(min(max(ax, bx), max(ay, by)), min(max(az, bz), 1.0))
-        if enters > leaves:
-            node = links[node, 0]
-            continue
-        if links[node, 1] >= 0:
-            solid = solids[links[node, 1]]
-            if solid[8] == _BOX:
+    ix, iy, iz = _inverse(dx), _inverse(dy), _inverse(dz)
+    x4, y4, z4 = np.float32(x), np.float32(y), np.float32(z)
+    gaps, waiting = room.gaps, room.waiting
+    waiting[0] = 0
+    count = min(nodes, 1)
+    while count > 0:
+        count -= 1
+        node = waiting[count]
+        _enter(bounds[node], gaps, x4, y4, z4, ix, iy, iz)
+        for k in range(8):
+            if gaps[k] < np.float32(0.0):
+                continue
+            link = links[node, k]
+            if link >= 0:
+                if link != NOTHING:
+                    waiting[count] = link
+                    count += 1
+                continue
+            solid = solids[-1 - link]
+            if solid[8] == BOX:
                 if _hits_box(solid, x, y, z, dx, dy, dz):
                     return True
-            elif solid[8] == _CYLINDER:
+            elif solid[8] == CYLINDER:
                 if _hits_cylinder(solid, x, y, z, dx, dy, dz):
                     return True
             elif _hits_ball(solid, x, y, z, dx, dy, dz):
                 return True
-        node += 1
     return False
 
 
-@njit(**OPTIONS)
+@njit(**KERNEL)
 def is_seen(
-    solids: FloatArray, bounds: FloatArray, links: IntArray, nodes: int, camera: FloatArray, point: FloatArray
+    solids: FloatArray,
+    bounds: NDArray[np.float32],
+    links: IntArray,
+    nodes: int,
+    room: Traversal,
+    x: float,
+    y: float,
+    z: float,
+    to_x: float,
+    to_y: float,
+    to_z: float,
 ) -> bool:
-    """Whether nothing is between a camera and a point on a surface, (3,) each."""
-    dx, dy, dz = point[0] - camera[0], point[1] - camera[1], point[2] - camera[2]
+    """Whether nothing is between a camera (x, y, z) and a point on a surface."""
+    dx, dy, dz = to_x - x, to_y - y, to_z - z
     share = 1.0 - SURFACE_GAP / math.sqrt(dx * dx + dy * dy + dz * dz)
-    return not is_blocked(
-        solids, bounds, links, nodes, camera[0], camera[1], camera[2], share * dx, share * dy, share * dz
-    )
+    return not is_blocked(solids, bounds, links, nodes, room, x, y, z, share * dx, share * dy, share * dz)
 
 
 @njit(**OPTIONS)
 def _visible(
-    solids: FloatArray, bounds: FloatArray, links: IntArray, cameras: FloatArray, points: FloatArray
+    solids: FloatArray,
+    bounds: NDArray[np.float32],
+    links: IntArray,
+    room: Traversal,
+    cameras: FloatArray,
+    points: FloatArray,
 ) -> BoolArray:
     seen = np.ones(len(points), dtype=np.bool_)
     for i in range(len(points)):
-        for camera in cameras:
-            seen[i] = seen[i] and is_seen(solids, bounds, links, len(bounds), camera, points[i])
+        for c in cameras:
+            p = points[i]
+            seen[i] = seen[i] and is_seen(
+                solids, bounds, links, len(bounds), room, c[0], c[1], c[2], p[0], p[1], p[2]
+            )
     return seen

@@ -98,8 +98,8 @@ class Route:
         return len(self.speeds) * FRAME_PERIOD
 
     def points_at(self, distances: FloatArray) -> FloatArray:
-        """Nominal positions at distances (M,) m along the route, in W; (M, 3). Beyond an end it is that end."""
-        return np.stack([np.interp(distances, self.arc_length, axis) for axis in self.positions.T], axis=1)
+        """Nominal positions at distances (...) m along the route, in W; (..., 3). Beyond an end it is that end."""
+        return np.stack([np.interp(distances, self.arc_length, axis) for axis in self.positions.T], axis=-1)
 
     def turns(self, least: float) -> list[tuple[int, int]]:
         """First and last frame of every turn by more than `least` rad."""

@@ -82,7 +82,7 @@ class RouteDriver:
 
     _SIGMAS = np.array([0.08, 0.08, 0.15, 0.012, 0.008, 0.012])
     _TIME_CONSTANTS = np.array([1.0, 1.0, 1.0, 0.5, 0.5, 0.5])
-    _PULL = 0.5
+    PULL = 0.5
     """1/s."""
 
     def __init__(self, route: Route, perturbation: float, rng: np.random.Generator) -> None:
@@ -97,6 +97,11 @@ class RouteDriver:
     def start(self) -> tuple[Pose, Velocity]:
         """Pose and velocity of the first frame."""
         return Pose(), self._velocity(Pose(), 0)
+
+    @property
+    def sway(self) -> FloatArray:
+        """Standard deviations, decays in a step and fresh parts of the process, (3, 6)."""
+        return np.stack([self._sigmas, self._decay, self._fresh])
 
     @property
     def finished(self) -> bool:
@@ -118,8 +123,8 @@ class RouteDriver:
         along = np.array([0.0, 0.0, route.speeds[step]])
         turn = R_wc.T @ np.array([0.0, route.yaw_rates[step], 0.0])
         return Velocity(
-            R_travel @ (along + self._disturbance[:3] - self._PULL * offset),
-            turn + self._disturbance[3:] - self._PULL * tilt,
+            R_travel @ (along + self._disturbance[:3] - self.PULL * offset),
+            turn + self._disturbance[3:] - self.PULL * tilt,
         )
 
 
