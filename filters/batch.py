@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from filters.compiled.engine import CompiledEngine, Observations, Outcome
+from filters.compiled.readout import relative_landmarks
 from filters.compiled.stereo_ekf import CompiledFilter, report
 from filters.interface import AT_ORIGIN, BodyVelocity, StereoObservation, UpdateReport, check_start
 from filters.start import Start
 from filters.stereo_ekf import StereoEKF
-from filters.validation import FloatArray, IntArray, positive, whole_number
+from filters.validation import BoolArray, FloatArray, IntArray, positive, whole_number
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +46,31 @@ class Reports(Sequence[UpdateReport]):
             return [self[i] for i in range(*index.indices(len(self)))]
         b = range(len(self))[index]
         return report(self.outcome, self.ids, slice(self.offsets[b], self.offsets[b + 1]), b)
+
+
+@dataclass(frozen=True, eq=False)
+class RelativeLandmarks:
+    """The maps of a batch as its cameras see them.
+
+    Attributes
+    ----------
+    offsets : (B + 1,) int64
+        Landmarks of filter b are offsets[b] to offsets[b + 1] - 1, ids ascending.
+    ids : (M,) int64
+        Landmarks.
+    points_c : (M, 3)
+        Positions in the camera frame, m.
+    covariances : (M, 3, 3)
+        Of those, m^2; errors of the pose and their correlation count.
+    located : (M,) bool
+        Whether the landmark is in front of its anchor, at a finite distance.
+    """
+
+    offsets: IntArray
+    ids: IntArray
+    points_c: FloatArray
+    covariances: FloatArray
+    located: BoolArray
 
 
 class FilterBatch(Sequence[StereoEKF]):
@@ -106,6 +132,22 @@ class FilterBatch(Sequence[StereoEKF]):
         upper = np.triu(self._engine.storage.P[:, :6, :6])
         whole: FloatArray = upper + np.triu(upper, 1).transpose(0, 2, 1)
         return whole
+
+    def relative_landmarks(self) -> RelativeLandmarks:
+        """The maps of all filters as their cameras see them."""
+        storage, recipe = self._engine.storage, self._engine.recipe
+        counts = storage.counts[:, 0]
+        offsets = np.concatenate([[0], np.cumsum(counts)])
+        total = int(offsets[-1])
+        ids = storage.ids[np.arange(storage.ids.shape[1]) < counts[:, None]]
+        found = RelativeLandmarks(
+            offsets, ids, np.empty((total, 3)), np.empty((total, 3, 3)), np.empty(total, dtype=np.bool_)
+        )
+        state = storage.P, storage.x, storage.blocks, storage.own, storage.anchor, storage.counts
+        anchored = recipe.landmark != "euclidean"
+        written = found.points_c, found.covariances, found.located
+        relative_landmarks(*state, recipe.leading, anchored, offsets, *written)
+        return found
 
     def reset(self, starts: Start | Sequence[Start] = AT_ORIGIN) -> None:
         """Start again, with empty maps: all filters alike, or each from its own start."""

@@ -38,15 +38,29 @@ def _register(name: str, entry_point: str, max_episode_steps: int, vector_entry_
         )
 
 
-_VECTOR = "stereo_slam_env.vector.stereo_vector_env"
-_register("StereoSlam/Drive-v0", "stereo_slam_env.envs.drive:StereoDriveEnv", 1200, f"{_VECTOR}:DriveVectorEnv")
-_register("StereoSlam/Gaze-v0", "stereo_slam_env.envs.gaze:StereoGazeEnv", 3000, f"{_VECTOR}:GazeVectorEnv")
+_register(
+    "StereoSlam/Drive-v0",
+    "stereo_slam_env.envs.drive:StereoDriveEnv",
+    1200,
+    "stereo_slam_env.vector.stereo_vector_env:DriveVectorEnv",
+)
+_register(
+    "StereoSlam/Gaze-v0",
+    "stereo_slam_env.envs.gaze:StereoGazeEnv",
+    3000,
+    "stereo_slam_env.vector.stereo_vector_env:GazeVectorEnv",
+)
 _register(
     "StereoSlam/DriveGaze-v0",
     "stereo_slam_env.envs.drive_gaze:StereoDriveGazeEnv",
     1200,
-    f"{_VECTOR}:DriveGazeVectorEnv",
+    "stereo_slam_env.vector.stereo_vector_env:DriveGazeVectorEnv",
 )
-_register("StereoSlam/ActiveGaze-v0", "stereo_slam_env.training.task:active_gaze", 600)
+_register(
+    "StereoSlam/ActiveGaze-v0",
+    "stereo_slam_env.training.task:active_gaze",
+    600,
+    "stereo_slam_env.training.task:active_gaze_vector",
+)
 
 __getattr__, __dir__, __all__ = _lazy_loader.attach_stub(__name__, __file__)

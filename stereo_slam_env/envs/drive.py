@@ -49,7 +49,7 @@ class StereoDriveEnv(StereoEnv):
     | `left`, `right` | (H, W, 3) | uint8 | rendered views, only with `render_images=True` |
 
     The odometry is in the camera frame half-way through the turn of the step; at reset it is the initial velocity.
-    `route` is what a perfect navigation system would show: it is made from the true pose, and ends where the route ends.
+    `route` is what a perfect navigation system would show: it is made from the true pose and ends where the route ends.
     `stereo_slam_env.stereo_observation(observation, info)` makes a `StereoObservation` for a filter; learners can do
     without `ids`, which are names and no numbers.
 
@@ -57,9 +57,9 @@ class StereoDriveEnv(StereoEnv):
 
     Scalars and arrays of fixed shape, the same keys from `reset` and `step`: `truth_position` (3,) and
     `truth_orientation` (4,) xyzw of the left camera in W; `truth_linear_velocity` (3,) in W and
-    `truth_angular_velocity` (3,) in the camera frame, over the last step; `time` s; `distance` driven, m;
-    `collision`; `is_success`, whether the end of the route has been reached; `v_right` (N,), the row in the right image, and `v_right_measured`; `R` (N, 3, 3), covariances of
-    (u, v, d) in px^2, and `R_measured`; and the terms of the reward.
+    `truth_angular_velocity` (3,) in the camera frame, over the last step; `time` s; `distance` driven, m; `collision`;
+    `is_success`, whether the end of the route has been reached; `v_right` (N,), the row in the right image, and
+    `v_right_measured`; `R` (N, 3, 3), covariances of (u, v, d) in px^2, and `R_measured`; and the terms of the reward.
 
     ## Rewards
 

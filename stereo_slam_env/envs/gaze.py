@@ -64,8 +64,8 @@ class StereoGazeEnv(StereoEnv):
     ## Episode End
 
     - Termination: the car reaches the end of the route (or, where traffic is asked for, is hit).
-    - Truncation: after 3000 steps, by `TimeLimit`; no route that comes with the package is that long. `gymnasium.make` takes
-      `max_episode_steps`; -1 is no limit.
+    - Truncation: after 3000 steps, by `TimeLimit`; no route that comes with the package is that long.
+      `gymnasium.make` takes `max_episode_steps`; -1 is no limit.
 
     ## Arguments
 

@@ -361,7 +361,7 @@ class StereoEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle):
 def route_ahead(
     route: Route, nearest: IntArray, positions: FloatArray, orientations: FloatArray
 ) -> NDArray[np.float32]:
-    """Points of the route ahead of cameras with these nearest frames (B,) and poses: right and forward, m; (B, 5, 2)."""
+    """Points of the route ahead of cameras, from poses and nearest frames (B,): right and forward, m; (B, 5, 2)."""
     points_w = route.points_at(route.arc_length[nearest][:, None] + _LOOK_AHEAD)
     points_c = np.einsum("bij,bki->bkj", rotations.matrix(orientations), points_w - positions[:, None])
     ahead: NDArray[np.float32] = points_c[..., [0, 2]].clip(-ARENA, ARENA).astype(np.float32)

@@ -59,3 +59,8 @@ def gaze_action(env: gym.Env[Any, Any], decided: ArrayLike) -> Action:
     action = np.zeros(env.action_space.shape, dtype=np.float32)
     action[-len(last) :] = last
     return action
+
+
+def directions(pans: int) -> FloatArray:
+    """Pan and tilt as shares of the largest: from left to right, at no tilt; (pans, 2)."""
+    return np.column_stack([np.linspace(-1.0, 1.0, pans), np.zeros(pans)])

@@ -12,8 +12,9 @@ from gymnasium import spaces
 from joblib import Parallel, delayed
 from threadpoolctl import threadpool_limits
 
+from filters.known_names import one_of
 from filters.validation import FloatArray, positive, whole_number
-from stereo_slam_env.policies.interface import gaze_action, require_head
+from stereo_slam_env.policies.interface import directions, gaze_action, require_head
 from stereo_slam_env.policies.network import Network
 from stereo_slam_env.wrappers import BeliefObservation, BeliefPanorama, InformationGain, SelectedKeys
 from stereo_slam_env.wrappers.information import Criterion
@@ -68,7 +69,7 @@ class GazeTask:
         object.__setattr__(self, "resolution", tuple(positive("resolution", value) for value in self.resolution))
 
     def make(self, hold: int = 1) -> gym.Env[Any, Any]:
-        """The environment for rules and planners: with the belief in the observation; an action holds for some steps."""
+        """The environment for rules and planners: with the belief in the observation; actions hold for some steps."""
         env = gym.make(self.environment, **self.arguments)
         require_head(env)
         return BeliefPanorama(BeliefObservation(env, self.filter, options=self.filter_options, hold=hold))
@@ -90,7 +91,7 @@ class GazeTask:
 
 
 class DirectionOfGaze(RecordedWrapper, gym.ActionWrapper[Any, Any, Any]):
-    """The action is the number of a direction to look in: `Discrete(pans)`, from the farthest left to the farthest right.
+    """The action is the number of a direction to look in, from the farthest left to the farthest right.
 
     Parameters
     ----------
@@ -108,11 +109,6 @@ class DirectionOfGaze(RecordedWrapper, gym.ActionWrapper[Any, Any, Any]):
     def action(self, action: Any) -> Any:
         """The action of the environment."""
         return self._actions[int(action)]
-
-
-def directions(pans: int) -> FloatArray:
-    """Pan and tilt as shares of the largest: from left to right, at no tilt; (pans, 2)."""
-    return np.column_stack([np.linspace(-1.0, 1.0, pans), np.zeros(pans)])
 
 
 def active_gaze(render_mode: str | None = None, **arguments: Any) -> gym.Env[Any, Any]:
@@ -139,6 +135,39 @@ def active_gaze(render_mode: str | None = None, **arguments: Any) -> gym.Env[Any
     """
     task = GazeTask(**arguments)
     return replace(task, arguments={**task.arguments, "render_mode": render_mode}).make_for_learning()
+
+
+def active_gaze_vector(
+    num_envs: int = 1, max_episode_steps: int | None = None, **arguments: Any
+) -> gym.vector.VectorEnv[Any, Any, Any]:
+    """Many `StereoSlam/ActiveGaze-v0` in lock-step, see `StereoVectorEnv`.
+
+    Parameters
+    ----------
+    num_envs : int
+        Number of environments.
+    max_episode_steps : int, optional
+        Truncate episodes after so many decisions.
+    **arguments
+        Of `GazeTask`, and `autoreset_mode`, `scenes` and `threads` of `StereoVectorEnv`.
+    """
+    from stereo_slam_env.vector import DriveGazeVectorEnv, GazeVectorEnv
+
+    own = {name: arguments.pop(name) for name in ("autoreset_mode", "scenes", "threads") if name in arguments}
+    task = GazeTask(**arguments)
+    kinds = {"StereoSlam/Gaze-v0": GazeVectorEnv, "StereoSlam/DriveGaze-v0": DriveGazeVectorEnv}
+    one_of("environment", task.environment, kinds)
+    return kinds[task.environment](
+        num_envs,
+        None if max_episode_steps is None else task.hold * max_episode_steps,
+        belief={"filter": task.filter, "options": task.filter_options, "hold": task.hold},
+        panorama={},
+        information={"criterion": task.criterion, "resolution": task.resolution},
+        keys=POLICY_KEYS,
+        pans=task.pans,
+        **own,
+        **task.arguments,
+    )
 
 
 @dataclass(frozen=True)

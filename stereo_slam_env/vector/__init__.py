@@ -1,4 +1,4 @@
-"""Many environments at once: scenes, cars, sensors and filters of all of them in arrays, stepped by compiled kernels."""
+"""Many environments at once: scenes, cars, sensors and filters in arrays, stepped by compiled kernels."""
 
 import lazy_loader
 

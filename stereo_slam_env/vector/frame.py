@@ -61,14 +61,14 @@ def _judge(rules: Rules, fleet: Fleet, out: Outcome, room: Traversal, b: int, be
     # Columns of R_sb: the axes of the body (forward, left, up) are z, -x and -y of the camera; rows are those of S.
     R_sb = (R[8], -R[6], -R[7], -R[2], R[0], R[1], -R[5], R[3], R[4])
     at = (z, -x, rules.camera_height - y)
-    solids, bounds, links, nodes = fleet.solids[b], fleet.bounds[b], fleet.links[b], fleet.counts[b, 1]
+    solids, bounds, links, nodes = fleet.solids[b], fleet.bounds[b], fleet.links[b], fleet.sizes[b, 1]
     collision = collides(solids, bounds, links, nodes, room, R_sb, at, (half[0], half[1], half[2]))
     p = rules.positions[nearest]
     away = math.sqrt((p[0] - body[0]) ** 2 + (p[1] - body[1]) ** 2 + (p[2] - body[2]) ** 2) > rules.arena
     failed = collision or away
     last = nearest == len(rules.arc_length) - 1 if rules.steered else fleet.step[b] >= len(rules.speeds)
     out.collision[b], out.failed[b], out.success[b] = collision, failed, last and not failed
-    terms[0], terms[1] = advanced, advanced * (out.count[b] / rules.most)
+    terms[0], terms[1] = advanced, advanced * (out.seen[b] / rules.most)
     terms[2], terms[3], terms[4] = -1.0 * failed, 1.0 * out.success[b], -rules.dt
     if rules.has_head:
         pan = (fleet.angles[b, 0] - before[0]) / (rules.head[1, 0] * rules.dt)
@@ -105,5 +105,3 @@ def run_frame(
         observe(rules, fleet, out, room, b, uvd, seen, keys)
         if doing[b] == STEP:
             _judge(rules, fleet, out, room, b, before)
-
-

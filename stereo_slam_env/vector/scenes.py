@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -36,7 +36,7 @@ def put_scene(fleet: Fleet, b: int, scene: SceneArrays) -> None:
     fleet.solids[b, :solids] = scene.solids.solids
     nodes = len(scene.solids.bounds)
     fleet.bounds[b, :nodes], fleet.links[b, :nodes] = scene.solids.bounds, scene.solids.links
-    fleet.counts[b] = landmarks, nodes
+    fleet.sizes[b] = landmarks, nodes
 
 
 def with_room(fleet: Fleet, scene: SceneArrays) -> Fleet:
@@ -52,11 +52,9 @@ def with_room(fleet: Fleet, scene: SceneArrays) -> Fleet:
         "exponentials": max(4096, 4 * landmarks),
     }
 
-    def grown(name: str, old: FloatArray) -> FloatArray:
-        if name not in sizes:
-            return old
+    def grown(name: str, old: Any) -> Any:
         new = np.zeros((len(old), sizes[name], *old.shape[2:]), dtype=old.dtype)
         new[:, : old.shape[1]] = old
         return new
 
-    return Fleet(*(grown(name, old) for name, old in zip(fleet._fields, fleet, strict=True)))
+    return fleet._replace(**{name: grown(name, getattr(fleet, name)) for name in sizes})

@@ -41,7 +41,7 @@ def is_visible(rules: Rules, fleet: Fleet, room: Traversal, b: int, landmark: in
     """Whether nothing hides a landmark from both cameras; in the scene frame, as the solids are."""
     pose, point = fleet.pose[b], fleet.landmarks[b, landmark]
     R, baseline, height = rotation_of(pose), rules.camera[5], rules.camera_height
-    nodes, solids, bounds, links = fleet.counts[b, 1], fleet.solids[b], fleet.bounds[b], fleet.links[b]
+    nodes, solids, bounds, links = fleet.sizes[b, 1], fleet.solids[b], fleet.bounds[b], fleet.links[b]
     x, y, z = point[2], -point[0], height - point[1]
     for side in range(2):
         away = side * baseline
@@ -64,9 +64,9 @@ def observe(
 ) -> None:
     """`LandmarkSensor.observe`: track to this frame and measure. The last three are room for all landmarks."""
     tracked, lost = fleet.tracked[b], fleet.lost[b]
-    found = in_view(rules, fleet.landmarks[b], fleet.counts[b, 0], fleet.pose[b], uvd, seen)
+    found = in_view(rules, fleet.landmarks[b], fleet.sizes[b, 0], fleet.pose[b], uvd, seen)
     here, kept = 0, 0
-    for i in range(fleet.counts[b, 0]):
+    for i in range(fleet.sizes[b, 0]):
         if here < found and seen[here] == i:
             # Landmarks that were tracked go on if they are visible; keys mark them, and those that may be drawn.
             if tracked[i] and is_visible(rules, fleet, room, b, i):
@@ -98,7 +98,7 @@ def observe(
                 out.uvd[b, count, a] = uvd[k, a]
             out.v_right[b, count] = uvd[k, 1]
             count += 1
-    out.count[b] = count
+    out.seen[b] = count
     add_noise(rules, fleet, out, b, count)
 
 

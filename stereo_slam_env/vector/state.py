@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from filters.camera import StereoCamera
 from filters.validation import BoolArray, FloatArray, IntArray
 from stereo_slam_env.envs.options import DriveOptions, HeadOptions, StereoOptions
-from stereo_slam_env.sensing.pixel_noise import NOISE_MODELS
 from stereo_slam_env.sensing.rigs import CAMERA_HEIGHT
 from stereo_slam_env.world.routes import FRAME_PERIOD, Route
 from stereo_slam_env.world.vehicle import Car, RouteDriver
@@ -89,7 +88,7 @@ class Fleet(NamedTuple):
     """Landmarks that are tracked, and those that have been, (B, L)."""
     landmarks: FloatArray
     """In W, (B, L, 3)."""
-    counts: IntArray
+    sizes: IntArray
     """Landmarks of a scene, and nodes of the tree of its solids, (B, 2)."""
     solids: FloatArray
     bounds: NDArray[np.float32]
@@ -110,7 +109,8 @@ class Outcome(NamedTuple):
     """(B, N), -1 in padding."""
     uvd: FloatArray
     v_right: FloatArray
-    count: IntArray
+    seen: IntArray
+    """Number of landmarks, (B,)."""
     odometry: FloatArray
     """(B, 6)."""
     terms: FloatArray
@@ -122,7 +122,7 @@ class Outcome(NamedTuple):
 
 def rules_of(options: StereoOptions, route: Route, camera: StereoCamera, arena: float) -> Rules:
     """What environments with these options do."""
-    car, tracking, noise = Car(), options.tracking, NOISE_MODELS[options.noise](options.sigma)
+    car, tracking = Car(), options.tracking
     driver = RouteDriver(route, options.perturbation, np.random.default_rng(0))
     head = options.head(camera.baseline) if isinstance(options, HeadOptions) else None
     return Rules(
@@ -176,7 +176,7 @@ def empty_fleet(count: int, landmarks: int, solids: int, normals: int, exponenti
         tracked=np.zeros((count, landmarks), dtype=np.bool_),
         lost=np.zeros((count, landmarks), dtype=np.bool_),
         landmarks=np.zeros((count, landmarks, 3)),
-        counts=np.zeros((count, 2), dtype=np.int64),
+        sizes=np.zeros((count, 2), dtype=np.int64),
         solids=np.zeros((count, solids, 9)),
         bounds=np.zeros((count, solids, 6, 8), dtype=np.float32),
         links=np.zeros((count, solids, 8), dtype=np.int64),
@@ -192,7 +192,7 @@ def empty_outcome(count: int, most: int) -> Outcome:
         ids=np.full((count, most), -1),
         uvd=np.zeros((count, most, 3)),
         v_right=np.zeros((count, most)),
-        count=np.zeros(count, dtype=np.int64),
+        seen=np.zeros(count, dtype=np.int64),
         odometry=np.zeros((count, 6)),
         terms=np.zeros((count, len(WEIGHTS))),
         collision=np.zeros(count, dtype=np.bool_),

@@ -1,8 +1,8 @@
-"""`gym.make_vec("StereoSlam/...")`: many environments with the landmark sensor in arrays, stepped by compiled kernels."""
+"""`gym.make_vec("StereoSlam/...")`: many environments with the landmark sensor, stepped by compiled kernels."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, ClassVar
 
@@ -13,6 +13,7 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from filters.known_names import require_known
 from filters.start import Start
 from filters.validation import BoolArray, FloatArray, IntArray, whole_number
 from stereo_slam_env.envs.drive import StereoDriveEnv
@@ -20,7 +21,9 @@ from stereo_slam_env.envs.drive_gaze import StereoDriveGazeEnv
 from stereo_slam_env.envs.gaze import StereoGazeEnv
 from stereo_slam_env.envs.options import StereoOptions
 from stereo_slam_env.envs.stereo_env import ARENA, MAX_VELOCITY, START_SIGMAS, StereoEnv, route_ahead
+from stereo_slam_env.policies.interface import directions, require_head
 from stereo_slam_env.sensing.pixel_noise import NOISE_MODELS
+from stereo_slam_env.vector.belief import LockstepBelief, PoseInformation
 from stereo_slam_env.vector.frame import FIRST, STEP, WAIT, run_frame
 from stereo_slam_env.vector.scenes import SceneArrays, put_scene, scene_arrays, with_room
 from stereo_slam_env.vector.state import NO_NOISE, WEIGHTS, Outcome, empty_fleet, empty_outcome, rules_of
@@ -59,6 +62,18 @@ class StereoVectorEnv(gym.vector.VectorEnv[Arrays, NDArray[np.float32], NDArray[
         has a scene of its own, as in a single environment.
     threads : int
         Threads over which the environments are spread; results do not depend on it.
+    belief : mapping, optional
+        A filter in the loop of each environment: arguments of `wrappers.BeliefObservation`, which adds the same keys.
+        With `hold` a step has so many frames.
+    panorama : mapping, optional
+        Arguments of `wrappers.BeliefPanorama`.
+    information : mapping, optional
+        The reward is information about the pose: `criterion`, `resolution`, `prior_sigma`, `weight` and `keep_reward`
+        of `wrappers.InformationGain`.
+    keys : sequence of str, optional
+        The keys of the observation; None: all.
+    pans : int, optional
+        The action is the number of one of so many directions to look in, see `training.task.DirectionOfGaze`.
     **options
         Of the single environment; `sensor` must be "landmarks", without images, traffic and `render_mode`.
 
@@ -79,10 +94,17 @@ class StereoVectorEnv(gym.vector.VectorEnv[Arrays, NDArray[np.float32], NDArray[
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         scenes: int | None = None,
         threads: int = 1,
+        belief: Mapping[str, Any] | None = None,
+        panorama: Mapping[str, Any] | None = None,
+        information: Mapping[str, Any] | None = None,
+        keys: Sequence[str] | None = None,
+        pans: int | None = None,
         **options: Any,
     ) -> None:
         self.num_envs = whole_number("num_envs", num_envs, 1)
-        self.max_episode_steps = None if max_episode_steps is None else whole_number("max_episode_steps", max_episode_steps, 1)
+        self.max_episode_steps = max_episode_steps
+        if max_episode_steps is not None:
+            whole_number("max_episode_steps", max_episode_steps, 1)
         self._pool_size = None if scenes is None else whole_number("scenes", scenes, 1)
         self.threads = min(whole_number("threads", threads, 1), num_envs)
         self.autoreset_mode = AutoresetMode(autoreset_mode)
@@ -91,7 +113,13 @@ class StereoVectorEnv(gym.vector.VectorEnv[Arrays, NDArray[np.float32], NDArray[
         """An environment of the same kind, never reset: camera, route, head, noise, options."""
         self.options: StereoOptions = self.single.options
         _check(self.options)
-        self._set_spaces(self.single.observation_space, self.single.action_space)
+        self._belief = None if belief is None else LockstepBelief(self.single, num_envs, belief, panorama, self.threads)
+        if belief is None and (panorama is not None or information is not None):
+            raise ValueError("panorama and information need a filter in the loop: give belief={}")
+        self._information = None if information is None else PoseInformation(information)
+        self._hold = 1 if self._belief is None else self._belief.hold
+        self._directions = None if pans is None else self._actions_of(directions(whole_number("pans", pans, 2)))
+        self._set_spaces(keys)
 
         self._rules = rules_of(self.options, self.single.route, self.single.camera, ARENA)
         most = self._rules.most
@@ -108,10 +136,17 @@ class StereoVectorEnv(gym.vector.VectorEnv[Arrays, NDArray[np.float32], NDArray[
         self._over = np.ones(num_envs, dtype=np.bool_)
         self._everybody = np.ones(num_envs, dtype=np.bool_)
 
-    def _set_spaces(self, observation: gym.Space[Any], action: gym.Space[Any]) -> None:
-        self.single_observation_space, self.single_action_space = observation, action
-        self.observation_space = batch_space(observation, self.num_envs)
-        self.action_space = batch_space(action, self.num_envs)
+    def _set_spaces(self, keys: Sequence[str] | None) -> None:
+        whole: Any = self.single.observation_space if self._belief is None else self._belief.observation_space
+        if keys is not None:
+            require_known("the observation has no key", keys, whole.spaces)
+        self._keys = list(whole.spaces) if keys is None else list(keys)
+        self.single_observation_space = gym.spaces.Dict({key: whole[key] for key in self._keys})
+        self.single_action_space: gym.Space[Any] = self.single.action_space
+        if self._directions is not None:
+            self.single_action_space = gym.spaces.Discrete(len(self._directions))
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
@@ -133,9 +168,11 @@ class StereoVectorEnv(gym.vector.VectorEnv[Arrays, NDArray[np.float32], NDArray[
         over = self._over.copy()
         if over.any():
             if self.autoreset_mode != AutoresetMode.NEXT_STEP:
-                raise RuntimeError(f"the episodes of environments {np.flatnonzero(over)[:5].tolist()} are over: reset them")
+                raise RuntimeError(
+                    f"the episodes of environments {np.flatnonzero(over)[:5].tolist()} are over: reset them"
+                )
             self._begin(over)
-        rewards = self._advance(command, np.where(over, WAIT, STEP))
+        rewards = self._advance(command, ~over)
         terminated = np.where(over, False, self._out.failed | self._out.success)
         truncated = self._late() & ~over
         self._over = terminated | truncated
@@ -174,17 +211,18 @@ class StereoVectorEnv(gym.vector.VectorEnv[Arrays, NDArray[np.float32], NDArray[
             self._streams.begin(self._fleet, b, [motion, odometry, noise, choice])
             starts[b] = start
         self._run(np.where(chosen, FIRST, WAIT), np.zeros((self.num_envs, *self.single_action_shape)))
-        for b, start in starts.items():
-            self._started(b, self._start(b, start))
         self._over[chosen] = False
+        if self._belief is not None:
+            for b, start in starts.items():
+                self._belief.begin(b, self._start(b, start))
+            self._belief.use_frame(np.where(chosen, FIRST, WAIT), self._out)
+            if self._information is not None:
+                self._information.use(self._belief.filters.pose_covariances, chosen)
 
     @property
     def single_action_shape(self) -> tuple[int, ...]:
         """Shape of the action of a frame."""
         return self.single.action_space.shape or ()
-
-    def _started(self, b: int, start: Start) -> None:
-        """For what else begins with an episode."""
 
     def _scene(self, rng: np.random.Generator) -> SceneArrays:
         if self._pool_size is None:
@@ -199,10 +237,16 @@ class StereoVectorEnv(gym.vector.VectorEnv[Arrays, NDArray[np.float32], NDArray[
         velocity = self._fleet.velocity[b] + START_SIGMAS[6:] * rng.standard_normal(6)
         return Start(linear_velocity=velocity[:3], angular_velocity=velocity[3:], covariance=np.diag(START_SIGMAS**2))
 
-    def _advance(self, command: FloatArray, doing: IntArray) -> FloatArray:
-        """A step; the rewards."""
-        self._run(doing, command)
-        rewards: FloatArray = np.where(doing == STEP, self._out.terms @ self._rules.weights, 0.0)
+    def _advance(self, command: FloatArray, going: BoolArray) -> FloatArray:
+        """A step of those that go on; the rewards."""
+        rewards, still = np.zeros(self.num_envs), going.copy()
+        for _ in range(self._hold):
+            self._run(np.where(still, STEP, WAIT), command)
+            rewards[still] += (self._out.terms @ self._rules.weights)[still]
+            still &= ~(self._out.failed | self._out.success | self._late())
+        if self._belief is not None and self._information is not None:
+            gained = self._information.use(self._belief.filters.pose_covariances, ~going)
+            rewards = rewards + gained if self._information.keeps_reward else gained
         return rewards
 
     def _run(self, doing: IntArray, command: FloatArray) -> None:
@@ -223,10 +267,12 @@ class StereoVectorEnv(gym.vector.VectorEnv[Arrays, NDArray[np.float32], NDArray[
         if self._rules.noise == NO_NOISE:
             for b in np.flatnonzero(doing != WAIT).tolist():
                 self._corrupt(b)
+        if self._belief is not None and not (doing == FIRST).any():
+            self._belief.use_frame(doing, self._out)
 
     def _corrupt(self, b: int) -> None:
         """Noise of a model without a kernel."""
-        count, generator = int(self._out.count[b]), self._noise_generators[b]
+        count, generator = int(self._out.seen[b]), self._noise_generators[b]
         assert generator is not None
         uvd, v_right = self._noise.corrupt(self._out.uvd[b, :count], generator)
         self._out.uvd[b, :count] = uvd
@@ -243,7 +289,7 @@ class StereoVectorEnv(gym.vector.VectorEnv[Arrays, NDArray[np.float32], NDArray[
     def _observation(self) -> Arrays:
         """The observation of every environment."""
         out, fleet, rows = self._out, self._fleet, self._rules.most
-        there = np.arange(rows) < out.count[:, None]
+        there = np.arange(rows) < out.seen[:, None]
         seen: Arrays = {
             "uvd": np.where(there[..., None], out.uvd, 0.0).astype(np.float32),
             "mask": there.astype(np.int8),
@@ -257,13 +303,15 @@ class StereoVectorEnv(gym.vector.VectorEnv[Arrays, NDArray[np.float32], NDArray[
             seen["route"] = route_ahead(self.single.route, fleet.nearest, fleet.body[:, :3], fleet.body[:, 3:])
         if self._rules.has_head:
             seen["head"] = fleet.angles.astype(np.float32)
-        return {key: seen[key] for key in self.single.observation_space}
+        if self._belief is not None:
+            seen |= self._belief.read(fleet.angles, self._keys)
+        return {key: seen[key] for key in self._keys}
 
     def _info(self) -> Arrays:
         """What the single environment says in `info`, one row each; `_key` says whose rows are valid, which all are."""
         out, fleet = self._out, self._fleet
         measured = self.options.noise != "uvd"
-        there = np.arange(self._rules.most) < out.count[:, None]
+        there = np.arange(self._rules.most) < out.seen[:, None]
         info: Arrays = {
             "truth_position": fleet.pose[:, :3].copy(),
             "truth_orientation": fleet.pose[:, 3:].copy(),
@@ -281,6 +329,10 @@ class StereoVectorEnv(gym.vector.VectorEnv[Arrays, NDArray[np.float32], NDArray[
         for k, name in enumerate(WEIGHTS):
             if hasattr(self.options, f"{name}_weight"):
                 info[f"reward_{name}"] = self._rules.weights[k] * out.terms[:, k]
+        if self._belief is not None:
+            info |= self._belief.info()
+        if self._information is not None:
+            info |= self._information.info()
         return {**info, **{f"_{key}": self._everybody for key in info}}
 
     @property
@@ -315,10 +367,21 @@ class StereoVectorEnv(gym.vector.VectorEnv[Arrays, NDArray[np.float32], NDArray[
             raise ValueError(f"seed must be one number or {self.num_envs}, got {len(each)}")
         return [each[b] for b in np.flatnonzero(chosen).tolist()]
 
+    def _actions_of(self, looks: FloatArray) -> FloatArray:
+        """Actions that look somewhere (pan and tilt as shares of the largest) and do nothing else."""
+        require_head(self.single)
+        return np.concatenate([np.zeros((len(looks), self.single_action_shape[0] - 2)), looks], axis=1)
+
     def _command(self, actions: Any) -> FloatArray:
         """The actions (B, ...) as the kernels take them."""
         if self._generators[0] is None:
             raise RuntimeError("reset the environments before the first step")
+        if self._directions is not None:
+            if not self.action_space.contains(np.asarray(actions)):
+                raise ValueError(
+                    f"actions must be {self.num_envs} numbers from 0 to {len(self._directions) - 1}, got {actions!r}"
+                )
+            return self._directions[np.asarray(actions)]
         command = np.asarray(actions, dtype=np.float64)
         wanted = (self.num_envs, *self.single_action_shape)
         if command.shape != wanted or not np.isfinite(command).all():

@@ -1,8 +1,8 @@
 """Compiled collisions: whether a box at any pose touches the solids of a scene, by GJK.
 
 Two convex shapes touch where their Minkowski difference contains the origin. The algorithm of Gilbert, Johnson and
-Keerthi (IEEE J. Robotics and Automation 4(2), 1988) walks towards it by simplices of its farthest points in a direction;
-here in the form that only says yes or no. Everything is in the scene frame S, metres.
+Keerthi (IEEE J. Robotics and Automation 4(2), 1988) walks towards it by simplices of its farthest points; here in the
+form that only says yes or no. Everything is in the scene frame S, metres.
 """
 
 from __future__ import annotations

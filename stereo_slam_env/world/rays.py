@@ -38,8 +38,8 @@ class Obstacles(NamedTuple):
     """Solids of a scene and the tree of bounding boxes over them."""
 
     solids: FloatArray
-    """(N, 9): centre; of boxes half extents, cos and sin of the yaw; of cylinders the unit axis, radius, half length; of
-    balls the radius in column 6; and the kind."""
+    """(N, 9): centre; of boxes half extents, cos and sin of the yaw; of cylinders the unit axis, radius, half length;
+    of balls the radius in column 6; and the kind."""
     bounds: NDArray[np.float32]
     """Low corners (x, y, z), then high ones, of the up to eight branches of each node; (M, 6, 8)."""
     links: IntArray
@@ -228,8 +228,10 @@ def _enter(
     iy: float,
     iz: float,
 ) -> None:
-    """For the eight branches of a node (6, 8) how long a ray is inside; negative where it misses. One vector operation
-    each, which is why there are eight."""
+    """For the eight branches of a node (6, 8) how long a ray is inside; negative where it misses.
+
+    Eight at once are one vector of numbers of the processor.
+    """
     for k in range(8):
         ax, bx = (bounds[0, k] - x) * ix, (bounds[3, k] - x) * ix
         ay, by = (bounds[1, k] - y) * iy, (bounds[4, k] - y) * iy
@@ -240,7 +242,7 @@ def _enter(
 
 
 @njit(**KERNEL)
-def _inverse(x: float) -> float:
+def _inverse(x: float) -> np.float32:
     return np.float32(1.0 / x) if abs(x) > 1e-12 else np.float32(1e12)
 
 
@@ -324,7 +326,5 @@ def _visible(
     for i in range(len(points)):
         for c in cameras:
             p = points[i]
-            seen[i] = seen[i] and is_seen(
-                solids, bounds, links, len(bounds), room, c[0], c[1], c[2], p[0], p[1], p[2]
-            )
+            seen[i] = seen[i] and is_seen(solids, bounds, links, len(bounds), room, c[0], c[1], c[2], p[0], p[1], p[2])
     return seen

@@ -221,7 +221,7 @@ class BeliefObservation(RecordedWrapper):
         total, left, over = 0.0, self._hold, False
         while left > 0 and not over:
             observation, reward, terminated, truncated, info = self.env.step(action)
-            total += reward
+            total += float(reward)
             left, over = left - 1, terminated or truncated
             self._number += 1
             self._use_frame(None, last=over or left == 0)

@@ -21,7 +21,7 @@ _LOW, _HIGH = -1.0, 2.0
 _GAIN_SCALE = 0.1
 _NEAR = 10.0
 """m: a landmark at this distance has nearness 1/2."""
-_FORGOTTEN = 5.0
+FORGOTTEN = 5.0
 """s: the time constant of `unseen`."""
 _LARGEST_SIGMA = 1e3
 """Bound of `belief_sigmas`, m and rad."""
@@ -68,11 +68,11 @@ class BeliefPanorama(RecordedWrapper, gym.ObservationWrapper[Any, Any, Any]):
 
     def __init__(self, env: gym.Env[Any, Any], sectors: int = 12, reach: float | None = None) -> None:
         super().__init__(env)
-        self._sectors = whole_number("sectors", sectors, 3)
+        self.sectors = whole_number("sectors", sectors, 3)
         self.inner("slam")
         inner = dict_space(env, "BeliefPanorama")
         self._camera = self.inner("camera")
-        self._reach = self.inner("options").tracking.farthest if reach is None else positive("reach", reach)
+        self.reach = self.inner("options").tracking.farthest if reach is None else positive("reach", reach)
         self._noise = self.inner("noise")
         self._last_seen: FloatArray = np.full(sectors, -np.inf)
         self._most = inner["uvd"].shape[0] if "uvd" in inner.spaces else 1  # type: ignore[index]
@@ -86,19 +86,19 @@ class BeliefPanorama(RecordedWrapper, gym.ObservationWrapper[Any, Any, Any]):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Any], dict[str, Any]]:
         """Reset the environment; no sector has been in view yet."""
-        self._last_seen = np.full(self._sectors, -np.inf)
+        self._last_seen = np.full(self.sectors, -np.inf)
         return super().reset(seed=seed, options=options)
 
     def observation(self, observation: dict[str, Any]) -> dict[str, Any]:
         """The observation with `panorama` and `belief_sigmas`."""
         belief = self.inner("belief")
         pan, tilt = (float(angle) for angle in observation.get("head", (0.0, 0.0)))
-        seen = np.empty((self._sectors, len(FEATURES)))
-        seen[:, :4] = around(belief, self._camera, self._noise, pan, tilt, self._sectors, self._most, self._reach)
-        seen[:, 4] = share_in_view(self._camera, pan, self._sectors)
+        seen = np.empty((self.sectors, len(FEATURES)))
+        seen[:, :4] = around(belief, self._camera, self._noise, pan, tilt, self.sectors, self._most, self.reach)
+        seen[:, 4] = share_in_view(self._camera, pan, self.sectors)
         now = self.inner("frame").timestamp
         self._last_seen[seen[:, 4] >= 0.5] = now
-        seen[:, 5] = 1.0 - np.exp((self._last_seen - now) / _FORGOTTEN)
+        seen[:, 5] = 1.0 - np.exp((self._last_seen - now) / FORGOTTEN)
         sigmas = np.sqrt(belief.pose.covariance.diagonal()).clip(0.0, _LARGEST_SIGMA)
         return {
             **observation,
@@ -158,8 +158,11 @@ def _gains(
     return gains
 
 
-def share_in_view(camera: StereoCamera, pan: float, sectors: int) -> FloatArray:
-    """Share of each sector between the azimuths of the left and right border of the left image; (sectors,)."""
+def share_in_view(camera: StereoCamera, pan: float | FloatArray, sectors: int) -> FloatArray:
+    """Share of each sector between the azimuths of the left and right border of the left image; (sectors,).
+
+    `pan` of many heads is (B, 1), and the result then (B, sectors).
+    """
     left, right = math.atan2(-camera.cx, camera.fx), math.atan2(camera.width - 1 - camera.cx, camera.fx)
     width = 2.0 * math.pi / sectors
     centres = -math.pi + width * (np.arange(sectors) + 0.5)

@@ -106,6 +106,18 @@ class InformationCriterion:
         fused = each * unknown / (each + unknown)
         return float(self._variances(own).sum() + (self._variances(fused) - unknown).sum())
 
+    def pose_potentials(self, covariances: FloatArray) -> FloatArray:
+        """The potentials of many poses at once, `of` "pose": from their covariances (B, 6, 6); (B,)."""
+        P = covariances + np.diag(np.repeat(self.resolution, 3) ** 2)
+        if self.name in ("log-det", "entropy"):
+            sign, value = np.linalg.slogdet(P)
+            if not (sign > 0).all():
+                raise ArithmeticError("a covariance is not positive definite: the filter has broken down")
+            return np.asarray((0.5 if self.name == "entropy" else 1.0) * value)
+        unknown = self.prior_sigma**2
+        position, rotation = P[:, POSITION, POSITION], unknown * P[:, ROTATION, ROTATION]
+        return np.asarray(self._variances(_eigenvalues(position)) + self._variances(_eigenvalues(rotation)))
+
     def _without_unknown(self, joint: FloatArray) -> FloatArray:
         """The joint covariance without the landmarks that stand at the prior: not finite, or `FARTHEST` uncertain."""
         blocks = _landmark_blocks(joint)

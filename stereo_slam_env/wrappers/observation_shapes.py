@@ -63,7 +63,8 @@ class FlattenUVD(RecordedWrapper, gym.ObservationWrapper[Any, Any, Any]):
         size = 0
         for key, space in dict_space(env, "FlattenUVD").spaces.items():
             if key in ROWS:
-                low, high = -np.ones(space.shape), np.ones(space.shape)
+                high: FloatArray = np.ones(space.shape or ())
+                low: FloatArray = -high
             elif isinstance(space, spaces.Box) and np.issubdtype(space.dtype, np.floating):
                 low, high = space.low.astype(np.float64), space.high.astype(np.float64)
             else:
@@ -119,7 +120,7 @@ class SelectedKeys(RecordedWrapper, gym.ObservationWrapper[Any, Any, Any]):
 
     def observation(self, observation: Mapping[str, Any]) -> dict[str, Any]:
         """The observation with these keys alone."""
-        return {key: observation[key] for key in self._arguments["keys"]}
+        return {key: observation[key] for key in self.arguments["keys"]}
 
 
 class SequenceObservation(RecordedWrapper, gym.ObservationWrapper[Any, Any, Any]):

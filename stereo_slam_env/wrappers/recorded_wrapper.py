@@ -15,7 +15,8 @@ class RecordedWrapper(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
     Arguments of subclasses beside `env` are JSON-able.
     """
 
-    _arguments: dict[str, Any]
+    arguments: dict[str, Any]
+    """All arguments beside `env`, defaults included."""
 
     def __new__(cls, env: gym.Env[Any, Any], *args: Any, **arguments: Any) -> RecordedWrapper:
         """Keep the arguments of the subclass, defaults included."""
@@ -23,15 +24,15 @@ class RecordedWrapper(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         bound = signature(cls).bind(env, *args, **arguments)
         bound.apply_defaults()
         given = list(bound.arguments.items())[1:]
-        made._arguments = {name: list(value) if isinstance(value, tuple) else value for name, value in given}
+        made.arguments = {name: list(value) if isinstance(value, tuple) else value for name, value in given}
         return made
 
     def __init__(self, env: gym.Env[Any, Any]) -> None:
-        RecordConstructorArgs.__init__(self, **self._arguments)
+        RecordConstructorArgs.__init__(self, **self.arguments)
         gym.Wrapper.__init__(self, env)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _made_again, (type(self), self.env, self._arguments)
+        return _made_again, (type(self), self.env, self.arguments)
 
     def inner(self, name: str) -> Any:
         """Attribute `name` of the environment or of a wrapper inside; a `ValueError` says what would offer it."""
