@@ -19,7 +19,8 @@ def train(
     minutes: Annotated[
         float | None, typer.Option("--minutes", help="Stop after this time; the same command goes on.")
     ] = None,
-    environments: Annotated[int, typer.Option("--environments", help="Processes, one environment each.", min=1)] = 8,
+    environments: Annotated[int, typer.Option("--environments", help="How many run in lock-step.", min=1)] = 16,
+    threads: Annotated[int, typer.Option("--threads", help="Over which they are spread.", min=1)] = 2,
     environment: Annotated[str, typer.Option("--environment", help="Id of one with a head.")] = "StereoSlam/Gaze-v0",
     arguments: Annotated[str, typer.Option("--arguments", help="Of the environment, as JSON.")] = "{}",
     filter_name: Annotated[str, typer.Option("--filter", help="The filter in the loop.")] = "shared-anchor",
@@ -33,7 +34,7 @@ def train(
     from stereo_slam_env.training.task import GazeTask, evaluate
 
     task = GazeTask(environment, _arguments(arguments), filter_name)
-    settings = PPOSettings(decisions=decisions, seed=seed, environments=environments)
+    settings = PPOSettings(decisions=decisions, seed=seed, environments=environments, threads=threads)
     directory = out or new_directory("train")
     try:
         with progress_bar(console(stderr=True), "decisions") as progress:

@@ -43,19 +43,24 @@ class Network:
 
     def action(self, observation: Mapping[str, Any]) -> Action:
         """The best action, clipped to -1..1; a ValueError for an observation of another size."""
-        x = np.concatenate([np.asarray(observation[key], dtype=np.float64).ravel() for key in self.keys])
-        if x.shape != self.mean.shape:
+        return np.asarray(self.actions({key: np.asarray(observation[key])[None] for key in self.keys})[0])
+
+    def actions(self, observations: Mapping[str, Any]) -> Action:
+        """The best actions for many observations, one a row: (B, n); raises as `action`."""
+        parts = [np.asarray(observations[key], dtype=np.float64) for key in self.keys]
+        x = np.concatenate([part.reshape(len(part), -1) for part in parts], axis=1)
+        if x.shape[1] != len(self.mean):
             raise ValueError(
-                f"the network sees {len(self.mean)} numbers, and the observation has {len(x)} "
+                f"the network sees {len(self.mean)} numbers, and the observation has {x.shape[1]} "
                 f"({', '.join(self.keys)}): train one for this environment with stereo-slam train"
             )
         x = ((x - self.mean) / self.scale).clip(-self.clip, self.clip)
         last = len(self.weights) - 1
         for number, (W, b) in enumerate(zip(self.weights, self.biases, strict=True)):
-            x = W @ x + b
+            x = x @ W.T + b
             if number < last:
                 x = np.tanh(x)
-        best = x if self.choices is None else self.choices[int(np.argmax(x))]
+        best = x if self.choices is None else self.choices[np.argmax(x, axis=1)]
         return best.clip(-1.0, 1.0).astype(np.float32)
 
     def save(self, path: Path) -> None:

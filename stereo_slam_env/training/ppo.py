@@ -13,8 +13,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from joblib import cpu_count
-
 from filters.extras import require_module
 from filters.validation import FloatArray, positive, probability, whole_number
 from stereo_slam_env.files.folders import claimed_folder, write_atomically
@@ -45,7 +43,9 @@ class PPOSettings:
     seed : int
         Of the network, of chance in its actions, and of the episodes.
     environments : int
-        How many run at once, each in a process of its own; one runs in this process.
+        How many run at once, in lock-step.
+    threads : int
+        Over which the environments are spread; the result does not depend on it.
     layers : tuple of int
         Neurons of the hidden layers, of policy and value alike.
     rollout : int
@@ -69,7 +69,8 @@ class PPOSettings:
 
     decisions: int = 40_000
     seed: int = 0
-    environments: int = 8
+    environments: int = 16
+    threads: int = 2
     layers: tuple[int, ...] = (64, 64)
     rollout: int = 1000
     minibatch: int = 250
@@ -84,7 +85,7 @@ class PPOSettings:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "layers", tuple(self.layers))
-        for name in ("decisions", "environments", "rollout", "minibatch", "epochs", "evaluate_every"):
+        for name in ("decisions", "environments", "threads", "rollout", "minibatch", "epochs", "evaluate_every"):
             whole_number(name, getattr(self, name), 1)
         whole_number("seed", self.seed, 0)
         for width in self.layers:
@@ -176,7 +177,6 @@ def train(
     require_module("stable_baselines3", "rl")
     import torch
 
-    task.make_for_learning().close()  # a wrong argument is known here, not in a process of its own
     _claim(out, task, settings)
     torch.set_num_threads(1)
     curve = LearningCurve(out / "learning_curve.csv")
@@ -188,7 +188,7 @@ def train(
             """Evaluate the network, keep it if it is the best so far, and save the state of the training."""
             about = {"task": asdict(task), "settings": asdict(settings), "decisions": model.num_timesteps}
             network = network_of(model, scaling, about, task.choices)
-            results = evaluate(network, task, VALIDATION_SEEDS, processes=min(settings.environments, cpu_count()))
+            results = evaluate(network, task, VALIDATION_SEEDS, threads=settings.threads)
             returns = [episode["r"] for episode in model.ep_info_buffer or ()] or [np.nan]
             if curve.add(model.num_timesteps, time.monotonic() - began, float(np.mean(returns)), results):
                 network.save(out / "policy.npz")
@@ -210,14 +210,14 @@ def train(
 
 
 def _claim(out: Path, task: GazeTask, settings: PPOSettings) -> None:
-    """Write task and settings, or check that those of the run in `out` are the same except for its length."""
+    """Write task and settings, or check that those of the run in `out` are the same except for its length and threads."""
     about = json.loads(json.dumps({"task": asdict(task), "settings": asdict(settings)}))
     file = out / "run.json"
     if file.exists():
         there = json.loads(file.read_text(encoding="utf-8"))
         for part in ("task", "settings"):
             for key, value in about[part].items():
-                if key != "decisions" and there.get(part, {}).get(key) != value:
+                if key not in ("decisions", "threads") and there.get(part, {}).get(key) != value:
                     raise ValueError(
                         f"{out} holds a run with {key} = {there.get(part, {}).get(key)!r}, not {value!r}: "
                         "give another directory"
@@ -229,11 +229,12 @@ def _claim(out: Path, task: GazeTask, settings: PPOSettings) -> None:
 @contextmanager
 def _learner(task: GazeTask, settings: PPOSettings, out: Path) -> Iterator[tuple[PPO, VecNormalize]]:
     from stable_baselines3 import PPO
-    from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecMonitor, VecNormalize
+    from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 
-    alone = settings.environments == 1
-    vector = (DummyVecEnv if alone else SubprocVecEnv)([task.make_for_learning] * settings.environments)
-    scaling = VecNormalize(VecMonitor(vector), clip_obs=_OBSERVATION_CLIP, gamma=settings.discount)
+    from stereo_slam_env.vector.sb3 import SB3VecEnv
+
+    vector = task.make_vector(settings.environments, autoreset_mode="SameStep", threads=settings.threads)
+    scaling = VecNormalize(VecMonitor(SB3VecEnv(vector)), clip_obs=_OBSERVATION_CLIP, gamma=settings.discount)
     try:
         scaling.seed(settings.seed)
         model = PPO(

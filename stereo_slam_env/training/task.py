@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
-from joblib import Parallel, delayed
-from threadpoolctl import threadpool_limits
 
 from filters.known_names import one_of
 from filters.validation import FloatArray, positive, whole_number
@@ -19,6 +17,9 @@ from stereo_slam_env.policies.network import Network
 from stereo_slam_env.wrappers import BeliefObservation, BeliefPanorama, InformationGain, SelectedKeys
 from stereo_slam_env.wrappers.information import Criterion
 from stereo_slam_env.wrappers.recorded_wrapper import RecordedWrapper
+
+if TYPE_CHECKING:
+    from stereo_slam_env.vector.stereo_vector_env import StereoVectorEnv
 
 GAZE_FILTER: Mapping[str, Any] = {"drop_unseen": False, "motion": "velocity-driven", "iterations": 2}
 """Options of a filter for a head that turns: it keeps what is out of view, believes the odometry, and linearises twice,
@@ -84,6 +85,23 @@ class GazeTask:
         env = self.make_held()
         return env if self.pans is None else DirectionOfGaze(env, self.pans)
 
+    def make_vector(self, count: int, **arguments: Any) -> StereoVectorEnv:
+        """`count` times `make_for_learning` in lock-step; further arguments are of `StereoVectorEnv`."""
+        from stereo_slam_env.vector import DriveGazeVectorEnv, GazeVectorEnv
+
+        kinds = {"StereoSlam/Gaze-v0": GazeVectorEnv, "StereoSlam/DriveGaze-v0": DriveGazeVectorEnv}
+        one_of("environment", self.environment, kinds)
+        return kinds[self.environment](
+            count,
+            belief={"filter": self.filter, "options": self.filter_options, "hold": self.hold},
+            panorama={},
+            information={"criterion": self.criterion, "resolution": self.resolution},
+            keys=POLICY_KEYS,
+            pans=self.pans,
+            **arguments,
+            **self.arguments,
+        )
+
     @property
     def choices(self) -> FloatArray | None:
         """Pan and tilt to choose from, as shares of the largest; (pans, 2)."""
@@ -139,7 +157,7 @@ def active_gaze(render_mode: str | None = None, **arguments: Any) -> gym.Env[Any
 
 def active_gaze_vector(
     num_envs: int = 1, max_episode_steps: int | None = None, **arguments: Any
-) -> gym.vector.VectorEnv[Any, Any, Any]:
+) -> StereoVectorEnv:
     """Many `StereoSlam/ActiveGaze-v0` in lock-step, see `StereoVectorEnv`.
 
     Parameters
@@ -151,23 +169,10 @@ def active_gaze_vector(
     **arguments
         Of `GazeTask`, and `autoreset_mode`, `scenes` and `threads` of `StereoVectorEnv`.
     """
-    from stereo_slam_env.vector import DriveGazeVectorEnv, GazeVectorEnv
-
     own = {name: arguments.pop(name) for name in ("autoreset_mode", "scenes", "threads") if name in arguments}
     task = GazeTask(**arguments)
-    kinds = {"StereoSlam/Gaze-v0": GazeVectorEnv, "StereoSlam/DriveGaze-v0": DriveGazeVectorEnv}
-    one_of("environment", task.environment, kinds)
-    return kinds[task.environment](
-        num_envs,
-        None if max_episode_steps is None else task.hold * max_episode_steps,
-        belief={"filter": task.filter, "options": task.filter_options, "hold": task.hold},
-        panorama={},
-        information={"criterion": task.criterion, "resolution": task.resolution},
-        keys=POLICY_KEYS,
-        pans=task.pans,
-        **own,
-        **task.arguments,
-    )
+    limit = None if max_episode_steps is None else task.hold * max_episode_steps
+    return task.make_vector(num_envs, max_episode_steps=limit, **own)
 
 
 @dataclass(frozen=True)
@@ -192,27 +197,25 @@ class Evaluation:
     final_position_error_m: float
 
 
-def evaluate(network: Network | None, task: GazeTask, seeds: Sequence[int], *, processes: int = 1) -> Evaluation:
-    """Run an episode for each seed; without a network the head looks straight ahead."""
-    with threadpool_limits(1):
-        rows = Parallel(processes)(delayed(_figures)(network, task, seed) for seed in seeds)
-    return Evaluation(*(float(value) for value in np.mean(rows, axis=0)))
-
-
-def _figures(network: Network | None, task: GazeTask, seed: int) -> list[float]:
-    """The figures of `Evaluation`, of one episode."""
-    env = task.make_held()
+def evaluate(network: Network | None, task: GazeTask, seeds: Sequence[int], *, threads: int = 1) -> Evaluation:
+    """Run an episode for each seed, all in lock-step; without a network the head looks straight ahead."""
+    env = replace(task, pans=None).make_vector(len(seeds), threads=threads)
     try:
-        observation, info = env.reset(seed=seed)
-        slam = env.get_wrapper_attr("slam")
-        errors, over = [], False
-        while not over:
-            action = gaze_action(env, np.zeros(2) if network is None else network.action(observation))
-            observation, _, terminated, truncated, info = env.step(action)
-            errors.append(float(np.linalg.norm(slam.pose.position - info["truth_position"])))
-            over = terminated or truncated
+        observation, info = env.reset(seed=list(seeds))
+        actions = np.zeros(env.action_space.shape or (), dtype=np.float32)
+        going, figures, squares, steps = np.ones(len(seeds), dtype=np.bool_), np.zeros((len(seeds), 4)), 0.0, 0
+        while going.any():
+            if network is not None:
+                actions[:, -2:] = network.actions(observation)
+            observation, _, terminated, truncated, info = env.step(actions)
+            errors = np.linalg.norm(env.filters.poses[:, :3] - info["truth_position"], axis=1)
+            squares, steps = squares + errors**2, steps + 1
+            ended = going & (terminated | truncated)
+            P = env.filters.pose_covariances[ended]
+            sigmas = np.sqrt(np.einsum("bii->b", P[:, :3, :3]))
+            rmse = np.sqrt(squares[ended] / steps) if ended.any() else np.zeros(0)
+            figures[ended] = np.column_stack([sigmas, np.linalg.slogdet(P)[1], rmse, errors[ended]])
+            going &= ~ended
     finally:
         env.close()
-    P = slam.pose.covariance
-    rmse = float(np.sqrt(np.mean(np.square(errors))))
-    return [float(np.sqrt(np.trace(P[:3, :3]))), float(np.linalg.slogdet(P)[1]), rmse, errors[-1]]
+    return Evaluation(*figures.mean(axis=0).tolist())

@@ -20,7 +20,7 @@ from stereo_slam_env.vector.motion import (
 from stereo_slam_env.vector.sensing import observe
 from stereo_slam_env.vector.state import Fleet, Outcome, Rules
 from stereo_slam_env.world.collisions import collides
-from stereo_slam_env.world.rays import KERNEL, OPTIONS, Traversal
+from stereo_slam_env.world.rays import KERNEL, OPTIONS
 
 WAIT, FIRST, STEP = 0, 1, 2
 """What an environment does in a frame: nothing, the first frame of an episode, or a step."""
@@ -47,7 +47,7 @@ def _begin(rules: Rules, fleet: Fleet, b: int) -> None:
 
 
 @njit(**KERNEL)
-def _judge(rules: Rules, fleet: Fleet, out: Outcome, room: Traversal, b: int, before: tuple[float, float]) -> None:
+def _judge(rules: Rules, fleet: Fleet, out: Outcome, waiting: IntArray, b: int, before: tuple[float, float]) -> None:
     """Terms of the reward of a step that began with pan and tilt `before`."""
     body, terms = fleet.body[b], out.terms[b]
     nearest = nearest_frame(rules, body[0], body[2], fleet.nearest[b])
@@ -62,7 +62,7 @@ def _judge(rules: Rules, fleet: Fleet, out: Outcome, room: Traversal, b: int, be
     R_sb = (R[8], -R[6], -R[7], -R[2], R[0], R[1], -R[5], R[3], R[4])
     at = (z, -x, rules.camera_height - y)
     solids, bounds, links, nodes = fleet.solids[b], fleet.bounds[b], fleet.links[b], fleet.sizes[b, 1]
-    collision = collides(solids, bounds, links, nodes, room, R_sb, at, (half[0], half[1], half[2]))
+    collision = collides(solids, bounds, links, nodes, waiting, R_sb, at, (half[0], half[1], half[2]))
     p = rules.positions[nearest]
     away = math.sqrt((p[0] - body[0]) ** 2 + (p[1] - body[1]) ** 2 + (p[2] - body[2]) ** 2) > rules.arena
     failed = collision or away
@@ -81,7 +81,7 @@ def run_frame(
     rules: Rules,
     fleet: Fleet,
     out: Outcome,
-    room: Traversal,
+    waiting: IntArray,
     doing: IntArray,
     actions: FloatArray,
     first: int,
@@ -102,6 +102,6 @@ def run_frame(
         if doing[b] == STEP:
             move(rules, fleet, b, actions[b])
         measure_odometry(rules, fleet, b, q0, q1, q2, q3, out.odometry[b])
-        observe(rules, fleet, out, room, b, uvd, seen, keys)
+        observe(rules, fleet, out, waiting, b, uvd, seen, keys)
         if doing[b] == STEP:
-            _judge(rules, fleet, out, room, b, before)
+            _judge(rules, fleet, out, waiting, b, before)

@@ -10,7 +10,7 @@ from numba import njit
 from filters.validation import FloatArray, IntArray
 from stereo_slam_env.vector.motion import CHOICE, NOISE, back, rotation_of
 from stereo_slam_env.vector.state import Fleet, Outcome, Rules
-from stereo_slam_env.world.rays import KERNEL, Traversal, is_seen
+from stereo_slam_env.world.rays import KERNEL, is_seen
 
 _FEW = 8
 """Up to so many landmarks are found by scanning all candidates for the least key, more by sorting them."""
@@ -37,7 +37,7 @@ def in_view(rules: Rules, landmarks: FloatArray, count: int, pose: FloatArray, u
 
 
 @njit(**KERNEL)
-def is_visible(rules: Rules, fleet: Fleet, room: Traversal, b: int, landmark: int) -> bool:
+def is_visible(rules: Rules, fleet: Fleet, waiting: IntArray, b: int, landmark: int) -> bool:
     """Whether nothing hides a landmark from both cameras; in the scene frame, as the solids are."""
     pose, point = fleet.pose[b], fleet.landmarks[b, landmark]
     R, baseline, height = rotation_of(pose), rules.camera[5], rules.camera_height
@@ -46,7 +46,7 @@ def is_visible(rules: Rules, fleet: Fleet, room: Traversal, b: int, landmark: in
     for side in range(2):
         away = side * baseline
         c0, c1, c2 = pose[0] + away * R[0], pose[1] + away * R[3], pose[2] + away * R[6]
-        if not is_seen(solids, bounds, links, nodes, room, c2, -c0, height - c1, x, y, z):
+        if not is_seen(solids, bounds, links, nodes, waiting, c2, -c0, height - c1, x, y, z):
             return False
     return True
 
@@ -56,7 +56,7 @@ def observe(
     rules: Rules,
     fleet: Fleet,
     out: Outcome,
-    room: Traversal,
+    waiting: IntArray,
     b: int,
     uvd: FloatArray,
     seen: IntArray,
@@ -69,7 +69,7 @@ def observe(
     for i in range(fleet.sizes[b, 0]):
         if here < found and seen[here] == i:
             # Landmarks that were tracked go on if they are visible; keys mark them, and those that may be drawn.
-            if tracked[i] and is_visible(rules, fleet, room, b, i):
+            if tracked[i] and is_visible(rules, fleet, waiting, b, i):
                 keys[here] = -1.0
                 kept += 1
             else:
@@ -87,7 +87,7 @@ def observe(
                 keys[k] = fleet.exponentials[b, used] / uvd[k, 2]
                 used += 1
         fleet.used[b, CHOICE] = used
-        draw(rules, fleet, room, b, seen, keys, found, rules.most - kept)
+        draw(rules, fleet, waiting, b, seen, keys, found, rules.most - kept)
     out.ids[b, :] = -1
     count = 0
     for k in range(found):
@@ -104,14 +104,14 @@ def observe(
 
 @njit(**KERNEL)
 def draw(
-    rules: Rules, fleet: Fleet, room: Traversal, b: int, seen: IntArray, keys: FloatArray, found: int, wanted: int
+    rules: Rules, fleet: Fleet, waiting: IntArray, b: int, seen: IntArray, keys: FloatArray, found: int, wanted: int
 ) -> None:
     """Choose up to `wanted` visible ones of the landmarks with the least keys; the key of a chosen one becomes -1."""
     if wanted > _FEW:
         for k in np.argsort(keys[:found]):
             if wanted == 0 or keys[k] == math.inf:
                 return
-            if keys[k] >= 0.0 and is_visible(rules, fleet, room, b, seen[k]):
+            if keys[k] >= 0.0 and is_visible(rules, fleet, waiting, b, seen[k]):
                 keys[k] = -1.0
                 wanted -= 1
         return
@@ -122,7 +122,7 @@ def draw(
                 best, least = k, keys[k]
         if best < 0:
             return
-        if is_visible(rules, fleet, room, b, seen[best]):
+        if is_visible(rules, fleet, waiting, b, seen[best]):
             keys[best] = -1.0
             wanted -= 1
         else:

@@ -13,6 +13,7 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from filters.batch import FilterBatch
 from filters.known_names import require_known
 from filters.start import Start
 from filters.validation import BoolArray, FloatArray, IntArray, whole_number
@@ -334,6 +335,13 @@ class StereoVectorEnv(gym.vector.VectorEnv[Arrays, NDArray[np.float32], NDArray[
         if self._information is not None:
             info |= self._information.info()
         return {**info, **{f"_{key}": self._everybody for key in info}}
+
+    @property
+    def filters(self) -> FilterBatch:
+        """The filters in the loop."""
+        if self._belief is None:
+            raise RuntimeError("there is no filter in the loop: give belief={}")
+        return self._belief.filters
 
     @property
     def outcome(self) -> Outcome:

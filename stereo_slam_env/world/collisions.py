@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from filters.rotations import Nine, Three
 from filters.validation import FloatArray, IntArray
-from stereo_slam_env.world.rays import BOX, CYLINDER, KERNEL, NOTHING, Traversal
+from stereo_slam_env.world.rays import BOX, CYLINDER, KERNEL, NOTHING
 
 _ROUNDS = 48
 _TOUCH = 1e-9
@@ -136,7 +136,7 @@ def collides(
     bounds: NDArray[np.float32],
     links: IntArray,
     nodes: int,
-    room: Traversal,
+    waiting: IntArray,
     R: Nine,
     at: Three,
     half: Three,
@@ -145,11 +145,11 @@ def collides(
     rx = abs(R[0]) * half[0] + abs(R[1]) * half[1] + abs(R[2]) * half[2]
     ry = abs(R[3]) * half[0] + abs(R[4]) * half[1] + abs(R[5]) * half[2]
     rz = abs(R[6]) * half[0] + abs(R[7]) * half[1] + abs(R[8]) * half[2]
-    room.waiting[0] = 0
+    waiting[0] = 0
     count = min(nodes, 1)
     while count > 0:
         count -= 1
-        node = room.waiting[count]
+        node = waiting[count]
         low = bounds[node]
         for k in range(8):
             link = links[node, k]
@@ -158,7 +158,7 @@ def collides(
             if at[0] - rx > low[3, k] or at[1] - ry > low[4, k] or at[2] - rz > low[5, k]:
                 continue
             if link >= 0:
-                room.waiting[count] = link
+                waiting[count] = link
                 count += 1
             elif touches(solids[-1 - link], R, at, half):
                 return True

@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
+from llvmlite import ir
+from numba import njit, types
+from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from filters.validation import BoolArray, FloatArray, IntArray
@@ -28,6 +30,7 @@ _SKIN_OF_BALLS, _SKIN_OF_CYLINDERS = 5e-4, 2e-4
 """m by which curved shapes are larger: Bullet finds a hit by iteration, of some of what passes within a millimetre."""
 _MARGIN = 2e-3
 """m by which the boxes of the tree are larger: skins, and numbers of single precision."""
+_FAR_AWAY = 1e30
 _COLUMNS = 9
 _DEEPEST = 16
 NOTHING = 2**31
@@ -57,16 +60,9 @@ def visible(obstacles: Obstacles, cameras: FloatArray, points: FloatArray) -> Bo
     return np.asarray(_visible(*obstacles, traversal(), cameras, points), dtype=np.bool_)
 
 
-def traversal() -> Traversal:
+def traversal() -> IntArray:
     """Room for a walk through a tree, which each thread needs for itself."""
-    return Traversal(np.zeros(8, dtype=np.float32), np.zeros(8 * _DEEPEST, dtype=np.int64))
-
-
-class Traversal(NamedTuple):
-    """Room for a walk through a tree."""
-
-    gaps: NDArray[np.float32]
-    waiting: IntArray
+    return np.zeros(8 * _DEEPEST, dtype=np.int64)
 
 
 def _row(solid: Primitive) -> list[float]:
@@ -114,6 +110,8 @@ def tree(solids: FloatArray) -> tuple[NDArray[np.float32], IntArray]:
                 low, high = np.inf, -np.inf
                 for i in order[first:last]:
                     low, high = min(low, own[i, axis]), max(high, own[i, 3 + axis])
+                if last == first:  # no branch: a box that no ray comes to
+                    low, high = _FAR_AWAY, _FAR_AWAY
                 bounds[node, axis, k], bounds[node, 3 + axis, k] = low, high
             if last - first == 1:
                 links[node, k] = -1 - order[first]
@@ -217,28 +215,54 @@ def _hits_cylinder(solid: FloatArray, x: float, y: float, z: float, dx: float, d
     return enters <= leaves
 
 
-@njit(**{**KERNEL, "fastmath": {"nnan", "nsz"}})
-def _enter(
-    bounds: NDArray[np.float32],
-    gaps: NDArray[np.float32],
-    x: float,
-    y: float,
-    z: float,
-    ix: float,
-    iy: float,
-    iz: float,
-) -> None:
-    """For the eight branches of a node (6, 8) how long a ray is inside; negative where it misses.
+@intrinsic
+def _entered(
+    typing_context: Any, bounds: Any, node: Any, x: Any, y: Any, z: Any, ix: Any, iy: Any, iz: Any
+) -> tuple[Any, Any]:
+    """Which of the eight branches of a node a ray enters, as the bits of a number: one vector operation a line."""
+    eight = ir.VectorType(ir.FloatType(), 8)
 
-    Eight at once are one vector of numbers of the processor.
-    """
-    for k in range(8):
-        ax, bx = (bounds[0, k] - x) * ix, (bounds[3, k] - x) * ix
-        ay, by = (bounds[1, k] - y) * iy, (bounds[4, k] - y) * iy
-        az, bz = (bounds[2, k] - z) * iz, (bounds[5, k] - z) * iz
-        enters = max(max(min(ax, bx), min(ay, by)), max(min(az, bz), np.float32(0.0)))
-        leaves = min(min(max(ax, bx), max(ay, by)), min(max(az, bz), np.float32(1.0)))
-        gaps[k] = leaves - enters
+    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        array = context.make_array(signature.args[0])(context, builder, values[0])
+        rows = builder.bitcast(array.data, eight.as_pointer())
+        first = builder.mul(values[1], ir.Constant(values[1].type, 6))
+
+        def side(k: int) -> Any:
+            place = builder.add(first, ir.Constant(values[1].type, k))
+            return builder.load(builder.gep(rows, [place]), align=4)
+
+        def everywhere(value: Any) -> Any:
+            single = builder.insert_element(ir.Constant(eight, ir.Undefined), value, ir.Constant(ir.IntType(32), 0))
+            zeros = ir.Constant(ir.VectorType(ir.IntType(32), 8), [0] * 8)
+            return builder.shuffle_vector(single, ir.Constant(eight, ir.Undefined), zeros)
+
+        def lesser(a: Any, b: Any) -> Any:
+            return builder.select(builder.fcmp_ordered("<", a, b), a, b)
+
+        def greater(a: Any, b: Any) -> Any:
+            return builder.select(builder.fcmp_ordered(">", a, b), a, b)
+
+        enters, leaves = (ir.Constant(eight, [end] * 8) for end in (0.0, 1.0))
+        for k in range(3):
+            at, inverse = everywhere(values[2 + k]), everywhere(values[5 + k])
+            low = builder.fmul(builder.fsub(side(k), at), inverse)
+            high = builder.fmul(builder.fsub(side(3 + k), at), inverse)
+            enters, leaves = greater(enters, lesser(low, high)), lesser(leaves, greater(low, high))
+        hits = builder.fcmp_ordered("<=", enters, leaves)
+        return builder.zext(builder.bitcast(hits, ir.IntType(8)), ir.IntType(64))
+
+    single = types.float32
+    return types.int64(bounds, types.int64, *[single] * 6), generate
+
+
+@intrinsic
+def _lowest(typing_context: Any, bits: Any) -> tuple[Any, Any]:
+    """Number of the lowest bit that is set."""
+
+    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        return builder.cttz(values[0], ir.Constant(ir.IntType(1), 1))
+
+    return types.int64(types.int64), generate
 
 
 @njit(**KERNEL)
@@ -252,7 +276,7 @@ def is_blocked(
     bounds: NDArray[np.float32],
     links: IntArray,
     nodes: int,
-    room: Traversal,
+    waiting: IntArray,
     x: float,
     y: float,
     z: float,
@@ -265,21 +289,18 @@ def is_blocked(
         return True
     ix, iy, iz = _inverse(dx), _inverse(dy), _inverse(dz)
     x4, y4, z4 = np.float32(x), np.float32(y), np.float32(z)
-    gaps, waiting = room.gaps, room.waiting
     waiting[0] = 0
     count = min(nodes, 1)
     while count > 0:
         count -= 1
         node = waiting[count]
-        _enter(bounds[node], gaps, x4, y4, z4, ix, iy, iz)
-        for k in range(8):
-            if gaps[k] < np.float32(0.0):
-                continue
-            link = links[node, k]
+        bits = _entered(bounds, node, x4, y4, z4, ix, iy, iz)
+        while bits != 0:
+            link = links[node, _lowest(bits)]
+            bits &= bits - 1
             if link >= 0:
-                if link != NOTHING:
-                    waiting[count] = link
-                    count += 1
+                waiting[count] = link
+                count += 1
                 continue
             solid = solids[-1 - link]
             if solid[8] == BOX:
@@ -299,7 +320,7 @@ def is_seen(
     bounds: NDArray[np.float32],
     links: IntArray,
     nodes: int,
-    room: Traversal,
+    waiting: IntArray,
     x: float,
     y: float,
     z: float,
@@ -310,7 +331,7 @@ def is_seen(
     """Whether nothing is between a camera (x, y, z) and a point on a surface."""
     dx, dy, dz = to_x - x, to_y - y, to_z - z
     share = 1.0 - SURFACE_GAP / math.sqrt(dx * dx + dy * dy + dz * dz)
-    return not is_blocked(solids, bounds, links, nodes, room, x, y, z, share * dx, share * dy, share * dz)
+    return not is_blocked(solids, bounds, links, nodes, waiting, x, y, z, share * dx, share * dy, share * dz)
 
 
 @njit(**OPTIONS)
@@ -318,7 +339,7 @@ def _visible(
     solids: FloatArray,
     bounds: NDArray[np.float32],
     links: IntArray,
-    room: Traversal,
+    waiting: IntArray,
     cameras: FloatArray,
     points: FloatArray,
 ) -> BoolArray:
@@ -326,5 +347,5 @@ def _visible(
     for i in range(len(points)):
         for c in cameras:
             p = points[i]
-            seen[i] = seen[i] and is_seen(solids, bounds, links, len(bounds), room, c[0], c[1], c[2], p[0], p[1], p[2])
+            seen[i] = seen[i] and is_seen(solids, bounds, links, len(bounds), waiting, c[0], c[1], c[2], p[0], p[1], p[2])
     return seen
