@@ -155,9 +155,7 @@ def active_gaze(render_mode: str | None = None, **arguments: Any) -> gym.Env[Any
     return replace(task, arguments={**task.arguments, "render_mode": render_mode}).make_for_learning()
 
 
-def active_gaze_vector(
-    num_envs: int = 1, max_episode_steps: int | None = None, **arguments: Any
-) -> StereoVectorEnv:
+def active_gaze_vector(num_envs: int = 1, max_episode_steps: int | None = None, **arguments: Any) -> StereoVectorEnv:
     """Many `StereoSlam/ActiveGaze-v0` in lock-step, see `StereoVectorEnv`.
 
     Parameters

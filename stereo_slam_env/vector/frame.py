@@ -34,7 +34,7 @@ def _begin(rules: Rules, fleet: Fleet, b: int) -> None:
     body[6] = 1.0
     fleet.pose[b, :] = body
     fleet.step[b], fleet.nearest[b], fleet.farthest[b], fleet.distance[b] = 0, 0, 0.0, 0.0
-    fleet.tracked[b, :], fleet.lost[b, :] = False, False
+    fleet.lost[b, :] = False
     if rules.steered:
         fleet.car[b, 0], fleet.car[b, 1], fleet.car[b, 2] = rules.speeds[0], 0.0, 0.0
         velocity[2] = rules.speeds[0]
@@ -88,8 +88,8 @@ def run_frame(
     last: int,
 ) -> None:
     """A frame of the environments from `first` to `last` - 1; `doing` (B,) is WAIT, FIRST or STEP."""
-    most = fleet.landmarks.shape[1]
-    uvd, seen, keys = np.empty((most, 3)), np.empty(most, dtype=np.int64), np.empty(most)
+    most = fleet.landmarks.shape[2]
+    inside, fresh, keys = np.empty(most, dtype=np.uint8), np.empty(most, dtype=np.int64), np.empty(most)
     for b in range(first, last):
         if doing[b] == WAIT:
             continue
@@ -97,11 +97,12 @@ def run_frame(
         out.terms[b, :], out.collision[b], out.failed[b], out.success[b] = 0.0, False, False, False
         if doing[b] == FIRST:
             _begin(rules, fleet, b)
+            out.seen[b] = 0
         q0, q1, q2, q3 = pose[3], pose[4], pose[5], pose[6]
         before = (fleet.angles[b, 0], fleet.angles[b, 1])
         if doing[b] == STEP:
             move(rules, fleet, b, actions[b])
         measure_odometry(rules, fleet, b, q0, q1, q2, q3, out.odometry[b])
-        observe(rules, fleet, out, waiting, b, uvd, seen, keys)
+        observe(rules, fleet, out, waiting, b, inside, fresh, keys)
         if doing[b] == STEP:
             _judge(rules, fleet, out, waiting, b, before)

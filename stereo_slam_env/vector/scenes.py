@@ -32,7 +32,7 @@ def scene_arrays(options: StereoOptions, route: Route, rng: np.random.Generator)
 def put_scene(fleet: Fleet, b: int, scene: SceneArrays) -> None:
     """Put a scene where environment `b` has it; there must be room."""
     landmarks, solids = len(scene.landmarks), len(scene.solids.solids)
-    fleet.landmarks[b, :landmarks] = scene.landmarks
+    fleet.landmarks[b, :, :landmarks] = scene.landmarks.T
     fleet.solids[b, :solids] = scene.solids.solids
     nodes = len(scene.solids.bounds)
     fleet.bounds[b, :nodes], fleet.links[b, :nodes] = scene.solids.bounds, scene.solids.links
@@ -42,19 +42,23 @@ def put_scene(fleet: Fleet, b: int, scene: SceneArrays) -> None:
 def with_room(fleet: Fleet, scene: SceneArrays) -> Fleet:
     """The same state with room for a scene; itself where there is room."""
     landmarks, solids = len(scene.landmarks), len(scene.solids.solids)
-    if landmarks <= fleet.landmarks.shape[1] and solids <= fleet.solids.shape[1]:
+    if landmarks <= fleet.landmarks.shape[2] and solids <= fleet.solids.shape[1]:
         return fleet
-    landmarks = max(landmarks + landmarks // 4, fleet.landmarks.shape[1])
+    landmarks = max(landmarks + landmarks // 4, fleet.landmarks.shape[2])
     solids = max(solids + solids // 4, fleet.solids.shape[1])
-    sizes = {
-        **dict.fromkeys(("landmarks", "tracked", "lost"), landmarks),
-        **dict.fromkeys(("solids", "bounds", "links"), solids),
-        "exponentials": max(4096, 4 * landmarks),
+    shapes = {
+        "lost": (landmarks,),
+        "landmarks": (3, landmarks),
+        "solids": (solids,),
+        "bounds": (solids,),
+        "links": (solids,),
+        "exponentials": (max(4096, 4 * landmarks),),
     }
 
-    def grown(name: str, old: Any) -> Any:
-        new = np.zeros((len(old), sizes[name], *old.shape[2:]), dtype=old.dtype)
-        new[:, : old.shape[1]] = old
+    def grown(name: str) -> Any:
+        old = getattr(fleet, name)
+        new = np.zeros((len(old), *shapes[name], *old.shape[1 + len(shapes[name]) :]), dtype=old.dtype)
+        new[tuple(slice(0, size) for size in old.shape)] = old
         return new
 
-    return fleet._replace(**{name: grown(name, getattr(fleet, name)) for name in sizes})
+    return fleet._replace(**{name: grown(name) for name in shapes})

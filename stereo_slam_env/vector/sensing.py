@@ -2,53 +2,51 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from filters.validation import FloatArray, IntArray
 from stereo_slam_env.vector.motion import CHOICE, NOISE, back, rotation_of
 from stereo_slam_env.vector.state import Fleet, Outcome, Rules
 from stereo_slam_env.world.rays import KERNEL, is_seen
 
-_FEW = 8
-"""Up to so many landmarks are found by scanning all candidates for the least key, more by sorting them."""
 
-
-@njit(**KERNEL)
-def in_view(rules: Rules, landmarks: FloatArray, count: int, pose: FloatArray, uvd: FloatArray, seen: IntArray) -> int:
-    """Landmarks within range and inside both images, ascending, into `seen`, their (u, v, d) into `uvd`; how many."""
+@njit(**{**KERNEL, "fastmath": {"contract", "nnan"}})
+def mark_in_view(rules: Rules, landmarks: FloatArray, count: int, pose: FloatArray, inside: NDArray[np.uint8]) -> None:
+    """Which landmarks (3, N) are within range and inside both images; without branches, for vector instructions."""
     fx, fy, cx, cy, scale, _, width, height = rules.camera
     nearest, farthest, margin = rules.limits
-    R, found = rotation_of(pose), 0
+    left, right, top, bottom = cx - margin, width - 1.0 - margin - cx, cy - margin, height - 1.0 - margin - cy
+    R, x, y, z = rotation_of(pose), landmarks[0], landmarks[1], landmarks[2]
+    p0, p1, p2 = pose[0], pose[1], pose[2]
     for i in range(count):
-        x, y, z = back(R, landmarks[i, 0] - pose[0], landmarks[i, 1] - pose[1], landmarks[i, 2] - pose[2])
-        if z < nearest or z > farthest:
-            continue
-        u, v, d = fx * x / z + cx, fy * y / z + cy, scale / z
-        right, last = u - d, width - 1.0 - margin
-        if u < margin or u > last or right < margin or right > last or v < margin or v > height - 1.0 - margin:
-            continue
-        seen[found] = i
-        uvd[found, 0], uvd[found, 1], uvd[found, 2] = u, v, d
-        found += 1
-    return found
+        a, b, c = x[i] - p0, y[i] - p1, z[i] - p2
+        depth = R[2] * a + R[5] * b + R[8] * c
+        # Pixels from the centre, times the depth.
+        u, v = fx * (R[0] * a + R[3] * b + R[6] * c), fy * (R[1] * a + R[4] * b + R[7] * c)
+        inside[i] = (
+            (depth >= nearest)
+            & (depth <= farthest)
+            & (u + left * depth >= 0.0)
+            & (u - right * depth <= 0.0)
+            & (u - scale + left * depth >= 0.0)
+            & (u - scale - right * depth <= 0.0)
+            & (v + top * depth >= 0.0)
+            & (v - bottom * depth <= 0.0)
+        )
 
 
 @njit(**KERNEL)
 def is_visible(rules: Rules, fleet: Fleet, waiting: IntArray, b: int, landmark: int) -> bool:
     """Whether nothing hides a landmark from both cameras; in the scene frame, as the solids are."""
-    pose, point = fleet.pose[b], fleet.landmarks[b, landmark]
+    pose, points = fleet.pose[b], fleet.landmarks[b]
     R, baseline, height = rotation_of(pose), rules.camera[5], rules.camera_height
     nodes, solids, bounds, links = fleet.sizes[b, 1], fleet.solids[b], fleet.bounds[b], fleet.links[b]
-    x, y, z = point[2], -point[0], height - point[1]
-    for side in range(2):
-        away = side * baseline
-        c0, c1, c2 = pose[0] + away * R[0], pose[1] + away * R[3], pose[2] + away * R[6]
-        if not is_seen(solids, bounds, links, nodes, waiting, c2, -c0, height - c1, x, y, z):
-            return False
-    return True
+    left = (pose[2], -pose[0], height - pose[1])
+    right = (pose[2] + baseline * R[6], -pose[0] - baseline * R[0], height - pose[1] - baseline * R[3])
+    to = (points[2, landmark], -points[0, landmark], height - points[1, landmark])
+    return is_seen(solids, bounds, links, nodes, waiting, left, right, to)
 
 
 @njit(**KERNEL)
@@ -58,75 +56,92 @@ def observe(
     out: Outcome,
     waiting: IntArray,
     b: int,
-    uvd: FloatArray,
-    seen: IntArray,
+    inside: NDArray[np.uint8],
+    fresh: IntArray,
     keys: FloatArray,
 ) -> None:
     """`LandmarkSensor.observe`: track to this frame and measure. The last three are room for all landmarks."""
-    tracked, lost = fleet.tracked[b], fleet.lost[b]
-    found = in_view(rules, fleet.landmarks[b], fleet.sizes[b, 0], fleet.pose[b], uvd, seen)
-    here, kept = 0, 0
-    for i in range(fleet.sizes[b, 0]):
-        if here < found and seen[here] == i:
-            # Landmarks that were tracked go on if they are visible; keys mark them, and those that may be drawn.
-            if tracked[i] and is_visible(rules, fleet, waiting, b, i):
-                keys[here] = -1.0
-                kept += 1
-            else:
-                keys[here] = math.inf if tracked[i] or lost[i] else 0.0
-                if tracked[i] and not rules.revisit:
-                    lost[i] = True
-            here += 1
-        elif tracked[i] and not rules.revisit:
-            lost[i] = True
-        tracked[i] = False
+    count, points, pose, ids = fleet.sizes[b, 0], fleet.landmarks[b], fleet.pose[b], out.ids[b]
+    mark_in_view(rules, points, count, pose, inside)
+    kept = 0
+    for k in range(out.seen[b]):
+        landmark = ids[k]
+        if inside[landmark] == 1 and is_visible(rules, fleet, waiting, b, landmark):
+            ids[kept] = landmark
+            kept += 1
+        elif not rules.revisit:
+            fleet.lost[b, landmark] = True
+        inside[landmark] = 0  # those that were tracked are not drawn
     if kept < rules.refill_below:
-        used = fleet.used[b, CHOICE]
-        for k in range(found):
-            if keys[k] == 0.0:
-                keys[k] = fleet.exponentials[b, used] / uvd[k, 2]
-                used += 1
-        fleet.used[b, CHOICE] = used
-        draw(rules, fleet, waiting, b, seen, keys, found, rules.most - kept)
-    out.ids[b, :] = -1
-    count = 0
-    for k in range(found):
-        if keys[k] == -1.0:
-            tracked[seen[k]] = True
-            out.ids[b, count] = seen[k]
-            for a in range(3):
-                out.uvd[b, count, a] = uvd[k, a]
-            out.v_right[b, count] = uvd[k, 1]
-            count += 1
-    out.seen[b] = count
-    add_noise(rules, fleet, out, b, count)
+        R, used, number = rotation_of(pose), fleet.used[b, CHOICE], 0
+        for i in range(count):
+            if inside[i] == 1 and not fleet.lost[b, i]:
+                _, _, z = back(R, points[0, i] - pose[0], points[1, i] - pose[1], points[2, i] - pose[2])
+                fresh[number] = i
+                keys[number] = fleet.exponentials[b, used + number] * z  # over the disparity, but for a factor
+                number += 1
+        fleet.used[b, CHOICE] = used + number
+        wanted = rules.most - kept
+        drawn = draw(rules, fleet, waiting, b, fresh[:number], keys[:number], wanted, ids[kept:])
+        ids[: kept + drawn] = np.sort(ids[: kept + drawn])
+        kept += drawn
+    ids[kept:] = -1
+    out.seen[b] = kept
+    project(rules, fleet, out, b, kept)
+    add_noise(rules, fleet, out, b, kept)
 
 
 @njit(**KERNEL)
 def draw(
-    rules: Rules, fleet: Fleet, waiting: IntArray, b: int, seen: IntArray, keys: FloatArray, found: int, wanted: int
-) -> None:
-    """Choose up to `wanted` visible ones of the landmarks with the least keys; the key of a chosen one becomes -1."""
-    if wanted > _FEW:
-        for k in np.argsort(keys[:found]):
-            if wanted == 0 or keys[k] == math.inf:
-                return
-            if keys[k] >= 0.0 and is_visible(rules, fleet, waiting, b, seen[k]):
-                keys[k] = -1.0
-                wanted -= 1
-        return
-    while wanted > 0:
-        best, least = -1, math.inf
-        for k in range(found):
-            if 0.0 <= keys[k] < least:
-                best, least = k, keys[k]
-        if best < 0:
-            return
-        if is_visible(rules, fleet, waiting, b, seen[best]):
-            keys[best] = -1.0
-            wanted -= 1
-        else:
-            keys[best] = math.inf
+    rules: Rules,
+    fleet: Fleet,
+    waiting: IntArray,
+    b: int,
+    fresh: IntArray,
+    keys: FloatArray,
+    wanted: int,
+    drawn: IntArray,
+) -> int:
+    """Put up to `wanted` visible ones of the landmarks with the least keys into `drawn`; how many."""
+    left, number = len(keys), 0
+    for k in range(left // 2 - 1, -1, -1):
+        _sift_down(keys, fresh, k, left)
+    while left > 0 and number < wanted:
+        if is_visible(rules, fleet, waiting, b, fresh[0]):
+            drawn[number] = fresh[0]
+            number += 1
+        left -= 1
+        keys[0], fresh[0] = keys[left], fresh[left]
+        _sift_down(keys, fresh, 0, left)
+    return number
+
+
+@njit(**KERNEL)
+def _sift_down(keys: FloatArray, values: IntArray, place: int, count: int) -> None:
+    """Restore the heap of `count` keys, the least one first, below a place; values move with their keys."""
+    key, value = keys[place], values[place]
+    while True:
+        child = 2 * place + 1
+        if child + 1 < count and keys[child + 1] < keys[child]:
+            child += 1
+        if child >= count or keys[child] >= key:
+            break
+        keys[place], values[place] = keys[child], values[child]
+        place = child
+    keys[place], values[place] = key, value
+
+
+@njit(**KERNEL)
+def project(rules: Rules, fleet: Fleet, out: Outcome, b: int, count: int) -> None:
+    """True (u, v, d) of the tracked landmarks, and the row in the right image."""
+    fx, fy, cx, cy, scale, _, _, _ = rules.camera
+    points, pose = fleet.landmarks[b], fleet.pose[b]
+    R = rotation_of(pose)
+    for k in range(count):
+        i = out.ids[b, k]
+        x, y, z = back(R, points[0, i] - pose[0], points[1, i] - pose[1], points[2, i] - pose[2])
+        u, v, d = fx * x / z + cx, fy * y / z + cy, scale / z
+        out.uvd[b, k, 0], out.uvd[b, k, 1], out.uvd[b, k, 2], out.v_right[b, k] = u, v, d, v
 
 
 @njit(**KERNEL)

@@ -83,11 +83,10 @@ class Fleet(NamedTuple):
     farthest: FloatArray
     """How much of the route has been driven, m."""
     distance: FloatArray
-    tracked: BoolArray
     lost: BoolArray
-    """Landmarks that are tracked, and those that have been, (B, L)."""
+    """Landmarks that have been tracked and are not to be again, (B, L)."""
     landmarks: FloatArray
-    """In W, (B, L, 3)."""
+    """In W, (B, 3, L)."""
     sizes: IntArray
     """Landmarks of a scene, and nodes of the tree of its solids, (B, 2)."""
     solids: FloatArray
@@ -106,7 +105,7 @@ class Outcome(NamedTuple):
     """What a frame of B environments brings."""
 
     ids: IntArray
-    """(B, N), -1 in padding."""
+    """Landmarks that are tracked, ascending; (B, N), -1 in padding."""
     uvd: FloatArray
     v_right: FloatArray
     seen: IntArray
@@ -173,9 +172,8 @@ def empty_fleet(count: int, landmarks: int, solids: int, normals: int, exponenti
         nearest=np.zeros(count, dtype=np.int64),
         farthest=np.zeros(count),
         distance=np.zeros(count),
-        tracked=np.zeros((count, landmarks), dtype=np.bool_),
         lost=np.zeros((count, landmarks), dtype=np.bool_),
-        landmarks=np.zeros((count, landmarks, 3)),
+        landmarks=np.zeros((count, 3, landmarks)),
         sizes=np.zeros((count, 2), dtype=np.int64),
         solids=np.zeros((count, solids, 9)),
         bounds=np.zeros((count, solids, 6, 8), dtype=np.float32),

@@ -204,7 +204,7 @@ class StereoVectorEnv(gym.vector.VectorEnv[Arrays, NDArray[np.float32], NDArray[
             scene_rng, motion, landmark, odometry, start, _ = generator.spawn(6)
             scene = self._scene(scene_rng)
             self._fleet = with_room(self._fleet, scene)
-            self._streams.needed[3] = self._fleet.landmarks.shape[1]
+            self._streams.needed[3] = self._fleet.landmarks.shape[2]
             put_scene(self._fleet, b, scene)
             choice, noise = landmark.spawn(2)
             if self._rules.noise == NO_NOISE:  # drawn frame by frame, so nothing of it may be drawn ahead

@@ -16,6 +16,7 @@ from numba import njit, types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
+from filters.rotations import Three
 from filters.validation import BoolArray, FloatArray, IntArray
 from stereo_slam_env.world.scene import Box, Cylinder, Primitive
 
@@ -56,7 +57,7 @@ def obstacles(solids: Iterable[Primitive]) -> Obstacles:
 
 
 def visible(obstacles: Obstacles, cameras: FloatArray, points: FloatArray) -> BoolArray:
-    """Which points (N, 3) on surfaces are seen from all `cameras` (C, 3); as `PhysicsWorld.visible`."""
+    """Which points (N, 3) on surfaces are seen from both `cameras` (2, 3); as `PhysicsWorld.visible`."""
     return np.asarray(_visible(*obstacles, traversal(), cameras, points), dtype=np.bool_)
 
 
@@ -216,25 +217,31 @@ def _hits_cylinder(solid: FloatArray, x: float, y: float, z: float, dx: float, d
 
 
 @intrinsic
-def _entered(
-    typing_context: Any, bounds: Any, node: Any, x: Any, y: Any, z: Any, ix: Any, iy: Any, iz: Any
-) -> tuple[Any, Any]:
-    """Which of the eight branches of a node a ray enters, as the bits of a number: one vector operation a line."""
-    eight = ir.VectorType(ir.FloatType(), 8)
+def _entered(typing_context: Any, bounds: Any, node: Any, starts: Any, inverses: Any) -> tuple[Any, Any]:
+    """Which of the eight branches of a node two rays enter, as 16 bits: one vector operation a line.
+
+    `starts` and `inverses`, of the ways, are (x, y, z) of the first ray and then of the second, in single precision.
+    """
+    eight, sixteen = ir.VectorType(ir.FloatType(), 8), ir.VectorType(ir.FloatType(), 16)
+    index = ir.IntType(32)
 
     def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
         array = context.make_array(signature.args[0])(context, builder, values[0])
         rows = builder.bitcast(array.data, eight.as_pointer())
         first = builder.mul(values[1], ir.Constant(values[1].type, 6))
+        twice = ir.Constant(ir.VectorType(index, 16), [*range(8), *range(8)])
 
         def side(k: int) -> Any:
-            place = builder.add(first, ir.Constant(values[1].type, k))
-            return builder.load(builder.gep(rows, [place]), align=4)
+            row = builder.load(builder.gep(rows, [builder.add(first, ir.Constant(values[1].type, k))]), align=4)
+            return builder.shuffle_vector(row, row, twice)
 
-        def everywhere(value: Any) -> Any:
-            single = builder.insert_element(ir.Constant(eight, ir.Undefined), value, ir.Constant(ir.IntType(32), 0))
-            zeros = ir.Constant(ir.VectorType(ir.IntType(32), 8), [0] * 8)
-            return builder.shuffle_vector(single, ir.Constant(eight, ir.Undefined), zeros)
+        def of_both(numbers: Any, k: int) -> Any:
+            pair = ir.Constant(sixteen, ir.Undefined)
+            for ray in range(2):
+                number = builder.extract_value(numbers, 3 * ray + k)
+                pair = builder.insert_element(pair, number, ir.Constant(index, 8 * ray))
+            spread = ir.Constant(ir.VectorType(index, 16), [0] * 8 + [8] * 8)
+            return builder.shuffle_vector(pair, pair, spread)
 
         def lesser(a: Any, b: Any) -> Any:
             return builder.select(builder.fcmp_ordered("<", a, b), a, b)
@@ -242,17 +249,16 @@ def _entered(
         def greater(a: Any, b: Any) -> Any:
             return builder.select(builder.fcmp_ordered(">", a, b), a, b)
 
-        enters, leaves = (ir.Constant(eight, [end] * 8) for end in (0.0, 1.0))
+        enters, leaves = (ir.Constant(sixteen, [end] * 16) for end in (0.0, 1.0))
         for k in range(3):
-            at, inverse = everywhere(values[2 + k]), everywhere(values[5 + k])
+            at, inverse = of_both(values[2], k), of_both(values[3], k)
             low = builder.fmul(builder.fsub(side(k), at), inverse)
             high = builder.fmul(builder.fsub(side(3 + k), at), inverse)
             enters, leaves = greater(enters, lesser(low, high)), lesser(leaves, greater(low, high))
         hits = builder.fcmp_ordered("<=", enters, leaves)
-        return builder.zext(builder.bitcast(hits, ir.IntType(8)), ir.IntType(64))
+        return builder.zext(builder.bitcast(hits, ir.IntType(16)), ir.IntType(64))
 
-    single = types.float32
-    return types.int64(bounds, types.int64, *[single] * 6), generate
+    return types.int64(bounds, types.int64, starts, inverses), generate
 
 
 @intrinsic
@@ -271,47 +277,21 @@ def _inverse(x: float) -> np.float32:
 
 
 @njit(**KERNEL)
-def is_blocked(
-    solids: FloatArray,
-    bounds: NDArray[np.float32],
-    links: IntArray,
-    nodes: int,
-    waiting: IntArray,
-    x: float,
-    y: float,
-    z: float,
-    dx: float,
-    dy: float,
-    dz: float,
-) -> bool:
-    """Whether the way from (x, y, z) by (dx, dy, dz) is through a solid or the ground; none hides what it contains."""
-    if z + dz <= 0.0 < z:
-        return True
-    ix, iy, iz = _inverse(dx), _inverse(dy), _inverse(dz)
-    x4, y4, z4 = np.float32(x), np.float32(y), np.float32(z)
-    waiting[0] = 0
-    count = min(nodes, 1)
-    while count > 0:
-        count -= 1
-        node = waiting[count]
-        bits = _entered(bounds, node, x4, y4, z4, ix, iy, iz)
-        while bits != 0:
-            link = links[node, _lowest(bits)]
-            bits &= bits - 1
-            if link >= 0:
-                waiting[count] = link
-                count += 1
-                continue
-            solid = solids[-1 - link]
-            if solid[8] == BOX:
-                if _hits_box(solid, x, y, z, dx, dy, dz):
-                    return True
-            elif solid[8] == CYLINDER:
-                if _hits_cylinder(solid, x, y, z, dx, dy, dz):
-                    return True
-            elif _hits_ball(solid, x, y, z, dx, dy, dz):
-                return True
-    return False
+def _hits(solid: FloatArray, at: Three, way: Three) -> bool:
+    """Whether a ray hits a solid."""
+    if solid[8] == BOX:
+        return _hits_box(solid, at[0], at[1], at[2], way[0], way[1], way[2])
+    if solid[8] == CYLINDER:
+        return _hits_cylinder(solid, at[0], at[1], at[2], way[0], way[1], way[2])
+    return _hits_ball(solid, at[0], at[1], at[2], way[0], way[1], way[2])
+
+
+@njit(**KERNEL)
+def _way(at: Three, to: Three) -> Three:
+    """From a camera to just before a point."""
+    dx, dy, dz = to[0] - at[0], to[1] - at[1], to[2] - at[2]
+    share = 1.0 - SURFACE_GAP / math.sqrt(dx * dx + dy * dy + dz * dz)
+    return share * dx, share * dy, share * dz
 
 
 @njit(**KERNEL)
@@ -321,17 +301,41 @@ def is_seen(
     links: IntArray,
     nodes: int,
     waiting: IntArray,
-    x: float,
-    y: float,
-    z: float,
-    to_x: float,
-    to_y: float,
-    to_z: float,
+    left: Three,
+    right: Three,
+    to: Three,
 ) -> bool:
-    """Whether nothing is between a camera (x, y, z) and a point on a surface."""
-    dx, dy, dz = to_x - x, to_y - y, to_z - z
-    share = 1.0 - SURFACE_GAP / math.sqrt(dx * dx + dy * dy + dz * dz)
-    return not is_blocked(solids, bounds, links, nodes, waiting, x, y, z, share * dx, share * dy, share * dz)
+    """Whether nothing, the ground included, is between two cameras and a point on a surface; `waiting` is room."""
+    ways = _way(left, to), _way(right, to)
+    for k in range(2):
+        z = (left, right)[k][2]
+        if z + ways[k][2] <= 0.0 < z:
+            return False
+    starts = (
+        *(np.float32(left[0]), np.float32(left[1]), np.float32(left[2])),
+        *(np.float32(right[0]), np.float32(right[1]), np.float32(right[2])),
+    )
+    a, b = ways
+    inverses = (_inverse(a[0]), _inverse(a[1]), _inverse(a[2]), _inverse(b[0]), _inverse(b[1]), _inverse(b[2]))
+    waiting[0] = 0
+    count = min(nodes, 1)
+    while count > 0:
+        count -= 1
+        node = waiting[count]
+        both = _entered(bounds, node, starts, inverses)
+        bits = (both | both >> 8) & 255
+        while bits != 0:
+            branch = _lowest(bits)
+            link = links[node, branch]
+            bits &= bits - 1
+            if link >= 0:
+                waiting[count] = link
+                count += 1
+            elif ((both >> branch) & 1 and _hits(solids[-1 - link], left, a)) or (
+                (both >> (8 + branch)) & 1 and _hits(solids[-1 - link], right, b)
+            ):
+                return False
+    return True
 
 
 @njit(**OPTIONS)
@@ -344,8 +348,8 @@ def _visible(
     points: FloatArray,
 ) -> BoolArray:
     seen = np.ones(len(points), dtype=np.bool_)
+    left, right = (cameras[0, 0], cameras[0, 1], cameras[0, 2]), (cameras[1, 0], cameras[1, 1], cameras[1, 2])
     for i in range(len(points)):
-        for c in cameras:
-            p = points[i]
-            seen[i] = seen[i] and is_seen(solids, bounds, links, len(bounds), waiting, c[0], c[1], c[2], p[0], p[1], p[2])
+        to = (points[i, 0], points[i, 1], points[i, 2])
+        seen[i] = is_seen(solids, bounds, links, len(bounds), waiting, left, right, to)
     return seen
