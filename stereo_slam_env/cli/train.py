@@ -14,7 +14,7 @@ from stereo_slam_env.cli.parts import OutOption, console, new_directory
 def train(
     decisions: Annotated[
         int, typer.Option("--decisions", help="How many the network makes; each holds for some steps.", min=1)
-    ] = 40_000,
+    ] = 120_000,
     seed: Annotated[int, typer.Option("--seed", help="Of network, actions and episodes.", min=0)] = 0,
     minutes: Annotated[
         float | None, typer.Option("--minutes", help="Stop after this time; the same command goes on.")

@@ -68,21 +68,21 @@ class PPOSettings:
         A value is impossible.
     """
 
-    decisions: int = 40_000
+    decisions: int = 120_000
     seed: int = 0
     environments: int = 16
     threads: int = 2
     layers: tuple[int, ...] = (64, 64)
-    rollout: int = 1000
-    minibatch: int = 250
+    rollout: int = 2048
+    minibatch: int = 256
     epochs: int = 10
-    learning_rate: float = 1e-3
+    learning_rate: float = 5e-4
     discount: float = 0.95
     gae_lambda: float = 0.95
     clip: float = 0.2
     entropy: float = 0.01
     initial_log_std: float = -0.7
-    evaluate_every: int = 10_000
+    evaluate_every: int = 8192
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "layers", tuple(self.layers))
@@ -211,7 +211,7 @@ def train(
 
 
 def _claim(out: Path, task: GazeTask, settings: PPOSettings) -> None:
-    """Write task and settings, or check that those of the run in `out` are the same except for its length and threads."""
+    """Write task and settings, or check that those of the run in `out` are the same but for its length and threads."""
     about = json.loads(json.dumps({"task": asdict(task), "settings": asdict(settings)}))
     file = out / "run.json"
     if file.exists():

@@ -331,10 +331,12 @@ def is_seen(
             if link >= 0:
                 waiting[count] = link
                 count += 1
-            elif ((both >> branch) & 1 and _hits(solids[-1 - link], left, a)) or (
-                (both >> (8 + branch)) & 1 and _hits(solids[-1 - link], right, b)
-            ):
-                return False
+            else:
+                solid = solids[-1 - link]
+                if (both >> branch) & 1 and _hits(solid, left, a):
+                    return False
+                if (both >> (8 + branch)) & 1 and _hits(solid, right, b):
+                    return False
     return True
 
 
