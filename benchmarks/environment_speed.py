@@ -1,4 +1,4 @@
-"""How fast an environment is: alone on one core, and in vectors of environments over processes.
+"""How fast an environment is: alone on one core, in vectors over processes, and in native vectors.
 
     python benchmarks/environment_speed.py                     # two minutes
     python benchmarks/environment_speed.py --env StereoSlam/Drive-v0 --kwargs '{"policy": "agent"}' --json speed.json
@@ -12,6 +12,9 @@ trains an agent on a filter's belief would have it.
 Second table: vectors of environments, all cores, every environment on the same episode, so that it is the same work.
 They take turns, some steps of each at a time; of each the quickest tenth of its turns counts, since in the others
 somebody else had the cores.
+
+Third table (`--native` alone: two minutes): native vectors on one thread and on two, mean over whole episodes, the best
+of three; then what it takes to begin an episode, and memory of an environment.
 """
 
 from __future__ import annotations
@@ -194,6 +197,67 @@ def vector_rates(name: str, options: dict[str, Any], wrappers: tuple[Any, ...], 
             vector.close()
 
 
+NATIVE = {
+    "Gaze, scenes from a pool": ("Gaze", 256, {"scenes": 64}),
+    "Gaze, a new scene for every episode": ("Gaze", 256, {}),
+    "Drive on its route, 100 landmarks": ("Drive", 64, {**DENSE, "scenes": 8}),
+    "ActiveGaze, scenes from a pool": ("ActiveGaze", 64, {"scenes": 64}),
+    "ActiveGaze, a new scene for every episode": ("ActiveGaze", 64, {}),
+}
+"""Native vectors: task, number of environments, arguments."""
+
+
+def native_rate(task: str, count: int, arguments: dict[str, Any], threads: int) -> float:
+    """Frames a second of all environments, over whole episodes: the best of three, after one."""
+    env = gym.make_vec(f"StereoSlam/{task}-v0", num_envs=count, threads=threads, **arguments)
+    env.action_space.seed(0)
+    frames = 5 if task == "ActiveGaze" else 1  # of a step
+    env.reset(seed=0)
+    actions = [env.action_space.sample() for _ in range(16)]
+    steps = 200 // frames  # an episode, and the step that resets it
+    times = []
+    for _ in range(4):
+        began = time.perf_counter()
+        for k in range(steps):
+            env.step(actions[k % 16])
+        times.append(time.perf_counter() - began)
+    env.close()
+    return count * frames * steps / min(times[1:])
+
+
+def native_table() -> Table:
+    """Frames a second of native vectors."""
+    table = Table(title=f"native vectors: frames/s of all environments; load {os.getloadavg()[0]:.1f}")
+    for head in ("", "environments", "one thread", "two threads", "ratio"):
+        table.add_column(head, justify="left" if not head else "right")
+    for label, (task, count, arguments) in NATIVE.items():
+        rates = [native_rate(task, count, arguments, threads) for threads in (1, 2)]
+        table.add_row(label, str(count), *(f"{rate:,.0f}" for rate in rates), f"{rates[1] / rates[0]:.2f}")
+    return table
+
+
+def scene_seconds() -> Table:
+    """Times of a reset, and memory of an environment in a vector."""
+    table = Table(title="an episode begins: ms (median of 12); memory of an environment")
+    for head in ("", "single", "in a vector", "MB"):
+        table.add_column(head, justify="left" if not head else "right")
+    for task in ("Drive", "Gaze"):
+        times = []
+        single = gym.make(f"StereoSlam/{task}-v0").unwrapped
+        vector = gym.make_vec(f"StereoSlam/{task}-v0", num_envs=1).unwrapped
+        for env in (single, vector):
+            env.reset(seed=0)
+            each = []
+            for seed in range(1, 13):
+                began = time.perf_counter()
+                env.reset(seed=seed)
+                each.append(time.perf_counter() - began)
+            env.close()
+            times.append(f"{1e3 * float(np.median(each)):.1f}")
+        table.add_row(task, *times, f"{vector.nbytes / 2**20:.2f}")
+    return table
+
+
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -202,8 +266,12 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=200, help="of an episode, at most those of the route")
     parser.add_argument("--rounds", type=int, default=7, help="how often the episode is driven")
     parser.add_argument("--turns", type=int, default=100, help="of each vector")
+    parser.add_argument("--native", action="store_true", help="only the table of native vectors")
     parser.add_argument("--json", type=Path, help="write the figures here, too")
     arguments = parser.parse_args()
+    if arguments.native:
+        Console(width=120).print(native_table(), scene_seconds())
+        return
     options = {**DENSE, **arguments.kwargs}
     kinds: dict[str, tuple[Any, ...]] = {"environment": (), "with a filter in the loop": (FilterInTheLoop,)}
 
@@ -240,7 +308,7 @@ def main() -> None:
     for label, found in rates.items():
         one = found["async, 1 process"]
         together.add_row(label, *(f"{rate:.0f} ({rate / one:.2f})" for rate in found.values()))
-    for table in (alone, together):
+    for table in (alone, together, native_table(), scene_seconds()):
         Console(width=120).print(table)
     if arguments.json:
         summary = {

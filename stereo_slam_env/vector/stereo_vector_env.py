@@ -344,6 +344,11 @@ class StereoVectorEnv(gym.vector.VectorEnv[Arrays, NDArray[np.float32], NDArray[
         return self._belief.filters
 
     @property
+    def nbytes(self) -> int:
+        """Memory of the state of all environments, without the filters."""
+        return sum(array.nbytes for array in (*self._fleet, *self._out))
+
+    @property
     def outcome(self) -> Outcome:
         """Measurements of the last frame in full precision; do not change them."""
         return self._out
