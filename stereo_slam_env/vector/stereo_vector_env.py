@@ -49,7 +49,7 @@ class StereoVectorEnv(gym.vector.VectorEnv[Arrays, NDArray[np.float32], NDArray[
     num_envs : int
         Number of environments.
     max_episode_steps : int, optional
-        Truncate episodes after so many frames; None: never.
+        Truncate episodes after so many frames; None or -1: never.
     autoreset_mode : AutoresetMode
         NEXT_STEP: the step after the end of an episode is its reset, without an action and a reward. SAME_STEP: the
         reset happens in the last step; the last observation is in `info["final_obs"]`. DISABLED: by
@@ -82,7 +82,8 @@ class StereoVectorEnv(gym.vector.VectorEnv[Arrays, NDArray[np.float32], NDArray[
         **options: Any,
     ) -> None:
         self.num_envs = whole_number("num_envs", num_envs, 1)
-        self.max_episode_steps = None if max_episode_steps is None else whole_number("max_episode_steps", max_episode_steps, 1)
+        unlimited = max_episode_steps is None or max_episode_steps == -1  # as `gymnasium.make` has it
+        self.max_episode_steps = None if unlimited else whole_number("max_episode_steps", max_episode_steps, 1)
         self._pool_size = None if scenes is None else whole_number("scenes", scenes, 1)
         self.threads = min(whole_number("threads", threads, 1), num_envs)
         self.autoreset_mode = AutoresetMode(autoreset_mode)
