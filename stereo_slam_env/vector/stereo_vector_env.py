@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from operator import index
 from typing import Any, ClassVar
 
 import gymnasium as gym
@@ -14,7 +15,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from filters.start import Start
-from filters.validation import BoolArray, FloatArray, IntArray, whole_number
+from filters.validation import BoolArray, FloatArray, IntArray, finite_array, whole_number
 from stereo_slam_env.envs.drive import StereoDriveEnv
 from stereo_slam_env.envs.drive_gaze import StereoDriveGazeEnv
 from stereo_slam_env.envs.gaze import StereoGazeEnv
@@ -87,6 +88,8 @@ class StereoVectorEnv(gym.vector.VectorEnv[Arrays, NDArray[np.float32], NDArray[
         self._pool_size = None if scenes is None else whole_number("scenes", scenes, 1)
         self.threads = min(whole_number("threads", threads, 1), num_envs)
         self.autoreset_mode = AutoresetMode(autoreset_mode)
+        if options.pop("render_mode", None) is not None:
+            raise ValueError("render_mode must be None in a native vector environment: use vectorization_mode='sync'")
         self.metadata = {"render_modes": [], "autoreset_mode": self.autoreset_mode}
         self.single = self.Single(**options)
         """An environment of the same kind, never reset: camera, route, head, noise, options."""
@@ -282,7 +285,8 @@ class StereoVectorEnv(gym.vector.VectorEnv[Arrays, NDArray[np.float32], NDArray[
         for k, name in enumerate(WEIGHTS):
             if hasattr(self.options, f"{name}_weight"):
                 info[f"reward_{name}"] = self._rules.weights[k] * out.terms[:, k]
-        return {**info, **{f"_{key}": self._everybody for key in info}}
+        everybody = self._everybody.copy()
+        return {**info, **{f"_{key}": everybody for key in info}}
 
     @property
     def outcome(self) -> Outcome:
@@ -306,24 +310,25 @@ class StereoVectorEnv(gym.vector.VectorEnv[Arrays, NDArray[np.float32], NDArray[
 
     def _seeds(self, seed: int | Sequence[int | None] | None, chosen: BoolArray) -> list[int | None]:
         """Seeds of the chosen ones."""
-        if seed is None:
-            each: list[int | None] = [None] * self.num_envs
-        elif isinstance(seed, (int, np.integer)):
-            each = [int(seed) + b for b in range(self.num_envs)]
-        else:
-            each = list(seed)
+        each: list[int | None]
+        try:
+            if seed is None:
+                each = [None] * self.num_envs
+            elif isinstance(seed, (Sequence, np.ndarray)):
+                each = [None if value is None else index(value) for value in seed]
+            else:
+                each = [index(seed) + b for b in range(self.num_envs)]
+        except TypeError:
+            each = []
         if len(each) != self.num_envs:
-            raise ValueError(f"seed must be one number or {self.num_envs}, got {len(each)}")
+            raise ValueError(f"seed must be a whole number or {self.num_envs} of them, got {seed!r}")
         return [each[b] for b in np.flatnonzero(chosen).tolist()]
 
     def _command(self, actions: Any) -> FloatArray:
         """The actions (B, ...) as the kernels take them."""
         if self._generators[0] is None:
             raise RuntimeError("reset the environments before the first step")
-        command = np.asarray(actions, dtype=np.float64)
-        wanted = (self.num_envs, *self.single_action_shape)
-        if command.shape != wanted or not np.isfinite(command).all():
-            raise ValueError(f"actions must be finite numbers of shape {wanted}, got {actions!r}")
+        command = finite_array("actions", actions, (self.num_envs, *self.single_action_shape))
         return np.clip(command, -1.0, 1.0)
 
 
