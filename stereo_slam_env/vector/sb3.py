@@ -1,4 +1,4 @@
-"""`SB3VecEnv`: a native vector environment as stable-baselines3 takes it."""
+"""Vector environments of Gymnasium for the learners of stable-baselines3, which do not take them as they are."""
 
 from __future__ import annotations
 
@@ -9,88 +9,135 @@ import gymnasium as gym
 import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
-from stable_baselines3.common.vec_env import VecEnv
+
+from filters.extras import require_module
+from filters.validation import BoolArray
+
+require_module("stable_baselines3", "rl")
+
+from stable_baselines3.common.vec_env import VecEnv  # noqa: E402
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvObs, VecEnvStepReturn  # noqa: E402
+
+_AT_THE_END = ("is_success", "episode")
+"""Keys of `info` that the loggers of stable-baselines3 read when an episode ends."""
 
 
 class SB3VecEnv(VecEnv):
-    """Gymnasium's vector environment behind the interface of stable-baselines3.
+    """A `gymnasium.vector.VectorEnv` as a `VecEnv` of stable-baselines3.
 
-    The two differ in how episodes end: here `infos` of an environment whose episode has ended hold its
-    `terminal_observation` and `TimeLimit.truncated`. `infos` of the others are empty but for the `info_keys`, because
-    to take arrays apart for a thousand environments takes longer than to step them.
+    stable-baselines3 wants a list of dictionaries for `info`, which costs more than many an environment. So only what
+    its learners and loggers use is in it: `terminal_observation`, `TimeLimit.truncated`, `is_success` and `episode`
+    where an episode ends, and `info_keys`.
 
     Parameters
     ----------
-    env : gymnasium.vector.VectorEnv
-        One that resets its environments in the step in which they end: made with `autoreset_mode="SameStep"`.
+    vector_env : gymnasium.vector.VectorEnv
+        Environments that start again in the same step, or not by themselves: `autoreset_mode` SAME_STEP or DISABLED.
+        The wrappers of observations in `gymnasium.wrappers.vector` need DISABLED.
     info_keys : sequence of str
-        Keys of `info` to hand on.
+        Keys of `info` that are passed on in each step.
 
     Raises
     ------
+    ImportError
+        stable-baselines3 is missing.
     ValueError
-        The environment resets otherwise.
+        The environments have another `autoreset_mode`.
     """
 
-    def __init__(self, env: gym.vector.VectorEnv[Any, Any, Any], info_keys: Sequence[str] = ()) -> None:
-        mode = env.metadata.get("autoreset_mode")
-        if mode != AutoresetMode.SAME_STEP:
-            raise ValueError(f"env must have autoreset_mode='SameStep', got {mode}: give it to make_vec")
-        self.env, self.info_keys = env, tuple(info_keys)
-        self.render_mode = None
-        self._seed: int | None = None
-        self._actions: NDArray[Any] = np.zeros(0)
-        super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
+    def __init__(self, vector_env: gym.vector.VectorEnv[Any, Any, Any], info_keys: Sequence[str] = ()) -> None:
+        mode = vector_env.metadata.get("autoreset_mode", AutoresetMode.NEXT_STEP)
+        if mode not in (AutoresetMode.SAME_STEP, AutoresetMode.DISABLED):
+            raise ValueError(
+                f"stable-baselines3 needs autoreset_mode=AutoresetMode.SAME_STEP or DISABLED, the vector has {mode}"
+            )
+        self.vector_env = vector_env
+        self.info_keys = tuple(info_keys)
+        self._resets_itself = mode == AutoresetMode.SAME_STEP
+        self._actions: NDArray[Any] | None = None
+        super().__init__(vector_env.num_envs, vector_env.single_observation_space, vector_env.single_action_space)
 
-    def seed(self, seed: int | None = None) -> Sequence[int | None]:
-        """Seed the next reset: the first environment with `seed`, the others with the following numbers."""
-        self._seed = seed
-        return [None if seed is None else seed + b for b in range(self.num_envs)]
-
-    def reset(self) -> Any:
-        """Begin an episode in every environment."""
-        observation, info = self.env.reset(seed=self._seed)
-        self._seed = None
+    def reset(self) -> VecEnvObs:
+        """Begin an episode in every environment, with the seeds and options that were set before."""
+        if any(options != self._options[0] for options in self._options):
+            raise ValueError("the environments of a vector have the same options")
+        seeds = None if all(seed is None for seed in self._seeds) else self._seeds
+        observation: VecEnvObs
+        observation, info = self.vector_env.reset(seed=seeds, options=self._options[0] or None)  # type: ignore[arg-type]
         self.reset_infos = self._infos(info)
+        self._reset_seeds()
+        self._reset_options()
         return observation
 
     def step_async(self, actions: NDArray[Any]) -> None:
         """Keep the actions for `step_wait`."""
         self._actions = actions
 
-    def step_wait(self) -> Any:
-        """Step all environments."""
-        observation, rewards, terminated, truncated, info = self.env.step(self._actions)
+    def step_wait(self) -> VecEnvStepReturn:
+        """Step; where an episode ends, the observation is the first of the next."""
+        observation, rewards, terminated, truncated, info = self.vector_env.step(self._actions)
         over = terminated | truncated
         infos = self._infos(info)
-        for b in np.flatnonzero(over).tolist():
-            last = {key: info["final_info"][key][b] for key in self.info_keys}
-            infos[b] = {
-                **last,
-                "terminal_observation": info["final_obs"][b],
-                "TimeLimit.truncated": bool(truncated[b] and not terminated[b]),
-            }
-        return observation, rewards.astype(np.float32), over, infos
+        if over.any():
+            if self._resets_itself:
+                last, last_info = list(info["final_obs"]), info["final_info"]
+            else:
+                last, last_info = _rows(observation, over), info
+                observation, _ = self.vector_env.reset(options={"reset_mask": over})
+            # A wrapper around the environments, as `RecordEpisodeStatistics`, puts its keys beside `final_info`.
+            last_info = {**{key: info[key] for key in _AT_THE_END if key in info}, **last_info}
+            keys = [*self.info_keys, *(key for key in _AT_THE_END if key in last_info)]
+            for b in np.flatnonzero(over).tolist():
+                infos[b] = {key: _row(last_info[key], b) for key in keys}
+                infos[b]["terminal_observation"] = last[b]
+                infos[b]["TimeLimit.truncated"] = bool(truncated[b] and not terminated[b])
+        return observation, np.asarray(rewards, dtype=np.float32), over, infos
 
     def close(self) -> None:
         """Close the environments."""
-        self.env.close()
+        self.vector_env.close()
 
-    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """An attribute of the vector environment, the same for each."""
-        return [getattr(self.env, attr_name)] * len(list(self._get_indices(indices)))
+    def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
+        """The attribute of the vector, which is the same for each environment."""
+        value = getattr(self.vector_env, attr_name)
+        return [value for _ in self._get_indices(indices)]
 
-    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Refuse: the environments have no attributes of their own."""
-        raise AttributeError(f"{attr_name} cannot be set: the environments are not objects of their own")
+    def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
+        """Set an attribute of the vector; not of some of its environments."""
+        self._all_of_them(indices)
+        setattr(self.vector_env, attr_name, value)
 
-    def env_method(self, method_name: str, *arguments: Any, indices: Any = None, **options: Any) -> list[Any]:
-        """Refuse: the environments have no methods of their own."""
-        raise AttributeError(f"{method_name} cannot be called: the environments are not objects of their own")
+    def env_method(self, method_name: str, *args: Any, indices: VecEnvIndices = None, **kwargs: Any) -> list[Any]:
+        """Call a method of the vector once; its result for each environment."""
+        self._all_of_them(indices)
+        return [getattr(self.vector_env, method_name)(*args, **kwargs)] * self.num_envs
 
-    def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
-        """Not one of them is wrapped."""
-        return [False] * len(list(self._get_indices(indices)))
+    def env_is_wrapped(self, wrapper_class: Any, indices: VecEnvIndices = None) -> list[bool]:
+        """Whether the environments have a wrapper for single ones: no."""
+        return [False for _ in self._get_indices(indices)]
+
+    def _all_of_them(self, indices: VecEnvIndices) -> None:
+        if sorted(self._get_indices(indices)) != list(range(self.num_envs)):
+            raise ValueError(f"what is done to one environment of a vector is done to all: got indices {indices}")
 
     def _infos(self, info: dict[str, Any]) -> list[dict[str, Any]]:
-        return [{key: info[key][b] for key in self.info_keys} for b in range(self.num_envs)]
+        """`info_keys` of each environment."""
+        if not self.info_keys:
+            return [{} for _ in range(self.num_envs)]
+        columns = [info[key] for key in self.info_keys]
+        return [dict(zip(self.info_keys, values, strict=True)) for values in zip(*columns, strict=True)]
+
+
+def _rows(observation: Any, which: BoolArray) -> list[Any]:
+    """Observations of single environments, None where they are not asked for."""
+    return [_row(observation, b) if chosen else None for b, chosen in enumerate(which.tolist())]
+
+
+def _row(batch: Any, b: int) -> Any:
+    """Of an array, or of a dictionary or a tuple of them, what belongs to environment b."""
+    if isinstance(batch, dict):
+        return {key: _row(value, b) for key, value in batch.items()}
+    if isinstance(batch, tuple):
+        return tuple(_row(value, b) for value in batch)
+    row = batch[b]
+    return row.copy() if isinstance(row, np.ndarray) else row

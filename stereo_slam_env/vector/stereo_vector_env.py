@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from operator import index
 from typing import Any, ClassVar
 
 import gymnasium as gym
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 from filters.batch import FilterBatch
 from filters.known_names import require_known
 from filters.start import Start
-from filters.validation import BoolArray, FloatArray, IntArray, whole_number
+from filters.validation import BoolArray, FloatArray, IntArray, finite_array, whole_number
 from stereo_slam_env.envs.drive import StereoDriveEnv
 from stereo_slam_env.envs.drive_gaze import StereoDriveGazeEnv
 from stereo_slam_env.envs.gaze import StereoGazeEnv
@@ -53,7 +54,7 @@ class StereoVectorEnv(gym.vector.VectorEnv[Arrays, NDArray[np.float32], NDArray[
     num_envs : int
         Number of environments.
     max_episode_steps : int, optional
-        Truncate episodes after so many frames; None: never.
+        Truncate episodes after so many frames; None or -1: never.
     autoreset_mode : AutoresetMode
         NEXT_STEP: the step after the end of an episode is its reset, without an action and a reward. SAME_STEP: the
         reset happens in the last step; the last observation is in `info["final_obs"]`. DISABLED: by
@@ -103,12 +104,13 @@ class StereoVectorEnv(gym.vector.VectorEnv[Arrays, NDArray[np.float32], NDArray[
         **options: Any,
     ) -> None:
         self.num_envs = whole_number("num_envs", num_envs, 1)
-        self.max_episode_steps = max_episode_steps
-        if max_episode_steps is not None:
-            whole_number("max_episode_steps", max_episode_steps, 1)
+        unlimited = max_episode_steps is None or max_episode_steps == -1  # as `gymnasium.make` has it
+        self.max_episode_steps = None if unlimited else whole_number("max_episode_steps", max_episode_steps, 1)
         self._pool_size = None if scenes is None else whole_number("scenes", scenes, 1)
         self.threads = min(whole_number("threads", threads, 1), num_envs)
         self.autoreset_mode = AutoresetMode(autoreset_mode)
+        if options.pop("render_mode", None) is not None:
+            raise ValueError("render_mode must be None in a native vector environment: use vectorization_mode='sync'")
         self.metadata = {"render_modes": [], "autoreset_mode": self.autoreset_mode}
         self.single = self.Single(**options)
         """An environment of the same kind, never reset: camera, route, head, noise, options."""
@@ -334,7 +336,8 @@ class StereoVectorEnv(gym.vector.VectorEnv[Arrays, NDArray[np.float32], NDArray[
             info |= self._belief.info()
         if self._information is not None:
             info |= self._information.info()
-        return {**info, **{f"_{key}": self._everybody for key in info}}
+        everybody = self._everybody.copy()
+        return {**info, **{f"_{key}": everybody for key in info}}
 
     @property
     def filters(self) -> FilterBatch:
@@ -370,14 +373,18 @@ class StereoVectorEnv(gym.vector.VectorEnv[Arrays, NDArray[np.float32], NDArray[
 
     def _seeds(self, seed: int | Sequence[int | None] | None, chosen: BoolArray) -> list[int | None]:
         """Seeds of the chosen ones."""
-        if seed is None:
-            each: list[int | None] = [None] * self.num_envs
-        elif isinstance(seed, (int, np.integer)):
-            each = [int(seed) + b for b in range(self.num_envs)]
-        else:
-            each = list(seed)
+        each: list[int | None]
+        try:
+            if seed is None:
+                each = [None] * self.num_envs
+            elif isinstance(seed, (Sequence, np.ndarray)):
+                each = [None if value is None else index(value) for value in seed]
+            else:
+                each = [index(seed) + b for b in range(self.num_envs)]
+        except TypeError:
+            each = []
         if len(each) != self.num_envs:
-            raise ValueError(f"seed must be one number or {self.num_envs}, got {len(each)}")
+            raise ValueError(f"seed must be a whole number or {self.num_envs} of them, got {seed!r}")
         return [each[b] for b in np.flatnonzero(chosen).tolist()]
 
     def _actions_of(self, looks: FloatArray) -> FloatArray:
@@ -394,11 +401,8 @@ class StereoVectorEnv(gym.vector.VectorEnv[Arrays, NDArray[np.float32], NDArray[
                 raise ValueError(
                     f"actions must be {self.num_envs} numbers from 0 to {len(self._directions) - 1}, got {actions!r}"
                 )
-            return self._directions[np.asarray(actions)]
-        command = np.asarray(actions, dtype=np.float64)
-        wanted = (self.num_envs, *self.single_action_shape)
-        if command.shape != wanted or not np.isfinite(command).all():
-            raise ValueError(f"actions must be finite numbers of shape {wanted}, got {actions!r}")
+            return np.asarray(self._directions[np.asarray(actions)])
+        command = finite_array("actions", actions, (self.num_envs, *self.single_action_shape))
         return np.clip(command, -1.0, 1.0)
 
 
