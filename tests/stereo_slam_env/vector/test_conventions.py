@@ -1,0 +1,364 @@
+"""Native vector environments: the conventions of Gymnasium, as `SyncVectorEnv` has them (9 s)."""
+
+from functools import cache
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.performance import benchmark_vector_step
+from gymnasium.vector import AutoresetMode
+from gymnasium.vector.utils import batch_space
+from gymnasium.wrappers import vector as wrappers
+
+import stereo_slam_env  # noqa: F401 (registers the ids)
+
+IDS = sorted(name for name, spec in gym.registry.items() if "StereoSlam/" in name and spec.vector_entry_point)
+QUICK = {"route": "right-turn", "rig": "qvga", "max_landmarks": 20}
+EPISODE = 3
+NEXT_STEP, SAME_STEP, DISABLED = AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP, AutoresetMode.DISABLED
+
+every_id = pytest.mark.parametrize("name", IDS)
+every_mode = pytest.mark.parametrize("mode", list(AutoresetMode), ids=lambda mode: mode.name)
+
+
+def vector_of(name, num_envs=2, **options):
+    return gym.make_vec(name, num_envs=num_envs, **{**QUICK, "max_episode_steps": EPISODE, **options})
+
+
+def synchronous(name, mode, num_envs=2):
+    kwargs = {"autoreset_mode": mode}
+    return gym.make_vec(name, num_envs, "sync", vector_kwargs=kwargs, max_episode_steps=EPISODE, **QUICK)
+
+
+@cache
+def actions_of(name):
+    env = vector_of(name, 3)
+    return np.random.default_rng(0).uniform(-0.3, 0.3, (12, *env.action_space.shape)).astype(np.float32)
+
+
+def run(vector, name, steps, mode=NEXT_STEP, seed=1):
+    """Everything that a reset and some steps give; with DISABLED what is over is reset."""
+    calls = [vector.reset(seed=seed)]
+    for actions in actions_of(name)[:steps, : vector.num_envs]:
+        calls.append(vector.step(actions))
+        over = calls[-1][2] | calls[-1][3]
+        if mode is DISABLED and over.any():
+            calls.append(vector.reset(options={"reset_mask": over}))
+    vector.close()
+    return calls
+
+
+def assert_equal(first, second):
+    """Bit by bit, whatever is in what."""
+    assert type(first) is type(second)
+    if isinstance(first, dict):
+        assert first.keys() == second.keys()
+        first, second = list(first.values()), [second[key] for key in first]
+    if isinstance(first, (list, tuple)):
+        for one, other in zip(first, second, strict=True):
+            assert_equal(one, other)
+    elif isinstance(first, np.ndarray) and first.dtype == object:
+        assert_equal(first.tolist(), second.tolist())
+    else:
+        np.testing.assert_array_equal(first, second)
+
+
+def shapes(value):
+    """Keys, shapes and types; Gymnasium itself keeps NumPy's bool in arrays of objects."""
+    if isinstance(value, dict):
+        return {key: shapes(entry) for key, entry in value.items()}
+    if value.dtype == object and isinstance(value[0], dict):
+        return [shapes(entry) for entry in value]
+    dtype = np.asarray(value.tolist()).dtype if value.dtype == object else value.dtype
+    return value.shape, dtype
+
+
+def test_there_are_vectors_of_all_environments():
+    assert IDS == ["StereoSlam/Drive-v0", "StereoSlam/DriveGaze-v0", "StereoSlam/Gaze-v0"]
+
+
+@every_id
+@pytest.mark.parametrize("options", [{}, {"noise": "heavy-tailed", "observe_ids": False}], ids=["usual", "other"])
+def test_observations_are_in_their_space(name, options):
+    vector = vector_of(name, 3, **options)
+    single = gym.make(name, **{**QUICK, **options})
+    assert vector.single_observation_space == single.observation_space
+    assert vector.single_action_space == single.action_space
+    assert vector.observation_space == batch_space(single.observation_space, 3)
+    assert vector.action_space == batch_space(single.action_space, 3)
+    for observation, *_ in run(vector, name, 5):
+        assert observation in vector.observation_space
+        for key, space in vector.observation_space.items():
+            assert observation[key].dtype == space.dtype
+            assert observation[key].flags.writeable
+
+
+@every_id
+@every_mode
+def test_calls_return_what_the_synchronous_vector_returns(name, mode):
+    for native, reference in zip(
+        run(vector_of(name, autoreset_mode=mode), name, EPISODE + 2, mode),
+        run(synchronous(name, mode), name, EPISODE + 2, mode),
+        strict=True,
+    ):
+        if len(native) == 2 and mode is DISABLED:  # Gymnasium gives the info of those that were reset
+            assert shapes(native[0]) == shapes(reference[0])
+            continue
+        for ours, theirs in zip(native, reference, strict=True):
+            assert shapes(ours) == shapes(theirs)
+        for ours, theirs in zip(native[2:-1], reference[2:-1], strict=True):
+            np.testing.assert_array_equal(ours, theirs)
+        assert native[-1]["time"].tolist() == reference[-1]["time"].tolist()
+
+
+@every_id
+def test_the_step_after_the_end_is_a_reset(name):
+    *_, last, fresh, first = run(vector_of(name), name, EPISODE + 2)
+    assert last[3].all()
+    assert last[4]["time"].tolist() == pytest.approx([0.3, 0.3])
+    assert fresh[1].tolist() == [0.0, 0.0]
+    assert not (fresh[2] | fresh[3]).any()
+    assert fresh[4]["time"].tolist() == [0.0, 0.0]
+    assert first[4]["time"].tolist() == [0.1, 0.1]
+
+
+@every_id
+def test_the_last_observation_is_kept_where_the_reset_is_in_the_same_step(name):
+    same = run(vector_of(name, autoreset_mode=SAME_STEP), name, EPISODE)[-1]
+    next_ = run(vector_of(name), name, EPISODE + 1)
+    info = same[4]
+    assert info["_final_obs"].all()
+    for b in range(2):
+        assert_equal(info["final_obs"][b], {key: value[b] for key, value in next_[-2][0].items()})
+    assert_equal({key: info["final_info"][key] for key in next_[-2][4]}, next_[-2][4])
+    assert_equal(same[0], next_[-1][0])
+    assert_equal(same[1:4], next_[-2][1:4])
+
+
+@every_id
+def test_only_those_of_the_mask_are_reset(name):
+    vector = vector_of(name, 3, autoreset_mode=DISABLED)
+    *_, before, after, step = [
+        vector.reset(seed=1),
+        vector.step(actions_of(name)[0]),
+        vector.reset(options={"reset_mask": np.array([False, True, False])}),
+        vector.step(actions_of(name)[1]),
+    ]
+    assert after[1]["time"].tolist() == [0.1, 0.0, 0.1]
+    assert step[4]["time"].tolist() == [0.2, 0.1, 0.2]
+    for key, value in before[0].items():
+        np.testing.assert_array_equal(value[[0, 2]], after[0][key][[0, 2]])
+    vector.step(actions_of(name)[2])
+    with pytest.raises(RuntimeError, match=r"environments \[0, 2\] are over: reset them"):
+        vector.step(actions_of(name)[3])
+
+
+@every_id
+def test_the_same_seeds_give_the_same_bits(name):
+    expected = run(vector_of(name), name, EPISODE + 3, seed=4)
+    assert_equal(expected, run(vector_of(name), name, EPISODE + 3, seed=[4, 5]))
+    assert_equal(expected, run(vector_of(name), name, EPISODE + 3, seed=np.array([4, 5])))
+    others = run(vector_of(name), name, 0, seed=6)
+    assert not np.array_equal(others[0][0]["uvd"], expected[0][0]["uvd"])
+
+
+@every_id
+def test_environments_do_not_depend_on_their_place(name):
+    first, second = vector_of(name, 3), vector_of(name, 3)
+    order = [2, 0, 1]
+    one, other = first.reset(seed=[1, 2, 3]), second.reset(seed=[3, 1, 2])
+    for actions in actions_of(name)[: EPISODE + 2]:
+        for key, value in one[0].items():
+            np.testing.assert_array_equal(value[order], other[0][key])
+        one, other = first.step(actions), second.step(actions[order])
+        np.testing.assert_array_equal(one[1][order], other[1])
+
+
+def test_threads_do_not_change_results():
+    name = "StereoSlam/DriveGaze-v0"
+    assert_equal(run(vector_of(name, 3), name, 8), run(vector_of(name, 3, threads=2), name, 8))
+    assert_equal(run(vector_of(name, 3), name, 2), run(vector_of(name, 3, threads=8), name, 2))
+
+
+def test_a_pool_has_so_many_scenes():
+    vector = vector_of("StereoSlam/Gaze-v0", 8, scenes=2)
+    vector.reset(seed=0)
+    assert len({row.tobytes() for row in vector.unwrapped._fleet.landmarks}) == 2
+    name = "StereoSlam/Gaze-v0"
+    assert_equal(run(vector_of(name, 3, scenes=2), name, 8), run(vector_of(name, 3, scenes=2), name, 8))
+
+
+def test_what_was_returned_is_the_caller_s():
+    name = "StereoSlam/DriveGaze-v0"
+    expected = run(vector_of(name, 3), name, 8)
+    vector = vector_of(name, 3)
+    calls = [vector.reset(seed=1)]
+    for actions in actions_of(name)[:8]:
+        for part in (*calls[-1][0].values(), *calls[-1][-1].values(), *calls[-1][1:-1]):
+            if part.flags.writeable:
+                part[...] = 1
+        calls.append(vector.step(actions))
+    assert_equal(calls[-1], expected[-1])
+
+
+@pytest.mark.parametrize("limit", [-1, None])
+def test_the_end_of_the_route_is_no_truncation(limit):
+    vector = vector_of("StereoSlam/Gaze-v0", 2, max_episode_steps=limit)
+    vector.reset(seed=0)
+    for _ in range(1000):
+        *_, terminated, truncated, info = vector.step(np.zeros((2, 2)))
+        assert not truncated.any()
+        if terminated.any():
+            break
+    assert terminated.all()
+    assert info["is_success"].all()
+
+
+def test_a_limit_in_the_last_step_is_both():
+    """As `TimeLimit` has it; the single environment at the end of its route."""
+    options = {**QUICK, "perturbation": 0.0}
+    single = gym.make("StereoSlam/Gaze-v0", max_episode_steps=-1, **options)
+    single.reset(seed=0)
+    length = next(k for k in range(1, 1000) if single.step(np.zeros(2, dtype=np.float32))[2])
+    vector = vector_of("StereoSlam/Gaze-v0", 1, **options, max_episode_steps=length)
+    vector.reset(seed=0)
+    *_, terminated, truncated, _ = [vector.step(np.zeros((1, 2))) for _ in range(length)][-1]
+    assert terminated[0]
+    assert truncated[0]
+
+
+def test_the_registered_limit_holds():
+    for name in IDS:
+        assert gym.make_vec(name, num_envs=1).unwrapped.max_episode_steps == gym.spec(name).max_episode_steps
+
+
+@pytest.fixture(scope="module")
+def vector():
+    vector = vector_of("StereoSlam/Gaze-v0")
+    vector.reset(seed=0)
+    return vector
+
+
+class TestWrongInput:
+    """One line says what is wrong."""
+
+    @pytest.mark.parametrize(
+        ("actions", "message"),
+        [
+            (np.zeros((3, 2)), r"actions must have shape \(2, 2\), got \(3, 2\)"),
+            (np.zeros(2), r"actions must have shape \(2, 2\), got \(2,\)"),
+            (np.full((2, 2), np.nan), "actions must be finite"),
+            ([[np.inf, 0], [0, 0]], "actions must be finite"),
+            ("left", "actions must be numeric"),
+            (None, "actions must have shape"),
+            ([[1, 2], [3]], "actions must be numeric"),
+        ],
+    )
+    def test_actions(self, vector, actions, message):
+        with pytest.raises(ValueError, match=f"^{message}[^\n]*$"):
+            vector.step(actions)
+
+    @pytest.mark.parametrize(
+        "mask", [None, True, "all", [1, 0], np.array([1.0, 0.0]), np.zeros(2, bool), np.ones(3, bool)], ids=str
+    )
+    def test_masks(self, vector, mask):
+        with pytest.raises(ValueError, match=r"^reset_mask must be \(2,\) bool with at least one True, got [^\n]*$"):
+            vector.reset(options={"reset_mask": mask})
+
+    @pytest.mark.parametrize("seed", [1.5, "one", [1], [1, 2, 3], [], [1.5, 2]], ids=str)
+    def test_seeds(self, vector, seed):
+        with pytest.raises(ValueError, match=r"^seed must be a whole number or 2 of them, got [^\n]*$"):
+            vector.reset(seed=seed)
+
+    def test_options(self, vector):
+        with pytest.raises(ValueError, match="reset takes no options but reset_mask, got 'low'"):
+            vector.reset(options={"low": 1})
+
+    def test_a_step_before_the_first_reset(self):
+        with pytest.raises(RuntimeError, match="reset the environments before the first step"):
+            vector_of("StereoSlam/Gaze-v0").step(np.zeros((2, 2)))
+
+    def test_a_first_reset_of_some(self):
+        with pytest.raises(ValueError, match="reset_mask must be all True in the first reset"):
+            vector_of("StereoSlam/Gaze-v0").reset(options={"reset_mask": np.array([True, False])})
+
+    @pytest.mark.parametrize(
+        ("options", "error", "message"),
+        [
+            ({"rout": "loop"}, TypeError, "no argument 'rout', did you mean 'route'"),
+            ({"moving_cars": 1}, ValueError, "moving_cars must be 0 in a native vector environment, got 1"),
+            ({"pedestrians": 1}, ValueError, "pedestrians must be 0"),
+            ({"sensor": "images"}, ValueError, "sensor must be 'landmarks'"),
+            ({"render_images": True}, ValueError, "render_images must be False"),
+            ({"render_mode": "human"}, ValueError, "render_mode must be None"),
+            ({"sigma": -1.0}, ValueError, "sigma must be"),
+            ({"num_envs": 0}, ValueError, "num_envs must be a whole number >= 1, got 0"),
+            ({"threads": 0}, ValueError, "threads must be a whole number >= 1, got 0"),
+            ({"scenes": 0}, ValueError, "scenes must be a whole number >= 1, got 0"),
+            ({"max_episode_steps": 0}, ValueError, "max_episode_steps must be a whole number >= 1, got 0"),
+            ({"autoreset_mode": "never"}, ValueError, "'never' is not a valid AutoresetMode"),
+        ],
+        ids=str,
+    )
+    def test_arguments(self, options, error, message):
+        with pytest.raises(error, match=message):
+            vector_of("StereoSlam/Gaze-v0", **options)
+
+
+class TestWrappers:
+    """Those of Gymnasium that are made for vectors."""
+
+    @every_mode
+    def test_record_episode_statistics(self, mode):
+        vector = wrappers.RecordEpisodeStatistics(vector_of("StereoSlam/Drive-v0", autoreset_mode=mode))
+        *_, last = run(vector, "StereoSlam/Drive-v0", EPISODE)[: EPISODE + 1]
+        assert last[4]["episode"]["l"].tolist() == [EPISODE] * 2
+
+    @every_id
+    def test_flatten_observation(self, name):
+        vector = wrappers.FlattenObservation(vector_of(name))
+        for observation, *_ in run(vector, name, EPISODE + 1):
+            assert observation in vector.observation_space
+            assert observation.shape == (2, gym.spaces.flatdim(vector.unwrapped.single_observation_space))
+
+    def test_rescale_observation_after_flattening(self):
+        """The mean of the limits must be a number, so without `ids`, whose are far apart."""
+        low, high = np.float32(-1.0), np.float32(1.0)
+        flat = wrappers.FlattenObservation(vector_of("StereoSlam/Gaze-v0", observe_ids=False))
+        vector = wrappers.RescaleObservation(flat, low, high)
+        for observation, *_ in run(vector, "StereoSlam/Gaze-v0", 2):
+            assert np.abs(observation).max() <= 1.0 + 1e-5
+
+    def test_dictionaries_become_arrays_of_one_key(self):
+        single = gym.spaces.Box(-np.inf, np.inf, (6,))
+        vector = wrappers.TransformObservation(
+            vector_of("StereoSlam/Gaze-v0"), lambda seen: seen["odometry"], batch_space(single, 2), single
+        )
+        assert vector.reset(seed=0)[0].shape == (2, 6)
+
+    def test_clipped_and_rescaled_actions(self):
+        vector = wrappers.ClipAction(
+            wrappers.RescaleAction(vector_of("StereoSlam/Gaze-v0"), np.float32(-2.0), np.float32(2.0))
+        )
+        vector.reset(seed=0)
+        vector.step(np.full((2, 2), 2.0, dtype=np.float32))
+
+    def test_numpy_to_torch(self):
+        torch = pytest.importorskip("torch")
+        pytest.importorskip("array_api_compat", reason="the wrapper needs it")
+        vector = wrappers.NumpyToTorch(vector_of("StereoSlam/Gaze-v0"))
+        assert isinstance(vector.reset(seed=0)[0]["uvd"], torch.Tensor)
+        assert isinstance(vector.step(torch.zeros(2, 2))[1], torch.Tensor)
+
+    @every_mode
+    def test_the_common_benchmark(self, mode):
+        assert benchmark_vector_step(vector_of("StereoSlam/Gaze-v0", autoreset_mode=mode), 0.1, seed=0) > 100
+
+
+def test_names_and_closing():
+    vector = vector_of("StereoSlam/Gaze-v0", 3, threads=2)
+    assert str(vector) == "GazeVectorEnv(StereoSlam/Gaze-v0, num_envs=3)"
+    vector.reset(seed=0)
+    vector.close()
+    vector.close()
+    assert vector.closed
