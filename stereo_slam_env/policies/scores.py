@@ -22,10 +22,10 @@ _STEER_BY, _BRAKE_BY = 1, 3
 
 REFERENCE_RETURNS: Mapping[str, tuple[float, float]] = MappingProxyType(
     {
-        "StereoSlam/Drive-v0": (0.0, 1.0),
-        "StereoSlam/Gaze-v0": (0.0, 1.0),
-        "StereoSlam/DriveGaze-v0": (0.0, 1.0),
-        "StereoSlam/ActiveGaze-v0": (0.0, 1.0),
+        "StereoSlam/Drive-v0": (-7.3, 58.8),
+        "StereoSlam/Gaze-v0": (0.28, 1.04),
+        "StereoSlam/DriveGaze-v0": (-5.0, 47.3),
+        "StereoSlam/ActiveGaze-v0": (-29.9, -27.4),
     }
 )
 """Mean returns of actions at random and of the best policy known, by id, with default arguments; measured by

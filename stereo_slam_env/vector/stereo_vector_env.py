@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from operator import index
 from typing import Any, ClassVar
 
 import gymnasium as gym
@@ -25,6 +24,7 @@ from stereo_slam_env.envs.options import StereoOptions
 from stereo_slam_env.envs.stereo_env import ARENA, MAX_VELOCITY, START_SIGMAS, StereoEnv, route_ahead
 from stereo_slam_env.policies.interface import directions, require_head
 from stereo_slam_env.sensing.pixel_noise import NOISE_MODELS
+from stereo_slam_env.vector.arguments import require_native, reset_mask, rows_of, seeds_of
 from stereo_slam_env.vector.belief import LockstepBelief, PoseInformation
 from stereo_slam_env.vector.frame import FIRST, STEP, WAIT, run_frame
 from stereo_slam_env.vector.scenes import SceneArrays, put_scene, scene_arrays, with_room
@@ -115,7 +115,7 @@ class StereoVectorEnv(gym.vector.VectorEnv[Arrays, NDArray[np.float32], NDArray[
         self.single = self.Single(**options)
         """An environment of the same kind, never reset: camera, route, head, noise, options."""
         self.options: StereoOptions = self.single.options
-        _check(self.options)
+        require_native(self.options)
         self._belief = None if belief is None else LockstepBelief(self.single, num_envs, belief, panorama, self.threads)
         if belief is None and (panorama is not None or information is not None):
             raise ValueError("panorama and information need a filter in the loop: give belief={}")
@@ -158,9 +158,9 @@ class StereoVectorEnv(gym.vector.VectorEnv[Arrays, NDArray[np.float32], NDArray[
 
         `seed` is one of the first environment, the others have the following ones, or one for each.
         """
-        chosen = self._chosen(options)
-        for b, value in zip(np.flatnonzero(chosen).tolist(), self._seeds(seed, chosen), strict=True):
-            if value is not None or self._generators[b] is None:
+        chosen = reset_mask(options, np.array([generator is not None for generator in self._generators]))
+        for b, value in enumerate(seeds_of(seed, self.num_envs)):
+            if chosen[b] and (value is not None or self._generators[b] is None):
                 self._generators[b] = np_random(value)[0]
         self._begin(chosen)
         return self._observation(), self._info()
@@ -184,7 +184,7 @@ class StereoVectorEnv(gym.vector.VectorEnv[Arrays, NDArray[np.float32], NDArray[
         last, ended = (self._observation(), self._info()), self._over.copy()
         self._begin(ended)
         info = self._info()
-        info["final_obs"], info["_final_obs"] = _rows(last[0], ended), ended
+        info["final_obs"], info["_final_obs"] = rows_of(last[0], ended), ended
         info["final_info"] = {**last[1], **{name: ended for name in last[1] if name.startswith("_")}}
         info["_final_info"] = ended
         return self._observation(), rewards, terminated, truncated, info
@@ -358,35 +358,6 @@ class StereoVectorEnv(gym.vector.VectorEnv[Arrays, NDArray[np.float32], NDArray[
 
     # --- arguments --------------------------------------------------------------------------------------------------
 
-    def _chosen(self, options: dict[str, Any] | None) -> BoolArray:
-        """Environments to be reset."""
-        if not options:
-            return self._everybody.copy()
-        if set(options) != {"reset_mask"}:
-            raise ValueError(f"reset takes no options but reset_mask, got {', '.join(map(repr, options))}")
-        mask = np.asarray(options["reset_mask"])
-        if mask.shape != (self.num_envs,) or mask.dtype != np.bool_ or not mask.any():
-            raise ValueError(f"reset_mask must be ({self.num_envs},) bool with at least one True, got {mask!r}")
-        if not (mask | ~np.array([generator is None for generator in self._generators])).all():
-            raise ValueError("reset_mask must be all True in the first reset")
-        return mask
-
-    def _seeds(self, seed: int | Sequence[int | None] | None, chosen: BoolArray) -> list[int | None]:
-        """Seeds of the chosen ones."""
-        each: list[int | None]
-        try:
-            if seed is None:
-                each = [None] * self.num_envs
-            elif isinstance(seed, (Sequence, np.ndarray)):
-                each = [None if value is None else index(value) for value in seed]
-            else:
-                each = [index(seed) + b for b in range(self.num_envs)]
-        except TypeError:
-            each = []
-        if len(each) != self.num_envs:
-            raise ValueError(f"seed must be a whole number or {self.num_envs} of them, got {seed!r}")
-        return [each[b] for b in np.flatnonzero(chosen).tolist()]
-
     def _actions_of(self, looks: FloatArray) -> FloatArray:
         """Actions that look somewhere (pan and tilt as shares of the largest) and do nothing else."""
         require_head(self.single)
@@ -422,22 +393,3 @@ class DriveGazeVectorEnv(StereoVectorEnv):
     """Many `StereoSlam/DriveGaze-v0`."""
 
     Single = StereoDriveGazeEnv
-
-
-def _check(options: StereoOptions) -> None:
-    """Refuse what only single environments have."""
-    only = {"sensor": "landmarks", "render_images": False, "moving_cars": 0, "pedestrians": 0}
-    for name, value in only.items():
-        if getattr(options, name) != value:
-            raise ValueError(
-                f"{name} must be {value!r} in a native vector environment, got {getattr(options, name)!r}: "
-                "use make_vec(..., vectorization_mode='async') for a process each"
-            )
-
-
-def _rows(observation: Arrays, which: BoolArray) -> NDArray[Any]:
-    """Observations of single environments, None where they are not asked for."""
-    rows = np.full(len(which), None, dtype=object)
-    for b in np.flatnonzero(which).tolist():
-        rows[b] = {key: value[b].copy() for key, value in observation.items()}
-    return rows

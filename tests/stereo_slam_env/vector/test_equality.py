@@ -1,4 +1,4 @@
-"""A vector of environments gives the episodes of single ones (1 min; 100 episodes of each id are slow, 3 min)."""
+"""A vector of environments gives the episodes of single ones (15 s; 100 episodes of each id are slow, 30 s)."""
 
 import gymnasium as gym
 import numpy as np
@@ -46,7 +46,6 @@ def compare(name, seeds, steps, **arguments):
     return ended, crashed
 
 
-@pytest.mark.parametrize("name", IDS)
 @pytest.mark.parametrize(
     "arguments",
     [
@@ -57,8 +56,8 @@ def compare(name, seeds, steps, **arguments):
     ],
     ids=lambda arguments: arguments["surroundings"],
 )
-def test_the_episodes_are_those_of_single_environments(name, arguments):
-    compare(name, range(5, 8), 85, **QUICK, **arguments)
+def test_the_episodes_are_those_of_single_environments(arguments):
+    compare("StereoSlam/DriveGaze-v0", range(5, 8), 85, **QUICK, **arguments)
 
 
 def test_a_scripted_drive_is_the_same():
