@@ -1,0 +1,107 @@
+"""Compiled collisions: a box touches what it touches in PyBullet (4 s)."""
+
+import numpy as np
+import pytest
+from numba import njit
+
+from filters import rotations
+from stereo_slam_env.world.collisions import collides, touches
+from stereo_slam_env.world.physics import PhysicsWorld
+from stereo_slam_env.world.rays import obstacles, traversal
+from stereo_slam_env.world.scene import Box, Cylinder, Ground, Material, Scene, Sphere
+from stereo_slam_env.world.vehicle import Car
+
+GREY = Material((0.5, 0.5, 0.5))
+HALF = tuple(0.5 * side for side in Car().size)
+CLOSE = 1e-3
+"""m; nearer than this to touching the two may differ."""
+
+
+@njit
+def touches_one(solid, R, at, half):
+    return touches(solid, R, at, half)
+
+
+@njit
+def touches_any(solids, bounds, links, room, R, at, half):
+    return collides(solids, bounds, links, len(bounds), room, R, at, half)
+
+
+def scene_of(*solids):
+    return Scene(Ground((-50, -50), (50, 50), GREY), solids, (), np.zeros((0, 3)))
+
+
+def random_solid(kind, rng):
+    at = tuple(rng.uniform((-4.0, -4.0, 0.5), (4.0, 4.0, 3.0)))
+    if kind == "box":
+        return Box(at, tuple(rng.uniform(0.2, 4.0, 3)), rng.uniform(-3, 3), GREY)
+    if kind == "cylinder":
+        return Cylinder(at, tuple(at + rng.uniform(-2, 2, 3)), rng.uniform(0.05, 1.0), GREY)
+    return Sphere(at, rng.uniform(0.1, 2.0), GREY)
+
+
+def random_pose(rng):
+    return rng.uniform((-4, -4, 0.6), (4, 4, 2)), rotations.exp(rng.normal(size=3) * (0.1, 0.1, 3.0))
+
+
+@pytest.fixture(scope="module")
+def world():
+    world = PhysicsWorld()
+    yield world
+    world.close()
+
+
+@pytest.mark.parametrize("kind", ["box", "cylinder", "sphere"])
+def test_a_box_touches_what_it_touches_in_pybullet(kind, world):
+    rng = np.random.default_rng(0)
+    hits = 0
+    for _ in range(500):
+        solid = random_solid(kind, rng)
+        world.build(scene_of(solid), Car().size)
+        row = obstacles([solid]).solids[0]
+        for _ in range(4):
+            at, R = random_pose(rng)
+            expected = world.ego_collides(at, R)
+            pose = tuple(R.ravel()), tuple(at)
+            hits += expected
+            if touches_one(row, *pose, HALF) != expected:
+                by = -CLOSE if expected else CLOSE
+                assert touches_one(row, *pose, tuple(side - by for side in HALF)) == expected
+    assert 300 < hits < 1700
+
+
+def test_a_box_among_many_solids(world):
+    rng = np.random.default_rng(1)
+    for _ in range(20):
+        solids = [random_solid(kind, rng) for kind in ("box", "cylinder", "sphere")]
+        far = [Box((x, 30.0, 1.0), (1.0, 1.0, 2.0), 0.1, GREY) for x in range(-40, 40, 2)]
+        world.build(scene_of(*far, *solids), Car().size)
+        shapes = obstacles([*far, *solids])
+        for _ in range(20):
+            at, R = random_pose(rng)
+            at[:2] *= 2.5
+            found = touches_any(*shapes, traversal(), tuple(R.ravel()), tuple(at), HALF)
+            assert found == world.ego_collides(at, R)
+            assert found == any(touches_one(row, tuple(R.ravel()), tuple(at), HALF) for row in shapes.solids)
+
+
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize("gap", [-1e-6, 1e-6])
+def test_faces_that_nearly_touch(axis, gap):
+    box = Box((1.0, 2.0, 3.0), (2.0, 4.0, 6.0), 0.0, GREY)
+    at = np.array(box.center)
+    at[axis] += 0.5 * box.size[axis] + HALF[axis] + gap
+    assert touches_one(obstacles([box]).solids[0], tuple(np.eye(3).ravel()), tuple(at), HALF) == (gap < 0)
+
+
+@pytest.mark.parametrize("kind", ["box", "cylinder", "sphere"])
+def test_a_solid_inside_a_box_touches_it(kind):
+    solid = random_solid(kind, np.random.default_rng(2))
+    row = obstacles([solid]).solids[0]
+    assert touches_one(row, tuple(np.eye(3).ravel()), tuple(row[:3]), (20.0, 20.0, 20.0))
+    assert touches_one(row, tuple(np.eye(3).ravel()), tuple(row[:3] + 5.0), (20.0, 20.0, 20.0))
+
+
+def test_nothing_is_touched_where_nothing_is():
+    shapes = obstacles([])
+    assert not touches_any(*shapes, traversal(), tuple(np.eye(3).ravel()), (0.0, 0.0, 1.0), HALF)
