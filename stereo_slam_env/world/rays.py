@@ -57,8 +57,8 @@ def obstacles(solids: Iterable[Primitive]) -> Obstacles:
 
 
 def visible(obstacles: Obstacles, cameras: FloatArray, points: FloatArray) -> BoolArray:
-    """Which points (N, 3) on surfaces are seen from both `cameras` (2, 3); as `PhysicsWorld.visible`."""
-    return np.asarray(_visible(*obstacles, traversal(), cameras, points), dtype=np.bool_)
+    """Which points (N, 3) on surfaces are seen from one camera or two (C, 3); as `PhysicsWorld.visible`."""
+    return np.asarray(_visible(*obstacles, traversal(), cameras[[0, -1]], points), dtype=np.bool_)
 
 
 def traversal() -> IntArray:
