@@ -285,7 +285,7 @@ class TestWrongInput:
     @pytest.mark.parametrize(
         ("options", "error", "message"),
         [
-            ({"rout": "loop"}, TypeError, "no argument 'rout', did you mean 'route'"),
+            ({"rout": "loop"}, TypeError, "unexpected keyword argument 'rout', did you mean 'route'"),
             ({"moving_cars": 1}, ValueError, "moving_cars must be 0 in a native vector environment, got 1"),
             ({"pedestrians": 1}, ValueError, "pedestrians must be 0"),
             ({"sensor": "images"}, ValueError, "sensor must be 'landmarks'"),
