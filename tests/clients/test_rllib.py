@@ -5,10 +5,10 @@ import pytest
 
 pytest.importorskip("ray.rllib", reason="needs ray[rllib]", exc_type=ImportError)
 
-import ray  # noqa: E402
-from ray.rllib.algorithms.ppo import PPOConfig  # noqa: E402
-from ray.rllib.connectors.env_to_module import FlattenObservations  # noqa: E402
-from ray.tune.registry import register_env  # noqa: E402
+import ray
+from ray.rllib.algorithms.ppo import PPOConfig
+from ray.rllib.connectors.env_to_module import FlattenObservations
+from ray.tune.registry import register_env
 
 pytestmark = pytest.mark.slow
 STEPS, ITERATIONS = 64, 2

@@ -7,7 +7,7 @@ import stereo_slam_env  # noqa: F401 (registers the ids)
 
 pytest.importorskip("torchrl", reason="needs torchrl", exc_type=ImportError)
 
-from torchrl.envs import GymEnv, GymWrapper, check_env_specs  # noqa: E402
+from torchrl.envs import GymEnv, GymWrapper, check_env_specs
 
 pytestmark = pytest.mark.slow
 QUICK = {"route": "right-turn", "rig": "qvga", "max_landmarks": 8}
