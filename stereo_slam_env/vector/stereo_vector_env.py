@@ -72,6 +72,7 @@ class StereoVectorEnv(gym.vector.VectorEnv[Arrays, NDArray[np.float32], NDArray[
     """
 
     Single: ClassVar[type[StereoEnv]]
+    _workers: ThreadPoolExecutor | None = None  # of the class: Gymnasium closes what could not be made, too
 
     def __init__(
         self,
@@ -108,7 +109,6 @@ class StereoVectorEnv(gym.vector.VectorEnv[Arrays, NDArray[np.float32], NDArray[
         self._noise_generators: list[np.random.Generator | None] = [None] * num_envs
         self._pool: list[SceneArrays] = []
         self._rooms = [traversal() for _ in range(self.threads)]
-        self._workers: ThreadPoolExecutor | None = None
         self._over = np.ones(num_envs, dtype=np.bool_)
         self._everybody = np.ones(num_envs, dtype=np.bool_)
 
