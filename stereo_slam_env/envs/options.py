@@ -31,7 +31,10 @@ correlation does not see it. Measured with `stereo-slam scenes noise`."""
 
 
 class UnknownArgument(TypeError, ValueError):
-    """There is no argument of that name: a `TypeError` as with any function, a `ValueError` as with wrong values."""
+    """There is no argument of that name: a `TypeError` as with any function, a `ValueError` as with wrong values.
+
+    The words are those of Python: TorchRL looks for them.
+    """
 
 
 @dataclass(frozen=True)
@@ -92,7 +95,7 @@ class StereoOptions:
         for name in given:
             if name not in known:
                 near = did_you_mean(name, known) or "."
-                raise UnknownArgument(f"there is no argument {name!r}{near} Known: {', '.join(known)}")
+                raise UnknownArgument(f"unexpected keyword argument {name!r}{near} Known: {', '.join(known)}")
         return cls(**given)
 
     @property

@@ -88,7 +88,7 @@ class StereoVectorEnv(gym.vector.VectorEnv[Arrays, NDArray[np.float32], NDArray[
     """
 
     Single: ClassVar[type[StereoEnv]]
-    _workers: ThreadPoolExecutor | None = None
+    _workers: ThreadPoolExecutor | None = None  # of the class: Gymnasium closes what could not be made, too
 
     def __init__(
         self,

@@ -167,7 +167,7 @@ def test_memory_is_flat_over_resets(make):
         ({"blank_from": -1.0}, r"blank_from must be a finite number >= 0, got -1.0"),
         ({"supersample": 2.0}, r"supersample must be a whole number from 1 to 4, got 2.0"),
         ({"render_mode": "ansi"}, r"render_mode must be None, 'rgb_array' or 'human', got 'ansi'"),
-        ({"sgima": 1.0}, r"there is no argument 'sgima', did you mean 'sigma'\? Known: route, "),
+        ({"sgima": 1.0}, r"unexpected keyword argument 'sgima', did you mean 'sigma'\? Known: route, "),
     ],
     ids=lambda value: next(iter(value)) if isinstance(value, dict) else "",
 )
@@ -178,7 +178,7 @@ def test_a_wrong_argument_gets_one_clear_line(kwargs, message):
 
 
 def test_an_unknown_argument_is_a_type_error_too():
-    with pytest.raises(TypeError, match="there is no argument 'frameskip'"):
+    with pytest.raises(TypeError, match="unexpected keyword argument 'frameskip'"):
         StereoDriveEnv(frameskip=4)
 
 
