@@ -44,7 +44,7 @@ def train(
         raise typer.Exit(130) from None
     straight = dataclasses.asdict(evaluate(None, task, VALIDATION_SEEDS))
     rows = LearningCurve(directory / "learning_curve.csv").rows
-    plot_learning(rows, straight).save(directory / "learning_curve.png")
+    plot_learning([rows], straight).save(directory / "learning_curve.png")
     best = min(rows, key=lambda row: row["final_pose_logdet"])
     for name, value in straight.items():
         typer.echo(f"{name:<24} network {best[name]:8.3f}   straight ahead {value:8.3f}")

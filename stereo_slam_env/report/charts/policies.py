@@ -97,21 +97,23 @@ def plot_claim_and_truth(runs: Sequence[FilterRun]) -> Chart:
     return figure(panels, colours)
 
 
-def plot_learning(rows: Sequence[Mapping[str, float]], straight_ahead: Mapping[str, float]) -> Chart:
-    """Claimed uncertainty and true error on the validation episodes against the decisions made so far."""
-    thousands = np.array([row["decisions"] / 1000.0 for row in rows])
-    best = min(range(len(rows)), key=lambda k: rows[k]["final_pose_logdet"])
-    x = Axis(0, float(thousands.max()) or 1.0, "decisions, thousands")
+def plot_learning(runs: Sequence[Sequence[Mapping[str, float]]], straight_ahead: Mapping[str, float]) -> Chart:
+    """Claimed uncertainty and true error on the validation episodes against the decisions made; a curve a training."""
+    rows = [row for run in runs for row in run]
+    kept = min(rows, key=lambda row: row["final_pose_logdet"])
+    x = Axis(0, max(row["decisions"] for row in rows) / 1000.0 or 1.0, "decisions, thousands")
     panels = []
     for name, title in _LEARNT.items():
-        values = np.array([row[name] for row in rows])
-        y = Axis(0, 1.15 * max(float(values.max()), straight_ahead[name]))
+        y = Axis(0, 1.15 * max(*(row[name] for row in rows), straight_ahead[name]))
         panel = Panel(x, y, 0.5 * WIDTH - 70, 240.0, title)
         panel.rule(y=straight_ahead[name], dash=DASHED)
         panel.text("straight ahead", panel.width, panel.place(0, straight_ahead[name])[1] - 9, align="right")
-        panel.lines([Curve("learnt", thousands, values, PALETTE[0])])
-        panel.dots([Curve("learnt", thousands[[best]], values[[best]], PALETTE[0], said="kept")], 60)
-        right, down = panel.place(thousands[best], values[best])
+        for run in runs:
+            thousands = np.array([row["decisions"] / 1000.0 for row in run])
+            panel.lines([Curve("learnt", thousands, np.array([row[name] for row in run]), PALETTE[0])])
+        at, value = np.array([kept["decisions"] / 1000.0]), np.array([kept[name]])
+        panel.dots([Curve("learnt", at, value, PALETTE[0], said="kept")], 60)
+        right, down = panel.place(at[0], value[0])
         panel.text("kept", right - 6, down + 13, PALETTE[0], align="right")
         panels.append(panel)
     return figure(panels)
