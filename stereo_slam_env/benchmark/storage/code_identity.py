@@ -30,6 +30,7 @@ NO_RESULT = (
     "stereo_slam_env/studies/",
     "stereo_slam_env/pytest_plugin.py",
     "stereo_slam_env/training/",
+    "stereo_slam_env/vector/",
     "stereo_slam_env/viewer/",
 )
 """Beginnings of the paths of modules that neither make a recording nor run a filter; all others count."""
