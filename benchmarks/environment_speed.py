@@ -40,7 +40,7 @@ from stereo_slam_env.world.physics import pybullet
 from stereo_slam_env.world.routes import FRAME_PERIOD
 
 DENSE = {"policy": "route", "max_landmarks": 100, "refill_below": 100}
-"""100 landmarks in every frame; the scene of the route "town" has more than 300 bodies of some 1400 solids."""
+"""100 landmarks in every frame; the scene of the route "town" has some 180 bodies of 1400 solids."""
 IN_A_STEP = (
     "rayTestBatch",
     "performCollisionDetection",

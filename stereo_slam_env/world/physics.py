@@ -42,8 +42,8 @@ def _without_banner() -> Iterator[None]:
 with _without_banner():
     import pybullet
 
-_BODY_REACH, _SHAPES_PER_BODY = 12.0, 8
-"""Consecutive solids that stand within so many m of the first of them share a body, up to so many (PyBullet allows 16).
+_BODY_REACH, _SHAPES_PER_BODY = 24.0, 16
+"""Consecutive solids within so many m of the first of them share a body, up to so many: PyBullet allows no more.
 
 Building and rays are both faster than with one body each; with larger bodies rays would test shapes far away.
 """
