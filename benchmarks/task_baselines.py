@@ -76,7 +76,7 @@ ROWS = [
     (CLOSED, {}, {"brake": brake, "random": randomly}),
     *((CLOSED, {"latency": n}, {"follow the route": fast, "5 m/s": slow}) for n in (0, 2, 5)),
     *((CLOSED, {"latency": n, **DEAD}, {"follow the route": fast, "5 m/s": slow}) for n in (0, 2, 5)),
-    (HARD[CLOSED], {}, {"5 m/s": slow}),
+    (HARD[CLOSED], {}, {"follow the route": fast, "5 m/s": slow}),
 ]
 """Id, arguments and agents."""
 

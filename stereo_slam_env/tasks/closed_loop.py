@@ -71,10 +71,11 @@ class RouteByEstimate(RecordedWrapper):
         return self._by_estimate(observation), float(reward), terminated, truncated, info
 
     def _cross_track(self) -> np.float64:
-        """Distance of the car from its route on the ground, m."""
+        """Distance of the car from the line of its route, m."""
         route, position = self.inner("route"), self.inner("body").position
         self._true_nearest = route.nearest(position, around=self._true_nearest)
-        return np.float64(np.hypot(*(position - route.positions[self._true_nearest])[[0, 2]]))
+        right = route.attitudes[self._true_nearest][:, 0]
+        return np.float64(abs(right @ (position - route.positions[self._true_nearest])))
 
     def _by_estimate(self, observation: dict[str, Any]) -> dict[str, Any]:
         pose, route = self.inner("slam").pose, self.inner("route")
@@ -112,7 +113,7 @@ def closed_loop(
         Difficulty, see `LEVELS`.
     arguments : mapping, optional
         Of `StereoSlam/Drive-v0`; JSON-able. Unless given here, there are 40 landmarks at most, and the odometry is that
-        of a car: 0.3 m/s and 0.03 rad/s.
+        of a car: 0.2 m/s and 0.02 rad/s.
     filter : str
         Name of the filter that is driven by.
     filter_options : mapping, optional
@@ -120,7 +121,7 @@ def closed_loop(
     latency, leeway
         Of `RouteByEstimate`.
     """
-    odometry = {"odometry_sigma_linear": 0.3, "odometry_sigma_angular": 0.03}
+    odometry = {"odometry_sigma_linear": 0.2, "odometry_sigma_angular": 0.02}
     own = {"render_mode": render_mode, "max_landmarks": 40, "tracking_weight": 0.0, **odometry}
     env = inner_environment("StereoSlam/Drive-v0", level, arguments or {}, **own)
     env = BeliefPanorama(BeliefObservation(env, filter, options=filter_options))

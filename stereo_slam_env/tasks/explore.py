@@ -59,15 +59,17 @@ class Coverage(RecordedWrapper):
     def __init__(
         self,
         env: gym.Env[Any, Any],
-        accuracy: float = 0.5,
-        goal: float = 0.5,
+        accuracy: float = 0.8,
+        goal: float = 0.6,
         coverage_weight: float = 20.0,
         path_weight: float = 0.01,
     ) -> None:
         super().__init__(env)
         self.inner("slam")
         if self.inner("options").sensor != "landmarks":
-            raise ValueError("sensor must be 'landmarks': of corners in images nobody knows how many there are to be mapped")
+            raise ValueError(
+                "sensor must be 'landmarks': of corners in images nobody knows how many there are to be mapped"
+            )
         self._accuracy, self._goal = positive("accuracy", accuracy), positive("goal", goal)
         self._paid = positive("coverage_weight", coverage_weight), positive("path_weight", path_weight, allow_zero=True)
         inner = dict_space(env, "Coverage").spaces
@@ -125,8 +127,8 @@ def explore(
     arguments: Mapping[str, Any] | None = None,
     filter: str = "shared-anchor",
     filter_options: Mapping[str, Any] = GAZE_FILTER,
-    accuracy: float = 0.5,
-    goal: float = 0.5,
+    accuracy: float = 0.8,
+    goal: float = 0.6,
     coverage_weight: float = 20.0,
     path_weight: float = 0.01,
 ) -> gym.Env[Any, Any]:

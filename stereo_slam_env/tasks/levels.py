@@ -18,10 +18,10 @@ LEVELS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
         "easy": {"sigma": 0.5, "odometry_sigma_linear": 0.05, "odometry_sigma_angular": 0.005},
         "normal": {},
         "hard": {
-            "sigma": 1.5,
-            "odometry_sigma_linear": 0.4,
-            "odometry_sigma_angular": 0.04,
-            "visibility": 20.0,
+            "sigma": 1.25,
+            "odometry_sigma_linear": 0.2,
+            "odometry_sigma_angular": 0.02,
+            "visibility": 25.0,
             "moving_cars": 4,
             "pedestrians": 4,
             "randomise": True,
@@ -29,12 +29,19 @@ LEVELS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
     }
 )
 """Arguments of the environment at each level: noise, fog, traffic, textures and light. "normal": those of the task."""
+_TRAFFIC = ("moving_cars", "pedestrians")
 
 
 def inner_environment(name: str, level: str, given: Mapping[str, Any], **own: Any) -> gym.Env[Any, Any]:
-    """The environment `name` inside a task: arguments of the task, of the level, and those given, the last ones win."""
+    """The environment `name` inside a task: its own arguments, those of the level, and those given; the last ones win.
+
+    Traffic of a level is for scripted drives, in which it hides landmarks: it keeps time with the script, and an agent
+    that drives is not shown it, so it would be hit without a fault of its own.
+    """
     one_of("level", level, LEVELS)
-    arguments = {**own, **LEVELS[level], **given}
+    scripted = name == "StereoSlam/Gaze-v0"
+    of_level = {key: value for key, value in LEVELS[level].items() if scripted or key not in _TRAFFIC}
+    arguments = {**own, **of_level, **given}
     return gym.make(name, max_episode_steps=-1, disable_env_checker=True, **arguments)
 
 

@@ -22,7 +22,7 @@ _FARTHEST = 1000.0
 """Bound of the key `ahead`, m."""
 _AWAY, _PAST = 30.0, 3.0
 """m: a loop leads farther away from the start than the first, and passes it nearer than the second."""
-_BEYOND, _KNOWN_AGAIN = 10.0, -52.0
+_BEYOND, _KNOWN_AGAIN = 5.0, -48.0
 """Of `close_if_it_pays`: metres beyond the start, and the sum of 2 ln(sigma) that is left there."""
 
 
