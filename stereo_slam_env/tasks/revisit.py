@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from copy import deepcopy
 from typing import Any
 
 import gymnasium as gym
@@ -50,7 +51,7 @@ class LoopClosure(RecordedWrapper):
     Raises
     ------
     ValueError
-        The route does not come back to its start.
+        An argument is impossible, or the route does not come back to its start.
     """
 
     def __init__(
@@ -61,7 +62,10 @@ class LoopClosure(RecordedWrapper):
         hold: int = 10,
     ) -> None:
         super().__init__(env)
-        self._begin, self._dearest = tuple(begin), positive("dearest", dearest)
+        low, high = (positive("begin", share, allow_zero=True) for share in begin)
+        if not low <= high <= 1.0:
+            raise ValueError(f"begin must be two shares that ascend to 1 at most, got {tuple(begin)}")
+        self._begin, self._dearest = (low, high), positive("dearest", dearest)
         self._hold = whole_number("hold", hold, 1)
         self._closing = closing_distance(self.inner("route"))
         self._still = np.zeros(env.action_space.shape or (), dtype=np.float32)
@@ -80,18 +84,20 @@ class LoopClosure(RecordedWrapper):
     ) -> tuple[dict[str, Any], dict[str, Any]]:
         """Reset the environment, draw a place and a price, and drive there."""
         self._observation, self._info = self.env.reset(seed=seed, options=options)
-        share, price = self.env.np_random.uniform((*self._begin[:1], 0.0), (*self._begin[1:], self._dearest))
-        self._steps, self._price, self._total = 0, float(price), 0.0
+        share = self.env.np_random.uniform(*self._begin)
+        self._price = float(self.env.np_random.uniform(0.0, self._dearest))
+        self._steps, self._total = 0, 0.0
         arc_length = self.inner("route").arc_length
         while arc_length[self._steps] < share * self._closing:
             self._drive()
         self._driven = float(self._info["distance"])
-        return self._shown(), self._with_reward(0.0)
+        return self._shown(), self._with_rewards(0.0, 0.0)
 
     def step(self, action: Any) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
         """Stop, or drive on for a second."""
         if action == STOP:
-            return self._shown(), 0.0, True, False, self._with_reward(0.0)
+            self._observation, self._info = deepcopy((self._observation, self._info))  # nothing is handed out twice
+            return self._shown(), 0.0, True, False, self._with_rewards(0.0, 0.0)
         learnt, over, left = 0.0, False, self._hold
         while left > 0 and not over:
             reward, over = self._drive()
@@ -99,8 +105,7 @@ class LoopClosure(RecordedWrapper):
         driven = float(self._info["distance"])
         path, self._driven = self._price * (self._driven - driven), driven
         self._total += learnt + path
-        self._info = {**self._info, "reward_information": np.float64(learnt)}
-        return self._shown(), learnt + path, over, False, self._with_reward(path)
+        return self._shown(), learnt + path, over, False, self._with_rewards(learnt, path)
 
     def _drive(self) -> tuple[float, bool]:
         """A step of the environment: its reward, and whether the episode is over."""
@@ -116,9 +121,9 @@ class LoopClosure(RecordedWrapper):
         added = {"ahead": self._ahead, "price": self._price}
         return {**self._observation, **{key: np.array([value], dtype=np.float32) for key, value in added.items()}}
 
-    def _with_reward(self, path: float) -> dict[str, Any]:
-        success = np.bool_(self._ahead <= 0.0 and self._total > 0.0)
-        return {**self._info, "reward_path": np.float64(path), "is_success": success}
+    def _with_rewards(self, learnt: float, path: float) -> dict[str, Any]:
+        rewards = {"reward_information": np.float64(learnt), "reward_path": np.float64(path)}
+        return {**self._info, **rewards, "is_success": np.bool_(self._ahead <= 0.0 and self._total > 0.0)}
 
 
 def closing_distance(route: Route) -> float:
