@@ -1,7 +1,7 @@
 """Baselines in the tasks of `stereo_slam_env.tasks`, on scenes that nothing was tuned on.
 
-Run it: python benchmarks/task_baselines.py --episodes 20. It takes some ten minutes of one core. For every agent it
-shows the interquartile mean of the returns with its 95 % bootstrap interval, and the share of successes.
+Run it: python benchmarks/task_baselines.py --episodes 20. It takes a quarter of an hour of one core. For every agent
+it shows the interquartile mean of the returns with its 95 % bootstrap interval, and the share of successes.
 """
 
 import argparse
@@ -126,7 +126,7 @@ def main():
             rows = pool(delayed(episode)(name, arguments, choose, seed) for seed in seeds)
             returns, best, *others = np.array(rows).T
             show(name, arguments, agent, returns, *others)
-            if choose is go_on:  # who knows what comes stops at the highest return
+            if choose is go_on:  # who knows what comes stops at the highest return; no agent can
                 show(name, arguments, "hindsight", best, best > 0.0, *others[1:])
 
 
