@@ -31,10 +31,16 @@ def _refuse_other_filters() -> None:
 _refuse_other_filters()
 
 
-def _register(name: str, entry_point: str, max_episode_steps: int, vector_entry_point: str | None = None) -> None:
+def _register(
+    name: str, entry_point: str, max_episode_steps: int, vector_entry_point: str | None = None, **arguments: object
+) -> None:
     if name not in _gym.registry:
         _gym.register(
-            name, entry_point=entry_point, max_episode_steps=max_episode_steps, vector_entry_point=vector_entry_point
+            name,
+            entry_point=entry_point,
+            max_episode_steps=max_episode_steps,
+            vector_entry_point=vector_entry_point,
+            kwargs=arguments,
         )
 
 
@@ -62,5 +68,13 @@ _register(
     600,
     "stereo_slam_env.training.task:active_gaze_vector",
 )
+for _task, _made, _most in (
+    ("Explore", "explore:explore", 1200),
+    ("Revisit", "revisit:revisit", 100),
+    ("ClosedLoop", "closed_loop:closed_loop", 1200),
+):
+    _register(f"StereoSlam/{_task}-v0", f"stereo_slam_env.tasks.{_made}", _most)
+    for _level in ("easy", "hard"):
+        _register(f"StereoSlam/{_task}-{_level}-v0", f"stereo_slam_env.tasks.{_made}", _most, level=_level)
 
 __getattr__, __dir__, __all__ = _lazy_loader.attach_stub(__name__, __file__)

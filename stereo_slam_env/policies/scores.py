@@ -26,10 +26,13 @@ REFERENCE_RETURNS: Mapping[str, tuple[float, float]] = MappingProxyType(
         "StereoSlam/Gaze-v0": (0.28, 1.04),
         "StereoSlam/DriveGaze-v0": (-5.0, 47.3),
         "StereoSlam/ActiveGaze-v0": (-29.9, -27.4),
+        "StereoSlam/Explore-v0": (0.07, 8.90),
+        "StereoSlam/Revisit-v0": (-0.73, 10.12),
+        "StereoSlam/ClosedLoop-v0": (-8.80, 43.72),
     }
 )
 """Mean returns of actions at random and of the best policy known, by id, with default arguments; measured by
-`python benchmarks/task_scores.py`."""
+`python benchmarks/task_scores.py`, and those of the last three by `python benchmarks/task_baselines.py`."""
 
 
 def normalised_score(environment: str, returns: ArrayLike) -> FloatArray:

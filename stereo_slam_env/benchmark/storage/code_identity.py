@@ -29,6 +29,7 @@ NO_RESULT = (
     "stereo_slam_env/cli",
     "stereo_slam_env/studies/",
     "stereo_slam_env/pytest_plugin.py",
+    "stereo_slam_env/tasks/",
     "stereo_slam_env/training/",
     "stereo_slam_env/vector/",
     "stereo_slam_env/viewer/",
