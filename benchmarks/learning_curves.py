@@ -14,18 +14,25 @@ from stereo_slam_env.report.charts.policies import plot_learning
 from stereo_slam_env.training.ppo import VALIDATION_SEEDS, LearningCurve
 from stereo_slam_env.training.task import GazeTask, evaluate
 
-parser = argparse.ArgumentParser()
-parser.add_argument("runs", type=Path, nargs="+")
-parser.add_argument("--log-det", type=float, default=-41.7)
-parser.add_argument("--out", type=Path, required=True)
-given = parser.parse_args()
-curves = [LearningCurve(run / "learning_curve.csv").rows for run in given.runs]
-for run, rows in zip(given.runs, curves, strict=True):
-    best = min(rows, key=lambda row: row["final_pose_logdet"])
-    reached = next((row["seconds"] for row in rows if row["final_pose_logdet"] <= given.log_det), float("nan"))
-    print(
-        f"{run}: {given.log_det:g} after {reached:.0f} s; best {best['final_pose_logdet']:.2f} "
-        f"({best['decisions']:.0f} decisions, {best['seconds']:.0f} s), rmse {best['position_rmse_m']:.3f} m"
-    )
-straight = dataclasses.asdict(evaluate(None, GazeTask(), VALIDATION_SEEDS))
-plot_learning(curves, straight).save(given.out)
+
+def main() -> None:
+    """Print and draw."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("runs", type=Path, nargs="+")
+    parser.add_argument("--log-det", type=float, default=-41.7)
+    parser.add_argument("--out", type=Path, required=True)
+    given = parser.parse_args()
+    curves = [LearningCurve(run / "learning_curve.csv").rows for run in given.runs]
+    for run, rows in zip(given.runs, curves, strict=True):
+        best = min(rows, key=lambda row: row["final_pose_logdet"])
+        reached = next((row["seconds"] for row in rows if row["final_pose_logdet"] <= given.log_det), float("nan"))
+        print(
+            f"{run}: {given.log_det:g} after {reached:.0f} s; best {best['final_pose_logdet']:.2f} "
+            f"({best['decisions']:.0f} decisions, {best['seconds']:.0f} s), rmse {best['position_rmse_m']:.3f} m"
+        )
+    straight = dataclasses.asdict(evaluate(None, GazeTask(), VALIDATION_SEEDS))
+    plot_learning(curves, straight).save(given.out)
+
+
+if __name__ == "__main__":
+    main()

@@ -82,19 +82,25 @@ def show(environment, name, rows):
     )
 
 
-parser = argparse.ArgumentParser()
-parser.add_argument("--episodes", type=int, default=20)
-parser.add_argument("--processes", type=int, default=2)
-given = parser.parse_args()
-seeds = range(SEED, SEED + given.episodes)
-pool = Parallel(given.processes)
-for environment in DRIVING:
-    make = partial(gym.make, f"stereo_slam_env:{environment}")
-    for name, agent in AGENTS.items():
-        show(environment, name, pool(delayed(episode)(make, agent, s) for s in seeds))
-gaze = {name: make_policy(name) for name in ("fixed", "random", "sweep")}
-for name, policy in gaze.items():
-    make = partial(gym.make, "stereo_slam_env:StereoSlam/Gaze-v0")
-    show("StereoSlam/Gaze-v0", name, pool(delayed(episode)(make, policy, s) for s in seeds))
-for name in ("fixed", "random", "sweep", "greedy", "lookahead", "ppo"):
-    show("StereoSlam/ActiveGaze-v0", name, pool(delayed(episode)(active_gaze, make_policy(name), s) for s in seeds))
+def main() -> None:
+    """Print the returns of all agents in all tasks."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--episodes", type=int, default=20)
+    parser.add_argument("--processes", type=int, default=2)
+    given = parser.parse_args()
+    seeds = range(SEED, SEED + given.episodes)
+    pool = Parallel(given.processes)
+    for environment in DRIVING:
+        make = partial(gym.make, f"stereo_slam_env:{environment}")
+        for name, agent in AGENTS.items():
+            show(environment, name, pool(delayed(episode)(make, agent, s) for s in seeds))
+    gaze = {name: make_policy(name) for name in ("fixed", "random", "sweep")}
+    for name, policy in gaze.items():
+        make = partial(gym.make, "stereo_slam_env:StereoSlam/Gaze-v0")
+        show("StereoSlam/Gaze-v0", name, pool(delayed(episode)(make, policy, s) for s in seeds))
+    for name in ("fixed", "random", "sweep", "greedy", "lookahead", "ppo"):
+        show("StereoSlam/ActiveGaze-v0", name, pool(delayed(episode)(active_gaze, make_policy(name), s) for s in seeds))
+
+
+if __name__ == "__main__":
+    main()

@@ -25,7 +25,7 @@ REFERENCE_RETURNS: Mapping[str, tuple[float, float]] = MappingProxyType(
         "StereoSlam/Drive-v0": (-7.3, 58.8),
         "StereoSlam/Gaze-v0": (0.28, 1.04),
         "StereoSlam/DriveGaze-v0": (-5.0, 47.3),
-        "StereoSlam/ActiveGaze-v0": (-29.9, -27.4),
+        "StereoSlam/ActiveGaze-v0": (-29.9, -26.9),
         "StereoSlam/Explore-v0": (0.07, 8.90),
         "StereoSlam/Revisit-v0": (-0.73, 10.12),
         "StereoSlam/ClosedLoop-v0": (-8.80, 43.72),

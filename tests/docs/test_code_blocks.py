@@ -65,8 +65,8 @@ def test_what_a_page_imports_exists(name):
 
 @pytest.mark.parametrize("name", WITH_CODE)
 def test_a_page_runs_from_top_to_bottom_and_shows_what_it_says(name, tmp_path, monkeypatch, capsys):
-    if name == "docs/active_perception.md":
-        pytest.importorskip("minari", reason="needs minari (extra rl)")
+    if name in ("docs/active_perception.md", "docs/vector.md"):
+        pytest.importorskip("minari", reason="needs the extra rl")
     monkeypatch.chdir(tmp_path)
     names = {"__name__": "page", **GIVEN.get(name, dict)()}
     for line, code in blocks(PAGES[name]):

@@ -165,6 +165,12 @@ def shows_evaluate(names, printed):
     assert verdict.strip() == "consistent, as far as one run can tell"
 
 
+def shows_vector(names, printed):
+    assert printed.split("\n")[0] == "(16, 12, 6) (16, 3)"
+    assert tuple(names["envs"].single_observation_space) == ("belief_sigmas", "head", "panorama")
+    assert names["learner_env"].num_envs == 16
+
+
 def shows_covariances(names, printed):
     median = float(printed.rsplit(maxsplit=1)[1])
     assert 0.3 < median < 2.0  # one drive; errors are white and independent here
@@ -276,6 +282,7 @@ SHOWS = {
     "docs/write_a_filter.md": shows_write_a_filter,
     "docs/write_a_part.md": shows_write_a_part,
     "docs/your_data.md": shows_your_data,
+    "docs/vector.md": shows_vector,
 }
 """Called with the names that a page leaves behind and what it printed."""
 
