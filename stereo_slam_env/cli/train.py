@@ -20,7 +20,7 @@ def train(
         float | None, typer.Option("--minutes", help="Stop after this time; the same command goes on.")
     ] = None,
     environments: Annotated[int, typer.Option("--environments", help="How many run in lock-step.", min=1)] = 16,
-    threads: Annotated[int, typer.Option("--threads", help="Over which they are spread.", min=1)] = 2,
+    threads: Annotated[int, typer.Option("--threads", help="Over which they are spread.", min=1)] = 1,
     environment: Annotated[str, typer.Option("--environment", help="Id of one with a head.")] = "StereoSlam/Gaze-v0",
     arguments: Annotated[str, typer.Option("--arguments", help="Of the environment, as JSON.")] = "{}",
     filter_name: Annotated[str, typer.Option("--filter", help="The filter in the loop.")] = "shared-anchor",

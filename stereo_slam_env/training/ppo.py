@@ -71,7 +71,7 @@ class PPOSettings:
     decisions: int = 120_000
     seed: int = 0
     environments: int = 16
-    threads: int = 2
+    threads: int = 1
     layers: tuple[int, ...] = (64, 64)
     rollout: int = 2048
     minibatch: int = 256
