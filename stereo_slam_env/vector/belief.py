@@ -171,11 +171,18 @@ class PoseInformation:
         self.potential = np.zeros(0)
         self.reward = np.zeros(0)
 
-    def use(self, covariances: FloatArray, fresh: BoolArray) -> FloatArray:
-        """Rewards (B,) since the last call, from the covariances (B, 6, 6) of the poses; 0 for `fresh` episodes."""
+    def begin(self, covariances: FloatArray, fresh: BoolArray) -> None:
+        """Begin the `fresh` episodes (B,), from the covariances (B, 6, 6) of all poses; the others stay as they are."""
         now = self._criterion.pose_potentials(covariances)
-        before = self.potential if len(self.potential) else now
-        self.potential, self.reward = now, np.where(fresh, 0.0, self._weight * (before - now))
+        if not len(self.potential):
+            self.potential, self.reward = now, np.zeros(len(now))
+        self.potential, self.reward = np.where(fresh, now, self.potential), np.where(fresh, 0.0, self.reward)
+
+    def use(self, covariances: FloatArray, going: BoolArray) -> FloatArray:
+        """Rewards (B,) of a step, from the covariances (B, 6, 6) of the poses; 0 for those that did not go on."""
+        now = self._criterion.pose_potentials(covariances)
+        self.reward = np.where(going, self._weight * (self.potential - now), 0.0)
+        self.potential = now
         return self.reward
 
     def info(self) -> Arrays:

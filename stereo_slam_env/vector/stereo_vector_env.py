@@ -220,7 +220,7 @@ class StereoVectorEnv(gym.vector.VectorEnv[Arrays, NDArray[np.float32], NDArray[
                 self._belief.begin(b, self._start(b, start))
             self._belief.use_frame(np.where(chosen, FIRST, WAIT), self._out)
             if self._information is not None:
-                self._information.use(self._belief.filters.pose_covariances, chosen)
+                self._information.begin(self._belief.filters.pose_covariances, chosen)
 
     @property
     def single_action_shape(self) -> tuple[int, ...]:
@@ -244,11 +244,14 @@ class StereoVectorEnv(gym.vector.VectorEnv[Arrays, NDArray[np.float32], NDArray[
         """A step of those that go on; the rewards."""
         rewards, still = np.zeros(self.num_envs), going.copy()
         for _ in range(self._hold):
-            self._run(np.where(still, STEP, WAIT), command)
+            doing = np.where(still, STEP, WAIT)
+            self._run(doing, command)
+            if self._belief is not None:
+                self._belief.use_frame(doing, self._out)
             rewards[still] += (self._out.terms @ self._rules.weights)[still]
             still &= ~(self._out.failed | self._out.success | self._late())
         if self._belief is not None and self._information is not None:
-            gained = self._information.use(self._belief.filters.pose_covariances, ~going)
+            gained = self._information.use(self._belief.filters.pose_covariances, going)
             rewards = rewards + gained if self._information.keeps_reward else gained
         return rewards
 
@@ -270,8 +273,6 @@ class StereoVectorEnv(gym.vector.VectorEnv[Arrays, NDArray[np.float32], NDArray[
         if self._rules.noise == NO_NOISE:
             for b in np.flatnonzero(doing != WAIT).tolist():
                 self._corrupt(b)
-        if self._belief is not None and not (doing == FIRST).any():
-            self._belief.use_frame(doing, self._out)
 
     def _corrupt(self, b: int) -> None:
         """Noise of a model without a kernel."""

@@ -7,6 +7,7 @@ import pytest
 import stereo_slam_env  # noqa: F401 (registers the ids)
 from filters import available_filters
 from stereo_slam_env.training.task import GAZE_FILTER, POLICY_KEYS, GazeTask
+from stereo_slam_env.vector.belief import PoseInformation
 from stereo_slam_env.wrappers import BeliefObservation, BeliefPanorama, InformationCriterion, InformationGain
 
 from .same_rays import same_rays  # noqa: F401 (a fixture)
@@ -83,6 +84,18 @@ def test_the_information_of_an_episode_adds_up_to_the_loss_of_potential():
     np.testing.assert_allclose(total, first - info["information_potential"], rtol=1e-9)
     assert info["is_success"].all()
     vector.close()
+
+
+def test_an_episode_that_begins_leaves_the_gains_of_the_others():
+    """With SAME_STEP some begin in the step in which others go on."""
+    information = PoseInformation({})
+    P = np.tile(np.eye(6), (2, 1, 1))
+    information.begin(P, np.array([True, True]))
+    gained = information.use(0.5 * P, np.array([True, True])).copy()
+    np.testing.assert_allclose(gained, 6.0 * np.log(2.0))
+    information.begin(np.stack([P[0], 0.5 * P[1]]), np.array([True, False]))
+    np.testing.assert_allclose(information.info()["reward_information"], [0.0, gained[1]])
+    np.testing.assert_allclose(information.info()["information_potential"], [0.0, -gained[1]])
 
 
 @pytest.mark.parametrize("name", ["log-det", "entropy", "d-optimality", "a-optimality", "e-optimality"])
