@@ -128,9 +128,9 @@ def closed_loop(
     return SelectedKeys(RouteByEstimate(env, latency, leeway), KEYS)
 
 
-def drive_slowly(observation: Mapping[str, Any]) -> Action:
-    """`follow_route` at no more than 5 m/s: a late estimate then is less far behind."""
-    action = follow_route(observation)
+def drive_slowly(observation: Mapping[str, Any], actions: int = 2) -> Action:
+    """`follow_route` at no more than 5 m/s: a late estimate then is less far behind, and more is seen."""
+    action = follow_route(observation, actions)
     if observation["car"][0] > _SLOW:
         action[0] = min(action[0], -0.5)
     return action

@@ -11,7 +11,7 @@ from gymnasium import spaces
 
 from filters.validation import BoolArray, positive
 from stereo_slam_env.policies.interface import Action
-from stereo_slam_env.policies.scores import follow_route
+from stereo_slam_env.tasks.closed_loop import drive_slowly
 from stereo_slam_env.tasks.levels import inner_environment
 from stereo_slam_env.training.task import GAZE_FILTER
 from stereo_slam_env.world.routes import FRAME_PERIOD
@@ -24,10 +24,8 @@ STOP = 2
 _STOP_ABOVE = 0.5
 _SINCERE = 3.0
 """Standard deviations: an estimate that is farther off than that is not on the map, whatever the filter claims."""
-_CRUISE = 5.0
-"""Speed of `explore_by_sweeping`, m/s."""
 _PERIOD, _PAN = 4.0, 0.7
-"""Of its head: time to look to both sides, s, and how far, as a share of the farthest."""
+"""Of the head in `explore_by_sweeping`: time to look to both sides, s, and how far, as a share of the farthest."""
 
 
 class Coverage(RecordedWrapper):
@@ -164,8 +162,6 @@ def explore(
 
 def explore_by_sweeping(observation: Mapping[str, Any], step: int) -> Action:
     """Action number `step` of a rule: follow the route at 5 m/s, and look left and right in turn, two seconds each."""
-    action = follow_route(observation, 5)
-    if observation["car"][0] > _CRUISE:
-        action[0] = min(action[0], -0.5)
+    action = drive_slowly(observation, 5)
     action[3] = _PAN if step * FRAME_PERIOD % _PERIOD < 0.5 * _PERIOD else -_PAN
     return action

@@ -60,7 +60,7 @@ class StereoVectorEnv(gym.vector.VectorEnv[Arrays, NDArray[np.float32], NDArray[
         reset happens in the last step; the last observation is in `info["final_obs"]`. DISABLED: by
         `reset(options={"reset_mask": mask})`.
     scenes : int, optional
-        Take the scenes of all episodes from a pool of so many, which is built with the first reset. None: every episode
+        Take the scenes of all episodes from a pool of so many, which each reset with a seed builds anew. None: every episode
         has a scene of its own, as in a single environment.
     threads : int
         Threads over which the environments are spread; results do not depend on it.
@@ -158,6 +158,8 @@ class StereoVectorEnv(gym.vector.VectorEnv[Arrays, NDArray[np.float32], NDArray[
 
         `seed` is one of the first environment, the others have the following ones, or one for each.
         """
+        if seed is not None:
+            self._pool = []  # episodes depend on their seeds alone
         chosen = reset_mask(options, np.array([generator is not None for generator in self._generators]))
         for b, value in enumerate(seeds_of(seed, self.num_envs)):
             if chosen[b] and (value is not None or self._generators[b] is None):

@@ -65,6 +65,13 @@ def test_a_scripted_drive_is_the_same():
     assert (ended, crashed) == (3, 0)
 
 
+def test_a_pool_of_scenes_depends_on_the_seed_alone():
+    used, new = (gym.make_vec("StereoSlam/Gaze-v0", num_envs=3, scenes=2, **QUICK) for _ in range(2))
+    used.reset(seed=8)
+    for key, value in used.reset(seed=1)[0].items():
+        np.testing.assert_array_equal(value, new.reset(seed=1)[0][key])
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", IDS)
 def test_a_hundred_episodes_are_the_same(name):
