@@ -60,8 +60,8 @@ class StereoVectorEnv(gym.vector.VectorEnv[Arrays, NDArray[np.float32], NDArray[
         reset happens in the last step; the last observation is in `info["final_obs"]`. DISABLED: by
         `reset(options={"reset_mask": mask})`.
     scenes : int, optional
-        Take the scenes of all episodes from a pool of so many, which each reset with a seed builds anew. None: every episode
-        has a scene of its own, as in a single environment.
+        Take the scenes of all episodes from a pool of so many, which each reset with a seed builds anew. None: every
+        episode has a scene of its own, as in a single environment.
     threads : int
         Threads over which the environments are spread; results do not depend on it.
     belief : mapping, optional
