@@ -171,6 +171,7 @@ class ConsistencyFigure:
     # Two-sided 95 % band of the mean over this number of runs (of innovations, for NIS), see `consistency_figures`.
     band: tuple[float, float]
     inside_percent: float  # share of the frames whose mean over runs lies inside the band of that frame
+    runs: int  # how many have it
 
 
 @dataclass(frozen=True)

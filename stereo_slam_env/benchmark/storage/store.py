@@ -200,7 +200,7 @@ class RunDirectory:
         found = self.results()
         about = {"version": VERSION, "scenario": self.scenario.name, "recordings": found.recordings}
         write_json(self.out / "summary.json", {**about, "filters": found.rows})
-        write_csv(self.out / "summary.csv", found.rows)
+        write_csv(self.out / "summary.csv", found.summaries)
         for run in found.runs:
             folder = self.out / "trajectories" / seed_name(run.seed)
             # A camera that looks elsewhere is elsewhere, by the arm of the head: each policy has its own truth.

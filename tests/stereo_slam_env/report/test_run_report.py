@@ -86,7 +86,7 @@ def no_figures(monkeypatch):
 
 def test_the_page_is_well_formed_and_needs_nothing_but_itself(path, markup, page):
     assert page.open == []
-    assert all(link.startswith(("#", "figures/")) for link in page.links)
+    assert all(link.startswith(("#", "figures/", "tables/")) for link in page.links)
     assert all((path.parent / link).is_file() for link in page.links if not link.startswith("#"))
     assert not re.search(r"https?:(?!//vega.github.io/schema/)|@import|url\((?!#)", markup)
     assert len(page.ids) == len(set(page.ids))
@@ -102,8 +102,9 @@ def test_the_page_has_a_dark_and_a_printed_form(markup):
 
 def test_the_first_screen_comes_first_and_asks_all_the_questions(page):
     text = " ".join(page.text)
+    assert text.index("Wide turns") < text.index("Reference: ")
+    text = text[text.index("Reference: ") :]  # behind the contents
     order = [
-        "Wide turns",
         "smallest position error",
         "Which is best?",
         "By how much, is it sure?",
