@@ -260,7 +260,9 @@ def _interval_mark(comparison: Comparison | None, verdict: Verdict) -> Markup:
 
 def _limit_of(summaries: Sequence[FilterSummary]) -> str:
     bounds = {short(s.bound_position_m, " m") for s in summaries if s.bound_position_m is not None}
-    return f"bound {next(iter(bounds))} / RMSE, 95 % interval" if len(bounds) == 1 else "bound / RMSE, 95 % interval"
+    sure = any(found is not None and found.interval is not None for found in map(limit_reached, summaries))
+    bound = f"bound {next(iter(bounds))} / RMSE" if len(bounds) == 1 else "bound / RMSE"
+    return f"{bound}, 95 % interval" if sure else bound
 
 
 def _efficiency(summary: FilterSummary) -> Cell | None:

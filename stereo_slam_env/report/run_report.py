@@ -94,7 +94,7 @@ def _note(summaries: Sequence[FilterSummary], looks: Looks | None) -> str:
         if runs >= MIN_PAIRS:
             note += ": consistent filters have some 88 to 99 % of them, and within that it ranks nothing."
         else:
-            note += f", and by {'one run' if runs == 1 else f'{runs} runs'} it tells nothing."
+            note += f", and of {'one run' if runs == 1 else f'{runs} runs'} it tells nothing."
     return note
 
 
