@@ -100,9 +100,9 @@ class Mutant:
 
 def sample(rooms: Sequence[str], count: int, seed: int) -> list[Mutant]:
     """`count` mutants of the rooms in an order that the seed fixes, at most one for each place of a file."""
-    from cosmic_ray.ast import ast_nodes, get_ast  # noqa: PLC0415
-    from cosmic_ray.mutating import mutate_code  # noqa: PLC0415
-    from cosmic_ray.plugins import get_operator  # noqa: PLC0415
+    from cosmic_ray.ast import ast_nodes, get_ast
+    from cosmic_ray.mutating import mutate_code
+    from cosmic_ray.plugins import get_operator
 
     operators = {name: get_operator(name)() for name in OPERATORS}
     places: dict[tuple[str, object], list[tuple[str, str, int]]] = {}
@@ -183,7 +183,9 @@ def main() -> None:
             for k, (mutant, survived) in enumerate(zip(chosen, pool.map(tested, chosen), strict=True), 1):
                 if survived:
                     survivors[mutant.room] += 1
-                    print(f"survived ({k} of {len(chosen)}): {mutant.path} {mutant.operator}\n{mutant.diff}", flush=True)
+                    print(
+                        f"survived ({k} of {len(chosen)}): {mutant.path} {mutant.operator}\n{mutant.diff}", flush=True
+                    )
     for room, count in total.items():
         print(f"{room}: {count - survivors[room]} of {count} killed")
     share = 100.0 * (1.0 - survivors.total() / max(1, len(chosen)))

@@ -128,5 +128,8 @@ def test_the_band_of_landmarks_is_students_of_the_means_of_runs(honest):
     widest = chi2.ppf([0.025, 0.975], 18) / 6
     assert widest[0] < 3.0 - reach  # the scatter decides here
     assert consistency_figures(runs)["landmark"].band == pytest.approx((3.0 - reach, 3.0 + reach), rel=1e-12)
-    wild = [replace(run, landmark_nees=factor * run.landmark_nees) for factor, run in zip(10.0 ** np.arange(6), runs, strict=True)]
+    wild = [
+        replace(run, landmark_nees=factor * run.landmark_nees)
+        for factor, run in zip(10.0 ** np.arange(6), runs, strict=True)
+    ]
     assert consistency_figures(wild)["landmark"].band == pytest.approx(tuple(widest), rel=1e-12)
