@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from filters import RightInvariant, Start, StereoEKF
-from filters.gauge_walk import TURN_WEIGHT
+
+TURN_WEIGHT = 5.0  # docs/covariances.md
 from filters.state import symmetric
 
 from .drives import CAMERA, DT, INDEPENDENT_PIXELS, START_COVARIANCE, drive, finish, start
