@@ -10,9 +10,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from filters import CalibratedPair, Start, StereoEKF, StereoObservation, Variable
+from filters import BodyVelocity, CalibratedPair, Start, StereoEKF, StereoObservation, Variable
 
-from ..drives import CAMERA, DT, INDEPENDENT_PIXELS, drive, start
+from ..drives import CAMERA, DT, INDEPENDENT_PIXELS, SPEED, drive, start
 from ..slots import ERRORS, LANDMARKS
 from ..third_party import ShearedPair
 
@@ -109,9 +109,10 @@ def test_what_is_considered_stays_as_it_was_to_the_bit(
     )
     slam = start(make(measurement=pair, error=error, compiled=compiled))
     before = {variable.name: slam.belief(variable.name) for variable in pair.variables}
+    odometry = BodyVelocity([0.1, 0.05, SPEED], [0.01, 0.2, -0.02], np.diag(np.repeat([0.05, 0.01], 3) ** 2))
     for k, frame in enumerate(drive(33, 8, visible=12, depths=(6.0, 30.0))):
         if k:
-            slam.predict(DT)
+            slam.predict(DT, odometry if k % 2 else None)
         slam.update(frame.observation)
     for name, belief in before.items():
         np.testing.assert_array_equal(slam.belief(name).value, belief.value)
