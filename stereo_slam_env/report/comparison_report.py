@@ -29,7 +29,8 @@ def write_comparison_report(out: Path, comparison: RunComparison) -> Path:
         part("items", comparison.warnings, "failures fair"),
     ]
     if comparison.shown:
-        body.append(part("section", "Shown", _guide(comparison), [_table(comparison.shown, comparison.how, out / TABLES / "changes.tex")]))
+        shown = _table(comparison.shown, comparison.how, out / TABLES / "changes.tex")
+        body.append(part("section", "Shown", _guide(comparison), [shown]))
     if comparison.rest:
         said = f"All {len(comparison.changes)} comparisons"
         all_ = part("folded", said, _table(comparison.changes, comparison.how))

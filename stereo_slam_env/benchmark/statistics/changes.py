@@ -226,16 +226,17 @@ def headline(changes: Sequence[Change], *, paired: bool) -> str:
 
 def _outcome(changes: Sequence[Change]) -> str:
     """Why none of these changes is shown."""
-    if all(change.tied for change in changes):
-        return "the same in all runs"
+    others = [change for change in changes if change.measure != TIME.label]
+    if all(change.tied for change in others):
+        timed = "" if all(change.tied for change in changes) else " but perhaps the time"
+        return f"the same in all runs{timed}" if others else Finding.NOT_SHOWN.value
     return f"{Finding.NOT_SHOWN.value}{_too_few(changes)}"
 
 
 def _too_few(changes: Sequence[Change]) -> str:
     """Words where so few runs could not have shown any of the changes."""
-    moved = [change for change in changes if not change.tied]
-    moved = [change for change in moved if change.measure != TIME.label] or moved  # time is corrected by itself
-    if not all(change.too_few for change in moved):
+    moved = [change for change in changes if not change.tied and change.measure != TIME.label]
+    if not moved or not all(change.too_few for change in moved):
         return ""
     most, needed = max(change.count for change in moved), min(change.needed for change in moved)
     return f": {most} run{' is' if most == 1 else 's are'} too few, {needed} are needed"

@@ -78,7 +78,8 @@ def test_tables_are_latex_too(pages):
     assert last.startswith("theirs & ")
     assert r"in\_and-out & " in text
     (kinds,) = re.findall(r"\\begin{tabular}{(\w+)}", text)
-    assert {len(re.findall(r"(?<!\\)&", line)) + 1 for line in text.splitlines() if line.endswith(r"\\")} == {len(kinds)}
+    rows = [line for line in text.splitlines() if line.endswith(r"\\")]
+    assert {len(re.findall(r"(?<!\\)&", row)) + 1 for row in rows} == {len(kinds)}
     assert [text.count(rule) for rule in (r"\toprule", r"\midrule", r"\bottomrule")] == [1, 1, 1]
 
 

@@ -91,9 +91,10 @@ def test_the_scale_is_that_of_what_is_measured(scale):
         close, way, *_ = panels(Drive.of(of_size(small_recording(frames=9), size), InverseDepthStereoEKF))
         limits[size] = np.array([*close.get_xlim(), *close.get_ylim(), *way.get_xlim(), *way.get_ylim()]) / size
     np.testing.assert_allclose(limits[scale], limits[1.0], rtol=0.02)
-    depths = [f.observation.uvd[:, 2] for f in small_recording(frames=9).frames]
-    farthest = np.quantile(small_recording().camera.fx * small_recording().camera.baseline / np.concatenate(depths), 0.8)
-    assert limits[1.0][3] == pytest.approx(farthest, rel=0.05)
+    recording = small_recording(frames=9)
+    disparities = np.concatenate([frame.observation.uvd[:, 2] for frame in recording.frames])
+    depths = recording.camera.fx * recording.camera.baseline / disparities
+    assert limits[1.0][3] == pytest.approx(np.quantile(depths, 0.8), rel=0.05)
 
 
 def of_size(recording, scale):

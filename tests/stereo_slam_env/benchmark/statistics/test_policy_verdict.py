@@ -29,9 +29,7 @@ def test_a_policy_that_claims_less_and_is_better_is_believed():
     verdict, _ = judged(BETTER)
     found = verdict.comparisons["greedy"]
     assert (found.agreement, found.is_sound) == (Agreement.AGREE, True)
-    assert found.words.startswith(
-        "run by run greedy claims 60 % less uncertainty of the final position than fixed ("
-    )
+    assert found.words.startswith("run by run greedy claims 60 % less uncertainty of the final position than fixed (")
     assert "% smaller along the drive" in found.words
     assert found.words.endswith("claim and truth agree.")
     assert verdict.best == "greedy"
