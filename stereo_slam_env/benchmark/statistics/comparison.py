@@ -88,9 +88,9 @@ class _Side:
     name: str
     figures: Mapping[str, RunFigures]
     trials: Mapping[tuple[str, RunKey], FilterRun]
-    cells: Mapping[str, str] = field(default_factory=dict)  # cell of the grid, by name of the filter
     streams: Mapping[tuple[str, RunKey], str] = field(default_factory=dict)
     settings: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    cells: Mapping[str, str] = field(default_factory=dict)  # of a grid, by name of the filter
 
     @property
     def keys(self) -> list[RunKey]:
@@ -124,7 +124,7 @@ def _opened(source: str | Path | BenchmarkResult, name: str) -> _Side:
         figures |= {f"{prefix}{label}": of_filter for label, of_filter in found.figures.items()}
         cells |= {f"{prefix}{label}": directory.cell.name for label in found.figures if prefix}
         settings[prefix] = json.loads((directory.out / SETTINGS).read_text(encoding="utf-8"))
-    return _Side(str(source), figures, trials, cells, streams, settings)
+    return _Side(str(source), figures, trials, streams, settings, cells=cells)
 
 
 def _refuse_other_kinds(was: _Side, now: _Side) -> None:
