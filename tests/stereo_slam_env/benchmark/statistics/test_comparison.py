@@ -183,3 +183,30 @@ def test_the_comparison_is_a_table_too(stored):
 def test_a_folder_without_a_run_is_refused(tmp_path, stored):
     with pytest.raises(ValueError, match="holds no run"):
         compare(tmp_path, stored)
+
+
+def test_recordings_of_another_kind_are_refused_in_one_line(stored, tmp_path):
+    other = bench(tmp_path / "out", source=ReferenceSource("long_drive", {"landmarks": 12}), seeds=(0,))
+    with pytest.raises(ValueError, match=r"compare runs on the same kind of recordings$") as refused:
+        compare(stored, other)
+    assert "is of kind 'reference' (name 'short_turn'), " in str(refused.value)
+    assert "of kind 'reference' (name 'long_drive')" in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+def test_a_grid_that_came_out_alike_is_one_line(tmp_path):
+    cells = tuple(
+        Cell(f"gate-{gate}", {"gate": gate}, replace(SCENARIO, gate=gate, seeds=(0, 1))) for gate in (0.9, 0.95, 0.99)
+    )
+    before = run_benchmark(Study("grid", cells), tmp_path / "before", jobs=1)
+    comparison = compare(before, shutil.copytree(before.out, tmp_path / "after"))
+    assert comparison.as_rows() == []
+    assert comparison.rest == ("gate-0.9, gate-0.95 and gate-0.99: the same in all runs.",)
+
+
+def test_runs_without_any_common_figure_are_not_called_the_same():
+    runs = make_runs(THREE[:1], seeds=range(3), frames=20)
+    timeless = [replace(run, milliseconds=np.full(20, np.nan), failure="frame 1: gone") for run in runs]
+    comparison = compare(result(runs), result(timeless))
+    assert "Nothing has changed" not in comparison.headline
+    assert "3 runs are too few" in comparison.headline
