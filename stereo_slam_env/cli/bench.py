@@ -48,7 +48,12 @@ class RunOptions:
         ),
     ] = None
     gate: Annotated[
-        str | None, typer.Option("--gate", help="Gate, a probability per landmark, or 'none'.", show_default="0.99")
+        str | None,
+        typer.Option(
+            "--gate",
+            help="Gate, a probability per landmark, or 'none'.",
+            show_default="what the scenario says; 0.99 for a real drive",
+        ),
     ] = None
     search: Annotated[
         str | None,

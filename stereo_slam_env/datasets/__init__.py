@@ -202,7 +202,8 @@ def _image_recordings(folder: Path) -> list[Path]:
     """The folder itself if it has a layout of images, else those up to two levels below it that have one."""
     if _recognised(folder, IMAGE_LAYOUTS) is not None:
         return [folder]
-    return [below for below in _folders(folder) if _recognised(below, IMAGE_LAYOUTS)]
+    found = [below for below in _folders(folder) if _recognised(below, IMAGE_LAYOUTS)]
+    return [below for below in found if below.parent not in found]  # a recording's own folder may look like one, too
 
 
 def _folders(folder: Path) -> list[Path]:
