@@ -104,7 +104,7 @@ class Moment:
         reference = self.reference
         if self.truth is None or self.pose_error is None:
             return None
-        if not reference.is_independent or not reference.has_settled(self.time):
+        if not reference.counts_as_truth or not reference.has_settled(self.time):
             return None
         if reference.is_exact or self.start is None:
             return self.pose_error

@@ -145,7 +145,7 @@ class RunLog:
 
     def __init__(self, recording: Recording) -> None:
         self._recording = recording
-        self._has_independent_truth = recording.reference.is_independent
+        self._has_truth = recording.reference.counts_as_truth
         count = len(recording)
         self._series = {name: np.full((count, *shape), np.nan) for name, shape in _SERIES.items()}
         self._nis_dof: IntArray = np.zeros(count, dtype=np.int64)
@@ -202,7 +202,7 @@ class RunLog:
 
     def add_map(self, moment: Moment) -> None:
         """Score the map and follow the traced landmarks."""
-        k, landmarks = moment.number, self._recording.landmarks if self._has_independent_truth else None
+        k, landmarks = moment.number, self._recording.landmarks if self._has_truth else None
         view = view_map(moment.slam, moment.truth, landmarks)
         score = score_map(view, self._recording.camera)
         self._note(k, landmark_nees=score.mean_nees, landmark_rmse=score.position_rmse)

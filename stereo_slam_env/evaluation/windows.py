@@ -67,7 +67,7 @@ def score_windows(
     slam : StereoFilter
         The filter, which is reset.
     recording : Recording
-        The stream; windows lie in its frames with an independent truth that has settled.
+        The stream; windows lie in its frames with a truth that has settled.
     use_odometry : bool
         Whether `predict` is given the odometry.
     alive : callable, optional
@@ -85,7 +85,7 @@ def score_windows(
     reference, count = recording.reference, len(recording)
     times = np.array([frame.timestamp for frame in recording.frames])
     known = np.array([frame.truth is not None for frame in recording.frames]) & reference.has_settled(times)
-    rows = np.flatnonzero(known if reference.is_independent else np.zeros(count, dtype=bool))
+    rows = np.flatnonzero(known if reference.counts_as_truth else np.zeros(count, dtype=bool))
     ends = {seconds: {rows[j]: rows[i] for i, j in window_ends(times[rows], seconds)} for seconds in WINDOWS}
     found = {name: np.full(count, np.nan) for name in WINDOW_SERIES}
     for moment in run(slam, recording, use_odometry=use_odometry):

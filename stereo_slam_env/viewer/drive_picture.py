@@ -205,7 +205,7 @@ class DrivePicture:
         ax.set_title("Path, truth in grey (m)" if known.any() else "Path (m)")
 
     def _draw_strip(self, ax: Axes, frame: int) -> None:
-        """NEES where there is an independent truth, else NIS, which needs none."""
+        """NEES where there is a truth, else NIS, which needs none."""
         values = np.array([moment.nees for moment in self._history]) / _POSE_DOF
         if np.isfinite(values).any():
             title = "Pose NEES / 6: 1 is ideal, 95 % of a consistent filter's in the band"
@@ -213,7 +213,7 @@ class DrivePicture:
         else:
             reports = [moment.report for moment in self._history]
             values = np.array([r.nis / r.nis_dof if r.nis_dof else np.nan for r in reports])
-            title = "NIS / degrees of freedom: 1 is ideal (no NEES without an independent truth)"
+            title = "NIS / degrees of freedom: 1 is ideal (no NEES without a truth)"
         values[0] = np.nan  # at the start nothing has been estimated
         seen = values[np.isfinite(values) & (values > 0)]
         ax.axhline(1.0, color=MUTED, linewidth=0.8, linestyle=(0, (4, 3)), zorder=1)

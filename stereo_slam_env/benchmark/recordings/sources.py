@@ -178,7 +178,7 @@ class DatasetSource(Source, frozen=True, tag="dataset"):
     arguments : dict
         Of the reader.
     reference : dict
-        Errors of the truth, in place of what the reader states, see `Reference.stating`.
+        Kind and errors of the truth, in place of what the reader states, see `Reference.stating`.
     """
 
     seeded: ClassVar[bool] = False
@@ -186,7 +186,7 @@ class DatasetSource(Source, frozen=True, tag="dataset"):
 
     path: str
     arguments: dict[str, Any] = msgspec.field(default_factory=dict)
-    reference: dict[str, float] = msgspec.field(default_factory=dict)
+    reference: dict[str, float | str] = msgspec.field(default_factory=dict)
 
     def record(self, seed: int | None, frames: int | None = None, progress: Progress | None = None) -> Recording:
         """Read it, or track landmarks through its images."""
@@ -199,10 +199,13 @@ class DatasetSource(Source, frozen=True, tag="dataset"):
         return self._stated(_tracked(_Tracking(self.key, seed, frames, track)))
 
     def check(self, frames: int | None = None) -> None:
-        """Refuse errors of the truth that are none."""
+        """Refuse a kind or errors of the truth that are none."""
         GIVEN_TRUTH.stating(self.reference)
 
     def _stated(self, recording: Recording) -> Recording:
+        if self.reference and recording.reference.kind == "none":
+            said = ", ".join(f"{key}={value}" for key, value in self.reference.items())
+            raise ValueError(f"reference states {said}, but {self.path} has no true pose: leave it out")
         return replace(recording, truth_from=recording.truth_from.stating(self.reference))
 
     @property

@@ -22,9 +22,13 @@ noise of a real camera is not known so well. A factor of 2 is a sigma that is wr
 
 _MOST_NAMED = 3
 _CONSEQUENCES: dict[ReferenceKind, str] = {
-    "independent truth": "",
-    "odometry from the same images": " What is called error is the distance to it, whose own errors are not known: it "
+    "simulation": "",
+    "surveyed": "",
+    "ins": " Odometry of the same unit shares its errors.",
+    "odometry": " What is called error is the distance to it, whose own errors are not known: it "
     "shows gross faults, not which filter is better by a little, and there is no NEES.",
+    "unknown": " If a camera has a part in it, what is called error is only a distance, and NEES says nothing: "
+    "replay --reference kind=surveyed, kind=ins or kind=odometry says what it is.",
     "none": " There are neither errors nor NEES.",
 }
 

@@ -339,7 +339,7 @@ def test_the_length_of_a_block_is_that_of_smfeval(memory):
 
 # ---- runs of this package -------------------------------------------------------------------------------------------
 
-STATED = Reference("independent truth", "By hand.", 0.003, 0.0004, 0.002)
+STATED = Reference("surveyed", "By hand.", 0.003, 0.0004, 0.002)
 
 
 @pytest.mark.parametrize("reference", [None, STATED])

@@ -146,7 +146,7 @@ def test_the_diverged_filter_is_marked(page):
 @pytest.mark.usefixtures("no_figures")
 def test_a_reference_that_is_no_truth_stands_out_and_no_nees_is_held_against_it(tmp_path):
     """With the NEES that a run does not have then (see the runner), and an NIS of 0.04."""
-    from_images = Reference("odometry from the same images", "Made of <these> pixels.")
+    from_images = Reference("odometry", "Made of <these> pixels.")
     unknown = np.full(60, np.nan)
     runs = [
         replace(
@@ -169,7 +169,7 @@ def test_a_reference_that_is_no_truth_stands_out_and_no_nees_is_held_against_it(
 
 
 def test_an_independent_truth_is_named_quietly(markup):
-    assert '<p class="quiet">Reference: independent truth. ' in markup
+    assert '<p class="quiet">Reference: independent truth (simulation). ' in markup
     assert '<p class="banner">Reference' not in markup
 
 

@@ -13,7 +13,7 @@ from stereo_slam_env.recording.recording import SIMULATION, Reference
 from ....synthetic_runs import THREE, make_runs, scored, summary_of
 from ..small_recordings import small_recording
 
-FROM_IMAGES = Reference("odometry from the same images", "Stereo odometry of the maker.")
+FROM_IMAGES = Reference("odometry", "Stereo odometry of the maker.")
 
 
 def with_nis(ratio, dof=180):
@@ -25,7 +25,9 @@ def with_nis(ratio, dof=180):
 
 def test_independent_truth_is_named_without_a_warning():
     runs = [replace(run, truth_from=SIMULATION) for run in make_runs(THREE, (0, 1), frames=20)]
-    assert reference_remarks(runs) == {SIMULATION: "Reference: independent truth. Exact poses of the simulation."}
+    assert reference_remarks(runs) == {
+        SIMULATION: "Reference: independent truth (simulation). Exact poses of the simulation."
+    }
 
 
 def test_odometry_from_the_same_images_is_called_no_truth():
@@ -43,7 +45,7 @@ def test_of_several_references_each_names_its_recordings():
     runs = make_runs(THREE, (0, 1), frames=20)
     runs = [replace(run, truth_from=FROM_IMAGES if run.seed else SIMULATION) for run in runs]
     said = reference_remarks(runs)
-    assert said[SIMULATION].startswith("Reference of drive-0: independent truth.")
+    assert said[SIMULATION].startswith("Reference of drive-0: independent truth (simulation).")
     assert said[FROM_IMAGES].startswith("Reference of drive-1: odometry from the same images.")
 
 
