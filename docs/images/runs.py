@@ -7,7 +7,9 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import os
 import shutil
+import signal
 import socket
 import subprocess
 import sys
@@ -69,7 +71,9 @@ def rerun(path: Path, work: Path, *, small: bool) -> None:
             view.show(drive.label, moment)
     viewer, ports = Path(sys.executable).with_name("rerun"), [_free_port(), _free_port()]
     serve = ["--serve-web", "--bind", "127.0.0.1", "--port", str(ports[0]), "--web-viewer-port", str(ports[1])]
-    server = subprocess.Popen([viewer, *serve, file], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    # `rerun` is a script that starts the viewer: both end with their session.
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    server = subprocess.Popen([viewer, *serve, file], start_new_session=True, **quiet)
     try:
         _wait_for(ports[1])
         _wait_for(ports[0])
@@ -78,7 +82,7 @@ def rerun(path: Path, work: Path, *, small: bool) -> None:
             page.wait_for_timeout(25_000)  # ms: its drawing in software is slow, and nothing says when it is done
             page.screenshot(path=path, type="jpeg", quality=88)
     finally:
-        server.terminate()
+        os.killpg(server.pid, signal.SIGTERM)
         server.wait(timeout=20)
 
 
