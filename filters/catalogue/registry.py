@@ -68,11 +68,6 @@ def available_filters() -> dict[str, str]:
     return lines
 
 
-def known_filters() -> list[str]:
-    """Names of all filters, whether or not they can be loaded; nothing is imported."""
-    return [*PRESETS, *_plugins()]
-
-
 def plugin_of(name: str) -> EntryPoint | None:
     """The entry point of a third-party filter; None for one of ours."""
     return _plugins().get(name)
@@ -98,7 +93,7 @@ def filter_factory(name: str | FilterFactory) -> FilterFactory:
     entry_point = plugin_of(name)
     if entry_point is not None:
         return _load(entry_point)
-    names = sorted(known_filters())
+    names = sorted({*PRESETS, *_plugins()})
     raise ValueError(f"filter must be one of {', '.join(names)}, got {name!r}{did_you_mean(name, names)}")
 
 

@@ -161,15 +161,6 @@ def _efficiency_percent(trial: Trial) -> float | None:
     return 100.0 * trial.bound_rmse(POSITION) / error if error > 0 else None
 
 
-def _frames_not_scored(trial: Trial) -> int:
-    run = trial.run
-    if not run.reference.is_independent:
-        return 0
-    judged = np.array(np.isfinite(run.true_positions).all(axis=1) & run.truth_from.has_settled(run.timestamps))
-    judged[:1] = False
-    return int(np.count_nonzero(judged & ~np.isfinite(run.pose_nees)))
-
-
 def _diverged(trial: Trial) -> int:
     return int(trial.run.failure is not None or trial.end_drift_percent > trial.divergence_percent)
 
@@ -343,11 +334,10 @@ _TABLE = (
            "mean NEES of landmarks in (u, v, d); 3 is ideal",
            lambda t: landmark_anees([t.run]), _consistency("landmark"), digits=2, ideal=DOF["landmark"]),
     Figure("frames_not_scored", "frames not scored", "", "consistency",
-           "frames with an independent truth and no pose NEES, the first one left out: those that a filter that failed "
-           "has not come to",
-           _frames_not_scored, SUM, **_COUNT),
+           "frames with an independent truth and no pose NEES, but the first: a filter that failed has not come to them",
+           lambda t: t.not_scored, SUM, **_COUNT),
     Figure("landmarks_not_scored", "landmarks not scored", "", "consistency",
-           "landmarks x frames truly in view and without a NEES, because the filter has no finite place for them",
+           "landmarks x frames truly in view and without a NEES: the filter has no finite place for them",
            _count("landmarks_not_scored"), SUM, places=_REPORT, **_COUNT),
     Figure("nis", "NIS / dof", "", "consistency",
            "normalised innovation squared by its degrees of freedom; 1 is ideal",

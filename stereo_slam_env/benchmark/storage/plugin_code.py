@@ -1,4 +1,4 @@
-"""Identity of the code of a filter or policy that somebody else wrote.
+"""Identity of the code of a filter, a policy or a source of recordings that somebody else wrote.
 
 A digest of what its result hangs on, besides options and the packages of this project:
 
@@ -22,13 +22,17 @@ import sys
 import sysconfig
 import types
 from collections.abc import Callable, Iterator
-from functools import partial
+from functools import lru_cache, partial
 from importlib.metadata import Distribution, EntryPoint, packages_distributions
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from filters.catalogue.registry import plugin_of as filter_plugin
+from stereo_slam_env.benchmark.recordings.source import Source
+from stereo_slam_env.benchmark.recordings.sources import FactorySource
+from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice
 from stereo_slam_env.benchmark.storage.code_identity import PACKAGES, digest_of, meaning, source_files
 
 _CODE = tuple({*importlib.machinery.all_suffixes()} - {*importlib.machinery.BYTECODE_SUFFIXES})
@@ -36,23 +40,54 @@ _INSTALLED = tuple({Path(sysconfig.get_path(name)).resolve() for name in ("purel
 _NOT_THEIRS = {*PACKAGES, *sys.stdlib_module_names}
 
 
-def plugin_digest(factory: Callable[..., Any] | None, point: EntryPoint | None = None) -> str | None:
-    """SHA-256 of the code that defines a filter or a policy; None where all of it is ours.
+def digest_of_choice(choice: FilterChoice) -> str | None:
+    """Digest of the code of a competitor, its filter and its policy; None where all of it is ours."""
+    points = [filter_plugin(choice.name)]
+    if choice.policy is not None:
+        from stereo_slam_env.policies.registry import plugin_of as policy_plugin
+
+        points.append(policy_plugin(choice.policy.name))
+    theirs = [plugin_digest(_found(point.load), point) for point in points if point is not None]
+    return "-".join(digest for digest in theirs if digest is not None) or None
+
+
+def digest_of_source(source: Source) -> str | None:
+    """Digest of the code that makes the recordings; None where all of it is ours."""
+    factory = _found(lambda: source.function) if isinstance(source, FactorySource) else type(source)
+    return plugin_digest(factory)
+
+
+def _found(load: Callable[[], Any]) -> Any:
+    """What is loaded; where that cannot be done, the reason, which is the result then."""
+    try:
+        return load()
+    except Exception as error:  # whatever a stranger's module does at import
+        return f"{type(error).__name__}: {error}"
+
+
+def plugin_digest(factory: Callable[..., Any] | str, point: EntryPoint | None = None) -> str | None:
+    """SHA-256 of the code that defines a filter, a policy or a source; None where all of it is ours.
 
     Parameters
     ----------
-    factory : callable, optional
-        A class, a function, a method or a partial of one; None: it cannot be loaded.
+    factory : callable or str
+        A class, a function, a method or a partial of one; or why it cannot be loaded.
     point : EntryPoint, optional
         What names it, where it is a plug-in.
     """
-    layers = list(_layers(factory))
+    layers = [] if isinstance(factory, str) else list(_layers(factory))
     modules = [*([point.module] if point else []), *(layer.__module__ for layer in layers)]
-    found: dict[str, str] = {}
-    for top in dict.fromkeys(module.partition(".")[0] for module in modules):
+    if modules and all(_top(module) in PACKAGES for module in modules[: 1 + (point is not None)]):
+        return None  # what ours are derived from are libraries
+    found: dict[str, str] = {"": factory} if isinstance(factory, str) else {}
+    for top in dict.fromkeys(map(_top, modules)):
         if top not in _NOT_THEIRS:
             found |= _package(top, point.dist if point else None) or _without_file(top, layers)
     return digest_of(found) if found else None
+
+
+def _top(module: str) -> str:
+    return module.partition(".")[0]
 
 
 def _layers(factory: Callable[..., Any] | None) -> Iterator[Any]:
@@ -109,14 +144,16 @@ def _project(top: str, beside: Path) -> dict[str, str]:
         name = waiting.pop()
         found |= _digests(name, beside)
         for path in _code_of(name, beside):
-            imported = _imports(path) - seen - _NOT_THEIRS
+            imported = {*_read(path.name, path.read_bytes())[1]} - seen - _NOT_THEIRS
             seen |= imported
             waiting += sorted(imported)
     return found
 
 
 def _digests(top: str, beside: Path) -> dict[str, str]:
-    return {path.relative_to(beside).as_posix(): _digest(path) for path in _code_of(top, beside)}
+    return {
+        path.relative_to(beside).as_posix(): _read(path.name, path.read_bytes())[0] for path in _code_of(top, beside)
+    }
 
 
 def _code_of(top: str, beside: Path) -> list[Path]:
@@ -128,25 +165,16 @@ def _code_of(top: str, beside: Path) -> list[Path]:
     return [*(path for path in files if path.name.endswith(_CODE)), *(path for path in alone if path.is_file())]
 
 
-def _digest(path: Path) -> str:
-    content = path.read_bytes()
+@lru_cache(maxsize=4096)
+def _read(name: str, content: bytes) -> tuple[str, frozenset[str]]:
+    """Digest of what a file means, and the top-level names of what it imports by statements, wherever in it."""
     try:
-        return meaning(path.name, content)
+        nodes = list(ast.walk(ast.parse(content))) if name.endswith(".py") else []
+        names = [alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names]
+        names += [node.module or "" for node in nodes if isinstance(node, ast.ImportFrom) and not node.level]
+        return meaning(name, content), frozenset(_top(name) for name in names if name)
     except (SyntaxError, ValueError, RecursionError):
-        return meaning("", content)
-
-
-def _imports(path: Path) -> set[str]:
-    """Top-level names of what a file imports by statements, wherever in the file."""
-    if path.suffix != ".py":
-        return set()
-    try:
-        nodes = list(ast.walk(ast.parse(path.read_bytes())))
-    except (SyntaxError, ValueError, RecursionError):
-        return set()
-    names = [alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names]
-    names += [node.module or "" for node in nodes if isinstance(node, ast.ImportFrom) and not node.level]
-    return {name.partition(".")[0] for name in names} - {""}
+        return meaning("", content), frozenset()
 
 
 # ---- code without files ----------------------------------------------------------------------------------------------
