@@ -36,7 +36,7 @@ def check_beliefs(moment: Moment) -> None:
     if moment.pose_error is not None:
         error, covariance = moment.pose_error
         _require_finite(k, "pose error", error)
-        _require_covariance(k, "covariance of the pose error", covariance, definite=k > 0)
+        _require_covariance(k, "covariance", covariance, definite=k > 0, where=", as pose_error claims it")
 
 
 def check_map(frame: int, view: MapView, score: MapScore) -> None:
@@ -62,7 +62,7 @@ def _require_finite(frame: int, name: str, value: FloatArray) -> None:
         raise ContractBroken(frame, f"its {name} is not finite")
 
 
-def _require_covariance(frame: int, name: str, covariance: FloatArray, *, definite: bool) -> None:
+def _require_covariance(frame: int, name: str, covariance: FloatArray, *, definite: bool, where: str = "") -> None:
     fault = fault_of(covariance, definite=definite)
     if fault is not None:
-        raise ContractBroken(frame, f"its {name} {fault}")
+        raise ContractBroken(frame, f"its {name} {fault}{where}")
