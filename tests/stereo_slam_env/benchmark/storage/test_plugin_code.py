@@ -13,8 +13,10 @@ from pathlib import Path
 import pytest
 
 from filters import InverseDepthStereoEKF
+from stereo_slam_env.benchmark import compare
 from stereo_slam_env.benchmark.recordings.sources import FactorySource, ReferenceSource
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, PolicyChoice
+from stereo_slam_env.benchmark.storage.code_identity import code_digest
 from stereo_slam_env.benchmark.storage.plugin_code import digest_of_choice, digest_of_source, plugin_digest
 
 ROOT = Path(__file__).resolve().parents[4]
@@ -122,6 +124,9 @@ def test_a_filter_that_now_raises_does_not_return_its_old_result(project, tmp_pa
     assert said.returncode == 0, said.stderr
     assert re.search(r"The code of lab differs\s+between\s+the\s+two\s+runs", said.stdout)
     assert "The code of stereo-slam-env differs" not in said.stdout
+    edit(tmp_path / "b" / "settings.json", f'"code": "{code_digest()}"', '"code": "another"')
+    warnings = compare(tmp_path / "a", tmp_path / "b").warnings
+    assert f"The code of stereo-slam-env differs between the two runs ({code_digest()} and another)." in warnings
 
 
 # ---- a project ------------------------------------------------------------------------------------------------------
