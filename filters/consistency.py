@@ -69,8 +69,8 @@ def fault_of(covariance: FloatArray, *, definite: bool = True) -> str | None:
 def _asymmetry(covariances: FloatArray) -> FloatArray:
     """Largest difference of each from its transpose, by its largest entry."""
     largest = np.abs(covariances).max(axis=(-2, -1), initial=_SMALLEST)
-    apart: FloatArray = np.abs(covariances - np.swapaxes(covariances, -1, -2)).max(axis=(-2, -1), initial=0.0) / largest
-    return apart
+    apart = np.abs(covariances - np.swapaxes(covariances, -1, -2)).max(axis=(-2, -1), initial=0.0)
+    return np.asarray(apart / largest, dtype=np.float64)
 
 
 def _least_correlation(covariances: FloatArray) -> FloatArray:
@@ -80,5 +80,5 @@ def _least_correlation(covariances: FloatArray) -> FloatArray:
     """
     variances = np.diagonal(covariances, axis1=-2, axis2=-1)
     sigmas = np.sqrt(np.where(variances > 0.0, variances, 1.0))
-    smallest: FloatArray = np.linalg.eigvalsh(covariances / sigmas[..., :, None] / sigmas[..., None, :])[..., 0]
-    return smallest
+    eigenvalues = np.linalg.eigvalsh(covariances / sigmas[..., :, None] / sigmas[..., None, :])
+    return np.asarray(eigenvalues[..., 0], dtype=np.float64)

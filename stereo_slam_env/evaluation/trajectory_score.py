@@ -152,7 +152,7 @@ class PairedVerdict:
     other: str
     frames: int
     error_ratio: tuple[float, float, float]  # of the position RMSE, with its 95 % interval; < 1: the first is better
-    log_score_difference: MeanInterval | None  # nats a frame; < 0: the first is better; None where one has no claim that can be scored
+    log_score_difference: MeanInterval | None  # nats a frame; < 0: the first is better; None: no claim to score
 
     @property
     def words(self) -> str:

@@ -1,10 +1,10 @@
 """Identity of the code that made a result: a digest of its meaning, not of its formatting.
 
-Every file of both packages counts, and there is no list of those that "make no result". Such a list was kept by hand
-and can only be wrong in one direction, in which a stale result passes for a new one; an import graph is no better, since
-environments, policies and filters are named by strings. The price is paid by those who change the packages: of 252
-commits that touched them, 49 touched reports, viewers and commands alone, and after those a run that is resumed starts
-again. Reports are written again (`stereo-slam report`) without that.
+Every file of both packages counts, and there is no list of those that "make no result": such a list is kept by hand,
+and where it is wrong, a stale result passes for a new one. Nor does an import graph say what counts: environments,
+policies and filters are named by strings. The price is paid by those who change the packages: of 252 commits that
+touched them, 49 touched reports, viewers, commands and the like alone, and after those a run that is resumed starts
+again. To write a report again (`stereo-slam report`) needs no such thing.
 
 The code of filters and policies that are not ours is in `plugin_code`.
 """

@@ -147,7 +147,7 @@ class RunDirectory:
         about: dict[str, Any] = {
             "filter": choice and dataclasses.asdict(choice),
             "code": code_digest(),
-            "plugin_code": self._plugins[choice and choice.label],
+            "plugin_code": self._plugins[None if choice is None else choice.label],
         }
         if choice is not None and choice.policy is not None:
             return about

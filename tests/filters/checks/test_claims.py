@@ -22,6 +22,7 @@ from stereo_slam_env.baselines.dead_reckoning import DeadReckoning
 
 from ..false_claims import LIES, liar
 
+
 @pytest.mark.parametrize("lie", LIES)
 @pytest.mark.parametrize("where", ["pose", "pose_error", "velocity", "landmarks", "forecast"])
 def test_a_covariance_that_is_none_fails(where: str, lie: str) -> None:

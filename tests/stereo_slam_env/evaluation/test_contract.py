@@ -148,7 +148,15 @@ def test_a_landmark_without_a_place_is_counted_not_scored(recording):
 
 # ---- what is legal ---------------------------------------------------------------------------------------------------
 
-NAMES = ("inverse-depth", "right-invariant", "unscented", "submaps", "coloured-noise", "dead-reckoning", "frame-to-frame")
+NAMES = (
+    "inverse-depth",
+    "right-invariant",
+    "unscented",
+    "submaps",
+    "coloured-noise",
+    "dead-reckoning",
+    "frame-to-frame",
+)
 
 
 @pytest.mark.parametrize("name", NAMES)

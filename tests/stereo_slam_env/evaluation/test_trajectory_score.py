@@ -238,7 +238,7 @@ def test_the_first_pose_may_be_known_exactly():
 
 def test_a_file_whose_covariances_are_all_none_is_refused():
     estimate, truth = drives(50)
-    with pytest.raises(ValueError, match="none of the covariances of .* is positive definite: correct them, or leave"):
+    with pytest.raises(ValueError, match=r"none of the covariances of .* is positive definite: correct them, or leave"):
         sse.evaluate_trajectory(replace(estimate, covariances=np.zeros((50, 6, 6))), truth)
 
 

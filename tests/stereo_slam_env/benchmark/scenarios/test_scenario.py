@@ -90,6 +90,6 @@ def test_wrong_scenarios_are_refused_with_a_hint(data, complaint):
 
 def test_a_scenario_without_a_kind_says_so_in_one_line():
     """Not what the options of another kind lack."""
-    with pytest.raises(ValueError, match="^scenario 's' must say its kind, one of street, gaze, .*") as raised:
+    with pytest.raises(ValueError, match=r"^scenario 's' must say its kind, one of street, gaze, .*") as raised:
         Scenario.from_dict({"name": "s", "options": {"sigma": 1.0}})
     assert "\n" not in str(raised.value)

@@ -116,7 +116,11 @@ def test_a_filter_that_now_raises_does_not_return_its_old_result(project, tmp_pa
     bench(project, tmp_path / "b")
     of_ours = tmp_path / "b" / "trials" / "seed-0000" / "inverse-depth.npz"
     written = of_ours.stat().st_mtime_ns
-    edit(project / "lab_filter" / "slam.py", "super().predict(dt", 'raise RuntimeError("edited")\n        super().predict(dt')
+    edit(
+        project / "lab_filter" / "slam.py",
+        "super().predict(dt",
+        'raise RuntimeError("edited")\n        super().predict(dt',
+    )
     after = bench(project, tmp_path / "b")
     assert after["lab"]["failures"] == ["seed 0, frame 1: RuntimeError: edited"]
     assert of_ours.stat().st_mtime_ns == written
@@ -193,7 +197,9 @@ def test_ours_have_no_code_of_their_own():
 
 
 def test_a_script_counts_with_what_it_imports(tmp_path, monkeypatch):
-    (tmp_path / "lone_filter.py").write_text("import lone_math\n\n\ndef make(camera, noise):\n    return lone_math.f()\n")
+    (tmp_path / "lone_filter.py").write_text(
+        "import lone_math\n\n\ndef make(camera, noise):\n    return lone_math.f()\n"
+    )
     (tmp_path / "lone_math.py").write_text("def f():\n    return 1\n")
     (tmp_path / "lone_other.py").write_text("x = 1\n")
     monkeypatch.syspath_prepend(str(tmp_path))
@@ -277,7 +283,9 @@ def test_a_class_of_a_notebook_has_the_same_digest_in_every_process():
     said = set()
     for seed in ("1", "2"):
         environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONHASHSEED": seed}
-        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment, timeout=120)
+        done = subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, env=environment, timeout=120
+        )
         said.add(done.stdout or done.stderr)
     assert len(said) == 1
     assert re.fullmatch(r"[0-9a-f]{16}\n", said.pop())
