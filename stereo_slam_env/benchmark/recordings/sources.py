@@ -233,20 +233,15 @@ class FactorySource(Source, frozen=True, tag="factory"):
 
     def record(self, seed: int | None, frames: int | None = None, progress: Progress | None = None) -> Recording:
         """Call the function."""
-        recording = self.function(seed=seed, **self.arguments)
+        module_name, _, function_name = self.call.partition(":")
+        try:
+            function = getattr(importlib.import_module(module_name), function_name)
+        except (ImportError, AttributeError, ValueError) as error:
+            raise ValueError(f'option call must be "package.module:function", got {self.call!r}: {error}') from error
+        recording = function(seed=seed, **self.arguments)
         if not isinstance(recording, Recording):
             raise ValueError(f"{self.call} returned a {type(recording).__name__}, not a Recording")
         return recording
-
-    @property
-    def function(self) -> Callable[..., Any]:
-        """What `call` names; a `ValueError` where there is no such thing."""
-        module_name, _, function_name = self.call.partition(":")
-        try:
-            found: Callable[..., Any] = getattr(importlib.import_module(module_name), function_name)
-        except (ImportError, AttributeError, ValueError) as error:
-            raise ValueError(f'option call must be "package.module:function", got {self.call!r}: {error}') from error
-        return found
 
 
 def source_of(kind: str, options: Mapping[str, Any]) -> Source:

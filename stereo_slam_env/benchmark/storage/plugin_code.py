@@ -52,9 +52,10 @@ def digest_of_choice(choice: FilterChoice) -> str | None:
 
 
 def digest_of_source(source: Source) -> str | None:
-    """Digest of the code that makes the recordings; None where all of it is ours."""
-    factory = _found(lambda: source.function) if isinstance(source, FactorySource) else type(source)
-    return plugin_digest(factory)
+    """Digest of the code that makes the recordings, which is not run for that; None where all of it is ours."""
+    module = source.call.partition(":")[0] if isinstance(source, FactorySource) else type(source).__module__
+    found = {} if _top(module) in _NOT_THEIRS else _package(_top(module), None)
+    return digest_of(found) if found else None
 
 
 def _found(load: Callable[[], Any]) -> Any:

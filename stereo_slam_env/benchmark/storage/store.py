@@ -111,7 +111,7 @@ class RunDirectory:
     def _plugins(self) -> dict[str | None, str | None]:
         """Digests of the code that is not ours, by label of the competitor; of None that of the recordings alone.
 
-        To know them is to import what the scenario names, so nobody who only reads a run asks for them.
+        To know them, filters are imported: nobody who only reads a run asks for them.
         """
         if self._found_code is None:
             source = digest_of_source(self.scenario.source)

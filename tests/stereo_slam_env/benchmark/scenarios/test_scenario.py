@@ -30,6 +30,7 @@ def test_the_euclidean_filter_has_its_guard_as_a_visible_option():
 def test_filters_can_be_named_or_spelt_out():
     data = {
         "name": "s",
+        "kind": "street",
         "filters": ["euclidean", {"name": "inverse-depth", "label": "tight", "options": {"gate": 0.5}}],
     }
     assert Scenario.from_dict(data).filters == (

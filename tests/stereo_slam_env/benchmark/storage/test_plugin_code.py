@@ -292,7 +292,7 @@ def test_a_class_of_a_notebook_has_the_same_digest_in_every_process():
 
 
 def test_a_function_that_makes_recordings_counts(tmp_path, monkeypatch):
-    (tmp_path / "lone_source.py").write_text("def make(seed):\n    return seed\n")
+    (tmp_path / "lone_source.py").write_text("raise SystemExit(3)\n\ndef make(seed):\n    return seed\n")
     monkeypatch.syspath_prepend(str(tmp_path))
     source = FactorySource("lone_source:make")
     before = digest_of_source(source)
