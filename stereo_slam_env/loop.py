@@ -115,7 +115,7 @@ class Moment:
 
     @property
     def nees(self) -> float:
-        """NEES of the pose, 6 degrees of freedom; NaN where there is no `scored_error`."""
+        """NEES of the pose, 6 degrees of freedom; NaN where there is no `scored_error`, or its covariance is none."""
         if self.scored_error is None:
             return float("nan")
         error, covariance = self.scored_error

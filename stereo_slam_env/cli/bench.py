@@ -93,6 +93,12 @@ class RunOptions:
             changes["search"] = self.search
         return replace(scenario, **changes)
 
+    def require_place(self) -> None:
+        """Raise where the results could not be written, before any work."""
+        from stereo_slam_env.files.folders import require_writable
+
+        require_writable(self.out or Path("runs"))
+
     def directory(self, study: Study) -> StudyDirectory:
         """The run directory, once it is known that it can be used for this study."""
         from stereo_slam_env.benchmark.storage.store import prepared_study
@@ -209,6 +215,7 @@ def bench(
     if show_list:
         show_lines(presets())
         return
+    options.require_place()
     if preset is not None and scenario is not None:
         raise ValueError("--preset and --scenario exclude each other: give one of them")
     usual = "quick" if policy is None else "gaze"
@@ -275,6 +282,7 @@ def replay(
     from stereo_slam_env.report.console import progress_bar, show_recording
 
     where = path if path.partition(":")[0] == "gtsam" else str(Path(path).resolve())
+    options.require_place()
     stated = {} if reference is None else values_from("--reference", reference, ["kind"])
     source = DatasetSource(where, {"on_broken": "skip"} if skip_broken else {}, stated)
     name = f"replay-{Path(where).name.replace(':', '-')}"

@@ -12,6 +12,7 @@ import numpy as np
 
 from filters import Pose, PoseBelief, StereoFilter, nees
 from filters.validation import FloatArray
+from stereo_slam_env.evaluation.contract import check_motion
 from stereo_slam_env.loop import Moment, run
 from stereo_slam_env.recording.recording import Recording, Reference
 from stereo_slam_env.recording.trajectory import pose_errors
@@ -79,6 +80,11 @@ def score_windows(
         By `series_of`: the NEES of the window that ends at a frame (6 degrees of freedom), NaN at the others; and with
         "_floor", where errors of the reference are stated, what a consistent filter would have without them. Nothing
         for a filter without clones.
+
+    Raises
+    ------
+    ContractBroken
+        What a filter claims of a motion is no covariance.
     """
     if not isinstance(slam, Cloning):
         return {}
@@ -108,6 +114,7 @@ def score_windows(
 def _window_nees(moved: PoseBelief, start: Pose, moment: Moment, reference: Reference) -> tuple[float, float]:
     """NEES of a motion against the true one, and its floor."""
     assert moment.truth is not None
+    check_motion(moment.number, moved)
     true = start.inverse() @ moment.truth
     poses = (moved.position, moved.orientation, true.position, true.orientation)
     error = pose_errors("position-rotation", *(part[None] for part in poses))

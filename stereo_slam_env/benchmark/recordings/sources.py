@@ -256,9 +256,7 @@ def source_of(kind: str, options: Mapping[str, Any]) -> Source:
         An unknown kind or option, a missing one, or one of the wrong type: the message names it.
     """
     checked("kind", kind, str)
-    kinds: dict[Any, type[Source]] = {}
-    for found in _subclasses(Source):
-        kinds.setdefault(found.__struct_config__.tag, found)  # ours come first and stay
+    kinds = _kinds()
     if kind not in kinds:
         for point in entry_points(group=ENTRY_POINT_GROUP):
             if point.name == kind:
@@ -276,6 +274,18 @@ def require_renderer(name: str) -> None:
         renderer_identity(name)
     except (ImportError, RuntimeError) as error:
         raise ValueError(str(error)) from error
+
+
+def known_kinds() -> str:
+    """The kinds of sources that are loaded, for messages."""
+    return ", ".join(map(str, _kinds()))
+
+
+def _kinds() -> dict[Any, type[Source]]:
+    kinds: dict[Any, type[Source]] = {}
+    for found in _subclasses(Source):
+        kinds.setdefault(found.__struct_config__.tag, found)  # ours come first and stay
+    return kinds
 
 
 def _subclasses(kind: type[Source]) -> Iterator[type[Source]]:

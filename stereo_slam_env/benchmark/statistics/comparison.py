@@ -66,7 +66,8 @@ def compare(before: str | Path | BenchmarkResult, after: str | Path | BenchmarkR
         )
     paired, about_streams = _same_streams(was, now)
     changes = _changes(was, now, filters, paired)
-    warnings = [*_failures(was), *_failures(now), *about_streams, *_other_settings(was, now), *_other_machine(was, now)]
+    warnings = [*_failures(was), *_failures(now), *about_streams, *_other_settings(was, now)]
+    warnings += [*_other_code(was, now), *_other_machine(was, now)]
     return RunComparison(
         before=was.name,
         after=now.name,
@@ -90,6 +91,7 @@ class _Side:
     trials: Mapping[tuple[str, RunKey], FilterRun]
     streams: Mapping[tuple[str, RunKey], str] = field(default_factory=dict)
     settings: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    plugin_code: Mapping[str, str | None] = field(default_factory=dict)  # digest by label; None: it is ours
     cells: Mapping[str, str] = field(default_factory=dict)  # of a grid, by name of the filter
 
     @property
@@ -113,6 +115,7 @@ def _opened(source: str | Path | BenchmarkResult, name: str) -> _Side:
     trials: dict[tuple[str, RunKey], FilterRun] = {}
     streams: dict[tuple[str, RunKey], str] = {}
     settings: dict[str, Mapping[str, Any]] = {}
+    code: dict[str, str | None] = {}
     cells: dict[str, str] = {}
     for directory in study.cells:
         prefix = f"{directory.cell.name}: " if study.study.is_grid else ""
@@ -122,9 +125,10 @@ def _opened(source: str | Path | BenchmarkResult, name: str) -> _Side:
             trial = f"{prefix}{run.filter_name}", key_of(run)
             trials[trial], streams[trial] = run, digests[key_of(run)]
         figures |= {f"{prefix}{label}": of_filter for label, of_filter in found.figures.items()}
+        code |= {f"{prefix}{label}": digest for label, digest in directory.plugin_code().items()}
         cells |= {f"{prefix}{label}": directory.cell.name for label in found.figures if prefix}
         settings[prefix] = json.loads((directory.out / SETTINGS).read_text(encoding="utf-8"))
-    return _Side(str(source), figures, trials, streams, settings, cells=cells)
+    return _Side(str(source), figures, trials, streams, settings, code, cells)
 
 
 def _refuse_other_kinds(was: _Side, now: _Side) -> None:
@@ -240,6 +244,17 @@ def _other_settings(was: _Side, now: _Side) -> list[str]:
         changed = [label for label, how in made[0].items() if made[1].get(label, how) != how]
         other |= dict.fromkeys(f"the options of {label}" for label in changed)
     return [f"The settings of the two runs differ in {', '.join(other)}."] if other else []
+
+
+def _other_code(was: _Side, now: _Side) -> list[str]:
+    """Whose code differs: of filters by others, and of this project."""
+    common = [label for label in was.plugin_code if label in now.plugin_code]
+    other = [label for label in common if was.plugin_code[label] != now.plugin_code[label]]
+    ours = [next((about["versions"].get("code") for about in side.settings.values()), None) for side in (was, now)]
+    said = [f"The code of {', '.join(other)} differs between the two runs."] if other else []
+    if None not in ours and ours[0] != ours[1]:
+        said.append(f"The code of stereo-slam-env differs between the two runs ({ours[0]} and {ours[1]}).")
+    return said
 
 
 def _other_machine(was: _Side, now: _Side) -> list[str]:
