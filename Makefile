@@ -61,7 +61,7 @@ $(VENV)/.installed: pyproject.toml | $(BIN)/python
 	@touch $@
 
 $(VENV)/.installed-dev: pyproject.toml constraints.txt | $(BIN)/python
-	@$(PIP) --constraint constraints.txt --editable '.[dev,gtsam,evo,gl,ray,dask,rl,video,docs,viewer]'
+	@$(PIP) --constraint constraints.txt --editable '.[dev,gtsam,evo,gl,ray,dask,rl,video,docs,viewer,pictures]'
 	@$(BIN)/python -m filters.compiled
 	@touch $@ $(VENV)/.installed $(VENV)/.installed-docs
 

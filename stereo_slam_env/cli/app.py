@@ -22,7 +22,6 @@ INTERRUPTED = 130
 
 app = typer.Typer(
     help="Compare stereo EKF-SLAM filters on identical measurements, simulated or real.",
-    add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
@@ -52,6 +51,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         typer.echo(f"interrupted: {stopped.kept} finished trials are kept in {stopped.directory}", err=True)
         typer.echo(f"to go on: stereo-slam {shlex.join(resume)}", err=True)
         return INTERRUPTED
+    except ModuleNotFoundError as error:
+        from filters.extras import explained
+
+        return refuse(str(explained(error)))
     except (ValueError, OSError, ImportError) as error:  # wrong input is the user's business, not a crash
         return refuse(str(error))
     except Exception as error:
@@ -69,13 +72,9 @@ def _start(
     version: Annotated[bool, typer.Option("--version", help="Print the version and stop.")] = False,
 ) -> None:
     if version:
-        from importlib.metadata import PackageNotFoundError
-        from importlib.metadata import version as version_of
+        from stereo_slam_env.files.package_versions import __version__
 
-        try:
-            typer.echo(f"stereo-slam {version_of('stereo-slam-env')}")
-        except PackageNotFoundError:
-            typer.echo("stereo-slam (not installed, run from source)")
+        typer.echo(f"stereo-slam {__version__}")
         raise typer.Exit()
     if context.invoked_subcommand is None:
         typer.echo(context.get_help())

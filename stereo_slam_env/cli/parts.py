@@ -22,6 +22,7 @@ FiltersOption = Annotated[
     ),
 ]
 JobsOption = Annotated[int, typer.Option("--jobs", help="Processes, one BLAS thread each.", min=1)]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON instead, for other programs.")]
 OutOption = Annotated[
     Path | None, typer.Option("--out", help="Run directory; an interrupted run in it is resumed.", show_default="new")
 ]

@@ -15,11 +15,10 @@ from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import msgspec
-
 from stereo_slam_env.evaluation.figures import trial_columns
 from stereo_slam_env.evaluation.run_figures import key_of
 from stereo_slam_env.files.folders import unfinished_name, write_atomically
+from stereo_slam_env.files.json_files import json_text
 
 if TYPE_CHECKING:
     from stereo_slam_env.benchmark.storage.store import CellResult
@@ -28,19 +27,9 @@ SCHEMA = 3
 _TYPES = {"text": "TEXT", "integer": "INTEGER", "real": "REAL", "any": ""}
 
 
-def write_json(path: Path, data: Mapping[str, Any]) -> None:
-    """Write JSON that any reader takes, whole or not at all: NaN and infinity are null."""
-    text = msgspec.json.format(msgspec.json.encode(data, enc_hook=_plain), indent=2) + b"\n"
-    write_atomically(path, lambda stream: stream.write(text))
-
-
-def _plain(value: Any) -> Any:
-    return dict(value) if isinstance(value, Mapping) else float(value)
-
-
 def write_csv(path: Path, rows: Mapping[str, Mapping[str, Any]]) -> None:
     """Write summaries, one row for each filter; what does not apply is empty."""
-    plain = msgspec.json.decode(msgspec.json.encode(rows, enc_hook=_plain))
+    plain = json.loads(json_text(rows))
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")
     table.writerow(["filter", *next(iter(plain.values()))])

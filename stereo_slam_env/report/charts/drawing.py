@@ -148,6 +148,14 @@ class Panel:
         rows = [_row(number, curve, self._kept(curve), "low", "high") for number, curve in enumerate(curves)]
         self._layer(rows, {"type": "area"}, {"y": "low", "y2": "high"}, **COLOURED, detail=ID)
 
+    def outlines(self, curves: Iterable[Curve]) -> None:
+        """Fill what each curve goes round; a path that crosses itself is filled on both sides."""
+        rows = [_row(number, curve, _known(curve)) for number, curve in enumerate(curves)]
+        order = {"field": "at", "type": "quantitative"}
+        rows = [row | {"at": [*range(len(row["x"]))]} for row in rows]
+        fill = {"fill": COLOURED["color"], "fillOpacity": COLOURED["opacity"]}
+        self._layer(rows, {"type": "line", "strokeWidth": 0}, **fill, order=order, detail=ID)
+
     def boxes(self, boxes: Iterable[Box]) -> None:
         """Fill rectangles."""
         ends = ("x0", "x1", "y0", "y1")

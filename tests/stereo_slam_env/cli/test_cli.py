@@ -53,7 +53,7 @@ def full_command(capsys, monkeypatch):
 INTERRUPTIBLE = """
 import runpy, signal
 signal.signal(signal.SIGINT, signal.default_int_handler)
-runpy.run_module("stereo_slam_env.cli", run_name="__main__", alter_sys=True)
+runpy.run_module("stereo_slam_env", run_name="__main__", alter_sys=True)
 """
 
 
@@ -131,7 +131,7 @@ def test_the_presets_are_listed(command):
 
 
 def test_a_reader_that_has_seen_enough_is_no_error():
-    asked = [sys.executable, "-m", "stereo_slam_env.cli", "bench", "--list"]
+    asked = [sys.executable, "-m", "stereo_slam_env", "bench", "--list"]
     with subprocess.Popen(asked, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as listing:
         listing.stdout.close()
         assert listing.stderr.read() == b""
