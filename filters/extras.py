@@ -63,9 +63,10 @@ def is_installed(module: str) -> bool:
 def explained(error: ModuleNotFoundError) -> ModuleNotFoundError:
     """The error, with the command that brings the missing module where that is one of `CORE`."""
     module = (error.name or "").partition(".")[0]
-    if module not in CORE:
+    requirement = CORE.get(module)
+    if requirement is None:
         return error
-    message = f'{module} is missing: {sys.executable} -m pip install "{CORE[module]}"'
+    message = f'{module} is missing: {sys.executable} -m pip install "{requirement}"'
     return ModuleNotFoundError(message, name=error.name)
 
 

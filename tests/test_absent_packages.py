@@ -132,7 +132,10 @@ def test_a_name_that_needs_an_absent_package_says_how_to_install_it(module, code
 
 @pytest.mark.parametrize(
     ("module", "arguments"),
-    [("cv2", ["bench", "--preset", "turn", "--seeds", "1"]), ("pybullet", ["scenes", "render", "turn", "--out", "a.png"])],
+    [
+        ("cv2", ["bench", "--preset", "turn", "--seeds", "1"]),
+        ("pybullet", ["scenes", "render", "turn", "--out", "a.png"]),
+    ],
 )
 def test_a_command_that_needs_an_absent_package_is_refused_in_one_line(module, arguments, tmp_path):
     code, _, error = command_without(module, *arguments)

@@ -16,7 +16,7 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
-from filters.noise import ColouredNoise
+from filters.contract.noise import ColouredNoise
 from stereo_slam_env.benchmark.scenarios.measurement_errors import (
     LAGS,
     OUTLIER,

@@ -53,7 +53,9 @@ def write_trajectory_report(
     ]
     names = " and ".join(trajectories.labels_of(scores))
     subtitle = f"{scores[0].frames} scored poses over {scores[0].path_m:.0f} m · aligned: {scores[0].alignment}"
-    return write_page(out / "report.html", title=f"{names} against {scores[0].reference}", subtitle=subtitle, parts=body)
+    return write_page(
+        out / "report.html", title=f"{names} against {scores[0].reference}", subtitle=subtitle, parts=body
+    )
 
 
 def _path(scores: Sequence[TrajectoryScore], folder: Path) -> Markup:

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from filters import rotations
 from filters.extras import require_module
+from filters.geometry import rotations
 from filters.validation import FloatArray
 from stereo_slam_env.evaluation.consistency import mean_band
 from stereo_slam_env.files.paths import checked_file

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -33,9 +33,7 @@ def labels_of(scores: Sequence[TrajectoryScore]) -> list[str]:
 def pose_error(score: TrajectoryScore) -> tuple[FloatArray, FloatArray]:
     """Pose errors (N, 6), position in W, m, and rotation in the body, rad, and the claimed deviations, NaN if none."""
     poses, truth = score.poses, score.reference_poses
-    error = pose_errors(
-        "position-rotation", poses.positions, poses.orientations, truth.positions, truth.orientations
-    )
+    error = pose_errors("position-rotation", poses.positions, poses.orientations, truth.positions, truth.orientations)
     claimed = poses.pose_covariances
     if claimed is None:
         return error, np.full_like(error, np.nan)
@@ -82,17 +80,15 @@ def plot_errors(scores: Sequence[TrajectoryScore]) -> list[Chart]:
     """Pose errors of each estimate inside what it claims, 3 sigma, a panel a degree of freedom; equal scales."""
     found = dict(zip(labels_of(scores), map(pose_error, scores), strict=True))
     limits = shared_error_limits(found)
-    starts = (score.times - score.times[0] for score in scores)
     return [
-        pose_error_chart(label, time, *errors, limits) for (label, errors), time in zip(found.items(), starts, strict=True)
+        pose_error_chart(label, score.times - score.times[0], *errors, limits)
+        for (label, errors), score in zip(found.items(), scores, strict=True)
     ]
 
 
 def plot_nees_over_time(scores: Sequence[TrajectoryScore]) -> Chart:
     """NEES / 6 of the pose over time, of all that claim covariances, against the 95 % band of one run."""
-    claimed = {
-        label: score for label, score in zip(labels_of(scores), scores, strict=True) if "pose" in score.claims
-    }
+    claimed = {label: score for label, score in zip(labels_of(scores), scores, strict=True) if "pose" in score.claims}
     times = np.unique(np.concatenate([score.times for score in claimed.values()]))
     low, high = (np.full(len(times), end / DOF["pose"]) for end in mean_band(DOF["pose"], 1))
     curves = {label: _at(times, score) / DOF["pose"] for label, score in claimed.items()}

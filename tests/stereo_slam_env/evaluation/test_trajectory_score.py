@@ -11,7 +11,8 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import binom, chi2
 
 import stereo_slam_env as sse
-from filters import Pose, rotations
+from filters import Pose
+from filters.geometry import rotations
 from stereo_slam_env.evaluation import trajectory_metrics as metrics
 from stereo_slam_env.evaluation.bootstrap import block_length, mean_interval, stationary_rows
 from stereo_slam_env.evaluation.filter_run import run_filter
