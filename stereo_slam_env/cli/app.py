@@ -16,7 +16,7 @@ from stereo_slam_env.cli import scenes as cli_scenes
 from stereo_slam_env.cli import studies as cli_studies
 from stereo_slam_env.cli import train as cli_train
 from stereo_slam_env.cli import view as cli_view
-from stereo_slam_env.cli.parts import Interrupted, console, group, refuse, show_lines, show_place
+from stereo_slam_env.cli.parts import Interrupted, JsonOption, console, group, refuse, show_json, show_lines, show_place
 
 INTERRUPTED = 130
 
@@ -119,29 +119,41 @@ def _compare(before: Path, after: Path, out: Path | None) -> None:
 
 
 @filters_app.command("list")
-def list_filters() -> None:
+def list_filters(as_json: JsonOption = False) -> None:
     """Names of all filters, with one line on each."""
     from filters import available_filters
 
-    show_lines(available_filters())
+    show_lines(available_filters(), as_json=as_json)
 
 
 @policies_app.command("list")
-def list_policies() -> None:
+def list_policies(as_json: JsonOption = False) -> None:
     """Names of all policies, with one line on each."""
     from stereo_slam_env.policies import available_policies
 
-    show_lines(available_policies())
+    show_lines(available_policies(), as_json=as_json)
+
+
+def _filter_names(incomplete: str) -> list[str]:
+    from filters import available_filters
+
+    return [name for name in available_filters() if name.startswith(incomplete)]
 
 
 @filters_app.command("check")
-def check(name: Annotated[str, typer.Argument(help="Name of a filter.")]) -> None:
+def check(
+    name: Annotated[str, typer.Argument(help="Name of a filter.", autocompletion=_filter_names)],
+    as_json: JsonOption = False,
+) -> None:
     """Check that a filter keeps the contract; exit code 1 if it does not."""
     from filters import make_filter
     from filters.checks.conformance import REFERENCE_CAMERA, REFERENCE_NOISE, check_filter
 
     make_filter(name, camera=REFERENCE_CAMERA, noise=REFERENCE_NOISE)
     result = check_filter(name, raise_on_failure=False)
-    typer.echo(str(result))
+    if as_json:
+        show_json({"filter": name, "passed": list(result.passed), "failed": list(result.failed)})
+    else:
+        typer.echo(str(result))
     if result.failed:
         raise typer.Exit(1)

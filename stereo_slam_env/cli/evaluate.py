@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from stereo_slam_env.cli.parts import JsonOption, console
+from stereo_slam_env.cli.parts import JsonOption, console, show_json
 
 
 def evaluate(
@@ -41,7 +41,7 @@ def evaluate(
     """Judge any trajectory: its errors, and whether the covariance that it claims can be believed."""
     from stereo_slam_env.benchmark.recordings.source import checked
     from stereo_slam_env.evaluation.trajectory_score import Alignment, evaluate_trajectory
-    from stereo_slam_env.files.json_files import json_text, write_json
+    from stereo_slam_env.files.json_files import write_json
     from stereo_slam_env.recording.trajectory_files import load_trajectory
     from stereo_slam_env.report.trajectory_table import show_trajectory_scores
 
@@ -54,7 +54,7 @@ def evaluate(
     verdict = scores[0].against(scores[1]) if len(scores) > 1 else None
     figures = {"scores": [score.as_dict() for score in scores], "against": verdict and asdict(verdict)}
     if as_json:
-        typer.echo(json_text(figures), nl=False)
+        show_json(figures)
     else:
         show_trajectory_scores(console(), scores)
         if verdict is not None:

@@ -220,7 +220,7 @@ def test_landmarks_on_a_fast_body_do_not_stay():
 
 
 def test_of_the_landmarks_on_a_slow_body_one_in_twenty_may_stay():
-    """Which ones do depends on the version of OpenCV, whose corners differ a little: 1 of 86 with 5.0, 2 of 87 with 4.9."""
+    """Which ones do depends on the version of OpenCV, whose corners differ a little."""
     car = dataclasses.replace(CAR, velocity=(0.9, 0.0, 0.6))
     drives = [landmarks_on(car, seed) for seed in range(12)]
     given, stayed = (sum(len(drive[kind]) for drive in drives) for kind in (0, 1))
