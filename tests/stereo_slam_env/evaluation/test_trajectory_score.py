@@ -65,6 +65,21 @@ def test_a_true_claim_is_found_consistent():
         assert claim.verdict.startswith("consistent")
 
 
+@pytest.mark.parametrize("tangent", ["position-rotation", "right", "left"])
+def test_the_doubt_of_a_reference_is_carried_into_the_error_of_the_estimate(tangent):
+    """All error is the reference's, along its own axes: NEES of a reference that is as wrong as it says is exact."""
+    _, truth = drives(60)
+    rng = np.random.default_rng(8)
+    sigmas = np.array([3.0, 0.1, 0.02]) * 1e-3
+    shifts = sigmas * rng.standard_normal((60, 3))
+    doubt = np.tile(np.diag([*sigmas**2, *np.full(3, 1e-12)]), (60, 1, 1))
+    reference = replace(truth, positions=truth.positions + shifts, covariances=doubt)
+    estimate = replace(truth, covariances=np.tile(1e-18 * np.eye(6), (60, 1, 1)), tangent=tangent, name="mine")
+    score = sse.evaluate_trajectory(estimate, reference)
+    expected = np.sum((shifts[1:] / sigmas) ** 2, axis=1).mean()
+    assert score.claims["pose"].nees.mean == pytest.approx(expected, rel=1e-4)
+
+
 @pytest.mark.parametrize(("inflate", "verdict"), [(9.0, "too tight, by 3"), (1 / 25.0, "too loose, by 5")])
 def test_a_claim_that_is_wrong_by_a_factor_is_told_that_factor(inflate, verdict):
     score = sse.evaluate_trajectory(*drives(2000, inflate=inflate))

@@ -37,6 +37,19 @@ def test_an_interval_holds_the_truth_in_at_least_93_of_100_cases(draw, count):
     assert np.mean((low <= 0.0) & (high >= 0.0)) >= 0.93
 
 
+@pytest.mark.parametrize("confidence", [0.9, 0.95, 0.99])
+def test_an_interval_is_halls_symmetric_studentised_one(confidence):
+    """Written out with other random numbers: |mean* - mean| / error* of 200,000 resamples of nine rows."""
+    data = np.random.default_rng(3).gamma(2.0, size=9)
+    resamples = data[np.random.default_rng(4).integers(9, size=(200_000, 9))]
+    errors = resamples.std(axis=1, ddof=1) / 3.0
+    ratios = np.abs(resamples.mean(axis=1) - data.mean()) / np.where(errors > 1e-9, errors, np.inf)
+    half = np.quantile(ratios, confidence) * data.std(ddof=1) / 3.0
+    low, high = mean_interval(data[:, None], confidence)
+    assert float(high[0] + low[0]) / 2 == pytest.approx(data.mean(), rel=1e-12)
+    assert float(high[0] - low[0]) / 2 == pytest.approx(half, rel=0.03)  # without ddof: 0.06 less
+
+
 def test_an_interval_for_many_comparisons_holds_for_all_of_them_together():
     data = DRAWS["heavy-tailed"](np.random.default_rng(5), (10, 12 * 60))
     low, high = mean_interval(data, level(12))
