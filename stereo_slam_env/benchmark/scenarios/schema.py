@@ -1,12 +1,13 @@
 """JSON Schema of scenario files, for editors: completion, documentation and errors while a file is written.
 
 The types are those that `Scenario`, the sources and the corruptions declare, in the form that files have. The schema is
-kept beside this module; after a change of a type, `python -m stereo_slam_env.benchmark.scenarios.schema` writes it anew.
+kept beside this module, and `python -m stereo_slam_env.benchmark.scenarios.schema` writes it anew when a type changes.
 """
 
 from __future__ import annotations
 
 import inspect
+import json
 import re
 from collections.abc import Mapping
 from importlib.resources import files
@@ -104,7 +105,7 @@ def scenario_schema() -> dict[str, Any]:
     }
     for key, said in _OTHERS.items():
         fields[key] = {"description": said, **fields[key]}
-    return {
+    schema = {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "Scenario of stereo-slam bench",
         "type": "object",
@@ -115,6 +116,9 @@ def scenario_schema() -> dict[str, Any]:
         "allOf": [_with_options(kind, about) for kind, about in kinds.items()],
         "$defs": parts,
     }
+    # The end of a text is written as JavaScript has it.
+    portable: dict[str, Any] = json.loads(json.dumps(schema).replace(r"\\Z", "$"))
+    return portable
 
 
 def write_scenario_file(path: Path, preset: str) -> None:

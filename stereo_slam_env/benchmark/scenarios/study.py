@@ -1,8 +1,9 @@
 """Studies: one scenario, or a grid of them, from scenario files and as presets.
 
 A scenario file is TOML (or JSON), checked key by key, see docs/benchmark.md ("Scenario files"). The keys are the fields
-of `Scenario`, with the source as `kind` and `options`, and more: `[grid]`, `[[cells]]` and `[factorial]` make many scenarios of one
-file, `description` is one line for lists, and `$schema` is for editors. TOML has no null: false is none.
+of `Scenario`, with the source as `kind` and `options`, and more: `[grid]`, `[[cells]]` and `[factorial]` make many
+scenarios of one file, `description` is one line for lists, and `$schema` is for editors. TOML has no null: false is
+none.
 """
 
 from __future__ import annotations
