@@ -24,7 +24,11 @@ def resolved(python):
     try:
         command = [python, "-m", "pip", "install", "--dry-run", "--ignore-installed", "--quiet", "--report", "-"]
         done = subprocess.run(
-            [*command, "--constraint", str(kept), f".[{EXTRAS}]"], cwd=ROOT, check=True, stdout=subprocess.PIPE, text=True
+            [*command, "--constraint", str(kept), f".[{EXTRAS}]"],
+            cwd=ROOT,
+            check=True,
+            stdout=subprocess.PIPE,
+            text=True,
         )
     finally:
         kept.unlink()

@@ -60,9 +60,13 @@ def write_trajectory_report(
 
 def _path(scores: Sequence[TrajectoryScore], folder: Path) -> Markup:
     chart, factor = trajectories.plot_paths(scores)
-    tubes = ", in a tube of 3σ across the path: the reference is inside where the error is" if _claiming(scores) else ""
-    magnified = "" if factor == 1.0 else f" Errors{' and tubes' if tubes else ''} are drawn {factor:g} times as large."
-    caption = f"Each estimate{tubes}.{magnified}"
+    caption = "Reference and estimates."
+    if _claiming(scores):
+        caption += (
+            " The tubes are 3σ across the path: where the reference leaves one, the error is larger than claimed."
+        )
+    if factor != 1.0:
+        caption += f" Errors{' and tubes' if _claiming(scores) else ''} are drawn {factor:g} times as large."
     return part("section", "Path", "", [figure_block(chart, "path", caption, folder)])
 
 
