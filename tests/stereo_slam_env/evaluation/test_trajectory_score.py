@@ -360,3 +360,13 @@ def test_a_run_written_to_files_has_the_nees_of_its_own_figures(tmp_path, filter
         np.testing.assert_allclose(
             score.nees[what], series[np.isfinite(series)], rtol=1e-9 if reference is None else 1e-7
         )
+
+
+def test_a_path_of_half_a_metre_has_a_drift_and_none_has_none():
+    _, truth = drives(30)
+    scale = 0.5 / np.linalg.norm(np.diff(truth.positions[1:], axis=0), axis=1).sum()
+    short = replace(truth, positions=scale * truth.positions)
+    moved = replace(short, positions=short.positions + np.linspace(0.0, 0.01, 30)[:, None] * [1.0, 0.0, 0.0])
+    assert sse.evaluate_trajectory(moved, short).end_drift_percent == pytest.approx(2.0, rel=1e-2)
+    still = replace(truth, positions=np.zeros((30, 3)))
+    assert sse.evaluate_trajectory(still, still).end_drift_percent is None

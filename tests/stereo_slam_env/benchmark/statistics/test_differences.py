@@ -10,6 +10,7 @@ from scipy.stats import wilcoxon
 from stereo_slam_env.benchmark.statistics.differences import (
     Finding,
     difference_of,
+    differences_of,
     level,
     mean_interval,
     paired_difference,
@@ -210,3 +211,11 @@ def test_a_tie_is_no_difference_however_sure_its_sign():
 
 def test_what_is_rounded_to_zero_has_no_sign():
     assert (signed(-0.4), signed(0.004, 2), signed(-0.0), signed(-0.6)) == ("0", "0.00", "0", "−1")
+
+
+def test_many_differences_are_ratios_unless_told_otherwise():
+    gaps = np.full((8, 1), np.log(1.2)) + 0.001 * np.arange(8)[:, None]
+    (ratio,), (amount,) = differences_of(gaps), differences_of(gaps, is_ratio=False)
+    assert (ratio.is_ratio, amount.is_ratio) == (True, False)
+    assert ratio == difference_of(gaps[:, 0])
+    assert ratio.percent == pytest.approx(20.4, abs=0.2)
