@@ -14,7 +14,6 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 FILE = ROOT / "constraints.txt"
 EXTRAS = re.search(r"^EXTRAS := (\S+)$", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)[1]
-BY_HAND = re.compile(r"^(?:#.*\n|.*# by hand: .*\n)+", re.MULTILINE)
 
 
 def resolved(python):

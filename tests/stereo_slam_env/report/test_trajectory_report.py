@@ -66,9 +66,9 @@ def test_estimates_with_other_frames_share_the_chart_without_gaps():
     chart = plot_nees_over_time([score(), score(name="theirs", every=3)])
     for key in ("mine", "theirs"):
         (row,) = [row for row in lists(chart, key) if row["said"] is not None]
-        first = next(k for k, value in enumerate(row["y"]) if value is not None)
-        assert first < 5
-        assert None not in row["y"][first:]
+        known = [k for k, value in enumerate(row["y"]) if value is not None]
+        assert len(known) > 50
+        assert None not in row["y"][known[0] : known[-1]]
 
 
 def text_of(page):
