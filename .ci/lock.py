@@ -13,6 +13,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 FILE = ROOT / "constraints.txt"
+EXACTLY = "python_version == '{}'"
 EXTRAS = re.search(r"^EXTRAS := (\S+)$", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)[1]
 
 
@@ -44,7 +45,8 @@ def lines(found):
             if name in packages:
                 by_version.setdefault(packages[name], []).append(python)
         for version, pythons in by_version.items():
-            marker = " or ".join(f"python_version == '{python}'" for python in pythons)
+            newest = list(found)[-len(pythons) :] == pythons
+            marker = f"python_version >= '{pythons[0]}'" if newest else " or ".join(map(EXACTLY.format, pythons))
             yield f"{name}=={version}" + (f"; {marker}" if len(by_version) > 1 else "")
 
 
