@@ -155,7 +155,9 @@ def test_no_heading_is_declared_a_second_time():
     assert len(found) > 40
 
 
-@pytest.mark.parametrize("figure", [figure for figure in FIGURES.values() if figure.ideal], ids=lambda figure: figure.name)
+@pytest.mark.parametrize(
+    "figure", [figure for figure in FIGURES.values() if figure.ideal], ids=lambda figure: figure.name
+)
 def test_what_a_consistent_filter_has_is_shown_as_one_and_twice_that_as_two(figure):
     assert figure.of({figure.name: figure.ideal}) == 1.0
     assert figure.of({figure.name: 2.0 * figure.ideal}) == 2.0
