@@ -117,6 +117,7 @@ SAYS = [
     ("pybullet", "import stereo_slam_env as sse; sse.StereoDriveEnv"),
     ("numba", "import filters; filters.FilterBatch"),
     ("numba", "import gymnasium, stereo_slam_env; gymnasium.make_vec('StereoSlam/Drive-v0', num_envs=2)"),
+    ("filterpy", "import filters; filters.Unscented()"),
     ("vl_convert", "import stereo_slam_env as sse; sse.write_report_of"),
     ("jinja2", "from stereo_slam_env.report import html_page"),
 ]

@@ -77,7 +77,7 @@ def scenario_schema() -> dict[str, Any]:
         "type": "array",
         "items": {"oneOf": [_tagged(kind, about) for kind, about in found.items()]},
     }
-    kinds = {kind.__struct_config__.tag: parts.pop(kind.__name__) for kind in KINDS}
+    kinds = {str(kind.__struct_config__.tag): parts.pop(kind.__name__) for kind in KINDS}
     fields["kind"] = {"anyOf": [{"enum": [*kinds]}, {"type": "string"}], "default": "street"}
     fields["options"] = {"type": "object"}
     cell = {"type": "object", "properties": {key: {"$ref": f"#/properties/{key}"} for key in fields}}

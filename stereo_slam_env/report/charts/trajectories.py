@@ -62,12 +62,12 @@ def plot_paths(scores: Sequence[TrajectoryScore]) -> tuple[Chart, float]:
     ):
         truth = score.reference_poses.positions[:, plane]
         drawn = truth - factor * score.position_errors[:, plane]
-        paths.append(Curve(label, *drawn.T, colours[label], width=width))
+        paths.append(Curve(label, drawn[:, 0], drawn[:, 1], colours[label], width=width))
         if np.isfinite(half).any():
             known = np.isfinite(half)
             side = factor * half[known, None] * normal[known]
             outline = np.concatenate([drawn[known] + side, (drawn[known] - side)[::-1]])
-            tubes.append(Curve(label, *outline.T, colours[label], opacity=0.16, said=None))
+            tubes.append(Curve(label, outline[:, 0], outline[:, 1], colours[label], opacity=0.16, said=None))
     view.outlines(tubes)
     truths = {id(score): score.reference_poses.positions for score in scores}
     view.lines(Curve("", p[:, across], p[:, up], INK, said=scores[0].reference, **TRUTH) for p in truths.values())
