@@ -22,6 +22,7 @@ FiltersOption = Annotated[
     ),
 ]
 JobsOption = Annotated[int, typer.Option("--jobs", help="Processes, one BLAS thread each.", min=1)]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON instead, for other programs.")]
 OutOption = Annotated[
     Path | None, typer.Option("--out", help="Run directory; an interrupted run in it is resumed.", show_default="new")
 ]
@@ -128,8 +129,18 @@ def _help_without_command(context: typer.Context) -> None:
         typer.echo(context.get_help())
 
 
-def show_lines(lines: Mapping[str, str], width: int = 0) -> None:
-    """Names, and one line on each."""
+def show_json(data: Mapping[str, Any]) -> None:
+    """Print JSON."""
+    from stereo_slam_env.files.json_files import json_text
+
+    typer.echo(json_text(data), nl=False)
+
+
+def show_lines(lines: Mapping[str, str], width: int = 0, *, as_json: bool = False) -> None:
+    """Names, and one line on each; or the same as one JSON object."""
+    if as_json:
+        show_json(lines)
+        return
     width = max(width, *map(len, lines))
     for name, line in lines.items():
         typer.echo(f"{name:<{width}}  {line}")

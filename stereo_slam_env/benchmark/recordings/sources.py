@@ -15,8 +15,6 @@ import msgspec
 
 from filters.contract.known_names import did_you_mean, require_known
 from stereo_slam_env.benchmark.recordings.source import OpenedImages, Progress, Renderer, Source, checked
-from stereo_slam_env.datasets import holds_images, load, open_for_front_end
-from stereo_slam_env.frontend.recorder import record_tracks
 from stereo_slam_env.recording.recording import GIVEN_TRUTH, Recording
 from stereo_slam_env.sensing.rigs import camera_of
 
@@ -190,6 +188,9 @@ class DatasetSource(Source, frozen=True, tag="dataset"):
 
     def record(self, seed: int | None, frames: int | None = None, progress: Progress | None = None) -> Recording:
         """Read it, or track landmarks through its images."""
+        from stereo_slam_env.datasets import load  # OpenCV, only where it is needed
+        from stereo_slam_env.frontend.recorder import record_tracks
+
         if not self.takes_images:
             return self._stated(load(self.path, **self.arguments))
 
@@ -211,6 +212,8 @@ class DatasetSource(Source, frozen=True, tag="dataset"):
     @property
     def takes_images(self) -> bool:
         """Whether the folder holds images."""
+        from stereo_slam_env.datasets import holds_images
+
         return holds_images(self.path)
 
     def sequence(self, seed: int | None, frames: int | None = None) -> OpenedImages:
@@ -325,4 +328,6 @@ def _tracked(tracking: _Tracking) -> Recording:
 @lru_cache(maxsize=1)
 def _opened(options: str) -> OpenedImages:
     """Opened recording of images; kept, because finding its calibration takes time."""
+    from stereo_slam_env.datasets import open_for_front_end
+
     return open_for_front_end(**json.loads(options))

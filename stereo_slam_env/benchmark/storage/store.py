@@ -25,12 +25,13 @@ from stereo_slam_env.benchmark.storage.run_archive import (
     load_provenance,
     load_run,
 )
-from stereo_slam_env.benchmark.storage.tables import write_csv, write_json, write_trial_table
+from stereo_slam_env.benchmark.storage.tables import write_csv, write_trial_table
 from stereo_slam_env.evaluation.cramer_rao import Bound
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
 from stereo_slam_env.evaluation.run_figures import Bounds, Figures, figures_of, summarise_all
 from stereo_slam_env.evaluation.run_trajectories import estimate_of, reference_of, truth_of
 from stereo_slam_env.files.folders import is_occupied, write_atomically
+from stereo_slam_env.files.json_files import write_json
 from stereo_slam_env.recording.trajectory import Trajectory
 from stereo_slam_env.recording.trajectory_files import save_trajectory
 
