@@ -9,7 +9,8 @@ from markupsafe import Markup
 
 from stereo_slam_env.evaluation.trajectory_score import PairedVerdict, TrajectoryScore
 from stereo_slam_env.report.charts import trajectories
-from stereo_slam_env.report.page import clean_figures, data_links, figure_block, part, write_page
+from stereo_slam_env.report.data_section import data_section
+from stereo_slam_env.report.page import clean_figures, figure_block, part, write_page
 from stereo_slam_env.report.page_tables import Cell, Column, table
 from stereo_slam_env.report.trajectory_table import headline, score_rows, unusable_note
 
@@ -49,7 +50,7 @@ def write_trajectory_report(
         _path(scores, folder),
         *_consistency(scores, folder),
         part("section", "Figures", "", [_figures(scores)]),
-        data_links(out),
+        data_section(out),
     ]
     names = " and ".join(trajectories.labels_of(scores))
     subtitle = f"{scores[0].frames} scored poses over {scores[0].path_m:.0f} m · aligned: {scores[0].alignment}"
