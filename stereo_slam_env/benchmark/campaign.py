@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import logging
+import signal
+import threading
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -15,7 +18,7 @@ from filters.camera import StereoCamera
 from filters.common_options import make_with_common_options
 from filters.noise import StereoNoise
 from stereo_slam_env.benchmark.running.backends import Backend, BackendName
-from stereo_slam_env.benchmark.running.tasks import Task, make, run_trial
+from stereo_slam_env.benchmark.running.tasks import Task, make, make_here, run_trial
 from stereo_slam_env.benchmark.scenarios.scenario import (
     FilterChoice,
     PolicyChoice,
@@ -139,7 +142,8 @@ def run_benchmark(
         Unknown filter or option, impossible settings, a source that cannot be used, or `out` holds another run or is
         in use by another process.
     OSError
-        The disk is full or cannot be written; what is finished is kept.
+        The disk is full or cannot be written, a recording cannot be made, or processes end again and again; what is
+        finished is kept.
     """
     workers = Backend(backend, jobs, address)
     study = as_study(what, data=data, allow_code=allow_code)
@@ -162,12 +166,25 @@ def run_checked(
     write_report: ReportWriter | None = None,
 ) -> BenchmarkResult:
     """Run a study that `check_study` has passed, in a directory of `prepared_study`; as `run_benchmark`."""
-    with claimed_folder(root_of(directory.out)):
+    with claimed_folder(root_of(directory.out)), _terminated_like_interrupted():
         directory = open_study(directory.out, directory.study)
         _run_missing(directory.cells, backend, progress or (lambda done, total: None))
         results = directory.write_results()
         page = None if write_report is None else write_report(directory, results)
     return BenchmarkResult(directory.out, tuple(results), page)
+
+
+@contextmanager
+def _terminated_like_interrupted() -> Iterator[None]:
+    """Let SIGTERM do what Ctrl-C does, where nobody else handles it: everything is ended and what is finished kept."""
+    ours = threading.current_thread() is threading.main_thread() and signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
+    if ours:
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        if ours:
+            signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
 
 def as_study(what: Study | Scenario | str | Path, *, data: str | Path | None = None, allow_code: bool = False) -> Study:
@@ -243,7 +260,8 @@ def _run_missing(cells: Sequence[RunDirectory], backend: Backend, progress: Prog
         recordings = [Task(number, cells[number].scenario, seed) for number, seed in to_record.values()]
         # The only one is made here: a real drive has often been read by this process already (see `sources`).
         alone = len(recordings) == 1
-        for made in (map if alone else run_all)(partial(make, progress=within if alone else told), recordings):
+        maker = make_here if alone or backend.in_this_process else make
+        for made in (map if alone else run_all)(partial(maker, progress=within if alone else told), recordings):
             cells[made.cell].save_recording(made.seed, made.content, made.description)
             done += 1
             tell()
