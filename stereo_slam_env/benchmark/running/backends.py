@@ -9,7 +9,10 @@ from __future__ import annotations
 import itertools
 import logging
 import os
-import socket
+import signal
+import subprocess
+import sys
+import threading
 import warnings
 from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, wait
@@ -17,14 +20,13 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Literal, TypeVar, get_args
-from urllib.parse import urlsplit
 
 import joblib
 from threadpoolctl import threadpool_limits
 
 from filters.extras import install_command
 from stereo_slam_env.benchmark.running.isolation import start_server, waiting_threads
-from stereo_slam_env.files.foreign_text import first_line, type_name
+from stereo_slam_env.files.foreign_text import first_line, plain, type_name
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -179,14 +181,14 @@ def _ray(jobs: int, address: str | None) -> Iterator[None]:
         raise ImportError(f"backend ray is not installed: {install_command('ray')}") from error
     ours, quietly = not ray.is_initialized(), {"log_to_driver": False, "logging_level": logging.ERROR}
     if ours:
-        try:
-            if address is None:
-                ray.init("local", num_cpus=jobs, include_dashboard=False, **quietly)
-            else:
-                _require_answer(address)
-                ray.init(address, **quietly)
-        except (ConnectionError, OSError, RuntimeError, ValueError) as error:
-            raise ValueError(f"no Ray cluster answers at {address}: {first_line(error)}") from error
+        terminated = signal.getsignal(signal.SIGTERM)
+        if address is None:
+            ray.init("local", num_cpus=jobs, include_dashboard=False, **quietly)
+        else:
+            _require_answer(address)
+            ray.init(address, **quietly)
+        if threading.current_thread() is threading.main_thread():
+            signal.signal(signal.SIGTERM, terminated)  # Ray has put its own in its place
     register_ray()
     try:
         yield
@@ -196,13 +198,17 @@ def _ray(jobs: int, address: str | None) -> Iterator[None]:
 
 
 def _require_answer(address: str) -> None:
-    """Raise an `OSError` or `ValueError` where nobody listens at HOST:PORT or ray://HOST:PORT; Ray waits for minutes."""
-    if address == "auto":
-        return
-    at = urlsplit(address if "://" in address else f"//{address}")
-    if at.hostname is None or at.port is None:
-        raise ValueError("it must be HOST:PORT, ray://HOST:PORT or auto")
-    socket.create_connection((at.hostname, at.port), timeout=SECONDS_TO_ANSWER).close()
+    """Raise a `ValueError` where no Ray cluster answers in time; Ray itself waits for minutes, out of reach of Python."""
+    code = "import sys, ray; ray.init(sys.argv[1], log_to_driver=False)"
+    try:
+        asked = subprocess.run(
+            [sys.executable, "-c", code, address], capture_output=True, timeout=SECONDS_TO_ANSWER, check=False
+        )
+    except subprocess.TimeoutExpired as error:
+        raise ValueError(f"no Ray cluster answers at {address} within {SECONDS_TO_ANSWER} s") from error
+    if asked.returncode != 0:
+        why = plain(asked.stderr.decode(errors="replace").strip().rpartition("\n")[2])
+        raise ValueError(f"no Ray cluster answers at {address}: {why}")
 
 
 @contextmanager
