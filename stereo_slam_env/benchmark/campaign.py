@@ -249,13 +249,13 @@ def _run_missing(cells: Sequence[RunDirectory], backend: Backend, progress: Prog
     def trials() -> Iterator[Task]:
         for number, seed, choice in missing:
             run = cells[number]
-            recording = None if _drives(choice) else run.recording_path(seed).read_bytes()
+            recording = None if _drives(choice) else run.recording_content(seed)
             yield Task(number, run.scenario, seed, choice, recording, run.provenance(seed, choice))
 
     tell()
     if not missing:
         return
-    with backend.started() as run_all:
+    with backend.started(isolated=True) as run_all:
         told = within if backend.in_this_process else None
         recordings = [Task(number, cells[number].scenario, seed) for number, seed in to_record.values()]
         # The only one is made here: a real drive has often been read by this process already (see `sources`).

@@ -12,7 +12,7 @@ import io
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,8 @@ from filters import (
 )
 from filters.validation import FloatArray
 from stereo_slam_env.files.folders import write_atomically
+from stereo_slam_env.files.foreign_text import first_line
+from stereo_slam_env.files.opening import NotOpened
 from stereo_slam_env.files.readers import read_arrays
 from stereo_slam_env.recording.recording import GIVEN_TRUTH, Frame, LandmarkTruth, Recording, Reference, Velocity
 
@@ -88,7 +90,7 @@ def packed_recording(recording: Recording) -> bytes:
 
 def unpacked_recording(content: bytes) -> Recording:
     """The recording of `packed_recording`; raises as `load_recording`."""
-    return _read(io.BytesIO(content), "the recording")
+    return _read(content, "the recording")
 
 
 def load_recording(path: str | Path) -> Recording:
@@ -112,11 +114,13 @@ def load_recording(path: str | Path) -> Recording:
     return _read(path, path)
 
 
-def _read(source: str | Path | IO[bytes], path: str | Path) -> Recording:
+def _read(source: str | Path | bytes, path: str | Path) -> Recording:
     try:
         arrays: Arrays = read_arrays(source)
     except FileNotFoundError as error:
         raise ValueError(f"{path} does not exist: give a recording made by save_recording") from error
+    except NotOpened:
+        raise
     except ValueError as error:
         raise _damaged(path, error) from error
     if "about" not in arrays:
@@ -257,7 +261,7 @@ def _plain(value: Any) -> Any:
 
 
 def _damaged(path: str | Path, error: BaseException) -> ValueError:
-    reason = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
+    reason = first_line(error)
     if isinstance(error, KeyError):
         reason = f"lacks {reason}"
     return ValueError(f"{path} is damaged ({reason}): copy or record it again")

@@ -25,7 +25,7 @@ import joblib
 from threadpoolctl import threadpool_limits
 
 from filters.extras import install_command
-from stereo_slam_env.benchmark.running.isolation import start_server, waiting_threads
+from stereo_slam_env.benchmark.running.isolation import run_isolated, start_server, waiting_threads
 from stereo_slam_env.files.foreign_text import first_line, plain, type_name
 
 Task = TypeVar("Task")
@@ -36,6 +36,7 @@ BackendName = Literal["processes", "ray", "dask"]
 """Processes of this machine, or a cluster, which the extra of that name brings."""
 TASKS_IN_A_ROUND = 4
 SECONDS_TO_ANSWER = 15
+SECONDS_OF_A_TASK = 3600
 _OF_WORKERS = ("joblib", "ray", "distributed", "concurrent")
 """Packages whose exceptions say that a worker was lost; what a task raises is never one of them."""
 
@@ -80,11 +81,17 @@ class Backend:
         return self.name == "processes" and self.jobs == 1
 
     @contextmanager
-    def started(self) -> Iterator[RunAll[Any, Any]]:
+    def started(self, *, isolated: bool = False) -> Iterator[RunAll[Any, Any]]:
         """Yield a function like `map`, whose results come in the order in which they are ready.
 
         Tasks are taken from their iterable as processes become free. What a worker of a cluster had when it was lost is
         done once more.
+
+        Parameters
+        ----------
+        isolated : bool
+            Whether tasks do what takes time in processes of their own (`run_isolated`) already. Others are given one,
+            for at most `SECONDS_OF_A_TASK`.
 
         Raises
         ------
@@ -106,7 +113,7 @@ class Backend:
                 yield partial(_twice, self._as_ready)
         elif hasattr(os, "fork"):
             start_server()  # here, where Ctrl-C interrupts it
-            yield self._in_threads
+            yield self._in_threads if isolated else self._apart
         else:
             with joblib.parallel_config(backend="loky", inner_max_num_threads=1):
                 yield partial(_twice, self._as_ready)
@@ -122,6 +129,9 @@ class Backend:
                 done, running = wait(running, return_when=FIRST_COMPLETED)
                 for future in done:
                     yield future.result()
+
+    def _apart(self, function: Callable[[Task], Result], tasks: Iterable[Task]) -> Iterator[Result]:
+        return self._in_threads(partial(_in_own_process, function), tasks)
 
     def _as_ready(self, function: Callable[[Task], Result], tasks: Iterable[Task]) -> Iterator[Result]:
         workers = joblib.Parallel(n_jobs=self.jobs, batch_size=1, return_as="generator_unordered")
@@ -166,6 +176,10 @@ def _twice(run_all: RunAll[Any, Any], function: Callable[[Task], Result], tasks:
             if attempt == "second":
                 raise ChildProcessError(f"workers were lost twice ({why}): what is finished is kept") from error
             _log.warning("a worker was lost (%s): what it had is done once more", why)
+
+
+def _in_own_process(function: Callable[[Task], Result], task: Task) -> Result:
+    return run_isolated(lambda tell: function(task), silence_limit=SECONDS_OF_A_TASK)
 
 
 def _numbered(function: Callable[[Task], Result], task: tuple[int, Task]) -> tuple[int, Result]:

@@ -8,7 +8,6 @@ depends on the machine, among themselves.
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -25,6 +24,7 @@ from stereo_slam_env.benchmark.storage.store import SETTINGS, read_study
 from stereo_slam_env.evaluation.figures import Figure
 from stereo_slam_env.evaluation.results import FilterRun
 from stereo_slam_env.evaluation.run_figures import RunFigures, RunKey, common_keys, key_of
+from stereo_slam_env.files.readers import read_json
 
 if TYPE_CHECKING:
     from stereo_slam_env.benchmark.campaign import BenchmarkResult
@@ -181,7 +181,7 @@ def _opened(source: str | Path | BenchmarkResult, name: str) -> _Side:
             trial = f"{prefix}{run.filter_name}", key_of(run)
             trials[trial], streams[trial] = run, digests[key_of(run)]
         figures |= {f"{prefix}{label}": of_filter for label, of_filter in found.figures.items()}
-        settings[prefix] = json.loads((directory.out / SETTINGS).read_text(encoding="utf-8"))
+        settings[prefix] = read_json(directory.out / SETTINGS)
     return _Side(str(source), figures, trials, streams, settings)
 
 

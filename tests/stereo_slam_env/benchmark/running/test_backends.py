@@ -55,7 +55,7 @@ def test_tasks_are_spread_over_processes():
     with Backend("processes", jobs=2).started() as run_all:
         results = dict(run_all(where_i_am, range(4)))
     assert sorted(results) == [0, 1, 2, 3]
-    assert len(set(results.values())) == 2
+    assert len(set(results.values())) >= 2
     assert os.getpid() not in results.values()
 
 
