@@ -104,17 +104,23 @@ class Harness:
         target, folder = self.targets[number], self.folders[number]
         names = list(target.files)
         name, how = names[data[1] % len(names)], data[2] % 9
-        path = folder / name
+        with self.changed(number, name, how, data[HEADER:]) as waited:
+            what, trace = self._read(target, folder, must_refuse=how == LINK and not target.follows_links)
+        if waited:
+            what = "waited for a pipe"
+        return None if what is None else Finding(target.name, name, what, trace, data)
+
+    @contextmanager
+    def changed(self, target: int, name: str, how: int, content: bytes = b"") -> Iterator[list[bool]]:
+        """Have one file of a target changed; the list has an entry afterwards where somebody waited for a pipe."""
+        path, before = self.folders[target] / name, self.targets[target].files[name]
         try:
-            self._change(path, target.files[name], how, data[HEADER:])
+            self._change(path, before, how, content)
             with _closed_in_time(path if how == PIPE else None) as waited:
-                what, trace = self._read(target, folder, must_refuse=how == LINK and not target.follows_links)
-            if waited:
-                what = "waited for a pipe"
+                yield waited
         finally:
             _remove(path)
-            path.write_bytes(target.files[name])
-        return None if what is None else Finding(target.name, name, what, trace, data)
+            path.write_bytes(before)
 
     def _change(self, path: Path, before: bytes, how: int, content: bytes) -> None:
         if how in (BY_PARTS, RAW):

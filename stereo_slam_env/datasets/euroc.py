@@ -65,7 +65,7 @@ def open_sequence(path: Path, choice: Choice, *, use_truth: bool = True) -> Reco
     rig, turned, rectify = _rectification(sensor, other, cameras[1] / "sensor.yaml")
     ns = np.array(stamps, dtype=np.int64)
     truth, table = None, root / TRUTH / "data.csv"
-    if use_truth and table.is_file():
+    if use_truth and table.exists():
         truth, (first, last) = _camera_poses(table, ns, sensor, turned)
         last = last if choice.last is None else min(last, choice.last)
         choice = Choice(max(choice.first or 0, first), last, choice.on_broken)
@@ -112,7 +112,7 @@ def _camera_poses(
     """
     rows_ns, rows = _read_truth(path)
     sensor = path.with_name("sensor.yaml")
-    T_bs_truth = _transform(sensor, _text(sensor)) if sensor.is_file() else np.eye(4)
+    T_bs_truth = _transform(sensor, _text(sensor)) if sensor.exists() else np.eye(4)
     inside = (stamps >= rows_ns[0]) & (stamps <= rows_ns[-1])
     covered = np.flatnonzero(inside)
     if covered.size == 0:

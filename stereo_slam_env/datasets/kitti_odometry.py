@@ -61,7 +61,7 @@ def open_sequence(
     calibration, times, poses = path / "calib.txt", path / "times.txt", poses_file(path)
     P = projections(calibration, [f"P{n}" for n in CAMERAS[cameras]])
     seconds, truth = read_table(times, 1, finite=False).reshape(-1), None
-    if use_truth and poses.is_file():
+    if use_truth and poses.exists():
         require_inside(poses, path.parent.parent)
         truth = of_left_camera(poses_of_rows(read_table(poses, 12, finite=False)), P[0])
     images = numbered_images(folders[0]), numbered_images(folders[1])

@@ -16,6 +16,10 @@ from stereo_slam_env.files.opening import NotOpened, open_regular, read_bytes
 ROOT = Path(__file__).resolve().parents[3]
 HOW = {"pipe": PIPE, "socket": SOCKET, "device": DEVICE, "folder": FOLDER, "giant": SPARSE, "link out": LINK}
 MOST_SECONDS = 3.0
+NOT_READ = {
+    "2011_09_26/2011_09_26_drive_0005_sync/image_01/timestamps.txt",  # both cameras are triggered at once
+    "called.toml",  # it is refused as it is
+}
 
 
 def of_each_kind(names):
@@ -26,14 +30,20 @@ def of_each_kind(names):
 @pytest.mark.parametrize("how", HOW)
 @pytest.mark.parametrize("target", targets(), ids=lambda target: target.name)
 def test_what_is_no_file_is_refused_in_a_line_by_every_reader(target, how, tmp_path):
+    if how == "link out" and target.follows_links:
+        pytest.skip("the file itself is named by the user")
     harness = Harness((target,), tmp_path)
-    names = list(target.files)
-    for name in of_each_kind(names):
+    for name in of_each_kind(set(target.files) - NOT_READ):
         began = time.monotonic()
-        with limited_memory():
-            finding = harness.run(bytes([0, names.index(name), HOW[how]]))
-        assert finding is None, f"{name}: {finding.what}"
+        with (
+            harness.changed(0, name, HOW[how]) as waited,
+            limited_memory(),
+            pytest.raises(ValueError, match=r"\A[^\n]+\Z") as refused,
+        ):
+            target.read(harness.folders[0])
+        assert not waited, name
         assert time.monotonic() - began < MOST_SECONDS, name
+        assert Path(name).stem.lstrip("0") in str(refused.value) or "frame 2" in str(refused.value), name
 
 
 @pytest.mark.parametrize(
