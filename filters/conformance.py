@@ -19,6 +19,7 @@ import numpy as np
 from filters.camera import StereoCamera
 from filters.common_options import USUAL, make_with_common_options
 from filters.conformance_drives import DT, SPEED, StraightDrive, WindingDrive
+from filters.foreign_text import first_line, type_name
 from filters.interface import Forecast, PoseBelief, StereoFilter, StereoObservation, UpdateReport
 from filters.noise import StereoNoise
 from filters.registry import FilterFactory, filter_factory, label_of
@@ -104,7 +105,7 @@ def checked(
         except AssertionError as error:
             failed.append(f"{line}: {error}")
         except Exception as error:  # whatever else it raises is a failed check, too
-            failed.append(f"{line}: raised {type(error).__name__}: {error}")
+            failed.append(f"{line}: raised {type_name(error)}: {first_line(error)}")
         else:
             passed.append(line)
     report = ConformanceReport(name, tuple(passed), tuple(failed))

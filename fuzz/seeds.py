@@ -308,7 +308,9 @@ def training() -> Files:
     """A learning curve."""
     with TemporaryDirectory() as folder:
         path = Path(folder) / "learning_curve.csv"
-        LearningCurve(path).add(10, 1.0, 2.0, Evaluation(*(float(k) for k in range(len(dataclasses.fields(Evaluation))))))
+        LearningCurve(path).add(
+            10, 1.0, 2.0, Evaluation(*(float(k) for k in range(len(dataclasses.fields(Evaluation)))))
+        )
         return {"learning_curve.csv": path.read_bytes()}
 
 

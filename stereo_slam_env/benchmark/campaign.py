@@ -16,6 +16,7 @@ from typing import Any
 from filters import available_filters, make_filter
 from filters.camera import StereoCamera
 from filters.common_options import make_with_common_options
+from filters.foreign_text import first_line
 from filters.noise import StereoNoise
 from stereo_slam_env.benchmark.running.backends import Backend, BackendName
 from stereo_slam_env.benchmark.running.tasks import Task, make, make_here, run_trial
@@ -226,7 +227,7 @@ def check_filters(scenario: Scenario) -> None:
             except ValueError:
                 raise
             except Exception as error:  # a third-party constructor may raise anything; the run will record it
-                _log.info("filter %s cannot be made: %s", choice.label, error)
+                _log.info("filter %s cannot be made: %s", choice.label, first_line(error))
 
 
 def _run_missing(cells: Sequence[RunDirectory], backend: Backend, progress: Progress) -> None:

@@ -21,11 +21,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from filters import Pose, StereoCamera
+from filters.foreign_text import first_line
 from filters.validation import FloatArray, IntArray
 from stereo_slam_env.datasets.calibration import rectified_rig
 from stereo_slam_env.datasets.image_files import MAX_PIXELS
 from stereo_slam_env.datasets.sequence import Choice, ImageFiles, RecordedSequence, Rectify, known_poses
-from stereo_slam_env.files.foreign_text import first_line
 from stereo_slam_env.files.paths import is_plain_name
 from stereo_slam_env.files.readers import finite_rows, read_text
 from stereo_slam_env.recording.recording import GreyImage, Reference

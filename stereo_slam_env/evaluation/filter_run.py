@@ -13,6 +13,7 @@ from threadpoolctl import threadpool_limits
 from filters import StereoNoise, StereoObservation
 from filters.common_options import make_with_common_options
 from filters.consistency import nees
+from filters.foreign_text import first_line, type_name
 from filters.motions.model import POSE_SIZE, POSITION, ROTATION
 from filters.registry import FilterFactory, label_of
 from filters.validation import FloatArray, IntArray
@@ -114,7 +115,7 @@ def run_filter(
             failure = None
         except Exception as error:  # a stranger's filter may raise anything; the comparison goes on without it
             where = f"frame {frame_number}" if frame_number >= 0 else "start"
-            failure = f"{where}: {type(error).__name__}: {(str(error).strip() or 'no message').splitlines()[0]}"
+            failure = f"{where}: {type_name(error)}: {first_line(error, empty='no message')}"
             _log.info("%s on %s failed at %s", name, recording.name, failure)
         memory = peak_memory_mb() - memory
         if windows and failure is None:
@@ -123,7 +124,7 @@ def run_filter(
             try:
                 log.add_windows(score_windows(made.filter, again, use_odometry=use_odometry, alive=alive))
             except Exception as error:  # the filter went through once: its other figures stand
-                _log.warning("%s on %s: windows are not scored: %s", name, recording.name, error)
+                _log.warning("%s on %s: windows are not scored: %s", name, recording.name, first_line(error))
     return log.result(name, used, seed, failure, memory, not_given)
 
 

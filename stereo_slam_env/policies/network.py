@@ -11,9 +11,9 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
+from filters.foreign_text import first_line
 from filters.validation import FloatArray
 from stereo_slam_env.files.folders import write_atomically
-from stereo_slam_env.files.foreign_text import first_line
 from stereo_slam_env.files.readers import read_arrays
 from stereo_slam_env.policies.interface import Action, gaze_action, require_head
 

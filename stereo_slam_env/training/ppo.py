@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from filters.extras import require_module
+from filters.foreign_text import first_line
 from filters.validation import FloatArray, positive, probability, whole_number
 from stereo_slam_env.files.folders import claimed_folder, write_atomically
-from stereo_slam_env.files.foreign_text import first_line
 from stereo_slam_env.files.opening import open_regular
 from stereo_slam_env.files.readers import read_json, read_text
 from stereo_slam_env.policies.network import Network

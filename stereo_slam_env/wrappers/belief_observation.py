@@ -13,6 +13,7 @@ from gymnasium import spaces
 
 from filters import rotations
 from filters.consistency import nees
+from filters.foreign_text import first_line, type_name
 from filters.interface import PoseBelief, StereoFilter, UpdateReport
 from filters.motions.model import POSE_SIZE, POSITION, ROTATION
 from filters.noise import StereoNoise
@@ -236,10 +237,8 @@ class BeliefObservation(RecordedWrapper):
             if last:  # to read the map takes as long as to update it
                 self._belief = Belief.of(self.slam, report)
         except Exception as error:  # a third-party filter may raise anything; the episode cannot go on without it
-            text = (str(error).strip() or "no message").splitlines()[0]
-            raise RuntimeError(
-                f"filter {self._filter_name!r} failed in frame {self._number}: {type(error).__name__}: {text}"
-            ) from error
+            what = f"{type_name(error)}: {first_line(error, empty='no message')}"
+            raise RuntimeError(f"filter {self._filter_name!r} failed in frame {self._number}: {what}") from error
 
     def _with_nis(self, info: dict[str, Any]) -> dict[str, Any]:
         report = self.report

@@ -1,7 +1,7 @@
 """Backends of trials: this machine, or a cluster through joblib.
 
-On this machine each trial has a process of its own anyway (`isolation`), and a thread that waits for it is enough. Where
-the system cannot fork, joblib's processes do the work themselves.
+On this machine each trial has a process of its own anyway (`isolation`), and a thread that waits for it is enough.
+Where the system cannot fork, joblib's processes do the work themselves.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ import joblib
 from threadpoolctl import threadpool_limits
 
 from filters.extras import install_command
+from filters.foreign_text import first_line, plain, type_name
 from stereo_slam_env.benchmark.running.isolation import run_isolated, start_server, waiting_threads
-from stereo_slam_env.files.foreign_text import first_line, plain, type_name
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -212,7 +212,7 @@ def _ray(jobs: int, address: str | None) -> Iterator[None]:
 
 
 def _require_answer(address: str) -> None:
-    """Raise a `ValueError` where no Ray cluster answers in time; Ray itself waits for minutes, out of reach of Python."""
+    """Raise a `ValueError` where no Ray cluster answers in time; Ray itself waits for minutes and cannot be stopped."""
     code = "import sys, ray; ray.init(sys.argv[1], log_to_driver=False)"
     try:
         asked = subprocess.run(

@@ -38,9 +38,9 @@ from typing import NoReturn, TypeVar, cast
 
 import cloudpickle
 
+from filters.foreign_text import first_line
 from filters.machine_code import trouble
 from stereo_slam_env.benchmark.running.process_server import READY, STATUS, end_process
-from stereo_slam_env.files.foreign_text import first_line
 
 Result = TypeVar("Result")
 Tell = Callable[[int, int], None]
@@ -120,7 +120,7 @@ def start_server() -> None:
 
 @contextmanager
 def waiting_threads(count: int) -> Iterator[Callable[[Callable[[], Result]], Future[Result]]]:
-    """Yield a function that calls what it is given in one of `count` threads; isolated work there ends with the block."""
+    """Yield a function that calls what it is given in one of `count` threads; isolated work ends with the block."""
     left, leave = os.pipe()
 
     def call(function: Callable[[], Result]) -> Result:

@@ -12,12 +12,12 @@ from typing import Any
 
 import numpy as np
 
+from filters.foreign_text import first_line
 from stereo_slam_env.evaluation.cramer_rao import Bound
 from stereo_slam_env.evaluation.landmark_statistics import SERIES as _LANDMARK_SERIES
 from stereo_slam_env.evaluation.landmark_statistics import LandmarkStatistics
 from stereo_slam_env.evaluation.map_scoring import LandmarkTrace
 from stereo_slam_env.evaluation.results import FilterRun
-from stereo_slam_env.files.foreign_text import first_line
 from stereo_slam_env.files.opening import NotOpened
 from stereo_slam_env.files.readers import read_arrays
 from stereo_slam_env.recording.archive import reference_of
@@ -74,7 +74,7 @@ def load_provenance(path: Path, *, inside: Path | None = None) -> dict[str, Any]
 
 
 def load_run(path: Path, *, inside: Path | None = None) -> tuple[FilterRun, dict[str, Any]]:
-    """Read a run and its provenance; a `ValueError` names a file that is damaged, of an unknown format, or not `inside`."""
+    """Read a run and its provenance; a `ValueError` names a file that is damaged, of another format, or outside."""
     with damage_named(path):
         arrays: dict[str, Any] = read_arrays(path, inside=inside)
         about = _checked(arrays)

@@ -6,13 +6,21 @@ when it is asked for its message. Whatever is shown or stored of them goes throu
 
 from __future__ import annotations
 
+import re
+
 MOST_CHARACTERS = 2000
 """Longer lines are cut."""
+_CONTROLS = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069\ud800-\udfff]")
 
 
 def plain(text: str) -> str:
-    """The text with every character that does not print written out, as "\\x1b"; line ends stay."""
+    """The text with every character that does not print written out in ASCII; line ends stay."""
     return "".join(c if c.isprintable() or c == "\n" else ascii(c)[1:-1] for c in text)
+
+
+def without_controls(document: str) -> str:
+    """A page with a replacement character for what controls a terminal or turns the direction of a text around."""
+    return _CONTROLS.sub("\N{REPLACEMENT CHARACTER}", document)
 
 
 def first_line(error: BaseException, *, empty: str | None = None) -> str:
