@@ -120,7 +120,9 @@ def test_what_a_lost_worker_of_ray_had_is_done_once_more(tmp_path, caplog):
     with Backend("ray", jobs=2).started() as run_all:
         assert sorted(run_all(partial(lost_once, tmp_path), range(4))) == [0, 1, 2, 3]
         assert "a worker was lost" in caplog.text
-        with pytest.raises(ChildProcessError, match=r"\Aworkers were lost twice \([^\n]*\): what is finished is kept\Z"):
+        with pytest.raises(
+            ChildProcessError, match=r"\Aworkers were lost twice \([^\n]*\): what is finished is kept\Z"
+        ):
             list(run_all(lost_always, range(4)))
 
 
@@ -137,7 +139,7 @@ def test_a_ray_cluster_that_does_not_answer_is_told_within_a_limit(address, monk
     pytest.importorskip("ray", reason="needs the extra ray")
     monkeypatch.setattr(backends, "SECONDS_TO_ANSWER", 8)
     began = time.monotonic()
-    with pytest.raises(ValueError, match=rf"\Ano Ray cluster answers at {address}[^\n]*\Z"):
-        with Backend("ray", address=address).started():
-            pass
+    cluster = Backend("ray", address=address).started()
+    with pytest.raises(ValueError, match=rf"\Ano Ray cluster answers at {address}[^\n]*\Z"), cluster:
+        pass
     assert time.monotonic() - began < 30

@@ -1,4 +1,4 @@
-"""A run that is interrupted, terminated or killed leaves no process and no shared memory, and says what is kept (60 s; slow: 60 s)."""
+"""A run that is interrupted, terminated or killed leaves nothing running, and says what is kept (1 min; slow: 1)."""
 
 import os
 import signal
@@ -98,7 +98,9 @@ def test_a_terminated_run_says_what_is_kept_as_an_interrupted_one_does(run, by):
     assert run.shared_memory() == []
 
 
-@pytest.mark.parametrize("seconds", [pytest.param(1.0, marks=pytest.mark.slow), pytest.param(2.0, marks=pytest.mark.slow), 4.0])
+@pytest.mark.parametrize(
+    "seconds", [pytest.param(1.0, marks=pytest.mark.slow), pytest.param(2.0, marks=pytest.mark.slow), 4.0]
+)
 def test_an_early_interruption_shows_no_traceback(run, seconds):
     """While modules are imported, and while the processes start."""
     time.sleep(seconds)
