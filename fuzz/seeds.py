@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from filters import ConstantVelocity
-from filters.camera import StereoCamera
+from filters.geometry.camera import StereoCamera
 from stereo_slam_env.benchmark.recordings.reference_problem import short_turn
 from stereo_slam_env.benchmark.recordings.sources import ReferenceSource
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, Scenario

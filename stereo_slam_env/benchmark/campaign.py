@@ -14,10 +14,10 @@ from pathlib import Path
 from typing import Any
 
 from filters import available_filters, make_filter
-from filters.camera import StereoCamera
-from filters.common_options import make_with_common_options
-from filters.foreign_text import first_line
-from filters.noise import StereoNoise
+from filters.catalogue.common_options import make_with_common_options
+from filters.contract.foreign_text import first_line
+from filters.contract.noise import StereoNoise
+from filters.geometry.camera import StereoCamera
 from stereo_slam_env.benchmark.running.backends import Backend, BackendName
 from stereo_slam_env.benchmark.running.tasks import Task, make, make_here, run_trial
 from stereo_slam_env.benchmark.scenarios.scenario import (

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from filters.foreign_text import plain
+from filters.contract.foreign_text import plain
 
 if TYPE_CHECKING:
     from rich.console import Console

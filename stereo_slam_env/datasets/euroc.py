@@ -21,7 +21,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from filters import Pose, StereoCamera
-from filters.foreign_text import first_line
+from filters.contract.foreign_text import first_line
 from filters.validation import FloatArray, IntArray
 from stereo_slam_env.datasets.calibration import rectified_rig
 from stereo_slam_env.datasets.image_files import MAX_PIXELS

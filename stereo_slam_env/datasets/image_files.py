@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 from PIL import Image, UnidentifiedImageError
 
-from filters.foreign_text import first_line
+from filters.contract.foreign_text import first_line
 from stereo_slam_env.files.opening import NotOpened, read_bytes
 from stereo_slam_env.recording.recording import GreyImage
 

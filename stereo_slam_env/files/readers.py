@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from filters.foreign_text import first_line, plain
+from filters.contract.foreign_text import first_line, plain
 from filters.validation import BoolArray, FloatArray
 from stereo_slam_env.files.opening import NotOpened, open_regular, read_bytes
 

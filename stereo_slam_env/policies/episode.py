@@ -10,8 +10,8 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from filters.foreign_text import first_line, type_name
-from filters.poses import Pose
+from filters.contract.foreign_text import first_line, type_name
+from filters.geometry.poses import Pose
 from stereo_slam_env.envs.recorder import recording_of
 from stereo_slam_env.envs.stereo_env import StereoEnv
 from stereo_slam_env.policies.interface import Policy

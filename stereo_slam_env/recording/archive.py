@@ -26,7 +26,7 @@ from filters import (
     StereoNoise,
     StereoObservation,
 )
-from filters.foreign_text import first_line
+from filters.contract.foreign_text import first_line
 from filters.validation import FloatArray
 from stereo_slam_env.files.folders import write_atomically
 from stereo_slam_env.files.opening import NotOpened

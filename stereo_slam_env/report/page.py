@@ -16,7 +16,7 @@ import vl_convert
 from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup, escape
 
-from filters.foreign_text import without_controls
+from filters.contract.foreign_text import without_controls
 from stereo_slam_env.files.folders import write_atomically
 from stereo_slam_env.report.charts.drawing import Chart
 from stereo_slam_env.report.charts.style import in_page_colours

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from filters.contract.foreign_text import first_line
 from filters.extras import require_module
-from filters.foreign_text import first_line
 from filters.validation import FloatArray, positive, probability, whole_number
 from stereo_slam_env.files.folders import claimed_folder, write_atomically
 from stereo_slam_env.files.opening import open_regular

@@ -38,8 +38,8 @@ from typing import NoReturn, TypeVar, cast
 
 import cloudpickle
 
-from filters.foreign_text import first_line
-from filters.machine_code import trouble
+from filters.contract.foreign_text import first_line
+from filters.engine.machine_code import trouble
 from stereo_slam_env.benchmark.running.process_server import READY, STATUS, end_process
 
 Result = TypeVar("Result")

@@ -27,8 +27,8 @@ from typing import NoReturn
 
 import cloudpickle
 
-from filters.foreign_text import first_line
-from filters.machine_code import trouble
+from filters.contract.foreign_text import first_line
+from filters.engine.machine_code import trouble
 
 PRELOADED = (
     "stereo_slam_env.benchmark.running.tasks",

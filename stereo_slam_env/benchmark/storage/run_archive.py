@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from filters.foreign_text import first_line
+from filters.contract.foreign_text import first_line
 from stereo_slam_env.evaluation.cramer_rao import Bound
 from stereo_slam_env.evaluation.landmark_statistics import SERIES as _LANDMARK_SERIES
 from stereo_slam_env.evaluation.landmark_statistics import LandmarkStatistics
