@@ -32,7 +32,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import cache
 from multiprocessing.connection import Connection, wait
 from typing import NoReturn, TypeVar, cast
 
@@ -129,7 +129,7 @@ def waiting_threads(count: int) -> Iterator[Callable[[Callable[[], Result]], Fut
 
     with open(left, "rb"), ThreadPoolExecutor(count) as pool:
         try:
-            yield partial(pool.submit, call)
+            yield lambda function: pool.submit(call, function)
         finally:
             os.close(leave)
 
@@ -164,11 +164,10 @@ class _Process:
     def told(self) -> int:
         """The next number from the server."""
         if not self.heard(SECONDS_TO_START, self.status):
-            self.server.process.kill()
-            raise _Lost(f"the server of processes did not answer for {SECONDS_TO_START:.0f} s")
+            raise self.server.lost(f"the server of processes did not answer for {SECONDS_TO_START:.0f} s")
         content = os.read(self.status, STATUS.size)
         if not content:
-            raise _Lost("the server of processes has ended")
+            raise self.server.lost("the server of processes has ended")
         return int(STATUS.unpack(content)[0])
 
     def has_ended(self) -> bool:
@@ -194,7 +193,7 @@ def _clean_process(limit: float) -> Iterator[_Process]:
             try:
                 server.request(there.fileno(), telling)
             except OSError as error:
-                raise _Lost("the server of processes has ended") from error
+                raise server.lost("the server of processes has ended") from error
         process = _Process(server, connection, status)
         process.id = process.told()
         try:
@@ -314,12 +313,19 @@ class _Server:
             told = f"the server of processes did not start within {SECONDS_TO_START:.0f} s"
             raise NoProcess(told) from error
         if answer != READY:
-            code = self.process.wait(SECONDS_TO_START)
-            raise NoProcess(f"the server of processes ended with code {code} when it was started")
+            ended = self.process.wait(SECONDS_TO_START)
+            raise NoProcess(f"the server of processes ended with code {ended} when it was started")
 
     def request(self, connection: int, status: int) -> None:
         """Ask for a process that is given these descriptors."""
         socket.send_fds(self._socket, [b"p"], [connection, status])
+
+    def lost(self, why: str) -> _Lost:
+        """The error of work that lost its server, which has ended when this returns, so that another is started."""
+        self.process.kill()
+        with suppress(subprocess.TimeoutExpired):
+            self.process.wait(5.0)
+        return _Lost(why)
 
     def close(self) -> None:
         """End the server and all its processes."""

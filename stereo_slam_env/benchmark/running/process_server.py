@@ -180,7 +180,7 @@ def _packed(kind: str, content: object) -> bytes:
         if kind == "error":
             pickle.loads(packed)  # an error of a class with arguments of its own can be written, but not read
     except Exception as error:
-        what = content if kind == "error" else error
+        what = content if isinstance(content, Exception) else error
         told = f"the answer cannot be sent: {type(what).__name__}: {first_line(what)}"
         packed = pickle.dumps(("error", RuntimeError(told)))
     return packed
