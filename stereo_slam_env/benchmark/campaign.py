@@ -19,7 +19,7 @@ from filters.contract.foreign_text import first_line
 from filters.contract.noise import StereoNoise
 from filters.geometry.camera import StereoCamera
 from stereo_slam_env.benchmark.running.backends import Backend, BackendName
-from stereo_slam_env.benchmark.running.tasks import Task, make, make_here, run_trial
+from stereo_slam_env.benchmark.running.tasks import Task, make, run_trial
 from stereo_slam_env.benchmark.scenarios.scenario import (
     FilterChoice,
     PolicyChoice,
@@ -261,8 +261,8 @@ def _run_missing(cells: Sequence[RunDirectory], backend: Backend, progress: Prog
         recordings = [Task(number, cells[number].scenario, seed) for number, seed in to_record.values()]
         # The only one is made here: a real drive has often been read by this process already (see `sources`).
         alone = len(recordings) == 1
-        maker = make_here if alone or backend.in_this_process else make
-        for made in (map if alone else run_all)(partial(maker, progress=within if alone else told), recordings):
+        maker = partial(make, here=alone or backend.in_this_process, progress=within if alone else told)
+        for made in (map if alone else run_all)(maker, recordings):
             cells[made.cell].save_recording(made.seed, made.content, made.description)
             done += 1
             tell()

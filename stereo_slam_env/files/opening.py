@@ -16,6 +16,7 @@ from stereo_slam_env.files.paths import require_inside
 MOST_FILE = 2_000_000_000
 """Larger files are refused before they are read, bytes, unless a reader says otherwise."""
 
+_PIECE = 1 << 20
 _FLAGS = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
 _KINDS = {
     stat.S_IFDIR: "a folder",
@@ -82,14 +83,17 @@ def open_regular(path: str | Path, *, most_bytes: int = MOST_FILE, inside: Path 
 
 def read_bytes(path: str | Path, *, most_bytes: int = MOST_FILE, inside: Path | None = None) -> bytes:
     """Content of a file; arguments and errors as of `open_regular`."""
+    pieces, size = [], 0
     with open_regular(path, most_bytes=most_bytes, inside=inside) as stream:
         try:
-            content = stream.read(most_bytes + 1)
+            while piece := stream.read(_PIECE):  # asked for all that is allowed, Python would make room for that much
+                pieces.append(piece)
+                size += len(piece)
+                if size > most_bytes:  # it grows
+                    raise NotOpened(f"{path} has more than {most_bytes} bytes, which are refused", too_large=True)
         except OSError as error:
             raise NotOpened(f"{path} cannot be read ({error.strerror}): check the file") from error
-    if len(content) > most_bytes:  # it grows
-        raise NotOpened(f"{path} has more than {most_bytes} bytes, which are refused", too_large=True)
-    return content
+    return b"".join(pieces)
 
 
 def _require_regular(path: Path, found: os.stat_result, most_bytes: int) -> None:

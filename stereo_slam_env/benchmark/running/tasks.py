@@ -68,20 +68,15 @@ class Done:
     made: Done | None = None
 
 
-def make(task: Task, progress: Tell | None = None) -> Done:
-    """Make a recording in a process of its own.
+def make(task: Task, progress: Tell | None = None, *, here: bool = False) -> Done:
+    """Make a recording in a process of its own; with `here`, one that is only read is made in this process.
 
     A `ChildProcessError` says that the process ended, or gave no sign of life for the scenario's
     `recording_time_limit`.
     """
+    if here and not task.scenario.source.isolated:  # it has often been read already (see `sources`)
+        return _make(task, progress or (lambda done, total: None))
     return _recorded(task, partial(_make, task), progress)
-
-
-def make_here(task: Task, progress: Tell | None = None) -> Done:
-    """Make a recording as `make`, but read a real one in this process, which has often done so (see `sources`)."""
-    if task.scenario.source.isolated:
-        return make(task, progress)
-    return _make(task, progress or (lambda done, total: None))
 
 
 def _recorded(task: Task, work: Callable[[Tell], Result], progress: Tell | None = None) -> Result:

@@ -191,3 +191,9 @@ def test_the_search_sees(source):
 
 def test_the_search_leaves_writing_alone():
     assert openings("p.open('wb')\nopen(p, mode='w')\nread_text(p)\nread_bytes(p)") == set()
+
+
+def test_reading_takes_the_memory_of_the_file_and_not_of_its_limit(tmp_path):
+    (tmp_path / "file").write_bytes(b"x")
+    with limited_memory():
+        assert read_bytes(tmp_path / "file") == b"x"
