@@ -144,6 +144,10 @@ OWN = {
         "kept.read_bytes": "a file that the package wrote beside itself",
         "Path(__file__).read_bytes": "the package's own source",
     },
+    "stereo_slam_env/benchmark/storage/plugin_code.py": {
+        "one.read_text": "a list of files of an installed package",
+        "path.read_bytes": "code that runs here anyway",
+    },
     "stereo_slam_env/benchmark/storage/tables.py": {"sqlite3.connect": "a new file, to write it"},
     "stereo_slam_env/studies/paper/__init__.py": {"path.read_bytes": "the package's own source"},
     "stereo_slam_env/studies/paper/claims.py": {
