@@ -7,7 +7,7 @@ from stereo_slam_env.cli.app import main
 
 HEAD = 'name = "huge"\nkind = "reference"\n'
 SHORT = 'options = { name = "short_turn" }\n'
-STREET = 'name = "huge"\n'
+STREET = 'name = "huge"\nkind = "street"\n'
 
 
 @pytest.mark.parametrize(
