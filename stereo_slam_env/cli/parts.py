@@ -11,8 +11,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from filters.contract.foreign_text import plain
+
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.text import Text
 
 
 FiltersOption = Annotated[
@@ -38,17 +41,19 @@ class Interrupted(Exception):
 
 
 def console(*, stderr: bool = False) -> Console:
-    """Console for tables and progress."""
+    """Console for tables and progress, where what strangers have named does not control the terminal."""
     from rich.console import Console
 
-    return Console(stderr=stderr)
+    class PlainConsole(Console):
+        def render_str(self, text: str, **options: Any) -> Text:
+            return super().render_str(plain(text), **options)
+
+    return PlainConsole(stderr=stderr)
 
 
 def refuse(message: str) -> int:
     """Say what is wrong in one line on stderr; returns the exit code."""
-    line = " ".join(message.split())
-    # Names of files and fields may come from anybody, and a terminal obeys control characters.
-    typer.echo("error: " + "".join(c if c.isprintable() else ascii(c)[1:-1] for c in line), err=True)
+    typer.echo(f"error: {plain(' '.join(message.split()))}", err=True)
     return 2
 
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import msgspec
 
+from filters.contract.foreign_text import first_line, type_name
 from filters.contract.known_names import did_you_mean, require_known
 from stereo_slam_env.benchmark.recordings.source import OpenedImages, Progress, Renderer, Source, checked
 from stereo_slam_env.recording.recording import GIVEN_TRUTH, Recording
@@ -302,7 +303,7 @@ def _loaded(point: EntryPoint) -> type[Source]:
         found = point.load()
     except Exception as error:  # whatever a stranger's module does at import must not take the run down
         raise ValueError(
-            f"kind {point.name!r} ({point.value}) cannot be loaded: {type(error).__name__}: {error}"
+            f"kind {point.name!r} ({point.value}) cannot be loaded: {type_name(error)}: {first_line(error)}"
         ) from error
     if not (isinstance(found, type) and issubclass(found, Source)):
         raise ValueError(f"kind {point.name!r} ({point.value}) is no subclass of Source")
