@@ -7,7 +7,8 @@ from typing import Literal
 
 from filters.camera import StereoCamera
 from stereo_slam_env.files.package_versions import version_of
-from stereo_slam_env.rendering.images import StereoRenderer
+from stereo_slam_env.rendering.gl import GLRenderer
+from stereo_slam_env.rendering.images import ImageQuality, StereoRenderer
 from stereo_slam_env.rendering.tiny import TinyRenderer
 from stereo_slam_env.world.frames import WorldFrame
 from stereo_slam_env.world.physics import PhysicsWorld
@@ -53,16 +54,19 @@ def make_renderer(
     ImportError, RuntimeError
         What "gl" needs is missing; the text says what to install.
     """
-    _require_known(name)
+    back_end = _back_end(name)
     if not isinstance(supersample, int) or supersample < 1:
         raise ValueError(f"supersample must be a whole number from 1, got {supersample!r}")
-    if name == "tiny":
+    if back_end is TinyRenderer:
         if samples != 1:
             raise ValueError(f'samples must be 1 with renderer "tiny", got {samples!r}: use supersample')
         return TinyRenderer(world, camera, frame, supersample)
-    from stereo_slam_env.rendering.gl import GLRenderer  # moderngl is optional
+    return back_end(camera, frame, supersample, samples)
 
-    return GLRenderer(camera, frame, supersample, samples)
+
+def image_quality(name: str, supersample: int = 1) -> ImageQuality:
+    """Quality of the images of a back end; a `ValueError` where there is no such renderer."""
+    return _back_end(name).image_quality(supersample)
 
 
 @cache
@@ -71,14 +75,14 @@ def renderer_identity(name: str) -> dict[str, str]:
 
     Raises as `make_renderer`.
     """
-    _require_known(name)
-    if name == "tiny":
+    if _back_end(name) is TinyRenderer:
         return {"name": name, "version": f"PyBullet {version_of('pybullet')}", "device": "CPU"}
     from stereo_slam_env.rendering.gl_resources import device
 
     return {"name": name, **device()}
 
 
-def _require_known(name: str) -> None:
+def _back_end(name: str) -> type[TinyRenderer] | type[GLRenderer]:
     if name not in RENDERERS:
         raise ValueError(f"renderer must be one of {', '.join(RENDERERS)}, got {name!r}")
+    return TinyRenderer if name == "tiny" else GLRenderer
