@@ -155,7 +155,8 @@ def _blur_gained(affine: FloatArray, image_blur: float) -> FloatArray:
     squared_determinant = np.maximum((a * d - b * c) ** 2, _SINGULAR)
     inverse = np.stack([b * b + d * d, -a * b - c * d, -a * b - c * d, a * a + c * c], axis=-1).reshape(-1, 2, 2)
     gained = image_blur * (inverse / squared_determinant[:, None, None] - np.eye(2))
-    return np.clip(gained, -_MOST_BLUR, _MOST_BLUR)
+    clipped: FloatArray = np.clip(gained, -_MOST_BLUR, _MOST_BLUR)
+    return clipped
 
 
 def _sharpened(patches: Patches, gained: FloatArray) -> Patches:
