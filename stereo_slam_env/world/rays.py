@@ -16,7 +16,7 @@ from numba import njit, types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from filters.rotations import Three
+from filters.geometry.rotations import Three
 from filters.validation import BoolArray, FloatArray, IntArray
 from stereo_slam_env.world.scene import Box, Cylinder, Primitive
 
