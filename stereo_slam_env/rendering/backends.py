@@ -54,19 +54,21 @@ def make_renderer(
     ImportError, RuntimeError
         What "gl" needs is missing; the text says what to install.
     """
-    back_end = _back_end(name)
+    _require_known(name)
     if not isinstance(supersample, int) or supersample < 1:
         raise ValueError(f"supersample must be a whole number from 1, got {supersample!r}")
-    if back_end is TinyRenderer:
+    if name == "tiny":
         if samples != 1:
             raise ValueError(f'samples must be 1 with renderer "tiny", got {samples!r}: use supersample')
         return TinyRenderer(world, camera, frame, supersample)
-    return back_end(camera, frame, supersample, samples)
+    return GLRenderer(camera, frame, supersample, samples)
 
 
 def image_quality(name: str, supersample: int = 1) -> ImageQuality:
     """Quality of the images of a back end; a `ValueError` where there is no such renderer."""
-    return _back_end(name).image_quality(supersample)
+    _require_known(name)
+    back_end: type[StereoRenderer] = TinyRenderer if name == "tiny" else GLRenderer
+    return back_end.image_quality(supersample)
 
 
 @cache
@@ -75,14 +77,14 @@ def renderer_identity(name: str) -> dict[str, str]:
 
     Raises as `make_renderer`.
     """
-    if _back_end(name) is TinyRenderer:
+    _require_known(name)
+    if name == "tiny":
         return {"name": name, "version": f"PyBullet {version_of('pybullet')}", "device": "CPU"}
     from stereo_slam_env.rendering.gl_resources import device
 
     return {"name": name, **device()}
 
 
-def _back_end(name: str) -> type[TinyRenderer] | type[GLRenderer]:
+def _require_known(name: str) -> None:
     if name not in RENDERERS:
         raise ValueError(f"renderer must be one of {', '.join(RENDERERS)}, got {name!r}")
-    return TinyRenderer if name == "tiny" else GLRenderer
