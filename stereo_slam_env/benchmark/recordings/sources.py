@@ -64,10 +64,10 @@ class StreetSource(Source, frozen=True, tag="street"):
 
     def sequence(self, seed: int | None, frames: int | None = None) -> OpenedImages:
         """The rendered pairs."""
-        from stereo_slam_env.envs.options import DriveOptions
         from stereo_slam_env.envs.recorder import RenderedDrive
 
-        return RenderedDrive(self.options, seed or 0, frames), DriveOptions.checked(self.options).front_end
+        drive = RenderedDrive(self.options, seed or 0, frames)
+        return drive, drive.front_end
 
     def with_images(self, renderer: Renderer) -> Self:
         """Rendered images instead of geometry."""
