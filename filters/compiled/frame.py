@@ -7,6 +7,7 @@ from numba import njit, types
 from filters.compiled.blas import ENTRY, KERNEL, ROUTINES, call
 from filters.compiled.correction import correct, explained, factorise, fuse, innovation_covariance, times_covariance
 from filters.compiled.covariance import keep_considered, restore_considered
+from filters.compiled.disk_cache import KEPT
 from filters.compiled.drift import take_steps
 from filters.compiled.gating import largest_agreement, reweight, squared_distances
 from filters.compiled.gauge_walk import walk_gauge
@@ -345,7 +346,7 @@ def _advance(routines: tuple[int, ...], plan: Plan, S: Storage, b: int, s: Scrat
         _renew(routines, plan, S, b, s, frame, first, last, known)
 
 
-@njit(types.void(ADDRESSES, *[types.intp] * 4, types.int64, types.int64), cache=True, _nrt=False, **ENTRY)
+@njit(types.void(ADDRESSES, *[types.intp] * 4, types.int64, types.int64), _nrt=False, **KEPT, **ENTRY)
 def advance(
     routines: tuple[int, ...], plan_at: int, storage_at: int, scratch_at: int, frame_at: int, first: int, last: int
 ) -> None:

@@ -8,12 +8,13 @@ import numpy as np
 from numba import njit
 
 from filters.compiled.blas import ENTRY
+from filters.compiled.disk_cache import KEPT
 from filters.compiled.prediction import orientation, times, transposed
 from filters.compiled.storage import LANDMARKS
 from filters.validation import BoolArray, FloatArray, IntArray
 
 
-@njit(cache=True, **ENTRY)
+@njit(**KEPT, **ENTRY)
 def relative_landmarks(
     P: FloatArray,
     x: FloatArray,

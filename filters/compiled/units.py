@@ -15,6 +15,7 @@ from numba import cfunc, njit, types
 from numba.extending import intrinsic
 
 from filters.compiled.blas import ENTRY, ROUTINES, UNIT, at
+from filters.compiled.disk_cache import KEPT
 from filters.compiled.recipe import Recipe
 from filters.compiled.storage import empty_frame, empty_storage, scratch
 
@@ -40,7 +41,7 @@ ADDRESSES = types.UniTuple(types.intp, len(ROUTINES) + len(UNITS))
 
 def unit(*arguments: Any) -> Callable[[Callable[..., None]], Any]:
     """Compile a kernel with these types of arguments as a unit."""
-    return cfunc(types.void(*arguments), cache=True, **UNIT)
+    return cfunc(types.void(*arguments), **KEPT, **UNIT)
 
 
 def _reader(kind: Any) -> Any:
@@ -71,7 +72,7 @@ def _write(typing_context: Any, address: Any, value: Any) -> Any:
 read_plan, read_storage, read_scratch, read_frame = map(_reader, (PLAN, STORAGE, SCRATCH, FRAME))
 
 
-@njit([types.void(types.int64[::1], kind) for kind in (PLAN, STORAGE, SCRATCH, FRAME)], cache=True, **ENTRY)
+@njit([types.void(types.int64[::1], kind) for kind in (PLAN, STORAGE, SCRATCH, FRAME)], **KEPT, **ENTRY)
 def _pack(room: Any, value: Any) -> None:
     _write(at(room), value)
 
