@@ -20,7 +20,7 @@ from rich.table import Table
 from threadpoolctl import threadpool_limits
 
 from filters import FilterBatch, Start, StereoEKF, StereoNoise, StereoObservation
-from filters.conformance import REFERENCE_CAMERA as CAMERA
+from filters.checks.conformance import REFERENCE_CAMERA as CAMERA
 
 NOISE = StereoNoise.independent_pixels(1.0)
 LANDMARKS, REPLACED, DT = 25, 10, 0.1

@@ -27,8 +27,9 @@ from rich.console import Console
 from rich.table import Table
 from threadpoolctl import threadpool_limits
 
-from filters import ConstantVelocity, Start, StereoEKF, StereoNoise, StereoObservation, rotations
-from filters.conformance import REFERENCE_CAMERA as CAMERA
+from filters import ConstantVelocity, Start, StereoEKF, StereoNoise, StereoObservation
+from filters.checks.conformance import REFERENCE_CAMERA as CAMERA
+from filters.geometry import rotations
 from filters.state import symmetric
 
 LANDMARKS = 12

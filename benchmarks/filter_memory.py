@@ -19,7 +19,7 @@ from rich.table import Table
 from threadpoolctl import threadpool_limits
 
 from filters import Start, StereoEKF, StereoNoise, StereoObservation
-from filters.conformance import REFERENCE_CAMERA as CAMERA
+from filters.checks.conformance import REFERENCE_CAMERA as CAMERA
 
 NOISE = StereoNoise.independent_pixels(1.0)
 DT, SPEED, VISIBLE = 0.1, 1.0, 12

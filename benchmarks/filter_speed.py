@@ -33,7 +33,7 @@ from scipy.linalg import blas, lapack
 from threadpoolctl import threadpool_limits
 
 from filters import CalibratedPair, Start, StereoEKF, StereoNoise, StereoObservation
-from filters.conformance import REFERENCE_CAMERA as CAMERA
+from filters.checks.conformance import REFERENCE_CAMERA as CAMERA
 from filters.engine import kalman
 
 Given, Told = ParamSpec("Given"), TypeVar("Told")

@@ -30,7 +30,7 @@ from rich.console import Console
 from rich.table import Table
 from threadpoolctl import threadpool_limits
 
-from filters.camera import StereoCamera
+from filters.geometry.camera import StereoCamera
 from stereo_slam_env.frontend import finding, tracker
 from stereo_slam_env.frontend.finding import detect_corners
 from stereo_slam_env.frontend.matching import match_rows, search

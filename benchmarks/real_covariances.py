@@ -30,8 +30,9 @@ from rich.console import Console
 from rich.table import Table
 
 import stereo_slam_env as sse
-from filters import ColouredNoise, rotations
-from filters.gauge_walk import image_motion
+from filters import ColouredNoise
+from filters.engine.gauge_walk import image_motion
+from filters.geometry import rotations
 from filters.validation import BoolArray, FloatArray
 from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.evaluation.results import FilterSummary

@@ -28,8 +28,9 @@ import pybullet
 from rich.console import Console
 from rich.table import Table
 
-from filters import Pose, rotations
-from filters.camera import StereoCamera
+from filters import Pose
+from filters.geometry import rotations
+from filters.geometry.camera import StereoCamera
 from stereo_slam_env.rendering import pinhole
 from stereo_slam_env.rendering.gl import GLRenderer
 from stereo_slam_env.rendering.images import StereoRenderer

@@ -25,7 +25,7 @@ from rich.table import Table
 from threadpoolctl import threadpool_limits
 
 from filters import Start, StereoEKF, StereoNoise, StereoObservation
-from filters.conformance import REFERENCE_CAMERA as CAMERA
+from filters.checks.conformance import REFERENCE_CAMERA as CAMERA
 
 sys.path.insert(0, str(Path(__file__).parent))
 from filter_speed import COMPILED, filterpy_step, in_one_batch, undisturbed

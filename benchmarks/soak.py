@@ -34,8 +34,9 @@ from rich.table import Table
 from threadpoolctl import threadpool_limits
 
 import stereo_slam_env  # noqa: F401 (registers the environments)
-from filters import ConstantVelocity, Start, StereoFilter, StereoNoise, StereoObservation, make_filter, rotations
-from filters.conformance import REFERENCE_CAMERA as CAMERA
+from filters import ConstantVelocity, Start, StereoFilter, StereoNoise, StereoObservation, make_filter
+from filters.checks.conformance import REFERENCE_CAMERA as CAMERA
+from filters.geometry import rotations
 
 LOOKS, LANDMARKS, TURNOVER, DT = 100, 12, 5, 0.1
 NOISE, MOTION = StereoNoise.independent_pixels(0.5), ConstantVelocity(1.0, 0.6)

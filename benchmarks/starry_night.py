@@ -22,7 +22,7 @@ from rich.table import Table
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from filters.common_options import make_with_common_options
+from filters.catalogue.common_options import make_with_common_options
 from stereo_slam_env.datasets import load
 from stereo_slam_env.datasets.starry_night import SHAPES, step_velocities
 from stereo_slam_env.evaluation.filter_run import run_filter

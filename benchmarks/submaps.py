@@ -28,7 +28,7 @@ from scipy.spatial.transform import Rotation
 from threadpoolctl import threadpool_limits
 
 from filters import Start, StereoEKF, StereoFilter, StereoNoise, StereoObservation
-from filters.conformance import REFERENCE_CAMERA as CAMERA
+from filters.checks.conformance import REFERENCE_CAMERA as CAMERA
 from filters.submaps.submap_ekf import SubmapEKF
 from stereo_slam_env.evaluation.consistency import mean_band
 

@@ -16,7 +16,8 @@ from enum import Enum
 
 import numpy as np
 
-from filters.interface import PoseBelief, UpdateReport
+from filters.contract.beliefs import PoseBelief
+from filters.contract.update_report import UpdateReport
 from filters.validation import positive
 
 _TOLERATED, _LOST = 0.5, 0.9

@@ -19,11 +19,11 @@ from dataclasses import dataclass
 from importlib.metadata import entry_points
 from typing import Any
 
+from filters.contract.known_names import did_you_mean, require_known
 from filters.errors.first_estimates import FirstEstimates
 from filters.errors.invariant import LeftInvariant, RightInvariant
 from filters.errors.model import ErrorDefinition
 from filters.errors.standard import QuaternionError, RotationVectorError
-from filters.known_names import did_you_mean, require_known
 from filters.landmarks.euclidean import Euclidean
 from filters.landmarks.hybrid import Hybrid
 from filters.landmarks.inverse_depth import InverseDepth

@@ -13,7 +13,7 @@ import gymnasium as gym
 from rich.console import Console
 
 from filters import StereoNoise
-from filters.registry import filter_factory, label_of
+from filters.catalogue.registry import filter_factory, label_of
 from stereo_slam_env.benchmark.head_to_head import FilterLike, HeadToHead, which_seeds
 from stereo_slam_env.benchmark.scenarios import streams
 from stereo_slam_env.benchmark.scenarios.scenario import Scenario, filter_choice

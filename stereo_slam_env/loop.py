@@ -23,9 +23,9 @@ from filters import (
     jacobian,
     make_filter,
     nees,
-    rotations,
 )
-from filters.registry import FilterFactory, label_of
+from filters.catalogue.registry import FilterFactory, label_of
+from filters.geometry import rotations
 from filters.validation import FloatArray
 from stereo_slam_env.recording.recording import SIMULATION, Frame, Recording, Reference
 

@@ -16,7 +16,7 @@ WORLD_SIDE = ("world", "rendering", "sensing", "envs")
 
 MAX_LINES = 400
 LONGER_FOR_A_REASON = {
-    "filters/conformance.py": "the contract of a filter as one list of checks, read from top to bottom",
+    "filters/checks/conformance.py": "the contract of a filter as one list of checks, read from top to bottom",
 }
 
 
@@ -54,9 +54,9 @@ def test_the_packages_are_found():
 @pytest.mark.parametrize("path", modules_of("filters"), ids=name_of)
 def test_filters_know_only_numpy_and_scipy(path):
     allowed = {*sys.stdlib_module_names, "filters", "numpy", "scipy", "filterpy", "lazy_loader", "threadpoolctl"}
-    if name_of(path).startswith("filters/compiled/"):  # imported on demand only
+    if name_of(path).startswith("filters/engine/compiled/"):  # imported on demand only
         allowed |= {"numba", "llvmlite"}
-    if name_of(path) == "filters/conformance_pytest.py":  # for tests, imported when called
+    if name_of(path) == "filters/checks/pytest_cases.py":  # for tests, imported when called
         allowed |= {"pytest"}
     assert {name.split(".")[0] for name in imports(path)} <= allowed
 
@@ -69,7 +69,7 @@ def test_only_physics_knows_pybullet():
 @pytest.mark.parametrize("path", modules_of(*(f"stereo_slam_env/{part}" for part in WORLD_SIDE)), ids=name_of)
 def test_the_world_knows_no_filter_and_no_evaluation(path):
     evaluation = (f"stereo_slam_env.{part}" for part in ("benchmark", "report", "viewer", "cli"))
-    concrete = ("inverse_depth_stereo", "dual_bearing", "euclidean_xyz", "engine", "registry", "conformance")
+    concrete = ("inverse_depth_stereo", "dual_bearing", "euclidean_xyz", "engine", "catalogue", "checks")
     named = ("make_filter", "available_filters", "InverseDepthStereoEKF", "DualBearingEKF", "EuclideanEKF")
     forbidden = (*evaluation, *(f"filters.{part}" for part in (*concrete, *named)))
     assert imported_under(path, *forbidden) == []

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from filters.conformance import CHECKS
+from filters.checks.conformance import CHECKS
 
 from .newcomer import install, make_environment, run
 

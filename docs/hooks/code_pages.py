@@ -1,8 +1,8 @@
 """Pages of the manual for the code it links to.
 
 The Markdown files link to code as a plain view of the repository wants it, relative and out of `docs/`
-(`../examples/write_a_filter.py`), or name it (`filters/camera.py` in code style). A site of its own has no such
-files. So each file that is linked or named gets a page with its text, and the links are turned there.
+(`../examples/write_a_filter.py`), or name it (`filters/geometry/camera.py` in code style). A site of its own has no
+such files. So each file that is linked or named gets a page with its text, and the links are turned there.
 """
 
 from __future__ import annotations

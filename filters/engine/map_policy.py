@@ -7,13 +7,13 @@ from functools import partial
 
 import numpy as np
 
-from filters import rotations
-from filters.camera import StereoCamera
+from filters.contract.noise import StereoNoise
+from filters.contract.observation import StereoObservation
 from filters.engine import selection
 from filters.engine.options import Options
-from filters.interface import StereoObservation
+from filters.geometry import rotations
+from filters.geometry.camera import StereoCamera
 from filters.measurements.model import MeasurementModel
-from filters.noise import StereoNoise
 from filters.state.joint_state import JointState, NewLandmarks
 from filters.validation import BoolArray, FloatArray, IntArray
 

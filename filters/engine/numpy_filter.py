@@ -9,20 +9,22 @@ from dataclasses import replace
 import numpy as np
 from scipy.linalg import blas
 
-from filters import rotations
-from filters.camera import StereoCamera
-from filters.drift import in_own_numbers, step_covariances
+from filters.contract.drift import in_own_numbers, step_covariances
+from filters.contract.noise import StereoNoise
+from filters.contract.observation import StereoObservation
+from filters.contract.odometry import BodyVelocity
+from filters.contract.update_report import UpdateReport
 from filters.engine import gating, kalman
 from filters.engine.consensus import largest_agreement
 from filters.engine.gating import BEHIND, FAILED, GATED, USED, FateArray
+from filters.engine.gauge_walk import directions, image_motion
 from filters.engine.heavy_tails import reweighted
 from filters.engine.map_policy import MapPolicy
 from filters.engine.options import Options
-from filters.gauge_walk import directions, image_motion
-from filters.interface import BodyVelocity, StereoObservation, UpdateReport
+from filters.geometry import rotations
+from filters.geometry.camera import StereoCamera
 from filters.measurements.model import Stage
 from filters.motions.model import CameraState, MotionPrediction, measure_odometry, predict_camera
-from filters.noise import StereoNoise
 from filters.state import symmetric
 from filters.state.joint_state import JointState, world_rotation_of_variables
 from filters.state.linearised import LinearisedMeasurements, of_variables
@@ -32,7 +34,7 @@ from filters.validation import BoolArray, FloatArray, IntArray
 
 
 class NumpyFilter:
-    """One filter by NumPy: what `StereoEKF` asks of it, as of `filters.compiled.stereo_ekf.CompiledFilter`.
+    """One filter by NumPy: what `StereoEKF` asks of it, as of `filters.engine.compiled.stereo_ekf.CompiledFilter`.
 
     Attributes
     ----------

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-from filters.drift import LandmarkDrift
+from filters.contract.drift import LandmarkDrift
 from filters.errors.model import ErrorDefinition
 from filters.landmarks.model import LandmarkModel
 from filters.measurements.model import MeasurementModel

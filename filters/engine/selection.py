@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from filters import rotations
-from filters.camera import StereoCamera
 from filters.engine.kalman import joint_innovation_covariance, times_covariance
+from filters.geometry import rotations
+from filters.geometry.camera import StereoCamera
 from filters.measurements.model import MeasurementModel, Stage
 from filters.motions.model import POSE_SIZE, CameraState
 from filters.state import symmetric

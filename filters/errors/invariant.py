@@ -21,8 +21,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from filters import rotations
 from filters.errors.model import ErrorDefinition
+from filters.geometry import rotations
 from filters.motions.model import POSITION, ROTATION, CameraState
 from filters.state.joint_state import JointState
 from filters.state.transport import Transport

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import ClassVar
 
 from filters.errors.model import ErrorDefinition
-from filters.retractions import AdditiveQuaternion
+from filters.geometry.retractions import AdditiveQuaternion
 
 
 class QuaternionError(ErrorDefinition):

@@ -10,7 +10,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from filters import rotations
+from filters.geometry import rotations
 from filters.landmarks.model import LandmarkModel, ScaledPoints, StartedLandmarks
 from filters.validation import BoolArray, FloatArray
 

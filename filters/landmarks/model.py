@@ -13,7 +13,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from filters import differences, rotations
+from filters.geometry import differences, rotations
 from filters.validation import BoolArray, FloatArray
 
 

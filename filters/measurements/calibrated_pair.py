@@ -7,11 +7,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from filters import rotations
-from filters.camera import StereoCamera
+from filters.contract.variables import Variable
+from filters.geometry import rotations
+from filters.geometry.camera import StereoCamera
 from filters.measurements.model import MeasurementModel, SensorJacobians, Values
 from filters.validation import FloatArray, positive
-from filters.variables import Variable
 
 _PRIORS = ("offset_sigma", "focal_sigma", "baseline_sigma", *("misalignment_sigma",) * 3)
 

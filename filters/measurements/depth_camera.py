@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from filters.camera import StereoCamera
+from filters.geometry.camera import StereoCamera
 from filters.measurements.model import MeasurementModel, Values
 from filters.validation import BoolArray, FloatArray
 

@@ -7,8 +7,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from filters import differences
-from filters.camera import StereoCamera
+from filters.geometry import differences
+from filters.geometry.camera import StereoCamera
 from filters.measurements.model import MeasurementModel, SensorJacobians, Values
 from filters.validation import BoolArray, FloatArray, positive
 

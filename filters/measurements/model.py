@@ -14,11 +14,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from filters import differences
-from filters.camera import StereoCamera
-from filters.interface import StereoObservation
+from filters.contract.observation import StereoObservation
+from filters.contract.variables import Variable
+from filters.geometry import differences
+from filters.geometry.camera import StereoCamera
 from filters.validation import BoolArray, FloatArray
-from filters.variables import Variable
 
 Values = Mapping[str, FloatArray]
 """Values of named variables."""

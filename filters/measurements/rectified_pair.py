@@ -12,8 +12,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from filters.camera import StereoCamera
-from filters.interface import StereoObservation
+from filters.contract.observation import StereoObservation
+from filters.geometry.camera import StereoCamera
 from filters.measurements.model import MeasurementModel, SensorJacobians, Stage, Values
 from filters.validation import FloatArray, positive
 

@@ -8,8 +8,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from filters import rotations
-from filters.camera import StereoCamera
+from filters.geometry import rotations
+from filters.geometry.camera import StereoCamera
 from filters.measurements.model import MeasurementModel, Values
 from filters.validation import FloatArray, finite_array
 

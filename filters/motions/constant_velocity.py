@@ -10,8 +10,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from filters import rotations
-from filters.interface import BodyVelocity
+from filters.contract.odometry import BodyVelocity
+from filters.geometry import rotations
 from filters.motions.model import (
     ANGULAR,
     CAMERA_SIZE,

@@ -16,12 +16,12 @@ from typing import ClassVar
 
 import numpy as np
 
-from filters import differences, rotations
-from filters.interface import BodyVelocity
-from filters.retractions import RotationVector
-from filters.start import Start
+from filters.contract.odometry import BodyVelocity
+from filters.contract.start import Start
+from filters.contract.variables import POSE, VELOCITY, Variable
+from filters.geometry import differences, rotations
+from filters.geometry.retractions import RotationVector
 from filters.validation import FloatArray
-from filters.variables import POSE, VELOCITY, Variable
 
 POSITION, ROTATION, LINEAR, ANGULAR = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
 """Errors of pose and velocity."""

@@ -15,10 +15,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from filters import rotations
+from filters.contract.start import Start
+from filters.geometry import rotations
 from filters.landmarks.model import LandmarkModel, StartedLandmarks
 from filters.motions.model import POSE_SIZE, POSITION, ROTATION, CameraState
-from filters.start import Start
 from filters.state import symmetric
 from filters.state.layout import Layout
 from filters.validation import BoolArray, FloatArray, IntArray

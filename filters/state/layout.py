@@ -13,11 +13,11 @@ from itertools import accumulate
 
 import numpy as np
 
+from filters.contract.start import Start
+from filters.contract.variables import POSE, VELOCITY, Variable
+from filters.geometry.retractions import Retraction
 from filters.motions.model import CAMERA_SIZE, POSE_SIZE, POSITION, ROTATION, CameraState
-from filters.retractions import Retraction
-from filters.start import Start
 from filters.validation import FloatArray, IntArray
-from filters.variables import POSE, VELOCITY, Variable
 
 
 @dataclass(frozen=True, eq=False)

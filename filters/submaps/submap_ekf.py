@@ -11,22 +11,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from filters.camera import StereoCamera
-from filters.interface import (
-    AT_ORIGIN,
-    BodyVelocity,
-    Forecast,
-    LandmarkBelief,
-    PoseBelief,
-    StereoFilter,
-    StereoObservation,
-    UpdateReport,
-    VelocityBelief,
-)
-from filters.noise import StereoNoise
+from filters.contract.beliefs import Forecast, LandmarkBelief, PoseBelief, VelocityBelief
+from filters.contract.noise import StereoNoise
+from filters.contract.observation import StereoObservation
+from filters.contract.odometry import BodyVelocity
+from filters.contract.start import Start
+from filters.contract.stereo_filter import AT_ORIGIN, StereoFilter
+from filters.contract.update_report import UpdateReport
+from filters.engine.stereo_ekf import StereoEKF
+from filters.geometry.camera import StereoCamera
 from filters.parts import SLOTS
-from filters.start import Start
-from filters.stereo_ekf import StereoEKF
 from filters.submaps.chain import SubmapChain
 from filters.validation import FloatArray, IntArray, unique_ids
 

@@ -9,8 +9,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from filters import rotations
-from filters.camera import StereoCamera
+from filters.geometry import rotations
+from filters.geometry.camera import StereoCamera
 from filters.landmarks.model import ScaledPoints
 from filters.measurements.model import MeasurementModel, Stage
 from filters.motions.model import POSE_SIZE, POSITION, ROTATION

@@ -6,7 +6,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from filters.camera import StereoCamera
+from filters.geometry.camera import StereoCamera
 from filters.measurements.model import MeasurementModel, Stage
 from filters.state.joint_state import JointState
 from filters.state.linearised import LinearisedMeasurements

@@ -14,7 +14,7 @@ from typing import ClassVar
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from filters.camera import StereoCamera
+from filters.geometry.camera import StereoCamera
 from filters.measurements.model import MeasurementModel, Stage
 from filters.motions.model import POSE_SIZE, POSITION, ROTATION
 from filters.state import symmetric

@@ -21,8 +21,8 @@ from filters import (
     StereoObservation,
     UpdateReport,
     VelocityDriven,
-    rotations,
 )
+from filters.geometry import rotations
 from filters.motions.model import CAMERA_SIZE, POSE_SIZE
 from filters.parts import Named
 from filters.validation import FloatArray, IntArray, positive

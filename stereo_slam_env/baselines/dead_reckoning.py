@@ -24,9 +24,9 @@ from filters import (
     UpdateReport,
     VelocityBelief,
     VelocityDriven,
-    rotations,
 )
-from filters.interface import AT_ORIGIN, check_rig, check_start
+from filters.contract.stereo_filter import AT_ORIGIN, check_rig, check_start
+from filters.geometry import rotations
 from filters.motions.model import POSE_SIZE, predict_camera
 from filters.parts import Named, make_part
 from filters.validation import FloatArray, IntArray, finite_array, positive, unique_ids, unit_quaternion

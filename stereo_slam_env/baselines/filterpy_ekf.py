@@ -19,9 +19,9 @@ from filters import (
     StereoNoise,
     StereoObservation,
     UpdateReport,
-    rotations,
 )
 from filters.engine.gating import gate_limit, passes
+from filters.geometry import rotations
 from filters.motions.model import (
     ANGULAR,
     CAMERA_SIZE,

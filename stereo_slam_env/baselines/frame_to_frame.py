@@ -8,16 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import chi2
 
-from filters import (
-    BodyVelocity,
-    CameraState,
-    MotionModel,
-    StereoCamera,
-    StereoNoise,
-    StereoObservation,
-    UpdateReport,
-    rotations,
-)
+from filters import BodyVelocity, CameraState, MotionModel, StereoCamera, StereoNoise, StereoObservation, UpdateReport
+from filters.geometry import rotations
 from filters.motions.model import ANGULAR, LINEAR, POSE_SIZE, POSITION, ROTATION
 from filters.parts import Named
 from filters.validation import FloatArray, IntArray, gate_probability, positive, unique_ids

@@ -14,8 +14,9 @@ from typing import Any
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from filters import BodyVelocity, CameraState, MotionModel, StereoCamera, rotations
+from filters import BodyVelocity, CameraState, MotionModel, StereoCamera
 from filters.extras import install_command
+from filters.geometry import rotations
 from filters.motions.model import POSE_SIZE, POSITION, ROTATION, predict_camera
 from filters.validation import BoolArray, FloatArray, IntArray
 

@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from filters import available_filters, make_filter
-from filters.camera import StereoCamera
-from filters.common_options import make_with_common_options
-from filters.noise import StereoNoise
+from filters.catalogue.common_options import make_with_common_options
+from filters.contract.noise import StereoNoise
+from filters.geometry.camera import StereoCamera
 from stereo_slam_env.benchmark.running.backends import Backend, BackendName
 from stereo_slam_env.benchmark.running.tasks import Task, make, run_trial
 from stereo_slam_env.benchmark.scenarios.scenario import (

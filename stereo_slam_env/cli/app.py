@@ -139,7 +139,7 @@ def list_policies() -> None:
 def check(name: Annotated[str, typer.Argument(help="Name of a filter.")]) -> None:
     """Check that a filter keeps the contract; exit code 1 if it does not."""
     from filters import make_filter
-    from filters.conformance import REFERENCE_CAMERA, REFERENCE_NOISE, check_filter
+    from filters.checks.conformance import REFERENCE_CAMERA, REFERENCE_NOISE, check_filter
 
     make_filter(name, camera=REFERENCE_CAMERA, noise=REFERENCE_NOISE)
     result = check_filter(name, raise_on_failure=False)

@@ -15,8 +15,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from filters.known_names import require_known
-from filters.noise import ColouredNoise
+from filters.contract.known_names import require_known
+from filters.contract.noise import ColouredNoise
 from stereo_slam_env.datasets import (
     euroc,
     karlsruhe,

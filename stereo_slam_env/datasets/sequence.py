@@ -13,7 +13,8 @@ from typing import Any, Literal
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from filters import BodyVelocity, Pose, Start, StereoCamera, rotations
+from filters import BodyVelocity, Pose, Start, StereoCamera
+from filters.geometry import rotations
 from filters.validation import BoolArray, FloatArray
 from stereo_slam_env.datasets.image_files import BrokenPair, read_grey
 from stereo_slam_env.recording.recording import GreyImage, Reference, StereoPair

@@ -8,7 +8,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from filters import BodyVelocity, Pose, StereoObservation, rotations
+from filters import BodyVelocity, Pose, StereoObservation
+from filters.geometry import rotations
 from filters.validation import BoolArray, FloatArray, IntArray, positive, whole_number
 from stereo_slam_env.recording.recording import Frame
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from filters.camera import StereoCamera
+from filters.geometry.camera import StereoCamera
 from stereo_slam_env.envs.drive import StereoDriveEnv
 from stereo_slam_env.envs.stereo_env import StereoEnv
 from stereo_slam_env.files.package_versions import version_of

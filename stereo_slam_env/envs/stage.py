@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from filters.camera import StereoCamera
-from filters.poses import Pose
+from filters.geometry.camera import StereoCamera
+from filters.geometry.poses import Pose
 from filters.validation import BoolArray, FloatArray
 from stereo_slam_env.envs.options import StereoOptions
 from stereo_slam_env.recording.recording import LandmarkTruth

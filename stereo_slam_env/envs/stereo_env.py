@@ -10,12 +10,12 @@ from gymnasium import spaces
 from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
-from filters import rotations
-from filters.camera import StereoCamera
-from filters.interface import BodyVelocity
-from filters.noise import StereoNoise
-from filters.poses import Pose
-from filters.start import Start
+from filters.contract.noise import StereoNoise
+from filters.contract.odometry import BodyVelocity
+from filters.contract.start import Start
+from filters.geometry import rotations
+from filters.geometry.camera import StereoCamera
+from filters.geometry.poses import Pose
 from filters.validation import FloatArray, IntArray, finite_array
 from stereo_slam_env.envs.display import modes_here, window_for
 from stereo_slam_env.envs.options import DriveOptions, HeadOptions, StereoOptions

@@ -17,21 +17,22 @@ from dataclasses import dataclass, replace
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from filters import rotations
-from filters.camera import StereoCamera
+from filters.contract.noise import StereoNoise
+from filters.contract.observation import StereoObservation
+from filters.contract.odometry import BodyVelocity
+from filters.contract.start import Start
 from filters.engine import kalman
 from filters.engine.map_policy import start_landmarks
 from filters.engine.marginals import joint_covariance
-from filters.interface import BodyVelocity, StereoObservation
+from filters.geometry import rotations
+from filters.geometry.camera import StereoCamera
+from filters.geometry.poses import Pose
 from filters.landmarks.euclidean import Euclidean
 from filters.landmarks.model import LandmarkModel
 from filters.measurements.model import Stage
 from filters.measurements.rectified_pair import RangeBearing, Stacked
 from filters.motions.constant_velocity import ConstantVelocity
 from filters.motions.model import POSE_SIZE, CameraState, MotionModel
-from filters.noise import StereoNoise
-from filters.poses import Pose
-from filters.start import Start
 from filters.state import symmetric
 from filters.state.joint_state import JointState
 from filters.state.layout import Layout

@@ -11,10 +11,10 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from filters import StereoNoise, StereoObservation
-from filters.common_options import make_with_common_options
+from filters.catalogue.common_options import make_with_common_options
+from filters.catalogue.registry import FilterFactory, label_of
 from filters.consistency import nees
 from filters.motions.model import POSE_SIZE, POSITION, ROTATION
-from filters.registry import FilterFactory, label_of
 from filters.validation import FloatArray, IntArray
 from stereo_slam_env.evaluation.landmark_statistics import LandmarkScorer
 from stereo_slam_env.evaluation.map_scoring import TraceRecorder, score_map, view_map
@@ -55,7 +55,7 @@ def run_filter(
     label : str, optional
         Name in tables and files; None: that of the filter.
     common_options : mapping, optional
-        Options given to every filter of a comparison that leaves them open, see `filters.common_options`.
+        Options given to every filter of a comparison that leaves them open, see `filters.catalogue.common_options`.
     noise : StereoNoise, optional
         Noise to assume; None: what the recording says.
     use_odometry : bool

@@ -14,7 +14,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from filters.camera import StereoCamera
+from filters.geometry.camera import StereoCamera
 from filters.validation import BoolArray, FloatArray, IntArray
 from stereo_slam_env.evaluation.map_scoring import MapScore
 

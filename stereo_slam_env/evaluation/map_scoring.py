@@ -11,11 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from filters import rotations
-from filters.camera import StereoCamera
 from filters.consistency import nees
-from filters.interface import StereoFilter, StereoObservation
-from filters.poses import Pose
+from filters.contract.observation import StereoObservation
+from filters.contract.stereo_filter import StereoFilter
+from filters.geometry import rotations
+from filters.geometry.camera import StereoCamera
+from filters.geometry.poses import Pose
 from filters.validation import BoolArray, FloatArray, IntArray
 from stereo_slam_env.evaluation.trajectory_metrics import mean
 from stereo_slam_env.recording.recording import Frame, LandmarkTruth, Recording

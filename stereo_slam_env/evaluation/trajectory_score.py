@@ -14,9 +14,10 @@ from typing import Any, Literal, get_args
 import numpy as np
 from scipy.stats import chi2
 
-from filters import Pose, nees, rotations
+from filters import Pose, nees
+from filters.geometry import rotations
+from filters.geometry.poses import relative_jacobian
 from filters.motions.model import POSE_SIZE, POSITION, ROTATION
-from filters.poses import relative_jacobian
 from filters.validation import FloatArray, IntArray, positive
 from stereo_slam_env.evaluation import trajectory_metrics as metrics
 from stereo_slam_env.evaluation.bootstrap import MeanInterval, block_length, mean_interval, stationary_rows

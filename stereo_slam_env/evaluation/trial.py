@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from filters.interface import PoseBelief, UpdateReport
+from filters.contract.beliefs import PoseBelief
+from filters.contract.update_report import UpdateReport
 from filters.monitor import Alarm, DivergenceMonitor
 from filters.validation import BoolArray, FloatArray
 from stereo_slam_env.evaluation import trajectory_metrics as metrics

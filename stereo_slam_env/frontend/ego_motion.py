@@ -16,8 +16,9 @@ import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 from scipy.stats import chi2
 
-from filters import StereoCamera, rotations
+from filters import StereoCamera
 from filters.engine.gating import gate_limit
+from filters.geometry import rotations
 from filters.validation import BoolArray, FloatArray, IntArray
 
 MAX_ITERATIONS = 10

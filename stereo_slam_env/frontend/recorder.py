@@ -8,7 +8,8 @@ from itertools import islice
 
 import numpy as np
 
-from filters import ColouredNoise, LandmarkDrift, Start, StereoFilter, StereoObservation, rotations
+from filters import ColouredNoise, LandmarkDrift, Start, StereoFilter, StereoObservation
+from filters.geometry import rotations
 from stereo_slam_env.frontend.ego_motion import Step
 from stereo_slam_env.frontend.settings import DRIFT_SHARE, TrackerSettings
 from stereo_slam_env.frontend.track_noise import with_measured_noise

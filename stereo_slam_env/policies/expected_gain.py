@@ -20,7 +20,7 @@ from typing import Literal
 
 import numpy as np
 
-from filters import rotations
+from filters.geometry import rotations
 from filters.motions.model import POSE_SIZE, POSITION, ROTATION
 from filters.validation import FloatArray
 from stereo_slam_env.policies.foresight import Knowledge

@@ -18,12 +18,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from filters import rotations
-from filters.camera import StereoCamera
-from filters.interface import StereoFilter
+from filters.contract.noise import StereoNoise
+from filters.contract.stereo_filter import StereoFilter
+from filters.geometry import rotations
+from filters.geometry.camera import StereoCamera
+from filters.geometry.poses import Pose
 from filters.motions.model import POSE_SIZE, POSITION, ROTATION
-from filters.noise import StereoNoise
-from filters.poses import Pose
 from filters.validation import BoolArray, FloatArray, IntArray
 from stereo_slam_env.world.routes import FRAME_PERIOD, Route
 from stereo_slam_env.world.vehicle import Head, head_turn

@@ -9,9 +9,9 @@ from typing import Any, get_args
 import gymnasium as gym
 import numpy as np
 
-from filters.interface import StereoFilter
-from filters.known_names import one_of
-from filters.poses import Pose
+from filters.contract.known_names import one_of
+from filters.contract.stereo_filter import StereoFilter
+from filters.geometry.poses import Pose
 from filters.validation import FloatArray, positive, whole_number
 from stereo_slam_env.policies.expected_gain import Gain, expected_gain, motion_noise
 from stereo_slam_env.policies.foresight import (

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
-from filters.known_names import did_you_mean, require_known
+from filters.contract.known_names import did_you_mean, require_known
 from stereo_slam_env.policies.interface import Policy
 
 ENTRY_POINT_GROUP = "stereo_slam.policies"

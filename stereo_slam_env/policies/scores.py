@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from filters.known_names import require_known
+from filters.contract.known_names import require_known
 from filters.validation import FloatArray
 from stereo_slam_env.policies.interface import Action
 from stereo_slam_env.world.routes import FRAME_PERIOD

@@ -13,9 +13,10 @@ from typing import Any, Literal, Protocol, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from filters import BodyVelocity, Pose, Start, StereoCamera, StereoNoise, StereoObservation, rotations
-from filters.known_names import require_known
-from filters.poses import relative_jacobian
+from filters import BodyVelocity, Pose, Start, StereoCamera, StereoNoise, StereoObservation
+from filters.contract.known_names import require_known
+from filters.geometry import rotations
+from filters.geometry.poses import relative_jacobian
 from filters.validation import BoolArray, FloatArray, IntArray
 
 

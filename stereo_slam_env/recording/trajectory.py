@@ -11,7 +11,8 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from filters import Pose, rotations
+from filters import Pose
+from filters.geometry import rotations
 from filters.motions.model import POSE_SIZE, POSITION, ROTATION
 from filters.validation import BoolArray, FloatArray, IntArray, finite_array
 

@@ -22,7 +22,7 @@ from typing import IO, Any
 
 import numpy as np
 
-from filters import rotations
+from filters.geometry import rotations
 from filters.motions.model import POSE_SIZE
 from stereo_slam_env.files.folders import write_atomically
 from stereo_slam_env.files.readers import read_poses, read_table, read_text

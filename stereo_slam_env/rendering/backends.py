@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import cache
 from typing import Literal
 
-from filters.camera import StereoCamera
+from filters.geometry.camera import StereoCamera
 from stereo_slam_env.files.package_versions import version_of
 from stereo_slam_env.rendering.images import StereoRenderer
 from stereo_slam_env.rendering.tiny import TinyRenderer

@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from filters import rotations
-from filters.camera import StereoCamera
-from filters.poses import Pose
+from filters.geometry import rotations
+from filters.geometry.camera import StereoCamera
+from filters.geometry.poses import Pose
 from filters.validation import FloatArray
 from stereo_slam_env.rendering import pinhole
 from stereo_slam_env.rendering.gl_resources import (

@@ -13,8 +13,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from filters.camera import StereoCamera
 from filters.extras import install_command
+from filters.geometry.camera import StereoCamera
 from filters.validation import BoolArray, FloatArray
 from stereo_slam_env.rendering import pinhole
 from stereo_slam_env.rendering.images import StereoImages

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from filters.poses import Pose
+from filters.geometry.poses import Pose
 from filters.validation import FloatArray
 from stereo_slam_env.world.scene import Scene
 

@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
-from filters import rotations
-from filters.camera import StereoCamera
-from filters.poses import Pose
+from filters.geometry import rotations
+from filters.geometry.camera import StereoCamera
+from filters.geometry.poses import Pose
 from filters.validation import FloatArray, finite_array
 
 OPENGL_OFFSET = (0.5, 0.5)

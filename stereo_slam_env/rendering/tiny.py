@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from filters import rotations
-from filters.camera import StereoCamera
-from filters.poses import Pose
+from filters.geometry import rotations
+from filters.geometry.camera import StereoCamera
+from filters.geometry.poses import Pose
 from filters.validation import FloatArray
 from stereo_slam_env.rendering import pinhole
 from stereo_slam_env.rendering.images import StereoImages

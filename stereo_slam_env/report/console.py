@@ -15,7 +15,7 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
-from filters.noise import ColouredNoise
+from filters.contract.noise import ColouredNoise
 from stereo_slam_env.benchmark.campaign import Progress as ProgressCallback
 from stereo_slam_env.benchmark.scenarios.measurement_errors import (
     LAGS,

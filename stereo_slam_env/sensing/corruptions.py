@@ -18,8 +18,9 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from filters import BodyVelocity, StereoObservation, rotations
-from filters.known_names import require_known
+from filters import BodyVelocity, StereoObservation
+from filters.contract.known_names import require_known
+from filters.geometry import rotations
 from filters.validation import FloatArray, positive, probability, whole_number
 from stereo_slam_env.recording.recording import Frame, Recording, Velocity
 from stereo_slam_env.sensing.corrupted_measurements import (

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from filters import StereoCamera
-from filters.known_names import require_known
+from filters.contract.known_names import require_known
 from filters.validation import finite_number
 
 RigName = Literal["reference", "vga", "qvga"]

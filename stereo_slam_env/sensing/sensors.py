@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from filters import BodyVelocity, Pose, StereoCamera, StereoObservation, rotations
+from filters import BodyVelocity, Pose, StereoCamera, StereoObservation
+from filters.geometry import rotations
 from filters.validation import BoolArray, FloatArray, IntArray, positive, unchecked
 from stereo_slam_env.recording.recording import LandmarkTruth, Velocity
 from stereo_slam_env.sensing.pixel_noise import PixelNoise

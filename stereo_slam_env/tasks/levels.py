@@ -9,7 +9,7 @@ from typing import Any
 
 import gymnasium as gym
 
-from filters.known_names import one_of
+from filters.contract.known_names import one_of
 from filters.validation import positive, whole_number
 from stereo_slam_env.wrappers.recorded_wrapper import RecordedWrapper
 

@@ -10,7 +10,7 @@ import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 
-from filters.known_names import one_of
+from filters.contract.known_names import one_of
 from filters.validation import FloatArray, positive, whole_number
 from stereo_slam_env.policies.interface import directions, gaze_action, require_head
 from stereo_slam_env.policies.network import Network

@@ -8,12 +8,12 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from filters.batch import FilterBatch, RelativeLandmarks
-from filters.compiled.engine import Observations
-from filters.known_names import require_known
-from filters.registry import make_filter
-from filters.start import Start
-from filters.stereo_ekf import StereoEKF
+from filters.catalogue.registry import make_filter
+from filters.contract.known_names import require_known
+from filters.contract.start import Start
+from filters.engine.batch import FilterBatch, RelativeLandmarks
+from filters.engine.compiled.engine import Observations
+from filters.engine.stereo_ekf import StereoEKF
 from filters.validation import BoolArray, FloatArray, IntArray, finite_number
 from stereo_slam_env.envs.stereo_env import StereoEnv
 from stereo_slam_env.sensing.padding import NO_LANDMARK

@@ -6,8 +6,8 @@ import math
 
 from numba import njit
 
-from filters import rotations
-from filters.rotations import Four, Nine, Three
+from filters.geometry import rotations
+from filters.geometry.rotations import Four, Nine, Three
 from filters.validation import FloatArray
 from stereo_slam_env.vector.state import Fleet, Rules
 from stereo_slam_env.world.rays import KERNEL

@@ -7,9 +7,9 @@ import math
 import numpy as np
 from numba import njit
 
-from filters.batch import RelativeLandmarks
-from filters.camera import StereoCamera
-from filters.noise import StereoNoise
+from filters.contract.noise import StereoNoise
+from filters.engine.batch import RelativeLandmarks
+from filters.geometry.camera import StereoCamera
 from filters.validation import BoolArray, FloatArray, IntArray
 from stereo_slam_env.world.rays import OPTIONS
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from filters.camera import StereoCamera
+from filters.geometry.camera import StereoCamera
 from filters.validation import BoolArray, FloatArray, IntArray
 from stereo_slam_env.envs.options import DriveOptions, HeadOptions, StereoOptions
 from stereo_slam_env.sensing.rigs import CAMERA_HEIGHT

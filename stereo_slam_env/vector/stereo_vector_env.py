@@ -13,9 +13,9 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from filters.batch import FilterBatch
-from filters.known_names import require_known
-from filters.start import Start
+from filters.contract.known_names import require_known
+from filters.contract.start import Start
+from filters.engine.batch import FilterBatch
 from filters.validation import BoolArray, FloatArray, IntArray, finite_array, whole_number
 from stereo_slam_env.envs.drive import StereoDriveEnv
 from stereo_slam_env.envs.drive_gaze import StereoDriveGazeEnv

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from filters.camera import StereoCamera
-from filters.registry import FilterFactory, label_of
+from filters.catalogue.registry import FilterFactory, label_of
+from filters.geometry.camera import StereoCamera
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice
 from stereo_slam_env.benchmark.scenarios.streams import make_sequence, without_measurements
 from stereo_slam_env.benchmark.storage.run_archive import load_run

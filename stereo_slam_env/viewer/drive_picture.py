@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter
 
-from filters import rotations
+from filters.geometry import rotations
 from filters.validation import FloatArray
 from stereo_slam_env.evaluation.consistency import mean_band
 from stereo_slam_env.files.paths import checked_file

@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from filters.rotations import Nine, Three
+from filters.geometry.rotations import Nine, Three
 from filters.validation import FloatArray, IntArray
 from stereo_slam_env.world.rays import BOX, CYLINDER, KERNEL, NOTHING
 

@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit, types
 from numba.extending import intrinsic
 
-from filters.compiled.disk_cache import KEPT
+from filters.engine.compiled.disk_cache import KEPT
 from filters.validation import BoolArray, FloatArray, IntArray
 
 _ENTRY: dict[str, Any] = {**KEPT, "error_model": "numpy"}

@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from filters import rotations
+from filters.geometry import rotations
 from filters.validation import BoolArray, FloatArray
 from stereo_slam_env.world.meshes import Mesh, body_meshes, mtl_text, obj_text, scene_meshes
 from stereo_slam_env.world.scene import Box, Cylinder, Look, Material, MovingBody, Primitive, Scene

@@ -16,8 +16,8 @@ from numba import njit, types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from filters.compiled.disk_cache import KEPT
-from filters.rotations import Three
+from filters.engine.compiled.disk_cache import KEPT
+from filters.geometry.rotations import Three
 from filters.validation import BoolArray, FloatArray, IntArray
 from stereo_slam_env.world.scene import Box, Cylinder, Primitive
 

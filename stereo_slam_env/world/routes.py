@@ -16,8 +16,8 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from filters import rotations
-from filters.known_names import did_you_mean
+from filters.contract.known_names import did_you_mean
+from filters.geometry import rotations
 from filters.validation import FloatArray, positive
 from stereo_slam_env.files.readers import read_poses
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from filters import rotations
-from filters.poses import Pose
+from filters.geometry import rotations
+from filters.geometry.poses import Pose
 from filters.validation import FloatArray
 from stereo_slam_env.recording.recording import Velocity
 from stereo_slam_env.world.routes import FRAME_PERIOD, Route

@@ -11,14 +11,16 @@ import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 
-from filters import rotations
+from filters.catalogue.registry import make_filter
 from filters.consistency import nees
-from filters.interface import PoseBelief, StereoFilter, UpdateReport
+from filters.contract.beliefs import PoseBelief
+from filters.contract.noise import StereoNoise
+from filters.contract.start import Start
+from filters.contract.stereo_filter import StereoFilter
+from filters.contract.update_report import UpdateReport
+from filters.geometry import rotations
+from filters.geometry.poses import Pose
 from filters.motions.model import POSE_SIZE, POSITION, ROTATION
-from filters.noise import StereoNoise
-from filters.poses import Pose
-from filters.registry import make_filter
-from filters.start import Start
 from filters.validation import FloatArray, IntArray, positive, whole_number
 from stereo_slam_env.loop import FilterLoop
 from stereo_slam_env.sensing.padding import NO_LANDMARK

@@ -9,8 +9,8 @@ import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 
-from filters.camera import StereoCamera
-from filters.noise import StereoNoise
+from filters.contract.noise import StereoNoise
+from filters.geometry.camera import StereoCamera
 from filters.validation import FloatArray, positive, whole_number
 from stereo_slam_env.wrappers.belief_observation import Belief
 from stereo_slam_env.wrappers.recorded_wrapper import RecordedWrapper, dict_space

@@ -29,7 +29,7 @@ from typing import Literal, get_args
 import numpy as np
 from scipy.linalg import lapack
 
-from filters.known_names import one_of
+from filters.contract.known_names import one_of
 from filters.motions.model import POSE_SIZE, POSITION, ROTATION
 from filters.validation import FloatArray, positive
 

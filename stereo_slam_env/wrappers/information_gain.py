@@ -9,7 +9,7 @@ from typing import Any, Literal, get_args
 import gymnasium as gym
 import numpy as np
 
-from filters.known_names import one_of
+from filters.contract.known_names import one_of
 from filters.motions.constant_velocity import ConstantVelocity
 from filters.validation import IntArray, finite_number, whole_number
 from stereo_slam_env.evaluation.consistency import mean_band

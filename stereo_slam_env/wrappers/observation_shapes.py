@@ -11,7 +11,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from filters.known_names import require_known
+from filters.contract.known_names import require_known
 from filters.validation import FloatArray
 from stereo_slam_env.wrappers.recorded_wrapper import RecordedWrapper, dict_space
 

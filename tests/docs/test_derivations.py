@@ -20,11 +20,11 @@ from filters import (
     StereoCamera,
     StereoNoise,
     VelocityDriven,
-    rotations,
 )
+from filters.geometry import rotations
+from filters.geometry.retractions import AdditiveQuaternion, RotationVector
 from filters.landmarks.inverse_depth import angles_jacobian, angles_of, ray_direction
 from filters.measurements.rectified_pair import RIGHT
-from filters.retractions import AdditiveQuaternion, RotationVector
 from filters.state.joint_state import world_rotation_of_variables
 from filters.state.layout import Layout
 from filters.updates.extended import chain_rule

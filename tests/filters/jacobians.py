@@ -13,10 +13,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from filters import Hybrid
+from filters.contract.variables import Variable
 from filters.landmarks.model import LandmarkModel
 from filters.measurements.model import MeasurementModel
 from filters.motions.model import ANGULAR, LINEAR, POSITION, ROTATION, CameraState
-from filters.variables import Variable
 
 from .drives import ODD_CAMERA as CAMERA
 from .numeric import numeric_jacobian, relative_difference
@@ -27,7 +27,7 @@ COUNT = 4
 TOLERANCE = 1e-7
 OTHER_STEPS = (1e-5, 3e-4)
 ROUNDING = 1e-12
-"""Of a numerical Jacobian that a part has by default, as `filters.differences` says."""
+"""Of a numerical Jacobian that a part has by default, as `filters.geometry.differences` says."""
 
 
 @dataclass(frozen=True)

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from filters import BodyVelocity, MotionModel, VelocityDriven, rotations
+from filters import BodyVelocity, MotionModel, VelocityDriven
+from filters.geometry import rotations
+from filters.geometry.retractions import AdditiveQuaternion, RotationVector
 from filters.landmarks.model import LandmarkModel
 from filters.measurements.model import MeasurementModel
 from filters.motions.model import CameraState
-from filters.retractions import AdditiveQuaternion, RotationVector
 
 from .jacobians import (
     CAMERA,

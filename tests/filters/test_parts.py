@@ -24,7 +24,7 @@ from filters import (
     make_filter,
     make_part,
 )
-from filters.conformance import REFERENCE_CAMERA, REFERENCE_NOISE
+from filters.checks.conformance import REFERENCE_CAMERA, REFERENCE_NOISE
 from filters.parts import SLOTS, kernel_of
 
 RIG = {"camera": REFERENCE_CAMERA, "noise": REFERENCE_NOISE}

@@ -30,8 +30,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from filters import BodyVelocity, StereoCamera, StereoNoise, StereoObservation
-from filters.poses import Pose
-from filters.start import Start
+from filters.contract.start import Start
+from filters.geometry.poses import Pose
 from filters.validation import FloatArray, positive
 from stereo_slam_env.recording.recording import SIMULATION, Frame, LandmarkTruth, Recording, Velocity
 from stereo_slam_env.sensing.pixel_noise import NOISE_MODELS

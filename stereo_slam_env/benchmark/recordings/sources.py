@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import msgspec
 
-from filters.known_names import did_you_mean, require_known
+from filters.contract.known_names import did_you_mean, require_known
 from stereo_slam_env.benchmark.recordings.source import OpenedImages, Progress, Renderer, Source, checked
 from stereo_slam_env.datasets import holds_images, load, open_for_front_end
 from stereo_slam_env.frontend.recorder import record_tracks

@@ -32,7 +32,7 @@ from typing import NoReturn, TypeVar, cast
 
 import cloudpickle
 
-from filters.machine_code import trouble
+from filters.engine.machine_code import trouble
 
 Result = TypeVar("Result")
 Tell = Callable[[int, int], None]

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, get_type_hi
 
 from msgspec import Meta
 
-from filters.known_names import require_known
+from filters.contract.known_names import require_known
+from filters.contract.noise import ColouredNoise, StereoNoise
 from filters.motions.constant_velocity import ConstantVelocity
-from filters.noise import ColouredNoise, StereoNoise
 from filters.validation import finite_array, gate_probability
 from stereo_slam_env.benchmark.recordings.source import Renderer, Source, checked
 from stereo_slam_env.benchmark.recordings.sources import StreetSource, source_of
@@ -273,7 +273,7 @@ class Scenario:
 
     @property
     def common_options(self) -> dict[str, Any]:
-        """Options that every filter gets that leaves them open, see `filters.common_options`."""
+        """Options that every filter gets that leaves them open, see `filters.catalogue.common_options`."""
         common: dict[str, Any] = {"gate": self.gate, "motion": dict(self.motion)}
         return {**common, "consensus": True} if self.consensus else common
 

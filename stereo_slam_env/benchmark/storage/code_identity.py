@@ -17,10 +17,8 @@ from stereo_slam_env.files.package_versions import version_of
 
 ROOT = Path(__file__).resolve().parents[3]
 NO_RESULT = (
-    "filters/compiled/__main__.py",
-    "filters/conformance",
-    "filters/part_checks",
-    "filters/part_contracts/",
+    "filters/engine/compiled/__main__.py",
+    "filters/checks/",
     "stereo_slam_env/api.py",
     "stereo_slam_env/benchmark/campaign.py",
     "stereo_slam_env/benchmark/head_to_head.py",

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from filters import rotations
+from filters.geometry import rotations
 from filters.motions.model import POSITION
 from filters.validation import FloatArray
 from stereo_slam_env.evaluation.results import FilterRun

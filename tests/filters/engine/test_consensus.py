@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from filters import Start, StereoEKF, StereoObservation
-from filters.conformance import REFERENCE_CAMERA as CAMERA
-from filters.conformance import REFERENCE_NOISE as NOISE
+from filters.checks.conformance import REFERENCE_CAMERA as CAMERA
+from filters.checks.conformance import REFERENCE_NOISE as NOISE
 from filters.engine.consensus import largest_agreement
 from filters.engine.gating import gate_limit
 from filters.state import symmetric

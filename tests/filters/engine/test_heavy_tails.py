@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from filters import Start, StereoEKF, StereoObservation, check_filter
-from filters.conformance import REFERENCE_CAMERA as CAMERA
-from filters.conformance import REFERENCE_NOISE as NOISE
+from filters.checks.conformance import REFERENCE_CAMERA as CAMERA
+from filters.checks.conformance import REFERENCE_NOISE as NOISE
 from filters.engine.heavy_tails import reweighted
 from filters.state.linearised import LinearisedMeasurements
 

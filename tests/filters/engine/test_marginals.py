@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from filters import Hybrid, InverseDepthStereoEKF, StereoFilter, make_filter, rotations
+from filters import Hybrid, InverseDepthStereoEKF, StereoFilter, make_filter
+from filters.geometry import rotations
 from filters.state import symmetric
 
 from ..drives import CAMERA, INDEPENDENT_PIXELS, drive, finish

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from filters import LeftInvariant, RightInvariant, rotations
+from filters import LeftInvariant, RightInvariant
+from filters.geometry import rotations
 from filters.motions.model import POSITION, ROTATION
 from filters.state import symmetric
 

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from filters import Extended, Start, StereoEKF, StereoObservation, VelocityDriven, rotations
+from filters import Extended, Start, StereoEKF, StereoObservation, VelocityDriven
+from filters.geometry import rotations
 from filters.motions.model import ANGULAR, CAMERA_SIZE, LINEAR, POSITION, ROTATION
 from filters.state import symmetric
 from filters.state.joint_state import JointState

@@ -18,8 +18,8 @@ from filters import (
     Start,
     StereoObservation,
     VelocityDriven,
-    rotations,
 )
+from filters.geometry import rotations
 from filters.motions.model import ANGULAR, CAMERA_SIZE, LINEAR, POSITION, ROTATION
 from filters.state import symmetric
 from filters.state.joint_state import JointState

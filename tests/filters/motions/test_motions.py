@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from filters import BodyVelocity, ConstantVelocity, InverseDepthStereoEKF, StereoEKF, VelocityDriven
-from filters.conformance import shown_arrays
+from filters.checks.conformance import shown_arrays
 from filters.motions.model import CameraState, LinearMeasurement, MotionPrediction
 
 from ..drives import CAMERA, INDEPENDENT_PIXELS, drive

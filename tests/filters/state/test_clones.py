@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from filters import Extended, Pose, StereoEKF, jacobian, rotations
-from filters.poses import relative_jacobian
+from filters import Extended, Pose, StereoEKF, jacobian
+from filters.geometry import rotations
+from filters.geometry.poses import relative_jacobian
 from filters.state import symmetric
 
 from ..drives import CAMERA, DT, INDEPENDENT_PIXELS, drive, run, start

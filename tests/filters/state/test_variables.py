@@ -9,8 +9,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from filters import BodyVelocity, Start, StereoEKF, StereoObservation, Variable
+from filters.contract.stereo_filter import StereoFilter
 from filters.engine import kalman
-from filters.interface import StereoFilter
 from filters.state import symmetric
 from filters.state.layout import Layout
 

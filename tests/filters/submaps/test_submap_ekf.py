@@ -18,7 +18,7 @@ from filters import (
     check_filter,
     make_filter,
 )
-from filters.conformance import CHECKS
+from filters.checks.conformance import CHECKS
 from filters.state.joint_state import JointState
 from filters.submaps.submap_ekf import SubmapEKF
 

@@ -7,8 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from filters import Extended, RangeBearing, Stage, Start, StereoEKF, StereoObservation, Unscented, check_filter
-from filters.conformance import REFERENCE_CAMERA as CAMERA
-from filters.conformance import REFERENCE_NOISE as NOISE
+from filters.checks.conformance import REFERENCE_CAMERA as CAMERA
+from filters.checks.conformance import REFERENCE_NOISE as NOISE
 from filters.state import symmetric
 
 COUNT = 6

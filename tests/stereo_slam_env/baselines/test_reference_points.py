@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from filters import check_filter, make_filter
-from filters.registry import ENTRY_POINT_GROUP
+from filters.catalogue.registry import ENTRY_POINT_GROUP
 from stereo_slam_env import baselines
 from stereo_slam_env.benchmark.recordings.reference_problem import short_turn
 from stereo_slam_env.datasets import load

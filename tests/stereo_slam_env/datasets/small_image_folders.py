@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from filters import Pose, Start
-from filters.camera import StereoCamera
+from filters.geometry.camera import StereoCamera
 from stereo_slam_env.recording.recording import SIMULATION, StereoPair
 from stereo_slam_env.rendering.tiny import TinyRenderer
 from stereo_slam_env.world.frames import WorldFrame

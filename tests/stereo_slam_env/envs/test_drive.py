@@ -12,9 +12,9 @@ import pytest
 from gymnasium.utils.env_checker import check_env, data_equivalence
 
 import stereo_slam_env
-from filters import rotations
-from filters.interface import StereoObservation
-from filters.noise import StereoNoise
+from filters.contract.noise import StereoNoise
+from filters.contract.observation import StereoObservation
+from filters.geometry import rotations
 from stereo_slam_env.envs.drive import StereoDriveEnv
 from stereo_slam_env.envs.options import DriveOptions
 from stereo_slam_env.world.routes import FRAME_PERIOD, ROUTES

@@ -12,7 +12,8 @@ from gymnasium.utils.env_checker import check_env, data_equivalence
 from scipy.stats import chi2
 
 import stereo_slam_env
-from filters import VelocityDriven, make_filter, rotations
+from filters import VelocityDriven, make_filter
+from filters.geometry import rotations
 from stereo_slam_env.envs.drive_gaze import StereoDriveGazeEnv
 from stereo_slam_env.envs.gaze import StereoGazeEnv
 from stereo_slam_env.world.routes import FRAME_PERIOD

@@ -15,7 +15,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env, data_equivalence
 
 import stereo_slam_env
-from filters import rotations
+from filters.geometry import rotations
 from stereo_slam_env.envs.drive import StereoDriveEnv
 from stereo_slam_env.envs.recorder import record
 from stereo_slam_env.evaluation.filter_run import run_filter

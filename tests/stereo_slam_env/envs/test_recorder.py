@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from filters.noise import StereoNoise
+from filters.contract.noise import StereoNoise
 from stereo_slam_env.envs.recorder import record
 
 QUICK = {"route": "right-turn", "rig": "qvga"}

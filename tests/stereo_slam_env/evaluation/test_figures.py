@@ -153,3 +153,11 @@ def test_no_heading_is_declared_a_second_time():
                 found.setdefault(node.value.lower(), []).append(path.relative_to(product).as_posix())
     assert {text: files for text, files in found.items() if files != ["evaluation/figures.py"]} == {}
     assert len(found) > 40
+
+
+@pytest.mark.parametrize("figure", [figure for figure in FIGURES.values() if figure.ideal], ids=lambda figure: figure.name)
+def test_what_a_consistent_filter_has_is_shown_as_one_and_twice_that_as_two(figure):
+    assert figure.of({figure.name: figure.ideal}) == 1.0
+    assert figure.of({figure.name: 2.0 * figure.ideal}) == 2.0
+    assert figure.text(figure.ideal).startswith("1")
+    assert figure.ideal == 1.0 or figure.label.endswith(f" / {figure.ideal:g}")

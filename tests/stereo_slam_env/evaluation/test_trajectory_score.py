@@ -11,7 +11,8 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import binom, chi2
 
 import stereo_slam_env as sse
-from filters import Pose, rotations
+from filters import Pose
+from filters.geometry import rotations
 from stereo_slam_env.evaluation import trajectory_metrics as metrics
 from stereo_slam_env.evaluation.bootstrap import block_length, mean_interval, stationary_rows
 from stereo_slam_env.evaluation.filter_run import run_filter
@@ -62,6 +63,21 @@ def test_a_true_claim_is_found_consistent():
         assert claim.log_score.mean == pytest.approx(claim.calibration + claim.sharpness)
         assert claim.calibration == pytest.approx(0.5 * claim.nees.mean)
         assert claim.verdict.startswith("consistent")
+
+
+@pytest.mark.parametrize("tangent", ["position-rotation", "right", "left"])
+def test_the_doubt_of_a_reference_is_carried_into_the_error_of_the_estimate(tangent):
+    """All error is the reference's, along its own axes: NEES of a reference that is as wrong as it says is exact."""
+    _, truth = drives(60)
+    rng = np.random.default_rng(8)
+    sigmas = np.array([3.0, 0.1, 0.02]) * 1e-3
+    shifts = sigmas * rng.standard_normal((60, 3))
+    doubt = np.tile(np.diag([*sigmas**2, *np.full(3, 1e-12)]), (60, 1, 1))
+    reference = replace(truth, positions=truth.positions + shifts, covariances=doubt)
+    estimate = replace(truth, covariances=np.tile(1e-18 * np.eye(6), (60, 1, 1)), tangent=tangent, name="mine")
+    score = sse.evaluate_trajectory(estimate, reference)
+    expected = np.sum((shifts[1:] / sigmas) ** 2, axis=1).mean()
+    assert score.claims["pose"].nees.mean == pytest.approx(expected, rel=1e-4)
 
 
 @pytest.mark.parametrize(("inflate", "verdict"), [(9.0, "too tight, by 3"), (1 / 25.0, "too loose, by 5")])
@@ -344,3 +360,13 @@ def test_a_run_written_to_files_has_the_nees_of_its_own_figures(tmp_path, filter
         np.testing.assert_allclose(
             score.nees[what], series[np.isfinite(series)], rtol=1e-9 if reference is None else 1e-7
         )
+
+
+def test_a_path_of_half_a_metre_has_a_drift_and_none_has_none():
+    _, truth = drives(30)
+    scale = 0.5 / np.linalg.norm(np.diff(truth.positions[1:], axis=0), axis=1).sum()
+    short = replace(truth, positions=scale * truth.positions)
+    moved = replace(short, positions=short.positions + np.linspace(0.0, 0.01, 30)[:, None] * [1.0, 0.0, 0.0])
+    assert sse.evaluate_trajectory(moved, short).end_drift_percent == pytest.approx(2.0, rel=1e-2)
+    still = replace(truth, positions=np.zeros((30, 3)))
+    assert sse.evaluate_trajectory(still, still).end_drift_percent is None

@@ -8,7 +8,8 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 import stereo_slam_env as sse
-from filters import Pose, rotations
+from filters import Pose
+from filters.geometry import rotations
 from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.evaluation.run_figures import figures_of, summarise_all
 from stereo_slam_env.evaluation.windows import nees_floor, window_ends

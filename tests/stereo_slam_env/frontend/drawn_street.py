@@ -8,8 +8,9 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from filters import Pose, Start, rotations
-from filters.camera import StereoCamera
+from filters import Pose, Start
+from filters.geometry import rotations
+from filters.geometry.camera import StereoCamera
 from stereo_slam_env.recording.recording import SIMULATION, StereoPair
 
 CAMERA = StereoCamera(300.0, 300.0, 239.5, 119.5, 0.6, 480, 240)

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from filters import rotations
-from filters.camera import StereoCamera
+from filters.geometry import rotations
+from filters.geometry.camera import StereoCamera
 from stereo_slam_env.frontend.ego_motion import Pairs, Step
 
 CAMERA = StereoCamera(721.5, 721.5, 672.0, 195.5, 0.571, 1344, 391)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from filters import make_filter
-from filters.noise import StereoNoise
+from filters.contract.noise import StereoNoise
 from stereo_slam_env.frontend.recorder import ActiveSearch
 from stereo_slam_env.frontend.settings import TrackerSettings
 

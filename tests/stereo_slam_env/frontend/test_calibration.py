@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from filters import rotations
+from filters.geometry import rotations
 from stereo_slam_env.frontend.calibration import PRIOR_SIGMA, DisparityOffset, calibrated
 from stereo_slam_env.frontend.ego_motion import Pairs, Step
 from stereo_slam_env.frontend.settings import TrackerSettings

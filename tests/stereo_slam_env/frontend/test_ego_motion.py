@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from filters import rotations
+from filters.geometry import rotations
 from stereo_slam_env.frontend.ego_motion import Step, chained, continued, predicted, robust_step, squared_distances
 
 from .synthetic_steps import CAMERA, STEP, Cloud

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from filters import rotations
-from filters.interface import Forecast
+from filters.contract.beliefs import Forecast
+from filters.geometry import rotations
 from stereo_slam_env.frontend.ego_motion import continued
 from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.frontend.tracks import (

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from filters import rotations
-from filters.conformance import REFERENCE_CAMERA as CAMERA
+from filters.checks.conformance import REFERENCE_CAMERA as CAMERA
+from filters.geometry import rotations
 from stereo_slam_env.frontend.patches import PATCH, SUPPORT, cut_patches, local_affine, parallax, warped_patches
 
 from .textures import Waves, spread_points

@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from filters import BodyVelocity, StereoObservation, rotations
+from filters import BodyVelocity, StereoObservation
+from filters.geometry import rotations
 from stereo_slam_env.policies.expected_gain import expected_gain, motion_noise
 from stereo_slam_env.policies.foresight import CameraPoses, Knowledge
 

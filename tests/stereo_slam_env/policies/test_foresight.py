@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from filters import BodyVelocity, Pose, StereoFilter, rotations
+from filters import BodyVelocity, Pose, StereoFilter
+from filters.geometry import rotations
 from stereo_slam_env.policies.foresight import CameraPoses, Knowledge
 
 from .looking import innovation_covariances, looked_around, sensor_of

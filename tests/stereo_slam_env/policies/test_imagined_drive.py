@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import stereo_slam_env  # noqa: F401
-from filters import rotations
+from filters.geometry import rotations
 from stereo_slam_env.policies.foresight import planned_bodies, seen_from, turning_head
 from stereo_slam_env.world.vehicle import Head
 

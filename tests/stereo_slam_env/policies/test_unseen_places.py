@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from filters import StereoNoise, rotations
+from filters import StereoNoise
+from filters.geometry import rotations
 from stereo_slam_env.policies.foresight import CameraPoses, SensorModel, UnseenPlaces
 from stereo_slam_env.sensing.rigs import RIGS
 from stereo_slam_env.world.routes import named_route

@@ -8,8 +8,9 @@ from functools import cache
 import numpy as np
 import pytest
 
-from filters import Pose, rotations
-from filters.camera import StereoCamera
+from filters import Pose
+from filters.geometry import rotations
+from filters.geometry.camera import StereoCamera
 from stereo_slam_env.rendering.backends import RENDERERS, make_renderer
 from stereo_slam_env.world.frames import WorldFrame
 from stereo_slam_env.world.physics import PhysicsWorld

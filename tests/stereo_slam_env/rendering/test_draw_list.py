@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from filters import rotations
-from filters.camera import StereoCamera
+from filters.geometry import rotations
+from filters.geometry.camera import StereoCamera
 from stereo_slam_env.rendering.gl_resources import VERTEX, ViewVolume, draw_list
 from stereo_slam_env.rendering.pinhole import FAR, NEAR
 from stereo_slam_env.world.meshes import scene_meshes

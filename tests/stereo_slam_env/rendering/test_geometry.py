@@ -4,8 +4,9 @@ import cv2
 import numpy as np
 import pytest
 
-from filters import Pose, rotations
-from filters.camera import StereoCamera
+from filters import Pose
+from filters.geometry import rotations
+from filters.geometry.camera import StereoCamera
 from stereo_slam_env.rendering.pinhole import depth_at
 from stereo_slam_env.world.looks import in_fog
 from stereo_slam_env.world.scene import Box, Look, Material, MovingBody

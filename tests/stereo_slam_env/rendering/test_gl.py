@@ -7,8 +7,9 @@ import re
 import numpy as np
 import pytest
 
-from filters import Pose, rotations
-from filters.camera import StereoCamera
+from filters import Pose
+from filters.geometry import rotations
+from filters.geometry.camera import StereoCamera
 from stereo_slam_env.rendering.backends import make_renderer
 from stereo_slam_env.world.physics import PhysicsWorld
 from stereo_slam_env.world.routes import ROUTES

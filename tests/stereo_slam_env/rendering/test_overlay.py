@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from filters import Pose, rotations
-from filters.interface import StereoObservation
+from filters import Pose
+from filters.contract.observation import StereoObservation
+from filters.geometry import rotations
 from stereo_slam_env.rendering.drawing import caption_bar
 from stereo_slam_env.rendering.images import StereoImages
 from stereo_slam_env.rendering.overlay import annotated_pair

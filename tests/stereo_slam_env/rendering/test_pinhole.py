@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from filters import rotations
-from filters.camera import StereoCamera
+from filters.geometry import rotations
+from filters.geometry.camera import StereoCamera
 from stereo_slam_env.rendering import pinhole
 
 CAMERA = StereoCamera(300.0, 310.0, 170.0, 111.0, 0.5, 320, 240)

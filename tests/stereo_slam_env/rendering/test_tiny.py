@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from filters.camera import StereoCamera
+from filters.geometry.camera import StereoCamera
 from stereo_slam_env.rendering import pinhole
 from stereo_slam_env.rendering.tiny import Air
 from stereo_slam_env.world.frames import R_SW

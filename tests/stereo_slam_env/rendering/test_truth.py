@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from filters import Pose, rotations
+from filters import Pose
+from filters.geometry import rotations
 from stereo_slam_env.rendering.pinhole import depth_at, points_at
 
 from .planes import AHEAD, CAMERA, Wall, both_back_ends, drawing, scene_of

@@ -6,7 +6,8 @@ import json
 import numpy as np
 import pytest
 
-from filters import StereoNoise, StereoObservation, rotations
+from filters import StereoNoise, StereoObservation
+from filters.geometry import rotations
 from stereo_slam_env.benchmark.recordings.reference_problem import long_drive
 from stereo_slam_env.benchmark.scenarios.streams import stream_digest
 from stereo_slam_env.evaluation.filter_run import run_filter

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from filters import Pose, rotations
-from filters.camera import StereoCamera
+from filters import Pose
+from filters.geometry import rotations
+from filters.geometry.camera import StereoCamera
 from stereo_slam_env.recording.recording import LandmarkTruth
 from stereo_slam_env.sensing.pixel_noise import IndependentPixels, IndependentUvd
 from stereo_slam_env.sensing.rigs import RIGS

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from filters import Pose, rotations
+from filters import Pose
+from filters.geometry import rotations
 from stereo_slam_env.recording.recording import Velocity
 from stereo_slam_env.sensing.sensors import OdometrySensor
 from stereo_slam_env.world.vehicle import advance

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from filters.noise import StereoNoise
+from filters.contract.noise import StereoNoise
 from stereo_slam_env.sensing.pixel_noise import (
     MATCHING_SIGMA,
     NOISE_MODELS,

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from filters import Pose, rotations
+from filters import Pose
+from filters.geometry import rotations
 from stereo_slam_env.world.frames import R_SW, WorldFrame
 from stereo_slam_env.world.physics import PhysicsWorld
 from stereo_slam_env.world.routes import FRAME_PERIOD

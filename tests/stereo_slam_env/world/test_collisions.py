@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numba import njit
 
-from filters import rotations
+from filters.geometry import rotations
 from stereo_slam_env.world.collisions import collides, touches
 from stereo_slam_env.world.physics import PhysicsWorld
 from stereo_slam_env.world.rays import obstacles, traversal

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from filters import Pose, rotations
+from filters import Pose
+from filters.geometry import rotations
 from stereo_slam_env.world.vehicle import Head, advance, head_turn, velocity_between
 
 HEAD = Head(0.5, max_angles=(2.0, 0.4), max_rates=(1.5, 1.0))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from filters import rotations
+from filters.geometry import rotations
 from stereo_slam_env.world.routes import FRAME_PERIOD, ROUTES, loop, right_turn, straight, town
 from stereo_slam_env.world.vehicle import AgentDriver, Car, RouteDriver, advance
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from filters import rotations
+from filters.geometry import rotations
 from stereo_slam_env.rendering import pinhole
 from stereo_slam_env.sensing.rigs import RIGS
 from stereo_slam_env.world.frames import WorldFrame

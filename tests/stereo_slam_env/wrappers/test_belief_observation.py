@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from filters import StereoFilter, make_filter, rotations
+from filters import StereoFilter, make_filter
+from filters.geometry import rotations
 from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.recording.recording import Recording
 from stereo_slam_env.wrappers import BeliefObservation
@@ -153,7 +154,7 @@ class Broken(StereoFilter):
     ],
 )
 def test_a_filter_that_breaks_down_is_named_with_frame_and_cause(monkeypatch, what, message):
-    monkeypatch.setitem(__import__("filters.presets", fromlist=["PRESETS"]).PRESETS, "broken", Broken)
+    monkeypatch.setitem(__import__("filters.catalogue.presets", fromlist=["PRESETS"]).PRESETS, "broken", Broken)
     env = BeliefObservation(ReplayEnv(), "broken", options={"what": what})
     with pytest.raises(RuntimeError) as caught:
         episode(env)

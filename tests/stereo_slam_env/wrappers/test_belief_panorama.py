@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from filters import StereoNoise, rotations
+from filters import StereoNoise
+from filters.geometry import rotations
 from stereo_slam_env.training.task import GazeTask
 from stereo_slam_env.wrappers import BeliefObservation, BeliefPanorama
 from stereo_slam_env.wrappers.belief_observation import Belief

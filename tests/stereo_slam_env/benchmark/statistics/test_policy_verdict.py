@@ -121,3 +121,12 @@ def test_the_first_screen_has_a_row_a_policy_and_a_sentence_for_each():
     assert markup.count("<li>") == 2
     for said in ("What does it claim at the end?", "How wrong is it then?", "baseline", ">yes<", ">no<", "not shown"):
         assert said in markup, said
+
+
+def test_the_headline_holds_the_best_against_the_baseline_and_no_other():
+    verdict, summaries = judged(BETTER, WORSE)
+    account = {s.filter_name: f"true error {s.end_error_m:.3g} m" for s in summaries}
+    first = verdict.headline.split(". ")[0]
+    assert first.startswith("greedy leaves the pose least uncertain")
+    assert first.index(account["greedy"]) < first.index("; fixed: ") < first.index(account["fixed"])
+    assert "dreams" not in first

@@ -69,7 +69,7 @@ def test_docstrings_comments_and_formatting_change_nothing(copy, old, new):
     ("file", "old", "new"),
     [
         ("stereo_slam_env/world/physics.py", "_SURFACE_GAP = 0.05", "_SURFACE_GAP = 0.06"),
-        ("filters/presets.py", '="shared-anchor"', '="inverse-depth"'),
+        ("filters/catalogue/presets.py", '="shared-anchor"', '="inverse-depth"'),
         (KALMAN, "import numpy as np\n", "import numpy as np\n\nnp.seterr(all='raise')\n"),
     ],
 )

@@ -1,0 +1,121 @@
+"""The named filters: each is a choice of parts of the engine."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from filters.contract.noise import ColouredNoise, StereoNoise
+from filters.contract.stereo_filter import StereoFilter
+from filters.engine.stereo_ekf import StereoEKF
+from filters.geometry.camera import StereoCamera
+from filters.submaps.submap_ekf import SubmapEKF
+
+
+def _named(class_name: str, description: str, **chosen: Any) -> type[StereoEKF]:
+    """A `StereoEKF` with other defaults: those of `chosen`."""
+
+    def __init__(self: StereoEKF, camera: StereoCamera, noise: StereoNoise, **options: Any) -> None:
+        StereoEKF.__init__(self, camera, noise, **{**chosen, **options})
+
+    return type(class_name, (StereoEKF,), {"__init__": __init__, "__doc__": description, "__module__": __name__})
+
+
+InverseDepthStereoEKF = _named(
+    "InverseDepthStereoEKF",
+    """Inverse-depth stereo EKF with joint (u, v, d) updates (the paper's).
+
+    Landmarks are stored with shared anchors, which gives the paper's estimates in half the numbers;
+    `landmark="inverse-depth"` stores the paper's six each.
+    """,
+    landmark="shared-anchor",
+)
+DualBearingEKF = _named(
+    "DualBearingEKF",
+    """Inverse-depth EKF that updates with the left, then the right bearing.
+
+    `measurement={"name": "sequential", "copied_row_variance": 1.0}` takes the left row for a right one that is not
+    measured, as the paper's rival does. Landmarks are stored with shared anchors, as in `InverseDepthStereoEKF`.
+    """,
+    landmark="shared-anchor",
+    measurement="sequential",
+)
+EuclideanEKF = _named(
+    "EuclideanEKF",
+    """Euclidean XYZ stereo EKF with joint (u, v, d) updates.
+
+    Without `min_disparity` it starts landmarks from any d > 0, as the textbook does, and diverges on far points;
+    5 px is a usual guard, at the price of throwing far points away.
+    """,
+    landmark="euclidean",
+)
+SharedAnchorEKF = _named(
+    "SharedAnchorEKF",
+    """Inverse-depth stereo EKF whose landmarks of one frame share their anchor: same estimates, smaller state.""",
+    landmark="shared-anchor",
+)
+HybridEKF = _named(
+    "HybridEKF",
+    """Inverse-depth stereo EKF whose landmarks become XYZ once their position is Gaussian enough.
+
+    `landmark={"name": "hybrid", "linearity_limit": 0.02}` sets when.
+    """,
+    landmark="hybrid",
+)
+RightInvariantEKF = _named(
+    "RightInvariantEKF",
+    """Shared-anchor inverse-depth stereo EKF with right-invariant errors.""",
+    landmark="shared-anchor",
+    error="right-invariant",
+)
+UnscentedStereoFilter = _named(
+    "UnscentedStereoFilter",
+    """Shared-anchor inverse-depth stereo filter with unscented updates on the measured sub-state.
+
+    Source: Li and Aouf, who use sigma points for a stereo rig.
+    """,
+    landmark="shared-anchor",
+    update="unscented",
+)
+MonocularEKF = _named(
+    "MonocularEKF",
+    """Shared-anchor inverse-depth EKF that updates with the left camera only; disparity starts its landmarks.""",
+    landmark="shared-anchor",
+    measurement="left",
+)
+
+
+class ColouredNoiseEKF(StereoEKF):
+    """Stereo EKF for errors that last from frame to frame, as those of tracks in real images do.
+
+    What a `ColouredNoise` states becomes process noise of landmarks, a gauge walk, and variables for the misalignment
+    of camera and reference and for the offset of the disparities; where the noise states nothing, it is taken for
+    white. Shared anchors, right-invariant errors, and the joint test over the frame where there is a gate.
+    """
+
+    def __init__(self, camera: StereoCamera, noise: StereoNoise, *, gate: float | None = 0.99, **options: Any) -> None:
+        stated: dict[str, Any] = {}
+        if isinstance(noise, ColouredNoise):
+            stated |= {"drift": noise.drift, "gauge_walk": noise.gauge_walk}
+            priors = {"misalignment_sigma": noise.misalignment, "offset_sigma": noise.disparity_offset}
+            if any(priors.values()):
+                given = {name: sigma for name, sigma in priors.items() if sigma}
+                stated["measurement"] = {"name": "calibrated", **given}
+            noise = StereoNoise(noise.R if noise.white is None else noise.white)
+        usual = {"landmark": "shared-anchor", "error": "right-invariant", "consensus": gate is not None}
+        super().__init__(camera, noise, gate=gate, **{**usual, **stated, **options})
+
+
+PRESETS: Mapping[str, type[StereoFilter]] = {
+    "inverse-depth": InverseDepthStereoEKF,
+    "dual-bearing": DualBearingEKF,
+    "euclidean": EuclideanEKF,
+    "shared-anchor": SharedAnchorEKF,
+    "hybrid": HybridEKF,
+    "right-invariant": RightInvariantEKF,
+    "unscented": UnscentedStereoFilter,
+    "monocular": MonocularEKF,
+    "coloured-noise": ColouredNoiseEKF,
+    "submaps": SubmapEKF,
+}
+"""The named filters by name; the first line of a class describes it."""

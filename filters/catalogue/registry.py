@@ -1,0 +1,141 @@
+"""Registry of filters: the named ones of this package, and those of third parties.
+
+A third party adds a filter with an entry point in the group `stereo_slam.filters`::
+
+    [project.entry-points."stereo_slam.filters"]
+    my-filter = "my_package:MyFilter"
+
+The object is called as `MyFilter(camera, noise, **options)` and returns a `StereoFilter`.
+"""
+
+from __future__ import annotations
+
+import inspect
+import logging
+from collections.abc import Callable
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any
+
+from filters.catalogue.presets import PRESETS
+from filters.contract.known_names import did_you_mean
+from filters.contract.noise import StereoNoise
+from filters.contract.stereo_filter import StereoFilter
+from filters.geometry.camera import StereoCamera
+
+ENTRY_POINT_GROUP = "stereo_slam.filters"
+FilterFactory = Callable[..., StereoFilter]
+
+_log = logging.getLogger(__name__)
+
+
+def make_filter(name: str | FilterFactory, *, camera: StereoCamera, noise: StereoNoise, **options: Any) -> StereoFilter:
+    """Make a filter by name.
+
+    Parameters
+    ----------
+    name : str or callable
+        One of `available_filters()`; or what an entry point would name: a filter class, or a function that makes one.
+    camera : StereoCamera
+        The rig.
+    noise : StereoNoise
+        R of (u, v, d).
+    **options
+        The filter's own; for EKF-based ones see `filters.engine.stereo_ekf.StereoEKF`.
+
+    Raises
+    ------
+    ValueError
+        Unknown name or option, an option's value is refused, or a third-party filter cannot be loaded.
+    """
+    factory, name = filter_factory(name), label_of(name)
+    _refuse_unknown_options(name, factory, options)
+    made = factory(camera=camera, noise=noise, **options)
+    if not isinstance(made, StereoFilter):
+        raise ValueError(f"filter {name!r} made a {type(made).__name__}, not a StereoFilter: derive it from that")
+    return made
+
+
+def available_filters() -> dict[str, str]:
+    """Names and one line on each; a third-party filter that cannot be loaded says why instead."""
+    lines = {name: _first_line(factory) for name, factory in PRESETS.items()}
+    for name, entry_point in _plugins().items():
+        try:
+            lines[name] = _first_line(_load(entry_point))
+        except ValueError as error:
+            _log.warning("%s", error)
+            lines[name] = f"not available: {error}"
+    return lines
+
+
+def label_of(filter_name: str | FilterFactory) -> str:
+    """Label of a filter: its registry name, or the name of its class or function."""
+    return filter_name if isinstance(filter_name, str) else getattr(filter_name, "__name__", type(filter_name).__name__)
+
+
+def filter_factory(name: str | FilterFactory) -> FilterFactory:
+    """Factory of the filter of that name, or `name` itself if it is a class or a function.
+
+    Raises
+    ------
+    ValueError
+        Unknown name, or a third-party filter that cannot be loaded.
+    """
+    if not isinstance(name, str):
+        return name
+    if name in PRESETS:
+        return PRESETS[name]
+    plugins = _plugins()
+    if name in plugins:
+        return _load(plugins[name])
+    names = sorted({*PRESETS, *plugins})
+    raise ValueError(f"filter must be one of {', '.join(names)}, got {name!r}{did_you_mean(name, names)}")
+
+
+def _plugins() -> dict[str, EntryPoint]:
+    found: dict[str, EntryPoint] = {}
+    for entry_point in entry_points(group=ENTRY_POINT_GROUP):
+        if entry_point.name in PRESETS:
+            _log.warning("filter %r of %s is hidden by the built-in one", entry_point.name, entry_point.value)
+        else:
+            found[entry_point.name] = entry_point
+    return found
+
+
+def _load(entry_point: EntryPoint) -> FilterFactory:
+    try:
+        factory = entry_point.load()
+    except Exception as error:  # whatever a stranger's module does at import must not take the run down
+        raise ValueError(
+            f"filter {entry_point.name!r} ({entry_point.value}) cannot be loaded: {type(error).__name__}: {error}"
+        ) from error
+    if not callable(factory):
+        raise ValueError(f"filter {entry_point.name!r} ({entry_point.value}) is not callable")
+    made: FilterFactory = factory
+    return made
+
+
+def _refuse_unknown_options(name: str, factory: FilterFactory, options: dict[str, Any]) -> None:
+    """Check option names along the class hierarchy, so that a misspelt one is named rather than swallowed."""
+    accepted: set[str] = set()
+    for layer in inspect.getmro(factory) if inspect.isclass(factory) else (factory,):
+        constructor = layer.__dict__.get("__init__") if inspect.isclass(layer) else layer
+        if constructor is None:
+            continue
+        parameters = inspect.signature(constructor).parameters.values()
+        accepted |= {p.name for p in parameters if p.kind in (p.KEYWORD_ONLY, p.POSITIONAL_OR_KEYWORD)}
+        if not any(p.kind is p.VAR_KEYWORD for p in parameters):
+            break
+    else:
+        return
+    accepted -= {"self", "camera", "noise"}
+    for option in options:
+        if option not in accepted:
+            raise ValueError(
+                f"option {option!r} is not one of filter {name!r}{did_you_mean(option, accepted)}; "
+                f"available: {', '.join(sorted(accepted)) or 'none'}"
+            )
+
+
+def _first_line(factory: FilterFactory) -> str:
+    text = inspect.getdoc(factory) or "no description"
+    return text.splitlines()[0]

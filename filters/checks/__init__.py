@@ -1,0 +1,1 @@
+"""Checks of filters and of parts, for those who write them."""

@@ -1,0 +1,572 @@
+"""`check_filter`: the checks that every filter must pass (after scikit-learn's `check_estimator`).
+
+Most checks use a short drive past a cloud of points and need no reference implementation; accuracy is held against
+`inverse-depth` on longer drives. Camera and noise are the filter's own.
+"""
+
+from __future__ import annotations
+
+import copy
+import inspect
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from filters.catalogue.common_options import USUAL, make_with_common_options
+from filters.catalogue.registry import FilterFactory, filter_factory, label_of
+from filters.checks.drives import DT, SPEED, StraightDrive, WindingDrive
+from filters.contract.beliefs import Forecast, PoseBelief
+from filters.contract.noise import StereoNoise
+from filters.contract.observation import StereoObservation
+from filters.contract.start import Start
+from filters.contract.stereo_filter import StereoFilter
+from filters.contract.update_report import UpdateReport
+from filters.geometry.camera import StereoCamera
+from filters.validation import FloatArray
+
+REFERENCE_CAMERA = StereoCamera(721.5, 721.5, 672.0, 195.5, 0.571, 1344, 391)
+REFERENCE_NOISE = StereoNoise.independent_pixels(1.0)
+
+START_COVARIANCE = np.diag(np.repeat([1e-6, 1e-6, 0.5, 0.05], 3) ** 2)
+START = Start(linear_velocity=np.array([0.0, 0.0, SPEED]), covariance=START_COVARIANCE)
+
+WORST_FACTOR = 6.0
+"""Errors so many times those of `inverse-depth` fail. `monocular` has 3 times, ten times the pixel noise gives 11."""
+
+LONGEST_DELAY = 20
+"""Frames after which a filter with delayed updates must have reported what it was given."""
+
+_EMPTY = StereoObservation(np.zeros(0, dtype=np.int64), np.zeros((0, 3)))
+
+Make = Callable[[], StereoFilter]
+
+
+class ConformanceError(AssertionError):
+    """Some checks failed; the message lists each of them."""
+
+
+@dataclass(frozen=True)
+class ConformanceReport:
+    """Result of `check_filter` or `check_part`.
+
+    Attributes
+    ----------
+    filter_name : str
+        Class of the filter or of the part.
+    passed, failed : tuple of str
+        One line a check.
+    """
+
+    filter_name: str
+    passed: tuple[str, ...]
+    failed: tuple[str, ...]
+
+    def __str__(self) -> str:
+        lines = [f"{self.filter_name}: {len(self.passed)} checks passed, {len(self.failed)} failed"]
+        return "\n".join([*lines, *(f"  failed: {line}" for line in self.failed)])
+
+
+def check_filter(factory: str | FilterFactory, *, raise_on_failure: bool = True) -> ConformanceReport:
+    """Check that filters made by `factory` keep the contract of `StereoFilter`.
+
+    Parameters
+    ----------
+    factory : str or callable
+        A name of `available_filters()`, or a filter class or a function, which is called as a benchmark does: with
+        `camera`, `noise` and the `filters.catalogue.common_options` that it leaves open; or without arguments if it
+        takes none.
+    raise_on_failure : bool
+        Raise if a check fails; else only report.
+
+    Returns
+    -------
+    ConformanceReport
+
+    Raises
+    ------
+    ConformanceError
+        With every failed check listed.
+    ValueError
+        There is no filter of that name.
+    """
+    return checked(label_of(factory), CHECKS, as_benchmarks_make_it(factory), raise_on_failure)
+
+
+def checked(
+    name: str, checks: Sequence[Callable[[Any], None]], subject: object, raise_on_failure: bool
+) -> ConformanceReport:
+    """Run the checks of a filter or a part; see `check_filter`."""
+    passed, failed = [], []
+    for check in checks:
+        line = (inspect.getdoc(check) or check.__name__).splitlines()[0].rstrip(".")
+        try:
+            check(subject)
+        except AssertionError as error:
+            failed.append(f"{line}: {error}")
+        except Exception as error:  # whatever else it raises is a failed check, too
+            failed.append(f"{line}: raised {type(error).__name__}: {error}")
+        else:
+            passed.append(line)
+    report = ConformanceReport(name, tuple(passed), tuple(failed))
+    if failed and raise_on_failure:
+        raise ConformanceError(str(report))
+    return report
+
+
+def as_benchmarks_make_it(factory: str | FilterFactory) -> Make:
+    """Factory that makes the filter as a benchmark does; takes the argument of `check_filter`."""
+    factory = filter_factory(factory)
+    if _takes(factory) and not _takes(factory, camera=REFERENCE_CAMERA, noise=REFERENCE_NOISE):
+        return factory
+    return lambda: make_with_common_options(factory, REFERENCE_CAMERA, REFERENCE_NOISE, {}, USUAL).filter
+
+
+def _takes(factory: Callable[..., StereoFilter], **arguments: object) -> bool:
+    try:
+        inspect.signature(factory).bind(**arguments)
+    except TypeError:
+        return False
+    return True
+
+
+def _started(make: Make) -> StereoFilter:
+    stereo_filter = make()
+    stereo_filter.reset(START)
+    return stereo_filter
+
+
+def _driven(make: Make, frames: int = 5) -> tuple[StereoFilter, StraightDrive]:
+    stereo_filter = _started(make)
+    drive = StraightDrive.past(stereo_filter)
+    _drive_on(stereo_filter, drive, range(frames))
+    return stereo_filter, drive
+
+
+def _drive_on(stereo_filter: StereoFilter, drive: StraightDrive, frames: range, scale: float = 1.0) -> None:
+    for frame in frames:
+        if frame:
+            stereo_filter.predict(DT)
+        stereo_filter.update(drive.observe(frame, scale))
+
+
+def shown_arrays(stereo_filter: StereoFilter) -> tuple[FloatArray, ...]:
+    """Everything a filter shows, as copies."""
+    pose, velocity, landmarks = stereo_filter.pose, stereo_filter.velocity, stereo_filter.landmarks
+    shown = (
+        *(pose.position, pose.orientation, pose.covariance),
+        *(velocity.linear, velocity.angular, velocity.covariance),
+        *(landmarks.ids, landmarks.positions, landmarks.covariances),
+        *(landmarks.inverse_distance, landmarks.inverse_distance_variance),
+    )
+    return tuple(np.array(array, dtype=np.float64) for array in shown)
+
+
+def _same(first: StereoFilter, second: StereoFilter, tolerance: float = 0.0) -> bool:
+    pairs = zip(shown_arrays(first), shown_arrays(second), strict=True)
+    if tolerance == 0.0:
+        return all(np.array_equal(a, b, equal_nan=True) for a, b in pairs)
+    return all(
+        a.shape == b.shape and np.allclose(a, b, rtol=tolerance, atol=tolerance, equal_nan=True) for a, b in pairs
+    )
+
+
+def _assert_covariance(name: str, covariance: FloatArray, *, definite: bool) -> None:
+    assert np.isfinite(covariance).all(), f"{name} is not finite"
+    scale = np.abs(covariance).max()
+    asymmetry = np.abs(covariance - np.swapaxes(covariance, -1, -2)).max(initial=0.0)
+    assert asymmetry <= 1e-12 * scale, f"{name} is asymmetric by {asymmetry:.3g}"
+    # Scaled to unit variances, so that metres and radians compare.
+    sigmas = np.sqrt(np.maximum(np.diagonal(covariance, axis1=-2, axis2=-1), 1e-300))
+    smallest = np.linalg.eigvalsh(covariance / sigmas[..., :, None] / sigmas[..., None, :]).min()
+    lowest = 0.0 if definite else -1e-9
+    assert smallest > lowest, f"{name} has a correlation eigenvalue {smallest:.3g}"
+
+
+def assert_healthy(stereo_filter: StereoFilter) -> None:
+    """Raise an AssertionError if a belief is not finite, or a covariance not positive definite."""
+    pose, velocity = stereo_filter.pose, stereo_filter.velocity
+    assert np.isfinite(np.concatenate([pose.position, pose.orientation])).all(), "pose is not finite"
+    assert np.isfinite(np.concatenate([velocity.linear, velocity.angular])).all(), "velocity is not finite"
+    assert abs(np.linalg.norm(pose.orientation) - 1) < 1e-9, "orientation is not a unit quaternion"
+    _assert_covariance("pose covariance", pose.covariance, definite=True)
+    _assert_covariance("velocity covariance", velocity.covariance, definite=False)
+    landmarks = stereo_filter.landmarks
+    finite = np.isfinite(landmarks.covariances).all(axis=(1, 2))
+    if finite.any():
+        _assert_covariance("landmark covariances", landmarks.covariances[finite], definite=False)
+    assert (landmarks.inverse_distance_variance >= 0).all(), "an inverse distance has negative variance"
+
+
+def check_interface(make: Make) -> None:
+    """It is a StereoFilter with a camera and a noise."""
+    stereo_filter = make()
+    assert isinstance(stereo_filter, StereoFilter), f"got {type(stereo_filter).__name__}"
+    assert isinstance(stereo_filter.camera, StereoCamera), "camera must be a StereoCamera"
+    assert isinstance(stereo_filter.noise, StereoNoise), "noise must be a StereoNoise"
+
+
+def check_reset(make: Make) -> None:
+    """Reset puts the belief where it was told, with an empty map."""
+    stereo_filter, _ = _driven(make)
+    orientation = np.array([0.1, -0.2, 0.3, 0.9])
+    orientation /= np.linalg.norm(orientation)
+    covariance = np.diag(np.linspace(0.1, 1.2, 12))
+    stereo_filter.reset(
+        Start(np.array([1, 2, 3]), orientation, np.array([4, 5, 6]), np.array([0.1, 0.2, 0.3]), covariance)
+    )
+    pose, velocity = stereo_filter.pose, stereo_filter.velocity
+    assert np.allclose(pose.position, (1, 2, 3)), f"position is {pose.position}"
+    assert np.allclose(np.abs(pose.orientation @ orientation), 1), f"orientation is {pose.orientation}"
+    assert np.allclose(velocity.linear, (4, 5, 6)), f"linear velocity is {velocity.linear}"
+    assert np.allclose(velocity.angular, (0.1, 0.2, 0.3)), f"angular velocity is {velocity.angular}"
+    assert np.allclose(pose.covariance, covariance[:6, :6]), "pose covariance is not the one given"
+    assert np.allclose(velocity.covariance, covariance[6:, 6:]), "velocity covariance is not the one given"
+    assert len(stereo_filter.landmarks.ids) == 0, "the map is not empty"
+
+
+def check_shapes(make: Make) -> None:
+    """Beliefs, forecast and pose error have the documented shapes and types."""
+    stereo_filter, drive = _driven(make)
+    pose, velocity, landmarks = stereo_filter.pose, stereo_filter.velocity, stereo_filter.landmarks
+    error, covariance = stereo_filter.pose_error(drive.position(4), (0, 0, 0, 1))
+    forecast = stereo_filter.forecast()
+    n = len(landmarks.ids)
+    expected = {
+        "pose.position": (pose.position, (3,)),
+        "pose.orientation": (pose.orientation, (4,)),
+        "pose.covariance": (pose.covariance, (6, 6)),
+        "velocity.linear": (velocity.linear, (3,)),
+        "velocity.angular": (velocity.angular, (3,)),
+        "velocity.covariance": (velocity.covariance, (6, 6)),
+        "landmarks.positions": (landmarks.positions, (n, 3)),
+        "landmarks.covariances": (landmarks.covariances, (n, 3, 3)),
+        "landmarks.inverse_distance": (landmarks.inverse_distance, (n,)),
+        "landmarks.inverse_distance_variance": (landmarks.inverse_distance_variance, (n,)),
+        "pose_error()[0]": (error, (6,)),
+        "pose_error()[1]": (covariance, (6, 6)),
+        "forecast().uvd": (forecast.uvd, (len(forecast.ids), 3)),
+        "forecast().S": (forecast.S, (len(forecast.ids), 3, 3)),
+    }
+    for name, (array, shape) in expected.items():
+        assert array.shape == shape, f"{name} has shape {array.shape}, not {shape}"
+        assert array.dtype == np.float64, f"{name} is {array.dtype}, not float64"
+    assert isinstance(pose, PoseBelief), f"pose is a {type(pose).__name__}"
+    assert isinstance(forecast, Forecast), f"forecast returned a {type(forecast).__name__}"
+    assert landmarks.ids.dtype == np.int64, f"landmarks.ids is {landmarks.ids.dtype}, not int64"
+    assert (np.diff(landmarks.ids) > 0).all(), "landmarks.ids is not ascending"
+    assert forecast.in_view.dtype == bool, "forecast().in_view is not boolean"
+
+
+def check_covariances(make: Make) -> None:
+    """Covariances are symmetric and positive definite all along a drive."""
+    stereo_filter = _started(make)
+    drive = StraightDrive.past(stereo_filter)
+    for frame in range(12):
+        _drive_on(stereo_filter, drive, range(frame, frame + 1))
+        assert_healthy(stereo_filter)
+    forecast = stereo_filter.forecast()
+    if len(forecast.ids):
+        _assert_covariance("forecast S", forecast.S, definite=True)
+
+
+def check_joint_covariance(make: Make) -> None:
+    """The joint covariance is definite, and has those of pose and landmarks on its diagonal."""
+    stereo_filter, _ = _driven(make)
+    landmarks = stereo_filter.landmarks
+    located = np.isfinite(landmarks.covariances).all(axis=(1, 2))
+    joint = stereo_filter.joint_covariance(landmarks.ids[located])
+    size = 6 + 3 * int(located.sum())
+    assert joint.shape == (size, size), f"joint covariance is {joint.shape}, not {(size, size)}"
+    _assert_covariance("joint covariance", joint, definite=True)
+    told = [joint[:6, :6], *(joint[first : first + 3, first : first + 3] for first in range(6, size, 3))]
+    wanted = [stereo_filter.pose.covariance, *landmarks.covariances[located]]
+    for place, (block, marginal) in enumerate(zip(told, wanted, strict=True)):
+        off = np.abs(block - marginal).max() / np.abs(marginal).max()
+        of = f"landmark {landmarks.ids[located][place - 1]}" if place else "the pose"
+        assert off < 1e-9, f"the joint covariance of {of} differs from its own by {off:.3g} of it"
+
+
+def check_prediction_loses_certainty(make: Make) -> None:
+    """Predicting makes the pose less certain, and moves it by velocity times dt."""
+    stereo_filter = _started(make)
+    before = np.trace(stereo_filter.pose.covariance)
+    stereo_filter.predict(DT)
+    assert np.trace(stereo_filter.pose.covariance) > before, "the pose covariance did not grow"
+    moved = stereo_filter.pose.position
+    assert np.allclose(moved, (0, 0, SPEED * DT), atol=1e-9), f"moved to {moved}"
+
+
+def check_accuracy(make: Make) -> None:
+    """With nearly exact measurements the pose follows the truth."""
+    stereo_filter = _started(make)
+    drive = StraightDrive.past(stereo_filter)
+    _drive_on(stereo_filter, drive, range(10), scale=0.01)
+    error, _ = stereo_filter.pose_error(drive.position(9), (0, 0, 0, 1))
+    assert np.abs(error[:3]).max() < 0.05, f"position error {error[:3]} m"
+    assert np.abs(error[3:]).max() < 0.01, f"rotation error {error[3:]} rad"
+
+
+def check_accuracy_of_long_drives(make: Make) -> None:
+    """Over winding drives of ten seconds its errors are not many times those of inverse-depth."""
+    stereo_filter = make()
+    errors, used = _errors_on_long_drives(stereo_filter)
+    if not used:
+        return  # a filter without a camera, such as dead reckoning, is as good as what it goes by
+    usual, _ = _errors_of_inverse_depth(stereo_filter.camera, stereo_filter.noise)
+    for what, error, reference in zip(("position", "rotation"), errors, usual, strict=True):
+        factor = error / reference
+        assert factor < WORST_FACTOR, f"{what} errors are {factor:.1f} times those of inverse-depth"
+
+
+@lru_cache(maxsize=4)
+def _errors_of_inverse_depth(camera: StereoCamera, noise: StereoNoise) -> tuple[tuple[float, float], bool]:
+    return _errors_on_long_drives(make_with_common_options("inverse-depth", camera, noise, {}, USUAL).filter)
+
+
+def _errors_on_long_drives(stereo_filter: StereoFilter) -> tuple[tuple[float, float], bool]:
+    """Root mean square errors of position, m, and rotation, rad; and whether it rejected less than all it was given."""
+    errors, used = [], False
+    for seed in range(2):
+        drive = WindingDrive.simulated(stereo_filter.camera, stereo_filter.noise, seed)
+        stereo_filter.reset(
+            Start(
+                linear_velocity=drive.linear_velocity,
+                angular_velocity=drive.angular_velocity,
+                covariance=START_COVARIANCE,
+            )
+        )
+        for number, frame in enumerate(drive.frames):
+            if number:
+                stereo_filter.predict(DT)
+            report = stereo_filter.update(frame.observation)
+            used |= set(report.rejected.tolist()) != set(frame.observation.ids.tolist())
+            errors.append(stereo_filter.pose_error(frame.position, frame.orientation)[0])
+    squared = np.square(errors).reshape(-1, 2, 3).sum(axis=2)
+    position, rotation = np.sqrt(squared.mean(axis=0)).tolist()
+    return (position, rotation), used
+
+
+def check_confidence(make: Make) -> None:
+    """Over twenty drives with matched noise it is not overconfident."""
+    nees = []
+    for seed in range(20):
+        stereo_filter = _started(make)
+        drive = StraightDrive.past(stereo_filter, seed)
+        _drive_on(stereo_filter, drive, range(6))
+        error, covariance = stereo_filter.pose_error(drive.position(5), (0, 0, 0, 1))
+        nees.append(error @ np.linalg.solve(covariance, error) / 6)
+    # A consistent filter exceeds 1.8 over 20 x 6 degrees of freedom with a probability of 2e-7.
+    assert np.mean(nees) < 1.8, f"mean pose NEES is {np.mean(nees):.2f} per degree of freedom, not about 1"
+
+
+def _told(report: UpdateReport) -> list[int]:
+    """The landmarks that a report says something of, those that have left the map aside."""
+    parts = (report.updated, report.gated, report.behind_camera, report.failed, report.initialised, report.rejected)
+    return [i for part in parts for i in part.tolist()]
+
+
+def _delays(make: Make) -> bool:
+    """Whether reports are of other frames than their own, too: a filter with delayed updates."""
+    stereo_filter = _started(make)
+    drive = StraightDrive.past(stereo_filter)
+    told: list[list[int]] = []
+    seen: list[list[int]] = []
+    for observation in [*(drive.observe(frame) for frame in range(5)), _EMPTY]:  # in the last one all tracks end
+        if seen:
+            stereo_filter.predict(DT)
+        told.append(sorted(_told(stereo_filter.update(observation))))
+        seen.append(sorted(observation.ids.tolist()))
+    return any(told) and told != seen
+
+
+def check_report(make: Make) -> None:
+    """Reports account for every measurement, in the update of its frame or, where updates are delayed, later."""
+    delayed = _delays(make)
+    stereo_filter = _started(make)
+    drive = StraightDrive.past(stereo_filter)
+    observations = [drive.observe(frame) for frame in range(6)]
+    # Three measurements far off, and three that were never seen before.
+    ids, uvd = observations[-1].ids.copy(), observations[-1].uvd.copy()
+    uvd[:3, 0] += 200.0
+    ids[-3:] += 1000
+    observations[-1] = StereoObservation(ids, uvd)
+    seen: Counter[int] = Counter()
+    told: Counter[int] = Counter()
+    for observation in observations + [_EMPTY] * (LONGEST_DELAY if delayed else 0):
+        if seen:
+            stereo_filter.predict(DT)
+        silent = not told and not len(stereo_filter.landmarks.ids)
+        report = stereo_filter.update(observation)
+        assert isinstance(report, UpdateReport), f"update returned {type(report).__name__}"
+        now = _told(report)
+        seen.update(observation.ids.tolist())
+        told.update(now)
+        assert len(now) == len(set(now)), "an id is reported twice"
+        assert set(now) <= set(seen), "an id is reported that was not observed"
+        assert told <= seen, f"ids {sorted(told - seen)[:5]} are reported more often than they were observed"
+        assert 0 <= report.nis < np.inf, f"nis is {report.nis}"
+        if not delayed and not silent:
+            missing = set(observation.ids.tolist()) - set(now)
+            assert not missing, f"ids {sorted(missing)[:5]} were observed and are not in the report"
+    if delayed:
+        never = set(seen) - set(told)
+        assert not never, f"ids {sorted(never)[:5]} were observed and are in no report {LONGEST_DELAY} frames later"
+
+
+def check_order(make: Make) -> None:
+    """The order of the landmarks in an observation does not matter."""
+    first, second = _started(make), _started(make)
+    drive = StraightDrive.past(first)
+    rng = np.random.default_rng(7)
+    for frame in range(6):
+        observation = drive.observe(frame)
+        if frame:
+            first.predict(DT)
+            second.predict(DT)
+        first.update(observation)
+        second.update(observation.select(rng.permutation(len(observation))))
+    assert _same(first, second, 1e-9), "beliefs differ by more than 1e-9"
+
+
+def check_determinism(make: Make) -> None:
+    """The same input gives the same bits, in a new filter and after reset."""
+    first, drive = _driven(make)
+    second, _ = _driven(make)
+    assert _same(first, second), "two filters differ"
+    second.reset(START)
+    _drive_on(second, drive, range(5))
+    assert _same(first, second), "after reset it does not start afresh"
+
+
+def check_bad_input(make: Make) -> None:
+    """Bad input raises ValueError and leaves the state unchanged."""
+    stereo_filter, _ = _driven(make)
+    before = copy.deepcopy(stereo_filter)
+    nan3 = (np.nan, 0.0, 0.0)
+    attempts: dict[str, Callable[[], object]] = {
+        "predict(0)": lambda: stereo_filter.predict(0.0),
+        "predict(-0.1)": lambda: stereo_filter.predict(-0.1),
+        "predict(nan)": lambda: stereo_filter.predict(float("nan")),
+        "predict(inf)": lambda: stereo_filter.predict(float("inf")),
+        "predict with a wrong odometry": lambda: stereo_filter.predict(DT, odometry=np.zeros(6)),  # type: ignore[arg-type]
+        "update(None)": lambda: stereo_filter.update(None),  # type: ignore[arg-type]
+        "reset with a position": lambda: stereo_filter.reset((0.0, 0.0, 0.0)),  # type: ignore[arg-type]
+        "forecast of an unknown id": lambda: stereo_filter.forecast([10**9]),
+        "pose_error with NaN": lambda: stereo_filter.pose_error(nan3, (0, 0, 0, 1)),
+    }
+    for name, attempt in attempts.items():
+        try:
+            attempt()
+        except ValueError:
+            pass
+        except Exception as error:  # the contract is ValueError and nothing else
+            raise AssertionError(f"{name} raised {type(error).__name__} instead of ValueError") from error
+        else:
+            raise AssertionError(f"{name} raised nothing")
+        assert _same(stereo_filter, before), f"{name} changed the state"
+
+
+def check_negative_disparity(make: Make) -> None:
+    """Measurements with d <= 0 are legal, for new and for known landmarks."""
+    stereo_filter, drive = _driven(make)
+    for frame in (5, 6):
+        observation = drive.observe(frame)
+        uvd = observation.uvd.copy()
+        uvd[:2, 2] = -0.5
+        uvd[2, 2] = 0.0
+        ids = observation.ids.copy()
+        ids[:3] += 500
+        uvd[3, 2] = -0.2
+        stereo_filter.predict(DT)
+        stereo_filter.update(StereoObservation(ids, uvd))
+        assert_healthy(stereo_filter)
+        stereo_filter.forecast()
+
+
+def check_empty_observation(make: Make) -> None:
+    """A frame without measurements changes no pose, unless updates are delayed."""
+    stereo_filter, _ = _driven(make)
+    stereo_filter.predict(DT)
+    before = stereo_filter.pose
+    report = stereo_filter.update(_EMPTY)
+    after = stereo_filter.pose
+    assert_healthy(stereo_filter)
+    if _delays(make):
+        return
+    assert np.array_equal(before.position, after.position), "the position changed"
+    assert np.array_equal(before.covariance, after.covariance), "the covariance changed"
+    assert not _told(report), "the report is not empty"
+    assert report.nis_dof == 0, f"nis_dof is {report.nis_dof}"
+
+
+def check_forget(make: Make) -> None:
+    """A forgotten landmark is gone, the pose stays, and it can be seen again."""
+    stereo_filter, drive = _driven(make)
+    ids = stereo_filter.landmarks.ids
+    if len(ids) == 0:
+        return  # a filter without a map
+    gone = ids[::3]
+    before = stereo_filter.pose
+    stereo_filter.forget(gone)
+    assert not np.isin(gone, stereo_filter.landmarks.ids).any(), "forgotten ids are still in the map"
+    assert len(stereo_filter.landmarks.ids) == len(ids) - len(gone), "other ids went too"
+    assert np.array_equal(before.covariance, stereo_filter.pose.covariance), "the pose covariance changed"
+    stereo_filter.forget(gone)
+    missing = set(gone.tolist())
+    for frame in range(5, 6 + (LONGEST_DELAY if _delays(make) else 0)):
+        stereo_filter.predict(DT)
+        missing -= set(stereo_filter.update(drive.observe(frame)).initialised.tolist())
+    assert not missing, "forgotten ids were not started again"
+    assert_healthy(stereo_filter)
+
+
+def check_snapshots(make: Make) -> None:
+    """Beliefs are snapshots: writing into them does not touch the filter."""
+    stereo_filter, _ = _driven(make)
+    before = copy.deepcopy(stereo_filter)
+    for array in (
+        stereo_filter.pose.covariance,
+        stereo_filter.pose.position,
+        stereo_filter.landmarks.positions,
+    ):
+        if array.flags.writeable:
+            array[...] = 1e3
+    assert _same(stereo_filter, before), "the filter's state changed"
+
+
+def check_copy(make: Make) -> None:
+    """A deep copy goes its own way with the same bits."""
+    stereo_filter, drive = _driven(make)
+    twin = copy.deepcopy(stereo_filter)
+    frozen = shown_arrays(stereo_filter)
+    _drive_on(twin, drive, range(5, 8))
+    unchanged = zip(frozen, shown_arrays(stereo_filter), strict=True)
+    assert all(np.array_equal(a, b, equal_nan=True) for a, b in unchanged), "driving the copy moved the original"
+    _drive_on(stereo_filter, drive, range(5, 8))
+    assert _same(stereo_filter, twin), "copy and original differ"
+
+
+CHECKS: tuple[Callable[[Make], None], ...] = (
+    check_interface,
+    check_reset,
+    check_shapes,
+    check_covariances,
+    check_joint_covariance,
+    check_prediction_loses_certainty,
+    check_accuracy,
+    check_accuracy_of_long_drives,
+    check_confidence,
+    check_report,
+    check_order,
+    check_determinism,
+    check_bad_input,
+    check_negative_disparity,
+    check_empty_observation,
+    check_forget,
+    check_snapshots,
+    check_copy,
+)

@@ -1,0 +1,122 @@
+"""Simulated drives for `check_filter`, with the camera and the noise of the filter that is checked."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from filters.contract.noise import StereoNoise
+from filters.contract.observation import StereoObservation
+from filters.contract.stereo_filter import StereoFilter
+from filters.geometry import rotations
+from filters.geometry.camera import StereoCamera
+from filters.validation import FloatArray, IntArray
+
+DT = 0.1
+SPEED = 5.0
+FRAMES = 100
+VISIBLE = 15
+NEAREST, FARTHEST = 4.0, 45.0
+_HEADING, _HEADING_PERIOD = 0.5, 8.0
+_SPEED_CHANGE, _SPEED_PERIOD = 1.5, 6.0
+
+
+@dataclass(frozen=True, eq=False)
+class StraightDrive:
+    """Straight ahead at `SPEED` past points spread over the view; measurements with the filter's own noise."""
+
+    camera: StereoCamera
+    noise: StereoNoise
+    points: FloatArray
+    seed: int
+
+    @classmethod
+    def past(cls, stereo_filter: StereoFilter, seed: int = 0, count: int = 30) -> StraightDrive:
+        """A drive for this filter past `count` points."""
+        rng = np.random.default_rng(seed)
+        camera = stereo_filter.camera
+        u = rng.uniform(0.3, 0.7, count) * camera.width
+        v = rng.uniform(0.3, 0.7, count) * camera.height
+        depth = rng.uniform(15.0, 60.0, count)
+        uvd = np.stack([u, v, camera.disparity_constant / depth], axis=1)
+        return cls(camera, stereo_filter.noise, camera.backproject(uvd), seed)
+
+    def position(self, frame: int) -> FloatArray:
+        """True r^WC, m; the orientation stays the one at the start."""
+        return np.array([0.0, 0.0, SPEED * DT * frame])
+
+    def observe(self, frame: int, scale: float = 1.0) -> StereoObservation:
+        """All points, with errors of `scale` times the noise."""
+        rng = np.random.default_rng([self.seed, frame])
+        errors = rng.multivariate_normal(np.zeros(3), self.noise.R, len(self.points))
+        uvd = self.camera.project(self.points - self.position(frame)) + scale * errors
+        return StereoObservation(np.arange(len(self.points)), uvd)
+
+
+@dataclass(frozen=True, eq=False)
+class WindingFrame:
+    """True pose of the camera (r^WC in m, q^WC), and its measurements."""
+
+    position: FloatArray
+    orientation: FloatArray
+    observation: StereoObservation
+
+
+@dataclass(frozen=True, eq=False)
+class WindingDrive:
+    """Ten seconds along a winding road with changing speed; landmarks enter, pass by and leave.
+
+    Accelerations stay within the standard deviations of `ConstantVelocity()`. A landmark that leaves the view is
+    replaced by a new one, so that each frame has `VISIBLE`.
+
+    Attributes
+    ----------
+    linear_velocity, angular_velocity : (3,)
+        True ones at the start: m/s in W, rad/s in the camera frame.
+    frames : tuple of WindingFrame
+        Every `DT` seconds.
+    """
+
+    linear_velocity: FloatArray
+    angular_velocity: FloatArray
+    frames: tuple[WindingFrame, ...]
+
+    @classmethod
+    def simulated(cls, camera: StereoCamera, noise: StereoNoise, seed: int) -> WindingDrive:
+        """The drive of that seed for this rig."""
+        rng = np.random.default_rng([seed, FRAMES])
+        times = DT * np.arange(FRAMES)
+        headings = _HEADING * np.sin(2.0 * np.pi * times / _HEADING_PERIOD)
+        speeds = SPEED + _SPEED_CHANGE * np.sin(2.0 * np.pi * times / _SPEED_PERIOD)
+        steps = DT * speeds[:, None] * np.stack([np.sin(headings), np.zeros(FRAMES), np.cos(headings)], axis=1)
+        positions = np.cumsum(steps, axis=0) - steps
+        root = np.linalg.cholesky(noise.R)
+        ids: IntArray = np.zeros(0, dtype=np.int64)
+        points, frames = np.zeros((0, 3)), []
+        entered = 0
+        for position, heading in zip(positions, headings, strict=True):
+            orientation = rotations.exp_quaternion(np.array([0.0, heading, 0.0]))
+            R_wc = rotations.matrix(orientation)
+            points_c = (points - position) @ R_wc
+            stays = points_c[:, 2] > NEAREST
+            stays[stays] = camera.in_view(camera.project(points_c[stays]))
+            missing = VISIBLE - int(stays.sum())
+            new_w = _points_in_view(camera, rng, missing) @ R_wc.T + position
+            points = np.vstack([points[stays], new_w])
+            ids = np.concatenate([ids[stays], np.arange(entered, entered + missing)])
+            entered += missing
+            exact = camera.project((points - position) @ R_wc)
+            uvd = exact + rng.standard_normal(exact.shape) @ root.T
+            frames.append(WindingFrame(position, orientation, StereoObservation(ids, uvd)))
+        turning = np.array([0.0, 2.0 * np.pi * _HEADING / _HEADING_PERIOD, 0.0])
+        return cls(np.array([0.0, 0.0, SPEED]), turning, tuple(frames))
+
+
+def _points_in_view(camera: StereoCamera, rng: np.random.Generator, count: int) -> FloatArray:
+    """New landmarks in the camera frame; (count, 3) m."""
+    u, v = rng.uniform(0.05, 0.95, (2, count))
+    depth = rng.uniform(2.0 * NEAREST, FARTHEST, count)
+    return camera.backproject(
+        np.stack([u * camera.width, v * camera.height, camera.disparity_constant / depth], axis=1)
+    )

@@ -1,0 +1,1 @@
+"""Checks of parts: one file a kind, collected in `filters.checks.part_checks`."""

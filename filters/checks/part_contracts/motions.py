@@ -1,0 +1,87 @@
+"""Checks of motion models."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from filters.checks.part_contracts.comparison import assert_close, assert_refusal, moved_world
+from filters.contract.odometry import BodyVelocity
+from filters.geometry import differences, rotations
+from filters.motions.model import CAMERA_SIZE, CameraState, MotionModel, measure_odometry, predict_camera
+from filters.validation import FloatArray
+
+DT = 0.1
+
+
+def a_camera(variables: Mapping[str, FloatArray]) -> CameraState:
+    """Somewhere, turned and moving."""
+    q = rotations.exp_quaternion(np.array([0.3, 0.5, -0.2]))
+    return CameraState(np.array([1.0, -2.0, 3.0]), q, np.array([4.0, 0.5, -1.0]), np.array([0.1, -0.3, 0.2]), variables)
+
+
+def _before(motion: MotionModel) -> tuple[CameraState, BodyVelocity]:
+    """A state, and odometry that all models take."""
+    rng = np.random.default_rng(0)
+    near = {v.name: v.retraction.retract(v.value, 1e-2 * rng.standard_normal(v.size)) for v in motion.variables}
+    odometry = BodyVelocity(np.array([0.2, -0.1, 5.0]), np.array([0.02, 0.3, -0.1]), np.diag(np.full(6, 1e-2)))
+    return a_camera(near), odometry
+
+
+def check_motion_prediction(motion: MotionModel) -> None:
+    """A prediction has the documented shapes and a semi-definite noise, and no time moves the pose by nothing."""
+    state, odometry = _before(motion)
+    predicted = predict_camera(motion, state, DT, odometry)
+    assert (np.linalg.eigvalsh(predicted.Q) >= -1e-12).all(), "Q is not positive semi-definite"
+    at_once = predict_camera(motion, state, 1e-9, odometry).state
+    assert_close("position after no time", at_once.position, state.position)
+    assert_close("orientation after no time", at_once.orientation, state.orientation)
+    try:
+        predict_camera(motion, state, DT, None)
+    except ValueError as error:
+        assert_refusal(error, "odometry")
+
+
+def check_motion_jacobians(motion: MotionModel) -> None:
+    """F, G and the H of odometry are those of differences."""
+    state, odometry = _before(motion)
+    predicted, size = motion.predict(state, DT, odometry), CAMERA_SIZE + sum(v.size for v in motion.variables)
+
+    def after(e: FloatArray) -> CameraState:
+        return motion.predict(motion.corrected(state, e), DT, odometry).state
+
+    assert_close("F", predicted.F, differences.jacobian(lambda e: motion.difference(predicted.state, after(e)), size))
+    if type(motion).move is not MotionModel.move:
+        pushed = differences.jacobian(
+            lambda n: motion.difference(predicted.state, motion.move(state, DT, odometry, n)), len(predicted.Q)
+        )
+        assert_close("G", predicted.G, pushed)
+    measured = measure_odometry(motion, state, DT, odometry)
+    if measured is not None:
+
+        def innovation(e: FloatArray) -> FloatArray:
+            at = motion.odometry_measurement(motion.corrected(state, e), DT, odometry)
+            assert at is not None, "odometry is a measurement of some states only"
+            return -at.innovation
+
+        assert_close("H of odometry", measured.H, differences.jacobian(innovation, size))
+
+
+def check_motion_invariance(motion: MotionModel) -> None:
+    """In a world that is turned and shifted, with its variables that are vectors in W, the motion is the same."""
+    state, odometry = _before(motion)
+    expected = moved_world(motion.predict(state, DT, odometry).state, variables=motion.variables)
+    in_another = motion.predict(moved_world(state, variables=motion.variables), DT, odometry).state
+    where = "in a moved world (a vector in W is to be a Variable with in_world=True)"
+    for name in ("position", "linear_velocity", "angular_velocity", "R_wc"):
+        assert_close(f"{name} {where}", getattr(in_another, name), getattr(expected, name), 1e-9)
+    for name in (variable.name for variable in motion.variables):
+        assert_close(f"{name} in a moved world", in_another.variables[name], expected.variables[name], 1e-9)
+
+
+CHECKS = (
+    check_motion_prediction,
+    check_motion_jacobians,
+    check_motion_invariance,
+)

@@ -1,0 +1,1 @@
+"""The interface of filters, and what goes in and out of them."""

@@ -1,0 +1,116 @@
+"""Errors of stereo measurements (u, v, d): their covariance, and what of them lasts from frame to frame.
+
+Derivation: docs/derivations/camera.md.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from filters.contract.drift import LandmarkDrift
+from filters.validation import FloatArray, covariance_matrix, positive
+
+
+@dataclass(frozen=True, eq=False)
+class StereoNoise:
+    """Covariance R of (u, v, d), px^2.
+
+    Parameters
+    ----------
+    R : (3, 3) array_like
+        Symmetric positive definite.
+
+    Raises
+    ------
+    ValueError
+        R is not a finite symmetric positive definite 3x3 matrix.
+    """
+
+    R: FloatArray
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "R", covariance_matrix("R", self.R, 3, definite=True))
+
+    @classmethod
+    def diagonal(cls, sigma_u: float, sigma_v: float, sigma_d: float) -> StereoNoise:
+        """The paper's R: u, v and d independent (page of Eq. 25); standard deviations in px."""
+        sigmas = [
+            positive(n, s) for n, s in zip(("sigma_u", "sigma_v", "sigma_d"), (sigma_u, sigma_v, sigma_d), strict=True)
+        ]
+        return cls(np.diag(np.square(sigmas)))
+
+    @classmethod
+    def independent_pixels(cls, sigma: float) -> StereoNoise:
+        """R of independent errors `sigma` px in u_left, v and u_right.
+
+        d = u_left - u_right shares the error of u_left: R = sigma^2 [[1, 0, 1], [0, 1, 0], [1, 0, 2]].
+        """
+        return cls(positive("sigma", sigma) ** 2 * np.array([[1.0, 0.0, 1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 2.0]]))
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, StereoNoise) and bool(np.array_equal(self.R, other.R))
+
+    def __hash__(self) -> int:
+        return hash(self.R.tobytes())
+
+
+_ERRORS_IN_COMMON = ("gauge_walk", "misalignment", "disparity_offset")
+
+
+@dataclass(frozen=True, eq=False)
+class ColouredNoise(StereoNoise):
+    """R of (u, v, d), and the part of the errors that lasts, as tracks of real images have it.
+
+    Filters take R for white noise. Those that know better, such as the preset "coloured-noise", use the parts.
+
+    Parameters
+    ----------
+    R : (3, 3) array_like
+        For filters that know white noise only: large enough for the errors that last, px^2.
+    white : (3, 3) array_like, optional
+        Covariance of the part that is independent from frame to frame, px^2. None: R. Measurements that bring a
+        covariance of their own have that.
+    drift : LandmarkDrift, optional
+        Random walk of each tracked point on its surface. None: points stay where they are.
+    gauge_walk : float
+        Of the part that all tracks of a frame have in common, rad per root of a radian of image motion (`StereoEKF`).
+    misalignment : float
+        Standard deviation of the rotation between the camera and the frame of odometry and reference, rad per axis.
+    disparity_offset : float
+        Standard deviation of what the rectification has left in all disparities, px.
+
+    Raises
+    ------
+    ValueError
+        A matrix is not symmetric positive definite, or a number is negative or not finite.
+    """
+
+    white: FloatArray | None = None
+    drift: LandmarkDrift | None = None
+    gauge_walk: float = 0.0
+    misalignment: float = 0.0
+    disparity_offset: float = 0.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.white is not None:
+            object.__setattr__(self, "white", covariance_matrix("white", self.white, 3, definite=True))
+        object.__setattr__(self, "drift", LandmarkDrift.of(self.drift))
+        for name in _ERRORS_IN_COMMON:
+            object.__setattr__(self, name, positive(name, getattr(self, name), allow_zero=True))
+
+    @property
+    def parts(self) -> dict[str, Any]:
+        """What there is besides R, JSON-able, as the constructor takes it."""
+        white = None if self.white is None else self.white.tolist()
+        drift = None if self.drift is None else dataclasses.asdict(self.drift)
+        return {"white": white, "drift": drift, **{name: getattr(self, name) for name in _ERRORS_IN_COMMON}}
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, ColouredNoise) and np.array_equal(self.R, other.R) and self.parts == other.parts
+
+    __hash__ = StereoNoise.__hash__

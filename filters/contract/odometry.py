@@ -1,0 +1,37 @@
+"""Odometry, as filters take it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from filters.validation import FloatArray, covariance_matrix, finite_array
+
+
+@dataclass(frozen=True, eq=False)
+class BodyVelocity:
+    """Odometry: the mean velocity of the left camera over the step that ends now.
+
+    Parameters
+    ----------
+    linear : (3,) array_like
+        m/s, camera frame.
+    angular : (3,) array_like
+        rad/s, camera frame.
+    covariance : (6, 6) array_like
+        Of (linear, angular).
+
+    Raises
+    ------
+    ValueError
+        Wrong shapes, NaN or infinity, a covariance that is not symmetric positive semi-definite.
+    """
+
+    linear: FloatArray
+    angular: FloatArray
+    covariance: FloatArray
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "linear", finite_array("odometry.linear", self.linear, (3,)))
+        object.__setattr__(self, "angular", finite_array("odometry.angular", self.angular, (3,)))
+        covariance = covariance_matrix("odometry.covariance", self.covariance, 6)
+        object.__setattr__(self, "covariance", covariance)

@@ -1,0 +1,162 @@
+"""The interface of filters.
+
+Frames: W is the world (the left camera at `reset`), C the left camera (x right, y down, z forward).
+Orientations are unit quaternions xyzw; R_wc takes camera vectors into W. SI units, float64.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from filters.contract.beliefs import Forecast, LandmarkBelief, PoseBelief, VelocityBelief
+from filters.contract.constructor_calls import RecordedConstructors
+from filters.contract.noise import StereoNoise
+from filters.contract.observation import StereoObservation
+from filters.contract.odometry import BodyVelocity
+from filters.contract.start import Start
+from filters.contract.update_report import UpdateReport
+from filters.geometry.camera import StereoCamera
+from filters.validation import FloatArray, IntArray, unique_ids
+
+
+def check_rig(camera: StereoCamera, noise: StereoNoise) -> None:
+    """Raise a `ValueError` if these are not what every filter is made with."""
+    if not isinstance(camera, StereoCamera):
+        raise ValueError(f"camera must be a StereoCamera, got {camera!r}")
+    if not isinstance(noise, StereoNoise):
+        raise ValueError(f"noise must be a StereoNoise, got {noise!r}: see StereoNoise.independent_pixels")
+
+
+AT_ORIGIN = Start()
+"""At the origin of W, looking along z, with an unknown velocity."""
+
+
+def check_start(start: object) -> None:
+    """Raise a `ValueError` if this is not what `StereoFilter.reset` takes."""
+    if not isinstance(start, Start):
+        raise ValueError(f"start must be a filters.Start, got {start!r}")
+
+
+class StereoFilter(RecordedConstructors, ABC):
+    """A stereo SLAM filter. Implement these members and any bench, environment or test here can run it.
+
+    Bad input raises `ValueError` naming the argument, and leaves the state as it was.
+    """
+
+    camera: StereoCamera
+    noise: StereoNoise
+
+    @abstractmethod
+    def reset(self, start: Start = AT_ORIGIN) -> None:
+        """Start again from `start`, with an empty map. Raises `ValueError` if that is no `Start`."""
+
+    @abstractmethod
+    def predict(self, dt: float, odometry: BodyVelocity | None = None) -> None:
+        """Move the belief forward by `dt` > 0 seconds (Eq. 6, 11, 12)."""
+
+    @abstractmethod
+    def update(self, observation: StereoObservation) -> UpdateReport:
+        """Use the frame: known ids correct the state (Eq. 13-18), then new ones enter the map (Eq. 19-25).
+
+        A filter may delay that (fixed lag, multi-state constraint): it uses and reports a measurement in a later
+        update, or a whole track, by its id, once it has ended. The pose is that of the present frame all the same, and
+        a frame without measurements may then correct it, too.
+        """
+
+    @abstractmethod
+    def forecast(self, ids: Sequence[int] | IntArray | None = None) -> Forecast:
+        """Predict the measurements of `ids` (None: of the whole map) at the current pose.
+
+        Raises
+        ------
+        ValueError
+            An id is not in the map.
+        """
+
+    @abstractmethod
+    def forget(self, ids: Sequence[int] | IntArray) -> None:
+        """Remove landmarks from the map (marginalise them); ids not in the map are ignored."""
+
+    @property
+    @abstractmethod
+    def pose(self) -> PoseBelief:
+        """Pose of the left camera."""
+
+    @property
+    @abstractmethod
+    def velocity(self) -> VelocityBelief:
+        """Velocity of the left camera."""
+
+    @property
+    @abstractmethod
+    def landmarks(self) -> LandmarkBelief:
+        """The map, in ascending order of ids."""
+
+    def joint_covariance(self, ids: Sequence[int] | IntArray | None = None) -> FloatArray:
+        """Covariance of the pose error together with the positions of landmarks, for planning and information gain.
+
+        This one is for filters that have nothing better: it puts the marginals (`pose.covariance` and
+        `landmarks.covariances`) on the diagonal and **leaves out all correlations**. That overstates the joint
+        uncertainty, often by much: landmarks seen from one pose share its error. Override it where P is at hand.
+
+        Parameters
+        ----------
+        ids : (N,) sequence of int, optional
+            Landmarks, in the order wanted. None: the whole map, ascending.
+
+        Returns
+        -------
+        (6 + 3 N, 6 + 3 N) ndarray
+            Of the pose error as in `PoseBelief` (position in W, m; rotation in the camera frame, rad), then of the
+            positions in W, m. Rows of landmarks without a finite position are not finite.
+
+        Raises
+        ------
+        ValueError
+            An id is not in the map.
+        """
+        landmarks = self.landmarks
+        wanted = landmarks.ids if ids is None else unique_ids("ids", np.asarray(ids))
+        missing = wanted[~np.isin(wanted, landmarks.ids)]
+        if len(missing):
+            raise ValueError(f"ids must be in the map, not there: {missing[:5].tolist()}: see landmarks.ids")
+        index = np.searchsorted(landmarks.ids, wanted)
+        rows = 6 + 3 * np.arange(len(index))[:, None] + np.arange(3)
+        joint = np.zeros((6 + 3 * len(index), 6 + 3 * len(index)))
+        joint[:6, :6] = self.pose.covariance
+        joint[rows[:, :, None], rows[:, None, :]] = landmarks.covariances[index]
+        return joint
+
+    def pose_landmark_covariances(self, ids: Sequence[int] | IntArray | None = None) -> FloatArray:
+        """The parts of `joint_covariance` that belong to the pose and to one landmark each: cheap for many landmarks.
+
+        Takes the ids of `joint_covariance`; returns (N, 9, 9), of the pose error and the position of the landmark.
+        """
+        joint = self.joint_covariance(ids)
+        pose, landmarks = np.arange(6), np.arange(6, len(joint)).reshape(-1, 3)
+        rows = np.concatenate([np.broadcast_to(pose, (len(landmarks), 6)), landmarks], axis=1)
+        parts: FloatArray = joint[rows[:, :, None], rows[:, None, :]]
+        return parts
+
+    @abstractmethod
+    def pose_error(self, position: ArrayLike, orientation: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Error of the pose against a true one, in the filter's own error definition, for NEES.
+
+        Parameters
+        ----------
+        position : (3,)
+            True r^WC, m.
+        orientation : (4,)
+            True q^WC, xyzw.
+
+        Returns
+        -------
+        error : (6,) ndarray
+            Position part, then rotation part.
+        covariance : (6, 6) ndarray
+            The covariance the filter claims for that error.
+        """

@@ -1,0 +1,57 @@
+"""Outcome of an update: what became of each measurement."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from filters.validation import IntArray
+
+_NO_IDS: IntArray = np.zeros(0, dtype=np.int64)
+_NO_IDS.flags.writeable = False
+
+
+def _no_ids() -> IntArray:
+    return _NO_IDS
+
+
+@dataclass(frozen=True, eq=False)
+class UpdateReport:
+    """Outcome of each measurement in one `update`, or of earlier ones where updates are delayed.
+
+    Attributes
+    ----------
+    updated, initialised, dropped : (K,) int64
+        Ids that corrected the state, entered the map, left the map.
+    gated : (K,) int64
+        Known ids whose measurement failed the chi-square gate (Mahalanobis distance too large), in the first or in a
+        later stage of the update; the stages before it have used the measurement.
+    rejected : (K,) int64
+        New ids the filter did not initialise from: it could not (for XYZ: d <= 0 or below `min_disparity`), or it has
+        room for better ones only (`max_landmarks`).
+    behind_camera : (K,) int64
+        Known ids predicted behind the camera, so not used.
+    failed : (K,) int64
+        Known ids whose innovation covariance had no Cholesky factor, or is so large that R is lost in its rounding (a
+        landmark as good as in the image plane), so not used (or not in every stage).
+    nis : float
+        Normalised innovation squared over the accepted measurements, chi-square with `nis_dof` if consistent.
+    nis_dof : int
+        Degrees of freedom of `nis`.
+    """
+
+    updated: IntArray = field(default_factory=_no_ids)
+    initialised: IntArray = field(default_factory=_no_ids)
+    dropped: IntArray = field(default_factory=_no_ids)
+    gated: IntArray = field(default_factory=_no_ids)
+    rejected: IntArray = field(default_factory=_no_ids)
+    behind_camera: IntArray = field(default_factory=_no_ids)
+    failed: IntArray = field(default_factory=_no_ids)
+    nis: float = 0.0
+    nis_dof: int = 0
+
+    @property
+    def failed_factorisations(self) -> int:
+        """Number of `failed` measurements."""
+        return len(self.failed)

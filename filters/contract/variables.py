@@ -1,0 +1,101 @@
+"""Named variables of the state: what a part may ask for besides pose, velocity and map."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from filters.geometry import differences, rotations
+from filters.geometry.retractions import ADDITIVE, Retraction
+from filters.validation import FloatArray, covariance_matrix, finite_array
+
+POSE, VELOCITY = "pose", "velocity"
+"""The variables that every filter has."""
+
+
+@dataclass(frozen=True, eq=False)
+class Variable:
+    """A variable of the state as it is at the start.
+
+    Parameters
+    ----------
+    name : str
+        Of `StereoEKF.belief`; "pose" and "velocity" are taken.
+    value : (v,) array_like
+        Its numbers.
+    covariance : (s, s) array_like
+        Of its error, in the coordinates of the retraction.
+    retraction : Retraction
+        How a correction (s,) changes the value; the default adds it.
+    considered : bool
+        Schmidt's consider variable: it has a covariance and correlations, but no measurement changes its value or
+        its own covariance.
+    random_walk : (s,) array_like, optional
+        Process noise, a standard deviation per square root of a second. None: the variable is constant.
+    in_world : bool
+        Whether the value is a vector in W, such as gravity, which turns with the world.
+
+    Raises
+    ------
+    ValueError
+        An argument has the wrong shape, is not finite, or is no covariance.
+
+    References
+    ----------
+    S. F. Schmidt, "Application of state-space methods to navigation problems", Advances in Control Systems 3, 1966.
+    P. Geneva et al., "OpenVINS: A research platform for visual-inertial estimation", ICRA 2020 (its `Type`).
+    """
+
+    name: str
+    value: FloatArray
+    covariance: FloatArray
+    retraction: Retraction = ADDITIVE
+    considered: bool = False
+    random_walk: FloatArray | None = None
+    in_world: bool = False
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.name, str) or not self.name or self.name in (POSE, VELOCITY):
+            raise ValueError(f'name must be that of a new variable, not "{POSE}" or "{VELOCITY}", got {self.name!r}')
+        what = f"variable {self.name!r}"
+        shape: tuple[int | str, ...] = (3,) if self.in_world else ("v",)
+        object.__setattr__(self, "value", finite_array(f"value of {what}", self.value, shape))
+        size = len(np.atleast_1d(np.asarray(self.covariance, dtype=np.float64)))
+        object.__setattr__(self, "covariance", covariance_matrix(f"covariance of {what}", self.covariance, size))
+        if self.random_walk is not None:
+            walk = finite_array(f"random_walk of {what}", self.random_walk, (size,))
+            if (walk < 0.0).any():
+                raise ValueError(f"random_walk of {what} must be standard deviations >= 0, got {walk.tolist()}")
+            object.__setattr__(self, "random_walk", walk)
+
+    @property
+    def size(self) -> int:
+        """Numbers of its error."""
+        return len(self.covariance)
+
+    def turned(self, value: FloatArray, R: FloatArray) -> FloatArray:
+        """The value in a world rotated about its origin by R (3, 3)."""
+        return R @ value if self.in_world else value
+
+    def world_rotation(self, value: FloatArray) -> FloatArray:
+        """Effect of a rotation of the world on the error; (s, 3)."""
+        if not self.in_world:
+            return np.zeros((self.size, 3))
+        return differences.jacobian(lambda e: self.retraction.local(value, rotations.exp(e) @ value), 3)
+
+
+@dataclass(frozen=True, eq=False)
+class VariableBelief:
+    """Belief of a named variable.
+
+    Attributes
+    ----------
+    value : (v,)
+        Its numbers; of the pose: position (W, m) and orientation (xyzw).
+    covariance : (s, s)
+        Of its error.
+    """
+
+    value: FloatArray
+    covariance: FloatArray

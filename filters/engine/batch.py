@@ -1,0 +1,289 @@
+"""`FilterBatch`: many equal filters, each with its own map, through the compiled kernels in one call."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, overload
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from filters.contract.observation import StereoObservation
+from filters.contract.odometry import BodyVelocity
+from filters.contract.start import Start
+from filters.contract.stereo_filter import AT_ORIGIN, check_start
+from filters.contract.update_report import UpdateReport
+from filters.engine.compiled.engine import CompiledEngine, Observations, Outcome
+from filters.engine.compiled.readout import relative_landmarks
+from filters.engine.compiled.stereo_ekf import CompiledFilter, report
+from filters.engine.stereo_ekf import StereoEKF
+from filters.validation import BoolArray, FloatArray, IntArray, positive, whole_number
+
+
+@dataclass(frozen=True, eq=False)
+class Reports(Sequence[UpdateReport]):
+    """Reports of a batch, each made when it is asked for.
+
+    Attributes
+    ----------
+    offsets, ids : (B + 1,), (M,) int64
+        Measurements of filter b are offsets[b] to offsets[b + 1] - 1, ids ascending.
+    outcome : Outcome
+        What became of them.
+    """
+
+    offsets: IntArray
+    ids: IntArray
+    outcome: Outcome
+
+    def __len__(self) -> int:
+        return len(self.offsets) - 1
+
+    @overload
+    def __getitem__(self, index: int) -> UpdateReport: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[UpdateReport]: ...
+    def __getitem__(self, index: int | slice) -> UpdateReport | list[UpdateReport]:
+        if isinstance(index, slice):
+            return [self[i] for i in range(*index.indices(len(self)))]
+        b = range(len(self))[index]
+        return report(self.outcome, self.ids, slice(self.offsets[b], self.offsets[b + 1]), b)
+
+
+@dataclass(frozen=True, eq=False)
+class RelativeLandmarks:
+    """The maps of a batch as its cameras see them.
+
+    Attributes
+    ----------
+    offsets : (B + 1,) int64
+        Landmarks of filter b are offsets[b] to offsets[b + 1] - 1, ids ascending.
+    ids : (M,) int64
+        Landmarks.
+    points_c : (M, 3)
+        Positions in the camera frame, m.
+    covariances : (M, 3, 3)
+        Of those, m^2; errors of the pose and their correlation count.
+    located : (M,) bool
+        Whether the landmark is in front of its anchor, at a finite distance.
+    """
+
+    offsets: IntArray
+    ids: IntArray
+    points_c: FloatArray
+    covariances: FloatArray
+    located: BoolArray
+
+
+class FilterBatch(Sequence[StereoEKF]):
+    """Many filters of one recipe, each with its own map, observations and time step.
+
+    Every filter has the same bits as if it ran alone, whatever the number of threads.
+
+    Parameters
+    ----------
+    make : function
+        Makes a `StereoEKF`; called once for each filter.
+    count : int
+        Number of filters.
+    threads : int
+        Threads over which the filters are spread. They are started when they are first needed.
+
+    Raises
+    ------
+    ValueError
+        A filter has a part without kernels, or does something else than the first one.
+    """
+
+    def __init__(self, make: Callable[[], StereoEKF], count: int, threads: int = 1) -> None:
+        whole_number("count", count, 1)
+        whole_number("threads", threads, 1)
+        self._filters = [make() for _ in range(count)]
+        recipes = [_compiled(slam).engine.recipe for slam in self._filters]
+        for index, recipe in enumerate(recipes):
+            if recipe != recipes[0]:
+                raise ValueError(f"make must give filters that do the same, filter {index} differs from the first")
+        self._engine = CompiledEngine(recipes[0], count, threads)
+        self._R = np.array([slam.noise.R for slam in self._filters])
+        for index, slam in enumerate(self._filters):
+            slam.share(CompiledFilter(self._engine, slam.options, index))
+
+    def __len__(self) -> int:
+        return self._engine.count
+
+    @overload
+    def __getitem__(self, index: int) -> StereoEKF: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[StereoEKF]: ...
+    def __getitem__(self, index: int | slice) -> StereoEKF | list[StereoEKF]:
+        return self._filters[index]
+
+    @property
+    def engine(self) -> CompiledEngine:
+        """The engine of all filters."""
+        return self._engine
+
+    @property
+    def poses(self) -> FloatArray:
+        """Position (W, m) and orientation (xyzw) of every filter; (B, 7)."""
+        return self._engine.storage.x[:, :7].copy()
+
+    @property
+    def pose_covariances(self) -> FloatArray:
+        """Covariance of the pose errors, as in `PoseBelief`; (B, 6, 6)."""
+        upper = np.triu(self._engine.storage.P[:, :6, :6])
+        whole: FloatArray = upper + np.triu(upper, 1).transpose(0, 2, 1)
+        return whole
+
+    def relative_landmarks(self) -> RelativeLandmarks:
+        """The maps of all filters as their cameras see them."""
+        storage, recipe = self._engine.storage, self._engine.recipe
+        counts = storage.counts[:, 0]
+        offsets = np.concatenate([[0], np.cumsum(counts)])
+        total = int(offsets[-1])
+        ids = storage.ids[np.arange(storage.ids.shape[1]) < counts[:, None]]
+        found = RelativeLandmarks(
+            offsets, ids, np.empty((total, 3)), np.empty((total, 3, 3)), np.empty(total, dtype=np.bool_)
+        )
+        state = storage.P, storage.x, storage.blocks, storage.own, storage.anchor, storage.counts
+        anchored = recipe.landmark != "euclidean"
+        written = found.points_c, found.covariances, found.located
+        relative_landmarks(*state, recipe.leading, anchored, offsets, *written)
+        return found
+
+    def reset(self, starts: Start | Sequence[Start] = AT_ORIGIN) -> None:
+        """Start again, with empty maps: all filters alike, or each from its own start."""
+        each = [starts] * len(self) if isinstance(starts, Start) else list(starts)
+        self._check_length("starts", each)
+        for start in each:
+            check_start(start)
+        for slam, start in zip(self._filters, each, strict=True):
+            slam.reset(start)
+
+    def predict(self, dt: ArrayLike, odometry: Sequence[BodyVelocity | None] | None = None) -> None:
+        """Move every filter forward by dt > 0 s, a number or (B,)."""
+        self._engine.step(self._steps(dt), None, *self._odometry(odometry))
+
+    def update(self, observations: Sequence[StereoObservation | None]) -> Reports:
+        """Use the frame of every filter; None: it has none, and stays as it is."""
+        return self._report(0.0, self._packed(observations))
+
+    def step(
+        self,
+        dt: ArrayLike,
+        observations: Sequence[StereoObservation | None],
+        odometry: Sequence[BodyVelocity | None] | None = None,
+    ) -> Reports:
+        """Predict and update in one call."""
+        steps, fused = self._steps(dt), self._odometry(odometry)
+        return self._report(steps, self._packed(observations), *fused)
+
+    def step_arrays(self, dt: ArrayLike, ids: IntArray, uvd: FloatArray, R: FloatArray | None = None) -> Reports:
+        """Predict and update from arrays of one shape, as vector environments have them.
+
+        Parameters
+        ----------
+        dt : float or (B,)
+            Time steps, s.
+        ids : (B, N) int64
+            Landmarks; -1 where there is no measurement. Unique for each filter.
+        uvd : (B, N, 3)
+            Measurements, px.
+        R : (B, N, 3, 3), (3, 3) or None
+            Noise, px^2; None: of each filter.
+        """
+        steps, odometry = self._steps(dt), self._odometry(None)
+        ids, uvd = np.asarray(ids), np.asarray(uvd, dtype=np.float64)
+        if ids.ndim != 2 or len(ids) != len(self) or ids.dtype.kind not in "iu":
+            raise ValueError(f"ids must be integers of shape ({len(self)}, N), got {ids.dtype} {ids.shape}")
+        if uvd.shape != (*ids.shape, 3):
+            raise ValueError(f"uvd must have shape {(*ids.shape, 3)}, got {uvd.shape}")
+        there = ids >= 0
+        order = np.argsort(np.where(there, ids, np.iinfo(np.int64).max), axis=1, kind="stable")
+        counts = there.sum(axis=1)
+        chosen = np.arange(ids.shape[1]) < counts[:, None]
+        rows = np.nonzero(chosen)[0]
+        columns = order[chosen]
+        flat_ids, flat_uvd = ids[rows, columns].astype(np.int64), uvd[rows, columns]
+        if not np.isfinite(flat_uvd).all():
+            raise ValueError("uvd must be finite, got NaN or infinity: mark those entries by id -1")
+        again = (flat_ids[1:] == flat_ids[:-1]) & (rows[1:] == rows[:-1])
+        if again.any():
+            raise ValueError(f"ids must be unique for each filter, repeated: {flat_ids[1:][again][:5].tolist()}")
+        noise = self._R[rows] if R is None else np.asarray(R, dtype=np.float64)
+        if noise.ndim == 4:
+            noise = noise[rows, columns]
+        offsets = np.concatenate([[0], np.cumsum(counts)])
+        everybody = np.ones(len(self), dtype=np.bool_)
+        return self._report(steps, Observations(everybody, offsets, flat_ids, flat_uvd, noise, ~everybody), *odometry)
+
+    def _report(self, dt: FloatArray | float, packed: Observations, *odometry: Any) -> Reports:
+        return Reports(packed.offsets, packed.ids, self._engine.step(dt, packed, *odometry))
+
+    def _check_length(self, name: str, given: Sequence[object]) -> None:
+        if len(given) != len(self):
+            raise ValueError(f"{name} must have one entry for each of the {len(self)} filters, got {len(given)}")
+
+    def _steps(self, dt: ArrayLike) -> FloatArray:
+        """Time steps (B,)."""
+        steps = np.asarray(dt, dtype=np.float64)
+        if steps.ndim == 0:
+            return np.full(len(self), positive("dt", steps))
+        if steps.shape != (len(self),) or not (np.isfinite(steps).all() and (steps > 0.0).all()):
+            raise ValueError(f"dt must be finite numbers > 0, one or ({len(self)},), got {dt!r}")
+        return steps
+
+    def _odometry(
+        self, odometry: Sequence[BodyVelocity | None] | None
+    ) -> tuple[FloatArray, FloatArray, FloatArray] | tuple[()]:
+        """Whose odometry there is, its values and covariances; nothing where there is none at all."""
+        needed = self._engine.recipe.motion == "velocity-driven"
+        given = [None] * len(self) if odometry is None else list(odometry)
+        self._check_length("odometry", given)
+        for entry in given:
+            if not isinstance(entry, BodyVelocity) and (entry is not None or needed):
+                wanted = "in every predict with motion=VelocityDriven()" if needed else "or None"
+                raise ValueError(f"odometry must be a BodyVelocity for each filter {wanted}, got {entry!r}")
+        if odometry is None:
+            return ()
+        fused = np.array([entry is not None for entry in given])
+        values, covariances = np.zeros((len(self), 6)), np.zeros((len(self), 6, 6))
+        for index, entry in enumerate(given):
+            if entry is not None:
+                values[index, :3], values[index, 3:] = entry.linear, entry.angular
+                covariances[index] = entry.covariance
+        return fused, values, covariances
+
+    def _packed(self, observations: Sequence[StereoObservation | None]) -> Observations:
+        """Observations one after the other, ids ascending."""
+        self._check_length("observations", observations)
+        for observation in observations:
+            if observation is not None and not isinstance(observation, StereoObservation):
+                raise ValueError(f"observations must be StereoObservation or None, got {type(observation).__name__}")
+        seen = np.array([o is not None for o in observations])
+        there = [o for o in observations if o is not None]
+        counts = np.array([0 if o is None else len(o) for o in observations])
+        offsets = np.concatenate([[0], np.cumsum(counts)])
+        owner = np.repeat(np.arange(len(self)), counts)
+        ids = np.concatenate([o.ids for o in there]) if there else np.zeros(0, dtype=np.int64)
+        uvd = np.concatenate([o.uvd for o in there]) if there else np.zeros((0, 3))
+        R, right = self._R[owner], np.zeros(len(ids))
+        with_right = np.array([o is not None and o.v_right is not None for o in observations])
+        for index, observation in enumerate(observations):
+            if observation is not None and observation.R is not None:
+                R[offsets[index] : offsets[index + 1]] = observation.R
+            if observation is not None and observation.v_right is not None:
+                right[offsets[index] : offsets[index + 1]] = observation.v_right
+        if ((ids[1:] < ids[:-1]) & (owner[1:] == owner[:-1])).any():
+            order = np.lexsort((ids, owner))
+            ids, uvd, R, right = ids[order], uvd[order], R[order], right[order]
+        return Observations(seen, offsets, ids, uvd, R, with_right, right)
+
+
+def _compiled(slam: StereoEKF) -> CompiledFilter:
+    if not isinstance(slam, StereoEKF):
+        raise ValueError(f"make must give a StereoEKF, got {type(slam).__name__}")
+    if slam.compiled is None:
+        raise ValueError("make must give a filter all of whose parts have kernels, see StereoEKF")
+    return slam.compiled

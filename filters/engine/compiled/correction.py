@@ -1,0 +1,210 @@
+"""Kernels of `engine.kalman`: the Kalman update, a chunk of measurements at a time."""
+
+from __future__ import annotations
+
+import math
+
+from numba import njit, types
+
+from filters.engine.compiled.blas import KERNEL, at, call, multiply_panel, solve_triangular, subtract_square
+from filters.engine.compiled.covariance import keep_considered, restore_considered, take_leading, take_rows
+from filters.engine.compiled.prediction import measure_odometry
+from filters.engine.compiled.recipe import Plan
+from filters.engine.compiled.storage import CHUNK_ROWS, Scratch
+from filters.engine.compiled.units import ADDRESSES, GIVEN, GIVEN_COVARIANCE, INDEX, MATRIX, PLAN, SCRATCH, VECTOR, unit
+from filters.validation import FloatArray, IntArray
+
+DROWNED = 1e12
+"""See `kalman.DROWNED`."""
+
+
+@njit(**KERNEL)
+def times_covariance(
+    plan: Plan, P: FloatArray, n: int, s: Scratch, select: IntArray, first: int, last: int, size: int
+) -> None:
+    """H P of the selected measurements first to last - 1, in the first rows of HP."""
+    measured, held = plan.measured, -1
+    width = measured + (6 if plan.anchored else 3)
+    take_leading(P, n, measured, s.lead)
+    for i in range(first, last):
+        m = select[i]
+        if plan.anchored and s.base[m, 0] != held:  # neighbours often share an anchor
+            held = s.base[m, 0]
+            take_rows(P, n, held, s.lead[measured:])
+        take_rows(P, n, s.base[m, 1], s.lead[width - 3 :])
+        multiply_panel(s.HP[(i - first) * size :], 0, s.H[m], size, s.lead, 0, 0, width, n)
+
+
+@njit(**KERNEL)
+def take_columns(plan: Plan, s: Scratch, m: int, top: int, rows: int) -> None:
+    """Columns of HP that belong to a landmark, transposed, below those of the leading rows in `shared`."""
+    HP, shared, column = s.HP, s.shared, plan.measured
+    for which in range(0 if plan.anchored else 1, 2):
+        base = s.base[m, which]
+        for row in range(top, rows):
+            shared[column, row] = HP[row, base]
+            shared[column + 1, row] = HP[row, base + 1]
+            shared[column + 2, row] = HP[row, base + 2]
+        column += 3
+
+
+@njit(**KERNEL)
+def take_leading_columns(plan: Plan, s: Scratch, rows: int) -> None:
+    """The first columns of HP, transposed, in `shared`."""
+    for row in range(rows):
+        for c in range(plan.measured):
+            s.shared[c, row] = s.HP[row, c]
+
+
+@njit(**KERNEL)
+def innovation_covariance(plan: Plan, s: Scratch, select: IntArray, first: int, last: int, size: int) -> bool:
+    """Upper triangle of S = (H P) H^T + R of these measurements; whether R is left in it."""
+    S, rows = s.S, (last - first) * size
+    width = plan.measured + (6 if plan.anchored else 3)
+    take_leading_columns(plan, s, rows)
+    for i in range(first, last):
+        m, top = select[i], (i - first) * size
+        take_columns(plan, s, m, top, rows)
+        multiply_panel(S[top:], top, s.H[m], size, s.shared, 0, top, width, rows - top)
+        for a in range(size):
+            for b in range(a, size):
+                S[top + a, top + b] += s.R[m, a, b]
+            if S[top + a, top + a] > DROWNED * s.R[m, a, a]:
+                return False
+    return True
+
+
+@njit(**KERNEL)
+def factorise(routines: tuple[int, ...], s: Scratch, rows: int) -> bool:
+    """Cholesky factor of S in place; whether there is one."""
+    sizes, first = s.sizes, at(s.sizes)
+    sizes[0], sizes[1], sizes[2] = rows, s.S.shape[1], 0
+    call(routines[0], (at(s.letters), first, at(s.S), first + 4, first + 8))
+    return sizes[2] == 0 and math.isfinite(s.S[rows - 1, rows - 1])
+
+
+@njit(**KERNEL)
+def absorb(routines: tuple[int, ...], P: FloatArray, n: int, s: Scratch, rows: int) -> float:
+    """Correct P and delta by HP, its last column the innovation, and S; the NIS, or -1 without a Cholesky factor."""
+    HP = s.HP
+    if not factorise(routines, s, rows):
+        return -1.0
+    solve_triangular(s.S, HP, rows, n + 1)
+    nis = 0.0
+    for row in range(rows):
+        solved, nu = HP[row], HP[row, n]
+        for j in range(n):
+            s.delta[j] += nu * solved[j]
+        nis += nu**2
+    subtract_square(P, HP, rows, n)
+    return nis
+
+
+@njit(**KERNEL)
+def explained(plan: Plan, s: Scratch, m: int, k: int) -> float:
+    """What delta says of one row of a measurement, H delta."""
+    H, delta, measured = s.H[m, k], s.delta, plan.measured
+    total = 0.0
+    for c in range(measured):
+        total += H[c] * delta[c]
+    if plan.anchored:
+        for c in range(3):
+            total += H[measured + c] * delta[s.base[m, 0] + c]
+        measured += 3
+    for c in range(3):
+        total += H[measured + c] * delta[s.base[m, 1] + c]
+    return total
+
+
+@njit(**KERNEL)
+def _take(
+    routines: tuple[int, ...],
+    plan: Plan,
+    P: FloatArray,
+    n: int,
+    s: Scratch,
+    select: IntArray,
+    first: int,
+    last: int,
+    size: int,
+) -> float:
+    """Correct P and delta with the measurements first to last - 1; the NIS, or -1 where S has no Cholesky factor."""
+    times_covariance(plan, P, n, s, select, first, last, size)
+    if not innovation_covariance(plan, s, select, first, last, size):
+        return -1.0
+    for i in range(first, last):
+        m = select[i]
+        for k in range(size):
+            s.HP[(i - first) * size + k, n] = s.nu[m, k] - explained(plan, s, m, k)
+    return absorb(routines, P, n, s, (last - first) * size)
+
+
+@unit(ADDRESSES, PLAN, MATRIX, types.int64, SCRATCH, INDEX, types.int64, types.int64)
+def correct(
+    routines: tuple[int, ...], plan: Plan, P: FloatArray, n: int, s: Scratch, select: IntArray, count: int, size: int
+) -> None:
+    """`kalman.update` with the selected measurements: P in place; delta, `used` and the NIS (`result`) written."""
+    for j in range(n):
+        s.delta[j] = 0.0
+    nis, chunk = 0.0, max(1, CHUNK_ROWS // size)
+    chunks = -(-count // chunk)
+    for i in range(chunks):
+        first, last = count * i // chunks, count * (i + 1) // chunks
+        gained = _take(routines, plan, P, n, s, select, first, last, size)
+        for j in range(first, last):
+            s.used[select[j]] = gained >= 0.0
+        if gained >= 0.0:
+            nis += gained
+        elif last - first > 1:
+            for j in range(first, last):
+                gained = _take(routines, plan, P, n, s, select, j, j + 1, size)
+                s.used[select[j]] = gained >= 0.0
+                if gained >= 0.0:
+                    nis += gained
+    s.result[0] = nis
+
+
+@njit(**KERNEL)
+def correct_leading(
+    routines: tuple[int, ...], P: FloatArray, n: int, H: FloatArray, nu: FloatArray, R: FloatArray, s: Scratch
+) -> bool:
+    """`kalman.update` with one measurement of the leading variables, H (k, leading); whether it was used."""
+    size, leading = H.shape
+    take_leading(P, n, leading, s.lead)
+    for j in range(n):
+        s.delta[j] = 0.0
+    for a in range(size):
+        for j in range(n):
+            s.HP[a, j] = 0.0
+        for c in range(leading):
+            if H[a, c] != 0.0:
+                for j in range(n):
+                    s.HP[a, j] += H[a, c] * s.lead[c, j]
+        s.HP[a, n] = nu[a]
+    for a in range(size):
+        for b in range(a, size):
+            s.S[a, b] = R[b, a]
+            for c in range(leading):
+                s.S[a, b] += s.HP[b, c] * H[a, c]
+    return absorb(routines, P, n, s, size) >= 0.0
+
+
+@unit(ADDRESSES, PLAN, MATRIX, types.int64, VECTOR, types.float64, GIVEN, GIVEN_COVARIANCE, SCRATCH)
+def fuse(
+    routines: tuple[int, ...],
+    plan: Plan,
+    P: FloatArray,
+    n: int,
+    x: FloatArray,
+    dt: float,
+    odometry: FloatArray,
+    covariance: FloatArray,
+    s: Scratch,
+) -> None:
+    """Odometry as a measurement after the prediction: P in place, delta; `result` is 1 where it was used."""
+    measure_odometry(x, plan.velocity, dt, odometry, s.odometry, s.odometry_nu)
+    keep_considered(P, plan.considered, s.kept)
+    used = correct_leading(routines, P, n, s.odometry, s.odometry_nu, covariance, s)
+    if used:
+        restore_considered(P, plan.considered, s.kept, s.delta)
+    s.result[0] = 1.0 if used else 0.0

@@ -1,0 +1,103 @@
+"""Disk cache of machine code, stamped with the digest of every source that a kernel can reach.
+
+Numba asks only for the file of the function that is called, and keeps old code where another module has changed. Here
+the sources are those of the module and of all that it imports of its own top-level packages, directly or not. Numba
+still chooses the folder: `NUMBA_CACHE_DIR`, `__pycache__` beside the module, or the cache of the user.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+import sys
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from numba.core import caching
+
+_PACKAGES = frozenset({"filters", "stereo_slam_env"})
+_IMPORT = re.compile(rb"^(?:from\s+([\w.]+)\s+import\s+(\([^)]*\)|[^\n]*)|import\s+([^\n]*))", re.MULTILINE)
+_NAME = re.compile(rb"[\w.]+")
+
+
+@cache
+def _read(path: str, modified: int, size: int) -> tuple[bytes, frozenset[str]]:
+    """Digest of a source file, and the names that its imports may mean: modules, and what is taken from them."""
+    source = Path(path).read_bytes()
+    names = set()
+    for package, taken, modules in _IMPORT.findall(source):
+        base = package.decode()
+        words = [word.decode() for word in _NAME.findall(taken or modules)]
+        names |= {base, *(f"{base}.{word}" for word in words)} if base else set(words)
+    return hashlib.sha256(source).digest(), frozenset(name for name in names if _is_ours(name))
+
+
+def _is_ours(module: str) -> bool:
+    return module.partition(".")[0] in _PACKAGES
+
+
+def sources_digest(module: str) -> str:
+    """Digest of the sources of an imported module, and of all that it reaches by its imports of these packages."""
+    found: dict[str, bytes] = {}
+    waiting = {module}
+    while waiting:
+        name = waiting.pop()
+        path = getattr(sys.modules.get(name), "__file__", None)
+        if path is None or name in found:  # a function or a class that was imported, no module
+            continue
+        status = Path(path).stat()
+        found[name], imported = _read(path, status.st_mtime_ns, status.st_size)
+        waiting |= imported
+    return hashlib.sha256(b"".join(name.encode() + found[name] for name in sorted(found))).hexdigest()[:16]
+
+
+class _OfAllSources:
+    """Mixin for Numba's places of machine code: those of our functions, under names that hold the digest."""
+
+    _digest = ""
+
+    @classmethod
+    def from_function(cls, py_func: Any, py_file: str) -> Any:
+        """The place for a function of ours, if it can be written to; else None."""
+        module: str = py_func.__module__
+        place = super().from_function(py_func, py_file) if _is_ours(module) else None  # type: ignore[misc]
+        if place is not None:
+            place._digest = sources_digest(module)
+            place._stem = f"{Path(py_file).stem}.{re.sub('[<>]', '', py_func.__qualname__)}-"
+        return place
+
+    def get_source_stamp(self) -> str:
+        """The digest."""
+        return self._digest
+
+    def get_disambiguator(self) -> str:
+        """The digest: while a process writes code of new sources, another one cannot read old code by its name."""
+        return self._digest
+
+    def ensure_cache_path(self) -> None:
+        """Make the folder; before code is kept, remove that of other sources."""
+        super().ensure_cache_path()  # type: ignore[misc]
+        if not self._digest:  # the place is only being looked for
+            return
+        version = f".py{sys.version_info[0]}{sys.version_info[1]}"
+        for kept in Path(self.get_cache_path()).glob(f"{self._stem}*{version}*.nb[ic]"):
+            if not kept.name.startswith(self._stem + self._digest):
+                kept.unlink(missing_ok=True)
+
+
+class _Chosen(_OfAllSources, caching.UserProvidedCacheLocator):
+    """In `NUMBA_CACHE_DIR`."""
+
+
+class _BesideModule(_OfAllSources, caching.InTreeCacheLocator):
+    """In `__pycache__`."""
+
+
+class _OfUser(_OfAllSources, caching.UserWideCacheLocator):
+    """In the cache of the user."""
+
+
+caching.CacheImpl._locator_classes[:0] = [_Chosen, _BesideModule, _OfUser]
+KEPT = {"cache": True}
+"""Option of Numba for functions whose machine code is kept on disk."""

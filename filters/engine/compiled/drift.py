@@ -1,0 +1,52 @@
+"""Kernels of the drift of landmarks: the steps of `filters.contract.drift`, for measurements (u, v, d) in one stage."""
+
+from __future__ import annotations
+
+from numba import njit
+
+from filters.contract.drift import SMALLEST_DETERMINANT
+from filters.engine.compiled.blas import KERNEL
+from filters.engine.compiled.recipe import Plan
+from filters.engine.compiled.storage import Scratch
+from filters.validation import FloatArray, IntArray
+
+
+@njit(**KERNEL)
+def step_covariance(part: FloatArray, R: FloatArray, Q: FloatArray) -> None:
+    """`drift.step_covariances` of one landmark: Q = share^2 R + diag(pixels^2)."""
+    for a in range(3):
+        for b in range(3):
+            Q[a, b] = part[0] * R[a, b]
+        Q[a, a] += part[1 + a]
+
+
+@njit(**KERNEL)
+def take_steps(plan: Plan, part: FloatArray, P: FloatArray, s: Scratch, select: IntArray, count: int) -> None:
+    """P_own += J^-1 Q J^-T of the selected landmarks, linearised, J = d(u, v, d) / d(own numbers)."""
+    first = plan.measured + (3 if plan.anchored else 0)
+    Q, inverse, half = s.small[0], s.small[1], s.small[2]
+    for i in range(count):
+        m = select[i]
+        J, own = s.H[m], s.base[m, 1]
+        for a in range(3):  # cofactors
+            b, c = (a + 1) % 3, (a + 2) % 3
+            for k in range(3):
+                p, q = (k + 1) % 3, (k + 2) % 3
+                inverse[k, a] = J[b, first + p] * J[c, first + q] - J[b, first + q] * J[c, first + p]
+        determinant = 0.0
+        for k in range(3):
+            determinant += J[0, first + k] * inverse[k, 0]
+        if not abs(determinant) >= SMALLEST_DETERMINANT:
+            continue
+        step_covariance(part, s.R[m], Q)
+        for a in range(3):
+            for b in range(3):
+                half[a, b] = 0.0
+                for k in range(3):
+                    half[a, b] += inverse[a, k] * Q[k, b] / determinant
+        for a in range(3):
+            for b in range(a, 3):
+                total = 0.0
+                for k in range(3):
+                    total += half[a, k] * inverse[b, k]
+                P[own + a, own + b] += total / determinant

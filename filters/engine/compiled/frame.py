@@ -1,0 +1,382 @@
+"""The whole frame of a filter, and of many filters, in one call: predict, update, landmarks that leave and enter."""
+
+from __future__ import annotations
+
+from numba import njit, types
+
+from filters.engine.compiled.blas import ENTRY, KERNEL, ROUTINES, call
+from filters.engine.compiled.correction import (
+    correct,
+    explained,
+    factorise,
+    fuse,
+    innovation_covariance,
+    times_covariance,
+)
+from filters.engine.compiled.covariance import keep_considered, restore_considered
+from filters.engine.compiled.disk_cache import KEPT
+from filters.engine.compiled.drift import take_steps
+from filters.engine.compiled.gating import largest_agreement, reweight, squared_distances
+from filters.engine.compiled.gauge_walk import walk_gauge
+from filters.engine.compiled.landmarks import can_start, close_gaps, enter, find, leave
+from filters.engine.compiled.prediction import orientation, predict, put, right_jacobian_of, times, transposed
+from filters.engine.compiled.projection import linearise, prepare, project
+from filters.engine.compiled.recipe import FIRST_ESTIMATES, INVARIANT, Plan
+from filters.engine.compiled.retraction import mark_rays, moved_by, retract, transport
+from filters.engine.compiled.storage import BLOCKS, LANDMARKS, Frame, Scratch, Storage
+from filters.engine.compiled.units import (
+    ADDRESSES,
+    AGREE,
+    CORRECT,
+    ENTER,
+    FUSE,
+    GATE,
+    LINEARISE,
+    MATRIX,
+    PLAN,
+    PREDICT,
+    PROPOSE,
+    RETRACT,
+    SCRATCH,
+    STORAGE,
+    VECTOR,
+    WALK,
+    read_frame,
+    read_plan,
+    read_scratch,
+    read_storage,
+    unit,
+)
+from filters.validation import FloatArray
+
+USED, BEHIND, GATED, FAILED, STARTED, REJECTED = range(6)
+"""Outcome of a measurement: used, behind the camera, gated, no Cholesky factor of S; started a landmark, or not."""
+
+
+@unit(PLAN, types.int64, types.int64, STORAGE, types.int64, VECTOR, MATRIX, SCRATCH, types.int64)
+def linearise_unit(
+    plan: Plan, variant: int, stage: int, S: Storage, b: int, x: FloatArray, blocks: FloatArray, s: Scratch, count: int
+) -> None:
+    """Innovations at a state, H there or at the first estimates."""
+    own, anchor = S.own[b], S.anchor[b]
+    if plan.error != FIRST_ESTIMATES:
+        linearise(plan, variant, stage, x, blocks, anchor, own, s, count)
+        return
+    point = s.point
+    for i in range(len(x)):
+        point[i] = S.predicted[b, i] if i < 7 else x[i]
+    first, at = S.first[b], s.point_blocks
+    for c in range(S.counts[b, BLOCKS]):
+        for i in range(3):
+            at[c, i] = first[c, i]
+    if plan.anchored:
+        for i in range(S.counts[b, LANDMARKS]):
+            at[own[i], 2] = blocks[own[i], 2]
+    linearise(plan, variant, stage, point, at, anchor, own, s, count)
+    project(plan, variant, stage, x, blocks, anchor, own, s, count)
+
+
+@njit(**KERNEL)
+def _believable(
+    routines: tuple[int, ...], plan: Plan, variant: int, stage: int, S: Storage, b: int, s: Scratch, count: int
+) -> int:
+    """Gate the selected measurements, linearised; those that pass stay selected, their number."""
+    limit, kept = plan.limits[variant, stage], 0
+    call(routines[GATE], (plan, S.P[b], s, s.select, count, plan.rows[variant, stage, 0]))
+    for i in range(count):
+        m = s.select[i]
+        if s.distances[m] <= limit:
+            s.select[kept] = m
+            kept += 1
+    return kept
+
+
+@njit(**KERNEL)
+def _by_earlier_errors(plan: Plan, n: int, s: Scratch, count: int, size: int) -> None:
+    """`LinearisedMeasurements.by_earlier_errors`, with the transport in W and D of the scratch."""
+    measured = plan.measured
+    for i in range(count):
+        m = s.select[i]
+        for k in range(size):
+            H = s.H[m, k]
+            for a in range(3):
+                total = 0.0
+                for c in range(measured):
+                    total += H[c] * s.W[c, a]
+                c = measured
+                for which in range(0 if plan.anchored else 1, 2):
+                    for j in range(3):
+                        total += H[c] * s.W[s.base[m, which] + j, a]
+                        c += 1
+                s.nu[m, k] += total * s.delta[3 + a]
+                s.block[a, 0] = total
+            if plan.error == INVARIANT:  # the block-diagonal part
+                _times_block(H, 0, s.F)
+                c = measured
+                for which in range(0 if plan.anchored else 1, 2):
+                    _times_block(H, c, s.D[(s.base[m, which] - plan.leading) // 3])
+                    c += 3
+            for a in range(3):
+                H[3 + a] += s.block[a, 0]
+            s.nu[m, k] += explained(plan, s, m, k)
+            for a in range(3):
+                s.nu[m, k] -= s.block[a, 0] * s.delta[3 + a]
+
+
+@njit(**KERNEL)
+def _times_block(H: FloatArray, first: int, D: FloatArray) -> None:
+    """H[first:first + 3] <- H[first:first + 3] D."""
+    a, b, c = H[first], H[first + 1], H[first + 2]
+    for j in range(3):
+        H[first + j] = a * D[0, j] + b * D[1, j] + c * D[2, j]
+
+
+@unit(ADDRESSES, PLAN, STORAGE, types.int64, SCRATCH, types.int64, types.int64, types.int64)
+def propose_unit(
+    routines: tuple[int, ...], plan: Plan, S: Storage, b: int, s: Scratch, count: int, size: int, n: int
+) -> None:
+    """delta of one pass, P as it was: from one batch, or chunk by chunk on a copy where that has no factor."""
+    P, rows = S.P[b], count * size
+    times_covariance(plan, P, n, s, s.select, 0, count, size)
+    if innovation_covariance(plan, s, s.select, 0, count, size) and factorise(routines, s, rows):
+        HP, L = s.HP, s.S  # the factor is L^T in rows: L[j, i] for i >= j
+        for i in range(rows):
+            m = s.select[i // size]
+            HP[i, n] = s.nu[m, i % size]
+        for i in range(rows):
+            HP[i, n] /= L[i, i]
+            for j in range(i + 1, rows):
+                HP[j, n] -= L[i, j] * HP[i, n]
+        for i in range(rows - 1, -1, -1):
+            total = HP[i, n]
+            for j in range(i + 1, rows):
+                total -= L[i, j] * HP[j, n]
+            HP[i, n] = total / L[i, i]
+        for j in range(n):
+            s.delta[j] = 0.0
+        for i in range(rows):
+            a = HP[i, n]
+            for j in range(n):
+                s.delta[j] += a * HP[i, j]
+        return
+    for i in range(n):
+        for j in range(i, n):
+            s.copy[i, j] = P[i, j]
+    call(routines[CORRECT], (routines, plan, s.copy, n, s, s.select, count, size))
+
+
+@njit(**KERNEL)
+def _apply(
+    routines: tuple[int, ...], plan: Plan, variant: int, stage: int, S: Storage, b: int, s: Scratch, count: int
+) -> tuple[float, int]:
+    """`StereoEKF._apply` with the selected measurements, linearised: moves the state, writes fates; NIS and dof."""
+    if count == 0:  # of the second stage of a joint test
+        return 0.0, 0
+    size = plan.rows[variant, stage, 0]
+    P, x, blocks, counts = S.P[b], S.x[b], S.blocks[b], S.counts[b]
+    n = plan.leading + 3 * counts[BLOCKS]
+    if plan.drift[1].any():
+        take_steps(plan, plan.drift[1], P, s, s.select, count)
+    if plan.tail_dof < 1e300:
+        call(routines[GATE], (plan, P, s, s.select, count, size))
+        reweight(plan, s, s.select, count, size)
+    for _ in range(plan.iterations - 1):
+        call(routines[PROPOSE], (routines, plan, S, b, s, count, size, n))
+        for i in plan.considered:
+            s.delta[i] = 0.0
+        mark_rays(plan, S.own[b], counts[LANDMARKS], counts[BLOCKS], s.is_own)
+        moved_by(plan, x, blocks, counts[BLOCKS], s.delta, s.is_own, s.moved, s.moved_blocks)
+        call(routines[LINEARISE], (plan, variant, stage, S, b, s.moved, s.moved_blocks, s, count))
+        transport(plan, x, blocks, counts[BLOCKS], s.delta, s.is_own, s.moved, s.moved_blocks, s.W, s.D)
+        if plan.error == INVARIANT:
+            _left_jacobian(x, s.delta, s.F)
+        _by_earlier_errors(plan, n, s, count, size)
+    keep_considered(P, plan.considered, s.kept)
+    call(routines[CORRECT], (routines, plan, P, n, s, s.select, count, size))
+    nis, dof = s.result[0], 0
+    restore_considered(P, plan.considered, s.kept, s.delta)
+    for i in range(count):
+        m = s.select[i]
+        if s.used[m]:
+            s.fates[m] = USED
+            dof += size
+        else:
+            s.fates[m] = FAILED
+    call(routines[RETRACT], (plan, P, x, blocks, S.own[b], counts[LANDMARKS], counts[BLOCKS], s))
+    return nis, dof
+
+
+@njit(**KERNEL)
+def _left_jacobian(x: FloatArray, delta: FloatArray, J: FloatArray) -> None:
+    """J_l of the rotation delta in W, (3, 3)."""
+    t0, t1, t2 = times(orientation(x), delta[3], delta[4], delta[5])
+    put(J, 0, 0, transposed(right_jacobian_of(t0, t1, t2)), 1.0)
+
+
+@njit(**KERNEL)
+def _stage(
+    routines: tuple[int, ...], plan: Plan, variant: int, stage: int, S: Storage, b: int, s: Scratch, known: int
+) -> tuple[float, int]:
+    """`StereoEKF._correct_stage`: with the measurements whose fate so far is USED; NIS and dof."""
+    x, blocks, P = S.x[b], S.blocks[b], S.P[b]
+    gated = plan.limits[variant, stage] < 1e300
+    count = 0
+    for m in range(known):
+        s.ahead[m] = False  # of those that an earlier stage has refused
+        if s.fates[m] == USED:
+            s.select[count] = m
+            count += 1
+    call(routines[LINEARISE], (plan, variant, stage, S, b, x, blocks, s, count))
+    ahead = 0
+    for i in range(count):
+        m = s.select[i]
+        if s.ahead[m]:
+            s.select[ahead] = m
+            s.fates[m] = GATED
+            ahead += 1
+        else:
+            s.fates[m] = BEHIND
+    count = ahead
+    if plan.drift[0].any():
+        take_steps(plan, plan.drift[0], P, s, s.select, count)
+    if gated:
+        count = _believable(routines, plan, variant, stage, S, b, s, count)
+    if not (gated and plan.consensus):
+        return _apply(routines, plan, variant, stage, S, b, s, count)
+    n = plan.leading + 3 * S.counts[b, BLOCKS]
+    size = plan.rows[variant, stage, 0]
+    call(routines[AGREE], (plan, P, n, s, s.select, count, size, plan.limits[variant, stage]))
+    best = int(s.result[0])
+    core = 0
+    for i in range(count):
+        m = s.select[i]
+        if s.support[i, best]:
+            s.select[core] = m
+            core += 1
+    for i in range(core):
+        s.core[i] = s.select[i]
+    nis, dof = _apply(routines, plan, variant, stage, S, b, s, core)
+    count, taken = 0, 0
+    for m in range(known):
+        if taken < core and s.core[taken] == m:
+            taken += 1
+        elif s.fates[m] == GATED and s.ahead[m]:
+            s.select[count] = m
+            count += 1
+    call(routines[LINEARISE], (plan, variant, stage, S, b, x, blocks, s, count))
+    count = _believable(routines, plan, variant, stage, S, b, s, count)
+    more, rows = _apply(routines, plan, variant, stage, S, b, s, count)
+    return nis + more, dof + rows
+
+
+@njit(**KERNEL)
+def _renew(
+    routines: tuple[int, ...],
+    plan: Plan,
+    S: Storage,
+    b: int,
+    s: Scratch,
+    frame: Frame,
+    first: int,
+    last: int,
+    found: int,
+) -> None:
+    """`MapPolicy.renew`: landmarks that were not seen leave, new ones enter."""
+    unknown = (last - first) - found
+    gone = 0
+    if plan.drop_unseen and found < S.counts[b, LANDMARKS]:
+        gone = leave(S.ids[b], S.own[b], S.anchor[b], S.users[b], S.counts[b], s, found, frame.dropped[b])
+    new = 0
+    if unknown > 0:
+        x = S.x[b]
+        for i in range(first, last):
+            if s.where[i - first] < 0:
+                if can_start(plan, x, frame.uvd[i, 0], frame.uvd[i, 1], frame.uvd[i, 2]):
+                    frame.fates[i] = STARTED
+                    s.place[new] = i - first
+                    new += 1
+                else:
+                    frame.fates[i] = REJECTED
+        if new > 0:
+            call(routines[ENTER], (plan, S, b, s, frame.ids, frame.uvd, frame.R, first, new))
+    if gone > 0:
+        close_gaps(plan, S, b)
+    frame.outcome[b, 0] = gone
+
+
+@njit(**KERNEL)
+def _advance(routines: tuple[int, ...], plan: Plan, S: Storage, b: int, s: Scratch, frame: Frame) -> None:
+    """The frame of one filter."""
+    if not (frame.seen[b] or frame.dt[b] > 0.0):
+        return
+    first, last = frame.offsets[b], frame.offsets[b + 1]
+    counts = S.counts[b]
+    found = find(S.ids[b], counts[LANDMARKS], frame.ids[first:last], s.where)
+    each = 2 if plan.anchored and not plan.shares_anchors else 1
+    needed = counts[BLOCKS] + each * (last - first - found) + (1 if plan.shares_anchors else 0)
+    frame.outcome[b, 1] = 0
+    if frame.seen[b] and found < last - first and needed > S.blocks.shape[1]:
+        frame.outcome[b, 1] = needed
+        return
+    dt = frame.dt[b]
+    if dt > 0.0:
+        P, x = S.P[b], S.x[b]
+        n = plan.leading + 3 * counts[BLOCKS]
+        odometry, covariance = frame.odometry[b], frame.odometry_covariance[b]
+        if plan.gauge_walk > 0.0:
+            for i in range(7):
+                s.before[i] = x[i]
+        call(routines[PREDICT], (plan, P, n, x, S.predicted[b], dt, odometry, covariance, s))
+        if plan.gauge_walk > 0.0:
+            call(routines[WALK], (plan, S, b, s, s.before))
+        if frame.fused[b] and not plan.velocity_driven:
+            call(routines[FUSE], (routines, plan, P, n, x, dt, odometry, covariance, s))
+            if s.result[0] > 0.0:
+                call(routines[RETRACT], (plan, P, x, S.blocks[b], S.own[b], counts[LANDMARKS], counts[BLOCKS], s))
+    if not frame.seen[b]:
+        return
+    known = 0
+    for i in range(last - first):
+        if s.where[i] >= 0:
+            s.place[known], s.land[known], s.fates[known] = i, s.where[i], USED
+            known += 1
+    if known > 0:
+        variant = 1 if frame.with_right[b] else 0
+        for stage in range(plan.stages[variant]):
+            prepare(plan, variant, stage, frame.uvd, frame.R, frame.v_right, first, s, known)
+            nis, dof = _stage(routines, plan, variant, stage, S, b, s, known)
+            frame.nis[b] += nis
+            frame.dof[b] += dof
+        for m in range(known):
+            frame.fates[first + s.place[m]] = s.fates[m]
+    if known < last - first or (plan.drop_unseen and known < counts[LANDMARKS]):
+        _renew(routines, plan, S, b, s, frame, first, last, known)
+
+
+@njit(types.void(ADDRESSES, *[types.intp] * 4, types.int64, types.int64), _nrt=False, **KEPT, **ENTRY)
+def advance(
+    routines: tuple[int, ...], plan_at: int, storage_at: int, scratch_at: int, frame_at: int, first: int, last: int
+) -> None:
+    """The frames of the filters first to last - 1, in place, from what is `Packed` at these addresses.
+
+    A filter without room says so, and stays as it was.
+    """
+    plan, S, s, frame = read_plan(plan_at), read_storage(storage_at), read_scratch(scratch_at), read_frame(frame_at)
+    for b in range(first, last):
+        _advance(routines, plan, S, b, s, frame)
+
+
+UNITS = (
+    predict,
+    fuse,
+    linearise_unit,
+    squared_distances,
+    largest_agreement,
+    propose_unit,
+    correct,
+    retract,
+    enter,
+    walk_gauge,
+)
+KERNELS = (*ROUTINES, *(kernel.address for kernel in UNITS))
+"""Addresses that `advance` wants, of BLAS and of the units."""

@@ -1,0 +1,154 @@
+"""Kernels of the gate, of the joint compatibility of a frame and of heavy-tailed noise."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit, types
+
+from filters.engine.compiled.blas import KERNEL, multiply_panel
+from filters.engine.compiled.correction import take_columns, take_leading_columns, times_covariance
+from filters.engine.compiled.drift import step_covariance
+from filters.engine.compiled.recipe import Plan
+from filters.engine.compiled.storage import Scratch
+from filters.engine.compiled.units import INDEX, MATRIX, PLAN, SCRATCH, unit
+from filters.validation import FloatArray, IntArray
+
+
+@njit(**KERNEL)
+def solve(S: FloatArray, x: FloatArray, size: int) -> float:
+    """x^T S^-1 x by S = L D L^T of the lower triangle, which becomes the factors; x becomes L^-1 x."""
+    total = 0.0
+    for a in range(size):
+        for b in range(a):
+            ratio = S[a, b] / S[b, b]
+            x[a] -= ratio * x[b]
+            for c in range(a, size):
+                S[c, a] -= S[c, b] * ratio
+        total += x[a] ** 2 / S[a, a]
+    return total
+
+
+@unit(PLAN, MATRIX, SCRATCH, INDEX, types.int64, types.int64)
+def squared_distances(plan: Plan, P: FloatArray, s: Scratch, select: IntArray, count: int, size: int) -> None:
+    """`kalman.squared_distances`: nu^T S^-1 nu of each selected measurement on its own, in the scratch."""
+    measured = plan.measured
+    total = measured + (6 if plan.anchored else 3)
+    rows, C, HP, S, x = s.gate_rows, s.gate_P, s.gate_HP, s.small[0], s.small[1, 0]
+    for i in range(measured):
+        rows[i] = i
+        for j in range(i, measured):
+            C[i, j] = C[j, i] = P[i, j]
+    for i in range(count):
+        m = select[i]
+        for c in range(3):
+            if plan.anchored:
+                rows[measured + c] = s.base[m, 0] + c
+            rows[total - 3 + c] = s.base[m, 1] + c
+        for p in range(measured, total):
+            row = rows[p]
+            for q in range(measured):
+                C[q, p] = C[p, q] = P[q, row]
+            for q in range(measured, p + 1):
+                other = rows[q]
+                C[q, p] = C[p, q] = P[min(row, other), max(row, other)]
+        multiply_panel(HP, 0, s.H[m], size, C, 0, 0, total, total)
+        for a in range(size):
+            x[a] = s.nu[m, a]
+            for b in range(a + 1):
+                value = s.R[m, a, b]
+                for p in range(total):
+                    value += HP[a, p] * s.H[m, b, p]
+                S[a, b] = value
+        s.distances[m] = solve(S, x, size)
+
+
+@njit(**KERNEL)
+def reweight(plan: Plan, s: Scratch, select: IntArray, count: int, size: int) -> None:
+    """`heavy_tails.reweighted`: R divided by the weights of Student's t, from the distances in the scratch."""
+    for i in range(count):
+        m = select[i]
+        weight = min((plan.tail_dof + size) / (plan.tail_dof + s.distances[m]), 1.0)
+        for a in range(size):
+            for b in range(size):
+                s.R[m, a, b] /= weight
+
+
+@njit(**KERNEL)
+def _invert(S: FloatArray, inverse: FloatArray, factors: FloatArray, size: int) -> None:
+    """Inverse of a symmetric positive definite matrix, column by column."""
+    for column in range(size):
+        for a in range(size):
+            inverse[column, a] = 1.0 if a == column else 0.0
+            for b in range(size):
+                factors[a, b] = S[a, b]
+        _solve_whole(factors, inverse[column], size)
+
+
+@njit(**KERNEL)
+def _solve_whole(S: FloatArray, x: FloatArray, size: int) -> None:
+    """x <- S^-1 x with a symmetric positive definite S, whose lower triangle becomes its factors."""
+    solve(S, x, size)
+    for a in range(size - 1, -1, -1):
+        x[a] /= S[a, a]
+        for b in range(a + 1, size):
+            x[a] -= S[b, a] / S[a, a] * x[b]
+
+
+@unit(PLAN, MATRIX, types.int64, SCRATCH, INDEX, types.int64, types.int64, types.float64)
+def largest_agreement(
+    plan: Plan, P: FloatArray, n: int, s: Scratch, select: IntArray, count: int, size: int, limit: float
+) -> None:
+    """`consensus.largest_agreement`: place of the best hypothesis in `result`, its followers in `support`.
+
+    Row j, column i of `support`: whether measurement j agrees with hypothesis i.
+    """
+    if count < 2:
+        for i in range(count):
+            s.support[i, i] = True
+        s.result[0] = 0.0
+        return
+    rows, width = count * size, plan.measured + (6 if plan.anchored else 3)
+    times_covariance(plan, P, n, s, select, 0, count, size)
+    take_leading_columns(plan, s, rows)
+    own, proposal, x = s.small[1], s.small[2, 0], s.small[2, 1]
+    for i in range(count):
+        noise = s.R[select[i]]
+        if plan.drift[0].any():
+            step_covariance(plan.drift[0], noise, own)
+            for a in range(3):
+                for b in range(3):
+                    own[a, b] += noise[a, b]
+            noise = own
+        _invert(noise, s.inverse_R[select[i]], s.small[0], size)
+    best, most, least = -1, -1, np.inf
+    cross = s.S  # of all measurements with one of them, transposed: H_i P H_j^T
+    for i in range(count):
+        m = select[i]
+        take_columns(plan, s, m, 0, rows)
+        multiply_panel(cross, 0, s.H[m], size, s.shared, 0, 0, width, rows)
+        for a in range(size):
+            proposal[a] = s.nu[m, a]
+            for b in range(size):
+                cross[a, i * size + b] += s.R[m, a, b]
+                own[a, b] = cross[a, i * size + b]
+        _solve_whole(own, proposal, size)
+        followers, tightness = 0, 0.0
+        for j in range(count):
+            other, distance = select[j], 0.0
+            inverse = s.inverse_R[other]
+            if i != j:
+                for a in range(size):
+                    x[a] = s.nu[other, a]
+                    for b in range(size):
+                        x[a] -= cross[b, j * size + a] * proposal[b]
+                for a in range(size):
+                    for b in range(size):
+                        distance += x[a] * inverse[a, b] * x[b]
+            agrees = distance <= limit
+            s.support[j, i] = agrees
+            if agrees:
+                followers += 1
+                tightness += distance
+        if followers > most or (followers == most and tightness < least):
+            best, most, least = i, followers, tightness
+    s.result[0] = best

@@ -1,0 +1,310 @@
+"""State of many filters in arrays with room to grow, what a frame brings, and what the kernels work on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from filters.engine.compiled.recipe import MOST_ROWS, Recipe
+from filters.validation import BoolArray, FloatArray, IntArray
+
+CHUNK_ROWS = 36  # of measurement corrected with at a time: more cost more to factorise, fewer pass over P more often
+LANDMARKS, BLOCKS = 0, 1
+
+
+class Storage(NamedTuple):
+    """State of B filters, each with room for C blocks.
+
+    Only the upper triangle of the first rows of `P[b]` is valid, that is of the leading rows and of the blocks in use,
+    which have no gaps between them.
+    """
+
+    P: FloatArray
+    """(B, n, n)."""
+    x: FloatArray
+    """Values of the leading variables, (B, values)."""
+    predicted: FloatArray
+    """The same as they were predicted last, before any correction."""
+    blocks: FloatArray
+    """Values of the blocks, (B, C, 3): block c is at the rows leading + 3 c of P."""
+    first: FloatArray
+    """The same when they entered."""
+    ids: IntArray
+    """Landmarks in ascending order, (B, C)."""
+    own: IntArray
+    """Parameter block of each, (B, C)."""
+    anchor: IntArray
+    """Anchor block of each, -1 where there is none, (B, C)."""
+    users: IntArray
+    """Landmarks that use each block, and one more where it is held, (B, C)."""
+    held: IntArray
+    """Blocks that stay without a landmark, in the order in which they were held, -1 at the end; (B, C)."""
+    counts: IntArray
+    """Landmarks and blocks, (B, 2)."""
+
+
+class Frame(NamedTuple):
+    """What a frame brings to B filters: a step, odometry, and M measurements in all."""
+
+    dt: FloatArray
+    """(B,) s; zero: no step."""
+    fused: BoolArray
+    """Whether there is odometry, (B,)."""
+    odometry: FloatArray
+    """(B, 6)."""
+    odometry_covariance: FloatArray
+    """(B, 6, 6)."""
+    seen: BoolArray
+    """Whether there is an observation, (B,)."""
+    offsets: IntArray
+    """Measurements of filter b are offsets[b] to offsets[b + 1] - 1; (B + 1,)."""
+    ids: IntArray
+    """(M,), ascending for each filter."""
+    uvd: FloatArray
+    """(M, 3)."""
+    R: FloatArray
+    """(M, 3, 3)."""
+    with_right: BoolArray
+    """Whether the right row is measured on its own, (B,)."""
+    v_right: FloatArray
+    """(M,)."""
+    fates: IntArray
+    """Outcome of each measurement, (M,) uint8: written."""
+    nis: FloatArray
+    """(B,): written."""
+    dof: IntArray
+    """(B,): written."""
+    dropped: IntArray
+    """Ids that left, (B, C): written."""
+    outcome: IntArray
+    """How many ids left, and the number of blocks that there is no room for (0: all went well), (B, 2): written."""
+
+
+class Scratch(NamedTuple):
+    """Room for one filter's frame at a time: one for each thread."""
+
+    F: FloatArray
+    old: FloatArray
+    half: FloatArray
+    changed: BoolArray
+    lead: FloatArray
+    """(leading or measured + 6, n): whole leading rows of P, and of the blocks of one landmark."""
+    G: FloatArray
+    """(6, n): factors of a change of rank six."""
+    block: FloatArray
+    point: FloatArray
+    before: FloatArray
+    moved: FloatArray
+    moved_blocks: FloatArray
+    point_blocks: FloatArray
+    where: IntArray
+    """Landmark of each measurement, -1: not in the map, (M,)."""
+    place: IntArray
+    land: IntArray
+    fates: IntArray
+    select: IntArray
+    core: IntArray
+    base: IntArray
+    z: FloatArray
+    R: FloatArray
+    H: FloatArray
+    """(M, 4, measured + 6): by leading rows, anchor, own rows."""
+    nu: FloatArray
+    distances: FloatArray
+    ahead: BoolArray
+    used: BoolArray
+    support: BoolArray
+    HP: FloatArray
+    S: FloatArray
+    shared: FloatArray
+    delta: FloatArray
+    kept: FloatArray
+    W: FloatArray
+    D: FloatArray
+    is_own: BoolArray
+    copy: FloatArray
+    odometry: FloatArray
+    odometry_nu: FloatArray
+    gate_rows: IntArray
+    gate_P: FloatArray
+    gate_HP: FloatArray
+    inverse_R: FloatArray
+    small: FloatArray
+    result: FloatArray
+    """What a unit gives back, (2,)."""
+    letters: IntArray
+    sizes: IntArray
+    """Arguments of LAPACK."""
+
+
+def empty_storage(recipe: Recipe, filters: int, blocks: int) -> Storage:
+    """Storage of filters without a map, with room for so many blocks."""
+    rows = padded(recipe.leading + 3 * blocks)
+    return Storage(
+        P=np.zeros((filters, rows, rows)),
+        x=np.zeros((filters, recipe.values)),
+        predicted=np.zeros((filters, recipe.values)),
+        blocks=np.zeros((filters, blocks, 3)),
+        first=np.zeros((filters, blocks, 3)),
+        ids=np.zeros((filters, blocks), dtype=np.int64),
+        own=np.zeros((filters, blocks), dtype=np.int64),
+        anchor=np.zeros((filters, blocks), dtype=np.int64),
+        users=np.zeros((filters, blocks), dtype=np.int64),
+        held=np.full((filters, blocks), -1),
+        counts=np.zeros((filters, 2), dtype=np.int64),
+    )
+
+
+def grown(storage: Storage, recipe: Recipe, blocks: int) -> Storage:
+    """The same with room for more blocks."""
+    larger = empty_storage(recipe, len(storage.x), blocks)
+    for old, new in zip(storage, larger, strict=True):
+        new[tuple(slice(0, size) for size in old.shape)] = old
+    return larger
+
+
+def padded(rows: int) -> int:
+    """Rows of P with a distance between them that does not fall on the same lines of a cache."""
+    return -(-rows // 16) * 16 + 8
+
+
+def scratch(recipe: Recipe, storage: Storage, measurements: int) -> Scratch:
+    """Room for a frame of so many measurements."""
+    n, blocks, leading, M = storage.P.shape[1], storage.blocks.shape[1], recipe.leading, max(1, measurements)
+    at_once = recipe.consensus or recipe.iterations > 1
+    rows = max(8, M * MOST_ROWS if at_once else min(M * MOST_ROWS, CHUNK_ROWS + MOST_ROWS))
+    width = recipe.measured + 6
+    integers = {name: np.zeros(M, dtype=np.int64) for name in ("where", "place", "land", "select", "core")}
+    return Scratch(
+        F=np.zeros((leading, leading)),
+        old=np.zeros((leading, leading)),
+        half=np.zeros((leading, leading)),
+        changed=np.zeros(leading, dtype=np.bool_),
+        lead=np.zeros((max(leading, width), n)),
+        G=np.zeros((6, n)),
+        block=np.zeros((3, n)),
+        point=np.zeros(recipe.values),
+        before=np.zeros(recipe.values),
+        moved=np.zeros(recipe.values),
+        moved_blocks=np.zeros((blocks, 3)),
+        point_blocks=np.zeros((blocks, 3)),
+        **integers,
+        fates=np.zeros(M, dtype=np.uint8),
+        base=np.zeros((M, 2), dtype=np.int64),
+        z=np.zeros((M, MOST_ROWS)),
+        R=np.zeros((M, MOST_ROWS, MOST_ROWS)),
+        H=np.zeros((M, MOST_ROWS, width)),
+        nu=np.zeros((M, MOST_ROWS)),
+        distances=np.zeros(M),
+        ahead=np.zeros(M, dtype=np.bool_),
+        used=np.zeros(M, dtype=np.bool_),
+        support=np.zeros((M, M) if recipe.consensus else (1, 1), dtype=np.bool_),
+        HP=np.zeros((rows, n + 16)),  # rows of 512 numbers, 8 more than 504, would fall on the same lines of a cache
+        S=np.zeros((rows, rows + 8)),
+        shared=np.zeros((width, rows + 8)),
+        delta=np.zeros(n),
+        kept=np.zeros((max(1, len(recipe.considered)),) * 2),
+        W=np.zeros((n, 3)),
+        D=np.zeros((blocks, 3, 3)),
+        is_own=np.zeros(blocks, dtype=np.bool_),
+        copy=np.zeros((n, n) if recipe.iterations > 1 else (1, 1)),
+        odometry=np.zeros((6, leading)),
+        odometry_nu=np.zeros(6),
+        gate_rows=np.zeros(width, dtype=np.int64),
+        gate_P=np.zeros((width, width + 8)),
+        gate_HP=np.zeros((MOST_ROWS, width + 8)),
+        inverse_R=np.zeros((M if recipe.consensus else 1, MOST_ROWS, MOST_ROWS)),
+        small=np.zeros((3, MOST_ROWS, MOST_ROWS)),
+        result=np.zeros(2),
+        letters=np.array((ord("L"),), dtype=np.uint8),
+        sizes=np.zeros(3, dtype=np.int32),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class FilterState:
+    """State of one filter, in plain arrays.
+
+    Attributes
+    ----------
+    x, predicted : (values,)
+        Leading variables (position, orientation xyzw, calibration, velocities, others, padding), now and as predicted.
+    P : (n, n)
+        Covariance of the leading rows and of the blocks; the upper triangle counts.
+    blocks, first : (C, 3)
+        Values of the blocks, now and when they entered.
+    ids, own, anchor : (N,) int64
+        Landmarks in ascending order, their parameter blocks and anchor blocks (-1: none).
+    held : (H,) int64
+        Blocks that stay without a landmark.
+    """
+
+    x: FloatArray
+    predicted: FloatArray
+    P: FloatArray
+    blocks: FloatArray
+    first: FloatArray
+    ids: IntArray
+    own: IntArray
+    anchor: IntArray
+    held: IntArray
+
+
+def empty_frame(filters: int, blocks: int, measurements: int) -> Frame:
+    """A frame that brings nothing."""
+    M = measurements
+    return Frame(
+        dt=np.zeros(filters),
+        fused=np.zeros(filters, dtype=np.bool_),
+        odometry=np.zeros((filters, 6)),
+        odometry_covariance=np.zeros((filters, 6, 6)),
+        seen=np.zeros(filters, dtype=np.bool_),
+        offsets=np.zeros(filters + 1, dtype=np.int64),
+        ids=np.zeros(M, dtype=np.int64),
+        uvd=np.zeros((M, 3)),
+        R=np.zeros((M, 3, 3)),
+        with_right=np.zeros(filters, dtype=np.bool_),
+        v_right=np.zeros(M),
+        fates=np.zeros(M, dtype=np.uint8),
+        nis=np.zeros(filters),
+        dof=np.zeros(filters, dtype=np.int64),
+        dropped=np.zeros((filters, blocks), dtype=np.int64),
+        outcome=np.zeros((filters, 2), dtype=np.int64),
+    )
+
+
+def exported(storage: Storage, recipe: Recipe, filter_index: int) -> FilterState:
+    """A copy of the state of one filter."""
+    b, (landmarks, blocks) = filter_index, storage.counts[filter_index]
+    n = recipe.leading + 3 * blocks
+    held = storage.held[b]
+    return FilterState(
+        x=storage.x[b].copy(),
+        predicted=storage.predicted[b].copy(),
+        P=storage.P[b, :n, :n].copy(),
+        blocks=storage.blocks[b, :blocks].copy(),
+        first=storage.first[b, :blocks].copy(),
+        ids=storage.ids[b, :landmarks].copy(),
+        own=storage.own[b, :landmarks].copy(),
+        anchor=storage.anchor[b, :landmarks].copy(),
+        held=held[held >= 0],
+    )
+
+
+def load(storage: Storage, filter_index: int, state: FilterState) -> None:
+    """Put the state of one filter there; there must be room for it."""
+    b, n, landmarks, blocks = filter_index, len(state.P), len(state.ids), len(state.blocks)
+    storage.P[b, :n, :n] = state.P
+    storage.x[b], storage.predicted[b] = state.x, state.predicted
+    storage.blocks[b, :blocks], storage.first[b, :blocks] = state.blocks, state.first
+    order = np.argsort(state.ids)
+    storage.ids[b, :landmarks] = state.ids[order]
+    storage.own[b, :landmarks], storage.anchor[b, :landmarks] = state.own[order], state.anchor[order]
+    users = np.bincount(state.own, minlength=blocks) + np.bincount(state.anchor[state.anchor >= 0], minlength=blocks)
+    users[state.held] += 1
+    storage.users[b, :blocks] = users
+    storage.held[b] = -1
+    storage.held[b, : len(state.held)] = state.held
+    storage.counts[b] = landmarks, blocks

@@ -1,0 +1,1 @@
+"""Cameras, poses, rotations, retractions and differences: the geometry that all parts share."""

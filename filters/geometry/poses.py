@@ -1,0 +1,99 @@
+"""Poses of one frame in another: composition, inverse, logarithm, transformation of points (SE(3))."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import overload
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from filters.geometry import rotations
+from filters.validation import FloatArray
+
+
+def _origin() -> FloatArray:
+    return np.zeros(3)
+
+
+def _unturned() -> FloatArray:
+    return np.array([0.0, 0.0, 0.0, 1.0])
+
+
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """Pose T_ab of a frame B in a frame A; unless said otherwise that of the left camera C in the world W, T_wc.
+
+    `T_wc @ T_cb` composes poses, `T_wc @ p_c` takes points (..., 3) into W, `T_wc.inverse()` is T_cw.
+
+    Attributes
+    ----------
+    position : (3,)
+        Origin of B in A, m.
+    orientation : (4,)
+        Unit quaternion xyzw of R_ab.
+
+    References
+    ----------
+    Sola, Deray and Atchuthan, "A micro Lie theory for state estimation in robotics", 2018, section IV and appendix D.
+    """
+
+    position: FloatArray = field(default_factory=_origin)
+    orientation: FloatArray = field(default_factory=_unturned)
+
+    @classmethod
+    def exp(cls, tangent: ArrayLike) -> Pose:
+        """The pose whose `log` is `tangent`, (6,): translation part (m), then rotation vector (rad)."""
+        tangent = np.asarray(tangent, dtype=np.float64)
+        rho, phi = tangent[:3], tangent[3:]
+        # The left Jacobian of phi is the right one of -phi.
+        return cls(rotations.right_jacobian(-phi) @ rho, rotations.exp_quaternion(phi))
+
+    @cached_property
+    def R_wc(self) -> FloatArray:
+        """Rotation matrix, takes vectors of B (the camera) into A (the world); (3, 3), read-only."""
+        R_wc = rotations.matrix(self.orientation)
+        R_wc.flags.writeable = False
+        return R_wc
+
+    @overload
+    def __matmul__(self, other: Pose) -> Pose: ...
+
+    @overload
+    def __matmul__(self, other: FloatArray) -> FloatArray: ...
+
+    def __matmul__(self, other: Pose | FloatArray) -> Pose | FloatArray:
+        if isinstance(other, Pose):
+            orientation = rotations.multiply(self.orientation, other.orientation)
+            return Pose(self.position + self.R_wc @ other.position, orientation)
+        points: FloatArray = np.asarray(other) @ self.R_wc.T + self.position
+        return points
+
+    def inverse(self) -> Pose:
+        """T_ba, the pose of A in B."""
+        return Pose(-self.R_wc.T @ self.position, self.orientation * [-1.0, -1.0, -1.0, 1.0])
+
+    def log(self) -> FloatArray:
+        """Logarithm of SE(3), (6,): translation part (m), then the rotation vector of length <= pi (rad)."""
+        phi = rotations.log(self.R_wc)
+        return np.concatenate([np.linalg.solve(rotations.right_jacobian(-phi), self.position), phi])
+
+    def to_camera(self, points_w: FloatArray) -> FloatArray:
+        """Points of A (the world) in B (the camera), `inverse() @ points_w`; (..., 3) m -> (..., 3) m."""
+        points_c: FloatArray = (points_w - self.position) @ self.R_wc
+        return points_c
+
+
+def relative_jacobian(first: Pose, last: Pose) -> FloatArray:
+    """J (6, 12) that takes the errors of two poses to that of `first.inverse() @ last`, to first order.
+
+    All errors are those of `PoseBelief`: of the position in the frame that the pose is in, of the rotation in the frame
+    whose pose it is.
+    """
+    T = first.inverse() @ last
+    J = np.zeros((6, 12))
+    J[:3, :3], J[:3, 6:9] = -first.R_wc.T, first.R_wc.T
+    J[:3, 3:6] = rotations.skew(T.position)
+    J[3:, 3:6], J[3:, 9:] = -T.R_wc.T, np.eye(3)
+    return J

@@ -1,0 +1,165 @@
+"""Options that all filters of a comparison share: given to those that leave them open, and to no others."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+import pytest
+
+from filters import (
+    ConstantVelocity,
+    MotionModel,
+    StereoEKF,
+    StereoFilter,
+    VelocityDriven,
+    available_filters,
+    make_filter,
+)
+from filters.catalogue.common_options import UNKNOWN, MadeFilter, make_with_common_options
+from filters.catalogue.registry import FilterFactory
+from filters.checks.conformance import REFERENCE_CAMERA, REFERENCE_NOISE
+from filters.motions.model import CameraState, MotionPrediction
+
+from ..delayed import DelayedEKF
+
+NUMBERS = {"sigma_acceleration": 1.0, "sigma_angular_acceleration": 0.1}
+COMMON = {"gate": 0.9, "motion": NUMBERS, "consensus": True}
+
+
+class Gliding(MotionModel):
+    """A motion model of somebody else's."""
+
+    def predict(self, state: CameraState, dt: float, odometry: Any) -> MotionPrediction:
+        return ConstantVelocity(2.0, 0.2).predict(state, dt, odometry)
+
+
+class Beside(StereoEKF):
+    def __init__(self, camera: Any, noise: Any, **options: Any) -> None:
+        super().__init__(camera, noise, motion=Gliding(), **options)
+
+
+class AsDefault(StereoEKF):
+    def __init__(self, camera: Any, noise: Any, *, motion: Any = Gliding(), **options: Any) -> None:  # noqa: B008
+        super().__init__(camera, noise, motion=motion, **options)
+
+
+class SetWhereMissing(StereoEKF):
+    def __init__(self, camera: Any, noise: Any, **options: Any) -> None:
+        options.setdefault("motion", Gliding())
+        super().__init__(camera, noise, **options)
+
+
+class Merged(StereoEKF):
+    def __init__(self, camera: Any, noise: Any, **options: Any) -> None:
+        super().__init__(camera, noise, **{"motion": Gliding(), **options})
+
+
+class Inherited(Beside):
+    pass
+
+
+class InheritedWithOptions(AsDefault):
+    def __init__(self, camera: Any, noise: Any, *, limit: float = 1.0, **options: Any) -> None:
+        super().__init__(camera, noise, **options)
+
+
+class Wrapped(DelayedEKF):
+    def __init__(self, camera: Any, noise: Any, **options: Any) -> None:
+        super().__init__(camera, noise, motion=Gliding(), **options)
+
+
+def made_by_a_function(camera: Any, noise: Any, **options: Any) -> StereoFilter:
+    return StereoEKF(camera, noise, motion=Gliding(), **options)
+
+
+def made(name: str | FilterFactory, common: dict[str, Any] = COMMON, **options: Any) -> MadeFilter:
+    return make_with_common_options(name, REFERENCE_CAMERA, REFERENCE_NOISE, options, common)
+
+
+def motion_of(stereo_filter: StereoFilter) -> Any:
+    return (stereo_filter._past if isinstance(stereo_filter, DelayedEKF) else stereo_filter).options.motion
+
+
+@pytest.mark.parametrize(
+    "factory",
+    [
+        Beside,
+        AsDefault,
+        SetWhereMissing,
+        Merged,
+        Inherited,
+        InheritedWithOptions,
+        Wrapped,
+        made_by_a_function,
+        partial(StereoEKF, motion=Gliding()),
+    ],
+    ids=lambda factory: getattr(factory, "__name__", "partial"),
+)
+def test_a_choice_of_its_own_stands_however_it_is_written(factory: FilterFactory) -> None:
+    result = made(factory)
+    assert isinstance(motion_of(result.filter), Gliding)
+    assert result.options == {"gate": 0.9, "consensus": True}
+    assert result.not_given == {"motion": "it has its own, Gliding"}
+
+
+@pytest.mark.parametrize("factory", [AsDefault, SetWhereMissing, Merged, InheritedWithOptions])
+def test_what_is_meant_for_this_filter_goes_first(factory: FilterFactory) -> None:
+    result = made(factory, motion="velocity-driven")
+    assert motion_of(result.filter) == VelocityDriven()
+    assert result.not_given == {}
+
+
+def test_a_choice_that_equals_the_usual_value_is_a_choice_if_it_is_passed_on() -> None:
+    class Gated(StereoEKF):
+        def __init__(self, camera: Any, noise: Any, **options: Any) -> None:
+            super().__init__(camera, noise, gate=0.99, **options)
+
+    result = made(Gated)
+    assert result.filter.options.gate == 0.99
+    assert result.not_given == {"gate": "it has its own, 0.99"}
+
+
+def test_a_choice_that_equals_the_common_one_is_not_worth_a_remark() -> None:
+    assert made(lambda camera, noise, gate=0.9: StereoEKF(camera, noise, gate=gate), {"gate": 0.9}).not_given == {}
+
+
+@pytest.mark.parametrize(("default", "given"), [(0.99, 0.9), (None, 0.9), (0.5, 0.5)])
+def test_a_default_is_a_choice_unless_it_is_the_usual_one_or_none(default: float | None, given: float) -> None:
+    def gated(camera: Any, noise: Any, *, gate: float | None = default) -> StereoFilter:
+        return StereoEKF(camera, noise, gate=gate)
+
+    assert made(gated, {"gate": 0.9}).filter.options.gate == given
+
+
+@pytest.mark.parametrize("name", [name for name in available_filters() if name not in ("batch", "dead-reckoning")])
+def test_filters_with_the_papers_defaults_get_what_is_common(name: str) -> None:
+    """As they were made before filters could keep a choice of their own."""
+    common = {"gate": 0.9, "motion": NUMBERS}
+    result = made(name, common)
+    assert result.options == common
+    assert not result.not_given
+
+
+def test_who_does_not_know_an_option_goes_without_and_says_so() -> None:
+    assert made("dead-reckoning").not_given == {"gate": UNKNOWN, "consensus": UNKNOWN}
+    assert made(lambda camera, noise: StereoEKF(camera, noise)).not_given == dict.fromkeys(COMMON, UNKNOWN)
+    # Without a common gate nobody has one, and nothing need be said.
+    assert made("dead-reckoning", {"gate": None}).not_given == {}
+
+
+def test_a_refusal_is_an_error_and_no_sign_of_an_unknown_option() -> None:
+    class Particular(StereoEKF):
+        def __init__(self, camera: Any, noise: Any, *, gate: float = 0.99, **options: Any) -> None:
+            if gate < 0.95:
+                raise ValueError(f"gate must be >= 0.95 here, got {gate!r}: such a tight one loses the map")
+            super().__init__(camera, noise, gate=gate, **options)
+
+    assert made(Particular, {"gate": 0.97}).filter.options.gate == 0.97
+    with pytest.raises(ValueError, match=r"gate must be >= 0\.95 here, got 0\.9"):
+        made(Particular)
+
+
+def test_a_filter_is_made_as_by_name() -> None:
+    plain = make_filter("inverse-depth", camera=REFERENCE_CAMERA, noise=REFERENCE_NOISE, gate=0.9)
+    assert made("inverse-depth", {"gate": 0.9}).filter.options.gate == plain.options.gate
