@@ -8,21 +8,23 @@ still chooses the folder: `NUMBA_CACHE_DIR`, `__pycache__` beside the module, or
 from __future__ import annotations
 
 import hashlib
+import logging
 import re
 import sys
 from functools import cache
 from pathlib import Path
 from typing import Any
 
-from numba.core import caching
+from numba.core import caching, event
 
+_log = logging.getLogger(__name__)
 _PACKAGES = frozenset({"filters", "stereo_slam_env"})
 _IMPORT = re.compile(rb"^(?:from\s+([\w.]+)\s+import\s+(\([^)]*\)|[^\n]*)|import\s+([^\n]*))", re.MULTILINE)
 _NAME = re.compile(rb"[\w.]+")
 
 
 @cache
-def _read(path: str, modified: int, size: int) -> tuple[bytes, frozenset[str]]:
+def _read(path: str) -> tuple[bytes, frozenset[str]]:
     """Digest of a source file, and the names that its imports may mean: modules, and what is taken from them."""
     source = Path(path).read_bytes()
     names = set()
@@ -37,8 +39,12 @@ def _is_ours(module: str) -> bool:
     return module.partition(".")[0] in _PACKAGES
 
 
+@cache
 def sources_digest(module: str) -> str:
-    """Digest of the sources of an imported module, and of all that it reaches by its imports of these packages."""
+    """Digest of the sources of an imported module, and of all that it reaches by its imports of these packages.
+
+    Once in a process: what is compiled later is what was imported, whatever has become of the files.
+    """
     found: dict[str, bytes] = {}
     waiting = {module}
     while waiting:
@@ -46,8 +52,7 @@ def sources_digest(module: str) -> str:
         path = getattr(sys.modules.get(name), "__file__", None)
         if path is None or name in found:  # a function or a class that was imported, no module
             continue
-        status = Path(path).stat()
-        found[name], imported = _read(path, status.st_mtime_ns, status.st_size)
+        found[name], imported = _read(path)
         waiting |= imported
     return hashlib.sha256(b"".join(name.encode() + found[name] for name in sorted(found))).hexdigest()[:16]
 
@@ -98,6 +103,24 @@ class _OfUser(_OfAllSources, caching.UserWideCacheLocator):
     """In the cache of the user."""
 
 
+class _Notice(event.Listener):  # type: ignore[misc]
+    """What is logged once in a process when a kernel is compiled that was not on disk."""
+
+    def on_start(self, event: Any) -> None:
+        """Before a function is compiled, unless it came from the disk."""
+        if _is_ours(event.data["dispatcher"].py_func.__module__):
+            _say_that_it_takes_time()
+
+    def on_end(self, event: Any) -> None:
+        """After it."""
+
+
+@cache
+def _say_that_it_takes_time() -> None:
+    _log.warning("compiling machine code that is not on disk yet: up to half a minute, once after a change of the code")
+
+
+event.register("numba:compile", _Notice())
 caching.CacheImpl._locator_classes[:0] = [_Chosen, _BesideModule, _OfUser]
 KEPT = {"cache": True}
 """Option of Numba for functions whose machine code is kept on disk."""
