@@ -10,8 +10,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from filters import available_filters, make_filter
 from filters.catalogue.common_options import make_with_common_options
+from filters.catalogue.registry import filter_factory, plugin_of
 from filters.contract.noise import StereoNoise
 from filters.geometry.camera import StereoCamera
 from stereo_slam_env.benchmark.running.backends import Backend, BackendName
@@ -197,19 +197,23 @@ def check_filters(scenario: Scenario) -> None:
     """Raise a `ValueError` for a filter or option that does not exist, before any work is done.
 
     A third-party filter that is installed but cannot be loaded is no reason to stop: its runs will say so.
+    Those that nobody asked for are not loaded.
     """
     camera, noise = StereoCamera(700.0, 700.0, 600.0, 180.0, 0.5, 1200, 360), StereoNoise.independent_pixels(1.0)
-    known = available_filters()
     for choice in scenario.filters:
-        if choice.name not in known:
-            make_filter(choice.name, camera=camera, noise=noise)
-        if not known[choice.name].startswith("not available"):
-            try:
-                make_with_common_options(choice.name, camera, noise, choice.options, scenario.common_options)
-            except ValueError:
+        try:
+            filter_factory(choice.name)
+        except ValueError as error:
+            if plugin_of(choice.name) is None:
                 raise
-            except Exception as error:  # a third-party constructor may raise anything; the run will record it
-                _log.info("filter %s cannot be made: %s", choice.label, error)
+            _log.warning("%s", error)
+            continue
+        try:
+            make_with_common_options(choice.name, camera, noise, choice.options, scenario.common_options)
+        except ValueError:
+            raise
+        except Exception as error:  # a third-party constructor may raise anything; the run will record it
+            _log.info("filter %s cannot be made: %s", choice.label, error)
 
 
 def _run_missing(cells: Sequence[RunDirectory], backend: Backend, progress: Progress) -> None:

@@ -19,10 +19,10 @@ from stereo_slam_env.cli.parts import (
     console,
     listed,
     new_directory,
-    numbers_from,
     rig_from,
     show_lines,
     show_place,
+    values_from,
     with_options,
 )
 
@@ -48,7 +48,12 @@ class RunOptions:
         ),
     ] = None
     gate: Annotated[
-        str | None, typer.Option("--gate", help="Gate, a probability per landmark, or 'none'.", show_default="0.99")
+        str | None,
+        typer.Option(
+            "--gate",
+            help="Gate, a probability per landmark, or 'none'.",
+            show_default="what the scenario says; 0.99 for a real drive",
+        ),
     ] = None
     search: Annotated[
         str | None,
@@ -87,6 +92,12 @@ class RunOptions:
         if self.search is not None:
             changes["search"] = self.search
         return replace(scenario, **changes)
+
+    def require_place(self) -> None:
+        """Raise where the results could not be written, before any work."""
+        from stereo_slam_env.files.folders import require_writable
+
+        require_writable(self.out or Path("runs"))
 
     def directory(self, study: Study) -> StudyDirectory:
         """The run directory, once it is known that it can be used for this study."""
@@ -204,6 +215,7 @@ def bench(
     if show_list:
         show_lines(presets())
         return
+    options.require_place()
     if preset is not None and scenario is not None:
         raise ValueError("--preset and --scenario exclude each other: give one of them")
     usual = "quick" if policy is None else "gaze"
@@ -248,10 +260,11 @@ def replay(
         str | None,
         typer.Option(
             "--reference",
-            help="Errors of the truth, m and rad, which are added to what filters claim: position_jitter=0.005, "
-            "rotation_jitter, misalignment, settled_at (s); separated by commas.",
-            metavar="KEY=NUMBER,...",
-            show_default="none, or what the reader states",
+            help="What the truth is: kind=surveyed (motion capture, laser), ins (GPS/INS), simulation, odometry (of "
+            "the same images: no NEES) or unknown; and its errors, m and rad, which are added to what filters claim: "
+            "position_jitter=0.005, rotation_jitter, misalignment, settled_at (s); separated by commas.",
+            metavar="KEY=VALUE,...",
+            show_default="what is known of the recording",
         ),
     ] = None,
     skip_broken: Annotated[
@@ -269,7 +282,8 @@ def replay(
     from stereo_slam_env.report.console import progress_bar, show_recording
 
     where = path if path.partition(":")[0] == "gtsam" else str(Path(path).resolve())
-    stated = {} if reference is None else numbers_from("--reference", reference)
+    options.require_place()
+    stated = {} if reference is None else values_from("--reference", reference, ["kind"])
     source = DatasetSource(where, {"on_broken": "skip"} if skip_broken else {}, stated)
     name = f"replay-{Path(where).name.replace(':', '-')}"
     # No bound: the true noise is not known.

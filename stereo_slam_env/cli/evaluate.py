@@ -39,12 +39,14 @@ def evaluate(
     from stereo_slam_env.benchmark.recordings.source import checked
     from stereo_slam_env.benchmark.storage.tables import write_json
     from stereo_slam_env.evaluation.trajectory_score import Alignment, evaluate_trajectory
+    from stereo_slam_env.files.folders import require_writable
     from stereo_slam_env.files.paths import checked_file
     from stereo_slam_env.recording.trajectory_files import load_trajectory
     from stereo_slam_env.report.trajectory_table import show_trajectory_scores
 
     if out is not None:
         out = checked_file("score", out, ".json")
+        require_writable(out.parent)
     how = None if align is None else checked("--align", align, Alignment)
     truth = load_trajectory(reference)
     estimates = [estimate] if against is None else [estimate, against]

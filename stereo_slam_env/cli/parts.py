@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime
 import inspect
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -68,16 +68,16 @@ def rig_from(text: str) -> str | dict[str, Any]:
     return text.strip() if set(rig) == {"name"} else rig
 
 
-def numbers_from(option: str, text: str) -> dict[str, float]:
-    """Numbers by name: KEY=NUMBER,... ."""
-    numbers: dict[str, float] = {}
+def values_from(option: str, text: str, words: Collection[str]) -> dict[str, float | str]:
+    """Values by name: KEY=NUMBER,... ; those of the keys in `words` are no numbers, but words."""
+    values: dict[str, float | str] = {}
     for part in text.split(","):
         key, _, value = (piece.strip() for piece in part.partition("="))
         try:
-            numbers[key] = float(value)
+            values[key] = value if key in words else float(value)
         except ValueError:
             raise ValueError(f"{option} must be numbers by name, as KEY=0.1,OTHER=2, got {text!r}") from None
-    return numbers
+    return values
 
 
 def listed(option: str, text: str) -> list[str | dict[str, Any]]:

@@ -77,8 +77,11 @@ def render_scene(
     import gymnasium as gym
     import numpy as np
 
+    from stereo_slam_env.files.folders import require_writable
+
     if out.suffix.lower() != ".png":
         raise ValueError(f"--out must be a file name ending in .png, got {str(out)!r}")
+    require_writable(out.parent)
     env: Any = gym.make("StereoSlam/Drive-v0", policy="route", render_mode="rgb_array", **scene)
     try:
         env.reset(seed=seed)
@@ -108,8 +111,10 @@ def record_scene(
     """Write a rendered drive as a KITTI odometry sequence, for other people's SLAM systems (and `replay`)."""
     from stereo_slam_env.datasets import write_kitti_sequence
     from stereo_slam_env.envs.recorder import RenderedDrive
+    from stereo_slam_env.files.folders import require_writable
     from stereo_slam_env.report.console import progress_bar
 
+    require_writable(out)
     drive = RenderedDrive(scene, seed, frames)
     with progress_bar(console(stderr=True), "frames") as progress:
         folder = write_kitti_sequence(drive, out, name, on_pair=progress)

@@ -98,8 +98,9 @@ def open_sequence(
         "times": "insdata.txt" if rate_hz is None else f"assumed {rate_hz:g} Hz",
     }
     truth_from = Reference(
-        "independent truth",
-        f"The car's GPS/IMU unit, taken to sit at the left camera, its yaw counted {reading}: weak, to metres.",
+        "unknown",
+        f"The poses in insdata.txt, of a unit taken to sit at the left camera, its yaw counted {reading}: weak, to "
+        "metres.",
     )
     return RecordedSequence(f"{NAME}_{path.name}", files, choice, rig_of(calibration, P), source, truth_from)
 

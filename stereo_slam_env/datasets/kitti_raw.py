@@ -39,9 +39,9 @@ from stereo_slam_env.recording.recording import Reference
 
 NAME = "kitti_raw"
 TRUTH = Reference(
-    "independent truth",
-    "The car's GPS/IMU unit, carried over to the left camera by the calibration; the odometry is of the same unit, "
-    "with noise added.",
+    "unknown",
+    "The poses in oxts, carried over to the left camera by the calibration; the odometry is of the same files, with "
+    "noise added.",
 )
 CALIBRATION = "calib_cam_to_cam.txt"
 EXTRINSICS = ("calib_imu_to_velo.txt", "calib_velo_to_cam.txt")

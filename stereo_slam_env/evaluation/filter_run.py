@@ -16,6 +16,7 @@ from filters.catalogue.registry import FilterFactory, label_of
 from filters.consistency import nees
 from filters.motions.model import POSE_SIZE, POSITION, ROTATION
 from filters.validation import FloatArray, IntArray
+from stereo_slam_env.evaluation.contract import ContractBroken, check_beliefs, check_map
 from stereo_slam_env.evaluation.landmark_statistics import LandmarkScorer
 from stereo_slam_env.evaluation.map_scoring import TraceRecorder, score_map, view_map
 from stereo_slam_env.evaluation.results import COUNTS, EVENTS, FilterRun, peak_memory_mb
@@ -75,7 +76,7 @@ def run_filter(
     Returns
     -------
     FilterRun
-        A filter that raises or returns something that is not finite is a result too: `failure` says what happened.
+        A filter that raises, or claims something that is no covariance, is a result too: `failure` says what happened.
 
     Raises
     ------
@@ -112,18 +113,23 @@ def run_filter(
                 if progress is not None:
                     progress(frame_number, len(recording))
             failure = None
+        except ContractBroken as error:
+            failure = str(error)
         except Exception as error:  # a stranger's filter may raise anything; the comparison goes on without it
             where = f"frame {frame_number}" if frame_number >= 0 else "start"
             failure = f"{where}: {type(error).__name__}: {(str(error).strip() or 'no message').splitlines()[0]}"
-            _log.info("%s on %s failed at %s", name, recording.name, failure)
         memory = peak_memory_mb() - memory
         if windows and failure is None:
             again = recording.with_observations(seen)
             alive = None if progress is None else partial(progress, len(recording), len(recording))
             try:
                 log.add_windows(score_windows(made.filter, again, use_odometry=use_odometry, alive=alive))
+            except ContractBroken as error:
+                failure = str(error)
             except Exception as error:  # the filter went through once: its other figures stand
                 _log.warning("%s on %s: windows are not scored: %s", name, recording.name, error)
+    if failure is not None:
+        _log.info("%s on %s failed at %s", name, recording.name, failure)
     return log.result(name, used, seed, failure, memory, not_given)
 
 
@@ -145,7 +151,7 @@ class RunLog:
 
     def __init__(self, recording: Recording) -> None:
         self._recording = recording
-        self._has_independent_truth = recording.reference.is_independent
+        self._has_truth = recording.reference.counts_as_truth
         count = len(recording)
         self._series = {name: np.full((count, *shape), np.nan) for name, shape in _SERIES.items()}
         self._nis_dof: IntArray = np.zeros(count, dtype=np.int64)
@@ -155,7 +161,8 @@ class RunLog:
         self._scorer = LandmarkScorer(recording.camera)
 
     def add(self, moment: Moment) -> None:
-        """Note what a filter believes after a frame; raises ArithmeticError where that is not finite."""
+        """Note what a filter believes after a frame; raises as `check_beliefs`."""
+        check_beliefs(moment)
         k, pose, velocity, report = moment.number, moment.pose, moment.slam.velocity, moment.report
         belief = {
             "positions": pose.position,
@@ -165,9 +172,6 @@ class RunLog:
             "angular_velocities": velocity.angular,
             "velocity_covariances": velocity.covariance,
         }
-        for name, value in belief.items():
-            if not np.isfinite(value).all():
-                raise ArithmeticError(f"the filter returned NaN or infinity in its {name.replace('_', ' ')}")
         predicting, updating = 1000.0 * moment.predict_seconds, 1000.0 * moment.update_seconds
         self._note(
             k,
@@ -201,10 +205,12 @@ class RunLog:
         self._series.update(series)
 
     def add_map(self, moment: Moment) -> None:
-        """Score the map and follow the traced landmarks."""
-        k, landmarks = moment.number, self._recording.landmarks if self._has_independent_truth else None
+        """Score the map and follow the traced landmarks; raises as `check_map`."""
+        k, landmarks = moment.number, self._recording.landmarks if self._has_truth else None
         view = view_map(moment.slam, moment.truth, landmarks)
         score = score_map(view, self._recording.camera)
+        check_map(k, view, score)
+        self._counts["landmarks_not_scored"][k] = np.count_nonzero(score.in_view & np.isnan(score.nees))
         self._note(k, landmark_nees=score.mean_nees, landmark_rmse=score.position_rmse)
         self._scorer.add(score)
         self._traces.add(k, view, moment.observation)

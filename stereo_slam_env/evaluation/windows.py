@@ -12,6 +12,7 @@ import numpy as np
 
 from filters import Pose, PoseBelief, StereoFilter, nees
 from filters.validation import FloatArray
+from stereo_slam_env.evaluation.contract import check_motion
 from stereo_slam_env.loop import Moment, run
 from stereo_slam_env.recording.recording import Recording, Reference
 from stereo_slam_env.recording.trajectory import pose_errors
@@ -67,7 +68,7 @@ def score_windows(
     slam : StereoFilter
         The filter, which is reset.
     recording : Recording
-        The stream; windows lie in its frames with an independent truth that has settled.
+        The stream; windows lie in its frames with a truth that has settled.
     use_odometry : bool
         Whether `predict` is given the odometry.
     alive : callable, optional
@@ -79,13 +80,18 @@ def score_windows(
         By `series_of`: the NEES of the window that ends at a frame (6 degrees of freedom), NaN at the others; and with
         "_floor", where errors of the reference are stated, what a consistent filter would have without them. Nothing
         for a filter without clones.
+
+    Raises
+    ------
+    ContractBroken
+        What a filter claims of a motion is no covariance.
     """
     if not isinstance(slam, Cloning):
         return {}
     reference, count = recording.reference, len(recording)
     times = np.array([frame.timestamp for frame in recording.frames])
     known = np.array([frame.truth is not None for frame in recording.frames]) & reference.has_settled(times)
-    rows = np.flatnonzero(known if reference.is_independent else np.zeros(count, dtype=bool))
+    rows = np.flatnonzero(known if reference.counts_as_truth else np.zeros(count, dtype=bool))
     ends = {seconds: {rows[j]: rows[i] for i, j in window_ends(times[rows], seconds)} for seconds in WINDOWS}
     found = {name: np.full(count, np.nan) for name in WINDOW_SERIES}
     for moment in run(slam, recording, use_odometry=use_odometry):
@@ -108,6 +114,7 @@ def score_windows(
 def _window_nees(moved: PoseBelief, start: Pose, moment: Moment, reference: Reference) -> tuple[float, float]:
     """NEES of a motion against the true one, and its floor."""
     assert moment.truth is not None
+    check_motion(moment.number, moved)
     true = start.inverse() @ moment.truth
     poses = (moved.position, moved.orientation, true.position, true.orientation)
     error = pose_errors("position-rotation", *(part[None] for part in poses))

@@ -49,6 +49,11 @@ def make_policy(name: str, **options: Any) -> Policy:
     return made
 
 
+def plugin_of(name: str) -> EntryPoint | None:
+    """The entry point of a third-party policy; None for one of ours."""
+    return None if name in _OWN else _entry_points().get(name)
+
+
 def available_policies() -> dict[str, str]:
     """Names and one line on each."""
     return {name: (inspect.getdoc(_found(name)) or "no description").splitlines()[0] for name in _entry_points()}

@@ -29,7 +29,15 @@ from filters import (
 from filters.validation import FloatArray
 from stereo_slam_env.files.folders import write_atomically
 from stereo_slam_env.files.readers import read_arrays
-from stereo_slam_env.recording.recording import GIVEN_TRUTH, Frame, LandmarkTruth, Recording, Reference, Velocity
+from stereo_slam_env.recording.recording import (
+    GIVEN_TRUTH,
+    SIMULATION,
+    Frame,
+    LandmarkTruth,
+    Recording,
+    Reference,
+    Velocity,
+)
 
 FORMAT = 1
 _PARTS: Mapping[str, tuple[type, Mapping[str, tuple[int, ...]]]] = {
@@ -199,8 +207,16 @@ def _recording_of(about: Mapping[str, Any], arrays: Arrays) -> Recording:
 
 
 def reference_of(about: Mapping[str, Any]) -> Reference:
-    """Kind of the truth by the header of a file; files of earlier versions do not say."""
-    return Reference(**about["truth_from"]) if "truth_from" in about else GIVEN_TRUTH
+    """Kind of the truth by the header of a file; files of earlier versions do not say, or say less."""
+    if "truth_from" not in about:
+        return GIVEN_TRUTH
+    stated = dict(about["truth_from"])
+    if stated["kind"] == "independent truth":  # which was also said of what a reader only guessed
+        simulated = stated["description"] == SIMULATION.description
+        stated |= {"kind": "simulation"} if simulated else dataclasses.asdict(GIVEN_TRUTH)
+    elif stated["kind"] == "odometry from the same images":
+        stated["kind"] = "odometry"
+    return Reference(**stated)
 
 
 def _joined(parts: Iterable[NDArray[Any]], shape: tuple[int, ...], dtype: type = np.float64) -> NDArray[Any]:

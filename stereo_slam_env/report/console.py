@@ -26,7 +26,7 @@ from stereo_slam_env.benchmark.scenarios.measurement_errors import (
 )
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, PolicyChoice, Scenario
 from stereo_slam_env.benchmark.scenarios.study import Study
-from stereo_slam_env.benchmark.statistics.comparison import COLUMNS, RunComparison
+from stereo_slam_env.benchmark.statistics.changes import RunComparison
 from stereo_slam_env.benchmark.statistics.measures import EFFICIENCY, POSE_NEES
 from stereo_slam_env.benchmark.statistics.policy_verdict import baseline_of, judge_policies
 from stereo_slam_env.benchmark.statistics.remarks import innovation_remarks, limit_reached, reference_remarks
@@ -246,16 +246,19 @@ def _headline(result: CellResult) -> str:
 
 
 def show_comparison(console: Console, comparison: RunComparison) -> None:
-    """Print what changed between two runs, what did not, and what to bear in mind."""
-    console.print(comparison.headline, highlight=False, soft_wrap=True)
+    """Print what changed between two runs, what did not, and what to bear in mind; it fits a screen."""
+    console.print(escape(comparison.headline), highlight=False, soft_wrap=True)
     for warning in comparison.warnings:
         console.print(f"[yellow]note[/yellow]: {escape(warning)}", highlight=False, soft_wrap=True)
-    table = Table(box=SIMPLE_HEAD, pad_edge=False)
-    for heading in COLUMNS:
-        table.add_column(heading, justify="right" if heading in ("before", "after") else "left")
-    for row in comparison.as_rows():
-        table.add_row(*map(escape, row))
-    console.print(table, highlight=False)
+    if comparison.shown:
+        table = Table(box=SIMPLE_HEAD, pad_edge=False)
+        for heading in comparison.columns:
+            table.add_column(heading, justify="right" if heading in ("before", "after") else "left")
+        for row in comparison.as_rows():
+            table.add_row(*map(escape, row))
+        console.print(table, highlight=False)
+    for line in comparison.rest:
+        console.print(escape(line), highlight=False, soft_wrap=True)
 
 
 def _cells(summaries: Sequence[FilterSummary], *, claims: bool, brief: bool) -> dict[str, list[str]]:

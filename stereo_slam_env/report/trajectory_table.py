@@ -32,7 +32,7 @@ def show_trajectory_scores(console: Console, scores: Sequence[TrajectoryScore]) 
         if score.unusable:
             console.print(
                 f"[yellow]note[/yellow]: {escape(score.estimate)} has {score.unusable} covariances that are not "
-                "positive definite: they are not scored",
+                "positive definite: what it claims is none",
                 highlight=False,
                 soft_wrap=True,
             )

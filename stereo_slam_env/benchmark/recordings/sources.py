@@ -178,7 +178,7 @@ class DatasetSource(Source, frozen=True, tag="dataset"):
     arguments : dict
         Of the reader.
     reference : dict
-        Errors of the truth, in place of what the reader states, see `Reference.stating`.
+        Kind and errors of the truth, in place of what the reader states, see `Reference.stating`.
     """
 
     seeded: ClassVar[bool] = False
@@ -186,7 +186,7 @@ class DatasetSource(Source, frozen=True, tag="dataset"):
 
     path: str
     arguments: dict[str, Any] = msgspec.field(default_factory=dict)
-    reference: dict[str, float] = msgspec.field(default_factory=dict)
+    reference: dict[str, float | str] = msgspec.field(default_factory=dict)
 
     def record(self, seed: int | None, frames: int | None = None, progress: Progress | None = None) -> Recording:
         """Read it, or track landmarks through its images."""
@@ -199,10 +199,13 @@ class DatasetSource(Source, frozen=True, tag="dataset"):
         return self._stated(_tracked(_Tracking(self.key, seed, frames, track)))
 
     def check(self, frames: int | None = None) -> None:
-        """Refuse errors of the truth that are none."""
+        """Refuse a kind or errors of the truth that are none."""
         GIVEN_TRUTH.stating(self.reference)
 
     def _stated(self, recording: Recording) -> Recording:
+        if self.reference and recording.reference.kind == "none":
+            said = ", ".join(f"{key}={value}" for key, value in self.reference.items())
+            raise ValueError(f"reference states {said}, but {self.path} has no true pose: leave it out")
         return replace(recording, truth_from=recording.truth_from.stating(self.reference))
 
     @property
@@ -253,9 +256,7 @@ def source_of(kind: str, options: Mapping[str, Any]) -> Source:
         An unknown kind or option, a missing one, or one of the wrong type: the message names it.
     """
     checked("kind", kind, str)
-    kinds: dict[Any, type[Source]] = {}
-    for found in _subclasses(Source):
-        kinds.setdefault(found.__struct_config__.tag, found)  # ours come first and stay
+    kinds = _kinds()
     if kind not in kinds:
         for point in entry_points(group=ENTRY_POINT_GROUP):
             if point.name == kind:
@@ -273,6 +274,18 @@ def require_renderer(name: str) -> None:
         renderer_identity(name)
     except (ImportError, RuntimeError) as error:
         raise ValueError(str(error)) from error
+
+
+def known_kinds() -> str:
+    """The kinds of sources that are loaded, for messages."""
+    return ", ".join(map(str, _kinds()))
+
+
+def _kinds() -> dict[Any, type[Source]]:
+    kinds: dict[Any, type[Source]] = {}
+    for found in _subclasses(Source):
+        kinds.setdefault(found.__struct_config__.tag, found)  # ours come first and stay
+    return kinds
 
 
 def _subclasses(kind: type[Source]) -> Iterator[type[Source]]:

@@ -16,7 +16,7 @@ from filters.contract.noise import ColouredNoise, StereoNoise
 from filters.motions.constant_velocity import ConstantVelocity
 from filters.validation import finite_array, gate_probability
 from stereo_slam_env.benchmark.recordings.source import Renderer, Source, checked
-from stereo_slam_env.benchmark.recordings.sources import StreetSource, source_of
+from stereo_slam_env.benchmark.recordings.sources import StreetSource, known_kinds, source_of
 
 if TYPE_CHECKING:
     from typing import Self
@@ -338,8 +338,10 @@ class Scenario:
         require_known("scenario has no key", data, KEYS)
         if "name" not in data:
             raise ValueError("scenario must have a name")
+        if "kind" not in data:
+            raise ValueError(f"scenario {data['name']!r} must say its kind, one of {known_kinds()}")
         values = dict(data)
-        source = source_of(values.pop("kind", "street"), values.pop("options", {}))
+        source = source_of(values.pop("kind"), values.pop("options", {}))
         choices: tuple[tuple[str, Callable[[str | Mapping[str, Any]], _Choice]], ...] = (
             ("filters", filter_choice),
             ("policies", policy_choice),

@@ -18,6 +18,7 @@ from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, Scenario
 from stereo_slam_env.benchmark.scenarios.streams import as_given, pairing_digest, seed_description, stream_key
 from stereo_slam_env.benchmark.scenarios.study import Cell, Study
 from stereo_slam_env.benchmark.storage.code_identity import code_digest, versions
+from stereo_slam_env.benchmark.storage.plugin_code import digest_of_choice, digest_of_source
 from stereo_slam_env.benchmark.storage.run_archive import (
     damage_named,
     load_bound,
@@ -68,6 +69,7 @@ class RunDirectory:
         self.scenario = cell.scenario
         self.seeds = cell.scenario.recording_seeds
         self._recordings = root_of(out) / "recordings"
+        self._found_code: dict[str | None, str | None] | None = None
 
     def trial_path(self, seed: int | None, choice: FilterChoice) -> Path:
         """File of the time series of one filter on one recording."""
@@ -84,30 +86,49 @@ class RunDirectory:
     def missing(self) -> list[tuple[int | None, FilterChoice | None]]:
         """Trials still to be run, by seed, then filter; None instead of a filter: the bound.
 
-        That is what is not there, and what another version of the code made. A `ValueError` says that a finished trial
-        is damaged, or was made with other options of the filter.
+        That is what is not there, and what other code made, be it ours or that of filter, policy or source. A
+        `ValueError` says that a finished trial is damaged, or was made with other options of the filter.
         """
         todo: list[tuple[int | None, FilterChoice | None]] = []
         code = code_digest()
+        self._found_code = None  # files may have been edited since
         for seed in self.seeds:
             for choice in self.scenario.competitors:
                 path = self.trial_path(seed, choice)
-                provenance = load_provenance(path) if path.exists() else None
-                if provenance is None or provenance["code"] != code:
+                provenance = load_provenance(path) if path.exists() else {}
+                if _code_in(provenance) != (code, self._plugins[choice.label]):
                     todo.append((seed, choice))
                 elif provenance["filter"] != dataclasses.asdict(choice):
                     raise ValueError(
                         f"{path} was made with other options of that filter: give it another label, or choose "
                         f"another output directory"
                     )
-            if self.scenario.has_bound and self._bound(seed)[1] != code:
+            if self.scenario.has_bound and self._bound(seed)[1] != self._code_of_bound:
                 todo.append((seed, None))
         return todo
 
+    @property
+    def _plugins(self) -> dict[str | None, str | None]:
+        """Digests of the code that is not ours, by label of the competitor; of None that of the recordings alone.
+
+        To know them, filters are imported: nobody who only reads a run asks for them.
+        """
+        if self._found_code is None:
+            source = digest_of_source(self.scenario.source)
+            self._found_code = {None: source}
+            for choice in self.scenario.competitors:
+                theirs = " ".join(filter(None, (source, digest_of_choice(choice))))
+                self._found_code[choice.label] = theirs or None
+        return self._found_code
+
+    @property
+    def _code_of_bound(self) -> str:
+        return " ".join(filter(None, (code_digest(), self._plugins[None])))
+
     def recording_is_made(self, seed: int | None) -> bool:
         """Whether the recording is there, made by this version of the code."""
-        about = self._about_recording(seed)
-        return about is not None and about["code"] == code_digest() and self.recording_path(seed).exists()
+        about = self._about_recording(seed) or {}
+        return _code_in(about) == (code_digest(), self._plugins[None]) and self.recording_path(seed).exists()
 
     def save_recording(
         self, seed: int | None, content: bytes, description: Mapping[str, Any], choice: FilterChoice | None = None
@@ -115,18 +136,24 @@ class RunDirectory:
         """Keep a recording, as bytes of `recording.archive`, and its description."""
         path = self.recording_path(seed, choice)
         write_atomically(path, lambda stream: stream.write(content))
-        write_json(path.with_suffix(".json"), {"code": code_digest(), **description})
+        code = {"code": code_digest(), "plugin_code": self._plugins[None]}
+        write_json(path.with_suffix(".json"), {**code, **description})
 
     def provenance(self, seed: int | None, choice: FilterChoice | None) -> dict[str, Any]:
-        """Provenance of a trial: competitor, version of the code, description of its recording.
+        """Provenance of a trial: competitor, identity of our code and of others', description of its recording.
 
         Where a policy drives its own episode, the trial adds what was recorded.
         """
-        about: dict[str, Any] = {"filter": choice and dataclasses.asdict(choice), "code": code_digest()}
+        about: dict[str, Any] = {
+            "filter": choice and dataclasses.asdict(choice),
+            "code": code_digest(),
+            "plugin_code": self._plugins[None if choice is None else choice.label],
+        }
         if choice is not None and choice.policy is not None:
             return about
         recorded = self._about_recording(seed) or {}
-        return {**about, "code": recorded["code"], "recording": as_given(recorded, self.scenario)}
+        code = self._code_of_bound if choice is None else recorded["code"]
+        return {**about, "code": code, "recording": as_given(recorded, self.scenario)}
 
     def save_trial(self, seed: int | None, choice: FilterChoice | None, content: bytes) -> None:
         """Keep a finished trial (bytes of `run_archive`), or a bound."""
@@ -166,6 +193,13 @@ class RunDirectory:
             )
         return runs, recordings
 
+    def plugin_code(self) -> dict[str, str | None]:
+        """Digest of the code that each filter and policy had, by label; None for those that are ours."""
+        return {
+            choice.label: load_provenance(self.trial_path(self.seeds[0], choice)).get("plugin_code")
+            for choice in self.scenario.competitors
+        }
+
     def bounds(self) -> dict[tuple[str, int | None], Bound]:
         """The bounds there are, by name and seed of the recording."""
         found = {}
@@ -200,7 +234,7 @@ class RunDirectory:
         found = self.results()
         about = {"version": VERSION, "scenario": self.scenario.name, "recordings": found.recordings}
         write_json(self.out / "summary.json", {**about, "filters": found.rows})
-        write_csv(self.out / "summary.csv", found.rows)
+        write_csv(self.out / "summary.csv", found.summaries)
         for run in found.runs:
             folder = self.out / "trajectories" / seed_name(run.seed)
             # A camera that looks elsewhere is elsewhere, by the arm of the head: each policy has its own truth.
@@ -236,6 +270,11 @@ class StudyDirectory:
             write_json(self.out / "summary.json", {"version": VERSION, "study": self.study.name, "cells": cells})
         write_trial_table(self.out / "trials.sqlite", results)
         return results
+
+
+def _code_in(provenance: Mapping[str, Any]) -> tuple[str | None, str | None]:
+    """Digests of our code and of that of the filter and policy that made a trial."""
+    return provenance.get("code"), provenance.get("plugin_code")
 
 
 def _write_trajectories(path: Path, poses: Trajectory | None, claimed: Trajectory | None) -> None:

@@ -22,6 +22,7 @@ from stereo_slam_env.report.charts.axes import Axis, short, spread_out
 from stereo_slam_env.report.charts.series import last_known, peak
 from stereo_slam_env.report.charts.style import INK, MUTED, PAPER, Limit, shared_limit
 from stereo_slam_env.report.charts.vega import (
+    AS_GIVEN,
     COLOURED,
     ID,
     SAID,
@@ -124,7 +125,7 @@ class Panel:
             "strokeJoin": "round",
         }
         width = {"field": "width", "type": "quantitative", "scale": None, "legend": None}
-        self._layer(rows, mark, **COLOURED, strokeWidth=width, detail=ID)
+        self._layer(rows, mark, **COLOURED, strokeWidth=width, detail=ID, order=AS_GIVEN)
         if any(row["said"] is not None for row in rows):
             # Points that cannot be seen say the values; `live` is set where there is a pointer.
             point = {"type": "point", "opacity": 0, "size": 110}

@@ -15,7 +15,7 @@ import pytest
 from stereo_slam_env.benchmark.storage.store import RunDirectory
 from stereo_slam_env.cli import app as cli
 from stereo_slam_env.recording.archive import save_recording
-from stereo_slam_env.recording.recording import SIMULATION, Reference
+from stereo_slam_env.recording.recording import GIVEN_TRUTH, SIMULATION, Reference
 
 from ..benchmark.small_recordings import small_recording
 from ..datasets.small_folders import kitti00, kitti07
@@ -264,7 +264,7 @@ def test_replay_runs_filters_over_a_folder(command, tmp_path, layout):
 
 def test_replay_against_an_odometry_from_the_same_images_claims_nothing_of_consistency(full_command, tmp_path):
     """Nor does it keep silent on the innovations: 1 px of noise, and 8 px assumed."""
-    odometry = Reference("odometry from the same images", "By hand.")
+    odometry = Reference("odometry", "By hand.")
     for name, truth_from in (("true", SIMULATION), ("odometry", odometry)):
         save_recording(tmp_path / f"{name}.npz", replace(small_recording(frames=40), truth_from=truth_from))
 
@@ -277,21 +277,55 @@ def test_replay_against_an_odometry_from_the_same_images_claims_nothing_of_consi
 
     out, summary, page = said("true")
     assert "pose NEES / 6" in out
-    assert "Reference: independent truth. Exact poses of the simulation." in out
+    assert "Reference: independent truth (simulation). Exact poses of the simulation." in out
     assert "than claimed" not in out
     assert summary["recordings"][0]["reference"] == asdict(SIMULATION)
     assert summary["filters"]["inverse-depth"]["pose_anees"] > 0
 
     out, summary, page = said("odometry", "--sigma-px", 8)
-    for claim in ("NEES /", "knows how wrong", "its band", "that band"):
+    for claim in ("NEES /", "it is consistent", "its band", "that band"):
         assert claim not in out
         assert claim not in page
     for text in (out, page):
         assert "Reference: odometry from the same images. By hand. What is called error is the distance to it" in text
-        assert "smaller than claimed: too much noise is assumed" in text
+        assert "smaller than claimed: perhaps too much noise is assumed" in text
     assert summary["recordings"][0]["reference"] == asdict(odometry)
     assert summary["filters"]["inverse-depth"]["pose_anees"] is None
     assert summary["filters"]["inverse-depth"]["position_rmse_m"] > 0
+
+
+def test_replay_says_of_a_strangers_truth_that_its_origin_is_unknown_until_it_is_stated(full_command, tmp_path):
+    """The figures are the same; what they mean is said. As an odometry it makes no NEES."""
+    save_recording(tmp_path / "mine.npz", replace(small_recording(frames=30), truth_from=GIVEN_TRUTH))
+
+    def said(name, *more):
+        common = ("--filters", "inverse-depth", "--jobs", 1, "--gate", "none", "--out", tmp_path / name)
+        code, out, _ = full_command("replay", tmp_path / "mine.npz", *common, *more)
+        assert code == 0
+        figures = json.loads((tmp_path / name / "summary.json").read_text())["filters"]["inverse-depth"]
+        return " ".join(out.split()), (tmp_path / name / "report.html").read_text(encoding="utf-8"), figures
+
+    out, page, figures = said("unstated")
+    for text in (out, page):
+        assert "Reference: stated by the recording, origin unknown. It calls its poses true" in text
+    assert "independent truth" not in out + page
+    out, page, surveyed = said("surveyed", "--reference", "kind=surveyed, position_jitter=0.001")
+    assert "Reference: independent truth (surveyed). It calls its poses true" in out
+    assert "Its kind was stated for this run. Its stated errors: jitter of 1 mm." in out
+    assert surveyed["position_rmse_m"] == figures["position_rmse_m"]
+    assert surveyed["pose_anees"] == pytest.approx(figures["pose_anees"], rel=0.2)
+    out, page, odometry = said("odometry", "--reference", "kind=odometry")
+    assert "Reference: odometry from the same images. " in out
+    assert odometry["position_rmse_m"] == figures["position_rmse_m"]
+    assert odometry["pose_anees"] is None
+
+
+def test_a_kind_of_poses_that_are_not_there_is_refused(command, tmp_path):
+    save_recording(tmp_path / "blind.npz", small_recording(truth=False))
+    code, _, err = command("replay", tmp_path / "blind.npz", "--reference", "kind=ins", "--out", tmp_path / "run")
+    assert code == 2
+    assert "reference states kind=ins, but" in err
+    assert "has no true pose: leave it out" in " ".join(err.split())
 
 
 def test_what_replay_writes_is_read_by_evaluate_with_the_same_nees(command, tmp_path):
@@ -342,7 +376,8 @@ def test_evaluate_says_in_one_line_what_is_wrong(command, tmp_path, monkeypatch,
     ("stated", "complaint"),
     [
         ("position_jitter", "--reference must be numbers by name"),
-        ("jitter=1", "reference has no number 'jitter'"),
+        ("jitter=1", "reference has no statement 'jitter'"),
+        ("kind=gps", "kind of a reference must be one of 'simulation', 'surveyed', 'ins', 'odometry', 'unknown'"),
         ("misalignment=-1", "misalignment of a reference must be >= 0"),
     ],
 )

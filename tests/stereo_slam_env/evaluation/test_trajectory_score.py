@@ -206,13 +206,40 @@ def test_what_the_reference_claims_of_itself_is_added():
     assert sse.evaluate_trajectory(estimate, replace(seen, covariances=None)).claims["pose"].nees.mean > 12.0
 
 
-def test_covariances_that_are_none_are_counted_and_left_out():
-    estimate, truth = drives(100)
+@pytest.mark.parametrize("lie", [0.0, -1.0])
+@pytest.mark.parametrize("doubt", [None, 1.0])
+def test_covariances_that_are_none_are_counted_and_the_claim_is_none(lie, doubt):
+    """Also where the reference states errors of its own, which would make the sum definite."""
+    estimate, truth = drives(400)
+    stated = None if doubt is None else np.tile(doubt * np.eye(6), (400, 1, 1))
     covariances = estimate.covariances.copy()
-    covariances[10:15] = 0.0
-    score = sse.evaluate_trajectory(replace(estimate, covariances=covariances), truth)
+    covariances[10:15] *= lie
+    false = replace(estimate, covariances=covariances)
+    score = sse.evaluate_trajectory(false, replace(truth, covariances=stated))
     assert score.unusable == 5
-    assert score.claims["pose"].frames == 94
+    claim = score.claims["pose"]
+    assert (claim.frames, claim.unusable) == (394, 5)
+    assert claim.verdict == "none: 5 of 399 covariances are not positive definite"
+    assert {window.least_nees for window in score.windows if window.seconds == 1.0} == {None}
+    honest = sse.evaluate_trajectory(estimate, truth)
+    assert score.against(honest).log_score_difference is None
+    assert honest.against(honest).log_score_difference is not None
+
+
+def test_the_first_pose_may_be_known_exactly():
+    """Both start there, and it is not scored."""
+    estimate, truth = drives(400)
+    covariances = estimate.covariances.copy()
+    covariances[0] = 0.0
+    score = sse.evaluate_trajectory(replace(estimate, covariances=covariances), truth)
+    assert score.unusable == 0
+    assert score.windows[0].least_nees is not None
+
+
+def test_a_file_whose_covariances_are_all_none_is_refused():
+    estimate, truth = drives(50)
+    with pytest.raises(ValueError, match=r"none of the covariances of .* is positive definite: correct them, or leave"):
+        sse.evaluate_trajectory(replace(estimate, covariances=np.zeros((50, 6, 6))), truth)
 
 
 def test_windows_hold_the_motion_and_a_lower_bound_of_its_nees():
@@ -339,7 +366,7 @@ def test_the_length_of_a_block_is_that_of_smfeval(memory):
 
 # ---- runs of this package -------------------------------------------------------------------------------------------
 
-STATED = Reference("independent truth", "By hand.", 0.003, 0.0004, 0.002)
+STATED = Reference("surveyed", "By hand.", 0.003, 0.0004, 0.002)
 
 
 @pytest.mark.parametrize("reference", [None, STATED])

@@ -123,7 +123,7 @@ def test_settings_are_said_whatever_they_are():
 
 def test_plain_text_is_escaped_in_every_part_and_markup_is_not():
     assert part("section", "<a>", "<b>", [Markup("<p>c</p>"), "<d>"]) == Markup(
-        '<section><h2>&lt;a&gt;</h2>\n<p class="quiet">&lt;b&gt;</p><p>c</p>\n&lt;d&gt;\n</section>'
+        '<section id="a"><h2>&lt;a&gt;</h2>\n<p class="quiet">&lt;b&gt;</p><p>c</p>\n&lt;d&gt;\n</section>'
     )
     assert part("items", ["<a>"]) == Markup('<ul class="failures"><li>&lt;a&gt;</li></ul>')
     assert part("items", []) == ""

@@ -11,6 +11,7 @@ from stereo_slam_env.benchmark.statistics.differences import (
     Finding,
     difference_of,
     differences_of,
+    group_needed,
     level,
     mean_interval,
     paired_difference,
@@ -219,3 +220,17 @@ def test_many_differences_are_ratios_unless_told_otherwise():
     assert (ratio.is_ratio, amount.is_ratio) == (True, False)
     assert ratio == difference_of(gaps[:, 0])
     assert ratio.percent == pytest.approx(20.4, abs=0.2)
+
+
+@pytest.mark.parametrize(("comparisons", "size"), [(1, 6), (23, 6), (24, 7), (85, 7), (86, 8)])
+def test_the_groups_needed_are_those_with_which_the_rank_sum_test_can_say_something(comparisons, size):
+    """Two groups need fewer than pairs do: 6 of each are enough for 23 comparisons."""
+    assert group_needed(comparisons) == size
+    apart = unpaired_difference(np.linspace(2.0, 2.1, size), np.linspace(1.0, 1.1, size), comparisons=comparisons)
+    assert apart.shown
+    assert not apart.too_few
+    fewer = unpaired_difference(
+        np.linspace(2.0, 2.1, size - 1), np.linspace(1.0, 1.1, size - 1), comparisons=comparisons
+    )
+    assert (fewer.shown, fewer.too_few, fewer.interval) == (False, True, None)
+    assert f"{size} are needed" in fewer.evidence
