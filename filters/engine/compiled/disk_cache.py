@@ -2,7 +2,8 @@
 
 Numba asks only for the file of the function that is called, and keeps old code where another module has changed. Here
 the sources are those of the module and of all that it imports of its own top-level packages, directly or not. Numba
-still chooses the folder: `NUMBA_CACHE_DIR`, `__pycache__` beside the module, or the cache of the user.
+still chooses the folder: `NUMBA_CACHE_DIR`, `__pycache__` beside the module, or the cache of the user. Whoever replaces
+Numba's own places (`NUMBA_CACHE_LOCATOR_CLASSES`) replaces these, too.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import hashlib
 import logging
 import re
 import sys
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -60,7 +62,9 @@ def sources_digest(module: str) -> str:
 class _OfAllSources:
     """Mixin for Numba's places of machine code: those of our functions, under names that hold the digest."""
 
+    get_cache_path: Callable[[], str]
     _digest = ""
+    _stem = ""
 
     @classmethod
     def from_function(cls, py_func: Any, py_file: str) -> Any:
@@ -103,7 +107,7 @@ class _OfUser(_OfAllSources, caching.UserWideCacheLocator):
     """In the cache of the user."""
 
 
-class _Notice(event.Listener):  # type: ignore[misc]
+class _Notice(event.Listener):
     """What is logged once in a process when a kernel is compiled that was not on disk."""
 
     def on_start(self, event: Any) -> None:

@@ -24,7 +24,7 @@ from filters.engine.compiled.recipe import Recipe
 from filters.engine.compiled.storage import empty_frame, empty_storage, scratch
 
 
-class Reference(types.Type):  # type: ignore[misc]
+class Reference(types.Type):
     """The address of a named tuple of arrays, as `Packed` has written it: one number, whatever the tuple holds."""
 
     def __init__(self, value: Any) -> None:
