@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from filters.engine.compiled.frame import KERNELS, advance
+from filters.engine.compiled.frame import advance, kernels
 from filters.engine.compiled.recipe import Recipe
 from filters.engine.compiled.storage import (
     FilterState,
@@ -96,6 +96,8 @@ class CompiledEngine:
         self.count = count
         self.threads = max(1, min(threads, count))
         self._plan = Packed(recipe.plan)
+        self._fuses = False
+        self._kernels = kernels(recipe.plan, fuses=False)
         self._storage = Packed(empty_storage(recipe, count, _ROOM))
         self._frame = Packed(empty_frame(count, _ROOM, 1))
         self._scratch: list[Packed] = []
@@ -169,6 +171,8 @@ class CompiledEngine:
         if fused is None:
             frame.fused[:] = False
         else:
+            if not self._fuses:  # the first odometry
+                self._fuses, self._kernels = True, kernels(self.recipe.plan, fuses=not self.recipe.plan.velocity_driven)
             frame.fused[:], frame.odometry[:], frame.odometry_covariance[:] = fused, odometry, odometry_covariance
         frame.nis[:], frame.dof[:], frame.outcome[:] = 0.0, 0, 0
         if o is None:
@@ -196,13 +200,13 @@ class CompiledEngine:
     def _run(self) -> None:
         plan, storage, frame = self._plan.address, self._storage.address, self._frame.address
         if self.threads == 1:
-            advance(KERNELS, plan, storage, self._scratch[0].address, frame, 0, self.count)
+            advance(self._kernels, plan, storage, self._scratch[0].address, frame, 0, self.count)
             return
         if self._pool is None:
             self._pool = ThreadPoolExecutor(self.threads)
         edges = [self.count * i // self.threads for i in range(self.threads + 1)]
         runs = [
-            self._pool.submit(advance, KERNELS, plan, storage, room.address, frame, first, last)
+            self._pool.submit(advance, self._kernels, plan, storage, room.address, frame, first, last)
             for room, first, last in zip(self._scratch, edges[:-1], edges[1:], strict=True)
         ]
         for run in runs:

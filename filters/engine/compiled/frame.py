@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 from numba import njit, types
 
 from filters.engine.compiled.blas import ENTRY, KERNEL, ROUTINES, call
@@ -14,14 +15,15 @@ from filters.engine.compiled.correction import (
     times_covariance,
 )
 from filters.engine.compiled.covariance import keep_considered, restore_considered
+from filters.engine.compiled.disk_cache import KEPT
 from filters.engine.compiled.drift import take_steps
 from filters.engine.compiled.gating import largest_agreement, reweight, squared_distances
 from filters.engine.compiled.gauge_walk import walk_gauge
 from filters.engine.compiled.landmarks import can_start, close_gaps, enter, find, leave
 from filters.engine.compiled.prediction import orientation, predict, put, right_jacobian_of, times, transposed
 from filters.engine.compiled.projection import linearise, prepare, project
-from filters.engine.compiled.recipe import FIRST_ESTIMATES, INVARIANT, Plan
-from filters.engine.compiled.retraction import mark_rays, moved_by, retract, transport
+from filters.engine.compiled.recipe import FIRST_ESTIMATES, INVARIANT, RIGHT_INVARIANT, Plan
+from filters.engine.compiled.retraction import mark_rays, moved_by, retract, retract_invariant, transport
 from filters.engine.compiled.storage import BLOCKS, LANDMARKS, Frame, Scratch, Storage
 from filters.engine.compiled.units import (
     ADDRESSES,
@@ -30,16 +32,17 @@ from filters.engine.compiled.units import (
     ENTER,
     FUSE,
     GATE,
+    ITERATE,
     LINEARISE,
     MATRIX,
     PLAN,
     PREDICT,
-    PROPOSE,
     RETRACT,
     SCRATCH,
     STORAGE,
     VECTOR,
     WALK,
+    Unit,
     read_frame,
     read_plan,
     read_scratch,
@@ -130,8 +133,8 @@ def _times_block(H: FloatArray, first: int, D: FloatArray) -> None:
         H[first + j] = a * D[0, j] + b * D[1, j] + c * D[2, j]
 
 
-@unit(ADDRESSES, PLAN, STORAGE, types.int64, SCRATCH, types.int64, types.int64, types.int64)
-def propose_unit(
+@njit(**KERNEL)
+def _propose(
     routines: tuple[int, ...], plan: Plan, S: Storage, b: int, s: Scratch, count: int, size: int, n: int
 ) -> None:
     """delta of one pass, P as it was: from one batch, or chunk by chunk on a copy where that has no factor."""
@@ -165,6 +168,32 @@ def propose_unit(
 
 
 @njit(**KERNEL)
+def _left_jacobian(x: FloatArray, delta: FloatArray, J: FloatArray) -> None:
+    """J_l of the rotation delta in W, (3, 3)."""
+    t0, t1, t2 = times(orientation(x), delta[3], delta[4], delta[5])
+    put(J, 0, 0, transposed(right_jacobian_of(t0, t1, t2)), 1.0)
+
+
+@unit(ADDRESSES, PLAN, types.int64, types.int64, STORAGE, types.int64, SCRATCH, types.int64)
+def iterate(
+    routines: tuple[int, ...], plan: Plan, variant: int, stage: int, S: Storage, b: int, s: Scratch, count: int
+) -> None:
+    """One pass before the last one: the selected measurements, linearised where it would move the state."""
+    x, blocks, counts, size = S.x[b], S.blocks[b], S.counts[b], plan.rows[variant, stage, 0]
+    n = plan.leading + 3 * counts[BLOCKS]
+    _propose(routines, plan, S, b, s, count, size, n)
+    for i in plan.considered:
+        s.delta[i] = 0.0
+    mark_rays(plan, S.own[b], counts[LANDMARKS], counts[BLOCKS], s.is_own)
+    moved_by(plan, x, blocks, counts[BLOCKS], s.delta, s.is_own, s.moved, s.moved_blocks)
+    call(routines[LINEARISE], (plan, variant, stage, S, b, s.moved, s.moved_blocks, s, count))
+    transport(plan, x, blocks, counts[BLOCKS], s.delta, s.is_own, s.moved, s.moved_blocks, s.W, s.D)
+    if plan.error == INVARIANT:
+        _left_jacobian(x, s.delta, s.F)
+    _by_earlier_errors(plan, n, s, count, size)
+
+
+@njit(**KERNEL)
 def _apply(
     routines: tuple[int, ...], plan: Plan, variant: int, stage: int, S: Storage, b: int, s: Scratch, count: int
 ) -> tuple[float, int]:
@@ -180,16 +209,7 @@ def _apply(
         call(routines[GATE], (plan, P, s, s.select, count, size))
         reweight(plan, s, s.select, count, size)
     for _ in range(plan.iterations - 1):
-        call(routines[PROPOSE], (routines, plan, S, b, s, count, size, n))
-        for i in plan.considered:
-            s.delta[i] = 0.0
-        mark_rays(plan, S.own[b], counts[LANDMARKS], counts[BLOCKS], s.is_own)
-        moved_by(plan, x, blocks, counts[BLOCKS], s.delta, s.is_own, s.moved, s.moved_blocks)
-        call(routines[LINEARISE], (plan, variant, stage, S, b, s.moved, s.moved_blocks, s, count))
-        transport(plan, x, blocks, counts[BLOCKS], s.delta, s.is_own, s.moved, s.moved_blocks, s.W, s.D)
-        if plan.error == INVARIANT:
-            _left_jacobian(x, s.delta, s.F)
-        _by_earlier_errors(plan, n, s, count, size)
+        call(routines[ITERATE], (routines, plan, variant, stage, S, b, s, count))
     keep_considered(P, plan.considered, s.kept)
     call(routines[CORRECT], (routines, plan, P, n, s, s.select, count, size))
     nis, dof = s.result[0], 0
@@ -203,13 +223,6 @@ def _apply(
             s.fates[m] = FAILED
     call(routines[RETRACT], (plan, P, x, blocks, S.own[b], counts[LANDMARKS], counts[BLOCKS], s))
     return nis, dof
-
-
-@njit(**KERNEL)
-def _left_jacobian(x: FloatArray, delta: FloatArray, J: FloatArray) -> None:
-    """J_l of the rotation delta in W, (3, 3)."""
-    t0, t1, t2 = times(orientation(x), delta[3], delta[4], delta[5])
-    put(J, 0, 0, transposed(right_jacobian_of(t0, t1, t2)), 1.0)
 
 
 @njit(**KERNEL)
@@ -352,7 +365,7 @@ def _advance(routines: tuple[int, ...], plan: Plan, S: Storage, b: int, s: Scrat
         _renew(routines, plan, S, b, s, frame, first, last, known)
 
 
-@njit(types.void(ADDRESSES, *[types.intp] * 4, types.int64, types.int64), cache=True, _nrt=False, **ENTRY)
+@njit(types.void(ADDRESSES, *[types.intp] * 4, types.int64, types.int64), _nrt=False, **KEPT, **ENTRY)
 def advance(
     routines: tuple[int, ...], plan_at: int, storage_at: int, scratch_at: int, frame_at: int, first: int, last: int
 ) -> None:
@@ -365,17 +378,19 @@ def advance(
         _advance(routines, plan, S, b, s, frame)
 
 
-UNITS = (
-    predict,
-    fuse,
-    linearise_unit,
-    squared_distances,
-    largest_agreement,
-    propose_unit,
-    correct,
-    retract,
-    enter,
-    walk_gauge,
-)
-KERNELS = (*ROUTINES, *(kernel.address for kernel in UNITS))
-"""Addresses that `advance` wants, of BLAS and of the units."""
+def kernels(plan: Plan, fuses: bool) -> tuple[int, ...]:
+    """Addresses that `advance` wants, of LAPACK and of the units; zero for those that this plan never calls."""
+    gated = bool((plan.limits < np.inf).any())
+    needed: dict[int, tuple[Unit, bool]] = {
+        PREDICT: (predict, True),
+        FUSE: (fuse, fuses),
+        LINEARISE: (linearise_unit, True),
+        GATE: (squared_distances, gated or plan.tail_dof < np.inf),
+        AGREE: (largest_agreement, gated and plan.consensus),
+        ITERATE: (iterate, plan.iterations > 1),
+        CORRECT: (correct, True),
+        RETRACT: (retract if plan.error < RIGHT_INVARIANT else retract_invariant, True),
+        ENTER: (enter, True),
+        WALK: (walk_gauge, plan.gauge_walk > 0.0),
+    }
+    return (*ROUTINES, *(unit.address if called else 0 for _, (unit, called) in sorted(needed.items())))

@@ -295,30 +295,43 @@ def _scale(plan: Plan, P: FloatArray, n: int, x: FloatArray, delta: FloatArray, 
     scale_blocks(P, n, plan.leading, s.D, s)
 
 
+@njit(**KERNEL)
+def _take_moved(x: FloatArray, blocks: FloatArray, count: int, s: Scratch) -> None:
+    """The state becomes the moved one."""
+    for i in range(len(x)):
+        x[i] = s.moved[i]
+    for c in range(count):
+        for i in range(3):
+            blocks[c, i] = s.moved_blocks[c, i]
+
+
 @unit(PLAN, MATRIX, VECTOR, MATRIX, INDEX, types.int64, types.int64, SCRATCH)
 def retract(
     plan: Plan, P: FloatArray, x: FloatArray, blocks: FloatArray, own: IntArray, landmarks: int, count: int, s: Scratch
 ) -> None:
-    """Move the state by delta and carry P along (`StereoEKF._retract`)."""
-    leading, delta = plan.leading, s.delta
-    n = leading + 3 * count
-    if plan.error >= RIGHT_INVARIANT:
-        mark_rays(plan, own, landmarks, count, s.is_own)
+    """Move the state by delta and carry P along (`StereoEKF._retract`), the errors of landmarks being additive."""
+    delta = s.delta
     if plan.error < FIRST_ESTIMATES:
         identity(s.F)
         if plan.error == QUATERNION:
             put(s.F, 3, 3, _additive_transport_of(delta[3], delta[4], delta[5]), 1.0)
         else:
             put(s.F, 3, 3, right_jacobian_of(delta[3], delta[4], delta[5]), 1.0)
-        transform_leading(P, n, s)
+        transform_leading(P, plan.leading + 3 * count, s)
     moved_by(plan, x, blocks, count, delta, s.is_own, s.moved, s.moved_blocks)
-    if plan.error >= RIGHT_INVARIANT:
-        transport(plan, x, blocks, count, delta, s.is_own, s.moved, s.moved_blocks, s.W, s.D)
-        if plan.error == INVARIANT:
-            _scale(plan, P, n, x, delta, s)
-        shear_by_rotation(P, n, s.W, s)
-    for i in range(len(x)):
-        x[i] = s.moved[i]
-    for c in range(count):
-        for i in range(3):
-            blocks[c, i] = s.moved_blocks[c, i]
+    _take_moved(x, blocks, count, s)
+
+
+@unit(PLAN, MATRIX, VECTOR, MATRIX, INDEX, types.int64, types.int64, SCRATCH)
+def retract_invariant(
+    plan: Plan, P: FloatArray, x: FloatArray, blocks: FloatArray, own: IntArray, landmarks: int, count: int, s: Scratch
+) -> None:
+    """The same where they turn with the world."""
+    delta, n = s.delta, plan.leading + 3 * count
+    mark_rays(plan, own, landmarks, count, s.is_own)
+    moved_by(plan, x, blocks, count, delta, s.is_own, s.moved, s.moved_blocks)
+    transport(plan, x, blocks, count, delta, s.is_own, s.moved, s.moved_blocks, s.W, s.D)
+    if plan.error == INVARIANT:
+        _scale(plan, P, n, x, delta, s)
+    shear_by_rotation(P, n, s.W, s)
+    _take_moved(x, blocks, count, s)
