@@ -16,6 +16,7 @@ from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
 from filters.catalogue.presets import PRESETS
+from filters.contract.foreign_text import first_line, type_name
 from filters.contract.known_names import did_you_mean
 from filters.contract.noise import StereoNoise
 from filters.contract.stereo_filter import StereoFilter
@@ -105,9 +106,8 @@ def _load(entry_point: EntryPoint) -> FilterFactory:
     try:
         factory = entry_point.load()
     except Exception as error:  # whatever a stranger's module does at import must not take the run down
-        raise ValueError(
-            f"filter {entry_point.name!r} ({entry_point.value}) cannot be loaded: {type(error).__name__}: {error}"
-        ) from error
+        why = f"{type_name(error)}: {first_line(error)}"
+        raise ValueError(f"filter {entry_point.name!r} ({entry_point.value}) cannot be loaded: {why}") from error
     if not callable(factory):
         raise ValueError(f"filter {entry_point.name!r} ({entry_point.value}) is not callable")
     made: FilterFactory = factory

@@ -21,6 +21,7 @@ from filters.catalogue.registry import FilterFactory, filter_factory, label_of
 from filters.checks.drives import DT, SPEED, StraightDrive, WindingDrive
 from filters.consistency import fault_of
 from filters.contract.beliefs import Forecast, PoseBelief
+from filters.contract.foreign_text import first_line, type_name
 from filters.contract.noise import StereoNoise
 from filters.contract.observation import StereoObservation
 from filters.contract.odometry import BodyVelocity
@@ -119,7 +120,7 @@ def checked(
         except AssertionError as error:
             failed.append(f"{line}: {error}")
         except Exception as error:  # whatever else it raises is a failed check, too
-            failed.append(f"{line}: raised {type(error).__name__}: {error}")
+            failed.append(f"{line}: raised {type_name(error)}: {first_line(error)}")
         else:
             passed.append(line)
     report = ConformanceReport(name, tuple(passed), tuple(failed))

@@ -151,10 +151,19 @@ class RunOptions:
         show_place(result.report or result.out)
 
 
+def _preset_names(incomplete: str) -> list[str]:
+    from stereo_slam_env.benchmark import presets
+
+    return [name for name in presets() if name.startswith(incomplete)]
+
+
 @with_options(RunOptions, "options")
 def bench(
     preset: Annotated[
-        str | None, typer.Option("--preset", help="A ready-made scenario, see --list.", show_default="quick")
+        str | None,
+        typer.Option(
+            "--preset", help="A ready-made scenario, see --list.", show_default="quick", autocompletion=_preset_names
+        ),
     ] = None,
     scenario: Annotated[
         Path | None, typer.Option("--scenario", help="A scenario file of your own, TOML, perhaps a grid.")
@@ -202,6 +211,12 @@ def bench(
         bool,
         typer.Option("--allow-code", help="Let a scenario of kind 'factory' run the function that its file names."),
     ] = False,
+    write: Annotated[
+        Path | None,
+        typer.Option(
+            "--write", help="Write the preset to a scenario file, to change it, and stop.", metavar="MINE.toml"
+        ),
+    ] = None,
     show_list: Annotated[bool, typer.Option("--list", help="List the ready-made scenarios and stop.")] = False,
     *,
     options: RunOptions,
@@ -219,6 +234,14 @@ def bench(
     if preset is not None and scenario is not None:
         raise ValueError("--preset and --scenario exclude each other: give one of them")
     usual = "quick" if policy is None else "gaze"
+    if write is not None:
+        from stereo_slam_env.benchmark.scenarios.schema import write_scenario_file
+
+        if scenario is not None:
+            raise ValueError("--write and --scenario exclude each other: it writes a preset")
+        write_scenario_file(write, preset or usual)
+        typer.echo(f"scenario: {write.resolve()}")
+        return
     if scenario is not None:
         study = load_study(scenario, data=data, allow_code=allow_code)
     else:

@@ -11,8 +11,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from filters.contract.foreign_text import plain
+
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.text import Text
 
 
 FiltersOption = Annotated[
@@ -22,6 +25,7 @@ FiltersOption = Annotated[
     ),
 ]
 JobsOption = Annotated[int, typer.Option("--jobs", help="Processes, one BLAS thread each.", min=1)]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON instead, for other programs.")]
 OutOption = Annotated[
     Path | None, typer.Option("--out", help="Run directory; an interrupted run in it is resumed.", show_default="new")
 ]
@@ -37,17 +41,19 @@ class Interrupted(Exception):
 
 
 def console(*, stderr: bool = False) -> Console:
-    """Console for tables and progress."""
+    """Console for tables and progress, where what strangers have named does not control the terminal."""
     from rich.console import Console
 
-    return Console(stderr=stderr)
+    class PlainConsole(Console):
+        def render_str(self, text: str, **options: Any) -> Text:
+            return super().render_str(plain(text), **options)
+
+    return PlainConsole(stderr=stderr)
 
 
 def refuse(message: str) -> int:
     """Say what is wrong in one line on stderr; returns the exit code."""
-    line = " ".join(message.split())
-    # Names of files and fields may come from anybody, and a terminal obeys control characters.
-    typer.echo("error: " + "".join(c if c.isprintable() else ascii(c)[1:-1] for c in line), err=True)
+    typer.echo(f"error: {plain(' '.join(message.split()))}", err=True)
     return 2
 
 
@@ -128,8 +134,18 @@ def _help_without_command(context: typer.Context) -> None:
         typer.echo(context.get_help())
 
 
-def show_lines(lines: Mapping[str, str], width: int = 0) -> None:
-    """Names, and one line on each."""
+def show_json(data: Mapping[str, Any]) -> None:
+    """Print JSON."""
+    from stereo_slam_env.files.json_files import json_text
+
+    typer.echo(json_text(data), nl=False)
+
+
+def show_lines(lines: Mapping[str, str], width: int = 0, *, as_json: bool = False) -> None:
+    """Names, and one line on each; or the same as one JSON object."""
+    if as_json:
+        show_json(lines)
+        return
     width = max(width, *map(len, lines))
     for name, line in lines.items():
         typer.echo(f"{name:<{width}}  {line}")

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from stereo_slam_env.cli.parts import console, group, rig_from, with_options
+from stereo_slam_env.cli.parts import JsonOption, console, group, rig_from, show_json, with_options
 
 app = group("The simulated scenes: list, render, record, noise.")
 
@@ -44,7 +44,7 @@ def _scene(
 
 
 @app.command("list")
-def list_scenes() -> None:
+def list_scenes(as_json: JsonOption = False) -> None:
     """Routes, surroundings and renderers, and the ready-made scenarios of `bench`."""
     from stereo_slam_env.benchmark import presets
     from stereo_slam_env.rendering.backends import RENDERERS
@@ -57,6 +57,9 @@ def list_scenes() -> None:
         "renderers": RENDERERS,
         "presets of bench": dict(presets()),
     }
+    if as_json:
+        show_json({title.split()[0]: entries for title, entries in lists.items()})
+        return
     for title, entries in lists.items():
         typer.echo(f"{title}:")
         for name, text in entries.items():

@@ -21,13 +21,14 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from filters import Pose, StereoCamera
+from filters.contract.foreign_text import first_line
 from filters.validation import FloatArray, IntArray
 from stereo_slam_env.datasets.calibration import rectified_rig
 from stereo_slam_env.datasets.image_files import MAX_PIXELS
 from stereo_slam_env.datasets.known_recordings import reference_for
 from stereo_slam_env.datasets.sequence import Choice, ImageFiles, RecordedSequence, Rectify, known_poses
 from stereo_slam_env.files.paths import is_plain_name
-from stereo_slam_env.files.readers import finite_rows, first_line, read_text
+from stereo_slam_env.files.readers import finite_rows, read_text
 from stereo_slam_env.recording.recording import NO_REFERENCE, GreyImage
 
 NAME = "euroc"
@@ -63,7 +64,7 @@ def open_sequence(path: Path, choice: Choice, *, use_truth: bool = True) -> Reco
     rig, turned, rectify = _rectification(sensor, other, cameras[1] / "sensor.yaml")
     ns = np.array(stamps, dtype=np.int64)
     truth, table, truth_from = None, root / TRUTH / "data.csv", NO_REFERENCE
-    if use_truth and table.is_file():
+    if use_truth and table.exists():
         rows_ns, rows = _read_truth(table)
         truth, (first, last) = _camera_poses(table, rows_ns, rows, ns, sensor, turned)
         truth_from = reference_for(rows[:, :3], STATED)
@@ -111,7 +112,7 @@ def _camera_poses(
     A pose is None where the rows around it hold NaN or are too far apart.
     """
     sensor = path.with_name("sensor.yaml")
-    T_bs_truth = _transform(sensor, _text(sensor)) if sensor.is_file() else np.eye(4)
+    T_bs_truth = _transform(sensor, _text(sensor)) if sensor.exists() else np.eye(4)
     inside = (stamps >= rows_ns[0]) & (stamps <= rows_ns[-1])
     covered = np.flatnonzero(inside)
     if covered.size == 0:

@@ -62,7 +62,7 @@ def open_sequence(
     calibration, times, poses = path / "calib.txt", path / "times.txt", poses_file(path)
     P = projections(calibration, [f"P{n}" for n in CAMERAS[cameras]])
     seconds, truth, truth_from = read_table(times, 1, finite=False).reshape(-1), None, NO_REFERENCE
-    if use_truth and poses.is_file():
+    if use_truth and poses.exists():
         require_inside(poses, path.parent.parent)
         rows = read_table(poses, 12, finite=False)
         truth = of_left_camera(poses_of_rows(rows), P[0])

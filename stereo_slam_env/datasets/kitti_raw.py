@@ -91,7 +91,7 @@ def open_sequence(
     times, oxts = folders[0].parent / "timestamps.txt", path / "oxts" / "data"
     seconds = _read_timestamps(times)
     truth, odometry = None, []
-    if known := use_oxts and oxts.is_dir() and all((path.parent / name).is_file() for name in EXTRINSICS):
+    if known := use_oxts and oxts.is_dir() and all((path.parent / name).exists() for name in EXTRINSICS):
         packets, T_ci = _read_packets(oxts, len(seconds)), _imu_to_reference_camera(path.parent, calibration)
         truth = of_left_camera(_reference_camera_poses(packets, T_ci), P[0])
         odometry = _odometry(packets, T_ci, camera_position(P[0]), sigma_linear, sigma_angular, odometry_seed)

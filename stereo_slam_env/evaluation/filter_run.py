@@ -14,6 +14,7 @@ from filters import StereoNoise, StereoObservation
 from filters.catalogue.common_options import make_with_common_options
 from filters.catalogue.registry import FilterFactory, label_of
 from filters.consistency import nees
+from filters.contract.foreign_text import first_line, type_name
 from filters.motions.model import POSE_SIZE, POSITION, ROTATION
 from filters.validation import FloatArray, IntArray
 from stereo_slam_env.evaluation.contract import ContractBroken, check_beliefs, check_map
@@ -117,7 +118,7 @@ def run_filter(
             failure = str(error)
         except Exception as error:  # a stranger's filter may raise anything; the comparison goes on without it
             where = f"frame {frame_number}" if frame_number >= 0 else "start"
-            failure = f"{where}: {type(error).__name__}: {(str(error).strip() or 'no message').splitlines()[0]}"
+            failure = f"{where}: {type_name(error)}: {first_line(error, empty='no message')}"
         memory = peak_memory_mb() - memory
         if windows and failure is None:
             again = recording.with_observations(seen)
@@ -127,7 +128,7 @@ def run_filter(
             except ContractBroken as error:
                 failure = str(error)
             except Exception as error:  # the filter went through once: its other figures stand
-                _log.warning("%s on %s: windows are not scored: %s", name, recording.name, error)
+                _log.warning("%s on %s: windows are not scored: %s", name, recording.name, first_line(error))
     if failure is not None:
         _log.info("%s on %s failed at %s", name, recording.name, failure)
     return log.result(name, used, seed, failure, memory, not_given)

@@ -7,7 +7,7 @@ half its NEES ("calibration") plus half the log volume of its covariance ("sharp
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -101,15 +101,22 @@ class TrajectoryScore:
     end_drift_percent: float | None  # None where the reference stands still
     claims: Mapping[str, ClaimScore]  # "pose", "position", "rotation"; empty where nothing is claimed
     windows: tuple[WindowScore, ...]
-    # Frame by frame: times (N,), position errors (N, 3) in W, and of each claim NEES and log score (N,).
+    # Frame by frame: times (N,), the scored poses in the world of the reference, with what they and the reference
+    # claim as covariances, the reference's poses, and of each claim NEES and log score (N,).
     times: FloatArray = field(repr=False)
-    position_errors: FloatArray = field(repr=False)
+    poses: Trajectory = field(repr=False)
+    reference_poses: Trajectory = field(repr=False)
     nees: Mapping[str, FloatArray] = field(repr=False)
     log_scores: Mapping[str, FloatArray] = field(repr=False)
 
+    @property
+    def position_errors(self) -> FloatArray:
+        """Position errors (N, 3) in W, m."""
+        return self.reference_poses.positions - self.poses.positions
+
     def as_dict(self) -> dict[str, Any]:
         """All but what is frame by frame, JSON-able."""
-        series = ("times", "position_errors", "nees", "log_scores")
+        series = ("times", "poses", "reference_poses", "nees", "log_scores")
         plain = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in series}
         claims = {
             name: {**asdict(claim), "coverage": {f"{p:g}": share for p, share in claim.coverage.items()}}
@@ -222,7 +229,8 @@ def evaluate_trajectory(
     windows = tuple(_window(length, matched, truth, times) for length in WINDOWS) if timed else ()
     scored = slice(0 if how == "rigid" else 1, None)
     matched, truth, times = matched.rows(scored), truth.rows(scored), times[scored]
-    claims, series, scores = _claims(matched, truth, None if covariances is None else covariances[scored])
+    covariances = None if covariances is None else covariances[scored]
+    claims, series, scores = _claims(matched, truth, covariances)
     path = metrics.path_length(truth.positions)
     return TrajectoryScore(
         estimate=estimate.name,
@@ -239,7 +247,8 @@ def evaluate_trajectory(
         claims=claims,
         windows=tuple(window for window in windows if window.windows),
         times=times,
-        position_errors=truth.positions - matched.positions,
+        poses=replace(matched, covariances=covariances),
+        reference_poses=truth,
         nees=series,
         log_scores=scores,
     )

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
+from filters.contract.foreign_text import first_line, type_name
 from filters.contract.known_names import did_you_mean, require_known
 from stereo_slam_env.policies.interface import Policy
 
@@ -74,6 +75,6 @@ def _found(name: str) -> Callable[..., Any]:
         found: Callable[..., Any] = point.load()
     except Exception as error:  # whatever a stranger's module does at import must not take the run down
         raise ValueError(
-            f"policy {name!r} ({point.value}) cannot be loaded: {type(error).__name__}: {error}"
+            f"policy {name!r} ({point.value}) cannot be loaded: {type_name(error)}: {first_line(error)}"
         ) from error
     return found

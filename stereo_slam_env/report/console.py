@@ -7,6 +7,7 @@ import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
 import numpy as np
 from rich.box import SIMPLE_HEAD
@@ -16,7 +17,6 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 from rich.table import Table
 
 from filters.contract.noise import ColouredNoise
-from stereo_slam_env.benchmark.campaign import Progress as ProgressCallback
 from stereo_slam_env.benchmark.scenarios.measurement_errors import (
     LAGS,
     OUTLIER,
@@ -36,6 +36,9 @@ from stereo_slam_env.evaluation.figures import FIGURES, UNKNOWN, Figure
 from stereo_slam_env.evaluation.results import FilterSummary
 from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.recording.recording import Recording
+
+if TYPE_CHECKING:  # runs the front end
+    from stereo_slam_env.benchmark.campaign import Progress as ProgressCallback
 
 MOST_COLUMNS = 5
 _CLAIMS_MATTER_MOST = (

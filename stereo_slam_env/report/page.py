@@ -16,6 +16,7 @@ import vl_convert
 from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup, escape
 
+from filters.contract.foreign_text import without_controls
 from stereo_slam_env.files.folders import write_atomically
 from stereo_slam_env.report.charts.drawing import Chart
 from stereo_slam_env.report.charts.style import in_page_colours
@@ -44,10 +45,10 @@ def html_page(*, title: str, subtitle: str, body: str) -> str:
         _templates()
         .get_template("page.html")
         .render(
-            title=title,
-            subtitle=subtitle,
+            title=without_controls(title),
+            subtitle=without_controls(subtitle),
             contents=_contents(body),
-            body=Markup(body),
+            body=Markup(without_controls(body)),
             css=Markup(_resource("page.css")),
             library=Markup(_vega()) if 'class="chart-data"' in body else "",
             script=Markup(_resource("page.js")),
@@ -66,9 +67,12 @@ def _contents(body: str) -> Markup:
 
 
 def write_page(path: Path, *, title: str, subtitle: str, parts: Sequence[Markup]) -> Path:
-    """Write a page with these parts one below the other, in a folder that is made; returns its path."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(html_page(title=title, subtitle=subtitle, body=Markup("\n").join(parts)), encoding="utf-8")
+    """Write a page, whole or not at all, with these parts one below the other, in a folder that is made.
+
+    Returns its path.
+    """
+    page = html_page(title=title, subtitle=subtitle, body=Markup("\n").join(parts))
+    write_atomically(path, lambda stream: stream.write(page.encode()))
     return path
 
 

@@ -1,4 +1,7 @@
-"""Stills and films of a drive: the map around the car, the path, the left view, consistency, in one picture."""
+"""Stills and films of a drive: the map around the car, the path, the left view, consistency, in one picture.
+
+Needs the extra pictures (Matplotlib).
+"""
 
 from __future__ import annotations
 
@@ -7,15 +10,9 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.collections import EllipseCollection
-from matplotlib.figure import Figure
-from matplotlib.patches import Polygon
-from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter
 
+from filters.extras import require_module
 from filters.geometry import rotations
 from filters.validation import FloatArray
 from stereo_slam_env.evaluation.consistency import mean_band
@@ -27,6 +24,16 @@ from stereo_slam_env.report.charts.style import BAND, GRID, INK, MUTED, filter_c
 from stereo_slam_env.viewer.drive import Drive
 from stereo_slam_env.viewer.ellipsoids import SIGMAS, ellipsoids
 from stereo_slam_env.viewer.video import Recorder
+
+require_module("matplotlib", "pictures")
+
+import matplotlib as mpl  # noqa: E402
+from matplotlib.axes import Axes  # noqa: E402
+from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: E402
+from matplotlib.collections import EllipseCollection  # noqa: E402
+from matplotlib.figure import Figure  # noqa: E402
+from matplotlib.patches import Polygon  # noqa: E402
+from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter  # noqa: E402
 
 SIZE_INCHES, FILM_DPI = (12.8, 7.2), 100
 MOST_PICTURES = 400

@@ -13,10 +13,9 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import msgspec
 
+from filters.contract.foreign_text import first_line, type_name
 from filters.contract.known_names import did_you_mean, require_known
 from stereo_slam_env.benchmark.recordings.source import OpenedImages, Progress, Renderer, Source, checked
-from stereo_slam_env.datasets import holds_images, load, open_for_front_end
-from stereo_slam_env.frontend.recorder import record_tracks
 from stereo_slam_env.recording.recording import GIVEN_TRUTH, Recording
 from stereo_slam_env.sensing.rigs import camera_of
 
@@ -65,10 +64,10 @@ class StreetSource(Source, frozen=True, tag="street"):
 
     def sequence(self, seed: int | None, frames: int | None = None) -> OpenedImages:
         """The rendered pairs."""
-        from stereo_slam_env.envs.options import DriveOptions
         from stereo_slam_env.envs.recorder import RenderedDrive
 
-        return RenderedDrive(self.options, seed or 0, frames), DriveOptions.checked(self.options).front_end
+        drive = RenderedDrive(self.options, seed or 0, frames)
+        return drive, drive.front_end
 
     def with_images(self, renderer: Renderer) -> Self:
         """Rendered images instead of geometry."""
@@ -190,6 +189,9 @@ class DatasetSource(Source, frozen=True, tag="dataset"):
 
     def record(self, seed: int | None, frames: int | None = None, progress: Progress | None = None) -> Recording:
         """Read it, or track landmarks through its images."""
+        from stereo_slam_env.datasets import load  # OpenCV, only where it is needed
+        from stereo_slam_env.frontend.recorder import record_tracks
+
         if not self.takes_images:
             return self._stated(load(self.path, **self.arguments))
 
@@ -211,6 +213,8 @@ class DatasetSource(Source, frozen=True, tag="dataset"):
     @property
     def takes_images(self) -> bool:
         """Whether the folder holds images."""
+        from stereo_slam_env.datasets import holds_images
+
         return holds_images(self.path)
 
     def sequence(self, seed: int | None, frames: int | None = None) -> OpenedImages:
@@ -299,7 +303,7 @@ def _loaded(point: EntryPoint) -> type[Source]:
         found = point.load()
     except Exception as error:  # whatever a stranger's module does at import must not take the run down
         raise ValueError(
-            f"kind {point.name!r} ({point.value}) cannot be loaded: {type(error).__name__}: {error}"
+            f"kind {point.name!r} ({point.value}) cannot be loaded: {type_name(error)}: {first_line(error)}"
         ) from error
     if not (isinstance(found, type) and issubclass(found, Source)):
         raise ValueError(f"kind {point.name!r} ({point.value}) is no subclass of Source")
@@ -325,4 +329,6 @@ def _tracked(tracking: _Tracking) -> Recording:
 @lru_cache(maxsize=1)
 def _opened(options: str) -> OpenedImages:
     """Opened recording of images; kept, because finding its calibration takes time."""
+    from stereo_slam_env.datasets import open_for_front_end
+
     return open_for_front_end(**json.loads(options))

@@ -8,7 +8,6 @@ that could have shown something; those of time, which depends on the machine, am
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -33,6 +32,7 @@ from stereo_slam_env.benchmark.storage.store import SETTINGS, read_study
 from stereo_slam_env.evaluation.figures import Figure
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
 from stereo_slam_env.evaluation.run_figures import RunFigures, RunKey, common_keys, key_of, summarise
+from stereo_slam_env.files.readers import read_json
 
 if TYPE_CHECKING:
     from stereo_slam_env.benchmark.campaign import BenchmarkResult
@@ -127,7 +127,7 @@ def _opened(source: str | Path | BenchmarkResult, name: str) -> _Side:
         figures |= {f"{prefix}{label}": of_filter for label, of_filter in found.figures.items()}
         code |= {f"{prefix}{label}": digest for label, digest in directory.plugin_code().items()}
         cells |= {f"{prefix}{label}": directory.cell.name for label in found.figures if prefix}
-        settings[prefix] = json.loads((directory.out / SETTINGS).read_text(encoding="utf-8"))
+        settings[prefix] = read_json(directory.out / SETTINGS)
     return _Side(str(source), figures, trials, streams, settings, code, cells)
 
 

@@ -25,12 +25,16 @@ from stereo_slam_env.benchmark.storage.run_archive import (
     load_provenance,
     load_run,
 )
-from stereo_slam_env.benchmark.storage.tables import write_csv, write_json, write_trial_table
+from stereo_slam_env.benchmark.storage.tables import write_csv, write_trial_table
 from stereo_slam_env.evaluation.cramer_rao import Bound
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
 from stereo_slam_env.evaluation.run_figures import Bounds, Figures, figures_of, summarise_all
 from stereo_slam_env.evaluation.run_trajectories import estimate_of, reference_of, truth_of
 from stereo_slam_env.files.folders import is_occupied, write_atomically
+from stereo_slam_env.files.json_files import write_json
+from stereo_slam_env.files.opening import read_bytes
+from stereo_slam_env.files.paths import require_links_inside
+from stereo_slam_env.files.readers import read_json
 from stereo_slam_env.recording.trajectory import Trajectory
 from stereo_slam_env.recording.trajectory_files import save_trajectory
 
@@ -68,7 +72,8 @@ class RunDirectory:
         self.cell = cell
         self.scenario = cell.scenario
         self.seeds = cell.scenario.recording_seeds
-        self._recordings = root_of(out) / "recordings"
+        self._root = root_of(out)
+        self._recordings = self._root / "recordings"
         self._found_code: dict[str | None, str | None] | None = None
 
     def trial_path(self, seed: int | None, choice: FilterChoice) -> Path:
@@ -95,7 +100,7 @@ class RunDirectory:
         for seed in self.seeds:
             for choice in self.scenario.competitors:
                 path = self.trial_path(seed, choice)
-                provenance = load_provenance(path) if path.exists() else {}
+                provenance = load_provenance(path, inside=self._root) if path.exists() else {}
                 if _code_in(provenance) != (code, self._plugins[choice.label]):
                     todo.append((seed, choice))
                 elif provenance["filter"] != dataclasses.asdict(choice):
@@ -129,6 +134,10 @@ class RunDirectory:
         """Whether the recording is there, made by this version of the code."""
         about = self._about_recording(seed) or {}
         return _code_in(about) == (code_digest(), self._plugins[None]) and self.recording_path(seed).exists()
+
+    def recording_content(self, seed: int | None) -> bytes:
+        """Recording of a seed, as bytes of `recording.archive`."""
+        return read_bytes(self.recording_path(seed), inside=self._root)
 
     def save_recording(
         self, seed: int | None, content: bytes, description: Mapping[str, Any], choice: FilterChoice | None = None
@@ -173,7 +182,7 @@ class RunDirectory:
                 path = self.trial_path(seed, choice)
                 if not path.exists():
                     raise ValueError(f"{path} is missing: the run is not finished, run the same command again")
-                run, provenance = load_run(path)
+                run, provenance = load_run(path, inside=self._root)
                 if run.filter_name != choice.label:  # it becomes the name of files
                     raise ValueError(f"{path} holds a run of {run.filter_name!r}: delete it and run the command again")
                 given[choice.label] = provenance["recording"]
@@ -212,14 +221,14 @@ class RunDirectory:
     def _bound(self, seed: int | None) -> tuple[Bound | None, str | None]:
         """The bound, and the version of the code that made it; None where there is none."""
         path = self.bound_path(seed)
-        return load_bound(path) if path.exists() else (None, None)
+        return load_bound(path, inside=self._root) if path.exists() else (None, None)
 
     def _about_recording(self, seed: int | None) -> dict[str, Any] | None:
         path = self.recording_path(seed).with_suffix(".json")
         if not path.exists():
             return None
         with damage_named(path):
-            about: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+            about: dict[str, Any] = read_json(path, inside=self._root)
             return about
 
     def results(self) -> CellResult:
@@ -317,10 +326,9 @@ def read_study(out: Path) -> StudyDirectory:
     path = out / STUDY
     if not path.exists():
         return StudyDirectory(out, Study.of(_scenario_in(out)))
-    try:
-        return StudyDirectory(out, Study.from_dict(json.loads(path.read_text(encoding="utf-8"))))
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise ValueError(f"{path} is damaged: {error}") from error
+    require_links_inside(root_of(out))  # what is written would land elsewhere, too
+    with damage_named(path):
+        return StudyDirectory(out, Study.from_dict(read_json(path)))
 
 
 def root_of(out: Path) -> Path:
@@ -344,11 +352,11 @@ def seed_name(seed: int | None) -> str:
 def _scenario_in(out: Path) -> Scenario:
     path = out / SETTINGS
     try:
-        return Scenario.from_dict(json.loads(path.read_text(encoding="utf-8"))["scenario"])
-    except (FileNotFoundError, NotADirectoryError) as error:
+        require_links_inside(root_of(out))
+        with damage_named(path):
+            return Scenario.from_dict(read_json(path)["scenario"])
+    except FileNotFoundError as error:
         raise ValueError(_why_no_run(out)) from error
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise ValueError(f"{path} is damaged: {error}") from error
 
 
 def _why_no_run(out: Path) -> str:

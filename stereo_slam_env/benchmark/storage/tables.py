@@ -17,8 +17,6 @@ from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import msgspec
-
 from stereo_slam_env.evaluation.figures import FIGURES, trial_columns
 from stereo_slam_env.evaluation.results import FilterSummary
 from stereo_slam_env.evaluation.run_figures import key_of
@@ -30,16 +28,6 @@ if TYPE_CHECKING:
 SCHEMA = 4
 POSE_NEES = FIGURES["pose_anees"]
 _TYPES = {"text": "TEXT", "integer": "INTEGER", "real": "REAL", "any": ""}
-
-
-def write_json(path: Path, data: Mapping[str, Any]) -> None:
-    """Write JSON that any reader takes, whole or not at all: NaN and infinity are null."""
-    text = msgspec.json.format(msgspec.json.encode(data, enc_hook=_plain), indent=2) + b"\n"
-    write_atomically(path, lambda stream: stream.write(text))
-
-
-def _plain(value: Any) -> Any:
-    return dict(value) if isinstance(value, Mapping) else float(value)
 
 
 def write_csv(path: Path, summaries: Sequence[FilterSummary]) -> None:

@@ -135,6 +135,27 @@ def test_a_filter_that_fails_is_a_result(name, failure):
     assert np.isfinite(run.true_positions).all()
 
 
+class _Wordless(Exception):
+    def __str__(self):
+        raise RuntimeError("no words")
+
+
+@pytest.mark.parametrize(
+    ("error", "failure"),
+    [
+        (_Wordless(), "frame 0: _Wordless: its message cannot be read"),
+        (ValueError("\x1b[2J\x07red"), "frame 0: ValueError: \\x1b[2J\\x07red"),
+        (KeyError(), "frame 0: KeyError: no message"),
+    ],
+)
+def test_whatever_an_exception_says_is_a_plain_line(error, failure):
+    class Failing(StereoEKF):
+        def update(self, observation):
+            raise error
+
+    assert run_filter(small_recording(), Failing).failure == failure
+
+
 def test_a_filter_that_cannot_be_made_is_a_result():
     run = run_filter(small_recording(), "no-such-filter")
     assert run.failure.startswith("start: ValueError: filter must be one of")
