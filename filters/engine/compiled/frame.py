@@ -83,7 +83,7 @@ def _believable(
     routines: tuple[int, ...], plan: Plan, variant: int, stage: int, S: Storage, b: int, s: Scratch, count: int
 ) -> int:
     """Gate the selected measurements, linearised; those that pass stay selected, their number."""
-    limit, kept = plan.limits[variant, stage], np.int64(0)
+    limit, kept = plan.limits[variant, stage], 0
     call(routines[GATE], (plan, S.P[b], s, s.select, count, plan.rows[variant, stage, 0]))
     for i in range(count):
         m = s.select[i]
