@@ -232,14 +232,14 @@ def _stage(
     """`StereoEKF._correct_stage`: with the measurements whose fate so far is USED; NIS and dof."""
     x, blocks, P = S.x[b], S.blocks[b], S.P[b]
     gated = plan.limits[variant, stage] < 1e300
-    count = 0
+    count = np.int64(0)
     for m in range(known):
         s.ahead[m] = False  # of those that an earlier stage has refused
         if s.fates[m] == USED:
             s.select[count] = m
             count += 1
     call(routines[LINEARISE], (plan, variant, stage, S, b, x, blocks, s, count))
-    ahead = 0
+    ahead = np.int64(0)  # with a plain 0, Numba compiles what takes it a second time, for that number alone
     for i in range(count):
         m = s.select[i]
         if s.ahead[m]:
@@ -259,7 +259,7 @@ def _stage(
     size = plan.rows[variant, stage, 0]
     call(routines[AGREE], (plan, P, n, s, s.select, count, size, plan.limits[variant, stage]))
     best = int(s.result[0])
-    core = 0
+    core = np.int64(0)
     for i in range(count):
         m = s.select[i]
         if s.support[i, best]:
@@ -268,7 +268,7 @@ def _stage(
     for i in range(core):
         s.core[i] = s.select[i]
     nis, dof = _apply(routines, plan, variant, stage, S, b, s, core)
-    count, taken = 0, 0
+    count, taken = np.int64(0), 0
     for m in range(known):
         if taken < core and s.core[taken] == m:
             taken += 1
@@ -347,7 +347,7 @@ def _advance(routines: tuple[int, ...], plan: Plan, S: Storage, b: int, s: Scrat
                 call(routines[RETRACT], (plan, P, x, S.blocks[b], S.own[b], counts[LANDMARKS], counts[BLOCKS], s))
     if not frame.seen[b]:
         return
-    known = 0
+    known = np.int64(0)
     for i in range(last - first):
         if s.where[i] >= 0:
             s.place[known], s.land[known], s.fates[known] = i, s.where[i], USED
