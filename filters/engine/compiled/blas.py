@@ -1,6 +1,7 @@
 """Linear algebra of the kernels: LAPACK's Cholesky factor, small products and rank-k updates as vector instructions.
 
 BLAS spends more on its calls than on the work at these sizes. Here are also the compilation options of all kernels.
+With `NUMBA_DISABLE_JIT=1` all kernels run as plain Python, and what is written in machine instructions here by NumPy.
 """
 
 from __future__ import annotations
@@ -9,10 +10,12 @@ from typing import Any
 
 import numpy as np
 from llvmlite import ir
-from numba import njit, types
+from numba import config, njit, types
 from numba.core import cgutils
 from numba.extending import get_cython_function_address, intrinsic
 
+PLAIN = bool(config.DISABLE_JIT)
+"""Whether kernels are Python functions: their addresses are the functions themselves."""
 ROUTINES = (get_cython_function_address("scipy.linalg.cython_lapack", "dpotrf"),)
 """Where this process has what LAPACK does: an argument of the kernels, so that these can be cached on disk."""
 ENTRY: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract"}, "nogil": True}
@@ -24,7 +27,7 @@ KERNEL: dict[str, Any] = {**ENTRY, "_nrt": False, "no_cpython_wrapper": True, "n
 
 
 @intrinsic
-def call(typing_context: Any, address: Any, arguments: Any) -> Any:
+def _call(typing_context: Any, address: Any, arguments: Any) -> Any:
     """Call the Fortran subroutine at `address` with pointers to its arguments."""
 
     def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
@@ -42,6 +45,12 @@ def at(array: Any) -> int:
     address: int = np.intp(array.ctypes.data)  # type: ignore[assignment]
     return address
 
+
+def _call_plainly(address: Any, arguments: Any) -> None:
+    address(*arguments)
+
+
+call = _call_plainly if PLAIN else _call
 
 LANES = 8  # columns at a time
 PANEL = 4  # rows of a large product at a time
@@ -169,3 +178,42 @@ def _change_by_square(product: Any) -> Any:
 
 subtract_square, add_square = _change_by_square(_less_product), _change_by_square(_more_product)
 """P -= HP^T HP and P += HP^T HP: below the triangle, and behind row and column n, they may write, too."""
+
+
+@njit(**KERNEL)
+def cholesky(routines: tuple[int, ...], S: Any, rows: int, letters: Any, sizes: Any) -> bool:
+    """Cholesky factor of the first rows of S, its transpose in the upper triangle; whether LAPACK found one."""
+    first = at(sizes)
+    sizes[0], sizes[1], sizes[2] = rows, S.shape[1], 0
+    call(routines[0], (at(letters), first, at(S), first + 4, first + 8))
+    return sizes[2] == 0  # type: ignore[no-any-return]
+
+
+if PLAIN:
+
+    def multiply_panel(  # type: ignore[no-redef]
+        target: Any, first: int, H: Any, rows: int, source: Any, top: int, left: int, depth: int, columns: int
+    ) -> None:
+        """The same by NumPy."""
+        right = source[top : top + depth, left : left + columns]
+        target[:rows, first : first + columns] = H[:rows, :depth] @ right
+
+    def solve_triangular(S: Any, HP: Any, rows: int, columns: int) -> None:  # type: ignore[no-redef]
+        """The same by NumPy."""
+        HP[:rows, :columns] = np.linalg.solve(np.triu(S[:rows, :rows]).T, HP[:rows, :columns])
+
+    def subtract_square(P: Any, HP: Any, rows: int, n: int) -> None:
+        """P -= HP^T HP by NumPy."""
+        P[:n, :n] -= HP[:rows, :n].T @ HP[:rows, :n]
+
+    def add_square(P: Any, HP: Any, rows: int, n: int) -> None:
+        """P += HP^T HP by NumPy."""
+        P[:n, :n] += HP[:rows, :n].T @ HP[:rows, :n]
+
+    def cholesky(routines: Any, S: Any, rows: int, letters: Any, sizes: Any) -> bool:  # type: ignore[no-redef]
+        """The same by NumPy."""
+        try:
+            S[:rows, :rows] = np.linalg.cholesky(np.triu(S[:rows, :rows]).T + np.triu(S[:rows, :rows], 1)).T
+        except np.linalg.LinAlgError:
+            return False
+        return True

@@ -6,7 +6,7 @@ import math
 
 from numba import njit, types
 
-from filters.engine.compiled.blas import KERNEL, at, call, multiply_panel, solve_triangular, subtract_square
+from filters.engine.compiled.blas import KERNEL, cholesky, multiply_panel, solve_triangular, subtract_square
 from filters.engine.compiled.covariance import keep_considered, restore_considered, take_leading, take_rows
 from filters.engine.compiled.prediction import measure_odometry
 from filters.engine.compiled.recipe import Plan
@@ -77,10 +77,7 @@ def innovation_covariance(plan: Plan, s: Scratch, select: IntArray, first: int, 
 @njit(**KERNEL)
 def factorise(routines: tuple[int, ...], s: Scratch, rows: int) -> bool:
     """Cholesky factor of S in place; whether there is one."""
-    sizes, first = s.sizes, at(s.sizes)
-    sizes[0], sizes[1], sizes[2] = rows, s.S.shape[1], 0
-    call(routines[0], (at(s.letters), first, at(s.S), first + 4, first + 8))
-    return sizes[2] == 0 and math.isfinite(s.S[rows - 1, rows - 1])
+    return cholesky(routines, s.S, rows, s.letters, s.sizes) and math.isfinite(s.S[rows - 1, rows - 1])
 
 
 @njit(**KERNEL)

@@ -14,7 +14,7 @@ import numpy as np
 from numba import cfunc, njit, types
 from numba.extending import intrinsic
 
-from filters.engine.compiled.blas import ENTRY, ROUTINES, UNIT, at
+from filters.engine.compiled.blas import ENTRY, PLAIN, ROUTINES, UNIT, at
 from filters.engine.compiled.recipe import Recipe
 from filters.engine.compiled.storage import empty_frame, empty_storage, scratch
 
@@ -40,7 +40,14 @@ ADDRESSES = types.UniTuple(types.intp, len(ROUTINES) + len(UNITS))
 
 def unit(*arguments: Any) -> Callable[[Callable[..., None]], Any]:
     """Compile a kernel with these types of arguments as a unit."""
-    return cfunc(types.void(*arguments), cache=True, **UNIT)
+    return _PlainUnit if PLAIN else cfunc(types.void(*arguments), cache=True, **UNIT)
+
+
+class _PlainUnit:
+    """A kernel that is a Python function, and its own address."""
+
+    def __init__(self, function: Callable[..., None]) -> None:
+        self.address = function
 
 
 def _reader(kind: Any) -> Any:
@@ -68,7 +75,13 @@ def _write(typing_context: Any, address: Any, value: Any) -> Any:
     return types.void(types.intp, value), generate
 
 
-read_plan, read_storage, read_scratch, read_frame = map(_reader, (PLAN, STORAGE, SCRATCH, FRAME))
+def _itself(value: Any) -> Any:
+    return value
+
+
+read_plan, read_storage, read_scratch, read_frame = (
+    _itself if PLAIN else _reader(kind) for kind in (PLAN, STORAGE, SCRATCH, FRAME)
+)
 
 
 @njit([types.void(types.int64[::1], kind) for kind in (PLAN, STORAGE, SCRATCH, FRAME)], cache=True, **ENTRY)
@@ -81,6 +94,9 @@ class Packed:
 
     def __init__(self, value: Any) -> None:
         self.value = value
+        self.address = value
+        if PLAIN:
+            return
         self._room = np.zeros(20 * len(value) + 8, dtype=np.int64)
         _pack(self._room, value)
         self.address = self._room.ctypes.data
