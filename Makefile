@@ -57,12 +57,12 @@ $(BIN)/python:
 
 $(VENV)/.installed: pyproject.toml | $(BIN)/python
 	@$(PIP) --editable .
-	@$(BIN)/python -m filters.engine.compiled
+	@$(BIN)/python -m filters.engine
 	@touch $@
 
 $(VENV)/.installed-dev: pyproject.toml constraints.txt | $(BIN)/python
 	@$(PIP) --constraint constraints.txt --editable '.[dev,gtsam,evo,gl,ray,dask,rl,video,docs,viewer]'
-	@$(BIN)/python -m filters.engine.compiled
+	@$(BIN)/python -m filters.engine
 	@touch $@ $(VENV)/.installed $(VENV)/.installed-docs
 
 $(VENV)/.installed-docs: pyproject.toml | $(BIN)/python

@@ -23,7 +23,7 @@ _STORAGE = empty_storage(_RECIPE, 1, 1)
 PLAN = numba.typeof(_RECIPE.plan)
 STORAGE = numba.typeof(_STORAGE)
 SCRATCH = numba.typeof(scratch(_RECIPE, _STORAGE, 1))
-FRAME = numba.typeof(empty_frame(1, 1, 1))
+FRAME = numba.typeof(empty_frame(_RECIPE, 1, 1, 1))
 VECTOR, MATRIX, INDEX = types.float64[::1], types.float64[:, ::1], types.int64[::1]
 GIVEN, GIVEN_COVARIANCE = (
     types.Array(types.float64, 1, "C", readonly=True),
@@ -31,11 +31,13 @@ GIVEN, GIVEN_COVARIANCE = (
 )
 """Odometry of one filter."""
 UNITS = ("predict", "fuse", "linearise", "gate", "agree", "propose", "correct", "retract", "enter", "walk")
-"""Places of their addresses, after those of BLAS."""
-PREDICT, FUSE, LINEARISE, GATE, AGREE, PROPOSE, CORRECT, RETRACT, ENTER, WALK = range(
-    len(ROUTINES), len(ROUTINES) + len(UNITS)
+"""Places of their addresses, after those of BLAS; the last place is that of the doors."""
+PREDICT, FUSE, LINEARISE, GATE, AGREE, PROPOSE, CORRECT, RETRACT, ENTER, WALK, DOORS = range(
+    len(ROUTINES), len(ROUTINES) + len(UNITS) + 1
 )
-ADDRESSES = types.UniTuple(types.intp, len(ROUTINES) + len(UNITS))
+ADDRESSES = types.UniTuple(types.intp, len(ROUTINES) + len(UNITS) + 1)
+TO_LINEARISE, TO_MOVE, TO_START, TO_SELECT, TO_CHANGE, TO_WALK, TO_DRIFT = range(7)
+"""What the doors are asked for."""
 
 
 def unit(*arguments: Any) -> Callable[[Callable[..., None]], Any]:

@@ -32,14 +32,14 @@ from typing import NoReturn, TypeVar, cast
 
 import cloudpickle
 
-from filters.engine.machine_code import trouble
-
 Result = TypeVar("Result")
 Tell = Callable[[int, int], None]
 
 SECONDS_TO_START = 120.0
 """Limit of the server's start, and of a new process's: far more than a busy machine needs."""
+KERNELS = "filters.engine.row"
 PRELOADED = (
+    KERNELS,
     "stereo_slam_env.benchmark.running.tasks",
     "stereo_slam_env.policies.episode",
     "stereo_slam_env.wrappers.belief_panorama",
@@ -197,7 +197,7 @@ def _server() -> _Server:
 
 @cache
 def _server_of(process: int) -> _Server:
-    trouble()  # compiles the kernels where that has not been done: no process of a trial should wait for it
+    importlib.import_module(KERNELS)  # compiled where they have not been: no process of a trial should wait for it
     return _Server()
 
 
@@ -212,7 +212,6 @@ def serve(descriptor: int) -> None:
             importlib.import_module(module)
         except ImportError:  # an extra that is not installed
             continue
-    trouble()  # reads the kernels
     wake_up, woken_by = os.pipe()
     for end in (wake_up, woken_by):
         os.set_blocking(end, False)

@@ -17,7 +17,7 @@ from stereo_slam_env.files.package_versions import version_of
 
 ROOT = Path(__file__).resolve().parents[3]
 NO_RESULT = (
-    "filters/engine/compiled/__main__.py",
+    "filters/engine/__main__.py",
     "filters/checks/",
     "stereo_slam_env/api.py",
     "stereo_slam_env/benchmark/campaign.py",

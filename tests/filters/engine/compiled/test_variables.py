@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from filters.engine.compiled.engine import CompiledEngine, Observations
 from filters.engine.compiled.frame import FAILED
 from filters.engine.compiled.recipe import CALIBRATION_SIZE, Recipe
 from filters.engine.compiled.storage import FilterState
+from filters.engine.engine import Engine, Observations
 from filters.state import symmetric
 
 from ...drives import CAMERA
@@ -26,10 +26,10 @@ def recipe_with(landmark: str, **options: object) -> Recipe:
     return Recipe(CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy, CAMERA.disparity_constant, landmark=landmark, **options)
 
 
-def started(recipe: Recipe) -> CompiledEngine:
+def started(recipe: Recipe) -> Engine:
     """A filter in general position with four landmarks."""
     rng = np.random.default_rng(3)
-    engine, L = CompiledEngine(recipe), recipe.leading
+    engine, L = Engine(recipe), recipe.leading
     x = np.zeros(recipe.values)
     x[:3], x[3:7] = (1.0, 2.0, 3.0), Rotation.from_rotvec([0.2, -0.5, 0.1]).as_quat()
     if recipe.calibration:
@@ -51,7 +51,7 @@ def observed(uvd: np.ndarray) -> Observations:
     return Observations(yes, np.array([0, len(uvd)]), ids, uvd, R, ~yes)
 
 
-def exported(engine: CompiledEngine) -> FilterState:
+def exported(engine: Engine) -> FilterState:
     """State of the first filter, P whole."""
     state = engine.export(0)
     return replace(state, P=symmetric.full(state.P.T))
@@ -270,7 +270,7 @@ def test_a_measurement_without_a_cholesky_factor_is_left_out_alone(iterations: i
     others = [0, 1, 3]
     outcome = broken.update(replace(seen, R=noise))
     kept = replace(seen, ids=seen.ids[others], uvd=seen.uvd[others], offsets=np.array([0, 3]))
-    expected = CompiledEngine(replace(recipe, drop_unseen=False))
+    expected = Engine(replace(recipe, drop_unseen=False))
     expected.load(0, exported(without))
     expected.update(kept)
     np.testing.assert_array_equal(outcome.fates == FAILED, [False, False, True, False])
