@@ -47,10 +47,10 @@ SLOW_FRAMES = 6  # of the rivals that take long
 SHARED = "shared anchors"
 ONE_BATCH = "6-D, one batch"
 FILTERS: dict[str, dict[str, object]] = {
-    SHARED: {"landmark": "shared-anchor", "compiled": False},
-    "dual-bearing": {"landmark": "shared-anchor", "measurement": "sequential", "compiled": False},
-    "euclidean": {"landmark": "euclidean", "compiled": False},
-    "6-D": {"landmark": "inverse-depth", "compiled": False},
+    SHARED: {"landmark": "shared-anchor"},
+    "dual-bearing": {"landmark": "shared-anchor", "measurement": "sequential"},
+    "euclidean": {"landmark": "euclidean"},
+    "6-D": {"landmark": "inverse-depth"},
 }
 CHOICES: dict[str, dict[str, object]] = {
     "consensus": {"consensus": True},
@@ -59,9 +59,9 @@ CHOICES: dict[str, dict[str, object]] = {
     "calibration considered": {"measurement": CalibratedPair(0.25, 3e-3, 2e-3, 5e-3, considered=True)},
 }
 if COMPILED:
-    FILTERS |= {f"{name}, compiled": {**options, "compiled": True} for name, options in FILTERS.items()}
+    FILTERS |= {f"{name}, compiled": {**options} for name, options in FILTERS.items()}
     FILTERS |= {
-        f"{SHARED}, compiled, {name}": {**FILTERS[SHARED], "compiled": True, **CHOICES[name]} for name in CHOICES
+        f"{SHARED}, compiled, {name}": {**FILTERS[SHARED], **CHOICES[name]} for name in CHOICES
     }
 FILTERS[ONE_BATCH] = FILTERS["6-D"]
 

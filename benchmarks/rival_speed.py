@@ -136,10 +136,10 @@ class Isam2:
 def measure(landmarks: int, frames: int) -> tuple[dict[str, float], float]:
     """Seconds a frame of everything, and how many landmarks enter in a frame."""
     street = Street(landmarks)
-    steps = {"shared anchors": Ours(landmark="shared-anchor", compiled=False).step}
+    steps = {"shared anchors": Ours(landmark="shared-anchor").step}
     if COMPILED:
-        steps["shared anchors, compiled"] = Ours(landmark="shared-anchor", compiled=True).step
-    steps["6-D, one batch"] = in_one_batch(Ours(landmark="inverse-depth", compiled=False).step, landmarks)
+        steps["shared anchors, compiled"] = Ours(landmark="shared-anchor").step
+    steps["6-D, one batch"] = in_one_batch(Ours(landmark="inverse-depth").step, landmarks)
     if gtsam is not None:
         steps["GTSAM iSAM2"] = Isam2().step
     filterpy = filterpy_step(3 * landmarks, 12 + 6 * landmarks)

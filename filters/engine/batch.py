@@ -104,7 +104,7 @@ class FilterBatch(Sequence[StereoEKF]):
         for slam in self._filters:
             if not isinstance(slam, StereoEKF):
                 raise ValueError(f"make must give a StereoEKF, got {type(slam).__name__}")
-        recipes = [slam.recipe for slam in self._filters]
+        recipes = [slam.engine.recipe for slam in self._filters]
         for index, recipe in enumerate(recipes):
             if recipe != recipes[0]:
                 raise ValueError(f"make must give filters that do the same, filter {index} differs from the first")

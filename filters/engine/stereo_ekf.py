@@ -45,7 +45,7 @@ from filters.validation import (
 )
 
 if TYPE_CHECKING:
-    from filters.engine.compiled.recipe import Recipe
+    from filters.engine.engine import Engine
     from filters.engine.row import Row
 
 
@@ -234,9 +234,9 @@ class StereoEKF(StereoFilter):
         self._row.state = state
 
     @property
-    def recipe(self) -> Recipe:
-        """What the filter does, in plain numbers."""
-        return self._row.engine.recipe
+    def engine(self) -> Engine:
+        """The engine that the filter is a row of."""
+        return self._row.engine
 
     def join(self, row: Row) -> None:
         """Work on a row of an engine with others from now on; the map is empty until the filter is reset."""

@@ -155,7 +155,7 @@ class _Random(InverseDepthStereoEKF):
 
 class _HandsOutItsState(InverseDepthStereoEKF):
     def __init__(self, camera: Any, noise: Any, **options: Any) -> None:
-        super().__init__(camera, noise, compiled=False, **options)
+        super().__init__(camera, noise, **options)
 
     @property
     def pose(self) -> Any:

@@ -15,7 +15,7 @@ from ..slots import ERRORS
 
 def filter_with(error: str = "quaternion", **settings) -> StereoEKF:
     landmark = {"name": "hybrid", **settings}
-    return StereoEKF(CAMERA, INDEPENDENT_PIXELS, gate=None, error=error, landmark=landmark, compiled=False)
+    return StereoEKF(CAMERA, INDEPENDENT_PIXELS, gate=None, error=error, landmark=landmark)
 
 
 def are_points(hybrid: StereoEKF) -> np.ndarray:
@@ -66,7 +66,7 @@ def test_a_point_at_infinity_or_beyond_is_never_linear(rho: float) -> None:
 def test_without_a_limit_the_estimates_are_those_of_shared_anchors() -> None:
     frames = drive(2, 30)
     hybrid = finish(filter_with(linearity_limit=None), frames)
-    shared = finish(SharedAnchorEKF(CAMERA, INDEPENDENT_PIXELS, gate=None, compiled=False), frames)
+    shared = finish(SharedAnchorEKF(CAMERA, INDEPENDENT_PIXELS, gate=None), frames)
     assert not are_points(hybrid).any()
     np.testing.assert_allclose(hybrid.pose.position, shared.pose.position, atol=1e-12)
     np.testing.assert_allclose(hybrid.pose.covariance, shared.pose.covariance, rtol=1e-9)
@@ -75,7 +75,7 @@ def test_without_a_limit_the_estimates_are_those_of_shared_anchors() -> None:
 def test_all_near_the_estimates_are_those_of_euclidean_landmarks() -> None:
     frames = drive(2, 30, depths=(6.0, 30.0))
     hybrid = finish(filter_with(near_distance=1e6), frames)
-    euclidean = finish(StereoEKF(CAMERA, INDEPENDENT_PIXELS, gate=None, landmark="euclidean", compiled=False), frames)
+    euclidean = finish(StereoEKF(CAMERA, INDEPENDENT_PIXELS, gate=None, landmark="euclidean"), frames)
     assert are_points(hybrid).all()
     assert hybrid.state_size == euclidean.state_size
     np.testing.assert_allclose(hybrid.pose.position, euclidean.pose.position, atol=1e-11)

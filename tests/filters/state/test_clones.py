@@ -17,7 +17,7 @@ from ..slots import ERRORS, LANDMARKS
 
 
 def make(**options) -> StereoEKF:
-    return start(StereoEKF(CAMERA, INDEPENDENT_PIXELS, **{"gate": None, "compiled": False, **options}))
+    return start(StereoEKF(CAMERA, INDEPENDENT_PIXELS, **{"gate": None, **options}))
 
 
 def driven(frames: list, clone_at: int | None = None, forget_at: int | None = None, **options) -> StereoEKF:

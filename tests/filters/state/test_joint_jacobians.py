@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from filters import StereoNoise, StereoObservation
-from filters.engine.map_policy import start_landmarks
+from filters.engine.new_landmarks import start_landmarks
 from filters.errors.invariant import RightInvariant
 from filters.errors.model import ErrorDefinition
 from filters.landmarks.model import LandmarkModel

@@ -18,7 +18,7 @@ LANDMARKS = ("inverse-depth", "shared-anchor", "euclidean", "hybrid")
 def started(landmark: str, velocity_sigma: float, depth_disparity: tuple[float, float] = (8.0, 30.0)) -> StereoEKF:
     """A filter that has seen a few landmarks once and has moved since."""
     rng = np.random.default_rng(3)
-    slam = StereoEKF(CAMERA, NOISE, landmark=landmark, compiled=False)
+    slam = StereoEKF(CAMERA, NOISE, landmark=landmark)
     slam.reset(
         Start(
             linear_velocity=(0, 0, 5),
