@@ -29,7 +29,6 @@ from filters.geometry import rotations
 from filters.geometry.camera import StereoCamera
 from filters.measurements.model import Stage
 from filters.motions.model import ROTATION, measure_odometry, predict_camera
-from filters.state import symmetric
 from filters.state.joint_state import Clone, JointState, world_rotation_of_variables
 from filters.state.linearised import LinearisedMeasurements
 from filters.state.transport import Transport
@@ -290,18 +289,9 @@ class Doors:
         index = np.flatnonzero(linear)
         if len(index) == 0:
             return
-        at = self._options.error.linearisation_point(state) or state
-        rows, blocks = state.map_rows(index), state.parameter_block[index]
-        points = state.model.points(at.anchors(index), at.parameters(index))
-        J = points.by_map
-        moved = (J @ symmetric.rows(state.P, rows.ravel()).reshape(*rows.shape, -1)).reshape(-1, len(state.P))
-        own_rows = rows[:, 3:].ravel()
-        moved[:, own_rows] = (J @ moved[:, rows].transpose(1, 2, 0)).reshape(-1, len(moved)).T
-        symmetric.put_rows(state.P, own_rows, moved)
-        state.blocks[blocks, :3] = state.model.points(state.anchors(index), state.parameters(index)).positions
-        state.first_blocks[blocks, :3] = points.positions
         np.subtract.at(S.users[b], S.anchor[b, index], 1)
-        S.anchor[b, index], S.kind[b, blocks] = -1, POINT
+        S.kind[b, state.parameter_block[index]] = POINT
+        state.become_points(index, self._options.error.linearisation_point(state) or state)
 
     def _walk(self, b: int, room: Scratch, what: int, count: int) -> None:
         """B^T of the walk of camera and map together since the camera was at `before`, in `HP`."""

@@ -125,6 +125,10 @@ class Outcome:
     dropped: tuple[IntArray, ...]
 
 
+_NOTHING = Outcome(np.zeros(0, dtype=np.uint8), np.zeros(0), np.zeros(0, dtype=np.int64), ())
+"""Of a step without measurements."""
+
+
 class Engine:
     """The EKF of `count` filters that all do the same.
 
@@ -245,10 +249,10 @@ class Engine:
             Whether it was used.
         """
         self._make_room(0, 1, *H.shape)
-        before = self._kept([index])
-        H, R = np.ascontiguousarray(H), np.ascontiguousarray(R)
+        before = self._kept(np.arange(self.count) == index)
+        given = np.array(H, order="C"), np.array(innovation), np.array(R, order="C")
         at = self._plan.address, self._storage.address, self._scratch[0].address
-        correct_by(self._kernels, *at, index, rows, H, np.ascontiguousarray(innovation), R, limit)
+        correct_by(self._kernels, *at, index, rows, *given, limit)
         self._raise_failure(before)
         nis, used = self.scratch(0).result.tolist()
         return nis, bool(used)
@@ -283,7 +287,7 @@ class Engine:
                     which = np.flatnonzero(of_right == bool(variant))
                     if len(which):
                         self._doors.put_stages(frame, which, variant, bool(variant), M)
-        before = self._kept(np.flatnonzero(frame.seen | (frame.dt > 0.0)).tolist())
+        before = self._kept(frame.seen | (frame.dt > 0.0))
         self._run()
         needed = int(frame.outcome[:, 1].max())
         if needed:  # for these filters nothing has happened yet
@@ -296,6 +300,8 @@ class Engine:
             self._frame, frame = Packed(larger), larger
             self._run()
         self._raise_failure(before)
+        if o is None:
+            return _NOTHING
         dropped = tuple(frame.dropped[b, :gone].copy() for b, gone in enumerate(frame.outcome[:, 0].tolist()))
         return Outcome(frame.fates[:M].copy(), frame.nis.copy(), frame.dof.copy(), dropped)
 
@@ -323,11 +329,11 @@ class Engine:
                 frame.measured_nu[b, :rows], frame.measured_H[b, :rows] = numbers[3:5]
                 frame.measured_R[b, :rows, :rows] = numbers[5]
 
-    def _kept(self, which: list[int]) -> list[tuple[int, FilterState]]:
+    def _kept(self, which: BoolArray) -> list[tuple[int, FilterState]]:
         """States to go back to where a part fails; none where none can."""
         if self._doors is None or not self.recipe.asks:
             return []
-        return [(b, self.export(b)) for b in which]
+        return [(b, self.export(b)) for b in np.flatnonzero(which).tolist()]
 
     def _raise_failure(self, before: list[tuple[int, FilterState]]) -> None:
         if self._doors is None or self._doors.failure is None:

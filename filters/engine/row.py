@@ -142,6 +142,9 @@ class Row:
         """Move the belief forward by dt, then fuse what odometry adds."""
         steps = np.zeros(self.engine.count)
         steps[self.number] = dt
+        if odometry is None:
+            self.engine.step(steps, None)
+            return
         given: list[BodyVelocity | None] = [None] * self.engine.count
         given[self.number] = odometry
         self.engine.step(steps, None, Odometry.of(given))

@@ -102,6 +102,7 @@ def test_changing_over_keeps_the_belief_to_first_order(error: str) -> None:
     state = hybrid.state
     at = hybrid.options.error.linearisation_point(state) or state
     state.become_points(chosen, at)
+    hybrid.state = state
     after = hybrid.landmarks
     assert are_points(hybrid).sum() == len(chosen)
     np.testing.assert_allclose(after.positions, before.positions, rtol=1e-12)
@@ -131,13 +132,13 @@ def test_the_change_is_a_linear_map_of_the_covariance() -> None:
 
 
 def test_an_anchor_leaves_with_the_last_landmark_that_needs_it() -> None:
-    hybrid = start(filter_with(linearity_limit=None))
-    hybrid.update(drive(7, 1, visible=10)[0].observation)
-    assert hybrid.state_size == 12 + 3 * 10 + 3
-    hybrid.state.become_points(np.arange(9), hybrid.state)
-    assert hybrid.state_size == 12 + 3 * 10 + 3
-    hybrid.state.become_points(np.array([9]), hybrid.state)
-    assert hybrid.state_size == 12 + 3 * 10
+    hybrid = start(filter_with(linearity_limit=0.5))
+    frames = drive(7, 12, visible=10, missed=0.0, depths=(6.0, 20.0))
+    for _ in run(hybrid, frames):
+        state = hybrid.state
+        anchors = np.unique(state.anchor_block[state.anchor_block >= 0])
+        assert hybrid.state_size == 12 + 3 * (len(state) + len(anchors))
+    assert 0 < are_points(hybrid).sum()
 
 
 def test_landmarks_change_over_as_they_become_certain() -> None:
