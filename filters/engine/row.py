@@ -198,7 +198,8 @@ class Row:
         S, b = self.engine.storage, self.number
         held = S.held[b][S.held[b] >= 0]
         first = np.flatnonzero(S.kind[b, held] == CLONE_POSITION)[self.clones.index(name)]
-        return held[first : first + 2]
+        blocks: IntArray = held[first : first + 2]
+        return blocks
 
     def clone_pose(self, name: str) -> None:
         """Keep the present pose as a variable of that name."""

@@ -165,7 +165,7 @@ class StereoEKF(StereoFilter):
         return self._row.update(observation.ordered(), self.noise)
 
     def correct(
-        self, innovation: ArrayLike, H: Mapping[str | int, ArrayLike], R: ArrayLike, gate: float | None = None
+        self, innovation: ArrayLike, H: Mapping[Any, ArrayLike], R: ArrayLike, gate: float | None = None
     ) -> Correction:
         """Correct with any measurement, linearised: zero velocity, GPS, wheels, a plane, a loop, a window of poses.
 
@@ -195,8 +195,9 @@ class StereoEKF(StereoFilter):
         limit, nu = np.inf, finite_array("innovation", innovation, ("k",))
         if len(nu) == 0 or not isinstance(H, Mapping) or not H:
             raise ValueError("H must name at least one variable, and innovation must have at least one number")
-        if gate_probability(gate) is not None:
-            limit = gate_limit(gate, len(nu))  # type: ignore[arg-type]
+        gate = gate_probability(gate)
+        if gate is not None:
+            limit = gate_limit(gate, len(nu))
         sizes = {name: self._row.size_of(name) for name in H}
         parts = {name: finite_array(f"H of {name!r}", H[name], (len(nu), size)) for name, size in sizes.items()}
         nis, used = self._row.correct(nu, parts, covariance_matrix("R", R, len(nu)), limit)

@@ -210,19 +210,19 @@ def cholesky(routines: tuple[int, ...], S: Any, rows: int, letters: Any, sizes: 
     first = at(sizes)
     sizes[0], sizes[1], sizes[2] = rows, S.shape[1], 0
     call(routines[0], (at(letters), first, at(S), first + 4, first + 8))
-    return sizes[2] == 0  # type: ignore[no-any-return]
+    return sizes[2] == 0
 
 
 if PLAIN:
 
-    def multiply_panel(  # type: ignore[no-redef]
+    def multiply_panel(
         target: Any, first: int, H: Any, rows: int, source: Any, top: int, left: int, depth: int, columns: int
     ) -> None:
         """The same by NumPy."""
         right = source[top : top + depth, left : left + columns]
         target[:rows, first : first + columns] = H[:rows, :depth] @ right
 
-    def solve_triangular(S: Any, HP: Any, rows: int, columns: int) -> None:  # type: ignore[no-redef]
+    def solve_triangular(S: Any, HP: Any, rows: int, columns: int) -> None:
         """The same by NumPy."""
         HP[:rows, :columns] = np.linalg.solve(np.triu(S[:rows, :rows]).T, HP[:rows, :columns])
 
@@ -234,7 +234,7 @@ if PLAIN:
         """P += HP^T HP by NumPy."""
         P[:n, :n] += HP[:rows, :n].T @ HP[:rows, :n]
 
-    def cholesky(routines: Any, S: Any, rows: int, letters: Any, sizes: Any) -> bool:  # type: ignore[no-redef]
+    def cholesky(routines: Any, S: Any, rows: int, letters: Any, sizes: Any) -> bool:
         """The same by NumPy."""
         try:
             S[:rows, :rows] = np.linalg.cholesky(np.triu(S[:rows, :rows]).T + np.triu(S[:rows, :rows], 1)).T

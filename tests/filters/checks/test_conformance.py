@@ -160,7 +160,7 @@ class _HandsOutItsState(InverseDepthStereoEKF):
     @property
     def pose(self) -> Any:
         pose = super().pose
-        object.__setattr__(pose, "position", self.state.camera.position)
+        object.__setattr__(pose, "position", self.engine.storage.x[0, :3])
         return pose
 
 

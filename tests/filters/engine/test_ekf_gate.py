@@ -47,7 +47,8 @@ def test_the_gate_passes_consistent_measurements_at_its_nominal_rate(
     passed = 0
     for _ in range(draws):
         error = root @ rng.standard_normal(len(P))
-        truth = stereo_filter.with_state(stereo_filter.options.error.moved(stereo_filter.state, error))
+        truth = copy.deepcopy(stereo_filter)
+        truth.state = stereo_filter.options.error.moved(stereo_filter.state, error)
         exact = truth.forecast().uvd
         z = exact + rng.multivariate_normal(np.zeros(3), INDEPENDENT_PIXELS.R, count)
         row = exact[:, 1] + rng.standard_normal(count) if v_right else None

@@ -138,7 +138,7 @@ def test_an_anchor_leaves_with_the_last_landmark_that_needs_it() -> None:
         state = hybrid.state
         anchors = np.unique(state.anchor_block[state.anchor_block >= 0])
         assert hybrid.state_size == 12 + 3 * (len(state) + len(anchors))
-    assert 0 < are_points(hybrid).sum()
+    assert are_points(hybrid).sum() > 0
 
 
 def test_landmarks_change_over_as_they_become_certain() -> None:
