@@ -1,6 +1,6 @@
 # Set-up is done once, and again only when pyproject.toml changes. Nothing but Python and pip is needed.
 .DEFAULT_GOAL := help
-.PHONY: help bench test test-slow test-all lint format docs clean
+.PHONY: help bench test test-slow test-all lint format docs lock clean
 
 PYTHON ?= python3
 VENV := .venv
@@ -10,6 +10,8 @@ BENCH ?= --preset quick
 PYTEST ?=
 RUN_TESTS = $(BIN)/python -m pytest --numprocesses $(WORKERS) --dist loadfile --max-worker-restart 0
 WORKERS ?= 2
+EXTRAS := dev,gtsam,evo,gl,ray,dask,rl,video,docs,viewer,pictures
+PYTHONS ?= python3.10 python3.11 python3.12 python3.13
 
 # The matrices are small: a second BLAS thread never helps and can cost a lot. Parallelism comes from whole runs.
 export OPENBLAS_NUM_THREADS := 1
@@ -46,6 +48,9 @@ docs: $(VENV)/.installed-docs ## Build the manual into site/ (open site/index.ht
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
 	@echo "the manual: site/index.html"
 
+lock: ## Pin what the tests run with anew, for each of PYTHONS, in constraints.txt (nothing is installed)
+	@$(PYTHON) .ci/lock.py $(PYTHONS)
+
 clean: ## Remove the virtual environment, builds and caches (results in runs/ stay)
 	rm -rf $(VENV) build dist site *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .benchmarks
 	find filters stereo_slam_env tests examples benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +
@@ -60,11 +65,12 @@ $(VENV)/.installed: pyproject.toml | $(BIN)/python
 	@$(BIN)/python -m filters.engine
 	@touch $@
 
-$(VENV)/.installed-dev: pyproject.toml constraints.txt | $(BIN)/python
-	@$(PIP) --constraint constraints.txt --editable '.[dev,gtsam,evo,gl,ray,dask,rl,video,docs,viewer]'
+$(VENV)/.installed-dev: pyproject.toml constraints.txt constraints-pybullet.txt | $(BIN)/python
+	@$(PIP) --require-hashes --no-deps --requirement constraints-pybullet.txt
+	@$(PIP) --constraint constraints.txt --editable '.[$(EXTRAS)]'
 	@$(BIN)/python -m filters.engine
 	@touch $@ $(VENV)/.installed $(VENV)/.installed-docs
 
-$(VENV)/.installed-docs: pyproject.toml | $(BIN)/python
-	@$(PIP) --editable '.[docs]'
+$(VENV)/.installed-docs: pyproject.toml constraints.txt | $(BIN)/python
+	@$(PIP) --constraint constraints.txt --editable '.[docs]'
 	@touch $@

@@ -60,9 +60,7 @@ CHOICES: dict[str, dict[str, object]] = {
 }
 if COMPILED:
     FILTERS |= {f"{name}, compiled": {**options} for name, options in FILTERS.items()}
-    FILTERS |= {
-        f"{SHARED}, compiled, {name}": {**FILTERS[SHARED], **CHOICES[name]} for name in CHOICES
-    }
+    FILTERS |= {f"{SHARED}, compiled, {name}": {**FILTERS[SHARED], **CHOICES[name]} for name in CHOICES}
 FILTERS[ONE_BATCH] = FILTERS["6-D"]
 
 

@@ -2,12 +2,14 @@
 
     python benchmarks/real_covariances.py DATA                  # five minutes
     python benchmarks/real_covariances.py --rendered 20         # right turns in rendered images, ten minutes
+    python benchmarks/real_covariances.py --rendered 6 --route town --renderers gl --first-seed 30      # ten minutes
     python benchmarks/real_covariances.py DATA --estimates      # of the errors that all tracks have in common
 
 DATA is the folder that holds the recordings `kitti07_tracks`, `kitti00_stereo_tracks`, `kitti06_stereo51` and
 `starry_night_a`; those that are there are run. Each row adds one part to the row above; the last one is the filter
 "coloured-noise" as it is. NEES/6 should be 1, of the pose and of the motion over windows; frames in the two-sided 95 %
-band, %; rigid ATE, m.
+band, %; rigid ATE, m. Of rendered drives also the mean roll error at the end, with its standard error over the seeds:
+rotation about the optical axis, estimated against true, in microradians a frame.
 
 `--estimates` compares what could size the gauge walk without ground truth, all in rad per root of a radian of image
 motion: the slide of the tracks; half of the difference between motions measured by two halves of the landmarks (at
@@ -35,7 +37,7 @@ from filters.engine.gauge_walk import image_motion
 from filters.geometry import rotations
 from filters.validation import BoolArray, FloatArray
 from stereo_slam_env.evaluation.filter_run import run_filter
-from stereo_slam_env.evaluation.results import FilterSummary
+from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
 from stereo_slam_env.evaluation.run_figures import figures_of, summarise_all
 from stereo_slam_env.frontend.ego_motion import Pairs, Step, chained, robust_step
 from stereo_slam_env.frontend.track_noise import FIRST_GUESS, flow_residuals, track_noise
@@ -70,8 +72,18 @@ def parts(recording: Recording) -> Iterator[tuple[str, str, dict[str, Any], Reco
 
 def judged(recording: Recording, name: str, options: Mapping[str, Any], odometry: bool, windows: bool = True) -> Any:
     """Summary of a filter on a recording."""
-    run = run_filter(recording, name, options, use_odometry=odometry, windows=windows)
+    return summary_of(run_filter(recording, name, options, use_odometry=odometry, windows=windows))
+
+
+def summary_of(run: FilterRun) -> FilterSummary:
+    """Summary of one run."""
     return summarise_all([run], figures_of([run], divergence_percent=10.0))[0]
+
+
+def roll_rate(run: FilterRun) -> float:
+    """Roll error at the end by the number of frames, rad."""
+    estimated, true = (rotations.matrix(q[-1]) for q in (run.orientations, run.true_orientations))
+    return float(rotations.log(true.T @ estimated)[2]) / (len(run.orientations) - 1)
 
 
 def table_of(title: str, heads: Sequence[str]) -> Table:
@@ -100,26 +112,31 @@ def show_parts(console: Console, recording: Recording) -> None:
         console.print(table)
 
 
-def show_rendered(console: Console, seeds: int) -> None:
-    """Right turns in images that are rendered with a perfect rig."""
-    for renderer in ("gl", "tiny"):
-        title = f"right turn by {renderer}, {seeds} seeds"
-        table = table_of(title, ("filter", "NEES/6", "lowest", "highest", "in band", "rmse, mm"))
+def show_rendered(console: Console, route: str, renderers: Sequence[str], seeds: range) -> None:
+    """Drives in images that are rendered with a perfect rig."""
+    for renderer in renderers:
+        title = f"{route} by {renderer}, {len(seeds)} seeds"
+        table = table_of(title, ("filter", "NEES/6", "lowest", "highest", "in band", "rmse, mm", "roll, µrad a frame"))
         drives = [
-            sse.record("StereoSlam/Drive-v0", seed=seed, route="right-turn", sensor="images", renderer=renderer)
-            for seed in range(seeds)
+            sse.record("StereoSlam/Drive-v0", seed=seed, route=route, sensor="images", renderer=renderer)
+            for seed in seeds
         ]
         for label, name, options in (
             ("plain", "shared-anchor", {"gate": 0.99, "consensus": True}),
             ("right-invariant errors", "right-invariant", {"gate": 0.99, "consensus": True}),
             ("coloured-noise", "coloured-noise", {}),
         ):
-            runs = [judged(drive, name, options, odometry=False, windows=False) for drive in drives]
-            nees = [run.pose_anees / 6 for run in runs]
-            band = np.mean([run.frames_in_band_percent for run in runs])
-            rmse = np.mean([1e3 * run.position_rmse_m for run in runs])
+            runs = [run_filter(drive, name, options, use_odometry=False, windows=False) for drive in drives]
+            summaries = [summary_of(run) for run in runs]
+            nees = [summary.pose_anees / 6 for summary in summaries]
+            band = np.mean([summary.frames_in_band_percent for summary in summaries])
+            rmse = np.mean([1e3 * summary.position_rmse_m for summary in summaries])
             figures = [np.mean(nees), min(nees), max(nees)]
-            table.add_row(label, *(f"{figure:.2f}" for figure in figures), f"{band:.0f}", f"{rmse:.2f}")
+            rolls = 1e6 * np.array([roll_rate(run) for run in runs])
+            roll = f"{rolls.mean():+.2f}"
+            if len(rolls) > 1:
+                roll += f" ± {rolls.std(ddof=1) / math.sqrt(len(rolls)):.2f}"
+            table.add_row(label, *(f"{figure:.2f}" for figure in figures), f"{band:.0f}", f"{rmse:.2f}", roll)
         console.print(table)
 
 
@@ -196,11 +213,16 @@ def main() -> None:
     parser.add_argument("data", type=Path, nargs="?")
     parser.add_argument("--estimates", action="store_true")
     parser.add_argument("--rendered", type=int, metavar="SEEDS")
+    parser.add_argument("--route", default="right-turn", help="of the rendered drives")
+    parser.add_argument("--renderers", nargs="+", default=["gl", "tiny"])
+    parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--frames", type=int, help="of each recording; all if not given")
     arguments = parser.parse_args()
     console = Console(width=100)
     if arguments.rendered:
-        show_rendered(console, arguments.rendered)
+        first = arguments.first_seed
+        seeds = range(first, first + arguments.rendered)
+        show_rendered(console, arguments.route, arguments.renderers, seeds)
     if arguments.data is None:
         return
     found = [name for name in RECORDINGS if (arguments.data / name).is_dir()]

@@ -10,7 +10,7 @@ from filters import make_filter
 from stereo_slam_env.frontend import TYPICAL_NOISE, StereoTracker
 
 drive = sse.RenderedDrive({"route": "right-turn", "rig": "qvga"}, seed=0, frames=40)
-tracker = StereoTracker(drive.camera)
+tracker = StereoTracker(drive.camera, drive.front_end)
 slam = make_filter("inverse-depth", camera=drive.camera, noise=TYPICAL_NOISE, gate=0.99, consensus=True)
 slam.reset(drive.start)
 

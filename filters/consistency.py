@@ -1,10 +1,18 @@
-"""Normalised estimation error squared (NEES)."""
+"""Normalised estimation error squared (NEES), and the test whether what is claimed is a covariance at all."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from filters.validation import FloatArray
+from filters.validation import BoolArray, FloatArray
+
+ROUNDING = 1e-9
+"""By so much of its size a covariance may be asymmetric, or semi-definite from the wrong side."""
+NEGLIGIBLE = 1e-12
+"""Variance (SI units) of a quantity that is known: 1e-6 squared. What is less below zero is rounding, too."""
+LEAST_CORRELATION = 1e-14
+"""Smallest eigenvalue of a correlation that is not rounding; those of the filters of this package are above 1e-2."""
+_SMALLEST = 1e-300
 
 
 def nees(errors: FloatArray, covariances: FloatArray) -> FloatArray:
@@ -20,12 +28,57 @@ def nees(errors: FloatArray, covariances: FloatArray) -> FloatArray:
     Returns
     -------
     (...) ndarray
-        NaN where the covariance is not positive definite or something is not finite.
+        NaN where the covariance is not symmetric positive definite or something is not finite.
     """
     errors, covariances = np.asarray(errors), np.asarray(covariances)
-    usable = np.array(np.isfinite(errors).all(axis=-1) & np.isfinite(covariances).all(axis=(-2, -1)))
-    usable[usable] = np.linalg.eigvalsh(covariances[usable])[..., 0] > 0
+    usable = np.isfinite(errors).all(axis=-1) & are_definite(covariances)
     values = np.full(errors.shape[:-1], np.nan)
     solved = np.linalg.solve(covariances[usable], errors[usable][..., None])[..., 0]
     values[usable] = np.sum(errors[usable] * solved, axis=-1)
     return values
+
+
+def are_definite(covariances: FloatArray) -> BoolArray:
+    """Which of (..., n, n) are finite, symmetric and positive definite, whatever the units of their rows; (...)."""
+    usable = np.asarray(np.isfinite(covariances).all(axis=(-2, -1)))
+    usable[usable] = _asymmetry(covariances[usable]) <= ROUNDING
+    usable[usable] = _least_correlation(covariances[usable]) > LEAST_CORRELATION
+    return usable
+
+
+def fault_of(covariance: FloatArray, *, definite: bool = True) -> str | None:
+    """What keeps (n, n) from being a covariance, or an example of (K, n, n), in words; None where nothing does.
+
+    With `definite` False, a semi-definite one will do, such as that of a velocity that odometry without errors states.
+    """
+    if not np.isfinite(covariance).all():
+        return "is not finite"
+    if covariance.size == 0:
+        return None
+    asymmetry = float(_asymmetry(covariance).max())
+    if asymmetry > ROUNDING:
+        return f"is not symmetric (by {asymmetry:.2g} of its largest entry)"
+    smallest = float(_least_correlation(covariance).min())
+    if definite and not smallest > LEAST_CORRELATION:
+        return f"is not positive definite (smallest eigenvalue, scaled to unit variances: {smallest:.2g})"
+    if smallest < -ROUNDING and (smallest := float(np.linalg.eigvalsh(covariance).min())) < -NEGLIGIBLE:
+        return f"is not positive semi-definite (smallest eigenvalue {smallest:.2g})"
+    return None
+
+
+def _asymmetry(covariances: FloatArray) -> FloatArray:
+    """Largest difference of each from its transpose, by its largest entry."""
+    largest = np.abs(covariances).max(axis=(-2, -1), initial=_SMALLEST)
+    apart = np.abs(covariances - np.swapaxes(covariances, -1, -2)).max(axis=(-2, -1), initial=0.0)
+    return np.asarray(apart / largest, dtype=np.float64)
+
+
+def _least_correlation(covariances: FloatArray) -> FloatArray:
+    """Smallest eigenvalue of each, scaled to unit variances, so that metres and radians compare; <= 0 where one is 0.
+
+    A variance of 0 or less is taken as it is: its row is not scaled.
+    """
+    variances = np.diagonal(covariances, axis1=-2, axis2=-1)
+    sigmas = np.sqrt(np.where(variances > 0.0, variances, 1.0))
+    eigenvalues = np.linalg.eigvalsh(covariances / sigmas[..., :, None] / sigmas[..., None, :])
+    return np.asarray(eigenvalues[..., 0], dtype=np.float64)

@@ -19,6 +19,7 @@ from dataclasses import dataclass
 from importlib.metadata import entry_points
 from typing import Any
 
+from filters.contract.foreign_text import first_line
 from filters.contract.known_names import did_you_mean, require_known
 from filters.errors.first_estimates import FirstEstimates
 from filters.errors.invariant import LeftInvariant, RightInvariant
@@ -182,5 +183,7 @@ def _named(slot: str) -> dict[str, Callable[..., Any]]:
         try:
             named[entry_point.name] = entry_point.load()
         except Exception as error:  # whatever a stranger's module does at import must not take the run down
-            _log.warning("%s %r (%s) cannot be loaded: %s", slot, entry_point.name, entry_point.value, error)
+            _log.warning(
+                "%s %r (%s) cannot be loaded: %s", slot, entry_point.name, entry_point.value, first_line(error)
+            )
     return named

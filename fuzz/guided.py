@@ -6,7 +6,6 @@ It ends with the last input, whatever libFuzzer does then, so that what it found
 from __future__ import annotations
 
 import json
-import resource
 import sys
 import time
 from pathlib import Path
@@ -18,11 +17,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 with atheris.instrument_imports(include=["stereo_slam_env", "filters", "zipfile", "tomllib", "json"]):
     import cv2
 
-    from fuzz.harness import Finding, Harness
+    from fuzz.harness import Finding, Harness, limited_memory
     from fuzz.targets import targets
 
-MOST_MEMORY = 500_000_000
-"""bytes that one input may ask for."""
 _TELL_EVERY = 500
 
 
@@ -40,7 +37,7 @@ class Session:
         """What atheris calls."""
         if self.inputs == 0:
             self.began = time.monotonic()
-            limit_memory()
+            limited_memory().__enter__()  # to the end of the process
         began = time.process_time()
         finding = self.harness.run(data)
         self.slowest = max(self.slowest, time.process_time() - began)
@@ -68,12 +65,6 @@ class Session:
         place = self.out / f"finding-{len(self.known):03d}"
         place.with_suffix(".input").write_bytes(finding.data)
         place.with_suffix(".txt").write_text(f"{finding.target} {finding.file}\n{finding.what}\n{finding.trace}\n")
-
-
-def limit_memory() -> None:
-    """From here on the process may ask for so much more, and is refused the rest: a `MemoryError` is a finding."""
-    pages = int(Path("/proc/self/statm").read_text().split()[0])
-    resource.setrlimit(resource.RLIMIT_AS, (pages * resource.getpagesize() + MOST_MEMORY,) * 2)
 
 
 def main(settings: Path) -> None:

@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 import io
+import os
+import resource
+import socket
 import struct
+import threading
 import time
 import traceback
 import warnings
 import zipfile
 import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -20,8 +26,15 @@ from fuzz.targets import Target
 MOST_SECONDS = 1.0
 HEADER = 3
 """Bytes that say which target, which of its files, and how it is changed; the rest is content."""
-BY_PARTS, RAW, GONE, FOLDER, LINK = 0, 1, 2, 3, 4
-"""How: content with check sums put right (PNG, one array of an npz), content as it is, no file, a folder, a link."""
+BY_PARTS, RAW, GONE, FOLDER, LINK, PIPE, SOCKET, DEVICE, SPARSE = range(9)
+"""How: content with check sums put right (PNG, one array of an npz), content as it is, no file, a folder, a link out of
+the folder, a pipe that nobody writes to, a socket, a link to a device without end, a file larger than the disk."""
+SPECIAL = {PIPE: "pipe", SOCKET: "socket", DEVICE: "device", SPARSE: "sparse file"}
+MOST_MEMORY = 500_000_000
+"""bytes that one input may ask for."""
+_WAITED = 5.0
+"""After so long a pipe is closed, s."""
+_SPARSE = 1 << 40
 
 
 @dataclass(frozen=True)
@@ -77,7 +90,8 @@ class Harness:
         """Inputs that change nothing, or do so in the simplest way."""
         found = []
         for number, (name, content) in enumerate(self.targets[target].files.items()):
-            contents = {RAW: [content], BY_PARTS: _parts(content), GONE: [b""], FOLDER: [b""], LINK: [b""]}
+            contents = {RAW: [content], BY_PARTS: _parts(content)}
+            contents |= {how: [b""] for how in (GONE, FOLDER, LINK, *SPECIAL)}
             found += [bytes([target, number, how]) + part for how, parts in contents.items() for part in parts]
             assert name
         return found
@@ -89,15 +103,24 @@ class Harness:
         number = data[0] % len(self.targets)
         target, folder = self.targets[number], self.folders[number]
         names = list(target.files)
-        name, how = names[data[1] % len(names)], data[2] % 5
-        path = folder / name
-        try:
-            self._change(path, target.files[name], how, data[HEADER:])
+        name, how = names[data[1] % len(names)], data[2] % 9
+        with self.changed(number, name, how, data[HEADER:]) as waited:
             what, trace = self._read(target, folder, must_refuse=how == LINK and not target.follows_links)
+        if waited:
+            what = "waited for a pipe"
+        return None if what is None else Finding(target.name, name, what, trace, data)
+
+    @contextmanager
+    def changed(self, target: int, name: str, how: int, content: bytes = b"") -> Iterator[list[bool]]:
+        """Have one file of a target changed; the list has an entry afterwards where somebody waited for a pipe."""
+        path, before = self.folders[target] / name, self.targets[target].files[name]
+        try:
+            self._change(path, before, how, content)
+            with _closed_in_time(path if how == PIPE else None) as waited:
+                yield waited
         finally:
             _remove(path)
-            path.write_bytes(target.files[name])
-        return None if what is None else Finding(target.name, name, what, trace, data)
+            path.write_bytes(before)
 
     def _change(self, path: Path, before: bytes, how: int, content: bytes) -> None:
         if how in (BY_PARTS, RAW):
@@ -110,6 +133,8 @@ class Harness:
             elsewhere = self.outside / path.name
             elsewhere.write_bytes(before)
             path.symlink_to(elsewhere)
+        else:
+            make_special(path, how)
 
     def _read(self, target: Target, folder: Path, *, must_refuse: bool) -> tuple[str | None, str]:
         began = time.process_time()
@@ -126,6 +151,57 @@ class Harness:
             return f"{type(error).__name__}: {error}", _where(error.__traceback__)
         spent = time.process_time() - began
         return (f"slow: {spent:.1f} s", "") if spent > MOST_SECONDS else (None, "")
+
+
+def make_special(path: Path, how: int) -> None:
+    """Something of `SPECIAL` with that path."""
+    if how == PIPE:
+        os.mkfifo(path)
+    elif how == SOCKET:
+        with socket.socket(socket.AF_UNIX) as listener:
+            here = os.open(path.parent, os.O_RDONLY)
+            try:  # the paths of sockets are short
+                listener.bind(f"/proc/self/fd/{here}/{path.name}")
+            finally:
+                os.close(here)
+    elif how == DEVICE:
+        path.symlink_to("/dev/zero")
+    else:
+        with path.open("wb") as stream:
+            stream.truncate(_SPARSE)
+
+
+@contextmanager
+def _closed_in_time(pipe: Path | None) -> Iterator[list[bool]]:
+    """Let a reader of the pipe go on after a while; the list has an entry where that was needed."""
+    waited: list[bool] = []
+    if pipe is None:
+        yield waited
+        return
+
+    def close() -> None:
+        with suppress(OSError):  # nobody reads it
+            os.close(os.open(pipe, os.O_WRONLY | os.O_NONBLOCK))
+            waited.append(True)
+
+    timer = threading.Timer(_WAITED, close)
+    timer.start()
+    try:
+        yield waited
+    finally:
+        timer.cancel()
+
+
+@contextmanager
+def limited_memory(most_bytes: int = MOST_MEMORY) -> Iterator[None]:
+    """Let the process ask for so much more, and be refused the rest: a `MemoryError` is a finding."""
+    pages = int(Path("/proc/self/statm").read_text().split()[0])
+    before = resource.getrlimit(resource.RLIMIT_AS)
+    resource.setrlimit(resource.RLIMIT_AS, (pages * resource.getpagesize() + most_bytes, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, before)
 
 
 def _where(trace: TracebackType | None) -> str:

@@ -5,8 +5,9 @@
     python fuzz/run.py --engine random --inputs 20000     # without guidance, without atheris, deterministic
 
 Each input is a small valid folder with one file changed: other bytes (the check sums of images and archives put right,
-or not), nothing, a folder or a link out of it in its place. Reading it may raise a `ValueError` of one line and nothing
-else, within 1 s of processor time and (guided) 500 MB; a link must not be followed, and no scenario file may name code.
+or not), nothing, a folder, a link out of it, a pipe, a socket, a device without end or a file larger than the disk in
+its place. Reading it may raise a `ValueError` of one line and nothing
+else, within 1 s of processor time and 500 MB; a link must not be followed, and no scenario file may name code.
 The exit code is 1 where an input did otherwise; inputs and traces of those are kept in --out.
 """
 
@@ -30,7 +31,7 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
 from filters.extras import install_command  # noqa: E402
-from fuzz.harness import Harness  # noqa: E402 (the folder of a script is not that of its package)
+from fuzz.harness import Harness, limited_memory  # noqa: E402 (the folder of a script is not that of its package)
 from fuzz.mutations import mutated  # noqa: E402
 from fuzz.targets import targets  # noqa: E402
 
@@ -93,7 +94,8 @@ def unguided(chosen: list[str], inputs: int, seconds: int, seed: int, out: Path,
         number = k % len(seeds)
         data = mutated(rng.choice(seeds[number]), seeds[number], rng)
         started = time.process_time()
-        finding = harness.run(data)
+        with limited_memory():
+            finding = harness.run(data)
         slowest = max(slowest, time.process_time() - started)
         counts[harness.targets[number].name] += 1
         if finding is not None and finding.key not in known:

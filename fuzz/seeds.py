@@ -13,17 +13,23 @@ from tempfile import TemporaryDirectory
 import cv2
 import numpy as np
 
+from filters import ConstantVelocity
 from filters.geometry.camera import StereoCamera
 from stereo_slam_env.benchmark.recordings.reference_problem import short_turn
 from stereo_slam_env.benchmark.recordings.sources import ReferenceSource
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, Scenario
+from stereo_slam_env.benchmark.scenarios.streams import description_of
 from stereo_slam_env.benchmark.scenarios.study import Study
-from stereo_slam_env.benchmark.storage.run_archive import packed_run
+from stereo_slam_env.benchmark.storage.code_identity import code_digest
+from stereo_slam_env.benchmark.storage.run_archive import packed_bound, packed_run
+from stereo_slam_env.benchmark.storage.store import open_study
+from stereo_slam_env.evaluation.cramer_rao import cramer_rao_bound
 from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.policies.network import Network
 from stereo_slam_env.recording.archive import packed_recording
 from stereo_slam_env.recording.trajectory import Trajectory
 from stereo_slam_env.recording.trajectory_files import save_trajectory
+from stereo_slam_env.training.ppo import Evaluation, LearningCurve
 
 Files = Mapping[str, bytes]
 
@@ -281,6 +287,31 @@ def results() -> Files:
     study["cells"] += [{"name": "two", "factors": {"seeds": "0, 1"}, "scenario": two.as_dict()}]
     settings = {"version": 2, "scenario": one.as_dict(), "versions": {"python": "3.11"}}
     return {"settings.json": json.dumps(settings).encode(), "grid/study.json": json.dumps(study).encode()}
+
+
+def finished() -> Files:
+    """A finished run of one filter and its bound."""
+    choice = FilterChoice("inverse-depth", "inverse-depth")
+    scenario = Scenario("one", ReferenceSource("short_turn"), (choice,), frames=4)
+    with TemporaryDirectory() as folder:
+        out = Path(folder) / "run"
+        (directory,) = open_study(out, Study.of(scenario)).cells
+        directory.save_recording(0, packed_recording(_drive()), description_of(_drive()))
+        ran = run_filter(_drive(), "inverse-depth", seed=0)
+        directory.save_trial(0, choice, packed_run(ran, directory.provenance(0, choice)))
+        bound = cramer_rao_bound(_drive(), ConstantVelocity())
+        directory.save_trial(0, None, packed_bound(bound, code_digest()))
+        return {str(path.relative_to(out)): path.read_bytes() for path in sorted(out.rglob("*")) if path.is_file()}
+
+
+def training() -> Files:
+    """A learning curve."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "learning_curve.csv"
+        LearningCurve(path).add(
+            10, 1.0, 2.0, Evaluation(*(float(k) for k in range(len(dataclasses.fields(Evaluation)))))
+        )
+        return {"learning_curve.csv": path.read_bytes()}
 
 
 @cache

@@ -11,6 +11,7 @@ from functools import cache
 from pathlib import Path
 
 from fuzz import seeds
+from stereo_slam_env.benchmark import compare
 from stereo_slam_env.benchmark.scenarios.study import load_study
 from stereo_slam_env.benchmark.storage.run_archive import load_provenance, load_run
 from stereo_slam_env.benchmark.storage.store import read_study
@@ -18,6 +19,7 @@ from stereo_slam_env.datasets import load, open_image_sequence
 from stereo_slam_env.evaluation.trajectory_score import evaluate_trajectory
 from stereo_slam_env.policies.network import Network
 from stereo_slam_env.recording.archive import load_recording
+from stereo_slam_env.training.ppo import LearningCurve
 from stereo_slam_env.world.routes import kitti_route
 
 Read = Callable[[Path], object]
@@ -63,8 +65,22 @@ def targets() -> tuple[Target, ...]:
         Target("route", seeds.route(), lambda folder: kitti_route(folder / "poses.txt"), True),
         Target("network", seeds.network(), lambda folder: Network.load(folder / "network.npz"), True),
         Target("scenario", seeds.scenario(), _scenarios, True),
-        Target("results", seeds.results(), _results, True),
+        Target("results", seeds.results(), _results),
+        Target("finished", seeds.finished(), _finished),
+        Target("training", seeds.training(), _training, True),
     )
+
+
+def _finished(folder: Path) -> object:
+    """What `report` and the next start of the same run read of a finished one."""
+    (directory,) = read_study(folder).cells
+    compare(folder, folder)
+    return directory.results(), directory.missing(), directory.recording_content(0)
+
+
+def _training(folder: Path) -> object:
+    """What a training that goes on reads."""
+    return LearningCurve(folder / "learning_curve.csv").rows
 
 
 def _pairs(folder: Path) -> object:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from importlib.util import find_spec as _find_spec
 from pathlib import Path as _Path
+from typing import Any as _Any
 
 import gymnasium as _gym
 import lazy_loader as _lazy_loader
@@ -77,4 +78,13 @@ for _task, _made, _most in (
     for _level in ("easy", "hard"):
         _register(f"StereoSlam/{_task}-{_level}-v0", f"stereo_slam_env.tasks.{_made}", _most, level=_level)
 
-__getattr__, __dir__, __all__ = _lazy_loader.attach_stub(__name__, __file__)
+_load, __dir__, __all__ = _lazy_loader.attach_stub(__name__, __file__)
+
+
+def __getattr__(name: str) -> _Any:
+    try:
+        return _load(name)
+    except ModuleNotFoundError as error:
+        from filters.extras import explained
+
+        raise explained(error) from None

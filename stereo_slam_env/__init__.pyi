@@ -19,6 +19,8 @@ from .envs.gaze import StereoGazeEnv as StereoGazeEnv
 from .envs.recorder import RenderedDrive as RenderedDrive
 from .evaluation.trajectory_score import TrajectoryScore as TrajectoryScore
 from .evaluation.trajectory_score import evaluate_trajectory as evaluate_trajectory
+from .files.package_versions import __version__ as __version__
+from .files.package_versions import show_versions as show_versions
 from .loop import FilterLoop as FilterLoop
 from .loop import Moment as Moment
 from .loop import run as run
@@ -33,6 +35,7 @@ from .recording.trajectory import Trajectory as Trajectory
 from .recording.trajectory_files import load_trajectory as load_trajectory
 from .recording.trajectory_files import save_trajectory as save_trajectory
 from .report.benchmark_report import write_report_of as write_report_of
+from .report.trajectory_report import write_trajectory_report as write_trajectory_report
 from .sensing.padding import stereo_observation as stereo_observation
 from .world.routes import register_route as register_route
 from .world.surroundings import register_scene as register_scene

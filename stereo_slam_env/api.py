@@ -1,4 +1,7 @@
-"""Functions of the public face that join several rooms: record, evaluate, compare."""
+"""Functions of the public face that join several rooms: record, evaluate, compare.
+
+The simulator and the charts are imported where they are used: recordings are evaluated without them.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import gymnasium as gym
 from rich.console import Console
 
 from filters import StereoNoise
@@ -19,15 +21,11 @@ from stereo_slam_env.benchmark.scenarios import streams
 from stereo_slam_env.benchmark.scenarios.scenario import Scenario, filter_choice
 from stereo_slam_env.benchmark.scenarios.study import preset
 from stereo_slam_env.benchmark.statistics.verdict import Verdict, judge
-from stereo_slam_env.envs.recorder import record as record_route
 from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
 from stereo_slam_env.evaluation.run_figures import Figures, figures_of, summarise_all
-from stereo_slam_env.policies.episode import run_episode
-from stereo_slam_env.policies.registry import make_policy
 from stereo_slam_env.recording.recording import Recording
 from stereo_slam_env.report.console import show_results
-from stereo_slam_env.report.run_report import write_report
 
 DIVERGENCE_PERCENT = 10.0
 """A run that ends farther from the truth than this share of the path has diverged, unless a scenario says otherwise."""
@@ -70,6 +68,12 @@ def record(
     ValueError
         An argument is unknown or impossible, or the drive ended before `frames`.
     """
+    import gymnasium as gym
+
+    from stereo_slam_env.envs.recorder import record as record_route
+    from stereo_slam_env.policies.episode import run_episode
+    from stereo_slam_env.policies.registry import make_policy
+
     if environment == "StereoSlam/Drive-v0":
         return record_route({"policy": policy, **arguments}, seed, frames, progress)
     env = gym.make(environment, disable_env_checker=True, **{"max_episode_steps": -1, **arguments})
@@ -159,6 +163,8 @@ class Comparison:
 
     def report(self, folder: str | Path) -> Path:
         """Write the report with its figures into `folder`; returns the page to open."""
+        from stereo_slam_env.report.run_report import write_report
+
         out = Path(folder)
         out.mkdir(parents=True, exist_ok=True)
         return write_report(out, self.title, self.runs, self.summaries, self.figures, self.settings)

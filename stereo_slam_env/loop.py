@@ -104,7 +104,7 @@ class Moment:
         reference = self.reference
         if self.truth is None or self.pose_error is None:
             return None
-        if not reference.is_independent or not reference.has_settled(self.time):
+        if not reference.counts_as_truth or not reference.has_settled(self.time):
             return None
         if reference.is_exact or self.start is None:
             return self.pose_error
@@ -115,7 +115,7 @@ class Moment:
 
     @property
     def nees(self) -> float:
-        """NEES of the pose, 6 degrees of freedom; NaN where there is no `scored_error`."""
+        """NEES of the pose, 6 degrees of freedom; NaN where there is no `scored_error`, or its covariance is none."""
         if self.scored_error is None:
             return float("nan")
         error, covariance = self.scored_error

@@ -14,6 +14,7 @@ from stereo_slam_env.evaluation.landmark_statistics import AGES, LandmarkStatist
 from stereo_slam_env.evaluation.map_scoring import LandmarkTrace
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
 from stereo_slam_env.evaluation.run_figures import Bounds, RunFigures, figures_of, summarise_all
+from stereo_slam_env.recording.recording import SIMULATION
 
 
 @dataclass(frozen=True)
@@ -142,6 +143,7 @@ def _run(behaviour: Behaviour, seed: int | None, frames: int, truth: str) -> Fil
         nis=np.where(dof > 0, rng.chisquare(180, frames) * behaviour.overconfidence, 0.0),
         nis_dof=dof,
         milliseconds=milliseconds,
+        truth_from=SIMULATION,
         counts=counts,
         traces=tuple(
             _trace(number, label, depth, behaviour, rng, truth)

@@ -31,7 +31,7 @@ def home(tmp_path_factory):
 
 def slam(home, *arguments):
     """The command `stereo-slam` of that environment."""
-    return run(home / "bin" / "python", "-m", "stereo_slam_env.cli", *arguments, cwd=home)
+    return run(home / "bin" / "python", "-m", "stereo_slam_env", *arguments, cwd=home)
 
 
 def test_the_filter_is_known_by_its_entry_point(home):

@@ -1,6 +1,4 @@
-"""The figures of docs/concepts.md and docs/nees.md.
-
-    python docs/images/concepts.py            # writes the SVG files beside this script, half a minute
+"""Figures of docs/concepts.md and docs/nees.md.
 
 Everything in them is computed by the package: its camera, its filters, its gate, its criterion, its plots.
 """
@@ -9,7 +7,6 @@ from __future__ import annotations
 
 import copy
 import io
-import sys
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -26,7 +23,6 @@ from stereo_slam_env.report import BAND, INK, MUTED, Chart, filter_colours, plot
 from stereo_slam_env.viewer import style_context
 from stereo_slam_env.wrappers import InformationCriterion, log_det
 
-HERE = Path(__file__).resolve().parent
 WIDTH_INCHES = 10.4
 BLUE, ORANGE, GREEN = COLOURS = tuple(filter_colours(("inverse-depth", "dual-bearing", "euclidean")).values())
 CAMERA = StereoCamera(fx=721.5, fy=721.5, cx=672.0, cy=196.0, baseline=0.571, width=1344, height=391)
@@ -319,16 +315,10 @@ def svg_of(figure: Figure) -> str:
     return buffer.getvalue()
 
 
-def main(names: list[str]) -> None:
-    """Write the figures named, or all."""
-    for draw in FIGURES:
-        if not names or draw.__name__ in names:
-            figure, path = draw(), HERE / f"concept_{draw.__name__}.svg"
-            if isinstance(figure, Chart):
-                figure.save(path)
-            else:
-                path.write_text(svg_of(figure), encoding="utf-8")
-
-
-if __name__ == "__main__":
-    main(sys.argv[1:])
+def save(draw: Callable[[], Figure | Chart], path: Path) -> None:
+    """Draw a figure and write it as SVG."""
+    figure = draw()
+    if isinstance(figure, Chart):
+        figure.save(path)
+    else:
+        path.write_text(svg_of(figure), encoding="utf-8")

@@ -11,21 +11,21 @@ The object is called as `MyFilter(camera, noise, **options)` and returns a `Ster
 from __future__ import annotations
 
 import inspect
-import logging
 from collections.abc import Callable
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
 from filters.catalogue.presets import PRESETS
+from filters.contract.foreign_text import first_line, type_name
 from filters.contract.known_names import did_you_mean
 from filters.contract.noise import StereoNoise
 from filters.contract.stereo_filter import StereoFilter
 from filters.geometry.camera import StereoCamera
 
 ENTRY_POINT_GROUP = "stereo_slam.filters"
+NOT_AVAILABLE = "not available"
+"""Begins the line of a filter that is there and cannot be used."""
 FilterFactory = Callable[..., StereoFilter]
-
-_log = logging.getLogger(__name__)
 
 
 def make_filter(name: str | FilterFactory, *, camera: StereoCamera, noise: StereoNoise, **options: Any) -> StereoFilter:
@@ -56,15 +56,22 @@ def make_filter(name: str | FilterFactory, *, camera: StereoCamera, noise: Stere
 
 
 def available_filters() -> dict[str, str]:
-    """Names and one line on each; a third-party filter that cannot be loaded says why instead."""
+    """Names and one line on each; a third-party filter that cannot be loaded, or is hidden, says so instead."""
     lines = {name: _first_line(factory) for name, factory in PRESETS.items()}
-    for name, entry_point in _plugins().items():
+    for entry_point in entry_points(group=ENTRY_POINT_GROUP):
+        if entry_point.name in PRESETS:
+            lines[f"{entry_point.name} of {entry_point.module}"] = NOT_AVAILABLE + ": hidden by the built-in one"
+            continue
         try:
-            lines[name] = _first_line(_load(entry_point))
+            lines[entry_point.name] = _first_line(_load(entry_point))
         except ValueError as error:
-            _log.warning("%s", error)
-            lines[name] = f"not available: {error}"
+            lines[entry_point.name] = f"{NOT_AVAILABLE}: {error}"
     return lines
+
+
+def plugin_of(name: str) -> EntryPoint | None:
+    """The entry point of a third-party filter; None for one of ours."""
+    return _plugins().get(name)
 
 
 def label_of(filter_name: str | FilterFactory) -> str:
@@ -84,30 +91,23 @@ def filter_factory(name: str | FilterFactory) -> FilterFactory:
         return name
     if name in PRESETS:
         return PRESETS[name]
-    plugins = _plugins()
-    if name in plugins:
-        return _load(plugins[name])
-    names = sorted({*PRESETS, *plugins})
+    entry_point = plugin_of(name)
+    if entry_point is not None:
+        return _load(entry_point)
+    names = sorted({*PRESETS, *_plugins()})
     raise ValueError(f"filter must be one of {', '.join(names)}, got {name!r}{did_you_mean(name, names)}")
 
 
 def _plugins() -> dict[str, EntryPoint]:
-    found: dict[str, EntryPoint] = {}
-    for entry_point in entry_points(group=ENTRY_POINT_GROUP):
-        if entry_point.name in PRESETS:
-            _log.warning("filter %r of %s is hidden by the built-in one", entry_point.name, entry_point.value)
-        else:
-            found[entry_point.name] = entry_point
-    return found
+    return {point.name: point for point in entry_points(group=ENTRY_POINT_GROUP) if point.name not in PRESETS}
 
 
 def _load(entry_point: EntryPoint) -> FilterFactory:
     try:
         factory = entry_point.load()
     except Exception as error:  # whatever a stranger's module does at import must not take the run down
-        raise ValueError(
-            f"filter {entry_point.name!r} ({entry_point.value}) cannot be loaded: {type(error).__name__}: {error}"
-        ) from error
+        why = f"{type_name(error)}: {first_line(error)}"
+        raise ValueError(f"filter {entry_point.name!r} ({entry_point.value}) cannot be loaded: {why}") from error
     if not callable(factory):
         raise ValueError(f"filter {entry_point.name!r} ({entry_point.value}) is not callable")
     made: FilterFactory = factory

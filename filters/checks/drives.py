@@ -8,6 +8,7 @@ import numpy as np
 
 from filters.contract.noise import StereoNoise
 from filters.contract.observation import StereoObservation
+from filters.contract.odometry import BodyVelocity
 from filters.contract.stereo_filter import StereoFilter
 from filters.geometry import rotations
 from filters.geometry.camera import StereoCamera
@@ -18,6 +19,8 @@ SPEED = 5.0
 FRAMES = 100
 VISIBLE = 15
 NEAREST, FARTHEST = 4.0, 45.0
+ODOMETRY_SIGMAS = np.repeat([0.1, 0.01], 3)
+"""Of the odometry that a filter is given if it asks for some: m/s, then rad/s."""
 _HEADING, _HEADING_PERIOD = 0.5, 8.0
 _SPEED_CHANGE, _SPEED_PERIOD = 1.5, 6.0
 
@@ -46,6 +49,11 @@ class StraightDrive:
         """True r^WC, m; the orientation stays the one at the start."""
         return np.array([0.0, 0.0, SPEED * DT * frame])
 
+    def odometry(self, frame: int, scale: float = 1.0) -> BodyVelocity:
+        """Velocity of the step to the frame, with errors of `scale` times `ODOMETRY_SIGMAS`."""
+        rng = np.random.default_rng([self.seed, frame, 1])
+        return _odometry(np.array([0.0, 0.0, SPEED]), np.zeros(3), scale * rng.standard_normal(6))
+
     def observe(self, frame: int, scale: float = 1.0) -> StereoObservation:
         """All points, with errors of `scale` times the noise."""
         rng = np.random.default_rng([self.seed, frame])
@@ -56,11 +64,12 @@ class StraightDrive:
 
 @dataclass(frozen=True, eq=False)
 class WindingFrame:
-    """True pose of the camera (r^WC in m, q^WC), and its measurements."""
+    """True pose of the camera (r^WC in m, q^WC), its measurements, and the odometry of the step to it."""
 
     position: FloatArray
     orientation: FloatArray
     observation: StereoObservation
+    odometry: BodyVelocity
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +104,8 @@ class WindingDrive:
         ids: IntArray = np.zeros(0, dtype=np.int64)
         points, frames = np.zeros((0, 3)), []
         entered = 0
-        for position, heading in zip(positions, headings, strict=True):
+        of_odometry = np.random.default_rng([seed, FRAMES, 1])
+        for number, (position, heading) in enumerate(zip(positions, headings, strict=True)):
             orientation = rotations.exp_quaternion(np.array([0.0, heading, 0.0]))
             R_wc = rotations.matrix(orientation)
             points_c = (points - position) @ R_wc
@@ -108,9 +118,20 @@ class WindingDrive:
             entered += missing
             exact = camera.project((points - position) @ R_wc)
             uvd = exact + rng.standard_normal(exact.shape) @ root.T
-            frames.append(WindingFrame(position, orientation, StereoObservation(ids, uvd)))
+            before = max(number - 1, 0)
+            turn = heading - headings[before]
+            R_mid = rotations.matrix(rotations.exp_quaternion(np.array([0.0, heading - 0.5 * turn, 0.0])))
+            linear, angular = (position - positions[before]) @ R_mid / DT, np.array([0.0, turn / DT, 0.0])
+            odometry = _odometry(linear, angular, of_odometry.standard_normal(6))
+            frames.append(WindingFrame(position, orientation, StereoObservation(ids, uvd), odometry))
         turning = np.array([0.0, 2.0 * np.pi * _HEADING / _HEADING_PERIOD, 0.0])
         return cls(np.array([0.0, 0.0, SPEED]), turning, tuple(frames))
+
+
+def _odometry(linear: FloatArray, angular: FloatArray, errors: FloatArray) -> BodyVelocity:
+    """Odometry of these velocities, in the camera frame, with errors in standard deviations."""
+    measured = np.concatenate([linear, angular]) + ODOMETRY_SIGMAS * errors
+    return BodyVelocity(measured[:3], measured[3:], np.diag(ODOMETRY_SIGMAS**2))
 
 
 def _points_in_view(camera: StereoCamera, rng: np.random.Generator, count: int) -> FloatArray:

@@ -14,6 +14,7 @@ from typing import ClassVar
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from filters.extras import require_core
 from filters.geometry.camera import StereoCamera
 from filters.measurements.model import MeasurementModel, Stage
 from filters.motions.model import POSE_SIZE, POSITION, ROTATION
@@ -46,6 +47,7 @@ class Unscented(Linearisation):
     def __post_init__(self) -> None:
         positive("alpha", self.alpha)
         positive("beta", self.beta, allow_zero=True)
+        require_core("filterpy")
 
     def linearise(
         self,

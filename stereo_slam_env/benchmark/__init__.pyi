@@ -22,7 +22,7 @@ from .scenarios.study import preset_study as preset_study
 from .scenarios.study import presets as presets
 from .statistics.attribution import Attribution as Attribution
 from .statistics.attribution import attribute_runs as attribute_runs
-from .statistics.comparison import RunComparison as RunComparison
+from .statistics.changes import RunComparison as RunComparison
 from .statistics.comparison import compare as compare
 from .statistics.differences import CONFIDENCE as CONFIDENCE
 from .statistics.differences import MIN_PAIRS as MIN_PAIRS

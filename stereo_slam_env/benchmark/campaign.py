@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import dataclasses
 import logging
+import signal
+import threading
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from filters import available_filters, make_filter
 from filters.catalogue.common_options import make_with_common_options
+from filters.catalogue.registry import filter_factory, plugin_of
+from filters.contract.foreign_text import first_line
 from filters.contract.noise import StereoNoise
 from filters.geometry.camera import StereoCamera
 from stereo_slam_env.benchmark.running.backends import Backend, BackendName
@@ -139,7 +143,8 @@ def run_benchmark(
         Unknown filter or option, impossible settings, a source that cannot be used, or `out` holds another run or is
         in use by another process.
     OSError
-        The disk is full or cannot be written; what is finished is kept.
+        The disk is full or cannot be written, a recording cannot be made, or processes end again and again; what is
+        finished is kept.
     """
     workers = Backend(backend, jobs, address)
     study = as_study(what, data=data, allow_code=allow_code)
@@ -162,12 +167,25 @@ def run_checked(
     write_report: ReportWriter | None = None,
 ) -> BenchmarkResult:
     """Run a study that `check_study` has passed, in a directory of `prepared_study`; as `run_benchmark`."""
-    with claimed_folder(root_of(directory.out)):
+    with claimed_folder(root_of(directory.out)), _terminated_like_interrupted():
         directory = open_study(directory.out, directory.study)
         _run_missing(directory.cells, backend, progress or (lambda done, total: None))
         results = directory.write_results()
         page = None if write_report is None else write_report(directory, results)
     return BenchmarkResult(directory.out, tuple(results), page)
+
+
+@contextmanager
+def _terminated_like_interrupted() -> Iterator[None]:
+    """Let SIGTERM do what Ctrl-C does, where nobody else handles it: everything is ended and what is finished kept."""
+    ours = threading.current_thread() is threading.main_thread() and signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
+    if ours:
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        if ours:
+            signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
 
 def as_study(what: Study | Scenario | str | Path, *, data: str | Path | None = None, allow_code: bool = False) -> Study:
@@ -197,19 +215,23 @@ def check_filters(scenario: Scenario) -> None:
     """Raise a `ValueError` for a filter or option that does not exist, before any work is done.
 
     A third-party filter that is installed but cannot be loaded is no reason to stop: its runs will say so.
+    Those that nobody asked for are not loaded.
     """
     camera, noise = StereoCamera(700.0, 700.0, 600.0, 180.0, 0.5, 1200, 360), StereoNoise.independent_pixels(1.0)
-    known = available_filters()
     for choice in scenario.filters:
-        if choice.name not in known:
-            make_filter(choice.name, camera=camera, noise=noise)
-        if not known[choice.name].startswith("not available"):
-            try:
-                make_with_common_options(choice.name, camera, noise, choice.options, scenario.common_options)
-            except ValueError:
+        try:
+            filter_factory(choice.name)
+        except ValueError as error:
+            if plugin_of(choice.name) is None:
                 raise
-            except Exception as error:  # a third-party constructor may raise anything; the run will record it
-                _log.info("filter %s cannot be made: %s", choice.label, error)
+            _log.warning("%s", error)
+            continue
+        try:
+            make_with_common_options(choice.name, camera, noise, choice.options, scenario.common_options)
+        except ValueError:
+            raise
+        except Exception as error:  # a third-party constructor may raise anything; the run will record it
+            _log.info("filter %s cannot be made: %s", choice.label, first_line(error))
 
 
 def _run_missing(cells: Sequence[RunDirectory], backend: Backend, progress: Progress) -> None:
@@ -232,18 +254,19 @@ def _run_missing(cells: Sequence[RunDirectory], backend: Backend, progress: Prog
     def trials() -> Iterator[Task]:
         for number, seed, choice in missing:
             run = cells[number]
-            recording = None if _drives(choice) else run.recording_path(seed).read_bytes()
+            recording = None if _drives(choice) else run.recording_content(seed)
             yield Task(number, run.scenario, seed, choice, recording, run.provenance(seed, choice))
 
     tell()
     if not missing:
         return
-    with backend.started() as run_all:
+    with backend.started(isolated=True) as run_all:
         told = within if backend.in_this_process else None
         recordings = [Task(number, cells[number].scenario, seed) for number, seed in to_record.values()]
         # The only one is made here: a real drive has often been read by this process already (see `sources`).
         alone = len(recordings) == 1
-        for made in (map if alone else run_all)(partial(make, progress=within if alone else told), recordings):
+        maker = partial(make, here=alone or backend.in_this_process, progress=within if alone else told)
+        for made in (map if alone else run_all)(maker, recordings):
             cells[made.cell].save_recording(made.seed, made.content, made.description)
             done += 1
             tell()

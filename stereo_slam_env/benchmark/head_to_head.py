@@ -139,13 +139,13 @@ class HeadToHead:
     def __str__(self) -> str:
         """Figures of both as a table, with findings, remarks and failures."""
         sides = (self.summary, self.reference)
-        rows = [("", *(side.filter_name for side in sides), f"{self.summary.filter_name} is")]
+        rows = [("", *(side.filter_name for side in sides), f"run by run {self.summary.filter_name} is")]
         for measure in MEASURES:
             values = [measure.of(side) for side in sides]
             if not all(value != value for value in values):
                 found = self.difference(measure)
                 words = f"{found.finding.value}: " * found.shown + change_words(measure, found)
-                rows.append((measure.title, *(f"{value:.4g}" for value in values), words))
+                rows.append((measure.title, *map(measure.text_of, values), words))
         diverged = (f"{side.diverged} of {side.runs}" for side in sides)
         rows.append((DIVERGED.label, *diverged, self.divergences().finding.value))
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]

@@ -16,13 +16,12 @@ from stereo_slam_env.cli import scenes as cli_scenes
 from stereo_slam_env.cli import studies as cli_studies
 from stereo_slam_env.cli import train as cli_train
 from stereo_slam_env.cli import view as cli_view
-from stereo_slam_env.cli.parts import Interrupted, console, group, refuse, show_lines, show_place
+from stereo_slam_env.cli.parts import Interrupted, JsonOption, console, group, refuse, show_json, show_lines, show_place
 
 INTERRUPTED = 130
 
 app = typer.Typer(
     help="Compare stereo EKF-SLAM filters on identical measurements, simulated or real.",
-    add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
@@ -52,6 +51,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         typer.echo(f"interrupted: {stopped.kept} finished trials are kept in {stopped.directory}", err=True)
         typer.echo(f"to go on: stereo-slam {shlex.join(resume)}", err=True)
         return INTERRUPTED
+    except ModuleNotFoundError as error:
+        from filters.extras import explained
+
+        return refuse(str(explained(error)))
     except (ValueError, OSError, ImportError) as error:  # wrong input is the user's business, not a crash
         return refuse(str(error))
     except Exception as error:
@@ -69,13 +72,9 @@ def _start(
     version: Annotated[bool, typer.Option("--version", help="Print the version and stop.")] = False,
 ) -> None:
     if version:
-        from importlib.metadata import PackageNotFoundError
-        from importlib.metadata import version as version_of
+        from stereo_slam_env.files.package_versions import __version__
 
-        try:
-            typer.echo(f"stereo-slam {version_of('stereo-slam-env')}")
-        except PackageNotFoundError:
-            typer.echo("stereo-slam (not installed, run from source)")
+        typer.echo(f"stereo-slam {__version__}")
         raise typer.Exit()
     if context.invoked_subcommand is None:
         typer.echo(context.get_help())
@@ -110,9 +109,11 @@ def report(
 
 def _compare(before: Path, after: Path, out: Path | None) -> None:
     from stereo_slam_env.benchmark import compare
+    from stereo_slam_env.files.folders import require_writable
     from stereo_slam_env.report.comparison_report import write_comparison_report
     from stereo_slam_env.report.console import show_comparison
 
+    require_writable(after if out is None else out)
     comparison = compare(before, after)
     page = write_comparison_report(after if out is None else out, comparison)
     show_comparison(console(), comparison)
@@ -120,29 +121,39 @@ def _compare(before: Path, after: Path, out: Path | None) -> None:
 
 
 @filters_app.command("list")
-def list_filters() -> None:
+def list_filters(as_json: JsonOption = False) -> None:
     """Names of all filters, with one line on each."""
     from filters import available_filters
 
-    show_lines(available_filters())
+    show_lines(available_filters(), as_json=as_json)
 
 
 @policies_app.command("list")
-def list_policies() -> None:
+def list_policies(as_json: JsonOption = False) -> None:
     """Names of all policies, with one line on each."""
     from stereo_slam_env.policies import available_policies
 
-    show_lines(available_policies())
+    show_lines(available_policies(), as_json=as_json)
+
+
+def _filter_names(incomplete: str) -> list[str]:
+    from filters import available_filters
+
+    return [name for name in available_filters() if name.startswith(incomplete)]
 
 
 @filters_app.command("check")
-def check(name: Annotated[str, typer.Argument(help="Name of a filter.")]) -> None:
+def check(
+    name: Annotated[str, typer.Argument(help="Name of a filter.", autocompletion=_filter_names)],
+    as_json: JsonOption = False,
+) -> None:
     """Check that a filter keeps the contract; exit code 1 if it does not."""
-    from filters import make_filter
-    from filters.checks.conformance import REFERENCE_CAMERA, REFERENCE_NOISE, check_filter
+    from filters import check_filter
 
-    make_filter(name, camera=REFERENCE_CAMERA, noise=REFERENCE_NOISE)
     result = check_filter(name, raise_on_failure=False)
-    typer.echo(str(result))
+    if as_json:
+        show_json({"filter": name, "passed": list(result.passed), "failed": list(result.failed)})
+    else:
+        typer.echo(str(result))
     if result.failed:
         raise typer.Exit(1)

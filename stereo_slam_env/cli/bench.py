@@ -19,10 +19,10 @@ from stereo_slam_env.cli.parts import (
     console,
     listed,
     new_directory,
-    numbers_from,
     rig_from,
     show_lines,
     show_place,
+    values_from,
     with_options,
 )
 
@@ -48,7 +48,12 @@ class RunOptions:
         ),
     ] = None
     gate: Annotated[
-        str | None, typer.Option("--gate", help="Gate, a probability per landmark, or 'none'.", show_default="0.99")
+        str | None,
+        typer.Option(
+            "--gate",
+            help="Gate, a probability per landmark, or 'none'.",
+            show_default="what the scenario says; 0.99 for a real drive",
+        ),
     ] = None
     search: Annotated[
         str | None,
@@ -87,6 +92,12 @@ class RunOptions:
         if self.search is not None:
             changes["search"] = self.search
         return replace(scenario, **changes)
+
+    def require_place(self) -> None:
+        """Raise where the results could not be written, before any work."""
+        from stereo_slam_env.files.folders import require_writable
+
+        require_writable(self.out or Path("runs"))
 
     def directory(self, study: Study) -> StudyDirectory:
         """The run directory, once it is known that it can be used for this study."""
@@ -140,10 +151,19 @@ class RunOptions:
         show_place(result.report or result.out)
 
 
+def _preset_names(incomplete: str) -> list[str]:
+    from stereo_slam_env.benchmark import presets
+
+    return [name for name in presets() if name.startswith(incomplete)]
+
+
 @with_options(RunOptions, "options")
 def bench(
     preset: Annotated[
-        str | None, typer.Option("--preset", help="A ready-made scenario, see --list.", show_default="quick")
+        str | None,
+        typer.Option(
+            "--preset", help="A ready-made scenario, see --list.", show_default="quick", autocompletion=_preset_names
+        ),
     ] = None,
     scenario: Annotated[
         Path | None, typer.Option("--scenario", help="A scenario file of your own, TOML, perhaps a grid.")
@@ -191,6 +211,12 @@ def bench(
         bool,
         typer.Option("--allow-code", help="Let a scenario of kind 'factory' run the function that its file names."),
     ] = False,
+    write: Annotated[
+        Path | None,
+        typer.Option(
+            "--write", help="Write the preset to a scenario file, to change it, and stop.", metavar="MINE.toml"
+        ),
+    ] = None,
     show_list: Annotated[bool, typer.Option("--list", help="List the ready-made scenarios and stop.")] = False,
     *,
     options: RunOptions,
@@ -204,9 +230,18 @@ def bench(
     if show_list:
         show_lines(presets())
         return
+    options.require_place()
     if preset is not None and scenario is not None:
         raise ValueError("--preset and --scenario exclude each other: give one of them")
     usual = "quick" if policy is None else "gaze"
+    if write is not None:
+        from stereo_slam_env.benchmark.scenarios.schema import write_scenario_file
+
+        if scenario is not None:
+            raise ValueError("--write and --scenario exclude each other: it writes a preset")
+        write_scenario_file(write, preset or usual)
+        typer.echo(f"scenario: {write.resolve()}")
+        return
     if scenario is not None:
         study = load_study(scenario, data=data, allow_code=allow_code)
     else:
@@ -248,10 +283,11 @@ def replay(
         str | None,
         typer.Option(
             "--reference",
-            help="Errors of the truth, m and rad, which are added to what filters claim: position_jitter=0.005, "
-            "rotation_jitter, misalignment, settled_at (s); separated by commas.",
-            metavar="KEY=NUMBER,...",
-            show_default="none, or what the reader states",
+            help="What the truth is: kind=surveyed (motion capture, laser), ins (GPS/INS), simulation, odometry (of "
+            "the same images: no NEES) or unknown; and its errors, m and rad, which are added to what filters claim: "
+            "position_jitter=0.005, rotation_jitter, misalignment, settled_at (s); separated by commas.",
+            metavar="KEY=VALUE,...",
+            show_default="what is known of the recording",
         ),
     ] = None,
     skip_broken: Annotated[
@@ -269,7 +305,8 @@ def replay(
     from stereo_slam_env.report.console import progress_bar, show_recording
 
     where = path if path.partition(":")[0] == "gtsam" else str(Path(path).resolve())
-    stated = {} if reference is None else numbers_from("--reference", reference)
+    options.require_place()
+    stated = {} if reference is None else values_from("--reference", reference, ["kind"])
     source = DatasetSource(where, {"on_broken": "skip"} if skip_broken else {}, stated)
     name = f"replay-{Path(where).name.replace(':', '-')}"
     # No bound: the true noise is not known.

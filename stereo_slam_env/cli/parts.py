@@ -5,14 +5,17 @@ from __future__ import annotations
 import datetime
 import inspect
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from filters.contract.foreign_text import plain
+
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.text import Text
 
 
 FiltersOption = Annotated[
@@ -22,6 +25,7 @@ FiltersOption = Annotated[
     ),
 ]
 JobsOption = Annotated[int, typer.Option("--jobs", help="Processes, one BLAS thread each.", min=1)]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON instead, for other programs.")]
 OutOption = Annotated[
     Path | None, typer.Option("--out", help="Run directory; an interrupted run in it is resumed.", show_default="new")
 ]
@@ -37,17 +41,19 @@ class Interrupted(Exception):
 
 
 def console(*, stderr: bool = False) -> Console:
-    """Console for tables and progress."""
+    """Console for tables and progress, where what strangers have named does not control the terminal."""
     from rich.console import Console
 
-    return Console(stderr=stderr)
+    class PlainConsole(Console):
+        def render_str(self, text: str, **options: Any) -> Text:
+            return super().render_str(plain(text), **options)
+
+    return PlainConsole(stderr=stderr)
 
 
 def refuse(message: str) -> int:
     """Say what is wrong in one line on stderr; returns the exit code."""
-    line = " ".join(message.split())
-    # Names of files and fields may come from anybody, and a terminal obeys control characters.
-    typer.echo("error: " + "".join(c if c.isprintable() else ascii(c)[1:-1] for c in line), err=True)
+    typer.echo(f"error: {plain(' '.join(message.split()))}", err=True)
     return 2
 
 
@@ -68,16 +74,16 @@ def rig_from(text: str) -> str | dict[str, Any]:
     return text.strip() if set(rig) == {"name"} else rig
 
 
-def numbers_from(option: str, text: str) -> dict[str, float]:
-    """Numbers by name: KEY=NUMBER,... ."""
-    numbers: dict[str, float] = {}
+def values_from(option: str, text: str, words: Collection[str]) -> dict[str, float | str]:
+    """Values by name: KEY=NUMBER,... ; those of the keys in `words` are no numbers, but words."""
+    values: dict[str, float | str] = {}
     for part in text.split(","):
         key, _, value = (piece.strip() for piece in part.partition("="))
         try:
-            numbers[key] = float(value)
+            values[key] = value if key in words else float(value)
         except ValueError:
             raise ValueError(f"{option} must be numbers by name, as KEY=0.1,OTHER=2, got {text!r}") from None
-    return numbers
+    return values
 
 
 def listed(option: str, text: str) -> list[str | dict[str, Any]]:
@@ -128,8 +134,18 @@ def _help_without_command(context: typer.Context) -> None:
         typer.echo(context.get_help())
 
 
-def show_lines(lines: Mapping[str, str], width: int = 0) -> None:
-    """Names, and one line on each."""
+def show_json(data: Mapping[str, Any]) -> None:
+    """Print JSON."""
+    from stereo_slam_env.files.json_files import json_text
+
+    typer.echo(json_text(data), nl=False)
+
+
+def show_lines(lines: Mapping[str, str], width: int = 0, *, as_json: bool = False) -> None:
+    """Names, and one line on each; or the same as one JSON object."""
+    if as_json:
+        show_json(lines)
+        return
     width = max(width, *map(len, lines))
     for name, line in lines.items():
         typer.echo(f"{name:<{width}}  {line}")

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from stereo_slam_env.cli.parts import console, group, rig_from, with_options
+from stereo_slam_env.cli.parts import JsonOption, console, group, rig_from, show_json, with_options
 
 app = group("The simulated scenes: list, render, record, noise.")
 
@@ -44,7 +44,7 @@ def _scene(
 
 
 @app.command("list")
-def list_scenes() -> None:
+def list_scenes(as_json: JsonOption = False) -> None:
     """Routes, surroundings and renderers, and the ready-made scenarios of `bench`."""
     from stereo_slam_env.benchmark import presets
     from stereo_slam_env.rendering.backends import RENDERERS
@@ -57,6 +57,9 @@ def list_scenes() -> None:
         "renderers": RENDERERS,
         "presets of bench": dict(presets()),
     }
+    if as_json:
+        show_json({title.split()[0]: entries for title, entries in lists.items()})
+        return
     for title, entries in lists.items():
         typer.echo(f"{title}:")
         for name, text in entries.items():
@@ -77,8 +80,11 @@ def render_scene(
     import gymnasium as gym
     import numpy as np
 
+    from stereo_slam_env.files.folders import require_writable
+
     if out.suffix.lower() != ".png":
         raise ValueError(f"--out must be a file name ending in .png, got {str(out)!r}")
+    require_writable(out.parent)
     env: Any = gym.make("StereoSlam/Drive-v0", policy="route", render_mode="rgb_array", **scene)
     try:
         env.reset(seed=seed)
@@ -108,8 +114,10 @@ def record_scene(
     """Write a rendered drive as a KITTI odometry sequence, for other people's SLAM systems (and `replay`)."""
     from stereo_slam_env.datasets import write_kitti_sequence
     from stereo_slam_env.envs.recorder import RenderedDrive
+    from stereo_slam_env.files.folders import require_writable
     from stereo_slam_env.report.console import progress_bar
 
+    require_writable(out)
     drive = RenderedDrive(scene, seed, frames)
     with progress_bar(console(stderr=True), "frames") as progress:
         folder = write_kitti_sequence(drive, out, name, on_pair=progress)

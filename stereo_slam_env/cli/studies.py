@@ -101,12 +101,15 @@ def faults(
     """Run filters on faulty data: which diverge, which raise an alarm; exit code 1 if one breaks."""
     from stereo_slam_env.benchmark.running.backends import Backend
     from stereo_slam_env.benchmark.scenarios.scenario import filter_choice
+    from stereo_slam_env.files.folders import require_writable
     from stereo_slam_env.report.console import progress_bar
     from stereo_slam_env.studies.faults import FAULTS, run_matrix
 
     if show:
         show_lines({name: fault.line for name, fault in FAULTS.items()})
         return
+    if out is not None:
+        require_writable(out)
     choices = [filter_choice(entry) for entry in listed("--filters", filters)]
     with progress_bar(console(stderr=True), "drives") as progress:
         matrix = run_matrix(choices, tuple(names or FAULTS), seeds, Backend(jobs=jobs), progress)

@@ -27,15 +27,17 @@ def train(
     out: OutOption = None,
 ) -> None:
     """Train a network with PPO to look where a filter learns most; needs the extra rl."""
+    from stereo_slam_env.files.folders import require_writable
     from stereo_slam_env.report.charts.policies import plot_learning
     from stereo_slam_env.report.console import progress_bar
     from stereo_slam_env.training.ppo import VALIDATION_SEEDS, LearningCurve, PPOSettings
     from stereo_slam_env.training.ppo import train as train_network
     from stereo_slam_env.training.task import GazeTask, evaluate
 
+    directory = out or new_directory("train")
+    require_writable(directory)
     task = GazeTask(environment, _arguments(arguments), filter_name)
     settings = PPOSettings(decisions=decisions, seed=seed, environments=environments, threads=threads)
-    directory = out or new_directory("train")
     try:
         with progress_bar(console(stderr=True), "decisions") as progress:
             network = train_network(task, settings, directory, minutes=minutes, progress=progress)

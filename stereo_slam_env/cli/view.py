@@ -37,14 +37,19 @@ def view(
     """Watch a filter drive through a finished run: cameras, map with its uncertainty, path, consistency.
 
     Without an option it opens Rerun's viewer (extra viewer) and shows the drive while the filter computes it. Pictures
-    and films need no extra.
+    and films need the extra pictures.
     """
+    from stereo_slam_env.files.folders import require_writable
     from stereo_slam_env.report.console import progress_bar
     from stereo_slam_env.viewer.drive import revisit
-    from stereo_slam_env.viewer.drive_picture import save_film, save_still
 
     if frame is not None and still is None:
         raise ValueError("--frame needs --still OUT.png: it says what the picture shows")
+    if still is not None or film is not None:  # before the drive: known at once where Matplotlib is missing
+        from stereo_slam_env.viewer.drive_picture import save_film, save_still
+    for path in (save, still, film):
+        if path is not None:
+            require_writable(path.parent)
     drive = revisit(run, filter_name, seed)
     typer.echo(f"{drive.title}, {drive.frames} frames")
     try:

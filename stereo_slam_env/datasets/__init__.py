@@ -36,7 +36,7 @@ from stereo_slam_env.frontend.recorder import record_tracks
 from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.frontend.track_noise import with_measured_noise
 from stereo_slam_env.recording.archive import load_recording
-from stereo_slam_env.recording.recording import SIMULATION, ImageSequence, Recording
+from stereo_slam_env.recording.recording import ImageSequence, Recording
 
 TRACK_LAYOUTS: tuple[ModuleType, ...] = (kitti07_tracks, kitti00_stereo_tracks, starry_night)
 IMAGE_LAYOUTS: tuple[ModuleType, ...] = (kitti06_stereo51, kitti_odometry, kitti_raw, karlsruhe, euroc)
@@ -100,7 +100,7 @@ def load(source: str | Path, **options: Any) -> Recording:
 
 
 def _with_its_noise(recording: Recording) -> Recording:
-    stated = isinstance(recording.noise, ColouredNoise) or recording.truth_from == SIMULATION
+    stated = isinstance(recording.noise, ColouredNoise) or recording.truth_from.kind == "simulation"
     return recording if stated else with_measured_noise(recording)
 
 
@@ -202,7 +202,8 @@ def _image_recordings(folder: Path) -> list[Path]:
     """The folder itself if it has a layout of images, else those up to two levels below it that have one."""
     if _recognised(folder, IMAGE_LAYOUTS) is not None:
         return [folder]
-    return [below for below in _folders(folder) if _recognised(below, IMAGE_LAYOUTS)]
+    found = [below for below in _folders(folder) if _recognised(below, IMAGE_LAYOUTS)]
+    return [below for below in found if below.parent not in found]  # a recording's own folder may look like one, too
 
 
 def _folders(folder: Path) -> list[Path]:

@@ -21,21 +21,21 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from filters import Pose, StereoCamera
+from filters.contract.foreign_text import first_line
 from filters.validation import FloatArray, IntArray
 from stereo_slam_env.datasets.calibration import rectified_rig
 from stereo_slam_env.datasets.image_files import MAX_PIXELS
+from stereo_slam_env.datasets.known_recordings import reference_for
 from stereo_slam_env.datasets.sequence import Choice, ImageFiles, RecordedSequence, Rectify, known_poses
 from stereo_slam_env.files.paths import is_plain_name
-from stereo_slam_env.files.readers import finite_rows, first_line, read_text
-from stereo_slam_env.recording.recording import GreyImage, Reference
+from stereo_slam_env.files.readers import finite_rows, read_text
+from stereo_slam_env.recording.recording import NO_REFERENCE, GreyImage
 
 NAME = "euroc"
 _IN_MAV0 = tuple(f"mav0/{camera}/{name}" for camera in ("cam0", "cam1") for name in ("data.csv", "sensor.yaml"))
 FILES = (_IN_MAV0, tuple(name.removeprefix("mav0/") for name in _IN_MAV0))
 TRUTH = "state_groundtruth_estimate0"
-TRUTH_FROM = Reference(
-    "independent truth", f"{TRUTH}: motion capture or laser tracker, smoothed with the IMU; no camera has a part in it."
-)
+STATED = f"The poses of {TRUTH}, interpolated and carried over to the rectified left camera."
 LARGEST_TRUTH_GAP_NS = 100_000_000
 """Truth is interpolated between rows that are no further apart (it comes at 200 Hz)."""
 _LATEST_NS = np.iinfo(np.int64).max
@@ -63,16 +63,18 @@ def open_sequence(path: Path, choice: Choice, *, use_truth: bool = True) -> Reco
     sensor, other = (_read_sensor(camera / "sensor.yaml") for camera in cameras)
     rig, turned, rectify = _rectification(sensor, other, cameras[1] / "sensor.yaml")
     ns = np.array(stamps, dtype=np.int64)
-    truth, table = None, root / TRUTH / "data.csv"
-    if use_truth and table.is_file():
-        truth, (first, last) = _camera_poses(table, ns, sensor, turned)
+    truth, table, truth_from = None, root / TRUTH / "data.csv", NO_REFERENCE
+    if use_truth and table.exists():
+        rows_ns, rows = _read_truth(table)
+        truth, (first, last) = _camera_poses(table, rows_ns, rows, ns, sensor, turned)
+        truth_from = reference_for(rows[:, :3], STATED)
         last = last if choice.last is None else min(last, choice.last)
         choice = Choice(max(choice.first or 0, first), last, choice.on_broken)
     folders = cameras[0] / "data", cameras[1] / "data"
     files = ImageFiles(folders, (left, right), 1e-9 * (ns - ns[0]), cameras[0] / "data.csv", truth, table)
     name = root.parent.name if root.name == "mav0" else root.name
     source = {"reader": NAME, "path": str(root), "rectified": "cv2.stereoRectify, alpha 0"}
-    return RecordedSequence(f"{NAME}_{name}", files, choice, lambda image: rig, source, TRUTH_FROM, rectify)
+    return RecordedSequence(f"{NAME}_{name}", files, choice, lambda image: rig, source, truth_from, rectify)
 
 
 def _read_listing(folder: Path) -> tuple[list[int], list[str]]:
@@ -103,15 +105,14 @@ def _existing(folder: Path, names: dict[int, str]) -> dict[int, Path]:
 
 
 def _camera_poses(
-    path: Path, stamps: IntArray, left: _Sensor, turned: FloatArray
+    path: Path, rows_ns: IntArray, rows: FloatArray, stamps: IntArray, left: _Sensor, turned: FloatArray
 ) -> tuple[list[Pose | None], tuple[int, int]]:
-    """Poses of the turned left camera at the stamps, and the first and last frame that the truth covers.
+    """Poses of the turned left camera at the stamps, and the first and last frame that the rows of truth cover.
 
     A pose is None where the rows around it hold NaN or are too far apart.
     """
-    rows_ns, rows = _read_truth(path)
     sensor = path.with_name("sensor.yaml")
-    T_bs_truth = _transform(sensor, _text(sensor)) if sensor.is_file() else np.eye(4)
+    T_bs_truth = _transform(sensor, _text(sensor)) if sensor.exists() else np.eye(4)
     inside = (stamps >= rows_ns[0]) & (stamps <= rows_ns[-1])
     covered = np.flatnonzero(inside)
     if covered.size == 0:

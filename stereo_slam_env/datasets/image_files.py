@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import io
 import re
-import stat
 import struct
 import warnings
 import zlib
@@ -18,7 +17,8 @@ import cv2
 import numpy as np
 from PIL import Image, UnidentifiedImageError
 
-from stereo_slam_env.files.readers import first_line
+from filters.contract.foreign_text import first_line
+from stereo_slam_env.files.opening import NotOpened, read_bytes
 from stereo_slam_env.recording.recording import GreyImage
 
 MAX_PIXELS = 40_000_000
@@ -90,17 +90,11 @@ def image_size(path: Path) -> tuple[int, int]:
 
 def _content(path: Path) -> bytes:
     try:
-        found = path.stat()
-        if not stat.S_ISREG(found.st_mode):
-            raise _damaged(path, "it is no file")
-        if found.st_size > MAX_BYTES:
-            raise BrokenPair("image too large", f"{path} has {found.st_size} bytes: more than {MAX_BYTES} are refused")
-        return path.read_bytes()
+        return read_bytes(path, most_bytes=MAX_BYTES)
     except FileNotFoundError:
         raise BrokenPair("image missing", f"{path} is missing: copy it again, or skip broken pairs") from None
-    except OSError as error:
-        reason = error.strerror or type(error).__name__
-        raise BrokenPair("image unreadable", f"{path} cannot be read ({reason}): check the file") from error
+    except NotOpened as error:
+        raise BrokenPair("image too large" if error.too_large else "image unreadable", str(error)) from error
 
 
 def _checked_size(path: Path, data: bytes) -> tuple[int, int]:

@@ -78,7 +78,7 @@ def open_sequence(
     calibration = _calibration(path)
     P = projections(calibration, ["P1_roi", "P2_roi"])
     ins = path / "insdata.txt"
-    table = read_table(ins, INS_COLUMNS, finite=False) if ins.is_file() else None
+    table = read_table(ins, INS_COLUMNS, finite=False) if ins.exists() else None
     if table is not None and rate_hz is None:
         seconds = _stored_times(ins, table)
     else:
@@ -98,8 +98,9 @@ def open_sequence(
         "times": "insdata.txt" if rate_hz is None else f"assumed {rate_hz:g} Hz",
     }
     truth_from = Reference(
-        "independent truth",
-        f"The car's GPS/IMU unit, taken to sit at the left camera, its yaw counted {reading}: weak, to metres.",
+        "unknown",
+        f"The poses in insdata.txt, of a unit taken to sit at the left camera, its yaw counted {reading}: weak, to "
+        "metres.",
     )
     return RecordedSequence(f"{NAME}_{path.name}", files, choice, rig_of(calibration, P), source, truth_from)
 
@@ -149,7 +150,7 @@ def _calibration(path: Path) -> Path:
     """The file that is most likely the calibration of this sequence."""
     date = "_".join(path.name.split("_")[:3])
     beside = (path.parent / f"{name}calib.txt" for name in (f"{path.name}_", f"{date}_", ""))
-    found = [*sorted(path.glob("*calib.txt")), *(candidate for candidate in beside if candidate.is_file())]
+    found = [*sorted(path.glob("*calib.txt")), *(candidate for candidate in beside if candidate.exists())]
     if not found:
         raise ValueError(f"{path} has no calibration: put {date}_calib.txt into it or beside it")
     return require_inside(found[0], path.parent)

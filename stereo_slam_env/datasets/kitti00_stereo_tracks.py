@@ -1,14 +1,15 @@
-"""Dense stereo feature tracks over the first frames of KITTI odometry 00, from GTSAM's example data.
+"""Dense stereo feature tracks, as GTSAM's example data over the first frames of KITTI odometry 00 are stored.
 
 `read_example` reads those inside the gtsam wheel (135 frames, 110 m, one 90 degree turn), `read` a folder with true
 poses. Layout: `stereo_factors.txt` (frame_id landmark_id uL uR v X Y Z), `calibration.txt` (fx fy skew cx cy baseline),
-`vo_poses.txt` (frame_id, 4x4 T_world_cam by stereo odometry), and, for scoring, `poses.txt` (KITTI ground truth)
-and `times.txt`.
+`vo_poses.txt` (frame_id, 4x4 T_world_cam by stereo odometry), and, for scoring, `poses.txt` (T_world_cam of
+the left camera) and `times.txt`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,23 +19,20 @@ from scipy.spatial.transform import Rotation
 from filters import Pose, StereoCamera, StereoNoise
 from filters.extras import install_command
 from filters.validation import FloatArray, IntArray
+from stereo_slam_env.datasets.known_recordings import known_by, reference_for
 from stereo_slam_env.datasets.tracks import ASSUMED_SIGMA_PX, Tracks, frames_of
 from stereo_slam_env.files.readers import read_poses, read_table, require_rotations, split_poses
 from stereo_slam_env.recording.recording import Recording, Reference
 
 NAME = "kitti00_stereo_tracks"
 FILES = (("stereo_factors.txt", "calibration.txt", "vo_poses.txt", "poses.txt", "times.txt"),)
-FIRST_SCORED_FRAME = 16  # before it the INS was not yet recording: the ground truth is an extrapolation
-TRUTH = Reference(
-    "independent truth",
-    f"KITTI's ground truth (GPS/INS) from frame {FIRST_SCORED_FRAME} on, moved as a whole onto the stereo odometry of "
-    "that frame: its shape is independent of the images, its place is not.",
-)
+STATED = "poses.txt of the recording."
+MOVED = "It is moved as a whole onto the stereo odometry of frame {}: its place is not independent of the images."
 EXAMPLE = ("VO_stereo_factors00.txt", "VO_calibration00.txt", "VO_camera_poses00.txt")
 """Stereo factors, calibration and poses of the example in the gtsam wheel."""
 EXAMPLE_INTERVAL = 0.1037  # s between frames; the wheel holds no times
 EXAMPLE_REFERENCE = Reference(
-    "odometry from the same images", "The stereo odometry that comes with the tracks and was fitted to the same pixels."
+    "odometry", "The stereo odometry that comes with the tracks and was fitted to the same pixels."
 )
 IMAGE_SIZE = (1241, 376)  # rectified images of the drives of 2011_10_03
 
@@ -55,10 +53,10 @@ def read(path: Path, *, sigma_px: float = ASSUMED_SIGMA_PX, max_per_frame: int |
     Returns
     -------
     Recording
-        W is the left camera at frame 0. The ground truth of the frames before `FIRST_SCORED_FRAME` is wrong in the
-        source, so they have none; the rest is moved rigidly so that the first scored pose is the one of the
-        stereo odometry, because the true pose of frame 0 is not known. Some frame ids are absent in the source: a
-        longer step, no empty frame. No odometry. One common row v was stored, so there is no `v_right`.
+        W is the left camera at frame 0. The ground truth of KITTI 00 is wrong before frame 16, so that those frames
+        have none there. The rest is moved rigidly so that the first scored pose is the one of the stereo odometry,
+        because the true pose of frame 0 need not be known. Frame ids may be absent: a longer step, no empty frame. No
+        odometry. One common row v was stored, so there is no `v_right`.
 
     Raises
     ------
@@ -71,14 +69,19 @@ def read(path: Path, *, sigma_px: float = ASSUMED_SIGMA_PX, max_per_frame: int |
     known = min(len(times), len(positions))
     if frame_ids[-1] >= known:
         raise ValueError(f"{path}: vo_poses.txt has frame {frame_ids[-1]}, times.txt and poses.txt end at {known - 1}")
-    first = int(np.searchsorted(frame_ids, FIRST_SCORED_FRAME))
+    recording = known_by(positions)
+    first = int(np.searchsorted(frame_ids, 0 if recording is None else recording.first_scored))
     truth: list[Pose | None] = [None] * len(frame_ids)
+    truth_from = reference_for(positions, STATED)
     if first < len(frame_ids):
+        description = f"{truth_from.description} {MOVED.format(frame_ids[first])}"
+        truth_from = replace(truth_from, description=description)
         scored = frame_ids[first:]
         truth[first:] = _moved_to(odometry[first], positions[scored], orientations[scored])
     files = path / "stereo_factors.txt", path / "calibration.txt"
     source = {"reader": NAME, "path": str(path)}
-    return _recording(NAME, files, frame_ids, times[frame_ids], truth, sigma_px, max_per_frame, source, TRUTH)
+    name = path.resolve().name if recording is None else NAME
+    return _recording(name, files, frame_ids, times[frame_ids], truth, sigma_px, max_per_frame, source, truth_from)
 
 
 def read_example(*, sigma_px: float = ASSUMED_SIGMA_PX, max_per_frame: int | None = 100) -> Recording:

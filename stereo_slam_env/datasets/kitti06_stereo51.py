@@ -1,4 +1,4 @@
-"""The first 51 stereo pairs of KITTI odometry 06, with velocities of the INS.
+"""Stereo pairs with poses and velocities of an INS, as the first 51 pairs of KITTI odometry 06 are stored.
 
 Layout: `image_l/NNNNNN.png`, `image_r/NNNNNN.png`; `calib.txt` with two rows, the 3x4 projection matrices of left and
 right; `poses.txt`, T_world_cam of the left camera; `odometry_oxts.csv` (t_s, vx, vy, vz, wx, wy, wz in the IMU frame: x
@@ -7,7 +7,6 @@ forward, y left, z up). Row k of the velocities has the time of frame k and desc
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,20 +14,14 @@ import numpy as np
 
 from stereo_slam_env.datasets.calibration import rig_of
 from stereo_slam_env.datasets.image_files import numbered_images
+from stereo_slam_env.datasets.known_recordings import POSITION, known_by, reference_for
 from stereo_slam_env.datasets.sequence import Choice, ImageFiles, RecordedSequence, poses_of_rows
 from stereo_slam_env.datasets.tracks import camera_velocities
 from stereo_slam_env.files.readers import read_table
-from stereo_slam_env.recording.recording import Reference
 
 NAME = "kitti06_stereo51"
 FILES = (("image_l", "image_r", "calib.txt", "poses.txt", "odometry_oxts.csv"),)
-TRUTH = Reference(
-    "independent truth",
-    "KITTI's ground truth: GPS/INS, which is still settling in frames 0 to 10, so that frames from 12 on are scored; "
-    "the odometry is of the same INS, with noise added.",
-)
-SETTLED = 12
-"""First frame that is scored, and used unless `first` says otherwise."""
+STATED = "poses.txt of the recording; the odometry is odometry_oxts.csv, with noise added."
 R_CI = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 P_I = np.array([1.1, -0.3, 0.7])
 """How the camera sits in the IMU frame (m), to some centimetres and a degree: far below the noise of the odometry."""
@@ -68,10 +61,9 @@ def open_sequence(
         seed=odometry_seed,
     )
     steps = [step if np.isfinite(row).all() else None for step, row in zip(odometry, table, strict=True)]
-    settled_at = float(table[SETTLED, 0]) if frames_stored > SETTLED else None
-    truth_from = TRUTH if settled_at is None else replace(TRUTH, settled_at=settled_at)
-    truth = poses_of_rows(read_table(poses, 12, finite=False))
-    files = ImageFiles(folders, (left, right), table[:frames_stored, 0], velocities, truth, poses, steps)
+    rows, seconds = read_table(poses, 12, finite=False), table[:frames_stored, 0]
+    truth_from = reference_for(rows[:, POSITION], STATED, seconds)
+    files = ImageFiles(folders, (left, right), seconds, velocities, poses_of_rows(rows), poses, steps)
     source: dict[str, Any] = {
         "reader": NAME,
         "path": str(path),
@@ -81,4 +73,5 @@ def open_sequence(
         "odometry_seed": int(odometry_seed),
     }
     P = projections[0], projections[1]
-    return RecordedSequence(NAME, files, choice, rig_of(calibration, P), source, truth_from)
+    name = NAME if known_by(rows[:, POSITION]) else path.resolve().name
+    return RecordedSequence(name, files, choice, rig_of(calibration, P), source, truth_from)

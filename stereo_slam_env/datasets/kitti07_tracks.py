@@ -1,7 +1,7 @@
-"""Stereo feature tracks over the whole of KITTI odometry 07, with noisy velocities.
+"""Stereo feature tracks with noisy velocities, as those over the whole of KITTI odometry 07 are stored.
 
 Layout: `tracks.npz` (features, time_stamps, linear_velocity, rotational_velocity, K, b, cam_T_imu) and
-`poses.txt` (KITTI ground truth, T_world_cam).
+`poses.txt` (T_world_cam of the left camera).
 """
 
 from __future__ import annotations
@@ -10,9 +10,10 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from filters import Pose, StereoCamera, StereoNoise
+from stereo_slam_env.datasets.known_recordings import known_by, reference_for
 from stereo_slam_env.datasets.tracks import ASSUMED_SIGMA_PX, camera_velocities, frames_of, tracks_of_pixels
 from stereo_slam_env.files.readers import Shape, read_archive, read_poses
-from stereo_slam_env.recording.recording import Recording, Reference
+from stereo_slam_env.recording.recording import Recording
 
 NAME = "kitti07_tracks"
 FILES = (("tracks.npz", "poses.txt"),)
@@ -25,11 +26,7 @@ SHAPES: Mapping[str, Shape] = {
     "b": 1,
     "cam_T_imu": (4, 4),
 }
-TRUTH = Reference(
-    "independent truth",
-    "KITTI's ground truth: GPS/INS, to about 0.1 m where RTK held, noisier from frame to frame; the odometry is of the "
-    "same INS, with noise added.",
-)
+STATED = "poses.txt of the recording."
 IMAGE_SIZE = (1226, 370)  # rectified images of the drives of 2011_09_30; the archive does not hold it
 
 
@@ -57,7 +54,7 @@ def read(
     Returns
     -------
     Recording
-        W is the left camera at frame 0. Frames after the last pose of the ground truth have no truth.
+        W is the left camera at frame 0. Frames after the last pose have no truth.
 
     Raises
     ------
@@ -93,10 +90,10 @@ def read(
     }
     unknown = [None] * (count - len(truth))
     return Recording(
-        NAME,
+        NAME if known_by(positions) else path.resolve().name,
         StereoCamera(fx, fy, cx, cy, baseline, *IMAGE_SIZE),
         frames_of(usable.thinned(max_per_frame), timestamps, [*truth, *unknown], odometry),
         StereoNoise.independent_pixels(sigma_px),
         source=source,
-        truth_from=TRUTH,
+        truth_from=reference_for(positions, STATED),
     )

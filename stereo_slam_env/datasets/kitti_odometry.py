@@ -20,10 +20,11 @@ from filters import Pose, StereoCamera
 from filters.validation import FloatArray
 from stereo_slam_env.datasets.calibration import of_left_camera, projections, rig_of
 from stereo_slam_env.datasets.image_files import numbered_images
+from stereo_slam_env.datasets.known_recordings import POSITION, reference_for
 from stereo_slam_env.datasets.sequence import Choice, ImageFiles, RecordedSequence, poses_of_rows
 from stereo_slam_env.files.paths import require_inside
 from stereo_slam_env.files.readers import read_table
-from stereo_slam_env.recording.recording import ImageSequence, Reference, StereoPair
+from stereo_slam_env.recording.recording import NO_REFERENCE, ImageSequence, StereoPair
 
 NAME = "kitti_odometry"
 FILES = (("calib.txt", "times.txt", "image_0", "image_1"), ("calib.txt", "times.txt", "image_2", "image_3"))
@@ -60,14 +61,15 @@ def open_sequence(
     cameras, folders = chosen_cameras(lambda number: path / f"image_{number}", cameras)
     calibration, times, poses = path / "calib.txt", path / "times.txt", poses_file(path)
     P = projections(calibration, [f"P{n}" for n in CAMERAS[cameras]])
-    seconds, truth = read_table(times, 1, finite=False).reshape(-1), None
-    if use_truth and poses.is_file():
+    seconds, truth, truth_from = read_table(times, 1, finite=False).reshape(-1), None, NO_REFERENCE
+    if use_truth and poses.exists():
         require_inside(poses, path.parent.parent)
-        truth = of_left_camera(poses_of_rows(read_table(poses, 12, finite=False)), P[0])
+        rows = read_table(poses, 12, finite=False)
+        truth = of_left_camera(poses_of_rows(rows), P[0])
+        truth_from = reference_for(rows[:, POSITION], f"poses/{poses.name} of the recording.", seconds)
     images = numbered_images(folders[0]), numbered_images(folders[1])
     files = ImageFiles(folders, images, seconds, times, truth, poses)
     source = {"reader": NAME, "path": str(path), "cameras": cameras}
-    truth_from = Reference("independent truth", f"poses/{poses.name} of the recording; KITTI made its own by GPS/INS.")
     return RecordedSequence(f"{NAME}_{path.name}", files, choice, rig_of(calibration, P), source, truth_from)
 
 

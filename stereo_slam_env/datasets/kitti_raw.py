@@ -39,9 +39,9 @@ from stereo_slam_env.recording.recording import Reference
 
 NAME = "kitti_raw"
 TRUTH = Reference(
-    "independent truth",
-    "The car's GPS/IMU unit, carried over to the left camera by the calibration; the odometry is of the same unit, "
-    "with noise added.",
+    "unknown",
+    "The poses in oxts, carried over to the left camera by the calibration; the odometry is of the same files, with "
+    "noise added.",
 )
 CALIBRATION = "calib_cam_to_cam.txt"
 EXTRINSICS = ("calib_imu_to_velo.txt", "calib_velo_to_cam.txt")
@@ -91,7 +91,7 @@ def open_sequence(
     times, oxts = folders[0].parent / "timestamps.txt", path / "oxts" / "data"
     seconds = _read_timestamps(times)
     truth, odometry = None, []
-    if known := use_oxts and oxts.is_dir() and all((path.parent / name).is_file() for name in EXTRINSICS):
+    if known := use_oxts and oxts.is_dir() and all((path.parent / name).exists() for name in EXTRINSICS):
         packets, T_ci = _read_packets(oxts, len(seconds)), _imu_to_reference_camera(path.parent, calibration)
         truth = of_left_camera(_reference_camera_poses(packets, T_ci), P[0])
         odometry = _odometry(packets, T_ci, camera_position(P[0]), sigma_linear, sigma_angular, odometry_seed)

@@ -14,9 +14,10 @@ from scipy.spatial.transform import Rotation
 
 from filters import Pose, StereoCamera, StereoNoise
 from filters.validation import FloatArray, positive
+from stereo_slam_env.datasets.known_recordings import known_by, reference_for
 from stereo_slam_env.datasets.tracks import camera_velocities, frames_of, tracks_of_pixels
 from stereo_slam_env.files.readers import Shape, read_archive, require_rotations
-from stereo_slam_env.recording.recording import LandmarkTruth, Recording, Reference
+from stereo_slam_env.recording.recording import LandmarkTruth, Recording
 
 NAME = "starry_night"
 FILES = (("starry_night.npz",),)
@@ -30,14 +31,14 @@ SHAPES: Mapping[str, Shape] = {
     **dict.fromkeys(("fu", "fv", "cu", "cv", "b"), 1),
 }
 IMAGE_SIZE = (646, 480)  # the archive does not hold it: the smallest that holds every measurement (u up to 644.4)
-TRUTH = Reference("independent truth", "Motion capture; its own errors are about 0.01 m and 0.01 to 0.03 rad.")
+STATED = "The poses in starry_night.npz."
 GYRO_DELAY = 0.11  # s
 
 
 def read(
     path: Path,
     *,
-    first: int = 100,
+    first: int | None = None,
     sigma_u: float = 6.5,
     sigma_v: float = 12.8,
     sigma_d: float = 1.9,
@@ -51,8 +52,9 @@ def read(
     ----------
     path : Path
         Folder with the files named in `FILES`.
-    first : int
-        First step to use; the steps before 100 see almost nothing.
+    first : int, optional
+        First step to use. None: 100 in the recording of the course, where the steps before it see almost nothing, else
+        0.
     sigma_u, sigma_v, sigma_d : float
         Standard deviations to assume of left pixel and disparity, independent, px. The defaults are the root mean
         squares of the measurements used, against the projections of the surveyed landmarks by motion capture. They
@@ -79,7 +81,10 @@ def read(
     """
     archive = path / FILES[0][0]
     arrays = read_archive(archive, SHAPES)
-    timestamps = arrays["t"]
+    timestamps, vehicle_i = arrays["t"], arrays["r_i_vk_i"].T
+    recording = known_by(vehicle_i)
+    if first is None:
+        first = 0 if recording is None else recording.first_scored
     require_rotations(archive, arrays["C_c_v"][None])
     if type(first) is not int or not 0 <= first <= len(timestamps) - 2:
         raise ValueError(f"first must be a whole number from 0 to {len(timestamps) - 2}, got {first!r}")
@@ -87,7 +92,7 @@ def read(
 
     R_cv, camera_v = arrays["C_c_v"], arrays["rho_v_c_v"]
     turn_iv = Rotation.from_rotvec(arrays["theta_vk_i"].T[first:])
-    positions_i = arrays["r_i_vk_i"].T[first:] + turn_iv.apply(camera_v)
+    positions_i = vehicle_i[first:] + turn_iv.apply(camera_v)
     turn_ic = turn_iv * Rotation.from_matrix(R_cv.T)
     to_w = turn_ic[0].inv()
     positions_w = to_w.apply(positions_i - positions_i[0])
@@ -105,7 +110,7 @@ def read(
     )
     fx, fy, cx, cy, baseline = (float(arrays[key][0]) for key in ("fu", "fv", "cu", "cv", "b"))
     return Recording(
-        NAME,
+        path.resolve().name if recording is None else NAME,
         StereoCamera(fx, fy, cx, cy, baseline, *IMAGE_SIZE),
         frames_of(used, timestamps[first:], truth, [None, *odometry[first + 1 :]]),
         noise,
@@ -121,7 +126,7 @@ def read(
             "dropped_row_difference": len(seen) - len(used),
             "gyro": f"sign turned, read {GYRO_DELAY} s late: so the data say, see step_velocities",
         },
-        truth_from=TRUTH,
+        truth_from=reference_for(vehicle_i, STATED),
     )
 
 

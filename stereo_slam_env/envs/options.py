@@ -12,7 +12,7 @@ from filters.contract.known_names import did_you_mean, one_of
 from filters.geometry.camera import StereoCamera
 from filters.validation import positive, whole_number
 from stereo_slam_env.frontend.settings import TrackerSettings
-from stereo_slam_env.rendering.backends import RendererName
+from stereo_slam_env.rendering.backends import RendererName, image_quality
 from stereo_slam_env.sensing.pixel_noise import NoiseName
 from stereo_slam_env.sensing.rigs import Rig, camera_of
 from stereo_slam_env.sensing.sensors import TrackingPolicy
@@ -25,9 +25,6 @@ if TYPE_CHECKING:
 
 Sensor = Literal["landmarks", "images"]
 DrivenBy = Literal["agent", "route"]
-_UNFILTERED_FLOOR = 0.25
-"""`tiny` takes the nearest texel, which displaces textures by up to half of one and leaves them sharp, px: the
-correlation does not see it. Measured with `stereo-slam scenes noise`."""
 
 
 class UnknownArgument(TypeError, ValueError):
@@ -114,9 +111,13 @@ class StereoOptions:
     @property
     def front_end(self) -> TrackerSettings:
         """Tracking of the sensor "images"."""
-        refill = self._refill(TrackerSettings)
-        floor = _UNFILTERED_FLOOR if self.renderer == "tiny" else TrackerSettings.sigma_floor
-        return TrackerSettings(max_landmarks=self.max_landmarks, refill_below=refill, sigma_floor=floor)
+        quality = image_quality(self.renderer, self.supersample)
+        return TrackerSettings(
+            max_landmarks=self.max_landmarks,
+            refill_below=self._refill(TrackerSettings),
+            sigma_floor=max(quality.texture_sigma, TrackerSettings.sigma_floor),
+            image_blur=quality.blur,
+        )
 
     def _refill(self, usual: type[TrackingPolicy | TrackerSettings]) -> int:
         """`refill_below`, or the usual share of `max_landmarks`."""

@@ -12,8 +12,10 @@ import numpy as np
 
 from filters.geometry.camera import StereoCamera
 from stereo_slam_env.envs.drive import StereoDriveEnv
+from stereo_slam_env.envs.options import DriveOptions
 from stereo_slam_env.envs.stereo_env import StereoEnv
 from stereo_slam_env.files.package_versions import version_of
+from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.recording.recording import SIMULATION, Frame, Recording, Reference, StereoPair
 from stereo_slam_env.rendering.backends import renderer_identity
 from stereo_slam_env.rendering.images import grey
@@ -121,6 +123,8 @@ class RenderedDrive:
         self.name = f"{options.surroundings}-{Path(options.route).stem}-{seed}"
         self.truth_from: Reference = SIMULATION
         self.skipped: Mapping[str, int] = {}
+        self.front_end: TrackerSettings = DriveOptions.checked(env_kwargs or {}).front_end
+        """Settings of the front end for these images."""
         self._kwargs["render_images"] = True
         self.source: Mapping[str, Any] = {**described(StereoDriveEnv(**self._kwargs), seed), "frames": self._count}
 

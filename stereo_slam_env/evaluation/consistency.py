@@ -110,7 +110,8 @@ def _nis_figure(runs: Sequence[FilterRun]) -> ConsistencyFigure | None:
     some = dof_by_frame > 0
     by_frame = np.nansum(nis, axis=0)[some] / dof_by_frame[some]
     inside = _percent_inside(by_frame, mean_bands(1, dof_by_frame[some]))
-    return ConsistencyFigure(nis_per_dof(runs), 1, mean_band(1, total), inside)
+    known = sum(int(run.nis_dof.sum()) > 0 for run in runs)
+    return ConsistencyFigure(nis_per_dof(runs), 1, mean_band(1, total), inside, known)
 
 
 def _figure(values: FloatArray, average: float, dof: int, band: Band) -> ConsistencyFigure | None:
@@ -123,7 +124,7 @@ def _figure(values: FloatArray, average: float, dof: int, band: Band) -> Consist
     low, high = band(by_run, np.array([len(by_run)]))
     some = values[:, frames]
     inside = _percent_inside(np.nanmean(some, axis=0), band(some, known[:, frames].sum(axis=0)))
-    return ConsistencyFigure(average, dof, (float(low[0]), float(high[0])), inside)
+    return ConsistencyFigure(average, dof, (float(low[0]), float(high[0])), inside, len(by_run))
 
 
 def _bands_by_scatter(values: FloatArray, count: IntArray) -> Bands:

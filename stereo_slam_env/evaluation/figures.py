@@ -53,7 +53,7 @@ class Figure:
     over_runs: Combination | None = None  # None: it is one of single runs only, and not in the summary
     kind: Kind = "real"  # of its values of one run; of a run that failed, an integer is 0, everything else None
     of_failed: bool = False  # whether it is computed of a run that failed, too
-    digits: int = 3  # after the point
+    digits: int = 3  # after the point, and at least so many that count
     per_runs: bool = False  # whether it counts runs: "2 of 10"
     # The value that a consistent filter has; tables then show value / ideal. None: the smaller the better.
     ideal: float | None = None
@@ -83,12 +83,38 @@ class Figure:
         """The value as tables show it, by its ideal; NaN where it is not known."""
         return float("nan") if value is None else float(value) / (self.ideal or 1.0)
 
+    @property
+    def column(self) -> str:
+        """Name in tables of data, whose values are those that are shown: "pose_anees_per_dof"."""
+        return self.name if self.ideal in (None, 1.0) else f"{self.name}_per_dof"
+
+    @property
+    def column_meaning(self) -> str:
+        """Meaning of that column."""
+        of = self.ideal
+        return (
+            self.meaning
+            if of in (None, 1.0)
+            else f"{self.meaning.replace(f'; {of:g} is ideal', '')}; by {of:g}, so 1 is ideal"
+        )
+
+    def in_unit(self, value: Value) -> Value:
+        """The value as such a table has it; None where it is not known."""
+        return value if value is None or self.ideal in (None, 1.0) else self.shown(value)
+
     def text(self, value: Value) -> str:
         """The shown value with its digits, or a dash."""
-        number = self.shown(value)
-        if not np.isfinite(number):
+        return self.text_of(self.shown(value))
+
+    def text_of(self, shown: float) -> str:
+        """A value as it is shown, with its digits: more where they would leave nothing of a small one; or a dash."""
+        if not np.isfinite(shown):
             return UNKNOWN
-        return f"{number:.{self.digits}f}" if abs(number) < 1e4 else f"{number:.1e}"
+        size = abs(shown)
+        if size == 0.0 or 1e-4 <= size < 1e4:
+            place = int(np.floor(np.log10(size))) if size else 0  # of the first digit that counts
+            return f"{shown:.{max(self.digits, max(self.digits, 1) - 1 - place) if place < 0 else self.digits}f}"
+        return f"{shown:.1e}" if size >= 1e4 else f"{shown:.{max(self.digits, 1) - 1}e}"
 
 
 # ---- of one run -----------------------------------------------------------------------------------------------------
@@ -333,6 +359,12 @@ _TABLE = (
     Figure("landmark_anees", "landmark NEES", "", "consistency",
            "mean NEES of landmarks in (u, v, d); 3 is ideal",
            lambda t: landmark_anees([t.run]), _consistency("landmark"), digits=2, ideal=DOF["landmark"]),
+    Figure("frames_not_scored", "frames not scored", "", "consistency",
+           "frames with an independent truth and no pose NEES, but the first: those after a filter has failed",
+           lambda t: t.not_scored, SUM, **_COUNT),
+    Figure("landmarks_not_scored", "landmarks not scored", "", "consistency",
+           "landmarks x frames truly in view and without a NEES: the filter has no finite place for them",
+           _count("landmarks_not_scored"), SUM, places=_REPORT, **_COUNT),
     Figure("nis", "NIS / dof", "", "consistency",
            "normalised innovation squared by its degrees of freedom; 1 is ideal",
            lambda t: nis_per_dof([t.run]), _consistency("nis"), digits=2, ideal=1.0, compared=True),

@@ -13,8 +13,10 @@ from filters import StereoNoise
 from filters.catalogue.common_options import make_with_common_options
 from filters.catalogue.registry import FilterFactory, label_of
 from filters.consistency import nees
+from filters.contract.foreign_text import first_line, type_name
 from filters.motions.model import POSE_SIZE, POSITION, ROTATION
 from filters.validation import FloatArray, IntArray
+from stereo_slam_env.evaluation.contract import ContractBroken, check_beliefs, check_map
 from stereo_slam_env.evaluation.landmark_statistics import LandmarkScorer
 from stereo_slam_env.evaluation.map_scoring import TraceRecorder, score_map, view_map
 from stereo_slam_env.evaluation.results import COUNTS, EVENTS, FilterRun, peak_memory_mb
@@ -73,7 +75,7 @@ def run_filter(
     Returns
     -------
     FilterRun
-        A filter that raises or returns something that is not finite is a result too: `failure` says what happened.
+        A filter that raises, or claims something that is no covariance, is a result too: `failure` says what happened.
 
     Raises
     ------
@@ -111,13 +113,16 @@ def run_filter(
                 if progress is not None:
                     progress(frame_number, len(recording))
             failure = None
+        except ContractBroken as error:
+            failure = str(error)
         except Exception as error:  # a stranger's filter may raise anything; the comparison goes on without it
             where = f"frame {frame_number}" if frame_number >= 0 else "start"
-            failure = f"{where}: {type(error).__name__}: {(str(error).strip() or 'no message').splitlines()[0]}"
-            _log.info("%s on %s failed at %s", name, recording.name, failure)
+            failure = f"{where}: {type_name(error)}: {first_line(error, empty='no message')}"
         memory = peak_memory_mb() - memory
         if scores is not None and failure is None:
             log.add_windows(scores.series)
+    if failure is not None:
+        _log.info("%s on %s failed at %s", name, recording.name, failure)
     return log.result(name, used, seed, failure, memory, not_given)
 
 
@@ -126,8 +131,10 @@ def _with_windows(scores: WindowScores | None, moment: Moment, name: str, drive:
     if scores is not None:
         try:
             scores.add(moment)
+        except ContractBroken:
+            raise
         except Exception as error:  # the other figures stand
-            _log.warning("%s on %s: windows are not scored: %s", name, drive, error)
+            _log.warning("%s on %s: windows are not scored: %s", name, drive, first_line(error))
             return None
     return scores
 
@@ -150,7 +157,7 @@ class RunLog:
 
     def __init__(self, recording: Recording) -> None:
         self._recording = recording
-        self._has_independent_truth = recording.reference.is_independent
+        self._has_truth = recording.reference.counts_as_truth
         count = len(recording)
         self._series = {name: np.full((count, *shape), np.nan) for name, shape in _SERIES.items()}
         self._nis_dof: IntArray = np.zeros(count, dtype=np.int64)
@@ -160,10 +167,11 @@ class RunLog:
         self._scorer = LandmarkScorer(recording.camera)
 
     def add(self, moment: Moment, clones: int = 0) -> None:
-        """Note what a filter believes after a frame; raises ArithmeticError where that is not finite.
+        """Note what a filter believes after a frame; raises as `check_beliefs`.
 
         `clones` of its pose are there for the windows, not for the filter.
         """
+        check_beliefs(moment)
         k, pose, velocity, report = moment.number, moment.pose, moment.slam.velocity, moment.report
         belief = {
             "positions": pose.position,
@@ -173,9 +181,6 @@ class RunLog:
             "angular_velocities": velocity.angular,
             "velocity_covariances": velocity.covariance,
         }
-        for name, value in belief.items():
-            if not np.isfinite(value).all():
-                raise ArithmeticError(f"the filter returned NaN or infinity in its {name.replace('_', ' ')}")
         predicting, updating = 1000.0 * moment.predict_seconds, 1000.0 * moment.update_seconds
         self._note(
             k,
@@ -209,10 +214,12 @@ class RunLog:
         self._series.update(series)
 
     def add_map(self, moment: Moment) -> None:
-        """Score the map and follow the traced landmarks."""
-        k, landmarks = moment.number, self._recording.landmarks if self._has_independent_truth else None
+        """Score the map and follow the traced landmarks; raises as `check_map`."""
+        k, landmarks = moment.number, self._recording.landmarks if self._has_truth else None
         view = view_map(moment.slam, moment.truth, landmarks)
         score = score_map(view, self._recording.camera)
+        check_map(k, view, score)
+        self._counts["landmarks_not_scored"][k] = np.count_nonzero(score.in_view & np.isnan(score.nees))
         self._note(k, landmark_nees=score.mean_nees, landmark_rmse=score.position_rmse)
         self._scorer.add(score)
         self._traces.add(k, view, moment.observation)

@@ -17,7 +17,7 @@ from stereo_slam_env.recording.recording import GIVEN_TRUTH, NO_REFERENCE, Refer
 
 EVENTS = ("updated", "initialised", "dropped", "gated", "rejected", "behind_camera")
 MEGABYTE = 2.0**20
-COUNTS = (*EVENTS, "failed_factorisations", "negative_depth", "map_size")
+COUNTS = (*EVENTS, "failed_factorisations", "negative_depth", "landmarks_not_scored", "map_size")
 
 
 def _not_given() -> FloatArray:
@@ -66,13 +66,13 @@ class FilterRun:
         Predict + update.
     counts : mapping of str to (K,) int64
         Those of `COUNTS`: what became of the measurements (`EVENTS`, as in `UpdateReport`), failed factorisations,
-        landmarks seen in the frame and estimated at d <= 0, and the size of the map.
+        landmarks seen in the frame and estimated at d <= 0, landmarks in view without a NEES, and the size of the map.
     traces : tuple of LandmarkTrace
         Depth histories of a near and a far landmark, the same ids for every filter of a recording.
     not_given : mapping of str to str
         Options common to the filters of a comparison that this one was not given, and why.
     failure : str, optional
-        One line when the filter raised or returned nonsense; arrays are NaN from there on.
+        One line when the filter raised or broke its contract; arrays are NaN from there on.
     position_nees, rotation_nees : (K,)
         NEES of the two halves of `pose_errors` with their blocks of the covariance (3 degrees of freedom each).
     predict_milliseconds, update_milliseconds : (K,)
@@ -171,6 +171,7 @@ class ConsistencyFigure:
     # Two-sided 95 % band of the mean over this number of runs (of innovations, for NIS), see `consistency_figures`.
     band: tuple[float, float]
     inside_percent: float  # share of the frames whose mean over runs lies inside the band of that frame
+    runs: int  # how many have it
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ half its NEES ("calibration") plus half the log volume of its covariance ("sharp
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -15,6 +15,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from filters import Pose, nees
+from filters.consistency import are_definite
 from filters.geometry import rotations
 from filters.geometry.poses import relative_jacobian
 from filters.motions.model import POSE_SIZE, POSITION, ROTATION
@@ -42,7 +43,8 @@ class ClaimScore:
     """A claimed covariance against the errors: of the pose (6 numbers), the position or the rotation (3 each)."""
 
     dof: int
-    frames: int
+    frames: int  # scored: those with a covariance that is one
+    unusable: int  # frames whose covariance is not positive definite: what is claimed of them has no score
     nees: MeanInterval  # over frames; `dof` is ideal; with the 95 % interval of the block bootstrap
     median_nees: float
     band: tuple[float, float]  # two-sided 95 % band of the mean of one run, as of one frame
@@ -55,6 +57,8 @@ class ClaimScore:
     @property
     def verdict(self) -> str:
         """What one run can tell of the claim, in words."""
+        if self.unusable:
+            return f"none: {self.unusable} of {self.frames + self.unusable} covariances are not positive definite"
         low, high = self.band
         if low <= self.nees.mean <= high:
             return "consistent, as far as one run can tell"
@@ -76,7 +80,7 @@ class WindowScore:
     translation_rmse_m: float
     rotation_rmse_deg: float
     # Mean NEES, 6 is ideal. A file does not say how the errors of two poses are correlated; taken as independent they
-    # make a difference too uncertain, so this is a lower bound. None without covariances.
+    # make a difference too uncertain, so this is a lower bound. None without covariances, or where one is none.
     least_nees: float | None
 
 
@@ -97,15 +101,22 @@ class TrajectoryScore:
     end_drift_percent: float | None  # None where the reference stands still
     claims: Mapping[str, ClaimScore]  # "pose", "position", "rotation"; empty where nothing is claimed
     windows: tuple[WindowScore, ...]
-    # Frame by frame: times (N,), position errors (N, 3) in W, and of each claim NEES and log score (N,).
+    # Frame by frame: times (N,), the scored poses in the world of the reference, with what they and the reference
+    # claim as covariances, the reference's poses, and of each claim NEES and log score (N,).
     times: FloatArray = field(repr=False)
-    position_errors: FloatArray = field(repr=False)
+    poses: Trajectory = field(repr=False)
+    reference_poses: Trajectory = field(repr=False)
     nees: Mapping[str, FloatArray] = field(repr=False)
     log_scores: Mapping[str, FloatArray] = field(repr=False)
 
+    @property
+    def position_errors(self) -> FloatArray:
+        """Position errors (N, 3) in W, m."""
+        return self.reference_poses.positions - self.poses.positions
+
     def as_dict(self) -> dict[str, Any]:
         """All but what is frame by frame, JSON-able."""
-        series = ("times", "position_errors", "nees", "log_scores")
+        series = ("times", "poses", "reference_poses", "nees", "log_scores")
         plain = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in series}
         claims = {
             name: {**asdict(claim), "coverage": {f"{p:g}": share for p, share in claim.coverage.items()}}
@@ -134,9 +145,9 @@ class TrajectoryScore:
             ratio = float(np.sqrt(a.mean() / b.mean()))
             low, high = np.quantile(np.sqrt(a[rows].mean(axis=1) / b[rows].mean(axis=1)), [0.025, 0.975])
         scores = None
-        if "pose" in self.claims and "pose" in other.claims:
+        if "pose" in self.claims and "pose" in other.claims and not self.unusable and not other.unusable:
             difference = self.log_scores["pose"][mine] - other.log_scores["pose"][others]
-            scores = mean_interval(difference[np.isfinite(difference)])
+            scores = mean_interval(difference)
         return PairedVerdict(self.estimate, other.estimate, len(mine), (ratio, float(low), float(high)), scores)
 
 
@@ -148,7 +159,7 @@ class PairedVerdict:
     other: str
     frames: int
     error_ratio: tuple[float, float, float]  # of the position RMSE, with its 95 % interval; < 1: the first is better
-    log_score_difference: MeanInterval | None  # nats a frame; < 0: the first is better; None where one claims nothing
+    log_score_difference: MeanInterval | None  # nats a frame; < 0: the first is better; None: no claim to score
 
     @property
     def words(self) -> str:
@@ -195,7 +206,8 @@ def evaluate_trajectory(
     Raises
     ------
     ValueError
-        A file is damaged, there are too few poses in common, the bodies differ, or the alignment is not determined.
+        A file is damaged, there are too few poses in common, the bodies differ, the alignment is not determined, or no
+        covariance is positive definite.
     """
     estimate, reference = _loaded(estimate), _loaded(reference)
     max_gap = positive("max_gap", max_gap)
@@ -217,7 +229,8 @@ def evaluate_trajectory(
     windows = tuple(_window(length, matched, truth, times) for length in WINDOWS) if timed else ()
     scored = slice(0 if how == "rigid" else 1, None)
     matched, truth, times = matched.rows(scored), truth.rows(scored), times[scored]
-    claims, series, scores = _claims(matched, truth, None if covariances is None else covariances[scored])
+    covariances = None if covariances is None else covariances[scored]
+    claims, series, scores = _claims(matched, truth, covariances)
     path = metrics.path_length(truth.positions)
     return TrajectoryScore(
         estimate=estimate.name,
@@ -234,7 +247,8 @@ def evaluate_trajectory(
         claims=claims,
         windows=tuple(window for window in windows if window.windows),
         times=times,
-        position_errors=truth.positions - matched.positions,
+        poses=replace(matched, covariances=covariances),
+        reference_poses=truth,
         nees=series,
         log_scores=scores,
     )
@@ -307,23 +321,29 @@ def _claims(
     scores: dict[str, FloatArray] = {}
     if covariances is None:
         return claims, series, scores
+    assert estimate.covariances is not None
+    usable = are_definite(estimate.covariances)  # before what the reference claims is added, which would hide it
+    if not usable.any():
+        raise ValueError(
+            f"none of the covariances of {estimate.name} is positive definite: correct them, or leave them out"
+        )
     errors = estimate.errors(reference.positions, reference.orientations)
     for name, part in _PARTS.items():
-        values, own = nees(errors[:, part], covariances[:, part, part]), covariances[:, part, part]
+        own = covariances[:, part, part]
+        values = np.where(usable, nees(errors[:, part], own), np.nan)
         sharpness = np.full(len(values), np.nan)
-        usable = np.isfinite(values)
         sharpness[usable] = 0.5 * (np.linalg.slogdet(own[usable])[1] + DOF[name] * np.log(2.0 * np.pi))
         series[name], scores[name] = values, 0.5 * values + sharpness
-        if usable.any():
-            claims[name] = _claim(DOF[name], values[usable], sharpness[usable])
+        claims[name] = _claim(DOF[name], values[usable], sharpness[usable], int(np.count_nonzero(~usable)))
     return claims, series, scores
 
 
-def _claim(dof: int, values: FloatArray, sharpness: FloatArray) -> ClaimScore:
+def _claim(dof: int, values: FloatArray, sharpness: FloatArray, unusable: int) -> ClaimScore:
     median = float(np.median(values))
     return ClaimScore(
         dof=dof,
         frames=len(values),
+        unusable=unusable,
         nees=mean_interval(values),
         median_nees=median,
         band=mean_band(dof, 1),
@@ -352,14 +372,15 @@ def _window(seconds: float, estimate: Trajectory, reference: Trajectory, times: 
                 both[own, own] = claimed[row] + (0.0 if doubt is None else doubt[row])
             J = relative_jacobian(first, last)
             covariances[k] = J @ both @ J.T
-    values = nees(errors, covariances) if claimed is not None else np.zeros(0)
-    known = values[np.isfinite(values)]
+    # The first pose may be known exactly: both start there.
+    known = ends and claimed is not None and are_definite(claimed[np.unique(ends)[1:]]).all()
+    least = float(nees(errors, covariances).mean()) if known else float("nan")
     return WindowScore(
         seconds=seconds,
         windows=len(ends),
         translation_rmse_m=metrics.root_mean_square(errors[:, POSITION]) if ends else float("nan"),
         rotation_rmse_deg=float(np.rad2deg(metrics.root_mean_square(errors[:, ROTATION]))) if ends else float("nan"),
-        least_nees=float(known.mean()) if known.size else None,
+        least_nees=least if np.isfinite(least) else None,
     )
 
 

@@ -54,6 +54,15 @@ class Trial:
         return known & self.run.truth_from.has_settled(self.run.timestamps)
 
     @cached_property
+    def not_scored(self) -> int:
+        """Number of frames with an independent truth that has settled and no pose NEES, but for the first."""
+        run = self.run
+        judged = np.array(np.isfinite(run.true_positions).all(axis=1) & run.truth_from.has_settled(run.timestamps))
+        judged[:1] = False
+        missing = judged & ~np.isfinite(run.pose_nees)
+        return int(np.count_nonzero(missing)) if run.reference.is_independent else 0
+
+    @cached_property
     def positions(self) -> tuple[FloatArray, FloatArray] | None:
         """Estimated and true positions of the scored frames; None where they are fewer than `FEWEST_FRAMES`."""
         if self.scored.sum() < FEWEST_FRAMES:

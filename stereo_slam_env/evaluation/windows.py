@@ -12,6 +12,7 @@ import numpy as np
 
 from filters import Pose, PoseBelief, StereoFilter, nees
 from filters.validation import FloatArray
+from stereo_slam_env.evaluation.contract import check_motion
 from stereo_slam_env.loop import Moment
 from stereo_slam_env.recording.recording import Recording, Reference
 from stereo_slam_env.recording.trajectory import pose_errors
@@ -63,7 +64,7 @@ class WindowScores:
     slam : StereoFilter
         The filter; one without clones has no windows.
     recording : Recording
-        The stream; windows lie in its frames with an independent truth that has settled.
+        The stream; windows lie in its frames with a truth that has settled.
 
     Attributes
     ----------
@@ -73,6 +74,11 @@ class WindowScores:
         for a filter without clones.
     open : int
         Clones that there are now.
+
+    Raises
+    ------
+    ContractBroken
+        What a filter claims of a motion is no covariance.
     """
 
     def __init__(self, slam: StereoFilter, recording: Recording) -> None:
@@ -80,7 +86,7 @@ class WindowScores:
         reference, count = recording.reference, len(recording)
         times = np.array([frame.timestamp for frame in recording.frames])
         known = np.array([frame.truth is not None for frame in recording.frames]) & reference.has_settled(times)
-        rows = np.flatnonzero(known if reference.is_independent else np.zeros(count, dtype=bool))
+        rows = np.flatnonzero(known if reference.counts_as_truth else np.zeros(count, dtype=bool))
         self._ends = {s: {int(rows[j]): int(rows[i]) for i, j in window_ends(times[rows], s)} for s in WINDOWS}
         self._starts = {s: set(ends.values()) for s, ends in self._ends.items()}
         self.series = {name: np.full(count, np.nan) for name in WINDOW_SERIES if self._slam is not None}
@@ -108,6 +114,7 @@ class WindowScores:
 def _window_nees(moved: PoseBelief, start: Pose, moment: Moment, reference: Reference) -> tuple[float, float]:
     """NEES of a motion against the true one, and its floor."""
     assert moment.truth is not None
+    check_motion(moment.number, moved)
     true = start.inverse() @ moment.truth
     poses = (moved.position, moved.orientation, true.position, true.orientation)
     error = pose_errors("position-rotation", *(part[None] for part in poses))

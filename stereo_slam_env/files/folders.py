@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -33,6 +34,19 @@ def write_atomically(path: Path, write: Callable[[IO[bytes]], Any]) -> None:
         unfinished.replace(path)
     finally:
         unfinished.unlink(missing_ok=True)
+
+
+def require_writable(path: Path) -> None:
+    """Raise an `OSError` where no file can be written at or below a path, which need not exist: before long work.
+
+    Nothing is made and nothing stays behind.
+    """
+    there = next((one for one in (path, *path.absolute().parents) if one.exists()), path)
+    try:
+        with tempfile.TemporaryFile(dir=there):
+            return
+    except OSError as error:
+        raise OSError(f"output {path} cannot be written ({error.strerror}): choose another directory") from error
 
 
 def unfinished_name(path: Path) -> Path:

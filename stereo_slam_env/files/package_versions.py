@@ -2,10 +2,18 @@
 
 from __future__ import annotations
 
+import os
+import platform
+import sys
 from importlib.metadata import PackageNotFoundError, version
 
 _DISTRIBUTIONS = {"pybullet": ("pybullet", "pybullet-arm64")}
 """Those of which one brings the package, where it is not the one of the same name alone."""
+_SHOWN = (
+    *("numpy", "scipy", "numba", "llvmlite", "gymnasium", "pybullet", "opencv-python-headless", "filterpy", "msgspec"),
+    *("joblib", "vl-convert-python", "gtsam", "moderngl", "rerun-sdk", "stable-baselines3", "torch", "matplotlib"),
+)
+_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS", "NUMBA_DISABLE_JIT", "NUMBA_CACHE_DIR")
 
 
 def version_of(package: str) -> str:
@@ -16,3 +24,19 @@ def version_of(package: str) -> str:
         except PackageNotFoundError:
             continue
     return "not installed"
+
+
+__version__ = version_of("stereo-slam-env")
+
+
+def show_versions() -> None:
+    """Print what a report of a bug should hold: versions, machine, and settings that change how fast it computes."""
+    lines = {
+        "stereo-slam-env": __version__,
+        "python": f"{platform.python_version()} ({sys.executable})",
+        "platform": f"{platform.platform()}, {os.cpu_count()} processors",
+        **{package: version_of(package) for package in _SHOWN},
+        **{name: os.environ[name] for name in _THREADS if name in os.environ},
+    }
+    width = max(map(len, lines))
+    sys.stdout.write("".join(f"{name:<{width}}  {text}\n" for name, text in lines.items()))

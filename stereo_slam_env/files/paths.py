@@ -32,7 +32,7 @@ def require_inside(path: Path, root: Path) -> Path:
     except (OSError, RuntimeError) as error:
         raise ValueError(f"{path} is a link that leads nowhere: put the file itself there") from error
     if not target.is_relative_to(root.resolve()):
-        raise ValueError(f"{path} is a link out of the recording, to {target}: put the file itself there")
+        raise ValueError(f"{path} is a link out of its folder, to {target}: put the file itself there")
     return path
 
 

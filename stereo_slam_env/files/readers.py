@@ -7,8 +7,8 @@ a megabyte of zeros. Here sizes are compared first: that of the archive, of its 
 from __future__ import annotations
 
 import io
+import json
 import os
-import stat
 import struct
 import tokenize
 import warnings
@@ -16,21 +16,26 @@ import zipfile
 import zlib
 from collections.abc import Collection, Mapping
 from pathlib import Path
-from typing import IO, Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from filters.contract.foreign_text import first_line, plain
 from filters.validation import BoolArray, FloatArray
+from stereo_slam_env.files.opening import NotOpened, open_regular, read_bytes
 
 MOST_TEXT = 100_000_000
-"""Larger texts are refused before they are read, bytes."""
+"""Larger texts are refused, bytes."""
 MOST_BYTES = 256_000_000
 """An archive may always unpack to so many bytes ..."""
 MOST_GROWTH = 20
 """... or to so many times its own size."""
 _PIECE, _MOST_HEADER = 1 << 20, 1 << 17
+_MOST_DIRECTORY = 10_000_000
+_END_OF_ZIP = 22
+"""bytes: of a zip archive's last record."""
 _LEAST_VOLUME = 1e-6
 """Determinant; that of a rotation is 1."""
 
@@ -50,29 +55,37 @@ class DamagedArchive(ValueError):
     """The file is no npz archive of plain arrays, or unpacks to too much; the message does not name the file."""
 
 
-def read_text(path: Path, *, errors: str = "strict", most_bytes: int = MOST_TEXT) -> str:
-    """Read a text file in UTF-8; `errors` as `str.decode` has it, files of more than `most_bytes` are refused.
+def read_text(path: Path, *, errors: str = "strict", most_bytes: int = MOST_TEXT, inside: Path | None = None) -> str:
+    """Read a text file in UTF-8; `errors` as `str.decode` has it, the others as of `open_regular`.
 
     Raises
     ------
     FileNotFoundError
         There is no such file.
     ValueError
-        No regular file (a pipe or a device could be read for ever), too large, not readable, or no text: one line.
+        No regular file, too large, not readable, or no text: one line.
+    """
+    content = read_bytes(path, most_bytes=most_bytes, inside=inside)
+    try:
+        return io.TextIOWrapper(io.BytesIO(content), encoding="utf-8", errors=errors).read()  # line ends as of any file
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{path} is no text in UTF-8 (byte {error.start}): save it as such") from error
+
+
+def read_json(path: Path, *, inside: Path | None = None) -> Any:
+    """Read JSON; `inside` as of `open_regular`.
+
+    Raises
+    ------
+    FileNotFoundError
+        There is no such file.
+    ValueError
+        As `read_text`, or it is no JSON: one line.
     """
     try:
-        found = path.stat()
-        if not stat.S_ISREG(found.st_mode):
-            raise ValueError(f"{path} is no regular file: copy it again")
-        if found.st_size > most_bytes:
-            raise ValueError(f"{path} has {found.st_size} bytes: more than {most_bytes} are refused")
-        return path.read_text(encoding="utf-8", errors=errors)
-    except FileNotFoundError:
-        raise
-    except UnicodeDecodeError as error:
-        raise ValueError(f"{path} is no text (byte {error.start}): copy it again") from error
-    except OSError as error:
-        raise ValueError(f"{path} cannot be read ({error.strerror or type(error).__name__}): check the file") from error
+        return json.loads(read_text(path, inside=inside))
+    except (json.JSONDecodeError, RecursionError) as error:
+        raise ValueError(f"{path} is no JSON ({first_line(error)}): write it again") from error
 
 
 def read_table(
@@ -141,14 +154,12 @@ def read_archive(path: Path, shapes: Mapping[str, Shape]) -> dict[str, FloatArra
     length that is the same wherever it stands. A `ValueError` names the file: it is damaged, lacks an array, or one has
     another shape, NaN or infinity.
     """
-    if path.exists() and not path.is_file():  # a pipe could be read for ever
-        raise ValueError(f"{path} is no regular file: copy it again")
     try:
         arrays = read_arrays(path, tuple(shapes))
         if sum(array.size for array in arrays.values()) * np.float64().itemsize > MOST_BYTES:
             raise ValueError(f"as float64 its arrays take more than {MOST_BYTES} bytes")
         found = {key: np.asarray(array, dtype=np.float64) for key, array in arrays.items()}
-    except FileNotFoundError:
+    except (FileNotFoundError, NotOpened):
         raise
     except (ValueError, TypeError, OSError) as error:
         raise ValueError(f"{path} is damaged and cannot be read: copy it again ({first_line(error)})") from error
@@ -172,29 +183,66 @@ def read_archive(path: Path, shapes: Mapping[str, Shape]) -> dict[str, FloatArra
     return found
 
 
-def read_arrays(source: str | Path | IO[bytes], names: Collection[str] | None = None) -> dict[str, NDArray[Any]]:
+def read_arrays(
+    source: str | Path | bytes, names: Collection[str] | None = None, *, inside: Path | None = None
+) -> dict[str, NDArray[Any]]:
     """Read arrays, all or those of `names` that there are, as `np.load` does, without pickles and within limits.
+
+    `source` is a file, or its content; `inside` as of `open_regular`.
 
     Raises
     ------
     FileNotFoundError
         There is no such file.
+    NotOpened
+        It is not opened; the message names it.
     DamagedArchive
         Anything else that is wrong with it.
     """
     try:
-        with zipfile.ZipFile(source) as archive:
-            parts = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
-            assert archive.fp is not None
-            limit = max(MOST_BYTES, MOST_GROWTH * archive.fp.seek(0, os.SEEK_END))
+        with _opened(source, inside) as stream:
+            _require_short_directory(stream)
+            archive = zipfile.ZipFile(stream)  # which needs no closing of its own
+            limit = max(MOST_BYTES, MOST_GROWTH * _size(stream))
+            parts: dict[str, zipfile.ZipInfo] = {}
+            for info in archive.infolist():
+                if parts.setdefault(info.filename.removesuffix(".npy"), info) is not info:
+                    raise DamagedArchive(f"it holds {plain(info.filename)} twice")
             total = sum(info.file_size for info in archive.infolist())
             if total > limit:
                 raise DamagedArchive(f"it would unpack to {total} bytes, more than {limit} are refused")
             return {name: _array(archive, info) for name, info in parts.items() if names is None or name in names}
-    except (FileNotFoundError, DamagedArchive):
+    except (FileNotFoundError, NotOpened, DamagedArchive):
         raise
     except _DAMAGE as error:
         raise DamagedArchive(first_line(error)) from error
+
+
+def _opened(source: str | Path | bytes, inside: Path | None) -> BinaryIO:
+    return io.BytesIO(source) if isinstance(source, bytes) else open_regular(source, inside=inside)
+
+
+def _require_short_directory(stream: BinaryIO) -> None:
+    """Refuse an archive whose table of contents, which `zipfile` reads whole, is longer than that of any recording."""
+    size = stream.seek(0, os.SEEK_END)
+    stream.seek(max(size - _END_OF_ZIP - (1 << 16), 0))
+    tail = stream.read()
+    at = len(tail) - _END_OF_ZIP
+    if tail[at : at + 4] != b"PK\5\6" or tail[-2:] != b"\0\0":  # there is a comment after it
+        at = tail.rfind(b"PK\5\6")
+    if at < 0 or len(tail) < at + _END_OF_ZIP:
+        raise DamagedArchive("it is no zip archive, or cut off")
+    (length,) = struct.unpack_from("<L", tail, at + 12)
+    if length > _MOST_DIRECTORY or tail[max(at - 20, 0) : at][:4] == b"PK\6\7":
+        raise DamagedArchive("its table of contents is longer than that of a recording")
+
+
+def _size(stream: BinaryIO) -> int:
+    """Bytes on disk: those of a sparse file, which is mostly no bytes at all, do not let it unpack to more."""
+    size = stream.seek(0, os.SEEK_END)
+    if isinstance(stream, io.BytesIO) or not hasattr(os.stat_result, "st_blocks"):
+        return size
+    return min(size, 512 * os.fstat(stream.fileno()).st_blocks)
 
 
 def _array(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> NDArray[Any]:
@@ -216,9 +264,3 @@ def _array(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> NDArray[Any]:
         raise DamagedArchive(f"array {info.filename} holds pickled objects, which are not read")
     # A header that promises more than the part holds is refused here, before anything is allocated.
     return np.ndarray(shape, dtype, content, stream.tell(), order="F" if columns_first else "C")
-
-
-def first_line(error: BaseException) -> str:
-    """First line of an exception's message, or its type where the message is empty."""
-    text = str(error).strip()
-    return text.splitlines()[0] if text else type(error).__name__

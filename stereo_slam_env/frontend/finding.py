@@ -174,7 +174,8 @@ class PairFinder:
         sought = tracks.select(wanted)
         R_now_then = R_vn.T @ sought.first_R
         t_now_then = (sought.first_position - position_v) @ R_vn
-        templates = warped_patches(sought.patches, local_affine(self.camera, sought.first_uvd, R_now_then, t_now_then))
+        affine = local_affine(self.camera, sought.first_uvd, R_now_then, t_now_then)
+        templates = warped_patches(sought.patches, affine, image_blur=settings.image_blur)
         result = search(
             self.left,
             templates,

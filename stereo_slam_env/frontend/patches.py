@@ -5,7 +5,6 @@ Integer (u, v) is the centre of a pixel. Patches are (N, size, size) float32 gre
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -17,15 +16,19 @@ Patches = NDArray[np.float32]
 
 PATCH = 11
 """Side of the patch that is compared (the paper's), px."""
-SUPPORT = 23
+SUPPORT = 25
 """Side of the patch that is stored: what a warp reaches for lies beyond the 11 x 11, px."""
 FLAT = 1.0
 """Standard deviation below which a patch is noise, not texture: it correlates with nothing, grey levels."""
 
 _SHRINKS = 1.15
 """From this scale on a warp averages, so that fine texture does not alias."""
-_STACKED = 1000
-"""Patches in one call of `cv2.remap`, whose images end at 32767 rows."""
+_TOGETHER = 60
+"""Patches that are warped in one block: what is calculated on the way stays in the processor's cache."""
+_MOST_BLUR = 1.5
+"""Largest difference of the blur of two patches that is made up for, px^2: more would make noise of the texture."""
+_SINGULAR = 1e-12
+"""Least squared determinant of a warp that is divided by."""
 
 
 def cut_patches(image: Image, centers: ArrayLike, size: int = SUPPORT) -> Patches:
@@ -57,7 +60,7 @@ def cut_stack(image: Image, centers: FloatArray, size: int) -> Patches:
     return patches
 
 
-def _catmull_rom(f: FloatArray) -> Patches:
+def _catmull_rom(f: FloatArray | Patches) -> Patches:
     """Weights of the four neighbours at -1, 0, 1, 2 for fractions in [0, 1); (...) -> (4, ...)."""
     weights = np.empty((4, *f.shape), dtype=np.float32)
     weights[0] = ((1.0 - 0.5 * f) * f - 0.5) * f
@@ -88,40 +91,90 @@ def windows_at(image: Image, origin: IntArray, height: int, width: int) -> Image
     return windows
 
 
-def warped_patches(patches: Patches, affine: ArrayLike, size: int = PATCH) -> Patches:
+def warped_patches(patches: Patches, affine: ArrayLike, size: int = PATCH, image_blur: float = 0.0) -> Patches:
     """Stored patches (N, s, s) as they should look now, (N, size, size); `affine` (N, 2, 2) is of `local_affine`.
 
-    Bilinear; the centre stays the centre, so the interpolation has no preferred side. Where the patch shrinks (one
-    step in the current image spans more than 1.15 px of the stored one), every value is the average of 2 x 2 samples a
-    half step apart: enough against aliasing up to twice the size. Samples beyond the stored patch repeat its border.
+    By Catmull-Rom interpolation, as the patches of the present image are cut: the sharper of two patches would match
+    displaced. Where the patch shrinks (one step in the current image spans more than 1.15 px of the stored one), every
+    value is the average of 2 x 2 samples a half step apart: enough against aliasing up to twice the size. Samples
+    beyond the stored patch repeat its border. `image_blur` is that of `TrackerSettings`, px^2.
     """
     A = finite_array("affine", affine, ("N", 2, 2))
     if len(A) != len(patches):
         raise ValueError(f"affine must have one matrix per patch: {len(patches)} patches, {len(A)} matrices")
-    squares, determinant = np.einsum("nij,nij->n", A, A), A[:, 0, 0] * A[:, 1, 1] - A[:, 0, 1] * A[:, 1, 0]
-    longest_squared = 0.5 * (squares + np.sqrt(np.maximum(squares**2 - 4.0 * determinant**2, 0.0)))
-    shrinks = longest_squared > _SHRINKS**2
     warped = np.empty((len(A), size, size), dtype=np.float32)
-    warped[~shrinks] = _resampled(patches[~shrinks], A[~shrinks], size, 1.0)
-    fine = _resampled(patches[shrinks], A[shrinks], 2 * size, 0.5)
-    warped[shrinks] = fine.reshape(-1, size, 2, size, 2).mean(axis=(2, 4))
+    for begin in range(0, len(A), _TOGETHER):
+        block = slice(begin, begin + _TOGETHER)
+        if image_blur:
+            wide = _interpolated(patches[block], A[block], size + 2)
+            warped[block] = _sharpened(wide, _blur_gained(A[block], image_blur))
+        else:
+            warped[block] = _interpolated(patches[block], A[block], size)
     return warped
 
 
-def _resampled(patches: Patches, affine: FloatArray, size: int, step: float) -> Patches:
+def _interpolated(patches: Patches, affine: FloatArray, size: int) -> Patches:
+    """The patches as the plane through them would look now."""
+    squares = np.einsum("nij,nij->n", affine, affine)
+    determinant = affine[:, 0, 0] * affine[:, 1, 1] - affine[:, 0, 1] * affine[:, 1, 0]
+    longest_squared = 0.5 * (squares + np.sqrt(np.maximum(squares**2 - 4.0 * determinant**2, 0.0)))
+    shrinks = longest_squared > _SHRINKS**2
+    interpolated = _sampled(patches, affine, size, 1.0)
+    if shrinks.any():
+        fine = _sampled(patches[shrinks], affine[shrinks], 2 * size, 0.5)
+        interpolated[shrinks] = fine.reshape(-1, size, 2, size, 2).mean(axis=(2, 4))
+    return interpolated
+
+
+def _sampled(patches: Patches, affine: FloatArray, size: int, step: float) -> Patches:
     """`size` x `size` samples of each patch, `step` px apart in the current image and centred."""
     side = patches.shape[1]
     offsets = step * (np.arange(size) - 0.5 * (size - 1))
-    grid = np.stack(np.meshgrid(offsets, offsets), axis=-1).reshape(-1, 2)
-    at = np.clip(grid @ affine.transpose(0, 2, 1) + side // 2, 0, side - 1).astype(np.float32)
-    parts = [np.zeros((0, size * size), dtype=np.float32)]
-    for first in range(0, len(patches), _STACKED):
-        some = slice(first, first + _STACKED)
-        stacked = np.ascontiguousarray(patches[some]).reshape(-1, side)
-        top = side * np.arange(len(at[some]), dtype=np.float32)[:, None]
-        rows = np.ascontiguousarray(at[some, :, 1] + top)
-        parts.append(np.asarray(cv2.remap(stacked, np.ascontiguousarray(at[some, :, 0]), rows, cv2.INTER_LINEAR)))
-    return np.concatenate(parts).reshape(-1, size, size)
+    grid = np.stack(np.meshgrid(offsets, offsets)).reshape(2, -1)
+    at = np.clip(affine.transpose(1, 0, 2) @ grid + side // 2, 1, side - 2).astype(np.float32)  # u and v: (2, N, K)
+    base = np.minimum(np.floor(at), side - 3)
+    weights = _catmull_rom(at - base)
+    first = (base[1] * side + base[0]).astype(np.intp)
+    first += (side * side * np.arange(len(patches)) - side - 1)[:, None]
+    sampled = np.zeros(first.shape, dtype=np.float32)
+    for i in range(4):
+        row = np.zeros_like(sampled)
+        for j in range(4):
+            row += patches.take(first + (i * side + j)) * weights[j, 0]
+        row *= weights[i, 1]
+        sampled += row
+    return sampled.reshape(-1, size, size)
+
+
+def _blur_gained(affine: FloatArray, image_blur: float) -> FloatArray:
+    """Blur of warped patches beyond that of the current image, covariance (N, 2, 2) px^2; negative where it is less.
+
+    Every picture has the blur of the camera or the renderer, I `image_blur`; a warp by A makes it A^-1 A^-T as large.
+    """
+    (a, b), (c, d) = affine.transpose(1, 2, 0)
+    squared_determinant = np.maximum((a * d - b * c) ** 2, _SINGULAR)
+    inverse = np.stack([b * b + d * d, -a * b - c * d, -a * b - c * d, a * a + c * c], axis=-1).reshape(-1, 2, 2)
+    gained = image_blur * (inverse / squared_determinant[:, None, None] - np.eye(2))
+    clipped: FloatArray = np.clip(gained, -_MOST_BLUR, _MOST_BLUR)
+    return clipped
+
+
+def _sharpened(patches: Patches, gained: FloatArray) -> Patches:
+    """Patches (N, s + 2, s + 2) less the blur (N, 2, 2) that they have `gained`, px^2: (N, s, s).
+
+    A blur of covariance C adds tr(C H) / 2 to a value, with H the second derivatives. They are taken along the rows,
+    then along the columns: so the product of the two, of fourth order, is right as well.
+    """
+    uu, uv, vv = (gained[:, i, j].astype(np.float32)[:, None, None] for i, j in ((0, 0), (0, 1), (1, 1)))
+    by_rows = (1.0 + uu) * patches[:, :, 1:-1]
+    by_rows -= 0.5 * uu * (patches[:, :, 2:] + patches[:, :, :-2])
+    sharper: Patches = (1.0 + vv) * by_rows[:, 1:-1]
+    sharper -= 0.5 * vv * (by_rows[:, 2:] + by_rows[:, :-2])
+    twisted = patches[:, 2:, 2:] + patches[:, :-2, :-2]
+    twisted -= patches[:, 2:, :-2]
+    twisted -= patches[:, :-2, 2:]
+    sharper -= 0.25 * uv * twisted
+    return sharper
 
 
 def local_affine(camera: StereoCamera, uvd_then: ArrayLike, R: ArrayLike, t: ArrayLike) -> FloatArray:

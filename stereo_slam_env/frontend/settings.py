@@ -61,8 +61,11 @@ class TrackerSettings:
     disparity_offset : float
         Added to every measured disparity, px: what the rectification left, see `frontend.calibration`.
     sigma_floor : float
-        No pixel coordinate is believed to better than this, px. Enough for images of a camera or of `gl`; the
-        environment takes more for the renderer `tiny`, whose textures are not filtered.
+        No pixel coordinate is believed to better than this, px. Enough for images of a camera or of `gl`, not for
+        those of `tiny`: see `for_images`.
+    image_blur : float
+        Variance of the point spread of the images along an axis, px^2. A patch that is magnified to be found again has
+        its blur magnified, too, and would match displaced; what this says of it is taken away. 0: nothing is.
     sigma_relief : float
         How far a patch is from the plane that it is taken for, m along the ray: the more its landmark has moved by
         parallax, in time or between the cameras, the more that displaces a match.
@@ -85,6 +88,7 @@ class TrackerSettings:
     sigma_angular_acceleration: float = 0.6
     disparity_offset: float = 0.0
     sigma_floor: float = 0.05
+    image_blur: float = 0.0
     sigma_relief: float = 0.04
 
     def __post_init__(self) -> None:
@@ -95,6 +99,7 @@ class TrackerSettings:
             most = f"max_landmarks = {self.max_landmarks}"
             raise ValueError(f"refill_below must be at most {most}, got {self.refill_below}")
         finite_array("disparity_offset", self.disparity_offset, ())
+        positive("image_blur", self.image_blur, allow_zero=True)
         for name in _POSITIVE:
             positive(name, getattr(self, name))
         for name in ("min_score", "uniqueness", "search_gate", "gate"):

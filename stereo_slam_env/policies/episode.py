@@ -10,6 +10,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
+from filters.contract.foreign_text import first_line, type_name
 from filters.geometry.poses import Pose
 from stereo_slam_env.envs.recorder import recording_of
 from stereo_slam_env.envs.stereo_env import StereoEnv
@@ -121,8 +122,8 @@ def run_episode(
             keep()
             over = terminated or truncated
     except Exception as error:  # a stranger's policy may raise anything; the comparison goes on without it
-        text = (str(error).strip() or "no message").splitlines()[0]
-        failure = f"frame {len(collected) - 1}: {asked}: {type(error).__name__}: {text}"
+        what = f"{type_name(error)}: {first_line(error, empty='no message')}"
+        failure = f"frame {len(collected) - 1}: {asked}: {what}"
         if not collected or core.frame is not collected[-1]:
             keep()  # what the filter in the loop did not survive
     straight_ahead = np.zeros(core.action_space.shape or (), dtype=np.float32)

@@ -11,6 +11,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
+from filters.contract.foreign_text import first_line
 from filters.validation import FloatArray
 from stereo_slam_env.files.folders import write_atomically
 from stereo_slam_env.files.readers import read_arrays
@@ -95,8 +96,8 @@ class Network:
         except FileNotFoundError:
             raise ValueError(f"checkpoint {path} does not exist: make one with stereo-slam train") from None
         except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
-            reason = (str(error) or type(error).__name__).splitlines()[0]
-            raise ValueError(f"checkpoint {path} is not a network written by stereo-slam train: {reason}") from error
+            what = f"checkpoint {path} is not a network written by stereo-slam train"
+            raise ValueError(f"{what}: {first_line(error)}") from error
 
 
 class NetworkPolicy:

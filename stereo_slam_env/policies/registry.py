@@ -11,6 +11,7 @@ from collections.abc import Callable
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
+from filters.contract.foreign_text import first_line, type_name
 from filters.contract.known_names import did_you_mean, require_known
 from stereo_slam_env.policies.interface import Policy
 
@@ -49,6 +50,11 @@ def make_policy(name: str, **options: Any) -> Policy:
     return made
 
 
+def plugin_of(name: str) -> EntryPoint | None:
+    """The entry point of a third-party policy; None for one of ours."""
+    return None if name in _OWN else _entry_points().get(name)
+
+
 def available_policies() -> dict[str, str]:
     """Names and one line on each."""
     return {name: (inspect.getdoc(_found(name)) or "no description").splitlines()[0] for name in _entry_points()}
@@ -69,6 +75,6 @@ def _found(name: str) -> Callable[..., Any]:
         found: Callable[..., Any] = point.load()
     except Exception as error:  # whatever a stranger's module does at import must not take the run down
         raise ValueError(
-            f"policy {name!r} ({point.value}) cannot be loaded: {type(error).__name__}: {error}"
+            f"policy {name!r} ({point.value}) cannot be loaded: {type_name(error)}: {first_line(error)}"
         ) from error
     return found

@@ -12,7 +12,7 @@ import io
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,10 +26,20 @@ from filters import (
     StereoNoise,
     StereoObservation,
 )
+from filters.contract.foreign_text import first_line
 from filters.validation import FloatArray
 from stereo_slam_env.files.folders import write_atomically
+from stereo_slam_env.files.opening import NotOpened
 from stereo_slam_env.files.readers import read_arrays
-from stereo_slam_env.recording.recording import GIVEN_TRUTH, Frame, LandmarkTruth, Recording, Reference, Velocity
+from stereo_slam_env.recording.recording import (
+    GIVEN_TRUTH,
+    SIMULATION,
+    Frame,
+    LandmarkTruth,
+    Recording,
+    Reference,
+    Velocity,
+)
 
 FORMAT = 1
 _PARTS: Mapping[str, tuple[type, Mapping[str, tuple[int, ...]]]] = {
@@ -39,6 +49,10 @@ _PARTS: Mapping[str, tuple[type, Mapping[str, tuple[int, ...]]]] = {
 }
 """What a frame may have besides its observation: its type, and the shapes of its arrays."""
 _START = {"position": (3,), "orientation": (4,), "linear_velocity": (3,), "angular_velocity": (3,)}
+
+_KINDS = {"numbers": "fiu", "integers": "iu", "truth values": "b"}
+_MOST, _MOST_SQUARE, _MOST_PIXELS, _UNIT = 1e12, 1e24, 100_000, 1e-6
+"""Largest number (m, px, s), (co)variance, and image that a recording can hold; how far from 1 a unit may be."""
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -88,7 +102,7 @@ def packed_recording(recording: Recording) -> bytes:
 
 def unpacked_recording(content: bytes) -> Recording:
     """The recording of `packed_recording`; raises as `load_recording`."""
-    return _read(io.BytesIO(content), "the recording")
+    return _read(content, "the recording")
 
 
 def load_recording(path: str | Path) -> Recording:
@@ -112,11 +126,13 @@ def load_recording(path: str | Path) -> Recording:
     return _read(path, path)
 
 
-def _read(source: str | Path | IO[bytes], path: str | Path) -> Recording:
+def _read(source: str | Path | bytes, path: str | Path) -> Recording:
     try:
         arrays: Arrays = read_arrays(source)
     except FileNotFoundError as error:
         raise ValueError(f"{path} does not exist: give a recording made by save_recording") from error
+    except NotOpened:
+        raise
     except ValueError as error:
         raise _damaged(path, error) from error
     if "about" not in arrays:
@@ -165,10 +181,15 @@ def _arrays_of(recording: Recording) -> Arrays:
 
 def _recording_of(about: Mapping[str, Any], arrays: Arrays) -> Recording:
     timestamps = _shaped(arrays, "timestamps", (-1,))
-    counts = _shaped(arrays, "counts", (len(timestamps),))
+    if (np.diff(timestamps) <= 0).any():
+        k = int(np.flatnonzero(np.diff(timestamps) <= 0)[0]) + 1
+        raise ValueError(f"array timestamps must ascend, and does not in frame {k}")
+    counts = _shaped(arrays, "counts", (len(timestamps),), "integers")
+    if (counts < 0).any():
+        raise ValueError("array counts must be >= 0")
     ends = np.cumsum(counts)
     total = int(counts.sum())
-    ids = _shaped(arrays, "ids", (total,))
+    ids = _shaped(arrays, "ids", (total,), "integers")
     uvd = _shaped(arrays, "uvd", (total, 3))
     v_right = _parts(arrays, "v_right", (), counts)
     R = _parts(arrays, "R", (3, 3), counts)
@@ -183,14 +204,14 @@ def _recording_of(about: Mapping[str, Any], arrays: Arrays) -> Recording:
     covariance = _shaped(arrays, "start.covariance", (12, 12)) if "start.covariance" in arrays else None
     landmarks = None
     if "landmarks.ids" in arrays:
-        known = _shaped(arrays, "landmarks.ids", (-1,))
+        known = _shaped(arrays, "landmarks.ids", (-1,), "integers")
         landmarks = LandmarkTruth(known, _shaped(arrays, "landmarks.positions", (len(known), 3)))
-    parts = about.get("coloured_noise")
+    parts, noise = about.get("coloured_noise"), _shaped(arrays, "noise", (3, 3))
     return Recording(
         str(about["name"]),
-        StereoCamera(**about["camera"]),
+        _camera(about["camera"]),
         tuple(frames),
-        StereoNoise(arrays["noise"]) if parts is None else ColouredNoise(arrays["noise"], **parts),
+        StereoNoise(noise) if parts is None else ColouredNoise(noise, **parts),
         Start(**start, covariance=covariance),
         landmarks,
         about["source"],
@@ -199,8 +220,16 @@ def _recording_of(about: Mapping[str, Any], arrays: Arrays) -> Recording:
 
 
 def reference_of(about: Mapping[str, Any]) -> Reference:
-    """Kind of the truth by the header of a file; files of earlier versions do not say."""
-    return Reference(**about["truth_from"]) if "truth_from" in about else GIVEN_TRUTH
+    """Kind of the truth by the header of a file; files of earlier versions do not say, or say less."""
+    if "truth_from" not in about:
+        return GIVEN_TRUTH
+    stated = dict(about["truth_from"])
+    if stated["kind"] == "independent truth":  # which was also said of what a reader only guessed
+        simulated = stated["description"] == SIMULATION.description
+        stated |= {"kind": "simulation"} if simulated else dataclasses.asdict(GIVEN_TRUTH)
+    elif stated["kind"] == "odometry from the same images":
+        stated["kind"] = "odometry"
+    return Reference(**stated)
 
 
 def _joined(parts: Iterable[NDArray[Any]], shape: tuple[int, ...], dtype: type = np.float64) -> NDArray[Any]:
@@ -241,15 +270,34 @@ def _heads(arrays: Arrays, frames: int) -> list[FloatArray | None]:
 
 
 def _has(arrays: Arrays, name: str, frames: int) -> NDArray[Any]:
-    return _shaped(arrays, f"has.{name}", (frames,))
+    return _shaped(arrays, f"has.{name}", (frames,), "truth values")
 
 
-def _shaped(arrays: Arrays, name: str, shape: tuple[int, ...]) -> NDArray[Any]:
-    """The array, if its shape is that one; -1 stands for any length."""
+def _camera(numbers: Mapping[str, Any]) -> StereoCamera:
+    for name in ("width", "height"):
+        if type(numbers[name]) is not int or not 0 < numbers[name] <= _MOST_PIXELS:
+            raise ValueError(f"{name} of the camera must be a whole number up to {_MOST_PIXELS}, got {numbers[name]!r}")
+    for name, value in numbers.items():
+        if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= _MOST:
+            raise ValueError(f"{name} of the camera must be a number of at most {_MOST:g}, got {value!r}")
+    return StereoCamera(**numbers)
+
+
+def _shaped(arrays: Arrays, name: str, shape: tuple[int, ...], of: str = "numbers") -> NDArray[Any]:
+    """The array, if its shape is that one, -1 standing for any length, and it holds what can be."""
     array = arrays[name]
     if array.ndim != len(shape) or any(want not in (-1, got) for want, got in zip(shape, array.shape, strict=True)):
         raise ValueError(f"array {name} has shape {array.shape}, expected {shape}")
-    return array
+    if array.dtype.kind not in _KINDS[of]:
+        raise ValueError(f"array {name} must hold {of}, got {array.dtype}")
+    if of != "numbers":
+        return array
+    most = _MOST_SQUARE if name.endswith(("covariance", "R", "noise")) else _MOST
+    if not (np.abs(array) <= most).all():
+        raise ValueError(f"array {name} has NaN, infinity or a number beyond {most:g}")
+    if name.endswith("orientation") and (np.abs(np.linalg.norm(array, axis=-1) - 1.0) > _UNIT).any():
+        raise ValueError(f"array {name} must hold unit quaternions")
+    return array.astype(np.float64, copy=False)
 
 
 def _plain(value: Any) -> Any:
@@ -257,7 +305,7 @@ def _plain(value: Any) -> Any:
 
 
 def _damaged(path: str | Path, error: BaseException) -> ValueError:
-    reason = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
+    reason = first_line(error)
     if isinstance(error, KeyError):
         reason = f"lacks {reason}"
     return ValueError(f"{path} is damaged ({reason}): copy or record it again")

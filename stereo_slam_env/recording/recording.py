@@ -65,7 +65,16 @@ class LandmarkTruth:
 
 
 _ERRORS = ("position_jitter", "rotation_jitter", "misalignment", "settled_at")
-ReferenceKind = Literal["independent truth", "odometry from the same images", "none"]
+ReferenceKind = Literal["simulation", "surveyed", "ins", "odometry", "unknown", "none"]
+_KINDS: Mapping[ReferenceKind, str] = {
+    "simulation": "independent truth (simulation)",
+    "surveyed": "independent truth (surveyed)",
+    "ins": "independent truth (GPS/INS)",
+    "odometry": "odometry from the same images",
+    "unknown": "stated by the recording, origin unknown",
+    "none": "none",
+}
+"""Kinds in words."""
 
 
 @dataclass(frozen=True)
@@ -74,9 +83,11 @@ class Reference:
 
     Attributes
     ----------
-    kind : {"independent truth", "odometry from the same images", "none"}
-        An independent truth owes nothing to the images (simulation, motion capture, GPS/INS). Odometry from the same
-        images shares their errors with the filters: a distance to it is no error, so it has no NEES.
+    kind : {"simulation", "surveyed", "ins", "odometry", "unknown", "none"}
+        An independent truth owes nothing to the images: those of a simulation, surveyed ones (motion capture, laser
+        tracker, total station), those of GPS/INS. Odometry from the same images (and SLAM, and structure from motion)
+        shares their errors with the filters: a distance to it is no error, so it has no NEES. Poses of unknown origin
+        are scored as truth, under the condition that no camera has a part in them, which the report says.
     description : str
         Where the poses come from and how good they are, one sentence.
     position_jitter, rotation_jitter : float
@@ -101,7 +112,7 @@ class Reference:
     settled_at: float | None = None
 
     def __post_init__(self) -> None:
-        known = get_args(ReferenceKind)
+        known: tuple[str, ...] = get_args(ReferenceKind)
         if self.kind not in known:
             raise ValueError(f"kind of a reference must be one of {', '.join(map(repr, known))}, got {self.kind!r}")
         for name in ("position_jitter", "rotation_jitter", "misalignment"):
@@ -118,18 +129,30 @@ class Reference:
         }
         stated = ", ".join(words.format(value) for words, value in parts.items() if value > 0)
         settled = "" if self.settled_at is None else f" It has settled at {self.settled_at:g} s: scored from there on."
-        return f"{self.kind}. {self.description}" + (f" Its stated errors: {stated}." if stated else "") + settled
+        errors = f" Its stated errors: {stated}." if stated else ""
+        return f"{_KINDS[self.kind]}. {self.description}{errors}{settled}"
 
     @property
     def is_independent(self) -> bool:
-        """Whether a distance to it is an error, which a filter's covariance can be held against."""
-        return self.kind == "independent truth"
+        """Whether it is known that no camera has a part in it."""
+        return self.kind in ("simulation", "surveyed", "ins")
 
-    def stating(self, errors: Mapping[str, float]) -> Reference:
-        """The same poses with other stated errors, by name of the attribute; a `ValueError` names what is none."""
-        require_known("reference has no number", errors, _ERRORS)
-        values: dict[str, Any] = dict(errors)
-        return replace(self, **values)
+    @property
+    def counts_as_truth(self) -> bool:
+        """Whether a distance to it is taken for an error, which a filter's covariance is held against."""
+        return self.is_independent or self.kind == "unknown"
+
+    def stating(self, stated: Mapping[str, float | str]) -> Reference:
+        """The same poses with another kind or other errors, by attribute; a `ValueError` names what is none."""
+        require_known("reference has no statement", stated, ("kind", *_ERRORS))
+        if (kind := stated.get("kind")) == "none":
+            raise ValueError("kind 'none' of a reference cannot be stated: a recording has it that has no poses")
+        for name in _ERRORS:
+            if isinstance(stated.get(name), str):
+                raise ValueError(f"{name} of a reference must be a number, got {stated[name]!r}")
+        values: dict[str, Any] = dict(stated)
+        said = "" if kind is None else " Its kind was stated for this run."
+        return replace(self, **values, description=self.description + said)
 
     @property
     def is_exact(self) -> bool:
@@ -162,8 +185,8 @@ class Reference:
         return covariance
 
 
-SIMULATION = Reference("independent truth", "Exact poses of the simulation.")
-GIVEN_TRUTH = Reference("independent truth", "The recording calls its poses true and does not say where they are from.")
+SIMULATION = Reference("simulation", "Exact poses of the simulation.")
+GIVEN_TRUTH = Reference("unknown", "It calls its poses true and does not say where they are from.")
 NO_REFERENCE = Reference("none", "No true pose is known.")
 
 

@@ -85,10 +85,14 @@ class Trajectory:
         object.__setattr__(self, "orientations", orientations / lengths[:, None])
         if self.timestamps is not None:
             times = finite_array("timestamps", self.timestamps, (count,))
-            if (late := np.flatnonzero(np.diff(times) <= 0)).size:
-                raise ValueError(
-                    f"timestamps must ascend, row {late[0] + 1} is not later than row {late[0]}: sort them"
-                )
+            steps = np.diff(times)
+            if (late := np.flatnonzero(steps <= 0)).size:
+                row = int(late[0])
+                if steps[row] == 0:
+                    what = f"row {row + 1} has the time of row {row}, {times[row]:.9g} s: leave one of them out"
+                else:
+                    what = f"row {row + 1} is earlier than row {row}: sort the rows by time"
+                raise ValueError(f"timestamps must ascend, {what}")
             object.__setattr__(self, "timestamps", times)
         if self.covariances is not None:
             covariances = np.asarray(self.covariances, dtype=np.float64)

@@ -7,7 +7,8 @@ from typing import Literal
 
 from filters.geometry.camera import StereoCamera
 from stereo_slam_env.files.package_versions import version_of
-from stereo_slam_env.rendering.images import StereoRenderer
+from stereo_slam_env.rendering.gl import GLRenderer
+from stereo_slam_env.rendering.images import ImageQuality, StereoRenderer
 from stereo_slam_env.rendering.tiny import TinyRenderer
 from stereo_slam_env.world.frames import WorldFrame
 from stereo_slam_env.world.physics import PhysicsWorld
@@ -60,9 +61,14 @@ def make_renderer(
         if samples != 1:
             raise ValueError(f'samples must be 1 with renderer "tiny", got {samples!r}: use supersample')
         return TinyRenderer(world, camera, frame, supersample)
-    from stereo_slam_env.rendering.gl import GLRenderer  # moderngl is optional
-
     return GLRenderer(camera, frame, supersample, samples)
+
+
+def image_quality(name: str, supersample: int = 1) -> ImageQuality:
+    """Quality of the images of a back end; a `ValueError` where there is no such renderer."""
+    _require_known(name)
+    back_end: type[StereoRenderer] = TinyRenderer if name == "tiny" else GLRenderer
+    return back_end.image_quality(supersample)
 
 
 @cache

@@ -26,7 +26,7 @@ from stereo_slam_env.rendering.gl_resources import (
     draw_list,
     new_context,
 )
-from stereo_slam_env.rendering.images import StereoImages
+from stereo_slam_env.rendering.images import ImageQuality, StereoImages
 from stereo_slam_env.rendering.pinhole import FAR, NEAR, sky_slope
 from stereo_slam_env.world.frames import WorldFrame
 from stereo_slam_env.world.meshes import body_meshes, scene_meshes
@@ -120,6 +120,11 @@ class GLRenderer:
             self._surface["projection"].write(_single(_projection(camera)))
         self._standing: MeshBuffer | None = None
         self._moving: list[tuple[MovingBody, MeshBuffer]] = []
+
+    @staticmethod
+    def image_quality(supersample: int = 1) -> ImageQuality:
+        """See `StereoRenderer`; from the slide of tracks (docs/front_end.md)."""
+        return ImageQuality(blur=1.0 if supersample == 1 else 0.4)
 
     def build(self, scene: Scene) -> None:
         """Replace whatever was drawn by `scene`."""

@@ -25,8 +25,22 @@ class StereoImages:
     depth: FloatArray
 
 
+@dataclass(frozen=True)
+class ImageQuality:
+    """What a vision front end has to know of the images of a back end."""
+
+    blur: float
+    """Variance of the point spread along an axis, px^2: that of texture filter and sampling."""
+    texture_sigma: float = 0.0
+    """By how much textures are displaced in a way that the correlation of patches does not show, px."""
+
+
 class StereoRenderer(Protocol):
     """A back end that draws both views."""
+
+    @staticmethod
+    def image_quality(supersample: int = 1) -> ImageQuality:
+        """Quality of the images, drawn so many times finer and averaged."""
 
     def build(self, scene: Scene) -> None:
         """Replace whatever was drawn by `scene`."""

@@ -11,7 +11,7 @@ from filters.geometry.camera import StereoCamera
 from filters.geometry.poses import Pose
 from filters.validation import FloatArray
 from stereo_slam_env.rendering import pinhole
-from stereo_slam_env.rendering.images import StereoImages
+from stereo_slam_env.rendering.images import ImageQuality, StereoImages
 from stereo_slam_env.rendering.pinhole import FAR, NEAR
 from stereo_slam_env.world.frames import WorldFrame
 from stereo_slam_env.world.physics import PhysicsWorld
@@ -58,6 +58,11 @@ class TinyRenderer:
         self._fine = pinhole.supersampled(camera, supersample)
         self._projection = pinhole.projection_matrix(self._fine, NEAR, FAR, pinhole.TINY_OFFSET)
         self._use(Look())
+
+    @staticmethod
+    def image_quality(supersample: int = 1) -> ImageQuality:
+        """See `StereoRenderer`. The nearest texel is taken: sharp, and up to half a texel off."""
+        return ImageQuality(blur=0.0, texture_sigma=0.25)
 
     def build(self, scene: Scene) -> None:
         """Make `scene`, which the world was built from, visible."""

@@ -16,7 +16,7 @@ from stereo_slam_env.benchmark.statistics.differences import CONFIDENCE, MIN_PAI
 from stereo_slam_env.benchmark.statistics.measures import EFFICIENCY, POSE_NEES, POSITION
 from stereo_slam_env.benchmark.statistics.policy_verdict import Looks, baseline_of
 from stereo_slam_env.benchmark.statistics.verdict import Verdict, consistency, judge
-from stereo_slam_env.benchmark.storage.store import CellResult, StudyDirectory
+from stereo_slam_env.benchmark.storage.store import CellResult, StudyDirectory, seed_name
 from stereo_slam_env.evaluation.consistency import DOF, mean_band
 from stereo_slam_env.evaluation.figures import Figure
 from stereo_slam_env.evaluation.results import FilterSummary
@@ -24,8 +24,9 @@ from stereo_slam_env.recording.archive import load_recording
 from stereo_slam_env.report.charts.factors import FactorResponse, plot_factor
 from stereo_slam_env.report.charts.style import filter_colours
 from stereo_slam_env.report.comparison_report import attribution_section, conclusions
-from stereo_slam_env.report.overview import TONES, lost, short
-from stereo_slam_env.report.page import clean_figures, data_links, figure_block, part, write_page
+from stereo_slam_env.report.data_section import data_section
+from stereo_slam_env.report.overview import RUN_BY_RUN, TONES, colour_key, lost
+from stereo_slam_env.report.page import TABLES, clean_figures, figure_block, part, write_page
 from stereo_slam_env.report.page_tables import Cell, Column, Tone, filter_cell, number, table
 from stereo_slam_env.report.run_report import reference_banner, write_report
 from stereo_slam_env.report.tables import (
@@ -61,12 +62,13 @@ def write_study_report(
         conclusions(attribution)
         if attribution is not None
         else part("paragraph", " ".join(_sentences(verdicts, names)), "headline"),
-        _matrix(results, verdicts, names, links),
+        _matrix(results, verdicts, names, links, out),
         part("paragraph", _MATRIX_NOTE),
+        colour_key(names),
         *([attribution_section(attribution, folder)] if attribution is not None else []),
         *_factors(study, results, folder),
-        _everything(results, verdicts, links),
-        data_links(out),
+        _everything(results, verdicts, links, out),
+        data_section(out),
     ]
     cells, filters = len(results), len(names)
     subtitle = f"{cells} scenario{'s' * (cells > 1)} · {filters} filter{'s' * (filters > 1)} on identical measurements"
@@ -78,8 +80,8 @@ def write_study_report(
 
 _MATRIX_NOTE = (
     "Position RMSE, and pose NEES / 6 (1 is ideal) below it. Green: the smallest error, and shown to be; red: shown to"
-    " be larger than the smallest, or diverged; plain: nothing is shown. NEES: green in its band, red overconfident,"
-    " brown too cautious. Links lead to the full report of each scenario."
+    " be larger than the smallest run by run, or diverged; plain: nothing is shown. NEES: green in its band, red"
+    " overconfident, brown too cautious. Links lead to the full report of each scenario."
 )
 
 
@@ -108,9 +110,11 @@ def _sentences(verdicts: Mapping[str, Verdict], names: Sequence[str]) -> list[st
 def _of_one_filter(verdicts: Mapping[str, Verdict], name: str) -> list[str]:
     """Nothing to compare: how many scenarios it came through."""
     unknown = [verdict for verdict in verdicts.values() if verdict.best is None]
-    through = f"{name} has a position error in {len(verdicts) - len(unknown)} of {len(verdicts)} scenarios"
+    through = (
+        f"{name} has a position error from every run in {len(verdicts) - len(unknown)} of {len(verdicts)} scenarios"
+    )
     return [f"{through}; nothing to compare it with."] + (
-        [f"In {len(unknown)} it has none{_why(unknown)}"] if unknown else []
+        [f"In {len(unknown)} it has not{_why(unknown)}"] if unknown else []
     )
 
 
@@ -121,7 +125,11 @@ def _why(unknown: Sequence[Verdict]) -> str:
 
 
 def _matrix(
-    results: Mapping[str, CellResult], verdicts: Mapping[str, Verdict], names: Sequence[str], links: Mapping[str, str]
+    results: Mapping[str, CellResult],
+    verdicts: Mapping[str, Verdict],
+    names: Sequence[str],
+    links: Mapping[str, str],
+    out: Path,
 ) -> Markup:
     """Scenarios down and filters across, or the other way round where there are more filters."""
     colours = filter_colours(names)
@@ -137,7 +145,7 @@ def _matrix(
     else:
         columns = [Column("Scenario", kind="text"), *(Column(name) for name in names)]
         rows = [[Cell(cell, link=links[cell]), *(entry(cell, name) for name in names)] for cell in results]
-    return table(columns, rows)
+    return table(columns, rows, latex=out / TABLES / "scenarios.tex")
 
 
 def _entry(summary: FilterSummary, verdict: Verdict) -> Cell:
@@ -145,7 +153,7 @@ def _entry(summary: FilterSummary, verdict: Verdict) -> Cell:
         innovations = number(summary.nis, ".2f").text
         return Cell(lost(summary) if summary.diverged else f"NIS / dof: {innovations}", None)
     error = number(summary.position_rmse_m, ".3g", " m", _standing(summary, verdict))
-    note = f"NEES / 6: {short(POSE_NEES.of(summary))}" if summary.pose_anees is not None else ""
+    note = f"NEES / 6: {POSE_NEES.text(summary.pose_anees)}" if summary.pose_anees is not None else ""
     if summary.diverged:
         note = lost(summary)
     tone: Tone = "bad" if summary.diverged else TONES[consistency(summary)]
@@ -203,9 +211,9 @@ def _responses(groups: Sequence[Sequence[CellResult]]) -> list[FactorResponse]:
     low, high = mean_band(DOF["pose"], max(seeds, 1))
     band = low / DOF["pose"], high / DOF["pose"]
     kinds = (
-        (f"{capital(POSITION.label)} ({POSITION.unit})", POSITION, True),
-        (f"{capital(POSE_NEES.label)}, band of its mean in grey", POSE_NEES, True),
-        (f"{capital(EFFICIENCY.label)}, bound / RMSE ({EFFICIENCY.unit})", EFFICIENCY, False),
+        (f"{capital(POSITION.label)}, geometric mean ({POSITION.unit})", POSITION, True),
+        (f"{capital(POSE_NEES.label)}, geometric mean, band of the mean in grey", POSE_NEES, True),
+        (f"{capital(EFFICIENCY.label)}, geometric mean ({EFFICIENCY.unit})", EFFICIENCY, False),
     )
     names = list(dict.fromkeys(s.filter_name for group in groups for o in group for s in o.summaries))
     responses = []
@@ -244,13 +252,15 @@ def _by_seed(outcome: CellResult, name: str, measure: Figure) -> dict[int | None
 # ---- the long table -------------------------------------------------------------------------------------------------
 
 
-def _everything(results: Mapping[str, CellResult], verdicts: Mapping[str, Verdict], links: Mapping[str, str]) -> Markup:
+def _everything(
+    results: Mapping[str, CellResult], verdicts: Mapping[str, Verdict], links: Mapping[str, str], out: Path
+) -> Markup:
     summaries = [s for outcome in results.values() for s in outcome.summaries]
     figures = console_columns(summaries)
     columns = [
         Column("Scenario", kind="text"),
         Column("Filter", kind="text"),
-        Column("Against the best", "%, 95 % interval"),
+        Column("Against the best", "run by run, %, 95 % interval", RUN_BY_RUN),
         *map(figure_column, figures),
     ]
     colours = filter_colours(s.filter_name for s in summaries)
@@ -267,7 +277,7 @@ def _everything(results: Mapping[str, CellResult], verdicts: Mapping[str, Verdic
                 _against_best(s, verdicts[cell]),
             ]
             rows.append([*first, *(figure_cell(figure, s, tones.get(figure.name, "")) for figure in figures)])
-    return part("section", "All figures", "", [table(columns, rows, wide=True)])
+    return part("section", "All figures", "", [table(columns, rows, wide=True, latex=out / TABLES / "figures.tex")])
 
 
 def _against_best(summary: FilterSummary, verdict: Verdict) -> Cell:
@@ -278,8 +288,10 @@ def _against_best(summary: FilterSummary, verdict: Verdict) -> Cell:
         return number(None)
     if comparison.tied:
         return Cell("tie", 0.0, "none")
-    tone = FINDING_TONES[Finding.WORSE if comparison.shown else Finding.NOT_SHOWN]
-    return percent_cell(comparison.difference, tone)
+    finding = comparison.difference.finding
+    return percent_cell(
+        comparison.difference, FINDING_TONES[finding if finding is Finding.WORSE else Finding.NOT_SHOWN]
+    )
 
 
 def write_report_of(directory: StudyDirectory, results: Sequence[CellResult]) -> Path:
@@ -296,12 +308,24 @@ def write_report_of(directory: StudyDirectory, results: Sequence[CellResult]) ->
             bounds=result.bounds,
             attribution=None if factorial is None else attribution_of(factorial, result),
             looks=looks_of(result) if result.cell.scenario.policies else None,
+            recordings=recordings_of(result),
         )
         for result in results
     ]
     if not directory.study.is_grid:
         return pages[0]
     return write_study_report(directory.out, directory.study, {result.cell.name: result for result in results})
+
+
+def recordings_of(result: CellResult) -> dict[str, dict[str, Path]]:
+    """Files of the recordings of a cell, by seed; where policies drive, one of each competitor."""
+    directory, choices = result.directory, result.cell.scenario.competitors
+    own = [choice for choice in choices if choice.policy is not None]
+    return {
+        seed_name(seed): {f"recording of {choice.label}": directory.recording_path(seed, choice) for choice in own}
+        or {"recording": directory.recording_path(seed)}
+        for seed in directory.seeds
+    }
 
 
 def looks_of(result: CellResult) -> Looks:

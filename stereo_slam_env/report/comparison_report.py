@@ -9,13 +9,15 @@ from typing import Any
 from markupsafe import Markup
 
 from stereo_slam_env.benchmark.statistics.attribution import Attribution
-from stereo_slam_env.benchmark.statistics.comparison import Change, RunComparison
-from stereo_slam_env.benchmark.statistics.differences import signed
+from stereo_slam_env.benchmark.statistics.changes import Change, RunComparison, few
+from stereo_slam_env.benchmark.statistics.differences import Finding
 from stereo_slam_env.benchmark.statistics.effects import Contrast, ResponseAttribution
+from stereo_slam_env.evaluation.figures import UNKNOWN
 from stereo_slam_env.report.charts.factors import plot_changes, plot_effects
 from stereo_slam_env.report.charts.style import filter_colours
-from stereo_slam_env.report.page import FIGURES, figure_block, part, write_page
-from stereo_slam_env.report.page_tables import Cell, Column, Tone, filter_cell, number, table
+from stereo_slam_env.report.overview import RUN_BY_RUN
+from stereo_slam_env.report.page import FIGURES, TABLES, figure_block, part, write_page
+from stereo_slam_env.report.page_tables import Cell, Column, Tone, filter_cell, known, number, table
 from stereo_slam_env.report.tables import FINDING_TONES, capital, percent_cell
 
 
@@ -25,57 +27,79 @@ def write_comparison_report(out: Path, comparison: RunComparison) -> Path:
     body = [
         part("paragraph", comparison.headline, "headline"),
         part("items", comparison.warnings, "failures fair"),
-        _table(comparison.changes),
-        part("paragraph", _guide(comparison)),
     ]
-    if any(change.interval_percent is not None for change in comparison.changes):
-        caption = "Change of every measure with its 95 % interval; left of the line it became smaller."
-        body.append(figure_block(plot_changes(comparison.changes), "changes", caption, folder))
+    if comparison.shown:
+        shown = _table(comparison.shown, comparison.how, out / TABLES / "changes.tex")
+        body.append(part("section", "Shown", _guide(comparison), [shown]))
+    if comparison.rest:
+        said = f"All {len(comparison.changes)} comparisons"
+        all_ = part("folded", said, _table(comparison.changes, comparison.how))
+        lines = part("items", comparison.rest, "quiet")
+        body.append(part("section", "Not shown", "" if comparison.shown else _guide(comparison), [lines, all_]))
+    if drawn := _drawn(comparison.changes):
+        caption = (
+            f"Change of every measure{'' if len(drawn) == len(comparison.changes) else ' with an interval'}, "
+            f"{comparison.how}, with its 95 % interval; left of the line it became smaller."
+        )
+        block = figure_block(plot_changes(drawn), "changes", caption, folder)
+        body.append(part("section", "Intervals", "", [block]))
     body.append(_only(comparison))
     subtitle = f"Before: {comparison.before} · After: {comparison.after}"
     return write_page(out / "comparison.html", title="What changed", subtitle=subtitle, parts=body)
 
 
+_MOST_DRAWN = 60
+
+
+def _drawn(changes: Sequence[Change]) -> list[Change]:
+    """Changes with an interval; of very many those that are shown."""
+    known = [change for change in changes if change.interval_percent is not None]
+    shown = [change for change in known if change.finding is not Finding.NOT_SHOWN]
+    return known if len(known) <= _MOST_DRAWN else shown[:_MOST_DRAWN]
+
+
 def _guide(comparison: RunComparison) -> str:
     pairing = "recording by recording, on the same measurements" if comparison.paired else "as two unpaired samples"
+    common = ", over the recordings that both have" if comparison.paired else ""
     return (
-        f"Compared {pairing}. Green and red: interval and test both show the change; grey: no difference shown. Errors"
-        " and times are geometric means over runs."
+        f"Compared {pairing}. Green and red: interval and test both show the change; grey: no difference shown. Before"
+        f" and after are the figures of the reports{common}; the change is the geometric mean of ratios,"
+        f" {comparison.how}, and not the ratio of the two, which one hard recording may decide."
     )
 
 
-def _table(changes: tuple[Change, ...]) -> Markup:
+def _table(changes: Sequence[Change], how: str, latex: Path | None = None) -> Markup:
     columns = [
         Column("Filter", kind="text"),
         Column("Measure", kind="text"),
-        Column("Before"),
-        Column("After"),
-        Column("Change", "%, 95 % interval"),
+        Column("Before", "over runs"),
+        Column("After", "over runs"),
+        Column("Change", f"{how}, 95 % interval", RUN_BY_RUN),
         Column("p", "corrected"),
         Column("Runs"),
         Column("Finding", kind="text"),
-        Column("In words", kind="words"),
     ]
     colours = filter_colours(change.filter_name for change in changes)
     rows: list[list[Cell | str]] = []
     for change in changes:
         tone = FINDING_TONES[change.finding]
-        interval = change.interval_percent
-        text = "–" if interval is None else " to ".join(dict.fromkeys(signed(end) for end in interval))
+        interval, (before, after) = change.interval_percent, change.values
+        sorted_by = None if interval is None else 0.5 * sum(interval)
+        short = f"{change.count} {'run is' if change.count == 1 else 'runs are'} too few, {change.needed} are needed"
+        finding = "the same" if change.tied else short if change.too_few else change.finding.value
         rows.append(
             [
                 filter_cell(change.filter_name, colours),
-                f"{change.measure}, {change.unit}" if change.unit else change.measure,
-                number(change.before, ".4g"),
-                number(change.after, ".4g"),
-                Cell(text, None if interval is None else 0.5 * sum(interval), tone),
+                change.title,
+                Cell(before, known(change.before)),
+                Cell(after, known(change.after)),
+                Cell(change.brief or UNKNOWN, sorted_by, tone),
                 number(change.p_value, ".2g"),
                 number(change.count, "d"),
-                Cell(change.finding.value, tone=tone),
-                Cell(change.words),
+                Cell(finding, tone=tone),
             ]
         )
-    return table(columns, rows, wide=True)
+    return table(columns, rows, wide=True, latex=latex)
 
 
 def _only(comparison: RunComparison) -> Markup:
@@ -86,7 +110,7 @@ def _only(comparison: RunComparison) -> Markup:
         ("recordings", "before", comparison.recordings_before),
         ("recordings", "after", comparison.recordings_after),
     )
-    lines = [f"Only {when}: {kind} {', '.join(names)}" for kind, when, names in parts if names]
+    lines = [f"Only {when}: {kind} {few(names)}" for kind, when, names in parts if names]
     return part("section", "Not compared", "", [part("items", lines)]) if lines else Markup()
 
 
@@ -131,7 +155,7 @@ def _contrasts(responses: Sequence[ResponseAttribution]) -> Markup:
         Column("Option", kind="text"),
         Column("Choice", kind="text"),
         Column("instead of", kind="text"),
-        *(Column(capital(response.response), "change, %") for response in responses),
+        *(Column(capital(response.response), "change run by run, %", RUN_BY_RUN) for response in responses),
     ]
     found: dict[tuple[str, Any], dict[str, Contrast]] = {}
     for response in responses:

@@ -7,6 +7,7 @@ import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
 import numpy as np
 from rich.box import SIMPLE_HEAD
@@ -16,7 +17,6 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 from rich.table import Table
 
 from filters.contract.noise import ColouredNoise
-from stereo_slam_env.benchmark.campaign import Progress as ProgressCallback
 from stereo_slam_env.benchmark.scenarios.measurement_errors import (
     LAGS,
     OUTLIER,
@@ -26,7 +26,7 @@ from stereo_slam_env.benchmark.scenarios.measurement_errors import (
 )
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, PolicyChoice, Scenario
 from stereo_slam_env.benchmark.scenarios.study import Study
-from stereo_slam_env.benchmark.statistics.comparison import COLUMNS, RunComparison
+from stereo_slam_env.benchmark.statistics.changes import RunComparison
 from stereo_slam_env.benchmark.statistics.measures import EFFICIENCY, POSE_NEES
 from stereo_slam_env.benchmark.statistics.policy_verdict import baseline_of, judge_policies
 from stereo_slam_env.benchmark.statistics.remarks import innovation_remarks, limit_reached, reference_remarks
@@ -36,6 +36,9 @@ from stereo_slam_env.evaluation.figures import FIGURES, UNKNOWN, Figure
 from stereo_slam_env.evaluation.results import FilterSummary
 from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.recording.recording import Recording
+
+if TYPE_CHECKING:  # runs the front end
+    from stereo_slam_env.benchmark.campaign import Progress as ProgressCallback
 
 MOST_COLUMNS = 5
 _CLAIMS_MATTER_MOST = (
@@ -246,16 +249,19 @@ def _headline(result: CellResult) -> str:
 
 
 def show_comparison(console: Console, comparison: RunComparison) -> None:
-    """Print what changed between two runs, what did not, and what to bear in mind."""
-    console.print(comparison.headline, highlight=False, soft_wrap=True)
+    """Print what changed between two runs, what did not, and what to bear in mind; it fits a screen."""
+    console.print(escape(comparison.headline), highlight=False, soft_wrap=True)
     for warning in comparison.warnings:
         console.print(f"[yellow]note[/yellow]: {escape(warning)}", highlight=False, soft_wrap=True)
-    table = Table(box=SIMPLE_HEAD, pad_edge=False)
-    for heading in COLUMNS:
-        table.add_column(heading, justify="right" if heading in ("before", "after") else "left")
-    for row in comparison.as_rows():
-        table.add_row(*map(escape, row))
-    console.print(table, highlight=False)
+    if comparison.shown:
+        table = Table(box=SIMPLE_HEAD, pad_edge=False)
+        for heading in comparison.columns:
+            table.add_column(heading, justify="right" if heading in ("before", "after") else "left")
+        for row in comparison.as_rows():
+            table.add_row(*map(escape, row))
+        console.print(table, highlight=False)
+    for line in comparison.rest:
+        console.print(escape(line), highlight=False, soft_wrap=True)
 
 
 def _cells(summaries: Sequence[FilterSummary], *, claims: bool, brief: bool) -> dict[str, list[str]]:

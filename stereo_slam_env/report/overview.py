@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from markupsafe import Markup
 
-from stereo_slam_env.benchmark.statistics.differences import Finding, signed
+from stereo_slam_env.benchmark.statistics.differences import MIN_PAIRS, Finding, signed
 from stereo_slam_env.benchmark.statistics.measures import (
     FINAL_ERROR,
     FINAL_LOGDET,
@@ -34,6 +34,11 @@ TONES: dict[Consistency, Tone] = {
     Consistency.UNKNOWN: "none",
 }
 MARK_WIDTH, MARK_HEIGHT = 120, 12
+RUN_BY_RUN = (
+    "geometric mean of the ratios run by run: one hard run does not decide it, so it is not the ratio of two root mean"
+    " squares over runs"
+)
+"""Explanation of a column of differences beside one of values."""
 
 
 Question = tuple[Column, Callable[[FilterSummary], Cell | None]]
@@ -46,6 +51,17 @@ def answer(
     """A value with a mark beside it, and a word on it below."""
     known = key is not None and np.isfinite(key)
     return Cell(value, float(key or 0.0) if known else None, note=word, note_tone=tone, mark=mark)
+
+
+def colour_key(names: Sequence[str]) -> Markup:
+    """A line with the colours of the filters and what colours of words mean; it stays in sight."""
+    tones = (
+        ("good", "shown to be better, or consistent"),
+        ("bad", "shown to be worse, overconfident, or lost"),
+        ("fair", "too cautious"),
+        ("none", "nothing shown"),
+    )
+    return part("colour_key", list(filter_colours(names).items()), tones)
 
 
 def answers_table(who: str, questions: Sequence[Question], summaries: Sequence[FilterSummary]) -> Markup:
@@ -73,11 +89,12 @@ def _honesty(summary: FilterSummary, with_share: bool) -> Cell | None:
     if summary.pose_anees is None:
         return None
     state = consistency(summary)
-    word = state.value
+    few = summary.consistency["pose"].runs if "pose" in summary.consistency else summary.runs
+    word = state.value if few >= MIN_PAIRS else f"{state.value}, by {few} run{'s' if few > 1 else ''}"
     if with_share and summary.frames_in_band_percent is not None:
         word += f", {summary.frames_in_band_percent:.0f} % of frames inside"
     mean = POSE_NEES.of(summary)
-    return answer(short(mean), word, TONES[state], _band_mark(summary), mean)
+    return answer(POSE_NEES.text_of(mean), word, TONES[state], _band_mark(summary), mean)
 
 
 def _band_mark(summary: FilterSummary) -> Markup:
@@ -145,7 +162,7 @@ def overview(summaries: Sequence[FilterSummary], verdict: Verdict) -> Markup:
     first = "Which is best?" if len(summaries) > 1 else "How accurate is it?"
     questions: list[Question] = [
         (Column(first, "position RMSE"), lambda s: _accuracy(s, verdict)),
-        (Column("By how much, is it sure?", _against(verdict)), lambda s: _difference(s, verdict)),
+        (Column("By how much, is it sure?", _against(verdict), RUN_BY_RUN), lambda s: _difference(s, verdict)),
         consistency_question(summaries),
         (Column("How far from the limit?", _limit_of(summaries)), _efficiency),
         (Column("What does it cost?", "median time a frame"), lambda s: _cost(s, summaries)),
@@ -174,11 +191,13 @@ def _standing(summary: FilterSummary, verdict: Verdict) -> tuple[str, Tone]:
             return "best, a tie" if tied else "best", "good"
         return "tie" if tied else "smallest" if verdict.comparisons else "", "none"
     comparison = verdict.comparisons.get(summary.filter_name)
-    return ("worse", "bad") if comparison is not None and comparison.shown else ("", "none")
+    worse = comparison is not None and comparison.difference.finding is Finding.WORSE
+    return ("worse", "bad") if worse else ("", "none")
 
 
 def _against(verdict: Verdict) -> str:
-    return f"error against {verdict.best}, 95 % interval" if verdict.best else "error against the best"
+    sure = any(c.difference.interval is not None for c in verdict.comparisons.values())
+    return f"error against {verdict.best or 'the best'} run by run{', 95 % interval' if sure else ''}"
 
 
 def _difference(summary: FilterSummary, verdict: Verdict) -> Cell | None:
@@ -200,13 +219,13 @@ def _finding(comparison: Comparison) -> tuple[str, Tone]:
     found = comparison.difference
     if comparison.tied:
         return f"tie, {found.tie_words}", "none"
-    if comparison.shown:
+    if found.finding is Finding.WORSE:
         return "worse", "bad"
     if found.finding is Finding.BETTER:
         return "better run by run", "fair"
-    if found.interval is None:
-        return f"{found.count} run{'' if found.count == 1 else 's'}, {Finding.NOT_SHOWN.value}", "none"
-    return f"too few runs to be sure ({found.count})" if found.too_few else Finding.NOT_SHOWN.value, "none"
+    if found.too_few:
+        return f"{found.count} run{' is' if found.count == 1 else 's are'} too few to show it", "none"
+    return Finding.NOT_SHOWN.value, "none"
 
 
 def _interval_mark(comparison: Comparison | None, verdict: Verdict) -> Markup:
@@ -226,7 +245,8 @@ def _interval_mark(comparison: Comparison | None, verdict: Verdict) -> Markup:
     line = ("line", {"x1": zero, "x2": zero, "y1": 0, "y2": MARK_HEIGHT, "stroke": "var(--muted)"})
     if comparison is None:
         return drawn(line)
-    colour, found = "var(--bad)" if comparison.shown else "var(--muted)", comparison.difference
+    found = comparison.difference
+    colour = "var(--bad)" if found.finding is Finding.WORSE else "var(--muted)"
     dot = ("circle", {"cx": place(found.percent), "cy": middle, "r": 3.5, "fill": colour})
     if found.interval_percent is None:
         return drawn(line, dot)
@@ -240,7 +260,9 @@ def _interval_mark(comparison: Comparison | None, verdict: Verdict) -> Markup:
 
 def _limit_of(summaries: Sequence[FilterSummary]) -> str:
     bounds = {short(s.bound_position_m, " m") for s in summaries if s.bound_position_m is not None}
-    return f"bound {next(iter(bounds))} / RMSE, 95 % interval" if len(bounds) == 1 else "bound / RMSE, 95 % interval"
+    sure = any(found is not None and found.interval is not None for found in map(limit_reached, summaries))
+    bound = f"bound {next(iter(bounds))} / RMSE" if len(bounds) == 1 else "bound / RMSE"
+    return f"{bound}, 95 % interval" if sure else bound
 
 
 def _efficiency(summary: FilterSummary) -> Cell | None:
@@ -280,7 +302,7 @@ _SAID: dict[Agreement, tuple[str, Tone]] = {
 
 def policy_overview(summaries: Sequence[FilterSummary], verdict: PolicyVerdict) -> Markup:
     """Headline, answers and a sentence for each policy."""
-    against = f"and against {verdict.baseline}, 95 % interval"
+    against = f"and run by run against {verdict.baseline}, 95 % interval"
     questions: list[Question] = [
         (
             Column("What does it claim at the end?", f"σ of the position {against}; log det of the pose"),
@@ -317,7 +339,7 @@ def _by(measure: Figure, summary: FilterSummary, verdict: PolicyVerdict) -> Cell
         return answer(shown, "", "none", key=value)
     words = [f"{signed(difference.percent)} %"]
     if difference.too_few:
-        words.append(f"{difference.count} runs are too few")
+        words.append(f"{difference.count} run{' is' if difference.count == 1 else 's are'} too few")
     else:
         words.append(difference.interval_words)
         if difference.finding is Finding.NOT_SHOWN:

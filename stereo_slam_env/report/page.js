@@ -26,6 +26,12 @@ for (const table of document.querySelectorAll("table.sortable")) {
   });
 }
 
+// ---- what is wider than the page says so
+const wide = new ResizeObserver(entries => {
+  for (const {target} of entries) target.classList.toggle("scrolls", target.scrollWidth > target.clientWidth + 1);
+});
+for (const part of document.querySelectorAll(".scroll")) wide.observe(part);
+
 addEventListener("beforeprint", () => document.querySelectorAll("details").forEach(part => { part.open = true; }));
 
 // ---- figures: where Vega is part of the page, the drawing becomes a chart when it comes into sight; colours follow the page by CSS

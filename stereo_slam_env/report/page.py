@@ -16,13 +16,13 @@ import vl_convert
 from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup, escape
 
+from filters.contract.foreign_text import without_controls
 from stereo_slam_env.files.folders import write_atomically
 from stereo_slam_env.report.charts.drawing import Chart
 from stereo_slam_env.report.charts.style import in_page_colours
 
-FIGURES = "figures"
-"""Folder of the figures, beside the page."""
-_DATA_FILES = (".json", ".csv", ".parquet", ".toml")
+FIGURES, TABLES = "figures", "tables"
+"""Folders of the figures, and of the tables as LaTeX, beside the page."""
 _KEPT_LIBRARY = Path(__file__).parent / "__pycache__" / f"vega-{version('vl-convert-python')}.js"
 
 
@@ -45,9 +45,10 @@ def html_page(*, title: str, subtitle: str, body: str) -> str:
         _templates()
         .get_template("page.html")
         .render(
-            title=title,
-            subtitle=subtitle,
-            body=Markup(body),
+            title=without_controls(title),
+            subtitle=without_controls(subtitle),
+            contents=_contents(body),
+            body=Markup(without_controls(body)),
             css=Markup(_resource("page.css")),
             library=Markup(_vega()) if 'class="chart-data"' in body else "",
             script=Markup(_resource("page.js")),
@@ -55,10 +56,23 @@ def html_page(*, title: str, subtitle: str, body: str) -> str:
     )
 
 
+_FEWEST_LISTED = 3
+_SECTION = re.compile(r'<section id="([^"]*)"[^>]*><h2>(.*?)</h2>')
+
+
+def _contents(body: str) -> Markup:
+    """Links to the sections of a page that has a few."""
+    sections = [(Markup(heading), Markup(place)) for place, heading in _SECTION.findall(body)]
+    return part("contents", sections) if len(sections) >= _FEWEST_LISTED else Markup()
+
+
 def write_page(path: Path, *, title: str, subtitle: str, parts: Sequence[Markup]) -> Path:
-    """Write a page with these parts one below the other, in a folder that is made; returns its path."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(html_page(title=title, subtitle=subtitle, body=Markup("\n").join(parts)), encoding="utf-8")
+    """Write a page, whole or not at all, with these parts one below the other, in a folder that is made.
+
+    Returns its path.
+    """
+    page = html_page(title=title, subtitle=subtitle, body=Markup("\n").join(parts))
+    write_atomically(path, lambda stream: stream.write(page.encode()))
     return path
 
 
@@ -127,17 +141,12 @@ def inline_svg(svg: str, name: str, description: str) -> Markup:
 
 
 def clean_figures(out: Path) -> Path:
-    """The folder of the figures, without those of an earlier report."""
+    """The folder of the figures, without those of an earlier report, nor its tables."""
     folder = out / FIGURES
     folder.mkdir(parents=True, exist_ok=True)
-    for stale in (*folder.glob("*.png"), *folder.glob("*.svg")):
+    for stale in (*folder.glob("*.png"), *folder.glob("*.svg"), *(out / TABLES).glob("*.tex")):
         stale.unlink()
     return folder
-
-
-def data_links(out: Path) -> Markup:
-    """A line of links to the tables and settings beside the page; empty where there are none."""
-    return part("data_links", sorted(file.name for file in out.iterdir() if file.suffix in _DATA_FILES))
 
 
 @cache
@@ -150,6 +159,7 @@ def _templates() -> Environment:
         undefined=StrictUndefined,
     )
     templates.filters["paint"] = in_page_colours
+    templates.filters["slug"] = lambda heading: "-".join(re.findall(r"\w+", heading.lower()))
     return templates
 
 

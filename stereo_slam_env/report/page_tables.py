@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
 from markupsafe import Markup
 
 from stereo_slam_env.evaluation.figures import UNKNOWN
+from stereo_slam_env.files.folders import write_atomically
+from stereo_slam_env.report.latex import latex_table
 from stereo_slam_env.report.page import part
 
 Tone = Literal["", "good", "fair", "bad", "none"]
@@ -80,6 +83,11 @@ def number(value: float | None, form: str = ".3g", unit: str = "", tone: Tone = 
     return Cell(f"{text}{unit}".replace("-", "−"), float(value), tone)
 
 
+def known(value: float) -> float | None:
+    """What sorting goes by: the value, or None where it is not known."""
+    return value if np.isfinite(value) else None
+
+
 def filter_cell(name: str, colours: Mapping[str, str], link: str = "") -> Cell:
     """Cell of a filter's name with the dot of its colour."""
     return Cell(name, name, dot=colours[name], link=link)
@@ -91,6 +99,7 @@ def table(
     *,
     wide: bool = False,
     answers: bool = False,
+    latex: Path | None = None,
 ) -> Markup:
     """Markup of a sortable table.
 
@@ -104,6 +113,8 @@ def table(
         Takes the width of the page.
     answers : bool
         The cells answer questions: in large type, with a mark beside and a note below.
+    latex : Path, optional
+        File, in a folder beside the page, that the table is written to as LaTeX, too, and that is linked below it.
 
     Raises
     ------
@@ -114,7 +125,12 @@ def table(
         if len(row) != len(columns):
             raise ValueError(f"rows must have {len(columns)} cells each, got one with {len(row)}")
     look = "answers" if answers else "wide" if wide else ""
-    return part("table", columns, [[_placed(cell) for cell in row] for row in rows], look)
+    placed = [[_placed(cell) for cell in row] for row in rows]
+    if latex is not None:
+        text = latex_table(columns, placed).encode()
+        latex.parent.mkdir(parents=True, exist_ok=True)
+        write_atomically(latex, lambda stream: stream.write(text))
+    return part("table", columns, placed, look, f"{latex.parent.name}/{latex.name}" if latex is not None else "")
 
 
 def _placed(cell: Cell | str) -> Cell:

@@ -10,6 +10,7 @@ import numpy as np
 from markupsafe import Markup
 
 from stereo_slam_env.benchmark.statistics.attribution import Attribution
+from stereo_slam_env.benchmark.statistics.differences import MIN_PAIRS
 from stereo_slam_env.benchmark.statistics.measures import PairwiseTable, compare_all
 from stereo_slam_env.benchmark.statistics.policy_verdict import Looks, judge_policies
 from stereo_slam_env.benchmark.statistics.remarks import innovation_remarks, reference_remarks
@@ -20,8 +21,9 @@ from stereo_slam_env.report import tables
 from stereo_slam_env.report.charts import accuracy, consistency, cost, policies, series
 from stereo_slam_env.report.charts.drawing import Chart
 from stereo_slam_env.report.comparison_report import attribution_section, conclusions
-from stereo_slam_env.report.overview import overview, policy_overview
-from stereo_slam_env.report.page import clean_figures, data_links, figure_block, part, write_page
+from stereo_slam_env.report.data_section import Recordings, data_section
+from stereo_slam_env.report.overview import colour_key, overview, policy_overview
+from stereo_slam_env.report.page import TABLES, clean_figures, figure_block, part, write_page
 
 MOST_SHOWN = 6
 """Of more filters than that, each is compared with the best one only, and the first ones have figures of their own."""
@@ -38,27 +40,29 @@ def write_report(
     bounds: Bounds | None = None,
     attribution: Attribution | None = None,
     looks: Looks | None = None,
+    recordings: Recordings | None = None,
 ) -> Path:
-    """Write `out/report.html`, and each of its figures as `out/figures/<name>.png` and `.svg`; returns the page.
+    """Write `out/report.html`, figures as `out/figures/<name>.png` and `.svg`, tables as `out/tables/<name>.tex`.
 
-    The page needs nothing but itself. `summaries` and `figures` are those of `runs`; `settings` is what was asked for
-    (scenario, noise, gate, seeds, versions), JSON-able, perhaps nested; `attribution` is of the options that the
-    filters differ in. With `looks` policies are compared: the page then first says what they claim and what is true. A
-    `ValueError` says that there are no runs.
+    Returns the page, which needs nothing but itself. `summaries` and `figures` are those of `runs`; `settings` is what
+    was asked for (scenario, noise, gate, seeds, versions), JSON-able, perhaps nested; `attribution` is of the options
+    that the filters differ in; `recordings` are linked. With `looks` policies are compared: the page then first says
+    what they claim and what is true. A `ValueError` says that there are no runs.
     """
     if not runs or not summaries:
         raise ValueError("runs and summaries must not be empty: there is nothing to report")
     folder = clean_figures(out)
     if looks is None:
         verdict = judge(summaries, figures)
-        first_screen, pairs = overview(summaries, verdict), _pairs(summaries, figures, verdict)
+        first_screen, pairs = overview(summaries, verdict), _pairs(summaries, figures, verdict, out)
     else:
         found = judge_policies(summaries, figures, baseline=looks.baseline)
-        first_screen, pairs = policy_overview(summaries, found), _against(found.compared, found.baseline, "Policy")
+        first_screen, pairs = policy_overview(summaries, found), _against(found.compared, found.baseline, "Policy", out)
     body = [
         reference_banner(runs),
         *([conclusions(attribution)] if attribution is not None else []),
         first_screen,
+        colour_key([summary.filter_name for summary in summaries]),
         *(part("paragraph", remark, "banner") for remark in innovation_remarks(summaries)),
         part("paragraph", _note(summaries, looks)),
         part("items", [remark for s in summaries for remark in s.remarks], "failures fair"),
@@ -67,7 +71,7 @@ def write_report(
         pairs,
         _failures(summaries),
         part("section", "Settings", "", [part("settings", settings)]),
-        data_links(out),
+        data_section(out, recordings),
     ]
     return write_page(out / "report.html", title=title, subtitle=_subtitle(runs, looks), parts=body)
 
@@ -85,10 +89,12 @@ def reference_banner(runs: Sequence[FilterRun]) -> Markup:
 def _note(summaries: Sequence[FilterSummary], looks: Looks | None) -> str:
     note = "Click a heading to sort by it."
     if looks is None and any(s.frames_in_band_percent is not None for s in summaries):
-        note += (
-            " NEES is correlated in time, so the share of the frames inside the band is a rough measure: consistent"
-            " filters have some 88 to 99 % of them, and within that it ranks nothing."
-        )
+        note += " NEES is correlated in time, so the share of the frames inside the band is a rough measure"
+        runs = max((s.consistency["pose"].runs for s in summaries if "pose" in s.consistency), default=0)
+        if runs >= MIN_PAIRS:
+            note += ": consistent filters have some 88 to 99 % of them, and within that it ranks nothing."
+        else:
+            note += f", and of {'one run' if runs == 1 else f'{runs} runs'} it tells nothing."
     return note
 
 
@@ -97,6 +103,8 @@ def _subtitle(runs: Sequence[FilterRun], looks: Looks | None) -> str:
     first = series.first_recording(runs)[0]
     length = series.last_known(series.distance(first))
     who = len(series.by_filter(runs))
+    frames = sorted({len(run) for run in runs})
+    each = f"{frames[0]}" if len(frames) == 1 else f"{frames[0]} to {frames[-1]}"
     parts = [
         f"{who} policies on identical drives"
         if looks is not None
@@ -104,7 +112,8 @@ def _subtitle(runs: Sequence[FilterRun], looks: Looks | None) -> str:
         if who > 1
         else "1 filter",
         f"{len(recordings)} recordings" if len(recordings) > 1 else f"1 recording ({first.recording_name})",
-        f"{len(first)} frames" + (f" over {length:.0f} m" if np.isfinite(length) else ""),
+        f"{each} frames{' each' if len(recordings) > 1 else ''}"
+        + (f", {'the first ' if len(recordings) > 1 else ''}over {length:.3g} m" if np.isfinite(length) else ""),
     ]
     return " · ".join(parts)
 
@@ -124,14 +133,21 @@ def _sections(
     def draw(name: str, caption: str, plot: Callable[..., Chart], *arguments: Any) -> Markup:
         return figure_block(plot(*arguments), name, caption, folder)
 
+    def latex(name: str) -> Path:
+        return folder.parent / TABLES / f"{name}.tex"
+
     if looks is not None:
         yield part("section", "Where policies look, and what that is worth", "", [*_gaze(runs, looks, shown, draw)])
     if with_truth:
-        table = tables.figures_table(summaries, ["accuracy"], who)
+        table = tables.figures_table(summaries, ["accuracy"], who, latex("accuracy"))
         yield part("section", "Accuracy", "", [table, *_accuracy(runs, summaries, shown, draw)])
     else:
         drawn = draw("trajectory", f"Path on {shown}.", accuracy.plot_trajectory, runs)
-        yield part("section", "Trajectory", "There is no ground truth to hold it against.", [drawn])
+        known = any(np.isfinite(run.true_positions).all(axis=1).any() for run in runs)
+        none = (
+            "No filter came to a frame with ground truth." if known else "There is no ground truth to hold it against."
+        )
+        yield part("section", "Trajectory", none, [drawn])
     if limits := [*_limits(runs, summaries, bounds, draw)]:
         guide = (
             "The posterior Cramér–Rao bound along the true trajectory: on average over such drives and noise, no"
@@ -140,7 +156,7 @@ def _sections(
         )
         yield part("section", "Distance from the limit", guide, limits)
     guide = "Above the band a filter is overconfident, below it too cautious."
-    table = tables.consistency_table(summaries, who)
+    table = tables.consistency_table(summaries, who, latex("consistency"))
     yield part("section", "Consistency", guide, [table, *_consistency(runs, summaries, with_nees, draw)])
     if with_nees:
         limit = consistency.error_limits(first)
@@ -157,7 +173,7 @@ def _sections(
     caption = f"Velocity in the world and heading on {shown}."
     yield part("section", "Velocity and heading", "", [draw("velocity", caption, accuracy.plot_velocity, runs)])
     guide = "Compare filters within a report, not across machines."
-    table = tables.figures_table(summaries, ["cost", "events"], who)
+    table = tables.figures_table(summaries, ["cost", "events"], who, latex("cost"))
     yield part("section", "Cost and events", guide, [table, *_cost(runs, summaries, draw)])
 
 
@@ -241,23 +257,24 @@ def _cost(
     yield draw("time_per_frame", caption, cost.plot_time_per_frame, runs)
 
 
-def _pairs(summaries: Sequence[FilterSummary], figures: Figures, verdict: Verdict) -> Markup:
+def _pairs(summaries: Sequence[FilterSummary], figures: Figures, verdict: Verdict, out: Path) -> Markup:
     """Each filter against each other one; of many filters, each against the best one."""
     if len(summaries) < 2:
         return Markup()
     baseline = verdict.best if len(summaries) > MOST_SHOWN else None
-    return _against(compare_all(summaries, figures, baseline=baseline), baseline, "Filter")
+    return _against(compare_all(summaries, figures, baseline=baseline), baseline, "Filter", out)
 
 
-def _against(compared: PairwiseTable, baseline: str | None, who: str) -> Markup:
+def _against(compared: PairwiseTable, baseline: str | None, who: str, out: Path) -> Markup:
     if not compared.cells:
         return Markup()
     guide = (
-        f"The first {who.lower()} by the second one, on the same recordings: difference in %, and its 95 % interval, "
-        "corrected for the number of pairs. A colour means that interval and signed-rank test both show the difference."
+        f"The first {who.lower()} by the second one, run by run on the same recordings: the geometric mean of the"
+        " ratios, as a difference in %, and its 95 % interval, corrected for the number of pairs, where there are"
+        " enough runs. A colour means that interval and signed-rank test both show the difference."
     )
     heading = f"Each against {baseline}" if baseline else "Each against each"
-    return part("section", heading, guide, [tables.pair_table(compared, who)])
+    return part("section", heading, guide, [tables.pair_table(compared, who, out / TABLES / "pairs.tex")])
 
 
 def _failures(summaries: Sequence[FilterSummary]) -> Markup:

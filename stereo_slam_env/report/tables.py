@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 from markupsafe import Markup
@@ -13,17 +14,19 @@ from stereo_slam_env.benchmark.statistics.remarks import limit_reached
 from stereo_slam_env.evaluation.figures import FIGURES, Figure, Group
 from stereo_slam_env.evaluation.results import FilterSummary
 from stereo_slam_env.report.charts.style import filter_colours
-from stereo_slam_env.report.page_tables import Cell, Column, Tone, filter_cell, number, table
+from stereo_slam_env.report.page_tables import Cell, Column, Tone, filter_cell, known, number, table
 
 
-def figures_table(summaries: Sequence[FilterSummary], groups: Sequence[Group], who: str = "Filter") -> Markup:
-    """Figures of these groups; a row is called `who`."""
+def figures_table(
+    summaries: Sequence[FilterSummary], groups: Sequence[Group], who: str = "Filter", latex: Path | None = None
+) -> Markup:
+    """Figures of these groups; a row is called `who`; `latex` as of `table`."""
     figures = _shown(summaries, groups)
     cells = [[figure_cell(figure, s) for figure in figures] for s in summaries]
-    return _rows(summaries, who, [figure_column(figure) for figure in figures], cells)
+    return _rows(summaries, who, [figure_column(figure) for figure in figures], cells, latex)
 
 
-def consistency_table(summaries: Sequence[FilterSummary], who: str = "Filter") -> Markup:
+def consistency_table(summaries: Sequence[FilterSummary], who: str = "Filter", latex: Path | None = None) -> Markup:
     """Mean NEES and NIS in their bands, and the share of the frames inside theirs; "" where nothing is known."""
     figures = _shown(summaries, ("consistency",))
     if not figures:
@@ -44,14 +47,14 @@ def consistency_table(summaries: Sequence[FilterSummary], who: str = "Filter") -
                 Column("inside", "% frames", f"{figure.heading}: mean over runs inside the band of its frame")
             )
             cells.append([number(f.inside_percent if f else None, ".0f") for f in found])
-    return _rows(summaries, who, columns, list(zip(*cells, strict=True)))
+    return _rows(summaries, who, columns, list(zip(*cells, strict=True)), latex)
 
 
-def pair_table(compared: PairwiseTable, who: str = "Filter") -> Markup:
+def pair_table(compared: PairwiseTable, who: str = "Filter", latex: Path | None = None) -> Markup:
     """A row for each pair of filters, a column for each question."""
     columns = [Column(who, kind="text"), Column("against", kind="text")]
     for measure in compared.measures:
-        unit = "nearness to 1" if measure.ideal is not None else "%" if measure.is_ratio else "difference"
+        unit = "nearness to 1" if measure.ideal is not None else "run by run, %" if measure.is_ratio else "difference"
         columns.append(Column(capital(measure.label), unit))
     colours = filter_colours(compared.filters)
     pairs = list(dict.fromkeys((a, b) for _, a, b in compared.cells))
@@ -62,7 +65,7 @@ def pair_table(compared: PairwiseTable, who: str = "Filter") -> Markup:
             continue
         found = (pair_cell(measure, compared.cell(measure, a, b)) for measure in compared.measures)
         rows.append([filter_cell(a, colours), filter_cell(b, colours), *found])
-    return table(columns, rows, wide=True)
+    return table(columns, rows, wide=True, latex=latex)
 
 
 FINDING_TONES: dict[Finding, Tone] = {Finding.BETTER: "good", Finding.WORSE: "bad", Finding.NOT_SHOWN: "none"}
@@ -118,7 +121,7 @@ def figure_cell(figure: Figure, summary: FilterSummary, tone: Tone = "") -> Cell
         return number(None) if found is None else Cell(found.words, found.percent)
     if figure.per_runs:
         return Cell(f"{value}/{summary.runs}", value, "bad" if value else "")
-    return number(figure.shown(value), f".{figure.digits}f", tone=tone)
+    return Cell(figure.text(value).replace("-", "−"), known(figure.shown(value)), tone)
 
 
 def _column(figure: Figure, unit: str) -> Column:
@@ -137,9 +140,13 @@ def _shown(summaries: Sequence[FilterSummary], groups: Sequence[Group]) -> list[
 
 
 def _rows(
-    summaries: Sequence[FilterSummary], who: str, columns: Sequence[Column], cells: Sequence[Sequence[Cell]]
+    summaries: Sequence[FilterSummary],
+    who: str,
+    columns: Sequence[Column],
+    cells: Sequence[Sequence[Cell]],
+    latex: Path | None,
 ) -> Markup:
     """Markup of a table with a row a filter."""
     colours = filter_colours(s.filter_name for s in summaries)
     rows = [[filter_cell(s.filter_name, colours), *row] for s, row in zip(summaries, cells, strict=True)]
-    return table([Column(who, kind="text"), *columns], rows, wide=True)
+    return table([Column(who, kind="text"), *columns], rows, wide=True, latex=latex)

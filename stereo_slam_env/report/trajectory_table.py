@@ -1,4 +1,4 @@
-"""Scores of trajectories as a table of the console, a column an estimate."""
+"""Scores of trajectories in words and as rows of a table, a column an estimate; on the console."""
 
 from __future__ import annotations
 
@@ -23,19 +23,32 @@ def show_trajectory_scores(console: Console, scores: Sequence[TrajectoryScore]) 
     table.add_column(f"against {escape(scores[0].reference)}", no_wrap=True)
     for score in scores:
         table.add_column(escape(score.estimate), justify="right")
-    for title, text in [*_ERRORS, *_CLAIMS, *_windows(scores)]:
-        cells = [text(score) for score in scores]
-        if set(cells) != {UNKNOWN}:
-            table.add_row(title, *cells)
+    for title, cells in score_rows(scores):
+        table.add_row(title, *cells)
     console.print(table, highlight=False)
-    for score in scores:
-        if score.unusable:
-            console.print(
-                f"[yellow]note[/yellow]: {escape(score.estimate)} has {score.unusable} covariances that are not "
-                "positive definite: they are not scored",
-                highlight=False,
-                soft_wrap=True,
-            )
+    for note in filter(None, map(unusable_note, scores)):
+        console.print(f"[yellow]note[/yellow]: {escape(note)}", highlight=False, soft_wrap=True)
+
+
+def score_rows(scores: Sequence[TrajectoryScore]) -> list[tuple[str, list[str]]]:
+    """Title and one cell an estimate of each row; rows that none of them has are left out."""
+    rows = [(title, [text(score) for score in scores]) for title, text in [*_ERRORS, *_CLAIMS, *_windows(scores)]]
+    return [(title, cells) for title, cells in rows if set(cells) != {UNKNOWN}]
+
+
+def headline(score: TrajectoryScore) -> str:
+    """The verdict on one estimate, in a sentence."""
+    error = FIGURES["position_rmse_m"].text(score.position_rmse_m)
+    claim = score.claims.get("pose")
+    said = "it claims no covariance" if claim is None else f"its covariance is {claim.verdict}"
+    return f"{score.estimate}: position error {error} m RMS over {score.path_m:.0f} m; {said}."
+
+
+def unusable_note(score: TrajectoryScore) -> str:
+    """How many covariances of an estimate are none; empty where all are usable."""
+    if not score.unusable:
+        return ""
+    return f"{score.estimate} has {score.unusable} covariances that are not positive definite: what it claims is none"
 
 
 def _frames(score: TrajectoryScore) -> str:

@@ -1,5 +1,5 @@
 """Whole tasks with an id: an environment, a filter in the loop, and a reward; levels of difficulty, a curriculum."""
 
-import lazy_loader
+from filters.extras import public_names
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__getattr__, __dir__, __all__ = public_names(__name__, __file__)

@@ -14,9 +14,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from filters.contract.foreign_text import first_line
 from filters.extras import require_module
 from filters.validation import FloatArray, positive, probability, whole_number
 from stereo_slam_env.files.folders import claimed_folder, write_atomically
+from stereo_slam_env.files.opening import open_regular
+from stereo_slam_env.files.readers import read_json, read_text
 from stereo_slam_env.policies.network import Network
 from stereo_slam_env.training.task import Evaluation, GazeTask, evaluate
 
@@ -116,8 +119,13 @@ class LearningCurve:
         self._file = file
         self.rows: list[dict[str, float]] = []
         if file.exists():
-            with file.open(encoding="utf-8", newline="") as stream:
-                self.rows = [{name: float(value) for name, value in row.items()} for row in csv.DictReader(stream)]
+            try:
+                rows = csv.DictReader(read_text(file).splitlines())
+                self.rows = [{name: float(value) for name, value in row.items()} for row in rows]
+            except (TypeError, ValueError, csv.Error) as error:
+                raise ValueError(
+                    f"{file} is no learning curve ({first_line(error)}): give another directory"
+                ) from error
 
     @property
     def seconds(self) -> float:
@@ -215,7 +223,7 @@ def _claim(out: Path, task: GazeTask, settings: PPOSettings) -> None:
     about = json.loads(json.dumps({"task": asdict(task), "settings": asdict(settings)}))
     file = out / "run.json"
     if file.exists():
-        there = json.loads(file.read_text(encoding="utf-8"))
+        there = read_json(file)
         for part in ("task", "settings"):
             for key, value in about[part].items():
                 if key not in ("decisions", "threads") and there.get(part, {}).get(key) != value:
@@ -313,7 +321,13 @@ def _save_state(file: Path, model: PPO, scaling: VecNormalize) -> None:
 def _load_state(file: Path, model: PPO, scaling: VecNormalize) -> None:
     import torch
 
-    state = torch.load(file, weights_only=True)
+    with open_regular(file) as stream:
+        try:
+            state = torch.load(stream, weights_only=True)
+        except Exception as error:  # of PyTorch, pickle or zip, as the damage is
+            raise ValueError(
+                f"{file} is no state of a training ({first_line(error)}): give another directory"
+            ) from error
     model.policy.load_state_dict(state["policy"])
     model.policy.optimizer.load_state_dict(state["optimizer"])
     model.num_timesteps = state["decisions"]

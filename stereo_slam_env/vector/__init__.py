@@ -1,5 +1,6 @@
 """Many environments at once: scenes, cars, sensors and filters in arrays, stepped by compiled kernels."""
 
-import lazy_loader
+from filters.extras import public_names, require_core
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+require_core("numba")
+__getattr__, __dir__, __all__ = public_names(__name__, __file__)

@@ -1,4 +1,7 @@
-"""Stills and films of a drive: the map around the car, the path, the left view, consistency, in one picture."""
+"""Stills and films of a drive: the map around the car, the path, the left view, consistency, in one picture.
+
+Needs the extra pictures (Matplotlib).
+"""
 
 from __future__ import annotations
 
@@ -7,15 +10,9 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.collections import EllipseCollection
-from matplotlib.figure import Figure
-from matplotlib.patches import Polygon
-from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter
 
+from filters.extras import require_module
 from filters.geometry import rotations
 from filters.validation import FloatArray
 from stereo_slam_env.evaluation.consistency import mean_band
@@ -28,11 +25,23 @@ from stereo_slam_env.viewer.drive import Drive
 from stereo_slam_env.viewer.ellipsoids import SIGMAS, ellipsoids
 from stereo_slam_env.viewer.video import Recorder
 
+require_module("matplotlib", "pictures")
+
+import matplotlib as mpl  # noqa: E402
+from matplotlib.axes import Axes  # noqa: E402
+from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: E402
+from matplotlib.collections import EllipseCollection  # noqa: E402
+from matplotlib.figure import Figure  # noqa: E402
+from matplotlib.patches import Polygon  # noqa: E402
+from matplotlib.ticker import LogLocator, NullLocator, StrMethodFormatter  # noqa: E402
+
 SIZE_INCHES, FILM_DPI = (12.8, 7.2), 100
 MOST_PICTURES = 400
 """Longer drives leave out pictures of their film evenly."""
-_AROUND = (-32.0, 32.0), (-12.0, 52.0)
-"""Limits of the close view, m: to the sides, and ahead."""
+_AROUND = (-0.615, 0.615), (-0.23, 1.0)
+"""Limits of the close view by its reach ahead: to the sides, and ahead."""
+_SEEN = 0.8
+"""Share of the measured points that the reach takes in: a few far ones would make all else small."""
 _PLACES = (
     (0.05, 0.075, 0.49, 0.82),
     (0.595, 0.61, 0.385, 0.285),
@@ -167,13 +176,14 @@ class DrivePicture:
         self._time = np.array([moment.time for moment in history]) - history[0].time
         nowhere = np.full(3, np.nan)
         self._truth = np.array([nowhere if m.truth is None else m.truth.position for m in history])
+        self._reach = _reach(drive, history)
         self.figure = Figure(figsize=SIZE_INCHES, dpi=FILM_DPI, facecolor="white")
         self._panels = [self.figure.add_axes(place) for place in _PLACES]
 
     def at(self, frame: int) -> Figure:
         """The figure at a frame of the history."""
         moment = self._history[frame]
-        error = "" if moment.truth is None else f"   position error {moment.position_error:.2f} m"
+        error = "" if moment.truth is None else f"   position error {moment.position_error:.3g} m"
         title = f"{self._drive.title}   t = {self._time[frame]:.1f} s{error}"
         self.figure.suptitle(title, x=0.05, y=0.975, ha="left", fontsize=11, fontweight="bold")
         for panel in self._panels:
@@ -193,7 +203,7 @@ class DrivePicture:
             ax.plot(whole[:, across], whole[:, up], color=INK, alpha=0.18, linewidth=5)
         ax.plot(self._estimate[: frame + 1, across], self._estimate[: frame + 1, up], color=self._colour, linewidth=1.6)
         ax.plot(self._estimate[frame, across], self._estimate[frame, up], "o", color=self._colour, markersize=5)
-        margin = 0.06 * float(np.ptp(whole[:, [across, up]], axis=0).max()) + 0.5
+        margin = 0.06 * (float(np.ptp(whole[:, [across, up]], axis=0).max()) or self._reach)
         low, high = whole.min(axis=0) - margin, whole.max(axis=0) + margin
         ax.set(xlim=(low[across], high[across]), ylim=(low[up], high[up]))
         ax.set_aspect("equal", adjustable="box", anchor="NW")
@@ -202,7 +212,7 @@ class DrivePicture:
         ax.set_title("Path, truth in grey (m)" if known.any() else "Path (m)")
 
     def _draw_strip(self, ax: Axes, frame: int) -> None:
-        """NEES where there is an independent truth, else NIS, which needs none."""
+        """NEES where there is a truth, else NIS, which needs none."""
         values = np.array([moment.nees for moment in self._history]) / _POSE_DOF
         if np.isfinite(values).any():
             title = "Pose NEES / 6: 1 is ideal, 95 % of a consistent filter's in the band"
@@ -210,7 +220,7 @@ class DrivePicture:
         else:
             reports = [moment.report for moment in self._history]
             values = np.array([r.nis / r.nis_dof if r.nis_dof else np.nan for r in reports])
-            title = "NIS / degrees of freedom: 1 is ideal (no NEES without an independent truth)"
+            title = "NIS / degrees of freedom: 1 is ideal (no NEES without a truth)"
         values[0] = np.nan  # at the start nothing has been estimated
         seen = values[np.isfinite(values) & (values > 0)]
         ax.axhline(1.0, color=MUTED, linewidth=0.8, linestyle=(0, (4, 3)), zorder=1)
@@ -249,11 +259,13 @@ class DrivePicture:
                 x, y = places[chosen].T
                 ax.plot(x, y, "o", color=self._colour, alpha=strength, markersize=3, label=f"landmark {words}")
         camera = self._drive.camera
-        sides = -60.0 * np.array([camera.cx, camera.cx - camera.width + 1]) / camera.fx
-        ax.add_patch(Polygon([(0, 0), (sides[0], 60.0), (sides[1], 60.0)], color=self._colour, alpha=0.06, zorder=0))
+        far = 1.2 * self._reach
+        sides = -far * np.array([camera.cx, camera.cx - camera.width + 1]) / camera.fx
+        ax.add_patch(Polygon([(0, 0), (sides[0], far), (sides[1], far)], color=self._colour, alpha=0.06, zorder=0))
         _ellipses(ax, np.zeros((1, 2)), turn.T @ moment.pose.covariance[None, :3, :3] @ turn, INK, 0.8)
         ax.plot(0, 0, "^", color=self._colour, markersize=9, markeredgecolor="white")
-        ax.set(xlim=_AROUND[0], ylim=_AROUND[1], xlabel="to the right (m)", ylabel="ahead (m)")
+        limits = self._reach * np.array(_AROUND)
+        ax.set(xlim=limits[0], ylim=limits[1], xlabel="to the right (m)", ylabel="ahead (m)")
         ax.set_aspect("equal", adjustable="box", anchor="NW")
         ax.set_title(f"Around the car, from above: landmarks at {SIGMAS:g} sigma")
         if ax.get_legend_handles_labels()[1]:
@@ -267,6 +279,14 @@ class DrivePicture:
         ax.set_facecolor("#1c2026")
         ax.scatter(uvd[:, 0], uvd[:, 1], s=14, c=disparity_colors(uvd[:, 2]) / 255.0, linewidths=0)
         ax.set_title(f"Measured in the left view: {len(uvd)} landmarks, red near, blue far")
+
+
+def _reach(drive: Drive, history: Sequence[Moment]) -> float:
+    """How far ahead the close view goes, m: as far as most measured points are, the same in all pictures of a drive."""
+    disparities = np.concatenate([moment.observation.uvd[:, 2] for moment in history])
+    near = np.quantile(disparities, 1.0 - _SEEN) if len(disparities) else 0.0
+    camera = drive.camera
+    return camera.fx * camera.baseline / float(max(near, 1.0))
 
 
 def _ellipses(ax: Axes, places: FloatArray, covariances: FloatArray, colour: str, alpha: float) -> None:

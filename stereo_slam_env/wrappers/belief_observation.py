@@ -14,6 +14,7 @@ from gymnasium import spaces
 from filters.catalogue.registry import make_filter
 from filters.consistency import nees
 from filters.contract.beliefs import PoseBelief
+from filters.contract.foreign_text import first_line, type_name
 from filters.contract.noise import StereoNoise
 from filters.contract.start import Start
 from filters.contract.stereo_filter import StereoFilter
@@ -238,10 +239,8 @@ class BeliefObservation(RecordedWrapper):
             if last:  # to read the map takes as long as to update it
                 self._belief = Belief.of(self.slam, report)
         except Exception as error:  # a third-party filter may raise anything; the episode cannot go on without it
-            text = (str(error).strip() or "no message").splitlines()[0]
-            raise RuntimeError(
-                f"filter {self._filter_name!r} failed in frame {self._number}: {type(error).__name__}: {text}"
-            ) from error
+            what = f"{type_name(error)}: {first_line(error, empty='no message')}"
+            raise RuntimeError(f"filter {self._filter_name!r} failed in frame {self._number}: {what}") from error
 
     def _with_nis(self, info: dict[str, Any]) -> dict[str, Any]:
         report = self.report

@@ -11,6 +11,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
+from stereo_slam_env.envs.recorder import RenderedDrive
 from stereo_slam_env.evaluation.run_figures import figures_of, summarise_all
 
 pytestmark = pytest.mark.slow
@@ -164,3 +165,19 @@ def test_a_leak_and_a_slow_down_would_be_seen() -> None:
     for value in (1.0, float("nan"), 2.0):
         log.note(anything=value)
     assert np.isnan(log.worst["anything"])
+
+
+def test_the_same_corners_are_compared_with_every_blur() -> None:
+    """16 frames of a small image; the benchmark has 8 drives of 60 frames of a large one."""
+    image_blur = script("image_blur")
+    drive = RenderedDrive({"route": "straight", "rig": "qvga"}, seed=0, frames=16)
+    blocks = list(image_blur.displacements(drive.camera, drive.pairs(), drive.front_end, [0.0, 1.0]))
+    assert len(blocks) == 2
+    for without, matched in blocks:
+        assert without.shape == matched.shape
+        assert len(without) > 0
+        assert 0.0 < np.abs(matched - without).max() < 2 * image_blur.OUTLIER
+    mean, error, _ = image_blur.summary([matched for _, matched in blocks])
+    everything = np.concatenate([matched for _, matched in blocks])
+    np.testing.assert_allclose(mean, 1e3 * everything.mean(axis=0) / image_blur.LATER)
+    assert np.all(error > 0.0)

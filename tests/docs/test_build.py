@@ -1,5 +1,6 @@
 """The manual is built without a warning, and its pages need nothing but each other (about 15 s)."""
 
+import importlib
 import os
 import re
 import shutil
@@ -18,6 +19,7 @@ ENVIRONMENTS = ("drive", "gaze", "drive_gaze")
 
 pytest.importorskip("mkdocs", reason="needs the extra docs")
 pytest.importorskip("material", reason="needs the extra docs")
+pytest.importorskip("mkdocstrings", reason="needs the extra docs")
 
 
 @pytest.fixture(scope="module")
@@ -54,6 +56,17 @@ def test_the_pages_of_the_environments_have_their_tables(site):
         for heading in ("Action Space", "Observation Space", "Rewards", "Arguments"):
             assert f">{heading}<" in text, (name, heading)
         assert text.count("<table>") >= 3
+
+
+@pytest.mark.parametrize("package", ["filters", "stereo_slam_env", "stereo_slam_env.wrappers"])
+def test_the_reference_has_every_public_name_with_what_it_says(site, package):
+    text = (site / "api" / f"{package}.html").read_text(encoding="utf-8")
+    module = importlib.import_module(package)
+    listed = [name for name in module.__all__ if not name.startswith("_")]
+    assert [name for name in listed if not re.search(rf'id="{package}\.[\w.]*\b{name}"', text)] == []
+    plain = " ".join(re.sub(r"<[^>]*>", "", text).split())
+    said = {name: re.match(r"[\w ,-]*", getattr(module, name).__doc__)[0].strip() for name in listed}
+    assert [name for name, words in said.items() if words not in plain] == []
 
 
 def test_links_to_code_lead_to_pages_with_that_code(site):

@@ -85,7 +85,7 @@ def given_statistics():
     choices |= {"inverse-depth": ("inverse-depth", {}), "euclidean": ("euclidean", {"min_disparity": 5.0})}
     runs = [
         run_filter(long_drive(seed, frames=50, landmarks=20), name, options, label=label, seed=seed)
-        for seed in range(8)
+        for seed in range(10)
         for label, (name, options) in choices.items()
     ]
     for which in ("before", "after"):
@@ -208,7 +208,7 @@ def shows_statistics(names, printed):
     assert names["verdict"].best in names["verdict"].headline
     assert "consistent" in names["verdict"].answers
     difference = names["table"].cells["position_rmse_m", "euclidean", "inverse-depth"]
-    assert difference.count == 8
+    assert difference.count == 10
     low, high = difference.interval_percent
     assert low < difference.percent < high
     assert "measurement: 'left' instead of 'joint' makes it" in names["attribution"].conclusion

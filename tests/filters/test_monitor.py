@@ -160,3 +160,62 @@ def test_impossible_arguments_are_named():
     with pytest.raises(ValueError, match="dt"):
         monitor.look(-0.1, report())
     assert monitor.time == 0.0
+
+
+# --- the numbers of the manual: thresholds of an alarm ---
+
+
+def looks_until_an_alarm(monitor, one, pose=POSE, most=500):
+    return next(k for k in range(1, most) if monitor.look(DT, one, pose) is not None)
+
+
+@pytest.mark.parametrize(("threshold", "inflation"), [(None, None), (20.0, 2.0), (5.0, 2.0), (20.0, 1.5)])
+def test_innovations_are_told_when_their_likelihood_ratio_reaches_the_threshold(threshold, inflation):
+    """NIS of twice its degrees of freedom n: n (2 (1 - 1 / inflation) - ln inflation) / 2 nats a frame (Page, 1954)."""
+    options = {} if threshold is None else {"threshold": threshold, "inflation": inflation}
+    threshold, inflation = threshold or 20.0, inflation or 2.0
+    dof = 6
+    a_frame = 0.5 * (2.0 * dof * (1.0 - 1.0 / inflation) - dof * np.log(inflation))
+    found = looks_until_an_alarm(DivergenceMonitor(**options), report(used=dof // 3, nis=2.0 * dof))
+    assert found == int(np.ceil(threshold / a_frame))
+
+
+@pytest.mark.parametrize(("used", "refused"), [(2, 6), (0, 3), (1, 5)])
+def test_refusals_are_told_when_nine_in_ten_is_by_20_nats_likelier_than_half(used, refused):
+    a_frame = refused * np.log(0.9 / 0.5) + used * np.log(0.1 / 0.5)
+    one = report(used, refused, nis=0.0)
+    assert looks_until_an_alarm(DivergenceMonitor(), one) == int(np.ceil(20.0 / a_frame))
+
+
+@pytest.mark.parametrize(("longest", "frames"), [(None, 11), (0.45, 5)])
+def test_the_dark_may_last_a_second_unless_told_otherwise(longest, frames):
+    monitor = DivergenceMonitor() if longest is None else DivergenceMonitor(longest_blind=longest)
+    look(monitor, [report()])
+    assert looks_until_an_alarm(monitor, UpdateReport(), None) == frames
+
+
+@pytest.mark.parametrize("axis", [3, 4, 5])
+@pytest.mark.parametrize(("sigma", "told"), [(0.499, False), (0.501, True)])
+def test_half_a_radian_is_the_most_that_an_orientation_may_be_unknown(axis, sigma, told):
+    variances = [4.0, 4.0, 4.0, 1e-4, 1e-4, 1e-4]
+    variances[axis] = sigma**2
+    assert bool(look(DivergenceMonitor(), [report()], with_covariance(*variances))) is told
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize(("sigma", "told"), [(0.249, False), (0.251, True)])
+def test_a_quarter_of_a_metre_is_the_most_that_the_position_may_fade_in_the_dark(axis, sigma, told):
+    variances = np.full(6, 1e-6)
+    variances[:3] = 0.0
+    monitor = DivergenceMonitor()
+    look(monitor, [report()], with_covariance(*(variances + 1e-12)))
+    variances[axis] = sigma**2
+    variances[:3] += 1e-12
+    assert bool(look(monitor, [UpdateReport()] * 20, with_covariance(*variances))) is told
+
+
+def test_landmarks_behind_the_camera_and_without_a_factor_are_refused_ones_too():
+    ids = np.arange(20)
+    for name in ("gated", "behind_camera", "failed"):
+        one = UpdateReport(updated=ids[:1], **{name: ids[1:]}, nis=3.0, nis_dof=3)
+        assert looks_until_an_alarm(DivergenceMonitor(), one) <= 3

@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from rich.table import Table
 
 from stereo_slam_env.benchmark.campaign import as_study
 from stereo_slam_env.benchmark.recordings.reference_problem import short_turn
@@ -17,6 +18,7 @@ from stereo_slam_env.benchmark.scenarios.study import MOST_TRIALS, Study, load_s
 from stereo_slam_env.benchmark.storage.run_archive import load_run, packed_run
 from stereo_slam_env.benchmark.storage.store import open_study, read_study
 from stereo_slam_env.cli.app import main
+from stereo_slam_env.cli.parts import console
 from stereo_slam_env.evaluation.filter_run import run_filter
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -29,11 +31,12 @@ FORBIDDEN_MODULES = {"pickle", "cPickle", "dill", "cloudpickle", "shelve", "mars
 MAY_IMPORT = {
     # Work and answers between a process and the children of its own server.
     "stereo_slam_env/benchmark/running/isolation.py": {"pickle", "cloudpickle"},
+    "stereo_slam_env/benchmark/running/process_server.py": {"pickle", "cloudpickle"},
 }
 FORBIDDEN_CALLS = {"eval", "exec", "__import__", "os.system", "os.popen", "joblib.load", "pd.read_pickle", "np.load"}
 FORBIDDEN_ARGUMENTS = {"shell": True, "allow_pickle": True, "weights_only": False}
 LOADS_MODULES = {  # by name; and where that name comes from
-    "stereo_slam_env/benchmark/running/isolation.py": "a table in the module",
+    "stereo_slam_env/benchmark/running/process_server.py": "a table in the module",
     "stereo_slam_env/evaluation/results.py": "a literal",
     "stereo_slam_env/benchmark/recordings/sources.py": "kind 'factory', which load_study refuses without consent",
     "stereo_slam_env/rendering/gl_resources.py": "a literal",
@@ -191,6 +194,17 @@ def test_control_characters_of_a_file_do_not_reach_the_terminal(tmp_path, capsys
     (tmp_path / "odd.toml").write_text('name = "odd"\nkind = "\\u001b]0;owned\\u0007"\n')
     assert main(["bench", "--scenario", str(tmp_path / "odd.toml")]) == 2
     assert "\x1b" not in capsys.readouterr().err
+
+
+def test_nor_do_those_of_a_name_that_is_shown(capsys):
+    shown = console()
+    table = Table("a\x1b[2Jb")
+    table.add_row("c\x1b]0;owned\x07d")
+    shown.print("e\x9b31mf", table, "[bold]g[/bold]")
+    out = capsys.readouterr().out
+    assert not set(out) & set("\x1b\x07\x9b")
+    assert "a\\x1b[2Jb" in out
+    assert "c\\x1b]0;owned\\x07d" in out
 
 
 # --- results ---------------------------------------------------------------------------------------------------------

@@ -69,7 +69,7 @@ def test_the_error_of_a_moment_is_that_of_the_filter_and_needs_an_independent_tr
         error, covariance = moment.slam.pose_error(moment.truth.position, moment.truth.orientation)
         assert moment.nees == pytest.approx(error @ np.linalg.solve(covariance, error), rel=1e-9)
         assert moment.position_error == np.linalg.norm(moment.truth.position - moment.pose.position)
-    odometry = replace(RECORDING, truth_from=Reference("odometry from the same images", "By hand."))
+    odometry = replace(RECORDING, truth_from=Reference("odometry", "By hand."))
     assert all(np.isnan(moment.nees) and moment.position_error >= 0.0 for moment in run("inverse-depth", odometry))
     for moment in run("inverse-depth", small_recording(truth=False)):
         assert moment.pose_error is None

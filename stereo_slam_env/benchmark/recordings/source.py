@@ -35,6 +35,8 @@ Progress = Callable[[int, int], None]
 OpenedImages = tuple[ImageSequence, TrackerSettings]
 Renderer = Literal["tiny", "gl"]
 _PLAIN = {"array": "a list", "object": "a table", "str": "text", "int": "a whole number", "float": "a number"}
+_SHOWN = 100
+"""characters: of a value in a message."""
 _PLAIN |= {"bool": "true or false", "null": "none"}
 
 
@@ -200,7 +202,8 @@ def _in_words(what: str, value: Any, kind: Any, message: str) -> str:
         return f"{place} must be one of {', '.join(allowed)}, got {value!r}{did_you_mean(value, allowed)}"
     expected = re.sub(", got `.*`$", "", message.removeprefix("Expected "))
     expected = re.sub(r"`([\w |]+)`", lambda m: " or ".join(_PLAIN.get(w, w) for w in m[1].split(" | ")), expected)
-    return f"{place} must be {expected}, got {value!r}"
+    shown = repr(value)
+    return f"{place} must be {expected}, got {shown if len(shown) <= _SHOWN else shown[:_SHOWN] + '...'}"
 
 
 def _words(kind: Any) -> Iterator[Any]:

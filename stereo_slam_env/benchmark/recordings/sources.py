@@ -13,10 +13,9 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import msgspec
 
+from filters.contract.foreign_text import first_line, type_name
 from filters.contract.known_names import did_you_mean, require_known
 from stereo_slam_env.benchmark.recordings.source import OpenedImages, Progress, Renderer, Source, checked
-from stereo_slam_env.datasets import holds_images, load, open_for_front_end
-from stereo_slam_env.frontend.recorder import record_tracks
 from stereo_slam_env.recording.recording import GIVEN_TRUTH, Recording
 from stereo_slam_env.sensing.rigs import camera_of
 
@@ -65,10 +64,10 @@ class StreetSource(Source, frozen=True, tag="street"):
 
     def sequence(self, seed: int | None, frames: int | None = None) -> OpenedImages:
         """The rendered pairs."""
-        from stereo_slam_env.envs.options import DriveOptions
         from stereo_slam_env.envs.recorder import RenderedDrive
 
-        return RenderedDrive(self.options, seed or 0, frames), DriveOptions.checked(self.options).front_end
+        drive = RenderedDrive(self.options, seed or 0, frames)
+        return drive, drive.front_end
 
     def with_images(self, renderer: Renderer) -> Self:
         """Rendered images instead of geometry."""
@@ -178,7 +177,7 @@ class DatasetSource(Source, frozen=True, tag="dataset"):
     arguments : dict
         Of the reader.
     reference : dict
-        Errors of the truth, in place of what the reader states, see `Reference.stating`.
+        Kind and errors of the truth, in place of what the reader states, see `Reference.stating`.
     """
 
     seeded: ClassVar[bool] = False
@@ -186,10 +185,13 @@ class DatasetSource(Source, frozen=True, tag="dataset"):
 
     path: str
     arguments: dict[str, Any] = msgspec.field(default_factory=dict)
-    reference: dict[str, float] = msgspec.field(default_factory=dict)
+    reference: dict[str, float | str] = msgspec.field(default_factory=dict)
 
     def record(self, seed: int | None, frames: int | None = None, progress: Progress | None = None) -> Recording:
         """Read it, or track landmarks through its images."""
+        from stereo_slam_env.datasets import load  # OpenCV, only where it is needed
+        from stereo_slam_env.frontend.recorder import record_tracks
+
         if not self.takes_images:
             return self._stated(load(self.path, **self.arguments))
 
@@ -199,15 +201,20 @@ class DatasetSource(Source, frozen=True, tag="dataset"):
         return self._stated(_tracked(_Tracking(self.key, seed, frames, track)))
 
     def check(self, frames: int | None = None) -> None:
-        """Refuse errors of the truth that are none."""
+        """Refuse a kind or errors of the truth that are none."""
         GIVEN_TRUTH.stating(self.reference)
 
     def _stated(self, recording: Recording) -> Recording:
+        if self.reference and recording.reference.kind == "none":
+            said = ", ".join(f"{key}={value}" for key, value in self.reference.items())
+            raise ValueError(f"reference states {said}, but {self.path} has no true pose: leave it out")
         return replace(recording, truth_from=recording.truth_from.stating(self.reference))
 
     @property
     def takes_images(self) -> bool:
         """Whether the folder holds images."""
+        from stereo_slam_env.datasets import holds_images
+
         return holds_images(self.path)
 
     def sequence(self, seed: int | None, frames: int | None = None) -> OpenedImages:
@@ -253,9 +260,7 @@ def source_of(kind: str, options: Mapping[str, Any]) -> Source:
         An unknown kind or option, a missing one, or one of the wrong type: the message names it.
     """
     checked("kind", kind, str)
-    kinds: dict[Any, type[Source]] = {}
-    for found in _subclasses(Source):
-        kinds.setdefault(found.__struct_config__.tag, found)  # ours come first and stay
+    kinds = _kinds()
     if kind not in kinds:
         for point in entry_points(group=ENTRY_POINT_GROUP):
             if point.name == kind:
@@ -275,6 +280,18 @@ def require_renderer(name: str) -> None:
         raise ValueError(str(error)) from error
 
 
+def known_kinds() -> str:
+    """The kinds of sources that are loaded, for messages."""
+    return ", ".join(map(str, _kinds()))
+
+
+def _kinds() -> dict[Any, type[Source]]:
+    kinds: dict[Any, type[Source]] = {}
+    for found in _subclasses(Source):
+        kinds.setdefault(found.__struct_config__.tag, found)  # ours come first and stay
+    return kinds
+
+
 def _subclasses(kind: type[Source]) -> Iterator[type[Source]]:
     for subclass in kind.__subclasses__():
         yield subclass
@@ -286,7 +303,7 @@ def _loaded(point: EntryPoint) -> type[Source]:
         found = point.load()
     except Exception as error:  # whatever a stranger's module does at import must not take the run down
         raise ValueError(
-            f"kind {point.name!r} ({point.value}) cannot be loaded: {type(error).__name__}: {error}"
+            f"kind {point.name!r} ({point.value}) cannot be loaded: {type_name(error)}: {first_line(error)}"
         ) from error
     if not (isinstance(found, type) and issubclass(found, Source)):
         raise ValueError(f"kind {point.name!r} ({point.value}) is no subclass of Source")
@@ -312,4 +329,6 @@ def _tracked(tracking: _Tracking) -> Recording:
 @lru_cache(maxsize=1)
 def _opened(options: str) -> OpenedImages:
     """Opened recording of images; kept, because finding its calibration takes time."""
+    from stereo_slam_env.datasets import open_for_front_end
+
     return open_for_front_end(**json.loads(options))

@@ -1,27 +1,46 @@
-"""Backends of trials: this process, processes of this machine, or a cluster, all through joblib."""
+"""Backends of trials: this machine, or a cluster through joblib.
+
+On this machine each trial has a process of its own anyway (`isolation`), and a thread that waits for it is enough.
+Where the system cannot fork, joblib's processes do the work themselves.
+"""
 
 from __future__ import annotations
 
 import itertools
 import logging
+import os
+import signal
+import subprocess
+import sys
+import threading
 import warnings
 from collections.abc import Callable, Generator, Iterable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Literal, TypeVar, get_args
 
 import joblib
 from threadpoolctl import threadpool_limits
 
+from filters.contract.foreign_text import first_line, plain, type_name
 from filters.extras import install_command
+from stereo_slam_env.benchmark.running.isolation import run_isolated, start_server, waiting_threads
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
+RunAll = Callable[[Callable[[Task], Result], Iterable[Task]], Iterator[Result]]
 
 BackendName = Literal["processes", "ray", "dask"]
 """Processes of this machine, or a cluster, which the extra of that name brings."""
 TASKS_IN_A_ROUND = 4
 SECONDS_TO_ANSWER = 15
+SECONDS_OF_A_TASK = 3600
+_OF_WORKERS = ("joblib", "ray", "distributed", "concurrent")
+"""Packages whose exceptions say that a worker was lost; what a task raises is never one of them."""
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -62,10 +81,17 @@ class Backend:
         return self.name == "processes" and self.jobs == 1
 
     @contextmanager
-    def started(self) -> Iterator[Callable[[Callable[[Task], Result], Iterable[Task]], Iterator[Result]]]:
+    def started(self, *, isolated: bool = False) -> Iterator[RunAll[Any, Any]]:
         """Yield a function like `map`, whose results come in the order in which they are ready.
 
-        Tasks are taken from their iterable as processes become free.
+        Tasks are taken from their iterable as processes become free. What a worker of a cluster had when it was lost is
+        done once more.
+
+        Parameters
+        ----------
+        isolated : bool
+            Whether tasks do what takes time in processes of their own (`run_isolated`) already. Others are given one,
+            for at most `SECONDS_OF_A_TASK`.
 
         Raises
         ------
@@ -73,20 +99,39 @@ class Backend:
             The backend is not installed: the message says which extra brings it.
         ValueError
             The cluster cannot be reached.
+        ChildProcessError
+            Workers were lost twice, or the server of processes does not start.
         """
         if self.in_this_process:
             with threadpool_limits(limits=1):
                 yield map
-            return
-        if self.name == "ray":
+        elif self.name == "ray":
             with _ray(self.jobs, self.address), joblib.parallel_config(backend="ray"):
-                yield self._in_rounds
+                yield partial(_twice, self._in_rounds)
         elif self.name == "dask":
             with _dask(self.jobs, self.address), joblib.parallel_config(backend="dask"):
-                yield self._as_ready
+                yield partial(_twice, self._as_ready)
+        elif hasattr(os, "fork"):
+            start_server()  # here, where Ctrl-C interrupts it
+            yield self._in_threads if isolated else self._apart
         else:
             with joblib.parallel_config(backend="loky", inner_max_num_threads=1):
-                yield self._as_ready
+                yield partial(_twice, self._as_ready)
+
+    def _in_threads(self, function: Callable[[Task], Result], tasks: Iterable[Task]) -> Iterator[Result]:
+        waiting, running = iter(tasks), set[Future[Result]]()
+        with waiting_threads(self.jobs) as submit:
+            while True:
+                for task in itertools.islice(waiting, self.jobs - len(running)):
+                    running.add(submit(partial(function, task)))
+                if not running:
+                    return
+                done, running = wait(running, return_when=FIRST_COMPLETED)
+                for future in done:
+                    yield future.result()
+
+    def _apart(self, function: Callable[[Task], Result], tasks: Iterable[Task]) -> Iterator[Result]:
+        return self._in_threads(partial(_in_own_process, function), tasks)
 
     def _as_ready(self, function: Callable[[Task], Result], tasks: Iterable[Task]) -> Iterator[Result]:
         workers = joblib.Parallel(n_jobs=self.jobs, batch_size=1, return_as="generator_unordered")
@@ -107,6 +152,40 @@ class Backend:
             yield from workers(joblib.delayed(function)(task) for task in round_of_tasks)
 
 
+def _twice(run_all: RunAll[Any, Any], function: Callable[[Task], Result], tasks: Iterable[Task]) -> Iterator[Result]:
+    """Run all, and where a worker is lost what it had, and what is left, once more."""
+    begun: dict[int, Task] = {}
+    left = enumerate(tasks)
+
+    def noted(numbered: Iterable[tuple[int, Task]]) -> Iterator[tuple[int, Task]]:
+        for number, task in numbered:
+            begun[number] = task
+            yield number, task
+
+    for attempt in ("first", "second"):
+        try:
+            # The rest comes from the same iterator, after what had been begun.
+            for number, result in run_all(partial(_numbered, function), noted(itertools.chain([*begun.items()], left))):
+                del begun[number]
+                yield result
+            return
+        except Exception as error:
+            if type(error).__module__.partition(".")[0] not in _OF_WORKERS:
+                raise
+            why = f"{type_name(error)}: {first_line(error)}"
+            if attempt == "second":
+                raise ChildProcessError(f"workers were lost twice ({why}): what is finished is kept") from error
+            _log.warning("a worker was lost (%s): what it had is done once more", why)
+
+
+def _in_own_process(function: Callable[[Task], Result], task: Task) -> Result:
+    return run_isolated(lambda tell: function(task), silence_limit=SECONDS_OF_A_TASK)
+
+
+def _numbered(function: Callable[[Task], Result], task: tuple[int, Task]) -> tuple[int, Result]:
+    return task[0], function(task[1])
+
+
 @contextmanager
 def _ray(jobs: int, address: str | None) -> Iterator[None]:
     try:
@@ -116,19 +195,34 @@ def _ray(jobs: int, address: str | None) -> Iterator[None]:
         raise ImportError(f"backend ray is not installed: {install_command('ray')}") from error
     ours, quietly = not ray.is_initialized(), {"log_to_driver": False, "logging_level": logging.ERROR}
     if ours:
-        try:
-            if address is None:
-                ray.init("local", num_cpus=jobs, include_dashboard=False, **quietly)
-            else:
-                ray.init(address, **quietly)
-        except (ConnectionError, OSError) as error:
-            raise ValueError(f"no Ray cluster answers at {address}: {error}") from error
+        terminated = signal.getsignal(signal.SIGTERM)
+        if address is None:
+            ray.init("local", num_cpus=jobs, include_dashboard=False, **quietly)
+        else:
+            _require_answer(address)
+            ray.init(address, **quietly)
+        if threading.current_thread() is threading.main_thread():
+            signal.signal(signal.SIGTERM, terminated)  # Ray has put its own in its place
     register_ray()
     try:
         yield
     finally:
         if ours:
             ray.shutdown()
+
+
+def _require_answer(address: str) -> None:
+    """Raise a `ValueError` where no Ray cluster answers in time; Ray itself waits for minutes and cannot be stopped."""
+    code = "import sys, ray; ray.init(sys.argv[1], log_to_driver=False)"
+    try:
+        asked = subprocess.run(
+            [sys.executable, "-c", code, address], capture_output=True, timeout=SECONDS_TO_ANSWER, check=False
+        )
+    except subprocess.TimeoutExpired as error:
+        raise ValueError(f"no Ray cluster answers at {address} within {SECONDS_TO_ANSWER} s") from error
+    if asked.returncode != 0:
+        why = plain(asked.stderr.decode(errors="replace").strip().rpartition("\n")[2])
+        raise ValueError(f"no Ray cluster answers at {address}: {why}")
 
 
 @contextmanager
@@ -150,5 +244,5 @@ def _dask(jobs: int, address: str | None) -> Iterator[None]:
         try:
             stack.enter_context(Client(cluster, timeout=SECONDS_TO_ANSWER))
         except OSError as error:
-            raise ValueError(f"no Dask scheduler answers at {address}: {error}") from error
+            raise ValueError(f"no Dask scheduler answers at {address}: {first_line(error)}") from error
         yield

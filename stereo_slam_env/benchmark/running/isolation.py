@@ -1,12 +1,18 @@
 """Work in a process of its own: a crash or a hang is reported and ends nothing else.
 
-Such a process is forked from a server that has imported what trials need, never starts a thread and never draws, so
-that forking it is safe. It is never forked from the caller, which may have drawn, or have threads of BLAS, a notebook
-or a cluster: they do not survive a fork, and what waits for them would wait for ever.
+Such a process is forked from a server of clean processes (`process_server`). It is never forked from the caller, which
+may have drawn, or have threads of BLAS, a notebook or a cluster: they do not survive a fork, and what waits for them
+would wait for ever.
 
-The server is started with `subprocess`. It forks itself once for each request that comes through a socket. A request
-carries two descriptors: the connection over which the work comes and the answer goes, and a pipe on which the server
-writes the id of the new process and, in the end, its exit code.
+What is wrong with the machinery is never taken for the work's fault. Where the server has ended, or somebody has ended
+the process from outside (the system, when memory runs out), the work is done once more, while nothing else runs; what
+happens then is its own doing.
+
+Why not the forkserver of `multiprocessing` (seen with Python 3.11): each of its processes imports the caller's main
+module again, a script without a guard included; `start()` waits without a limit where the server is stopped; and it
+refuses to work in the daemonic workers of Dask. By its source, children also hold the server's pipe, so that one that
+hangs outlives a caller that was killed, it is one for the whole interpreter, preloaded by whoever came first, and until
+Python 3.13 it has not the caller's `sys.path`.
 """
 
 from __future__ import annotations
@@ -16,7 +22,6 @@ import importlib
 import logging
 import os
 import pickle
-import selectors
 import signal
 import socket
 import struct
@@ -25,42 +30,46 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from functools import cache
 from multiprocessing.connection import Connection, wait
 from typing import NoReturn, TypeVar, cast
 
 import cloudpickle
 
+from filters.contract.foreign_text import first_line
+from stereo_slam_env.benchmark.running.process_server import KERNELS, READY, STATUS, end_process
+
 Result = TypeVar("Result")
 Tell = Callable[[int, int], None]
 
 SECONDS_TO_START = 120.0
 """Limit of the server's start, and of a new process's: far more than a busy machine needs."""
-KERNELS = "filters.engine.row"
-PRELOADED = (
-    KERNELS,
-    "stereo_slam_env.benchmark.running.tasks",
-    "stereo_slam_env.policies.episode",
-    "stereo_slam_env.wrappers.belief_panorama",
-    "stereo_slam_env.envs.recorder",
-)
-"""Modules that most trials need; importing them once in the server is why a process costs milliseconds."""
 
-_STATUS = struct.Struct("q")
-_READY = b"r"
-_ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+_LOOK_AFTER = 1.0
+"""After so long without a sign, s, the server is told to go on, lest somebody has stopped it."""
+_FROM_OUTSIDE = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGHUP) if hasattr(os, "fork") else ()
 _ONE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 _log = logging.getLogger(__name__)
 
 
-class WorkDied(RuntimeError):
+class WorkDied(ChildProcessError):
     """The process ended without an answer: a crash, or the machine's memory ran out."""
 
 
-class WorkTooSlow(RuntimeError):
+class WorkTooSlow(TimeoutError):
     """Nothing was heard from the process for too long, and it was ended."""
+
+
+class NoProcess(ChildProcessError):
+    """No process can be had: the server does not start."""
+
+
+class _Lost(Exception):
+    """The machinery failed, which says nothing of the work."""
 
 
 def run_isolated(work: Callable[[Tell], Result], *, silence_limit: float, progress: Tell | None = None) -> Result:
@@ -68,17 +77,19 @@ def run_isolated(work: Callable[[Tell], Result], *, silence_limit: float, progre
 
     `work` is called with a function (done, total) that it calls as it goes on: a sign of life, which `progress` is told
     of and which must come within `silence_limit`, s. It is sent by cloudpickle, so functions and classes of a script or
-    notebook will do; what it returns or raises must be picklable, too. Where the system cannot fork, it runs in this
-    process, without protection.
+    notebook will do; what it returns or raises must be picklable, too. What it has started ends with it. Where the
+    system cannot fork, it runs in this process, without protection.
 
     Raises
     ------
     WorkTooSlow, WorkDied
         No sign of life in time; the process ended without an answer.
+    NoProcess
+        The server of processes does not start.
     ValueError
         `work` cannot be pickled.
-    KeyboardInterrupt
-        Somebody asked the process to end.
+    CancelledError
+        The block of `waiting_threads` was left.
     Exception
         Whatever `work` raised.
     """
@@ -87,48 +98,133 @@ def run_isolated(work: Callable[[Tell], Result], *, silence_limit: float, progre
     try:
         content = pickle.dumps((sys.path, os.getcwd(), cloudpickle.dumps(work)))
     except Exception as error:  # whatever the objects in it raise
-        raise ValueError(f"work must be picklable, to be done in a process of its own: {error}") from error
-    with _clean_process() as (connection, status):
-        with suppress(BrokenPipeError):  # it died at once: `_listen` says how
-            connection.send_bytes(content)
-        return cast(Result, _listen(connection, status, silence_limit, progress))
+        told = f"work must be picklable, to be done in a process of its own: {first_line(error)}"
+        raise ValueError(told) from error
+    try:
+        with _turns.with_others():
+            return cast(Result, _done(content, silence_limit, progress))
+    except (_Lost, NoProcess) as lost:
+        _log.warning("%s: it is done once more, alone", lost)
+    try:
+        with _turns.alone():
+            return cast(Result, _done(content, silence_limit, progress))
+    except _Lost as lost:
+        raise WorkDied(f"{lost}, twice") from lost
+
+
+def start_server() -> None:
+    """Start the server of processes, which takes seconds, unless it is there; raises `NoProcess`."""
+    if hasattr(os, "fork"):
+        _server()
 
 
 @contextmanager
-def _clean_process() -> Iterator[tuple[Connection, int]]:
-    """A new process: the connection to it, and the pipe on which the server will tell its exit code."""
+def waiting_threads(count: int) -> Iterator[Callable[[Callable[[], Result]], Future[Result]]]:
+    """Yield a function that calls what it is given in one of `count` threads; isolated work ends with the block."""
+    left, leave = os.pipe()
+
+    def call(function: Callable[[], Result]) -> Result:
+        _of_thread.left = left
+        return function()
+
+    with open(left, "rb"), ThreadPoolExecutor(count) as pool:
+        try:
+            yield lambda function: pool.submit(call, function)
+        finally:
+            os.close(leave)
+
+
+_of_thread = threading.local()
+
+
+@dataclass
+class _Process:
+    """A process at work."""
+
+    server: _Server
+    connection: Connection
+    status: int  # the pipe on which the server tells its id and its end
+    id: int = 0
+    ended: bool = False
+
+    def heard(self, limit: float, *sources: object) -> list[object]:
+        """Sources that can be read within `limit`, s."""
+        left = getattr(_of_thread, "left", None)
+        until = time.monotonic() + limit
+        while (rest := until - time.monotonic()) > 0:
+            ready = wait([*sources, *([] if left is None else [left])], min(_LOOK_AFTER, rest))  # type: ignore[list-item]
+            if left in ready:
+                raise CancelledError
+            if ready:
+                return cast("list[object]", ready)
+            with suppress(ProcessLookupError):
+                self.server.process.send_signal(signal.SIGCONT)
+        return []
+
+    def told(self) -> int:
+        """The next number from the server."""
+        if not self.heard(SECONDS_TO_START, self.status):
+            raise self.server.lost(f"the server of processes did not answer for {SECONDS_TO_START:.0f} s")
+        content = os.read(self.status, STATUS.size)
+        if not content:
+            raise self.server.lost("the server of processes has ended")
+        return int(STATUS.unpack(content)[0])
+
+    def has_ended(self) -> bool:
+        """Whether the server has told its end."""
+        return self.ended or bool(wait([self.status], 0) and os.read(self.status, STATUS.size))
+
+
+def _done(content: bytes, limit: float, progress: Tell | None) -> object:
+    with _clean_process(limit) as process:
+        with suppress(BrokenPipeError):  # it died at once: `_listen` says how
+            process.connection.send_bytes(content)
+        return _listen(process, limit, progress)
+
+
+@contextmanager
+def _clean_process(limit: float) -> Iterator[_Process]:
     here, there = socket.socketpair()
+    _limit_waiting(here, limit)
     status, telling = os.pipe()
     with Connection(here.detach()) as connection, open(status, "rb"):
         with there, open(telling, "wb"):
-            _server().request(there.fileno(), telling)
-        process = _status(status, "the id of a new process")
+            server = _server()
+            try:
+                server.request(there.fileno(), telling)
+            except OSError as error:
+                raise server.lost("the server of processes has ended") from error
+        process = _Process(server, connection, status)
+        process.id = process.told()
         try:
-            yield connection, status
+            yield process
         finally:
-            with suppress(ProcessLookupError):
-                if not wait([status], 0):  # the server has not told its end
-                    os.kill(process, signal.SIGKILL)
+            if not process.has_ended():
+                end_process(process.id)
 
 
-def _status(pipe: int, what: str) -> int:
-    if not wait([pipe], SECONDS_TO_START):
-        raise WorkDied(f"{what} was not told for {SECONDS_TO_START:.0f} s")
-    content = os.read(pipe, _STATUS.size)
-    if not content:
-        raise WorkDied("the server of processes has ended")
-    return int(_STATUS.unpack(content)[0])
+def _limit_waiting(connection: socket.socket, limit: float) -> None:
+    """Let no read of half a message, nor a write that nobody reads, wait longer."""
+    interval = struct.pack("ll", int(limit), int(limit % 1.0 * 1e6))
+    for of in (socket.SO_RCVTIMEO, socket.SO_SNDTIMEO):
+        connection.setsockopt(socket.SOL_SOCKET, of, interval)
 
 
-def _listen(connection: Connection, status: int, limit: float, progress: Tell | None) -> object:
+def _listen(process: _Process, limit: float, progress: Tell | None) -> object:
     while True:
         began = time.monotonic()
-        if not connection.poll(limit):
+        # Its end is told apart from the connection, which a child of the process may hold.
+        ready = process.heard(limit, process.connection, process.status)
+        if not ready:
             raise WorkTooSlow(f"no sign of life for {time.monotonic() - began:.0f} s")
+        if process.connection not in ready:
+            _raise_for_death(process)
         try:
-            kind, content = pickle.loads(connection.recv_bytes())
+            kind, content = pickle.loads(process.connection.recv_bytes())
         except (EOFError, ConnectionResetError):
-            _raise_for_death(_status(status, "how a process ended"))
+            _raise_for_death(process)
+        except BlockingIOError as error:
+            raise WorkTooSlow(f"half a sign of life for {time.monotonic() - began:.0f} s") from error
         if kind == "result":
             return content
         if kind == "error":
@@ -137,14 +233,57 @@ def _listen(connection: Connection, status: int, limit: float, progress: Tell | 
             progress(*content)
 
 
-def _raise_for_death(code: int) -> NoReturn:
-    """Raise for an exit code, or minus the number of the signal."""
+def _raise_for_death(process: _Process) -> NoReturn:
+    """Raise for its exit code, or minus the number of the signal."""
+    code = process.told()
+    process.ended = True
     if code >= 0:
         raise WorkDied(f"its process ended with code {code}")
-    by = signal.Signals(-code)
-    if by in _ENDING:
-        raise KeyboardInterrupt
-    raise WorkDied(f"its process was ended by {by.name}")
+    try:
+        by = signal.Signals(-code).name
+    except ValueError:  # one without a name
+        by = f"signal {-code}"
+    if -code in _FROM_OUTSIDE:
+        memory = " (has memory run out?)" if -code == signal.SIGKILL else ""
+        raise _Lost(f"its process was ended by {by}{memory}")
+    raise WorkDied(f"its process was ended by {by}")
+
+
+class _Turns:
+    """Work goes on at the same time, but for some that goes on alone."""
+
+    def __init__(self) -> None:
+        self._changed = threading.Condition()
+        self._running, self._is_alone = 0, False
+
+    @contextmanager
+    def with_others(self) -> Iterator[None]:
+        with self._changed:
+            self._changed.wait_for(lambda: not self._is_alone)
+            self._running += 1
+        try:
+            yield
+        finally:
+            with self._changed:
+                self._running -= 1
+                self._changed.notify_all()
+
+    @contextmanager
+    def alone(self) -> Iterator[None]:
+        with self._changed:
+            self._changed.wait_for(lambda: not self._is_alone)
+            self._is_alone = True
+        try:
+            with self._changed:
+                self._changed.wait_for(lambda: self._running == 0)
+            yield
+        finally:
+            with self._changed:
+                self._is_alone = False
+                self._changed.notify_all()
+
+
+_turns = _Turns()
 
 
 class _Server:
@@ -156,26 +295,43 @@ class _Server:
             # The path is passed on as it is, so that the server finds what this process finds.
             code = (
                 f"import sys; sys.path[:] = {sys.path!r}; "
-                f"from stereo_slam_env.benchmark.running.isolation import serve; serve({theirs.fileno()})"
+                f"from stereo_slam_env.benchmark.running.process_server import serve; serve({theirs.fileno()})"
             )
             self.process = subprocess.Popen(
                 [sys.executable, "-c", code],
                 pass_fds=[theirs.fileno()],
                 stdin=subprocess.DEVNULL,
                 env={**os.environ, **_ONE_THREAD},
+                start_new_session=True,
             )
         atexit.register(self.close)
         self._socket.settimeout(SECONDS_TO_START)
-        if self._socket.recv(1) != _READY:
-            raise WorkDied(f"the server of processes ended with code {self.process.wait(SECONDS_TO_START)}")
+        try:
+            answer = self._socket.recv(1)
+        except OSError as error:
+            self.process.kill()
+            told = f"the server of processes did not start within {SECONDS_TO_START:.0f} s"
+            raise NoProcess(told) from error
+        if answer != READY:
+            ended = self.process.wait(SECONDS_TO_START)
+            raise NoProcess(f"the server of processes ended with code {ended} when it was started")
 
     def request(self, connection: int, status: int) -> None:
         """Ask for a process that is given these descriptors."""
         socket.send_fds(self._socket, [b"p"], [connection, status])
 
+    def lost(self, why: str) -> _Lost:
+        """The error of work that lost its server, which has ended when this returns, so that another is started."""
+        self.process.kill()
+        with suppress(subprocess.TimeoutExpired):
+            self.process.wait(5.0)
+        return _Lost(why)
+
     def close(self) -> None:
         """End the server and all its processes."""
         self._socket.close()
+        with suppress(ProcessLookupError):
+            self.process.send_signal(signal.SIGCONT)
         try:
             self.process.wait(5.0)
         except subprocess.TimeoutExpired:
@@ -190,6 +346,7 @@ def _server() -> _Server:
         server = _server_of(os.getpid())
         if server.process.poll() is not None:
             _log.warning("the server of processes has ended and is started again")
+            atexit.unregister(server.close)
             _server_of.cache_clear()
             server = _server_of(os.getpid())
         return server
@@ -199,105 +356,3 @@ def _server() -> _Server:
 def _server_of(process: int) -> _Server:
     importlib.import_module(KERNELS)  # compiled where they have not been: no process of a trial should wait for it
     return _Server()
-
-
-# ---- the server ------------------------------------------------------------------------------------------------------
-
-
-def serve(descriptor: int) -> None:
-    """Fork a process for each request on the socket `descriptor`, until the other side is closed."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group: the caller decides what ends
-    for module in PRELOADED:
-        try:
-            importlib.import_module(module)
-        except ImportError:  # an extra that is not installed
-            continue
-    wake_up, woken_by = os.pipe()
-    for end in (wake_up, woken_by):
-        os.set_blocking(end, False)
-    signal.set_wakeup_fd(woken_by, warn_on_full_buffer=False)
-    signal.signal(signal.SIGCHLD, lambda number, frame: None)
-    running: dict[int, int] = {}
-    with socket.socket(fileno=descriptor) as requests, selectors.DefaultSelector() as waiting:
-        waiting.register(requests, selectors.EVENT_READ)
-        waiting.register(wake_up, selectors.EVENT_READ)
-        try:
-            requests.sendall(_READY)
-        except BrokenPipeError:  # the caller was killed meanwhile
-            return
-        while True:
-            ready = {key.fileobj for key, _ in waiting.select()}
-            if wake_up in ready:
-                os.read(wake_up, 4096)
-                _tell_ends(running)
-            if requests in ready:
-                message, descriptors, _, _ = socket.recv_fds(requests, 1, 2)
-                if not message:
-                    break
-                connection, status = descriptors
-                child = os.fork()
-                if child == 0:
-                    signal.set_wakeup_fd(-1)
-                    waiting.close()
-                    requests.close()
-                    for inherited in (wake_up, woken_by, status, *running.values()):
-                        os.close(inherited)
-                    _work(Connection(connection))
-                running[child] = status
-                os.close(connection)
-                _write(status, child)
-    for child in running:
-        os.kill(child, signal.SIGKILL)
-
-
-def _tell_ends(running: dict[int, int]) -> None:
-    """Report the exit code of each process that has ended, or minus the number of the signal."""
-    while running:
-        child, status = os.waitpid(-1, os.WNOHANG)
-        if child == 0:
-            return
-        _write(running[child], os.waitstatus_to_exitcode(status))
-        os.close(running.pop(child))
-
-
-def _write(pipe: int, number: int) -> None:
-    try:
-        os.write(pipe, _STATUS.pack(number))
-    except BrokenPipeError:  # nobody listens any more
-        return
-
-
-def _work(connection: Connection) -> NoReturn:
-    """In the new process: take the work, do it, send the answer, and leave without any clean-up."""
-    for ending in (*_ENDING, signal.SIGCHLD):
-        signal.signal(ending, signal.SIG_DFL)
-    code = 1
-    try:
-        connection.send_bytes(_packed(*_answer(connection)))
-        sys.stdout.flush()
-        sys.stderr.flush()
-        code = 0
-    except (BrokenPipeError, EOFError):  # nobody waits for the answer any more
-        code = 0
-    finally:
-        os._exit(code)
-
-
-def _answer(connection: Connection) -> tuple[str, object]:
-    try:
-        sys.path[:], folder, work = pickle.loads(connection.recv_bytes())
-        os.chdir(folder)
-        return "result", pickle.loads(work)(lambda done, total: connection.send_bytes(_packed("alive", (done, total))))
-    except Exception as error:
-        return "error", error
-
-
-def _packed(kind: str, content: object) -> bytes:
-    try:
-        packed: bytes = cloudpickle.dumps((kind, content))
-        if kind == "error":
-            pickle.loads(packed)  # an error of a class with arguments of its own can be written, but not read
-    except Exception as error:
-        what = content if kind == "error" else error
-        packed = pickle.dumps(("error", RuntimeError(f"the answer cannot be sent: {type(what).__name__}: {what}")))
-    return packed

@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import dataclasses
 import logging
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -39,6 +39,8 @@ from stereo_slam_env.recording.recording import Recording
 if TYPE_CHECKING:
     from stereo_slam_env.policies.episode import Episode
 
+Result = TypeVar("Result")
+
 _log = logging.getLogger(__name__)
 
 
@@ -66,18 +68,24 @@ class Done:
     made: Done | None = None
 
 
-def make(task: Task, progress: Tell | None = None) -> Done:
-    """Make a recording: in a process of its own if it is drawn or calculated, in this one if it is only read.
+def make(task: Task, progress: Tell | None = None, *, here: bool = False) -> Done:
+    """Make a recording in a process of its own; with `here`, one that is only read is made in this process.
 
-    A `RuntimeError` says that the process ended, or gave no sign of life for the scenario's `recording_time_limit`.
+    A `ChildProcessError` says that the process ended, or gave no sign of life for the scenario's
+    `recording_time_limit`.
     """
-    scenario = task.scenario
-    if not scenario.source.isolated:  # a drive that is replayed has been read already (see `sources`)
+    if here and not task.scenario.source.isolated:  # it has often been read already (see `sources`)
         return _make(task, progress or (lambda done, total: None))
+    return _recorded(task, partial(_make, task), progress)
+
+
+def _recorded(task: Task, work: Callable[[Tell], Result], progress: Tell | None = None) -> Result:
+    scenario = task.scenario
     try:
-        return run_isolated(partial(_make, task), silence_limit=scenario.recording_time_limit, progress=progress)
+        return run_isolated(work, silence_limit=scenario.recording_time_limit, progress=progress)
     except (WorkDied, WorkTooSlow) as error:
-        raise RuntimeError(f"the recording of scenario {scenario.name!r}, seed {task.seed}, failed: {error}") from error
+        told = f"the recording of scenario {scenario.name!r}, seed {task.seed}, failed: {error}"
+        raise ChildProcessError(told) from error
 
 
 def _make(task: Task, tell: Tell) -> Done:
@@ -96,10 +104,10 @@ def run_trial(task: Task, progress: Tell | None = None) -> Done:
     searched = task.scenario.search == "forecast" and not task.scenario.source.isolated
     work = partial(_filtered, task, task.choice, make_sequence(task.scenario, task.seed) if searched else None)
     try:
-        run = run_isolated(work, silence_limit=limit, progress=progress)
+        packed = run_isolated(work, silence_limit=limit, progress=progress)
     except (WorkDied, WorkTooSlow) as error:
-        run = _lost(_given(task), task, task.choice, error)
-    return Done(task.cell, task.seed, task.choice, packed_run(run, task.provenance))
+        packed = packed_run(_lost(_given(task), task, task.choice, error), task.provenance)
+    return Done(task.cell, task.seed, task.choice, packed)
 
 
 def _drive(task: Task, choice: FilterChoice, limit: float, progress: Tell | None) -> Done:
@@ -110,7 +118,7 @@ def _drive(task: Task, choice: FilterChoice, limit: float, progress: Tell | None
         description = made.description
     except (WorkDied, WorkTooSlow) as error:
         look = partial(drive_straight_ahead, task.scenario, task.seed)  # what there was to see, for the figures
-        episode = run_isolated(look, silence_limit=task.scenario.recording_time_limit)
+        episode = _recorded(task, look)
         run, description = _lost(episode.recording, task, choice, error), _description_of(episode)
     provenance = {**task.provenance, "recording": as_given(description, task.scenario)}
     return Done(task.cell, task.seed, choice, packed_run(run, provenance), made=made)
@@ -131,12 +139,12 @@ def _description_of(episode: Episode) -> dict[str, Any]:
     return {**description_of(episode.recording), "drive_sha256": episode.drive_digest}
 
 
-def _filtered(task: Task, choice: FilterChoice, opened: OpenedImages | None, tell: Tell) -> FilterRun:
-    recording = _given(task)
-    if task.scenario.search != "forecast":
-        return _run_on(recording, task, choice, tell)
-    search = ActiveSearch(*(opened or make_sequence(task.scenario, task.seed)))
-    return _run_on(without_measurements(recording), task, choice, tell, search.observe)
+def _filtered(task: Task, choice: FilterChoice, opened: OpenedImages | None, tell: Tell) -> bytes:
+    recording, observe = _given(task), None
+    if task.scenario.search == "forecast":
+        search = ActiveSearch(*(opened or make_sequence(task.scenario, task.seed)))
+        recording, observe = without_measurements(recording), search.observe
+    return packed_run(_run_on(recording, task, choice, tell, observe), task.provenance)
 
 
 def _run_on(

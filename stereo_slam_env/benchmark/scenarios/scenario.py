@@ -16,7 +16,14 @@ from filters.contract.noise import ColouredNoise, StereoNoise
 from filters.motions.constant_velocity import ConstantVelocity
 from filters.validation import finite_array, gate_probability
 from stereo_slam_env.benchmark.recordings.source import Renderer, Source, checked
-from stereo_slam_env.benchmark.recordings.sources import StreetSource, source_of
+from stereo_slam_env.benchmark.recordings.sources import StreetSource, known_kinds, source_of
+from stereo_slam_env.benchmark.scenarios.bounds import (
+    MOST_CORRUPTIONS,
+    MOST_FRAMES,
+    MOST_SECONDS,
+    MOST_SEED,
+    require_bounded,
+)
 
 if TYPE_CHECKING:
     from typing import Self
@@ -26,7 +33,7 @@ Label = Annotated[str, Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9._+-]*\Z", max_lengt
 Search = Literal["flow", "forecast"]
 Sensor = Literal["landmarks", "images"]
 Metric = Literal["map", "bound", "windows"]
-Positive = Annotated[float, Meta(gt=0)]
+Positive = Annotated[float, Meta(gt=0, le=MOST_SECONDS)]
 
 _MOTION: Mapping[str, float] = asdict(ConstantVelocity())
 
@@ -169,15 +176,15 @@ class Scenario:
     source: Source = field(default_factory=StreetSource)
     filters: tuple[FilterChoice, ...] = DEFAULT_FILTERS
     policies: tuple[PolicyChoice, ...] = ()
-    seeds: Annotated[tuple[Annotated[int, Meta(ge=0)], ...], Meta(min_length=1)] = (0,)
-    frames: Annotated[int, Meta(ge=2)] | None = None
+    seeds: Annotated[tuple[Annotated[int, Meta(ge=0, le=MOST_SEED)], ...], Meta(min_length=1)] = (0,)
+    frames: Annotated[int, Meta(ge=2, le=MOST_FRAMES)] | None = None
     use_odometry: bool = False
     noise: dict[str, Any] | None = None
     gate: float | None = 0.99
     consensus: bool = False
     search: Search = "flow"
-    motion: dict[str, Annotated[float, Meta(ge=0)]] = field(default_factory=lambda: dict(_MOTION))
-    corruptions: tuple[dict[str, Any], ...] = ()
+    motion: dict[str, Annotated[float, Meta(ge=0, le=1e6)]] = field(default_factory=lambda: dict(_MOTION))
+    corruptions: Annotated[tuple[dict[str, Any], ...], Meta(max_length=MOST_CORRUPTIONS)] = ()
     metrics: tuple[Metric, ...] = ("map", "bound")
     divergence_percent: Positive = 10.0
     frame_time_limit: Positive = 60.0
@@ -193,6 +200,7 @@ class Scenario:
         except TypeError:
             raise ValueError(f"seeds must be whole numbers, got {self.seeds!r}") from None
         gate_probability(self.gate)
+        self._check_numbers(found["source"])
         for name, kind in _TYPES.items():
             object.__setattr__(self, name, checked(name, found[name], kind))
         object.__setattr__(self, "source", found["source"])
@@ -208,6 +216,15 @@ class Scenario:
             json.dumps(self.as_dict(), allow_nan=False)
         except (TypeError, ValueError) as error:
             raise ValueError(f"scenario {self.name!r} must consist of JSON values: {error}") from error
+
+    def _check_numbers(self, source: Source) -> None:
+        """Refuse what is too large for time, memory or arithmetic; what a function takes is its own business."""
+        if not source.runs_code:
+            require_bounded("options", source.options)
+        for choice in (*self.filters, *self.policies):
+            require_bounded(f"options of {choice.label}", choice.options)
+        for name in ("noise", "motion", "corruptions", "seeds", "frames"):
+            require_bounded(name, getattr(self, name), name)
 
     def _check_competitors(self) -> None:
         if not self.filters:
@@ -338,8 +355,10 @@ class Scenario:
         require_known("scenario has no key", data, KEYS)
         if "name" not in data:
             raise ValueError("scenario must have a name")
+        if "kind" not in data:
+            raise ValueError(f"scenario {data['name']!r} must say its kind, one of {known_kinds()}")
         values = dict(data)
-        source = source_of(values.pop("kind", "street"), values.pop("options", {}))
+        source = source_of(values.pop("kind"), values.pop("options", {}))
         choices: tuple[tuple[str, Callable[[str | Mapping[str, Any]], _Choice]], ...] = (
             ("filters", filter_choice),
             ("policies", policy_choice),

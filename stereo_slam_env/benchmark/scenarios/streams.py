@@ -154,7 +154,7 @@ def _short_digest(about: list[Any]) -> str:
 
 def as_given(description: Mapping[str, Any], scenario: Scenario) -> dict[str, Any]:
     """Description of a recording that is kept with a trial, with the noise that was assumed."""
-    about = {key: value for key, value in description.items() if key not in ("code", "R")}
+    about = {key: value for key, value in description.items() if key not in ("code", "plugin_code", "R")}
     return {**about, "assumed_R": scenario.assumed_noise(StereoNoise(description["R"])).R.tolist()}
 
 

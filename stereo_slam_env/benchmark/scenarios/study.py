@@ -1,8 +1,9 @@
 """Studies: one scenario, or a grid of them, from scenario files and as presets.
 
 A scenario file is TOML (or JSON), checked key by key, see docs/benchmark.md ("Scenario files"). The keys are the fields
-of `Scenario`, with the source as `kind` and `options`, and four more: `[grid]`, `[[cells]]` and `[factorial]` make many
-scenarios of one file, and `description` is one line for lists. TOML has no null: false is none.
+of `Scenario`, with the source as `kind` and `options`, and more: `[grid]`, `[[cells]]` and `[factorial]` make many
+scenarios of one file, `description` is one line for lists, and `$schema` is for editors. TOML has no null: false is
+none.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ MOST_TRIALS = 1_000_000
 """Filters x seeds, over all cells."""
 MOST_BYTES = 1_000_000
 _PRESETS = Path(__file__).with_name("presets.toml")
-_OWN_KEYS = ("description", "grid", "cells", "factorial")
+_OWN_KEYS = ("$schema", "description", "grid", "cells", "factorial")
 _DATA = "{data}"
 _CellName = Annotated[str, Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9._+-]*\Z", max_length=200)]  # of a grid: all factors
 
@@ -162,10 +163,24 @@ def presets() -> Mapping[str, str]:
 
 def preset_study(name: str, *, data: str | Path | None = None) -> Study:
     """A preset of one scenario or of many; a `ValueError` for an unknown name, or without the `data` it needs."""
+    return study_from(preset_tables(name), data=data)
+
+
+def preset_tables(name: str) -> dict[str, Any]:
+    """The tables of a preset, as its scenario file has them; raises a `ValueError` for an unknown name."""
     known = _presets()
     if name not in known:
         raise ValueError(f"preset must be one of {', '.join(known)}, got {name!r}{did_you_mean(name, known)}")
-    return study_from({"name": name, **known[name]}, data=data)
+    return {"name": name, **known[name]}
+
+
+def preset_text(name: str) -> str:
+    """A preset as a scenario file of its own, with its comments; raises a `ValueError` for an unknown name."""
+    preset_tables(name)  # refuses an unknown name
+    tables = re.split(r"^(?=\[\w+[\w-]*\]$)", _PRESETS.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    (own,) = (text for text in tables if text.startswith(f"[{name}]\n"))
+    body = own.removeprefix(f"[{name}]\n").replace(f"[{name}.", "[").rstrip()
+    return f'name = "{name}"\n{body}\n'
 
 
 def preset(name: str) -> Scenario:

@@ -2,110 +2,44 @@
 
 A grid is compared cell by cell. Recordings with bit-identical measurements are compared pair by pair. Where the
 measurements are not the same, the runs are two samples, and their difference has the wider interval of unpaired data.
-Intervals and tests are corrected for all changes of the table that could have shown something; those of time, which
-depends on the machine, among themselves.
+Recordings of different kinds are not compared at all. Intervals and tests are corrected for all changes of the table
+that could have shown something; those of time, which depends on the machine, among themselves.
 """
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from filters.validation import BoolArray, FloatArray
+from filters.validation import FloatArray
 from stereo_slam_env.benchmark.scenarios.streams import pairing_digest
-from stereo_slam_env.benchmark.statistics.differences import TIE_PERCENT, Finding, pairs_needed, share_difference
-from stereo_slam_env.benchmark.statistics.measures import DIVERGED, MEASURES, TIME, change_words, difference_by
+from stereo_slam_env.benchmark.statistics.changes import (
+    MOST_WORDED,
+    Change,
+    RunComparison,
+    change_of,
+    divergences_changed,
+    few,
+    headline,
+)
+from stereo_slam_env.benchmark.statistics.measures import DIVERGED, MEASURES, TIME, difference_by
 from stereo_slam_env.benchmark.storage.store import SETTINGS, read_study
 from stereo_slam_env.evaluation.figures import Figure
-from stereo_slam_env.evaluation.results import FilterRun
-from stereo_slam_env.evaluation.run_figures import RunFigures, RunKey, common_keys, key_of
+from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
+from stereo_slam_env.evaluation.run_figures import RunFigures, RunKey, common_keys, key_of, summarise
+from stereo_slam_env.files.readers import read_json
 
 if TYPE_CHECKING:
     from stereo_slam_env.benchmark.campaign import BenchmarkResult
 
 _MACHINE = ("platform", "python", "numpy", "scipy")
-
-
-@dataclass(frozen=True)
-class Change:
-    """One measure of one filter, before and after."""
-
-    filter_name: str  # label; in a grid with the name of the cell before it
-    measure: str  # in words: "position error", "diverged runs"
-    unit: str  # of `before` and `after`; may be empty
-    # Over the common recordings: geometric mean over runs, of consistency the mean, of divergences their number.
-    before: float
-    after: float
-    count: int  # recordings, pairs where they are paired
-    # Of by how much it became larger; of consistency, of how much farther from the ideal it came; None where there is
-    # none (too few runs, divergences).
-    interval_percent: tuple[float, float] | None
-    p_value: float  # corrected
-    finding: Finding  # better or worse after than before, or no difference shown
-    words: str
-
-
-@dataclass(frozen=True)
-class RunComparison:
-    """Changes from one run of the benchmark to another one.
-
-    Attributes
-    ----------
-    before, after : str
-        Where they are.
-    paired : bool
-        Whether their measurements are bit-identical, recording by recording.
-    changes : tuple of Change
-        By filter, then measure.
-    filters_before, filters_after, recordings_before, recordings_after : tuple of str
-        Filters and recordings that only one of them has.
-    warnings : tuple of str
-        What the reader must know before believing the table, one sentence each.
-    headline : str
-        What changed significantly, in a few sentences.
-    """
-
-    before: str
-    after: str
-    paired: bool
-    changes: tuple[Change, ...]
-    filters_before: tuple[str, ...]
-    filters_after: tuple[str, ...]
-    recordings_before: tuple[str, ...]
-    recordings_after: tuple[str, ...]
-    warnings: tuple[str, ...]
-    headline: str
-
-    @property
-    def shown(self) -> tuple[Change, ...]:
-        """The changes that the runs show."""
-        return tuple(change for change in self.changes if change.finding is not Finding.NOT_SHOWN)
-
-    def as_rows(self) -> list[tuple[str, str, str, str, str, str]]:
-        """Cells of a table: filter, measure, before, after, change, finding; see `COLUMNS`."""
-        return [
-            (
-                change.filter_name,
-                f"{change.measure}, {change.unit}" if change.unit else change.measure,
-                f"{change.before:.4g}",
-                f"{change.after:.4g}",
-                change.words,
-                change.finding.value,
-            )
-            for change in self.changes
-        ]
-
-    def __str__(self) -> str:
-        return "\n".join([self.headline, *self.warnings, *(" | ".join(row) for row in self.as_rows())])
-
-
-COLUMNS = ("filter", "measure", "before", "after", "change", "finding")
+_WHAT_IS_DRIVEN = ("name", "path", "call", "route", "surroundings")
+"""Options of a source that say what is driven: where they differ, errors are not comparable."""
 
 
 def compare(before: str | Path | BenchmarkResult, after: str | Path | BenchmarkResult) -> RunComparison:
@@ -119,19 +53,21 @@ def compare(before: str | Path | BenchmarkResult, after: str | Path | BenchmarkR
     Raises
     ------
     ValueError
-        No run there, it is not finished, or the two have no filter in common.
+        No run there, it is not finished, the two have no filter in common, or their recordings are of different kinds.
     """
     was, now = _opened(before, "before"), _opened(after, "after")
+    _refuse_other_kinds(was, now)
     filters = [name for name in was.figures if name in now.figures]
     keys = [key for key in was.keys if key in set(now.keys)]
     if not filters:
         raise ValueError(
-            f"{was.name} and {now.name} have no filter in common: {', '.join(was.figures)} against "
-            f"{', '.join(now.figures)}"
+            f"{was.name} and {now.name} have no filter in common: {few(list(was.figures))} against "
+            f"{few(list(now.figures))}"
         )
     paired, about_streams = _same_streams(was, now)
     changes = _changes(was, now, filters, paired)
-    warnings = [*_failures(was), *_failures(now), *about_streams, *_other_settings(was, now), *_other_machine(was, now)]
+    warnings = [*_failures(was), *_failures(now), *about_streams, *_other_settings(was, now)]
+    warnings += [*_other_code(was, now), *_other_machine(was, now)]
     return RunComparison(
         before=was.name,
         after=now.name,
@@ -142,7 +78,7 @@ def compare(before: str | Path | BenchmarkResult, after: str | Path | BenchmarkR
         recordings_before=tuple(_recording(key) for key in was.keys if key not in keys),
         recordings_after=tuple(_recording(key) for key in now.keys if key not in keys),
         warnings=tuple(warnings),
-        headline=_headline(changes),
+        headline=headline(changes, paired=paired),
     )
 
 
@@ -155,11 +91,17 @@ class _Side:
     trials: Mapping[tuple[str, RunKey], FilterRun]
     streams: Mapping[tuple[str, RunKey], str] = field(default_factory=dict)
     settings: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    plugin_code: Mapping[str, str | None] = field(default_factory=dict)  # digest by label; None: it is ours
+    cells: Mapping[str, str] = field(default_factory=dict)  # of a grid, by name of the filter
 
     @property
     def keys(self) -> list[RunKey]:
         """Its recordings."""
         return list(dict.fromkeys(key for _, key in self.trials))
+
+    def over(self, name: str, keys: Sequence[RunKey]) -> FilterSummary:
+        """Figures of a filter over its runs on these recordings."""
+        return summarise([self.trials[name, key] for key in keys], self.figures[name])
 
 
 def _opened(source: str | Path | BenchmarkResult, name: str) -> _Side:
@@ -173,6 +115,8 @@ def _opened(source: str | Path | BenchmarkResult, name: str) -> _Side:
     trials: dict[tuple[str, RunKey], FilterRun] = {}
     streams: dict[tuple[str, RunKey], str] = {}
     settings: dict[str, Mapping[str, Any]] = {}
+    code: dict[str, str | None] = {}
+    cells: dict[str, str] = {}
     for directory in study.cells:
         prefix = f"{directory.cell.name}: " if study.study.is_grid else ""
         found = directory.results()
@@ -181,8 +125,33 @@ def _opened(source: str | Path | BenchmarkResult, name: str) -> _Side:
             trial = f"{prefix}{run.filter_name}", key_of(run)
             trials[trial], streams[trial] = run, digests[key_of(run)]
         figures |= {f"{prefix}{label}": of_filter for label, of_filter in found.figures.items()}
-        settings[prefix] = json.loads((directory.out / SETTINGS).read_text(encoding="utf-8"))
-    return _Side(str(source), figures, trials, streams, settings)
+        code |= {f"{prefix}{label}": digest for label, digest in directory.plugin_code().items()}
+        cells |= {f"{prefix}{label}": directory.cell.name for label in found.figures if prefix}
+        settings[prefix] = read_json(directory.out / SETTINGS)
+    return _Side(str(source), figures, trials, streams, settings, code, cells)
+
+
+def _refuse_other_kinds(was: _Side, now: _Side) -> None:
+    """Raise a `ValueError` where what is driven is not the same in both runs: errors are then not comparable."""
+    common = [cell for cell in was.settings if cell in now.settings]
+    either = zip(was.settings, now.settings, strict=False)
+    for cell, other in [(cell, cell) for cell in common] or list(either)[:1]:
+        a, b = _driven(was.settings[cell]["scenario"]), _driven(now.settings[other]["scenario"])
+        if a != b if common else a["kind"] != b["kind"]:
+            raise ValueError(
+                f"{was.name} is of {_kind_words(a)}, {now.name} of {_kind_words(b)}: compare runs on the same kind of "
+                f"recordings"
+            )
+
+
+def _driven(scenario: Mapping[str, Any]) -> dict[str, Any]:
+    options = scenario.get("options", {})
+    return {"kind": scenario.get("kind"), **{key: options[key] for key in _WHAT_IS_DRIVEN if options.get(key)}}
+
+
+def _kind_words(driven: Mapping[str, Any]) -> str:
+    options = ", ".join(f"{key} {value!r}" for key, value in driven.items() if key != "kind")
+    return f"kind {driven['kind']!r}" + (f" ({options})" if options else "")
 
 
 def _same_streams(was: _Side, now: _Side) -> tuple[bool, list[str]]:
@@ -221,10 +190,17 @@ def _changes(was: _Side, now: _Side, filters: Sequence[str], paired: bool) -> tu
     }
     moved = [measure is TIME for (_, measure), values in known.items() if not np.array_equal(*values)]
     of_time, of_others = max(1, sum(moved)), max(1, len(moved) - sum(moved))
-    return tuple(
-        _change(name, measure, *values, paired, of_time if measure is TIME else of_others)
-        for (name, measure), values in known.items()
-    )
+    over = {name: _over_runs(was, now, name, paired) for name in filters}
+    changes = []
+    for (name, measure), (after, before) in known.items():
+        comparisons = of_time if measure is TIME else of_others
+        if measure is DIVERGED:
+            change = divergences_changed(after > 0, before > 0, paired=paired, comparisons=comparisons)
+        else:
+            difference = difference_by(measure, after, before, paired=paired, comparisons=comparisons)
+            change = change_of(measure, difference, *(measure.of(summary) for summary in over[name]))
+        changes.append(replace(change, filter_name=name, cell=now.cells.get(name, "")))
+    return tuple(changes)
 
 
 def _values(was: _Side, now: _Side, name: str, measure: Figure, paired: bool) -> tuple[FloatArray, FloatArray]:
@@ -238,54 +214,21 @@ def _values(was: _Side, now: _Side, name: str, measure: Figure, paired: bool) ->
     return after[known], before[known]
 
 
-def _change(
-    name: str, measure: Figure, after: FloatArray, before: FloatArray, paired: bool, comparisons: int
-) -> Change:
-    if measure is DIVERGED:
-        return _divergences(name, after > 0, before > 0, paired, comparisons)
-    difference = difference_by(measure, after, before, paired=paired, comparisons=comparisons)
-    percent = difference.reversed if measure.larger_is_better else difference
-    return Change(
-        filter_name=name,
-        measure=measure.label,
-        unit=measure.unit,
-        before=over_runs(measure, before),
-        after=over_runs(measure, after),
-        count=difference.count,
-        interval_percent=percent.interval_percent,
-        p_value=difference.p_value,
-        finding=difference.finding,
-        words=change_words(measure, difference),
-    )
-
-
-def _divergences(name: str, after: BoolArray, before: BoolArray, paired: bool, comparisons: int) -> Change:
-    share = share_difference(after, before, paired=paired, comparisons=comparisons)
-    lost, are_lost = int(before.sum()), int(after.sum())
-    words = f"{lost} of {len(before)} runs before, {are_lost} of {len(after)} after"
-    if np.array_equal(after, before):
-        words = f"the same {are_lost} of {len(after)} runs"
-    elif share.finding is Finding.NOT_SHOWN:
-        words = f"{words}, which may be chance"
-    return Change(name, DIVERGED.label, "", lost, are_lost, share.count, None, share.p_value, share.finding, words)
-
-
-def over_runs(measure: Figure, values: FloatArray) -> float:
-    """One value for many runs: their geometric mean; of consistency and logarithms their mean; NaN without any."""
-    finite = values[np.isfinite(values)]
-    if finite.size == 0:
-        return float("nan")
-    if measure.ideal is not None or not measure.is_ratio or not (finite > 0.0).all():
-        return float(finite.mean())
-    return float(np.exp(np.log(finite).mean()))
+def _over_runs(was: _Side, now: _Side, name: str, paired: bool) -> tuple[FilterSummary, FilterSummary]:
+    """Figures of a filter before and after over its runs; of pairs, over those on the common recordings."""
+    common = common_keys(was.figures[name], now.figures[name])
+    before, after = (side.over(name, common if paired else list(side.figures[name].of_run)) for side in (was, now))
+    return before, after
 
 
 def _failures(side: _Side) -> list[str]:
-    """Number of failed runs of each filter, with the first error."""
+    """Number of failed runs of the filters, with the first error of each."""
     failed = [(label, run.failure) for (label, _), run in side.trials.items() if run.failure is not None]
     first = dict(reversed(failed))
     counts = Counter(label for label, _ in failed)
-    return [f"{label} failed in {n} runs of {side.name}, first at {first[label]}." for label, n in counts.items()]
+    lines = [f"{label} failed in {n} runs of {side.name}, first at {first[label]}." for label, n in counts.items()]
+    more = len(lines) - MOST_WORDED
+    return [*lines[:MOST_WORDED], f"{more} more filters failed in runs of {side.name}."] if more > 0 else lines
 
 
 def _other_settings(was: _Side, now: _Side) -> list[str]:
@@ -303,6 +246,17 @@ def _other_settings(was: _Side, now: _Side) -> list[str]:
     return [f"The settings of the two runs differ in {', '.join(other)}."] if other else []
 
 
+def _other_code(was: _Side, now: _Side) -> list[str]:
+    """Whose code differs: of filters by others, and of this project."""
+    common = [label for label in was.plugin_code if label in now.plugin_code]
+    other = [label for label in common if was.plugin_code[label] != now.plugin_code[label]]
+    ours = [next((about["versions"].get("code") for about in side.settings.values()), None) for side in (was, now)]
+    said = [f"The code of {', '.join(other)} differs between the two runs."] if other else []
+    if None not in ours and ours[0] != ours[1]:
+        said.append(f"The code of stereo-slam-env differs between the two runs ({ours[0]} and {ours[1]}).")
+    return said
+
+
 def _other_machine(was: _Side, now: _Side) -> list[str]:
     a, b = (next((dict(about["versions"]) for about in side.settings.values()), {}) for side in (was, now))
     if not a or not b:
@@ -311,24 +265,6 @@ def _other_machine(was: _Side, now: _Side) -> list[str]:
     if other:
         return [f"Times are not comparable: the two runs differ in {', '.join(other)}."]
     return ["Times were measured in two sessions: the load of the machine may differ."]
-
-
-def _headline(changes: Sequence[Change]) -> str:
-    sentences = []
-    for finding in (Finding.WORSE, Finding.BETTER):
-        shown = [f"{c.measure} of {c.filter_name}: {c.words}" for c in changes if c.finding is finding]
-        if shown:
-            sentences.append(f"{finding.value.capitalize()} after than before: {'; '.join(shown)}.")
-    if sentences:
-        return " ".join(sentences)
-    others = [c.words for c in changes if c.measure != TIME.label]
-    if all(words.startswith("the same") for words in others):
-        tied = any(words.startswith("the same to within") for words in others)
-        return f"Nothing has changed{f' by {TIE_PERCENT:g} % or more' if tied else ''} but perhaps the time."
-    most, comparisons = max(c.count for c in changes), len(changes)
-    if most < pairs_needed():
-        return f"No difference is shown: {most} runs are too few, at least {pairs_needed()} are needed."
-    return f"No difference is shown in {comparisons} comparisons."
 
 
 def _recording(key: RunKey) -> str:

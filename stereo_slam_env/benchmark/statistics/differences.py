@@ -6,7 +6,8 @@ bootstrap (Hall, *The Bootstrap and Edgeworth Expansion*, 1992, section 3.5), ch
 docs/statistics.md; the test is Wilcoxon's signed-rank test. A difference is shown when interval and test say so.
 
 Both are corrected for the number of comparisons after Bonferroni, here and nowhere else: an interval is taken at the
-confidence 1 - (1 - confidence) / comparisons, a p value is multiplied by comparisons.
+confidence 1 - (1 - confidence) / comparisons, a p value is multiplied by comparisons. With so few runs that no outcome
+whatever could be significant there is no interval.
 """
 
 from __future__ import annotations
@@ -53,7 +54,7 @@ class Difference:
     estimate : float
         Mean of log(a / b), or of a - b; NaN without a pair.
     interval : pair of float, optional
-        Confidence interval of it, corrected for the number of comparisons; None with fewer than `MIN_PAIRS`.
+        Confidence interval of it, corrected for the number of comparisons; None where `too_few`.
     p_value : float
         Two-sided, corrected for the number of comparisons.
     is_ratio : bool
@@ -91,8 +92,8 @@ class Difference:
 
     @property
     def needed(self) -> int:
-        """The smallest number of pairs with which the corrected test can say anything."""
-        return pairs_needed(self.comparisons)
+        """The smallest number of runs with which the corrected test can say anything."""
+        return (pairs_needed if self.paired else group_needed)(self.comparisons)
 
     @property
     def too_few(self) -> bool:
@@ -101,7 +102,7 @@ class Difference:
 
     @property
     def percent(self) -> float:
-        """Excess of a over b, % (geometric mean); of ratios only."""
+        """Excess of a over b run by run, %: the geometric mean of their ratios; of ratios only."""
         return as_percent(self.estimate)
 
     @property
@@ -151,7 +152,7 @@ class Difference:
             return self.tie_words
         if self.too_few:
             also = f" for {self.comparisons} comparisons" if self.comparisons > 1 else ""
-            runs = f"{runs} {'is' if self.count == 1 else 'are'} too few{also}, {self.needed} are needed"
+            return f"{runs} {'is' if self.count == 1 else 'are'} too few{also}, {self.needed} are needed"
         if self.interval is None:
             return runs
         return f"{self.interval_words} at {100 * CONFIDENCE:g} % confidence, {runs}"
@@ -208,7 +209,7 @@ def differences_of(gaps: FloatArray, *, comparisons: int = 1, is_ratio: bool = T
     count, columns = gaps.shape
     intervals: list[tuple[float, float] | None] = [None] * columns
     confidence = level(comparisons)
-    if count >= MIN_PAIRS:
+    if count >= pairs_needed(comparisons):
         low, high = mean_interval(gaps, confidence)
         intervals = list(zip(low.tolist(), high.tolist(), strict=True))
     return [
@@ -235,7 +236,7 @@ def unpaired_difference(a: ArrayLike, b: ArrayLike, *, comparisons: int = 1) -> 
     count = min(len(first), len(second))
     interval, p_value, confidence = None, 1.0, level(comparisons)
     estimate = float(first.mean() - second.mean()) if count else float("nan")
-    if count >= MIN_PAIRS:
+    if count >= group_needed(comparisons):
         (shift_a, spread_a), (shift_b, spread_b) = _resampled(first[:, None], 0), _resampled(second[:, None], 1)
         studentised = _ratio(np.abs(shift_a - shift_b), np.sqrt(spread_a + spread_b))
         error = math.sqrt(first.var(ddof=1) / len(first) + second.var(ddof=1) / len(second))
@@ -283,6 +284,14 @@ def signed_rank_p(gaps: FloatArray) -> FloatArray:
 def pairs_needed(comparisons: int = 1) -> int:
     """Pairs without which the signed-rank test cannot reach significance: its smallest p value is 2^(1 - n)."""
     return max(MIN_PAIRS, 1 + math.ceil(math.log2(comparisons / (1.0 - CONFIDENCE)) - 1e-9))
+
+
+def group_needed(comparisons: int = 1) -> int:
+    """Size of two groups without which the rank-sum test cannot: its smallest p value is 2 / (2n over n)."""
+    n = MIN_PAIRS
+    while comparisons * 2.0 / math.comb(2 * n, n) > 1.0 - CONFIDENCE:
+        n += 1
+    return n
 
 
 def level(comparisons: int) -> float:

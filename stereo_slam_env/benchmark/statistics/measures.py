@@ -129,7 +129,7 @@ def compare_all(
 
 
 def change_words(measure: Figure, difference: Difference) -> str:
-    """A difference of a measure in words, with its evidence: "12 % smaller (−15 to −9 % at ...)"."""
+    """A difference of a measure, run by run, in words with its evidence: "12 % smaller (−15 to −9 % at ...)"."""
     if difference.tied:
         return difference.tie_words
     if not difference.shown:

@@ -21,7 +21,14 @@ from stereo_slam_env.benchmark.statistics.measures import (
     PairwiseTable,
     compare_all,
 )
-from stereo_slam_env.benchmark.statistics.verdict import Consistency, consistency, lost_words, none_left, pose_nees
+from stereo_slam_env.benchmark.statistics.verdict import (
+    Consistency,
+    consistency,
+    lost_words,
+    none_left,
+    pose_nees,
+    sureness,
+)
 from stereo_slam_env.evaluation.results import FilterSummary
 from stereo_slam_env.evaluation.run_figures import Figures
 from stereo_slam_env.recording.recording import Recording
@@ -114,11 +121,11 @@ def _compared(
     policy, state, agreement = summary.filter_name, consistency(summary), _agreement(claim, [path, final])
     said = agreement.value
     if claim.too_few:
-        said += f", for {claim.count} paired runs are too few: {claim.needed} are needed"
+        said += f", for {claim.evidence}"
     if state in (Consistency.OVERCONFIDENT, Consistency.CAUTIOUS):
         but = "and" if agreement is Agreement.DISAGREE else "but"
         what = "is overconfident" if state is Consistency.OVERCONFIDENT else "claims more uncertainty than it has"
-        said += f"; {but} it {what}, {_nees(summary)}"
+        said += f"; {but} it {what}, {sureness(summary)}: {_nees(summary)}"
     words = f"{_claim(policy, baseline, claim)}, {_truth(path, final)}: {said}."
     return ClaimAndTruth(policy, baseline, claim, final, path, state, agreement, words)
 
@@ -141,14 +148,14 @@ def _claim(policy: str, baseline: str, claim: Difference) -> str:
     if not claim.shown:
         return f"{policy} is not shown to claim another uncertainty than {baseline} ({_change(claim)})"
     much = percent_words(claim.percent, "more", "less")
-    return f"{policy} claims {much} uncertainty of the final position than {baseline} ({claim.evidence})"
+    return f"run by run {policy} claims {much} uncertainty of the final position than {baseline} ({claim.evidence})"
 
 
 def _truth(path: Difference, final: Difference) -> str:
     parts = [(path, "along the drive"), (final, "at the end")]
     shown = [f"{percent_words(d.percent)} {where} ({d.interval_words})" for d, where in parts if d.shown]
     if shown:
-        return f"and its true position error is {' and '.join(shown)}"
+        return f"and its true position error is, run by run, {' and '.join(shown)}"
     open_ones = "; ".join(f"{where} {_change(d)}" for d, where in parts)
     return f"and no difference of the true position error is shown ({open_ones})"
 
@@ -173,9 +180,13 @@ def _headline(
         return none_left(summaries)
     held_against = next(s for s in summaries if s.filter_name == baseline)
     others = "" if best is held_against else f"; {baseline}: {_account(held_against)}"
-    sentences = [
-        f"{best.filter_name} leaves the pose least uncertain at the end, by its own account: {_account(best)}{others}."
-    ]
+    found = comparisons.get(best.filter_name)
+    rivals = comparisons.values() if best is held_against else [found] if found is not None else []
+    if any(rival.claim.tied for rival in rivals):
+        first = f"No policy leaves the pose less uncertain at the end than {baseline}, by its own account"
+    else:
+        first = f"{best.filter_name} leaves the pose least uncertain at the end, by its own account"
+    sentences = [f"{first}: {_account(best)}{others}."]
     if best.filter_name in comparisons:
         agreement = comparisons[best.filter_name].agreement.value
         sentences.append(f"{agreement[:1].upper()}{agreement[1:]}.")
@@ -186,7 +197,7 @@ def _headline(
     if unseen:
         sentences.append(f"Claimed, and possible, but not shown by the true error of so many runs: {listed(unseen)}.")
     if consistency(held_against) is Consistency.OVERCONFIDENT:
-        sentences.append(f"{baseline} itself is overconfident, {_nees(held_against)}.")
+        sentences.append(f"{baseline} itself is overconfident, {sureness(held_against)}: {_nees(held_against)}.")
     lost = [f"{s.filter_name} {lost_words(s)}" for s in summaries if s.diverged]
     if lost:
         sentences.append(f"Lost: {listed(lost)}.")

@@ -22,9 +22,13 @@ noise of a real camera is not known so well. A factor of 2 is a sigma that is wr
 
 _MOST_NAMED = 3
 _CONSEQUENCES: dict[ReferenceKind, str] = {
-    "independent truth": "",
-    "odometry from the same images": " What is called error is the distance to it, whose own errors are not known: it "
+    "simulation": "",
+    "surveyed": "",
+    "ins": " Odometry of the same unit shares its errors.",
+    "odometry": " What is called error is the distance to it, whose own errors are not known: it "
     "shows gross faults, not which filter is better by a little, and there is no NEES.",
+    "unknown": " If a camera has a part in it, what is called error is only a distance, and NEES says nothing: "
+    "replay --reference kind=surveyed, kind=ins or kind=odometry says what it is.",
     "none": " There are neither errors nor NEES.",
 }
 
@@ -58,10 +62,10 @@ def innovation_remarks(summaries: Sequence[FilterSummary]) -> list[str]:
     larger = {name: factor for name, factor in factors.items() if factor > 1.0}
     remarks = []
     if smaller:
-        causes = "too much noise is assumed, of pixels or of the motion, or errors last from frame to frame"
+        causes = "perhaps too much noise is assumed, of pixels or of the motion, or errors last from frame to frame"
         remarks.append(f"{_far(smaller)}: {causes}.")
     if larger:
-        remarks.append(f"{_far(larger)}: too little noise is assumed, or outliers come in.")
+        remarks.append(f"{_far(larger)}: perhaps too little noise is assumed, or outliers come in.")
     return remarks
 
 

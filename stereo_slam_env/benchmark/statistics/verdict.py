@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 
 from stereo_slam_env.benchmark.statistics.differences import (
+    MIN_PAIRS,
     Difference,
     Finding,
     ShareDifference,
@@ -19,7 +20,7 @@ from stereo_slam_env.benchmark.statistics.differences import (
     share_difference,
     signed,
 )
-from stereo_slam_env.benchmark.statistics.measures import POSITION, difference_between
+from stereo_slam_env.benchmark.statistics.measures import POSE_NEES, POSITION, difference_between
 from stereo_slam_env.benchmark.statistics.remarks import Reach, limit_reached
 from stereo_slam_env.evaluation.consistency import DOF
 from stereo_slam_env.evaluation.results import FilterSummary
@@ -51,8 +52,8 @@ class Comparison:
 
     @property
     def is_sure(self) -> bool:
-        """Whether it is better by more than a divergence that may be chance."""
-        return self.difference.count == 0 or Finding.WORSE in (self.difference.finding, self.divergences.finding)
+        """Whether it is better by more than divergences that may be chance."""
+        return Finding.WORSE in (self.difference.finding, self.divergences.finding)
 
 
 @dataclass(frozen=True)
@@ -63,8 +64,8 @@ class Verdict:
     best: str | None
     comparisons: Mapping[str, Comparison]  # by name of the other filter
     headline: str  # a few sentences
-    # The sentences of the headline by the question they answer: "best" (who, by how much, is it sure), "consistent",
-    # "limit", "cost"; what is not known is left out.
+    # The sentences of the headline by the question they answer: "lost" (whether the first filter did not come through),
+    # "best" (who, by how much, is it sure), "consistent", "limit", "cost"; what is not known is left out.
     answers: Mapping[str, str] = field(default_factory=dict)
 
     @property
@@ -93,6 +94,7 @@ def judge(summaries: Sequence[FilterSummary], figures: Figures) -> Verdict:
         for s in rivals
     }
     answers = {
+        "lost": _first_lost(summaries),
         "best": _accuracy(best, rivals, comparisons),
         "consistent": _consistency_words(best),
         "limit": _limit_words(best),
@@ -131,13 +133,31 @@ def consistency(summary: FilterSummary) -> Consistency:
 
 
 def loss(summary: FilterSummary) -> str:
-    """Word for the incomplete runs of a filter: "failed" where it raised in all of them, else "diverged"."""
-    return "failed" if summary.diverged == len(summary.failures) else "diverged"
+    """Word for the incomplete runs of a filter: "failed" where it raised, "diverged" where it strayed, or both."""
+    if not summary.failures:
+        return "diverged"
+    return "failed" if summary.diverged == len(summary.failures) else "diverged or failed"
 
 
 def lost_words(summary: FilterSummary) -> str:
     """Number of runs in which a filter diverged or failed, in words."""
-    return f"{loss(summary)} in {summary.diverged} of {summary.runs} runs"
+    where = "the only run" if summary.runs == 1 else f"{summary.diverged} of {summary.runs} runs"
+    return f"{loss(summary)} in {where}"
+
+
+def sureness(summary: FilterSummary) -> str:
+    """On how many runs a statement about consistency rests: "as far as one run can tell", "by the mean of 10 runs"."""
+    figure = summary.consistency.get("pose")
+    runs, frames = (summary.runs if figure is None else figure.runs), int(summary.figures.get("frames") or 0)
+    of = f" of {frames} frames" if runs == 1 else f" of {frames} frames in all"
+    of = of if frames < _FEW_FRAMES * runs else ""
+    if runs >= MIN_PAIRS:
+        return f"by the mean of {runs} runs{of}"
+    return f"as far as {'one run' if runs == 1 else f'{runs} runs'}{of} can tell"
+
+
+_FEW_FRAMES = 20
+"""Of shorter runs the number of frames is said."""
 
 
 def _comparison_words(other: FilterSummary, difference: Difference, divergences: ShareDifference) -> str:
@@ -147,21 +167,19 @@ def _comparison_words(other: FilterSummary, difference: Difference, divergences:
     if other.diverged:
         if divergences.finding is Finding.WORSE:
             return f"{name} {lost_words(other)}"
-        worse = f", and its error is {percent_words(difference.percent)} ({difference.evidence})"
-        also = worse if difference.finding is Finding.WORSE else ""
-        return f"{name} {lost_words(other)}, which may be chance{also}"
+        chance = ", which may be chance" if other.diverged < other.runs else ""
+        worse = f", and run by run its error is {percent_words(difference.percent)} ({difference.evidence})"
+        return f"{name} {lost_words(other)}{chance}{worse if difference.finding is Finding.WORSE else ''}"
     if difference.tied:
         return f"the error of {name} is {difference.tie_words}"
-    if difference.finding is Finding.WORSE:
-        return f"the error of {name} is {percent_words(difference.percent)} ({difference.evidence})"
-    if difference.finding is Finding.BETTER:
+    if difference.shown:
         return f"run by run the error of {name} is {percent_words(difference.percent)} ({difference.evidence})"
     if difference.count == 1:
         return f"one run shows no general difference ({name} is at {signed(difference.percent)} % in it)"
     if difference.interval is None:
         return (
             f"{difference.count} runs are too few to show a difference to {name}, "
-            f"{difference.needed} are needed ({name} is at {signed(difference.percent)} % on average)"
+            f"{difference.needed} are needed (run by run {name} is at {signed(difference.percent)} %)"
         )
     return f"no difference to {name} is shown ({difference.evidence})"
 
@@ -180,6 +198,14 @@ def _no_best(summaries: Sequence[FilterSummary], figures: Figures) -> str:
             f"one, which is not scored, and at least {FEWEST_FRAMES} are needed."
         )
     return "There is no ground truth here: only innovations and cost can be compared."
+
+
+def _first_lost(summaries: Sequence[FilterSummary]) -> str:
+    """Sentence on the filter that is listed first, the default of a scenario, where it did not come through."""
+    first = summaries[0]
+    if not first.diverged:
+        return ""
+    return f"{first.filter_name}, the first of the {len(summaries)} filters, {lost_words(first)}."
 
 
 def none_left(summaries: Sequence[FilterSummary]) -> str:
@@ -239,7 +265,7 @@ def _too_few(open_ones: Sequence[Comparison]) -> str:
     runs, needed = open_ones[0].difference.count, open_ones[0].difference.needed
     if runs == 1:
         return f"one run shows no general difference (in it {listed(errors)})"
-    return f"{runs} runs are too few to show a difference, {needed} are needed (on average {listed(errors)})"
+    return f"{runs} runs are too few to show a difference, {needed} are needed (run by run {listed(errors)})"
 
 
 def _nearest(settled: Sequence[Comparison]) -> str:
@@ -253,7 +279,7 @@ def _nearest(settled: Sequence[Comparison]) -> str:
 _MOST_WORDED = 3
 
 _HONESTY = {
-    Consistency.CONSISTENT: "inside its band ({band}): it knows how wrong it is",
+    Consistency.CONSISTENT: "inside its band ({band}): it is consistent",
     Consistency.OVERCONFIDENT: "above its band ({band}): it is overconfident",
     Consistency.CAUTIOUS: "below its band ({band}): it claims more uncertainty than it has",
 }
@@ -264,7 +290,7 @@ def _consistency_words(best: FilterSummary) -> str:
     if state is Consistency.UNKNOWN:
         return f"The consistency of {best.filter_name} is not known."
     mean, band = pose_nees(best)
-    return f"The pose NEES / 6 of {best.filter_name} is {mean}, {_HONESTY[state].format(band=band)}."
+    return f"The pose NEES / 6 of {best.filter_name} is {mean}, {_HONESTY[state].format(band=band)}, {sureness(best)}."
 
 
 def pose_nees(summary: FilterSummary) -> tuple[str, str]:
@@ -273,8 +299,7 @@ def pose_nees(summary: FilterSummary) -> tuple[str, str]:
     assert summary.pose_anees_band is not None
     dof = DOF["pose"]
     low, high = (end / dof for end in summary.pose_anees_band)
-    mean = summary.pose_anees / dof
-    return f"{mean:.2f}" if mean < 100.0 else f"{mean:,.0f}", f"{low:.2f} to {high:.2f}"
+    return POSE_NEES.text(summary.pose_anees), f"{low:.2f} to {high:.2f}"
 
 
 def _limit_words(best: FilterSummary) -> str:
@@ -282,6 +307,9 @@ def _limit_words(best: FilterSummary) -> str:
     if found is None:
         return ""
     bound = "the Cramér–Rao bound" + ("" if best.bound_position_m is None else f", {best.bound_position_m:.3g} m")
+    tell = "one run can tell" if found.runs == 1 else f"{found.runs} runs can tell"
+    if found.reach is Reach.SHORT and found.runs < MIN_PAIRS:
+        return f"{name} reaches {found.value} of what theory allows, as far as {tell} ({bound})."
     if found.reach in (Reach.SHORT, Reach.OPEN):
         sure = found.sureness if found.interval is None else f"{found.sureness} at 95 % confidence"
         open_ = ", so that it may be at the limit" if found.reach is Reach.OPEN else ""
@@ -293,8 +321,7 @@ def _limit_words(best: FilterSummary) -> str:
             f"The error of {name} is below {bound} (bound over error {found.sureness}): the bound is an average over "
             f"drives of the assumed motion; these were easier, perhaps by chance, or the filter is told more."
         )
-    few = "one run tells" if found.runs == 1 else f"{found.runs} runs tell"
-    return f"The error of {name} is not told from the limit, as far as {few} ({bound})."
+    return f"The error of {name} is not told from the limit, as far as {tell} ({bound})."
 
 
 def _cost(best: FilterSummary, rivals: Sequence[FilterSummary]) -> str:

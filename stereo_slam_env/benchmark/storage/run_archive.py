@@ -12,11 +12,13 @@ from typing import Any
 
 import numpy as np
 
+from filters.contract.foreign_text import first_line
 from stereo_slam_env.evaluation.cramer_rao import Bound
 from stereo_slam_env.evaluation.landmark_statistics import SERIES as _LANDMARK_SERIES
 from stereo_slam_env.evaluation.landmark_statistics import LandmarkStatistics
 from stereo_slam_env.evaluation.map_scoring import LandmarkTrace
 from stereo_slam_env.evaluation.results import FilterRun
+from stereo_slam_env.files.opening import NotOpened
 from stereo_slam_env.files.readers import read_arrays
 from stereo_slam_env.recording.archive import reference_of
 
@@ -57,24 +59,24 @@ def packed_bound(bound: Bound | None, code: str) -> bytes:
     return stream.getvalue()
 
 
-def load_bound(path: Path) -> tuple[Bound | None, str]:
-    """Read what `packed_bound` packed; raises as `load_run`."""
+def load_bound(path: Path, *, inside: Path | None = None) -> tuple[Bound | None, str]:
+    """Read what `packed_bound` packed; arguments and errors as of `load_run`."""
     with damage_named(path):
-        arrays = read_arrays(path, ["pose", "code"])
+        arrays = read_arrays(path, ["pose", "code"], inside=inside)
         return Bound(arrays["pose"]) if len(arrays["pose"]) else None, str(arrays["code"])
 
 
-def load_provenance(path: Path) -> dict[str, Any]:
+def load_provenance(path: Path, *, inside: Path | None = None) -> dict[str, Any]:
     """The provenance alone, without reading the series; raises as `load_run`."""
     with damage_named(path):
-        provenance: dict[str, Any] = _checked(read_arrays(path, ["about"]))["provenance"]
+        provenance: dict[str, Any] = _checked(read_arrays(path, ["about"], inside=inside))["provenance"]
         return provenance
 
 
-def load_run(path: Path) -> tuple[FilterRun, dict[str, Any]]:
-    """Read a run and its provenance; a `ValueError` names a file that is damaged, or of an unknown format."""
+def load_run(path: Path, *, inside: Path | None = None) -> tuple[FilterRun, dict[str, Any]]:
+    """Read a run and its provenance; a `ValueError` names a file that is damaged, of another format, or outside."""
     with damage_named(path):
-        arrays: dict[str, Any] = read_arrays(path)
+        arrays: dict[str, Any] = read_arrays(path, inside=inside)
         about = _checked(arrays)
         run = FilterRun(
             **about["run"],
@@ -96,11 +98,12 @@ def damage_named(path: Path) -> Iterator[None]:
     """Raise a `ValueError` that names the file and the remedy where what is read from it is damaged."""
     try:
         yield
-    except FileNotFoundError:
+    except (FileNotFoundError, NotOpened):
         raise
     except _DAMAGE as error:
-        reason = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
-        raise ValueError(f"{path} is damaged ({reason}): delete it and run the same command again") from error
+        raise ValueError(
+            f"{path} is damaged ({first_line(error)}): delete it and run the same command again"
+        ) from error
 
 
 def _checked(arrays: Mapping[str, Any]) -> dict[str, Any]:

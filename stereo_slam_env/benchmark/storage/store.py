@@ -18,18 +18,23 @@ from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, Scenario
 from stereo_slam_env.benchmark.scenarios.streams import as_given, pairing_digest, seed_description, stream_key
 from stereo_slam_env.benchmark.scenarios.study import Cell, Study
 from stereo_slam_env.benchmark.storage.code_identity import code_digest, versions
+from stereo_slam_env.benchmark.storage.plugin_code import digest_of_choice, digest_of_source
 from stereo_slam_env.benchmark.storage.run_archive import (
     damage_named,
     load_bound,
     load_provenance,
     load_run,
 )
-from stereo_slam_env.benchmark.storage.tables import write_csv, write_json, write_trial_table
+from stereo_slam_env.benchmark.storage.tables import write_csv, write_trial_table
 from stereo_slam_env.evaluation.cramer_rao import Bound
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
 from stereo_slam_env.evaluation.run_figures import Bounds, Figures, figures_of, summarise_all
 from stereo_slam_env.evaluation.run_trajectories import estimate_of, reference_of, truth_of
 from stereo_slam_env.files.folders import is_occupied, write_atomically
+from stereo_slam_env.files.json_files import write_json
+from stereo_slam_env.files.opening import read_bytes
+from stereo_slam_env.files.paths import require_links_inside
+from stereo_slam_env.files.readers import read_json
 from stereo_slam_env.recording.trajectory import Trajectory
 from stereo_slam_env.recording.trajectory_files import save_trajectory
 
@@ -67,7 +72,9 @@ class RunDirectory:
         self.cell = cell
         self.scenario = cell.scenario
         self.seeds = cell.scenario.recording_seeds
-        self._recordings = root_of(out) / "recordings"
+        self._root = root_of(out)
+        self._recordings = self._root / "recordings"
+        self._found_code: dict[str | None, str | None] | None = None
 
     def trial_path(self, seed: int | None, choice: FilterChoice) -> Path:
         """File of the time series of one filter on one recording."""
@@ -84,30 +91,53 @@ class RunDirectory:
     def missing(self) -> list[tuple[int | None, FilterChoice | None]]:
         """Trials still to be run, by seed, then filter; None instead of a filter: the bound.
 
-        That is what is not there, and what another version of the code made. A `ValueError` says that a finished trial
-        is damaged, or was made with other options of the filter.
+        That is what is not there, and what other code made, be it ours or that of filter, policy or source. A
+        `ValueError` says that a finished trial is damaged, or was made with other options of the filter.
         """
         todo: list[tuple[int | None, FilterChoice | None]] = []
         code = code_digest()
+        self._found_code = None  # files may have been edited since
         for seed in self.seeds:
             for choice in self.scenario.competitors:
                 path = self.trial_path(seed, choice)
-                provenance = load_provenance(path) if path.exists() else None
-                if provenance is None or provenance["code"] != code:
+                provenance = load_provenance(path, inside=self._root) if path.exists() else {}
+                if _code_in(provenance) != (code, self._plugins[choice.label]):
                     todo.append((seed, choice))
                 elif provenance["filter"] != dataclasses.asdict(choice):
                     raise ValueError(
                         f"{path} was made with other options of that filter: give it another label, or choose "
                         f"another output directory"
                     )
-            if self.scenario.has_bound and self._bound(seed)[1] != code:
+            if self.scenario.has_bound and self._bound(seed)[1] != self._code_of_bound:
                 todo.append((seed, None))
         return todo
 
+    @property
+    def _plugins(self) -> dict[str | None, str | None]:
+        """Digests of the code that is not ours, by label of the competitor; of None that of the recordings alone.
+
+        To know them, filters are imported: nobody who only reads a run asks for them.
+        """
+        if self._found_code is None:
+            source = digest_of_source(self.scenario.source)
+            self._found_code = {None: source}
+            for choice in self.scenario.competitors:
+                theirs = " ".join(filter(None, (source, digest_of_choice(choice))))
+                self._found_code[choice.label] = theirs or None
+        return self._found_code
+
+    @property
+    def _code_of_bound(self) -> str:
+        return " ".join(filter(None, (code_digest(), self._plugins[None])))
+
     def recording_is_made(self, seed: int | None) -> bool:
         """Whether the recording is there, made by this version of the code."""
-        about = self._about_recording(seed)
-        return about is not None and about["code"] == code_digest() and self.recording_path(seed).exists()
+        about = self._about_recording(seed) or {}
+        return _code_in(about) == (code_digest(), self._plugins[None]) and self.recording_path(seed).exists()
+
+    def recording_content(self, seed: int | None) -> bytes:
+        """Recording of a seed, as bytes of `recording.archive`."""
+        return read_bytes(self.recording_path(seed), inside=self._root)
 
     def save_recording(
         self, seed: int | None, content: bytes, description: Mapping[str, Any], choice: FilterChoice | None = None
@@ -115,18 +145,24 @@ class RunDirectory:
         """Keep a recording, as bytes of `recording.archive`, and its description."""
         path = self.recording_path(seed, choice)
         write_atomically(path, lambda stream: stream.write(content))
-        write_json(path.with_suffix(".json"), {"code": code_digest(), **description})
+        code = {"code": code_digest(), "plugin_code": self._plugins[None]}
+        write_json(path.with_suffix(".json"), {**code, **description})
 
     def provenance(self, seed: int | None, choice: FilterChoice | None) -> dict[str, Any]:
-        """Provenance of a trial: competitor, version of the code, description of its recording.
+        """Provenance of a trial: competitor, identity of our code and of others', description of its recording.
 
         Where a policy drives its own episode, the trial adds what was recorded.
         """
-        about: dict[str, Any] = {"filter": choice and dataclasses.asdict(choice), "code": code_digest()}
+        about: dict[str, Any] = {
+            "filter": choice and dataclasses.asdict(choice),
+            "code": code_digest(),
+            "plugin_code": self._plugins[None if choice is None else choice.label],
+        }
         if choice is not None and choice.policy is not None:
             return about
         recorded = self._about_recording(seed) or {}
-        return {**about, "code": recorded["code"], "recording": as_given(recorded, self.scenario)}
+        code = self._code_of_bound if choice is None else recorded["code"]
+        return {**about, "code": code, "recording": as_given(recorded, self.scenario)}
 
     def save_trial(self, seed: int | None, choice: FilterChoice | None, content: bytes) -> None:
         """Keep a finished trial (bytes of `run_archive`), or a bound."""
@@ -146,7 +182,7 @@ class RunDirectory:
                 path = self.trial_path(seed, choice)
                 if not path.exists():
                     raise ValueError(f"{path} is missing: the run is not finished, run the same command again")
-                run, provenance = load_run(path)
+                run, provenance = load_run(path, inside=self._root)
                 if run.filter_name != choice.label:  # it becomes the name of files
                     raise ValueError(f"{path} holds a run of {run.filter_name!r}: delete it and run the command again")
                 given[choice.label] = provenance["recording"]
@@ -166,6 +202,13 @@ class RunDirectory:
             )
         return runs, recordings
 
+    def plugin_code(self) -> dict[str, str | None]:
+        """Digest of the code that each filter and policy had, by label; None for those that are ours."""
+        return {
+            choice.label: load_provenance(self.trial_path(self.seeds[0], choice)).get("plugin_code")
+            for choice in self.scenario.competitors
+        }
+
     def bounds(self) -> dict[tuple[str, int | None], Bound]:
         """The bounds there are, by name and seed of the recording."""
         found = {}
@@ -178,14 +221,14 @@ class RunDirectory:
     def _bound(self, seed: int | None) -> tuple[Bound | None, str | None]:
         """The bound, and the version of the code that made it; None where there is none."""
         path = self.bound_path(seed)
-        return load_bound(path) if path.exists() else (None, None)
+        return load_bound(path, inside=self._root) if path.exists() else (None, None)
 
     def _about_recording(self, seed: int | None) -> dict[str, Any] | None:
         path = self.recording_path(seed).with_suffix(".json")
         if not path.exists():
             return None
         with damage_named(path):
-            about: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+            about: dict[str, Any] = read_json(path, inside=self._root)
             return about
 
     def results(self) -> CellResult:
@@ -200,7 +243,7 @@ class RunDirectory:
         found = self.results()
         about = {"version": VERSION, "scenario": self.scenario.name, "recordings": found.recordings}
         write_json(self.out / "summary.json", {**about, "filters": found.rows})
-        write_csv(self.out / "summary.csv", found.rows)
+        write_csv(self.out / "summary.csv", found.summaries)
         for run in found.runs:
             folder = self.out / "trajectories" / seed_name(run.seed)
             # A camera that looks elsewhere is elsewhere, by the arm of the head: each policy has its own truth.
@@ -236,6 +279,11 @@ class StudyDirectory:
             write_json(self.out / "summary.json", {"version": VERSION, "study": self.study.name, "cells": cells})
         write_trial_table(self.out / "trials.sqlite", results)
         return results
+
+
+def _code_in(provenance: Mapping[str, Any]) -> tuple[str | None, str | None]:
+    """Digests of our code and of that of the filter and policy that made a trial."""
+    return provenance.get("code"), provenance.get("plugin_code")
 
 
 def _write_trajectories(path: Path, poses: Trajectory | None, claimed: Trajectory | None) -> None:
@@ -278,10 +326,9 @@ def read_study(out: Path) -> StudyDirectory:
     path = out / STUDY
     if not path.exists():
         return StudyDirectory(out, Study.of(_scenario_in(out)))
-    try:
-        return StudyDirectory(out, Study.from_dict(json.loads(path.read_text(encoding="utf-8"))))
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise ValueError(f"{path} is damaged: {error}") from error
+    require_links_inside(root_of(out))  # what is written would land elsewhere, too
+    with damage_named(path):
+        return StudyDirectory(out, Study.from_dict(read_json(path)))
 
 
 def root_of(out: Path) -> Path:
@@ -305,11 +352,11 @@ def seed_name(seed: int | None) -> str:
 def _scenario_in(out: Path) -> Scenario:
     path = out / SETTINGS
     try:
-        return Scenario.from_dict(json.loads(path.read_text(encoding="utf-8"))["scenario"])
-    except (FileNotFoundError, NotADirectoryError) as error:
+        require_links_inside(root_of(out))
+        with damage_named(path):
+            return Scenario.from_dict(read_json(path)["scenario"])
+    except FileNotFoundError as error:
         raise ValueError(_why_no_run(out)) from error
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise ValueError(f"{path} is damaged: {error}") from error
 
 
 def _why_no_run(out: Path) -> str:

@@ -1,5 +1,7 @@
 """Result tables on disk: summaries as JSON and CSV, and all trials as SQLite, for analysis with other tools.
 
+CSV and SQLite have the units of the tables on the screen: a NEES is by its degrees of freedom, and its column says so.
+
 The trial table is in docs/benchmark.md ("The run directory"); its table `columns` says what each column is. NULL is
 what does not apply or is not finite.
 """
@@ -10,44 +12,59 @@ import csv
 import io
 import json
 import sqlite3
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import msgspec
-
-from stereo_slam_env.evaluation.figures import trial_columns
+from stereo_slam_env.evaluation.figures import FIGURES, trial_columns
+from stereo_slam_env.evaluation.results import FilterSummary
 from stereo_slam_env.evaluation.run_figures import key_of
 from stereo_slam_env.files.folders import unfinished_name, write_atomically
 
 if TYPE_CHECKING:
     from stereo_slam_env.benchmark.storage.store import CellResult
 
-SCHEMA = 3
+SCHEMA = 4
+POSE_NEES = FIGURES["pose_anees"]
 _TYPES = {"text": "TEXT", "integer": "INTEGER", "real": "REAL", "any": ""}
 
 
-def write_json(path: Path, data: Mapping[str, Any]) -> None:
-    """Write JSON that any reader takes, whole or not at all: NaN and infinity are null."""
-    text = msgspec.json.format(msgspec.json.encode(data, enc_hook=_plain), indent=2) + b"\n"
-    write_atomically(path, lambda stream: stream.write(text))
+def write_csv(path: Path, summaries: Sequence[FilterSummary]) -> None:
+    """Write summaries, one row for each filter and one plain value in each cell; what does not apply is empty.
 
-
-def _plain(value: Any) -> Any:
-    return dict(value) if isinstance(value, Mapping) else float(value)
-
-
-def write_csv(path: Path, rows: Mapping[str, Mapping[str, Any]]) -> None:
-    """Write summaries, one row for each filter; what does not apply is empty."""
-    plain = msgspec.json.decode(msgspec.json.encode(rows, enc_hook=_plain))
+    Columns are those of the trial table as far as they have a value over runs, in the same units, then the band of the
+    pose NEES and the options, one column each. What is a list of its own is in `summary.json`.
+    """
+    rows = [_summary_row(summary) for summary in summaries]
     text = io.StringIO()
-    table = csv.writer(text, lineterminator="\n")
-    table.writerow(["filter", *next(iter(plain.values()))])
-    for label, row in plain.items():
-        cells = (json.dumps(cell) if isinstance(cell, (list, dict)) else cell for cell in row.values())
-        table.writerow([label, *cells])
+    table = csv.DictWriter(text, list(dict.fromkeys(name for row in rows for name in row)), lineterminator="\n")
+    table.writeheader()
+    table.writerows(rows)
     write_atomically(path, lambda stream: stream.write(text.getvalue().encode()))
+
+
+def _summary_row(summary: FilterSummary) -> dict[str, Any]:
+    low, high = summary.pose_anees_band or (None, None)
+    band = {f"{POSE_NEES.column}_{end}": POSE_NEES.in_unit(value) for end, value in (("low", low), ("high", high))}
+    return {
+        "filter": summary.filter_name,
+        "runs": summary.runs,
+        "failed": len(summary.failures),
+        **{FIGURES[name].column: FIGURES[name].in_unit(value) for name, value in summary.figures.items()},
+        **band,
+        **dict(_flat("option", summary.options)),
+    }
+
+
+def _flat(name: str, value: Any) -> Iterator[tuple[str, Any]]:
+    """Plain values of nested options with dots in their names: "option.motion.sigma_acceleration"."""
+    inner = value.items() if isinstance(value, Mapping) else enumerate(value) if isinstance(value, Sequence) else ()
+    if isinstance(value, str) or not isinstance(value, (Mapping, Sequence)):
+        yield name, value
+    else:
+        for key, entry in inner:
+            yield from _flat(f"{name}.{key}", entry)
 
 
 def write_trial_table(path: Path, results: Sequence[CellResult]) -> None:
@@ -57,7 +74,7 @@ def write_trial_table(path: Path, results: Sequence[CellResult]) -> None:
     columns = [
         ("cell", "text", "", "cell of the grid, or name of the scenario"),
         *((factor, "any", "", "factor of the grid") for factor in factors),
-        *((figure.name, figure.kind, figure.unit, figure.meaning) for figure in trial_columns()),
+        *((figure.column, figure.kind, figure.unit, figure.column_meaning) for figure in trial_columns()),
         ("policy", "text", "", "policy that chose where to look, as JSON; null where there is none"),
         ("options", "text", "", "options the filter was made with, as JSON"),
         ("series", "text", "", "time series of the trial (npz), relative to this file"),
@@ -91,7 +108,10 @@ def _rows(root: Path, result: CellResult) -> list[dict[str, Any]]:
             {
                 "cell": result.cell.name,
                 **_factors(result),
-                **result.figures[run.filter_name].of_run[key_of(run)],
+                **{
+                    FIGURES[name].column: FIGURES[name].in_unit(value)
+                    for name, value in result.figures[run.filter_name].of_run[key_of(run)].items()
+                },
                 "policy": None if choice.policy is None else json.dumps(choice.policy.as_dict()),
                 "options": json.dumps(dict(run.options)),
                 "series": result.directory.trial_path(run.seed, choice).relative_to(root).as_posix(),

@@ -49,22 +49,25 @@ def error_limits(runs: Sequence[FilterRun]) -> FloatArray:
 
     A diverged filter does not count: the others stay readable.
     """
-    peaks = {run.filter_name: np.zeros(6) for run in runs}
-    for run in runs:
-        error, sigma = series.belief_error(run)
-        reach = np.stack([np.abs(error), 3 * sigma])
-        peaks[run.filter_name] = np.array([series.peak(reach[:, :, axis]) for axis in range(6)])
-    limits = [shared_limit({n: float(p[axis]) for n, p in peaks.items()}).upper for axis in range(6)]
-    return np.array(limits)
+    return shared_error_limits({run.filter_name: series.belief_error(run) for run in runs})
+
+
+def shared_error_limits(errors: Mapping[str, tuple[FloatArray, FloatArray]]) -> FloatArray:
+    """Half heights (6,) for pose errors (K, 6) and their standard deviations (K, 6), m and rad."""
+    reach = {name: np.stack([np.abs(error), 3 * sigma]) for name, (error, sigma) in errors.items()}
+    peaks = [{name: series.peak(both[:, :, axis]) for name, both in reach.items()} for axis in range(6)]
+    return np.array([shared_limit(of_axis).upper for of_axis in peaks])
 
 
 def plot_error_bounds(run: FilterRun, limits: FloatArray | None = None) -> Chart:
     """Pose error inside its claimed 3-sigma bounds, one panel per degree of freedom."""
-    name = run.filter_name
-    colour = filter_colours([name])[name]
     limits = error_limits([run]) if limits is None else limits
-    error, sigma = series.belief_error(run)
-    time = series.elapsed(run)
+    return pose_error_chart(run.filter_name, series.elapsed(run), *series.belief_error(run), limits)
+
+
+def pose_error_chart(name: str, time: FloatArray, error: FloatArray, sigma: FloatArray, limits: FloatArray) -> Chart:
+    """Pose errors (K, 6), position first, inside 3 standard deviations (K, 6), NaN where nothing is claimed."""
+    colour = filter_colours([name])[name]
     panels = []
     for number, (title, axis, unit, scale) in enumerate(_PANELS):
         e, bound = scale * error[:, axis], 3 * scale * sigma[:, axis]
@@ -97,7 +100,7 @@ def plot_nees(runs: Sequence[FilterRun]) -> Chart:
     runs_shown = int(count.max(initial=0))
     of_runs = f", mean of {runs_shown} runs" if runs_shown > 1 else ""
     title = f"Pose NEES / 6{of_runs} (1 is ideal)"
-    return _against_band(title, series.elapsed(max(runs, key=len)), curves, (low, high))
+    return band_chart(title, series.elapsed(max(runs, key=len)), curves, (low, high))
 
 
 def plot_nis(runs: Sequence[FilterRun], points: int = 80) -> Chart:
@@ -119,10 +122,10 @@ def plot_nis(runs: Sequence[FilterRun], points: int = 80) -> Chart:
         dofs.append(pooled)
     fewest = np.min(dofs, axis=0)
     band = mean_bands(1, np.where(fewest > 0, fewest, np.nan))
-    return _against_band("NIS per degree of freedom (1 is ideal)", time[starts], curves, band)
+    return band_chart("NIS per degree of freedom (1 is ideal)", time[starts], curves, band)
 
 
-def _against_band(
+def band_chart(
     title: str, time: FloatArray, curves: Mapping[str, FloatArray], band: tuple[FloatArray, FloatArray]
 ) -> Chart:
     """Curves, of which 1 is ideal, on a log axis (twice too large and too small look alike) over the band."""

@@ -19,9 +19,10 @@ from numpy.typing import ArrayLike
 
 from filters.validation import FloatArray, IntArray
 from stereo_slam_env.report.charts.axes import Axis, short, spread_out
-from stereo_slam_env.report.charts.series import last_known, peak
+from stereo_slam_env.report.charts.series import last_known, peak, thinned
 from stereo_slam_env.report.charts.style import INK, MUTED, PAPER, Limit, shared_limit
 from stereo_slam_env.report.charts.vega import (
+    AS_GIVEN,
     COLOURED,
     ID,
     SAID,
@@ -124,7 +125,7 @@ class Panel:
             "strokeJoin": "round",
         }
         width = {"field": "width", "type": "quantitative", "scale": None, "legend": None}
-        self._layer(rows, mark, **COLOURED, strokeWidth=width, detail=ID)
+        self._layer(rows, mark, **COLOURED, strokeWidth=width, detail=ID, order=AS_GIVEN)
         if any(row["said"] is not None for row in rows):
             # Points that cannot be seen say the values; `live` is set where there is a pointer.
             point = {"type": "point", "opacity": 0, "size": 110}
@@ -147,6 +148,14 @@ class Panel:
         """Fill between `low` and `high` of each curve."""
         rows = [_row(number, curve, self._kept(curve), "low", "high") for number, curve in enumerate(curves)]
         self._layer(rows, {"type": "area"}, {"y": "low", "y2": "high"}, **COLOURED, detail=ID)
+
+    def outlines(self, curves: Iterable[Curve]) -> None:
+        """Fill what each curve goes round; a path that crosses itself is filled on both sides."""
+        rows = [_row(number, curve, _known(curve)) for number, curve in enumerate(curves)]
+        order = {"field": "at", "type": "quantitative"}
+        rows = [row | {"at": [*range(len(row["x"]))]} for row in rows]
+        fill = {"fill": COLOURED["color"], "fillOpacity": COLOURED["opacity"]}
+        self._layer(rows, {"type": "line", "strokeWidth": 0}, **fill, order=order, detail=ID)
 
     def boxes(self, boxes: Iterable[Box]) -> None:
         """Fill rectangles."""
@@ -261,7 +270,8 @@ class Panel:
         return drawn(rows, {**mark, "clip": True}, {**sides, **encoding}, where)
 
     def _kept(self, curve: Curve) -> IntArray:
-        return thinned(curve, max(60, round(POINTS_A_PIXEL * self.width / (1 if curve.said is not None else 2))))
+        most = max(60, round(POINTS_A_PIXEL * self.width / (1 if curve.said is not None else 2)))
+        return thinned(curve.y if curve.high is None else curve.high, most)
 
     def _tooltip(self) -> list[Spec]:
         values = {"x": self.x.title or "at"}
@@ -363,20 +373,6 @@ def figure(
             "spacing": {"row": row, "column": column},
         }
     )
-
-
-def thinned(curve: Curve, most: int) -> IntArray:
-    """Indices of the points to draw: of each stretch the first, the lowest and the highest, so that no peak is lost."""
-    y = np.asarray(curve.y if curve.high is None else curve.high, dtype=np.float64)
-    if len(y) <= most:
-        return np.arange(len(y))
-    keep = {0, len(y) - 1}
-    for stretch in np.array_split(np.arange(len(y)), most // 3):
-        gaps = ~np.isfinite(y[stretch])
-        keep.add(int(stretch[np.argmax(gaps)]))  # a gap, where there is one
-        if not gaps.all():
-            keep |= {int(stretch[np.nanargmin(y[stretch])]), int(stretch[np.nanargmax(y[stretch])])}
-    return np.array(sorted(keep), dtype=np.int64)
 
 
 # ---- rows of data ---------------------------------------------------------------------------------------------------

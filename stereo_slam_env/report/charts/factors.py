@@ -10,7 +10,7 @@ import numpy as np
 
 from filters.validation import FloatArray
 from stereo_slam_env.benchmark.statistics.attribution import Attribution
-from stereo_slam_env.benchmark.statistics.comparison import Change
+from stereo_slam_env.benchmark.statistics.changes import Change
 from stereo_slam_env.benchmark.statistics.effects import Effect, ResponseAttribution
 from stereo_slam_env.report.charts.axes import WIDTH, Axis, label_room, log_axis, panel_width
 from stereo_slam_env.report.charts.drawing import Box, Chart, Curve, Panel, ends_of, figure
@@ -162,7 +162,7 @@ def plot_changes(changes: Sequence[Change]) -> Chart:
         rows = [measures.index(change.measure) - 0.3 + 0.6 * (i + 0.5) / len(names) for change in own]
         ends = 1 + np.array([change.interval_percent for change in own], dtype=np.float64) / 100
         curves.append(Curve(name, np.sqrt(ends[:, 0] * ends[:, 1]), rows, colours[name], ends[:, 0], ends[:, 1]))
-    title = "after / before; of consistency: distance from the ideal"
+    title = "after / before, geometric mean; of consistency: distance from the ideal"
     x = log_axis([*ends_of(curves), np.array([0.98, 1.02])], title)
     left, right = label_room(measures), label_room(names)
     y = Axis.of_rows(len(measures))

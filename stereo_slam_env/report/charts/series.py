@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from filters.validation import BoolArray, FloatArray
+from filters.validation import BoolArray, FloatArray, IntArray
 from stereo_slam_env.evaluation.results import FilterRun
 
 Quantity = Callable[[FilterRun], FloatArray]
@@ -129,6 +129,20 @@ def last_known(values: ArrayLike) -> float:
     """Last finite value, NaN if there is none."""
     finite = _finite(values)
     return float(finite[-1]) if finite.size else float("nan")
+
+
+def thinned(values: ArrayLike, most: int) -> IntArray:
+    """Indices of the points to draw: of each stretch the first, the lowest and the highest, so that no peak is lost."""
+    y = np.asarray(values, dtype=np.float64)
+    if len(y) <= most:
+        return np.arange(len(y))
+    keep = {0, len(y) - 1}
+    for stretch in np.array_split(np.arange(len(y)), most // 3):
+        gaps = ~np.isfinite(y[stretch])
+        keep.add(int(stretch[np.argmax(gaps)]))  # a gap, where there is one
+        if not gaps.all():
+            keep |= {int(stretch[np.nanargmin(y[stretch])]), int(stretch[np.nanargmax(y[stretch])])}
+    return np.array(sorted(keep), dtype=np.int64)
 
 
 def _finite(values: ArrayLike) -> FloatArray:

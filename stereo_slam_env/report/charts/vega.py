@@ -36,6 +36,8 @@ COLOURED: Spec = {
 }
 UPRIGHT: Spec = {"size": 12.0, "angle": 0.0, "baseline": "middle"}
 ID: Spec = {"field": "id", "type": "ordinal"}
+AS_GIVEN: Spec = {"value": None}
+"""Order in which a line joins its points; Vega-Lite would sort them by x, and a path may turn back."""
 SAID: Spec = {"field": "said", "type": "nominal", "title": " "}
 
 

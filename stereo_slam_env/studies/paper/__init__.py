@@ -11,13 +11,13 @@ from dataclasses import asdict, dataclass, fields
 from functools import partial
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 
 from stereo_slam_env import run_benchmark
 from stereo_slam_env.benchmark import Backend, versions
 from stereo_slam_env.files import claimed_folder, is_occupied, write_atomically
+from stereo_slam_env.files.readers import read_arrays
 from stereo_slam_env.studies.paper import convergence, karlsruhe, landmark_uncertainty, long_drive, speed
 from stereo_slam_env.studies.paper.claims import Arrays, Claim, Finding, Interval, Range, Verdict
 
@@ -177,10 +177,9 @@ def _computed(task: tuple[Path, str, partial[Arrays]]) -> tuple[str, Arrays]:
 def _kept(path: Path, key: str) -> Arrays | None:
     """The arrays of the file, if it is of this key."""
     try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = dict(file)
+        arrays = read_arrays(path)
         return arrays if str(arrays.pop("made from")) == key else None
-    except (OSError, EOFError, ValueError, KeyError, BadZipFile):
+    except (OSError, ValueError, KeyError):
         return None
 
 

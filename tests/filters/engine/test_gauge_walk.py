@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from filters import RightInvariant, Start, StereoEKF
-from filters.engine.gauge_walk import TURN_WEIGHT
 from filters.state import symmetric
 
-from ..drives import CAMERA, DT, INDEPENDENT_PIXELS, START_COVARIANCE, drive, finish, start
+from ..drives import CAMERA, DT, INDEPENDENT_PIXELS, START_COVARIANCE, drive, finish
 from ..slots import LANDMARKS
 
 WALK = 0.01
+TURN_WEIGHT = 5.0  # as docs/covariances.md measured it
 KEEPING = ["first-estimates", "right-invariant"]
 
 
@@ -24,8 +24,11 @@ def make(**options: object) -> StereoEKF:
 @pytest.mark.parametrize("landmark", LANDMARKS)
 def test_the_walk_shows_in_the_pose_and_in_no_forecast(landmark: str, error: str) -> None:
     frames = drive(1, 2, visible=20)
-    walked, still = (start(make(landmark=landmark, error=error, gauge_walk=walk)) for walk in (WALK, 0.0))
+    walked, still = (make(landmark=landmark, error=error, gauge_walk=walk) for walk in (WALK, 0.0))
     for slam in (walked, still):
+        slam.reset(
+            Start(linear_velocity=(0.3, 0.0, 5.0), angular_velocity=(0.05, 0.4, 0.0), covariance=START_COVARIANCE)
+        )
         slam.update(frames[0].observation)
         slam.clone_pose("where it started")
     before = walked.pose
@@ -39,6 +42,7 @@ def test_the_walk_shows_in_the_pose_and_in_no_forecast(landmark: str, error: str
     distances = np.linalg.norm(away, axis=1)
     step = walked.pose.position - before.position
     turn = 2.0 * np.arccos(min(1.0, abs(walked.pose.orientation @ before.orientation)))
+    assert turn > 0.03
     motion = TURN_WEIGHT * turn + np.mean(np.linalg.norm(np.cross(step, away), axis=1) / distances**2)
     growth = np.diag(walked.pose.covariance - still.pose.covariance)
     expected = WALK**2 * motion * np.repeat([1.0 / np.mean(1.0 / distances) ** 2, 1.0], 3)

@@ -3,6 +3,7 @@
 import errno
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -10,12 +11,14 @@ import time
 from dataclasses import asdict, replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+import stereo_slam_env as sse
 from stereo_slam_env.benchmark.storage.store import RunDirectory
 from stereo_slam_env.cli import app as cli
 from stereo_slam_env.recording.archive import save_recording
-from stereo_slam_env.recording.recording import SIMULATION, Reference
+from stereo_slam_env.recording.recording import GIVEN_TRUTH, SIMULATION, Reference
 
 from ..benchmark.small_recordings import small_recording
 from ..datasets.small_folders import kitti00, kitti07
@@ -53,7 +56,7 @@ def full_command(capsys, monkeypatch):
 INTERRUPTIBLE = """
 import runpy, signal
 signal.signal(signal.SIGINT, signal.default_int_handler)
-runpy.run_module("stereo_slam_env.cli", run_name="__main__", alter_sys=True)
+runpy.run_module("stereo_slam_env", run_name="__main__", alter_sys=True)
 """
 
 
@@ -131,7 +134,7 @@ def test_the_presets_are_listed(command):
 
 
 def test_a_reader_that_has_seen_enough_is_no_error():
-    asked = [sys.executable, "-m", "stereo_slam_env.cli", "bench", "--list"]
+    asked = [sys.executable, "-m", "stereo_slam_env", "bench", "--list"]
     with subprocess.Popen(asked, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as listing:
         listing.stdout.close()
         assert listing.stderr.read() == b""
@@ -264,7 +267,7 @@ def test_replay_runs_filters_over_a_folder(command, tmp_path, layout):
 
 def test_replay_against_an_odometry_from_the_same_images_claims_nothing_of_consistency(full_command, tmp_path):
     """Nor does it keep silent on the innovations: 1 px of noise, and 8 px assumed."""
-    odometry = Reference("odometry from the same images", "By hand.")
+    odometry = Reference("odometry", "By hand.")
     for name, truth_from in (("true", SIMULATION), ("odometry", odometry)):
         save_recording(tmp_path / f"{name}.npz", replace(small_recording(frames=40), truth_from=truth_from))
 
@@ -277,21 +280,55 @@ def test_replay_against_an_odometry_from_the_same_images_claims_nothing_of_consi
 
     out, summary, page = said("true")
     assert "pose NEES / 6" in out
-    assert "Reference: independent truth. Exact poses of the simulation." in out
+    assert "Reference: independent truth (simulation). Exact poses of the simulation." in out
     assert "than claimed" not in out
     assert summary["recordings"][0]["reference"] == asdict(SIMULATION)
     assert summary["filters"]["inverse-depth"]["pose_anees"] > 0
 
     out, summary, page = said("odometry", "--sigma-px", 8)
-    for claim in ("NEES /", "knows how wrong", "its band", "that band"):
+    for claim in ("NEES /", "it is consistent", "its band", "that band"):
         assert claim not in out
         assert claim not in page
     for text in (out, page):
         assert "Reference: odometry from the same images. By hand. What is called error is the distance to it" in text
-        assert "smaller than claimed: too much noise is assumed" in text
+        assert "smaller than claimed: perhaps too much noise is assumed" in text
     assert summary["recordings"][0]["reference"] == asdict(odometry)
     assert summary["filters"]["inverse-depth"]["pose_anees"] is None
     assert summary["filters"]["inverse-depth"]["position_rmse_m"] > 0
+
+
+def test_replay_says_of_a_strangers_truth_that_its_origin_is_unknown_until_it_is_stated(full_command, tmp_path):
+    """The figures are the same; what they mean is said. As an odometry it makes no NEES."""
+    save_recording(tmp_path / "mine.npz", replace(small_recording(frames=30), truth_from=GIVEN_TRUTH))
+
+    def said(name, *more):
+        common = ("--filters", "inverse-depth", "--jobs", 1, "--gate", "none", "--out", tmp_path / name)
+        code, out, _ = full_command("replay", tmp_path / "mine.npz", *common, *more)
+        assert code == 0
+        figures = json.loads((tmp_path / name / "summary.json").read_text())["filters"]["inverse-depth"]
+        return " ".join(out.split()), (tmp_path / name / "report.html").read_text(encoding="utf-8"), figures
+
+    out, page, figures = said("unstated")
+    for text in (out, page):
+        assert "Reference: stated by the recording, origin unknown. It calls its poses true" in text
+    assert "independent truth" not in out + page
+    out, page, surveyed = said("surveyed", "--reference", "kind=surveyed, position_jitter=0.001")
+    assert "Reference: independent truth (surveyed). It calls its poses true" in out
+    assert "Its kind was stated for this run. Its stated errors: jitter of 1 mm." in out
+    assert surveyed["position_rmse_m"] == figures["position_rmse_m"]
+    assert surveyed["pose_anees"] == pytest.approx(figures["pose_anees"], rel=0.2)
+    out, page, odometry = said("odometry", "--reference", "kind=odometry")
+    assert "Reference: odometry from the same images. " in out
+    assert odometry["position_rmse_m"] == figures["position_rmse_m"]
+    assert odometry["pose_anees"] is None
+
+
+def test_a_kind_of_poses_that_are_not_there_is_refused(command, tmp_path):
+    save_recording(tmp_path / "blind.npz", small_recording(truth=False))
+    code, _, err = command("replay", tmp_path / "blind.npz", "--reference", "kind=ins", "--out", tmp_path / "run")
+    assert code == 2
+    assert "reference states kind=ins, but" in err
+    assert "has no true pose: leave it out" in " ".join(err.split())
 
 
 def test_what_replay_writes_is_read_by_evaluate_with_the_same_nees(command, tmp_path):
@@ -306,10 +343,10 @@ def test_what_replay_writes_is_read_by_evaluate_with_the_same_nees(command, tmp_
     figures = json.loads((tmp_path / "run" / "summary.json").read_text())["filters"]
     folder = tmp_path / "run" / "trajectories" / "recording"
     ours, theirs, truth = (folder / f"{name}.square" for name in ("inverse-depth", "right-invariant", "truth"))
-    code, out, _ = command("evaluate", ours, truth, "--against", theirs, "--out", tmp_path / "score.json")
+    code, out, _ = command("evaluate", ours, truth, "--against", theirs, "--out", tmp_path / "score")
     assert code == 0
     assert "Log score of the pose" in out
-    for score in json.loads((tmp_path / "score.json").read_text())["scores"]:
+    for score in json.loads((tmp_path / "score" / "score.json").read_text())["scores"]:
         row = figures[score["estimate"]]
         assert score["frames"] == row["frames"] == 20
         assert score["position_rmse_m"] == pytest.approx(row["position_rmse_m"], rel=1e-9)
@@ -326,7 +363,7 @@ def test_what_replay_writes_is_read_by_evaluate_with_the_same_nees(command, tmp_
         (("truth.tum", "truth.tum", "--align", "yaw"), "--align must be"),
         (("truth.tum", "truth.tum", "--align", "rigid"), "does not determine a rigid alignment"),
         (("truth.tum", "truth.tum", "--max-gap", "-1"), "max_gap"),
-        (("truth.tum", "truth.tum", "--out", "score.txt"), "must end in .json"),
+        (("truth.tum", "truth.tum", "--out", "score.json"), "--out must be a folder, got score.json: for the figures"),
     ],
 )
 def test_evaluate_says_in_one_line_what_is_wrong(command, tmp_path, monkeypatch, arguments, complaint):
@@ -342,7 +379,8 @@ def test_evaluate_says_in_one_line_what_is_wrong(command, tmp_path, monkeypatch,
     ("stated", "complaint"),
     [
         ("position_jitter", "--reference must be numbers by name"),
-        ("jitter=1", "reference has no number 'jitter'"),
+        ("jitter=1", "reference has no statement 'jitter'"),
+        ("kind=gps", "kind of a reference must be one of 'simulation', 'surveyed', 'ins', 'odometry', 'unknown'"),
         ("misalignment=-1", "misalignment of a reference must be >= 0"),
     ],
 )
@@ -506,7 +544,55 @@ def test_help_is_there_when_it_is_needed(command, arguments):
 
 
 def test_the_version_is_told(command):
-    assert command("--version")[1].startswith("stereo-slam ")
+    assert command("--version")[1] == f"stereo-slam {sse.__version__}\n"
+
+
+def test_what_a_report_of_a_bug_should_hold_is_printed(capsys):
+    sse.show_versions()
+    out = capsys.readouterr().out
+    assert re.search(rf"^stereo-slam-env +{re.escape(sse.__version__)}$", out, re.MULTILINE)
+    assert re.search(rf"^numpy +{re.escape(np.__version__)}$", out, re.MULTILINE)
+    assert re.search(r"^pybullet +3\.", out, re.MULTILINE)
+
+
+def test_the_package_is_a_command_too():
+    command = [sys.executable, "-m", "stereo_slam_env", "--version"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=100)
+    assert (done.returncode, done.stdout, done.stderr) == (0, f"stereo-slam {sse.__version__}\n", "")
+
+
+@pytest.mark.parametrize(
+    ("words", "completed"),
+    [
+        ("stereo-slam ev", {"evaluate"}),
+        ("stereo-slam evaluate --ag", {"--against"}),
+        ("stereo-slam bench --preset tu", {"turn"}),
+        ("stereo-slam filters check inv", {"inverse-depth"}),
+    ],
+)
+def test_the_shell_completes_commands_options_and_names(words, completed):
+    asked = {"_STEREO_SLAM_COMPLETE": "complete_bash", "COMP_WORDS": words, "COMP_CWORD": str(words.count(" "))}
+    command = [sys.executable, "-m", "stereo_slam_env"]
+    done = subprocess.run(command, cwd=ROOT, env={**os.environ, **asked}, capture_output=True, text=True, timeout=100)
+    assert set(done.stdout.split()) == completed
+
+
+@pytest.mark.parametrize("arguments", [("filters", "list"), ("policies", "list"), ("scenes", "list")])
+def test_lists_are_printed_as_json_too(command, arguments):
+    _, out, _ = command(*arguments)
+    code, text, err = command(*arguments, "--json")
+    assert (code, err) == (0, "")
+    listed = json.loads(text)
+    for title, line in listed.items():
+        assert title in out
+        assert all(name in out for name in (line if isinstance(line, dict) else [line]))
+
+
+def test_checks_of_a_filter_are_printed_as_json_too(command):
+    code, out, _ = command("filters", "check", "inverse-depth", "--json")
+    found = json.loads(out)
+    assert (code, found["filter"], found["failed"]) == (0, "inverse-depth", [])
+    assert len(found["passed"]) > 10
 
 
 def test_help_loads_nothing_heavy():

@@ -15,14 +15,6 @@ def test_each_layout_finds_its_reader(tmp_path):
     assert load(starry_night(tmp_path / "c"), first=2).source["reader"] == "starry_night"
 
 
-def test_recorded_truth_is_independent_of_the_images_and_says_where_it_is_from(tmp_path):
-    told = {"GPS/INS": kitti07(tmp_path / "a"), "frame 16": kitti00(tmp_path / "b"), "capture": starry_night(tmp_path)}
-    for said, folder in told.items():
-        reference = load(folder, **({"first": 2} if said == "capture" else {})).truth_from
-        assert reference.is_independent
-        assert said in reference.description
-
-
 def complaint(path):
     with pytest.raises(ValueError, match=re.escape(str(path))) as caught:
         load(path)

@@ -209,3 +209,10 @@ def test_what_is_wrong_is_named(tmp_path):
     truth.write_text("\n".join(lines))
     with pytest.raises(ValueError, match=r"state_groundtruth_estimate0/data\.csv has NaN"):
         open_image_sequence(folder)
+
+
+def test_the_folder_around_one_recording_stands_for_it(tmp_path):
+    """`MH_01_easy` and its `mav0` are two folders of this layout, and one recording."""
+    euroc(tmp_path)
+    for folder in (tmp_path, tmp_path / "MH_01_easy", tmp_path / "MH_01_easy" / "mav0"):
+        assert open_image_sequence(folder).name == "euroc_MH_01_easy"

@@ -24,7 +24,7 @@ def test_the_wheel_holds_the_same_measurements_as_the_folder():
 
 def test_its_reference_says_that_it_is_no_ground_truth():
     pytest.importorskip("gtsam", reason="needs the extra gtsam")
-    assert load("gtsam").reference.kind == "odometry from the same images"
+    assert load("gtsam").reference.kind == "odometry"
 
 
 def test_without_gtsam_the_message_says_what_to_install(monkeypatch):

@@ -55,14 +55,14 @@ def test_no_file_of_a_recording_may_be_a_link_out_of_it(layout, name, tmp_path, 
     files, place, read = LAYOUTS[layout]
     folder = lay_out(tmp_path / "given", files)
     replace_by_link(folder / name, outside)
-    with pytest.raises(ValueError, match="link out of the recording"):
+    with pytest.raises(ValueError, match="link out of its folder"):
         read(folder / place)
 
 
 def test_nor_a_folder_in_it(tmp_path, outside):
     folder = lay_out(tmp_path / "given", seeds.kitti06())
     replace_by_link(folder / "image_l", outside)
-    with pytest.raises(ValueError, match=r"image_l is a link out of the recording, to .*put the file itself there"):
+    with pytest.raises(ValueError, match=r"image_l is a link out of its folder, to .*put the file itself there"):
         open_image_sequence(folder)
 
 
@@ -71,7 +71,7 @@ def test_nor_a_recording_below_the_given_folder(tmp_path, outside):
     given = tmp_path / "given"
     given.mkdir()
     (given / "drive").symlink_to(outside / "drive")
-    with pytest.raises(ValueError, match="link out of the recording"):
+    with pytest.raises(ValueError, match="link out of its folder"):
         open_image_sequence(given)
     assert len(open_image_sequence(given / "drive")) == seeds.FRAMES  # asked for by its own name
 
@@ -92,7 +92,7 @@ def test_a_circle_of_links_is_refused(tmp_path):
 
 
 def test_a_folder_whose_name_only_begins_alike_is_outside(tmp_path):
-    with pytest.raises(ValueError, match="out of the recording"):
+    with pytest.raises(ValueError, match="out of its folder"):
         require_inside(tmp_path / "drive-2" / "calib.txt", tmp_path / "drive")
 
 

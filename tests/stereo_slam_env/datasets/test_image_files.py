@@ -95,7 +95,7 @@ def test_other_faults_are_named(tmp_path, picture):
 
 def test_what_is_no_file_or_a_giant_one_is_not_even_read(tmp_path, picture, monkeypatch):
     os.mkfifo(tmp_path / "pipe.png")
-    with pytest.raises(BrokenPair, match=r"pipe\.png is damaged, it is no file"):
+    with pytest.raises(BrokenPair, match=r"pipe\.png is no regular file but a pipe"):
         read_grey(tmp_path / "pipe.png")
     write_png(tmp_path / "a.png", picture)
     monkeypatch.setattr(image_files, "MAX_BYTES", 100)

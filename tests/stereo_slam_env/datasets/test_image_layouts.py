@@ -118,16 +118,6 @@ def test_kitti_without_poses_has_no_truth(tmp_path):
     assert record_tracks(sequence, frames=2).reference.kind == "none"
 
 
-@pytest.mark.parametrize(
-    ("layout", "said"),
-    [("kitti_odometry", "poses/07.txt"), ("kitti_raw", "GPS"), ("karlsruhe", "weak"), ("kitti06_stereo51", "GPS/INS")],
-)
-def test_the_truth_is_independent_of_the_images_and_says_where_it_is_from(tmp_path, layout, said):
-    recording = record_tracks(open_image_sequence(LAYOUTS[layout](tmp_path), on_broken="skip"), frames=2)
-    assert recording.reference.is_independent
-    assert said in recording.reference.description
-
-
 @pytest.mark.parametrize(("cameras", "metres_left"), [(("00", "01"), 0.0), (("02", "03"), 0.06)])
 def test_raw_odometry_takes_the_camera_along_the_true_path(tmp_path, cameras, metres_left):
     """Lever arm, tilt, frame and row convention at once; hardly any noise is added."""

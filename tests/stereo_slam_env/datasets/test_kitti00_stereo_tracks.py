@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
-from stereo_slam_env.datasets import load
+from stereo_slam_env.datasets import known_recordings, load
+from stereo_slam_env.datasets.known_recordings import KnownRecording, digest
+from stereo_slam_env.recording.recording import Reference
 
 from ..real_data import real_data
 from .small_folders import kitti00
@@ -14,17 +16,25 @@ def real():
     return load(real_data("kitti00_stereo_tracks"))
 
 
-def test_frames_whose_ground_truth_is_wrong_have_none(tmp_path):
-    recording = load(kitti00(tmp_path))
-    assert [frame.truth is None for frame in recording.frames] == [True] * 16 + [False] * 4
-
-
 def test_truth_starts_on_the_odometry_and_keeps_its_shape(tmp_path):
-    truth = [frame.truth for frame in load(kitti00(tmp_path)).frames[16:]]
-    np.testing.assert_allclose(truth[0].position, [0.0, 0.0, 0.7 * 16], atol=1e-9)
+    truth = [frame.truth for frame in load(kitti00(tmp_path)).frames]
+    np.testing.assert_allclose(truth[0].position, 0.0, atol=1e-9)
     np.testing.assert_allclose(np.abs(truth[0].orientation), [0.0, 0.0, 0.0, 1.0], atol=1e-9)
-    # The truth bends to the right: 0.01 (k^2 - 16^2) m, seen in the frame of pose 16.
-    np.testing.assert_allclose(truth[-1].position, [0.01 * (20**2 - 16**2), 0.0, 14.0], atol=1e-9)
+    # The truth bends to the right: 0.01 k^2 m.
+    np.testing.assert_allclose(truth[-1].position, [0.01 * 20**2, 0.0, 14.0], atol=1e-9)
+
+
+def test_frames_whose_ground_truth_is_known_to_be_wrong_have_none(tmp_path, monkeypatch):
+    folder = kitti00(tmp_path)
+    made = KnownRecording(Reference("ins", "By the makers."), 16)
+    positions = np.loadtxt(folder / "poses.txt")[:, 3::4]
+    monkeypatch.setattr(known_recordings, "KNOWN", {digest(positions): made})
+    recording = load(folder)
+    assert [frame.truth is None for frame in recording.frames] == [True] * 16 + [False] * 4
+    first, *_, last = [frame.truth for frame in recording.frames[16:]]
+    np.testing.assert_allclose(first.position, [0.0, 0.0, 0.7 * 16], atol=1e-9)
+    np.testing.assert_allclose(last.position, [0.01 * (20**2 - 16**2), 0.0, 14.0], atol=1e-9)
+    assert "onto the stereo odometry of frame 16" in recording.truth_from.description
 
 
 def test_an_absent_frame_is_a_longer_step(tmp_path):

@@ -3,8 +3,11 @@
 import copy
 import json
 import pickle
+import subprocess
+import sys
 import warnings
 from itertools import pairwise
+from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
@@ -19,6 +22,7 @@ from stereo_slam_env.envs.drive import StereoDriveEnv
 from stereo_slam_env.envs.options import DriveOptions
 from stereo_slam_env.world.routes import FRAME_PERIOD, ROUTES
 
+ROOT = Path(__file__).parents[3]
 ID = "StereoSlam/Drive-v0"
 QUICK = {"route": "right-turn", "rig": "qvga"}
 IDLE = np.zeros(2, dtype=np.float32)
@@ -65,6 +69,12 @@ def test_registration_is_idempotent_and_json_able():
     env = gym.make(f"stereo_slam_env:{ID}", **QUICK)
     assert gym.make(gym.envs.registration.EnvSpec.from_json(env.spec.to_json())).spec == env.spec
     env.close()
+
+
+def test_an_id_with_its_package_needs_no_import():
+    code = f"import gymnasium as gym; gym.make('stereo_slam_env:{ID}', route='right-turn', rig='qvga').close()"
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=200)
+    assert (done.returncode, done.stderr) == (0, "")
 
 
 @pytest.mark.parametrize("policy", ["route", "agent"])

@@ -1,15 +1,17 @@
 """A scripted drive as images, and through a folder back again. About 8 s."""
 
 import json
+from contextlib import closing
 
 import numpy as np
 import pytest
 
-from stereo_slam_env.datasets import load, write_kitti_sequence
+from stereo_slam_env.datasets import load, open_for_front_end, write_kitti_sequence
 from stereo_slam_env.envs.drive import StereoDriveEnv
 from stereo_slam_env.envs.recorder import RenderedDrive
 from stereo_slam_env.frontend.recorder import record_tracks
-from stereo_slam_env.rendering.backends import renderer_identity
+from stereo_slam_env.frontend.settings import TrackerSettings
+from stereo_slam_env.rendering.backends import image_quality, renderer_identity
 from stereo_slam_env.rendering.images import grey
 
 DRIVE = {"route": "right-turn", "rig": "qvga"}
@@ -86,3 +88,20 @@ def test_through_a_kitti_folder_the_tracks_stay_the_same(drive, tmp_path):
         np.testing.assert_array_equal(one.observation.ids, two.observation.ids)
         np.testing.assert_allclose(one.observation.uvd, two.observation.uvd, atol=1e-9)
         np.testing.assert_allclose(one.truth.position, two.truth.position, atol=1e-9)
+
+
+@pytest.mark.parametrize("renderer", ["tiny", "gl"])
+def test_the_front_end_is_told_what_the_renderer_says_of_its_images(renderer):
+    quality = image_quality(renderer)
+    drive = RenderedDrive({**DRIVE, "renderer": renderer, "max_landmarks": 40})
+    assert drive.front_end.image_blur == quality.blur
+    assert drive.front_end.sigma_floor == max(quality.texture_sigma, TrackerSettings.sigma_floor)
+    assert drive.front_end.max_landmarks == 40
+    with closing(StereoDriveEnv(**DRIVE, renderer=renderer, sensor="images", max_landmarks=40)) as env:
+        assert env.options.front_end == drive.front_end
+
+
+def test_nothing_is_said_of_a_camera_that_nobody_has_measured(tmp_path):
+    write_kitti_sequence(RenderedDrive(DRIVE, seed=2, frames=2), tmp_path)
+    assert open_for_front_end(tmp_path)[1].image_blur == 0.0
+    assert open_for_front_end(tmp_path, front_end={"image_blur": 0.5})[1].image_blur == 0.5

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import chi2, t
 
 from stereo_slam_env.evaluation.consistency import consistency_figures, mean_band
 from stereo_slam_env.evaluation.landmark_statistics import LandmarkStatistics
@@ -99,3 +100,36 @@ def test_frames_count_with_the_runs_that_have_a_value(honest):
 def test_what_is_not_known_is_left_out():
     assert set(consistency_figures(make_runs(THREE[:1], (0,), 50, truth="none"))) == {"nis"}
     assert consistency_figures([]) == {}
+
+
+@pytest.mark.parametrize("what", ["pose", "position", "rotation", "nis"])
+def test_bands_and_the_share_of_frames_inside_are_chi_square_written_out(honest, what):
+    runs = honest[:5]
+    figure = consistency_figures(runs)[what]
+    if what == "nis":
+        nis, dof = (np.array([getattr(run, name)[1:] for run in runs]).sum(axis=0) for name in ("nis", "nis_dof"))
+        low, high = chi2.ppf([[0.025], [0.975]], dof) / dof
+        mean, inside = nis.sum() / dof.sum(), (nis / dof >= low) & (nis / dof <= high)
+        band = chi2.ppf([0.025, 0.975], dof.sum()) / dof.sum()
+    else:
+        values, dof = np.array([getattr(run, f"{what}_nees")[1:] for run in runs]), {"pose": 6}.get(what, 3)
+        band = chi2.ppf([0.025, 0.975], 5 * dof) / 5
+        by_frame = values.mean(axis=0)
+        mean, inside = values.mean(), (by_frame >= band[0]) & (by_frame <= band[1])
+    assert figure.band == pytest.approx(band, rel=1e-12)
+    assert figure.mean == pytest.approx(mean, rel=1e-12)
+    assert figure.inside_percent == pytest.approx(100.0 * inside.mean(), rel=1e-12)
+
+
+def test_the_band_of_landmarks_is_students_of_the_means_of_runs(honest):
+    runs = honest[:6]
+    means = np.array([run.landmark_nees[1:].mean() for run in runs])
+    reach = t.ppf(0.975, 5) * means.std(ddof=1) / np.sqrt(6)
+    widest = chi2.ppf([0.025, 0.975], 18) / 6
+    assert widest[0] < 3.0 - reach  # the scatter decides here
+    assert consistency_figures(runs)["landmark"].band == pytest.approx((3.0 - reach, 3.0 + reach), rel=1e-12)
+    wild = [
+        replace(run, landmark_nees=factor * run.landmark_nees)
+        for factor, run in zip(10.0 ** np.arange(6), runs, strict=True)
+    ]
+    assert consistency_figures(wild)["landmark"].band == pytest.approx(tuple(widest), rel=1e-12)

@@ -195,3 +195,9 @@ def test_the_interval_of_the_efficiency_holds_the_ratio_of_the_root_mean_squares
         assert 0 < low < high < 200
         inside += low <= 100 <= high
     assert 85 <= inside <= 99
+
+
+def test_progress_counts_the_frames_that_are_done():
+    told = []
+    cramer_rao_bound(small_recording(frames=4), MOTION, progress=lambda done, total: told.append((done, total)))
+    assert told == [(1, 4), (2, 4), (3, 4), (4, 4)]

@@ -131,10 +131,12 @@ def test_a_figure_added_to_the_table_is_everywhere(tmp_path, monkeypatch):
     assert about == ("m", GAP.meaning)
     console = Console(file=io.StringIO(), width=120)
     show_results(console, result.summaries)
-    assert re.search(rf"^largest position error, m +{largest:.3f} *$", console.file.getvalue(), re.MULTILINE)
+    assert re.search(
+        rf"^largest position error, m +{re.escape(GAP.text(largest))} *$", console.file.getvalue(), re.MULTILINE
+    )
     report = figures_table(result.summaries, ["accuracy"])
     assert "Largest position error<small>m</small>" in report
-    assert f">{largest:.3f}</td>" in report
+    assert f">{GAP.text(largest)}</td>" in report
 
 
 def test_no_heading_is_declared_a_second_time():
@@ -153,3 +155,13 @@ def test_no_heading_is_declared_a_second_time():
                 found.setdefault(node.value.lower(), []).append(path.relative_to(product).as_posix())
     assert {text: files for text, files in found.items() if files != ["evaluation/figures.py"]} == {}
     assert len(found) > 40
+
+
+@pytest.mark.parametrize(
+    "figure", [figure for figure in FIGURES.values() if figure.ideal], ids=lambda figure: figure.name
+)
+def test_what_a_consistent_filter_has_is_shown_as_one_and_twice_that_as_two(figure):
+    assert figure.of({figure.name: figure.ideal}) == 1.0
+    assert figure.of({figure.name: 2.0 * figure.ideal}) == 2.0
+    assert figure.text(figure.ideal).startswith("1")
+    assert figure.ideal == 1.0 or figure.label.endswith(f" / {figure.ideal:g}")

@@ -65,6 +65,21 @@ def test_a_true_claim_is_found_consistent():
         assert claim.verdict.startswith("consistent")
 
 
+@pytest.mark.parametrize("tangent", ["position-rotation", "right", "left"])
+def test_the_doubt_of_a_reference_is_carried_into_the_error_of_the_estimate(tangent):
+    """All error is the reference's, along its own axes: NEES of a reference that is as wrong as it says is exact."""
+    _, truth = drives(60)
+    rng = np.random.default_rng(8)
+    sigmas = np.array([3.0, 0.1, 0.02]) * 1e-3
+    shifts = sigmas * rng.standard_normal((60, 3))
+    doubt = np.tile(np.diag([*sigmas**2, *np.full(3, 1e-12)]), (60, 1, 1))
+    reference = replace(truth, positions=truth.positions + shifts, covariances=doubt)
+    estimate = replace(truth, covariances=np.tile(1e-18 * np.eye(6), (60, 1, 1)), tangent=tangent, name="mine")
+    score = sse.evaluate_trajectory(estimate, reference)
+    expected = np.sum((shifts[1:] / sigmas) ** 2, axis=1).mean()
+    assert score.claims["pose"].nees.mean == pytest.approx(expected, rel=1e-4)
+
+
 @pytest.mark.parametrize(("inflate", "verdict"), [(9.0, "too tight, by 3"), (1 / 25.0, "too loose, by 5")])
 def test_a_claim_that_is_wrong_by_a_factor_is_told_that_factor(inflate, verdict):
     score = sse.evaluate_trajectory(*drives(2000, inflate=inflate))
@@ -191,13 +206,40 @@ def test_what_the_reference_claims_of_itself_is_added():
     assert sse.evaluate_trajectory(estimate, replace(seen, covariances=None)).claims["pose"].nees.mean > 12.0
 
 
-def test_covariances_that_are_none_are_counted_and_left_out():
-    estimate, truth = drives(100)
+@pytest.mark.parametrize("lie", [0.0, -1.0])
+@pytest.mark.parametrize("doubt", [None, 1.0])
+def test_covariances_that_are_none_are_counted_and_the_claim_is_none(lie, doubt):
+    """Also where the reference states errors of its own, which would make the sum definite."""
+    estimate, truth = drives(400)
+    stated = None if doubt is None else np.tile(doubt * np.eye(6), (400, 1, 1))
     covariances = estimate.covariances.copy()
-    covariances[10:15] = 0.0
-    score = sse.evaluate_trajectory(replace(estimate, covariances=covariances), truth)
+    covariances[10:15] *= lie
+    false = replace(estimate, covariances=covariances)
+    score = sse.evaluate_trajectory(false, replace(truth, covariances=stated))
     assert score.unusable == 5
-    assert score.claims["pose"].frames == 94
+    claim = score.claims["pose"]
+    assert (claim.frames, claim.unusable) == (394, 5)
+    assert claim.verdict == "none: 5 of 399 covariances are not positive definite"
+    assert {window.least_nees for window in score.windows if window.seconds == 1.0} == {None}
+    honest = sse.evaluate_trajectory(estimate, truth)
+    assert score.against(honest).log_score_difference is None
+    assert honest.against(honest).log_score_difference is not None
+
+
+def test_the_first_pose_may_be_known_exactly():
+    """Both start there, and it is not scored."""
+    estimate, truth = drives(400)
+    covariances = estimate.covariances.copy()
+    covariances[0] = 0.0
+    score = sse.evaluate_trajectory(replace(estimate, covariances=covariances), truth)
+    assert score.unusable == 0
+    assert score.windows[0].least_nees is not None
+
+
+def test_a_file_whose_covariances_are_all_none_is_refused():
+    estimate, truth = drives(50)
+    with pytest.raises(ValueError, match=r"none of the covariances of .* is positive definite: correct them, or leave"):
+        sse.evaluate_trajectory(replace(estimate, covariances=np.zeros((50, 6, 6))), truth)
 
 
 def test_windows_hold_the_motion_and_a_lower_bound_of_its_nees():
@@ -324,7 +366,7 @@ def test_the_length_of_a_block_is_that_of_smfeval(memory):
 
 # ---- runs of this package -------------------------------------------------------------------------------------------
 
-STATED = Reference("independent truth", "By hand.", 0.003, 0.0004, 0.002)
+STATED = Reference("surveyed", "By hand.", 0.003, 0.0004, 0.002)
 
 
 @pytest.mark.parametrize("reference", [None, STATED])
@@ -345,3 +387,13 @@ def test_a_run_written_to_files_has_the_nees_of_its_own_figures(tmp_path, filter
         np.testing.assert_allclose(
             score.nees[what], series[np.isfinite(series)], rtol=1e-9 if reference is None else 1e-7
         )
+
+
+def test_a_path_of_half_a_metre_has_a_drift_and_none_has_none():
+    _, truth = drives(30)
+    scale = 0.5 / np.linalg.norm(np.diff(truth.positions[1:], axis=0), axis=1).sum()
+    short = replace(truth, positions=scale * truth.positions)
+    moved = replace(short, positions=short.positions + np.linspace(0.0, 0.01, 30)[:, None] * [1.0, 0.0, 0.0])
+    assert sse.evaluate_trajectory(moved, short).end_drift_percent == pytest.approx(2.0, rel=1e-2)
+    still = replace(truth, positions=np.zeros((30, 3)))
+    assert sse.evaluate_trajectory(still, still).end_drift_percent is None

@@ -18,7 +18,7 @@ from stereo_slam_env.recording.trajectory import pose_errors
 
 from ..benchmark.small_recordings import small_recording
 
-STATED = Reference("independent truth", "By hand.", position_jitter=0.05, rotation_jitter=0.01)
+STATED = Reference("surveyed", "By hand.", position_jitter=0.05, rotation_jitter=0.01)
 
 
 def summary_of(runs):
@@ -99,7 +99,7 @@ def test_a_filter_without_clones_has_no_windows():
 
 
 def test_windows_of_a_reference_that_is_no_truth_are_not_scored():
-    recording = replace(small_recording(frames=25), truth_from=Reference("odometry from the same images", "By hand."))
+    recording = replace(small_recording(frames=25), truth_from=Reference("odometry", "By hand."))
     assert np.isnan(run_filter(recording, "inverse-depth", windows=True).window_nees_1s).all()
 
 
@@ -109,7 +109,7 @@ def test_windows_of_a_reference_that_is_no_truth_are_not_scored():
 def test_the_covariance_of_a_motion_holds_jitter_at_both_ends_and_misalignment():
     """Against drawn ones, within 4 standard errors of each entry."""
     rng = np.random.default_rng(0)
-    reference = Reference("independent truth", "By hand.", 0.02, 0.003, 0.004)
+    reference = Reference("surveyed", "By hand.", 0.02, 0.003, 0.004)
     first = Pose(np.array([3.0, 1.0, -2.0]), Rotation.from_rotvec([0.2, 0.5, -0.1]).as_quat())
     last = Pose(np.array([9.0, 0.0, 6.0]), Rotation.from_rotvec([-0.1, 1.4, 0.2]).as_quat())
     true, errors = first.inverse() @ last, []

@@ -133,7 +133,7 @@ def test_a_second_run_in_a_folder_is_refused_in_a_line_and_harms_nothing(command
     out = tmp_path / "run"
     arguments = [*BENCH[:3], "--seeds", "1", "--frames", "40", "--jobs", "1", "--out", str(out)]
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONDONTWRITEBYTECODE": "1"}
-    first = subprocess.Popen([sys.executable, "-m", "stereo_slam_env.cli", *arguments], env=environment, text=True,
+    first = subprocess.Popen([sys.executable, "-m", "stereo_slam_env", *arguments], env=environment, text=True,
                              stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)  # fmt: skip
     while not (out / "study.json").exists():
         assert first.poll() is None, first.communicate()[1]

@@ -52,6 +52,54 @@ def test_a_warped_patch_is_the_texture_seen_through_the_affine_map(scale):
     assert np.sqrt(np.mean((warped - seen) ** 2) / np.mean(contrast**2)) < 0.08
 
 
+def random_views(rng, count):
+    """Affine maps (count, 2, 2) that magnify by 1 to 1.6, turn and shear."""
+    return np.linalg.inv(rng.uniform(1.0, 1.6, (count, 1, 1)) * np.eye(2) + rng.uniform(-0.15, 0.15, (count, 2, 2)))
+
+
+class Parabolas:
+    """Quadratic textures, which Catmull-Rom interpolation reproduces: values, and second derivatives (N, 2, 2)."""
+
+    def __init__(self, rng, count):
+        self.slope, half = rng.uniform(-5, 5, (count, 2)), rng.uniform(-1, 1, (count, 2, 2))
+        self.second = half + half.transpose(0, 2, 1)
+
+    def at(self, points):
+        bend = 0.5 * np.einsum("n...i,nij,n...j->n...", points, self.second, points)
+        return 100.0 + np.einsum("n...i,ni->n...", points, self.slope) + bend
+
+
+def test_a_quadratic_texture_is_warped_exactly():
+    rng = np.random.default_rng(4)
+    affine, texture = random_views(rng, 60), Parabolas(rng, 60)
+    stored = texture.at(np.broadcast_to(offsets(SUPPORT), (60, SUPPORT, SUPPORT, 2))).astype(np.float32)
+    seen = texture.at(np.einsum("nij,rcj->nrci", affine, offsets(PATCH)))
+    np.testing.assert_allclose(warped_patches(stored, affine), seen, atol=1e-3)
+
+
+def test_the_blur_that_magnification_adds_is_taken_away():
+    """Blur C adds tr(C H) / 2 to a quadratic texture, with H the second derivatives as they look now."""
+    rng = np.random.default_rng(5)
+    affine, texture, blur = random_views(rng, 60), Parabolas(rng, 60), 0.7
+    stored = texture.at(np.broadcast_to(offsets(SUPPORT), (60, SUPPORT, SUPPORT, 2))).astype(np.float32)
+    gained = blur * (np.linalg.inv(affine.transpose(0, 2, 1) @ affine) - np.eye(2))
+    assert np.abs(gained).max() < 1.5
+    second = affine.transpose(0, 2, 1) @ texture.second @ affine
+    added = 0.5 * np.einsum("nij,nji->n", gained, second)
+    difference = warped_patches(stored, affine, image_blur=blur) - warped_patches(stored, affine)
+    np.testing.assert_allclose(difference, np.broadcast_to(-added[:, None, None], difference.shape), atol=2e-3)
+
+
+@pytest.mark.parametrize("scale", [3.0, 1e3, 1e9])
+def test_no_more_than_one_and_a_half_square_pixels_of_blur_are_taken_away(scale):
+    texture = Parabolas(np.random.default_rng(6), 1)
+    stored = texture.at(offsets(SUPPORT)[None]).astype(np.float32)
+    affine = [np.eye(2) / scale]
+    added = 0.5 * 1.5 * np.trace(texture.second[0]) / scale**2
+    difference = warped_patches(stored, affine, image_blur=1.0) - warped_patches(stored, affine)
+    np.testing.assert_allclose(difference, np.full_like(difference, -added), atol=1e-3)
+
+
 def test_no_change_of_view_leaves_the_middle_as_it_is():
     patches = cut_patches(WAVES.image(300, 200), spread_points(np.random.default_rng(2), 1500, 300, 200))
     same = warped_patches(patches, np.tile(np.eye(2), (1500, 1, 1)))

@@ -25,6 +25,8 @@ from stereo_slam_env.frontend.settings import TrackerSettings
         ("min_distance", 0.0),
         ("sigma_acceleration", 0.0),
         ("sigma_floor", -0.1),
+        ("image_blur", -0.1),
+        ("image_blur", float("nan")),
         ("disparity_offset", float("inf")),
     ],
 )

@@ -12,7 +12,7 @@ from stereo_slam_env.benchmark.recordings.reference_problem import long_drive
 from stereo_slam_env.benchmark.scenarios.streams import stream_digest
 from stereo_slam_env.datasets import load
 from stereo_slam_env.recording.archive import load_recording, save_recording
-from stereo_slam_env.recording.recording import GIVEN_TRUTH, Recording, Reference
+from stereo_slam_env.recording.recording import GIVEN_TRUTH, SIMULATION, Recording, Reference
 
 from ..benchmark.small_recordings import small_recording
 
@@ -37,7 +37,7 @@ def with_everything() -> Recording:
         frames=tuple(frames),
         noise=StereoNoise.diagonal(1.0, 2.0, 3.0),
         source={"deep": [{"er": None}], "x": 0.1},
-        truth_from=Reference("odometry from the same images", "By hand."),
+        truth_from=Reference("odometry", "By hand."),
     )
 
 
@@ -168,7 +168,7 @@ def test_recordings_made_before_there_were_heads_have_none(tmp_path):
     assert [frame.head for frame in load_recording(tmp_path / "old.npz").frames] == [None] * 15
 
 
-def test_recordings_made_before_they_said_what_their_truth_is_have_a_true_one(tmp_path):
+def test_recordings_made_before_they_said_what_their_truth_is_have_one_of_unknown_origin(tmp_path):
     save_recording(tmp_path / "drive.npz", with_everything())
     with np.load(tmp_path / "drive.npz") as archive:
         arrays = {name: archive[name] for name in archive.files}
@@ -178,8 +178,23 @@ def test_recordings_made_before_they_said_what_their_truth_is_have_a_true_one(tm
     assert load_recording(tmp_path / "old.npz").reference == GIVEN_TRUTH
 
 
+@pytest.mark.parametrize(
+    ("kind", "description", "now"),
+    [
+        ("independent truth", SIMULATION.description, SIMULATION),
+        ("independent truth", "Motion capture; no camera has a part in it.", GIVEN_TRUTH),
+        ("odometry from the same images", "By hand.", Reference("odometry", "By hand.")),
+    ],
+)
+def test_recordings_made_before_kinds_had_short_names_are_read_and_not_believed(tmp_path, kind, description, now):
+    """What an earlier reader guessed of a layout is not taken over."""
+    save_recording(tmp_path / "drive.npz", small_recording())
+    changed(tmp_path / "drive.npz", truth_from={"kind": kind, "description": description})
+    assert load_recording(tmp_path / "drive.npz").truth_from == now
+
+
 def test_without_a_true_pose_there_is_no_reference_whatever_the_source_says():
     recording = with_everything()
-    assert recording.reference.kind == "odometry from the same images"
+    assert recording.reference.kind == "odometry"
     assert dataclasses.replace(recording, frames=recording.frames[2:3]).reference.kind == "none"
     assert small_recording(truth=False).reference.kind == "none"

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from stereo_slam_env.rendering.backends import RENDERERS, make_renderer, renderer_identity
+from stereo_slam_env.rendering.backends import RENDERERS, image_quality, make_renderer, renderer_identity
 from stereo_slam_env.world.physics import PhysicsWorld
 
 from .planes import CAMERA, FRAME, both_back_ends, skip_where_missing
@@ -28,7 +28,7 @@ def test_every_renderer_is_described():
     assert all(RENDERERS.values())
 
 
-@pytest.mark.parametrize("ask", [make, renderer_identity])
+@pytest.mark.parametrize("ask", [make, renderer_identity, image_quality])
 def test_an_unknown_renderer_is_refused_by_name(ask):
     with pytest.raises(ValueError, match="renderer must be one of tiny, gl, got 'vulkan'"):
         ask("vulkan")
@@ -45,3 +45,10 @@ def test_an_unknown_renderer_is_refused_by_name(ask):
 def test_what_a_renderer_cannot_do_is_refused(options, message):
     with pytest.raises(ValueError, match=message):
         make("tiny", **options)
+
+
+def test_a_renderer_states_the_blur_of_its_images_and_what_supersampling_changes():
+    assert image_quality("gl").blur == 1.0
+    assert 0.0 < image_quality("gl", supersample=2).blur < 1.0
+    assert image_quality("tiny").blur == 0.0
+    assert image_quality("tiny").texture_sigma > image_quality("gl").texture_sigma == 0.0

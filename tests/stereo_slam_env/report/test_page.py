@@ -2,6 +2,7 @@
 
 import re
 from html.parser import HTMLParser
+from pathlib import Path
 
 import pytest
 from markupsafe import Markup
@@ -11,7 +12,7 @@ from stereo_slam_env.report import page as page_module
 from stereo_slam_env.report.charts.axes import Axis
 from stereo_slam_env.report.charts.drawing import Curve, Panel, figure
 from stereo_slam_env.report.charts.style import PALETTE
-from stereo_slam_env.report.page import figure_block, html_page, part
+from stereo_slam_env.report.page import figure_block, html_page, part, write_page
 from stereo_slam_env.report.page_tables import Cell, Column, filter_cell, number, table
 
 
@@ -45,6 +46,28 @@ def test_a_figure_is_in_the_page_as_drawing_and_as_chart_in_the_colours_of_the_p
     assert markup.count("var(--series-0)") >= 2
     assert PALETTE[0] not in markup
     assert "A &lt;line&gt; &amp; more." in markup
+
+
+def test_no_control_characters_reach_a_page():
+    nasty = "a\x1b]0;owned\x07\x9b2J\u202egnp"
+    page = html_page(title=nasty, subtitle=nasty, body=Markup("<p>{}</p>").format(nasty))
+    assert not set(page) & set("\x1b\x07\x9b\u202e")
+    assert "a\N{REPLACEMENT CHARACTER}]0;owned" in page
+    assert page.encode()
+
+
+def test_a_page_is_written_whole_or_stays_as_it_was(tmp_path, monkeypatch):
+    write_page(tmp_path / "new" / "p.html", title="one", subtitle="", parts=[])
+    before = (tmp_path / "new" / "p.html").read_text("utf-8")
+
+    def fails(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "replace", fails)
+    with pytest.raises(OSError, match="No space left"):
+        write_page(tmp_path / "new" / "p.html", title="two", subtitle="", parts=[])
+    assert (tmp_path / "new" / "p.html").read_text("utf-8") == before
+    assert [path.name for path in (tmp_path / "new").iterdir()] == ["p.html"]
 
 
 def test_data_in_a_page_cannot_end_its_script(tmp_path):
@@ -123,7 +146,7 @@ def test_settings_are_said_whatever_they_are():
 
 def test_plain_text_is_escaped_in_every_part_and_markup_is_not():
     assert part("section", "<a>", "<b>", [Markup("<p>c</p>"), "<d>"]) == Markup(
-        '<section><h2>&lt;a&gt;</h2>\n<p class="quiet">&lt;b&gt;</p><p>c</p>\n&lt;d&gt;\n</section>'
+        '<section id="a"><h2>&lt;a&gt;</h2>\n<p class="quiet">&lt;b&gt;</p><p>c</p>\n&lt;d&gt;\n</section>'
     )
     assert part("items", ["<a>"]) == Markup('<ul class="failures"><li>&lt;a&gt;</li></ul>')
     assert part("items", []) == ""

@@ -86,7 +86,7 @@ def no_figures(monkeypatch):
 
 def test_the_page_is_well_formed_and_needs_nothing_but_itself(path, markup, page):
     assert page.open == []
-    assert all(link.startswith(("#", "figures/")) for link in page.links)
+    assert all(link.startswith(("#", "figures/", "tables/")) for link in page.links)
     assert all((path.parent / link).is_file() for link in page.links if not link.startswith("#"))
     assert not re.search(r"https?:(?!//vega.github.io/schema/)|@import|url\((?!#)", markup)
     assert len(page.ids) == len(set(page.ids))
@@ -102,8 +102,9 @@ def test_the_page_has_a_dark_and_a_printed_form(markup):
 
 def test_the_first_screen_comes_first_and_asks_all_the_questions(page):
     text = " ".join(page.text)
+    assert text.index("Wide turns") < text.index("Reference: ")
+    text = text[text.index("Reference: ") :]  # behind the contents
     order = [
-        "Wide turns",
         "smallest position error",
         "Which is best?",
         "By how much, is it sure?",
@@ -145,7 +146,7 @@ def test_the_diverged_filter_is_marked(page):
 @pytest.mark.usefixtures("no_figures")
 def test_a_reference_that_is_no_truth_stands_out_and_no_nees_is_held_against_it(tmp_path):
     """With the NEES that a run does not have then (see the runner), and an NIS of 0.04."""
-    from_images = Reference("odometry from the same images", "Made of <these> pixels.")
+    from_images = Reference("odometry", "Made of <these> pixels.")
     unknown = np.full(60, np.nan)
     runs = [
         replace(
@@ -163,12 +164,12 @@ def test_a_reference_that_is_no_truth_stands_out_and_no_nees_is_held_against_it(
     assert markup.index(reference) < markup.index('class="headline"')
     assert "5.0 times smaller than claimed" in innovations
     assert "innovations 5.0 times smaller than claimed" in markup  # in the table of answers, too
-    for claim in ("knows how wrong", "its band", "pose NEES", "3σ bounds", "<figure>nees", "<figure>error_0"):
+    for claim in ("it is consistent", "its band", "pose NEES", "3σ bounds", "<figure>nees", "<figure>error_0"):
         assert claim not in markup
 
 
 def test_an_independent_truth_is_named_quietly(markup):
-    assert '<p class="quiet">Reference: independent truth. ' in markup
+    assert '<p class="quiet">Reference: independent truth (simulation). ' in markup
     assert '<p class="banner">Reference' not in markup
 
 

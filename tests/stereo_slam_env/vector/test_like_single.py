@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 import stereo_slam_env  # noqa: F401 (registers the ids)
+from stereo_slam_env.vector.belief import LockstepBelief
 
 QUICK = {"route": "right-turn", "rig": "qvga", "max_landmarks": 20}
 STEPS, COUNT = 25, 3
@@ -116,14 +117,19 @@ def test_collisions_and_the_end_of_the_route():
             single.close()
 
 
-def test_the_start_of_a_filter_is_the_same():
+def test_the_start_of_a_filter_is_the_same(monkeypatch):
     starts = []
-    vector = gym.make_vec("StereoSlam/Gaze-v0", num_envs=2, **QUICK).unwrapped
-    vector._started = lambda b, start: starts.append(start)
+    begin = LockstepBelief.begin
+    monkeypatch.setattr(
+        LockstepBelief, "begin", lambda self, b, start: (starts.append(start), begin(self, b, start))[1]
+    )
+    vector = gym.make_vec("StereoSlam/Gaze-v0", num_envs=2, belief={"filter": "inverse-depth"}, **QUICK)
     vector.reset(seed=8)
+    assert len(starts) == 2
     for b, start in enumerate(starts):
         single = gym.make("StereoSlam/Gaze-v0", **QUICK).unwrapped
         single.reset(seed=8 + b)
+        assert np.linalg.norm(start.linear_velocity) > 1.0
         np.testing.assert_allclose(start.linear_velocity, single.start.linear_velocity, atol=EXACT)
         np.testing.assert_allclose(start.angular_velocity, single.start.angular_velocity, atol=EXACT)
         np.testing.assert_array_equal(start.covariance, single.start.covariance)

@@ -1,5 +1,7 @@
 """The still and the film of a drive (12 s)."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -79,6 +81,38 @@ def test_each_landmark_in_view_has_its_ellipse(drive):
     close = panels(drive)[0]
     drawn = sum(len(collection.get_offsets()) for collection in close.collections)
     assert 1 < drawn <= near.sum() + 1  # and that of the position
+
+
+@pytest.mark.parametrize("scale", [0.05, 1.0, 10.0])
+def test_the_scale_is_that_of_what_is_measured(scale):
+    """The same drive in a room, in a street and in the open: the picture is the same but for its numbers."""
+    limits = {}
+    for size in (1.0, scale):
+        close, way, *_ = panels(Drive.of(of_size(small_recording(frames=9), size), InverseDepthStereoEKF))
+        limits[size] = np.array([*close.get_xlim(), *close.get_ylim(), *way.get_xlim(), *way.get_ylim()]) / size
+    np.testing.assert_allclose(limits[scale], limits[1.0], rtol=0.02)
+    recording = small_recording(frames=9)
+    disparities = np.concatenate([frame.observation.uvd[:, 2] for frame in recording.frames])
+    depths = recording.camera.fx * recording.camera.baseline / disparities
+    assert limits[1.0][3] == pytest.approx(np.quantile(depths, 0.8), rel=0.05)
+
+
+def of_size(recording, scale):
+    """The same pictures from a world that is larger by a factor, rig included."""
+
+    def scaled(truth):
+        return truth and replace(truth, position=scale * truth.position)
+
+    start = recording.start
+    if start.linear_velocity is not None:
+        start = replace(start, linear_velocity=scale * start.linear_velocity)
+    return replace(
+        recording,
+        camera=replace(recording.camera, baseline=scale * recording.camera.baseline),
+        frames=tuple(replace(frame, truth=scaled(frame.truth), odometry=None) for frame in recording.frames),
+        start=start,
+        landmarks=None,
+    )
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 import os
 import time
 from dataclasses import replace
+from functools import partial
 from typing import get_args
 
 import numpy as np
@@ -55,7 +56,7 @@ def test_tasks_are_spread_over_processes():
     with Backend("processes", jobs=2).started() as run_all:
         results = dict(run_all(where_i_am, range(4)))
     assert sorted(results) == [0, 1, 2, 3]
-    assert len(set(results.values())) == 2
+    assert len(set(results.values())) >= 2
     assert os.getpid() not in results.values()
 
 
@@ -97,3 +98,48 @@ def test_a_cluster_that_does_not_answer_is_told_in_one_line(tmp_path, monkeypatc
     scenario = replace(SHORT, seeds=(0,))
     with pytest.raises(ValueError, match=r"no Dask scheduler answers at tcp://127\.0\.0\.1:9"):
         run_benchmark(scenario, tmp_path / "out", backend="dask", address="tcp://127.0.0.1:9")
+
+
+def lost_once(place, number):
+    """The number; its worker is lost the first time that it is 1."""
+    if number == 1 and not (place / "lost").exists():
+        (place / "lost").touch()
+        os.kill(os.getpid(), 9)
+    return number
+
+
+def lost_always(number):
+    if number == 1:
+        os.kill(os.getpid(), 9)
+    return number
+
+
+@pytest.mark.slow
+def test_what_a_lost_worker_of_ray_had_is_done_once_more(tmp_path, caplog):
+    pytest.importorskip("ray", reason="needs the extra ray")
+    with Backend("ray", jobs=2).started() as run_all:
+        assert sorted(run_all(partial(lost_once, tmp_path), range(4))) == [0, 1, 2, 3]
+        assert "a worker was lost" in caplog.text
+        with pytest.raises(
+            ChildProcessError, match=r"\Aworkers were lost twice \([^\n]*\): what is finished is kept\Z"
+        ):
+            list(run_all(lost_always, range(4)))
+
+
+def test_what_a_task_raises_is_no_lost_worker():
+    def fails(number):
+        raise ZeroDivisionError
+
+    with Backend("processes", jobs=2).started() as run_all, pytest.raises(ZeroDivisionError):
+        list(run_all(fails, range(4)))
+
+
+@pytest.mark.parametrize("address", ["WRONG", "127.0.0.1:9"])
+def test_a_ray_cluster_that_does_not_answer_is_told_within_a_limit(address, monkeypatch):
+    pytest.importorskip("ray", reason="needs the extra ray")
+    monkeypatch.setattr(backends, "SECONDS_TO_ANSWER", 8)
+    began = time.monotonic()
+    cluster = Backend("ray", address=address).started()
+    with pytest.raises(ValueError, match=rf"\Ano Ray cluster answers at {address}[^\n]*\Z"), cluster:
+        pass
+    assert time.monotonic() - began < 30

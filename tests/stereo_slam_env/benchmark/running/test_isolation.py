@@ -1,6 +1,7 @@
 """A process for each piece of work: answers, errors, crashes and hangs come back, and nothing is left (5 s)."""
 
 import os
+import queue
 import signal
 import socket
 import subprocess
@@ -8,12 +9,14 @@ import sys
 import textwrap
 import threading
 import time
+from concurrent.futures import CancelledError
+from contextlib import suppress
 
 import numpy as np
 import pytest
 
 from stereo_slam_env.benchmark.running import isolation
-from stereo_slam_env.benchmark.running.isolation import WorkDied, WorkTooSlow, run_isolated
+from stereo_slam_env.benchmark.running.isolation import NoProcess, WorkDied, WorkTooSlow, run_isolated
 
 from ...rendering.planes import skip_where_missing
 
@@ -95,7 +98,9 @@ def test_an_error_is_raised_here(error, kind, words):
     [
         (lambda: os._exit(3), "ended with code 3"),
         (lambda: os.kill(os.getpid(), signal.SIGUSR1), "ended by SIGUSR1"),
-        (lambda: os.kill(os.getpid(), signal.SIGKILL), "ended by SIGKILL"),
+        (lambda: os.kill(os.getpid(), signal.SIGSEGV), "ended by SIGSEGV"),
+        (lambda: os.kill(os.getpid(), signal.SIGRTMIN + 3), f"ended by signal {signal.SIGRTMIN + 3}$"),
+        (lambda: os.kill(os.getpid(), signal.SIGKILL), r"ended by SIGKILL \(has memory run out\?\), twice"),
     ],
 )
 def test_a_crash_is_told(end, words):
@@ -103,9 +108,127 @@ def test_a_crash_is_told(end, words):
         run_isolated(lambda tell: end(), silence_limit=LIMIT)
 
 
-def test_who_asks_the_process_to_end_interrupts_the_run():
-    with pytest.raises(KeyboardInterrupt):
-        run_isolated(lambda tell: os.kill(os.getpid(), signal.SIGINT) or time.sleep(60), silence_limit=LIMIT)
+@pytest.mark.parametrize("by", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
+def test_what_is_ended_from_outside_is_done_once_more(by, tmp_path, caplog):
+    def work(tell):
+        (tmp_path / str(os.getpid())).touch()
+        if len(list(tmp_path.iterdir())) == 1:
+            os.kill(os.getpid(), by)
+        return "done"
+
+    assert run_isolated(work, silence_limit=LIMIT) == "done"
+    assert f"its process was ended by {by.name}" in caplog.text
+    assert "done once more" in caplog.text
+
+
+def child_that_sleeps():
+    return subprocess.Popen(["sleep", "60"]).pid
+
+
+@pytest.mark.parametrize("end", ["returns", "crashes", "hangs"])
+def test_what_the_work_has_started_ends_with_it(end):
+    def work(tell):
+        tell(child_that_sleeps(), 0)
+        if end == "crashes":
+            os._exit(3)
+        if end == "hangs":
+            time.sleep(60)
+
+    heard = []
+    with suppress(WorkDied, WorkTooSlow):
+        run_isolated(work, silence_limit=2.0, progress=lambda process, _: heard.append(process))
+    assert len(heard) == 1
+    assert is_gone(heard[0])
+
+
+def test_a_process_that_leaves_a_child_with_its_connection_is_told_at_once():
+    def work(tell):
+        if os.fork() == 0:
+            time.sleep(60)
+            os._exit(0)
+        os._exit(3)
+
+    began = time.monotonic()
+    with pytest.raises(WorkDied, match="ended with code 3"):
+        run_isolated(work, silence_limit=60.0)
+    assert time.monotonic() - began < 15
+
+
+def test_half_an_answer_is_not_waited_for():
+    def work(tell):
+        descriptor = tell.__closure__[0].cell_contents.fileno()
+        os.write(descriptor, b"\x00\x00\x10\x00half")
+        time.sleep(60)
+
+    with pytest.raises(WorkTooSlow, match="half a sign of life"):
+        run_isolated(work, silence_limit=1.0)
+
+
+@pytest.mark.parametrize("by", [signal.SIGKILL, signal.SIGSTOP])
+def test_nobody_suffers_from_what_another_does_to_the_server(by):
+    """One ends or stops the server while an innocent one works."""
+    answers = {}
+
+    def innocent(tell):
+        for _ in range(20):
+            time.sleep(0.1)
+            tell(0, 1)
+        return "innocent"
+
+    def guilty(tell):
+        os.kill(os.getppid(), by)
+        return "guilty"
+
+    def ask(work, first):
+        time.sleep(0.0 if first else 0.7)
+        try:
+            answers[work.__name__] = run_isolated(work, silence_limit=20.0)
+        except Exception as error:
+            answers[work.__name__] = error
+
+    threads = [threading.Thread(target=ask, args=given) for given in ((innocent, True), (guilty, False))]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(LIMIT * 2)
+    assert answers["innocent"] == "innocent"
+    assert run_isolated(lambda tell: "later", silence_limit=LIMIT) == "later"
+    if by == signal.SIGKILL and isinstance(answers["guilty"], Exception):
+        assert "the server of processes has ended, twice" in str(answers["guilty"])
+
+
+def test_threads_that_wait_end_with_their_block():
+    heard = queue.Queue()
+
+    def work():
+        return run_isolated(
+            lambda tell: tell(os.getpid(), 0) or time.sleep(60), silence_limit=60, progress=lambda p, _: heard.put(p)
+        )
+
+    with isolation.waiting_threads(2) as submit:
+        futures = [submit(work), submit(work)]
+        processes = [heard.get(timeout=LIMIT), heard.get(timeout=LIMIT)]
+        began = time.monotonic()
+    assert time.monotonic() - began < 20
+    assert all(isinstance(future.exception(), CancelledError) for future in futures)
+    assert all(map(is_gone, processes))
+
+
+class Wordless(Exception):
+    def __str__(self):
+        raise RuntimeError("no words")
+
+
+def test_an_error_without_words_is_an_error():
+    class Unsendable(Wordless):
+        def __reduce__(self):
+            raise TypeError("no way")
+
+    def work(tell):
+        raise Unsendable
+
+    with pytest.raises(RuntimeError, match=r"the answer cannot be sent: Unsendable: its message cannot be read"):
+        run_isolated(work, silence_limit=LIMIT)
 
 
 def test_silence_is_ended_but_not_slowness():
@@ -187,14 +310,14 @@ def test_a_server_that_was_killed_is_started_again(caplog):
 
 def test_a_server_that_does_not_start_is_told_within_its_limit(monkeypatch):
     monkeypatch.setattr(sys, "executable", "/bin/sleep")
-    with pytest.raises(WorkDied, match="the server of processes ended with code"):
+    with pytest.raises(NoProcess, match="the server of processes ended with code"):
         isolation._Server()
 
 
 def test_a_server_whose_caller_was_killed_before_it_was_ready_ends_in_silence():
     ours, its = socket.socketpair()
     ours.close()
-    code = f"from stereo_slam_env.benchmark.running.isolation import serve; serve({its.fileno()})"
+    code = f"from stereo_slam_env.benchmark.running.process_server import serve; serve({its.fileno()})"
     with its:
         ended = subprocess.run(
             [sys.executable, "-c", code], pass_fds=[its.fileno()], capture_output=True, text=True, timeout=120
@@ -207,17 +330,21 @@ def test_everything_ends_with_its_caller(tmp_path):
     script.write_text(
         textwrap.dedent(
             """
-            import os, signal, time
+            import os, signal, subprocess, time
             from stereo_slam_env.benchmark.running.isolation import run_isolated
 
             class Mine:  # of a script without a guard
                 def __call__(self, tell):
                     tell(os.getpid(), os.getppid())
+                    for detached in (False, True):
+                        tell(subprocess.Popen(["sleep", "60"], start_new_session=detached).pid, 0)
+                    tell(0, 0)
                     time.sleep(60)
 
             def told(process, server):
-                print(process, server, flush=True)
-                os.kill(os.getpid(), signal.SIGKILL)
+                if process == 0:
+                    os.kill(os.getpid(), signal.SIGKILL)
+                print(process, *([server] if server else []), flush=True)
 
             run_isolated(Mine(), silence_limit=60, progress=told)
             """
@@ -228,7 +355,7 @@ def test_everything_ends_with_its_caller(tmp_path):
     )
     assert ended.returncode == -signal.SIGKILL
     processes = [int(word) for word in ended.stdout.split()]
-    assert len(processes) == 2  # the class of the script was found, and the script was not run again
+    assert len(processes) == 4  # the class of the script was found, and the script was not run again
     assert all(is_gone(process) for process in processes)
 
 

@@ -30,6 +30,7 @@ def test_the_euclidean_filter_has_its_guard_as_a_visible_option():
 def test_filters_can_be_named_or_spelt_out():
     data = {
         "name": "s",
+        "kind": "street",
         "filters": ["euclidean", {"name": "inverse-depth", "label": "tight", "options": {"gate": 0.5}}],
     }
     assert Scenario.from_dict(data).filters == (
@@ -85,4 +86,11 @@ def test_errors_that_last_do_so_with_any_assumed_noise():
 )
 def test_wrong_scenarios_are_refused_with_a_hint(data, complaint):
     with pytest.raises(ValueError, match=complaint):
-        Scenario.from_dict(data)
+        Scenario.from_dict({"kind": "street", **data})
+
+
+def test_a_scenario_without_a_kind_says_so_in_one_line():
+    """Not what the options of another kind lack."""
+    with pytest.raises(ValueError, match=r"^scenario 's' must say its kind, one of street, gaze, .*") as raised:
+        Scenario.from_dict({"name": "s", "options": {"sigma": 1.0}})
+    assert "\n" not in str(raised.value)

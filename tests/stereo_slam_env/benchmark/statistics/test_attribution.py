@@ -175,3 +175,19 @@ def test_runs_are_found_by_the_names_of_their_options():
     assert "joint+quaternion (1 of 8)" in attribution.notes[0]
     with pytest.raises(ValueError, match=r"named after their options, like 'joint\+quaternion': there are none"):
         attribute_runs(factorial, scored(runs[4::5])[1])
+
+
+def test_consistency_of_runs_is_attributed_by_how_far_it_is_from_one():
+    """A NEES/6 of 0.8 is nearer to 1 than one of 2.6, though not in difference from 2."""
+    factorial = {"measurement": ("joint", "left"), "error": ("quaternion", "so3")}
+    sure = {"joint": 3.0, "left": 0.8}
+    behaviours = [
+        Behaviour(factorial_label({"measurement": m, "error": e}), 0.1, overconfidence=np.sqrt(sure[m]))
+        for m in factorial["measurement"]
+        for e in factorial["error"]
+    ]
+    figures = scored(make_runs(behaviours, seeds=range(8), frames=400))[1]
+    nees = attribute_runs(factorial, figures).responses[1]
+    assert nees.response == "pose NEES / 6"
+    assert nees.contrasts[0].level == "left"
+    assert nees.contrasts[0].finding is Finding.BETTER

@@ -12,7 +12,7 @@ from stereo_slam_env.benchmark import Scenario, run_benchmark
 from stereo_slam_env.benchmark.recordings.sources import ReferenceSource
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice
 from stereo_slam_env.benchmark.scenarios.study import Cell, Study
-from stereo_slam_env.benchmark.statistics.comparison import COLUMNS, compare
+from stereo_slam_env.benchmark.statistics.comparison import compare
 from stereo_slam_env.benchmark.statistics.differences import Finding
 
 from ....synthetic_runs import THREE, make_runs, scored
@@ -70,11 +70,13 @@ def test_only_what_was_changed_is_said_to_have_changed():
     assert position.after / position.before == pytest.approx(1.3, abs=0.02)
     low, high = position.interval_percent
     assert 25 < low < 30 < high < 35
-    assert comparison.headline.startswith("Worse after than before: position error of dual-bearing: 30 % larger (")
+    assert comparison.headline.startswith(
+        "Worse after than before, run by run: position error of dual-bearing: 30 % larger ("
+    )
     (same,) = changes_of(comparison, filter_name="euclidean", measure="position error")
     assert same.words == "the same in all 8 runs"
     back = compare(result(worsened(runs, "dual-bearing", 1.3)), result(runs))
-    assert back.headline.startswith("Better after than before: position error of dual-bearing")
+    assert back.headline.startswith("Better after than before, run by run: position error of dual-bearing")
 
 
 def test_a_change_in_one_run_of_eight_is_not_shown():
@@ -88,7 +90,7 @@ def test_a_change_in_one_run_of_eight_is_not_shown():
 def test_too_few_runs_are_called_so():
     runs = make_runs(THREE[:1], seeds=range(3), frames=40)
     comparison = compare(result(runs), result(worsened(runs, "inverse-depth", 3.0)))
-    assert comparison.headline == "No difference is shown: 3 runs are too few, at least 6 are needed."
+    assert comparison.headline == "No difference is shown in 7 comparisons: 3 runs are too few, 7 are needed."
 
 
 def test_divergences_have_a_test_of_their_own():
@@ -173,12 +175,38 @@ def test_a_grid_is_compared_cell_by_cell(tmp_path):
 
 def test_the_comparison_is_a_table_too(stored):
     comparison = compare(stored, stored)
-    rows = comparison.as_rows()
-    assert {len(row) for row in rows} == {len(COLUMNS)}
-    assert rows[0][:2] == ("ours", "position error, m")
+    assert comparison.as_rows() == []
+    assert str(comparison).splitlines()[-1] == "ours: the same in all runs."
     assert comparison.headline in str(comparison)
 
 
 def test_a_folder_without_a_run_is_refused(tmp_path, stored):
     with pytest.raises(ValueError, match="holds no run"):
         compare(tmp_path, stored)
+
+
+def test_recordings_of_another_kind_are_refused_in_one_line(stored, tmp_path):
+    other = bench(tmp_path / "out", source=ReferenceSource("long_drive", {"landmarks": 12}), seeds=(0,))
+    with pytest.raises(ValueError, match=r"compare runs on the same kind of recordings$") as refused:
+        compare(stored, other)
+    assert "is of kind 'reference' (name 'short_turn'), " in str(refused.value)
+    assert "of kind 'reference' (name 'long_drive')" in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+def test_a_grid_that_came_out_alike_is_one_line(tmp_path):
+    cells = tuple(
+        Cell(f"gate-{gate}", {"gate": gate}, replace(SCENARIO, gate=gate, seeds=(0, 1))) for gate in (0.9, 0.95, 0.99)
+    )
+    before = run_benchmark(Study("grid", cells), tmp_path / "before", jobs=1)
+    comparison = compare(before, shutil.copytree(before.out, tmp_path / "after"))
+    assert comparison.as_rows() == []
+    assert comparison.rest == ("gate-0.9, gate-0.95 and gate-0.99: the same in all runs.",)
+
+
+def test_runs_without_any_common_figure_are_not_called_the_same():
+    runs = make_runs(THREE[:1], seeds=range(3), frames=20)
+    timeless = [replace(run, milliseconds=np.full(20, np.nan), failure="frame 1: gone") for run in runs]
+    comparison = compare(result(runs), result(timeless))
+    assert "Nothing has changed" not in comparison.headline
+    assert "3 runs are too few" in comparison.headline

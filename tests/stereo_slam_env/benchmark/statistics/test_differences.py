@@ -10,6 +10,8 @@ from scipy.stats import wilcoxon
 from stereo_slam_env.benchmark.statistics.differences import (
     Finding,
     difference_of,
+    differences_of,
+    group_needed,
     level,
     mean_interval,
     paired_difference,
@@ -35,6 +37,19 @@ def test_an_interval_holds_the_truth_in_at_least_93_of_100_cases(draw, count):
     data = DRAWS[draw](np.random.default_rng(count), (count, 400))
     low, high = mean_interval(data, 0.95)
     assert np.mean((low <= 0.0) & (high >= 0.0)) >= 0.93
+
+
+@pytest.mark.parametrize("confidence", [0.9, 0.95, 0.99])
+def test_an_interval_is_halls_symmetric_studentised_one(confidence):
+    """Written out with other random numbers: |mean* - mean| / error* of 200,000 resamples of nine rows."""
+    data = np.random.default_rng(3).gamma(2.0, size=9)
+    resamples = data[np.random.default_rng(4).integers(9, size=(200_000, 9))]
+    errors = resamples.std(axis=1, ddof=1) / 3.0
+    ratios = np.abs(resamples.mean(axis=1) - data.mean()) / np.where(errors > 1e-9, errors, np.inf)
+    half = np.quantile(ratios, confidence) * data.std(ddof=1) / 3.0
+    low, high = mean_interval(data[:, None], confidence)
+    assert float(high[0] + low[0]) / 2 == pytest.approx(data.mean(), rel=1e-12)
+    assert float(high[0] - low[0]) / 2 == pytest.approx(half, rel=0.03)  # without ddof: 0.06 less
 
 
 def test_an_interval_for_many_comparisons_holds_for_all_of_them_together():
@@ -197,3 +212,25 @@ def test_a_tie_is_no_difference_however_sure_its_sign():
 
 def test_what_is_rounded_to_zero_has_no_sign():
     assert (signed(-0.4), signed(0.004, 2), signed(-0.0), signed(-0.6)) == ("0", "0.00", "0", "−1")
+
+
+def test_many_differences_are_ratios_unless_told_otherwise():
+    gaps = np.full((8, 1), np.log(1.2)) + 0.001 * np.arange(8)[:, None]
+    (ratio,), (amount,) = differences_of(gaps), differences_of(gaps, is_ratio=False)
+    assert (ratio.is_ratio, amount.is_ratio) == (True, False)
+    assert ratio == difference_of(gaps[:, 0])
+    assert ratio.percent == pytest.approx(20.4, abs=0.2)
+
+
+@pytest.mark.parametrize(("comparisons", "size"), [(1, 6), (23, 6), (24, 7), (85, 7), (86, 8)])
+def test_the_groups_needed_are_those_with_which_the_rank_sum_test_can_say_something(comparisons, size):
+    """Two groups need fewer than pairs do: 6 of each are enough for 23 comparisons."""
+    assert group_needed(comparisons) == size
+    apart = unpaired_difference(np.linspace(2.0, 2.1, size), np.linspace(1.0, 1.1, size), comparisons=comparisons)
+    assert apart.shown
+    assert not apart.too_few
+    fewer = unpaired_difference(
+        np.linspace(2.0, 2.1, size - 1), np.linspace(1.0, 1.1, size - 1), comparisons=comparisons
+    )
+    assert (fewer.shown, fewer.too_few, fewer.interval) == (False, True, None)
+    assert f"{size} are needed" in fewer.evidence

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from stereo_slam_env.benchmark.statistics.comparison import over_runs
 from stereo_slam_env.benchmark.statistics.differences import Finding
 from stereo_slam_env.benchmark.statistics.measures import EFFICIENCY, POSE_NEES, POSITION, TIME, difference_by
 from stereo_slam_env.evaluation.run_figures import common_keys, figures_of
@@ -48,12 +47,6 @@ def test_filters_equally_far_from_their_ideal_are_not_ranked(factors):
     rng = np.random.default_rng(1)
     alarms = [difference_by(POSE_NEES, *nees_by_run(rng, 10, *factors)).shown for _ in range(150)]
     assert np.mean(alarms) < 0.09
-
-
-def test_over_runs_is_the_geometric_mean_or_of_consistency_the_mean():
-    assert over_runs(POSITION, np.array([1.0, 4.0, np.nan])) == pytest.approx(2.0)
-    assert over_runs(POSE_NEES, np.array([1.0, 4.0])) == pytest.approx(2.5)
-    assert np.isnan(over_runs(TIME, np.full(3, np.nan)))
 
 
 def test_which_runs_diverged_has_no_limit_of_its_own():

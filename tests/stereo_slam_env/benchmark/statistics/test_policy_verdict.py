@@ -29,7 +29,7 @@ def test_a_policy_that_claims_less_and_is_better_is_believed():
     verdict, _ = judged(BETTER)
     found = verdict.comparisons["greedy"]
     assert (found.agreement, found.is_sound) == (Agreement.AGREE, True)
-    assert found.words.startswith("greedy claims 60 % less uncertainty of the final position than fixed (")
+    assert found.words.startswith("run by run greedy claims 60 % less uncertainty of the final position than fixed (")
     assert "% smaller along the drive" in found.words
     assert found.words.endswith("claim and truth agree.")
     assert verdict.best == "greedy"
@@ -44,7 +44,7 @@ def test_a_policy_that_claims_less_and_is_no_better_is_not():
     assert (found.agreement, found.consistency) == (Agreement.DISAGREE, Consistency.OVERCONFIDENT)
     assert "claims 50 % less uncertainty" in found.words
     assert "no difference of the true position error is shown" in found.words
-    assert "claim and truth disagree; and it is overconfident, pose NEES / 6" in found.words
+    assert "claim and truth disagree; and it is overconfident, by the mean of 24 runs: pose NEES / 6" in found.words
     assert "Claim and truth disagree." in verdict.headline
     assert "Not to be taken at its word: boasts;" in verdict.headline
 
@@ -91,7 +91,7 @@ def test_where_nothing_is_shown_that_is_said():
 def test_few_runs_show_nothing():
     found = judged(BETTER, seeds=range(3))[0].comparisons["greedy"]
     assert found.agreement is Agreement.NOTHING_SHOWN
-    assert "neither claim nor truth shows a difference, for 3 paired runs are too few: 6 are needed" in found.words
+    assert "neither claim nor truth shows a difference, for 3 paired runs are too few, 6 are needed" in found.words
 
 
 def test_intervals_grow_with_the_number_of_policies():
@@ -121,3 +121,12 @@ def test_the_first_screen_has_a_row_a_policy_and_a_sentence_for_each():
     assert markup.count("<li>") == 2
     for said in ("What does it claim at the end?", "How wrong is it then?", "baseline", ">yes<", ">no<", "not shown"):
         assert said in markup, said
+
+
+def test_the_headline_holds_the_best_against_the_baseline_and_no_other():
+    verdict, summaries = judged(BETTER, WORSE)
+    account = {s.filter_name: f"true error {s.end_error_m:.3g} m" for s in summaries}
+    first = verdict.headline.split(". ")[0]
+    assert first.startswith("greedy leaves the pose least uncertain")
+    assert first.index(account["greedy"]) < first.index("; fixed: ") < first.index(account["fixed"])
+    assert "dreams" not in first

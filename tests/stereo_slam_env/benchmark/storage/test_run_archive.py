@@ -16,7 +16,7 @@ from ..small_recordings import small_recording
 
 @pytest.fixture(scope="module")
 def run():
-    recording = replace(small_recording(), truth_from=Reference("odometry from the same images", "By hand."))
+    recording = replace(small_recording(), truth_from=Reference("odometry", "By hand."))
     return run_filter(recording, "euclidean", {"min_disparity": 5.0}, seed=7, label="xyz")
 
 
@@ -49,7 +49,7 @@ def test_a_run_kept_before_it_said_what_its_truth_is_has_a_true_one(tmp_path, ru
     with np.load(tmp_path / "run.npz") as archive:
         arrays = {name: archive[name] for name in archive.files}
     about = json.loads(str(arrays["about"]))
-    assert about.pop("truth_from")["kind"] == "odometry from the same images"
+    assert about.pop("truth_from")["kind"] == "odometry"
     np.savez(tmp_path / "old.npz", **arrays | {"about": np.array(json.dumps(about))})
     assert load_run(tmp_path / "old.npz")[0].reference == GIVEN_TRUTH
 

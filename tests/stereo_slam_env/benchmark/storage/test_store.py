@@ -91,7 +91,16 @@ def test_the_table_is_written_as_csv_too(finished):
     summary = json.loads((finished.out / "summary.json").read_text())["filters"]["euclidean"]
     assert row["filter"] == "euclidean"
     assert float(row["ate_rigid_m"]) == summary["ate_rigid_m"]
-    assert json.loads(row["pose_anees_band"]) == summary["pose_anees_band"]
+    assert float(row["pose_anees_per_dof"]) == pytest.approx(summary["pose_anees"] / 6)
+    low, high = (float(row[f"pose_anees_per_dof_{end}"]) for end in ("low", "high"))
+    assert (low, high) == pytest.approx(tuple(end / 6 for end in summary["pose_anees_band"]))
+    assert (row["runs"], row["failed"], row["option.min_disparity"]) == ("2", "0", "5.0")
+
+
+def test_no_cell_of_the_csv_is_a_table_of_its_own(finished):
+    text = (finished.out / "summary.csv").read_text()
+    assert not set(text) & set("{}[]")
+    assert len({line.count(",") for line in text.splitlines()}) == 1
 
 
 def test_the_settings_are_the_exact_inputs(finished):

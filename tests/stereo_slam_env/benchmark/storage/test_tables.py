@@ -49,7 +49,8 @@ def test_every_column_is_explained(finished):
     names = [row[1] for row in rows(path, "PRAGMA table_info(trials)")]
     meanings = {name: (unit, meaning) for name, unit, meaning in rows(path, "SELECT * FROM columns")}
     assert list(meanings) == names
-    assert {figure.name for figure in trial_columns()} <= set(names)
+    assert {figure.column for figure in trial_columns()} <= set(names)
+    assert meanings["pose_anees_per_dof"] == ("", "mean NEES of the pose over frames; by 6, so 1 is ideal")
     assert all(meaning for _, meaning in meanings.values())
     assert meanings["position_rmse_m"][0] == "m"
     assert rows(path, "PRAGMA user_version") == [(SCHEMA,)]

@@ -1,0 +1,146 @@
+"""Pictures of finished runs: the report, Rerun's viewer, the paper's figures, learning curves.
+
+`small` asks for a short run, to see that the picture can be drawn.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from PIL import Image
+from PIL.PngImagePlugin import PngInfo
+
+import stereo_slam_env as sse
+from stereo_slam_env.benchmark import preset_study, run_benchmark
+from stereo_slam_env.report.benchmark_report import write_report_of
+from stereo_slam_env.report.charts.policies import plot_learning
+from stereo_slam_env.studies.paper import convergence, figures
+from stereo_slam_env.training.ppo import VALIDATION_SEEDS, LearningCurve, PPOSettings, train
+from stereo_slam_env.training.task import GazeTask, evaluate
+from stereo_slam_env.viewer import Drive, RerunView
+
+BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+REPORT_SIZE, RERUN_SIZE = (1280, 1180), (1120, 860)
+HEADINGS, MILLISECONDS = "headings", "milliseconds"
+"""Texts in the PNG of the report: headings of its first table, and time a frame by filter, as JSON."""
+TRAININGS = range(5)
+
+
+class NoBrowser(RuntimeError):
+    """There is none on this machine."""
+
+
+def report(path: Path, work: Path, *, small: bool) -> None:
+    """The upper end of the page of `stereo-slam bench`; the file says in words what a test compares."""
+    study = preset_study("quick")
+    if small:
+        study = study.with_scenarios(lambda one: dataclasses.replace(one, seeds=(0, 1), frames=20))
+    result = run_benchmark(study, work / "quick", jobs=1, write_report=write_report_of)
+    assert result.report is not None
+    with page_in_browser(result.report.as_uri(), REPORT_SIZE) as page:
+        page.wait_for_timeout(3_000)  # ms: charts are drawn when they come into view
+        page.screenshot(path=path)
+        headings = page.eval_on_selector("table", "table => [...table.querySelectorAll('th')].map(th => th.innerText)")
+    (cell,) = result.cells
+    about = PngInfo()
+    about.add_text(HEADINGS, json.dumps(headings))
+    about.add_text(MILLISECONDS, json.dumps({one.filter_name: one.ms_per_frame for one in cell.summaries}))
+    with Image.open(path) as picture:
+        picture.load()
+    picture.save(path, pnginfo=about)
+
+
+def rerun(path: Path, work: Path, *, small: bool) -> None:
+    """A drive in Rerun's viewer, in a browser."""
+    drive = Drive.of(sse.make_recording("turn", 0), "inverse-depth")
+    file = work / "drive.rrd"
+    with RerunView(drive.camera, [drive.label], save=file, landmarks=drive.landmarks) as view:
+        for moment, _ in zip(drive.moments(), range(5 if small else 20), strict=False):
+            view.show(drive.label, moment)
+    viewer, ports = Path(sys.executable).with_name("rerun"), [_free_port(), _free_port()]
+    serve = ["--serve-web", "--bind", "127.0.0.1", "--port", str(ports[0]), "--web-viewer-port", str(ports[1])]
+    # `rerun` is a script that starts the viewer: both end with their session.
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    server = subprocess.Popen([viewer, *serve, file], start_new_session=True, **quiet)
+    try:
+        _wait_for(ports[1])
+        _wait_for(ports[0])
+        source = f"rerun%2Bhttp://127.0.0.1:{ports[0]}/proxy"
+        with page_in_browser(f"http://127.0.0.1:{ports[1]}/?url={source}&hide_welcome_screen=1", RERUN_SIZE) as page:
+            page.wait_for_timeout(25_000)  # ms: its drawing in software is slow, and nothing says when it is done
+            page.screenshot(path=path, type="jpeg", quality=88)
+    finally:
+        os.killpg(server.pid, signal.SIGTERM)
+        server.wait(timeout=20)
+
+
+def paper_depth(path: Path, work: Path, *, small: bool) -> None:
+    """Figure 4 of the paper."""
+    drives = 4 if small else 200
+    figures.figure_4({name: make() for name, make in convergence.experiments(drives).items()}).save(path)
+
+
+def paper_cloud(path: Path, work: Path, *, small: bool) -> None:
+    """Figure 1 of the paper."""
+    figures.figure_1(500 if small else 10_000).save(path)
+
+
+def learning_curve(path: Path, work: Path, *, small: bool) -> None:
+    """Learning curves of some trainings of the task `ActiveGaze`."""
+    task, curves = GazeTask(), []
+    for seed in TRAININGS[:1] if small else TRAININGS:
+        settings = PPOSettings(seed=seed, **({"decisions": 2048, "environments": 4} if small else {}))
+        train(task, settings, work / f"training-{seed}")
+        curves.append(LearningCurve(work / f"training-{seed}" / "learning_curve.csv").rows)
+    seeds = VALIDATION_SEEDS[:2] if small else VALIDATION_SEEDS
+    plot_learning(curves, dataclasses.asdict(evaluate(None, task, seeds))).save(path)
+
+
+@contextmanager
+def page_in_browser(address: str, size: tuple[int, int]) -> Iterator[Any]:
+    """The page of playwright at that address; `NoBrowser` where there is none."""
+    browser = next(filter(None, map(shutil.which, BROWSERS)), None)
+    try:
+        from playwright.sync_api import sync_playwright
+    except ImportError as error:
+        raise NoBrowser("playwright is not installed (extra dev)") from error
+    if browser is None:
+        raise NoBrowser(f"none of {', '.join(BROWSERS)} is installed (apt install chromium)")
+    with sync_playwright() as driver:
+        switches = ["--no-sandbox", "--enable-unsafe-swiftshader"]  # as root; WebGL without a graphics card
+        chromium = driver.chromium.launch(executable_path=browser, args=switches)
+        try:
+            page = chromium.new_page(viewport={"width": size[0], "height": size[1]})
+            page.set_default_timeout(120_000)  # ms
+            page.goto(address)
+            yield page
+        finally:
+            chromium.close()
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def _wait_for(port: int, seconds: float = 30.0) -> None:
+    ends = time.monotonic() + seconds
+    while time.monotonic() < ends:
+        with socket.socket() as probe:
+            if probe.connect_ex(("127.0.0.1", port)) == 0:
+                return
+        time.sleep(0.2)
+    raise TimeoutError(f"nothing listens on port {port} after {seconds:g} s")

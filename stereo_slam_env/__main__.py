@@ -1,0 +1,8 @@
+"""The command `stereo-slam`, as `python -m stereo_slam_env`."""
+
+import sys
+
+from stereo_slam_env.cli.app import main
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,187 @@
+"""Server of processes: a clean process that forks itself once for each request, see `isolation`.
+
+It has imported what trials need, has one thread and never draws, so that forking it is safe. It is started with
+`subprocess`, in a session of its own, where no Ctrl-C of a terminal reaches it: its caller decides what ends. It ends
+when the caller does, however that ends, because the socket between them is closed then.
+
+A request carries two descriptors: the connection over which the work comes and the answer goes, and a pipe on which the
+server writes the id of the new process and, in the end, its exit code. Each process leads a session of its own, and
+what it has started ends with it; what it has detached ends with the server, to which Linux then gives it.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import importlib
+import os
+import pickle
+import selectors
+import signal
+import socket
+import struct
+import sys
+from contextlib import suppress
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import NoReturn
+
+import cloudpickle
+
+from filters.contract.foreign_text import first_line
+
+KERNELS = "filters.engine.row"
+"""What compiles the kernels when it is imported, or reads those that have been."""
+PRELOADED = (
+    KERNELS,
+    "stereo_slam_env.benchmark.running.tasks",
+    "stereo_slam_env.policies.episode",
+    "stereo_slam_env.wrappers.belief_panorama",
+    "stereo_slam_env.envs.recorder",
+)
+"""Modules that most trials need; importing them once in the server is why a process costs milliseconds."""
+STATUS = struct.Struct("q")
+"""Of the numbers on the pipe."""
+READY = b"r"
+
+_SET_DEATH_SIGNAL, _ADOPT_ORPHANS = 1, 36  # PR_SET_PDEATHSIG, PR_SET_CHILD_SUBREAPER
+
+
+def serve(descriptor: int) -> None:
+    """Fork a process for each request on the socket `descriptor`, until the other side is closed."""
+    for module in PRELOADED:
+        try:
+            importlib.import_module(module)
+        except ImportError:  # an extra that is not installed
+            continue
+    _ask_linux(_ADOPT_ORPHANS, 1)
+    wake_up, woken_by = os.pipe()
+    for end in (wake_up, woken_by):
+        os.set_blocking(end, False)
+    signal.set_wakeup_fd(woken_by, warn_on_full_buffer=False)
+    signal.signal(signal.SIGCHLD, lambda number, frame: None)
+    running: dict[int, int] = {}
+    with socket.socket(fileno=descriptor) as requests, selectors.DefaultSelector() as waiting:
+        waiting.register(requests, selectors.EVENT_READ)
+        waiting.register(wake_up, selectors.EVENT_READ)
+        try:
+            requests.sendall(READY)
+        except BrokenPipeError:  # the caller was killed meanwhile
+            return
+        while True:
+            ready = {key.fileobj for key, _ in waiting.select()}
+            if wake_up in ready:
+                os.read(wake_up, 4096)
+                _tell_ends(running)
+            if requests in ready:
+                message, descriptors, _, _ = socket.recv_fds(requests, 1, 2)
+                if not message:
+                    break
+                connection, status = descriptors
+                server = os.getpid()
+                child = os.fork()
+                if child == 0:
+                    signal.set_wakeup_fd(-1)
+                    waiting.close()
+                    requests.close()
+                    for inherited in (wake_up, woken_by, status, *running.values()):
+                        os.close(inherited)
+                    _work(Connection(connection), server)
+                running[child] = status
+                os.close(connection)
+                _write(status, child)
+    _end_all(running)
+
+
+def end_process(process: int) -> None:
+    """End a process that leads a session, or is about to, and what it has started."""
+    with suppress(ProcessLookupError):
+        os.kill(process, signal.SIGKILL)
+    _end_group(process)
+
+
+def _end_group(leader: int) -> None:
+    with suppress(ProcessLookupError, PermissionError):  # macOS denies what has ended
+        os.killpg(leader, signal.SIGKILL)
+
+
+def _tell_ends(running: dict[int, int]) -> None:
+    """Report the exit code of each process that has ended, or minus the number of the signal."""
+    while True:
+        try:
+            child, status = os.waitpid(-1, os.WNOHANG)
+        except ChildProcessError:  # there are none
+            return
+        if child == 0:
+            return
+        if child in running:  # else somebody's orphan
+            _end_group(child)
+            _write(running[child], os.waitstatus_to_exitcode(status))
+            os.close(running.pop(child))
+
+
+def _end_all(running: dict[int, int]) -> None:
+    for child in running:
+        end_process(child)
+    children = Path(f"/proc/self/task/{os.getpid()}/children")
+    with suppress(OSError):  # no Linux
+        while orphans := children.read_text().split():
+            for orphan in map(int, orphans):
+                end_process(orphan)
+            os.waitpid(-1, 0)
+
+
+def _write(pipe: int, number: int) -> None:
+    try:
+        os.write(pipe, STATUS.pack(number))
+    except BrokenPipeError:  # nobody listens any more
+        return
+
+
+def _ask_linux(what: int, value: int) -> None:
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(what, value, 0, 0, 0)
+
+
+# ---- the new process ------------------------------------------------------------------------------------------------
+
+
+def _work(connection: Connection, server: int) -> NoReturn:
+    """Take the work, do it, send the answer, and leave without any clean-up."""
+    os.setsid()
+    _ask_linux(_SET_DEATH_SIGNAL, signal.SIGKILL)
+    if os.getppid() != server:  # it ended meanwhile
+        os._exit(1)
+    signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    code = 1
+    try:
+        packed = _packed(*_answer(connection))
+        sys.stdout.flush()
+        sys.stderr.flush()
+        connection.send_bytes(packed)
+        code = 0
+    except (BrokenPipeError, EOFError):  # nobody waits for the answer any more
+        code = 0
+    finally:
+        os._exit(code)
+
+
+def _answer(connection: Connection) -> tuple[str, object]:
+    try:
+        sys.path[:], folder, work = pickle.loads(connection.recv_bytes())
+        os.chdir(folder)
+        return "result", pickle.loads(work)(lambda done, total: connection.send_bytes(_packed("alive", (done, total))))
+    except Exception as error:
+        return "error", error
+
+
+def _packed(kind: str, content: object) -> bytes:
+    try:
+        packed: bytes = cloudpickle.dumps((kind, content))
+        if kind == "error":
+            pickle.loads(packed)  # an error of a class with arguments of its own can be written, but not read
+    except Exception as error:
+        what = content if isinstance(content, Exception) else error
+        told = f"the answer cannot be sent: {type(what).__name__}: {first_line(what)}"
+        packed = pickle.dumps(("error", RuntimeError(told)))
+    return packed

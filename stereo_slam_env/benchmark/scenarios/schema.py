@@ -1,0 +1,174 @@
+"""JSON Schema of scenario files, for editors: completion, documentation and errors while a file is written.
+
+The types are those that `Scenario`, the sources and the corruptions declare, in the form that files have. The schema is
+kept beside this module, and `python -m stereo_slam_env.benchmark.scenarios.schema` writes it anew when a type changes.
+"""
+
+from __future__ import annotations
+
+import inspect
+import json
+import re
+from collections.abc import Mapping
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, get_type_hints
+
+import msgspec
+
+from stereo_slam_env.benchmark.recordings import sources
+from stereo_slam_env.benchmark.scenarios.scenario import Label, Scenario
+from stereo_slam_env.benchmark.scenarios.study import preset_text
+from stereo_slam_env.files.folders import write_atomically
+from stereo_slam_env.files.json_files import write_json
+from stereo_slam_env.files.paths import checked_file
+from stereo_slam_env.sensing.corruptions import CORRUPTIONS
+
+NAME = "scenario.schema.json"
+KINDS = (
+    sources.StreetSource,
+    sources.ReferenceSource,
+    sources.DatasetSource,
+    sources.GazeSource,
+    sources.FactorySource,
+)
+_NONE = ("gate", "frames", "noise")
+"""What may be false in a file: TOML has no null."""
+_FALSE = {"const": False}
+_OTHERS = {
+    "$schema": "Schema of a JSON file.",
+    "description": "One line for lists.",
+    "kind": "Source of the stream; one of these, or of an installed package.",
+    "options": "Of the source.",
+    "grid": "Every combination is a scenario. Keys are fields, a dot goes into a table; values are lists.",
+    "cells": "Scenarios of one study: each a table with a name, and the fields in which it differs.",
+    "factorial": "Crosses options of one filter: filter, options that all have, and a list of levels for each factor.",
+}
+
+
+class _Choice(msgspec.Struct, forbid_unknown_fields=True):
+    """A filter or policy with options, and the label it has in tables."""
+
+    name: str
+    label: Label | msgspec.UnsetType = msgspec.UNSET
+    options: dict[str, Any] | msgspec.UnsetType = msgspec.UNSET
+
+
+def scenario_schema() -> dict[str, Any]:
+    """JSON Schema (2020-12) of scenario files."""
+    types: dict[str, Any] = get_type_hints(Scenario, include_extras=True)
+    types |= {"filters": list[str | _Choice], "policies": list[str | _Choice]}
+    fields_of = [(key, kind, msgspec.UNSET) for key, kind in types.items() if key not in ("source", "corruptions")]
+    own = msgspec.defstruct("own", fields_of)
+    _, parts = msgspec.json.schema_components((own, *KINDS, *CORRUPTIONS.values()))
+    fields = parts.pop("own")["properties"]
+    documented = _descriptions(Scenario)
+    for key, about in fields.items():
+        fields[key] = {"description": documented.get(key, ""), **about}
+    for key in _NONE:
+        fields[key]["anyOf"].append(_FALSE)
+    fields["seeds"] = {
+        "description": f"{documented['seeds']} A number n stands for 0 to n - 1.",
+        "anyOf": [{"type": "integer", "minimum": 1}, {k: v for k, v in fields["seeds"].items() if k != "description"}],
+    }
+    found = {kind: parts.pop(corruption.__name__) for kind, corruption in CORRUPTIONS.items()}
+    fields["corruptions"] = {
+        "description": documented["corruptions"],
+        "type": "array",
+        "items": {"oneOf": [_tagged(kind, about) for kind, about in found.items()]},
+    }
+    kinds = {str(kind.__struct_config__.tag): parts.pop(kind.__name__) for kind in KINDS}
+    fields["kind"] = {"anyOf": [{"enum": [*kinds]}, {"type": "string"}], "default": "street"}
+    fields["options"] = {"type": "object"}
+    cell = {"type": "object", "properties": {key: {"$ref": f"#/properties/{key}"} for key in fields}}
+    levels = {"anyOf": [{"type": "array", "minItems": 1}, {"type": "object"}]}
+    fields |= {
+        "$schema": {"type": "string"},
+        "description": {"type": "string"},
+        "grid": {
+            "type": "object",
+            "propertyNames": {"pattern": rf"^({'|'.join(map(re.escape, cell['properties']))})(\..+)?$"},
+            "additionalProperties": levels,
+        },
+        "cells": {
+            "type": "array",
+            "minItems": 1,
+            "items": {**cell, "required": ["name"], "additionalProperties": False},
+        },
+        "factorial": {
+            "type": "object",
+            "properties": {"filter": {"type": "string"}, "options": {"type": "object"}},
+            "required": ["filter"],
+            "minProperties": 2,
+            "additionalProperties": {"type": "array", "minItems": 2},
+        },
+    }
+    for key, said in _OTHERS.items():
+        fields[key] = {"description": said, **fields[key]}
+    schema = {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": "Scenario of stereo-slam bench",
+        "type": "object",
+        "properties": dict(sorted(fields.items())),
+        "required": ["name"],
+        "additionalProperties": False,
+        "not": {"anyOf": [{"required": ["grid", "cells"]}, {"required": ["factorial", "filters"]}]},
+        "allOf": [_with_options(kind, about) for kind, about in kinds.items()],
+        "$defs": parts,
+    }
+    # The end of a text is written as JavaScript has it.
+    portable: dict[str, Any] = json.loads(json.dumps(schema).replace(r"\\Z", "$"))
+    return portable
+
+
+def write_scenario_file(path: Path, preset: str) -> None:
+    """Write a preset as a scenario file to start from, and beside it the schema that its first line names.
+
+    Raises
+    ------
+    ValueError
+        An unknown preset, another ending than .toml, no such folder, or there is such a file.
+    """
+    text = preset_text(preset)
+    path = checked_file("scenario file", path, ".toml")
+    if path.exists():
+        raise ValueError(f"scenario file {path} exists: choose another name")
+    schema = files(__package__).joinpath(NAME).read_bytes()
+    write_atomically(path.with_name(NAME), lambda stream: stream.write(schema))
+    write_atomically(path, lambda stream: stream.write(f"#:schema {NAME}\n{text}".encode()))
+
+
+def _tagged(kind: str, about: Mapping[str, Any]) -> dict[str, Any]:
+    """Schema of a corruption of a kind."""
+    properties = {"kind": {"const": kind}, **about.get("properties", {})}
+    return {
+        "title": kind,
+        "description": about["description"].splitlines()[0],
+        "type": "object",
+        "properties": properties,
+        "required": ["kind", *about.get("required", [])],
+        "additionalProperties": False,
+    }
+
+
+def _with_options(kind: str, about: Mapping[str, Any]) -> dict[str, Any]:
+    """What the options of a kind are; cells and grids may add some, so none is required."""
+    own = {key: value for key, value in about["properties"].items() if key not in ("kind", "arguments")}
+    options = {
+        "description": about["description"].splitlines()[0],
+        "properties": own,
+        "additionalProperties": "arguments" in about["properties"],
+    }
+    is_kind = {"properties": {"kind": {"const": kind}}, "required": ["kind"]}
+    return {"if": is_kind, "then": {"properties": {"options": options}}}
+
+
+def _descriptions(documented: type) -> dict[str, str]:
+    """What the docstring of a class says of its attributes."""
+    attributes = (inspect.getdoc(documented) or "").partition("Attributes\n----------\n")[2].partition("\n\n")[0]
+    found = re.findall(r"^(\w+) : .*\n((?:    .*\n?)+)", attributes + "\n", re.MULTILINE)
+    return {name: " ".join(text.split()) for name, text in found}
+
+
+if __name__ == "__main__":
+    write_json(Path(__file__).with_name(NAME), scenario_schema())

@@ -1,0 +1,236 @@
+"""Identity of the code of a filter, a policy or a source of recordings that somebody else wrote.
+
+A digest of what its result hangs on, besides options and the packages of this project:
+
+- of an installed distribution: its version, the record of its files, and its code as it lies there;
+- of a project of the user, in place or installed as editable: all code of the top-level package (or script) that
+  defines it, and of those beside it that it imports, directly or by others;
+- of a class without a file, as in a notebook: its compiled code, and that of what it refers to in there.
+
+Classes that it is derived from count likewise. Data that it loads by itself does not count, unless it is part of an
+installed distribution. Code is compared by meaning, as in `code_identity`.
+"""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import importlib.machinery
+import importlib.util
+import inspect
+import sys
+import sysconfig
+import types
+from collections.abc import Callable, Iterator
+from functools import lru_cache, partial
+from importlib.metadata import Distribution, EntryPoint, packages_distributions
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from filters.catalogue.registry import plugin_of as filter_plugin
+from stereo_slam_env.benchmark.recordings.source import Source
+from stereo_slam_env.benchmark.recordings.sources import FactorySource
+from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice
+from stereo_slam_env.benchmark.storage.code_identity import PACKAGES, digest_of, meaning, source_files
+
+_CODE = tuple({*importlib.machinery.all_suffixes()} - {*importlib.machinery.BYTECODE_SUFFIXES})
+_INSTALLED = tuple({Path(sysconfig.get_path(name)).resolve() for name in ("purelib", "platlib")})
+_NOT_THEIRS = {*PACKAGES, *sys.stdlib_module_names}
+
+
+def digest_of_choice(choice: FilterChoice) -> str | None:
+    """Digest of the code of a competitor, its filter and its policy; None where all of it is ours."""
+    points = [filter_plugin(choice.name)]
+    if choice.policy is not None:
+        from stereo_slam_env.policies.registry import plugin_of as policy_plugin
+
+        points.append(policy_plugin(choice.policy.name))
+    theirs = [plugin_digest(_found(point.load), point) for point in points if point is not None]
+    return "-".join(digest for digest in theirs if digest is not None) or None
+
+
+def digest_of_source(source: Source) -> str | None:
+    """Digest of the code that makes the recordings, which is not run for that; None where all of it is ours."""
+    module = source.call.partition(":")[0] if isinstance(source, FactorySource) else type(source).__module__
+    found = {} if _top(module) in _NOT_THEIRS else _package(_top(module), None)
+    return digest_of(found) if found else None
+
+
+def _found(load: Callable[[], Any]) -> Any:
+    """What is loaded; where that cannot be done, the reason, which is the result then."""
+    try:
+        return load()
+    except Exception as error:  # whatever a stranger's module does at import
+        return f"{type(error).__name__}: {error}"
+
+
+def plugin_digest(factory: Callable[..., Any] | str, point: EntryPoint | None = None) -> str | None:
+    """SHA-256 of the code that defines a filter, a policy or a source; None where all of it is ours.
+
+    Parameters
+    ----------
+    factory : callable or str
+        A class, a function, a method or a partial of one; or why it cannot be loaded.
+    point : EntryPoint, optional
+        What names it, where it is a plug-in.
+    """
+    layers = [] if isinstance(factory, str) else list(_layers(factory))
+    modules = [*([point.module] if point else []), *(layer.__module__ for layer in layers)]
+    if modules and all(_top(module) in PACKAGES for module in modules[: 1 + (point is not None)]):
+        return None  # what ours are derived from are libraries
+    found: dict[str, str] = {"": factory} if isinstance(factory, str) else {}
+    for top in dict.fromkeys(map(_top, modules)):
+        if top not in _NOT_THEIRS:
+            found |= _package(top, point.dist if point else None) or _without_file(top, layers)
+    return digest_of(found) if found else None
+
+
+def _top(module: str) -> str:
+    return module.partition(".")[0]
+
+
+def _layers(factory: Callable[..., Any] | None) -> Iterator[Any]:
+    """What a factory is made of: its class and those that it is derived from, or its function."""
+    while isinstance(factory, partial):
+        factory = factory.func
+    if inspect.isclass(factory):
+        yield from inspect.getmro(factory)
+    elif inspect.isfunction(factory):
+        yield inspect.unwrap(factory)
+    elif inspect.ismethod(factory):
+        yield from _layers(factory.__func__)
+        yield from _layers(factory.__self__ if inspect.isclass(factory.__self__) else type(factory.__self__))
+    elif factory is not None:
+        yield from inspect.getmro(type(factory))
+
+
+# ---- code in files ---------------------------------------------------------------------------------------------------
+
+
+def _package(top: str, known: Distribution | None) -> dict[str, str]:
+    """Digests of the files behind a top-level name, by their paths; nothing where there are none."""
+    beside = _place(top)
+    if beside is None:
+        return {}
+    if beside.resolve() not in _INSTALLED:
+        return _project(top, beside)
+    owners = [known] if known else [Distribution.from_name(name) for name in packages_distributions().get(top, ())]
+    records = {f"{one.name}-{one.version}": meaning("", (one.read_text("RECORD") or "").encode()) for one in owners}
+    return records | _digests(top, beside)
+
+
+def _place(top: str) -> Path | None:
+    """The folder that a top-level module or package lies in; None where it has no file."""
+    if top == "__main__":
+        file = getattr(sys.modules["__main__"], "__file__", None)
+        return None if file is None or not Path(file).is_file() else Path(file).parent
+    try:
+        spec = importlib.util.find_spec(top)
+    except (ImportError, ValueError):
+        return None
+    if spec is None:
+        return None
+    if spec.submodule_search_locations:
+        return Path(next(iter(spec.submodule_search_locations))).parent
+    return Path(spec.origin).parent if spec.origin and Path(spec.origin).is_file() else None
+
+
+def _project(top: str, beside: Path) -> dict[str, str]:
+    """Code of a package or script of the user's, and of those in the same folder that it imports."""
+    found: dict[str, str] = {}
+    waiting, seen = [top], {top}
+    while waiting:
+        name = waiting.pop()
+        found |= _digests(name, beside)
+        for path in _code_of(name, beside):
+            imported = {*_read(path.name, path.read_bytes())[1]} - seen - _NOT_THEIRS
+            seen |= imported
+            waiting += sorted(imported)
+    return found
+
+
+def _digests(top: str, beside: Path) -> dict[str, str]:
+    return {
+        path.relative_to(beside).as_posix(): _read(path.name, path.read_bytes())[0] for path in _code_of(top, beside)
+    }
+
+
+def _code_of(top: str, beside: Path) -> list[Path]:
+    """Files with the code of a top-level module or package in a folder; none where it is not there."""
+    if top == "__main__":
+        return [Path(str(sys.modules["__main__"].__file__))]
+    files = source_files(beside / top) if (beside / top).is_dir() else []
+    alone = (beside / f"{top}{suffix}" for suffix in _CODE)
+    return [*(path for path in files if path.name.endswith(_CODE)), *(path for path in alone if path.is_file())]
+
+
+@lru_cache(maxsize=4096)
+def _read(name: str, content: bytes) -> tuple[str, frozenset[str]]:
+    """Digest of what a file means, and the top-level names of what it imports by statements, wherever in it."""
+    try:
+        nodes = list(ast.walk(ast.parse(content))) if name.endswith(".py") else []
+        names = [alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names]
+        names += [node.module or "" for node in nodes if isinstance(node, ast.ImportFrom) and not node.level]
+        return meaning(name, content), frozenset(_top(name) for name in names if name)
+    except (SyntaxError, ValueError, RecursionError):
+        return meaning("", content), frozenset()
+
+
+# ---- code without files ----------------------------------------------------------------------------------------------
+
+_PLAIN = (bool, int, float, complex, str, bytes, type(None))
+_OF_PYTHON = {"__dict__", "__weakref__", "__doc__", "__module__", "__firstlineno__", "__static_attributes__"}
+_OF_PYTHON |= {"__abstractmethods__", "_abc_impl"}
+"""Attributes of classes that say nothing of what they do."""
+
+
+def _without_file(module: str, layers: list[Any]) -> dict[str, str]:
+    """Digest of what a module without a file, such as that of a notebook, says of these classes and functions."""
+    said: list[str] = []
+    seen: dict[int, object] = {}  # kept, so that no id is given twice
+
+    def say(value: Any) -> None:
+        if isinstance(value, _PLAIN):
+            said.append(repr(value))
+            return
+        if id(value) in seen:
+            return
+        seen[id(value)] = value
+        if isinstance(value, np.ndarray):
+            said.append(f"{value.dtype} {value.shape} {hashlib.sha256(value.tobytes()).hexdigest()}")
+        elif isinstance(value, types.CodeType):
+            said.append(f"{value.co_code!r} {value.co_names} {value.co_varnames}")
+            say(value.co_consts)
+        elif isinstance(value, property):
+            say([value.fget, value.fset, value.fdel])
+        elif isinstance(value, tuple | list):
+            for item in value:
+                say(item)
+        elif isinstance(value, set | frozenset):
+            say(sorted(map(repr, value)))
+        elif isinstance(value, dict):
+            say([part for key in sorted(value, key=repr) for part in (repr(key), value[key])])
+        elif getattr(value, "__module__", None) != module:
+            named = value if hasattr(value, "__qualname__") else type(value)
+            said.append(f"{named.__module__}.{named.__qualname__}")
+        elif inspect.isclass(value):
+            say([value.__qualname__, *value.__bases__])
+            say({name: member for name, member in vars(value).items() if name not in _OF_PYTHON})
+        elif inspect.isfunction(value):
+            say([value.__code__, value.__defaults__, value.__kwdefaults__])
+            say([cell.cell_contents for cell in value.__closure__ or ()])
+            if value.__globals__.get("__name__") == module:
+                say([value.__globals__[name] for name in _names(value.__code__) if name in value.__globals__])
+        else:
+            say([type(value), getattr(value, "__dict__", {})])
+
+    say([layer for layer in layers if layer.__module__ == module])
+    return {module: hashlib.sha256("\n".join(said).encode()).hexdigest()}
+
+
+def _names(code: types.CodeType) -> list[str]:
+    """Names that a function uses, with those of the functions in it."""
+    inner = [name for item in code.co_consts if isinstance(item, types.CodeType) for name in _names(item)]
+    return sorted({*code.co_names, *inner})

@@ -1,0 +1,135 @@
+"""Charts of judged trajectories: paths with their covariance tubes, errors against 3 sigma, NEES over time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from filters.validation import FloatArray
+from stereo_slam_env.evaluation.consistency import DOF, mean_band
+from stereo_slam_env.evaluation.trajectory_score import TrajectoryScore
+from stereo_slam_env.recording.trajectory import pose_errors
+from stereo_slam_env.report.charts import series
+from stereo_slam_env.report.charts.accuracy import TRUTH, map_panel
+from stereo_slam_env.report.charts.axes import WIDTH, label_room
+from stereo_slam_env.report.charts.consistency import band_chart, pose_error_chart, shared_error_limits
+from stereo_slam_env.report.charts.drawing import Chart, Curve, figure
+from stereo_slam_env.report.charts.style import INK, filter_colours, nested_widths
+
+SIGMAS = 3.0
+"""Half width of a tube."""
+_SEEN = 0.02
+"""Errors and tubes are magnified until the largest of them is this share of the path's extent."""
+_FACTORS = tuple(factor * 10.0**decade for decade in range(7) for factor in (1.0, 2.0, 5.0))
+
+
+def labels_of(scores: Sequence[TrajectoryScore]) -> list[str]:
+    """Names of the estimates, numbered where two have the same."""
+    names = [score.estimate for score in scores]
+    return [f"{name} ({i + 1})" if names.count(name) > 1 else name for i, name in enumerate(names)]
+
+
+def pose_error(score: TrajectoryScore) -> tuple[FloatArray, FloatArray]:
+    """Pose errors (N, 6), position in W, m, and rotation in the body, rad, and the claimed deviations, NaN if none."""
+    poses, truth = score.poses, score.reference_poses
+    error = pose_errors("position-rotation", poses.positions, poses.orientations, truth.positions, truth.orientations)
+    claimed = poses.pose_covariances
+    if claimed is None:
+        return error, np.full_like(error, np.nan)
+    with np.errstate(invalid="ignore"):
+        return error, np.sqrt(np.diagonal(claimed, axis1=1, axis2=2))
+
+
+def plot_paths(scores: Sequence[TrajectoryScore]) -> tuple[Chart, float]:
+    """Paths seen from above, each in a tube of 3 sigma across it, and how many times errors and tubes are magnified.
+
+    The reference is where it is. An estimate and its tube are drawn at its error times the factor, so the reference is
+    inside a tube where the error is below 3 sigma.
+    """
+    labels = labels_of(scores)
+    colours = filter_colours(labels)
+    track = np.concatenate([score.reference_poses.positions for score in scores])
+    across, up = series.map_axes(track)
+    plane = [across, up]
+    half_widths = [_across_path(score, plane) for score in scores]
+    factor = _magnification(scores, half_widths, plane)
+    title = f"Seen from above, {scores[0].reference} in grey"
+    view = map_panel(track, (across, up), WIDTH - 60 - label_room(labels), 420.0, title)
+    tubes, paths = [], []
+    for label, score, (normal, half), width in zip(
+        labels, scores, half_widths, nested_widths(len(scores)), strict=True
+    ):
+        truth = score.reference_poses.positions[:, plane]
+        drawn = truth - factor * score.position_errors[:, plane]
+        paths.append(Curve(label, drawn[:, 0], drawn[:, 1], colours[label], width=width))
+        if np.isfinite(half).any():
+            known = np.isfinite(half)
+            side = factor * half[known, None] * normal[known]
+            outline = np.concatenate([drawn[known] + side, (drawn[known] - side)[::-1]])
+            tubes.append(Curve(label, outline[:, 0], outline[:, 1], colours[label], opacity=0.16, said=None))
+    view.outlines(tubes)
+    truths = {id(score): score.reference_poses.positions for score in scores}
+    view.lines(Curve("", p[:, across], p[:, up], INK, said=scores[0].reference, **TRUTH) for p in truths.values())
+    view.lines(paths)
+    view.colour_key(colours)
+    return figure([view], colours), factor
+
+
+def plot_errors(scores: Sequence[TrajectoryScore]) -> list[Chart]:
+    """Pose errors of each estimate inside what it claims, 3 sigma, a panel a degree of freedom; equal scales."""
+    found = dict(zip(labels_of(scores), map(pose_error, scores), strict=True))
+    limits = shared_error_limits(found)
+    return [
+        pose_error_chart(label, score.times - score.times[0], *errors, limits)
+        for (label, errors), score in zip(found.items(), scores, strict=True)
+    ]
+
+
+def plot_nees_over_time(scores: Sequence[TrajectoryScore]) -> Chart:
+    """NEES / 6 of the pose over time, of all that claim covariances, against the 95 % band of one run."""
+    claimed = {label: score for label, score in zip(labels_of(scores), scores, strict=True) if "pose" in score.claims}
+    times = np.unique(np.concatenate([score.times for score in claimed.values()]))
+    low, high = (np.full(len(times), end / DOF["pose"]) for end in mean_band(DOF["pose"], 1))
+    curves = {label: _at(times, score) / DOF["pose"] for label, score in claimed.items()}
+    return band_chart("Pose NEES / 6 (1 is ideal)", times - times[0], curves, (low, high))
+
+
+def _at(times: FloatArray, score: TrajectoryScore) -> FloatArray:
+    """NEES of the pose at `times`; between its own, that of the frame before, so that lines have no gaps."""
+    own = np.searchsorted(score.times, times, side="right") - 1
+    inside = (own >= 0) & (times <= score.times[-1])
+    return np.where(inside, score.nees["pose"][np.maximum(own, 0)], np.nan)
+
+
+def _across_path(score: TrajectoryScore, plane: Sequence[int]) -> tuple[FloatArray, FloatArray]:
+    """Unit normals (N, 2) of the reference's path in the plane, and 3 sigma of the position along them (N,), m."""
+    path = score.reference_poses.positions[:, plane]
+    ahead = np.gradient(path, axis=0) if len(path) > 1 else np.zeros_like(path)
+    length = np.linalg.norm(ahead, axis=1)
+    moving = length > 0
+    # Where the body stands, the direction of its last motion holds.
+    last = np.maximum.accumulate(np.where(moving, np.arange(len(path)), 0))
+    ahead = np.where(moving[last, None], ahead[last] / np.maximum(length[last], 1e-300)[:, None], [1.0, 0.0])
+    normal = np.column_stack([-ahead[:, 1], ahead[:, 0]])
+    claimed = score.poses.pose_covariances
+    if claimed is None:
+        return normal, np.full(len(path), np.nan)
+    in_plane = claimed[:, plane][:, :, plane]
+    with np.errstate(invalid="ignore"):
+        return normal, SIGMAS * np.sqrt(np.einsum("ki,kij,kj->k", normal, in_plane, normal))
+
+
+def _magnification(
+    scores: Sequence[TrajectoryScore],
+    half_widths: Sequence[tuple[FloatArray, FloatArray]],
+    plane: Sequence[int],
+) -> float:
+    """Largest round factor that leaves errors and tubes within the share of the path's extent that is well seen."""
+    track = np.concatenate([score.reference_poses.positions[:, plane] for score in scores])
+    extent = float(np.ptp(track, axis=0).max())
+    reach = max(
+        float(np.nanmax([*np.abs(score.position_errors[:, plane]).ravel(), *half[np.isfinite(half)]]))
+        for score, (_, half) in zip(scores, half_widths, strict=True)
+    )
+    return max((factor for factor in _FACTORS if factor * reach <= 2.0 * _SEEN * extent), default=1.0)

@@ -1,0 +1,74 @@
+"""Statements of the manual that have been false before, against the code (10 s)."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import gymnasium as gym
+import pytest
+
+from filters.engine.gauge_walk import TURN_WEIGHT
+from stereo_slam_env import wrappers
+from stereo_slam_env.files.folders import claimed_folder
+
+ROOT = Path(__file__).resolve().parents[2]
+CALL = re.compile(r"^(\w+)\((env.*?)\)$", re.DOTALL | re.MULTILINE)
+
+
+def page(name):
+    return " ".join((ROOT / "docs" / name).read_text(encoding="utf-8").split())
+
+
+def test_the_wrappers_take_what_their_page_says():
+    """The block of signatures, argument by argument with its default."""
+    block = re.search(r"^```text\n(.*?)^```", (ROOT / "docs" / "wrappers.md").read_text(encoding="utf-8"), re.S | re.M)
+    shown = {name: " ".join(arguments.split()) for name, arguments in CALL.findall(block[1])}
+    assert set(shown) == {name for name in wrappers.__all__ if isinstance(getattr(wrappers, name), type)} & set(shown)
+    assert len(shown) == 6
+    for name, arguments in shown.items():
+        assert arguments == taken(getattr(wrappers, name)), name
+
+
+def taken(wrapper):
+    """Arguments of a wrapper as the page writes them."""
+    import inspect
+
+    parameters = list(inspect.signature(wrapper).parameters.values())
+    words = [p.name if p.default is p.empty else f"{p.name}={p.default!r}" for p in parameters]
+    return ", ".join(words).replace("'", '"')
+
+
+def test_wrappers_go_into_vectors_of_processes_and_not_into_native_ones():
+    """wrappers.md."""
+    given = {"num_envs": 2, "wrappers": [wrappers.BeliefObservation]}
+    gym.make_vec("StereoSlam/Gaze-v0", vectorization_mode="sync", **given).close()
+    with pytest.raises(gym.error.Error, match="wrappers"):
+        gym.make_vec("StereoSlam/Gaze-v0", **given)
+    assert 'vectorization_mode="sync", wrappers=[...]' in page("wrappers.md")
+
+
+def test_the_manual_names_the_lock_of_a_run_directory(tmp_path):
+    with claimed_folder(tmp_path):
+        (lock,) = tmp_path.iterdir()
+    assert f"on the file `{lock.name}`" in page("benchmark.md")
+
+
+@pytest.mark.parametrize(("command", "default"), [("bench", "what the scenario says"), ("replay", "0.99 for a real")])
+def test_the_help_says_which_gate_is_taken(command, default):
+    """The presets of `bench` have none, most of them."""
+    done = subprocess.run(
+        [sys.executable, "-m", "stereo_slam_env.cli", command, "--help"], capture_output=True, text=True, timeout=120
+    )
+    assert done.returncode == 0
+    gate = re.search(r"--gate.*?--search", done.stdout, re.DOTALL)[0]
+    assert default in " ".join(gate.replace("│", " ").split())
+
+
+def test_what_was_read_off_kitti_00_is_said():
+    """covariances.md and results.md: the weight of a turn."""
+    assert TURN_WEIGHT == 5.0
+    text = page("covariances.md")
+    assert "A turn counts five times as much" in text
+    assert "That is the one number here that was read off KITTI 00" in text
+    assert not re.search("KITTI 00[^.]*(were not used|played no part in choosing it)", text + page("results.md"))

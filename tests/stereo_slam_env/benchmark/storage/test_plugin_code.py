@@ -1,0 +1,305 @@
+"""Edited code of a stranger's filter, policy or recording makes kept results void (30 s)."""
+
+import importlib
+import json
+import os
+import re
+import subprocess
+import sys
+import types
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+from filters import InverseDepthStereoEKF
+from stereo_slam_env.benchmark import compare
+from stereo_slam_env.benchmark.recordings.sources import FactorySource, ReferenceSource
+from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, PolicyChoice
+from stereo_slam_env.benchmark.storage.code_identity import code_digest
+from stereo_slam_env.benchmark.storage.plugin_code import digest_of_choice, digest_of_source, plugin_digest
+
+ROOT = Path(__file__).resolve().parents[4]
+
+FILTER = '''"""A stranger's filter."""
+from filters import InverseDepthStereoEKF
+from lab_filter.tuning import scaled
+
+
+class LabFilter(InverseDepthStereoEKF):
+    """Inverse depth with another noise."""
+
+    def __init__(self, camera, noise, **options):
+        super().__init__(camera, scaled(noise), **options)
+
+    def predict(self, dt, odometry=None):
+        super().predict(dt, odometry)
+'''
+TUNING = '''"""Settings."""
+from filters import StereoNoise
+from lab_numbers import FACTOR
+
+
+def scaled(noise):
+    return StereoNoise(FACTOR * noise.R)
+'''
+SCENARIO = """
+name = "lab"
+kind = "reference"
+filters = ["lab", "inverse-depth"]
+seeds = 1
+frames = 12
+metrics = []
+[options]
+name = "short_turn"
+"""
+
+
+def install(folder, entry_points, **modules):
+    """A distribution in a folder, as pip leaves it: modules by dotted name, and entry points by group."""
+    for name, text in modules.items():
+        path = folder / (name.replace(".", "/") + ".py")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+    about = folder / "lab_filter-1.0.dist-info"
+    about.mkdir(exist_ok=True)
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: lab-filter\nVersion: 1.0\n")
+    lines = [f"[{group}]\n{line}\n" for group, line in entry_points.items()]
+    (about / "entry_points.txt").write_text("\n".join(lines))
+    return folder
+
+
+@pytest.fixture
+def project(tmp_path, monkeypatch):
+    """A filter in a package of its own, which needs a module beside it."""
+    folder = tmp_path / "project"
+    modules = {"lab_filter.__init__": "", "lab_filter.slam": FILTER, "lab_filter.tuning": TUNING}
+    modules |= {"lab_filter.unused": "x = 1\n", "lab_numbers": "FACTOR = 1.0\n", "bystander": "x = 1\n"}
+    install(folder, {"stereo_slam.filters": "lab = lab_filter.slam:LabFilter"}, **modules)
+    monkeypatch.syspath_prepend(str(folder))
+    yield folder
+    for name in [name for name in sys.modules if name.partition(".")[0] in ("lab_filter", "lab_numbers", "bystander")]:
+        del sys.modules[name]
+
+
+def edit(path, old, new):
+    text = path.read_text(encoding="utf-8")
+    assert old in text
+    path.write_text(text.replace(old, new, 1), encoding="utf-8")
+
+
+LAB = FilterChoice("lab", "lab")
+
+
+# ---- the command ----------------------------------------------------------------------------------------------------
+
+
+def slam(project, *arguments):
+    """The command, in a process of its own in which the project is installed; returns the process."""
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), str(project)]), "COLUMNS": "200"}
+    command = [sys.executable, "-m", "stereo_slam_env.cli", *arguments]
+    return subprocess.run(command, capture_output=True, text=True, env=environment, timeout=240, check=False)
+
+
+def bench(project, out):
+    scenario = project.parent / "lab.toml"
+    scenario.write_text(SCENARIO)
+    done = slam(project, "bench", "--scenario", str(scenario), "--jobs", "1", "--out", str(out))
+    assert done.returncode == 0, done.stderr
+    return json.loads((out / "summary.json").read_text())["filters"]
+
+
+def test_a_filter_that_now_raises_does_not_return_its_old_result(project, tmp_path):
+    """In the same folder; only its own trial is run again, and `report` says that its code differs."""
+    before = bench(project, tmp_path / "a")
+    assert before["lab"]["failures"] == []
+    bench(project, tmp_path / "b")
+    of_ours = tmp_path / "b" / "trials" / "seed-0000" / "inverse-depth.npz"
+    written = of_ours.stat().st_mtime_ns
+    edit(
+        project / "lab_filter" / "slam.py",
+        "super().predict(dt",
+        'raise RuntimeError("edited")\n        super().predict(dt',
+    )
+    after = bench(project, tmp_path / "b")
+    assert after["lab"]["failures"] == ["seed 0, frame 1: RuntimeError: edited"]
+    assert of_ours.stat().st_mtime_ns == written
+    said = slam(project, "report", str(tmp_path / "a"), str(tmp_path / "b"))
+    assert said.returncode == 0, said.stderr
+    assert re.search(r"The code of lab differs\s+between\s+the\s+two\s+runs", said.stdout)
+    assert "The code of stereo-slam-env differs" not in said.stdout
+    edit(tmp_path / "b" / "settings.json", f'"code": "{code_digest()}"', '"code": "another"')
+    warnings = compare(tmp_path / "a", tmp_path / "b").warnings
+    assert f"The code of stereo-slam-env differs between the two runs ({code_digest()} and another)." in warnings
+
+
+# ---- a project ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new"),
+    [
+        ("lab_filter/slam.py", "scaled(noise)", "noise"),
+        ("lab_filter/tuning.py", "FACTOR * noise.R", "2 * FACTOR * noise.R"),
+        ("lab_filter/unused.py", "x = 1", "x = 2"),
+        ("lab_numbers.py", "FACTOR = 1.0", "FACTOR = 2.0"),
+    ],
+)
+def test_the_package_of_a_filter_counts_and_what_it_imports_from_beside_it(project, file, old, new):
+    before = digest_of_choice(LAB)
+    assert before is not None
+    edit(project / file, old, new)
+    assert digest_of_choice(LAB) != before
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new"),
+    [
+        ("lab_filter/slam.py", '"""A stranger\'s filter."""', '"""Said otherwise."""  # and remarked'),
+        ("bystander.py", "x = 1", "x = 2"),
+    ],
+)
+def test_words_and_what_it_does_not_import_make_no_difference(project, file, old, new):
+    before = digest_of_choice(LAB)
+    edit(project / file, old, new)
+    assert digest_of_choice(LAB) == before
+
+
+def test_a_filter_that_cannot_be_loaded_is_another_one_as_soon_as_it_can(project):
+    """Also where the reason is not in its own code."""
+    working = digest_of_choice(LAB)
+    (project / "lab_numbers.py").rename(project / "elsewhere.py")
+    broken = digest_of_choice(LAB)
+    (project / "elsewhere.py").rename(project / "lab_numbers.py")
+    for name in ("lab_numbers", "lab_filter.tuning", "lab_filter.slam"):
+        sys.modules.pop(name, None)
+    importlib.invalidate_caches()
+    assert len({working, broken, None}) == 3
+    assert digest_of_choice(LAB) == working
+
+
+def test_a_broken_file_counts_too(project):
+    edit(project / "lab_filter" / "unused.py", "x = 1", "x = (")
+    before = digest_of_choice(LAB)
+    edit(project / "lab_filter" / "unused.py", "x = (", "x = ((")
+    assert digest_of_choice(LAB) != before
+
+
+def test_ours_have_no_code_of_their_own():
+    assert digest_of_choice(FilterChoice("inverse-depth", "inverse-depth")) is None
+    assert digest_of_choice(FilterChoice("dead-reckoning", "dead-reckoning")) is None
+    sweep = FilterChoice("sweep", "inverse-depth", policy=PolicyChoice("sweep", "sweep"))
+    assert digest_of_choice(sweep) is None
+    assert digest_of_source(ReferenceSource("short_turn")) is None
+
+
+# ---- other places of code --------------------------------------------------------------------------------------------
+
+
+def test_a_script_counts_with_what_it_imports(tmp_path, monkeypatch):
+    (tmp_path / "lone_filter.py").write_text(
+        "import lone_math\n\n\ndef make(camera, noise):\n    return lone_math.f()\n"
+    )
+    (tmp_path / "lone_math.py").write_text("def f():\n    return 1\n")
+    (tmp_path / "lone_other.py").write_text("x = 1\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    make = importlib.import_module("lone_filter").make
+    digests = [plugin_digest(make)]
+    edit(tmp_path / "lone_math.py", "return 1", "return 2")
+    digests.append(plugin_digest(make))
+    edit(tmp_path / "lone_filter.py", "lone_math.f()", "2 * lone_math.f()")
+    digests.append(plugin_digest(make))
+    assert len(set(digests)) == 3
+    edit(tmp_path / "lone_other.py", "x = 1", "x = 2")
+    assert plugin_digest(partial(make, camera=None)) == digests[-1]
+
+
+def test_a_base_class_of_another_project_counts(project, tmp_path, monkeypatch):
+    (tmp_path / "heirs.py").write_text("from lab_filter.slam import LabFilter\n\n\nclass Heir(LabFilter):\n    pass\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    heir = importlib.import_module("heirs").Heir
+    before = plugin_digest(heir)
+    edit(project / "lab_numbers.py", "FACTOR = 1.0", "FACTOR = 2.0")
+    assert plugin_digest(heir) != before
+
+
+def test_an_installed_distribution_counts_with_its_data(project, monkeypatch):
+    """Its record has the digests of all its files, weights included."""
+    monkeypatch.setattr("stereo_slam_env.benchmark.storage.plugin_code._INSTALLED", (project.resolve(),))
+    record = project / "lab_filter-1.0.dist-info" / "RECORD"
+    record.write_text("lab_filter/weights.bin,sha256=aaa,3\n")
+    digests = [digest_of_choice(LAB)]
+    record.write_text("lab_filter/weights.bin,sha256=bbb,3\n")
+    digests.append(digest_of_choice(LAB))
+    edit(project / "lab_filter" / "slam.py", "scaled(noise)", "noise")  # by hand, where it lies
+    digests.append(digest_of_choice(LAB))
+    edit(record.with_name("METADATA"), "Version: 1.0", "Version: 1.1")
+    digests.append(digest_of_choice(LAB))
+    assert len(set(digests)) == 4
+
+
+NOTEBOOK = """
+from filters import InverseDepthStereoEKF
+
+SIGMA = 1.0
+
+def scaled(noise):
+    return SIGMA * noise.R
+
+class Mine(InverseDepthStereoEKF):
+    gain = 0.5
+
+    @property
+    def state_size(self):
+        return [scaled(x) for x in (1, 2)]
+"""
+
+
+def from_notebook(text):
+    """The class of a module that has no file."""
+    module = types.ModuleType("notebook_cells")
+    exec(compile(text, "<cell 1>", "exec"), vars(module))
+    return module.Mine
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [("SIGMA = 1.0", "SIGMA = 2.0"), ("noise.R", "noise.R + 1"), ("gain = 0.5", "gain = 0.6"), ("(1, 2)", "(1, 3)")],
+)
+def test_a_class_of_a_notebook_counts_with_what_it_refers_to(old, new):
+    before = plugin_digest(from_notebook(NOTEBOOK))
+    assert before is not None
+    assert plugin_digest(from_notebook(NOTEBOOK)) == before
+    assert plugin_digest(from_notebook(f"# a remark\n\n{NOTEBOOK}")) == before
+    assert old in NOTEBOOK
+    assert plugin_digest(from_notebook(NOTEBOOK.replace(old, new))) != before
+
+
+def test_a_class_of_a_notebook_has_the_same_digest_in_every_process():
+    code = (
+        "import types; from stereo_slam_env.benchmark.storage.plugin_code import plugin_digest; "
+        f"exec(compile({NOTEBOOK!r}, '<cell 1>', 'exec')); print(plugin_digest(Mine))"
+    )
+    said = set()
+    for seed in ("1", "2"):
+        environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONHASHSEED": seed}
+        done = subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, env=environment, timeout=120
+        )
+        said.add(done.stdout or done.stderr)
+    assert len(said) == 1
+    assert re.fullmatch(r"[0-9a-f]{16}\n", said.pop())
+
+
+def test_a_function_that_makes_recordings_counts(tmp_path, monkeypatch):
+    (tmp_path / "lone_source.py").write_text("raise SystemExit(3)\n\ndef make(seed):\n    return seed\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    source = FactorySource("lone_source:make")
+    before = digest_of_source(source)
+    assert before is not None
+    edit(tmp_path / "lone_source.py", "return seed", "return seed + 1")
+    assert digest_of_source(source) != before
+
+
+def test_a_filter_of_ours_is_known_as_such_by_its_class():
+    assert plugin_digest(InverseDepthStereoEKF) is None
