@@ -214,6 +214,7 @@ def test_a_failed_factorisation_is_named_by_id_and_the_measurement_not_used(meas
     state = stereo_filter.state
     rows = state.map_rows(np.flatnonzero(state.ids == 2))[0, 3:]
     state.P[rows, rows] = -1.0
+    stereo_filter.state = state
     forecast = stereo_filter.forecast([1, 3])
     without = copy.deepcopy(stereo_filter)
     report = stereo_filter.update(StereoObservation([1, 2, 3], [forecast.uvd[0], uvd[1], forecast.uvd[1]]))
