@@ -287,9 +287,9 @@ class Engine:
                     which = np.flatnonzero(of_right == bool(variant))
                     if len(which):
                         self._doors.put_stages(frame, which, variant, bool(variant), M)
-        before = self._kept(frame.seen | (frame.dt > 0.0))
+        before = self._kept(frame.seen | (frame.dt > 0.0)) if self.recipe.asks else []
         self._run()
-        needed = int(frame.outcome[:, 1].max())
+        needed = int(frame.outcome[0, 1] if self.count == 1 else frame.outcome[:, 1].max())
         if needed:  # for these filters nothing has happened yet
             late = frame.outcome[:, 1] > 0
             frame.dt[~late], frame.seen[~late] = 0.0, False
@@ -366,10 +366,11 @@ class Engine:
     def _make_room(self, blocks: int, measurements: int, rows: int = 0, width: int = 0) -> None:
         """Room for so many blocks of a filter, measurements of a frame, rows and columns of one measurement."""
         larger = blocks > self.storage.blocks.shape[1]
+        there = self._scratch and not larger and measurements <= self._most
+        if there and rows <= self._rows and width <= self._width:
+            return
         if larger:
             self._storage = Packed(grown(self.storage, self.recipe, blocks + blocks // 4))
-        sizes = self._most, self._rows, self._width
-        self._most, self._rows, self._width = map(max, sizes, (measurements, rows, width))
-        if larger or sizes != (self._most, self._rows, self._width) or not self._scratch:
-            room = self._most, self._rows, self._width
-            self._scratch = [Packed(scratch(self.recipe, self.storage, *room, i)) for i in range(self.threads)]
+        room = max(self._most, measurements), max(self._rows, rows), max(self._width, width)
+        self._most, self._rows, self._width = room
+        self._scratch = [Packed(scratch(self.recipe, self.storage, *room, i)) for i in range(self.threads)]
