@@ -79,7 +79,7 @@ class Doors:
     ----------
     address : int
         What the kernels call.
-    failure : Exception or None
+    failure : BaseException or None
         What a part has raised since `failure` was last taken away.
     """
 
@@ -89,7 +89,7 @@ class Doors:
         self._stages: dict[tuple[int, int], Stage] = {}
         self._after: dict[int, tuple[JointState, Transport]] = {}
         self._answers = (self._linearise, self._move, self._start, self._select, self._change, self._walk, self._drift)
-        self.failure: Exception | None = None
+        self.failure: BaseException | None = None
         self._entry = None if PLAIN else _DOOR(self._answer)
         self.address: Any = self._answer if PLAIN else ctypes.cast(self._entry, ctypes.c_void_p).value  # type: ignore[arg-type]
 
@@ -97,7 +97,7 @@ class Doors:
         room = self._room.scratch(thread)
         try:
             self._answers[door](b, room, what, count)
-        except Exception as error:  # whatever a part raises must wait until the kernels have ended
+        except BaseException as error:  # whatever is raised must wait until the kernels have ended
             self.failure = error
             room.door[1] = 1
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import weakref
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -149,7 +150,8 @@ class Engine:
         self.count = count
         self.threads = max(1, min(threads, count))
         self.parts = parts
-        self._doors = None if parts is None else Doors(parts, self)
+        asks = parts is not None and (recipe.asks or recipe.motion is None)
+        self._doors = Doors(parts, weakref.proxy(self)) if asks and parts is not None else None
         self._kernels = (*KERNELS, 0 if self._doors is None else self._doors.address)
         self._plan = Packed(recipe.plan)
         self._storage = Packed(empty_storage(recipe, count, _ROOM))
