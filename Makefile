@@ -62,13 +62,11 @@ $(BIN)/python:
 
 $(VENV)/.installed: pyproject.toml | $(BIN)/python
 	@$(PIP) --editable .
-	@$(BIN)/python -m filters.engine
 	@touch $@
 
 $(VENV)/.installed-dev: pyproject.toml constraints.txt constraints-pybullet.txt | $(BIN)/python
 	@$(PIP) --require-hashes --no-deps --requirement constraints-pybullet.txt
 	@$(PIP) --constraint constraints.txt --editable '.[$(EXTRAS)]'
-	@$(BIN)/python -m filters.engine
 	@touch $@ $(VENV)/.installed $(VENV)/.installed-docs
 
 $(VENV)/.installed-docs: pyproject.toml constraints.txt | $(BIN)/python

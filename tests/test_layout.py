@@ -1,6 +1,7 @@
 """The shape of the tree, as the design has it (< 1 s); the order of the rooms is checked by `make lint`."""
 
 import ast
+import re
 import sys
 from functools import cache
 from pathlib import Path
@@ -72,7 +73,13 @@ def test_the_world_knows_no_filter_and_no_evaluation(path):
     concrete = ("inverse_depth_stereo", "dual_bearing", "euclidean_xyz", "engine", "catalogue", "checks")
     named = ("make_filter", "available_filters", "InverseDepthStereoEKF", "DualBearingEKF", "EuclideanEKF")
     forbidden = (*evaluation, *(f"filters.{part}" for part in (*concrete, *named)))
-    assert imported_under(path, *forbidden) == []
+    on_disk = "filters.engine.compiled.disk_cache.KEPT"  # how machine code is kept, no estimation
+    assert [name for name in imported_under(path, *forbidden) if name != on_disk] == []
+
+
+def test_machine_code_is_kept_on_disk_with_the_digest_of_its_sources_only():
+    users = [name_of(path) for path in MODULES if re.search(r'cache=True|"cache": True', path.read_text("utf-8"))]
+    assert users == ["filters/engine/compiled/disk_cache.py"]
 
 
 @pytest.mark.parametrize("path", modules_of("stereo_slam_env/report", "stereo_slam_env/viewer"), ids=name_of)

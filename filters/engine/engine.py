@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from filters.contract.odometry import BodyVelocity
-from filters.engine.compiled.frame import CLONE, CLOSE_GAPS, FORGET, KERNELS, advance, change, correct_by
+from filters.engine.compiled.frame import CLONE, CLOSE_GAPS, FORGET, advance, change, correct_by, kernels
 from filters.engine.compiled.recipe import Recipe
 from filters.engine.compiled.storage import (
     BLOCKS,
@@ -152,7 +152,8 @@ class Engine:
         self.parts = parts
         asks = parts is not None and (recipe.asks or recipe.motion is None)
         self._doors = Doors(parts, weakref.proxy(self)) if asks and parts is not None else None
-        self._kernels = (*KERNELS, 0 if self._doors is None else self._doors.address)
+        self._fuses = False
+        self._kernels = self._addresses()
         self._plan = Packed(recipe.plan)
         self._storage = Packed(empty_storage(recipe, count, _ROOM))
         self._frame = Packed(empty_frame(recipe, count, _ROOM, 1))
@@ -312,6 +313,9 @@ class Engine:
         frame = self.frame
         frame.fused[:] = False
         if odometry is not None:
+            if not self._fuses:  # the first odometry
+                self._fuses = True
+                self._kernels = self._addresses()
             frame.fused[:], frame.odometry[:] = odometry.fused, odometry.values
             frame.odometry_covariance[:] = odometry.covariances
         if self.recipe.motion is not None or self._doors is None:
@@ -330,6 +334,12 @@ class Engine:
             if rows:
                 frame.measured_nu[b, :rows], frame.measured_H[b, :rows] = numbers[3:5]
                 frame.measured_R[b, :rows, :rows] = numbers[5]
+
+    def _addresses(self) -> tuple[Any, ...]:
+        """What the kernels call: LAPACK, units, doors."""
+        plan = self.recipe.plan
+        fuses = self._fuses and not plan.velocity_driven and not plan.driven_by_numbers
+        return (*kernels(plan, fuses), 0 if self._doors is None else self._doors.address)
 
     def _kept(self, which: BoolArray) -> list[tuple[int, FilterState]]:
         """States to go back to where a part fails; none where none can."""

@@ -13,9 +13,10 @@ import numpy as np
 from numba import njit, types
 from numba.extending import intrinsic
 
+from filters.engine.compiled.disk_cache import KEPT
 from filters.validation import BoolArray, FloatArray, IntArray
 
-_ENTRY: dict[str, Any] = {"cache": True, "error_model": "numpy"}
+_ENTRY: dict[str, Any] = {**KEPT, "error_model": "numpy"}
 _INLINE: dict[str, Any] = {"error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 """For functions that only others here call."""
 

@@ -16,11 +16,12 @@ from numba import njit, types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
+from filters.engine.compiled.disk_cache import KEPT
 from filters.geometry.rotations import Three
 from filters.validation import BoolArray, FloatArray, IntArray
 from stereo_slam_env.world.scene import Box, Cylinder, Primitive
 
-OPTIONS = {"error_model": "numpy", "nogil": True, "cache": True}
+OPTIONS = {**KEPT, "error_model": "numpy", "nogil": True}
 """Of the compilation of all kernels of the simulation: IEEE arithmetic, in the order written."""
 KERNEL = {**OPTIONS, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 """Of those that only other kernels call."""

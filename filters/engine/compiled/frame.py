@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from typing import Any
+
+import numpy as np
 from numba import njit, types
 
 from filters.engine.compiled.blas import ENTRY, KERNEL, ROUTINES, call
@@ -16,14 +19,15 @@ from filters.engine.compiled.correction import (
     times_covariance,
 )
 from filters.engine.compiled.covariance import keep_considered, restore_considered
+from filters.engine.compiled.disk_cache import KEPT
 from filters.engine.compiled.drift import take_steps
 from filters.engine.compiled.gating import largest_agreement, reweight, squared_distances
 from filters.engine.compiled.gauge_walk import walk_gauge
 from filters.engine.compiled.landmarks import can_start, clone_pose, close_gaps, enter, find, leave
 from filters.engine.compiled.prediction import orientation, predict, put, right_jacobian_of, times, transposed
 from filters.engine.compiled.projection import linearise, prepare, project, take_numbers
-from filters.engine.compiled.recipe import FIRST_ESTIMATES, INVARIANT, Plan
-from filters.engine.compiled.retraction import moved_by, retract, transport
+from filters.engine.compiled.recipe import FIRST_ESTIMATES, INVARIANT, RIGHT_INVARIANT, Plan
+from filters.engine.compiled.retraction import moved_by, retract, retract_by_numbers, retract_invariant, transport
 from filters.engine.compiled.storage import BLOCKS, LANDMARKS, Frame, Scratch, Storage
 from filters.engine.compiled.units import (
     ADDRESSES,
@@ -33,12 +37,11 @@ from filters.engine.compiled.units import (
     ENTER,
     FUSE,
     GATE,
-    INDEX,
+    ITERATE,
     LINEARISE,
     MATRIX,
     PLAN,
     PREDICT,
-    PROPOSE,
     RETRACT,
     SCRATCH,
     STORAGE,
@@ -51,6 +54,7 @@ from filters.engine.compiled.units import (
     TO_WALK,
     VECTOR,
     WALK,
+    Unit,
     read_frame,
     read_plan,
     read_scratch,
@@ -218,8 +222,8 @@ def _times_block(H: FloatArray, first: int, D: FloatArray) -> None:
         H[first + j] = a * D[0, j] + b * D[1, j] + c * D[2, j]
 
 
-@unit(ADDRESSES, PLAN, STORAGE, types.int64, SCRATCH, types.int64, types.int64, types.int64)
-def propose_unit(
+@njit(**KERNEL)
+def _propose(
     routines: tuple[int, ...], plan: Plan, S: Storage, b: int, s: Scratch, count: int, size: int, n: int
 ) -> None:
     """delta of one pass, P as it was: from one batch, or chunk by chunk on a copy where that has no factor."""
@@ -253,6 +257,44 @@ def propose_unit(
 
 
 @njit(**KERNEL)
+def _left_jacobian(x: FloatArray, delta: FloatArray, J: FloatArray) -> None:
+    """J_l of the rotation delta in W, (3, 3)."""
+    t0, t1, t2 = times(orientation(x), delta[3], delta[4], delta[5])
+    put(J, 0, 0, transposed(right_jacobian_of(t0, t1, t2)), 1.0)
+
+
+@unit(ADDRESSES, PLAN, types.int64, types.int64, STORAGE, types.int64, SCRATCH, types.int64, types.int64)
+def iterate(
+    routines: tuple[int, ...],
+    plan: Plan,
+    variant: int,
+    stage: int,
+    S: Storage,
+    b: int,
+    s: Scratch,
+    count: int,
+    size: int,
+) -> None:
+    """One pass before the last one: the selected measurements, linearised where it would move the state."""
+    x, blocks, counts, kind = S.x[b], S.blocks[b], S.counts[b], S.kind[b]
+    n = plan.leading + 3 * counts[BLOCKS]
+    _propose(routines, plan, S, b, s, count, size, n)
+    for i in plan.considered:
+        s.delta[i] = 0.0
+    if plan.moves_by_numbers:  # the linearisation is carried back where it is made
+        if _ask(routines, TO_MOVE, b, s, 0, 0):
+            _linearise(routines, plan, variant, stage, S, b, s.moved, s.moved_blocks, s, count, MOVED)
+        return
+    moved_by(plan, x, blocks, counts[BLOCKS], s.delta, kind, s.moved, s.moved_blocks)
+    if not _linearise(routines, plan, variant, stage, S, b, s.moved, s.moved_blocks, s, count, MOVED):
+        return
+    transport(plan, x, blocks, counts[BLOCKS], s.delta, kind, s.moved, s.moved_blocks, s.W, s.D)
+    if plan.error == INVARIANT:
+        _left_jacobian(x, s.delta, s.F)
+    _by_earlier_errors(plan, n, s, count, size)
+
+
+@njit(**KERNEL)
 def _apply(
     routines: tuple[int, ...],
     plan: Plan,
@@ -267,7 +309,7 @@ def _apply(
     """Correct with the selected measurements, linearised: moves the state, writes fates; NIS and dof."""
     if count == 0:  # of the second stage of a joint test
         return 0.0, 0
-    P, x, blocks, counts, kind = S.P[b], S.x[b], S.blocks[b], S.counts[b], S.kind[b]
+    P, counts = S.P[b], S.counts[b]
     n = plan.leading + 3 * counts[BLOCKS]
     if not _steps(routines, plan, 1, variant, stage, S, b, s, count):
         return 0.0, 0
@@ -275,22 +317,9 @@ def _apply(
         call(routines[GATE], (plan, P, s, s.select, count, size))
         reweight(plan, s, s.select, count, size)
     for _ in range(plan.iterations - 1):
-        call(routines[PROPOSE], (routines, plan, S, b, s, count, size, n))
-        for i in plan.considered:
-            s.delta[i] = 0.0
-        if plan.moves_by_numbers:  # the linearisation is carried back where it is made
-            if not _ask(routines, TO_MOVE, b, s, 0, 0):
-                return 0.0, 0
-            if not _linearise(routines, plan, variant, stage, S, b, s.moved, s.moved_blocks, s, count, MOVED):
-                return 0.0, 0
-            continue
-        moved_by(plan, x, blocks, counts[BLOCKS], s.delta, kind, s.moved, s.moved_blocks)
-        if not _linearise(routines, plan, variant, stage, S, b, s.moved, s.moved_blocks, s, count, MOVED):
+        call(routines[ITERATE], (routines, plan, variant, stage, S, b, s, count, size))
+        if s.door[1] != 0:
             return 0.0, 0
-        transport(plan, x, blocks, counts[BLOCKS], s.delta, kind, s.moved, s.moved_blocks, s.W, s.D)
-        if plan.error == INVARIANT:
-            _left_jacobian(x, s.delta, s.F)
-        _by_earlier_errors(plan, n, s, count, size)
     keep_considered(P, plan.considered, s.kept)
     call(routines[CORRECT], (routines, plan, P, n, s, s.select, count, size))
     nis, dof = s.result[0], 0
@@ -304,13 +333,6 @@ def _apply(
             s.fates[m] = FAILED
     _retract(routines, plan, S, b, s)
     return nis, dof
-
-
-@njit(**KERNEL)
-def _left_jacobian(x: FloatArray, delta: FloatArray, J: FloatArray) -> None:
-    """J_l of the rotation delta in W, (3, 3)."""
-    t0, t1, t2 = times(orientation(x), delta[3], delta[4], delta[5])
-    put(J, 0, 0, transposed(right_jacobian_of(t0, t1, t2)), 1.0)
 
 
 @njit(**KERNEL)
@@ -521,7 +543,7 @@ def _advance(routines: tuple[int, ...], plan: Plan, S: Storage, b: int, s: Scrat
         _renew(routines, plan, S, b, s, frame, first, last, known)
 
 
-@njit(types.void(ADDRESSES, *[types.intp] * 4, types.int64, types.int64), cache=True, _nrt=False, **ENTRY)
+@njit(types.void(ADDRESSES, *[types.intp] * 4, types.int64, types.int64), _nrt=False, **KEPT, **ENTRY)
 def advance(
     routines: tuple[int, ...], plan_at: int, storage_at: int, scratch_at: int, frame_at: int, first: int, last: int
 ) -> None:
@@ -540,7 +562,7 @@ CLONE, FORGET, CLOSE_GAPS = range(3)
 """Changes of the map from outside of a frame."""
 
 
-@njit(types.void(ADDRESSES, *[types.intp] * 3, types.int64, types.int64), cache=True, _nrt=False, **ENTRY)
+@njit(_nrt=False, **KEPT, **ENTRY)
 def change(routines: tuple[int, ...], plan_at: int, storage_at: int, scratch_at: int, b: int, what: int) -> None:
     """Clone the pose of filter b, or take the landmarks marked in `gone` or blocks without users out of its map."""
     plan, S, s = read_plan(plan_at), read_storage(storage_at), read_scratch(scratch_at)
@@ -552,12 +574,7 @@ def change(routines: tuple[int, ...], plan_at: int, storage_at: int, scratch_at:
     close_gaps(plan, S, b)
 
 
-@njit(
-    types.void(ADDRESSES, *[types.intp] * 3, types.int64, INDEX, MATRIX, VECTOR, MATRIX, types.float64),
-    cache=True,
-    _nrt=False,
-    **ENTRY,
-)
+@njit(_nrt=False, **KEPT, **ENTRY)
 def correct_by(
     routines: tuple[int, ...],
     plan_at: int,
@@ -582,17 +599,23 @@ def correct_by(
     s.result[0], s.result[1] = nis, 1.0 if used else 0.0
 
 
-UNITS = (
-    predict,
-    fuse,
-    linearise_unit,
-    squared_distances,
-    largest_agreement,
-    propose_unit,
-    correct,
-    retract,
-    enter,
-    walk_gauge,
-)
-KERNELS = (*ROUTINES, *(kernel.address for kernel in UNITS))
-"""Addresses that `advance` wants, of BLAS and of the units; that of the doors follows."""
+def kernels(plan: Plan, fuses: bool) -> tuple[Any, ...]:
+    """Addresses that `advance` wants, of LAPACK and of the units; zero for those that this plan never calls.
+
+    That of the doors follows.
+    """
+    gated = plan.by_numbers or bool((plan.limits < np.inf).any())
+    by_error = retract if plan.error < RIGHT_INVARIANT else retract_invariant
+    needed: dict[int, tuple[Unit, bool]] = {
+        PREDICT: (predict, True),
+        FUSE: (fuse, fuses),
+        LINEARISE: (linearise_unit, not plan.by_numbers),
+        GATE: (squared_distances, gated or plan.tail_dof < np.inf),
+        AGREE: (largest_agreement, gated and plan.consensus),
+        ITERATE: (iterate, plan.iterations > 1),
+        CORRECT: (correct, True),
+        RETRACT: (retract_by_numbers if plan.moves_by_numbers else by_error, True),
+        ENTER: (enter, True),
+        WALK: (walk_gauge, plan.gauge_walk > 0.0),
+    }
+    return (*ROUTINES, *(unit.address if called else 0 for _, (unit, called) in sorted(needed.items())))

@@ -25,7 +25,7 @@ from filters.engine.compiled.storage import BLOCKS, CLONE_POSITION, LANDMARKS, O
 from filters.engine.compiled.units import FRAME, PLAN, SCRATCH, STORAGE, unit
 from filters.validation import BoolArray, FloatArray, IntArray
 
-NEW_IDS, NEW, NEW_NOISE = (FRAME[FRAME.fields.index(name)] for name in ("ids", "uvd", "R"))
+NEW_IDS, NEW, NEW_NOISE = (FRAME.kind[FRAME.kind.fields.index(name)] for name in ("ids", "uvd", "R"))
 FARTHEST = 1e6
 """No camera measures a pixel or a disparity as large, px; squares of what would come of 1e300 overflow."""
 VERTICAL = 1e-6

@@ -8,12 +8,13 @@ import numpy as np
 from numba import njit
 
 from filters.engine.compiled.blas import ENTRY
+from filters.engine.compiled.disk_cache import KEPT
 from filters.engine.compiled.prediction import orientation, times, transposed
 from filters.engine.compiled.storage import LANDMARKS
 from filters.validation import BoolArray, FloatArray, IntArray
 
 
-@njit(cache=True, **ENTRY)
+@njit(**KEPT, **ENTRY)
 def relative_landmarks(
     P: FloatArray,
     x: FloatArray,

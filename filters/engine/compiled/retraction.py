@@ -319,36 +319,58 @@ def _scale(plan: Plan, P: FloatArray, n: int, x: FloatArray, delta: FloatArray, 
     scale_blocks(P, n, plan.leading, s.D, s)
 
 
-@unit(PLAN, MATRIX, VECTOR, MATRIX, INDEX, types.int64, SCRATCH)
-def retract(
-    plan: Plan, P: FloatArray, x: FloatArray, blocks: FloatArray, kind: IntArray, count: int, s: Scratch
-) -> None:
-    """Move the state by delta and carry P along; by numbers: what the door has written."""
-    leading, delta = plan.leading, s.delta
-    n = leading + 3 * count
-    if plan.moves_by_numbers:
-        transform_leading(P, n, s)
-        if s.result[0] > 0.0:
-            scale_blocks(P, n, leading, s.D, s)
-        if s.result[1] > 0.0:
-            shear_by_rotation(P, n, s.W, s)
-    else:
-        if plan.error < FIRST_ESTIMATES:
-            identity(s.F)
-            put(s.F, 3, 3, _turned(plan, delta[3], delta[4], delta[5]), 1.0)
-            transform_leading(P, n, s)
-            for c in range(count):
-                row = leading + 3 * c
-                if kind[c] == CLONE_ROTATION:
-                    scale_block(P, n, row, _turned(plan, delta[row], delta[row + 1], delta[row + 2]), s.block)
-        moved_by(plan, x, blocks, count, delta, kind, s.moved, s.moved_blocks)
-        if plan.error >= RIGHT_INVARIANT:
-            transport(plan, x, blocks, count, delta, kind, s.moved, s.moved_blocks, s.W, s.D)
-            if plan.error == INVARIANT:
-                _scale(plan, P, n, x, delta, s)
-            shear_by_rotation(P, n, s.W, s)
+@njit(**KERNEL)
+def _take_moved(x: FloatArray, blocks: FloatArray, count: int, s: Scratch) -> None:
+    """The state becomes the moved one."""
     for i in range(len(x)):
         x[i] = s.moved[i]
     for c in range(count):
         for i in range(blocks.shape[1]):
             blocks[c, i] = s.moved_blocks[c, i]
+
+
+@unit(PLAN, MATRIX, VECTOR, MATRIX, INDEX, types.int64, SCRATCH)
+def retract(
+    plan: Plan, P: FloatArray, x: FloatArray, blocks: FloatArray, kind: IntArray, count: int, s: Scratch
+) -> None:
+    """Move the state by delta and carry P along, the errors of landmarks being additive."""
+    leading, delta = plan.leading, s.delta
+    n = leading + 3 * count
+    if plan.error < FIRST_ESTIMATES:
+        identity(s.F)
+        put(s.F, 3, 3, _turned(plan, delta[3], delta[4], delta[5]), 1.0)
+        transform_leading(P, n, s)
+        for c in range(count):
+            row = leading + 3 * c
+            if kind[c] == CLONE_ROTATION:
+                scale_block(P, n, row, _turned(plan, delta[row], delta[row + 1], delta[row + 2]), s.block)
+    moved_by(plan, x, blocks, count, delta, kind, s.moved, s.moved_blocks)
+    _take_moved(x, blocks, count, s)
+
+
+@unit(PLAN, MATRIX, VECTOR, MATRIX, INDEX, types.int64, SCRATCH)
+def retract_invariant(
+    plan: Plan, P: FloatArray, x: FloatArray, blocks: FloatArray, kind: IntArray, count: int, s: Scratch
+) -> None:
+    """The same where they turn with the world."""
+    delta, n = s.delta, plan.leading + 3 * count
+    moved_by(plan, x, blocks, count, delta, kind, s.moved, s.moved_blocks)
+    transport(plan, x, blocks, count, delta, kind, s.moved, s.moved_blocks, s.W, s.D)
+    if plan.error == INVARIANT:
+        _scale(plan, P, n, x, delta, s)
+    shear_by_rotation(P, n, s.W, s)
+    _take_moved(x, blocks, count, s)
+
+
+@unit(PLAN, MATRIX, VECTOR, MATRIX, INDEX, types.int64, SCRATCH)
+def retract_by_numbers(
+    plan: Plan, P: FloatArray, x: FloatArray, blocks: FloatArray, kind: IntArray, count: int, s: Scratch
+) -> None:
+    """The same by what the door has written: F, and D and W where `result` says so."""
+    n = plan.leading + 3 * count
+    transform_leading(P, n, s)
+    if s.result[0] > 0.0:
+        scale_blocks(P, n, plan.leading, s.D, s)
+    if s.result[1] > 0.0:
+        shear_by_rotation(P, n, s.W, s)
+    _take_moved(x, blocks, count, s)

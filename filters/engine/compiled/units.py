@@ -7,32 +7,89 @@ are compiled once, kept on disk each by itself, and called like BLAS. They give 
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cached_property
 from typing import Any
 
 import numba
 import numpy as np
-from numba import cfunc, njit, types
-from numba.extending import intrinsic
+from llvmlite import ir
+from numba import cfunc, types
+from numba.core import cgutils
+from numba.core.typing.templates import AttributeTemplate
+from numba.extending import infer_getattr, intrinsic, lower_getattr_generic, models, register_model
 
-from filters.engine.compiled.blas import ENTRY, PLAIN, ROUTINES, UNIT, at
+from filters.engine.compiled.blas import PLAIN, ROUTINES, UNIT
+from filters.engine.compiled.disk_cache import KEPT, sources_digest
 from filters.engine.compiled.recipe import Recipe
 from filters.engine.compiled.storage import empty_frame, empty_storage, scratch
 
+
+class Reference(types.Type):
+    """The address of a named tuple of arrays, as `Packed` has written it: one number, whatever the tuple holds."""
+
+    def __init__(self, value: Any) -> None:
+        self.kind = numba.typeof(value)
+        super().__init__(f"Reference({type(value).__name__})")
+
+
+register_model(Reference)(models.OpaqueModel)
+
+
+@infer_getattr
+class _Fields(AttributeTemplate):
+    key = Reference
+
+    def generic_resolve(self, reference: Any, name: str) -> Any:
+        kind = reference.kind
+        return kind[kind.fields.index(name)] if name in kind.fields else None
+
+
+@lower_getattr_generic(Reference)
+def _field(context: Any, builder: Any, reference: Any, address: Any, name: str) -> Any:
+    """Load one field. What describes the arrays does not change during a call, so that loops need not load it again."""
+    index = reference.kind.fields.index(name)
+    kind, first = reference.kind[index], sum(map(_words, reference.kind.types[:index]))
+    word = ir.IntType(64)
+    words = builder.bitcast(address, word.as_pointer())
+
+    def load(place: int, target: Any) -> Any:
+        pointer = cgutils.gep_inbounds(builder, words, first + place)
+        value = builder.load(builder.bitcast(pointer, target.as_pointer()))
+        value.set_metadata("invariant.load", builder.module.add_metadata([]))
+        return value
+
+    if not isinstance(kind, types.Array):
+        return context.data_model_manager[kind].from_data(builder, load(0, context.get_data_type(kind)))
+    array = context.make_array(kind)(context, builder)
+    context.populate_array(
+        array,
+        data=load(0, context.get_data_type(kind.dtype).as_pointer()),
+        shape=[load(1 + i, word) for i in range(kind.ndim)],
+        strides=[load(1 + kind.ndim + i, word) for i in range(kind.ndim)],
+        itemsize=context.get_constant(types.intp, context.get_abi_sizeof(context.get_data_type(kind.dtype))),
+        meminfo=None,
+    )
+    return array._getvalue()
+
+
+def _words(kind: Any) -> int:
+    """Words of a field: a number, or an array's address, shape and strides."""
+    return 1 + 2 * kind.ndim if isinstance(kind, types.Array) else 1
+
+
 _RECIPE = Recipe(1.0, 1.0, 0.0, 0.0, 1.0)
 _STORAGE = empty_storage(_RECIPE, 1, 1)
-PLAN = numba.typeof(_RECIPE.plan)
-STORAGE = numba.typeof(_STORAGE)
-SCRATCH = numba.typeof(scratch(_RECIPE, _STORAGE, 1))
-FRAME = numba.typeof(empty_frame(_RECIPE, 1, 1, 1))
+PLAN, STORAGE = Reference(_RECIPE.plan), Reference(_STORAGE)
+SCRATCH, FRAME = Reference(scratch(_RECIPE, _STORAGE, 1)), Reference(empty_frame(_RECIPE, 1, 1, 1))
 VECTOR, MATRIX, INDEX = types.float64[::1], types.float64[:, ::1], types.int64[::1]
 GIVEN, GIVEN_COVARIANCE = (
     types.Array(types.float64, 1, "C", readonly=True),
     types.Array(types.float64, 2, "C", readonly=True),
 )
 """Odometry of one filter."""
-UNITS = ("predict", "fuse", "linearise", "gate", "agree", "propose", "correct", "retract", "enter", "walk")
+UNITS = ("predict", "fuse", "linearise", "gate", "agree", "iterate", "correct", "retract", "enter", "walk")
 """Places of their addresses, after those of BLAS; the last place is that of the doors."""
-PREDICT, FUSE, LINEARISE, GATE, AGREE, PROPOSE, CORRECT, RETRACT, ENTER, WALK, DOORS = range(
+PREDICT, FUSE, LINEARISE, GATE, AGREE, ITERATE, CORRECT, RETRACT, ENTER, WALK, DOORS = range(
     len(ROUTINES), len(ROUTINES) + len(UNITS) + 1
 )
 ADDRESSES = types.UniTuple(types.intp, len(ROUTINES) + len(UNITS) + 1)
@@ -40,16 +97,27 @@ TO_LINEARISE, TO_MOVE, TO_START, TO_SELECT, TO_CHANGE, TO_WALK, TO_DRIFT = range
 """What the doors are asked for."""
 
 
-def unit(*arguments: Any) -> Callable[[Callable[..., None]], Any]:
-    """Compile a kernel with these types of arguments as a unit."""
-    return _PlainUnit if PLAIN else cfunc(types.void(*arguments), cache=True, **UNIT)
+class Unit:
+    """A kernel that is compiled when its address is first asked for."""
+
+    def __init__(self, kernel: Callable[..., None], *arguments: Any) -> None:
+        self.kernel, self.arguments = kernel, arguments
+        sources_digest(kernel.__module__)  # as they are imported now
+
+    @cached_property
+    def _compiled(self) -> Any:
+        return cfunc(types.void(*self.arguments), **KEPT, **UNIT)(self.kernel)
+
+    @property
+    def address(self) -> Any:
+        """Where this process has its machine code; the function itself where kernels are plain Python."""
+        address: Any = self.kernel if PLAIN else self._compiled.address
+        return address
 
 
-class _PlainUnit:
-    """A kernel that is a Python function, and its own address."""
-
-    def __init__(self, function: Callable[..., None]) -> None:
-        self.address = function
+def unit(*arguments: Any) -> Callable[[Callable[..., None]], Unit]:
+    """Make a kernel with these types of arguments a unit."""
+    return lambda kernel: Unit(kernel, *arguments)
 
 
 def _reader(kind: Any) -> Any:
@@ -58,23 +126,11 @@ def _reader(kind: Any) -> Any:
         """What `packed` wrote there."""
 
         def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-            pointer = context.get_value_type(kind).as_pointer()
-            return builder.load(builder.inttoptr(values[0], pointer))
+            return builder.inttoptr(values[0], context.get_value_type(kind))
 
         return kind(types.intp), generate
 
     return read
-
-
-@intrinsic
-def _write(typing_context: Any, address: Any, value: Any) -> Any:
-    """Write the descriptions of arrays to an address."""
-
-    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-        builder.store(values[1], builder.inttoptr(values[0], values[1].type.as_pointer()))
-        return context.get_dummy_value()
-
-    return types.void(types.intp, value), generate
 
 
 def _itself(value: Any) -> Any:
@@ -86,19 +142,18 @@ read_plan, read_storage, read_scratch, read_frame = (
 )
 
 
-@njit([types.void(types.int64[::1], kind) for kind in (PLAN, STORAGE, SCRATCH, FRAME)], cache=True, **ENTRY)
-def _pack(room: Any, value: Any) -> None:
-    _write(at(room), value)
-
-
 class Packed:
-    """A tuple of arrays that kernels read by its address: taking a hundred arrays apart in each call takes longer."""
+    """A tuple of arrays and numbers that kernels read by its address."""
 
     def __init__(self, value: Any) -> None:
         self.value = value
-        self.address = value
-        if PLAIN:
-            return
-        self._room = np.zeros(20 * len(value) + 8, dtype=np.int64)
-        _pack(self._room, value)
-        self.address = self._room.ctypes.data
+        words: list[int] = []
+        for field in value:
+            if isinstance(field, np.ndarray):
+                words += [field.ctypes.data, *field.shape, *field.strides]
+            else:
+                words.append(
+                    int(np.array(field, np.float64).view(np.int64)) if isinstance(field, float) else int(field)
+                )
+        self._words = np.array(words)
+        self.address: Any = value if PLAIN else self._words.ctypes.data
