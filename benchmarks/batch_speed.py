@@ -45,13 +45,13 @@ def main() -> None:
     streams = [stream(seed, arguments.frames) for seed in range(max(arguments.filters))]
     ids, uvd = (np.array(arrays) for arrays in zip(*streams, strict=True))
 
-    def make(compiled: bool | None = None) -> StereoEKF:
-        slam = StereoEKF(CAMERA, NOISE, landmark="inverse-depth", iterations=arguments.iterations, compiled=compiled)
+    def make() -> StereoEKF:
+        slam = StereoEKF(CAMERA, NOISE, landmark="inverse-depth", iterations=arguments.iterations)
         slam.reset(Start())
         return slam
 
-    def alone(compiled: bool) -> Callable[[int], None]:
-        slam = make(compiled)
+    def alone() -> Callable[[int], None]:
+        slam = make()
 
         def step(frame: int) -> None:
             slam.predict(DT)
@@ -68,7 +68,7 @@ def main() -> None:
 
         return step
 
-    steps = {("NumPy, one by one", 1): alone(False), ("compiled, one by one", 1): alone(True)}
+    steps = {("one by one", 1): alone()}
     for count in arguments.filters:
         for threads in (1, 2) if count > 1 else (1,):
             steps[f"batch of {count}, {threads} thread{'s' * (threads > 1)}", count] = together(count, threads)
@@ -81,10 +81,10 @@ def main() -> None:
                 times[label, count].append((time.perf_counter() - began) / count)
     cost = {label: float(np.quantile(t[len(t) // 5 :], 0.2)) for (label, _), t in times.items()}
     table = Table(title=f"a filter's frame, {arguments.iterations} iteration(s)")
-    for head in ("", "us", "times the rate of NumPy"):
+    for head in ("", "us", "times the rate of one by one"):
         table.add_column(head, justify="right" if head else "left")
     for label, seconds in cost.items():
-        table.add_row(label, f"{1e6 * seconds:.0f}", f"{cost['NumPy, one by one'] / seconds:.1f}")
+        table.add_row(label, f"{1e6 * seconds:.0f}", f"{cost['one by one'] / seconds:.1f}")
     Console(width=100).print(table)
 
 

@@ -1,7 +1,7 @@
 """Memory of a filter over a long drive: it must not grow.
 
     python benchmarks/filter_memory.py                         # 100,000 frames, some minutes
-    python benchmarks/filter_memory.py --compiled --frames 20000
+    python benchmarks/filter_memory.py --frames 20000
 
 Landmarks leave and enter all the time, odd ones are missed, some are outliers, and now and then every belief is read.
 Prints ten times on the way what the process holds (RSS), how many objects Python keeps, and the size of P.
@@ -35,13 +35,12 @@ def main() -> None:
     """Drive and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--frames", type=int, default=100_000)
-    parser.add_argument("--compiled", action="store_true")
     arguments = parser.parse_args()
     table = Table(title="memory on the way")
     for head in ("frame", "process, MB", "objects", "rows of P", "landmarks"):
         table.add_column(head, justify="right")
     rng = np.random.default_rng(0)
-    slam = StereoEKF(CAMERA, NOISE, landmark="shared-anchor", compiled=arguments.compiled)
+    slam = StereoEKF(CAMERA, NOISE, landmark="shared-anchor")
     slam.reset(Start(linear_velocity=(0, 0, SPEED)))
     ids, p_w = np.zeros(0, dtype=np.int64), np.zeros((0, 3))
     next_id, every = 0, max(1, arguments.frames // 10)

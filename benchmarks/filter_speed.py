@@ -7,12 +7,11 @@
 The yardstick is Cholesky + triangular solve + symmetric rank-k update of the whole frame's measurement in one batch,
 by scipy's BLAS and LAPACK, at the sizes of the shared-anchor state. Everything is measured in turns, some frames of
 each at a time, in one process with one BLAS thread, so the ratios hold on a noisy machine; times are this machine's
-processor time, 20 % quantile. "Compiled" is `compiled=True` (left out without Numba), the rest is NumPy. "6-D, one
-batch" is the plain form of the paper's filter, without chunks. filterpy's EKF gets H for nothing, at the sizes of the
-shared-anchor and of the six-dimensional state: it has no shared anchors, so the latter is the same problem as a user
-would write it. "Turnover" is the share of a frame that goes into landmarks leaving and entering the map, 3 % of them
-a frame as on the reference drive: frames with and without it, in turns on the same map. `rival_speed.py` drives, and
-has iSAM2.
+processor time, 20 % quantile. "Own" parts are a stranger's: their numbers come from NumPy. filterpy's EKF gets H for
+nothing, at the sizes of the shared-anchor and of the six-dimensional state: it has no shared anchors, so the latter is
+the same problem as a user would write it. "Turnover" is the share of a frame that goes into landmarks leaving and
+entering the map, 3 % of them a frame as on the reference drive: frames with and without it, in turns on the same map.
+`rival_speed.py` drives, and has iSAM2.
 """
 
 from __future__ import annotations
@@ -21,9 +20,7 @@ import argparse
 import json
 import time
 from collections.abc import Callable
-from importlib.util import find_spec
 from pathlib import Path
-from typing import ParamSpec, TypeVar
 
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
@@ -32,12 +29,18 @@ from rich.table import Table
 from scipy.linalg import blas, lapack
 from threadpoolctl import threadpool_limits
 
-from filters import CalibratedPair, Start, StereoEKF, StereoNoise, StereoObservation
+from filters import (
+    CalibratedPair,
+    ConstantVelocity,
+    MeasurementModel,
+    Start,
+    StereoCamera,
+    StereoEKF,
+    StereoNoise,
+    StereoObservation,
+)
 from filters.checks.conformance import REFERENCE_CAMERA as CAMERA
-from filters.engine import kalman
 
-Given, Told = ParamSpec("Given"), TypeVar("Told")
-COMPILED = find_spec("numba") is not None
 NOISE = StereoNoise.independent_pixels(1.0)
 ANCHORS = 10
 TURNOVER = 0.03
@@ -45,31 +48,48 @@ BURST = 5  # frames of one filter in a row: in use it does not share the process
 DT, SPEED = 0.1, 0.05  # slow, so that every landmark stays in view through the whole measurement
 SLOW_FRAMES = 6  # of the rivals that take long
 SHARED = "shared anchors"
-ONE_BATCH = "6-D, one batch"
-FILTERS: dict[str, dict[str, object]] = {
-    SHARED: {"landmark": "shared-anchor", "compiled": False},
-    "dual-bearing": {"landmark": "shared-anchor", "measurement": "sequential", "compiled": False},
-    "euclidean": {"landmark": "euclidean", "compiled": False},
-    "6-D": {"landmark": "inverse-depth", "compiled": False},
-}
+
+
+class OwnCamera(MeasurementModel):
+    """The rectified pair as a stranger writes it, with numerical Jacobians."""
+
+    def predict(self, camera: StereoCamera, points_c: np.ndarray, values: object) -> np.ndarray:
+        """(u, v, d)."""
+        return camera.project_scaled(points_c[..., :3], points_c[..., 3])
+
+    def backproject(self, camera: StereoCamera, uvd: np.ndarray, values: object) -> np.ndarray:
+        """The inverse."""
+        return np.column_stack([camera.ray(uvd), uvd[:, 2] / camera.disparity_constant])
+
+
+class OwnMotion(ConstantVelocity):
+    """A motion that has no kernel: its numbers come from NumPy."""
+
+
 CHOICES: dict[str, dict[str, object]] = {
+    SHARED: {},
+    "dual-bearing": {"measurement": "sequential"},
+    "euclidean": {"landmark": "euclidean"},
+    "6-D": {"landmark": "inverse-depth"},
     "consensus": {"consensus": True},
     "first-estimates": {"error": "first-estimates"},
     "right-invariant": {"error": "right-invariant"},
     "calibration considered": {"measurement": CalibratedPair(0.25, 3e-3, 2e-3, 5e-3, considered=True)},
+    "own camera": {"measurement": OwnCamera()},
+    "own motion": {"motion": OwnMotion()},
+    "hybrid": {"landmark": "hybrid"},
+    "unscented": {"update": "unscented"},
+    "one clone": {},
+    "eleven clones": {},
 }
-if COMPILED:
-    FILTERS |= {f"{name}, compiled": {**options, "compiled": True} for name, options in FILTERS.items()}
-    FILTERS |= {
-        f"{SHARED}, compiled, {name}": {**FILTERS[SHARED], "compiled": True, **CHOICES[name]} for name in CHOICES
-    }
-FILTERS[ONE_BATCH] = FILTERS["6-D"]
+FILTERS = {name: {"landmark": "shared-anchor", **options} for name, options in CHOICES.items()}
+CLONES = {"one clone": 1, "eleven clones": 11}
 
 
 class Drive:
     """A slow drive towards a cloud of n points, which enter the map in `ANCHORS` groups."""
 
-    def __init__(self, n: int, **options: object) -> None:
+    def __init__(self, n: int, clones: int = 0, **options: object) -> None:
         self.rng, self.frame = np.random.default_rng(n), 0
         self.points = self.cloud(n)
         self.ids = np.arange(n)
@@ -79,6 +99,8 @@ class Drive:
             self.slam.update(self.observe(n * group // ANCHORS))
             self.slam.predict(DT)
             self.frame += 1
+        for clone in range(clones):
+            self.slam.clone_pose(str(clone))
 
     def cloud(self, count: int) -> np.ndarray:
         """Points in view from here."""
@@ -163,26 +185,12 @@ def filterpy_step(rows: int, states: int) -> Callable[[], float]:
     return step
 
 
-def in_one_batch(step: Callable[Given, Told], landmarks: int) -> Callable[Given, Told]:
-    """The step of a filter by NumPy that factorises the whole frame's measurement in one batch."""
-
-    def at_once(*given: Given.args, **named: Given.kwargs) -> Told:
-        usual, kalman.CHUNK_ROWS = kalman.CHUNK_ROWS, 3 * landmarks
-        try:
-            return step(*given, **named)
-        finally:
-            kalman.CHUNK_ROWS = usual
-
-    return at_once
-
-
 def measure(n: int, repeats: int) -> dict[str, float]:
     """Seconds a frame of everything, at n landmarks."""
     shared = 12 + 3 * n + 3 * ANCHORS
     steps = {"yardstick": yardstick(n)}
-    drives = {name: Drive(n, **options) for name, options in FILTERS.items()}
+    drives = {name: Drive(n, CLONES.get(name, 0), **options) for name, options in FILTERS.items()}
     steps |= {name: drive.step for name, drive in drives.items()}
-    steps[ONE_BATCH] = in_one_batch(steps[ONE_BATCH], n)
     slow = {
         "filterpy EKF, shared state": filterpy_step(3 * n, shared),
         "filterpy EKF, 6-D state": filterpy_step(3 * n, 12 + 6 * n),
@@ -212,11 +220,7 @@ def main() -> None:
         for n in arguments.sizes:
             seconds = measure(n, arguments.repeats)
             floor = seconds["yardstick"]
-            shares = {
-                f"turnover, {name}": turnover_share(n, arguments.repeats, **FILTERS[name])
-                for name in (SHARED, f"{SHARED}, compiled")
-                if name in FILTERS
-            }
+            shares = {"turnover": turnover_share(n, arguments.repeats, **FILTERS[SHARED])}
             summary[str(n)] = {
                 "milliseconds": {name: 1e3 * s for name, s in seconds.items()},
                 "ratio_to_yardstick": {name: s / floor for name, s in seconds.items()},

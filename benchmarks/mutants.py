@@ -60,6 +60,14 @@ ROOMS = {
     "monitor": Room(
         ("filters/monitor.py",), ("tests/filters/test_monitor.py", "tests/stereo_slam_env/evaluation/test_alarms.py")
     ),
+    "engine": Room(
+        ("filters/engine/compiled/*.py", "filters/engine/*.py"),
+        (
+            *(f"tests/filters/engine/test_{name}.py" for name in ("dense", "exact_numbers", "storage", "textbook")),
+            "tests/filters/engine/test_golden.py",
+        ),
+        compiled=False,
+    ),
     "parts": Room(
         tuple(f"filters/{room}/*.py" for room in ("landmarks", "measurements", "motions", "errors", "updates")),
         (

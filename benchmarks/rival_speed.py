@@ -28,7 +28,7 @@ from filters import Start, StereoEKF, StereoNoise, StereoObservation
 from filters.checks.conformance import REFERENCE_CAMERA as CAMERA
 
 sys.path.insert(0, str(Path(__file__).parent))
-from filter_speed import COMPILED, filterpy_step, in_one_batch, undisturbed
+from filter_speed import filterpy_step, undisturbed
 
 try:
     import gtsam
@@ -136,10 +136,8 @@ class Isam2:
 def measure(landmarks: int, frames: int) -> tuple[dict[str, float], float]:
     """Seconds a frame of everything, and how many landmarks enter in a frame."""
     street = Street(landmarks)
-    steps = {"shared anchors": Ours(landmark="shared-anchor", compiled=False).step}
-    if COMPILED:
-        steps["shared anchors, compiled"] = Ours(landmark="shared-anchor", compiled=True).step
-    steps["6-D, one batch"] = in_one_batch(Ours(landmark="inverse-depth", compiled=False).step, landmarks)
+    steps = {"shared anchors": Ours(landmark="shared-anchor").step}
+    steps["6-D"] = Ours(landmark="inverse-depth").step
     if gtsam is not None:
         steps["GTSAM iSAM2"] = Isam2().step
     filterpy = filterpy_step(3 * landmarks, 12 + 6 * landmarks)

@@ -31,6 +31,7 @@ from .contract.observation import StereoObservation as StereoObservation
 from .contract.odometry import BodyVelocity as BodyVelocity
 from .contract.start import Start as Start
 from .contract.stereo_filter import StereoFilter as StereoFilter
+from .contract.update_report import Correction as Correction
 from .contract.update_report import UpdateReport as UpdateReport
 from .contract.variables import Variable as Variable
 from .contract.variables import VariableBelief as VariableBelief

@@ -15,6 +15,7 @@ WORLD_SIDE = ("world", "rendering", "sensing", "envs")
 
 MAX_LINES = 400
 LONGER_FOR_A_REASON = {
+    "filters/engine/compiled/frame.py": "the order of a whole frame, from top to bottom",
     "filters/checks/conformance.py": "the contract of a filter as one list of checks, read from top to bottom",
     "stereo_slam_env/evaluation/figures.py": "the one table of figures, an entry each",
 }

@@ -55,3 +55,23 @@ class UpdateReport:
     def failed_factorisations(self) -> int:
         """Number of `failed` measurements."""
         return len(self.failed)
+
+
+@dataclass(frozen=True)
+class Correction:
+    """Outcome of a correction by a linearised measurement.
+
+    Attributes
+    ----------
+    used : bool
+        Whether the state was corrected: the measurement passed the gate and its innovation covariance has a Cholesky
+        factor.
+    nis : float
+        Normalised innovation squared, chi-square with `nis_dof` if consistent; -1 without a Cholesky factor.
+    nis_dof : int
+        Degrees of freedom of `nis`.
+    """
+
+    used: bool
+    nis: float
+    nis_dof: int

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, overload
+from typing import overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,9 +14,10 @@ from filters.contract.odometry import BodyVelocity
 from filters.contract.start import Start
 from filters.contract.stereo_filter import AT_ORIGIN, check_start
 from filters.contract.update_report import UpdateReport
-from filters.engine.compiled.engine import CompiledEngine, Observations, Outcome
 from filters.engine.compiled.readout import relative_landmarks
-from filters.engine.compiled.stereo_ekf import CompiledFilter, report
+from filters.engine.doors import Parts
+from filters.engine.engine import Engine, Observations, Odometry, Outcome
+from filters.engine.row import Row, report
 from filters.engine.stereo_ekf import StereoEKF
 from filters.validation import BoolArray, FloatArray, IntArray, positive, whole_number
 
@@ -77,7 +78,7 @@ class RelativeLandmarks:
 
 
 class FilterBatch(Sequence[StereoEKF]):
-    """Many filters of one recipe, each with its own map, observations and time step.
+    """Many filters that do the same, each with its own map, observations and time step.
 
     Every filter has the same bits as if it ran alone, whatever the number of threads.
 
@@ -93,21 +94,25 @@ class FilterBatch(Sequence[StereoEKF]):
     Raises
     ------
     ValueError
-        A filter has a part without kernels, or does something else than the first one.
+        A filter does something else than the first one.
     """
 
     def __init__(self, make: Callable[[], StereoEKF], count: int, threads: int = 1) -> None:
         whole_number("count", count, 1)
         whole_number("threads", threads, 1)
         self._filters = [make() for _ in range(count)]
-        recipes = [_compiled(slam).engine.recipe for slam in self._filters]
+        for slam in self._filters:
+            if not isinstance(slam, StereoEKF):
+                raise ValueError(f"make must give a StereoEKF, got {type(slam).__name__}")
+        recipes = [slam.engine.recipe for slam in self._filters]
         for index, recipe in enumerate(recipes):
             if recipe != recipes[0]:
                 raise ValueError(f"make must give filters that do the same, filter {index} differs from the first")
-        self._engine = CompiledEngine(recipes[0], count, threads)
+        first = self._filters[0]
+        self._engine = Engine(recipes[0], count, threads, Parts(first.camera, first.options))
         self._R = np.array([slam.noise.R for slam in self._filters])
         for index, slam in enumerate(self._filters):
-            slam.share(CompiledFilter(self._engine, slam.options, index))
+            slam.join(Row(self._engine, slam.options, index))
 
     def __len__(self) -> int:
         return self._engine.count
@@ -120,7 +125,7 @@ class FilterBatch(Sequence[StereoEKF]):
         return self._filters[index]
 
     @property
-    def engine(self) -> CompiledEngine:
+    def engine(self) -> Engine:
         """The engine of all filters."""
         return self._engine
 
@@ -147,7 +152,9 @@ class FilterBatch(Sequence[StereoEKF]):
             offsets, ids, np.empty((total, 3)), np.empty((total, 3, 3)), np.empty(total, dtype=np.bool_)
         )
         state = storage.P, storage.x, storage.blocks, storage.own, storage.anchor, storage.counts
-        anchored = recipe.landmark != "euclidean"
+        if recipe.own_landmarks:
+            raise ValueError("landmark must be inverse depth or euclidean here: others have no kernel")
+        anchored = recipe.anchored
         written = found.points_c, found.covariances, found.located
         relative_landmarks(*state, recipe.leading, anchored, offsets, *written)
         return found
@@ -163,7 +170,7 @@ class FilterBatch(Sequence[StereoEKF]):
 
     def predict(self, dt: ArrayLike, odometry: Sequence[BodyVelocity | None] | None = None) -> None:
         """Move every filter forward by dt > 0 s, a number or (B,)."""
-        self._engine.step(self._steps(dt), None, *self._odometry(odometry))
+        self._engine.step(self._steps(dt), None, self._odometry(odometry))
 
     def update(self, observations: Sequence[StereoObservation | None]) -> Reports:
         """Use the frame of every filter; None: it has none, and stays as it is."""
@@ -177,7 +184,7 @@ class FilterBatch(Sequence[StereoEKF]):
     ) -> Reports:
         """Predict and update in one call."""
         steps, fused = self._steps(dt), self._odometry(odometry)
-        return self._report(steps, self._packed(observations), *fused)
+        return self._report(steps, self._packed(observations), fused)
 
     def step_arrays(self, dt: ArrayLike, ids: IntArray, uvd: FloatArray, R: FloatArray | None = None) -> Reports:
         """Predict and update from arrays of one shape, as vector environments have them.
@@ -216,10 +223,10 @@ class FilterBatch(Sequence[StereoEKF]):
             noise = noise[rows, columns]
         offsets = np.concatenate([[0], np.cumsum(counts)])
         everybody = np.ones(len(self), dtype=np.bool_)
-        return self._report(steps, Observations(everybody, offsets, flat_ids, flat_uvd, noise, ~everybody), *odometry)
+        return self._report(steps, Observations(everybody, offsets, flat_ids, flat_uvd, noise, ~everybody), odometry)
 
-    def _report(self, dt: FloatArray | float, packed: Observations, *odometry: Any) -> Reports:
-        return Reports(packed.offsets, packed.ids, self._engine.step(dt, packed, *odometry))
+    def _report(self, dt: FloatArray | float, packed: Observations, odometry: Odometry | None = None) -> Reports:
+        return Reports(packed.offsets, packed.ids, self._engine.step(dt, packed, odometry))
 
     def _check_length(self, name: str, given: Sequence[object]) -> None:
         if len(given) != len(self):
@@ -234,26 +241,15 @@ class FilterBatch(Sequence[StereoEKF]):
             raise ValueError(f"dt must be finite numbers > 0, one or ({len(self)},), got {dt!r}")
         return steps
 
-    def _odometry(
-        self, odometry: Sequence[BodyVelocity | None] | None
-    ) -> tuple[FloatArray, FloatArray, FloatArray] | tuple[()]:
-        """Whose odometry there is, its values and covariances; nothing where there is none at all."""
-        needed = self._engine.recipe.motion == "velocity-driven"
+    def _odometry(self, odometry: Sequence[BodyVelocity | None] | None) -> Odometry | None:
+        """Odometry of each filter, as its motion can use it; None: there is none at all."""
         given = [None] * len(self) if odometry is None else list(odometry)
         self._check_length("odometry", given)
         for entry in given:
-            if not isinstance(entry, BodyVelocity) and (entry is not None or needed):
-                wanted = "in every predict with motion=VelocityDriven()" if needed else "or None"
-                raise ValueError(f"odometry must be a BodyVelocity for each filter {wanted}, got {entry!r}")
-        if odometry is None:
-            return ()
-        fused = np.array([entry is not None for entry in given])
-        values, covariances = np.zeros((len(self), 6)), np.zeros((len(self), 6, 6))
-        for index, entry in enumerate(given):
-            if entry is not None:
-                values[index, :3], values[index, 3:] = entry.linear, entry.angular
-                covariances[index] = entry.covariance
-        return fused, values, covariances
+            if entry is not None and not isinstance(entry, BodyVelocity):
+                raise ValueError(f"odometry must be a BodyVelocity or None for each filter, got {entry!r}")
+            self._filters[0].options.motion.check_odometry(entry)
+        return None if odometry is None else Odometry.of(given)
 
     def _packed(self, observations: Sequence[StereoObservation | None]) -> Observations:
         """Observations one after the other, ids ascending."""
@@ -279,11 +275,3 @@ class FilterBatch(Sequence[StereoEKF]):
             order = np.lexsort((ids, owner))
             ids, uvd, R, right = ids[order], uvd[order], R[order], right[order]
         return Observations(seen, offsets, ids, uvd, R, with_right, right)
-
-
-def _compiled(slam: StereoEKF) -> CompiledFilter:
-    if not isinstance(slam, StereoEKF):
-        raise ValueError(f"make must give a StereoEKF, got {type(slam).__name__}")
-    if slam.compiled is None:
-        raise ValueError("make must give a filter all of whose parts have kernels, see StereoEKF")
-    return slam.compiled

@@ -1,13 +1,52 @@
-"""Marginals of the joint state: landmark positions, and their covariance with the pose."""
+"""What a joint state says: landmarks, their covariance with the pose, and what is measured of them next."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from filters.contract.beliefs import Forecast, LandmarkBelief
+from filters.contract.noise import StereoNoise
+from filters.geometry.camera import StereoCamera
+from filters.measurements.model import MeasurementModel, Stage
 from filters.motions.model import POSE_SIZE
 from filters.state import symmetric
 from filters.state.joint_state import JointState
+from filters.updates.extended import Extended
+from filters.updates.model import points_in_camera
 from filters.validation import FloatArray, IntArray
+
+
+def landmark_belief(state: JointState) -> LandmarkBelief:
+    """The map, in ascending order of ids."""
+    index, model = np.argsort(state.ids), state.model
+    parameters, anchors = state.parameters(index), state.anchors(index)
+    points = model.points(anchors, parameters)
+    P_map = symmetric.blocks(state.P, state.map_rows(index))
+    with np.errstate(invalid="ignore", over="ignore"):
+        covariances = points.by_map @ P_map @ points.by_map.transpose(0, 2, 1)
+    inverse = model.inverse_distances(state.camera.position, anchors, parameters)
+    own_rows = state.own_rows(index)
+    position_rows = np.broadcast_to(np.arange(3), own_rows.shape)
+    P_own = symmetric.blocks(state.P, np.concatenate([position_rows, own_rows], axis=1))
+    J = np.concatenate([inverse.by_position, inverse.by_parameters], axis=1)
+    variance = np.einsum("mi,mij,mj->m", J, P_own, J)
+    return LandmarkBelief(state.ids[index], points.positions, covariances, inverse.values, variance)
+
+
+def forecast(
+    camera: StereoCamera,
+    noise: StereoNoise,
+    sensor: MeasurementModel,
+    state: JointState,
+    ids: IntArray,
+    index: IntArray,
+) -> Forecast:
+    """Predicted (u, v, d) and S of the landmarks at `index`, `ids`."""
+    points_c = points_in_camera(state, index)
+    uvd = sensor.predict(camera, points_c, state.camera.variables)[:, :3]
+    stage = Stage(uvd, np.eye(3, sensor.size), noise.R[None].repeat(len(index), axis=0))
+    S = Extended().linearise(sensor, camera, state, index, stage).innovation_covariances(state.P)
+    return Forecast(ids, uvd, S, sensor.in_front(points_c) & camera.in_view(uvd))
 
 
 def joint_covariance(state: JointState, index: IntArray) -> FloatArray:

@@ -42,7 +42,6 @@ class Options:
     drop_unseen: bool
     min_disparity: float | None
     max_landmarks: int | None
-    compiled: bool | None
 
     @classmethod
     def of(
@@ -74,8 +73,6 @@ class Options:
         for name in ("drop_unseen", "consensus"):
             if not isinstance(getattr(self, name), bool):
                 raise ValueError(f"{name} must be True or False, got {getattr(self, name)!r}")
-        if self.compiled not in (None, True, False):
-            raise ValueError(f"compiled must be True, False or None, got {self.compiled!r}")
         if self.consensus and self.gate is None:
             raise ValueError("gate must be a probability with consensus=True, got None: it is the limit of agreement")
         if self.tail_dof is not None:
@@ -109,8 +106,3 @@ class Options:
     def layout(self) -> Layout:
         """Rows of the named variables that the parts ask for."""
         return Layout.of(self.measurement.variables, self.motion.variables)
-
-    @cached_property
-    def is_steady(self) -> bool:
-        """Whether a frame without landmarks that come or go leaves the map as it is."""
-        return self.max_landmarks is None and self.landmark.steady

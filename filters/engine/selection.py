@@ -11,13 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from filters.engine.kalman import joint_innovation_covariance, times_covariance
 from filters.geometry import rotations
 from filters.geometry.camera import StereoCamera
 from filters.measurements.model import MeasurementModel, Stage
 from filters.motions.model import POSE_SIZE, CameraState
 from filters.state import symmetric
 from filters.state.joint_state import JointState
+from filters.state.linearised import LinearisedMeasurements
 from filters.updates.extended import Extended
 from filters.validation import BoolArray, FloatArray, IntArray
 
@@ -77,11 +77,12 @@ def next_measurements(
     new_by_step = _by_step(sensor, camera, state.camera, new_uvd)
     by_step = np.concatenate([known.by_leading[:, :, :POSE_SIZE], new_by_step]).reshape(-1, POSE_SIZE)
     S = by_step @ STEP @ by_step.T
-    S[:count, :count] += joint_innovation_covariance(state.P, known).reshape(count, count)
+    HP = times_covariance(known, state.P)
+    S[:count, :count] += joint_innovation_covariance(known, HP)
     new_rows = count + np.arange(3 * len(new_uvd)).reshape(-1, 3)
     S[new_rows[:, :, None], new_rows[:, None, :]] += 2.0 * new_R
     cross = STEP @ by_step.T
-    cross[:, :count] += times_covariance(known, state.P)[:, :POSE_SIZE].T
+    cross[:, :count] += HP[:, :POSE_SIZE].T
     return Candidates(symmetric.full(state.P[:POSE_SIZE, :POSE_SIZE]) + STEP, cross, S)
 
 
@@ -118,3 +119,25 @@ def _by_step(sensor: MeasurementModel, camera: StereoCamera, here: CameraState, 
     by_point = sensor.jacobians(camera, points_c, here.variables).by_point[:, :3]
     by_position = -points_c[:, 3, None, None] * by_point[:, :, :3] @ here.R_wc.T
     return np.concatenate([by_position, by_point[:, :, :3] @ rotations.skew(points_c[:, :3])], axis=2)
+
+
+def joint_innovation_covariance(measurements: LinearisedMeasurements, HP: FloatArray) -> FloatArray:
+    """S = (H P) H^T + R of all measurements together, (M k, M k)."""
+    count, size, width = measurements.by_map.shape
+    leading = measurements.by_leading.shape[2]
+    S: FloatArray = HP[:, :leading] @ measurements.by_leading.reshape(count * size, leading).T
+    own = HP[:, measurements.map_rows.ravel()].reshape(count * size, count, width).transpose(1, 0, 2)
+    S += (own @ measurements.by_map.transpose(0, 2, 1)).transpose(1, 0, 2).reshape(S.shape)
+    every = np.arange(count)
+    S.reshape(count, size, count, size)[every, :, every, :] += measurements.R
+    return S
+
+
+def times_covariance(part: LinearisedMeasurements, P: FloatArray) -> FloatArray:
+    """H P, (M k, n)."""
+    count, size, width = part.by_map.shape
+    leading = part.by_leading.shape[2]
+    HP: FloatArray = part.by_leading.reshape(count * size, leading) @ symmetric.leading_rows(P, leading)
+    own = symmetric.rows(P, part.map_rows.ravel()).reshape(count, width, len(P))
+    HP += (part.by_map @ own).reshape(HP.shape)
+    return HP

@@ -6,7 +6,6 @@ The named filters are choices of these parts; this module only says in which ord
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from copy import copy
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,34 +19,34 @@ from filters.contract.observation import StereoObservation
 from filters.contract.odometry import BodyVelocity
 from filters.contract.start import Start
 from filters.contract.stereo_filter import AT_ORIGIN, StereoFilter, check_rig, check_start
-from filters.contract.update_report import UpdateReport
+from filters.contract.update_report import Correction, UpdateReport
 from filters.contract.variables import POSE, VELOCITY, VariableBelief
-from filters.engine.machine_code import compiled_filter
-from filters.engine.marginals import joint_covariance, pose_landmark_covariances
-from filters.engine.numpy_filter import NumpyFilter, locate
+from filters.engine.gating import gate_limit
+from filters.engine.marginals import forecast, joint_covariance, landmark_belief, pose_landmark_covariances
 from filters.engine.options import Options
 from filters.errors.model import ErrorDefinition
 from filters.geometry.camera import StereoCamera
 from filters.geometry.poses import Pose, relative_jacobian
 from filters.landmarks.model import LandmarkModel
-from filters.measurements.model import MeasurementModel, Stage
-from filters.motions.model import POSE_SIZE, MotionModel
+from filters.measurements.model import MeasurementModel
+from filters.motions.model import MotionModel
 from filters.parts import Named
-from filters.state import symmetric
 from filters.state.joint_state import JointState
-from filters.updates.extended import Extended
-from filters.updates.model import Linearisation, points_in_camera
+from filters.updates.model import Linearisation
 from filters.validation import (
     FloatArray,
     IntArray,
+    covariance_matrix,
     finite_array,
+    gate_probability,
     positive,
     unique_ids,
     unit_quaternion,
 )
 
 if TYPE_CHECKING:
-    from filters.engine.compiled.stereo_ekf import CompiledFilter
+    from filters.engine.engine import Engine
+    from filters.engine.row import Row
 
 
 class StereoEKF(StereoFilter):
@@ -94,9 +93,6 @@ class StereoEKF(StereoFilter):
         A landmark is not started from a smaller disparity, px. None: whatever the parametrisation can do.
     max_landmarks : int, optional
         Of the landmarks in view, keep at most so many: those that say most about the pose. None: all.
-    compiled : bool, optional
-        Machine code: the same estimates in a fraction of the time. None: where all parts have it. True: refuse parts
-        that have none.
 
     Raises
     ------
@@ -123,8 +119,9 @@ class StereoEKF(StereoFilter):
         drop_unseen: bool = True,
         min_disparity: float | None = None,
         max_landmarks: int | None = None,
-        compiled: bool | None = None,
     ) -> None:
+        from filters.engine.row import Row  # Numba takes longer to import than all the rest
+
         check_rig(camera, noise)
         self.camera = camera
         self.noise = noise
@@ -143,10 +140,8 @@ class StereoEKF(StereoFilter):
             drop_unseen=drop_unseen,
             min_disparity=min_disparity,
             max_landmarks=max_landmarks,
-            compiled=compiled,
         )
-        state = JointState.at(AT_ORIGIN, self.options.layout, self.options.landmark)
-        self._filter = compiled_filter(camera, self.options) or NumpyFilter(camera, self.options, state)
+        self._row = Row.of(camera, self.options)
         self.reset()
 
     def reset(self, start: Start = AT_ORIGIN) -> None:
@@ -160,25 +155,58 @@ class StereoEKF(StereoFilter):
         if odometry is not None and not isinstance(odometry, BodyVelocity):
             raise ValueError(f"odometry must be a BodyVelocity or None, got {odometry!r}")
         self.options.motion.check_odometry(odometry)
-        self._filter.predict(dt, odometry)
+        self._row.predict(dt, odometry)
 
     def update(self, observation: StereoObservation) -> UpdateReport:
         """Known ids correct the state, unseen ones leave, new ones enter; see `StereoFilter.update`."""
         if not isinstance(observation, StereoObservation):
             raise ValueError(f"observation must be a StereoObservation, got {type(observation).__name__}")
         # One order for everything below, so that the result cannot depend on the order of the measurements.
-        return self._filter.update(observation.ordered(), self.noise)
+        return self._row.update(observation.ordered(), self.noise)
+
+    def correct(
+        self, innovation: ArrayLike, H: Mapping[Any, ArrayLike], R: ArrayLike, gate: float | None = None
+    ) -> Correction:
+        """Correct with any measurement, linearised: zero velocity, GPS, wheels, a plane, a loop, a window of poses.
+
+        Parameters
+        ----------
+        innovation : (k,) array_like
+            Measured minus predicted.
+        H : mapping of str or int to (k, s) array_like
+            Jacobian of the measurement by the errors of variables and clones ("pose", "velocity", "bias", ...), and of
+            landmarks by their ids: of the anchor (3), where the landmark has one, then its own (3). What is not named
+            does not matter to the measurement.
+        R : (k, k) array_like
+            Covariance of the measurement; zero rows are constraints.
+        gate : float, optional
+            Probability with which a consistent measurement is used. None: it always is.
+
+        Returns
+        -------
+        Correction
+            Whether it was used, and its normalised innovation squared.
+
+        Raises
+        ------
+        ValueError
+            There is no such variable or landmark, a shape is wrong, or a number is not finite.
+        """
+        limit, nu = np.inf, finite_array("innovation", innovation, ("k",))
+        if len(nu) == 0 or not isinstance(H, Mapping) or not H:
+            raise ValueError("H must name at least one variable, and innovation must have at least one number")
+        gate = gate_probability(gate)
+        if gate is not None:
+            limit = gate_limit(gate, len(nu))
+        sizes = {name: self._row.size_of(name) for name in H}
+        parts = {name: finite_array(f"H of {name!r}", H[name], (len(nu), size)) for name, size in sizes.items()}
+        nis, used = self._row.correct(nu, parts, covariance_matrix("R", R, len(nu)), limit)
+        return Correction(used, nis, len(nu))
 
     def forecast(self, ids: Sequence[int] | IntArray | None = None) -> Forecast:
         """Predicted (u, v, d) and S of landmarks at the current pose."""
-        state, sensor = self.state, self.options.measurement
         wanted, index = self._wanted(ids)
-        points_c = points_in_camera(state, index)
-        uvd = sensor.predict(self.camera, points_c, state.camera.variables)[:, :3]
-        stage = Stage(uvd, np.eye(3, sensor.size), self.noise.R[None].repeat(len(index), axis=0))
-        linearised = Extended().linearise(sensor, self.camera, state, index, stage)
-        S = linearised.innovation_covariances(state.P)
-        return Forecast(wanted, uvd, S, sensor.in_front(points_c) & self.camera.in_view(uvd))
+        return forecast(self.camera, self.noise, self.options.measurement, self.state, wanted, index)
 
     def joint_covariance(self, ids: Sequence[int] | IntArray | None = None) -> FloatArray:
         """Covariance of the pose error and landmark positions, correlations included; see the base class."""
@@ -190,58 +218,48 @@ class StereoEKF(StereoFilter):
 
     def forget(self, ids: Sequence[int] | IntArray) -> None:
         """Marginalise landmarks out; ids not in the map are ignored."""
-        state = self.state
-        state.remove(np.isin(state.ids, unique_ids("ids", np.asarray(ids))))
-        self.state = state
+        self._row.forget(unique_ids("ids", np.asarray(ids)))
 
     @property
     def state_size(self) -> int:
         """Numbers in the error state: of the named variables, and three for every landmark and every anchor."""
-        return self._filter.state_size
+        return self._row.state_size
 
     @property
     def state(self) -> JointState:
         """The joint state, for filters built on this one; a copy, to be assigned after a change."""
-        return self._filter.state
+        return self._row.state
 
     @state.setter
     def state(self, state: JointState) -> None:
-        self._filter.state = state
+        self._row.state = state
 
     @property
-    def compiled(self) -> CompiledFilter | None:
-        """The filter in machine code; None: it runs by NumPy."""
-        return None if isinstance(self._filter, NumpyFilter) else self._filter
+    def engine(self) -> Engine:
+        """The engine that the filter is a row of."""
+        return self._row.engine
 
-    def share(self, compiled: CompiledFilter) -> None:
-        """Keep what the filter knows from now on in a storage with others; its map is empty until it is reset."""
-        self._filter = compiled
+    def join(self, row: Row) -> None:
+        """Work on a row of an engine with others from now on; the map is empty until the filter is reset."""
+        self._row = row
         self.reset()
 
     @property
     def ids(self) -> IntArray:
         """Landmarks in the map, (N,), in no order; cheaper to ask than `landmarks`."""
-        return self._filter.ids
-
-    def with_state(self, state: JointState) -> StereoEKF:
-        """The same filter with another state: what it says of landmarks that are kept elsewhere."""
-        other = copy(self)
-        other._filter = NumpyFilter(self.camera, self.options, state)
-        return other
+        return self._row.ids
 
     @property
     def pose(self) -> PoseBelief:
         """Pose of the left camera."""
-        camera = self._filter.camera
-        return PoseBelief(camera.position.copy(), camera.orientation.copy(), self._covariance_of(POSE))
+        camera = self._row.camera
+        return PoseBelief(camera.position, camera.orientation, self._row.joint(POSE))
 
     @property
     def velocity(self) -> VelocityBelief:
         """Velocity of the left camera."""
-        camera = self._filter.camera
-        return VelocityBelief(
-            camera.linear_velocity.copy(), camera.angular_velocity.copy(), self._covariance_of(VELOCITY)
-        )
+        camera = self._row.camera
+        return VelocityBelief(camera.linear_velocity, camera.angular_velocity, self._row.joint(VELOCITY))
 
     def belief(self, name: str) -> VariableBelief:
         """Belief of a named variable: "pose", "velocity", one that a part has asked for, or a clone of the pose.
@@ -251,19 +269,23 @@ class StereoEKF(StereoFilter):
         ValueError
             There is no variable of that name.
         """
-        state, camera = self.state, self.state.camera
-        if name in state.clones:
-            clone = state.clones[name]
-            rows = state.block_rows(clone.blocks)
-            covariance = symmetric.full(symmetric.rows(state.P, rows)[:, rows])
-            return VariableBelief(np.concatenate([clone.position, clone.orientation]), covariance)
-        values = {
-            POSE: np.concatenate([camera.position, camera.orientation]),
-            VELOCITY: np.concatenate([camera.linear_velocity, camera.angular_velocity]),
-            **camera.variables,
-        }
-        require_known("there is no variable", [name], [*values, *state.clones])
-        return VariableBelief(values[name].copy(), self._covariance_of(name))
+        camera = self._row.camera
+        require_known("there is no variable", [name], [POSE, VELOCITY, *camera.variables, *self._row.clones])
+        if name in self._row.clones:
+            clone = self._row.clone(name)
+            value = np.concatenate([clone.position, clone.orientation])
+        elif name == POSE:
+            value = np.concatenate([camera.position, camera.orientation])
+        elif name == VELOCITY:
+            value = np.concatenate([camera.linear_velocity, camera.angular_velocity])
+        else:
+            value = camera.variables[name]
+        return VariableBelief(value, self._row.joint(name))
+
+    @property
+    def clones(self) -> tuple[str, ...]:
+        """Names of the clones of the pose, in the order in which they were made."""
+        return tuple(self._row.clones)
 
     def clone_pose(self, name: str) -> None:
         """Keep the present pose as a variable of that name, correlated with all others, until it is forgotten.
@@ -273,11 +295,11 @@ class StereoEKF(StereoFilter):
         ValueError
             There is a variable of that name already.
         """
-        state = self.state
-        if name in (*self.options.layout.places, *state.clones):
+        if not isinstance(name, str):
+            raise ValueError(f"name must be a string, got {name!r}")
+        if name in (*self.options.layout.places, *self._row.clones):
             raise ValueError(f"name must be new, there is a variable {name!r} already: forget_clone it first")
-        state.clone_pose(name)
-        self._filter = NumpyFilter(self.camera, self.options, state)  # the kernels know no clones
+        self._row.clone_pose(name)
 
     def forget_clone(self, name: str) -> None:
         """Marginalise a clone of the pose out.
@@ -287,9 +309,8 @@ class StereoEKF(StereoFilter):
         ValueError
             There is no clone of that name.
         """
-        state = self.state
-        require_known("there is no clone", [name], state.clones)
-        state.forget_clone(name)
+        require_known("there is no clone", [name], self._row.clones)
+        self._row.forget_clone(name)
 
     def relative_pose(self, name: str) -> PoseBelief:
         """Pose of the camera as seen from a clone of an earlier one: how the camera has moved since.
@@ -302,48 +323,29 @@ class StereoEKF(StereoFilter):
         ValueError
             There is no clone of that name.
         """
-        state = self.state
-        require_known("there is no clone", [name], state.clones)
-        clone = state.clones[name]
-        rows = np.concatenate([state.block_rows(clone.blocks), np.arange(POSE_SIZE)])
-        first = Pose(clone.position, clone.orientation)
-        last = Pose(state.camera.position, state.camera.orientation)
+        require_known("there is no clone", [name], self._row.clones)
+        camera, first = self._row.camera, self._row.clone(name)
+        last = Pose(camera.position, camera.orientation)
         J, moved = relative_jacobian(first, last), first.inverse() @ last
-        covariance = J @ symmetric.full(symmetric.rows(state.P, rows)[:, rows]) @ J.T
-        return PoseBelief(moved.position, moved.orientation, covariance)
+        return PoseBelief(moved.position, moved.orientation, J @ self._row.joint(name, POSE) @ J.T)
 
     @property
     def landmarks(self) -> LandmarkBelief:
         """The map, in ascending order of ids."""
-        state, index = self.state, np.argsort(self.state.ids)
-        parameters, anchors = state.parameters(index), state.anchors(index)
-        points = self.options.landmark.points(anchors, parameters)
-        P_map = symmetric.blocks(state.P, state.map_rows(index))
-        with np.errstate(invalid="ignore", over="ignore"):
-            covariances = points.by_map @ P_map @ points.by_map.transpose(0, 2, 1)
-        inverse = self.options.landmark.inverse_distances(state.camera.position, anchors, parameters)
-        own_rows = state.own_rows(index)
-        position_rows = np.broadcast_to(np.arange(3), own_rows.shape)
-        P_own = symmetric.blocks(state.P, np.concatenate([position_rows, own_rows], axis=1))
-        J = np.concatenate([inverse.by_position, inverse.by_parameters], axis=1)
-        variance = np.einsum("mi,mij,mj->m", J, P_own, J)
-        return LandmarkBelief(state.ids[index], points.positions, covariances, inverse.values, variance)
+        return landmark_belief(self.state)
 
     def pose_error(self, position: ArrayLike, orientation: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Error of the pose in this filter's error definition; see `StereoFilter.pose_error`."""
         true_position = finite_array("position", position, (3,))
         true_orientation = unit_quaternion("orientation", orientation)
-        camera = self._filter.camera
+        camera = self._row.camera
         return self.options.error.pose_error(camera, self.pose.covariance, true_position, true_orientation)
 
     def _wanted(self, ids: Sequence[int] | IntArray | None) -> tuple[IntArray, IntArray]:
         """The landmarks asked for (None: all, ascending), and where they are; refuses those that are not there."""
         there = self.ids
-        wanted = np.sort(there) if ids is None else unique_ids("ids", np.asarray(ids))
-        known, index = locate(there, wanted)
-        if not known.all():
-            raise ValueError(f"ids must be in the map, not there: {wanted[~known][:5].tolist()}: see landmarks.ids")
-        return wanted, index
-
-    def _covariance_of(self, name: str) -> FloatArray:
-        return self._filter.covariance(self.options.layout.places[name])
+        wanted = there if ids is None else unique_ids("ids", np.asarray(ids))
+        unknown = ~np.isin(wanted, there)
+        if unknown.any():
+            raise ValueError(f"ids must be in the map, not there: {wanted[unknown][:5].tolist()}: see landmarks.ids")
+        return wanted, np.searchsorted(there, wanted)

@@ -236,7 +236,10 @@ class JointState:
             self.rest(gone, self.held)
 
     def become_points(self, index: IntArray, at: JointState) -> None:
-        """Turn the inverse-depth landmarks at `index` into XYZ (Eq. 4), with Jacobians taken at the state `at`."""
+        """Turn the inverse-depth landmarks at `index` into XYZ (Eq. 4), with Jacobians taken at the state `at`.
+
+        In place; their anchors stay, whether or not another landmark has them.
+        """
         if len(index) == 0:
             return
         rows, own = self.map_rows(index), self.parameter_block[index]
@@ -250,7 +253,6 @@ class JointState:
         self.blocks[own, :3] = self.model.points(self.anchors(index), self.parameters(index)).positions
         self.first_blocks[own, :3] = points.positions
         self.anchor_block[index] = -1
-        self._leave_empty_what_nobody_uses()
 
     def _leave_empty_what_nobody_uses(self) -> None:
         empty = np.ones(len(self.blocks), dtype=bool)

@@ -72,9 +72,14 @@ class Layout:
         return places
 
     @cached_property
-    def size(self) -> int:
-        """Rows before those of the map."""
+    def errors(self) -> int:
+        """Error numbers of all variables."""
         return CAMERA_SIZE + sum(variable.size for variable in self.variables)
+
+    @cached_property
+    def size(self) -> int:
+        """Rows before those of the map, a multiple of three: the last ones may be zero."""
+        return -(-self.errors // 3) * 3
 
     @cached_property
     def rows(self) -> IntArray:

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from filters.motions.model import LinearMeasurement
 from filters.state import symmetric
 from filters.validation import BoolArray, FloatArray, IntArray
 
@@ -60,12 +59,3 @@ class LinearisedMeasurements:
         H = np.concatenate([self.by_leading, self.by_map], axis=2)
         S: FloatArray = H @ symmetric.blocks(P, rows) @ H.transpose(0, 2, 1) + self.R
         return S
-
-
-def of_variables(measured: LinearMeasurement, rows: IntArray, size: int) -> LinearisedMeasurements:
-    """A measurement of the variables at `rows` of the `size` leading rows, as one measurement without a landmark."""
-    H = np.zeros((1, len(measured.innovation), size))
-    H[0, :, rows] = measured.H.T
-    nothing = np.zeros((1, len(measured.innovation), 0))
-    no_rows = np.zeros((1, 0), dtype=np.int64)
-    return LinearisedMeasurements(measured.innovation[None], H, nothing, no_rows, measured.R[None])

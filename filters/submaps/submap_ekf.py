@@ -18,9 +18,11 @@ from filters.contract.odometry import BodyVelocity
 from filters.contract.start import Start
 from filters.contract.stereo_filter import AT_ORIGIN, StereoFilter
 from filters.contract.update_report import UpdateReport
+from filters.engine.marginals import forecast, landmark_belief
 from filters.engine.stereo_ekf import StereoEKF
 from filters.geometry.camera import StereoCamera
 from filters.parts import SLOTS
+from filters.state.joint_state import JointState
 from filters.submaps.chain import SubmapChain
 from filters.validation import FloatArray, IntArray, unique_ids
 
@@ -122,9 +124,12 @@ class SubmapEKF(StereoFilter):
         parts = [self._active.forecast(awake)]
         missing = len(wanted) - len(awake)
         for view in self._views() if missing else ():
-            here = np.intersect1d(wanted, view.state.ids)
+            here = np.intersect1d(wanted, view.ids)
             if len(here):
-                parts.append(view.forecast(here))
+                order = np.argsort(view.ids)
+                index = order[np.searchsorted(view.ids, here, sorter=order)]
+                sensor = self._active.options.measurement
+                parts.append(forecast(self.camera, self.noise, sensor, view, here, index))
                 missing -= len(here)
             if missing == 0:
                 break
@@ -167,7 +172,7 @@ class SubmapEKF(StereoFilter):
     @property
     def landmarks(self) -> LandmarkBelief:
         """The whole map, in ascending order of ids; corrections are carried back to all submaps, so ask sparingly."""
-        parts = [self._active.landmarks, *(view.landmarks for view in self._views())]
+        parts = [self._active.landmarks, *(landmark_belief(view) for view in self._views())]
         order = np.argsort(np.concatenate([part.ids for part in parts]))
         return LandmarkBelief(*(np.concatenate([vars(part)[name] for part in parts])[order] for name in vars(parts[0])))
 
@@ -201,9 +206,9 @@ class SubmapEKF(StereoFilter):
         at_rest = sum(submap.gain.nbytes + submap.covariance.nbytes for submap in self._chain.submaps)
         return self._active.state.P.nbytes + at_rest
 
-    def _views(self) -> Iterator[StereoEKF]:
-        """The submaps at rest, newest first, each as a filter that knows its landmarks and the present camera."""
-        return (self._active.with_state(state) for state in self._chain.seen_from(self._active.state))
+    def _views(self) -> Iterator[JointState]:
+        """The submaps at rest, newest first, each with the present camera."""
+        return self._chain.seen_from(self._active.state)
 
 
 def _able(slot: str) -> str:

@@ -21,29 +21,19 @@ from filters.contract.noise import StereoNoise
 from filters.contract.observation import StereoObservation
 from filters.contract.odometry import BodyVelocity
 from filters.contract.start import Start
-from filters.engine import kalman
-from filters.engine.map_policy import start_landmarks
-from filters.engine.marginals import joint_covariance
+from filters.engine.stereo_ekf import StereoEKF
 from filters.geometry import rotations
 from filters.geometry.camera import StereoCamera
 from filters.geometry.poses import Pose
 from filters.landmarks.euclidean import Euclidean
 from filters.landmarks.model import LandmarkModel
-from filters.measurements.model import Stage
-from filters.measurements.rectified_pair import RangeBearing, Stacked
+from filters.measurements.rectified_pair import Stacked
 from filters.motions.constant_velocity import ConstantVelocity
 from filters.motions.model import POSE_SIZE, CameraState, MotionModel
-from filters.state import symmetric
-from filters.state.joint_state import JointState
-from filters.state.layout import Layout
-from filters.state.linearised import of_variables
-from filters.updates.extended import Extended
 from filters.validation import FloatArray, IntArray
 from stereo_slam_env.recording.recording import Frame, LandmarkTruth, Recording
 
 RESAMPLES = 10_000
-_AS_MEASURED = np.eye(3)
-_SENSOR = RangeBearing()
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,22 +122,25 @@ class ReferenceBelief:
     ) -> None:
         self._rig, self._noise, self._motion, self._right_row = camera, noise, motion, right_row
         self._use_odometry, self._time = use_odometry, math.nan
-        at_truth = replace(start, position=truth.position, orientation=truth.orientation)
-        self._state = JointState.at(at_truth, Layout(), Euclidean() if landmark is None else landmark)
+        parametrisation = Euclidean() if landmark is None else landmark
+        self._slam = StereoEKF(
+            camera, noise, motion=motion, landmark=parametrisation, error="so3", gate=None, drop_unseen=False
+        )
+        self._slam.reset(replace(start, position=truth.position, orientation=truth.orientation))
 
     @property
     def ids(self) -> IntArray:
         """Landmarks in the map, ascending."""
-        return np.sort(self._state.ids)
+        return np.sort(self._slam.ids)
 
     @property
     def pose_covariance(self) -> FloatArray:
         """Covariance of the pose, (6, 6), as in `PoseBelief`."""
-        return symmetric.full(self._state.P[:POSE_SIZE, :POSE_SIZE])
+        return self._slam.pose.covariance
 
     def joint_covariance(self) -> FloatArray:
         """Covariance of the pose and the landmark positions, in the order of `ids`."""
-        return joint_covariance(self._state, np.argsort(self._state.ids))
+        return self._slam.joint_covariance()
 
     def step(self, frame: Frame, landmarks: LandmarkTruth) -> None:
         """Use the next frame, which has a true pose: predict (not for the first one), then see its sightings.
@@ -165,42 +158,38 @@ class ReferenceBelief:
 
     def predict(self, truth: Pose, dt: float, odometry: BodyVelocity | None = None) -> None:
         """Move to the true pose: Eq. 6 with the impulses that really were, so that it leads from pose to pose."""
-        before = self._state.camera
+        state = self._slam.state
+        before = state.camera
         linear = (truth.position - before.position) / dt
         angular = rotations.log(before.R_wc.T @ rotations.matrix(truth.orientation)) / dt
-        moving = CameraState(before.position, before.orientation, linear, angular)
-        step = self._motion.predict(moving, dt, None)
-        symmetric.transform_leading(self._state.P, step.F, step.G @ step.Q @ step.G.T)
-        self._state.camera = CameraState(truth.position, truth.orientation, linear, angular)
+        state.camera = CameraState(before.position, before.orientation, linear, angular)
+        self._slam.state = state
+        self._slam.predict(dt)
+        state = self._slam.state
+        state.camera = CameraState(truth.position, truth.orientation, linear, angular)
+        self._slam.state = state
         if odometry is not None:
-            measured = self._motion.odometry_measurement(self._state.camera, dt, odometry)
-            if measured is not None:
-                layout = self._state.layout
-                kalman.update(self._state.P, of_variables(measured, layout.rows, layout.size))
+            measured = self._motion.odometry_measurement(state.camera, dt, odometry)
+            if measured is not None:  # nothing is to be learnt from it here but how much there is to learn
+                H = {"pose": measured.H[:, :POSE_SIZE], "velocity": measured.H[:, POSE_SIZE:]}
+                self._slam.correct(0.0 * measured.innovation, H, measured.R)
 
     def see(self, observation: StereoObservation, points_w: FloatArray) -> None:
         """Sightings of known landmarks and of new ones, which truly are at `points_w` (M, 3), m in W.
 
         What was measured does not matter, only which landmarks, and how well.
         """
-        state = self._state
-        points_c = (points_w - state.camera.position) @ state.camera.R_wc
+        pose = self._slam.pose
+        points_c = Pose(pose.position, pose.orientation).to_camera(points_w)
         # A point behind the camera is not what was measured: the id is wrong.
         sound = points_c[:, 2] > 0
-        ids, R = observation.ids[sound], _noise_of_uvd(observation, self._noise, self._right_row)[sound]
-        uvd = self._rig.project(points_c[sound])
-        known = np.isin(ids, state.ids)
-        order = np.argsort(state.ids)
-        index = order[np.searchsorted(state.ids, ids[known], sorter=order)]
-        stage = Stage(uvd[known], _AS_MEASURED, R[known])
-        kalman.update(state.P, Extended().linearise(_SENSOR, self._rig, state, index, stage))
-        new = ~known
-        if new.any():
-            state.augment(start_landmarks(_SENSOR, self._rig, state, StereoObservation(ids[new], uvd[new]), R[new]))
+        R = _noise_of_uvd(observation, self._noise, self._right_row)[sound]
+        self._slam.update(StereoObservation(observation.ids[sound], self._rig.project(points_c[sound]), R=R))
 
     def keep(self, ids: IntArray) -> None:
         """Marginalise all other landmarks out; those never measured again take nothing with them."""
-        self._state.remove(~np.isin(self._state.ids, ids))
+        there = self.ids
+        self._slam.forget(there[~np.isin(there, ids)])
 
 
 def _noise_of_uvd(observation: StereoObservation, noise: StereoNoise, right_row: bool) -> FloatArray:

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Mapping
-from functools import partial
 from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from filters import StereoNoise, StereoObservation
+from filters import StereoNoise
 from filters.catalogue.common_options import make_with_common_options
 from filters.catalogue.registry import FilterFactory, label_of
 from filters.consistency import nees
@@ -21,7 +20,7 @@ from stereo_slam_env.evaluation.contract import ContractBroken, check_beliefs, c
 from stereo_slam_env.evaluation.landmark_statistics import LandmarkScorer
 from stereo_slam_env.evaluation.map_scoring import TraceRecorder, score_map, view_map
 from stereo_slam_env.evaluation.results import COUNTS, EVENTS, FilterRun, peak_memory_mb
-from stereo_slam_env.evaluation.windows import WINDOW_SERIES, nees_floor, score_windows
+from stereo_slam_env.evaluation.windows import WINDOW_SERIES, WindowScores, nees_floor
 from stereo_slam_env.loop import Moment, Observe, run
 from stereo_slam_env.recording.recording import Recording
 
@@ -65,8 +64,7 @@ def run_filter(
     score_map : bool
         Whether the landmarks are judged, too, which costs about as much as a quick filter.
     windows : bool
-        Whether the motion over windows is judged, too, for filters that keep clones of the pose: in a second run, which
-        is not timed, by NumPy.
+        Whether the motion over windows is judged, too, for filters that keep clones of the pose.
     seed : int, optional
         Of the recording, for the result.
     observe : callable, optional
@@ -92,7 +90,7 @@ def run_filter(
     used: dict[str, Any] = dict(options or {})
     not_given: Mapping[str, str] = {}
     frame_number = -1
-    seen: list[StereoObservation] = []
+    scores: WindowScores | None = None
     with threadpool_limits(limits=1):
         try:
             made = make_with_common_options(
@@ -104,12 +102,13 @@ def run_filter(
             )
             used, not_given = made.options, made.not_given
             moments = run(made.filter, recording, use_odometry=use_odometry, observe=observe)
+            scores = WindowScores(made.filter, recording) if windows else None
             frame_number = 0
             for moment in moments:
-                log.add(moment)
+                log.add(moment, 0 if scores is None else scores.open)
                 if score_map:
                     log.add_map(moment)
-                seen.append(moment.observation)
+                scores = _with_windows(scores, moment, name, recording.name)
                 frame_number = moment.number + 1
                 if progress is not None:
                     progress(frame_number, len(recording))
@@ -120,18 +119,24 @@ def run_filter(
             where = f"frame {frame_number}" if frame_number >= 0 else "start"
             failure = f"{where}: {type_name(error)}: {first_line(error, empty='no message')}"
         memory = peak_memory_mb() - memory
-        if windows and failure is None:
-            again = recording.with_observations(seen)
-            alive = None if progress is None else partial(progress, len(recording), len(recording))
-            try:
-                log.add_windows(score_windows(made.filter, again, use_odometry=use_odometry, alive=alive))
-            except ContractBroken as error:
-                failure = str(error)
-            except Exception as error:  # the filter went through once: its other figures stand
-                _log.warning("%s on %s: windows are not scored: %s", name, recording.name, first_line(error))
+        if scores is not None and failure is None:
+            log.add_windows(scores.series)
     if failure is not None:
         _log.info("%s on %s failed at %s", name, recording.name, failure)
     return log.result(name, used, seed, failure, memory, not_given)
+
+
+def _with_windows(scores: WindowScores | None, moment: Moment, name: str, drive: str) -> WindowScores | None:
+    """Score the windows of a frame; None from the moment on that the clones of a stranger's filter raise."""
+    if scores is not None:
+        try:
+            scores.add(moment)
+        except ContractBroken:
+            raise
+        except Exception as error:  # the other figures stand
+            _log.warning("%s on %s: windows are not scored: %s", name, drive, first_line(error))
+            return None
+    return scores
 
 
 _SERIES: Mapping[str, tuple[int, ...]] = {
@@ -161,8 +166,11 @@ class RunLog:
         self._traces = TraceRecorder(recording)
         self._scorer = LandmarkScorer(recording.camera)
 
-    def add(self, moment: Moment) -> None:
-        """Note what a filter believes after a frame; raises as `check_beliefs`."""
+    def add(self, moment: Moment, clones: int = 0) -> None:
+        """Note what a filter believes after a frame; raises as `check_beliefs`.
+
+        `clones` of its pose are there for the windows, not for the filter.
+        """
         check_beliefs(moment)
         k, pose, velocity, report = moment.number, moment.pose, moment.slam.velocity, moment.report
         belief = {
@@ -181,7 +189,7 @@ class RunLog:
             predict_milliseconds=predicting,
             update_milliseconds=updating,
             milliseconds=predicting + updating,
-            state_size=getattr(moment.slam, "state_size", np.nan),
+            state_size=getattr(moment.slam, "state_size", np.nan) - POSE_SIZE * clones,
         )
         self._nis_dof[k] = report.nis_dof
         for name in EVENTS:

@@ -5,7 +5,7 @@ A window needs the correlation of two poses. Filters that keep clones of the pos
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -13,7 +13,7 @@ import numpy as np
 from filters import Pose, PoseBelief, StereoFilter, nees
 from filters.validation import FloatArray
 from stereo_slam_env.evaluation.contract import check_motion
-from stereo_slam_env.loop import Moment, run
+from stereo_slam_env.loop import Moment
 from stereo_slam_env.recording.recording import Recording, Reference
 from stereo_slam_env.recording.trajectory import pose_errors
 
@@ -54,61 +54,61 @@ class Cloning(Protocol):
         """The present pose as seen from it."""
 
 
-def score_windows(
-    slam: StereoFilter,
-    recording: Recording,
-    *,
-    use_odometry: bool = True,
-    alive: Callable[[], None] | None = None,
-) -> Mapping[str, FloatArray]:
-    """NEES of the motion over windows, in a run of its own: clones cost time, and compiled filters have none.
+class WindowScores:
+    """NEES of the motion over windows, frame by frame: a clone of the pose at the start of each, let go at its end.
+
+    Clones change no estimate of a filter.
 
     Parameters
     ----------
     slam : StereoFilter
-        The filter, which is reset.
+        The filter; one without clones has no windows.
     recording : Recording
         The stream; windows lie in its frames with a truth that has settled.
-    use_odometry : bool
-        Whether `predict` is given the odometry.
-    alive : callable, optional
-        Called after each frame.
 
-    Returns
-    -------
-    mapping of str to (K,) ndarray
+    Attributes
+    ----------
+    series : mapping of str to (K,) ndarray
         By `series_of`: the NEES of the window that ends at a frame (6 degrees of freedom), NaN at the others; and with
         "_floor", where errors of the reference are stated, what a consistent filter would have without them. Nothing
         for a filter without clones.
+    open : int
+        Clones that there are now.
 
     Raises
     ------
     ContractBroken
         What a filter claims of a motion is no covariance.
     """
-    if not isinstance(slam, Cloning):
-        return {}
-    reference, count = recording.reference, len(recording)
-    times = np.array([frame.timestamp for frame in recording.frames])
-    known = np.array([frame.truth is not None for frame in recording.frames]) & reference.has_settled(times)
-    rows = np.flatnonzero(known if reference.counts_as_truth else np.zeros(count, dtype=bool))
-    ends = {seconds: {rows[j]: rows[i] for i, j in window_ends(times[rows], seconds)} for seconds in WINDOWS}
-    found = {name: np.full(count, np.nan) for name in WINDOW_SERIES}
-    for moment in run(slam, recording, use_odometry=use_odometry):
-        k = moment.number
-        for seconds, first_of in ends.items():
+
+    def __init__(self, slam: StereoFilter, recording: Recording) -> None:
+        self._recording, self._slam = recording, slam if isinstance(slam, Cloning) else None
+        reference, count = recording.reference, len(recording)
+        times = np.array([frame.timestamp for frame in recording.frames])
+        known = np.array([frame.truth is not None for frame in recording.frames]) & reference.has_settled(times)
+        rows = np.flatnonzero(known if reference.counts_as_truth else np.zeros(count, dtype=bool))
+        self._ends = {s: {int(rows[j]): int(rows[i]) for i, j in window_ends(times[rows], s)} for s in WINDOWS}
+        self._starts = {s: set(ends.values()) for s, ends in self._ends.items()}
+        self.series = {name: np.full(count, np.nan) for name in WINDOW_SERIES if self._slam is not None}
+        self.open = 0
+
+    def add(self, moment: Moment) -> None:
+        """Note the windows that end at this frame, and begin those that start there."""
+        k, slam = moment.number, self._slam
+        if slam is None:
+            return
+        for seconds, first_of in self._ends.items():
             name = series_of(seconds)
             if k in first_of:
-                start = recording.frames[first_of[k]].truth
+                start = self._recording.frames[first_of[k]].truth
                 assert start is not None
-                value, floor = _window_nees(slam.relative_pose(name), start, moment, reference)
-                found[name][k], found[name + "_floor"][k] = value, floor
+                value, floor = _window_nees(slam.relative_pose(name), start, moment, self._recording.reference)
+                self.series[name][k], self.series[name + "_floor"][k] = value, floor
                 slam.forget_clone(name)
-            if k in first_of.values():
+                self.open -= 1
+            if k in self._starts[seconds]:
                 slam.clone_pose(name)
-        if alive is not None:
-            alive()
-    return found
+                self.open += 1
 
 
 def _window_nees(moved: PoseBelief, start: Pose, moment: Moment, reference: Reference) -> tuple[float, float]:

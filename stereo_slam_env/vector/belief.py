@@ -12,7 +12,7 @@ from filters.catalogue.registry import make_filter
 from filters.contract.known_names import require_known
 from filters.contract.start import Start
 from filters.engine.batch import FilterBatch, RelativeLandmarks
-from filters.engine.compiled.engine import Observations
+from filters.engine.engine import Observations, Odometry
 from filters.engine.stereo_ekf import StereoEKF
 from filters.validation import BoolArray, FloatArray, IntArray, finite_number
 from stereo_slam_env.envs.stereo_env import StereoEnv
@@ -99,8 +99,8 @@ class LockstepBelief:
         observations = Observations(
             seen, offsets, out.ids[there], out.uvd[there], self._assumed.R, seen & self._with_right, out.v_right[there]
         )
-        odometry = (moved & self._use_odometry, out.odometry, self._odometry_covariance)
-        outcome = self.filters.engine.step(np.where(moved, FRAME_PERIOD, 0.0), observations, *odometry)
+        odometry = Odometry(moved & self._use_odometry, out.odometry, self._odometry_covariance)
+        outcome = self.filters.engine.step(np.where(moved, FRAME_PERIOD, 0.0), observations, odometry)
         self._frames[moved] += 1
         self.nis[seen], self.nis_dof[seen] = outcome.nis[seen], outcome.dof[seen]
         poses = self.filters.poses

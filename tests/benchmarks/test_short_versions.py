@@ -43,8 +43,8 @@ def test_filters_of_all_forms_are_timed_beside_each_other(monkeypatch: pytest.Mo
     monkeypatch.setattr(beside_rivals, "WARM_UP", 2)
     seconds, entering = beside_rivals.measure(20, 4)
     assert entering > 0.0
-    assert {"shared anchors", "6-D, one batch", "filterpy EKF, 6-D state"} <= set(seconds)
-    monkeypatch.setattr(alone, "FILTERS", {name: alone.FILTERS[name] for name in (alone.SHARED, alone.ONE_BATCH)})
+    assert {"shared anchors", "6-D", "filterpy EKF, 6-D state"} <= set(seconds)
+    monkeypatch.setattr(alone, "FILTERS", {name: alone.FILTERS[name] for name in (alone.SHARED, "one clone")})
     assert all(time > 0.0 for time in (*seconds.values(), *alone.measure(20, alone.BURST).values()))
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from filters import RangeBearing, Start, StereoCamera, StereoObservation
-from filters.engine.map_policy import start_landmarks
+from filters.engine.new_landmarks import start_landmarks
 from filters.landmarks.model import LandmarkModel
 from filters.state.joint_state import JointState, NewLandmarks
 from filters.state.layout import Layout

@@ -11,7 +11,7 @@ from filters.checks.part_contracts.comparison import TURN, assert_close, moved_w
 from filters.checks.part_contracts.motions import a_camera
 from filters.contract.observation import StereoObservation
 from filters.contract.start import Start
-from filters.engine.map_policy import start_landmarks
+from filters.engine.new_landmarks import start_landmarks
 from filters.errors.model import ErrorDefinition
 from filters.geometry import differences, rotations
 from filters.landmarks.euclidean import Euclidean

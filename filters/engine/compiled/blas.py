@@ -1,6 +1,7 @@
 """Linear algebra of the kernels: LAPACK's Cholesky factor, small products and rank-k updates as vector instructions.
 
 BLAS spends more on its calls than on the work at these sizes. Here are also the compilation options of all kernels.
+With `NUMBA_DISABLE_JIT=1` all kernels run as plain Python, and what is written in machine instructions here by NumPy.
 """
 
 from __future__ import annotations
@@ -9,10 +10,13 @@ from typing import Any
 
 import numpy as np
 from llvmlite import ir
-from numba import njit, types
+from llvmlite.binding import get_host_cpu_features
+from numba import config, njit, types
 from numba.core import cgutils
 from numba.extending import get_cython_function_address, intrinsic
 
+PLAIN = bool(config.DISABLE_JIT)
+"""Whether kernels are Python functions: their addresses are the functions themselves."""
 ROUTINES = (get_cython_function_address("scipy.linalg.cython_lapack", "dpotrf"),)
 """Where this process has what LAPACK does: an argument of the kernels, so that these can be cached on disk."""
 ENTRY: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract"}, "nogil": True}
@@ -24,7 +28,7 @@ KERNEL: dict[str, Any] = {**ENTRY, "_nrt": False, "no_cpython_wrapper": True, "n
 
 
 @intrinsic
-def call(typing_context: Any, address: Any, arguments: Any) -> Any:
+def _call(typing_context: Any, address: Any, arguments: Any) -> Any:
     """Call the Fortran subroutine at `address` with pointers to its arguments."""
 
     def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
@@ -43,12 +47,25 @@ def at(array: Any) -> int:
     return address
 
 
-LANES = 8  # columns at a time
-PANEL = 4  # rows of a large product at a time
+def _call_plainly(address: Any, arguments: Any) -> None:
+    address(*arguments)
+
+
+call = _call_plainly if PLAIN else _call
+
+LANES = 8  # columns of a vector
+WIDE = not PLAIN and bool(get_host_cpu_features().get("avx512f"))
+"""Whether there are 32 registers of eight numbers: units multiply and add eight sums or more at a time then."""
+VECTORS = 2 if WIDE else 1
+PANEL = 4  # rows of a triangular solution at a time
+TALL = 8 if WIDE else PANEL  # rows of a large square at a time
 
 
 def _panel(rows: int, sign: int = 0) -> Any:
-    """Kernel of so many rows of a small product, as vector instructions; with a sign: of target += sign H^T source."""
+    """Kernel of so many rows of a small product, as vector instructions; with a sign: of target += sign H^T source.
+
+    Each number is one sum in the order of its terms, so that the bits do not depend on how many are summed at a time.
+    """
     wide = ir.VectorType(ir.DoubleType(), LANES)
 
     @intrinsic
@@ -68,34 +85,49 @@ def _panel(rows: int, sign: int = 0) -> Any:
             integer, real = under.type, ir.DoubleType()
             eight, zero = ir.Constant(integer, 8), ir.Constant(wide, [0.0] * LANES)
             nothing, all_first = ir.Constant(wide, ir.Undefined), ir.VectorType(ir.IntType(32), LANES)
+            sums = [cgutils.alloca_once_value(builder, zero) for _ in range(rows * VECTORS)]
 
             def entry(base: Any, row: Any, stride: Any, column: Any, kind: Any) -> Any:
                 place = builder.add(builder.mul(row, stride), column)
                 return builder.inttoptr(builder.add(base, builder.mul(place, eight)), kind.as_pointer())
 
-            sums = [cgutils.alloca_once_value(builder, zero) for _ in range(rows)]
-            blocks = builder.udiv(builder.add(count, ir.Constant(integer, LANES - 1)), ir.Constant(integer, LANES))
-            with cgutils.for_range(builder, blocks) as block:
-                column = builder.mul(block.index, ir.Constant(integer, LANES))
-                for total in sums:
-                    builder.store(zero, total)
+            def tile(first: Any, vectors: int) -> None:
+                """All rows of so many vectors of columns."""
+                places = [builder.add(first, ir.Constant(integer, LANES * v)) for v in range(vectors)]
+                used = [[sums[row * VECTORS + v] for v in range(vectors)] for row in range(rows)]
+                for of_row in used:
+                    for total in of_row:
+                        builder.store(zero, total)
                 with cgutils.for_range(builder, inner) as term:
-                    vector = builder.load(entry(right, term.index, under_right, column, wide), align=8)
-                    for row, total in enumerate(sums):
+                    loaded = [
+                        builder.load(entry(right, term.index, under_right, place, wide), align=8) for place in places
+                    ]
+                    for row, of_row in enumerate(used):
                         place = ir.Constant(integer, row), term.index
                         one, other = reversed(place) if sign else place
                         factor = builder.load(entry(left, one, under_left, other, real))
                         spread = builder.insert_element(nothing, factor, ir.IntType(32)(0))
                         spread = builder.shuffle_vector(spread, nothing, ir.Constant(all_first, [0] * LANES))
-                        product = builder.fmul(spread, vector, flags=("contract",))
-                        builder.store(builder.fadd(builder.load(total), product, flags=("contract",)), total)
-                for row, total in enumerate(sums):
-                    result = entry(goal, ir.Constant(integer, row), under, column, wide)
-                    value = builder.load(total)
-                    if sign:
-                        combine = builder.fadd if sign > 0 else builder.fsub
-                        value = combine(builder.load(result, align=8), value)
-                    builder.store(value, result, align=8)
+                        for vector, total in zip(loaded, of_row, strict=True):
+                            product = builder.fmul(spread, vector, flags=("contract",))
+                            builder.store(builder.fadd(builder.load(total), product, flags=("contract",)), total)
+                for row, of_row in enumerate(used):
+                    for place, total in zip(places, of_row, strict=True):
+                        result = entry(goal, ir.Constant(integer, row), under, place, wide)
+                        value = builder.load(total)
+                        if sign:
+                            combine = builder.fadd if sign > 0 else builder.fsub
+                            value = combine(builder.load(result, align=8), value)
+                        builder.store(value, result, align=8)
+
+            at_once = ir.Constant(integer, LANES * VECTORS)
+            tiles = builder.udiv(count, at_once)
+            with cgutils.for_range(builder, tiles) as block:
+                tile(builder.mul(block.index, at_once), VECTORS)
+            done = builder.mul(tiles, at_once)  # nothing is read or written beyond whole vectors
+            rest = builder.add(builder.sub(count, done), ir.Constant(integer, LANES - 1))
+            with cgutils.for_range(builder, builder.udiv(rest, ir.Constant(integer, LANES))) as block:
+                tile(builder.add(done, builder.mul(block.index, ir.Constant(integer, LANES))), 1)
             return context.get_dummy_value()
 
         return types.void(*[types.intp] * 8), generate
@@ -104,7 +136,8 @@ def _panel(rows: int, sign: int = 0) -> Any:
 
 
 _one_row, _two_rows, _three_rows, _four_rows = (_panel(rows) for rows in (1, 2, 3, 4))
-_less_product, _more_product = _panel(PANEL, -1), _panel(PANEL, 1)
+_less_product = _panel(PANEL, -1)
+_less_square, _more_square = _panel(TALL, -1), _panel(TALL, 1)
 
 
 @njit(**KERNEL)
@@ -151,7 +184,7 @@ def _change_by_square(product: Any) -> Any:
 
     @njit(**KERNEL)
     def change(P: Any, HP: Any, rows: int, n: int) -> None:
-        for top in range(0, n, PANEL):
+        for top in range(0, n, TALL):
             left = top - top % LANES
             product(
                 at(P) + 8 * (top * P.shape[1] + left),
@@ -167,5 +200,44 @@ def _change_by_square(product: Any) -> Any:
     return change
 
 
-subtract_square, add_square = _change_by_square(_less_product), _change_by_square(_more_product)
+subtract_square, add_square = _change_by_square(_less_square), _change_by_square(_more_square)
 """P -= HP^T HP and P += HP^T HP: below the triangle, and behind row and column n, they may write, too."""
+
+
+@njit(**KERNEL)
+def cholesky(routines: tuple[int, ...], S: Any, rows: int, letters: Any, sizes: Any) -> bool:
+    """Cholesky factor of the first rows of S, its transpose in the upper triangle; whether LAPACK found one."""
+    first = at(sizes)
+    sizes[0], sizes[1], sizes[2] = rows, S.shape[1], 0
+    call(routines[0], (at(letters), first, at(S), first + 4, first + 8))
+    return sizes[2] == 0
+
+
+if PLAIN:
+
+    def multiply_panel(
+        target: Any, first: int, H: Any, rows: int, source: Any, top: int, left: int, depth: int, columns: int
+    ) -> None:
+        """The same by NumPy."""
+        right = source[top : top + depth, left : left + columns]
+        target[:rows, first : first + columns] = H[:rows, :depth] @ right
+
+    def solve_triangular(S: Any, HP: Any, rows: int, columns: int) -> None:
+        """The same by NumPy."""
+        HP[:rows, :columns] = np.linalg.solve(np.triu(S[:rows, :rows]).T, HP[:rows, :columns])
+
+    def subtract_square(P: Any, HP: Any, rows: int, n: int) -> None:
+        """P -= HP^T HP by NumPy."""
+        P[:n, :n] -= HP[:rows, :n].T @ HP[:rows, :n]
+
+    def add_square(P: Any, HP: Any, rows: int, n: int) -> None:
+        """P += HP^T HP by NumPy."""
+        P[:n, :n] += HP[:rows, :n].T @ HP[:rows, :n]
+
+    def cholesky(routines: Any, S: Any, rows: int, letters: Any, sizes: Any) -> bool:
+        """The same by NumPy."""
+        try:
+            S[:rows, :rows] = np.linalg.cholesky(np.triu(S[:rows, :rows]).T + np.triu(S[:rows, :rows], 1)).T
+        except np.linalg.LinAlgError:
+            return False
+        return True

@@ -1,4 +1,8 @@
-"""Kernels of `engine.kalman`: the Kalman update, a chunk of measurements at a time."""
+"""Kernels of the Kalman update, a chunk of measurements at a time: an exact sequential update.
+
+All chunks have the Jacobians and predictions of one linearisation; what the ones before have explained is taken from
+the innovation of the next. With P = P^T in its upper triangle and L L^T = S the update is P -= X^T X, X = L^-1 H P.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +10,7 @@ import math
 
 from numba import njit, types
 
-from filters.engine.compiled.blas import KERNEL, at, call, multiply_panel, solve_triangular, subtract_square
+from filters.engine.compiled.blas import KERNEL, cholesky, multiply_panel, solve_triangular, subtract_square
 from filters.engine.compiled.covariance import keep_considered, restore_considered, take_leading, take_rows
 from filters.engine.compiled.prediction import measure_odometry
 from filters.engine.compiled.recipe import Plan
@@ -15,7 +19,7 @@ from filters.engine.compiled.units import ADDRESSES, GIVEN, GIVEN_COVARIANCE, IN
 from filters.validation import FloatArray, IntArray
 
 DROWNED = 1e12
-"""See `kalman.DROWNED`."""
+"""Times R: a landmark as good as in the image plane has an S so large that R is lost in its rounding."""
 
 
 @njit(**KERNEL)
@@ -77,10 +81,7 @@ def innovation_covariance(plan: Plan, s: Scratch, select: IntArray, first: int, 
 @njit(**KERNEL)
 def factorise(routines: tuple[int, ...], s: Scratch, rows: int) -> bool:
     """Cholesky factor of S in place; whether there is one."""
-    sizes, first = s.sizes, at(s.sizes)
-    sizes[0], sizes[1], sizes[2] = rows, s.S.shape[1], 0
-    call(routines[0], (at(s.letters), first, at(s.S), first + 4, first + 8))
-    return sizes[2] == 0 and math.isfinite(s.S[rows - 1, rows - 1])
+    return cholesky(routines, s.S, rows, s.letters, s.sizes) and math.isfinite(s.S[rows - 1, rows - 1])
 
 
 @njit(**KERNEL)
@@ -143,7 +144,7 @@ def _take(
 def correct(
     routines: tuple[int, ...], plan: Plan, P: FloatArray, n: int, s: Scratch, select: IntArray, count: int, size: int
 ) -> None:
-    """`kalman.update` with the selected measurements: P in place; delta, `used` and the NIS (`result`) written."""
+    """Kalman update with the selected measurements: P in place; delta, `used` and the NIS (`result`) written."""
     for j in range(n):
         s.delta[j] = 0.0
     nis, chunk = 0.0, max(1, CHUNK_ROWS // size)
@@ -168,7 +169,7 @@ def correct(
 def correct_leading(
     routines: tuple[int, ...], P: FloatArray, n: int, H: FloatArray, nu: FloatArray, R: FloatArray, s: Scratch
 ) -> bool:
-    """`kalman.update` with one measurement of the leading variables, H (k, leading); whether it was used."""
+    """Kalman update with one measurement of the leading variables, H (k, leading); whether it was used."""
     size, leading = H.shape
     take_leading(P, n, leading, s.lead)
     for j in range(n):
@@ -187,6 +188,55 @@ def correct_leading(
             for c in range(leading):
                 s.S[a, b] += s.HP[b, c] * H[a, c]
     return absorb(routines, P, n, s, size) >= 0.0
+
+
+@njit(**KERNEL)
+def correct_rows(
+    routines: tuple[int, ...],
+    P: FloatArray,
+    n: int,
+    rows: IntArray,
+    H: FloatArray,
+    nu: FloatArray,
+    R: FloatArray,
+    limit: float,
+    s: Scratch,
+) -> float:
+    """Correct P and delta with one measurement that is linear in the errors at `rows`, H (k, len(rows)).
+
+    The NIS, above `limit` without a correction; -1 where S has no Cholesky factor. `lead` has room for the rows.
+    """
+    size, width = H.shape
+    for j in range(width):
+        row, taken = rows[j], s.lead[j]
+        for i in range(row):
+            taken[i] = P[i, row]
+        for i in range(row, n):
+            taken[i] = P[row, i]
+    for top in range(0, size, 4):
+        multiply_panel(s.HP[top:], 0, H[top:], min(4, size - top), s.lead, 0, 0, width, n)
+    for a in range(size):
+        for b in range(a, size):
+            total = R[a, b]
+            for j in range(width):
+                total += s.HP[b, rows[j]] * H[a, j]
+            s.S[a, b] = total
+        s.HP[a, n] = nu[a]
+    for j in range(n):
+        s.delta[j] = 0.0
+    if not factorise(routines, s, size):
+        return -1.0
+    solve_triangular(s.S, s.HP, size, n + 1)
+    nis = 0.0
+    for a in range(size):
+        nis += s.HP[a, n] ** 2
+    if nis <= limit:
+        for a in range(size):
+            whitened = s.HP[a, n]
+            for j in range(n):
+                s.delta[j] += whitened * s.HP[a, j]
+        subtract_square(P, s.HP, size, n)
+    return nis
 
 
 @unit(ADDRESSES, PLAN, MATRIX, types.int64, VECTOR, types.float64, GIVEN, GIVEN_COVARIANCE, SCRATCH)

@@ -147,6 +147,25 @@ def scale_blocks(P: FloatArray, n: int, leading: int, D: FloatArray, s: Scratch)
 
 
 @njit(**KERNEL)
+def scale_block(P: FloatArray, n: int, first: int, D: tuple[float, ...], rows: FloatArray) -> None:
+    """P <- blockdiag(I, D, I) P blockdiag(I, D, I)^T, with D (row by row) on the rows first to first + 2."""
+    take_rows(P, n, first, rows)
+    for j in range(n):
+        a, b, c = rows[0, j], rows[1, j], rows[2, j]
+        for i in range(3):
+            rows[i, j] = D[3 * i] * a + D[3 * i + 1] * b + D[3 * i + 2] * c
+    for i in range(3):
+        a, b, c = rows[i, first], rows[i, first + 1], rows[i, first + 2]
+        for j in range(3):
+            rows[i, first + j] = a * D[3 * j] + b * D[3 * j + 1] + c * D[3 * j + 2]
+    for i in range(3):
+        for j in range(first):
+            P[j, first + i] = rows[i, j]
+        for j in range(first + i, n):
+            P[first + i, j] = rows[i, j]
+
+
+@njit(**KERNEL)
 def _times_diagonals(
     row: FloatArray, first: int, n: int, diagonals: FloatArray, copied: FloatArray, target: FloatArray
 ) -> None:

@@ -1,4 +1,4 @@
-"""Kernels of the drift of landmarks: the steps of `filters.contract.drift`, for measurements (u, v, d) in one stage."""
+"""Kernels of the drift of landmarks: the steps of `filters.contract.drift`."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def take_steps(plan: Plan, part: FloatArray, P: FloatArray, s: Scratch, select: 
             determinant += J[0, first + k] * inverse[k, 0]
         if not abs(determinant) >= SMALLEST_DETERMINANT:
             continue
-        step_covariance(part, s.R[m], Q)
+        step_covariance(part, s.noise[m], Q)
         for a in range(3):
             for b in range(3):
                 half[a, b] = 0.0

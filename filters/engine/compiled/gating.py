@@ -30,7 +30,7 @@ def solve(S: FloatArray, x: FloatArray, size: int) -> float:
 
 @unit(PLAN, MATRIX, SCRATCH, INDEX, types.int64, types.int64)
 def squared_distances(plan: Plan, P: FloatArray, s: Scratch, select: IntArray, count: int, size: int) -> None:
-    """`kalman.squared_distances`: nu^T S^-1 nu of each selected measurement on its own, in the scratch."""
+    """nu^T S^-1 nu of each selected measurement on its own, in the scratch."""
     measured = plan.measured
     total = measured + (6 if plan.anchored else 3)
     rows, C, HP, S, x = s.gate_rows, s.gate_P, s.gate_HP, s.small[0], s.small[1, 0]
@@ -64,7 +64,10 @@ def squared_distances(plan: Plan, P: FloatArray, s: Scratch, select: IntArray, c
 
 @njit(**KERNEL)
 def reweight(plan: Plan, s: Scratch, select: IntArray, count: int, size: int) -> None:
-    """`heavy_tails.reweighted`: R divided by the weights of Student's t, from the distances in the scratch."""
+    """R divided by the weights of Student's t, (dof + k) / (dof + d^2) up to 1, from the distances in the scratch.
+
+    With heavy-tailed noise that is the expected precision of a measurement given its innovation.
+    """
     for i in range(count):
         m = select[i]
         weight = min((plan.tail_dof + size) / (plan.tail_dof + s.distances[m]), 1.0)
@@ -94,13 +97,28 @@ def _solve_whole(S: FloatArray, x: FloatArray, size: int) -> None:
             x[a] -= S[b, a] / S[a, a] * x[b]
 
 
-@unit(PLAN, MATRIX, types.int64, SCRATCH, INDEX, types.int64, types.int64, types.float64)
+@unit(PLAN, MATRIX, types.int64, SCRATCH, INDEX, types.int64, types.int64, types.float64, MATRIX, types.int64)
 def largest_agreement(
-    plan: Plan, P: FloatArray, n: int, s: Scratch, select: IntArray, count: int, size: int, limit: float
+    plan: Plan,
+    P: FloatArray,
+    n: int,
+    s: Scratch,
+    select: IntArray,
+    count: int,
+    size: int,
+    limit: float,
+    T: FloatArray,
+    stage: int,
 ) -> None:
-    """`consensus.largest_agreement`: place of the best hypothesis in `result`, its followers in `support`.
+    """One-point RANSAC with all hypotheses at once: the place of the best in `result`, its followers in `support`.
 
-    Row j, column i of `support`: whether measurement j agrees with hypothesis i.
+    A single landmark is enough to fix the camera, because the prior knows the rest. So each believable measurement
+    proposes a correction, and the proposal that explains most of the others, up to their noise and the steps of their
+    landmarks, wins; of equals, the one with the smallest residuals. A measurement that agrees with the prediction only
+    because the prediction is vague does not pass. Row j, column i of `support`: whether j agrees with hypothesis i.
+
+    Source: Civera, Grasa, Davison and Montiel, "1-point RANSAC for extended Kalman filtering", J. Field Robotics 27(5),
+    2010.
     """
     if count < 2:
         for i in range(count):
@@ -113,11 +131,14 @@ def largest_agreement(
     own, proposal, x = s.small[1], s.small[2, 0], s.small[2, 1]
     for i in range(count):
         noise = s.R[select[i]]
-        if plan.drift[0].any():
-            step_covariance(plan.drift[0], noise, own)
-            for a in range(3):
-                for b in range(3):
-                    own[a, b] += noise[a, b]
+        if stage == 0 and plan.drift[0].any():
+            step_covariance(plan.drift[0], s.noise[select[i]], s.small[0])
+            for a in range(size):
+                for b in range(size):
+                    own[a, b] = noise[a, b]
+                    for p in range(3):
+                        for q in range(3):
+                            own[a, b] += T[a, p] * s.small[0, p, q] * T[b, q]
             noise = own
         _invert(noise, s.inverse_R[select[i]], s.small[0], size)
     best, most, least = -1, -1, np.inf

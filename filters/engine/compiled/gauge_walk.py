@@ -10,8 +10,8 @@ from filters.engine.compiled.blas import KERNEL, add_square
 from filters.engine.compiled.prediction import orientation, product_of, skew, transposed
 from filters.engine.compiled.projection import seen_from
 from filters.engine.compiled.recipe import FIRST_ESTIMATES, Plan
-from filters.engine.compiled.retraction import mark_rays, ray_rotation
-from filters.engine.compiled.storage import BLOCKS, LANDMARKS, Scratch, Storage
+from filters.engine.compiled.retraction import ray_rotation
+from filters.engine.compiled.storage import BLOCKS, LANDMARKS, OWN, POINT, Scratch, Storage
 from filters.engine.compiled.units import PLAN, SCRATCH, STORAGE, VECTOR, unit
 from filters.engine.gauge_walk import FARTHEST, TURN_WEIGHT
 from filters.validation import FloatArray
@@ -48,6 +48,9 @@ def walk_gauge(plan: Plan, S: Storage, b: int, s: Scratch, before: FloatArray) -
     """P += B B^T for the way from the pose `before`, with B^T in the first six rows of HP."""
     counts, x = S.counts[b], S.x[b]
     P, n, B = S.P[b], plan.leading + 3 * counts[BLOCKS], s.HP
+    if plan.walks_by_numbers:  # the door has written B^T
+        add_square(P, B, 6, n)
+        return
     motion, distance = _image_motion(plan, S, b, before)
     rotation = plan.gauge_walk * math.sqrt(motion)
     translation = rotation * distance
@@ -59,14 +62,13 @@ def walk_gauge(plan: Plan, S: Storage, b: int, s: Scratch, before: FloatArray) -
     _put_columns(B, 3, 0, identity, translation)
     _put_columns(B, 0, 3, transposed(orientation(x)), rotation)
     _put_columns(B, 0, v, skew(x[v + 1], x[v + 2], x[v + 3]), -rotation)
-    mark_rays(plan, S.own[b], counts[LANDMARKS], counts[BLOCKS], s.is_own)
     for c in range(counts[BLOCKS]):
         column = plan.leading + 3 * c
-        if s.is_own[c]:
+        if S.kind[b, c] == OWN:
             effect = ray_rotation(blocks[c, 0], blocks[c, 1])
             for a in range(3):
                 B[a, column], B[a, column + 1] = rotation * effect[a], rotation * effect[3 + a]
-        else:
+        elif S.kind[b, c] == POINT:  # clones stay where the camera was
             away = skew(blocks[c, 0] - x[0], blocks[c, 1] - x[1], blocks[c, 2] - x[2])
             _put_columns(B, 0, column, away, -rotation)
             _put_columns(B, 3, column, identity, translation)

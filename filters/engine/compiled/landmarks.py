@@ -21,9 +21,9 @@ from filters.engine.compiled.prediction import (
 from filters.engine.compiled.projection import view_of
 from filters.engine.compiled.recipe import FIRST_ESTIMATES, Plan
 from filters.engine.compiled.retraction import angles_jacobian, ray_rotation
-from filters.engine.compiled.storage import BLOCKS, LANDMARKS, Scratch, Storage
+from filters.engine.compiled.storage import BLOCKS, CLONE_POSITION, LANDMARKS, OWN, POINT, Scratch, Storage
 from filters.engine.compiled.units import FRAME, PLAN, SCRATCH, STORAGE, unit
-from filters.validation import FloatArray, IntArray
+from filters.validation import BoolArray, FloatArray, IntArray
 
 NEW_IDS, NEW, NEW_NOISE = (FRAME.kind[FRAME.kind.fields.index(name)] for name in ("ids", "uvd", "R"))
 FARTHEST = 1e6
@@ -54,15 +54,13 @@ def leave(
     anchor: IntArray,
     users: IntArray,
     counts: IntArray,
-    s: Scratch,
-    found: int,
+    goes: BoolArray,
     dropped: IntArray,
-) -> int:
-    """Take all landmarks but the `found` ones that `land` has out of the map; how many left. Their blocks stay."""
-    kept, gone, seen = 0, 0, 0
+) -> None:
+    """Take the landmarks marked in `goes` out of the map. Their blocks stay."""
+    kept, gone = 0, 0
     for i in range(counts[LANDMARKS]):
-        if seen < found and s.land[seen] == i:
-            seen += 1
+        if not goes[i]:
             ids[kept], own[kept], anchor[kept] = ids[i], own[i], anchor[i]
             kept += 1
         else:
@@ -72,7 +70,6 @@ def leave(
             if anchor[i] >= 0:
                 users[anchor[i]] -= 1
     counts[LANDMARKS] = kept
-    return gone
 
 
 @njit(**KERNEL)
@@ -90,8 +87,9 @@ def close_gaps(plan: Plan, S: Storage, b: int) -> None:
             break
         last = count - 1
         move_block(S.P[b], plan.leading + 3 * last, plan.leading + 3 * gap)
-        for i in range(3):
+        for i in range(S.blocks.shape[2]):
             S.blocks[b, gap, i], S.first[b, gap, i] = S.blocks[b, last, i], S.first[b, last, i]
+        S.kind[b, gap] = S.kind[b, last]
         for i in range(S.counts[b, LANDMARKS]):
             if own[i] == last:
                 own[i] = gap
@@ -220,7 +218,6 @@ def _merge(
     ids: IntArray,
     first: int,
     count: int,
-    anchors: int,
 ) -> None:
     """Put the new landmarks among the others, ids ascending."""
     i, j, target = counts[LANDMARKS] - 1, count - 1, counts[LANDMARKS] + count - 1
@@ -231,7 +228,7 @@ def _merge(
             i -= 1
         else:
             all_ids[target], own[target] = new, s.core[j]
-            anchor[target] = -1 if anchors == 0 else s.select[0 if anchors == 1 else j]
+            anchor[target] = s.land[j]
             j -= 1
         target -= 1
     counts[LANDMARKS] += count
@@ -243,26 +240,30 @@ def enter(
 ) -> None:
     """Add landmarks from the `count` measurements in `place` (`JointState.augment`); there is room for them."""
     P, x, blocks, users, counts = S.P[b], S.x[b], S.blocks[b], S.users[b], S.counts[b]
-    anchors = 0
-    if plan.anchored:
-        anchors = 1 if plan.shares_anchors else count
     measured, leading = plan.measured, plan.leading
-    taken, gap = s.core, 0  # the parameter block of each
-    made = s.select  # and the anchor block
-    for i in range(anchors + count):
+    taken, by_landmark, made = s.core, s.land, s.select  # parameter and anchor block of each, all anchor blocks
+    gap, anchors = 0, 0
+    for i in range(count):
+        by_landmark[i] = -1
+        if plan.anchored and (not plan.by_numbers or s.anchored[i]):
+            if anchors == 0 or not plan.shares_anchors:
+                while gap < counts[BLOCKS] and users[gap] > 0:
+                    gap += 1
+                if gap == counts[BLOCKS]:
+                    counts[BLOCKS] += 1
+                users[gap], S.kind[b, gap], made[anchors] = 0, POINT, gap
+                anchors += 1
+            users[made[anchors - 1]] += 1
+            by_landmark[i] = made[anchors - 1]
+    for i in range(count):
         while gap < counts[BLOCKS] and users[gap] > 0:
             gap += 1
         if gap == counts[BLOCKS]:
             counts[BLOCKS] += 1
-        users[gap] = 1
-        if i < anchors:
-            made[i] = gap
-        else:
-            taken[i - anchors] = gap
-    if plan.shares_anchors:
-        users[made[0]] = count
-    close_gaps_after = counts[BLOCKS]
-    n = leading + 3 * close_gaps_after
+        users[gap], taken[i] = 1, gap
+        free = by_landmark[i] < 0 and (plan.changes or not plan.own_landmarks)
+        S.kind[b, gap] = POINT if free else OWN
+    n = leading + 3 * counts[BLOCKS]
     take_leading(P, n, measured, s.lead)
     source, image = s.W, s.W[leading:]
     R_predicted = orientation(S.predicted[b])
@@ -280,17 +281,21 @@ def enter(
         _add_block(plan, S, b, s, n, leading + 3 * made[i], J)
     for i in range(count):
         m, block = first + s.place[i], blocks[taken[i]]
-        initialise(plan, x, uvd[m, 0], uvd[m, 1], uvd[m, 2], block, s.H[i, :3], s.R[i])
-        for a in range(3):
-            S.first[b, taken[i], a] = block[a]
-        if plan.error == FIRST_ESTIMATES:
-            if plan.anchored:
-                effect = ray_rotation(block[0], block[1])
-                for a in range(3):
-                    image[0, a], image[1, a], image[2, a] = effect[a], effect[3 + a], 0.0
-            else:
-                put(image, 0, 0, skew(block[0], block[1], block[2]), -1.0)
-            constrain(s.H[i, :3], 3, 6, image, source, R_predicted)
+        if plan.by_numbers:  # H and noise are there
+            for a in range(blocks.shape[1]):
+                block[a] = S.first[b, taken[i], a] = s.values[i, a]
+        else:
+            initialise(plan, x, uvd[m, 0], uvd[m, 1], uvd[m, 2], block, s.H[i, :3], s.R[i])
+            for a in range(3):
+                S.first[b, taken[i], a] = block[a]
+            if plan.error == FIRST_ESTIMATES:
+                if plan.anchored:
+                    effect = ray_rotation(block[0], block[1])
+                    for a in range(3):
+                        image[0, a], image[1, a], image[2, a] = effect[a], effect[3 + a], 0.0
+                else:
+                    put(image, 0, 0, skew(block[0], block[1], block[2]), -1.0)
+                constrain(s.H[i, :3], 3, 6, image, source, R_predicted)
         _add_block(plan, S, b, s, n, leading + 3 * taken[i], s.H[i, :3])
     for i in range(anchors):
         _write_rows(plan, P, n, leading + 3 * made[i], J, s)
@@ -300,7 +305,40 @@ def enter(
         noise = R[m]
         for a in range(3):
             for c in range(a, 3):
+                if plan.by_numbers:
+                    P[row + a, row + c] += s.values_noise[i, a, c]
+                    continue
                 for p in range(3):
                     for q in range(3):
                         P[row + a, row + c] += s.R[i, a, p] * noise[p, q] * s.R[i, c, q]
-    _merge(S.ids[b], S.own[b], S.anchor[b], counts, s, ids, first, count, anchors)
+    _merge(S.ids[b], S.own[b], S.anchor[b], counts, s, ids, first, count)
+
+
+@njit(**KERNEL)
+def clone_pose(plan: Plan, S: Storage, b: int, s: Scratch) -> None:
+    """Keep the present pose as two held blocks; there is room for them."""
+    P, x, counts, held = S.P[b], S.x[b], S.counts[b], S.held[b]
+    places, gap, end = s.core, 0, 0
+    while held[end] >= 0:
+        end += 1
+    for k in range(2):
+        while gap < counts[BLOCKS] and S.users[b, gap] > 0:
+            gap += 1
+        if gap == counts[BLOCKS]:
+            counts[BLOCKS] += 1
+        S.users[b, gap], held[end + k], places[k] = 1, gap, gap
+        S.kind[b, gap] = CLONE_POSITION + k
+        for i in range(3 + k):
+            S.blocks[b, gap, i] = S.first[b, gap, i] = x[3 * k + i]
+    n, J = plan.leading + 3 * counts[BLOCKS], s.F[:3]
+    take_leading(P, n, plan.measured, s.lead)
+    for step in range(2):
+        for k in range(2):
+            row = plan.leading + 3 * places[k]
+            for a in range(3):
+                for c in range(plan.measured):
+                    J[a, c] = 1.0 if c == 3 * k + a else 0.0
+            if step == 0:
+                _add_block(plan, S, b, s, n, row, J)
+            else:
+                _write_rows(plan, P, n, row, J, s)

@@ -130,7 +130,10 @@ def _drive(
         moved[v + 4 + i] = odometry[3 + i]
 
 
-@unit(PLAN, MATRIX, types.int64, VECTOR, VECTOR, types.float64, GIVEN, GIVEN_COVARIANCE, SCRATCH)
+@unit(
+    *(PLAN, MATRIX, types.int64, VECTOR, VECTOR, types.float64, GIVEN, GIVEN_COVARIANCE),
+    *(VECTOR, MATRIX, MATRIX, SCRATCH),
+)
 def predict(
     plan: Plan,
     P: FloatArray,
@@ -140,10 +143,24 @@ def predict(
     dt: float,
     odometry: FloatArray,
     odometry_covariance: FloatArray,
+    moved_there: FloatArray,
+    F_there: FloatArray,
+    Q: FloatArray,
     s: Scratch,
 ) -> None:
-    """Leading variables and P after dt seconds: `ConstantVelocity` or `VelocityDriven`, random walks of the others."""
+    """Leading variables and P after dt seconds: by the numbers of a part, or `ConstantVelocity` or `VelocityDriven`."""
     v, leading, F, moved = plan.velocity, plan.leading, s.F, s.moved
+    if plan.driven_by_numbers:
+        for i in range(leading):
+            for j in range(leading):
+                F[i, j] = F_there[i, j]
+        transform_leading(P, n, s)
+        for i in range(leading):
+            for j in range(i, leading):
+                P[i, j] += Q[i, j]
+        for i in range(len(x)):
+            x[i] = predicted[i] = moved_there[i]
+        return
     identity(F)
     for i in range(len(x)):
         moved[i] = x[i]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.special import chdtri
@@ -12,13 +12,11 @@ from scipy.special import chdtri
 from filters.contract.drift import LandmarkDrift
 from filters.validation import FloatArray, IntArray
 
-LANDMARKS = ("inverse-depth", "shared-anchor", "euclidean")
 ERRORS = ("quaternion", "so3", "first-estimates", "right-invariant", "invariant")
 QUATERNION, SO3, FIRST_ESTIMATES, RIGHT_INVARIANT, INVARIANT = range(5)
-MOTIONS = ("constant-velocity", "velocity-driven")
 CALIBRATION_SIZE = 6
 POSE_SIZE = 6
-MOST_ROWS = 4  # of a landmark's measurement in one stage
+MOST_ROWS, MOST_STAGES = 4, 4  # of a landmark's measurement in one stage, and of these
 
 
 class Plan(NamedTuple):
@@ -32,6 +30,20 @@ class Plan(NamedTuple):
     anchored: bool
     shares_anchors: bool
     error: int
+    by_numbers: bool
+    """Whether parts give measurements and new landmarks by numbers, through the doors."""
+    moves_by_numbers: bool
+    """Whether parts move the state by numbers."""
+    changes: bool
+    """Whether landmarks may become points after a frame."""
+    most_landmarks: int
+    """Of the landmarks in view, 0: no limit."""
+    joint: bool
+    """Whether (u, v, d) is what the first stage has."""
+    own_landmarks: bool
+    """Whether the landmarks are none that the kernels know."""
+    walks_by_numbers: bool
+    driven_by_numbers: bool
     consensus: bool
     tail_dof: float
     iterations: int
@@ -55,7 +67,7 @@ class Plan(NamedTuple):
     stages: IntArray
     """Number of stages without and with a measured right row, (2,)."""
     T: FloatArray
-    """(2, stages, 4, 3)."""
+    """(2, stages + 1, 4, 3); the last is (u, v, d)."""
     rows: IntArray
     """(2, stages, 3): rows of the stage, the row that `v_right` is for, the row apart from the others (-1: none)."""
     apart_scale: FloatArray
@@ -102,8 +114,19 @@ class Recipe:
     ----------
     fx, fy, cx, cy, disparity_constant : float
         Of the rectified pair, px and px m.
-    landmark : {"inverse-depth", "shared-anchor", "euclidean"}
-        Parametrisation.
+    anchored, shares_anchors : bool
+        Of the landmarks: whether they have anchors, and those of one frame the same.
+    value_size : int
+        Numbers of a landmark's value.
+    own_landmarks : bool
+        Whether they are none that the kernels know.
+    by_numbers, moves_by_numbers, walks_by_numbers, changes : bool
+        Whether parts give measurements and new landmarks, move the state, say what a move of the world does, and make
+        points of landmarks, by numbers.
+    parts : tuple
+        Those that do.
+    most_landmarks : int
+        Of the landmarks in view, 0: no limit.
     error : {"quaternion", "so3", "first-estimates", "right-invariant", "invariant"}
         Error definition; "invariant" is the right-invariant one with P carried along by the full Jacobian.
     stages, stages_with_right : tuple of StageRows
@@ -116,15 +139,19 @@ class Recipe:
         Process noise of measured landmarks, with (u, v, d) in one stage.
     gauge_walk : float
         Of camera and map together, rad per root of a radian of image motion.
-    motion : {"constant-velocity", "velocity-driven"}
-        Motion model.
+    motion : {"constant-velocity", "velocity-driven"}, optional
+        Motion model; None: by numbers.
     sigma_acceleration, sigma_angular_acceleration : float
         Of constant velocity, m/s^2 and rad/s^2.
+    measured_others : int
+        Further leading rows that the measurements depend on, by numbers.
     calibration : tuple of int
         Which errors of the pair are variables, ascending: those of disparity (0), focal lengths (1), baseline (2) and
         orientation (3, 4, 5), see `CalibratedPair`.
     others : int
         Further numbers of the state, after the velocity.
+    more_values : int
+        Numbers of variables whose values have more than their errors; they stand at the end.
     considered : tuple of int
         Leading rows that have covariance and correlations, and whose values never move (Schmidt).
     walk : tuple of float
@@ -136,7 +163,16 @@ class Recipe:
     cx: float
     cy: float
     disparity_constant: float
-    landmark: str = "inverse-depth"
+    anchored: bool = True
+    shares_anchors: bool = False
+    value_size: int = 3
+    by_numbers: bool = False
+    moves_by_numbers: bool = False
+    own_landmarks: bool = False
+    walks_by_numbers: bool = False
+    changes: bool = False
+    parts: tuple[Any, ...] = ()
+    most_landmarks: int = 0
     error: str = "quaternion"
     stages: tuple[StageRows, ...] = (JOINT,)
     stages_with_right: tuple[StageRows, ...] = (JOINT,)
@@ -148,18 +184,19 @@ class Recipe:
     min_disparity: float | None = None
     drift: LandmarkDrift | None = None
     gauge_walk: float = 0.0
-    motion: str = "constant-velocity"
+    motion: str | None = "constant-velocity"
     sigma_acceleration: float = 3.0
     sigma_angular_acceleration: float = 0.6
+    measured_others: int = 0
     calibration: tuple[int, ...] = ()
     others: int = 0
+    more_values: int = 0
     considered: tuple[int, ...] = ()
     walk: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
-        for name, known in (("landmark", LANDMARKS), ("error", ERRORS), ("motion", MOTIONS)):
-            if getattr(self, name) not in known:
-                raise ValueError(f"{name} must be one of {', '.join(map(repr, known))}, got {getattr(self, name)!r}")
+        if self.error not in ERRORS:
+            raise ValueError(f"error must be one of {', '.join(map(repr, ERRORS))}, got {self.error!r}")
         if list(self.calibration) != [k for k in range(CALIBRATION_SIZE) if k in self.calibration]:
             raise ValueError(f"calibration must be ascending numbers below {CALIBRATION_SIZE}, got {self.calibration}")
         if any(not 0 <= row < self.leading for row in self.considered):
@@ -179,7 +216,7 @@ class Recipe:
     @property
     def measured(self) -> int:
         """Leading rows that the measurements depend on."""
-        return POSE_SIZE + len(self.calibration)
+        return POSE_SIZE + len(self.calibration) + self.measured_others
 
     @property
     def velocity(self) -> int:
@@ -192,18 +229,29 @@ class Recipe:
         return -(-(self.measured + 6 + self.others) // 3) * 3
 
     @property
+    def asks(self) -> bool:
+        """Whether the kernels ask parts for numbers in the middle of a frame."""
+        return self.by_numbers or self.moves_by_numbers or self.walks_by_numbers or self.most_landmarks > 0
+
+    @property
+    def block_values(self) -> int:
+        """Numbers of a block's value: those of an orientation at least."""
+        return max(4, self.value_size)
+
+    @property
     def values(self) -> int:
         """Numbers of the leading variables: the orientation has four."""
-        return self.leading + 1
+        return self.leading + 1 + self.more_values
 
     @cached_property
     def plan(self) -> Plan:
         """The recipe as the kernels take it."""
         variants = (self.stages, self.stages_with_right)
-        most = max(map(len, variants))
+        most = max(map(len, variants)) + 1
         T, rows = np.zeros((2, most, MOST_ROWS, 3)), np.full((2, most, 3), -1)
         scales, limits = np.ones((2, most)), np.full((2, most), np.inf)
         for i, stages in enumerate(variants):
+            T[i, most - 1, :3], rows[i, most - 1, 0] = np.eye(3), 3
             for j, stage in enumerate(stages):
                 T[i, j, : len(stage.T)] = stage.T
                 rows[i, j] = len(stage.T), stage.right_row, stage.apart_row
@@ -216,8 +264,16 @@ class Recipe:
             cx=float(self.cx),
             cy=float(self.cy),
             disparity_constant=float(self.disparity_constant),
-            anchored=self.landmark != "euclidean",
-            shares_anchors=self.landmark == "shared-anchor",
+            anchored=self.anchored,
+            shares_anchors=self.shares_anchors,
+            by_numbers=self.by_numbers,
+            moves_by_numbers=self.moves_by_numbers,
+            changes=self.changes,
+            most_landmarks=self.most_landmarks,
+            joint=not self.by_numbers and all(stages[0] == JOINT for stages in variants),
+            own_landmarks=self.own_landmarks,
+            walks_by_numbers=self.walks_by_numbers,
+            driven_by_numbers=self.motion is None,
             error=ERRORS.index(self.error),
             consensus=self.consensus,
             tail_dof=float("inf") if self.tail_dof is None else float(self.tail_dof),

@@ -7,7 +7,7 @@ import math
 from numba import njit, types
 
 from filters.engine.compiled.blas import KERNEL
-from filters.engine.compiled.covariance import identity, scale_blocks, shear_by_rotation, transform_leading
+from filters.engine.compiled.covariance import identity, scale_block, scale_blocks, shear_by_rotation, transform_leading
 from filters.engine.compiled.prediction import (
     matrix_of,
     multiply,
@@ -21,10 +21,10 @@ from filters.engine.compiled.prediction import (
     transposed,
 )
 from filters.engine.compiled.recipe import FIRST_ESTIMATES, INVARIANT, QUATERNION, RIGHT_INVARIANT, Plan
-from filters.engine.compiled.storage import Scratch
+from filters.engine.compiled.storage import CLONE_POSITION, CLONE_ROTATION, OWN, POINT, Scratch
 from filters.engine.compiled.units import INDEX, MATRIX, PLAN, SCRATCH, VECTOR, unit
 from filters.geometry.retractions import additive_transport_of
-from filters.validation import BoolArray, FloatArray, IntArray
+from filters.validation import FloatArray, IntArray
 
 _additive_transport_of = njit(**KERNEL)(additive_transport_of)
 
@@ -94,27 +94,17 @@ def left_jacobian_derivative(t0: float, t1: float, t2: float, a0: float, a1: flo
 
 
 @njit(**KERNEL)
-def mark_rays(plan: Plan, own: IntArray, landmarks: int, blocks: int, is_own: BoolArray) -> None:
-    """Which blocks hold a direction and an inverse distance; the others are points of W."""
-    for c in range(blocks):
-        is_own[c] = False
-    if plan.anchored:
-        for i in range(landmarks):
-            is_own[own[i]] = True
-
-
-@njit(**KERNEL)
 def moved_by(
     plan: Plan,
     x: FloatArray,
     blocks: FloatArray,
     count: int,
     delta: FloatArray,
-    is_own: BoolArray,
+    kind: IntArray,
     moved: FloatArray,
     moved_blocks: FloatArray,
 ) -> None:
-    """`StandardError.moved` and `RightInvariant.moved`: the state corrected by delta."""
+    """The state corrected by delta."""
     q0, q1, q2, v = delta[3], delta[4], delta[5], plan.velocity
     for i in range(3):
         moved[i] = x[i] + delta[i]
@@ -123,11 +113,21 @@ def moved_by(
     turn = (0.5 * q0, 0.5 * q1, 0.5 * q2, 1.0) if plan.error == QUATERNION else quaternion_of(q0, q1, q2)
     moved[3], moved[4], moved[5], moved[6] = product_of(x[3], x[4], x[5], x[6], turn[0], turn[1], turn[2], turn[3])
     leading = plan.leading
-    if plan.error < RIGHT_INVARIANT:
-        for c in range(count):
+    for c in range(count):
+        row = leading + 3 * c
+        if kind[c] == CLONE_ROTATION:
+            q0, q1, q2 = delta[row], delta[row + 1], delta[row + 2]
+            own = (0.5 * q0, 0.5 * q1, 0.5 * q2, 1.0) if plan.error == QUATERNION else quaternion_of(q0, q1, q2)
+            q0, q1, q2, q3 = product_of(
+                blocks[c, 0], blocks[c, 1], blocks[c, 2], blocks[c, 3], own[0], own[1], own[2], own[3]
+            )
+            moved_blocks[c, 0], moved_blocks[c, 1], moved_blocks[c, 2], moved_blocks[c, 3] = q0, q1, q2, q3
+        else:
             for i in range(3):
-                moved_blocks[c, i] = blocks[c, i] + delta[leading + 3 * c + i]
+                moved_blocks[c, i] = blocks[c, i] + delta[row + i]
+    if plan.error < RIGHT_INVARIANT:
         return
+    q0, q1, q2 = delta[3], delta[4], delta[5]
     R = orientation(x)
     t0, t1, t2 = times(R, q0, q1, q2)
     J = transposed(right_jacobian_of(t0, t1, t2))
@@ -141,7 +141,7 @@ def moved_by(
         moved[start + shift + 2] = x[start + shift + 2] + c
     for k in range(count):
         d0, d1, d2 = delta[leading + 3 * k], delta[leading + 3 * k + 1], delta[leading + 3 * k + 2]
-        if is_own[k]:
+        if kind[k] == OWN:
             theta, phi = blocks[k, 0], blocks[k, 1]
             g = ray_rotation(theta, phi)
             theta += d0 - (g[0] * t0 + g[1] * t1 + g[2] * t2)
@@ -151,7 +151,7 @@ def moved_by(
             moved_blocks[k, 0] = math.atan2(mx, mz)
             moved_blocks[k, 1] = math.atan2(-my, math.sqrt(mx * mx + mz * mz))
             moved_blocks[k, 2] = blocks[k, 2] + d2
-        else:
+        elif kind[k] == POINT:
             a, b, c = times(J, d0, d1, d2)
             moved_blocks[k, 0], moved_blocks[k, 1] = blocks[k, 0] + a, blocks[k, 1] + b
             moved_blocks[k, 2] = blocks[k, 2] + c
@@ -164,7 +164,7 @@ def transport(
     blocks: FloatArray,
     count: int,
     delta: FloatArray,
-    is_own: BoolArray,
+    kind: IntArray,
     moved: FloatArray,
     moved_blocks: FloatArray,
     W: FloatArray,
@@ -172,8 +172,8 @@ def transport(
 ) -> None:
     """Jacobian D + W E^T that takes errors at the state to errors where delta has moved it; E selects the rotation.
 
-    D is block-diagonal: (C, 3, 3) for the blocks, and only where the error is `INVARIANT`. There W has the whole
-    column of the rotation on its own rows, and D the identity; the leading points turn as the point blocks do.
+    D is block-diagonal: (C, 3, 3) for the blocks, only for clones unless the error is `INVARIANT`. There W has the
+    whole column of the rotation on its own rows, and D the identity; the leading points turn as the point blocks do.
     """
     leading, v = plan.leading, plan.velocity
     q0, q1, q2 = delta[3], delta[4], delta[5]
@@ -190,6 +190,12 @@ def transport(
             put(W, 3, 0, right_jacobian_of(q0, q1, q2), 1.0)
         for i in range(3):
             W[3 + i, i] -= 1.0
+        for k in range(count):
+            if kind[k] >= CLONE_POSITION:
+                put(D[k], 0, 0, (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0), 1.0)
+                if kind[k] == CLONE_ROTATION:
+                    row = leading + 3 * k
+                    put(D[k], 0, 0, _turned(plan, delta[row], delta[row + 1], delta[row + 2]), 1.0)
         if plan.error < RIGHT_INVARIANT:
             return
         t0, t1, t2 = times(R, q0, q1, q2)
@@ -201,9 +207,9 @@ def transport(
         for k in range(count):
             row = leading + 3 * k
             d0, d1, d2 = delta[row], delta[row + 1], delta[row + 2]
-            if is_own[k]:
+            if kind[k] == OWN:
                 _transport_ray(blocks, moved_blocks, k, row, d0, d1, t0, t1, t2, world, J, R, W, D)
-            else:
+            elif kind[k] == POINT:
                 put(W, row, 0, multiply(left_jacobian_derivative(t0, t1, t2, d0, d1, d2), R), 1.0)
                 put(D[k], 0, 0, J, 1.0)
         return
@@ -221,7 +227,13 @@ def transport(
         W[3 + i, i] -= 1.0
     for k in range(count):
         row = leading + 3 * k
-        if is_own[k]:
+        if kind[k] == CLONE_ROTATION:  # (R+^T - R^T) R_wc
+            before, after = transposed(_orientation(blocks, k)), transposed(_orientation(moved_blocks, k))
+            put(W, row, 0, multiply(after, R), 1.0)
+            minus = multiply(before, R)
+            for i in range(9):
+                W[row + i // 3, i % 3] -= minus[i]
+        elif kind[k] == OWN:
             after = ray_rotation(moved_blocks[k, 0], moved_blocks[k, 1])
             before = ray_rotation(blocks[k, 0], blocks[k, 1])
             for i in range(2):
@@ -239,6 +251,18 @@ def transport(
                 moved_blocks[k, 2] - blocks[k, 2],
             )
             put(W, row, 0, multiply(skew(d0, d1, d2), R), -1.0)
+
+
+@njit(**KERNEL)
+def _turned(plan: Plan, x: float, y: float, z: float) -> tuple[float, ...]:
+    """`Retraction.transport` of an orientation, row by row."""
+    return _additive_transport_of(x, y, z) if plan.error == QUATERNION else right_jacobian_of(x, y, z)
+
+
+@njit(**KERNEL)
+def _orientation(blocks: FloatArray, k: int) -> tuple[float, ...]:
+    """Rotation matrix of a block of a clone, row by row."""
+    return matrix_of(blocks[k, 0], blocks[k, 1], blocks[k, 2], blocks[k, 3])
 
 
 @njit(**KERNEL)
@@ -301,37 +325,52 @@ def _take_moved(x: FloatArray, blocks: FloatArray, count: int, s: Scratch) -> No
     for i in range(len(x)):
         x[i] = s.moved[i]
     for c in range(count):
-        for i in range(3):
+        for i in range(blocks.shape[1]):
             blocks[c, i] = s.moved_blocks[c, i]
 
 
-@unit(PLAN, MATRIX, VECTOR, MATRIX, INDEX, types.int64, types.int64, SCRATCH)
+@unit(PLAN, MATRIX, VECTOR, MATRIX, INDEX, types.int64, SCRATCH)
 def retract(
-    plan: Plan, P: FloatArray, x: FloatArray, blocks: FloatArray, own: IntArray, landmarks: int, count: int, s: Scratch
+    plan: Plan, P: FloatArray, x: FloatArray, blocks: FloatArray, kind: IntArray, count: int, s: Scratch
 ) -> None:
-    """Move the state by delta and carry P along (`StereoEKF._retract`), the errors of landmarks being additive."""
-    delta = s.delta
+    """Move the state by delta and carry P along, the errors of landmarks being additive."""
+    leading, delta = plan.leading, s.delta
+    n = leading + 3 * count
     if plan.error < FIRST_ESTIMATES:
         identity(s.F)
-        if plan.error == QUATERNION:
-            put(s.F, 3, 3, _additive_transport_of(delta[3], delta[4], delta[5]), 1.0)
-        else:
-            put(s.F, 3, 3, right_jacobian_of(delta[3], delta[4], delta[5]), 1.0)
-        transform_leading(P, plan.leading + 3 * count, s)
-    moved_by(plan, x, blocks, count, delta, s.is_own, s.moved, s.moved_blocks)
+        put(s.F, 3, 3, _turned(plan, delta[3], delta[4], delta[5]), 1.0)
+        transform_leading(P, n, s)
+        for c in range(count):
+            row = leading + 3 * c
+            if kind[c] == CLONE_ROTATION:
+                scale_block(P, n, row, _turned(plan, delta[row], delta[row + 1], delta[row + 2]), s.block)
+    moved_by(plan, x, blocks, count, delta, kind, s.moved, s.moved_blocks)
     _take_moved(x, blocks, count, s)
 
 
-@unit(PLAN, MATRIX, VECTOR, MATRIX, INDEX, types.int64, types.int64, SCRATCH)
+@unit(PLAN, MATRIX, VECTOR, MATRIX, INDEX, types.int64, SCRATCH)
 def retract_invariant(
-    plan: Plan, P: FloatArray, x: FloatArray, blocks: FloatArray, own: IntArray, landmarks: int, count: int, s: Scratch
+    plan: Plan, P: FloatArray, x: FloatArray, blocks: FloatArray, kind: IntArray, count: int, s: Scratch
 ) -> None:
     """The same where they turn with the world."""
     delta, n = s.delta, plan.leading + 3 * count
-    mark_rays(plan, own, landmarks, count, s.is_own)
-    moved_by(plan, x, blocks, count, delta, s.is_own, s.moved, s.moved_blocks)
-    transport(plan, x, blocks, count, delta, s.is_own, s.moved, s.moved_blocks, s.W, s.D)
+    moved_by(plan, x, blocks, count, delta, kind, s.moved, s.moved_blocks)
+    transport(plan, x, blocks, count, delta, kind, s.moved, s.moved_blocks, s.W, s.D)
     if plan.error == INVARIANT:
         _scale(plan, P, n, x, delta, s)
     shear_by_rotation(P, n, s.W, s)
+    _take_moved(x, blocks, count, s)
+
+
+@unit(PLAN, MATRIX, VECTOR, MATRIX, INDEX, types.int64, SCRATCH)
+def retract_by_numbers(
+    plan: Plan, P: FloatArray, x: FloatArray, blocks: FloatArray, kind: IntArray, count: int, s: Scratch
+) -> None:
+    """The same by what the door has written: F, and D and W where `result` says so."""
+    n = plan.leading + 3 * count
+    transform_leading(P, n, s)
+    if s.result[0] > 0.0:
+        scale_blocks(P, n, plan.leading, s.D, s)
+    if s.result[1] > 0.0:
+        shear_by_rotation(P, n, s.W, s)
     _take_moved(x, blocks, count, s)

@@ -7,11 +7,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from filters.engine.compiled.recipe import MOST_ROWS, Recipe
+from filters.engine.compiled.recipe import MOST_ROWS, MOST_STAGES, Recipe
 from filters.validation import BoolArray, FloatArray, IntArray
 
 CHUNK_ROWS = 36  # of measurement corrected with at a time: more cost more to factorise, fewer pass over P more often
 LANDMARKS, BLOCKS = 0, 1
+POINT, OWN, CLONE_POSITION, CLONE_ROTATION = range(4)
+"""Kinds of blocks: points of W, a landmark's own numbers, and the two blocks of a clone of the pose."""
 
 
 class Storage(NamedTuple):
@@ -28,7 +30,7 @@ class Storage(NamedTuple):
     predicted: FloatArray
     """The same as they were predicted last, before any correction."""
     blocks: FloatArray
-    """Values of the blocks, (B, C, 3): block c is at the rows leading + 3 c of P."""
+    """Values of the blocks, (B, C, v): block c is at the rows leading + 3 c of P."""
     first: FloatArray
     """The same when they entered."""
     ids: IntArray
@@ -39,6 +41,8 @@ class Storage(NamedTuple):
     """Anchor block of each, -1 where there is none, (B, C)."""
     users: IntArray
     """Landmarks that use each block, and one more where it is held, (B, C)."""
+    kind: IntArray
+    """What each block is, (B, C)."""
     held: IntArray
     """Blocks that stay without a landmark, in the order in which they were held, -1 at the end; (B, C)."""
     counts: IntArray
@@ -46,7 +50,7 @@ class Storage(NamedTuple):
 
 
 class Frame(NamedTuple):
-    """What a frame brings to B filters: a step, odometry, and M measurements in all."""
+    """What a frame brings to B filters: a step, odometry, and M measurements in all; or the numbers of parts."""
 
     dt: FloatArray
     """(B,) s; zero: no step."""
@@ -80,6 +84,32 @@ class Frame(NamedTuple):
     """Ids that left, (B, C): written."""
     outcome: IntArray
     """How many ids left, and the number of blocks that there is no room for (0: all went well), (B, 2): written."""
+    moved: FloatArray
+    """Leading values after the step by numbers, (B, values)."""
+    F: FloatArray
+    """Their Jacobian, (B, leading, leading)."""
+    Q: FloatArray
+    """Their process noise, (B, leading, leading)."""
+    measured: IntArray
+    """Rows of odometry as a measurement by numbers, (B,)."""
+    measured_nu: FloatArray
+    """(B, r)."""
+    measured_H: FloatArray
+    """(B, r, leading)."""
+    measured_R: FloatArray
+    """(B, r, r)."""
+    stages: IntArray
+    """Number of stages by numbers without and with a measured right row, (2,)."""
+    sizes: IntArray
+    """Their rows, (2, stages)."""
+    limits: FloatArray
+    """Squared distances up to which they are believed, (2, stages)."""
+    T: FloatArray
+    """Their rows by (u, v, d), (2, stages, 4, 3)."""
+    stage_z: FloatArray
+    """(stages, M, 4)."""
+    stage_R: FloatArray
+    """(stages, M, 4, 4)."""
 
 
 class Scratch(NamedTuple):
@@ -123,7 +153,6 @@ class Scratch(NamedTuple):
     kept: FloatArray
     W: FloatArray
     D: FloatArray
-    is_own: BoolArray
     copy: FloatArray
     odometry: FloatArray
     odometry_nu: FloatArray
@@ -134,6 +163,18 @@ class Scratch(NamedTuple):
     small: FloatArray
     result: FloatArray
     """What a unit gives back, (2,)."""
+    noise: FloatArray
+    """R of (u, v, d) of each measurement, (M, 3, 3)."""
+    gone: BoolArray
+    """Landmarks that leave, (C,)."""
+    values: FloatArray
+    """Of new landmarks, (M, v)."""
+    values_noise: FloatArray
+    """What the measurement adds to their covariance, (M, 3, 3)."""
+    anchored: BoolArray
+    """Whether they have an anchor, (M,)."""
+    door: IntArray
+    """Number of the thread, and whether a part has failed, (2,)."""
     letters: IntArray
     sizes: IntArray
     """Arguments of LAPACK."""
@@ -146,12 +187,13 @@ def empty_storage(recipe: Recipe, filters: int, blocks: int) -> Storage:
         P=np.zeros((filters, rows, rows)),
         x=np.zeros((filters, recipe.values)),
         predicted=np.zeros((filters, recipe.values)),
-        blocks=np.zeros((filters, blocks, 3)),
-        first=np.zeros((filters, blocks, 3)),
+        blocks=np.zeros((filters, blocks, recipe.block_values)),
+        first=np.zeros((filters, blocks, recipe.block_values)),
         ids=np.zeros((filters, blocks), dtype=np.int64),
         own=np.zeros((filters, blocks), dtype=np.int64),
         anchor=np.zeros((filters, blocks), dtype=np.int64),
         users=np.zeros((filters, blocks), dtype=np.int64),
+        kind=np.zeros((filters, blocks), dtype=np.int64),
         held=np.full((filters, blocks), -1),
         counts=np.zeros((filters, 2), dtype=np.int64),
     )
@@ -170,11 +212,13 @@ def padded(rows: int) -> int:
     return -(-rows // 16) * 16 + 8
 
 
-def scratch(recipe: Recipe, storage: Storage, measurements: int) -> Scratch:
-    """Room for a frame of so many measurements."""
+def scratch(
+    recipe: Recipe, storage: Storage, measurements: int, rows: int = 0, columns: int = 0, thread: int = 0
+) -> Scratch:
+    """Room for a frame of so many measurements, and for one measurement of so many rows by so many errors."""
     n, blocks, leading, M = storage.P.shape[1], storage.blocks.shape[1], recipe.leading, max(1, measurements)
     at_once = recipe.consensus or recipe.iterations > 1
-    rows = max(8, M * MOST_ROWS if at_once else min(M * MOST_ROWS, CHUNK_ROWS + MOST_ROWS))
+    rows = max(8, rows + MOST_ROWS, M * MOST_ROWS if at_once else min(M * MOST_ROWS, CHUNK_ROWS + MOST_ROWS))
     width = recipe.measured + 6
     integers = {name: np.zeros(M, dtype=np.int64) for name in ("where", "place", "land", "select", "core")}
     return Scratch(
@@ -182,14 +226,14 @@ def scratch(recipe: Recipe, storage: Storage, measurements: int) -> Scratch:
         old=np.zeros((leading, leading)),
         half=np.zeros((leading, leading)),
         changed=np.zeros(leading, dtype=np.bool_),
-        lead=np.zeros((max(leading, width), n)),
+        lead=np.zeros((max(leading, width, columns), n)),
         G=np.zeros((6, n)),
         block=np.zeros((3, n)),
         point=np.zeros(recipe.values),
         before=np.zeros(recipe.values),
         moved=np.zeros(recipe.values),
-        moved_blocks=np.zeros((blocks, 3)),
-        point_blocks=np.zeros((blocks, 3)),
+        moved_blocks=np.zeros((blocks, recipe.block_values)),
+        point_blocks=np.zeros((blocks, recipe.block_values)),
         **integers,
         fates=np.zeros(M, dtype=np.uint8),
         base=np.zeros((M, 2), dtype=np.int64),
@@ -208,7 +252,6 @@ def scratch(recipe: Recipe, storage: Storage, measurements: int) -> Scratch:
         kept=np.zeros((max(1, len(recipe.considered)),) * 2),
         W=np.zeros((n, 3)),
         D=np.zeros((blocks, 3, 3)),
-        is_own=np.zeros(blocks, dtype=np.bool_),
         copy=np.zeros((n, n) if recipe.iterations > 1 else (1, 1)),
         odometry=np.zeros((6, leading)),
         odometry_nu=np.zeros(6),
@@ -218,6 +261,12 @@ def scratch(recipe: Recipe, storage: Storage, measurements: int) -> Scratch:
         inverse_R=np.zeros((M if recipe.consensus else 1, MOST_ROWS, MOST_ROWS)),
         small=np.zeros((3, MOST_ROWS, MOST_ROWS)),
         result=np.zeros(2),
+        noise=np.zeros((M, 3, 3)),
+        gone=np.zeros(blocks, dtype=np.bool_),
+        values=np.zeros((M, recipe.block_values)),
+        values_noise=np.zeros((M, 3, 3)),
+        anchored=np.zeros(M, dtype=np.bool_),
+        door=np.array([thread, 0]),
         letters=np.array((ord("L"),), dtype=np.uint8),
         sizes=np.zeros(3, dtype=np.int32),
     )
@@ -233,8 +282,10 @@ class FilterState:
         Leading variables (position, orientation xyzw, calibration, velocities, others, padding), now and as predicted.
     P : (n, n)
         Covariance of the leading rows and of the blocks; the upper triangle counts.
-    blocks, first : (C, 3)
+    blocks, first : (C, v)
         Values of the blocks, now and when they entered.
+    kind : (C,) int64
+        What each block is.
     ids, own, anchor : (N,) int64
         Landmarks in ascending order, their parameter blocks and anchor blocks (-1: none).
     held : (H,) int64
@@ -246,15 +297,18 @@ class FilterState:
     P: FloatArray
     blocks: FloatArray
     first: FloatArray
+    kind: IntArray
     ids: IntArray
     own: IntArray
     anchor: IntArray
     held: IntArray
 
 
-def empty_frame(filters: int, blocks: int, measurements: int) -> Frame:
-    """A frame that brings nothing."""
-    M = measurements
+def empty_frame(recipe: Recipe, filters: int, blocks: int, measurements: int, rows: int = 1) -> Frame:
+    """A frame that brings nothing, with room for so many rows of odometry by numbers."""
+    M, leading = measurements, recipe.leading
+    driven = filters if recipe.motion is None else 1
+    stages, numbers = (MOST_STAGES, M) if recipe.by_numbers else (1, 1)
     return Frame(
         dt=np.zeros(filters),
         fused=np.zeros(filters, dtype=np.bool_),
@@ -272,6 +326,19 @@ def empty_frame(filters: int, blocks: int, measurements: int) -> Frame:
         dof=np.zeros(filters, dtype=np.int64),
         dropped=np.zeros((filters, blocks), dtype=np.int64),
         outcome=np.zeros((filters, 2), dtype=np.int64),
+        moved=np.zeros((driven, recipe.values)),
+        F=np.zeros((driven, leading, leading)),
+        Q=np.zeros((driven, leading, leading)),
+        measured=np.zeros(driven, dtype=np.int64),
+        measured_nu=np.zeros((driven, rows)),
+        measured_H=np.zeros((driven, rows, leading)),
+        measured_R=np.zeros((driven, rows, rows)),
+        stages=np.zeros(2, dtype=np.int64),
+        sizes=np.zeros((2, stages), dtype=np.int64),
+        limits=np.full((2, stages), np.inf),
+        T=np.zeros((2, stages, MOST_ROWS, 3)),
+        stage_z=np.zeros((stages, numbers, MOST_ROWS)),
+        stage_R=np.zeros((stages, numbers, MOST_ROWS, MOST_ROWS)),
     )
 
 
@@ -286,6 +353,7 @@ def exported(storage: Storage, recipe: Recipe, filter_index: int) -> FilterState
         P=storage.P[b, :n, :n].copy(),
         blocks=storage.blocks[b, :blocks].copy(),
         first=storage.first[b, :blocks].copy(),
+        kind=storage.kind[b, :blocks].copy(),
         ids=storage.ids[b, :landmarks].copy(),
         own=storage.own[b, :landmarks].copy(),
         anchor=storage.anchor[b, :landmarks].copy(),
@@ -299,6 +367,7 @@ def load(storage: Storage, filter_index: int, state: FilterState) -> None:
     storage.P[b, :n, :n] = state.P
     storage.x[b], storage.predicted[b] = state.x, state.predicted
     storage.blocks[b, :blocks], storage.first[b, :blocks] = state.blocks, state.first
+    storage.kind[b, :blocks] = state.kind
     order = np.argsort(state.ids)
     storage.ids[b, :landmarks] = state.ids[order]
     storage.own[b, :landmarks], storage.anchor[b, :landmarks] = state.own[order], state.anchor[order]

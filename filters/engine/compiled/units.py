@@ -18,7 +18,7 @@ from numba.core import cgutils
 from numba.core.typing.templates import AttributeTemplate
 from numba.extending import infer_getattr, intrinsic, lower_getattr_generic, models, register_model
 
-from filters.engine.compiled.blas import ROUTINES, UNIT
+from filters.engine.compiled.blas import PLAIN, ROUTINES, UNIT
 from filters.engine.compiled.disk_cache import KEPT, sources_digest
 from filters.engine.compiled.recipe import Recipe
 from filters.engine.compiled.storage import empty_frame, empty_storage, scratch
@@ -80,7 +80,7 @@ def _words(kind: Any) -> int:
 _RECIPE = Recipe(1.0, 1.0, 0.0, 0.0, 1.0)
 _STORAGE = empty_storage(_RECIPE, 1, 1)
 PLAN, STORAGE = Reference(_RECIPE.plan), Reference(_STORAGE)
-SCRATCH, FRAME = Reference(scratch(_RECIPE, _STORAGE, 1)), Reference(empty_frame(1, 1, 1))
+SCRATCH, FRAME = Reference(scratch(_RECIPE, _STORAGE, 1)), Reference(empty_frame(_RECIPE, 1, 1, 1))
 VECTOR, MATRIX, INDEX = types.float64[::1], types.float64[:, ::1], types.int64[::1]
 GIVEN, GIVEN_COVARIANCE = (
     types.Array(types.float64, 1, "C", readonly=True),
@@ -88,11 +88,13 @@ GIVEN, GIVEN_COVARIANCE = (
 )
 """Odometry of one filter."""
 UNITS = ("predict", "fuse", "linearise", "gate", "agree", "iterate", "correct", "retract", "enter", "walk")
-"""Places of their addresses, after those of BLAS."""
-PREDICT, FUSE, LINEARISE, GATE, AGREE, ITERATE, CORRECT, RETRACT, ENTER, WALK = range(
-    len(ROUTINES), len(ROUTINES) + len(UNITS)
+"""Places of their addresses, after those of BLAS; the last place is that of the doors."""
+PREDICT, FUSE, LINEARISE, GATE, AGREE, ITERATE, CORRECT, RETRACT, ENTER, WALK, DOORS = range(
+    len(ROUTINES), len(ROUTINES) + len(UNITS) + 1
 )
-ADDRESSES = types.UniTuple(types.intp, len(ROUTINES) + len(UNITS))
+ADDRESSES = types.UniTuple(types.intp, len(ROUTINES) + len(UNITS) + 1)
+TO_LINEARISE, TO_MOVE, TO_START, TO_SELECT, TO_CHANGE, TO_WALK, TO_DRIFT = range(7)
+"""What the doors are asked for."""
 
 
 class Unit:
@@ -107,9 +109,9 @@ class Unit:
         return cfunc(types.void(*self.arguments), **KEPT, **UNIT)(self.kernel)
 
     @property
-    def address(self) -> int:
-        """Where this process has its machine code."""
-        address: int = self._compiled.address
+    def address(self) -> Any:
+        """Where this process has its machine code; the function itself where kernels are plain Python."""
+        address: Any = self.kernel if PLAIN else self._compiled.address
         return address
 
 
@@ -131,7 +133,13 @@ def _reader(kind: Any) -> Any:
     return read
 
 
-read_plan, read_storage, read_scratch, read_frame = map(_reader, (PLAN, STORAGE, SCRATCH, FRAME))
+def _itself(value: Any) -> Any:
+    return value
+
+
+read_plan, read_storage, read_scratch, read_frame = (
+    _itself if PLAIN else _reader(kind) for kind in (PLAN, STORAGE, SCRATCH, FRAME)
+)
 
 
 class Packed:
@@ -148,4 +156,4 @@ class Packed:
                     int(np.array(field, np.float64).view(np.int64)) if isinstance(field, float) else int(field)
                 )
         self._words = np.array(words)
-        self.address = self._words.ctypes.data
+        self.address: Any = value if PLAIN else self._words.ctypes.data

@@ -28,9 +28,11 @@ from typing import NoReturn
 import cloudpickle
 
 from filters.contract.foreign_text import first_line
-from filters.engine.machine_code import trouble
 
+KERNELS = "filters.engine.row"
+"""What compiles the kernels when it is imported, or reads those that have been."""
 PRELOADED = (
+    KERNELS,
     "stereo_slam_env.benchmark.running.tasks",
     "stereo_slam_env.policies.episode",
     "stereo_slam_env.wrappers.belief_panorama",
@@ -51,7 +53,6 @@ def serve(descriptor: int) -> None:
             importlib.import_module(module)
         except ImportError:  # an extra that is not installed
             continue
-    trouble()  # reads the kernels
     _ask_linux(_ADOPT_ORPHANS, 1)
     wake_up, woken_by = os.pipe()
     for end in (wake_up, woken_by):

@@ -19,7 +19,6 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -53,9 +52,8 @@ ASSUMED_NAMES: Mapping[str, str] = {DIAGONAL: "the paper's", COUPLED: "of indepe
 
 JOINT, DUAL, EUCLIDEAN = "inverse-depth", "dual-bearing", "euclidean"
 """The paper's filter, its competitor with one bearing update an image, and the classic with points XYZ."""
-COMPILED = find_spec("numba") is not None
-COMMON_OPTIONS: Mapping[str, Any] = {"gate": None, "compiled": COMPILED}
-"""Of every filter here: nothing is gated, so nothing is hidden; compiled, where it can be, is the same but faster."""
+COMMON_OPTIONS: Mapping[str, Any] = {"gate": None}
+"""Of every filter here: nothing is gated, so nothing is hidden."""
 
 
 # The rule.

@@ -15,7 +15,6 @@ from stereo_slam_env.evaluation import FilterRun, ate_unaligned, end_drift_perce
 from stereo_slam_env.studies.paper.claims import (
     ASSUMED,
     ASSUMED_NAMES,
-    COMPILED,
     COUPLED,
     DIAGONAL,
     DUAL,
@@ -65,7 +64,7 @@ def study(drives: int, frames: int) -> Study:
             ReferenceSource("long_drive", {"noise": noise})
             if past_points
             else StreetSource({"route": "town", "noise": noise}),
-            tuple(FilterChoice(name, name, {"compiled": COMPILED, **options.get(name, {})}) for name in names),
+            tuple(FilterChoice(name, name, options.get(name, {})) for name in names),
             seeds=tuple(range(drives)) if past_points else (0,),
             frames=frames,
             noise=assumed[R],

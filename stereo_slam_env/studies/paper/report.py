@@ -14,7 +14,6 @@ from stereo_slam_env.report import Cell, Chart, Column, Tone, figure_block, html
 from stereo_slam_env.studies.paper import convergence, figures, karlsruhe, landmark_uncertainty, long_drive, speed
 from stereo_slam_env.studies.paper.claims import (
     ASSUMED_NAMES,
-    COMPILED,
     DUAL,
     EUCLIDEAN,
     JOINT,
@@ -79,7 +78,7 @@ def write_report(
     subtitle = (
         f"Chen, Lin and Shih, “Using Range and Bearing Observation in Stereo-Based EKF SLAM”: "
         f"{samples:,} points a cloud, {settings.turn_seeds} turns, {settings.drive_seeds} drives of "
-        f"{settings.drive_frames} frames for each noise{', compiled' if COMPILED else ''}."
+        f"{settings.drive_frames} frames for each noise."
     )
     path = out / "report.html"
     path.write_text(html_page(title="The paper, judged", subtitle=subtitle, body="\n".join(sections)), encoding="utf-8")

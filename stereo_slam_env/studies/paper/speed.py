@@ -24,7 +24,6 @@ from filters import (
 )
 from stereo_slam_env.sensing import RIGS
 from stereo_slam_env.studies.paper.claims import (
-    COMPILED,
     DUAL,
     JOINT,
     SENTENCES,
@@ -43,15 +42,8 @@ NOISE = StereoNoise.independent_pixels(1.0)
 FORMS: Mapping[str, Mapping[str, Any]] = {
     "6-D, as in the paper": {"landmark": "inverse-depth"},
     "shared anchors": {"landmark": "shared-anchor"},
-} | (
-    {
-        "6-D, compiled": {"landmark": "inverse-depth", "compiled": True},
-        "shared anchors, compiled": {"landmark": "shared-anchor", "compiled": True},
-    }
-    if COMPILED
-    else {}
-)
-"""How the state is stored and computed; the same for both filters."""
+}
+"""How the state is stored; the same for both filters."""
 GROUPS = 10
 """Frames in which the landmarks enter the map."""
 DT, SPEED = 0.1, 0.05

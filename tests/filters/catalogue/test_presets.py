@@ -21,7 +21,7 @@ def drive() -> Recording:
 
 def estimates(drive: Recording, name: str, noise: StereoNoise, **options: Any) -> list[np.ndarray]:
     """Pose and covariance after the last frame."""
-    slam = make_filter(name, camera=drive.camera, noise=noise, compiled=False, **options)
+    slam = make_filter(name, camera=drive.camera, noise=noise, **options)
     *_, last = sse.run(slam, drive)
     return [last.pose.position, last.pose.orientation, last.pose.covariance]
 

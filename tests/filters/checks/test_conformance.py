@@ -155,12 +155,12 @@ class _Random(InverseDepthStereoEKF):
 
 class _HandsOutItsState(InverseDepthStereoEKF):
     def __init__(self, camera: Any, noise: Any, **options: Any) -> None:
-        super().__init__(camera, noise, compiled=False, **options)
+        super().__init__(camera, noise, **options)
 
     @property
     def pose(self) -> Any:
         pose = super().pose
-        object.__setattr__(pose, "position", self.state.camera.position)
+        object.__setattr__(pose, "position", self.engine.storage.x[0, :3])
         return pose
 
 

@@ -12,7 +12,7 @@ from ..drives import CAMERA, INDEPENDENT_PIXELS, SPEED, start
 
 def make(noise: StereoNoise = INDEPENDENT_PIXELS, **options) -> StereoEKF:
     """A started filter, by NumPy and without a gate unless told otherwise."""
-    return start(StereoEKF(CAMERA, noise, **{"gate": None, "compiled": False, **options}))
+    return start(StereoEKF(CAMERA, noise, **{"gate": None, **options}))
 
 
 def snapshot(stereo_filter: StereoEKF) -> list[np.ndarray]:

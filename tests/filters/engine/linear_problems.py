@@ -51,6 +51,14 @@ def joseph_update(P: np.ndarray, measurements: LinearisedMeasurements) -> tuple[
     return K @ nu, I_KH @ P @ I_KH.T + K @ R @ K.T, float(nu @ np.linalg.solve(S, nu))
 
 
+def update(P: np.ndarray, measurements: LinearisedMeasurements) -> np.ndarray:
+    """Correct P (lower triangle) in place by the dense Joseph form; gives the correction of the state."""
+    whole = np.tril(P) + np.tril(P, -1).T
+    delta, corrected, _ = joseph_update(whole, measurements)
+    P[...] = corrected
+    return delta
+
+
 def lower(P: np.ndarray) -> np.ndarray:
     """As the engine keeps it: column-major, with rubbish above the diagonal."""
     return np.asfortranarray(np.tril(P) + np.triu(np.full_like(P, np.nan), 1))

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from filters import Start, StereoEKF, StereoObservation
+from filters import Extended, RangeBearing, Start, StereoEKF, StereoObservation
 from filters.checks.conformance import REFERENCE_CAMERA as CAMERA
 from filters.checks.conformance import REFERENCE_NOISE as NOISE
-from filters.engine.consensus import largest_agreement
 from filters.engine.gating import gate_limit
 from filters.state import symmetric
-from filters.state.linearised import LinearisedMeasurements
+
+from .linear_problems import dense
 
 COUNT, DT, SPEED = 30, 0.1, 5.0
 VAGUE = np.diag(np.repeat([1e-6, 1e-6, 3.0, 0.3], 3) ** 2)
@@ -24,7 +24,7 @@ class Scene:
         self.rng = np.random.default_rng(seed)
         uvd = self.rng.uniform((300, 80, 8), (1000, 320, 40), (COUNT, 3))
         self.points = CAMERA.backproject(uvd)
-        self.slam = StereoEKF(CAMERA, NOISE, compiled=False, **options)
+        self.slam = StereoEKF(CAMERA, NOISE, **options)
         self.slam.reset(Start(linear_velocity=(0, 0, SPEED - 3.0), covariance=VAGUE))
         self.slam.update(StereoObservation(np.arange(COUNT), uvd))
         self.slam.predict(DT)
@@ -71,38 +71,30 @@ def test_without_outliers_nearly_all_are_used_and_the_estimate_is_nearly_that_of
     assert np.abs(apart / sigmas).max() < 1.0
 
 
-def test_it_is_the_best_of_all_single_updates_written_out() -> None:
-    """Against a loop over hypotheses with a dense Kalman update each."""
-    rng = np.random.default_rng(4)
-    n, count, size = 12 + 3 * 6, 6, 3
-    root = rng.standard_normal((n, n))
-    dense = root @ root.T / n
-    rows = 12 + 3 * np.arange(count)[:, None] + np.arange(3)
-    measurements = LinearisedMeasurements(
-        3.0 * rng.standard_normal((count, size)),
-        rng.standard_normal((count, size, 6)),
-        rng.standard_normal((count, size, 3)),
-        rows,
-        np.broadcast_to(0.5 * np.eye(size), (count, size, size)),
-    )
-    limit = gate_limit(0.99, size)
-    H = np.zeros((count, size, n))
-    H[:, :, :6] = measurements.by_leading
-    for j in range(count):
-        H[j][:, rows[j]] += measurements.by_map[j]
-    supports = []
-    for i in range(count):
-        gain = dense @ H[i].T @ np.linalg.inv(H[i] @ dense @ H[i].T + measurements.R[i])
-        left = measurements.innovation - H @ (gain @ measurements.innovation[i])
-        distances = np.einsum("jk,jk->j", left, left) / 0.5
-        agrees = distances <= limit
+@pytest.mark.parametrize("seed", range(4))
+def test_it_is_the_best_of_all_single_updates_written_out(seed: int) -> None:
+    """Which measurements are believed first: against a loop over hypotheses with a dense Kalman update each."""
+    scene = Scene(seed, consensus=True, gate=0.99)
+    state, observation = scene.slam.state, scene.observe(np.arange(0, COUNT, 2))
+    R = observation.covariances(NOISE)
+    stage = RangeBearing().stages(observation, R)[0]
+    linear = Extended().linearise(RangeBearing(), CAMERA, state, np.arange(COUNT), stage)
+    nu, H, _ = dense(linear, len(state.P))
+    P, nu, H = symmetric.full(state.P), nu.reshape(COUNT, 3), H.reshape(COUNT, 3, -1)
+    limit, inverse_R = gate_limit(0.99, 3), np.linalg.inv(NOISE.R)
+    S = H @ P @ H.transpose(0, 2, 1) + R
+    believable = np.einsum("mk,mkl,ml->m", nu, np.linalg.inv(S), nu) <= limit
+    most = 0
+    for i in np.flatnonzero(believable):
+        left = nu - H @ (P @ H[i].T @ np.linalg.solve(S[i], nu[i]))
+        agrees = believable & (np.einsum("mk,kl,ml->m", left, inverse_R, left) <= limit)
         agrees[i] = True
-        supports.append((agrees.sum(), -distances[agrees].sum(), agrees))
-    most = max(support[0] for support in supports)
-    possible = [agrees for count_of, _, agrees in supports if count_of == most]
-    found = largest_agreement(np.asfortranarray(np.tril(dense)), measurements, measurements.R, limit)
-    assert any(np.array_equal(found, agrees) for agrees in possible)
-    assert np.array_equal(symmetric.full(np.tril(dense)), dense) or np.allclose(symmetric.full(np.tril(dense)), dense)
+        most = max(most, agrees.sum())
+        if agrees.sum() == most:
+            best = agrees
+    report = scene.slam.update(observation)
+    assert set(observation.ids[best]) <= set(report.updated.tolist())  # those, and whom the corrected state lets in
+    assert 3 < most < believable.sum()
 
 
 def test_it_needs_a_gate() -> None:

@@ -88,8 +88,7 @@ def test_every_parametrisation_drifts_and_claims_less(landmark: str, error: str)
     assert np.linalg.slogdet(walked.pose.covariance)[1] > np.linalg.slogdet(still.pose.covariance)[1] + 1.0
 
 
-@pytest.mark.parametrize("compiled", [False, True])
-def test_a_joint_test_for_short_steps_refuses_what_one_for_long_steps_lets_in(compiled: bool) -> None:
+def test_a_joint_test_for_short_steps_refuses_what_one_for_long_steps_lets_in() -> None:
     frames = drive(4, 8, missed=0.0, noise_scale=0.1)
     seen = frames[-1].observation
     wrong = seen.uvd.copy()
@@ -98,7 +97,7 @@ def test_a_joint_test_for_short_steps_refuses_what_one_for_long_steps_lets_in(co
     drift = {"pixels": (4.0, 4.0, 2.0)}
     for gate_pixels, gated in ((None, False), ((0.2, 0.2, 0.2), True)):
         steps = {**drift, "gate_pixels": gate_pixels}
-        slam = StereoEKF(CAMERA, INDEPENDENT_PIXELS, drift=steps, consensus=True, compiled=compiled)
+        slam = StereoEKF(CAMERA, INDEPENDENT_PIXELS, drift=steps, consensus=True)
         *_, last = run(start(slam), frames)
         assert (seen.ids[0] in last.gated) == gated
 
@@ -119,9 +118,3 @@ def test_a_joint_test_for_short_steps_refuses_what_one_for_long_steps_lets_in(co
 def test_an_impossible_drift_is_refused(given: object, complaint: str) -> None:
     with pytest.raises(ValueError, match=complaint):
         StereoEKF(CAMERA, INDEPENDENT_PIXELS, drift=given)
-
-
-def test_with_other_measurements_than_the_joint_one_it_runs_by_numpy() -> None:
-    assert StereoEKF(CAMERA, INDEPENDENT_PIXELS, drift=0.3, measurement="sequential").compiled is None
-    with pytest.raises(ValueError, match="drift with measurement=LeftThenRight has no compiled form"):
-        StereoEKF(CAMERA, INDEPENDENT_PIXELS, drift=0.3, measurement="sequential", compiled=True)

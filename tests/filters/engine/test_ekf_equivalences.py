@@ -21,13 +21,12 @@ from filters import (
     StereoNoise,
     StereoObservation,
 )
-from filters.engine import kalman
 from filters.state import symmetric
 from filters.state.linearised import LinearisedMeasurements
 
 from ..drives import CAMERA, DT, INDEPENDENT_PIXELS, INDEPENDENT_UVD, SPEED, drive, run
 from .beliefs import assert_same_belief, make, scaled
-from .linear_problems import dense
+from .linear_problems import dense, update
 
 FULL = StereoNoise([[1.0, 0.3, 0.6], [0.3, 1.5, -0.2], [0.6, -0.2, 2.0]])
 
@@ -107,7 +106,7 @@ def test_the_right_row_adds_exactly_its_information() -> None:
     for sensor in (RangeBearing(), Stacked()):
         P = state.P.copy(order="F")
         (stage,) = sensor.stages(seen, R)
-        kalman.update(P, linearised(stage))
+        update(P, linearised(stage))
         information.append(np.linalg.inv(S @ symmetric.full(P) @ S))
     rows = Stage(seen.uvd[:, 1:2], np.array([[0.0, 1.0, 0.0]]), np.ones((len(seen), 1, 1)))
     _, H, _ = dense(linearised(rows), len(state.P))
@@ -197,7 +196,9 @@ def test_iterating_converges_to_the_map_estimate(landmark: str, error: str) -> N
     whiten = np.linalg.inv(np.linalg.cholesky(INDEPENDENT_PIXELS.R))
 
     def moved(x: np.ndarray) -> StereoEKF:
-        return prior.with_state(prior.options.error.moved(prior.state, root @ x))
+        there = copy.deepcopy(prior)
+        there.state = prior.options.error.moved(prior.state, root @ x)
+        return there
 
     def residuals(x: np.ndarray) -> np.ndarray:
         uvd = moved(x).forecast(seen.ids).uvd

@@ -47,7 +47,8 @@ def test_the_gate_passes_consistent_measurements_at_its_nominal_rate(
     passed = 0
     for _ in range(draws):
         error = root @ rng.standard_normal(len(P))
-        truth = stereo_filter.with_state(stereo_filter.options.error.moved(stereo_filter.state, error))
+        truth = copy.deepcopy(stereo_filter)
+        truth.state = stereo_filter.options.error.moved(stereo_filter.state, error)
         exact = truth.forecast().uvd
         z = exact + rng.multivariate_normal(np.zeros(3), INDEPENDENT_PIXELS.R, count)
         row = exact[:, 1] + rng.standard_normal(count) if v_right else None
@@ -213,6 +214,7 @@ def test_a_failed_factorisation_is_named_by_id_and_the_measurement_not_used(meas
     state = stereo_filter.state
     rows = state.map_rows(np.flatnonzero(state.ids == 2))[0, 3:]
     state.P[rows, rows] = -1.0
+    stereo_filter.state = state
     forecast = stereo_filter.forecast([1, 3])
     without = copy.deepcopy(stereo_filter)
     report = stereo_filter.update(StereoObservation([1, 2, 3], [forecast.uvd[0], uvd[1], forecast.uvd[1]]))

@@ -1,4 +1,4 @@
-"""Numbers of an update that nothing else in the estimate would show: each written out, for every engine."""
+"""Numbers of an update that nothing else in the estimate would show: each written out."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ from ..drives import CAMERA, DT, INDEPENDENT_PIXELS, SPEED, drive, start
 from ..slots import ERRORS, LANDMARKS
 from ..third_party import ShearedPair
 
-ENGINES = pytest.mark.parametrize("compiled", [False, None], ids=["numpy", "default"])
 BROAD = np.diag(np.repeat([0.2, 0.05, 1.0, 0.2], 3) ** 2)
 UVD = np.array([[300.0, 150.0, 25.0], [1000.0, 250.0, 24.0], [350.0, 300.0, 26.0], [1050.0, 120.0, 25.0]])
 
@@ -28,14 +27,13 @@ def make(**options: object) -> StereoEKF:
 # --- gate ---
 
 
-@ENGINES
 @pytest.mark.parametrize("probability", [0.5, 0.99])
 @pytest.mark.parametrize(("measurement", "used"), [("joint", 3), ("left", 2)])
 def test_a_measurement_is_gated_from_the_quantile_of_its_squared_distance_on(
-    measurement: str, used: int, probability: float, compiled: bool | None
+    measurement: str, used: int, probability: float
 ) -> None:
     """A thousandth inside it is used, a thousandth outside it is not."""
-    slam = start(make(gate=probability, measurement=measurement, compiled=compiled))
+    slam = start(make(gate=probability, measurement=measurement))
     slam.update(StereoObservation([1], UVD[:1]))
     slam.predict(DT)
     forecast = slam.forecast([1])
@@ -51,12 +49,9 @@ def test_a_measurement_is_gated_from_the_quantile_of_its_squared_distance_on(
 # --- joint compatibility ---
 
 
-@ENGINES
-def test_of_hypotheses_with_equal_support_the_tighter_one_wins_and_of_equal_ones_the_first(
-    compiled: bool | None,
-) -> None:
+def test_of_hypotheses_with_equal_support_the_tighter_one_wins_and_of_equal_ones_the_first() -> None:
     """Two pairs of landmarks that contradict each other, wherever in the frame; then two single ones."""
-    slam = make(gate=0.99, consensus=True, compiled=compiled, landmark="euclidean")
+    slam = make(gate=0.99, consensus=True, landmark="euclidean")
     slam.reset(Start(covariance=np.diag([*np.full(6, 1e-6), 3.0, *np.full(5, 1e-6)]) ** 2))  # sideways, m/s
     slam.update(StereoObservation([1, 2, 3, 4], UVD))
     slam.predict(DT)
@@ -76,14 +71,11 @@ def test_of_hypotheses_with_equal_support_the_tighter_one_wins_and_of_equal_ones
 # --- new landmarks ---
 
 
-@ENGINES
 @pytest.mark.parametrize("error", ERRORS)
 @pytest.mark.parametrize("landmark", [name for name in LANDMARKS if name != "polar"])
-def test_where_the_camera_is_does_not_matter_to_a_landmark_that_it_has_just_seen(
-    landmark: str, error: str, compiled: bool | None
-) -> None:
+def test_where_the_camera_is_does_not_matter_to_a_landmark_that_it_has_just_seen(landmark: str, error: str) -> None:
     """The next look at it has twice the noise of a measurement, however vague the pose: Eq. 25 with all its signs."""
-    slam = make(landmark=landmark, error=error, compiled=compiled)
+    slam = make(landmark=landmark, error=error)
     slam.reset(Start((1.0, 2.0, 3.0), Rotation.from_rotvec([0.2, -0.4, 0.1]).as_quat(), covariance=BROAD))
     slam.update(StereoObservation([1, 2, 3, 4], UVD))
     S = slam.forecast([1, 2, 3, 4]).S
@@ -96,18 +88,15 @@ def test_where_the_camera_is_does_not_matter_to_a_landmark_that_it_has_just_seen
 DISPARITY = Variable("disparity-errors", [1.0, 0.0], np.diag([0.01, 0.002]) ** 2)
 
 
-@ENGINES
 @pytest.mark.parametrize("error", ["quaternion", "right-invariant"])
 @pytest.mark.parametrize("measurement", [ShearedPair, None])
-def test_what_is_considered_stays_as_it_was_to_the_bit(
-    error: str, measurement: type | None, compiled: bool | None
-) -> None:
+def test_what_is_considered_stays_as_it_was_to_the_bit(error: str, measurement: type | None) -> None:
     pair = (
         ShearedPair((replace(DISPARITY, considered=True),))
         if measurement
         else CalibratedPair(offset_sigma=0.2, baseline_sigma=0.01, considered=True)
     )
-    slam = start(make(measurement=pair, error=error, compiled=compiled))
+    slam = start(make(measurement=pair, error=error))
     before = {variable.name: slam.belief(variable.name) for variable in pair.variables}
     odometry = BodyVelocity([0.1, 0.05, SPEED], [0.01, 0.2, -0.02], np.diag(np.repeat([0.05, 0.01], 3) ** 2))
     for k, frame in enumerate(drive(33, 8, visible=12, depths=(6.0, 30.0))):
@@ -119,12 +108,11 @@ def test_what_is_considered_stays_as_it_was_to_the_bit(
         np.testing.assert_array_equal(slam.belief(name).covariance, belief.covariance)
 
 
-@ENGINES
-def test_a_random_walk_grows_with_time_and_not_with_the_number_of_steps(compiled: bool | None) -> None:
+def test_a_random_walk_grows_with_time_and_not_with_the_number_of_steps() -> None:
     walk = np.array([0.02, 0.003])
     pair = ShearedPair((replace(DISPARITY, random_walk=walk),))
     for steps in (1, 4):
-        slam = start(make(measurement=pair, compiled=compiled))
+        slam = start(make(measurement=pair))
         for _ in range(steps):
             slam.predict(0.4 / steps)
         added = slam.belief("disparity-errors").covariance - DISPARITY.covariance

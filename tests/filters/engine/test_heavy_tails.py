@@ -8,37 +8,41 @@ import pytest
 from filters import Start, StereoEKF, StereoObservation, check_filter
 from filters.checks.conformance import REFERENCE_CAMERA as CAMERA
 from filters.checks.conformance import REFERENCE_NOISE as NOISE
-from filters.engine.heavy_tails import reweighted
-from filters.state.linearised import LinearisedMeasurements
+
+from ..drives import drive, finish
+from .beliefs import assert_same_belief
 
 
-def one_dimensional(innovations: list[float]) -> LinearisedMeasurements:
-    """Measurements of unit R of a quantity that P knows exactly, so that d is the innovation."""
-    count = len(innovations)
-    return LinearisedMeasurements(
-        np.array(innovations)[:, None],
-        np.zeros((count, 1, 6)),
-        np.zeros((count, 1, 0)),
-        np.zeros((count, 0), dtype=np.int64),
-        np.ones((count, 1, 1)),
-    )
-
-
-def test_the_weight_is_that_of_students_t_and_never_above_one() -> None:
-    measurements = one_dimensional([0.0, 1.0, 3.0, 10.0])
-    R = reweighted(np.eye(12, order="F"), measurements, 4.0).R[:, 0, 0]
-    np.testing.assert_allclose(R, [1.0, 1.0, (4 + 9) / 5, (4 + 100) / 5])
+@pytest.mark.parametrize("error", [0.0, 4.0, 30.0])
+def test_the_weight_is_that_of_students_t_and_never_above_one(error: float) -> None:
+    """One measurement off by `error`: as by a Gaussian filter that is given its R over the weight."""
+    made = []
+    for tail_dof in (4.0, None):
+        slam = StereoEKF(CAMERA, NOISE, gate=None, tail_dof=tail_dof, drop_unseen=False)
+        slam.reset(Start(covariance=np.diag(np.repeat([1e-3, 1e-3, 0.5, 0.05], 3) ** 2)))
+        uvd = np.array([[600.0, 200.0, 20.0], [900.0, 150.0, 30.0]])
+        slam.update(StereoObservation([1, 2], uvd))
+        slam.predict(0.1)
+        forecast = slam.forecast([1])
+        nu = np.array([error, 0.0, 0.0])
+        distance = nu @ np.linalg.solve(forecast.S[0], nu)
+        weight = min((4.0 + 3.0) / (4.0 + distance), 1.0)
+        R = NOISE.R if tail_dof else NOISE.R / weight
+        slam.update(StereoObservation([1], forecast.uvd + nu, R=R[None]))
+        made.append(slam)
+    assert_same_belief(*made, 1e-10)
 
 
 def test_many_degrees_of_freedom_are_gaussian() -> None:
-    R = reweighted(np.eye(12, order="F"), one_dimensional([0.5, 4.0]), 1e12).R
-    np.testing.assert_allclose(R, 1.0, rtol=1e-9)
+    frames = drive(1, 10, depths=(6.0, 30.0))
+    tailed, gaussian = (finish(StereoEKF(CAMERA, NOISE, tail_dof=dof), frames) for dof in (1e12, None))
+    assert_same_belief(tailed, gaussian, 1e-9)
 
 
 def test_an_outlier_inside_the_gate_pulls_less() -> None:
     moved = {}
     for tail_dof in (None, 3.0):
-        slam = StereoEKF(CAMERA, NOISE, gate=None, tail_dof=tail_dof, compiled=False)
+        slam = StereoEKF(CAMERA, NOISE, gate=None, tail_dof=tail_dof)
         slam.reset(Start(covariance=np.diag(np.repeat([1e-6, 1e-6, 0.3, 0.03], 3) ** 2)))
         uvd = np.random.default_rng(0).uniform((300, 80, 8), (1000, 320, 40), (20, 3))
         slam.update(StereoObservation(np.arange(20), uvd))

@@ -9,15 +9,12 @@ import pytest
 from filterpy.kalman import KalmanFilter
 
 from filters import BodyVelocity, ConstantVelocity, Euclidean, Start, StereoEKF, StereoObservation
-from filters.engine import kalman
-from filters.motions.model import CAMERA_SIZE, POSE_SIZE, LinearMeasurement
+from filters.motions.model import CAMERA_SIZE, POSE_SIZE
 from filters.state import symmetric
-from filters.state.linearised import of_variables
-from filters.state.transport import Transport
 
-from ..drives import CAMERA, DT, INDEPENDENT_PIXELS, SPEED
+from ..drives import CAMERA, DT, INDEPENDENT_PIXELS, SPEED, drive, finish
 from ..state.states import camera_at, new_landmarks, transform_variables, without_map
-from .linear_problems import assert_covariances_equal, dense, lower, random_covariance, random_measurements
+from .linear_problems import assert_covariances_equal, dense, lower, random_covariance, random_measurements, update
 
 
 def kalman_filter(x: np.ndarray, P: np.ndarray) -> KalmanFilter:
@@ -33,67 +30,35 @@ def assert_same(x: np.ndarray, P: np.ndarray, reference: KalmanFilter, tolerance
     assert_covariances_equal(P, reference.P, tolerance)
 
 
-@pytest.mark.parametrize("chunk", [1, 7, 25, 1000])
-@pytest.mark.parametrize("rows", [2, 3, 4])
-def test_an_update_in_chunks_is_one_update_of_filterpy(chunk: int, rows: int) -> None:
-    """60 landmarks on 40 blocks: estimate, covariance and NIS."""
-    rng = np.random.default_rng([20, rows])
-    P = random_covariance(rng, CAMERA_SIZE + 3 * 40)
-    measurements = random_measurements(rng, 60, rows, 40)
-    reference = kalman_filter(np.zeros(len(P)), P)
-    z, H, R = dense(measurements, len(P))
-    reference.update(z, R=R, H=H)
-    updated = lower(P)
-    correction = kalman.update(updated, measurements, chunk=chunk)
-    assert_same(correction.delta, symmetric.full(updated), reference, 1e-8)
-    assert correction.nis == pytest.approx(float(reference.mahalanobis) ** 2, rel=1e-9)
-
-
-@pytest.mark.parametrize("rows", [1, 6])
-def test_a_measurement_of_the_camera_corrects_the_whole_map(rows: int) -> None:
+@pytest.mark.parametrize("rows", [1, 6, 70])
+def test_a_correction_is_one_update_of_filterpy(rows: int) -> None:
+    """Of pose, velocity, landmarks and a clone together: estimate, covariance and NIS."""
     rng = np.random.default_rng([21, rows])
-    P = random_covariance(rng, CAMERA_SIZE + 3 * 10)
-    H, innovation = rng.standard_normal((rows, CAMERA_SIZE)), rng.standard_normal(rows)
-    R = random_covariance(rng, rows)
+    slam = StereoEKF(CAMERA, INDEPENDENT_PIXELS, landmark="euclidean", error="first-estimates", drop_unseen=False)
+    finish(slam, drive(21, 5, depths=(6.0, 30.0)))
+    slam.clone_pose("then")
+    slam.predict(DT)
+    state = slam.state
+    P, ids = symmetric.full(state.P), state.ids[:3]
+    rows_of = {name: state.layout.rows_of((name,)) for name in ("velocity", "pose")}
+    rows_of |= {int(i): state.own_rows(np.array([k]))[0] for k, i in enumerate(ids)}
+    rows_of["then"] = state.block_rows(state.clones["then"].blocks)
+    H_of = {name: rng.standard_normal((rows, len(place))) for name, place in rows_of.items()}
+    innovation, R = 1e-2 * rng.standard_normal(rows), random_covariance(rng, rows)
+    H = np.zeros((rows, len(P)))
+    for name, place in rows_of.items():
+        H[:, place] = H_of[name]
     reference = kalman_filter(np.zeros(len(P)), P)
-    reference.update(innovation, R=R, H=np.hstack([H, np.zeros((rows, len(P) - CAMERA_SIZE))]))
-    updated = lower(P)
-    correction = kalman.update(
-        updated, of_variables(LinearMeasurement(innovation, H, R), np.arange(CAMERA_SIZE), CAMERA_SIZE)
-    )
-    assert_same(correction.delta, symmetric.full(updated), reference)
-    assert np.abs(correction.delta[CAMERA_SIZE:]).min() > 0
-
-
-def test_the_joint_innovation_covariance_is_that_of_filterpy() -> None:
-    rng = np.random.default_rng(22)
-    P = random_covariance(rng, CAMERA_SIZE + 3 * 8)
-    measurements = random_measurements(rng, 12, 3, 8)
-    reference = kalman_filter(np.zeros(len(P)), P)
-    z, H, R = dense(measurements, len(P))
-    reference.update(z, R=R, H=H)
-    S = kalman.joint_innovation_covariance(lower(P), measurements)
-    np.testing.assert_allclose(S.reshape(36, 36), reference.S, rtol=1e-9, atol=1e-9 * reference.S.max())
-
-
-@pytest.mark.parametrize("passes", [2, 5])
-def test_iterating_a_linear_update_changes_nothing(passes: int) -> None:
-    """Each pass starts from the prior again and finds what one pass of filterpy finds; nothing is counted twice."""
-    rng = np.random.default_rng(23)
-    P = random_covariance(rng, CAMERA_SIZE + 3 * 8)
-    measurements = random_measurements(rng, 12, 3, 8)
-    reference = kalman_filter(np.zeros(len(P)), P)
-    z, H, R = dense(measurements, len(P))
-    reference.update(z, R=R, H=H)
-    again, no_turn = measurements, Transport(np.eye(CAMERA_SIZE))
-    for _ in range(passes - 1):
-        delta = kalman.update(lower(P), again).delta
-        there = replace(measurements, innovation=measurements.innovation - measurements.times(delta))
-        again = no_turn.pulled_back(there, delta)
-    updated = lower(P)
-    correction = kalman.update(updated, again)
-    assert_same(correction.delta, symmetric.full(updated), reference, 1e-8)
-    assert correction.nis == pytest.approx(float(reference.mahalanobis) ** 2, rel=1e-8)
+    reference.update(innovation, R=R, H=H)
+    told = slam.correct(innovation, H_of, R)
+    after = slam.state
+    delta = np.concatenate([after.blocks[k] - state.blocks[k] for k in state.parameter_block])
+    own = state.own_rows().ravel()
+    sigmas = np.sqrt(np.diag(reference.P))
+    np.testing.assert_allclose(delta / sigmas[own], reference.x[own] / sigmas[own], rtol=0, atol=1e-8)
+    assert_covariances_equal(symmetric.full(after.P), reference.P, 1e-7)
+    assert told.nis == pytest.approx(float(reference.mahalanobis) ** 2, rel=1e-7)
+    assert (told.used, told.nis_dof) == (True, rows)
 
 
 # --- a map that grows and shrinks ---
@@ -125,7 +90,7 @@ def test_a_map_that_grows_and_shrinks_equals_filterpy_with_every_landmark_ever_s
             reference.update(z, R=R, H=H)
             x = np.concatenate([x_camera, state.blocks.ravel()])
             relative = replace(measurements, innovation=measurements.innovation - measurements.times(x))
-            delta = kalman.update(state.P, relative, chunk=2).delta
+            delta = update(state.P, relative)
             x_camera = x_camera + delta[:CAMERA_SIZE]
             state.blocks = state.blocks + delta[CAMERA_SIZE:].reshape(-1, 3)
 
@@ -176,7 +141,7 @@ def _grow(reference: KalmanFilter, J: np.ndarray, noise: np.ndarray) -> None:
 
 def straight(**options) -> tuple[StereoEKF, KalmanFilter]:
     """A filter that knows it does not turn, and filterpy's for its position and velocity."""
-    stereo_filter = StereoEKF(CAMERA, INDEPENDENT_PIXELS, motion=ConstantVelocity(3.0, 0.0), compiled=False, **options)
+    stereo_filter = StereoEKF(CAMERA, INDEPENDENT_PIXELS, motion=ConstantVelocity(3.0, 0.0), **options)
     rng = np.random.default_rng(25)
     translation = np.r_[0:3, 6:9]
     P = np.zeros((CAMERA_SIZE, CAMERA_SIZE))

@@ -110,7 +110,9 @@ def test_without_a_map_it_is_that_of_the_pose() -> None:
 
 def test_a_landmark_at_infinity_is_not_finite_and_spoils_nothing_else() -> None:
     slam = driven()
-    slam.state.blocks[slam.state.parameter_block[0], 2] = 0.0
+    state = slam.state
+    state.blocks[state.parameter_block[0], 2] = 0.0
+    slam.state = state
     joint = slam.joint_covariance(slam.state.ids)
     assert not np.isfinite(joint[6:9, 6:9]).any()
     rest = np.delete(np.arange(len(joint)), [6, 7, 8])

@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 
 from filters import Extended, RangeBearing, Stage, StereoEKF, StereoObservation
-from filters.engine import kalman, selection
-from filters.engine.map_policy import start_landmarks
+from filters.engine import selection
+from filters.engine.new_landmarks import start_landmarks
 from filters.state import symmetric
 
 from ..drives import CAMERA, INDEPENDENT_PIXELS, drive, finish, run, start
 from ..slots import LANDMARKS
 from ..state.states import transform_variables
+from .linear_problems import update
 
 COUNT = 12
 SENSOR = RangeBearing()
@@ -26,7 +27,7 @@ def noise(count: int) -> np.ndarray:
 
 def tracked(seed: int, landmark: str = "shared-anchor") -> tuple[StereoEKF, StereoObservation]:
     """A filter with `COUNT` landmarks or more, and measurements of as many new ones."""
-    slam = StereoEKF(CAMERA, INDEPENDENT_PIXELS, gate=None, landmark=landmark, compiled=False)
+    slam = StereoEKF(CAMERA, INDEPENDENT_PIXELS, gate=None, landmark=landmark)
     finish(slam, drive(seed, 8, visible=COUNT + 4, missed=0.0, depths=(6, 30)))
     return slam, StereoObservation(np.arange(COUNT) + 10**6, drive(seed + 100, 1, visible=COUNT)[0].observation.uvd)
 
@@ -53,14 +54,15 @@ def test_what_is_foreseen_is_what_happens(landmark: str) -> None:
     known = np.arange(5)
     foreseen = pose_covariance(candidates(slam, known, new), np.ones(5 + len(new), dtype=bool))
     ids = slam.state.ids[known]
-    slam.state.augment(start_landmarks(SENSOR, CAMERA, slam.state, new, noise(len(new))))
+    state = slam.state
+    state.augment(start_landmarks(SENSOR, CAMERA, state, new, noise(len(new))))
     step = np.zeros((12, 12))
     step[:6, :6] = selection.STEP
-    transform_variables(slam.state, np.eye(12), step)
-    everything = np.flatnonzero(np.isin(slam.state.ids, [*ids, *new.ids]))
+    transform_variables(state, np.eye(12), step)
+    everything = np.flatnonzero(np.isin(state.ids, [*ids, *new.ids]))
     stage = Stage(np.zeros((len(everything), 3)), np.eye(3), noise(len(everything)))
-    kalman.update(slam.state.P, Extended().linearise(SENSOR, CAMERA, slam.state, everything, stage))
-    happened = symmetric.full(slam.state.P[:6, :6])
+    update(state.P, Extended().linearise(SENSOR, CAMERA, state, everything, stage))
+    happened = symmetric.full(state.P[:6, :6])
     scale = np.sqrt(np.diag(happened))
     np.testing.assert_allclose(foreseen / np.outer(scale, scale), happened / np.outer(scale, scale), atol=1e-5)
 

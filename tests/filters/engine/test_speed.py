@@ -18,7 +18,7 @@ LANDMARKS, BUDGET_MS = 100, 25.0
 def test_a_frame_with_100_landmarks_takes_at_most_25_ms(name: str) -> None:
     rng = np.random.default_rng(0)
     uvd = rng.uniform((400, 100, 5), (900, 300, 40), (LANDMARKS, 3))
-    slam = make_filter(name, camera=REFERENCE_CAMERA, noise=REFERENCE_NOISE, compiled=False)
+    slam = make_filter(name, camera=REFERENCE_CAMERA, noise=REFERENCE_NOISE)
     slam.update(StereoObservation(np.arange(LANDMARKS), uvd))
     times = []
     with threadpool_limits(1):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from filters import StereoNoise, StereoObservation
-from filters.engine.map_policy import start_landmarks
+from filters.engine.new_landmarks import start_landmarks
 from filters.errors.invariant import RightInvariant
 from filters.errors.model import ErrorDefinition
 from filters.landmarks.model import LandmarkModel
@@ -166,6 +166,7 @@ for _error, _definition in {**ERRORS, "right-invariant": RightInvariant(reset=Tr
                 claimed = whole_matrix(error.transport(state, there, delta), len(delta))
                 if not error.linearises_at_the_state:  # errors stay those of the linearisation point
                     return lambda e: e, claimed
+                claimed[layout.errors : layout.size, layout.errors : layout.size] = 0.0  # padding is no error
                 return lambda e: local(there, error.moved(state, delta + e), error), claimed
 
 

@@ -10,19 +10,18 @@ from scipy.spatial.transform import Rotation
 
 from filters import BodyVelocity, Start, StereoEKF, StereoObservation, Variable
 from filters.contract.stereo_filter import StereoFilter
-from filters.engine import kalman
 from filters.state import symmetric
 from filters.state.layout import Layout
 
 from ..drives import CAMERA, DT, INDEPENDENT_PIXELS, SPEED, drive, start
-from ..engine.linear_problems import assert_covariances_equal, dense, lower, random_covariance, random_measurements
+from ..engine.linear_problems import assert_covariances_equal, random_covariance
 from ..third_party import BIAS, DISPARITY_ERRORS, MOUNTING, BiasedOdometry, ShearedPair
 
 ODOMETRY = BodyVelocity([0.1, 0.05, SPEED], [0.01, 0.2, -0.02], np.diag(np.repeat([0.05, 0.01], 3) ** 2))
 
 
 def make(**options) -> StereoEKF:
-    parts = {"gate": None, "compiled": False, "measurement": ShearedPair(), **options}
+    parts = {"gate": None, "measurement": ShearedPair(), **options}
     return start(StereoEKF(CAMERA, INDEPENDENT_PIXELS, **parts))
 
 
@@ -38,8 +37,9 @@ def test_what_a_measurement_depends_on_stands_together_after_the_pose() -> None:
     assert list(layout.places) == ["pose", "disparity-errors", "velocity", "bias", "mounting"]
     assert [place.stop - place.start for place in layout.places.values()] == [6, 2, 6, 6, 3]
     assert layout.places["pose"] == slice(0, 6)
-    assert (layout.measured, layout.size) == (8, 23)
-    np.testing.assert_array_equal(np.concatenate([layout.rows[place] for place in layout.places.values()]), layout.rows)
+    assert (layout.measured, layout.errors, layout.size) == (8, 23, 24)  # rows come in threes
+    placed = np.concatenate([layout.rows[place] for place in layout.places.values()])
+    np.testing.assert_array_equal(placed, np.arange(23))
     assert layout.rows_of(("mounting", "disparity-errors")).tolist() == [20, 21, 22, 6, 7]
     assert (layout.linear_velocity, layout.angular_velocity) == (slice(8, 11), slice(11, 14))
 
@@ -172,30 +172,28 @@ def test_sigma_points_know_no_variables() -> None:
 # --- considered ---
 
 
-def schmidt(P: np.ndarray, measurements, considered: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Schmidt's filter written out: no gain for the considered rows, and the covariance that this gain really has."""
-    nu, H, R = dense(measurements, len(P))
+@pytest.mark.parametrize("rows", [1, 5, 40])
+def test_a_correction_with_considered_rows_is_the_schmidt_kalman_filter(rows: int) -> None:
+    """No gain for the considered rows, and the covariance that this gain really has."""
+    rng = np.random.default_rng([33, rows])
+    slam = make(measurement=with_variable(considered=True), error="first-estimates")  # P is not carried along
+    corrected(slam, drive(33, 4, visible=15, depths=(6.0, 30.0)))
+    layout, P = slam.options.layout, symmetric.full(slam.state.P)
+    names = ("velocity", "disparity-errors", "pose")
+    H_of = {name: rng.standard_normal((rows, layout.rows_of((name,)).size)) for name in names}
+    nu, R = 1e-3 * rng.standard_normal(rows), random_covariance(rng, rows) + 1e-3 * np.eye(rows)
+    H, considered = np.zeros((rows, len(P))), layout.considered
+    H[:, layout.rows_of(names)] = np.hstack(list(H_of.values()))
     K = np.linalg.solve(H @ P @ H.T + R, H @ P).T
     K[considered] = 0.0
     I_KH = np.eye(len(P)) - K @ H
-    return K @ nu, I_KH @ P @ I_KH.T + K @ R @ K.T
-
-
-@pytest.mark.parametrize("chunk", [1, 7, 100])
-def test_an_update_with_considered_rows_is_the_schmidt_kalman_filter(chunk: int) -> None:
-    rng = np.random.default_rng(33)
-    P = random_covariance(rng, 12 + 3 * 20)
-    measurements = random_measurements(rng, 25, 3, 20, camera=8)
-    considered = np.array([6, 7, 10])
-    updated = lower(P)
-    correction = kalman.update(updated, measurements, considered, chunk)
-    delta, expected = schmidt(P, measurements, considered)
-    sigmas = np.sqrt(np.diag(P))
-    np.testing.assert_allclose(correction.delta / sigmas, delta / sigmas, rtol=0, atol=1e-8)
-    assert_covariances_equal(symmetric.full(updated), expected, 1e-8)
-    np.testing.assert_array_equal(correction.delta[considered], 0.0)
-    square = np.ix_(considered, considered)
-    np.testing.assert_array_equal(np.tril(updated[square]), np.tril(P[square]))
+    expected, before = I_KH @ P @ I_KH.T + K @ R @ K.T, slam.velocity.linear
+    assert slam.correct(nu, H_of, R).used
+    actual, regular = symmetric.full(slam.state.P), np.flatnonzero(np.diag(P) > 0.0)
+    assert_covariances_equal(actual[np.ix_(regular, regular)], expected[np.ix_(regular, regular)], 1e-8)
+    np.testing.assert_allclose(slam.velocity.linear - before, (K @ nu)[layout.linear_velocity], rtol=1e-8, atol=1e-12)
+    np.testing.assert_array_equal(slam.belief("disparity-errors").value, DISPARITY_ERRORS.value)
+    np.testing.assert_array_equal(slam.belief("disparity-errors").covariance, DISPARITY_ERRORS.covariance)
 
 
 def corrected(slam: StereoFilter, frames: list) -> None:

@@ -30,7 +30,7 @@ SMALL: dict[str, Any] = {"max_unseen": 10, "patience": 1}  # some ten submaps a 
 
 def pair(**options: Any) -> tuple[StereoEKF, SubmapEKF]:
     """The full filter and submaps with the same options, started."""
-    options = {"landmark": "shared-anchor", "compiled": False, **options}
+    options = {"landmark": "shared-anchor", **options}
     full = StereoEKF(CAMERA, INDEPENDENT_PIXELS, drop_unseen=False, **options)
     ours = SubmapEKF(CAMERA, INDEPENDENT_PIXELS, **SMALL, **options)
     start(full, ours)

@@ -14,7 +14,7 @@ from stereo_slam_env.benchmark.storage.code_identity import ROOT, code_digest
 
 from .test_store import fill
 
-KALMAN = "filters/engine/kalman.py"
+KERNELS = "filters/engine/compiled/gating.py"
 
 
 @pytest.fixture(scope="module")
@@ -73,7 +73,7 @@ def test_docstrings_comments_and_formatting_change_nothing(copy, old, new):
     [
         ("stereo_slam_env/world/physics.py", "_SURFACE_GAP = 0.05", "_SURFACE_GAP = 0.06"),
         ("filters/catalogue/presets.py", '="shared-anchor"', '="inverse-depth"'),
-        (KALMAN, "import numpy as np\n", "import numpy as np\n\nnp.seterr(all='raise')\n"),
+        (KERNELS, "import numpy as np\n", "import numpy as np\n\nnp.seterr(all='raise')\n"),
     ],
 )
 def test_a_number_a_string_and_a_statement_change_it(copy, file, old, new):
@@ -115,7 +115,7 @@ def test_what_python_and_editors_keep_does_not_count(copy):
 def test_a_run_is_kept_when_a_docstring_changes_and_not_when_a_number_does(copy, tmp_path, monkeypatch):
     monkeypatch.setattr(store, "code_digest", partial(digest, copy))
     finished = fill(tmp_path / "out")
-    edit(copy / KALMAN, '"""', '"""Edited. ')
+    edit(copy / KERNELS, '"""', '"""Edited. ')
     assert finished.missing() == []
     edit(copy / "stereo_slam_env/world/physics.py", "_SURFACE_GAP = 0.05", "_SURFACE_GAP = 0.06")
     assert len(finished.missing()) == 2
@@ -127,12 +127,12 @@ def test_it_is_known_at_once_the_second_time(copy):
     assert digest(copy) == first
     assert time.process_time() - began < 0.1
     parsed = []
-    edit(copy / KALMAN, '"""', '"""Edited. ')
+    edit(copy / KERNELS, '"""', '"""Edited. ')
     with pytest.MonkeyPatch.context() as patch:
         meaning = code_identity.meaning
         patch.setattr(code_identity, "meaning", lambda name, source: parsed.append(name) or meaning(name, source))
         assert digest(copy) == first
-    assert parsed == [KALMAN]
+    assert parsed == [KERNELS]
 
 
 @pytest.mark.parametrize("content", [b"", b"{", b"\xff"])

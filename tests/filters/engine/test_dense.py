@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from filters.engine.compiled.engine import CompiledEngine, Observations
 from filters.engine.compiled.frame import FAILED
 from filters.engine.compiled.recipe import CALIBRATION_SIZE, Recipe
 from filters.engine.compiled.storage import FilterState
+from filters.engine.engine import Engine, Observations
 from filters.state import symmetric
 
-from ...drives import CAMERA
+from ..drives import CAMERA
 
 R = np.array([[1.0, 0.0, 1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 2.0]])
 CALIBRATION = tuple(range(CALIBRATION_SIZE))
@@ -23,13 +23,14 @@ LANDMARKS = ("inverse-depth", "shared-anchor", "euclidean")
 
 def recipe_with(landmark: str, **options: object) -> Recipe:
     options = {"calibration": CALIBRATION, "error": "so3", "gate": None, **options}
-    return Recipe(CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy, CAMERA.disparity_constant, landmark=landmark, **options)
+    options |= {"anchored": landmark != "euclidean", "shares_anchors": landmark == "shared-anchor"}
+    return Recipe(CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy, CAMERA.disparity_constant, **options)
 
 
-def started(recipe: Recipe) -> CompiledEngine:
+def started(recipe: Recipe) -> Engine:
     """A filter in general position with four landmarks."""
     rng = np.random.default_rng(3)
-    engine, L = CompiledEngine(recipe), recipe.leading
+    engine, L = Engine(recipe), recipe.leading
     x = np.zeros(recipe.values)
     x[:3], x[3:7] = (1.0, 2.0, 3.0), Rotation.from_rotvec([0.2, -0.5, 0.1]).as_quat()
     if recipe.calibration:
@@ -51,10 +52,10 @@ def observed(uvd: np.ndarray) -> Observations:
     return Observations(yes, np.array([0, len(uvd)]), ids, uvd, R, ~yes)
 
 
-def exported(engine: CompiledEngine) -> FilterState:
+def exported(engine: Engine) -> FilterState:
     """State of the first filter, P whole."""
     state = engine.export(0)
-    return replace(state, P=symmetric.full(state.P.T))
+    return replace(state, P=symmetric.full(state.P.T), blocks=state.blocks[:, :3], first=state.first[:, :3])
 
 
 def plus(recipe: Recipe, state: FilterState, e: np.ndarray) -> FilterState:
@@ -91,7 +92,7 @@ def directions(angles: np.ndarray) -> np.ndarray:
 def project(recipe: Recipe, state: FilterState) -> np.ndarray:
     """(u, v, d) of all landmarks, one after the other."""
     own, rotation = state.blocks[state.own], Rotation.from_quat(state.x[3:7]).as_matrix()
-    if recipe.landmark == "euclidean":
+    if not recipe.anchored:
         h, rho = own - state.x[:3], np.ones(len(own))
     else:
         rho = own[:, 2]
@@ -121,9 +122,9 @@ def start_blocks(recipe: Recipe, state: FilterState, uvd: np.ndarray) -> np.ndar
     )
     scale = (uvd[:, 2] - o) / ((1 + focal) * (1 + baseline) * recipe.disparity_constant)
     h = rays @ Rotation.from_rotvec(turn).as_matrix() @ Rotation.from_quat(state.x[3:7]).as_matrix().T
-    if recipe.landmark == "euclidean":
+    if not recipe.anchored:
         return state.x[:3] + h / scale[:, None]
-    anchors = np.tile(state.x[:3], (1 if recipe.landmark == "shared-anchor" else len(uvd), 1))
+    anchors = np.tile(state.x[:3], (1 if recipe.shares_anchors else len(uvd), 1))
     angles = [np.arctan2(h[:, 0], h[:, 2]), np.arctan2(-h[:, 1], np.hypot(h[:, 0], h[:, 2]))]
     return np.vstack([anchors, np.column_stack([*angles, scale / np.linalg.norm(rays, axis=1)])])
 
@@ -134,7 +135,7 @@ def test_new_landmarks_inherit_the_uncertainty_of_pose_and_calibration(landmark:
     recipe = recipe_with(landmark, calibration=calibration)
     engine = started(recipe)
     before, L = exported(engine), recipe.leading
-    engine.update(observed(UVD))
+    engine.step(0.0, observed(UVD))
     after = exported(engine)
     np.testing.assert_allclose(after.blocks, start_blocks(recipe, before, UVD), rtol=1e-12)
     J = jacobian(lambda e: start_blocks(recipe, plus(recipe, before, e), UVD).ravel(), L)
@@ -151,9 +152,9 @@ def test_new_landmarks_inherit_the_uncertainty_of_pose_and_calibration(landmark:
 def test_an_update_is_the_dense_one_and_schmidts_for_considered_rows(landmark: str, considered: tuple) -> None:
     recipe = recipe_with(landmark, considered=considered)
     engine = started(recipe)
-    engine.update(observed(UVD))
+    engine.step(0.0, observed(UVD))
     before, uvd = exported(engine), UVD + np.random.default_rng(5).standard_normal(UVD.shape)
-    engine.update(observed(uvd))
+    engine.step(0.0, observed(uvd))
     after, size = exported(engine), len(before.P)
     H = jacobian(lambda e: project(recipe, plus(recipe, before, e)), size)
     S = H @ before.P @ H.T + np.kron(np.eye(len(uvd)), R)
@@ -188,7 +189,7 @@ def invariant_plus(recipe: Recipe, state: FilterState, delta: np.ndarray) -> Fil
     moved.x[:3] = state.x[:3] + J @ delta[:3]
     moved.x[v + 1 : v + 4] = state.x[v + 1 : v + 4] + J @ delta[v : v + 3]
     by_block = delta[recipe.leading :].reshape(-1, 3)
-    rays = set() if recipe.landmark == "euclidean" else set(state.own.tolist())
+    rays = set() if not recipe.anchored else set(state.own.tolist())
     for c, (block, d) in enumerate(zip(state.blocks, by_block, strict=True)):
         if c not in rays:
             moved.blocks[c] = block + J @ d
@@ -210,10 +211,10 @@ def test_the_invariant_error_carries_P_along_by_the_whole_jacobian(landmark: str
     so3, invariant = (started(recipe_with(landmark, error=error)) for error in ("so3", "invariant"))
     recipe = so3.recipe
     for engine in (so3, invariant):
-        engine.update(observed(UVD))
+        engine.step(0.0, observed(UVD))
     before = exported(so3)
     for engine in (so3, invariant):
-        engine.update(observed(uvd))
+        engine.step(0.0, observed(uvd))
     by_so3, after, size = exported(so3), exported(invariant), len(before.P)
     delta = minus(recipe, by_so3, before)
     back = np.eye(size)
@@ -233,9 +234,9 @@ def test_passes_with_the_prior_held_end_at_the_most_probable_state(landmark: str
     """There the correction is P H^T R^-1 times what is left of the measurement, H by the errors of the prior."""
     engine = started(recipe_with(landmark, error=error, iterations=300))
     recipe, retracted = engine.recipe, plus if error == "so3" else invariant_plus
-    engine.update(observed(UVD))
+    engine.step(0.0, observed(UVD))
     before, uvd = exported(engine), UVD + np.array([1.0, -2.0, 1.0])
-    engine.update(observed(uvd))
+    engine.step(0.0, observed(uvd))
     after, delta = exported(engine), np.zeros(len(before.P))
     for _ in range(10):  # the correction that leads there
         moved = retracted(recipe, before, delta)
@@ -253,7 +254,7 @@ def test_a_random_walk_adds_its_variance() -> None:
     walking = replace(recipe, walk=tuple(np.linspace(0.0, 1.0, recipe.leading)))
     still, moving = started(recipe), started(walking)
     for engine in (still, moving):
-        engine.predict(0.1)
+        engine.step(0.1, None)
     added = np.diag(0.1 * np.linspace(0.0, 1.0, recipe.leading))
     np.testing.assert_allclose(exported(moving).P - exported(still).P, added, atol=1e-15)
 
@@ -263,16 +264,16 @@ def test_a_measurement_without_a_cholesky_factor_is_left_out_alone(iterations: i
     recipe = recipe_with("shared-anchor", iterations=iterations)
     broken, without = started(recipe), started(recipe)
     for engine in (broken, without):
-        engine.update(observed(UVD))
+        engine.step(0.0, observed(UVD))
     seen = observed(UVD + 0.5)
     noise = np.tile(R, (4, 1, 1))
     noise[2] = -1e6 * np.eye(3)
     others = [0, 1, 3]
-    outcome = broken.update(replace(seen, R=noise))
+    outcome = broken.step(0.0, replace(seen, R=noise))
     kept = replace(seen, ids=seen.ids[others], uvd=seen.uvd[others], offsets=np.array([0, 3]))
-    expected = CompiledEngine(replace(recipe, drop_unseen=False))
-    expected.load(0, exported(without))
-    expected.update(kept)
+    expected = Engine(replace(recipe, drop_unseen=False))
+    expected.load(0, without.export(0))
+    expected.step(0.0, kept)
     np.testing.assert_array_equal(outcome.fates == FAILED, [False, False, True, False])
     assert outcome.dof[0] == 9
     np.testing.assert_allclose(exported(broken).x, exported(expected).x, rtol=1e-10, atol=1e-12)

@@ -8,13 +8,21 @@ import pytest
 from filters import BodyVelocity, Start, StereoEKF, StereoObservation, VelocityDriven
 from filters.engine.batch import FilterBatch
 
-from ...drives import CAMERA, DT, INDEPENDENT_PIXELS, SPEED, START_COVARIANCE, drive
-from ...engine.beliefs import assert_same_belief
+from ..drives import CAMERA, DT, INDEPENDENT_PIXELS, SPEED, START_COVARIANCE, drive
+from ..third_party import BiasedOdometry, ShearedPair
+from .beliefs import assert_same_belief
 
 COUNT = 5
 ODOMETRY = BodyVelocity((0.0, 0.0, SPEED), (0.0, 0.2, 0.0), np.diag(np.repeat([0.3, 0.1], 3) ** 2))
 START = Start(linear_velocity=(0.0, 0.0, SPEED), covariance=START_COVARIANCE)
-OPTIONS = [{}, {"landmark": "shared-anchor", "consensus": True}, {"measurement": "sequential", "iterations": 2}]
+OPTIONS = [
+    {},
+    {"landmark": "shared-anchor", "consensus": True},
+    {"measurement": "sequential", "iterations": 2},
+    {"landmark": "hybrid", "max_landmarks": 9},
+    {"landmark": "spherical", "error": "right-invariant", "measurement": ShearedPair(), "motion": BiasedOdometry()},
+    {"update": "unscented", "error": "so3"},
+]
 
 
 def make(**options: object) -> StereoEKF:
@@ -50,7 +58,8 @@ def test_a_batch_has_the_bits_of_single_filters(options: dict[str, object], thre
     singles = [batch_of(1, **options) for _ in range(COUNT)]
     for k in range(8):
         steps = DT * (1.0 + 0.1 * np.arange(COUNT))
-        odometry = [ODOMETRY if index % 2 else None for index in range(COUNT)]
+        always = "motion" in options
+        odometry = [ODOMETRY if index % 2 or always else None for index in range(COUNT)]
         reports = batch.step(steps, [frames[index][k] for index in range(COUNT)], odometry)
         for index, single in enumerate(singles):
             report = single.step(steps[index], [frames[index][k]], [odometry[index]])[0]
@@ -60,7 +69,7 @@ def test_a_batch_has_the_bits_of_single_filters(options: dict[str, object], thre
         assert_same_bits(batch, index, single, 0)
 
 
-def test_the_filters_of_a_batch_believe_what_numpy_does() -> None:
+def test_the_filters_of_a_batch_believe_what_single_ones_do() -> None:
     frames, batch = drives(), batch_of(COUNT)
     for k in range(8):
         batch.predict(DT)
@@ -133,11 +142,9 @@ def test_bad_input_is_named_and_changes_nothing(call: object, message: str) -> N
         np.testing.assert_array_equal(a, b)
 
 
-def test_filters_that_differ_or_have_no_kernels_are_refused() -> None:
+def test_filters_that_differ_are_refused() -> None:
     gates = iter([0.9, 0.99])
     with pytest.raises(ValueError, match="filter 1 differs"):
         FilterBatch(lambda: make(gate=next(gates)), 2)
-    with pytest.raises(ValueError, match="have kernels"):
-        FilterBatch(lambda: make(landmark="hybrid"), 2)
     with pytest.raises(ValueError, match="odometry must be"):
         FilterBatch(lambda: make(motion=VelocityDriven()), 2).predict(0.1)

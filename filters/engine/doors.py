@@ -1,0 +1,329 @@
+"""Doors by numbers: what the kernels ask of parts that give their numbers by NumPy, while they work on a frame.
+
+The kernels do all the algebra. Where a part has no kernel of its own they call back, and the part sees the state of the
+filter as it is at that moment (`JointState`, on the arrays of the storage) and answers with numbers in the scratch.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from filters.contract.drift import in_own_numbers, step_covariances
+from filters.contract.observation import StereoObservation
+from filters.contract.odometry import BodyVelocity
+from filters.engine import selection
+from filters.engine.compiled.blas import PLAIN
+from filters.engine.compiled.frame import FIRST, MOVED, REJECTED, STARTED
+from filters.engine.compiled.recipe import MOST_ROWS, MOST_STAGES, Recipe
+from filters.engine.compiled.storage import CLONE_POSITION, POINT, Frame, Scratch, Storage
+from filters.engine.gating import gate_limit
+from filters.engine.gauge_walk import directions, image_motion
+from filters.engine.new_landmarks import can_start, start_landmarks
+from filters.engine.options import Options
+from filters.engine.values import ValuePlaces
+from filters.geometry import rotations
+from filters.geometry.camera import StereoCamera
+from filters.measurements.model import Stage
+from filters.motions.model import ROTATION, measure_odometry, predict_camera
+from filters.state.joint_state import Clone, JointState, world_rotation_of_variables
+from filters.state.linearised import LinearisedMeasurements
+from filters.state.transport import Transport
+from filters.updates.extended import Extended
+from filters.updates.model import points_in_camera
+from filters.validation import FloatArray, IntArray, unchecked
+
+_DOOR = ctypes.CFUNCTYPE(None, *[ctypes.c_int64] * 5)
+
+
+class Room(Protocol):
+    """Where the numbers go: the arrays of an engine."""
+
+    recipe: Recipe
+
+    @property
+    def storage(self) -> Storage:
+        """State of the filters."""
+
+    @property
+    def frame(self) -> Frame:
+        """What the frame brings."""
+
+    def scratch(self, thread: int) -> Scratch:
+        """Room of a thread."""
+
+
+@dataclass(frozen=True, eq=False)
+class Parts:
+    """Parts of the filters of an engine, and the rig.
+
+    Attributes
+    ----------
+    camera : StereoCamera
+        The rig.
+    options : Options
+        Of the filters.
+    """
+
+    camera: StereoCamera
+    options: Options
+
+
+class Doors:
+    """The doors of an engine.
+
+    Attributes
+    ----------
+    address : int
+        What the kernels call.
+    failure : BaseException or None
+        What a part has raised since `failure` was last taken away.
+    """
+
+    def __init__(self, parts: Parts, room: Room) -> None:
+        self._rig, self._options, self._room = parts.camera, parts.options, room
+        self._values = ValuePlaces(parts.options.layout)
+        self._stages: dict[tuple[int, int], Stage] = {}
+        self._after: dict[int, tuple[JointState, Transport]] = {}
+        self._answers = (self._linearise, self._move, self._start, self._select, self._change, self._walk, self._drift)
+        self.failure: BaseException | None = None
+        self._entry = None if PLAIN else _DOOR(self._answer)
+        self.address: Any = self._answer if PLAIN else ctypes.cast(self._entry, ctypes.c_void_p).value  # type: ignore[arg-type]
+
+    def _answer(self, door: int, b: int, thread: int, what: int, count: int) -> None:
+        room = self._room.scratch(thread)
+        try:
+            self._answers[door](b, room, what, count)
+        except BaseException as error:  # whatever is raised must wait until the kernels have ended
+            self.failure = error
+            room.door[1] = 1
+
+    # --- before the frame ---
+
+    def predict(self, b: int, dt: float, odometry: BodyVelocity | None) -> tuple[FloatArray, ...]:
+        """The step of filter b by numbers: values, F and Q of the leading rows; then nu, H and R of the odometry."""
+        motion, layout, error = self._options.motion, self._options.layout, self._options.error
+        state = self.view(b)
+        predicted = predict_camera(motion, state.camera, dt, odometry)
+        measured = None if odometry is None else measure_odometry(motion, predicted.state, dt, odometry)
+        rows = layout.rows_of(motion.moves)
+        F, Q = np.eye(layout.size), np.zeros((layout.size, layout.size))
+        F[np.ix_(rows, rows)] = predicted.F
+        Q[np.ix_(rows, rows)] = predicted.G @ predicted.Q @ predicted.G.T
+        if layout.walk_rates is not None:
+            Q[layout.rows, layout.rows] += layout.walk_rates * dt
+        if error.constrains:
+            F = error.constrained(F, world_rotation_of_variables(layout, predicted.state), state)
+        step = (self._values.of(predicted.state), F, Q)
+        if measured is None:
+            return step
+        H = np.zeros((len(measured.innovation), layout.size))
+        H[:, rows] = measured.H
+        return (*step, measured.innovation, H, measured.R)
+
+    def put_stages(self, frame: Frame, which: IntArray, variant: int, with_right: bool, M: int) -> None:
+        """Stages of the measurements at `which`, of filters without (0) or with (1) a measured right row."""
+        measurement, gate = self._options.measurement, self._options.gate
+        v_right = frame.v_right[which] if with_right else None
+        R = frame.R[which]
+        seen = unchecked(StereoObservation, ids=frame.ids[which], uvd=frame.uvd[which], v_right=v_right, R=R)
+        stages = measurement.stages(seen, R)
+        if len(stages) > MOST_STAGES or any(stage.z.shape[1] > MOST_ROWS for stage in stages):
+            raise ValueError(
+                f"measurement {type(measurement).__name__} must have at most {MOST_STAGES} stages of {MOST_ROWS} rows"
+            )
+        frame.stages[variant] = len(stages)
+        for number, stage in enumerate(stages):
+            size = stage.z.shape[1]
+            self._stages[variant, number] = stage
+            frame.sizes[variant, number] = size
+            frame.limits[variant, number] = np.inf if gate is None else gate_limit(gate ** (1 / len(stages)), size)
+            frame.T[variant, number, :size] = stage.T[:, :3]
+            frame.stage_z[number, which, :size] = stage.z
+            frame.stage_R[number, which, :size, :size] = stage.R
+
+    # --- the state, as parts see it ---
+
+    def view(self, b: int, room: Scratch | None = None) -> JointState:
+        """Filter b on the arrays of the storage, or where a correction has moved it to in a scratch."""
+        S, layout, model = self._room.storage, self._options.layout, self._options.landmark
+        landmarks, blocks = S.counts[b].tolist()
+        n = layout.size + 3 * blocks
+        x, values = (S.x[b], S.blocks[b]) if room is None else (room.moved, room.moved_blocks)
+        held = S.held[b][S.held[b] >= 0]
+        return JointState(
+            layout,
+            self._values.camera(x.copy()),
+            S.P[b, :n, :n].T,
+            model,
+            self._values.camera(S.predicted[b]),
+            values[:blocks, : model.value_size],
+            S.first[b, :blocks, : model.value_size],
+            S.ids[b, :landmarks],
+            S.own[b, :landmarks],
+            S.anchor[b, :landmarks],
+            held=held,
+            clones=clones_at(values, S.kind[b], held),
+        )
+
+    # --- in the frame ---
+
+    def _linearise(self, b: int, room: Scratch, what: int, count: int) -> None:
+        """Innovation, H and R of the selected measurements."""
+        where, place = divmod(what, 16)
+        variant, number = divmod(place, 8)
+        options, frame = self._options, self._room.frame
+        moved_here = where == MOVED and self._room.recipe.moves_by_numbers
+        state = self._after[int(room.door[0])][0] if moved_here else self.view(b, room if where == MOVED else None)
+        selected = room.select[:count]
+        if where == FIRST:
+            ahead = options.measurement.in_front(points_in_camera(state, room.land[selected]))
+            room.ahead[selected] = ahead
+            selected = selected[ahead]
+        if len(selected) == 0:
+            return
+        index, rows, size = room.land[selected], frame.offsets[b] + room.place[selected], frame.sizes[variant, number]
+        weighted = where == MOVED and options.tail_dof is not None
+        R = room.R[selected, :size, :size] if weighted else frame.stage_R[number, rows, :size, :size]
+        stage = Stage(room.z[selected, :size], self._stages[variant, number].T, R)
+        point = options.error.linearisation_point(state)
+        linear = options.update.linearise(options.measurement, self._rig, state, index, stage, point)
+        if moved_here:
+            linear = self._after[int(room.door[0])][1].pulled_back(linear, room.delta[: len(state.P)].copy())
+        self._write(room, selected, linear)
+
+    def _write(self, room: Scratch, selected: IntArray, linear: LinearisedMeasurements) -> None:
+        size = linear.innovation.shape[1]
+        measured = self._options.layout.measured
+        room.nu[selected, :size] = linear.innovation
+        room.H[selected, :size, :measured] = linear.by_leading
+        room.H[selected, :size, measured : measured + linear.by_map.shape[2]] = linear.by_map
+        room.R[selected, :size, :size] = linear.R
+        room.base[selected, -linear.map_rows.shape[1] // 3 :] = linear.map_rows[:, ::3]
+
+    def _move(self, b: int, room: Scratch, what: int, count: int) -> None:
+        """The state corrected by delta, and the Jacobian that carries P along."""
+        state, error = self.view(b), self._options.error
+        n, size = len(state.P), self._options.layout.size
+        delta = room.delta[:n].copy()
+        moved = error.moved(state, delta)
+        step = error.transport(state, moved, delta)
+        self._after[int(room.door[0])] = moved, step
+        room.moved[:] = self._values.of(moved.camera)
+        room.moved_blocks[: len(moved.blocks), : moved.blocks.shape[1]] = moved.blocks
+        for clone in moved.clones.values():
+            room.moved_blocks[clone.blocks[0], :3], room.moved_blocks[clone.blocks[1], :4] = (
+                clone.position,
+                clone.orientation,
+            )
+        room.F[:] = step.leading
+        room.result[:] = step.own is not None, step.by_rotation is not None
+        if step.own is not None and step.rows is not None:
+            room.D[: len(moved.blocks)] = np.eye(3)
+            room.D[(step.rows[:, 0] - size) // 3] = step.own
+        if step.by_rotation is not None:  # the rotation error is that at the corrected state by then
+            room.W[:size] = 0.0
+            room.W[size:n] = np.linalg.solve(step.leading[ROTATION, ROTATION].T, step.by_rotation.T).T
+
+    def _start(self, b: int, room: Scratch, first: int, last: int) -> None:
+        """Measurements first to last - 1 of unknown landmarks that these can start from, or the -last in `place`."""
+        state, frame, options = self.view(b), self._room.frame, self._options
+        if last >= 0:
+            unknown = first + np.flatnonzero(room.where[: last - first] < 0)
+            least = -np.inf if options.min_disparity is None else options.min_disparity
+            able = can_start(options.measurement, self._rig, state, frame.uvd[unknown], least)
+            frame.fates[unknown] = np.where(able, STARTED, REJECTED)
+            chosen = unknown[able]
+            room.place[: len(chosen)] = chosen - first
+        else:
+            chosen = first + room.place[:-last]
+        room.result[0] = count = len(chosen)
+        if count == 0:
+            return
+        seen = unchecked(StereoObservation, ids=frame.ids[chosen], uvd=frame.uvd[chosen], v_right=None, R=None)
+        new = start_landmarks(options.measurement, self._rig, state, seen, frame.R[chosen])
+        J, parameters, anchored = new.by_leading, new.started.parameters, new.started.anchored
+        if options.error.constrains:
+            here = np.where(anchored[:, None], state.camera.position, np.nan)
+            effect = state.model.world_rotation(here, parameters)
+            J = options.error.constrained(J.reshape(-1, J.shape[2]), effect.reshape(-1, 3), state).reshape(J.shape)
+        room.values[:count, : parameters.shape[1]] = parameters
+        room.H[:count, :3, : J.shape[2]] = J
+        room.values_noise[:count] = new.noise
+        room.anchored[:count] = anchored
+
+    def _select(self, b: int, room: Scratch, first: int, counts: int) -> None:
+        """Of the landmarks in view, the most informative stay in the map or start."""
+        known, new = divmod(counts, 65536)
+        frame, options, most = self._room.frame, self._options, self._options.max_landmarks
+        assert most is not None
+        chosen = first + room.place[:new]
+        candidates = selection.next_measurements(
+            options.measurement,
+            self._rig,
+            self.view(b),
+            room.land[:known],
+            room.noise[:known],
+            frame.uvd[chosen],
+            frame.R[chosen],
+        )
+        kept = selection.most_informative(candidates, most)
+        room.gone[room.land[:known]] = ~kept[:known]
+        starts = kept[known:]
+        frame.fates[chosen[~starts]] = REJECTED
+        room.result[0] = count = int(starts.sum())
+        room.place[:count] = room.place[:new][starts]
+
+    def _change(self, b: int, room: Scratch, what: int, count: int) -> None:
+        """Landmarks that are practically Gaussian in XYZ become XYZ (Eq. 4)."""
+        S, state = self._room.storage, self.view(b)
+        if len(state) == 0:
+            return
+        own = state.own_rows()
+        linear = self._options.landmark.become_points(
+            state.camera.position, state.anchors(), state.parameters(), state.P[own, own]
+        )
+        index = np.flatnonzero(linear)
+        if len(index) == 0:
+            return
+        np.subtract.at(S.users[b], S.anchor[b, index], 1)
+        S.kind[b, state.parameter_block[index]] = POINT
+        state.become_points(index, self._options.error.linearisation_point(state) or state)
+
+    def _walk(self, b: int, room: Scratch, what: int, count: int) -> None:
+        """B^T of the walk of camera and map together since the camera was at `before`, in `HP`."""
+        state, options = self.view(b), self._options
+        at, now = options.error.linearisation_point(state) or state, state.camera
+        R_before = rotations.matrix(room.before[3:7])
+        turn = float(np.linalg.norm(rotations.log(R_before.T @ now.R_wc)))
+        seen = points_in_camera(state, np.arange(len(state)))
+        motion, distance = image_motion(turn, now.R_wc.T @ (now.position - room.before[:3]), seen)
+        sigma = options.gauge_walk * np.sqrt(motion)
+        B = directions(at.world_rotation(), at.world_translation(), at.camera.position, sigma, distance)
+        for clone in at.clones.values():  # they stay where the camera was
+            B[at.block_rows(clone.blocks)] = 0.0
+        room.HP[:6, : len(B)] = B.T
+
+    def _drift(self, b: int, room: Scratch, part: int, count: int) -> None:
+        """Steps of the selected landmarks in the image, added to P."""
+        options, state = self._options, self.view(b)
+        assert options.drift is not None
+        selected = room.select[:count]
+        index, Q = room.land[selected], step_covariances(options.drift.parts[part], room.noise[selected])
+        numbers = Stage(np.zeros((count, 3)), np.eye(3, options.measurement.size), Q)
+        point = options.error.linearisation_point(state)
+        by_map = Extended().linearise(options.measurement, self._rig, state, index, numbers, point).by_map
+        rows = state.own_rows(index)
+        state.P[rows[:, :, None], rows[:, None, :]] += in_own_numbers(Q, by_map[:, :, -3:])
+
+
+def clones_at(values: FloatArray, kind: IntArray, held: IntArray) -> dict[str, Clone]:
+    """Clones of the pose among the held blocks, copies, in the order in which they were made, by their numbers."""
+    positions = np.flatnonzero(kind[held] == CLONE_POSITION)
+    return {
+        str(number): Clone(values[held[k], :3].copy(), values[held[k + 1], :4].copy(), held[k : k + 2])
+        for number, k in enumerate(positions)
+    }

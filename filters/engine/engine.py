@@ -1,0 +1,388 @@
+"""The engine: the EKF of one filter or of many, called with plain arrays."""
+
+from __future__ import annotations
+
+import weakref
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from filters.contract.odometry import BodyVelocity
+from filters.engine.compiled.frame import CLONE, CLOSE_GAPS, FORGET, advance, change, correct_by, kernels
+from filters.engine.compiled.recipe import Recipe
+from filters.engine.compiled.storage import (
+    BLOCKS,
+    LANDMARKS,
+    FilterState,
+    Frame,
+    Scratch,
+    Storage,
+    empty_frame,
+    empty_storage,
+    exported,
+    grown,
+    load,
+    scratch,
+)
+from filters.engine.compiled.units import Packed
+from filters.engine.doors import Doors, Parts
+from filters.validation import BoolArray, FloatArray, IntArray, unchecked
+
+_ROOM = 32  # blocks, at first
+
+
+@dataclass(frozen=True, eq=False)
+class Observations:
+    """Measurements of B filters, one after the other.
+
+    Attributes
+    ----------
+    seen : (B,) bool
+        Whether a filter has an observation: one without measurements is something else than none.
+    offsets : (B + 1,) int64
+        The measurements of filter b are offsets[b] to offsets[b + 1] - 1.
+    ids : (M,) int64
+        Ascending for each filter.
+    uvd : (M, 3)
+        Measurements, px.
+    R : (M, 3, 3) or (3, 3)
+        Their noise, or one for all, px^2.
+    with_right : (B,) bool
+        Whether the right row is measured on its own.
+    v_right : (M,), optional
+        The right row, px.
+    """
+
+    seen: BoolArray
+    offsets: IntArray
+    ids: IntArray
+    uvd: FloatArray
+    R: FloatArray
+    with_right: BoolArray
+    v_right: FloatArray | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Odometry:
+    """Odometry of B filters.
+
+    Attributes
+    ----------
+    fused : (B,) bool
+        Whose there is.
+    values : (B, 6)
+        Linear and angular velocity, camera frame.
+    covariances : (B, 6, 6) or (6, 6)
+        Of those.
+    given : sequence of BodyVelocity or None, optional
+        As it was given, for motions that know more of it.
+    """
+
+    fused: BoolArray
+    values: FloatArray
+    covariances: FloatArray
+    given: Sequence[BodyVelocity | None] | None = None
+
+    @classmethod
+    def of(cls, given: Sequence[BodyVelocity | None]) -> Odometry:
+        """Odometry of each filter; None: it has none."""
+        values, covariances = np.zeros((len(given), 6)), np.zeros((len(given), 6, 6))
+        for b, entry in enumerate(given):
+            if entry is not None:
+                values[b, :3], values[b, 3:], covariances[b] = entry.linear, entry.angular, entry.covariance
+        return cls(np.array([entry is not None for entry in given]), values, covariances, given)
+
+    def of_filter(self, b: int) -> BodyVelocity | None:
+        """That of filter b."""
+        if self.given is not None:
+            return self.given[b]
+        if not self.fused[b]:
+            return None
+        covariance = np.broadcast_to(self.covariances, (len(self.fused), 6, 6))[b].copy()
+        linear, angular = self.values[b, :3].copy(), self.values[b, 3:].copy()
+        return unchecked(BodyVelocity, linear=linear, angular=angular, covariance=covariance)
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What became of the measurements.
+
+    Attributes
+    ----------
+    fates : (M,) uint8
+        `frame.USED`, BEHIND, GATED, FAILED, STARTED or REJECTED.
+    nis, dof : (B,)
+        Normalised innovation squared and its degrees of freedom.
+    dropped : tuple of (K,) int64
+        Ids that left the map of each filter.
+    """
+
+    fates: IntArray
+    nis: FloatArray
+    dof: IntArray
+    dropped: tuple[IntArray, ...]
+
+
+_NOTHING = Outcome(np.zeros(0, dtype=np.uint8), np.zeros(0), np.zeros(0, dtype=np.int64), ())
+"""Of a step without measurements."""
+
+
+class Engine:
+    """The EKF of `count` filters that all do the same.
+
+    Parameters
+    ----------
+    recipe : Recipe
+        What they do.
+    count : int
+        Number of filters.
+    threads : int
+        Over which a call is spread.
+    parts : Parts, optional
+        Of the filters; those without kernels give their numbers through doors.
+    """
+
+    def __init__(self, recipe: Recipe, count: int = 1, threads: int = 1, parts: Parts | None = None) -> None:
+        self.recipe = recipe
+        self.count = count
+        self.threads = max(1, min(threads, count))
+        self.parts = parts
+        asks = parts is not None and (recipe.asks or recipe.motion is None)
+        self._doors = Doors(parts, weakref.proxy(self)) if asks and parts is not None else None
+        self._fuses = False
+        self._kernels = self._addresses()
+        self._plan = Packed(recipe.plan)
+        self._storage = Packed(empty_storage(recipe, count, _ROOM))
+        self._frame = Packed(empty_frame(recipe, count, _ROOM, 1))
+        self._scratch: list[Packed] = []
+        self._most = self._rows = self._width = 0
+        self._pool: ThreadPoolExecutor | None = None
+        self._make_room(_ROOM, 8)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What a copy needs: it packs arrays of its own."""
+        own = ("recipe", "count", "threads", "parts", "storage")
+        return {name: getattr(self, name) for name in own}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__init__(state["recipe"], state["count"], state["threads"], state["parts"])  # type: ignore[misc]
+        storage = type(state["storage"])(*(np.array(array) for array in state["storage"]))
+        self._storage = Packed(storage)
+        self._frame = Packed(empty_frame(self.recipe, self.count, storage.ids.shape[1], 1))
+        self._scratch = []
+        self._make_room(0, 8)
+
+    @property
+    def storage(self) -> Storage:
+        """State of the filters."""
+        storage: Storage = self._storage.value
+        return storage
+
+    @property
+    def frame(self) -> Frame:
+        """What the frame brings."""
+        frame: Frame = self._frame.value
+        return frame
+
+    def scratch(self, thread: int) -> Scratch:
+        """Room of a thread."""
+        room: Scratch = self._scratch[thread].value
+        return room
+
+    def reset(self, index: int, x: FloatArray, P: FloatArray) -> None:
+        """Start filter `index` again with leading values x (values,) and covariance P (leading, leading)."""
+        none = np.zeros(0, dtype=np.int64)
+        nothing = np.zeros((0, self.recipe.block_values))
+        self.load(index, FilterState(x, x, P, nothing, nothing, none, none, none, none, none))
+
+    def load(self, index: int, state: FilterState) -> None:
+        """Put the state of filter `index` there."""
+        self._make_room(len(state.blocks), 1)
+        load(self.storage, index, state)
+
+    def export(self, index: int) -> FilterState:
+        """A copy of the state of filter `index`."""
+        return exported(self.storage, self.recipe, index)
+
+    def clone_pose(self, index: int) -> None:
+        """Keep the present pose of filter `index` as two held blocks, those of the last clone."""
+        self._make_room(int(self.storage.counts[index, BLOCKS]) + 2, 1)
+        self._change(index, CLONE)
+
+    def release(self, index: int, blocks: IntArray) -> None:
+        """Hold these blocks of filter `index` no longer; those that no landmark uses leave the map."""
+        held, users = self.storage.held[index], self.storage.users[index]
+        kept = held[(held >= 0) & ~np.isin(held, blocks)]
+        users[blocks] -= 1
+        held[:] = -1
+        held[: len(kept)] = kept
+        self._change(index, CLOSE_GAPS)
+
+    def forget(self, index: int, ids: IntArray) -> None:
+        """Marginalise landmarks of filter `index` out; ids that are not in its map are ignored."""
+        landmarks = self.storage.counts[index, LANDMARKS]
+        self._make_room(0, int(landmarks))
+        self.scratch(0).gone[:landmarks] = np.isin(self.storage.ids[index, :landmarks], ids)
+        self._change(index, FORGET)
+
+    def correct(
+        self, index: int, rows: IntArray, H: FloatArray, innovation: FloatArray, R: FloatArray, limit: float
+    ) -> tuple[float, bool]:
+        """Correct filter `index` with a measurement that is linear in the errors at `rows`.
+
+        Parameters
+        ----------
+        rows : (w,) int64
+            Rows of P.
+        H : (k, w)
+            By the errors there.
+        innovation, R : (k,), (k, k)
+            Measured minus predicted, and its noise.
+        limit : float
+            Squared distance up to which it is believed.
+
+        Returns
+        -------
+        float
+            Normalised innovation squared; -1 where its covariance has no Cholesky factor.
+        bool
+            Whether it was used.
+        """
+        self._make_room(0, 1, *H.shape)
+        before = self._kept(np.arange(self.count) == index)
+        given = np.array(H, order="C"), np.array(innovation), np.array(R, order="C")
+        at = self._plan.address, self._storage.address, self._scratch[0].address
+        correct_by(self._kernels, *at, index, rows, *given, limit)
+        self._raise_failure(before)
+        nis, used = self.scratch(0).result.tolist()
+        return nis, bool(used)
+
+    def step(
+        self,
+        dt: FloatArray | float,
+        observations: Observations | None,
+        odometry: Odometry | None = None,
+    ) -> Outcome:
+        """Predict by dt (B,) s, zero for none, and update, without returning to Python in between."""
+        o = observations
+        M = 0 if o is None else len(o.ids)
+        if len(self.frame.ids) < M:
+            self._frame = Packed(empty_frame(self.recipe, self.count, self.storage.ids.shape[1], M + M // 4))
+        self._make_room(0, M if o is None or self.count == 1 else int(np.diff(o.offsets).max(initial=0)))
+        self.frame.dt[:] = dt
+        self._put_odometry(odometry)
+        frame = self.frame
+        frame.nis[:], frame.dof[:], frame.outcome[:] = 0.0, 0, 0
+        if o is None:
+            frame.seen[:] = False
+            frame.offsets[:] = 0
+        else:
+            frame.seen[:], frame.offsets[:], frame.with_right[:] = o.seen, o.offsets, o.with_right
+            frame.ids[:M], frame.uvd[:M], frame.R[:M] = o.ids, o.uvd, o.R
+            if o.v_right is not None:
+                frame.v_right[:M] = o.v_right
+            if self.recipe.by_numbers and self._doors is not None:
+                of_right = np.repeat(frame.with_right, np.diff(o.offsets))
+                for variant in (0, 1):
+                    which = np.flatnonzero(of_right == bool(variant))
+                    if len(which):
+                        self._doors.put_stages(frame, which, variant, bool(variant), M)
+        before = self._kept(frame.seen | (frame.dt > 0.0)) if self.recipe.asks else []
+        self._run()
+        needed = int(frame.outcome[0, 1] if self.count == 1 else frame.outcome[:, 1].max())
+        if needed:  # for these filters nothing has happened yet
+            late = frame.outcome[:, 1] > 0
+            frame.dt[~late], frame.seen[~late] = 0.0, False
+            self._make_room(needed, 0)
+            larger = empty_frame(self.recipe, self.count, self.storage.ids.shape[1], len(frame.ids), self._rows or 1)
+            for old, new in zip(frame, larger, strict=True):
+                new[tuple(slice(0, size) for size in old.shape)] = old
+            self._frame, frame = Packed(larger), larger
+            self._run()
+        self._raise_failure(before)
+        if o is None:
+            return _NOTHING
+        dropped = tuple(frame.dropped[b, :gone].copy() for b, gone in enumerate(frame.outcome[:, 0].tolist()))
+        return Outcome(frame.fates[:M].copy(), frame.nis.copy(), frame.dof.copy(), dropped)
+
+    def _put_odometry(self, odometry: Odometry | None) -> None:
+        """Odometry, or the numbers that a motion without kernels makes of it."""
+        frame = self.frame
+        frame.fused[:] = False
+        if odometry is not None:
+            if not self._fuses:  # the first odometry
+                self._fuses = True
+                self._kernels = self._addresses()
+            frame.fused[:], frame.odometry[:] = odometry.fused, odometry.values
+            frame.odometry_covariance[:] = odometry.covariances
+        if self.recipe.motion is not None or self._doors is None:
+            return
+        for b in np.flatnonzero(frame.dt > 0.0).tolist():
+            numbers = self._doors.predict(b, float(frame.dt[b]), None if odometry is None else odometry.of_filter(b))
+            rows = len(numbers[3]) if len(numbers) > 3 else 0
+            if rows > frame.measured_nu.shape[1]:
+                self._make_room(0, 0, rows)
+                larger = empty_frame(self.recipe, self.count, self.storage.ids.shape[1], len(frame.ids), rows)
+                for old, new in zip(frame, larger, strict=True):
+                    new[tuple(slice(0, size) for size in old.shape)] = old
+                self._frame, frame = Packed(larger), larger
+            frame.moved[b], frame.F[b], frame.Q[b] = numbers[:3]
+            frame.measured[b] = rows
+            if rows:
+                frame.measured_nu[b, :rows], frame.measured_H[b, :rows] = numbers[3:5]
+                frame.measured_R[b, :rows, :rows] = numbers[5]
+
+    def _addresses(self) -> tuple[Any, ...]:
+        """What the kernels call: LAPACK, units, doors."""
+        plan = self.recipe.plan
+        fuses = self._fuses and not plan.velocity_driven and not plan.driven_by_numbers
+        return (*kernels(plan, fuses), 0 if self._doors is None else self._doors.address)
+
+    def _kept(self, which: BoolArray) -> list[tuple[int, FilterState]]:
+        """States to go back to where a part fails; none where none can."""
+        if self._doors is None or not self.recipe.asks:
+            return []
+        return [(b, self.export(b)) for b in np.flatnonzero(which).tolist()]
+
+    def _raise_failure(self, before: list[tuple[int, FilterState]]) -> None:
+        if self._doors is None or self._doors.failure is None:
+            return
+        failure, self._doors.failure = self._doors.failure, None
+        for room in self._scratch:
+            room.value.door[1] = 0
+        for b, state in before:
+            self.load(b, state)
+        raise failure
+
+    def _change(self, index: int, what: int) -> None:
+        change(self._kernels, self._plan.address, self._storage.address, self._scratch[0].address, index, what)
+
+    def _run(self) -> None:
+        plan, storage, frame = self._plan.address, self._storage.address, self._frame.address
+        if self.threads == 1:
+            advance(self._kernels, plan, storage, self._scratch[0].address, frame, 0, self.count)
+            return
+        if self._pool is None:
+            self._pool = ThreadPoolExecutor(self.threads)
+        edges = [self.count * i // self.threads for i in range(self.threads + 1)]
+        runs = [
+            self._pool.submit(advance, self._kernels, plan, storage, room.address, frame, first, last)
+            for room, first, last in zip(self._scratch, edges[:-1], edges[1:], strict=True)
+        ]
+        for run in runs:
+            run.result()
+
+    def _make_room(self, blocks: int, measurements: int, rows: int = 0, width: int = 0) -> None:
+        """Room for so many blocks of a filter, measurements of a frame, rows and columns of one measurement."""
+        larger = blocks > self.storage.blocks.shape[1]
+        there = self._scratch and not larger and measurements <= self._most
+        if there and rows <= self._rows and width <= self._width:
+            return
+        if larger:
+            self._storage = Packed(grown(self.storage, self.recipe, blocks + blocks // 4))
+        room = max(self._most, measurements), max(self._rows, rows), max(self._width, width)
+        self._most, self._rows, self._width = room
+        self._scratch = [Packed(scratch(self.recipe, self.storage, *room, i)) for i in range(self.threads)]

@@ -1,0 +1,74 @@
+"""The storage of a filter: what of P counts, copies, clones of the pose as rows of it."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+
+import numpy as np
+import pytest
+
+from filters import StereoEKF, UpdateReport
+
+from ..drives import DT, Frame, drive
+from ..slots import ERRORS, LANDMARKS
+from .beliefs import assert_same_belief, make
+
+
+def reports_over(slam: StereoEKF, frames: list[Frame]) -> list[UpdateReport]:
+    reports = []
+    for number, frame in enumerate(frames):
+        if number:
+            slam.predict(DT)
+        reports.append(slam.update(frame.observation))
+    return reports
+
+
+@pytest.mark.parametrize("error", ERRORS)
+@pytest.mark.parametrize("landmark", ["inverse-depth", "shared-anchor", "euclidean"])
+def test_what_lies_outside_the_upper_triangle_in_use_plays_no_part(landmark: str, error: str) -> None:
+    frames = drive(1, 12, depths=(6.0, 30.0))
+    clean, soiled = (make(landmark=landmark, error=error, gate=0.99, consensus=True) for _ in range(2))
+    for frame in frames:
+        engine = soiled.engine
+        P = engine.storage.P[0]
+        row, column = np.indices(P.shape)
+        used = engine.recipe.leading + 3 * engine.storage.counts[0, 1]
+        P[(column < row) | (column >= used)] = np.nan
+        for slam in (clean, soiled):
+            slam.predict(DT)
+            slam.update(frame.observation)
+    assert len(soiled.ids) > 10
+    assert_same_belief(soiled, clean, 0.0)
+
+
+@pytest.mark.parametrize("landmark", LANDMARKS)
+def test_filters_can_be_copied_and_sent_to_other_processes(landmark: str) -> None:
+    frames = drive(7, 6)
+    original = make(landmark=landmark)
+    reports_over(original, frames[:3])
+    original.clone_pose("then")
+    twins = [copy.deepcopy(original), pickle.loads(pickle.dumps(original))]
+    reports_over(original, frames[3:])
+    for twin in twins:
+        reports_over(twin, frames[3:])
+        assert_same_belief(twin, original, 1e-14)
+        np.testing.assert_array_equal(twin.relative_pose("then").covariance, original.relative_pose("then").covariance)
+
+
+@pytest.mark.parametrize("error", ERRORS)
+@pytest.mark.parametrize("landmark", LANDMARKS)
+def test_clones_of_the_pose_change_no_estimate(landmark: str, error: str) -> None:
+    frames = drive(8, 10, depths=(6.0, 30.0))
+    plain, with_clones = (make(landmark=landmark, error=error) for _ in range(2))
+    for k, frame in enumerate(frames):
+        for slam in (plain, with_clones):
+            slam.predict(DT)
+            slam.update(frame.observation)
+        with_clones.clone_pose(f"{k}")
+        if k > 4:
+            with_clones.forget_clone(f"{k - 3}")
+    assert with_clones.clones == ("0", "1", "7", "8", "9")
+    assert with_clones.state_size == plain.state_size + 6 * 5
+    assert_same_belief(with_clones, plain, 1e-10)
+    assert with_clones.belief("0").covariance.shape == (6, 6)
