@@ -135,6 +135,13 @@ def covariance_matrix(
     return matrix
 
 
+def at_most(name: str, values: ArrayLike, limit: float, unit: str) -> None:
+    """Refuse numbers that are larger in size than `limit`: beyond it no filter is tested."""
+    largest = np.abs(values).max(initial=0.0)
+    if largest > limit:
+        raise ValueError(f"{name} must be at most {limit:g} {unit} in size, got {largest:.3g}: check its unit")
+
+
 def unit_quaternion(name: str, value: ArrayLike) -> FloatArray:
     """Return `value` (xyzw) normalised; refuses anything whose norm is not 1 to 1e-3."""
     quaternion = finite_array(name, value, (4,))

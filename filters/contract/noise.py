@@ -12,7 +12,10 @@ from typing import Any
 import numpy as np
 
 from filters.contract.drift import LandmarkDrift
-from filters.validation import FloatArray, covariance_matrix, positive
+from filters.validation import FloatArray, at_most, covariance_matrix, positive
+
+LARGEST_VARIANCE = 1e18
+"""Of a measurement, px^2: up to it filters are tested."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,13 +30,14 @@ class StereoNoise:
     Raises
     ------
     ValueError
-        R is not a finite symmetric positive definite 3x3 matrix.
+        R is not a finite symmetric positive definite 3x3 matrix, or above 1e18 px^2.
     """
 
     R: FloatArray
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "R", covariance_matrix("R", self.R, 3, definite=True))
+        at_most("R", self.R, LARGEST_VARIANCE, "px^2")
 
     @classmethod
     def diagonal(cls, sigma_u: float, sigma_v: float, sigma_d: float) -> StereoNoise:

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from filters.contract.noise import StereoNoise
-from filters.validation import FloatArray, IntArray, covariance_matrix, finite_array, unique_ids
+from filters.contract.noise import LARGEST_VARIANCE, StereoNoise
+from filters.validation import FloatArray, IntArray, at_most, covariance_matrix, finite_array, unique_ids
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +29,7 @@ class StereoObservation:
     Raises
     ------
     ValueError
-        Wrong shapes, NaN or infinity, repeated ids, an R that is not symmetric positive definite.
+        Wrong shapes, NaN or infinity, repeated ids, an R that is not symmetric positive definite or above 1e18 px^2.
     """
 
     ids: IntArray
@@ -52,6 +52,7 @@ class StereoObservation:
         if self.R is not None:
             R = np.zeros((0, 3, 3)) if len(ids) == 0 else self.R
             object.__setattr__(self, "R", covariance_matrix("R", R, 3, batch=len(ids), definite=True))
+            at_most("R", self.R, LARGEST_VARIANCE, "px^2")
 
     def __len__(self) -> int:
         return len(self.ids)

@@ -20,7 +20,7 @@ from filters.contract.odometry import BodyVelocity
 from filters.contract.start import Start
 from filters.contract.update_report import UpdateReport
 from filters.geometry.camera import StereoCamera
-from filters.validation import FloatArray, IntArray, unique_ids
+from filters.validation import FloatArray, IntArray, positive, unique_ids
 
 
 def check_rig(camera: StereoCamera, noise: StereoNoise) -> None:
@@ -29,6 +29,18 @@ def check_rig(camera: StereoCamera, noise: StereoNoise) -> None:
         raise ValueError(f"camera must be a StereoCamera, got {camera!r}")
     if not isinstance(noise, StereoNoise):
         raise ValueError(f"noise must be a StereoNoise, got {noise!r}: see StereoNoise.independent_pixels")
+
+
+LONGEST_STEP = 100.0
+"""Of `predict`, s: in a longer one the constant-velocity model knows nothing any more."""
+
+
+def time_step(dt: object) -> float:
+    """Return `dt` as seconds that `StereoFilter.predict` takes, or raise a `ValueError`."""
+    step = positive("dt", dt)
+    if step > LONGEST_STEP:
+        raise ValueError(f"dt must be at most {LONGEST_STEP:g} s, got {step:g}: reset the filter after so long a gap")
+    return step
 
 
 AT_ORIGIN = Start()
@@ -56,7 +68,7 @@ class StereoFilter(RecordedConstructors, ABC):
 
     @abstractmethod
     def predict(self, dt: float, odometry: BodyVelocity | None = None) -> None:
-        """Move the belief forward by `dt` > 0 seconds (Eq. 6, 11, 12)."""
+        """Move the belief forward by `dt` seconds, above 0 and up to 100 (Eq. 6, 11, 12)."""
 
     @abstractmethod
     def update(self, observation: StereoObservation) -> UpdateReport:

@@ -12,14 +12,14 @@ from numpy.typing import ArrayLike
 from filters.contract.observation import StereoObservation
 from filters.contract.odometry import BodyVelocity
 from filters.contract.start import Start
-from filters.contract.stereo_filter import AT_ORIGIN, check_start
+from filters.contract.stereo_filter import AT_ORIGIN, LONGEST_STEP, check_start, time_step
 from filters.contract.update_report import UpdateReport
 from filters.engine.compiled.readout import relative_landmarks
 from filters.engine.doors import Parts
 from filters.engine.engine import Engine, Observations, Odometry, Outcome
 from filters.engine.row import Row, report
 from filters.engine.stereo_ekf import StereoEKF
-from filters.validation import BoolArray, FloatArray, IntArray, positive, whole_number
+from filters.validation import BoolArray, FloatArray, IntArray, whole_number
 
 
 @dataclass(frozen=True, eq=False)
@@ -236,9 +236,9 @@ class FilterBatch(Sequence[StereoEKF]):
         """Time steps (B,)."""
         steps = np.asarray(dt, dtype=np.float64)
         if steps.ndim == 0:
-            return np.full(len(self), positive("dt", steps))
-        if steps.shape != (len(self),) or not (np.isfinite(steps).all() and (steps > 0.0).all()):
-            raise ValueError(f"dt must be finite numbers > 0, one or ({len(self)},), got {dt!r}")
+            return np.full(len(self), time_step(steps))
+        if steps.shape != (len(self),) or not (np.isfinite(steps).all() and ((steps > 0.0) & (steps <= LONGEST_STEP)).all()):
+            raise ValueError(f"dt must be numbers above 0 and up to {LONGEST_STEP:g} s, one or ({len(self)},), got {dt!r}")
         return steps
 
     def _odometry(self, odometry: Sequence[BodyVelocity | None] | None) -> Odometry | None:

@@ -18,7 +18,7 @@ from filters.contract.noise import StereoNoise
 from filters.contract.observation import StereoObservation
 from filters.contract.odometry import BodyVelocity
 from filters.contract.start import Start
-from filters.contract.stereo_filter import AT_ORIGIN, StereoFilter, check_rig, check_start
+from filters.contract.stereo_filter import AT_ORIGIN, StereoFilter, check_rig, check_start, time_step
 from filters.contract.update_report import Correction, UpdateReport
 from filters.contract.variables import POSE, VELOCITY, VariableBelief
 from filters.engine.gating import gate_limit
@@ -39,7 +39,6 @@ from filters.validation import (
     covariance_matrix,
     finite_array,
     gate_probability,
-    positive,
     unique_ids,
     unit_quaternion,
 )
@@ -151,7 +150,7 @@ class StereoEKF(StereoFilter):
 
     def predict(self, dt: float, odometry: BodyVelocity | None = None) -> None:
         """Move the belief forward (Eq. 6, 11, 12), then fuse what odometry adds."""
-        dt = positive("dt", dt)
+        dt = time_step(dt)
         if odometry is not None and not isinstance(odometry, BodyVelocity):
             raise ValueError(f"odometry must be a BodyVelocity or None, got {odometry!r}")
         self.options.motion.check_odometry(odometry)

@@ -8,6 +8,9 @@ from filters.engine.compiled.blas import KERNEL
 from filters.engine.compiled.storage import Scratch
 from filters.validation import FloatArray, IntArray
 
+LOST = 1e-12
+"""Share of a variance of the pose that rounding may have made up: some thousand times the last digit."""
+
 
 @njit(**KERNEL)
 def take_rows(P: FloatArray, n: int, first: int, rows: FloatArray) -> None:
@@ -213,3 +216,42 @@ def restore_considered(P: FloatArray, considered: IntArray, kept: FloatArray, de
         for b in range(a, len(considered)):
             i, j = considered[a], considered[b]
             P[min(i, j), max(i, j)] = kept[a, b]
+
+
+@njit(**KERNEL)
+def pose_variances(P: FloatArray) -> tuple[float, ...]:
+    """Variances of the pose."""
+    return P[0, 0], P[1, 1], P[2, 2], P[3, 3], P[4, 4], P[5, 5]
+
+
+@njit(**KERNEL)
+def keep_definite(P: FloatArray, before: tuple[float, ...], factor: FloatArray) -> None:
+    """Give the pose a Cholesky factor again where rounding has taken it: the smallest diagonal that will do is added.
+
+    A step whose numbers differ by 1e16 and more leaves less of a variance than its own rounding, which is a share of
+    the variances `before` the step. What is added is of that size, so the belief grows by no more than was lost.
+    """
+    share = LOST
+    for _ in range(20):  # to 1e6 times the variances; what is not finite never has a factor
+        if _has_factor(P, factor):
+            return
+        for i, variance in enumerate(before):
+            P[i, i] += share * (abs(P[i, i]) + variance)
+        share *= 10.0
+
+
+@njit(**KERNEL)
+def _has_factor(P: FloatArray, L: FloatArray) -> bool:
+    """Whether each variance of the pose, given those before it, is more than rounding leaves of it."""
+    for j in range(6):
+        for i in range(j, 6):
+            value = P[j, i]
+            for k in range(j):
+                value -= L[i, k] * L[j, k] * L[k, k]
+            if i == j:
+                if not value > LOST * P[j, j]:
+                    return False
+                L[j, j] = value
+            else:
+                L[i, j] = value / L[j, j]
+    return True

@@ -18,7 +18,7 @@ from filters.engine.compiled.correction import (
     innovation_covariance,
     times_covariance,
 )
-from filters.engine.compiled.covariance import keep_considered, restore_considered
+from filters.engine.compiled.covariance import keep_considered, keep_definite, pose_variances, restore_considered
 from filters.engine.compiled.disk_cache import KEPT
 from filters.engine.compiled.drift import take_steps
 from filters.engine.compiled.gating import largest_agreement, reweight, squared_distances
@@ -512,8 +512,11 @@ def _advance(routines: tuple[int, ...], plan: Plan, S: Storage, b: int, s: Scrat
     if frame.seen[b] and found < last - first and needed > S.blocks.shape[1]:
         frame.outcome[b, 1] = needed
         return
+    P = S.P[b]
     if frame.dt[b] > 0.0:
+        before = pose_variances(P)
         _predict(routines, plan, S, b, s, frame, frame.dt[b])
+        keep_definite(P, before, s.half)
     if s.door[1] != 0 or not frame.seen[b]:
         return
     known = np.int64(0)
@@ -525,7 +528,7 @@ def _advance(routines: tuple[int, ...], plan: Plan, S: Storage, b: int, s: Scrat
                     s.noise[known, a, c] = frame.R[first + i, a, c]
             known += 1
     if known > 0:
-        variant = 1 if frame.with_right[b] else 0
+        variant, before = 1 if frame.with_right[b] else 0, pose_variances(P)
         for stage in range(frame.stages[variant] if plan.by_numbers else plan.stages[variant]):
             if plan.by_numbers:
                 take_numbers(frame.stage_z[stage], frame.stage_R[stage], first, s, known)
@@ -536,6 +539,7 @@ def _advance(routines: tuple[int, ...], plan: Plan, S: Storage, b: int, s: Scrat
                 return
             frame.nis[b] += nis
             frame.dof[b] += dof
+        keep_definite(P, before, s.half)
         for m in range(known):
             frame.fates[first + s.place[m]] = s.fates[m]
     unseen = plan.drop_unseen and known < counts[LANDMARKS]
@@ -590,12 +594,14 @@ def correct_by(
     """Correct filter b with a measurement that is linear in the errors at these rows; `result` is NIS, and if used."""
     plan, S, s = read_plan(plan_at), read_storage(storage_at), read_scratch(scratch_at)
     P, n = S.P[b], plan.leading + 3 * S.counts[b, BLOCKS]
+    before = pose_variances(P)
     keep_considered(P, plan.considered, s.kept)
     nis = correct_rows(routines, P, n, rows, H, nu, R, limit, s)
     used = 0.0 <= nis <= limit
     if used:
         restore_considered(P, plan.considered, s.kept, s.delta)
         used = _retract(routines, plan, S, b, s)
+        keep_definite(P, before, s.half)
     s.result[0], s.result[1] = nis, 1.0 if used else 0.0
 
 

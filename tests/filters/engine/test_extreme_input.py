@@ -1,0 +1,95 @@
+"""Extreme but legal numbers, mixed: every pose keeps a Cholesky factor, and what is beyond the contract is refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from filters import BodyVelocity, FilterBatch, Start, StereoEKF, StereoNoise, StereoObservation
+from filters.checks.conformance import shown_arrays
+
+from ..drives import CAMERA, INDEPENDENT_PIXELS
+from .beliefs import make
+
+CHOICES = {
+    "landmark": ("inverse-depth", "shared-anchor", "euclidean"),
+    "measurement": ("joint", "sequential", "stacked", "left"),
+    "error": ("quaternion", "so3", "first-estimates", "right-invariant"),
+    "gate": (0.99, None),
+    "drop_unseen": (False, True),
+    "iterations": (1, 1, 2),
+}
+RUNS, FRAMES = 100, 12
+
+
+def covariance(rng: np.random.Generator, size: int, low: float, high: float) -> np.ndarray:
+    """Variances from 10^low to 10^high along any axes."""
+    variances = 10.0 ** rng.uniform(low, high, size)
+    axes = np.linalg.qr(rng.standard_normal((size, size)))[0] if rng.random() < 0.5 else np.eye(size)
+    C = (axes * variances) @ axes.T
+    return 0.5 * (C + C.T)
+
+
+def frames(rng: np.random.Generator):
+    """dt from 1 ms to 100 s, odometry and measurements whose variances differ by up to 1e26, outliers everywhere."""
+    for _ in range(FRAMES):
+        dt, count = 10.0 ** rng.uniform(-3, 2), int(rng.integers(0, 12))
+        moved = rng.standard_normal(3) * 10.0 * rng.random(), 0.3 * rng.standard_normal(3)
+        odometry = BodyVelocity(*moved, covariance(rng, 6, -12, 6)) if rng.random() < 0.6 else None
+        uvd = rng.uniform([0, 0, 0.05], [1343, 390, 90], (count, 3))
+        R = None if rng.random() < 0.33 or not count else np.array([covariance(rng, 3, -14, 12) for _ in range(count)])
+        try:
+            yield dt, odometry, StereoObservation(rng.choice(20, count, replace=False), uvd, R=R)
+        except ValueError as error:  # rounding: variances that differ by 1e26 in one matrix
+            assert "R must be positive definite" in str(error)
+
+
+@pytest.mark.parametrize("first", range(0, RUNS, 25))
+def test_every_mixture_of_legal_numbers_leaves_the_pose_a_covariance(first: int) -> None:
+    for seed in range(first, first + 25):
+        rng = np.random.default_rng(seed)
+        options = {name: values[rng.integers(len(values))] for name, values in CHOICES.items()}
+        slam = StereoEKF(CAMERA, INDEPENDENT_PIXELS, **options)
+        slam.reset(Start())
+        for dt, odometry, observation in frames(rng):
+            for step in (lambda: slam.predict(dt, odometry), lambda: slam.update(observation)):
+                step()
+                assert np.isfinite(slam.pose.position).all()
+                np.linalg.cholesky(slam.pose.covariance)
+
+
+def test_a_belief_that_rounding_has_not_touched_is_not_touched() -> None:
+    """Known to 1e-6 and 1e3 at once, and standing still: variances that differ, without a correlation."""
+    slam = make()
+    slam.reset(Start(covariance=np.diag(np.tile([1e-12, 1e6, 1.0], 4))))
+    np.testing.assert_array_equal(np.diag(slam.pose.covariance), [1e-12, 1e6, 1.0, 1e-12, 1e6, 1.0])
+    slam.correct([0.0, 0.0, 0.0], {"pose": np.eye(3, 6)}, 1e-20 * np.eye(3))
+    np.testing.assert_allclose(np.diag(slam.pose.covariance)[:3], 1e-20, rtol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("build", "message"),
+    [
+        (lambda: make().predict(100.1), "dt must be at most 100 s, got 100.1: reset the filter after so long a gap"),
+        (lambda: FilterBatch(make, 2).predict(101.0), "dt must be at most 100 s"),
+        (lambda: FilterBatch(make, 2).predict([0.1, 101.0]), "dt must be numbers above 0 and up to 100 s"),
+        (lambda: StereoNoise(2e18 * np.eye(3)), r"R must be at most 1e\+18 px\^2 in size, got 2e\+18: check its unit"),
+        (lambda: StereoObservation([1], [[1, 2, 3]], R=[2e18 * np.eye(3)]), "R must be at most"),
+        (lambda: BodyVelocity([2e6, 0, 0], [0, 0, 0], np.eye(6)), r"odometry.linear must be at most 1e\+06 m/s"),
+        (lambda: BodyVelocity([0, 0, 0], [0, 2e6, 0], np.eye(6)), r"odometry.angular must be at most 1e\+06 rad/s"),
+        (lambda: BodyVelocity([0, 0, 0], [0, 0, 0], 2e12 * np.eye(6)), r"odometry.covariance must be at most 1e\+12"),
+    ],
+)
+def test_beyond_the_contract_one_line_says_what_is_too_large(build, message: str) -> None:
+    with pytest.raises(ValueError, match=message) as refusal:
+        build()
+    assert "\n" not in str(refusal.value)
+
+
+def test_a_refused_step_changes_nothing() -> None:
+    slam = make()
+    before = shown_arrays(slam)
+    with pytest.raises(ValueError, match="dt must be at most"):
+        slam.predict(1e3)
+    for one, other in zip(before, shown_arrays(slam), strict=True):
+        np.testing.assert_array_equal(one, other)
