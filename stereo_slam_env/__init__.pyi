@@ -35,7 +35,6 @@ from .recording.trajectory import Trajectory as Trajectory
 from .recording.trajectory_files import load_trajectory as load_trajectory
 from .recording.trajectory_files import save_trajectory as save_trajectory
 from .report.benchmark_report import write_report_of as write_report_of
-from .report.trajectory_report import write_trajectory_report as write_trajectory_report
 from .sensing.padding import stereo_observation as stereo_observation
 from .world.routes import register_route as register_route
 from .world.surroundings import register_scene as register_scene

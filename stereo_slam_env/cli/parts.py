@@ -11,8 +11,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from filters.contract.foreign_text import plain
-
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.text import Text
@@ -46,6 +44,8 @@ def console(*, stderr: bool = False) -> Console:
 
     class PlainConsole(Console):
         def render_str(self, text: str, **options: Any) -> Text:
+            from filters.contract.foreign_text import plain
+
             return super().render_str(plain(text), **options)
 
     return PlainConsole(stderr=stderr)
@@ -53,6 +53,8 @@ def console(*, stderr: bool = False) -> Console:
 
 def refuse(message: str) -> int:
     """Say what is wrong in one line on stderr; returns the exit code."""
+    from filters.contract.foreign_text import plain
+
     typer.echo(f"error: {plain(' '.join(message.split()))}", err=True)
     return 2
 

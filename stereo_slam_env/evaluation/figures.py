@@ -360,7 +360,7 @@ _TABLE = (
            "mean NEES of landmarks in (u, v, d); 3 is ideal",
            lambda t: landmark_anees([t.run]), _consistency("landmark"), digits=2, ideal=DOF["landmark"]),
     Figure("frames_not_scored", "frames not scored", "", "consistency",
-           "frames with an independent truth and no pose NEES, but the first: those after a filter has failed",
+           "frames with a truth that counts whose pose has no score, but the first: those after a filter has failed",
            lambda t: t.not_scored, SUM, **_COUNT),
     Figure("landmarks_not_scored", "landmarks not scored", "", "consistency",
            "landmarks x frames truly in view and without a NEES: the filter has no finite place for them",

@@ -55,12 +55,12 @@ class Trial:
 
     @cached_property
     def not_scored(self) -> int:
-        """Number of frames with an independent truth that has settled and no pose NEES, but for the first."""
+        """Number of frames with a truth that counts and has settled, and no pose NEES, but for the first."""
         run = self.run
         judged = np.array(np.isfinite(run.true_positions).all(axis=1) & run.truth_from.has_settled(run.timestamps))
         judged[:1] = False
         missing = judged & ~np.isfinite(run.pose_nees)
-        return int(np.count_nonzero(missing)) if run.reference.is_independent else 0
+        return int(np.count_nonzero(missing)) if run.reference.counts_as_truth else 0
 
     @cached_property
     def positions(self) -> tuple[FloatArray, FloatArray] | None:

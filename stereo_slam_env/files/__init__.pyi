@@ -3,3 +3,4 @@
 from .folders import claimed_folder as claimed_folder
 from .folders import is_occupied as is_occupied
 from .folders import write_atomically as write_atomically
+from .readers import read_arrays as read_arrays

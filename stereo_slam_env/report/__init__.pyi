@@ -24,3 +24,4 @@ from .page_tables import Column as Column
 from .page_tables import Tone as Tone
 from .page_tables import number as number
 from .page_tables import table as table
+from .trajectory_report import write_trajectory_report as write_trajectory_report

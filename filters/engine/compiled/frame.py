@@ -351,7 +351,7 @@ def _stage(
     x, blocks, P = S.x[b], S.blocks[b], S.P[b]
     size, limit = _size(plan, frame, variant, stage), _limit(plan, frame, variant, stage)
     gated = limit < 1e300
-    count = 0
+    count = np.int64(0)
     for m in range(known):
         s.ahead[m] = False  # of those that an earlier stage has refused
         if s.fates[m] == USED:
@@ -359,7 +359,7 @@ def _stage(
             count += 1
     if not _linearise(routines, plan, variant, stage, S, b, x, blocks, s, count, FIRST):
         return 0.0, 0
-    ahead = 0
+    ahead = np.int64(0)  # with a plain 0, Numba compiles what takes it a second time, for that number alone
     for i in range(count):
         m = s.select[i]
         if s.ahead[m]:
@@ -379,7 +379,7 @@ def _stage(
     T = plan.T[variant, stage] if not plan.by_numbers else frame.T[variant, stage]
     call(routines[AGREE], (plan, P, n, s, s.select, count, size, limit, T, stage))
     best = int(s.result[0])
-    core = 0
+    core = np.int64(0)
     for i in range(count):
         m = s.select[i]
         if s.support[i, best]:
@@ -390,7 +390,7 @@ def _stage(
     nis, dof = _apply(routines, plan, variant, stage, S, b, s, core, size)
     if s.door[1] != 0:
         return 0.0, 0
-    count, taken = 0, 0
+    count, taken = np.int64(0), 0
     for m in range(known):
         if taken < core and s.core[taken] == m:
             taken += 1
@@ -516,7 +516,7 @@ def _advance(routines: tuple[int, ...], plan: Plan, S: Storage, b: int, s: Scrat
         _predict(routines, plan, S, b, s, frame, frame.dt[b])
     if s.door[1] != 0 or not frame.seen[b]:
         return
-    known = 0
+    known = np.int64(0)
     for i in range(last - first):
         if s.where[i] >= 0:
             s.place[known], s.land[known], s.fates[known] = i, s.where[i], USED

@@ -350,6 +350,8 @@ def seed_name(seed: int | None) -> str:
 
 
 def _scenario_in(out: Path) -> Scenario:
+    if not out.is_dir():
+        raise ValueError(_why_no_run(out))
     path = out / SETTINGS
     try:
         require_links_inside(root_of(out))

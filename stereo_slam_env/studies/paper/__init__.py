@@ -16,8 +16,7 @@ import numpy as np
 
 from stereo_slam_env import run_benchmark
 from stereo_slam_env.benchmark import Backend, versions
-from stereo_slam_env.files import claimed_folder, is_occupied, write_atomically
-from stereo_slam_env.files.readers import read_arrays
+from stereo_slam_env.files import claimed_folder, is_occupied, read_arrays, write_atomically
 from stereo_slam_env.studies.paper import convergence, karlsruhe, landmark_uncertainty, long_drive, speed
 from stereo_slam_env.studies.paper.claims import Arrays, Claim, Finding, Interval, Range, Verdict
 

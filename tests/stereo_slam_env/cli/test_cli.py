@@ -195,7 +195,7 @@ def test_two_runs_are_compared(command, tmp_path):
             "--preset",
             "reference-turn",
             "--seeds",
-            "8",
+            "10",
             "--frames",
             "6",
             "--jobs",

@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
+from stereo_slam_env import datasets
 from stereo_slam_env.benchmark.recordings import sources
 from stereo_slam_env.cli import app as cli
 
@@ -45,7 +46,8 @@ def command(request, capsys, monkeypatch, tmp_path):
 def street(tmp_path):
     """A short scenario of the simulated street."""
     options = {"route": "right-turn", "rig": "qvga", "max_landmarks": 40}
-    data = {"name": "short", "options": options, "frames": 3, "noise": {"independent_pixels": 1.0}, "gate": None}
+    noise = {"independent_pixels": 1.0}
+    data = {"kind": "street", "name": "short", "options": options, "frames": 3, "noise": noise, "gate": None}
     (tmp_path / "short.json").write_text(json.dumps(data))
     return tmp_path / "short.json"
 
@@ -210,7 +212,7 @@ def test_the_report_of_a_replay_outlives_the_recording(command, folder, tmp_path
     ],
 )
 def test_wrong_options_of_replay_are_refused_before_any_work(command, folder, tmp_path, monkeypatch, options, hint):
-    monkeypatch.setattr(sources, "open_for_front_end", lambda *_, **__: pytest.fail("work was done"))
+    monkeypatch.setattr(datasets, "open_for_front_end", lambda *_, **__: pytest.fail("work was done"))
     assert refused(command("replay", folder, *options, "--out", tmp_path / "run"), hint)
     assert not (tmp_path / "run").exists()
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import stereo_slam_env as sse
+from stereo_slam_env.report import write_trajectory_report
 from stereo_slam_env.report.charts.trajectories import plot_errors, plot_nees_over_time, plot_paths
 
 SIGMA = 0.02  # m, rad
@@ -76,7 +77,7 @@ def text_of(page):
 
 
 def test_the_verdict_comes_first(tmp_path):
-    page = sse.write_trajectory_report(tmp_path, [score(sigma=SIGMA / 3)])
+    page = write_trajectory_report(tmp_path, [score(sigma=SIGMA / 3)])
     text = text_of(page)
     assert text.index("its covariance is too tight, by 2") < text.index("<figure")
     assert {path.name for path in (tmp_path / "figures").iterdir()} == {
@@ -87,7 +88,7 @@ def test_the_verdict_comes_first(tmp_path):
 
 def test_two_estimates_and_the_verdict_on_both(tmp_path):
     judged = [score(), score(seed=1)]
-    page = sse.write_trajectory_report(tmp_path, judged, judged[0].against(judged[1]))
+    page = write_trajectory_report(tmp_path, judged, judged[0].against(judged[1]))
     text = text_of(page)
     assert "mine (1)" in text
     assert "mine (2)" in text
@@ -97,17 +98,17 @@ def test_two_estimates_and_the_verdict_on_both(tmp_path):
 def test_without_covariances_there_is_nothing_to_believe(tmp_path):
     estimate, truth = straight()
     judged = sse.evaluate_trajectory(replace(estimate, covariances=None), truth)
-    text = text_of(sse.write_trajectory_report(tmp_path, [judged]))
+    text = text_of(write_trajectory_report(tmp_path, [judged]))
     assert "it claims no covariance" in text
     assert "NEES" not in text
     assert "3σ" not in text
 
 
 def test_names_of_strangers_are_plain_text(tmp_path):
-    page = sse.write_trajectory_report(tmp_path, [score(name="<script>alert(1)</script>")])
+    page = write_trajectory_report(tmp_path, [score(name="<script>alert(1)</script>")])
     assert "<script>alert" not in page.read_text(encoding="utf-8")
 
 
 def test_no_scores_are_refused(tmp_path):
     with pytest.raises(ValueError, match="scores must not be empty"):
-        sse.write_trajectory_report(tmp_path, [])
+        write_trajectory_report(tmp_path, [])

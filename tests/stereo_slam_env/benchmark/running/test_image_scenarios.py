@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from stereo_slam_env import datasets
 from stereo_slam_env.benchmark import run_benchmark
 from stereo_slam_env.benchmark.recordings import sources
 from stereo_slam_env.benchmark.recordings.sources import DatasetSource, StreetSource
@@ -26,6 +27,7 @@ from stereo_slam_env.benchmark.storage.store import open_study, read_study
 from stereo_slam_env.envs import recorder
 from stereo_slam_env.envs.recorder import RenderedDrive
 from stereo_slam_env.evaluation.filter_run import run_filter
+from stereo_slam_env.frontend import recorder as recorder_of_tracks
 from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.rendering.backends import renderer_identity
 from stereo_slam_env.report.benchmark_report import write_report_of
@@ -169,8 +171,8 @@ def test_settings_of_the_front_end_are_options_of_a_recording(folder):
 @pytest.mark.usefixtures("in_this_process")
 @pytest.mark.parametrize("search", ["flow", "forecast"])
 def test_images_are_followed_without_a_filter_once_and_calibrated_once(folder, tmp_path, monkeypatch, search):
-    looked = counted(monkeypatch, sources, "record_tracks")
-    opened = counted(monkeypatch, sources, "open_for_front_end")
+    looked = counted(monkeypatch, recorder_of_tracks, "record_tracks")
+    opened = counted(monkeypatch, datasets, "open_for_front_end")
     told = []
     make_recording(of(folder, search=search), None, lambda done, of: told.append((done, of)))
     result = run_benchmark(of(folder, search=search), tmp_path / "out", jobs=1)

@@ -121,7 +121,7 @@ def test_a_preset_is_written_as_a_file_that_names_its_schema_and_is_the_same_stu
 
 def test_a_json_file_may_name_its_schema(tmp_path):
     path = tmp_path / "mine.json"
-    path.write_text(json.dumps({"$schema": NAME, "name": "mine", "frames": 20}))
+    path.write_text(json.dumps({"$schema": NAME, "kind": "street", "name": "mine", "frames": 20}))
     assert load_study(path).only_scenario().frames == 20
 
 

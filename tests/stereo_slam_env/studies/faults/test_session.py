@@ -88,7 +88,7 @@ class ForgetsWhenRefusing(InverseDepthStereoEKF):
     ("kind", "words"),
     [
         (Crashes, "raised ZeroDivisionError: over the edge"),
-        (Indefinite, "correlation eigenvalue"),
+        (Indefinite, "is not positive definite"),
         (ForgetsWhenRefusing, "refused input changed the state"),
     ],
 )
