@@ -86,6 +86,8 @@ class Doors:
     def __init__(self, parts: Parts, room: Room) -> None:
         self._rig, self._options, self._room = parts.camera, parts.options, room
         self._values = ValuePlaces(parts.options.layout)
+        rows = parts.options.layout.rows_of(parts.options.motion.moves)
+        self._moves = rows, np.ix_(rows, rows)
         self._stages: dict[tuple[int, int], Stage] = {}
         self._after: dict[int, tuple[JointState, Transport]] = {}
         self._answers = (self._linearise, self._move, self._start, self._select, self._change, self._walk, self._drift)
@@ -106,17 +108,17 @@ class Doors:
     def predict(self, b: int, dt: float, odometry: BodyVelocity | None) -> tuple[FloatArray, ...]:
         """The step of filter b by numbers: values, F and Q of the leading rows; then nu, H and R of the odometry."""
         motion, layout, error = self._options.motion, self._options.layout, self._options.error
-        state = self.view(b)
-        predicted = predict_camera(motion, state.camera, dt, odometry)
+        before = self._values.camera(self._room.storage.x[b].copy())
+        predicted = predict_camera(motion, before, dt, odometry)
         measured = None if odometry is None else measure_odometry(motion, predicted.state, dt, odometry)
-        rows = layout.rows_of(motion.moves)
+        rows, square = self._moves
         F, Q = np.eye(layout.size), np.zeros((layout.size, layout.size))
-        F[np.ix_(rows, rows)] = predicted.F
-        Q[np.ix_(rows, rows)] = predicted.G @ predicted.Q @ predicted.G.T
+        F[square] = predicted.F
+        Q[square] = predicted.G @ predicted.Q @ predicted.G.T
         if layout.walk_rates is not None:
             Q[layout.rows, layout.rows] += layout.walk_rates * dt
         if error.constrains:
-            F = error.constrained(F, world_rotation_of_variables(layout, predicted.state), state)
+            F = error.constrained(F, world_rotation_of_variables(layout, predicted.state), self.view(b))
         step = (self._values.of(predicted.state), F, Q)
         if measured is None:
             return step
