@@ -237,8 +237,9 @@ class FilterBatch(Sequence[StereoEKF]):
         steps = np.asarray(dt, dtype=np.float64)
         if steps.ndim == 0:
             return np.full(len(self), time_step(steps))
-        if steps.shape != (len(self),) or not (np.isfinite(steps).all() and ((steps > 0.0) & (steps <= LONGEST_STEP)).all()):
-            raise ValueError(f"dt must be numbers above 0 and up to {LONGEST_STEP:g} s, one or ({len(self)},), got {dt!r}")
+        if steps.shape != (len(self),) or not ((steps > 0.0) & (steps <= LONGEST_STEP)).all():
+            wanted = f"numbers above 0 and up to {LONGEST_STEP:g} s, one or ({len(self)},)"
+            raise ValueError(f"dt must be {wanted}, got {dt!r}")
         return steps
 
     def _odometry(self, odometry: Sequence[BodyVelocity | None] | None) -> Odometry | None:
