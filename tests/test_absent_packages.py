@@ -76,8 +76,10 @@ def test_a_trajectory_is_judged(files):
 
 
 def test_filters_run_and_pass_their_checks():
+    sse.evaluate("inverse-depth", sse.make_recording("reference-turn", 0))  # lest machine code is made, and said so
     code, out, error = command_without(SIMULATOR_AND_CHARTS, "filters", "check", "inverse-depth")
-    assert (code, error) == (0, "")
+    assert code == 0
+    assert [line for line in error.splitlines() if not line.startswith("compiling machine code")] == []
     assert re.search(r"inverse-depth: \d+ checks passed, 0 failed", out)
 
 
@@ -86,19 +88,11 @@ def test_every_name_of_filters_is_there():
     assert without(SIMULATOR_AND_CHARTS, every) == (0, "\n", "")
 
 
-def test_without_numba_filters_run_by_numpy_and_say_so():
-    code, out, error = command_without(EVERYTHING_HEAVY, "filters", "check", "inverse-depth")
-    assert code == 0
-    assert ", 0 failed" in out
-    assert "filters run by NumPy" in error
-    assert len(error.splitlines()) == 1
-
-
 def test_a_filter_is_evaluated_on_a_recording(tmp_path):
     recording = sse.make_recording("reference-turn", 0)
     sse.save_recording(tmp_path / "drive.npz", recording)
     code, out, _ = without(
-        EVERYTHING_HEAVY,
+        SIMULATOR_AND_CHARTS,
         "import stereo_slam_env as sse\n"
         f"recording = sse.load_recording({str(tmp_path / 'drive.npz')!r})\n"
         "print(sse.evaluate('inverse-depth', recording).figures.position_rmse_m)",
@@ -109,6 +103,7 @@ def test_a_filter_is_evaluated_on_a_recording(tmp_path):
 
 # What says how to get what it needs.
 
+RIG = "from filters import *; camera = StereoCamera(500.0, 500.0, 320.0, 240.0, 0.1, 640, 480)"
 SAYS = [
     ("cv2", "import stereo_slam_env as sse; sse.load"),
     ("cv2", "from stereo_slam_env.frontend import StereoTracker"),
@@ -116,6 +111,7 @@ SAYS = [
     ("pybullet", "import gymnasium, stereo_slam_env; gymnasium.make('StereoSlam/Gaze-v0')"),
     ("pybullet", "import stereo_slam_env as sse; sse.StereoDriveEnv"),
     ("numba", "import filters; filters.FilterBatch"),
+    ("numba", f"{RIG}; make_filter('inverse-depth', camera=camera, noise=StereoNoise.independent_pixels(1.0))"),
     ("numba", "import gymnasium, stereo_slam_env; gymnasium.make_vec('StereoSlam/Drive-v0', num_envs=2)"),
     ("filterpy", "import filters; filters.Unscented()"),
     ("vl_convert", "import stereo_slam_env as sse; sse.write_report_of"),

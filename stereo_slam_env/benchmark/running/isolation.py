@@ -18,7 +18,6 @@ Python 3.13 it has not the caller's `sys.path`.
 from __future__ import annotations
 
 import atexit
-import importlib
 import logging
 import os
 import pickle
@@ -40,7 +39,7 @@ from typing import NoReturn, TypeVar, cast
 import cloudpickle
 
 from filters.contract.foreign_text import first_line
-from stereo_slam_env.benchmark.running.process_server import KERNELS, READY, STATUS, end_process
+from stereo_slam_env.benchmark.running.process_server import READY, STATUS, end_process
 
 Result = TypeVar("Result")
 Tell = Callable[[int, int], None]
@@ -354,5 +353,4 @@ def _server() -> _Server:
 
 @cache
 def _server_of(process: int) -> _Server:
-    importlib.import_module(KERNELS)  # compiled where they have not been: no process of a trial should wait for it
     return _Server()
