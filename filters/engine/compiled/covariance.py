@@ -226,32 +226,35 @@ def pose_variances(P: FloatArray) -> tuple[float, ...]:
 
 @njit(**KERNEL)
 def keep_definite(P: FloatArray, before: tuple[float, ...], factor: FloatArray) -> None:
-    """Give the pose a Cholesky factor again where rounding has taken it: the smallest diagonal that will do is added.
+    """Give the pose a Cholesky factor again where rounding has taken it: the smallest variance that will do is added.
 
     A step whose numbers differ by 1e16 and more leaves less of a variance than its own rounding, which is a share of
-    the variances `before` the step. What is added is of that size, so the belief grows by no more than was lost.
+    the variance `before` the step. What is added is of that size, so the belief grows by no more than was lost. What is
+    known exactly stays so.
     """
-    share = LOST
-    for _ in range(20):  # to 1e6 times the variances; what is not finite never has a factor
-        if _has_factor(P, factor):
+    row, share = 0, LOST
+    while share <= 1.0:  # what is not finite never has a factor
+        lost = _lost_pivot(P, factor)
+        if lost < 0:
             return
-        for i, variance in enumerate(before):
-            P[i, i] += share * (abs(P[i, i]) + variance)
+        if lost != row:
+            row, share = lost, LOST
+        P[row, row] += share * (abs(P[row, row]) + before[row])
         share *= 10.0
 
 
 @njit(**KERNEL)
-def _has_factor(P: FloatArray, L: FloatArray) -> bool:
-    """Whether each variance of the pose, given those before it, is more than rounding leaves of it."""
+def _lost_pivot(P: FloatArray, L: FloatArray) -> int:
+    """First variance of the pose of which, given those before it, no more is left than rounding makes up; or -1."""
     for j in range(6):
         for i in range(j, 6):
             value = P[j, i]
             for k in range(j):
                 value -= L[i, k] * L[j, k] * L[k, k]
-            if i == j:
-                if not value > LOST * P[j, j]:
-                    return False
+            if i > j:
+                L[i, j] = value / L[j, j] if L[j, j] > 0.0 else 0.0
+            elif value > LOST * P[j, j] or P[j, j] == 0.0:
                 L[j, j] = value
             else:
-                L[i, j] = value / L[j, j]
-    return True
+                return j
+    return -1

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from filters import BodyVelocity, FilterBatch, Start, StereoEKF, StereoNoise, StereoObservation
+from filters import BodyVelocity, ConstantVelocity, FilterBatch, Start, StereoEKF, StereoNoise, StereoObservation
 from filters.checks.conformance import shown_arrays
 
 from ..drives import CAMERA, INDEPENDENT_PIXELS
@@ -84,6 +84,16 @@ def test_beyond_the_contract_one_line_says_what_is_too_large(build, message: str
     with pytest.raises(ValueError, match=message) as refusal:
         build()
     assert "\n" not in str(refusal.value)
+
+
+def test_what_is_known_exactly_stays_so_and_is_no_loss_by_rounding() -> None:
+    """A camera that cannot turn: its rotation has no variance, its position the one that the motion gives it."""
+    slam = make(motion=ConstantVelocity(1.0, 1e-9))
+    slam.reset(Start(covariance=np.diag(np.repeat([0.5, 0.0, 0.2, 0.0], 3) ** 2)))
+    slam.predict(0.5)
+    expected = 0.5**2 + 0.5**2 * (0.2**2 + (0.5 * 1.0) ** 2)
+    np.testing.assert_allclose(np.diag(slam.pose.covariance)[:3], expected, rtol=1e-9)
+    assert np.diag(slam.pose.covariance)[3:].max() < 1e-17
 
 
 def test_a_refused_step_changes_nothing() -> None:
