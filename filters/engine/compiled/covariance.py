@@ -8,8 +8,8 @@ from filters.engine.compiled.blas import KERNEL
 from filters.engine.compiled.storage import Scratch
 from filters.validation import FloatArray, IntArray
 
-LOST = 1e-12
-"""Share of a variance of the pose that rounding may have made up: some thousand times the last digit."""
+LOST = 1e-10
+"""Share of a variance of the pose that rounding may have made up; another order of the same sums then agrees."""
 
 
 @njit(**KERNEL)
@@ -226,26 +226,22 @@ def pose_variances(P: FloatArray) -> tuple[float, ...]:
 
 @njit(**KERNEL)
 def keep_definite(P: FloatArray, before: tuple[float, ...], factor: FloatArray) -> None:
-    """Give the pose a Cholesky factor again where rounding has taken it: the smallest variance that will do is added.
+    """Give the pose a Cholesky factor again where rounding has taken it: the smallest diagonal that will do is added.
 
     A step whose numbers differ by 1e16 and more leaves less of a variance than its own rounding, which is a share of
-    the variance `before` the step. What is added is of that size, so the belief grows by no more than was lost. What is
-    known exactly stays so.
+    the variances `before` the step. What is added is about that size: the belief grows by hardly more than was lost,
+    and what is known exactly stays so.
     """
-    row, share = 0, LOST
-    while share <= 1.0:  # what is not finite never has a factor
-        lost = _lost_pivot(P, factor)
-        if lost < 0:
-            return
-        if lost != row:
-            row, share = lost, LOST
-        P[row, row] += share * (abs(P[row, row]) + before[row])
+    share = LOST
+    while share <= 1.0 and not _has_factor(P, factor):  # what is not finite never has one
+        for i, variance in enumerate(before):
+            P[i, i] = max(P[i, i], 0.0) + share * (abs(P[i, i]) + variance)
         share *= 10.0
 
 
 @njit(**KERNEL)
-def _lost_pivot(P: FloatArray, L: FloatArray) -> int:
-    """First variance of the pose of which, given those before it, no more is left than rounding makes up; or -1."""
+def _has_factor(P: FloatArray, L: FloatArray) -> bool:
+    """Whether each variance of the pose, given those before it, is more than rounding makes up, or exactly zero."""
     for j in range(6):
         for i in range(j, 6):
             value = P[j, i]
@@ -256,5 +252,5 @@ def _lost_pivot(P: FloatArray, L: FloatArray) -> int:
             elif value > LOST * P[j, j] or P[j, j] == 0.0:
                 L[j, j] = value
             else:
-                return j
-    return -1
+                return False
+    return True
