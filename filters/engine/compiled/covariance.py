@@ -233,7 +233,7 @@ def keep_definite(P: FloatArray, before: tuple[float, ...], factor: FloatArray) 
     and what is known exactly stays so.
     """
     share = LOST
-    while share <= 1.0 and not _has_factor(P, factor):  # what is not finite never has one
+    while share <= 1e6 and not _has_factor(P, factor):  # what is not finite never has one
         for i, variance in enumerate(before):
             P[i, i] = max(P[i, i], 0.0) + share * (abs(P[i, i]) + variance)
         share *= 10.0
