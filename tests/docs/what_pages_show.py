@@ -134,6 +134,13 @@ def shows_benchmark(names, printed):
     assert len(names["trials"]) == 2 * len(names["result"].summaries)
 
 
+def shows_correct(names, printed):
+    told = names["told"]
+    assert printed.startswith("False ")  # refused
+    assert (told.used, told.nis_dof) == (False, 3)
+    assert told.nis > 50.0
+
+
 def shows_environment(names, printed):
     as_it_was, worse = names["recording"].frames, names["worse"].frames
     moved = [not np.array_equal(a.observation.uvd, b.observation.uvd) for a, b in zip(as_it_was, worse, strict=True)]
@@ -265,6 +272,7 @@ SHOWS = {
     "docs/active_perception.md": shows_active_perception,
     "docs/baselines.md": shows_baselines,
     "docs/benchmark.md": shows_benchmark,
+    "docs/correct.md": shows_correct,
     "docs/covariances.md": shows_covariances,
     "docs/environment.md": shows_environment,
     "docs/evaluate.md": shows_evaluate,
