@@ -104,7 +104,9 @@ def test_a_picture_of_a_run_can_be_drawn(name, tmp_path):
     assert not is_blank(tmp_path / name)
     if name == "report.png":
         (drawn, stored) = (Image.open(path / name).text for path in (tmp_path, IMAGES))
-        assert json.loads(drawn[runs.HEADINGS]) == json.loads(stored[runs.HEADINGS]), TOO_OLD
+        # The line below a question depends on the runs: on which filter is best, on whether there are enough of them.
+        asked, was_asked = ([text.split("\n")[0] for text in json.loads(one[runs.HEADINGS])] for one in (drawn, stored))
+        assert asked == was_asked, TOO_OLD
         times, old_times = (json.loads(texts[runs.MILLISECONDS]) for texts in (drawn, stored))
         assert times.keys() == old_times.keys(), TOO_OLD
         for name_of_filter, milliseconds in times.items():
