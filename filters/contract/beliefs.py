@@ -1,4 +1,4 @@
-"""What a filter believes: the camera, the map, and what it expects to measure."""
+"""Beliefs of a filter: pose, velocity, landmarks, and the measurements that it predicts."""
 
 from __future__ import annotations
 

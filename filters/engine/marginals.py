@@ -1,4 +1,4 @@
-"""What a joint state says: landmarks, their covariance with the pose, and what is measured of them next."""
+"""Marginals of the joint state: landmarks, their covariance with the pose, and their predicted measurements."""
 
 from __future__ import annotations
 

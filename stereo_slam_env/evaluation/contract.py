@@ -1,4 +1,4 @@
-"""What a filter owes in every frame: finite beliefs, and covariances that are covariances.
+"""Contract of a filter in every frame: finite beliefs, and covariances that are covariances.
 
 A frame without them is a failure of the run, like an exception: a NEES that cannot be computed must not be left out of
 a mean as if the frame had not been driven. The pose must be positive definite from the second frame on: before the

@@ -1,4 +1,4 @@
-"""What a compiled filter does, in plain numbers: parts, options and the leading variables of its state."""
+"""Recipe of a filter in plain numbers, as kernels read it: parts, options and the leading variables of its state."""
 
 from __future__ import annotations
 
