@@ -51,6 +51,7 @@ from .landmarks.euclidean import Euclidean as Euclidean
 from .landmarks.hybrid import Hybrid as Hybrid
 from .landmarks.inverse_depth import InverseDepth as InverseDepth
 from .landmarks.model import InverseDistances as InverseDistances
+from .landmarks.model import LandmarkKernels as LandmarkKernels
 from .landmarks.model import LandmarkModel as LandmarkModel
 from .landmarks.model import Points as Points
 from .landmarks.model import ScaledPoints as ScaledPoints
@@ -61,6 +62,7 @@ from .landmarks.spherical import Spherical as Spherical
 from .measurements.calibrated_pair import CalibratedPair as CalibratedPair
 from .measurements.depth_camera import DepthCamera as DepthCamera
 from .measurements.fisheye_pair import FisheyePair as FisheyePair
+from .measurements.model import MeasurementKernels as MeasurementKernels
 from .measurements.model import MeasurementModel as MeasurementModel
 from .measurements.model import SensorJacobians as SensorJacobians
 from .measurements.model import Stage as Stage
@@ -76,6 +78,7 @@ from .monitor import DivergenceMonitor as DivergenceMonitor
 from .motions.constant_velocity import ConstantVelocity as ConstantVelocity
 from .motions.model import CameraState as CameraState
 from .motions.model import LinearMeasurement as LinearMeasurement
+from .motions.model import MotionKernels as MotionKernels
 from .motions.model import MotionModel as MotionModel
 from .motions.model import MotionPrediction as MotionPrediction
 from .motions.velocity_driven import VelocityDriven as VelocityDriven

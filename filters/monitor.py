@@ -37,21 +37,14 @@ class Cause(Enum):
 
 @dataclass(frozen=True)
 class Alarm:
-    """A filter that should not be believed.
-
-    Attributes
-    ----------
-    time : float
-        When it was raised, s since the monitor was made or reset.
-    cause : Cause
-        Why.
-    words : str
-        With figures, one line.
-    """
+    """A filter that should not be believed."""
 
     time: float
+    """When it was raised, s since the monitor was made or reset."""
     cause: Cause
+    """Why."""
     words: str
+    """With figures, one line."""
 
 
 class DivergenceMonitor:

@@ -53,21 +53,14 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Slot:
-    """A slot of a filter.
-
-    Attributes
-    ----------
-    kind : type
-        Base class of its parts.
-    named : mapping of str to callable
-        The parts of this package; the first is what a table of settings without a name means.
-    group : str
-        Entry points of others.
-    """
+    """A slot of a filter."""
 
     kind: type
+    """Base class of its parts."""
     named: Mapping[str, Callable[..., Any]]
+    """The parts of this package; the first is what a table of settings without a name means."""
     group: str
+    """Entry points of others."""
 
 
 SLOTS: Mapping[str, Slot] = {
@@ -160,12 +153,9 @@ def available_parts(slot: str) -> dict[str, str]:
     return {name: (inspect.getdoc(make) or "no description").splitlines()[0] for name, make in _named(slot).items()}
 
 
-def kernel_of(part: object) -> str | None:
-    """Compiled counterpart of a part: the one that its own class states, which a subclass may have changed."""
-    if "kernel" not in vars(type(part)):
-        return None
-    stated: str | None = part.kernel  # type: ignore[attr-defined]
-    return stated
+def kernels_of(part: object) -> Any:
+    """Kernels of a part: those that its own class states, since a subclass may have changed what they stand for."""
+    return vars(type(part)).get("kernels")
 
 
 def _settings(make: Callable[..., Any]) -> list[str]:

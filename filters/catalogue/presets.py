@@ -18,7 +18,8 @@ def _named(class_name: str, description: str, **chosen: Any) -> type[StereoEKF]:
     def __init__(self: StereoEKF, camera: StereoCamera, noise: StereoNoise, **options: Any) -> None:
         StereoEKF.__init__(self, camera, noise, **{**chosen, **options})
 
-    return type(class_name, (StereoEKF,), {"__init__": __init__, "__doc__": description, "__module__": __name__})
+    stated = {"open_options": StereoEKF.open_options - chosen.keys(), "__doc__": description, "__module__": __name__}
+    return type(class_name, (StereoEKF,), {"__init__": __init__, **stated})
 
 
 InverseDepthStereoEKF = _named(
@@ -92,6 +93,8 @@ class ColouredNoiseEKF(StereoEKF):
     of camera and reference and for the offset of the disparities; where the noise states nothing, it is taken for
     white. Shared anchors, right-invariant errors, and the joint test over the frame where there is a gate.
     """
+
+    open_options = StereoEKF.open_options - {"landmark", "measurement", "error", "consensus", "drift", "gauge_walk"}
 
     def __init__(self, camera: StereoCamera, noise: StereoNoise, *, gate: float | None = 0.99, **options: Any) -> None:
         stated: dict[str, Any] = {}

@@ -60,19 +60,14 @@ class ConformanceError(AssertionError):
 
 @dataclass(frozen=True)
 class ConformanceReport:
-    """Result of `check_filter` or `check_part`.
-
-    Attributes
-    ----------
-    filter_name : str
-        Class of the filter or of the part.
-    passed, failed : tuple of str
-        One line a check.
-    """
+    """Result of `check_filter` or `check_part`."""
 
     filter_name: str
+    """Class of the filter or of the part."""
     passed: tuple[str, ...]
+    """One line for each check."""
     failed: tuple[str, ...]
+    """One line for each check, with what is wrong."""
 
     def __str__(self) -> str:
         lines = [f"{self.filter_name}: {len(self.passed)} checks passed, {len(self.failed)} failed"]

@@ -78,18 +78,14 @@ class WindingDrive:
 
     Accelerations stay within the standard deviations of `ConstantVelocity()`. A landmark that leaves the view is
     replaced by a new one, so that each frame has `VISIBLE`.
-
-    Attributes
-    ----------
-    linear_velocity, angular_velocity : (3,)
-        True ones at the start: m/s in W, rad/s in the camera frame.
-    frames : tuple of WindingFrame
-        Every `DT` seconds.
     """
 
     linear_velocity: FloatArray
+    """(3,), m/s in W: the true one at the start."""
     angular_velocity: FloatArray
+    """(3,), rad/s in the camera frame: the true one at the start."""
     frames: tuple[WindingFrame, ...]
+    """Every `DT` seconds."""
 
     @classmethod
     def simulated(cls, camera: StereoCamera, noise: StereoNoise, seed: int) -> WindingDrive:

@@ -95,7 +95,7 @@ def step_covariances(part: FloatArray, R: FloatArray) -> FloatArray:
 
 
 def in_own_numbers(Q: FloatArray, by_own: FloatArray) -> FloatArray:
-    """J^-1 Q J^-T of each landmark, J = d(u, v, d) / d(own numbers); zero where J is next to singular.
+    """J^-1 Q J^-T of each landmark, J = d(u, v, d) / d(first three own numbers); zero where it is next to singular.
 
     Parameters
     ----------

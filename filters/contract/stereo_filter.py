@@ -6,14 +6,15 @@ Orientations are unit quaternions xyzw; R_wc takes camera vectors into W. SI uni
 
 from __future__ import annotations
 
+import inspect
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from filters.contract.beliefs import Forecast, LandmarkBelief, PoseBelief, VelocityBelief
-from filters.contract.constructor_calls import RecordedConstructors
 from filters.contract.noise import StereoNoise
 from filters.contract.observation import StereoObservation
 from filters.contract.odometry import BodyVelocity
@@ -53,7 +54,7 @@ def check_start(start: object) -> None:
         raise ValueError(f"start must be a filters.Start, got {start!r}")
 
 
-class StereoFilter(RecordedConstructors, ABC):
+class StereoFilter(ABC):
     """A stereo SLAM filter. Implement these members and any bench, environment or test here can run it.
 
     Bad input raises `ValueError` naming the argument, and leaves the state as it was.
@@ -61,6 +62,19 @@ class StereoFilter(RecordedConstructors, ABC):
 
     camera: StereoCamera
     noise: StereoNoise
+    open_options: ClassVar[frozenset[str]] = frozenset()
+    """Options of the constructor that the filter leaves to a comparison, which gives all filters the same gate, motion
+    model and so on. A class that does not state them has those of its base which its constructor takes, by `**options`
+    or with the default None: another default is a choice."""
+
+    def __init_subclass__(cls, **arguments: Any) -> None:
+        super().__init_subclass__(**arguments)
+        if "__init__" in vars(cls) and "open_options" not in vars(cls):
+            own = inspect.signature(cls.__init__).parameters
+            others = any(parameter.kind is parameter.VAR_KEYWORD for parameter in own.values())
+            cls.open_options = frozenset(
+                name for name in cls.open_options if (own[name].default is None if name in own else others)
+            )
 
     @abstractmethod
     def reset(self, start: Start = AT_ORIGIN) -> None:

@@ -87,15 +87,9 @@ class Variable:
 
 @dataclass(frozen=True, eq=False)
 class VariableBelief:
-    """Belief of a named variable.
-
-    Attributes
-    ----------
-    value : (v,)
-        Its numbers; of the pose: position (W, m) and orientation (xyzw).
-    covariance : (s, s)
-        Of its error.
-    """
+    """Belief of a named variable."""
 
     value: FloatArray
+    """(v,): its numbers; of the pose, position (W, m) and orientation (xyzw)."""
     covariance: FloatArray
+    """(s, s), of its error."""

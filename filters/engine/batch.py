@@ -4,19 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import overload
+from typing import TypeGuard, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from filters.contract.beliefs import Forecast
 from filters.contract.observation import StereoObservation
 from filters.contract.odometry import BodyVelocity
 from filters.contract.start import Start
 from filters.contract.stereo_filter import AT_ORIGIN, LONGEST_STEP, check_start, time_step
 from filters.contract.update_report import UpdateReport
-from filters.engine.compiled.readout import relative_landmarks
+from filters.engine.compiled.readout import points_at, relative_landmarks
+from filters.engine.compiled.units import of_part
 from filters.engine.doors import Parts
-from filters.engine.engine import Engine, Observations, Odometry, Outcome
+from filters.engine.engine import Engine
+from filters.engine.frames import Observations, Odometry, Outcome
 from filters.engine.row import Row, report
 from filters.engine.stereo_ekf import StereoEKF
 from filters.validation import BoolArray, FloatArray, IntArray, whole_number
@@ -75,6 +78,16 @@ class RelativeLandmarks:
     points_c: FloatArray
     covariances: FloatArray
     located: BoolArray
+
+
+_METHODS = ("reset", "predict", "update", "forecast", "pose", "velocity", "pose_error", "state_size", "state")
+
+
+def goes_in_a_batch(slam: object) -> TypeGuard[StereoEKF]:
+    """Whether a filter does what the engine does, and nothing else."""
+    if not isinstance(slam, StereoEKF) or slam.engine.recipe.landmark is None:
+        return False
+    return all(getattr(type(slam), name) is getattr(StereoEKF, name) and name not in vars(slam) for name in _METHODS)
 
 
 class FilterBatch(Sequence[StereoEKF]):
@@ -137,13 +150,45 @@ class FilterBatch(Sequence[StereoEKF]):
     @property
     def pose_covariances(self) -> FloatArray:
         """Covariance of the pose errors, as in `PoseBelief`; (B, 6, 6)."""
-        upper = np.triu(self._engine.storage.P[:, :6, :6])
+        return self._covariances(0)
+
+    @property
+    def velocities(self) -> FloatArray:
+        """Linear (W, m/s) and angular (camera, rad/s) velocity of every filter; (B, 6)."""
+        first = self._engine.recipe.velocity + 1  # an orientation has one number more than its error
+        return self._engine.storage.x[:, first : first + 6].copy()
+
+    @property
+    def velocity_covariances(self) -> FloatArray:
+        """Covariance of the velocities, as in `VelocityBelief`; (B, 6, 6)."""
+        return self._covariances(self._engine.recipe.velocity)
+
+    def _covariances(self, first: int) -> FloatArray:
+        rows = slice(first, first + 6)
+        upper = np.triu(self._engine.storage.P[:, rows, rows])
         whole: FloatArray = upper + np.triu(upper, 1).transpose(0, 2, 1)
         return whole
 
+    @property
+    def state_sizes(self) -> IntArray:
+        """`StereoEKF.state_size` of every filter, (B,)."""
+        options = self._filters[0].options
+        return options.layout.errors + options.landmark.size * self._engine.storage.counts[:, 1]
+
+    def forecasts(self) -> list[Forecast]:
+        """`StereoEKF.forecast` of all landmarks of every filter."""
+        if self._engine.recipe.by_numbers:
+            return [slam.forecast() for slam in self._filters]
+        uvd, S, in_front = self._engine.forecast(slice(0, len(self)), self._R)
+        ids, counts = self._engine.storage.ids, self._engine.storage.counts[:, 0].tolist()
+        in_view = in_front & self._filters[0].camera.in_view(uvd)
+        ends = np.cumsum(counts).tolist()
+        parts = [slice(end - count, end) for end, count in zip(ends, counts, strict=True)]
+        return [Forecast(ids[b, : counts[b]].copy(), uvd[part], S[part], in_view[part]) for b, part in enumerate(parts)]
+
     def relative_landmarks(self) -> RelativeLandmarks:
         """The maps of all filters as their cameras see them."""
-        storage, recipe = self._engine.storage, self._engine.recipe
+        storage = self._engine.storage
         counts = storage.counts[:, 0]
         offsets = np.concatenate([[0], np.cumsum(counts)])
         total = int(offsets[-1])
@@ -151,12 +196,17 @@ class FilterBatch(Sequence[StereoEKF]):
         found = RelativeLandmarks(
             offsets, ids, np.empty((total, 3)), np.empty((total, 3, 3)), np.empty(total, dtype=np.bool_)
         )
+        plan, model = self._engine.recipe.plan, self._filters[0].options.landmark
+        if self._engine.recipe.landmark is None:
+            raise ValueError(f"landmark {type(model).__name__} must have kernels here")
+        filters = np.repeat(np.arange(len(self)), counts)
+        own = storage.own[np.arange(storage.own.shape[1]) < counts[:, None]]
+        values = storage.blocks[filters, own, : model.value_size]
+        points, by_own = np.zeros((total, model.seen_size)), np.zeros((total, model.seen_size, model.size))
+        points_at(of_part(self._engine.recipe.landmark, "point"), plan.landmark, values, points, by_own)
         state = storage.P, storage.x, storage.blocks, storage.own, storage.anchor, storage.counts
-        if recipe.own_landmarks:
-            raise ValueError("landmark must be inverse depth or euclidean here: others have no kernel")
-        anchored = recipe.anchored
         written = found.points_c, found.covariances, found.located
-        relative_landmarks(*state, recipe.leading, anchored, offsets, *written)
+        relative_landmarks(*state, plan.leading, plan.anchored, points, by_own, offsets, *written)
         return found
 
     def reset(self, starts: Start | Sequence[Start] = AT_ORIGIN) -> None:

@@ -1,4 +1,4 @@
-"""Doors by numbers: what the kernels ask of parts that give their numbers by NumPy, while they work on a frame.
+"""Callbacks of the kernels to parts that give their numbers by NumPy.
 
 The kernels do all the algebra. Where a part has no kernel of its own they call back, and the part sees the state of the
 filter as it is at that moment (`JointState`, on the arrays of the storage) and answers with numbers in the scratch.
@@ -7,7 +7,7 @@ filter as it is at that moment (`JointState`, on the arrays of the storage) and 
 from __future__ import annotations
 
 import ctypes
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -17,9 +17,10 @@ from filters.contract.observation import StereoObservation
 from filters.contract.odometry import BodyVelocity
 from filters.engine import selection
 from filters.engine.compiled.blas import PLAIN
-from filters.engine.compiled.frame import FIRST, MOVED, REJECTED, STARTED
+from filters.engine.compiled.frame import FIRST, MOVED, SETTLED
 from filters.engine.compiled.recipe import MOST_ROWS, MOST_STAGES, Recipe
-from filters.engine.compiled.storage import CLONE_POSITION, POINT, Frame, Scratch, Storage
+from filters.engine.compiled.scratch import Scratch
+from filters.engine.compiled.storage import CLONE_POSITION, POINT, REJECTED, STARTED, Frame, Storage
 from filters.engine.gating import gate_limit
 from filters.engine.gauge_walk import directions, image_motion
 from filters.engine.new_landmarks import can_start, start_landmarks
@@ -90,7 +91,16 @@ class Doors:
         self._moves = rows, np.ix_(rows, rows)
         self._stages: dict[tuple[int, int], Stage] = {}
         self._after: dict[int, tuple[JointState, Transport]] = {}
-        self._answers = (self._linearise, self._move, self._start, self._select, self._change, self._walk, self._drift)
+        self._answers = (
+            self._linearise,
+            self._move,
+            self._start,
+            self._select,
+            self._change,
+            self._walk,
+            self._drift,
+            self._carry,
+        )
         self.failure: BaseException | None = None
         self._entry = None if PLAIN else _DOOR(self._answer)
         self.address: Any = self._answer if PLAIN else ctypes.cast(self._entry, ctypes.c_void_p).value  # type: ignore[arg-type]
@@ -153,7 +163,7 @@ class Doors:
         """Filter b on the arrays of the storage, or where a correction has moved it to in a scratch."""
         S, layout, model = self._room.storage, self._options.layout, self._options.landmark
         landmarks, blocks = S.counts[b].tolist()
-        n = layout.size + 3 * blocks
+        n = layout.size + model.size * blocks
         x, values = (S.x[b], S.blocks[b]) if room is None else (room.moved, room.moved_blocks)
         held = S.held[b][S.held[b] >= 0]
         return JointState(
@@ -204,7 +214,8 @@ class Doors:
         room.H[selected, :size, :measured] = linear.by_leading
         room.H[selected, :size, measured : measured + linear.by_map.shape[2]] = linear.by_map
         room.R[selected, :size, :size] = linear.R
-        room.base[selected, -linear.map_rows.shape[1] // 3 :] = linear.map_rows[:, ::3]
+        room.base[selected, 0] = linear.map_rows[:, 0]
+        room.base[selected, 1] = linear.map_rows[:, -self._options.landmark.size]
 
     def _move(self, b: int, room: Scratch, what: int, count: int) -> None:
         """The state corrected by delta, and the Jacobian that carries P along."""
@@ -213,6 +224,9 @@ class Doors:
         delta = room.delta[:n].copy()
         moved = error.moved(state, delta)
         step = error.transport(state, moved, delta)
+        if what == SETTLED and error.constrains:
+            image = world_rotation_of_variables(state.layout, moved.camera)
+            step = replace(step, leading=error.constrained(step.leading, image, state))
         self._after[int(room.door[0])] = moved, step
         room.moved[:] = self._values.of(moved.camera)
         room.moved_blocks[: len(moved.blocks), : moved.blocks.shape[1]] = moved.blocks
@@ -224,8 +238,8 @@ class Doors:
         room.F[:] = step.leading
         room.result[:] = step.own is not None, step.by_rotation is not None
         if step.own is not None and step.rows is not None:
-            room.D[: len(moved.blocks)] = np.eye(3)
-            room.D[(step.rows[:, 0] - size) // 3] = step.own
+            room.D[: len(moved.blocks)] = np.eye(state.size)
+            room.D[(step.rows[:, 0] - size) // state.size] = step.own
         if step.by_rotation is not None:  # the rotation error is that at the corrected state by then
             room.W[:size] = 0.0
             room.W[size:n] = np.linalg.solve(step.leading[ROTATION, ROTATION].T, step.by_rotation.T).T
@@ -248,14 +262,17 @@ class Doors:
         seen = unchecked(StereoObservation, ids=frame.ids[chosen], uvd=frame.uvd[chosen], v_right=None, R=None)
         new = start_landmarks(options.measurement, self._rig, state, seen, frame.R[chosen])
         J, parameters, anchored = new.by_leading, new.started.parameters, new.started.anchored
+        by_anchor = np.eye(3, J.shape[2])
         if options.error.constrains:
             here = np.where(anchored[:, None], state.camera.position, np.nan)
             effect = state.model.world_rotation(here, parameters)
             J = options.error.constrained(J.reshape(-1, J.shape[2]), effect.reshape(-1, 3), state).reshape(J.shape)
+            by_anchor = options.error.constrained(by_anchor, -rotations.skew(state.camera.position), state)
         room.values[:count, : parameters.shape[1]] = parameters
-        room.H[:count, :3, : J.shape[2]] = J
+        room.H[:count, : J.shape[1], : J.shape[2]] = J
         room.values_noise[:count] = new.noise
         room.anchored[:count] = anchored
+        room.by_anchor[:] = by_anchor
 
     def _select(self, b: int, room: Scratch, first: int, counts: int) -> None:
         """Of the landmarks in view, the most informative stay in the map or start."""
@@ -301,7 +318,7 @@ class Doors:
         at, now = options.error.linearisation_point(state) or state, state.camera
         R_before = rotations.matrix(room.before[3:7])
         turn = float(np.linalg.norm(rotations.log(R_before.T @ now.R_wc)))
-        seen = points_in_camera(state, np.arange(len(state)))
+        seen = state.model.point(points_in_camera(state, np.arange(len(state))))
         motion, distance = image_motion(turn, now.R_wc.T @ (now.position - room.before[:3]), seen)
         sigma = options.gauge_walk * np.sqrt(motion)
         B = directions(at.world_rotation(), at.world_translation(), at.camera.position, sigma, distance)
@@ -309,17 +326,30 @@ class Doors:
             B[at.block_rows(clone.blocks)] = 0.0
         room.HP[:6, : len(B)] = B.T
 
+    def _carry(self, b: int, room: Scratch, back: int, count: int) -> None:
+        """Landmarks from the camera frame before the step to W, or from there to that after it."""
+        state = self.view(b)
+        model, camera = state.model, state.camera
+        carry = model.into_camera if back else model.into_world
+        carried = carry(camera.position, camera.R_wc, state.parameters())
+        state.blocks[state.parameter_block] = carried.parameters
+        rows = state.own_rows().ravel()
+        room.D[: len(state.blocks)] = np.eye(state.size)
+        room.D[state.parameter_block] = carried.by_own
+        room.W[:] = room.by_position[:] = 0.0
+        room.by_position[rows], room.W[rows] = np.split(carried.by_pose.reshape(len(rows), 6), 2, axis=1)
+
     def _drift(self, b: int, room: Scratch, part: int, count: int) -> None:
         """Steps of the selected landmarks in the image, added to P."""
         options, state = self._options, self.view(b)
         assert options.drift is not None
-        selected = room.select[:count]
+        selected, size = room.select[:count], state.size
         index, Q = room.land[selected], step_covariances(options.drift.parts[part], room.noise[selected])
         numbers = Stage(np.zeros((count, 3)), np.eye(3, options.measurement.size), Q)
         point = options.error.linearisation_point(state)
         by_map = Extended().linearise(options.measurement, self._rig, state, index, numbers, point).by_map
-        rows = state.own_rows(index)
-        state.P[rows[:, :, None], rows[:, None, :]] += in_own_numbers(Q, by_map[:, :, -3:])
+        rows, by_own = state.own_rows(index)[:, :3], by_map[:, :, -size:][:, :, :3]
+        state.P[rows[:, :, None], rows[:, None, :]] += in_own_numbers(Q, by_own)
 
 
 def clones_at(values: FloatArray, kind: IntArray, held: IntArray) -> dict[str, Clone]:

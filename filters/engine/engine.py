@@ -3,127 +3,34 @@
 from __future__ import annotations
 
 import weakref
-from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from filters.contract.odometry import BodyVelocity
 from filters.engine.compiled.frame import CLONE, CLOSE_GAPS, FORGET, advance, change, correct_by, kernels
+from filters.engine.compiled.readout import compile_forecasts, forecasts
 from filters.engine.compiled.recipe import Recipe
+from filters.engine.compiled.scratch import Scratch, scratch
 from filters.engine.compiled.storage import (
     BLOCKS,
     LANDMARKS,
     FilterState,
     Frame,
-    Scratch,
     Storage,
     empty_frame,
     empty_storage,
     exported,
     grown,
     load,
-    scratch,
 )
 from filters.engine.compiled.units import Packed
 from filters.engine.doors import Doors, Parts
-from filters.validation import BoolArray, FloatArray, IntArray, unchecked
+from filters.engine.frames import Observations, Odometry, Outcome
+from filters.motions.model import MotionModel
+from filters.validation import BoolArray, FloatArray, IntArray
 
 _ROOM = 32  # blocks, at first
-
-
-@dataclass(frozen=True, eq=False)
-class Observations:
-    """Measurements of B filters, one after the other.
-
-    Attributes
-    ----------
-    seen : (B,) bool
-        Whether a filter has an observation: one without measurements is something else than none.
-    offsets : (B + 1,) int64
-        The measurements of filter b are offsets[b] to offsets[b + 1] - 1.
-    ids : (M,) int64
-        Ascending for each filter.
-    uvd : (M, 3)
-        Measurements, px.
-    R : (M, 3, 3) or (3, 3)
-        Their noise, or one for all, px^2.
-    with_right : (B,) bool
-        Whether the right row is measured on its own.
-    v_right : (M,), optional
-        The right row, px.
-    """
-
-    seen: BoolArray
-    offsets: IntArray
-    ids: IntArray
-    uvd: FloatArray
-    R: FloatArray
-    with_right: BoolArray
-    v_right: FloatArray | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class Odometry:
-    """Odometry of B filters.
-
-    Attributes
-    ----------
-    fused : (B,) bool
-        Whose there is.
-    values : (B, 6)
-        Linear and angular velocity, camera frame.
-    covariances : (B, 6, 6) or (6, 6)
-        Of those.
-    given : sequence of BodyVelocity or None, optional
-        As it was given, for motions that know more of it.
-    """
-
-    fused: BoolArray
-    values: FloatArray
-    covariances: FloatArray
-    given: Sequence[BodyVelocity | None] | None = None
-
-    @classmethod
-    def of(cls, given: Sequence[BodyVelocity | None]) -> Odometry:
-        """Odometry of each filter; None: it has none."""
-        values, covariances = np.zeros((len(given), 6)), np.zeros((len(given), 6, 6))
-        for b, entry in enumerate(given):
-            if entry is not None:
-                values[b, :3], values[b, 3:], covariances[b] = entry.linear, entry.angular, entry.covariance
-        return cls(np.array([entry is not None for entry in given]), values, covariances, given)
-
-    def of_filter(self, b: int) -> BodyVelocity | None:
-        """That of filter b."""
-        if self.given is not None:
-            return self.given[b]
-        if not self.fused[b]:
-            return None
-        covariance = np.broadcast_to(self.covariances, (len(self.fused), 6, 6))[b].copy()
-        linear, angular = self.values[b, :3].copy(), self.values[b, 3:].copy()
-        return unchecked(BodyVelocity, linear=linear, angular=angular, covariance=covariance)
-
-
-@dataclass(frozen=True, eq=False)
-class Outcome:
-    """What became of the measurements.
-
-    Attributes
-    ----------
-    fates : (M,) uint8
-        `frame.USED`, BEHIND, GATED, FAILED, STARTED or REJECTED.
-    nis, dof : (B,)
-        Normalised innovation squared and its degrees of freedom.
-    dropped : tuple of (K,) int64
-        Ids that left the map of each filter.
-    """
-
-    fates: IntArray
-    nis: FloatArray
-    dof: IntArray
-    dropped: tuple[IntArray, ...]
 
 
 _NOTHING = Outcome(np.zeros(0, dtype=np.uint8), np.zeros(0), np.zeros(0, dtype=np.int64), ())
@@ -152,7 +59,10 @@ class Engine:
         self.parts = parts
         asks = parts is not None and (recipe.asks or recipe.motion is None)
         self._doors = Doors(parts, weakref.proxy(self)) if asks and parts is not None else None
-        self._fuses = False
+        self._fuses = self._odometry_there = False
+        motion = None if parts is None else parts.options.motion
+        own = motion is not None and type(motion).odometry_numbers is not MotionModel.odometry_numbers
+        self._steps_by_odometry = recipe.motion is None or own
         self._kernels = self._addresses()
         self._plan = Packed(recipe.plan)
         self._storage = Packed(empty_storage(recipe, count, _ROOM))
@@ -260,6 +170,21 @@ class Engine:
         nis, used = self.scratch(0).result.tolist()
         return nis, bool(used)
 
+    def forecast(self, which: slice, noise: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
+        """Predicted (u, v, d), (M, 3), and S, (M, 3, 3), of all landmarks of adjacent filters, and which are in front.
+
+        `noise` (F, 3, 3) is of each filter. Only where the measurement and the landmarks have kernels.
+        """
+        compile_forecasts()
+        counts = self.storage.counts[which, LANDMARKS]
+        self._make_room(0, int(counts.max(initial=0)))
+        offsets = np.concatenate([[0], np.cumsum(counts)])
+        total = int(offsets[-1])
+        uvd, S, in_front = np.empty((total, 3)), np.empty((total, 3, 3)), np.empty(total, dtype=np.bool_)
+        at = self._plan.address, self._storage.address, self._scratch[0].address
+        forecasts(self._kernels, *at, which.start, offsets, np.array(noise, order="C"), uvd, S, in_front)
+        return uvd, S, in_front
+
     def step(
         self,
         dt: FloatArray | float,
@@ -270,10 +195,11 @@ class Engine:
         o = observations
         M = 0 if o is None else len(o.ids)
         if len(self.frame.ids) < M:
-            self._frame = Packed(empty_frame(self.recipe, self.count, self.storage.ids.shape[1], M + M // 4))
+            self._frame_with(measurements=M + M // 4)
         self._make_room(0, M if o is None or self.count == 1 else int(np.diff(o.offsets).max(initial=0)))
         self.frame.dt[:] = dt
-        self._put_odometry(odometry)
+        if odometry is not None or self._steps_by_odometry or self._odometry_there:
+            self._put_odometry(odometry)
         frame = self.frame
         frame.nis[:], frame.dof[:], frame.outcome[:] = 0.0, 0, 0
         if o is None:
@@ -297,10 +223,7 @@ class Engine:
             late = frame.outcome[:, 1] > 0
             frame.dt[~late], frame.seen[~late] = 0.0, False
             self._make_room(needed, 0)
-            larger = empty_frame(self.recipe, self.count, self.storage.ids.shape[1], len(frame.ids), self._rows or 1)
-            for old, new in zip(frame, larger, strict=True):
-                new[tuple(slice(0, size) for size in old.shape)] = old
-            self._frame, frame = Packed(larger), larger
+            frame = self._frame_with(blocks=self.storage.ids.shape[1])
             self._run()
         self._raise_failure(before)
         if o is None:
@@ -311,35 +234,67 @@ class Engine:
     def _put_odometry(self, odometry: Odometry | None) -> None:
         """Odometry, or the numbers that a motion without kernels makes of it."""
         frame = self.frame
-        frame.fused[:] = False
+        self._odometry_there = odometry is not None
+        frame.fused[:], frame.odometry_rows[:] = False, 0
         if odometry is not None:
             if not self._fuses:  # the first odometry
                 self._fuses = True
                 self._kernels = self._addresses()
-            frame.fused[:], frame.odometry[:] = odometry.fused, odometry.values
-            frame.odometry_covariance[:] = odometry.covariances
+            frame.fused[:] = odometry.fused
         if self.recipe.motion is not None or self._doors is None:
+            self._put_odometry_numbers(odometry)
             return
         for b in np.flatnonzero(frame.dt > 0.0).tolist():
             numbers = self._doors.predict(b, float(frame.dt[b]), None if odometry is None else odometry.of_filter(b))
             rows = len(numbers[3]) if len(numbers) > 3 else 0
             if rows > frame.measured_nu.shape[1]:
                 self._make_room(0, 0, rows)
-                larger = empty_frame(self.recipe, self.count, self.storage.ids.shape[1], len(frame.ids), rows)
-                for old, new in zip(frame, larger, strict=True):
-                    new[tuple(slice(0, size) for size in old.shape)] = old
-                self._frame, frame = Packed(larger), larger
+                frame = self._frame_with(rows=rows)
             frame.moved[b], frame.F[b], frame.Q[b] = numbers[:3]
             frame.measured[b] = rows
             if rows:
                 frame.measured_nu[b, :rows], frame.measured_H[b, :rows] = numbers[3:5]
                 frame.measured_R[b, :rows, :rows] = numbers[5]
 
+    def _put_odometry_numbers(self, odometry: Odometry | None) -> None:
+        """What the kernel of the motion takes of it."""
+        frame = self.frame
+        motion = None if self.parts is None else self.parts.options.motion
+        if motion is None or type(motion).odometry_numbers is MotionModel.odometry_numbers:
+            if odometry is not None:
+                frame = self._frame_with(odometry=(7, 6))
+                frame.odometry_rows[:] = np.where(odometry.fused, 7, 0)
+                frame.odometry[:, 0, :6], frame.odometry[:, 1:7, :6] = odometry.values, odometry.covariances
+            return
+        numbers = [
+            motion.odometry_numbers(None if odometry is None else odometry.of_filter(b)) for b in range(self.count)
+        ]
+        frame = self._frame_with(odometry=(max(map(len, numbers)), max(n.shape[1] for n in numbers)))
+        for b, given in enumerate(numbers):
+            frame.odometry_rows[b] = len(given)
+            frame.odometry[b, : len(given), : given.shape[1]] = given
+
+    def _frame_with(
+        self, blocks: int = 0, measurements: int = 0, rows: int = 0, odometry: tuple[int, int] = (0, 0)
+    ) -> Frame:
+        """The frame, with room for at least these, and with what it brings already."""
+        frame = self.frame
+        there = frame.dropped.shape[1], len(frame.ids), frame.measured_nu.shape[1], *frame.odometry.shape[1:]
+        wanted = blocks, measurements, rows, *odometry
+        if all(most <= size for most, size in zip(wanted, there, strict=True)):
+            return frame
+        blocks, measurements, rows, K, w = map(max, wanted, there)
+        larger = empty_frame(self.recipe, self.count, blocks, measurements, rows, (K, w))
+        for old, new in zip(frame, larger, strict=True):
+            new[tuple(slice(0, size) for size in old.shape)] = old
+        self._frame = Packed(larger)
+        return larger
+
     def _addresses(self) -> tuple[Any, ...]:
         """What the kernels call: LAPACK, units, doors."""
         plan = self.recipe.plan
-        fuses = self._fuses and not plan.velocity_driven and not plan.driven_by_numbers
-        return (*kernels(plan, fuses), 0 if self._doors is None else self._doors.address)
+        fuses = self._fuses and (plan.driven_by_numbers or plan.odometry_rows > 0)
+        return (*kernels(self.recipe, fuses), 0 if self._doors is None else self._doors.address)
 
     def _kept(self, which: BoolArray) -> list[tuple[int, FilterState]]:
         """States to go back to where a part fails; none where none can."""

@@ -7,6 +7,7 @@ import numpy as np
 from filters.contract.beliefs import Forecast, LandmarkBelief
 from filters.contract.noise import StereoNoise
 from filters.geometry.camera import StereoCamera
+from filters.landmarks.model import Points
 from filters.measurements.model import MeasurementModel, Stage
 from filters.motions.model import POSE_SIZE
 from filters.state import symmetric
@@ -19,18 +20,31 @@ from filters.validation import FloatArray, IntArray
 def landmark_belief(state: JointState) -> LandmarkBelief:
     """The map, in ascending order of ids."""
     index, model = np.argsort(state.ids), state.model
-    parameters, anchors = state.parameters(index), state.anchors(index)
-    points = model.points(anchors, parameters)
-    P_map = symmetric.blocks(state.P, state.map_rows(index))
+    points, rows = _points(state, index)
+    P_map = symmetric.blocks(state.P, rows)
     with np.errstate(invalid="ignore", over="ignore"):
         covariances = points.by_map @ P_map @ points.by_map.transpose(0, 2, 1)
-    inverse = model.inverse_distances(state.camera.position, anchors, parameters)
+    inverse = model.inverse_distances(state.viewpoint[0], state.anchors(index), state.parameters(index))
+    if model.in_camera:
+        inverse.by_position[:] = 0.0
     own_rows = state.own_rows(index)
-    position_rows = np.broadcast_to(np.arange(3), own_rows.shape)
+    position_rows = np.broadcast_to(np.arange(3), (len(index), 3))
     P_own = symmetric.blocks(state.P, np.concatenate([position_rows, own_rows], axis=1))
     J = np.concatenate([inverse.by_position, inverse.by_parameters], axis=1)
     variance = np.einsum("mi,mij,mj->m", J, P_own, J)
     return LandmarkBelief(state.ids[index], points.positions, covariances, inverse.values, variance)
+
+
+def _points(state: JointState, index: IntArray) -> tuple[Points, IntArray]:
+    """Positions in W of the landmarks at `index`, and the rows (M, w) of P that their Jacobian is by."""
+    model, camera = state.model, state.camera
+    if not model.in_camera:
+        return model.points(state.anchors(index), state.parameters(index)), state.map_rows(index)
+    there = model.into_world(camera.position, camera.R_wc, state.parameters(index))
+    points = model.points(None, there.parameters)
+    by_map = points.by_map @ np.concatenate([there.by_pose, there.by_own], axis=2)
+    pose = np.broadcast_to(np.arange(POSE_SIZE), (len(index), POSE_SIZE))
+    return Points(points.positions, by_map), np.concatenate([pose, state.own_rows(index)], axis=1)
 
 
 def forecast(
@@ -43,7 +57,7 @@ def forecast(
 ) -> Forecast:
     """Predicted (u, v, d) and S of the landmarks at `index`, `ids`."""
     points_c = points_in_camera(state, index)
-    uvd = sensor.predict(camera, points_c, state.camera.variables)[:, :3]
+    uvd = sensor.predict(camera, points_c, sensor.values_at(state.camera))[:, :3]
     stage = Stage(uvd, np.eye(3, sensor.size), noise.R[None].repeat(len(index), axis=0))
     S = Extended().linearise(sensor, camera, state, index, stage).innovation_covariances(state.P)
     return Forecast(ids, uvd, S, sensor.in_front(points_c) & camera.in_view(uvd))
@@ -55,8 +69,8 @@ def joint_covariance(state: JointState, index: IntArray) -> FloatArray:
     J is the identity on the pose; on each landmark it is the Jacobian of its position by its own rows, to which the
     products are confined. Rows of landmarks without a finite position are not finite.
     """
-    by_map = state.model.points(state.anchors(index), state.parameters(index)).by_map
-    rows = state.map_rows(index)
+    points, rows = _points(state, index)
+    by_map = points.by_map
     needed = np.zeros(len(state.P), dtype=bool)
     needed[:POSE_SIZE] = needed[rows] = True
     place = (np.cumsum(needed) - 1)[rows]
@@ -73,13 +87,12 @@ def joint_covariance(state: JointState, index: IntArray) -> FloatArray:
 
 def pose_landmark_covariances(state: JointState, index: IntArray) -> FloatArray:
     """The parts of `joint_covariance` that belong to the pose and to one landmark each; (M, 9, 9)."""
-    by_map = state.model.points(state.anchors(index), state.parameters(index)).by_map
-    rows = state.map_rows(index)
+    points, rows = _points(state, index)
     pose = np.broadcast_to(np.arange(POSE_SIZE), (len(index), POSE_SIZE))
     P = symmetric.blocks(state.P, np.concatenate([pose, rows], axis=1))
     J = np.zeros((len(index), POSE_SIZE + 3, POSE_SIZE + rows.shape[1]))
     J[:, :POSE_SIZE, :POSE_SIZE] = np.eye(POSE_SIZE)
-    J[:, POSE_SIZE:, POSE_SIZE:] = by_map
+    J[:, POSE_SIZE:, POSE_SIZE:] = points.by_map
     with np.errstate(invalid="ignore", over="ignore"):
         parts: FloatArray = J @ P @ J.transpose(0, 2, 1)
     return parts

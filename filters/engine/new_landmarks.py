@@ -9,6 +9,7 @@ from filters.geometry import rotations
 from filters.geometry.camera import StereoCamera
 from filters.measurements.model import MeasurementModel
 from filters.state.joint_state import JointState, NewLandmarks
+from filters.updates.extended import chain_rule
 from filters.validation import BoolArray, FloatArray
 
 FARTHEST = 1e6
@@ -20,9 +21,9 @@ def can_start(
 ) -> BoolArray:
     """Which measurements (M, 3) with a disparity of at least `least` a landmark can start from; (M,)."""
     possible: BoolArray = np.all(np.abs(uvd) < FARTHEST, axis=1) & (uvd[:, 2] >= least)
-    points_c = sensor.backproject(camera, uvd[possible], state.camera.variables)
-    h_w = rotations.turned(state.camera.R_wc, points_c[:, :3])
-    possible[possible] = state.model.can_start(h_w, points_c[:, 3]) & np.isfinite(points_c).all(axis=1)
+    points_c = sensor.backproject(camera, uvd[possible], sensor.values_at(state.camera))
+    seen = state.model.apart(state.model.with_axes(state.viewpoint[1], points_c))
+    possible[possible] = state.model.can_start(*seen) & np.isfinite(points_c).all(axis=1)
     return possible
 
 
@@ -30,6 +31,9 @@ def start_landmarks(
     sensor: MeasurementModel, camera: StereoCamera, state: JointState, observation: StereoObservation, R: FloatArray
 ) -> NewLandmarks:
     """Landmarks at the measurements (M,) of the present pose (Eq. 19-24), with their Jacobians and noise (Eq. 25).
+
+    What the measurement leaves open comes in with its prior, at whatever the measurement then says of the rest: with
+    G = d numbers / d z and H = d z / d numbers there, P += (I - G H) prior (I - G H)^T, as after an update with gain G.
 
     Parameters
     ----------
@@ -44,16 +48,27 @@ def start_landmarks(
     R : (M, 3, 3)
         Their covariance.
     """
-    variables = state.camera.variables
-    points_c = sensor.backproject(camera, observation.uvd, variables)
-    jacobians = sensor.backprojection_jacobians(camera, observation.uvd, variables)
-    R_wc = state.camera.R_wc
-    started = state.model.started(state.camera.position, rotations.turned(R_wc, points_c[:, :3]), points_c[:, 3])
-    by_direction_c = started.by_direction @ R_wc
-    by_point = np.concatenate([by_direction_c, started.by_scale[:, :, None]], axis=2)
-    by_rotation = -by_direction_c @ rotations.skew(points_c[:, :3])
-    by_variables = [by_point @ jacobians.by_variable[variable.name] for variable in sensor.variables]
+    values, model, (position, R_wc) = sensor.values_at(state.camera), state.model, state.viewpoint
+    points_c = sensor.backproject(camera, observation.uvd, values)
+    jacobians = sensor.backprojection_jacobians(camera, observation.uvd, values)
+    started = model.started(position, *model.apart(model.with_axes(R_wc, points_c)))
+    by_point, by_rotation = started.by_seen, np.zeros((len(points_c), model.size, 3))
+    for i in range(model.seen_vectors):
+        vector = slice(3 * i, 3 * i + 3)
+        by_point[:, :, vector] = by_point[:, :, vector] @ R_wc
+        by_rotation -= by_point[:, :, vector] @ rotations.skew(points_c[:, vector])
+    by_variable = {name: by_point @ J for name, J in jacobians.by_variable.items()}
     by_measurement = by_point @ jacobians.by_point
     noise = by_measurement @ R @ by_measurement.transpose(0, 2, 1)
-    by_leading = np.concatenate([started.by_position, by_rotation, *by_variables], axis=2)
+    if model.prior is not None:
+        anchors = np.broadcast_to(position, (len(points_c), 3)) if model.anchored else None
+        seen = model.relative_to(position, anchors, started.parameters)
+        z_by_point = sensor.jacobians(camera, points_c, values).by_point[:, :3]
+        z_by_open = chain_rule(R_wc, seen, points_c, z_by_point, model.seen_vectors)[1][:, :, 3 - model.size :]
+        by_open = np.eye(model.size)[:, 3:] - by_measurement @ z_by_open
+        noise += by_open @ model.prior @ by_open.transpose(0, 2, 1)
+    by_pose = np.concatenate([started.by_position, by_rotation], axis=2)
+    if model.in_camera:
+        by_pose[:] = 0.0
+    by_leading = sensor.by_leading(by_pose, by_variable, state.camera)
     return NewLandmarks(observation.ids, started, by_leading, noise)

@@ -7,15 +7,17 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
+import numpy as np
+
 from filters.contract.drift import LandmarkDrift
 from filters.errors.model import ErrorDefinition
 from filters.landmarks.model import LandmarkModel
 from filters.measurements.model import MeasurementModel
 from filters.motions.model import MotionModel
-from filters.parts import make_part
+from filters.parts import kernels_of, make_part
 from filters.state.layout import Layout
 from filters.updates.model import Linearisation
-from filters.validation import gate_probability, positive
+from filters.validation import covariance_matrix, gate_probability, positive
 
 
 @dataclass(frozen=True)
@@ -83,13 +85,21 @@ class Options:
             raise ValueError(f"min_disparity must be a finite number of px, or None, got {self.min_disparity!r}")
         if self.max_landmarks is not None and (type(self.max_landmarks) is not int or self.max_landmarks < 1):
             raise ValueError(f"max_landmarks must be an integer >= 1, or None for no limit, got {self.max_landmarks!r}")
+        _check_landmark(self.landmark)
+        for name in ("seen_size", "seen_vectors"):
+            wanted, taken = getattr(self.landmark, name), getattr(self.measurement, name)
+            if wanted != taken:
+                raise ValueError(
+                    f"measurement must have {name} = {wanted} with landmark={type(self.landmark).__name__}, "
+                    f"got {type(self.measurement).__name__} with {taken}: it measures other landmarks"
+                )
         if not self.update.by_jacobians:
             if not self.error.linearises_at_the_state:
                 raise ValueError(
                     f"error must linearise at the state with update={type(self.update).__name__}, which takes no "
                     f'Jacobians, got {type(self.error).__name__}: use "so3", or update="extended"'
                 )
-            if self.measurement.variables:
+            if self.measurement.variables or self.measurement.sees_velocity:
                 raise ValueError(
                     f"measurement must have no variables with update={type(self.update).__name__}, which takes no "
                     f'Jacobians, got {type(self.measurement).__name__}: use update="extended"'
@@ -100,9 +110,46 @@ class Options:
                 "error must keep what cannot be observed unobservable with gauge_walk, "
                 f'got {type(self.error).__name__}: use "first-estimates" or "right-invariant"'
             )
+        if self.landmark.in_camera and (self.error.constrains or self.max_landmarks is not None):
+            name = type(self.landmark).__name__
+            raise ValueError(
+                f"landmark {name} is in the frame of the camera: error must not be first-estimates, and max_landmarks "
+                f"must be None, got {type(self.error).__name__} and {self.max_landmarks}"
+            )
+        if self.gauge_walk and not (self.landmark.anchored or _can_shift(self.landmark)):
+            raise ValueError(
+                f"landmark must have shifted with gauge_walk, {type(self.landmark).__name__} has not: see LandmarkModel"
+            )
         _ = self.layout
 
     @cached_property
     def layout(self) -> Layout:
         """Rows of the named variables that the parts ask for."""
-        return Layout.of(self.measurement.variables, self.motion.variables)
+        return Layout.of(self.measurement.variables, self.motion.variables, self.measurement.sees_velocity)
+
+
+def _can_shift(landmark: LandmarkModel) -> bool:
+    """Whether it says what a shift of the world does to landmarks without an anchor."""
+    own = type(landmark)
+    if own.in_camera:
+        return True
+    return own.shifted is not LandmarkModel.shifted or own.world_translation is not LandmarkModel.world_translation
+
+
+def _check_landmark(landmark: LandmarkModel) -> None:
+    """Raise a `ValueError` where the numbers that a parametrisation states do not fit together."""
+    name, size, prior = type(landmark).__name__, landmark.size, landmark.prior
+    if not 3 <= size <= landmark.value_size:
+        raise ValueError(f"size of landmark {name} must be from 3 to its value_size {landmark.value_size}, got {size}")
+    if size > 3:
+        covariance_matrix(f"prior of landmark {name}", np.zeros((0, 0)) if prior is None else prior, size - 3)
+    elif prior is not None:
+        raise ValueError(f"prior of landmark {name} must be None, got {prior!r}: all {size} numbers are measured")
+    if size > 3 and not landmark.steady:
+        raise ValueError(f"size of landmark {name} must be 3 where landmarks may become points, got {size}")
+    if landmark.in_camera and (landmark.anchored or landmark.submaps or kernels_of(landmark) is not None):
+        raise ValueError(f"landmark {name} is in the frame of the camera: it must have no anchors, submaps or kernels")
+    if kernels_of(landmark) is not None and (landmark.seen_vectors != 1 or landmark.seen_size < 4):
+        raise ValueError(
+            f"kernels of landmark {name} must be None: compiled ones are of points, and of what goes along"
+        )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -12,71 +13,83 @@ from filters.contract.noise import StereoNoise
 from filters.contract.observation import StereoObservation
 from filters.contract.odometry import BodyVelocity
 from filters.contract.update_report import UpdateReport
-from filters.engine.compiled import frame
-from filters.engine.compiled.recipe import JOINT, Recipe, StageRows
+from filters.contract.variables import VELOCITY
+from filters.engine.compiled import storage as fates
+from filters.engine.compiled.recipe import Recipe
 from filters.engine.compiled.storage import CLONE_POSITION, CLONE_ROTATION, OWN, POINT, FilterState
 from filters.engine.doors import Parts, clones_at
-from filters.engine.engine import Engine, Observations, Odometry, Outcome
+from filters.engine.engine import Engine
+from filters.engine.frames import Observations, Odometry, Outcome
 from filters.engine.options import Options
 from filters.engine.values import ValuePlaces
 from filters.geometry.camera import StereoCamera
+from filters.geometry.machine_code import settings_of
 from filters.geometry.poses import Pose
 from filters.geometry.retractions import ADDITIVE
-from filters.motions.model import POSE_SIZE, CameraState
-from filters.parts import SLOTS, kernel_of
+from filters.measurements.model import MeasurementModel
+from filters.motions.model import CameraState
+from filters.parts import SLOTS, kernels_of
 from filters.state import symmetric
 from filters.state.joint_state import JointState
 from filters.validation import FloatArray, IntArray
 
-_U, _V, _U_RIGHT = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (1.0, 0.0, -1.0)
 _FATES = {
-    "updated": frame.USED,
-    "initialised": frame.STARTED,
-    "gated": frame.GATED,
-    "rejected": frame.REJECTED,
-    "behind_camera": frame.BEHIND,
-    "failed": frame.FAILED,
+    "updated": fates.USED,
+    "initialised": fates.STARTED,
+    "gated": fates.GATED,
+    "rejected": fates.REJECTED,
+    "behind_camera": fates.BEHIND,
+    "failed": fates.FAILED,
 }
 
 
 def recipe_of(camera: StereoCamera, options: Options) -> Recipe:
-    """What a filter does, in plain numbers; where parts have no kernel, by their numbers."""
-    layout, error = options.layout, kernel_of(options.error)
-    landmark, measurement = kernel_of(options.landmark), kernel_of(options.measurement)
-    in_world = any(variable.in_world for variable in layout.variables)
-    if error in ("right-invariant", "left-invariant") and getattr(options.error, "reset", True):
-        error = "invariant"
-    by_numbers = landmark is None or measurement is None or kernel_of(options.update) is None
-    own_landmarks = landmark is None
+    """What a filter does, in plain numbers; where parts have no kernels, by their numbers."""
+    layout, model, sensor, motion = options.layout, options.landmark, options.measurement, options.motion
+    landmark, error = kernels_of(model), kernels_of(options.error)
+    # Kernels know no other linearisation point and no other constraint than those of `FirstEstimates`.
+    own_jacobians = error is None and (options.error.constrains or not options.error.linearises_at_the_state)
+    own_stages = type(sensor).stages is not MeasurementModel.stages
+    seen = None if own_stages else kernels_of(sensor)
+    driven = None if own_jacobians else kernels_of(motion)
+    by_numbers = own_jacobians or landmark is None or seen is None or not kernels_of(options.update)
+    turns = error is not None and error.turns
     moves_by_numbers = (
         error is None
-        or not options.landmark.additive
-        or (own_landmarks and error in ("right-invariant", "invariant"))
-        or (in_world and error == "right-invariant")
+        or (landmark is None and (turns or not model.additive))
         or any(variable.retraction is not ADDITIVE for variable in layout.variables)
     )
-    without, with_right = _stages(measurement, getattr(options.measurement, "copied_row_variance", None))
-    calibration = () if by_numbers else getattr(options.measurement, "numbers", ())
-    rates, values = layout.walk_rates, ValuePlaces(layout)
+    has_place = landmark is not None and (model.anchored or landmark.turn is None)
+    values = ValuePlaces(layout)
+    v = layout.places[VELOCITY].start
     return Recipe(
-        camera.fx,
-        camera.fy,
-        camera.cx,
-        camera.cy,
-        camera.disparity_constant,
-        anchored=options.landmark.anchored,
-        shares_anchors=options.landmark.shares_anchors,
-        value_size=options.landmark.value_size,
-        own_landmarks=own_landmarks,
+        camera=(camera.fx, camera.fy, camera.cx, camera.cy, camera.baseline),
+        landmark=landmark,
+        sensor=None if by_numbers else seen,
+        motion=driven,
+        error=error,
+        stages=() if by_numbers else sensor.rows(False),
+        stages_with_right=() if by_numbers else sensor.rows(True),
+        landmark_settings=_settings(model, landmark),
+        sensor_settings=() if by_numbers else _settings(sensor, seen),
+        motion_settings=_settings(motion, driven),
+        sensor_size=sensor.size,
+        size=model.size,
+        value_size=model.value_size,
+        seen_size=model.seen_size,
+        prior=() if model.prior is None else tuple(map(tuple, np.asarray(model.prior).tolist())),
+        anchored=model.anchored,
+        shares_anchors=model.shares_anchors,
+        additive=model.additive,
+        follows=model.follows,
+        resets=options.error.reset,
         by_numbers=by_numbers,
         moves_by_numbers=moves_by_numbers,
-        walks_by_numbers=bool(options.gauge_walk) and (own_landmarks or in_world),
-        changes=not options.landmark.steady,
-        parts=tuple(getattr(options, slot) for slot in SLOTS if kernel_of(getattr(options, slot)) is None),
+        walks_by_numbers=bool(options.gauge_walk) and (own_jacobians or not has_place),
+        changes=not model.steady,
+        carries=model.in_camera,
+        parts=tuple(getattr(options, slot) for slot in SLOTS if not kernels_of(getattr(options, slot))),
         most_landmarks=options.max_landmarks or 0,
-        error=error or "so3",
-        stages=without,
-        stages_with_right=with_right,
         gate=options.gate,
         consensus=options.consensus,
         tail_dof=options.tail_dof,
@@ -85,31 +98,21 @@ def recipe_of(camera: StereoCamera, options: Options) -> Recipe:
         iterations=options.iterations,
         drop_unseen=options.drop_unseen,
         min_disparity=options.min_disparity,
-        motion=kernel_of(options.motion),
-        sigma_acceleration=getattr(options.motion, "sigma_acceleration", 0.0),
-        sigma_angular_acceleration=getattr(options.motion, "sigma_angular_acceleration", 0.0),
-        calibration=calibration,
-        measured_others=layout.measured - POSE_SIZE - len(calibration),
-        others=layout.size - layout.measured - POSE_SIZE,
-        more_values=values.size - layout.size - 1,
+        measured=layout.measured,
+        velocity=v,
+        leading=layout.size,
+        values=values.size,
+        sensed=values.of_variables(tuple(variable.name for variable in sensor.variables)),
+        moved=() if driven is None else values.of_camera(motion.moves[2:]),
+        moved_rows=() if driven is None else tuple(layout.rows_of(motion.moves).tolist()),
+        in_world=tuple(layout.places[x.name].start for x in layout.variables if x.in_world),
         considered=tuple(layout.considered.tolist()),
-        walk=() if rates is None else tuple(rates.tolist()),
+        walk=() if layout.walk_rates is None else tuple(layout.walk_rates.tolist()),
     )
 
 
-def _stages(kernel: str | None, copied: float | None) -> tuple[tuple[StageRows, ...], tuple[StageRows, ...]]:
-    """Stages of a measurement model without and with a measured right row."""
-    left = StageRows((_U, _V))
-    if kernel == "left":
-        return (left,), (left,)
-    if kernel == "sequential":
-        right = StageRows((_U_RIGHT,)) if copied is None else StageRows((_U_RIGHT, _V), -1, 1, copied)
-        return (left, right), (left, StageRows((_U_RIGHT, _V), 1))
-    if kernel == "stacked":
-        rows = (_U, _V, _U_RIGHT, _V)
-        both = StageRows(rows[:3]) if copied is None else StageRows(rows, -1, 3, copied)
-        return (both,), (StageRows(rows, 3, 3),)
-    return (JOINT,), (JOINT,)
+def _settings(part: object, kernels: Any) -> tuple[float, ...]:
+    return () if kernels is None else tuple(settings_of(part, kernels).tolist())
 
 
 @dataclass(eq=False)
@@ -180,7 +183,7 @@ class Row:
 
     def _rows(self, name: str | int) -> IntArray:
         """Rows of a variable, of a clone, or of a landmark: its anchor, if it has one, and its own."""
-        layout, S, b = self.options.layout, self.engine.storage, self.number
+        layout, S, b, size = self.options.layout, self.engine.storage, self.number, self.options.landmark.size
         if isinstance(name, str):
             require_known("there is no variable", [name], [*layout.places, *self.clones])
             if name in layout.places:
@@ -190,9 +193,10 @@ class Row:
             (index,) = np.nonzero(self.ids == name)
             if len(index) == 0:
                 raise ValueError(f"ids must be in the map, not there: {name}: see landmarks.ids")
-            blocks = np.array([S.anchor[b, index[0]], S.own[b, index[0]]])
-            blocks = blocks[blocks >= 0]
-        return (layout.size + 3 * blocks[:, None] + np.arange(3)).ravel()
+            anchor, own = (layout.size + size * block for block in (S.anchor[b, index[0]], S.own[b, index[0]]))
+            there = [anchor + np.arange(3)] if S.anchor[b, index[0]] >= 0 else []
+            return np.concatenate([*there, own + np.arange(size)])
+        return (layout.size + size * blocks[:, None] + np.arange(3)).ravel()
 
     def _clone_blocks(self, name: str) -> IntArray:
         S, b = self.engine.storage, self.number
@@ -258,7 +262,8 @@ class Row:
         size = state.blocks.shape[1]
         blocks[:, :size], first[:, :size] = state.blocks[used], state.first_blocks[used]
         free = state.anchor_block < 0
-        points = free & (self.engine.recipe.changes or not self.engine.recipe.own_landmarks)
+        plan = self.engine.recipe.plan
+        points = free & (plan.changes or plan.points)
         kind[own[~points]] = OWN
         for clone in state.clones.values():
             position, rotation = number[clone.blocks]
@@ -283,6 +288,10 @@ class Row:
         )
         self.clones = list(state.clones)
 
+    def move_to(self, camera: CameraState) -> None:
+        """Put the values of the named variables elsewhere."""
+        self.engine.storage.x[self.number] = ValuePlaces(self.options.layout).of(camera)
+
     @property
     def ids(self) -> IntArray:
         """Landmarks in the map, ascending."""
@@ -292,7 +301,8 @@ class Row:
     @property
     def state_size(self) -> int:
         """Rows of the covariance."""
-        return self.options.layout.errors + 3 * int(self.engine.storage.counts[self.number, 1])
+        blocks = int(self.engine.storage.counts[self.number, 1])
+        return self.options.layout.errors + self.options.landmark.size * blocks
 
     @property
     def camera(self) -> CameraState:

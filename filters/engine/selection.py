@@ -11,14 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from filters.geometry import rotations
 from filters.geometry.camera import StereoCamera
 from filters.measurements.model import MeasurementModel, Stage
-from filters.motions.model import POSE_SIZE, CameraState
+from filters.motions.model import POSE_SIZE
 from filters.state import symmetric
 from filters.state.joint_state import JointState
 from filters.state.linearised import LinearisedMeasurements
-from filters.updates.extended import Extended
+from filters.updates.extended import Extended, chain_rule
 from filters.validation import BoolArray, FloatArray, IntArray
 
 STEP = np.diag(np.repeat([1.0, 0.1], 3) ** 2)
@@ -74,7 +73,7 @@ def next_measurements(
     stage = Stage(np.zeros((len(index), 3)), np.eye(3, sensor.size), R)
     known = Extended().linearise(sensor, camera, state, index, stage)
     count = known.innovation.size
-    new_by_step = _by_step(sensor, camera, state.camera, new_uvd)
+    new_by_step = _by_step(sensor, camera, state, new_uvd)
     by_step = np.concatenate([known.by_leading[:, :, :POSE_SIZE], new_by_step]).reshape(-1, POSE_SIZE)
     S = by_step @ STEP @ by_step.T
     HP = times_covariance(known, state.P)
@@ -113,12 +112,16 @@ def most_informative(candidates: Candidates, count: int) -> BoolArray:
     return kept
 
 
-def _by_step(sensor: MeasurementModel, camera: StereoCamera, here: CameraState, uvd: FloatArray) -> FloatArray:
-    """Derivative of (u, v, d) of points now seen there by a step of the camera; (N, 3) -> (N, 3, 6)."""
-    points_c = sensor.backproject(camera, uvd, here.variables)
-    by_point = sensor.jacobians(camera, points_c, here.variables).by_point[:, :3]
-    by_position = -points_c[:, 3, None, None] * by_point[:, :, :3] @ here.R_wc.T
-    return np.concatenate([by_position, by_point[:, :, :3] @ rotations.skew(points_c[:, :3])], axis=2)
+def _by_step(sensor: MeasurementModel, camera: StereoCamera, state: JointState, uvd: FloatArray) -> FloatArray:
+    """Derivative of (u, v, d) of landmarks now seen there by a step of the camera; (N, 3) -> (N, 3, 6)."""
+    model, here, values = state.model, state.camera, sensor.values_at(state.camera)
+    seen_w = model.with_axes(here.R_wc, sensor.backproject(camera, uvd, values))
+    new = model.started(here.position, *model.apart(seen_w))
+    anchors = np.where(new.anchored[:, None], here.position, np.nan) if model.anchored else None
+    seen = model.relative_to(here.position, anchors, new.parameters)
+    points_c = model.with_axes(here.R_wc.T, seen.homogeneous)
+    by_point = sensor.jacobians(camera, points_c, values).by_point[:, :3]
+    return chain_rule(here.R_wc, seen, points_c, by_point, model.seen_vectors)[0]
 
 
 def joint_innovation_covariance(measurements: LinearisedMeasurements, HP: FloatArray) -> FloatArray:

@@ -29,7 +29,7 @@ from filters.geometry.camera import StereoCamera
 from filters.geometry.poses import Pose, relative_jacobian
 from filters.landmarks.model import LandmarkModel
 from filters.measurements.model import MeasurementModel
-from filters.motions.model import MotionModel
+from filters.motions.model import CameraState, MotionModel
 from filters.parts import Named
 from filters.state.joint_state import JointState
 from filters.updates.model import Linearisation
@@ -98,6 +98,11 @@ class StereoEKF(StereoFilter):
     ValueError
         An option has an unknown or impossible value.
     """
+
+    open_options = frozenset(
+        {"motion", "gate", "landmark", "measurement", "error", "update", "consensus", "tail_dof", "drift", "gauge_walk"}
+        | {"iterations", "drop_unseen", "min_disparity", "max_landmarks"}
+    )
 
     def __init__(
         self,
@@ -174,8 +179,8 @@ class StereoEKF(StereoFilter):
             Measured minus predicted.
         H : mapping of str or int to (k, s) array_like
             Jacobian of the measurement by the errors of variables and clones ("pose", "velocity", "bias", ...), and of
-            landmarks by their ids: of the anchor (3), where the landmark has one, then its own (3). What is not named
-            does not matter to the measurement.
+            landmarks by their ids: of the anchor (3), where the landmark has one, then its own (3, or as many as it
+            has). What is not named does not matter to the measurement.
         R : (k, k) array_like
             Covariance of the measurement; zero rows are constraints.
         gate : float, optional
@@ -205,7 +210,13 @@ class StereoEKF(StereoFilter):
     def forecast(self, ids: Sequence[int] | IntArray | None = None) -> Forecast:
         """Predicted (u, v, d) and S of landmarks at the current pose."""
         wanted, index = self._wanted(ids)
-        return forecast(self.camera, self.noise, self.options.measurement, self.state, wanted, index)
+        engine, number = self._row.engine, self._row.number
+        if engine.recipe.by_numbers:
+            return forecast(self.camera, self.noise, self.options.measurement, self.state, wanted, index)
+        uvd, S, in_front = engine.forecast(slice(number, number + 1), self.noise.R[None])
+        if ids is not None:
+            uvd, S, in_front = uvd[index], S[index], in_front[index]
+        return Forecast(wanted, uvd, S, in_front & self.camera.in_view(uvd))
 
     def joint_covariance(self, ids: Sequence[int] | IntArray | None = None) -> FloatArray:
         """Covariance of the pose error and landmark positions, correlations included; see the base class."""
@@ -221,7 +232,7 @@ class StereoEKF(StereoFilter):
 
     @property
     def state_size(self) -> int:
-        """Numbers in the error state: of the named variables, and three for every landmark and every anchor."""
+        """Numbers in the error state: of the named variables, and for every landmark and anchor a landmark's (3)."""
         return self._row.state_size
 
     @property
@@ -232,6 +243,10 @@ class StereoEKF(StereoFilter):
     @state.setter
     def state(self, state: JointState) -> None:
         self._row.state = state
+
+    def move_to(self, camera: CameraState) -> None:
+        """Put pose, velocity and variables elsewhere, as linearisation point; the covariance stays as it is."""
+        self._row.move_to(camera)
 
     @property
     def engine(self) -> Engine:
@@ -343,7 +358,9 @@ class StereoEKF(StereoFilter):
     def _wanted(self, ids: Sequence[int] | IntArray | None) -> tuple[IntArray, IntArray]:
         """The landmarks asked for (None: all, ascending), and where they are; refuses those that are not there."""
         there = self.ids
-        wanted = there if ids is None else unique_ids("ids", np.asarray(ids))
+        if ids is None:
+            return there, np.arange(len(there))
+        wanted = unique_ids("ids", np.asarray(ids))
         unknown = ~np.isin(wanted, there)
         if unknown.any():
             raise ValueError(f"ids must be in the map, not there: {wanted[unknown][:5].tolist()}: see landmarks.ids")

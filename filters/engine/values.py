@@ -33,6 +33,15 @@ class ValuePlaces:
                 first, self.size = self.size, self.size + count
             self._places[variable.name] = slice(first, first + count)
 
+    def of_camera(self, names: tuple[str, ...]) -> tuple[int, ...]:
+        """Places of position, orientation, velocities and these variables."""
+        v = self._velocity
+        return (*range(7), *range(v, v + 6), *self.of_variables(names))
+
+    def of_variables(self, names: tuple[str, ...]) -> tuple[int, ...]:
+        """Places of the values of these variables."""
+        return tuple(place for name in names for place in range(self._places[name].start, self._places[name].stop))
+
     def camera(self, x: FloatArray) -> CameraState:
         """The variables that x holds; views of it."""
         v = self._velocity

@@ -1,7 +1,8 @@
 """First-estimates Jacobians: a rotation of the world stays unobservable (Huang et al. 2010).
 
-H is taken at the predicted pose and at each landmark's first estimate; F and the Jacobians of new landmarks are
-constrained to agree with that. It rests on Gamma, the effect of a rotation of the world, `JointState.world_rotation`.
+H is taken at the predicted variables, corrected by odometry where there is any, and at each landmark's first estimate;
+F, the step that odometry adds, and the Jacobians of new landmarks are constrained to agree with that. It rests on
+Gamma, the effect of a rotation of the world, `JointState.world_rotation`.
 
 Derivation: docs/derivations/errors.md.
 
@@ -16,7 +17,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from filters.errors.model import ErrorDefinition
+from filters.errors.model import ErrorDefinition, ErrorKernels
 from filters.motions.model import ROTATION
 from filters.state.joint_state import JointState, world_rotation_of_variables
 from filters.state.transport import Transport
@@ -30,14 +31,14 @@ class FirstEstimates(ErrorDefinition):
     linearises_at_the_state: ClassVar[bool] = False
     reset = False
     keeps_gauge = True
-    kernel: ClassVar[str | None] = "first-estimates"
+    kernels: ClassVar[ErrorKernels | None] = ErrorKernels(first_estimates=True)
 
     def transport(self, state: JointState, moved: JointState, delta: FloatArray) -> Transport:
-        """The identity: errors stay those of the linearisation point, which a correction does not move."""
+        """The identity: errors stay those of the linearisation point, which landmarks do not move."""
         return Transport(np.eye(state.layout.size))
 
     def linearisation_point(self, state: JointState) -> JointState | None:
-        """Predicted pose, first estimates of the landmarks."""
+        """Predicted variables, first estimates of the landmarks."""
         return state.at_first_estimates()
 
     def constrained(self, J: FloatArray, image: FloatArray, state: JointState) -> FloatArray:

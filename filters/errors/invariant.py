@@ -21,7 +21,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from filters.errors.model import ErrorDefinition
+from filters.errors.model import ErrorDefinition, ErrorKernels
 from filters.geometry import rotations
 from filters.motions.model import POSITION, ROTATION, CameraState
 from filters.state.joint_state import JointState
@@ -39,9 +39,9 @@ class _InvariantError(ErrorDefinition):
         moved = super().moved(state, delta)
         camera, rows = state.camera, state.layout.linear_velocity
         theta, turn, spread = _turn(camera, delta)
-        by_block = delta[state.layout.size :].reshape(-1, 3)
-        blocks = self._points(state.blocks[:, :3], by_block, theta, turn, spread)
-        blocks = np.concatenate([blocks, state.blocks[:, 3:]], axis=1)
+        by_block = delta[state.layout.size :].reshape(-1, state.size)
+        blocks = moved.blocks
+        blocks[:, :3] = self._points(state.blocks[:, :3], by_block[:, :3], theta, turn, spread)
         own, anchors, values = state.parameter_block, state.anchors(), state.parameters()
         xi = by_block[own] - state.model.world_rotation(anchors, values) @ theta
         blocks[own] = state.model.turned(anchors, values, turn, spread, xi)
@@ -66,18 +66,20 @@ class _InvariantError(ErrorDefinition):
         for rows in (POSITION, layout.linear_velocity):
             step.leading[rows, rows] = spread
             step.leading[rows, ROTATION] = rotations.left_jacobian_derivative(theta, delta[rows]) @ camera.R_wc
-        by_block = delta[layout.size :].reshape(-1, 3)
-        own = np.broadcast_to(spread, (len(by_block), 3, 3)).copy()
-        by_rotation = rotations.left_jacobian_derivative(theta, by_block)
+        by_block = delta[layout.size :].reshape(-1, state.size)
+        own, by_rotation = np.zeros((len(by_block), state.size, state.size)), np.zeros((len(by_block), state.size, 3))
+        own[:] = np.eye(state.size)
+        own[:, :3, :3] = spread
+        by_rotation[:, :3] = rotations.left_jacobian_derivative(theta, by_block[:, :3])
         index, anchors, values = state.parameter_block, state.anchors(), state.parameters()
         gamma = state.model.world_rotation(anchors, values)
         xi = by_block[index] - gamma @ theta
         own[index], by_turn = state.model.turned_jacobians(anchors, values, theta, xi)
         by_rotation[index] = by_turn - own[index] @ gamma
         for clone in state.clones.values():
-            own[clone.blocks] = np.eye(3), self.orientation.transport(by_block[clone.blocks[1]])
+            own[clone.blocks, :3, :3] = np.eye(3), self.orientation.transport(by_block[clone.blocks[1], :3])
             by_rotation[clone.blocks] = 0.0
-        map_rows = layout.size + np.arange(3 * len(own)).reshape(-1, 3)
+        map_rows = layout.size + np.arange(state.size * len(own)).reshape(-1, state.size)
         return Transport(step.leading, (by_rotation @ camera.R_wc).reshape(-1, 3), map_rows, own)
 
 
@@ -94,7 +96,7 @@ class RightInvariant(_InvariantError):
     """
 
     reset: bool = False
-    kernel: ClassVar[str | None] = "right-invariant"
+    kernels: ClassVar[ErrorKernels | None] = ErrorKernels(turns=True)
 
     @property
     def keeps_gauge(self) -> bool:  # type: ignore[override]
@@ -138,7 +140,7 @@ class RightInvariant(_InvariantError):
 class LeftInvariant(_InvariantError):
     """Left-invariant errors: the correction exp(xi) is applied from the right."""
 
-    kernel: ClassVar[str | None] = "left-invariant"
+    kernels: ClassVar[ErrorKernels | None] = ErrorKernels(turns=True)
 
     def _points(
         self, points: FloatArray, delta: FloatArray, theta: FloatArray, turn: FloatArray, spread: FloatArray

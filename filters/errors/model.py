@@ -9,7 +9,7 @@ Derivation: docs/derivations/errors.md.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -21,38 +21,39 @@ from filters.state.transport import Transport
 from filters.validation import FloatArray, IntArray
 
 
-class ErrorDefinition:
-    """Position, velocities and points are corrected by addition, other values by their retraction.
+@dataclass(frozen=True)
+class ErrorKernels:
+    """Which of the error definitions that the engine has compiled this is; without any of these, "so3"."""
 
-    Attributes
-    ----------
-    orientation : Retraction
-        Of the orientation; the rotation error is three numbers in the camera frame.
-    constrains : bool
-        Whether `constrained` changes anything.
-    linearises_at_the_state : bool
-        Whether `linearisation_point` is always None.
-    submaps : bool
-        Whether `SubmapEKF` can use it: blocks are corrected one by one.
-    keeps_gauge : bool
-        Whether Jacobians and transport keep the directions that cannot be observed unobservable.
-    reset : bool
-        Whether `transport` is the full Jacobian of the retraction.
-    kernel : str or None
-        Compiled counterpart. It holds for the class that states it, not for its subclasses.
-    """
+    additive_quaternion: bool = False
+    """The orientation is corrected as by `AdditiveQuaternion`."""
+    first_estimates: bool = False
+    """H, F and the Jacobians of new landmarks are those of `FirstEstimates`."""
+    turns: bool = False
+    """Camera and map are corrected together, as by `RightInvariant`; `reset` says how P is carried along."""
+
+
+class ErrorDefinition:
+    """Position, velocities and points are corrected by addition, other values by their retraction."""
 
     orientation: Retraction = RotationVector()
+    """Retraction of the orientation; the rotation error is three numbers in the camera frame."""
     constrains: ClassVar[bool] = False
+    """Whether `constrained` changes anything."""
     linearises_at_the_state: ClassVar[bool] = True
+    """Whether `linearisation_point` is always None."""
     submaps: ClassVar[bool] = True
+    """Whether `SubmapEKF` can use it: blocks are corrected one by one."""
     keeps_gauge: bool = False
+    """Whether Jacobians and transport keep the directions that cannot be observed unobservable."""
     reset: bool = True
-    kernel: ClassVar[str | None] = None
+    """Whether `transport` is the full Jacobian of the retraction."""
+    kernels: ClassVar[ErrorKernels | None] = None
+    """The same definition, compiled. They hold for the class that states them, not for its subclasses. None: none."""
 
     def moved(self, state: JointState, delta: FloatArray) -> JointState:
         """The state corrected by delta (Eq. 17); P is shared, not yet carried along."""
-        by_block = delta[state.layout.size :].reshape(-1, 3)
+        by_block = delta[state.layout.size :].reshape(-1, state.size)
         return replace(
             state,
             camera=state.layout.moved(state.camera, delta, self.orientation),
@@ -65,9 +66,10 @@ class ErrorDefinition:
         leading = state.layout.transport(delta, self.orientation)
         rows, own = self._own_transport(state, delta)
         for clone in state.clones.values():
-            turned = delta[state.layout.size :].reshape(-1, 3)[clone.blocks[1]]
-            rows.append(state.block_rows(clone.blocks[1:]).reshape(1, 3))
-            own.append(self.orientation.transport(turned)[None])
+            turned = delta[state.layout.size :].reshape(-1, state.size)[clone.blocks[1], :3]
+            rows.append(state.block_rows(clone.blocks[1:])[None])
+            own.append(np.eye(state.size)[None])
+            own[-1][0, :3, :3] = self.orientation.transport(turned)
         if not rows:
             return Transport(leading)
         return Transport(leading, rows=np.concatenate(rows), own=np.concatenate(own))
@@ -99,7 +101,7 @@ class ErrorDefinition:
 
     def _moved_blocks(self, state: JointState, delta: FloatArray, by_block: FloatArray) -> FloatArray:
         blocks = state.blocks.copy()
-        blocks[:, :3] += by_block
+        blocks[:, : state.size] += by_block
         if not state.model.additive:
             own = state.parameter_block
             blocks[own] = state.model.retract(state.blocks[own], by_block[own])
@@ -112,5 +114,5 @@ class ErrorDefinition:
         return ([], []) if own is None else ([rows], [own])
 
     def _moved_clone(self, clone: Clone, by_block: FloatArray) -> Clone:
-        shift, turn = by_block[clone.blocks]
+        shift, turn = by_block[clone.blocks, :3]
         return Clone(clone.position + shift, self.orientation.retract(clone.orientation, turn), clone.blocks)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-from filters.errors.model import ErrorDefinition
+from filters.errors.model import ErrorDefinition, ErrorKernels
 from filters.geometry.retractions import AdditiveQuaternion
 
 
@@ -12,10 +12,10 @@ class QuaternionError(ErrorDefinition):
     """The paper's: the quaternion is corrected by addition and normalised."""
 
     orientation = AdditiveQuaternion()
-    kernel: ClassVar[str | None] = "quaternion"
+    kernels: ClassVar[ErrorKernels | None] = ErrorKernels(additive_quaternion=True)
 
 
 class RotationVectorError(ErrorDefinition):
     """SO(3): the orientation is corrected by a rotation vector."""
 
-    kernel: ClassVar[str | None] = "so3"
+    kernels: ClassVar[ErrorKernels | None] = ErrorKernels()

@@ -27,20 +27,15 @@ class Pose:
 
     `T_wc @ T_cb` composes poses, `T_wc @ p_c` takes points (..., 3) into W, `T_wc.inverse()` is T_cw.
 
-    Attributes
-    ----------
-    position : (3,)
-        Origin of B in A, m.
-    orientation : (4,)
-        Unit quaternion xyzw of R_ab.
-
     References
     ----------
     Sola, Deray and Atchuthan, "A micro Lie theory for state estimation in robotics", 2018, section IV and appendix D.
     """
 
     position: FloatArray = field(default_factory=_origin)
+    """(3,): origin of B in A, m."""
     orientation: FloatArray = field(default_factory=_unturned)
+    """(4,): unit quaternion xyzw of R_ab."""
 
     @classmethod
     def exp(cls, tangent: ArrayLike) -> Pose:

@@ -14,6 +14,7 @@ from typing import Protocol
 import numpy as np
 
 from filters.geometry import rotations
+from filters.geometry.machine_code import compiled
 from filters.validation import FloatArray
 
 _EYE = np.eye(3)
@@ -85,6 +86,7 @@ class AdditiveQuaternion:
         return jacobian
 
 
+@compiled
 def additive_transport_of(x: float, y: float, z: float) -> rotations.Nine:
     """`AdditiveQuaternion.transport`, row by row."""
     a, b, c = 0.5 * x, 0.5 * y, 0.5 * z

@@ -2,7 +2,7 @@
 
 A perturbation always acts on the right, in the camera frame: R(q) Exp(delta), where R_wc = R(q). A filter turns a
 single camera some ten times a frame, so for one rotation the closed forms are written out here, in plain numbers
-(functions named `..._of`), which is also what Numba compiles. Where one of many is NaN, so is its result alone.
+(functions named `..._of`), which kernels call, too. Where one of many is NaN, so is its result alone.
 
 Derivation: docs/derivations/motion.md.
 """
@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
+from filters.geometry.machine_code import compiled
 from filters.validation import FloatArray
 
 Three = tuple[float, float, float]
@@ -153,6 +154,7 @@ def _is_one_rotation(R: FloatArray) -> bool:
     return right_handed and all(-1e-12 < product < 1e-12 for product in rows + between_rows)  # False for NaN
 
 
+@compiled
 def matrix_of(x: float, y: float, z: float, w: float) -> Nine:
     """`matrix`, row by row."""
     return (
@@ -162,14 +164,16 @@ def matrix_of(x: float, y: float, z: float, w: float) -> Nine:
     )
 
 
+@compiled
 def quaternion_of(x: float, y: float, z: float) -> Four:
-    """`exp_quaternion`."""
+    """Unit quaternion of a rotation vector, as `exp_quaternion`, in plain numbers."""
     half = 0.5 * math.sqrt(x * x + y * y + z * z)
     # sin(half) / angle; its series below 1e-4 rad is exact to rounding.
     ratio = 0.5 * math.sin(half) / half if half > 1e-4 else 0.5 - half * half / 12.0
     return ratio * x, ratio * y, ratio * z, math.cos(half)
 
 
+@compiled
 def from_matrix_of(a: float, b: float, c: float, d: float, e: float, f: float, g: float, h: float, i: float) -> Four:
     """`from_matrix`, from the numbers row by row.
 
@@ -189,6 +193,7 @@ def from_matrix_of(a: float, b: float, c: float, d: float, e: float, f: float, g
     return x / norm, y / norm, z / norm, w / norm
 
 
+@compiled
 def vector_of(x: float, y: float, z: float, w: float) -> Three:
     """The rotation vector of a unit quaternion, of length in [0, pi]."""
     sine = math.sqrt(x * x + y * y + z * z)
@@ -203,8 +208,9 @@ def vector_of(x: float, y: float, z: float, w: float) -> Three:
     return ratio * x, ratio * y, ratio * z
 
 
+@compiled
 def product_of(x: float, y: float, z: float, w: float, a: float, b: float, c: float, d: float) -> Four:
-    """`multiply`."""
+    """Normalised product of two quaternions, as `multiply`, in plain numbers."""
     i = w * a + x * d + y * c - z * b
     j = w * b - x * c + y * d + z * a
     k = w * c + x * b - y * a + z * d
@@ -213,6 +219,7 @@ def product_of(x: float, y: float, z: float, w: float, a: float, b: float, c: fl
     return i * scale, j * scale, k * scale, r * scale
 
 
+@compiled
 def right_jacobian_of(x: float, y: float, z: float) -> Nine:
     """`right_jacobian`, row by row.
 

@@ -11,8 +11,25 @@ from typing import ClassVar
 import numpy as np
 
 from filters.geometry import rotations
-from filters.landmarks.model import LandmarkModel, ScaledPoints, StartedLandmarks
+from filters.landmarks.model import LandmarkKernels, LandmarkModel, ScaledPoints, StartedLandmarks
 from filters.validation import BoolArray, FloatArray
+
+
+def _point(settings: FloatArray, values: FloatArray, points: FloatArray, J: FloatArray) -> None:
+    for i in range(len(values)):
+        points[i, 3] = 1.0
+        for a in range(3):
+            points[i, a] = values[i, a]
+            J[i, a, a] = 1.0
+
+
+def _start(settings: FloatArray, points: FloatArray, values: FloatArray, J: FloatArray, possible: BoolArray) -> None:
+    for i in range(len(values)):
+        scale = points[i, 3]
+        possible[i] = scale > 0.0
+        for a in range(3):
+            values[i, a] = points[i, a] / scale
+            J[i, a, a], J[i, a, 3] = 1.0 / scale, -points[i, a] / (scale * scale)
 
 
 @dataclass(frozen=True)
@@ -20,7 +37,7 @@ class Euclidean(LandmarkModel):
     """A landmark is (X, Y, Z), m, in W."""
 
     submaps: ClassVar[bool] = True
-    kernel: ClassVar[str | None] = "euclidean"
+    kernels: ClassVar[LandmarkKernels | None] = LandmarkKernels(_point, _start)
 
     def can_start(self, h_w: FloatArray, scale: FloatArray) -> BoolArray:
         """Only a scale > 0 has a finite position in front of the camera."""
@@ -54,8 +71,16 @@ class Euclidean(LandmarkModel):
         """R X."""
         return parameters @ R.T
 
+    def shifted(self, parameters: FloatArray, shift: FloatArray) -> FloatArray:
+        """X + shift."""
+        return parameters + shift
+
+    def world_translation(self, parameters: FloatArray) -> FloatArray:
+        """The identity."""
+        return np.broadcast_to(np.eye(3), (len(parameters), 3, 3))
+
     def world_rotation(self, anchors: FloatArray | None, parameters: FloatArray) -> FloatArray:
-        """-[X]x."""
+        """Jacobian -[X]x of the positions by a rotation of W."""
         return -rotations.skew(parameters)
 
     def turned(

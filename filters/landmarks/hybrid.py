@@ -126,6 +126,10 @@ class Hybrid(LandmarkModel):
         effect[xyz] = _EUCLIDEAN.world_rotation(None, parameters[xyz])
         return effect
 
+    def world_translation(self, parameters: FloatArray) -> FloatArray:
+        """Of points."""
+        return _EUCLIDEAN.world_translation(parameters)
+
     def turned(
         self,
         anchors: FloatArray | None,

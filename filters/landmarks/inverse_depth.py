@@ -8,13 +8,17 @@ Derivation: docs/derivations/inverse_depth.md.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
 from filters.geometry import rotations
-from filters.landmarks.model import LandmarkModel, ScaledPoints, StartedLandmarks
+from filters.geometry.machine_code import compiled
+from filters.geometry.rotations import matrix_of, quaternion_of, right_jacobian_of
+from filters.geometry.three_by_three import times
+from filters.landmarks.model import LandmarkKernels, LandmarkModel, ScaledPoints, StartedLandmarks
 from filters.validation import BoolArray, FloatArray
 
 # Tangent of the angle to the vertical below which azimuth is undefined in double precision.
@@ -66,13 +70,110 @@ def angles_jacobian(h_w: FloatArray) -> FloatArray:
     return jacobian
 
 
+# --- the same in machine code ---
+
+
+@compiled
+def _ray(theta: float, phi: float) -> rotations.Three:
+    across = math.cos(phi)
+    return across * math.sin(theta), -math.sin(phi), across * math.cos(theta)
+
+
+@compiled
+def _angles_jacobian(x: float, y: float, z: float) -> tuple[float, ...]:
+    across_squared = x * x + z * z
+    across, length_squared = math.sqrt(across_squared), across_squared + y * y
+    below = length_squared * across
+    return z / across_squared, 0.0, -x / across_squared, x * y / below, -across / length_squared, z * y / below
+
+
+@compiled
+def _rotation_of(theta: float, phi: float) -> tuple[float, ...]:
+    """-A [m]x, row by row (2, 3)."""
+    x, y, z = _ray(theta, phi)
+    a = _angles_jacobian(x, y, z)
+    return (  # -a^T [m]x = (m x a)^T
+        *(y * a[2] - z * a[1], z * a[0] - x * a[2], x * a[1] - y * a[0]),
+        *(y * a[5] - z * a[4], z * a[3] - x * a[5], x * a[4] - y * a[3]),
+    )
+
+
+def _point(settings: FloatArray, values: FloatArray, points: FloatArray, J: FloatArray) -> None:
+    for i in range(len(values)):
+        theta, phi = values[i, 0], values[i, 1]
+        sin_theta, cos_theta, sin_phi, cos_phi = math.sin(theta), math.cos(theta), math.sin(phi), math.cos(phi)
+        points[i, 0], points[i, 1], points[i, 2] = cos_phi * sin_theta, -sin_phi, cos_phi * cos_theta
+        points[i, 3] = values[i, 2]
+        J[i, 0, 0], J[i, 2, 0] = cos_phi * cos_theta, -cos_phi * sin_theta
+        J[i, 0, 1], J[i, 1, 1], J[i, 2, 1] = -sin_phi * sin_theta, -cos_phi, -sin_phi * cos_theta
+        J[i, 3, 2] = 1.0
+
+
+def _start(settings: FloatArray, points: FloatArray, values: FloatArray, J: FloatArray, possible: BoolArray) -> None:
+    for i in range(len(values)):
+        x, y, z, scale = points[i, 0], points[i, 1], points[i, 2], points[i, 3]
+        across_squared = x * x + z * z
+        square = across_squared + y * y
+        inverse = 1.0 / math.sqrt(square)
+        possible[i] = across_squared > _VERTICAL * _VERTICAL * (y * y)
+        values[i, 0], values[i, 1] = math.atan2(x, z), math.atan2(-y, math.sqrt(across_squared))
+        values[i, 2] = scale * inverse
+        a = _angles_jacobian(x, y, z)
+        for k in range(3):
+            J[i, 0, k], J[i, 1, k], J[i, 2, k] = a[k], a[3 + k], -scale * inverse / square * points[i, k]
+        J[i, 2, 3] = inverse
+
+
+def _turn(
+    settings: FloatArray,
+    values: FloatArray,
+    theta: FloatArray,
+    correction: FloatArray,
+    moved: FloatArray,
+    J: FloatArray,
+    J_theta: FloatArray,
+) -> None:
+    q0, q1, q2, q3 = quaternion_of(theta[0], theta[1], theta[2])
+    world = matrix_of(q0, q1, q2, q3)
+    spread = right_jacobian_of(-theta[0], -theta[1], -theta[2])
+    for i in range(len(values)):
+        azimuth, elevation = values[i, 0] + correction[i, 0], values[i, 1] + correction[i, 1]
+        sin_theta, cos_theta = math.sin(azimuth), math.cos(azimuth)
+        sin_phi, cos_phi = math.sin(elevation), math.cos(elevation)
+        x, y, z = times(world, cos_phi * sin_theta, -sin_phi, cos_phi * cos_theta)
+        moved[i, 0], moved[i, 1] = math.atan2(x, z), math.atan2(-y, math.sqrt(x * x + z * z))
+        moved[i, 2] = values[i, 2] + correction[i, 2]
+        by_azimuth = times(world, cos_phi * cos_theta, 0.0, -cos_phi * sin_theta)
+        by_elevation = times(world, -sin_phi * sin_theta, -cos_phi, -sin_phi * cos_theta)
+        a, by_turn = _angles_jacobian(x, y, z), _rotation_of(moved[i, 0], moved[i, 1])
+        J[i, 2, 2] = 1.0
+        for r in range(2):
+            for k in range(3):
+                J[i, r, 0] += a[3 * r + k] * by_azimuth[k]
+                J[i, r, 1] += a[3 * r + k] * by_elevation[k]
+                for c in range(3):
+                    J_theta[i, r, c] += by_turn[3 * r + k] * spread[3 * k + c]
+
+
+def _rotation(settings: FloatArray, values: FloatArray, effect: FloatArray) -> None:
+    for i in range(len(values)):
+        by_turn = _rotation_of(values[i, 0], values[i, 1])
+        for r in range(2):
+            for k in range(3):
+                effect[i, r, k] = by_turn[3 * r + k]
+
+
+KERNELS = LandmarkKernels(_point, _start, _turn, _rotation)
+
+
 @dataclass(frozen=True)
 class InverseDepth(LandmarkModel):
     """Inverse depth with one anchor a landmark: six numbers each."""
 
     anchored: ClassVar[bool] = True
     submaps: ClassVar[bool] = True
-    kernel: ClassVar[str | None] = "inverse-depth"
+    follows: ClassVar[tuple[int, ...]] = (2,)
+    kernels: ClassVar[LandmarkKernels | None] = KERNELS
 
     def can_start(self, h_w: FloatArray, scale: FloatArray) -> BoolArray:
         """All but rays along the vertical of W, where the azimuth (Eq. 24) is undefined."""
@@ -123,10 +224,6 @@ class InverseDepth(LandmarkModel):
         effect = np.zeros((len(parameters), 3, 3))
         effect[:, :2] = -angles_jacobian(m) @ rotations.skew(m)
         return effect
-
-    def first_estimates(self, anchors: FloatArray | None, first: FloatArray, current: FloatArray) -> FloatArray:
-        """The first angles, the current rho: turning the world leaves rho alone, and freezing it can diverge."""
-        return np.column_stack([first[:, :2], current[:, 2]])
 
     def turned_jacobians(
         self, anchors: FloatArray | None, parameters: FloatArray, theta: FloatArray, correction: FloatArray

@@ -11,7 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from filters.landmarks.inverse_depth import InverseDepth
+from filters.landmarks.inverse_depth import KERNELS, InverseDepth
+from filters.landmarks.model import LandmarkKernels
 
 
 @dataclass(frozen=True)
@@ -19,4 +20,4 @@ class SharedAnchorInverseDepth(InverseDepth):
     """`InverseDepth` whose anchors are shared by the landmarks of one frame."""
 
     shares_anchors: ClassVar[bool] = True
-    kernel: ClassVar[str | None] = "inverse-depth"
+    kernels: ClassVar[LandmarkKernels | None] = KERNELS

@@ -45,6 +45,7 @@ class Spherical(LandmarkModel):
     anchored: ClassVar[bool] = True
     shares_anchors: ClassVar[bool] = True
     value_size: ClassVar[int] = 4
+    follows: ClassVar[tuple[int, ...]] = (3,)
 
     def parameters_of(self, position: FloatArray, h_w: FloatArray, scale: FloatArray) -> FloatArray:
         """The unit vector of the direction, and scale / length."""
@@ -127,7 +128,3 @@ class Spherical(LandmarkModel):
         J[:, :2, :2] = back @ R @ rotations.right_jacobian(-axis) @ basis
         J[:, 2, 2] = 1.0
         return J, back
-
-    def first_estimates(self, anchors: FloatArray | None, first: FloatArray, current: FloatArray) -> FloatArray:
-        """The first bearing, the current rho, as of inverse depth."""
-        return np.hstack([first[:, :3], current[:, 3:]])

@@ -10,10 +10,90 @@ import numpy as np
 from filters.contract.variables import Variable
 from filters.geometry import rotations
 from filters.geometry.camera import StereoCamera
-from filters.measurements.model import MeasurementModel, SensorJacobians, Values
-from filters.validation import FloatArray, positive
+from filters.geometry.machine_code import compiled
+from filters.geometry.rotations import matrix_of, quaternion_of, right_jacobian_of
+from filters.geometry.three_by_three import times, transposed
+from filters.measurements.model import MeasurementKernels, MeasurementModel, SensorJacobians, Values
+from filters.validation import BoolArray, FloatArray, positive
 
 _PRIORS = ("offset_sigma", "focal_sigma", "baseline_sigma", *("misalignment_sigma",) * 3)
+
+
+@compiled
+def _put_errors(numbers: FloatArray, J: FloatArray, six: FloatArray) -> None:
+    """Of a Jacobian by all six errors (s, 6), the columns of those that are in the variable."""
+    for j in range(len(numbers)):
+        for k in range(len(J)):
+            J[k, j] = six[k, int(numbers[j])]
+
+
+@compiled
+def _take_errors(numbers: FloatArray, values: FloatArray, errors: FloatArray) -> None:
+    """All six errors; those that are not in the variable are zero."""
+    for j in range(len(numbers)):
+        errors[int(numbers[j])] = values[j]
+
+
+def _predict(
+    settings: FloatArray,
+    camera: FloatArray,
+    points: FloatArray,
+    values: FloatArray,
+    numbers: FloatArray,
+    J: FloatArray,
+    J_values: FloatArray,
+    in_front: BoolArray,
+) -> None:
+    errors, six = np.zeros(6), np.zeros((3, 6))
+    _take_errors(settings, values, errors)
+    o, focal, baseline, x0, x1, x2 = errors[0], 1.0 + errors[1], 1.0 + errors[2], errors[3], errors[4], errors[5]
+    q0, q1, q2, q3 = quaternion_of(x0, x1, x2)
+    E, by_turn = matrix_of(q0, q1, q2, q3), right_jacobian_of(x0, x1, x2)  # of its transpose, the left one
+    fx, fy, fb = focal * camera[0], focal * camera[1], focal * baseline * camera[0] * camera[4]
+    for i in range(len(points)):
+        e0, e1, e2 = times(E, points[i, 0], points[i, 1], points[i, 2])
+        inverse, scale = 1.0 / e2, points[i, 3]
+        spread = fx * e0 * inverse, fy * e1 * inverse, fb * scale * inverse
+        in_front[i] = points[i, 2] > 0.0
+        numbers[i, 0], numbers[i, 1], numbers[i, 2] = spread[0] + camera[2], spread[1] + camera[3], spread[2] + o
+        J[i, 2, 3] = fb * inverse
+        for k in range(3):
+            f0, f1, f2 = fx * inverse if k == 0 else 0.0, fy * inverse if k == 1 else 0.0, -spread[k] * inverse
+            J[i, k, 0], J[i, k, 1], J[i, k, 2] = times(transposed(E), f0, f1, f2)
+            # row times the left Jacobian = right Jacobian times column
+            six[k, 3], six[k, 4], six[k, 5] = times(by_turn, e1 * f2 - e2 * f1, e2 * f0 - e0 * f2, e0 * f1 - e1 * f0)
+            six[k, 1] = spread[k] / focal
+        six[2, 0], six[2, 2] = 1.0, spread[2] / baseline
+        _put_errors(settings, J_values[i], six)
+
+
+def _backproject(
+    settings: FloatArray,
+    camera: FloatArray,
+    uvd: FloatArray,
+    values: FloatArray,
+    points: FloatArray,
+    J: FloatArray,
+    J_values: FloatArray,
+) -> None:
+    errors, six = np.zeros(6), np.zeros((4, 6))
+    _take_errors(settings, values, errors)
+    o, focal, baseline, x0, x1, x2 = errors[0], 1.0 + errors[1], 1.0 + errors[2], errors[3], errors[4], errors[5]
+    q0, q1, q2, q3 = quaternion_of(x0, x1, x2)
+    back, left = transposed(matrix_of(q0, q1, q2, q3)), transposed(right_jacobian_of(x0, x1, x2))
+    fx, fy, fb = focal * camera[0], focal * camera[1], focal * baseline * camera[0] * camera[4]
+    for i in range(len(uvd)):
+        e0, e1, scale = (uvd[i, 0] - camera[2]) / fx, (uvd[i, 1] - camera[3]) / fy, (uvd[i, 2] - o) / fb
+        points[i, 0], points[i, 1], points[i, 2] = times(back, e0, e1, 1.0)
+        points[i, 3], J[i, 3, 2] = scale, 1.0 / fb
+        J[i, 0, 0], J[i, 1, 0], J[i, 2, 0] = times(back, 1.0 / fx, 0.0, 0.0)
+        J[i, 0, 1], J[i, 1, 1], J[i, 2, 1] = times(back, 0.0, 1.0 / fy, 0.0)
+        six[0, 1], six[1, 1], six[2, 1] = times(back, -e0 / focal, -e1 / focal, 0.0)
+        six[3, 0], six[3, 1], six[3, 2] = -1.0 / fb, -scale / focal, -scale / baseline
+        for k in range(3):  # E_back [e]x J_l
+            a0, a1, a2 = left[k], left[3 + k], left[6 + k]
+            six[0, 3 + k], six[1, 3 + k], six[2, 3 + k] = times(back, e1 * a2 - a1, a0 - e0 * a2, e0 * a1 - e1 * a0)
+        _put_errors(settings, J_values[i], six)
 
 
 @dataclass(frozen=True)
@@ -36,7 +116,7 @@ class CalibratedPair(MeasurementModel):
     baseline_sigma: float | None = None
     misalignment_sigma: float | None = None
     considered: bool = False
-    kernel: ClassVar[str | None] = "calibrated-pair"
+    kernels: ClassVar[MeasurementKernels | None] = MeasurementKernels(_predict, _backproject, settings=("numbers",))
 
     def __post_init__(self) -> None:
         sigmas = np.array([positive(_PRIORS[k], getattr(self, _PRIORS[k]), allow_zero=True) for k in self.numbers])

@@ -38,7 +38,10 @@ class FisheyePair(MeasurementModel):
         return np.concatenate([left, left[..., :1] - right[..., :1], right[..., 1:]], axis=-1)
 
     def backproject(self, camera: StereoCamera, uvd: FloatArray, values: Values) -> FloatArray:
-        """The left ray, and the scale that gives the disparity; NaN where the disparity says too little."""
+        """The left ray, and the scale that gives the disparity; NaN where the disparity says too little.
+
+        Within two baselines and beyond 90 degrees from the axis two points can give the same numbers: one is returned.
+        """
         return np.column_stack(_point(camera, uvd, _LEAST))
 
     def backprojection_jacobians(self, camera: StereoCamera, uvd: FloatArray, values: Values) -> SensorJacobians:
@@ -77,4 +80,5 @@ def _point(camera: StereoCamera, uvd: FloatArray, least: float = 0.0) -> tuple[F
             slope = differences.jacobian(lambda e, at=turned: column(at + e), 1)[:, 0]  # type: ignore[misc]
             turned = turned - (column(turned) - (uvd[:, 0] - uvd[:, 2])) / slope
         scale = (np.sin(a) - np.cos(a) * np.tan(turned)) / camera.baseline
-    return m, np.where(np.abs(slope) * np.cos(a) > least * camera.fx, scale, np.nan)
+        found = (np.abs(column(turned) - (uvd[:, 0] - uvd[:, 2])) < 1e-6) & (np.cos(turned) > 0.0)  # else astray
+    return m, np.where(found & (np.abs(slope) * np.cos(a) > least * camera.fx), scale, np.nan)

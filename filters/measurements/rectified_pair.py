@@ -12,14 +12,50 @@ from typing import ClassVar
 
 import numpy as np
 
-from filters.contract.observation import StereoObservation
 from filters.geometry.camera import StereoCamera
-from filters.measurements.model import MeasurementModel, SensorJacobians, Stage, Values
-from filters.validation import FloatArray, positive
+from filters.measurements.model import MeasurementKernels, MeasurementModel, SensorJacobians, StageRows, Values
+from filters.validation import BoolArray, FloatArray, positive
 
-LEFT = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
-RIGHT = np.array([[1.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
-_ALL = np.eye(3)
+_U, _V, _U_RIGHT = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (1.0, 0.0, -1.0)
+
+
+def _predict(
+    settings: FloatArray,
+    camera: FloatArray,
+    points: FloatArray,
+    values: FloatArray,
+    numbers: FloatArray,
+    J: FloatArray,
+    J_values: FloatArray,
+    in_front: BoolArray,
+) -> None:
+    fx, fy, cx, cy, fb = camera[0], camera[1], camera[2], camera[3], camera[0] * camera[4]
+    for i in range(len(points)):
+        inverse = 1.0 / points[i, 2]
+        u, v, d = fx * points[i, 0] * inverse, fy * points[i, 1] * inverse, fb * points[i, 3] * inverse
+        in_front[i] = points[i, 2] > 0.0
+        numbers[i, 0], numbers[i, 1], numbers[i, 2] = u + cx, v + cy, d
+        J[i, 0, 0], J[i, 1, 1], J[i, 2, 3] = fx * inverse, fy * inverse, fb * inverse
+        J[i, 0, 2], J[i, 1, 2], J[i, 2, 2] = -u * inverse, -v * inverse, -d * inverse
+
+
+def _backproject(
+    settings: FloatArray,
+    camera: FloatArray,
+    uvd: FloatArray,
+    values: FloatArray,
+    points: FloatArray,
+    J: FloatArray,
+    J_values: FloatArray,
+) -> None:
+    fx, fy, cx, cy, fb = camera[0], camera[1], camera[2], camera[3], camera[0] * camera[4]
+    for i in range(len(uvd)):
+        points[i, 0], points[i, 1], points[i, 2] = (uvd[i, 0] - cx) / fx, (uvd[i, 1] - cy) / fy, 1.0
+        points[i, 3] = uvd[i, 2] / fb
+        J[i, 0, 0], J[i, 1, 1], J[i, 3, 2] = 1.0 / fx, 1.0 / fy, 1.0 / fb
+
+
+KERNELS = MeasurementKernels(_predict, _backproject)
 
 
 class RectifiedPair(MeasurementModel):
@@ -48,11 +84,7 @@ class RectifiedPair(MeasurementModel):
 class RangeBearing(RectifiedPair):
     """The paper's: one joint update with (u, v, d). A separately measured right row is not used."""
 
-    kernel: ClassVar[str | None] = "joint"
-
-    def stages(self, observation: StereoObservation, R: FloatArray) -> tuple[Stage, ...]:
-        """One."""
-        return (Stage(observation.uvd, _ALL, R),)
+    kernels: ClassVar[MeasurementKernels | None] = KERNELS
 
 
 @dataclass(frozen=True)
@@ -77,11 +109,16 @@ class _BothCameras(RectifiedPair):
 class LeftThenRight(_BothCameras):
     """Two updates in sequence, left then right, the second linearised at the result of the first."""
 
-    kernel: ClassVar[str | None] = "sequential"
+    kernels: ClassVar[MeasurementKernels | None] = KERNELS
 
-    def stages(self, observation: StereoObservation, R: FloatArray) -> tuple[Stage, ...]:
-        """Two."""
-        return (left_stage(observation, R), right_stage(observation, R, self.copied_row_variance))
+    def rows(self, with_right: bool) -> tuple[StageRows, ...]:
+        """Left, and right; u_right alone where v_right is not measured and not to be copied."""
+        copied = self.copied_row_variance
+        if with_right:
+            return StageRows((_U, _V)), StageRows((_U_RIGHT, _V), right_row=1)
+        if copied is None:
+            return StageRows((_U, _V)), StageRows((_U_RIGHT,))
+        return StageRows((_U, _V)), StageRows((_U_RIGHT, _V), apart_row=1, apart_scale=copied)
 
 
 @dataclass(frozen=True)
@@ -91,44 +128,22 @@ class Stacked(_BothCameras):
     The error of v_right is taken as independent of the other three.
     """
 
-    kernel: ClassVar[str | None] = "stacked"
+    kernels: ClassVar[MeasurementKernels | None] = KERNELS
 
-    def stages(self, observation: StereoObservation, R: FloatArray) -> tuple[Stage, ...]:
-        """One."""
-        right = right_stage(observation, R, self.copied_row_variance)
-        T = np.vstack([LEFT, right.T])
-        joint = T @ R @ T.T
-        if len(right.T) == 2:
-            joint[:, 3, :3] = joint[:, :3, 3] = 0.0
-            joint[:, 3, 3] = right.R[:, 1, 1]
-        return (Stage(np.hstack([observation.uvd[:, :2], right.z]), T, joint),)
+    def rows(self, with_right: bool) -> tuple[StageRows, ...]:
+        """One stage."""
+        both, copied = (_U, _V, _U_RIGHT, _V), self.copied_row_variance
+        if with_right:
+            return (StageRows(both, right_row=3, apart_row=3),)
+        return (StageRows(both[:3]) if copied is None else StageRows(both, apart_row=3, apart_scale=copied),)
 
 
 @dataclass(frozen=True)
 class LeftOnly(RectifiedPair):
     """Monocular updates: the left pixel. The disparity serves for initialisation only."""
 
-    kernel: ClassVar[str | None] = "left"
+    kernels: ClassVar[MeasurementKernels | None] = KERNELS
 
-    def stages(self, observation: StereoObservation, R: FloatArray) -> tuple[Stage, ...]:
-        """One."""
-        return (left_stage(observation, R),)
-
-
-def left_stage(observation: StereoObservation, R: FloatArray) -> Stage:
-    """(u, v) of the left camera."""
-    return Stage(observation.uvd[:, :2], LEFT, LEFT @ R @ LEFT.T)
-
-
-def right_stage(observation: StereoObservation, R: FloatArray, copied_row_variance: float | None = None) -> Stage:
-    """(u_right, v_right) of the right camera; u_right alone where v_right is not measured and not to be copied."""
-    copied = observation.v_right is None
-    T = RIGHT[:1] if copied and copied_row_variance is None else RIGHT
-    z = observation.uvd @ T.T
-    if observation.v_right is not None:
-        z[:, 1] = observation.v_right
-    noise = T @ R @ T.T
-    if copied and copied_row_variance is not None:
-        noise[:, 1, 1] *= copied_row_variance
-        noise[:, 0, 1] = noise[:, 1, 0] = 0.0
-    return Stage(z, T, noise)
+    def rows(self, with_right: bool) -> tuple[StageRows, ...]:
+        """One stage."""
+        return (StageRows((_U, _V)),)

@@ -12,6 +12,8 @@ import numpy as np
 
 from filters.contract.odometry import BodyVelocity
 from filters.geometry import rotations
+from filters.geometry.rotations import matrix_of, product_of, quaternion_of, right_jacobian_of
+from filters.geometry.three_by_three import cross_matrix, multiply, put, times, transposed
 from filters.motions.model import (
     ANGULAR,
     CAMERA_SIZE,
@@ -20,12 +22,73 @@ from filters.motions.model import (
     ROTATION,
     CameraState,
     LinearMeasurement,
+    MotionKernels,
     MotionModel,
     MotionPrediction,
 )
-from filters.validation import positive
+from filters.validation import FloatArray, positive
 
 _EYE = np.eye(CAMERA_SIZE)
+
+
+def _step(
+    settings: FloatArray,
+    state: FloatArray,
+    dt: float,
+    odometry: FloatArray,
+    moved: FloatArray,
+    F: FloatArray,
+    Q: FloatArray,
+) -> None:
+    w0, w1, w2 = dt * state[10], dt * state[11], dt * state[12]
+    h0, h1, h2, h3 = quaternion_of(w0, w1, w2)
+    q0, q1, q2, q3 = product_of(state[3], state[4], state[5], state[6], h0, h1, h2, h3)
+    for i in range(len(state)):
+        moved[i] = state[i]
+    moved[3], moved[4], moved[5], moved[6] = q0, q1, q2, q3
+    for i in range(len(F)):
+        F[i, i] = 1.0
+    put(F, 3, 3, transposed(matrix_of(h0, h1, h2, h3)), 1.0)
+    put(F, 3, 9, right_jacobian_of(w0, w1, w2), dt)
+    for i in range(3):
+        moved[i] = state[i] + dt * state[7 + i]
+        F[i, 6 + i] = dt
+    linear, angular = (settings[0] * dt) ** 2, (settings[1] * dt) ** 2
+    for k in range(6, CAMERA_SIZE):  # the impulses act on the velocities before the step
+        variance = linear if k < 9 else angular
+        for i in range(CAMERA_SIZE):
+            along = F[i, k] * variance
+            if along != 0.0:
+                for j in range(CAMERA_SIZE):
+                    Q[i, j] += along * F[j, k]
+
+
+def _measure(
+    settings: FloatArray,
+    moved: FloatArray,
+    dt: float,
+    odometry: FloatArray,
+    innovation: FloatArray,
+    H: FloatArray,
+    R: FloatArray,
+) -> None:
+    w0, w1, w2 = 0.5 * dt * moved[10], 0.5 * dt * moved[11], 0.5 * dt * moved[12]
+    h0, h1, h2, h3 = quaternion_of(w0, w1, w2)
+    back = matrix_of(h0, h1, h2, h3)
+    R_cw = transposed(matrix_of(moved[3], moved[4], moved[5], moved[6]))
+    c0, c1, c2 = times(R_cw, moved[7], moved[8], moved[9])
+    by_half_turn = multiply(back, cross_matrix(c0, c1, c2))
+    put(H, 0, 3, by_half_turn, 1.0)
+    put(H, 0, 6, multiply(back, R_cw), 1.0)
+    put(H, 0, 9, multiply(by_half_turn, right_jacobian_of(w0, w1, w2)), -0.5 * dt)
+    expected = times(back, c0, c1, c2)
+    for i in range(3):
+        H[3 + i, 9 + i] = 1.0
+        innovation[i] = odometry[0, i] - expected[i]
+        innovation[3 + i] = odometry[0, 3 + i] - moved[10 + i]
+    for i in range(6):
+        for j in range(6):
+            R[i, j] = odometry[1 + i, j]
 
 
 @dataclass(frozen=True)
@@ -44,7 +107,9 @@ class ConstantVelocity(MotionModel):
 
     sigma_acceleration: float = 3.0
     sigma_angular_acceleration: float = 0.6
-    kernel: ClassVar[str | None] = "constant-velocity"
+    kernels: ClassVar[MotionKernels | None] = MotionKernels(
+        _step, _measure, 6, settings=("sigma_acceleration", "sigma_angular_acceleration")
+    )
 
     def __post_init__(self) -> None:
         positive("sigma_acceleration", self.sigma_acceleration, allow_zero=True)

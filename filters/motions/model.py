@@ -9,7 +9,7 @@ Derivation: docs/derivations/motion.md.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import ClassVar
@@ -20,38 +20,31 @@ from filters.contract.odometry import BodyVelocity
 from filters.contract.start import Start
 from filters.contract.variables import POSE, VELOCITY, Variable
 from filters.geometry import differences, rotations
+from filters.geometry.machine_code import settings_of
 from filters.geometry.retractions import RotationVector
 from filters.validation import FloatArray
 
 POSITION, ROTATION, LINEAR, ANGULAR = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
 """Errors of pose and velocity."""
-POSE_SIZE, CAMERA_SIZE = 6, 12
+POSE_SIZE, VELOCITY_SIZE = 6, 6
+CAMERA_SIZE = POSE_SIZE + VELOCITY_SIZE
 _ROTATION_VECTOR = RotationVector()
 
 
 @dataclass(frozen=True, eq=False)
 class CameraState:
-    """x_C of Eq. 2 and the other named variables; of one camera, or of many at once with the same leading dimensions.
-
-    Attributes
-    ----------
-    position : (..., 3)
-        r^WC, m.
-    orientation : (..., 4)
-        q^WC, xyzw.
-    linear_velocity : (..., 3)
-        v^W, m/s.
-    angular_velocity : (..., 3)
-        omega^C, rad/s.
-    variables : mapping of str to (v,)
-        Values of the variables that parts have asked for.
-    """
+    """x_C of Eq. 2 and the other named variables; of one camera, or of many with the same leading dimensions."""
 
     position: FloatArray
+    """(..., 3): r^WC, m."""
     orientation: FloatArray
+    """(..., 4): q^WC, xyzw."""
     linear_velocity: FloatArray
+    """(..., 3): v^W, m/s."""
     angular_velocity: FloatArray
+    """(..., 3): omega^C, rad/s."""
     variables: Mapping[str, FloatArray] = field(default_factory=dict)
+    """Values of the variables that parts have asked for."""
 
     @classmethod
     def at(cls, start: Start, variables: Mapping[str, FloatArray] | None = None) -> CameraState:
@@ -68,25 +61,17 @@ class CameraState:
 
 @dataclass(frozen=True, eq=False)
 class MotionPrediction:
-    """The predicted state, its Jacobians and its noise.
-
-    Attributes
-    ----------
-    state : CameraState
-        After the step.
-    F : (..., m, m)
-        d error / d previous error, of the variables that the model moves: 12 numbers of pose and velocity, then its
-        own.
-    G : (..., m, k)
-        d error / d noise.
-    Q : (k, k)
-        Covariance of the noise.
-    """
+    """The predicted state, its Jacobians and its noise."""
 
     state: CameraState
+    """After the step."""
     F: FloatArray
+    """(..., m, m): d error / d previous error, of the variables that the model moves: 12 numbers of pose and velocity,
+    then its own."""
     G: FloatArray
+    """(..., m, k): d error / d noise."""
     Q: FloatArray
+    """(k, k): covariance of the noise."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,18 +83,31 @@ class LinearMeasurement:
     R: FloatArray
 
 
+@dataclass(frozen=True)
+class MotionKernels:
+    """Compiled functions of a motion, in C-ordered arrays; outputs are zero before.
+
+    A kernel is a function that Numba can compile; it writes what it is to give into its last arguments. The state is
+    what the model moves, in one vector: position (3), orientation xyzw (4), linear (3) and angular velocity (3), then
+    the values of its variables. Errors are in the order of `MotionPrediction.F`.
+    """
+
+    step: Callable[..., None]
+    """(settings, state (v,), dt, odometry (K, w), moved (v,), F (m, m), Q (m, m)): the state after dt seconds, its
+    Jacobian, and the covariance that the step adds."""
+    measure: Callable[..., None] | None = None
+    """(settings, moved (v,), dt, odometry (K, w), innovation (r,), H (r, m), R (r, r)): odometry as a measurement of
+    the state after the step, where there is odometry."""
+    rows: int = 0
+    """Numbers r of that measurement."""
+    settings: tuple[str, ...] = ()
+    """Attributes of the part whose numbers are the first argument."""
+
+
 class MotionModel:
     """Motion of the camera between two frames.
 
-    A part gives `move` and `noise`, and has numerical Jacobians; or it gives `predict` with its own.
-
-    Attributes
-    ----------
-    variables : tuple of Variable
-        Variables of the state that it moves or needs besides pose and velocity, such as biases. Their random walks are
-        added by the filter.
-    kernel : str or None
-        Compiled counterpart. It holds for the class that states it, not for its subclasses.
+    A part gives `move` and `noise`, and has numerical Jacobians; or it gives `predict` with its own; or `kernels`.
 
     References
     ----------
@@ -118,7 +116,10 @@ class MotionModel:
     """
 
     variables: tuple[Variable, ...] = ()
-    kernel: ClassVar[str | None] = None
+    """Variables of the state that it moves or needs besides pose and velocity, such as biases. Their random walks are
+    added by the filter."""
+    kernels: ClassVar[MotionKernels | None] = None
+    """The same, compiled. They hold for the class that states them, not for its subclasses."""
 
     def check_odometry(self, odometry: BodyVelocity | None) -> None:
         """Raise a `ValueError` if the model cannot make a step with this odometry."""
@@ -133,10 +134,15 @@ class MotionModel:
 
     def predict(self, state: CameraState, dt: float, odometry: BodyVelocity | None) -> MotionPrediction:
         """Predicted state, its Jacobians and its noise after `dt` > 0 seconds (Eq. 6, 12)."""
+        size = _size(self)
+        if self.kernels is not None:
+            before, F, Q = self.numbers_of(state), np.zeros((size, size)), np.zeros((size, size))
+            moved, given = before.copy(), self.odometry_numbers(odometry)
+            self.kernels.step(settings_of(self, self.kernels), before, dt, given, moved, F, Q)
+            return MotionPrediction(self.state_of(moved), F, np.eye(size), Q)
         Q = self.noise(dt, odometry)
         still = np.zeros(len(Q))
         there = self.move(state, dt, odometry, still)
-        size = CAMERA_SIZE + sum(variable.size for variable in self.variables)
 
         def by_state(delta: FloatArray) -> FloatArray:
             return self.difference(there, self.move(self.corrected(state, delta), dt, odometry, still))
@@ -147,7 +153,31 @@ class MotionModel:
 
     def odometry_measurement(self, state: CameraState, dt: float, odometry: BodyVelocity) -> LinearMeasurement | None:
         """Odometry of the step as a measurement of the predicted state; None: the prediction has used it up."""
-        return None
+        if self.kernels is None or self.kernels.measure is None:
+            return None
+        r, size, given = self.kernels.rows, _size(self), self.odometry_numbers(odometry)
+        measured = LinearMeasurement(np.zeros(r), np.zeros((r, size)), np.zeros((r, r)))
+        written = measured.innovation, measured.H, measured.R
+        self.kernels.measure(settings_of(self, self.kernels), self.numbers_of(state), dt, given, *written)
+        return measured
+
+    def odometry_numbers(self, odometry: BodyVelocity | None) -> FloatArray:
+        """What kernels take of the odometry of a step, (K, w): velocities, then their covariance; none: no rows."""
+        if odometry is None:
+            return np.zeros((0, 6))
+        return np.vstack([np.concatenate([odometry.linear, odometry.angular]), odometry.covariance])
+
+    def numbers_of(self, state: CameraState) -> FloatArray:
+        """What the model moves as kernels take it: pose, velocities, values of its variables; (v,)."""
+        camera = state.position, state.orientation, state.linear_velocity, state.angular_velocity
+        return np.concatenate([*camera, *(state.variables[variable.name] for variable in self.variables)])
+
+    def state_of(self, numbers: FloatArray) -> CameraState:
+        """The state that has these numbers."""
+        stops = np.cumsum([3, 4, 3, 3, *(len(variable.value) for variable in self.variables)])[:-1]
+        position, orientation, linear, angular, *own = np.split(numbers, stops)
+        variables = {variable.name: value for variable, value in zip(self.variables, own, strict=True)}
+        return CameraState(position, orientation, linear, angular, variables)
 
     @property
     def moves(self) -> tuple[str, ...]:

@@ -12,6 +12,8 @@ import numpy as np
 
 from filters.contract.odometry import BodyVelocity
 from filters.geometry import rotations
+from filters.geometry.rotations import matrix_of, product_of, quaternion_of, right_jacobian_of
+from filters.geometry.three_by_three import cross_matrix, multiply, put, times, transposed
 from filters.motions.model import (
     ANGULAR,
     CAMERA_SIZE,
@@ -19,16 +21,66 @@ from filters.motions.model import (
     POSITION,
     ROTATION,
     CameraState,
+    MotionKernels,
     MotionModel,
     MotionPrediction,
 )
+from filters.validation import FloatArray
+
+
+def _step(
+    settings: FloatArray,
+    state: FloatArray,
+    dt: float,
+    odometry: FloatArray,
+    moved: FloatArray,
+    F: FloatArray,
+    Q: FloatArray,
+) -> None:
+    v0, v1, v2 = odometry[0, 0], odometry[0, 1], odometry[0, 2]
+    w0, w1, w2 = odometry[0, 3], odometry[0, 4], odometry[0, 5]
+    h0, h1, h2, h3 = quaternion_of(0.5 * dt * w0, 0.5 * dt * w1, 0.5 * dt * w2)
+    half, R = matrix_of(h0, h1, h2, h3), matrix_of(state[3], state[4], state[5], state[6])
+    middle = multiply(R, half)
+    a0, a1, a2 = times(half, v0, v1, v2)
+    by_rotation = multiply(R, cross_matrix(a0, a1, a2))
+    by_turn = multiply(
+        multiply(middle, cross_matrix(v0, v1, v2)), right_jacobian_of(0.5 * dt * w0, 0.5 * dt * w1, 0.5 * dt * w2)
+    )
+    t0, t1, t2, t3 = quaternion_of(dt * w0, dt * w1, dt * w2)
+    q0, q1, q2, q3 = product_of(state[3], state[4], state[5], state[6], t0, t1, t2, t3)
+    velocity = times(middle, v0, v1, v2)
+    for i in range(13, len(state)):
+        moved[i] = state[i]
+    for i in range(CAMERA_SIZE, len(F)):
+        F[i, i] = 1.0
+    moved[3], moved[4], moved[5], moved[6] = q0, q1, q2, q3
+    put(F, 3, 3, transposed(matrix_of(t0, t1, t2, t3)), 1.0)
+    put(F, 0, 3, by_rotation, -dt)
+    put(F, 6, 3, by_rotation, -1.0)
+    G = np.zeros((CAMERA_SIZE, 6))
+    put(G, 0, 0, middle, dt)
+    put(G, 0, 3, by_turn, -0.5 * dt * dt)
+    put(G, 3, 3, right_jacobian_of(dt * w0, dt * w1, dt * w2), dt)
+    put(G, 6, 0, middle, 1.0)
+    put(G, 6, 3, by_turn, -0.5 * dt)
+    for i in range(3):
+        F[i, i], G[9 + i, 3 + i] = 1.0, 1.0
+        moved[i], moved[7 + i], moved[10 + i] = state[i] + velocity[i] * dt, velocity[i], odometry[0, 3 + i]
+    for i in range(CAMERA_SIZE):
+        for k in range(6):
+            along = 0.0
+            for m in range(6):
+                along += G[i, m] * odometry[1 + m, k]
+            for j in range(CAMERA_SIZE):
+                Q[i, j] += along * G[j, k]
 
 
 @dataclass(frozen=True)
 class VelocityDriven(MotionModel):
     """Dead reckoning: the odometry is the motion, its covariance the only noise. Needs odometry in every step."""
 
-    kernel: ClassVar[str | None] = "velocity-driven"
+    kernels: ClassVar[MotionKernels | None] = MotionKernels(_step)
 
     def check_odometry(self, odometry: BodyVelocity | None) -> None:
         """It needs some."""

@@ -1,7 +1,9 @@
 """The joint state x = (x_C, y_1, ..., y_n) of Eq. 1 with its covariance: augmentation, marginalisation, correction.
 
-The error state is that of the named variables (`engine.layout`) followed by blocks of three: landmarks, anchors and
-clones of the pose. Only the lower triangle of P is valid. Each operation checks nothing: the filter has done so.
+The error state is that of the named variables (`state.layout`) followed by blocks: landmarks, anchors and clones of
+the pose. All blocks have as many rows as a landmark has error numbers; anchors, and positions and orientations of
+clones, use the first three, the others are zero. Only the lower triangle of P is valid. Each operation checks nothing:
+the filter has done so.
 
 A landmark that leaves only empties its blocks: their values, and their rows and columns of P, become zero, which every
 other operation leaves as they are. New landmarks move into empty blocks, so that coming and going costs in proportion
@@ -24,7 +26,6 @@ from filters.state.layout import Layout
 from filters.validation import BoolArray, FloatArray, IntArray
 
 _EMPTY_SHARE = 1 / 8  # of the blocks: where carrying empty rows through every update costs more than leaving them out
-_BLOCK = np.arange(3)
 
 Adjust = Callable[[FloatArray, FloatArray], FloatArray]
 """(J of new blocks by leading rows (m, c), effect of a rotation of the world on them (m, 3)) -> J to be used."""
@@ -36,24 +37,16 @@ def _no_landmarks() -> IntArray:
 
 @dataclass(frozen=True, eq=False)
 class NewLandmarks:
-    """M landmarks that enter the map.
-
-    Attributes
-    ----------
-    ids : (M,) int64
-        Their identities.
-    started : StartedLandmarks
-        Their values.
-    by_leading : (M, 3, c)
-        Jacobian of their error numbers by the leading rows (J_xc of Eq. 25).
-    noise : (M, 3, 3)
-        What the measurement adds to their covariance (J_R R J_R^T).
-    """
+    """M landmarks that enter the map."""
 
     ids: IntArray
+    """(M,): their identities."""
     started: StartedLandmarks
+    """Their values."""
     by_leading: FloatArray
+    """(M, size, c): Jacobian of their error numbers by the leading rows (J_xc of Eq. 25)."""
     noise: FloatArray
+    """(M, size, size): what the measurement adds to their covariance (J_R R J_R^T), and the prior of what it leaves."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,48 +71,35 @@ def world_rotation_of_variables(layout: Layout, camera: CameraState) -> FloatArr
 
 @dataclass(eq=False)
 class JointState:
-    """Named variables, map and covariance.
-
-    Attributes
-    ----------
-    layout : Layout
-        Rows of the named variables.
-    camera : CameraState
-        Their values.
-    P : (n, n)
-        Covariance of the error state, lower triangle, column-major.
-    model : LandmarkModel
-        Parametrisation of the landmarks.
-    predicted : CameraState
-        The variables as they were predicted last, before any correction.
-    blocks, first_blocks : (B, v)
-        Values of the map blocks, now and when they entered; block b is at rows c + 3 b of P, c the size of the layout.
-        Empty ones are zero; anchors are the first three numbers.
-    ids : (N,) int64
-        Landmark identities, in the order in which they entered.
-    parameter_block, anchor_block : (N,) int64
-        Blocks of each landmark; the anchor block is -1 where there is none.
-    empty_blocks : (E,) int64
-        Blocks without a landmark or anchor, ascending.
-    held : (H,) int64
-        Blocks that stay whether or not a landmark uses them, in the order in which they were held.
-    clones : dict of str to Clone
-        Clones of the pose by name; their blocks are held.
-    """
+    """Named variables, map and covariance."""
 
     layout: Layout
+    """Rows of the named variables."""
     camera: CameraState
+    """Their values."""
     P: FloatArray
+    """(n, n): covariance of the error state, lower triangle, column-major."""
     model: LandmarkModel
+    """Parametrisation of the landmarks."""
     predicted: CameraState
+    """The variables before landmarks last corrected them: predicted, then corrected by odometry and `correct`."""
     blocks: FloatArray
+    """(B, v): values of the map blocks; block b of s rows is at rows c + s b of P, c the size of the layout. Empty ones
+    are zero; anchors are the first three numbers."""
     first_blocks: FloatArray
+    """(B, v): their values when they entered."""
     ids: IntArray = field(default_factory=_no_landmarks)
+    """(N,): landmark identities, in the order in which they entered."""
     parameter_block: IntArray = field(default_factory=_no_landmarks)
+    """(N,): block of each landmark."""
     anchor_block: IntArray = field(default_factory=_no_landmarks)
+    """(N,): block of each landmark's anchor; -1 where there is none."""
     empty_blocks: IntArray = field(default_factory=_no_landmarks)
+    """(E,): blocks without a landmark or anchor, ascending."""
     held: IntArray = field(default_factory=_no_landmarks)
+    """(H,): blocks that stay whether or not a landmark uses them, in the order in which they were held."""
     clones: dict[str, Clone] = field(default_factory=dict)
+    """Clones of the pose by name; their blocks are held."""
 
     @classmethod
     def at(cls, start: Start, layout: Layout, model: LandmarkModel) -> JointState:
@@ -130,6 +110,18 @@ class JointState:
 
     def __len__(self) -> int:
         return len(self.ids)
+
+    @property
+    def size(self) -> int:
+        """Rows of a block."""
+        return self.model.size
+
+    @property
+    def viewpoint(self) -> tuple[FloatArray, FloatArray]:
+        """Position and orientation of the camera in the frame of the landmarks."""
+        if self.model.in_camera:
+            return np.zeros(3), np.eye(3)
+        return self.camera.position, self.camera.R_wc
 
     @property
     def rows_in_use(self) -> IntArray:
@@ -152,39 +144,48 @@ class JointState:
         return anchors
 
     def map_rows(self, index: IntArray) -> IntArray:
-        """Rows of P that belong to each landmark, anchor first; (M, 6) or (M, 3).
+        """Rows of P that belong to each landmark, anchor first; (M, 3 + size) or (M, size).
 
-        Where there are anchors, a landmark without one has its own rows twice.
+        Where there are anchors, a landmark without one has its own first rows twice.
         """
-        first = self.parameter_block[index, None]
-        if self.model.anchored:
-            anchor = self.anchor_block[index, None]
-            first = np.hstack([np.where(anchor < 0, first, anchor), first])
-        return (self.layout.size + 3 * first[:, :, None] + _BLOCK).reshape(len(index), 3 * first.shape[1])
+        own = self.own_rows(index)
+        if not self.model.anchored:
+            return own
+        anchor, block = self.anchor_block[index], self.parameter_block[index]
+        first = self.layout.size + self.size * np.where(anchor < 0, block, anchor)
+        return np.hstack([first[:, None] + np.arange(3), own])
 
     def own_rows(self, index: IntArray | slice = slice(None)) -> IntArray:
-        """Rows of P of the landmarks themselves, without their anchors; (M, 3)."""
-        rows: IntArray = self.layout.size + 3 * self.parameter_block[index, None] + _BLOCK
+        """Rows of P of the landmarks themselves, without their anchors; (M, size)."""
+        rows: IntArray = self.layout.size + self.size * self.parameter_block[index, None] + np.arange(self.size)
         return rows
 
     def world_rotation(self) -> FloatArray:
         """Gamma: effect of a rotation of the world about its origin on the error state; (n, 3)."""
-        effect = -rotations.skew(self.blocks[:, :3])
+        effect = self._effect(-rotations.skew(self.blocks[:, :3]))
         effect[self.parameter_block] = self.model.world_rotation(self.anchors(), self.parameters())
         for clone in self.clones.values():
-            effect[clone.blocks] = -rotations.skew(clone.position), rotations.matrix(clone.orientation).T
+            effect[clone.blocks, :3] = -rotations.skew(clone.position), rotations.matrix(clone.orientation).T
         return np.vstack([world_rotation_of_variables(self.layout, self.camera), effect.reshape(-1, 3)])
 
     def world_translation(self) -> FloatArray:
         """Effect of a shift of the world on the error state, clones of the pose left out; (n, 3)."""
-        effect = np.broadcast_to(np.eye(3), (len(self.blocks), 3, 3)).copy()
-        if self.model.anchored:  # rays have no place of their own
-            effect[self.parameter_block[self.anchor_block >= 0]] = 0.0
+        effect = self._effect(np.eye(3))
+        effect[self.parameter_block] = 0.0  # rays have no place of their own
+        free = np.flatnonzero(self.anchor_block < 0)
+        if len(free):
+            effect[self.parameter_block[free]] = self.model.world_translation(self.parameters(free))
         for clone in self.clones.values():
             effect[clone.blocks] = 0.0
         leading = np.zeros((self.layout.size, 3))
         leading[POSITION] = np.eye(3)
         return np.vstack([leading, effect.reshape(-1, 3)])
+
+    def _effect(self, of_points: FloatArray) -> FloatArray:
+        """Effects (B, size, 3) on all blocks, those on points in their first three rows."""
+        effect = np.zeros((len(self.blocks), self.size, 3))
+        effect[:, :3] = of_points
+        return effect
 
     def at_first_estimates(self) -> JointState:
         """This state with the predicted camera and the map as it was first estimated."""
@@ -208,12 +209,13 @@ class JointState:
         blocks[:anchors, :3] = self.camera.position
         blocks[anchors:] = started.parameters
         leading = new.by_leading.shape[2]
-        by_leading = np.zeros((anchors + count, 3, leading))
-        by_leading[:anchors, :, :3] = np.eye(3)
+        by_leading = np.zeros((anchors + count, self.size, leading))
+        by_leading[:anchors, :3, :3] = np.eye(3)
         by_leading[anchors:] = new.by_leading
         J = by_leading.reshape(-1, leading)
         if adjust is not None:
-            effect = -rotations.skew(blocks[:, :3])
+            effect = np.zeros((len(blocks), self.size, 3))
+            effect[:, :3] = -rotations.skew(blocks[:, :3])
             here = np.where(started.anchored[:, None], self.camera.position, np.nan)
             effect[anchors:] = self.model.world_rotation(here, started.parameters)
             J = adjust(J, effect.reshape(-1, 3))
@@ -223,7 +225,7 @@ class JointState:
         cross = J @ symmetric.leading_rows(self.P, leading)
         cross[:, rows] = cross[:, :leading] @ J.T
         symmetric.put_rows(self.P, rows, cross)
-        own = rows[3 * anchors :].reshape(count, 3)
+        own = rows[self.size * anchors :].reshape(count, self.size)
         self.P[own[:, :, None], own[:, None, :]] += new.noise
         self.blocks[taken] = self.first_blocks[taken] = blocks
         by_landmark = np.full(count, -1)
@@ -275,7 +277,7 @@ class JointState:
         missing = count - len(self.empty_blocks)
         if missing > 0:
             old, size = len(self.P), len(self.blocks)
-            P = np.zeros((old + 3 * missing, old + 3 * missing), order="F")
+            P = np.zeros((old + self.size * missing, old + self.size * missing), order="F")
             P[:old, :old] = self.P
             self.P = P
             none = np.zeros((missing, self.blocks.shape[1]))
@@ -296,8 +298,8 @@ class JointState:
         self.empty_blocks = _no_landmarks()
 
     def block_rows(self, blocks: IntArray) -> IntArray:
-        """Rows of P that belong to map blocks, in their order; (M,) -> (3 M,)."""
-        return (self.layout.size + 3 * blocks[:, None] + _BLOCK).ravel()
+        """Rows of P that belong to map blocks, in their order; (M,) -> (size M,)."""
+        return (self.layout.size + self.size * blocks[:, None] + np.arange(self.size)).ravel()
 
     def append(self, values: FloatArray, first: FloatArray, cross: FloatArray, own: FloatArray) -> IntArray:
         """Add M blocks that belong to no landmark yet, and hold them.
@@ -306,7 +308,7 @@ class JointState:
         ----------
         values, first : (M, v)
             Now, and when they were first estimated.
-        cross, own : (3 M, n), (3 M, 3 M)
+        cross, own : (size M, n), (size M, size M)
             Their covariance with all rows of P as it is, and among themselves.
 
         Returns
@@ -327,8 +329,8 @@ class JointState:
     def hold_variables(self) -> IntArray:
         """Keep the present errors of the named variables, which are zero now, as held blocks; returns those."""
         size = self.layout.size
-        count = -(-size // 3)
-        cross, own = np.zeros((3 * count, len(self.P))), np.zeros((3 * count, 3 * count))
+        count = -(-size // self.size)
+        cross, own = np.zeros((self.size * count, len(self.P))), np.zeros((self.size * count, self.size * count))
         cross[:size] = symmetric.rows(self.P, self.layout.rows)
         own[:size, :size] = cross[:size, :size]
         nothing = np.zeros((count, self.blocks.shape[1]))
@@ -336,9 +338,12 @@ class JointState:
 
     def clone_pose(self, name: str) -> None:
         """Keep the present pose as a variable of that name."""
-        cross = symmetric.rows(self.P, np.arange(POSE_SIZE))
-        nothing = np.zeros((POSE_SIZE // 3, self.blocks.shape[1]))
-        blocks = self.append(nothing, nothing, cross, cross[:, :POSE_SIZE])
+        pose, used = np.arange(POSE_SIZE), np.concatenate([np.arange(3), self.size + np.arange(3)])
+        cross, own = np.zeros((2 * self.size, len(self.P))), np.zeros((2 * self.size, 2 * self.size))
+        cross[used] = symmetric.rows(self.P, pose)
+        own[np.ix_(used, used)] = cross[used][:, pose]
+        nothing = np.zeros((2, self.blocks.shape[1]))
+        blocks = self.append(nothing, nothing, cross, own)
         self.clones = {**self.clones, name: Clone(self.camera.position, self.camera.orientation, blocks)}
 
     def forget_clone(self, name: str) -> None:

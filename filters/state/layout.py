@@ -16,27 +16,23 @@ import numpy as np
 from filters.contract.start import Start
 from filters.contract.variables import POSE, VELOCITY, Variable
 from filters.geometry.retractions import Retraction
-from filters.motions.model import CAMERA_SIZE, POSE_SIZE, POSITION, ROTATION, CameraState
+from filters.motions.model import CAMERA_SIZE, POSE_SIZE, POSITION, ROTATION, VELOCITY_SIZE, CameraState
 from filters.validation import FloatArray, IntArray
 
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """Places of the variables.
-
-    Attributes
-    ----------
-    variables : tuple of Variable
-        Those besides pose and velocity: of the measurement model, then of the motion model.
-    measured : int
-        Leading rows that a measurement depends on.
-    """
+    """Places of the variables."""
 
     variables: tuple[Variable, ...] = ()
+    """Those besides pose and velocity: of the measurement model, then of the motion model."""
     measured: int = POSE_SIZE
+    """Leading rows that a measurement depends on."""
+    sees_velocity: bool = False
+    """Whether the velocity, which stands behind the variables of the measurement model, is among them."""
 
     @classmethod
-    def of(cls, measurement: tuple[Variable, ...], motion: tuple[Variable, ...]) -> Layout:
+    def of(cls, measurement: tuple[Variable, ...], motion: tuple[Variable, ...], sees_velocity: bool = False) -> Layout:
         """Places of the variables of both models; one that both name is one variable.
 
         Raises
@@ -58,14 +54,16 @@ class Layout:
             given_names = [variable.name for variable in given]
             if len(set(given_names)) < len(given_names):
                 raise ValueError(f"variables must have different names, got {', '.join(given_names)}")
-        return cls((*measurement, *others), POSE_SIZE + sum(variable.size for variable in measurement))
+        rows = POSE_SIZE + sum(variable.size for variable in measurement)
+        return cls((*measurement, *others), rows + VELOCITY_SIZE * sees_velocity, sees_velocity)
 
     @cached_property
     def places(self) -> Mapping[str, slice]:
         """Rows of each variable by name."""
         sizes = [(POSE, POSE_SIZE), *((variable.name, variable.size) for variable in self.variables)]
         stops = list(accumulate(size for _, size in sizes))
-        sizes.insert(stops.index(self.measured) + 1, (VELOCITY, CAMERA_SIZE - POSE_SIZE))
+        first = self.measured - VELOCITY_SIZE * self.sees_velocity
+        sizes.insert(stops.index(first) + 1, (VELOCITY, VELOCITY_SIZE))
         places, row = {}, 0
         for name, size in sizes:
             places[name], row = slice(row, row + size), row + size

@@ -12,27 +12,18 @@ from filters.validation import BoolArray, FloatArray, IntArray
 
 @dataclass(frozen=True, eq=False)
 class LinearisedMeasurements:
-    """M measurements of k rows each, linear in the error state.
-
-    Attributes
-    ----------
-    innovation : (M, k)
-        Measured minus predicted, px.
-    by_leading : (M, k, c)
-        H with respect to the first c rows of the state: pose and what else measurements depend on.
-    by_map : (M, k, w)
-        H with respect to the landmark's own rows.
-    map_rows : (M, w) int64
-        Those rows.
-    R : (M, k, k)
-        Noise covariance.
-    """
+    """M measurements of k rows each, linear in the error state."""
 
     innovation: FloatArray
+    """(M, k): measured minus predicted, px."""
     by_leading: FloatArray
+    """(M, k, c): H with respect to the first c rows of the state: pose and what else measurements depend on."""
     by_map: FloatArray
+    """(M, k, w): H with respect to the landmark's own rows."""
     map_rows: IntArray
+    """(M, w): those rows."""
     R: FloatArray
+    """(M, k, k): noise covariance."""
 
     def __len__(self) -> int:
         return len(self.innovation)

@@ -18,22 +18,16 @@ from filters.validation import FloatArray, IntArray
 
 @dataclass(frozen=True, eq=False)
 class Transport:
-    """Block lower triangular Jacobian of the error state.
-
-    Attributes
-    ----------
-    leading : (c, c)
-        Of the named variables.
-    by_rotation : (n - c, 3), optional
-        Of the map rows by the rotation error of the camera. None: zero.
-    rows, own : (m, 3) int64, (m, 3, 3), optional
-        Of some blocks of rows by themselves. None: the identity, as of all other rows.
-    """
+    """Block lower triangular Jacobian of the error state."""
 
     leading: FloatArray
+    """(c, c), of the named variables."""
     by_rotation: FloatArray | None = None
+    """(n - c, 3), of the map rows by the rotation error of the camera. None: zero."""
     rows: IntArray | None = None
+    """(m, s): rows of the blocks that have a Jacobian of their own. None: there are none."""
     own: FloatArray | None = None
+    """(m, s, s), of those blocks by themselves; that of all other rows is the identity."""
 
     def apply(self, P: FloatArray) -> None:
         """P <- J P J^T, lower triangle, in place."""
@@ -64,11 +58,16 @@ class Transport:
         if self.by_rotation is not None:
             by_leading[:, :, ROTATION] += by_map @ self.by_rotation[measurements.map_rows - size]
         if self.own is not None and self.rows is not None:
-            place = np.full((len(delta) - size) // 3, -1)
-            place[(self.rows[:, 0] - size) // 3] = np.arange(len(self.rows))
-            blocks = place[(measurements.map_rows[:, ::3] - size) // 3]
-            J = np.where((blocks < 0)[:, :, None, None], np.eye(3), self.own[blocks])
-            shape = by_map.shape
-            by_map = np.einsum("mkbi,mbij->mkbj", by_map.reshape(*shape[:2], shape[2] // 3, 3), J).reshape(shape)
+            block, count = self.rows.shape[1], by_map.shape[2]
+            place = np.full((len(delta) - size) // block, -1)
+            place[(self.rows[:, 0] - size) // block] = np.arange(len(self.rows))
+            parts = []
+            for columns in (slice(0, count - block), slice(count - block, count)):  # of the anchor, and its own
+                width = columns.stop - columns.start
+                if width:
+                    which = place[(measurements.map_rows[:, columns.start] - size) // block]
+                    J = np.where((which < 0)[:, None, None], np.eye(block), self.own[which])[:, :width, :width]
+                    parts.append(by_map[:, :, columns] @ J)
+            by_map = np.concatenate(parts, axis=2)
         earlier = replace(measurements, by_leading=by_leading, by_map=by_map)
         return replace(earlier, innovation=measurements.innovation + earlier.times(delta))

@@ -63,7 +63,7 @@ class SubmapChain:
             Submap(
                 active.blocks[blocks],
                 active.first_blocks[blocks],
-                scale[active.block_rows(blocks)].reshape(-1, 3),
+                scale[active.block_rows(blocks)].reshape(-1, active.size),
                 numbers[own],
                 numbers[common],
                 gain,

@@ -23,65 +23,51 @@ NEGLIGIBLE = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class Relation:
-    """Blocks as a linear function of the common blocks, plus noise: how they are handed on to the next submap.
-
-    Attributes
-    ----------
-    values, first : (E, 3)
-        Where the common blocks are at `reference`; and as first estimated.
-    scale : (E, 3)
-        Standard deviations before anything was known of the common blocks.
-    reference : (c, 3)
-        Of the common blocks.
-    gain : (3 E, 3 c)
-        By the common blocks.
-    covariance : (3 E, 3 E)
-        Of the noise.
-    """
+    """Blocks as a linear function of the common blocks, plus noise: how they are handed on to the next submap."""
 
     values: FloatArray
+    """(E, s): where the blocks are when the common blocks are at `reference`."""
     first: FloatArray
+    """(E, s): blocks as first estimated."""
     scale: FloatArray
+    """(E, s): standard deviations before anything was known of the common blocks."""
     reference: FloatArray
+    """(c, s): values of the common blocks."""
     gain: FloatArray
+    """(s E, s c), by the common blocks."""
     covariance: FloatArray
+    """(s E, s E), of the noise."""
 
     def at(self, common: FloatArray) -> FloatArray:
-        """Values where the common blocks are `common` (c, 3)."""
-        shifted: FloatArray = self.values + (self.gain @ (common - self.reference).ravel()).reshape(-1, 3)
+        """Values where the common blocks are `common` (c, s)."""
+        shifted: FloatArray = self.values + (self.gain @ (common - self.reference).ravel()).reshape(self.values.shape)
         return shifted
 
 
 @dataclass(frozen=True, eq=False)
 class Submap:
-    """p(own blocks | common blocks), and the landmarks at rest in it.
-
-    Attributes
-    ----------
-    values, first : (B, 3)
-        Blocks as they were when the submap came to rest, and as first estimated.
-    scale : (B, 3)
-        Standard deviations when the submap came to rest: what is tiny beside them is rounding.
-    own, common : (a,), (c,) int64
-        The blocks that are only here or shared with earlier submaps, and those in common with the next.
-    gain : (3 a, 3 c)
-        Of the own blocks by the common ones.
-    covariance : (3 a, 3 a)
-        Of the own blocks, given the common ones.
-    ids, parameter_block, anchor_block : (N,) int64
-        Landmarks at rest here, and their blocks; the anchor block is -1 where there is none.
-    """
+    """p(own blocks | common blocks), and the landmarks at rest in it."""
 
     values: FloatArray
+    """(B, s): blocks as they were when the submap came to rest."""
     first: FloatArray
+    """(B, s): blocks as first estimated."""
     scale: FloatArray
+    """(B, s): standard deviations when the submap came to rest: what is tiny beside them is rounding."""
     own: IntArray
+    """(a,): blocks that are only here or shared with earlier submaps."""
     common: IntArray
+    """(c,): blocks in common with the next submap."""
     gain: FloatArray
+    """(s a, s c), of the own blocks by the common ones."""
     covariance: FloatArray
+    """(s a, s a), of the own blocks, given the common ones."""
     ids: IntArray
+    """(N,): landmarks at rest here."""
     parameter_block: IntArray
+    """(N,): blocks of the landmarks."""
     anchor_block: IntArray
+    """(N,): blocks of their anchors; -1 where there is none."""
 
     def without(self, gone: BoolArray) -> Submap:
         """The same blocks with fewer landmarks at rest; (N,)."""
@@ -110,9 +96,9 @@ class Submap:
         (E,) int64
             Which they are.
         """
-        here = np.zeros((len(handed.gain), 3 * len(self.values)))
-        here[:, block_rows(link)] = handed.gain
-        by_own, by_common = here[:, block_rows(self.own)], here[:, block_rows(self.common)]
+        here = np.zeros((len(handed.gain), self.values.size))
+        here[:, self._rows(link)] = handed.gain
+        by_own, by_common = here[:, self._rows(self.own)], here[:, self._rows(self.common)]
         cross = by_own @ self.covariance
         covariance = np.block([[self.covariance, cross.T], [cross, cross @ by_own.T + handed.covariance]])
         new = np.arange(len(self.values), len(self.values) + len(handed.values))
@@ -138,7 +124,7 @@ class Submap:
             The blocks in terms of the old common ones, for the next submap.
         """
         shared = self._among(blocks)[self.own]
-        leaving, staying = block_rows(np.flatnonzero(shared)), block_rows(np.flatnonzero(~shared))
+        leaving, staying = self._rows(np.flatnonzero(shared)), self._rows(np.flatnonzero(~shared))
         by_shared, covariance = regression(self.covariance, self.scale[self.own].ravel(), staying, leaving)
         remaining = replace(
             self,
@@ -180,12 +166,18 @@ class Submap:
     def thinned(self, needed: IntArray) -> Submap:
         """Without the own blocks that are not `needed`: marginalised out."""
         stays = self._among(needed)[self.own]
-        rows = block_rows(np.flatnonzero(stays))
+        rows = self._rows(np.flatnonzero(stays))
         return replace(self, own=self.own[stays], gain=self.gain[rows], covariance=self.covariance[np.ix_(rows, rows)])
 
     def own_among(self, blocks: IntArray) -> IntArray:
         """Those of `blocks` that are own ones."""
         return blocks[self._among(self.own)[blocks]]
+
+    def _rows(self, blocks: IntArray) -> IntArray:
+        """Rows of blocks in their order, where there is no camera before them; (M,) -> (s M,)."""
+        size = self.values.shape[1]
+        rows: IntArray = (size * blocks[:, None] + np.arange(size)).ravel()
+        return rows
 
     def _among(self, blocks: IntArray) -> BoolArray:
         """Of all blocks, whether they are among `blocks`; (B,)."""
@@ -195,7 +187,7 @@ class Submap:
 
     def _relation(self, which: BoolArray) -> Relation:
         """The own blocks marked in `which` (a,), by the common ones."""
-        blocks, rows = self.own[which], block_rows(np.flatnonzero(which))
+        blocks, rows = self.own[which], self._rows(np.flatnonzero(which))
         return Relation(
             self.values[blocks],
             self.first[blocks],
@@ -221,11 +213,11 @@ class Submap:
         cross = self.gain @ P_known[leading:]
         shift = (later.blocks[link] - self.values[self.common]).ravel()
         blocks = self.values.copy()
-        blocks[self.own] += (self.gain @ shift).reshape(-1, 3)
+        blocks[self.own] += (self.gain @ shift).reshape(-1, self.values.shape[1])
         blocks[self.common] = later.blocks[link]
-        rows = np.concatenate([later.layout.rows, leading + block_rows(self.common)])
-        own_rows = leading + block_rows(self.own)
-        P = np.empty((leading + 3 * len(self.values),) * 2, order="F")
+        rows = np.concatenate([later.layout.rows, leading + self._rows(self.common)])
+        own_rows = leading + self._rows(self.own)
+        P = np.empty((leading + self.values.size,) * 2, order="F")
         P[np.ix_(rows, rows)] = P_known
         P[np.ix_(own_rows, rows)] = cross
         P[np.ix_(rows, own_rows)] = cross.T
@@ -286,8 +278,3 @@ def units(P: FloatArray) -> FloatArray:
     variances = P.diagonal()
     scale: FloatArray = np.sqrt(np.where(variances > 0.0, variances, 1.0))
     return scale
-
-
-def block_rows(blocks: IntArray) -> IntArray:
-    """Rows of blocks in their order, where there is no camera before them; (M,) -> (3 M,)."""
-    return (3 * blocks[:, None] + np.arange(3)).ravel()

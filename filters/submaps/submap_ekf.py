@@ -55,6 +55,8 @@ class SubmapEKF(StereoFilter):
         An option is unknown, or has an unknown or impossible value.
     """
 
+    open_options = StereoEKF.open_options - {"landmark", "drop_unseen"}
+
     def __init__(
         self,
         camera: StereoCamera,

@@ -23,7 +23,7 @@ from filters.validation import FloatArray, IntArray
 class Extended(Linearisation):
     """The extended Kalman filter's: Jacobians at the state."""
 
-    kernel: ClassVar[str | None] = "extended"
+    kernels: ClassVar[bool] = True
 
     def linearise(
         self,
@@ -36,45 +36,50 @@ class Extended(Linearisation):
     ) -> LinearisedMeasurements:
         """H by the chain rule through Eq. 8-10, and through the variables that the sensor names."""
         at = state if point is None else point
-        seen = at.model.relative_to(at.camera.position, at.anchors(index), at.parameters(index))
-        points_c = np.concatenate(
-            [rotations.turned(at.camera.R_wc.T, seen.homogeneous[:, :3]), seen.homogeneous[:, 3:]], axis=1
-        )
-        jacobians = sensor.jacobians(camera, points_c, at.camera.variables)
-        by_pose, by_map = chain_rule(at.camera.R_wc, seen, points_c, stage.T @ jacobians.by_point)
-        by_variables = [stage.T @ jacobians.by_variable[variable.name] for variable in sensor.variables]
-        by_leading = np.concatenate([by_pose, *by_variables], axis=2) if by_variables else by_pose
+        position, R_wc = at.viewpoint
+        seen = at.model.relative_to(position, at.anchors(index), at.parameters(index))
+        points_c = at.model.with_axes(R_wc.T, seen.homogeneous)
+        jacobians = sensor.jacobians(camera, points_c, sensor.values_at(at.camera))
+        by_pose, by_map = chain_rule(R_wc, seen, points_c, stage.T @ jacobians.by_point, at.model.seen_vectors)
+        if at.model.in_camera:
+            by_pose[:] = 0.0
+        by_variable = {name: stage.T @ J for name, J in jacobians.by_variable.items()}
+        by_leading = sensor.by_leading(by_pose, by_variable, at.camera)
         if point is not None:
             points_c = points_in_camera(state, index)
-        predicted = sensor.predict(camera, points_c, state.camera.variables)
+        predicted = sensor.predict(camera, points_c, sensor.values_at(state.camera))
         innovation = stage.z - predicted @ stage.T.T
         return LinearisedMeasurements(innovation, by_leading, by_map, state.map_rows(index), stage.R)
 
 
 def chain_rule(
-    R_wc: FloatArray, seen: ScaledPoints, points_c: FloatArray, z_by_point: FloatArray
+    R_wc: FloatArray, seen: ScaledPoints, points_c: FloatArray, z_by_point: FloatArray, vectors: int = 1
 ) -> tuple[FloatArray, FloatArray]:
     """H by the pose and by the landmarks, from the Jacobian by homogeneous points in the camera frame.
 
     Parameters
     ----------
-    R_wc : (3, 3) or (M, 3, 3)
-        Orientation, one for all landmarks or one for each.
+    R_wc : (3, 3)
+        Orientation.
     seen : ScaledPoints
         M landmarks relative to the camera centre.
-    points_c : (M, 4)
+    points_c : (M, seen_size)
         The same in the camera frame.
-    z_by_point : (M, k, 4)
+    z_by_point : (M, k, seen_size)
         Jacobian of the measurement by them.
+    vectors : int
+        How many vectors lead them, `seen_vectors`.
 
     Returns
     -------
     by_pose, by_map : (M, k, 6), (M, k, w)
         By position and rotation, and by the landmark's own numbers.
     """
-    z_by_world = z_by_point.copy()
-    z_by_world[:, :, :3] = z_by_point[:, :, :3] @ R_wc.swapaxes(-1, -2)
+    z_by_world, by_rotation = z_by_point.copy(), np.zeros((*z_by_point.shape[:2], 3))
+    for i in range(vectors):
+        vector = slice(3 * i, 3 * i + 3)
+        z_by_world[:, :, vector] = z_by_point[:, :, vector] @ R_wc.T
+        by_rotation += z_by_point[:, :, vector] @ rotations.skew(points_c[:, vector])
     by_pose = np.empty((*z_by_point.shape[:2], POSE_SIZE))
-    by_pose[:, :, POSITION] = z_by_world @ seen.by_position
-    by_pose[:, :, ROTATION] = z_by_point[:, :, :3] @ rotations.skew(points_c[:, :3])
+    by_pose[:, :, POSITION], by_pose[:, :, ROTATION] = z_by_world @ seen.by_position, by_rotation
     return by_pose, z_by_world @ seen.by_map

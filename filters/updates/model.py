@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-import numpy as np
-
 from filters.geometry.camera import StereoCamera
 from filters.measurements.model import MeasurementModel, Stage
 from filters.state.joint_state import JointState
@@ -14,19 +12,13 @@ from filters.validation import FloatArray, IntArray
 
 
 class Linearisation:
-    """The fifth part of a filter, option `update`.
-
-    Attributes
-    ----------
-    by_jacobians : bool
-        Whether it takes Jacobians, which may be taken at another point than the state; without, first-estimates
-        Jacobians and variables of the measurement model cannot be had.
-    kernel : str or None
-        Compiled counterpart. It holds for the class that states it, not for its subclasses.
-    """
+    """The fifth part of a filter, option `update`."""
 
     by_jacobians: ClassVar[bool] = True
-    kernel: ClassVar[str | None] = None
+    """Whether it takes Jacobians, which may be taken at another point than the state; without, first-estimates
+    Jacobians and variables of the measurement model cannot be had."""
+    kernels: ClassVar[bool] = False
+    """Whether it is the engine's own, compiled. It holds for the class that states it, not for its subclasses."""
 
     def linearise(
         self,
@@ -58,6 +50,7 @@ class Linearisation:
 
 
 def points_in_camera(state: JointState, index: IntArray) -> FloatArray:
-    """Homogeneous points of the landmarks at `index` in the camera frame, (M, 4)."""
-    seen = state.model.homogeneous(state.camera.position, state.anchors(index), state.parameters(index))
-    return np.concatenate([seen[:, :3] @ state.camera.R_wc, seen[:, 3:]], axis=1)
+    """What is seen of the landmarks at `index`, in the camera frame: homogeneous points, (M, seen_size)."""
+    position, R_wc = state.viewpoint
+    seen = state.model.homogeneous(position, state.anchors(index), state.parameters(index))
+    return state.model.with_axes(R_wc.T, seen)

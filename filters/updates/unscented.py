@@ -72,19 +72,22 @@ class Unscented(Linearisation):
         values = np.where(values > _NEGLIGIBLE * values[:, -1:], values, 0.0)
         sigmas = np.sqrt(values)
         spread = np.sqrt(self.alpha**2 * 3.0)
-        offsets = spread * (vectors * sigmas[:, None]).transpose(0, 2, 1)
+        # The symmetric root: eigenvectors of equal eigenvalues turn with the last bit of P, and this does not.
+        root = vectors * sigmas[:, None] @ vectors.transpose(0, 2, 1)
+        offsets = spread * root
         errors = np.concatenate([np.zeros((len(index), 1, size)), offsets, -offsets], axis=1)
 
         z = _measured_at(sensor, camera, state, index, errors) @ stage.T.T
         mean = np.einsum("s,msk->mk", scaled.Wm, z)
         deviation = z - mean[:, None]
         scatter = np.einsum("s,msk,msl->mkl", scaled.Wc, deviation, deviation)
-        # In the coordinates of the eigenvectors, scaled to unit variance, the regression is the cross-covariance.
+        # In the coordinates of the root, in which the variance is one, the regression is the cross-covariance.
         along = spread * scaled.Wc[1] * (deviation[:, 1 : size + 1] - deviation[:, size + 1 :])
         with np.errstate(divide="ignore"):
             unscale = np.where(sigmas > 0.0, 1.0 / sigmas, 0.0)
-        H = along.transpose(0, 2, 1) * unscale[:, None] @ vectors.transpose(0, 2, 1)
-        nonlinearity = scatter - np.einsum("msk,msl->mkl", along, along)
+        H = along.transpose(0, 2, 1) @ (vectors * unscale[:, None] @ vectors.transpose(0, 2, 1))
+        explained = H @ root
+        nonlinearity = scatter - explained @ explained.transpose(0, 2, 1)
         R = stage.R + 0.5 * (nonlinearity + nonlinearity.transpose(0, 2, 1))
         return LinearisedMeasurements(stage.z - mean, H[:, :, :POSE_SIZE], H[:, :, POSE_SIZE:], map_rows, R)
 
@@ -96,13 +99,12 @@ def _measured_at(
     count, samples, size = errors.shape
     flat = errors.reshape(-1, size)
     repeated = np.repeat(np.arange(count), samples)
-    parameters = state.model.retract(state.parameters(index)[repeated], flat[:, -3:])
+    parameters = state.model.retract(state.parameters(index)[repeated], flat[:, -state.size :])
     anchors = state.anchors(index)
     if anchors is not None:
         anchors = anchors[repeated] + flat[:, POSE_SIZE : POSE_SIZE + 3]
-    position = state.camera.position + flat[:, POSITION]
-    seen = state.model.homogeneous(position, anchors, parameters)
-    R_wc = state.camera.R_wc @ Rotation.from_rotvec(flat[:, ROTATION]).as_matrix()
-    h_c = np.einsum("nij,ni->nj", R_wc, seen[:, :3])
-    points_c = np.concatenate([h_c, seen[:, 3:]], axis=1)
+    (position, R_wc), moves = state.viewpoint, not state.model.in_camera
+    seen = state.model.homogeneous(position + moves * flat[:, POSITION], anchors, parameters)
+    R_wc = R_wc @ Rotation.from_rotvec(moves * flat[:, ROTATION]).as_matrix()
+    points_c = state.model.with_axes(R_wc.transpose(0, 2, 1), seen)
     return sensor.predict(camera, points_c, state.camera.variables).reshape(count, samples, -1)

@@ -36,6 +36,8 @@ class DelayedEKF(StereoFilter):
         used; else each waits for the next one.
     """
 
+    open_options = InverseDepthStereoEKF.open_options
+
     def __init__(
         self, camera: StereoCamera, noise: StereoNoise, *, until_tracks_end: bool = False, **options: Any
     ) -> None:

@@ -35,6 +35,7 @@ from .jacobians import (
 )
 from .numeric import numeric_jacobian, relative_difference
 from .slots import MOTIONS
+from .stranger.parts import AnchoredOnS3, OnS3
 from .third_party import BiasedOdometry
 
 CASES = Cases()
@@ -176,7 +177,9 @@ for _name, _motion in {**MOTIONS, "with variables": BiasedOdometry()}.items():
 
 # --- landmarks ------------------------------------------------------------------------------------------------
 
-for _name, _model in MODELS.items():
+NUMERICAL = {"with numerical Jacobians": OnS3(), "with numerical Jacobians, anchored": AnchoredOnS3()}
+
+for _name, _model in {**MODELS, **NUMERICAL}.items():
     _situations, _finite = situations_of(_model), situations_of(_model, FINITE_POINTS)
 
     def _seen(model: LandmarkModel, s: Situation):

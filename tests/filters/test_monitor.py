@@ -194,6 +194,12 @@ def test_the_dark_may_last_a_second_unless_told_otherwise(longest, frames):
     assert looks_until_an_alarm(monitor, UpdateReport(), None) == frames
 
 
+def test_exactly_as_long_as_it_may_be_dark_is_no_alarm():
+    monitor = DivergenceMonitor(longest_blind=1.0)
+    monitor.look(0.5, report())
+    assert [monitor.look(0.5, UpdateReport()) is not None for _ in range(3)] == [False, False, True]
+
+
 @pytest.mark.parametrize("axis", [3, 4, 5])
 @pytest.mark.parametrize(("sigma", "told"), [(0.499, False), (0.501, True)])
 def test_half_a_radian_is_the_most_that_an_orientation_may_be_unknown(axis, sigma, told):

@@ -25,7 +25,7 @@ from filters import (
     make_part,
 )
 from filters.checks.conformance import REFERENCE_CAMERA, REFERENCE_NOISE
-from filters.parts import SLOTS, kernel_of
+from filters.parts import SLOTS, kernels_of
 
 RIG = {"camera": REFERENCE_CAMERA, "noise": REFERENCE_NOISE}
 EVERY = [(slot, name) for slot in SLOTS for name in SLOTS[slot].named]
@@ -107,14 +107,14 @@ def test_a_filter_takes_every_part_that_goes_with_the_others(slot: str, name: st
     assert type(getattr(slam.options, slot)) is type(make_part(slot, name))
 
 
-def test_a_subclass_has_no_compiled_counterpart_unless_it_says_so() -> None:
+def test_a_subclass_has_no_kernels_unless_it_states_them() -> None:
     @dataclass(frozen=True)
     class Changed(ConstantVelocity):
         """Changes something."""
 
-    assert kernel_of(ConstantVelocity()) == ConstantVelocity.kernel
-    assert kernel_of(Changed()) is None
-    assert kernel_of(MotionModel()) is None
+    assert kernels_of(ConstantVelocity()) is ConstantVelocity.kernels
+    assert kernels_of(Changed()) is None
+    assert kernels_of(MotionModel()) is None
 
 
 # --- third parties ---

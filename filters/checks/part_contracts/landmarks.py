@@ -5,21 +5,31 @@ from __future__ import annotations
 import numpy as np
 
 from filters.checks.part_contracts.comparison import SCALES, SHIFT, TOLERANCE, TURN, assert_close, unit_directions
+from filters.checks.part_contracts.kernels import Kernels, assert_same
 from filters.geometry import differences, rotations
 from filters.landmarks.model import LandmarkModel, StartedLandmarks
+from filters.parts import kernels_of
 from filters.validation import FloatArray
 
 Started = tuple[FloatArray, FloatArray | None, FloatArray, StartedLandmarks]
-"""Position of the camera, anchors, homogeneous points (M, 4) that were seen from the position, and the landmarks."""
+"""Position of the camera, anchors, what was seen from the position (M, seen_size), and the landmarks."""
 
 
 def _started(model: LandmarkModel, moved: bool = True) -> Started:
     """Landmarks with their anchors where the camera was, or `moved` off."""
-    rng = np.random.default_rng(0)
-    position, h_w = rng.uniform(-5.0, 5.0, 3), rng.standard_normal((len(SCALES), 3))
-    seen = np.column_stack([h_w, SCALES])[model.can_start(h_w, SCALES)]
+    rng, count = np.random.default_rng(0), len(SCALES)
+    position, vectors = rng.uniform(-5.0, 5.0, 3), rng.standard_normal((count, 3 * model.seen_vectors))
+    if model.in_camera:
+        position = np.zeros(3)
+    others = np.column_stack([SCALES, 0.1 * rng.standard_normal((count, model.seen_size))])
+    seen = np.hstack([vectors, others])[:, : model.seen_size]
+    seen = seen[model.can_start(*model.apart(seen))]
     assert len(seen), "no landmark can be started"
-    new = model.started(position, seen[:, :3], seen[:, 3])
+    new = model.started(position, *model.apart(seen))
+    if model.seen_size != 4:  # what can be seen may have to keep constraints, as the vectors of a line
+        here = np.where(new.anchored[:, None], position, np.nan) if model.anchored else None
+        seen = model.homogeneous(position, here, new.parameters)
+        new = model.started(position, *model.apart(seen))
     anchors = position + moved * rng.uniform(-2.0, 2.0, (len(seen), 3))
     return position, np.where(new.anchored[:, None], anchors, np.nan) if model.anchored else None, seen, new
 
@@ -34,29 +44,32 @@ def check_landmark_start(model: LandmarkModel) -> None:
         unit_directions(seen),
         1e-9,
     )
-    none = model.started(position, np.zeros((0, 3)), np.zeros(0)).parameters
+    assert new.by_seen.shape == (len(seen), model.size, model.seen_size), f"Jacobians are {new.by_seen.shape}"
+    none = model.started(position, *model.apart(seen[:0])).parameters
     assert_close(
         "homogeneous of none",
         model.homogeneous(position, None if anchors is None else none[:, :3], none),
-        none[:0, :1] @ np.ones((1, 4)),
+        none[:0, :1] @ np.ones((1, model.seen_size)),
     )
 
 
 def check_landmark_start_jacobians(model: LandmarkModel) -> None:
     """Jacobians of a start are those of differences, and finite wherever a landmark can be started."""
     position, _, seen, new = _started(model)
-    J = np.concatenate([new.by_position, new.by_direction, new.by_scale[:, :, None]], axis=2)
-    far = seen[model.can_start(seen[:, :3], np.full(len(seen), 1e-9))]
-    for by in (J, *vars(model.started(position, far[:, :3], np.full(len(far), 1e-9))).values()):
+    J, scale = np.concatenate([new.by_position, new.by_seen], axis=2), 3 * model.seen_vectors
+    far, nearer = seen.copy(), seen.copy()
+    far[:, scale : scale + 1], nearer[:, scale:] = 1e-9, nearer[:, scale:] - 2.0 * differences.STEP
+    far = far[model.can_start(*model.apart(far))]
+    for by in (J, *vars(model.started(position, *model.apart(far))).values()):
         assert np.isfinite(by).all(), "a Jacobian of a start is not finite"
-    at = model.can_start(seen[:, :3], seen[:, 3] - 2.0 * differences.STEP)
+    at = model.can_start(*model.apart(nearer))
     seen = seen[at]
 
     def moved(e: FloatArray) -> FloatArray:
-        other = model.started(position + e[:3], seen[:, :3] + e[3:6], seen[:, 3] + e[6])
+        other = model.started(position + e[:3], *model.apart(seen + e[3:]))
         return model.local(new.parameters[at], other.parameters)
 
-    assert_close("the Jacobian of started", J[at], differences.jacobian(moved, 7))
+    assert_close("the Jacobian of started", J[at], differences.jacobian(moved, 3 + model.seen_size))
 
 
 def check_landmark_jacobians(model: LandmarkModel) -> None:
@@ -66,37 +79,36 @@ def check_landmark_jacobians(model: LandmarkModel) -> None:
     claimed = model.relative_to(position, anchors, x)
 
     def seen(e: FloatArray) -> FloatArray:
-        own = model.retract(x, np.broadcast_to(e[6:], (len(x), 3)))
+        own = model.retract(x, np.broadcast_to(e[6:], (len(x), model.size)))
         return model.homogeneous(position + e[:3], None if anchors is None else anchors + e[3:6], own)
 
-    by_all = np.nan_to_num(differences.jacobian(seen, 9))
+    by_all = np.nan_to_num(differences.jacobian(seen, 6 + model.size))
     assert_close("by_position of relative_to", claimed.by_position, by_all[:, :, :3])
     assert_close("by_map of relative_to", claimed.by_map, by_all[:, :, 6 if anchors is None else 3 :])
     turned = differences.jacobian(lambda e: model.local(x, model.rotated(anchors, x, rotations.exp(e))), 3)
     assert_close("world_rotation", model.world_rotation(anchors, x), turned)
-    theta, correction = np.array([0.1, -0.2, 0.15]), np.full((len(x), 3), 0.02)
+    theta, correction = np.array([0.1, -0.2, 0.15]), np.full((len(x), model.size), 0.02)
 
     def carried(e: FloatArray) -> FloatArray:
-        turn, spread = rotations.exp(theta + e[3:]), rotations.right_jacobian(-theta - e[3:])
-        return model.turned(anchors, x, turn, spread, correction + e[:3])
+        turn, spread = rotations.exp(theta + e[:3]), rotations.right_jacobian(-theta - e[:3])
+        return model.turned(anchors, x, turn, spread, correction + e[3:])
 
-    there = carried(np.zeros(6))
-    by_both = differences.jacobian(lambda e: model.local(there, carried(e)), 6)
-    assert_close(
-        "turned_jacobians", np.concatenate(model.turned_jacobians(anchors, x, theta, correction), axis=2), by_both
-    )
+    there = carried(np.zeros(3 + model.size))
+    by_both = differences.jacobian(lambda e: model.local(there, carried(e)), 3 + model.size)
+    claimed_both = model.turned_jacobians(anchors, x, theta, correction)
+    assert_close("turned_jacobians", np.concatenate(claimed_both[::-1], axis=2), by_both)
 
 
 def check_landmark_retraction(model: LandmarkModel) -> None:
     """A correction is undone by `local`, and `transport` is its Jacobian."""
     _, anchors, _, new = _started(model)
-    x, delta = new.parameters, np.random.default_rng(1).uniform(-0.1, 0.1, (len(new.parameters), 3))
+    x, delta = new.parameters, np.random.default_rng(1).uniform(-0.1, 0.1, (len(new.parameters), model.size))
     there = model.retract(x, delta)
     assert_close("retract of nothing", model.retract(x, np.zeros_like(delta)), x, 1e-12)
     assert_close("local of retract", model.local(x, there), delta, 1e-9 * max(1.0, np.abs(x).max()))
-    by_delta = differences.jacobian(lambda e: model.local(there, model.retract(x, delta + e)), 3)
+    by_delta = differences.jacobian(lambda e: model.local(there, model.retract(x, delta + e)), model.size)
     transport = model.transport(x, delta)
-    still = np.broadcast_to(np.eye(3), by_delta.shape)
+    still = np.broadcast_to(np.eye(model.size), by_delta.shape)
     assert_close(
         "transport", still if transport is None else transport, by_delta, max(TOLERANCE, 1e-11 * np.abs(x).max())
     )
@@ -108,13 +120,66 @@ def check_landmark_invariance(model: LandmarkModel) -> None:
     position, anchors, _, new = _started(model)
     x = new.parameters
     seen = model.homogeneous(position, anchors, x)
+    if model.in_camera:
+        check_carried(model, x)
+        return
     turned = model.rotated(anchors, x, TURN)
     again = model.homogeneous(TURN @ position, None if anchors is None else anchors @ TURN.T, turned)
-    assert_close("homogeneous in a turned world", again, np.column_stack([seen[:, :3] @ TURN.T, seen[:, 3]]), 1e-9)
+    assert_close("homogeneous in a turned world", again, model.with_axes(TURN, seen), 1e-9)
+    if anchors is None and type(model).shifted is not LandmarkModel.shifted:
+        shifted = model.homogeneous(position + SHIFT, None, model.shifted(x, SHIFT))
+        assert_close("shifted in a shifted world", unit_directions(shifted), unit_directions(seen), 1e-9)
+        by_shift = differences.jacobian(lambda e: model.local(x, model.shifted(x, e)), 3)
+        assert_close("world_translation", model.world_translation(x), by_shift)
     if anchors is not None:
         free = new.anchored
         shifted = model.homogeneous(position + SHIFT, anchors + SHIFT, x)
         assert_close("homogeneous in a shifted world", shifted[free], seen[free], 1e-9)
+
+
+def check_carried(model: LandmarkModel, x: FloatArray) -> None:
+    """Raise an `AssertionError` where landmarks in the camera frame are not seen at R p + shift in another frame."""
+    there = model.in_frame(x, TURN, SHIFT)
+    seen = model.homogeneous(np.zeros(3), None, x)
+    wanted = model.with_axes(TURN, model.homogeneous(-TURN.T @ SHIFT, None, x))
+    again = model.homogeneous(np.zeros(3), None, there)
+    assert_close("homogeneous in another frame", unit_directions(again), unit_directions(wanted), 1e-9)
+    back = model.into_camera(SHIFT, TURN, model.into_world(SHIFT, TURN, x).parameters)
+    returned = model.homogeneous(np.zeros(3), None, back.parameters)
+    assert_close("in_frame there and back", unit_directions(returned), unit_directions(seen), 1e-9)
+
+
+def check_landmark_kernels(model: LandmarkModel) -> None:
+    """Compiled functions, where there are any, say what those in NumPy do."""
+    if kernels_of(model) is None:
+        return
+    kernels, (position, anchors, seen, new) = Kernels(model), _started(model, moved=False)
+    x, count, v, n, k = new.parameters, len(seen), model.value_size, model.size, model.seen_size
+    points, J = kernels.of("point", x, points=(count, k), J=(count, k, n))
+    claimed = model.relative_to(position, anchors, x)
+    shift = np.zeros(3) if anchors is not None else position
+    points[:, :3] -= points[:, 3:4] * shift
+    J[:, :3] -= J[:, 3:4] * shift[:, None]
+    assert_same("point", points=(points, claimed.homogeneous), J=(J, claimed.by_map[:, :, -n:]))
+    from_origin = np.column_stack([seen[:, :3] + seen[:, 3:4] * shift, seen[:, 3:]])
+    flags = np.zeros(count, dtype=np.bool_)
+    values, J, able = kernels.of("start", from_origin, values=(count, v), J=(count, n, k), possible=flags)
+    assert able.all(), "possible of kernel start is false where can_start is true"
+    J[:, :, 3] += J[:, :, :3] @ shift
+    assert_same("start", values=(values, x), J=(J, new.by_seen))
+    if kernels_of(model).turn is None:
+        of_points = np.zeros((count, n, 3))
+        of_points[:, :3] = -rotations.skew(x[:, :3])
+        assert_close("world_rotation of a point of W", model.world_rotation(anchors, x), of_points)
+        return
+    (effect,) = kernels.of("rotation", x, effect=(count, n, 3))
+    assert_same("rotation", effect=(effect, model.world_rotation(anchors, x)))
+    theta, correction = np.array([0.1, -0.2, 0.15]), np.full((count, n), 0.02)
+    results = {"moved": (count, v), "J": (count, n, n), "J_theta": (count, n, 3)}
+    moved, J, by_theta = kernels.of("turn", x, theta, correction, **results)
+    turned = model.turned(anchors, x, rotations.exp(theta), rotations.right_jacobian(-theta), correction)
+    wanted = model.turned_jacobians(anchors, x, theta, correction)
+    assert_same("turn", moved=(moved, turned), J=(J, wanted[0]), J_theta=(by_theta, wanted[1]))
 
 
 CHECKS = (
@@ -123,4 +188,5 @@ CHECKS = (
     check_landmark_jacobians,
     check_landmark_retraction,
     check_landmark_invariance,
+    check_landmark_kernels,
 )

@@ -9,18 +9,25 @@ import numpy as np
 
 from filters.checks.conformance import REFERENCE_CAMERA, REFERENCE_NOISE
 from filters.checks.part_contracts.comparison import SCALES, assert_close, unit_directions
+from filters.checks.part_contracts.kernels import Kernels, assert_same
 from filters.contract.observation import StereoObservation
-from filters.contract.variables import Variable
+from filters.contract.variables import VELOCITY
 from filters.geometry import differences
+from filters.geometry.retractions import ADDITIVE, Retraction
 from filters.measurements.model import MeasurementModel, Values
+from filters.parts import kernels_of
 from filters.validation import FloatArray
 
 
 def _points(sensor: MeasurementModel) -> tuple[FloatArray, Values]:
-    """Points that the sensor can see, and values of its variables near their start."""
-    rng = np.random.default_rng(0)
+    """Points, or other landmarks, that the sensor can see, and values of its variables near their start."""
+    rng, c = np.random.default_rng(0), REFERENCE_CAMERA
     points_c = np.column_stack([rng.uniform(-0.4, 0.4, (len(SCALES), 2)), np.ones(len(SCALES)), SCALES])
     near = {v.name: v.retraction.retract(v.value, 1e-3 * rng.standard_normal(v.size)) for v in sensor.variables}
+    if sensor.sees_velocity:
+        near[VELOCITY] = np.array([0.4, -0.2, 5.0, 0.02, 0.3, -0.1])
+    if sensor.seen_size != 4:  # whatever is measured there
+        points_c = sensor.backproject(c, c.project_scaled(points_c[:, :3], points_c[:, 3]), near)
     seen = sensor.in_front(points_c)
     assert seen.shape == seen[:, None].squeeze(1).shape == (len(points_c),), f"in_front has shape {seen.shape}"
     assert seen.any(), "in_front is true of no point"
@@ -35,9 +42,9 @@ def check_measurement_shapes(sensor: MeasurementModel) -> None:
     assert numbers.shape == (len(points_c), sensor.size), f"predict returned {numbers.shape}"
     grid = sensor.predict(REFERENCE_CAMERA, np.stack([points_c, points_c]), values)
     assert_close("predict of a grid", grid, np.stack([numbers, numbers]), 1e-12)
-    assert_close(
-        "predict of longer directions", sensor.predict(REFERENCE_CAMERA, 2.5 * points_c, values), numbers, 1e-9
-    )
+    if sensor.seen_size == 4:
+        longer = sensor.predict(REFERENCE_CAMERA, 2.5 * points_c, values)
+        assert_close("predict of longer directions", longer, numbers, 1e-9)
     assert_close("predict of none", sensor.predict(REFERENCE_CAMERA, points_c[:0], values), numbers[:0])
     assert_close("backproject of none", sensor.backproject(REFERENCE_CAMERA, numbers[:0, :3], values), points_c[:0])
 
@@ -53,27 +60,32 @@ def check_measurement_inverse(sensor: MeasurementModel) -> None:
 def check_measurement_jacobians(sensor: MeasurementModel) -> None:
     """Jacobians of numbers and backprojection are those of differences, by the variables, too."""
     points_c, values = _points(sensor)
-    points_c = points_c[sensor.in_front(points_c - [0.0, 0.0, 0.0, 2.0 * differences.STEP])]
+    nearer = points_c - 2.0 * differences.STEP * (np.arange(points_c.shape[1]) == 3 * sensor.seen_vectors)
+    points_c = points_c[sensor.in_front(nearer)]
     uvd = sensor.predict(REFERENCE_CAMERA, points_c, values)[:, :3]
     for what, claimed, function, start, size in (
-        ("jacobians", sensor.jacobians, sensor.predict, points_c, 4),
+        ("jacobians", sensor.jacobians, sensor.predict, points_c, sensor.seen_size),
         ("backprojection_jacobians", sensor.backprojection_jacobians, sensor.backproject, uvd, 3),
     ):
         J = claimed(REFERENCE_CAMERA, start, values)
         moved = partial(_of_moved, function, start, values)
         assert_close(f"by_point of {what}", J.by_point, differences.jacobian(moved, size))
-        for v in sensor.variables:
-            by_variable = differences.jacobian(partial(_of_corrected, function, start, values, v), v.size)
-            assert_close(f"{v.name} of {what}", J.by_variable[v.name], by_variable)
+        retractions = {v.name: (v.retraction, v.size) for v in sensor.variables}
+        if sensor.sees_velocity:
+            retractions[VELOCITY] = ADDITIVE, len(values[VELOCITY])
+        for name, (retraction, size) in retractions.items():
+            by_variable = differences.jacobian(partial(_of_corrected, function, start, values, name, retraction), size)
+            assert_close(f"{name} of {what}", J.by_variable[name], by_variable)
 
 
 def _of_moved(function: Any, start: FloatArray, values: Values, e: FloatArray) -> Any:
     return function(REFERENCE_CAMERA, start + e, values)
 
 
-def _of_corrected(function: Any, start: FloatArray, values: Values, variable: Variable, e: FloatArray) -> Any:
-    corrected = variable.retraction.retract(values[variable.name], e)
-    return function(REFERENCE_CAMERA, start, {**values, variable.name: corrected})
+def _of_corrected(
+    function: Any, start: FloatArray, values: Values, name: str, retraction: Retraction, e: FloatArray
+) -> Any:
+    return function(REFERENCE_CAMERA, start, {**values, name: retraction.retract(values[name], e)})
 
 
 def check_measurement_stages(sensor: MeasurementModel) -> None:
@@ -90,9 +102,41 @@ def check_measurement_stages(sensor: MeasurementModel) -> None:
                 assert (np.linalg.eigvalsh(stage.R) > 0.0).all(), "R of a stage is not positive definite"
 
 
+def check_measurement_kernels(sensor: MeasurementModel) -> None:
+    """Compiled functions, where there are any, say what those in NumPy do."""
+    if kernels_of(sensor) is None:
+        return
+    kernels, (points_c, values), c = Kernels(sensor), _points(sensor), REFERENCE_CAMERA
+    camera = np.array([c.fx, c.fy, c.cx, c.cy, c.baseline])
+    flat = np.concatenate([np.zeros(0), *values.values()])
+    wanted = sensor.jacobians(c, points_c, values)
+    count, s, errors = len(points_c), sensor.size, sum(J.shape[2] for J in wanted.by_variable.values())
+    flags = np.zeros(count, dtype=np.bool_)
+    shapes: dict[str, Any] = {
+        "numbers": (count, s),
+        "J": (count, s, sensor.seen_size),
+        "J_values": (count, s, errors),
+        "in_front": flags,
+    }
+    numbers, J, by_values, in_front = kernels.of("predict", camera, points_c, flat, **shapes)
+    assert in_front.all(), "in_front of kernel predict is false where in_front is true"
+    assert_same("predict", numbers=(numbers, sensor.predict(c, points_c, values)), J=(J, wanted.by_point))
+    uvd = numbers[:, :3].copy()
+    k = sensor.seen_size
+    shapes = {"points": (count, k), "J": (count, k, 3), "J_values": (count, k, errors)}
+    points, J, back_by_values = kernels.of("backproject", camera, uvd, flat, **shapes)
+    back = sensor.backprojection_jacobians(c, uvd, values)
+    assert_same("backproject", points=(points, sensor.backproject(c, uvd, values)), J=(J, back.by_point))
+    if errors:
+        both = ((by_values, wanted, "predict"), (back_by_values, back, "backproject"))
+        for written, claimed, name in both:
+            assert_same(name, J_values=(written, np.concatenate([*claimed.by_variable.values()], axis=2)))
+
+
 CHECKS = (
     check_measurement_shapes,
     check_measurement_inverse,
     check_measurement_jacobians,
     check_measurement_stages,
+    check_measurement_kernels,
 )

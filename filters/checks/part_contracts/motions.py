@@ -7,9 +7,11 @@ from collections.abc import Mapping
 import numpy as np
 
 from filters.checks.part_contracts.comparison import assert_close, assert_refusal, moved_world
+from filters.checks.part_contracts.kernels import Kernels, assert_same
 from filters.contract.odometry import BodyVelocity
 from filters.geometry import differences, rotations
 from filters.motions.model import CAMERA_SIZE, CameraState, MotionModel, measure_odometry, predict_camera
+from filters.parts import kernels_of
 from filters.validation import FloatArray
 
 DT = 0.1
@@ -80,8 +82,27 @@ def check_motion_invariance(motion: MotionModel) -> None:
         assert_close(f"{name} in a moved world", in_another.variables[name], expected.variables[name], 1e-9)
 
 
+def check_motion_kernels(motion: MotionModel) -> None:
+    """Compiled functions, where there are any, say what those in NumPy do."""
+    if kernels_of(motion) is None:
+        return
+    kernels, (state, odometry) = Kernels(motion), _before(motion)
+    before, m = motion.numbers_of(state), CAMERA_SIZE + sum(v.size for v in motion.variables)
+    given = motion.odometry_numbers(odometry)
+    moved, F, Q = kernels.of("step", before, DT, given, moved=before.shape, F=(m, m), Q=(m, m))
+    wanted = motion.predict(state, DT, odometry)
+    added = wanted.G @ wanted.Q @ wanted.G.T
+    assert_same("step", moved=(moved, motion.numbers_of(wanted.state)), F=(F, wanted.F), Q=(Q, added))
+    measured, r = motion.odometry_measurement(wanted.state, DT, odometry), kernels_of(motion).rows
+    assert (measured is None) == (r == 0), f"rows of the kernels is {r}, odometry_measurement gives {measured}"
+    if measured is not None:
+        nu, H, R = kernels.of("measure", moved, DT, given, innovation=(r,), H=(r, m), R=(r, r))
+        assert_same("measure", innovation=(nu, measured.innovation), H=(H, measured.H), R=(R, measured.R))
+
+
 CHECKS = (
     check_motion_prediction,
     check_motion_jacobians,
     check_motion_invariance,
+    check_motion_kernels,
 )

@@ -1,6 +1,6 @@
 """Linear algebra of the kernels: LAPACK's Cholesky factor, small products and rank-k updates as vector instructions.
 
-BLAS spends more on its calls than on the work at these sizes. Here are also the compilation options of all kernels.
+BLAS spends more on its calls than on the work at these sizes.
 With `NUMBA_DISABLE_JIT=1` all kernels run as plain Python, and what is written in machine instructions here by NumPy.
 """
 
@@ -15,16 +15,22 @@ from numba import config, njit, types
 from numba.core import cgutils
 from numba.extending import get_cython_function_address, intrinsic
 
+from filters.engine.compiled.disk_cache import LINKED
+from filters.geometry.machine_code import compile_with
+
 PLAIN = bool(config.DISABLE_JIT)
 """Whether kernels are Python functions: their addresses are the functions themselves."""
+Routines = tuple[int, ...]
+"""Addresses of what kernels call."""
 ROUTINES = (get_cython_function_address("scipy.linalg.cython_lapack", "dpotrf"),)
 """Where this process has what LAPACK does: an argument of the kernels, so that these can be cached on disk."""
 ENTRY: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract"}, "nogil": True}
 """IEEE arithmetic with fused multiply-add, without Python's lock."""
 UNIT: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract"}, "_nrt": False}
 """For units."""
-KERNEL: dict[str, Any] = {**ENTRY, "_nrt": False, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-"""For functions that only kernels call: no counting of references, no way in from Python."""
+KERNEL: dict[str, Any] = {**ENTRY, **LINKED, "_nrt": False}
+"""For functions that only kernels call: no counting of references either."""
+compile_with(njit(**KERNEL))
 
 
 @intrinsic
@@ -205,7 +211,7 @@ subtract_square, add_square = _change_by_square(_less_square), _change_by_square
 
 
 @njit(**KERNEL)
-def cholesky(routines: tuple[int, ...], S: Any, rows: int, letters: Any, sizes: Any) -> bool:
+def cholesky(routines: Routines, S: Any, rows: int, letters: Any, sizes: Any) -> bool:
     """Cholesky factor of the first rows of S, its transpose in the upper triangle; whether LAPACK found one."""
     first = at(sizes)
     sizes[0], sizes[1], sizes[2] = rows, S.shape[1], 0

@@ -10,12 +10,11 @@ import math
 
 from numba import njit, types
 
-from filters.engine.compiled.blas import KERNEL, cholesky, multiply_panel, solve_triangular, subtract_square
-from filters.engine.compiled.covariance import keep_considered, restore_considered, take_leading, take_rows
-from filters.engine.compiled.prediction import measure_odometry
+from filters.engine.compiled.blas import KERNEL, Routines, cholesky, multiply_panel, solve_triangular, subtract_square
+from filters.engine.compiled.covariance import take_leading, take_row, take_rows
 from filters.engine.compiled.recipe import Plan
-from filters.engine.compiled.storage import CHUNK_ROWS, Scratch
-from filters.engine.compiled.units import ADDRESSES, GIVEN, GIVEN_COVARIANCE, INDEX, MATRIX, PLAN, SCRATCH, VECTOR, unit
+from filters.engine.compiled.scratch import CHUNK_ROWS, Scratch
+from filters.engine.compiled.units import ADDRESSES, INDEX, MATRIX, PLAN, SCRATCH, unit
 from filters.validation import FloatArray, IntArray
 
 DROWNED = 1e12
@@ -28,14 +27,14 @@ def times_covariance(
 ) -> None:
     """H P of the selected measurements first to last - 1, in the first rows of HP."""
     measured, held = plan.measured, -1
-    width = measured + (6 if plan.anchored else 3)
+    width = measured + (3 if plan.anchored else 0) + plan.size
     take_leading(P, n, measured, s.lead)
     for i in range(first, last):
         m = select[i]
         if plan.anchored and s.base[m, 0] != held:  # neighbours often share an anchor
             held = s.base[m, 0]
-            take_rows(P, n, held, s.lead[measured:])
-        take_rows(P, n, s.base[m, 1], s.lead[width - 3 :])
+            take_rows(P, n, held, 3, s.lead[measured:])
+        take_rows(P, n, s.base[m, 1], plan.size, s.lead[width - plan.size :])
         multiply_panel(s.HP[(i - first) * size :], 0, s.H[m], size, s.lead, 0, 0, width, n)
 
 
@@ -50,6 +49,10 @@ def take_columns(plan: Plan, s: Scratch, m: int, top: int, rows: int) -> None:
             shared[column + 1, row] = HP[row, base + 1]
             shared[column + 2, row] = HP[row, base + 2]
         column += 3
+    for c in range(3, plan.size):
+        for row in range(top, rows):
+            shared[column, row] = HP[row, s.base[m, 1] + c]
+        column += 1
 
 
 @njit(**KERNEL)
@@ -64,7 +67,7 @@ def take_leading_columns(plan: Plan, s: Scratch, rows: int) -> None:
 def innovation_covariance(plan: Plan, s: Scratch, select: IntArray, first: int, last: int, size: int) -> bool:
     """Upper triangle of S = (H P) H^T + R of these measurements; whether R is left in it."""
     S, rows = s.S, (last - first) * size
-    width = plan.measured + (6 if plan.anchored else 3)
+    width = plan.measured + (3 if plan.anchored else 0) + plan.size
     take_leading_columns(plan, s, rows)
     for i in range(first, last):
         m, top = select[i], (i - first) * size
@@ -79,13 +82,13 @@ def innovation_covariance(plan: Plan, s: Scratch, select: IntArray, first: int, 
 
 
 @njit(**KERNEL)
-def factorise(routines: tuple[int, ...], s: Scratch, rows: int) -> bool:
+def factorise(routines: Routines, s: Scratch, rows: int) -> bool:
     """Cholesky factor of S in place; whether there is one."""
     return cholesky(routines, s.S, rows, s.letters, s.sizes) and math.isfinite(s.S[rows - 1, rows - 1])
 
 
 @njit(**KERNEL)
-def absorb(routines: tuple[int, ...], P: FloatArray, n: int, s: Scratch, rows: int) -> float:
+def absorb(routines: Routines, P: FloatArray, n: int, s: Scratch, rows: int) -> float:
     """Correct P and delta by HP, its last column the innovation, and S; the NIS, or -1 without a Cholesky factor."""
     HP = s.HP
     if not factorise(routines, s, rows):
@@ -114,12 +117,14 @@ def explained(plan: Plan, s: Scratch, m: int, k: int) -> float:
         measured += 3
     for c in range(3):
         total += H[measured + c] * delta[s.base[m, 1] + c]
+    for c in range(3, plan.size):
+        total += H[measured + c] * delta[s.base[m, 1] + c]
     return total
 
 
 @njit(**KERNEL)
 def _take(
-    routines: tuple[int, ...],
+    routines: Routines,
     plan: Plan,
     P: FloatArray,
     n: int,
@@ -142,7 +147,7 @@ def _take(
 
 @unit(ADDRESSES, PLAN, MATRIX, types.int64, SCRATCH, INDEX, types.int64, types.int64)
 def correct(
-    routines: tuple[int, ...], plan: Plan, P: FloatArray, n: int, s: Scratch, select: IntArray, count: int, size: int
+    routines: Routines, plan: Plan, P: FloatArray, n: int, s: Scratch, select: IntArray, count: int, size: int
 ) -> None:
     """Kalman update with the selected measurements: P in place; delta, `used` and the NIS (`result`) written."""
     for j in range(n):
@@ -166,33 +171,8 @@ def correct(
 
 
 @njit(**KERNEL)
-def correct_leading(
-    routines: tuple[int, ...], P: FloatArray, n: int, H: FloatArray, nu: FloatArray, R: FloatArray, s: Scratch
-) -> bool:
-    """Kalman update with one measurement of the leading variables, H (k, leading); whether it was used."""
-    size, leading = H.shape
-    take_leading(P, n, leading, s.lead)
-    for j in range(n):
-        s.delta[j] = 0.0
-    for a in range(size):
-        for j in range(n):
-            s.HP[a, j] = 0.0
-        for c in range(leading):
-            if H[a, c] != 0.0:
-                for j in range(n):
-                    s.HP[a, j] += H[a, c] * s.lead[c, j]
-        s.HP[a, n] = nu[a]
-    for a in range(size):
-        for b in range(a, size):
-            s.S[a, b] = R[b, a]
-            for c in range(leading):
-                s.S[a, b] += s.HP[b, c] * H[a, c]
-    return absorb(routines, P, n, s, size) >= 0.0
-
-
-@njit(**KERNEL)
 def correct_rows(
-    routines: tuple[int, ...],
+    routines: Routines,
     P: FloatArray,
     n: int,
     rows: IntArray,
@@ -208,11 +188,7 @@ def correct_rows(
     """
     size, width = H.shape
     for j in range(width):
-        row, taken = rows[j], s.lead[j]
-        for i in range(row):
-            taken[i] = P[i, row]
-        for i in range(row, n):
-            taken[i] = P[row, i]
+        take_row(P, n, rows[j], s.lead[j])
     for top in range(0, size, 4):
         multiply_panel(s.HP[top:], 0, H[top:], min(4, size - top), s.lead, 0, 0, width, n)
     for a in range(size):
@@ -237,24 +213,3 @@ def correct_rows(
                 s.delta[j] += whitened * s.HP[a, j]
         subtract_square(P, s.HP, size, n)
     return nis
-
-
-@unit(ADDRESSES, PLAN, MATRIX, types.int64, VECTOR, types.float64, GIVEN, GIVEN_COVARIANCE, SCRATCH)
-def fuse(
-    routines: tuple[int, ...],
-    plan: Plan,
-    P: FloatArray,
-    n: int,
-    x: FloatArray,
-    dt: float,
-    odometry: FloatArray,
-    covariance: FloatArray,
-    s: Scratch,
-) -> None:
-    """Odometry as a measurement after the prediction: P in place, delta; `result` is 1 where it was used."""
-    measure_odometry(x, plan.velocity, dt, odometry, s.odometry, s.odometry_nu)
-    keep_considered(P, plan.considered, s.kept)
-    used = correct_leading(routines, P, n, s.odometry, s.odometry_nu, covariance, s)
-    if used:
-        restore_considered(P, plan.considered, s.kept, s.delta)
-    s.result[0] = 1.0 if used else 0.0

@@ -5,16 +5,25 @@ from __future__ import annotations
 from numba import njit
 
 from filters.engine.compiled.blas import KERNEL
-from filters.engine.compiled.storage import Scratch
+from filters.engine.compiled.scratch import Scratch
 from filters.validation import FloatArray, IntArray
 
 LOST = 1e-10
-"""Share of a variance of the pose that rounding may have made up; another order of the same sums then agrees."""
+"""Share of a variance of the pose that rounding may have made up."""
 
 
 @njit(**KERNEL)
-def take_rows(P: FloatArray, n: int, first: int, rows: FloatArray) -> None:
-    """Whole rows first to first + 2 of the symmetric P, (3, n)."""
+def take_row(P: FloatArray, n: int, row: int, taken: FloatArray) -> None:
+    """A whole row of the symmetric P, (n,)."""
+    for i in range(row):
+        taken[i] = P[i, row]
+    for i in range(row, n):
+        taken[i] = P[row, i]
+
+
+@njit(**KERNEL)
+def take_rows(P: FloatArray, n: int, first: int, count: int, rows: FloatArray) -> None:
+    """Whole rows first to first + count - 1 >= first + 2 of the symmetric P, (count, n)."""
     for j in range(first):
         rows[0, j], rows[1, j], rows[2, j] = P[j, first], P[j, first + 1], P[j, first + 2]
     for i in range(3):
@@ -22,6 +31,8 @@ def take_rows(P: FloatArray, n: int, first: int, rows: FloatArray) -> None:
             rows[i, j] = P[j, first + i]
         for j in range(first + i, n):
             rows[i, j] = P[first + i, j]
+    for i in range(3, count):
+        take_row(P, n, first + i, rows[i])
 
 
 @njit(**KERNEL)
@@ -108,51 +119,55 @@ def add_rank_six(P: FloatArray, n: int, G: FloatArray) -> None:
 
 
 @njit(**KERNEL)
-def shear_by_rotation(P: FloatArray, n: int, W: FloatArray, s: Scratch) -> None:
-    """P <- (I + W E^T) P (I + W E^T)^T, E selecting the rotation (rows 3 to 5); W (n, 3)."""
-    G, rotation = s.G, s.block
-    take_rows(P, n, 3, rotation)
+def shear(P: FloatArray, n: int, first: int, W: FloatArray, s: Scratch) -> None:
+    """P <- (I + W E^T) P (I + W E^T)^T, E selecting the rows first to first + 2; W (n, 3)."""
+    G, rows = s.G, s.block
+    take_rows(P, n, first, 3, rows)
     for j in range(n):
         for a in range(3):
             G[a, j] = W[j, a]
-            G[3 + a, j] = rotation[a, j] + 0.5 * (
-                W[j, 0] * rotation[0, 3 + a] + W[j, 1] * rotation[1, 3 + a] + W[j, 2] * rotation[2, 3 + a]
+            G[3 + a, j] = rows[a, j] + 0.5 * (
+                W[j, 0] * rows[0, first + a] + W[j, 1] * rows[1, first + a] + W[j, 2] * rows[2, first + a]
             )
     add_rank_six(P, n, G)
 
 
 @njit(**KERNEL)
 def scale_blocks(P: FloatArray, n: int, leading: int, D: FloatArray, s: Scratch) -> None:
-    """P <- blockdiag(I, D) P blockdiag(I, D)^T, with D (C, 3, 3) on the blocks behind the leading rows.
+    """P <- blockdiag(I, D) P blockdiag(I, D)^T, with D (C, s, s) on the blocks behind the leading rows.
 
-    Rows take the five diagonals of D^T as vectors, which a loop over blocks of three could not do.
+    Rows take the diagonals of D^T as vectors, which a loop over blocks of three could not do.
     """
-    diagonals, rows, turned = s.G, s.lead[:3], s.lead[3:6]
-    diagonals[:5, leading:n] = 0.0
-    for left in range(leading, n, 3):
-        A = D[(left - leading) // 3]
-        for j in range(3):
-            for k in range(3):
-                diagonals[2 + k - j, left + j] = A[j, k]
+    size = D.shape[1]
+    diagonals, rows, turned = s.G, s.lead[:size], s.lead[size : 2 * size]
+    diagonals[: 2 * size - 1, leading:n] = 0.0
+    for left in range(leading, n, size):
+        A = D[(left - leading) // size]
+        for j in range(size):
+            for k in range(size):
+                diagonals[size - 1 + k - j, left + j] = A[j, k]
     for i in range(leading):
-        _times_diagonals(P[i], leading, n, diagonals, rows[0], P[i])
-    for top in range(leading, n, 3):
-        for i in range(1, 3):  # the block on the diagonal has to be whole
+        _times_diagonals(P[i], leading, n, diagonals, size, rows[0], P[i])
+    for top in range(leading, n, size):
+        for i in range(1, size):  # the block on the diagonal has to be whole
             for j in range(i):
                 P[top + i, top + j] = P[top + j, top + i]
-        for i in range(3):
-            _times_diagonals(P[top + i], top, n, diagonals, rows[i], turned[i])
-        A = D[(top - leading) // 3]
-        for i in range(3):
+        for i in range(size):
+            _times_diagonals(P[top + i], top, n, diagonals, size, rows[i], turned[i])
+        A = D[(top - leading) // size]
+        for i in range(size):
             target, a, b, c = P[top + i], A[i, 0], A[i, 1], A[i, 2]
             for j in range(top, n):
                 target[j] = a * turned[0, j] + b * turned[1, j] + c * turned[2, j]
+            for k in range(3, size):
+                for j in range(top, n):
+                    target[j] += A[i, k] * turned[k, j]
 
 
 @njit(**KERNEL)
 def scale_block(P: FloatArray, n: int, first: int, D: tuple[float, ...], rows: FloatArray) -> None:
     """P <- blockdiag(I, D, I) P blockdiag(I, D, I)^T, with D (row by row) on the rows first to first + 2."""
-    take_rows(P, n, first, rows)
+    take_rows(P, n, first, 3, rows)
     for j in range(n):
         a, b, c = rows[0, j], rows[1, j], rows[2, j]
         for i in range(3):
@@ -170,29 +185,37 @@ def scale_block(P: FloatArray, n: int, first: int, D: tuple[float, ...], rows: F
 
 @njit(**KERNEL)
 def _times_diagonals(
-    row: FloatArray, first: int, n: int, diagonals: FloatArray, copied: FloatArray, target: FloatArray
+    row: FloatArray, first: int, n: int, diagonals: FloatArray, size: int, copied: FloatArray, target: FloatArray
 ) -> None:
-    """The columns first to n - 1 of a row times a matrix with these diagonals, -2 to 2, in `target`."""
+    """The columns first to n - 1 of a row times a matrix with these diagonals, 1 - size to size - 1, in `target`."""
+    m = size - 1
     for j in range(first, n):
         copied[j] = row[j]
     copied[first - 2] = copied[first - 1] = copied[n] = copied[n + 1] = 0.0
+    below, beside, on = diagonals[m - 2], diagonals[m - 1], diagonals[m]
     for j in range(first, n):
-        target[j] = diagonals[0, j] * copied[j - 2] + diagonals[1, j] * copied[j - 1] + diagonals[2, j] * copied[j]
+        target[j] = below[j] * copied[j - 2] + beside[j] * copied[j - 1] + on[j] * copied[j]
+    beside, above = diagonals[m + 1], diagonals[m + 2]
     for j in range(first, n):
-        target[j] += diagonals[3, j] * copied[j + 1] + diagonals[4, j] * copied[j + 2]
+        target[j] += beside[j] * copied[j + 1] + above[j] * copied[j + 2]
+    for d in range(3, size):
+        for j in range(first + d, n):
+            target[j] += diagonals[m - d, j] * copied[j - d]
+        for j in range(first, n - d):
+            target[j] += diagonals[m + d, j] * copied[j + d]
 
 
 @njit(**KERNEL)
-def move_block(P: FloatArray, origin: int, target: int) -> None:
-    """Rows target to target + 2 become those of the last block, at rows origin > target."""
+def move_block(P: FloatArray, origin: int, target: int, size: int) -> None:
+    """The rows of the block at row target become those of the last one, at row origin > target."""
     for j in range(target):
-        for c in range(3):
+        for c in range(size):
             P[j, target + c] = P[j, origin + c]
-    for a in range(3):
-        for c in range(a, 3):
+    for a in range(size):
+        for c in range(a, size):
             P[target + a, target + c] = P[origin + a, origin + c]
-    for j in range(target + 3, origin):
-        for c in range(3):
+    for j in range(target + size, origin):
+        for c in range(size):
             P[target + c, j] = P[j, origin + c]
 
 
@@ -230,26 +253,30 @@ def keep_definite(P: FloatArray, before: tuple[float, ...], factor: FloatArray) 
 
     A step whose numbers differ by 1e16 and more leaves less of a variance than its own rounding, which is a share of
     the variances `before` the step. What is added is about that size: the belief grows by hardly more than was lost,
-    and what is known exactly stays so.
+    and what was known exactly stays so.
     """
     share = LOST
-    while share <= 1e6 and not _has_factor(P, factor):  # what is not finite never has one
+    while share <= 1e6 and not _has_factor(P, before, factor):  # what is not finite never has one
         for i, variance in enumerate(before):
             P[i, i] = max(P[i, i], 0.0) + share * (abs(P[i, i]) + variance)
         share *= 10.0
 
 
 @njit(**KERNEL)
-def _has_factor(P: FloatArray, L: FloatArray) -> bool:
-    """Whether each variance of the pose, given those before it, is more than rounding makes up, or exactly zero."""
-    for j in range(6):
+def _has_factor(P: FloatArray, before: tuple[float, ...], L: FloatArray) -> bool:
+    """Whether the pose less what rounding makes up of each variance has a factor.
+
+    The least eigenvalue of its correlations is then LOST or more, and the rounding of any other order of the sums is
+    far below it. What is exactly zero was so before.
+    """
+    for j, variance in enumerate(before):
         for i in range(j, 6):
-            value = P[j, i]
+            value = P[j, i] if i > j else (1.0 - LOST) * P[j, j]
             for k in range(j):
                 value -= L[i, k] * L[j, k] * L[k, k]
             if i > j:
                 L[i, j] = value / L[j, j] if L[j, j] > 0.0 else 0.0
-            elif value > LOST * P[j, j] or P[j, j] == 0.0:
+            elif value > 0.0 or (value == 0.0 and variance == 0.0):
                 L[j, j] = value
             else:
                 return False

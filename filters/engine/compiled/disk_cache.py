@@ -9,29 +9,38 @@ Numba's own places (`NUMBA_CACHE_LOCATOR_CLASSES`) replaces these, too.
 from __future__ import annotations
 
 import hashlib
-import logging
 import re
 import sys
 from collections.abc import Callable
 from functools import cache
+from importlib.util import resolve_name
 from pathlib import Path
 from typing import Any
 
 from numba.core import caching, event
 
-_log = logging.getLogger(__name__)
-_PACKAGES = frozenset({"filters", "stereo_slam_env"})
+from filters.engine.compiled import progress
+from filters.engine.compiled.linking import BitcodeCompiler, KernelCompiler
+
+_PACKAGES = {"filters", "stereo_slam_env"}
 _IMPORT = re.compile(rb"^(?:from\s+([\w.]+)\s+import\s+(\([^)]*\)|[^\n]*)|import\s+([^\n]*))", re.MULTILINE)
 _NAME = re.compile(rb"[\w.]+")
 
 
+def include(module: str) -> None:
+    """Treat the package of a third party's module as one of ours: it has kernels."""
+    _PACKAGES.add(module.partition(".")[0])
+
+
 @cache
-def _read(path: str) -> tuple[bytes, frozenset[str]]:
+def _read(path: str, package: str) -> tuple[bytes, frozenset[str]]:
     """Digest of a source file, and the names that its imports may mean: modules, and what is taken from them."""
     source = Path(path).read_bytes()
     names = set()
-    for package, taken, modules in _IMPORT.findall(source):
-        base = package.decode()
+    for imported_from, taken, modules in _IMPORT.findall(source):
+        base = imported_from.decode()
+        if base.startswith("."):
+            base = resolve_name(base, package)
         words = [word.decode() for word in _NAME.findall(taken or modules)]
         names |= {base, *(f"{base}.{word}" for word in words)} if base else set(words)
     return hashlib.sha256(source).digest(), frozenset(name for name in names if _is_ours(name))
@@ -54,7 +63,7 @@ def sources_digest(module: str) -> str:
         path = getattr(sys.modules.get(name), "__file__", None)
         if path is None or name in found:  # a function or a class that was imported, no module
             continue
-        found[name], imported = _read(path)
+        found[name], imported = _read(path, getattr(sys.modules[name], "__package__", None) or name)
         waiting |= imported
     return hashlib.sha256(b"".join(name.encode() + found[name] for name in sorted(found))).hexdigest()[:16]
 
@@ -108,23 +117,20 @@ class _OfUser(_OfAllSources, caching.UserWideCacheLocator):
 
 
 class _Notice(event.Listener):
-    """What is logged once in a process when a kernel is compiled that was not on disk."""
+    """Listener for kernels that are compiled because they were not on disk."""
 
     def on_start(self, event: Any) -> None:
         """Before a function is compiled, unless it came from the disk."""
         if _is_ours(event.data["dispatcher"].py_func.__module__):
-            _say_that_it_takes_time()
+            progress.begin()
 
     def on_end(self, event: Any) -> None:
         """After it."""
 
 
-@cache
-def _say_that_it_takes_time() -> None:
-    _log.warning("compiling machine code that is not on disk yet: up to half a minute, once after a change of the code")
-
-
 event.register("numba:compile", _Notice())
 caching.CacheImpl._locator_classes[:0] = [_Chosen, _BesideModule, _OfUser]
-KEPT = {"cache": True}
-"""Option of Numba for functions whose machine code is kept on disk."""
+KEPT: dict[str, Any] = {"cache": True, "pipeline_class": KernelCompiler}
+"""Options of Numba for functions whose machine code is kept on disk: the same bits in the process that compiles."""
+LINKED: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "pipeline_class": BitcodeCompiler}
+"""Options for functions that only compiled ones call: no way in from Python."""

@@ -7,7 +7,7 @@ from numba import njit
 from filters.contract.drift import SMALLEST_DETERMINANT
 from filters.engine.compiled.blas import KERNEL
 from filters.engine.compiled.recipe import Plan
-from filters.engine.compiled.storage import Scratch
+from filters.engine.compiled.scratch import Scratch
 from filters.validation import FloatArray, IntArray
 
 

@@ -2,36 +2,46 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numba import njit, types
 
-from filters.engine.compiled.blas import ENTRY, KERNEL, ROUTINES, call
+from filters.engine.compiled.blas import ENTRY, KERNEL, PLAIN, ROUTINES, Routines, call
 from filters.engine.compiled.correction import (
     correct,
-    correct_leading,
     correct_rows,
     explained,
     factorise,
-    fuse,
     innovation_covariance,
     times_covariance,
 )
-from filters.engine.compiled.covariance import keep_considered, keep_definite, pose_variances, restore_considered
+from filters.engine.compiled.covariance import (
+    keep_considered,
+    keep_definite,
+    pose_variances,
+    restore_considered,
+    scale_blocks,
+    shear,
+)
 from filters.engine.compiled.disk_cache import KEPT
 from filters.engine.compiled.drift import take_steps
 from filters.engine.compiled.gating import largest_agreement, reweight, squared_distances
 from filters.engine.compiled.gauge_walk import walk_gauge
-from filters.engine.compiled.landmarks import can_start, clone_pose, close_gaps, enter, find, leave
-from filters.engine.compiled.prediction import orientation, predict, put, right_jacobian_of, times, transposed
-from filters.engine.compiled.projection import linearise, prepare, project, take_numbers
-from filters.engine.compiled.recipe import FIRST_ESTIMATES, INVARIANT, RIGHT_INVARIANT, Plan
-from filters.engine.compiled.retraction import moved_by, retract, retract_by_numbers, retract_invariant, transport
-from filters.engine.compiled.storage import BLOCKS, LANDMARKS, Frame, Scratch, Storage
+from filters.engine.compiled.landmarks import clone_pose, close_gaps, enter, find, leave, start
+from filters.engine.compiled.linearisation import linearise, prepare, take_numbers
+from filters.engine.compiled.prediction import fuse, orientation, predict, settle
+from filters.engine.compiled.progress import counted
+from filters.engine.compiled.recipe import Plan, Recipe
+from filters.engine.compiled.retraction import move, retract, retract_by_numbers, scales_blocks
+from filters.engine.compiled.scratch import Scratch
+from filters.engine.compiled.storage import BEHIND, BLOCKS, FAILED, GATED, LANDMARKS, USED, Frame, Storage
 from filters.engine.compiled.units import (
     ADDRESSES,
     AGREE,
+    BEGIN,
     CORRECT,
     DOORS,
     ENTER,
@@ -39,12 +49,13 @@ from filters.engine.compiled.units import (
     GATE,
     ITERATE,
     LINEARISE,
-    MATRIX,
+    OF_PARTS,
     PLAN,
     PREDICT,
     RETRACT,
     SCRATCH,
     STORAGE,
+    TO_CARRY,
     TO_CHANGE,
     TO_DRIFT,
     TO_LINEARISE,
@@ -52,25 +63,27 @@ from filters.engine.compiled.units import (
     TO_SELECT,
     TO_START,
     TO_WALK,
-    VECTOR,
     WALK,
     Unit,
+    of_part,
     read_frame,
     read_plan,
     read_scratch,
     read_storage,
     unit,
 )
+from filters.geometry.rotations import right_jacobian_of
+from filters.geometry.three_by_three import put, times, transposed
 from filters.validation import FloatArray, IntArray
 
-USED, BEHIND, GATED, FAILED, STARTED, REJECTED = range(6)
-"""Outcome of a measurement: used, behind the camera, gated, no Cholesky factor of S; started a landmark, or not."""
 FIRST, AGAIN, MOVED = range(3)
 """Where to linearise: at the state for the first time in a stage, there again, or where a correction leads."""
+CORRECTED, SETTLED = range(2)
+"""What a correction does to first estimates: landmarks leave them, odometry and other measurements move them along."""
 
 
 @njit(**KERNEL)
-def _ask(routines: tuple[int, ...], door: int, b: int, s: Scratch, what: int, count: int) -> bool:
+def _ask(routines: Routines, door: int, b: int, s: Scratch, what: int, count: int) -> bool:
     """Ask the parts of filter b for numbers; whether they gave them."""
     call(routines[DOORS], (door, b, s.door[0], what, count))
     return s.door[1] == 0
@@ -78,7 +91,7 @@ def _ask(routines: tuple[int, ...], door: int, b: int, s: Scratch, what: int, co
 
 @njit(**KERNEL)
 def _linearise(
-    routines: tuple[int, ...],
+    routines: Routines,
     plan: Plan,
     variant: int,
     stage: int,
@@ -93,7 +106,7 @@ def _linearise(
     """Innovation, H and first rows of the selected measurements; whether there were numbers."""
     if plan.by_numbers:
         return _ask(routines, TO_LINEARISE, b, s, (where * 2 + variant) * 8 + stage, count)
-    call(routines[LINEARISE], (plan, variant, stage, S, b, x, blocks, s, count))
+    call(routines[LINEARISE], (routines, plan, variant, stage, S, b, x, blocks, s, count))
     return True
 
 
@@ -111,15 +124,7 @@ def _limit(plan: Plan, frame: Frame, variant: int, stage: int) -> float:
 
 @njit(**KERNEL)
 def _steps(
-    routines: tuple[int, ...],
-    plan: Plan,
-    part: int,
-    variant: int,
-    stage: int,
-    S: Storage,
-    b: int,
-    s: Scratch,
-    count: int,
+    routines: Routines, plan: Plan, part: int, variant: int, stage: int, S: Storage, b: int, s: Scratch, count: int
 ) -> bool:
     """Steps of the selected landmarks before the first stage, by the Jacobian of (u, v, d)."""
     if stage > 0 or not plan.drift[part].any():
@@ -129,47 +134,25 @@ def _steps(
         if not _ask(routines, TO_DRIFT, b, s, part, count):
             return False
         return part > 0 or _linearise(routines, plan, variant, stage, S, b, x, blocks, s, count, AGAIN)
-    if not plan.joint and not _linearise(routines, plan, variant, whole, S, b, x, blocks, s, count, AGAIN):
-        return False
+    _linearise(routines, plan, variant, whole, S, b, x, blocks, s, count, AGAIN)
     take_steps(plan, plan.drift[part], S.P[b], s, s.select, count)
-    return plan.joint or _linearise(routines, plan, variant, stage, S, b, x, blocks, s, count, AGAIN)
+    return _linearise(routines, plan, variant, stage, S, b, x, blocks, s, count, AGAIN)
 
 
 @njit(**KERNEL)
-def _retract(routines: tuple[int, ...], plan: Plan, S: Storage, b: int, s: Scratch) -> bool:
+def _retract(routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch, what: int) -> bool:
     """Move the state by delta and carry P along; whether the parts could."""
-    if plan.moves_by_numbers and not _ask(routines, TO_MOVE, b, s, 0, 0):
+    if plan.moves_by_numbers and not _ask(routines, TO_MOVE, b, s, what, 0):
         return False
-    call(routines[RETRACT], (plan, S.P[b], S.x[b], S.blocks[b], S.kind[b], S.counts[b, BLOCKS], s))
+    call(routines[RETRACT], (routines, plan, S, b, s))
+    if what == SETTLED:
+        settle(plan, S.P[b], plan.leading + plan.size * S.counts[b, BLOCKS], S.x[b], S.predicted[b], s)
     return True
-
-
-@unit(PLAN, types.int64, types.int64, STORAGE, types.int64, VECTOR, MATRIX, SCRATCH, types.int64)
-def linearise_unit(
-    plan: Plan, variant: int, stage: int, S: Storage, b: int, x: FloatArray, blocks: FloatArray, s: Scratch, count: int
-) -> None:
-    """Innovations at a state, H there or at the first estimates."""
-    own, anchor = S.own[b], S.anchor[b]
-    if plan.error != FIRST_ESTIMATES:
-        linearise(plan, variant, stage, x, blocks, anchor, own, s, count)
-        return
-    point = s.point
-    for i in range(len(x)):
-        point[i] = S.predicted[b, i] if i < 7 else x[i]
-    first, at = S.first[b], s.point_blocks
-    for c in range(S.counts[b, BLOCKS]):
-        for i in range(3):
-            at[c, i] = first[c, i]
-    if plan.anchored:
-        for i in range(S.counts[b, LANDMARKS]):
-            at[own[i], 2] = blocks[own[i], 2]
-    linearise(plan, variant, stage, point, at, anchor, own, s, count)
-    project(plan, variant, stage, x, blocks, anchor, own, s, count)
 
 
 @njit(**KERNEL)
 def _believable(
-    routines: tuple[int, ...], plan: Plan, S: Storage, b: int, s: Scratch, count: int, size: int, limit: float
+    routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch, count: int, size: int, limit: float
 ) -> int:
     """Gate the selected measurements, linearised; those that pass stay selected, their number."""
     kept = 0
@@ -196,17 +179,21 @@ def _by_earlier_errors(plan: Plan, n: int, s: Scratch, count: int, size: int) ->
                     total += H[c] * s.W[c, a]
                 c = measured
                 for which in range(0 if plan.anchored else 1, 2):
-                    for j in range(3):
+                    for j in range(3 if which == 0 else plan.size):
                         total += H[c] * s.W[s.base[m, which] + j, a]
                         c += 1
                 s.nu[m, k] += total * s.delta[3 + a]
                 s.block[a, 0] = total
-            if plan.error == INVARIANT:  # the block-diagonal part
-                _times_block(H, 0, s.F)
+            if plan.resets:  # leading points turn
+                _times_block(H, 0, 3, s.F, s.G[0])
+                if plan.sees_velocity:
+                    _times_block(H, plan.velocity, 3, s.F, s.G[0])
+            if scales_blocks(plan):
                 c = measured
                 for which in range(0 if plan.anchored else 1, 2):
-                    _times_block(H, c, s.D[(s.base[m, which] - plan.leading) // 3])
-                    c += 3
+                    width = 3 if which == 0 else plan.size
+                    _times_block(H, c, width, s.D[(s.base[m, which] - plan.leading) // plan.size], s.G[0])
+                    c += width
             for a in range(3):
                 H[3 + a] += s.block[a, 0]
             s.nu[m, k] += explained(plan, s, m, k)
@@ -215,17 +202,18 @@ def _by_earlier_errors(plan: Plan, n: int, s: Scratch, count: int, size: int) ->
 
 
 @njit(**KERNEL)
-def _times_block(H: FloatArray, first: int, D: FloatArray) -> None:
-    """H[first:first + 3] <- H[first:first + 3] D."""
-    a, b, c = H[first], H[first + 1], H[first + 2]
-    for j in range(3):
-        H[first + j] = a * D[0, j] + b * D[1, j] + c * D[2, j]
+def _times_block(H: FloatArray, first: int, width: int, D: FloatArray, before: FloatArray) -> None:
+    """H[first:first + width] <- H[first:first + width] D, of D its first rows and columns."""
+    for j in range(width):
+        before[j] = H[first + j]
+    for j in range(width):
+        H[first + j] = 0.0
+        for k in range(width):
+            H[first + j] += before[k] * D[k, j]
 
 
 @njit(**KERNEL)
-def _propose(
-    routines: tuple[int, ...], plan: Plan, S: Storage, b: int, s: Scratch, count: int, size: int, n: int
-) -> None:
+def _propose(routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch, count: int, size: int, n: int) -> None:
     """delta of one pass, P as it was: from one batch, or chunk by chunk on a copy where that has no factor."""
     P, rows = S.P[b], count * size
     times_covariance(plan, P, n, s, s.select, 0, count, size)
@@ -265,52 +253,34 @@ def _left_jacobian(x: FloatArray, delta: FloatArray, J: FloatArray) -> None:
 
 @unit(ADDRESSES, PLAN, types.int64, types.int64, STORAGE, types.int64, SCRATCH, types.int64, types.int64)
 def iterate(
-    routines: tuple[int, ...],
-    plan: Plan,
-    variant: int,
-    stage: int,
-    S: Storage,
-    b: int,
-    s: Scratch,
-    count: int,
-    size: int,
+    routines: Routines, plan: Plan, variant: int, stage: int, S: Storage, b: int, s: Scratch, count: int, size: int
 ) -> None:
     """One pass before the last one: the selected measurements, linearised where it would move the state."""
-    x, blocks, counts, kind = S.x[b], S.blocks[b], S.counts[b], S.kind[b]
-    n = plan.leading + 3 * counts[BLOCKS]
+    n = plan.leading + plan.size * S.counts[b, BLOCKS]
     _propose(routines, plan, S, b, s, count, size, n)
     for i in plan.considered:
         s.delta[i] = 0.0
     if plan.moves_by_numbers:  # the linearisation is carried back where it is made
-        if _ask(routines, TO_MOVE, b, s, 0, 0):
+        if _ask(routines, TO_MOVE, b, s, CORRECTED, 0):
             _linearise(routines, plan, variant, stage, S, b, s.moved, s.moved_blocks, s, count, MOVED)
         return
-    moved_by(plan, x, blocks, counts[BLOCKS], s.delta, kind, s.moved, s.moved_blocks)
+    move(routines, plan, S, b, s)
     if not _linearise(routines, plan, variant, stage, S, b, s.moved, s.moved_blocks, s, count, MOVED):
         return
-    transport(plan, x, blocks, counts[BLOCKS], s.delta, kind, s.moved, s.moved_blocks, s.W, s.D)
-    if plan.error == INVARIANT:
-        _left_jacobian(x, s.delta, s.F)
+    if plan.resets:
+        _left_jacobian(S.x[b], s.delta, s.F)
     _by_earlier_errors(plan, n, s, count, size)
 
 
 @njit(**KERNEL)
 def _apply(
-    routines: tuple[int, ...],
-    plan: Plan,
-    variant: int,
-    stage: int,
-    S: Storage,
-    b: int,
-    s: Scratch,
-    count: int,
-    size: int,
+    routines: Routines, plan: Plan, variant: int, stage: int, S: Storage, b: int, s: Scratch, count: int, size: int
 ) -> tuple[float, int]:
     """Correct with the selected measurements, linearised: moves the state, writes fates; NIS and dof."""
     if count == 0:  # of the second stage of a joint test
         return 0.0, 0
     P, counts = S.P[b], S.counts[b]
-    n = plan.leading + 3 * counts[BLOCKS]
+    n = plan.leading + plan.size * counts[BLOCKS]
     if not _steps(routines, plan, 1, variant, stage, S, b, s, count):
         return 0.0, 0
     if plan.tail_dof < 1e300:
@@ -331,21 +301,13 @@ def _apply(
             dof += size
         else:
             s.fates[m] = FAILED
-    _retract(routines, plan, S, b, s)
+    _retract(routines, plan, S, b, s, CORRECTED)
     return nis, dof
 
 
 @njit(**KERNEL)
 def _stage(
-    routines: tuple[int, ...],
-    plan: Plan,
-    variant: int,
-    stage: int,
-    S: Storage,
-    b: int,
-    s: Scratch,
-    frame: Frame,
-    known: int,
+    routines: Routines, plan: Plan, variant: int, stage: int, S: Storage, b: int, s: Scratch, frame: Frame, known: int
 ) -> tuple[float, int]:
     """One stage of the update, with the measurements whose fate so far is USED; NIS and dof."""
     x, blocks, P = S.x[b], S.blocks[b], S.P[b]
@@ -375,8 +337,8 @@ def _stage(
         count = _believable(routines, plan, S, b, s, count, size, limit)
     if not (gated and plan.consensus):
         return _apply(routines, plan, variant, stage, S, b, s, count, size)
-    n = plan.leading + 3 * S.counts[b, BLOCKS]
-    T = plan.T[variant, stage] if not plan.by_numbers else frame.T[variant, stage]
+    n = plan.leading + plan.size * S.counts[b, BLOCKS]
+    T = plan.T_uvd[variant, stage] if not plan.by_numbers else frame.T[variant, stage]
     call(routines[AGREE], (plan, P, n, s, s.select, count, size, limit, T, stage))
     best = int(s.result[0])
     core = np.int64(0)
@@ -406,36 +368,25 @@ def _stage(
 
 @njit(**KERNEL)
 def _candidates(
-    routines: tuple[int, ...], plan: Plan, S: Storage, b: int, s: Scratch, frame: Frame, first: int, last: int
+    routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch, frame: Frame, first: int, last: int
 ) -> int:
-    """Measurements that landmarks can start from, in `place`, with their fates; their number."""
-    new, x = 0, S.x[b]
+    """Landmarks that start from measurements of unknown ones, in `place`, with their fates; their number."""
     if plan.by_numbers:
         if not _ask(routines, TO_START, b, s, first, last):
             return 0
         return int(s.result[0])
+    new = np.int64(0)
     for i in range(first, last):
         if s.where[i - first] < 0:
-            if can_start(plan, x, frame.uvd[i, 0], frame.uvd[i, 1], frame.uvd[i, 2]):
-                frame.fates[i] = STARTED
-                s.place[new] = i - first
-                new += 1
-            else:
-                frame.fates[i] = REJECTED
-    return new
+            s.place[new] = i - first
+            new += 1
+    call(routines[BEGIN], (routines, plan, S, b, s, frame, first, new))
+    return int(s.result[0])
 
 
 @njit(**KERNEL)
 def _renew(
-    routines: tuple[int, ...],
-    plan: Plan,
-    S: Storage,
-    b: int,
-    s: Scratch,
-    frame: Frame,
-    first: int,
-    last: int,
-    found: int,
+    routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch, frame: Frame, first: int, last: int, found: int
 ) -> None:
     """Landmarks that were not seen leave, new ones enter, and some change over to points."""
     landmarks, new, gone = S.counts[b, LANDMARKS], 0, 0
@@ -449,7 +400,9 @@ def _renew(
         if not _ask(routines, TO_SELECT, b, s, first, found * 65536 + new):
             return
         new = int(s.result[0])
-        if plan.by_numbers and not _ask(routines, TO_START, b, s, first, -new):
+        if not plan.by_numbers:
+            call(routines[BEGIN], (routines, plan, S, b, s, frame, first, new))
+        elif not _ask(routines, TO_START, b, s, first, -new):
             return
     if s.door[1] != 0:
         return
@@ -461,45 +414,55 @@ def _renew(
     if plan.changes and not _ask(routines, TO_CHANGE, b, s, 0, 0):
         return
     if new > 0:
-        call(routines[ENTER], (plan, S, b, s, frame.ids, frame.uvd, frame.R, first, new))
+        call(routines[ENTER], (plan, S, b, s, frame, first, new))
     if gone > 0 or plan.changes:
         close_gaps(plan, S, b)
     frame.outcome[b, 0] = gone
 
 
 @njit(**KERNEL)
-def _predict(routines: tuple[int, ...], plan: Plan, S: Storage, b: int, s: Scratch, frame: Frame, dt: float) -> None:
-    """The step of one filter, and odometry as a measurement after it."""
-    P, x, row = S.P[b], S.x[b], b if plan.driven_by_numbers else 0
-    n = plan.leading + 3 * S.counts[b, BLOCKS]
-    odometry, covariance = frame.odometry[b], frame.odometry_covariance[b]
-    if plan.gauge_walk > 0.0:
-        for i in range(7):
-            s.before[i] = x[i]
-    moved, F, Q = frame.moved[row], frame.F[row], frame.Q[row]
-    call(routines[PREDICT], (plan, P, n, x, S.predicted[b], dt, odometry, covariance, moved, F, Q, s))
-    if plan.gauge_walk > 0.0:
-        if plan.walks_by_numbers and not _ask(routines, TO_WALK, b, s, 0, 0):
-            return
-        call(routines[WALK], (plan, S, b, s, s.before))
-    if plan.driven_by_numbers:
-        rows = frame.measured[b]
-        if rows > 0:
-            keep_considered(P, plan.considered, s.kept)
-            used = correct_leading(
-                routines, P, n, frame.measured_H[b, :rows], frame.measured_nu[b], frame.measured_R[b], s
-            )
-            if used:
-                restore_considered(P, plan.considered, s.kept, s.delta)
-                _retract(routines, plan, S, b, s)
-    elif frame.fused[b] and not plan.velocity_driven:
-        call(routines[FUSE], (routines, plan, P, n, x, dt, odometry, covariance, s))
-        if s.result[0] > 0.0:
-            _retract(routines, plan, S, b, s)
+def _carry(routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch, back: int) -> bool:
+    """Landmarks from the frame of the camera to W, or back, with P; whether the parts could."""
+    n = plan.leading + plan.size * S.counts[b, BLOCKS]
+    if S.counts[b, LANDMARKS] > 0:
+        if not _ask(routines, TO_CARRY, b, s, back, 0):
+            return False
+        scale_blocks(S.P[b], n, plan.leading, s.D, s)
+        shear(S.P[b], n, 0, s.by_position, s)
+        shear(S.P[b], n, 3, s.W, s)
+    return True
 
 
 @njit(**KERNEL)
-def _advance(routines: tuple[int, ...], plan: Plan, S: Storage, b: int, s: Scratch, frame: Frame) -> None:
+def _predict(routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch, frame: Frame) -> None:
+    """The step of one filter, and odometry as a measurement after it."""
+    P, x = S.P[b], S.x[b]
+    n, before = plan.leading + plan.size * S.counts[b, BLOCKS], pose_variances(P)
+    if plan.gauge_walk > 0.0:
+        for i in range(7):
+            s.before[i] = x[i]
+    if plan.carries and not _carry(routines, plan, S, b, s, 0):
+        return
+    call(routines[PREDICT], (routines, plan, P, n, x, S.predicted[b], frame, b, s))
+    if plan.carries and not _carry(routines, plan, S, b, s, 1):
+        return
+    if plan.gauge_walk > 0.0:
+        if plan.walks_by_numbers and not _ask(routines, TO_WALK, b, s, 0, 0):
+            return
+        call(routines[WALK], (routines, plan, S, b, s, s.before))
+    keep_definite(P, before, s.half)
+    before = pose_variances(P)
+    if frame.measured[b] > 0 if plan.driven_by_numbers else frame.fused[b] and plan.odometry_rows > 0:
+        keep_considered(P, plan.considered, s.kept)
+        call(routines[FUSE], (routines, plan, P, n, x, frame, b, s))
+        if s.result[0] > 0.0:
+            restore_considered(P, plan.considered, s.kept, s.delta)
+            _retract(routines, plan, S, b, s, SETTLED)
+            keep_definite(P, before, s.half)
+
+
+@njit(**KERNEL)
+def _advance(routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch, frame: Frame) -> None:
     """The frame of one filter."""
     if not (frame.seen[b] or frame.dt[b] > 0.0):
         return
@@ -514,9 +477,7 @@ def _advance(routines: tuple[int, ...], plan: Plan, S: Storage, b: int, s: Scrat
         return
     P = S.P[b]
     if frame.dt[b] > 0.0:
-        before = pose_variances(P)
-        _predict(routines, plan, S, b, s, frame, frame.dt[b])
-        keep_definite(P, before, s.half)
+        _predict(routines, plan, S, b, s, frame)
     if s.door[1] != 0 or not frame.seen[b]:
         return
     known = np.int64(0)
@@ -547,9 +508,9 @@ def _advance(routines: tuple[int, ...], plan: Plan, S: Storage, b: int, s: Scrat
         _renew(routines, plan, S, b, s, frame, first, last, known)
 
 
-@njit(types.void(ADDRESSES, *[types.intp] * 4, types.int64, types.int64), _nrt=False, **KEPT, **ENTRY)
+@njit(_nrt=False, **KEPT, **ENTRY)
 def advance(
-    routines: tuple[int, ...], plan_at: int, storage_at: int, scratch_at: int, frame_at: int, first: int, last: int
+    routines: Routines, plan_at: int, storage_at: int, scratch_at: int, frame_at: int, first: int, last: int
 ) -> None:
     """The frames of the filters first to last - 1, in place, from what is `Packed` at these addresses.
 
@@ -562,12 +523,18 @@ def advance(
             return
 
 
+def compile_frame() -> None:
+    """Compile `advance`, or load it from the disk, before it is called."""
+    if not PLAIN:
+        advance.compile(types.void(ADDRESSES, *[types.intp] * 4, types.int64, types.int64))
+
+
 CLONE, FORGET, CLOSE_GAPS = range(3)
 """Changes of the map from outside of a frame."""
 
 
 @njit(_nrt=False, **KEPT, **ENTRY)
-def change(routines: tuple[int, ...], plan_at: int, storage_at: int, scratch_at: int, b: int, what: int) -> None:
+def change(routines: Routines, plan_at: int, storage_at: int, scratch_at: int, b: int, what: int) -> None:
     """Clone the pose of filter b, or take the landmarks marked in `gone` or blocks without users out of its map."""
     plan, S, s = read_plan(plan_at), read_storage(storage_at), read_scratch(scratch_at)
     if what == CLONE:
@@ -580,7 +547,7 @@ def change(routines: tuple[int, ...], plan_at: int, storage_at: int, scratch_at:
 
 @njit(_nrt=False, **KEPT, **ENTRY)
 def correct_by(
-    routines: tuple[int, ...],
+    routines: Routines,
     plan_at: int,
     storage_at: int,
     scratch_at: int,
@@ -593,35 +560,60 @@ def correct_by(
 ) -> None:
     """Correct filter b with a measurement that is linear in the errors at these rows; `result` is NIS, and if used."""
     plan, S, s = read_plan(plan_at), read_storage(storage_at), read_scratch(scratch_at)
-    P, n = S.P[b], plan.leading + 3 * S.counts[b, BLOCKS]
+    P, n = S.P[b], plan.leading + plan.size * S.counts[b, BLOCKS]
     before = pose_variances(P)
     keep_considered(P, plan.considered, s.kept)
     nis = correct_rows(routines, P, n, rows, H, nu, R, limit, s)
     used = 0.0 <= nis <= limit
     if used:
         restore_considered(P, plan.considered, s.kept, s.delta)
-        used = _retract(routines, plan, S, b, s)
+        used = _retract(routines, plan, S, b, s, SETTLED)
         keep_definite(P, before, s.half)
     s.result[0], s.result[1] = nis, 1.0 if used else 0.0
 
 
-def kernels(plan: Plan, fuses: bool) -> tuple[Any, ...]:
-    """Addresses that `advance` wants, of LAPACK and of the units; zero for those that this plan never calls.
+def kernels(recipe: Recipe, fuses: bool) -> tuple[Any, ...]:
+    """Compile `advance`, the units and the kernels of parts that this recipe calls; their addresses, zero for others.
 
-    That of the doors follows.
+    LAPACK's come first; that of the doors follows.
     """
+    plan = recipe.plan
     gated = plan.by_numbers or bool((plan.limits < np.inf).any())
-    by_error = retract if plan.error < RIGHT_INVARIANT else retract_invariant
     needed: dict[int, tuple[Unit, bool]] = {
         PREDICT: (predict, True),
         FUSE: (fuse, fuses),
-        LINEARISE: (linearise_unit, not plan.by_numbers),
+        LINEARISE: (linearise, not plan.by_numbers),
         GATE: (squared_distances, gated or plan.tail_dof < np.inf),
         AGREE: (largest_agreement, gated and plan.consensus),
         ITERATE: (iterate, plan.iterations > 1),
         CORRECT: (correct, True),
-        RETRACT: (retract_by_numbers if plan.moves_by_numbers else by_error, True),
+        RETRACT: (retract_by_numbers if plan.moves_by_numbers else retract, True),
+        BEGIN: (start, not plan.by_numbers),
         ENTER: (enter, True),
         WALK: (walk_gauge, plan.gauge_walk > 0.0),
     }
-    return (*ROUTINES, *(unit.address if called else 0 for _, (unit, called) in sorted(needed.items())))
+    turns = plan.turns or not plan.additive
+    parts = (
+        *((recipe.landmark, name, not plan.by_numbers or plan.gauge_walk > 0.0) for name in ("point", "start")),
+        *(
+            (recipe.landmark, name, turns or plan.first_estimates or plan.gauge_walk > 0.0)
+            for name in ("turn", "rotation")
+        ),
+        *((recipe.sensor, name, not plan.by_numbers) for name in ("predict", "backproject")),
+        (recipe.motion, "step", True),
+        (recipe.motion, "measure", fuses),
+    )
+    assert len(parts) == len(OF_PARTS)
+    asked: list[Callable[[], Any] | None] = [
+        partial(getattr, unit, "address") if called else None for _, (unit, called) in sorted(needed.items())
+    ]
+    asked += [partial(of_part, part, name) if part and called else None for part, name, called in parts]
+    addresses = [0] * len(asked)
+    with counted(1 + sum(ask is not None for ask in asked)) as count:
+        compile_frame()
+        count()
+        for place, ask in enumerate(asked):
+            if ask is not None:
+                addresses[place] = ask()
+                count()
+    return (*ROUTINES, *addresses)

@@ -6,30 +6,40 @@ import math
 
 from numba import njit, types
 
-from filters.engine.compiled.blas import KERNEL, multiply_panel
+from filters.engine.compiled.blas import KERNEL, Routines, call, multiply_panel
 from filters.engine.compiled.covariance import move_block, take_leading
-from filters.engine.compiled.prediction import (
-    constrain,
-    orientation,
-    put,
-    right_jacobian_of,
-    skew,
-    times,
-    transposed,
-    world_rotation,
+from filters.engine.compiled.linearisation import by_velocity, clear_all, sense, take_variables
+from filters.engine.compiled.prediction import clear, constrain, orientation, world_rotation
+from filters.engine.compiled.recipe import Plan
+from filters.engine.compiled.scratch import Scratch
+from filters.engine.compiled.storage import (
+    BLOCKS,
+    CLONE_POSITION,
+    LANDMARKS,
+    OWN,
+    POINT,
+    REJECTED,
+    STARTED,
+    Frame,
+    Storage,
 )
-from filters.engine.compiled.projection import view_of
-from filters.engine.compiled.recipe import FIRST_ESTIMATES, Plan
-from filters.engine.compiled.retraction import angles_jacobian, ray_rotation
-from filters.engine.compiled.storage import BLOCKS, CLONE_POSITION, LANDMARKS, OWN, POINT, Scratch, Storage
-from filters.engine.compiled.units import FRAME, PLAN, SCRATCH, STORAGE, unit
+from filters.engine.compiled.units import (
+    ADDRESSES,
+    BACKPROJECT,
+    EFFECT,
+    FRAME,
+    PLAN,
+    POINTS,
+    SCRATCH,
+    START,
+    STORAGE,
+    unit,
+)
+from filters.geometry.three_by_three import cross_matrix, put, times, transposed
 from filters.validation import BoolArray, FloatArray, IntArray
 
-NEW_IDS, NEW, NEW_NOISE = (FRAME.kind[FRAME.kind.fields.index(name)] for name in ("ids", "uvd", "R"))
 FARTHEST = 1e6
 """No camera measures a pixel or a disparity as large, px; squares of what would come of 1e300 overflow."""
-VERTICAL = 1e-6
-"""Tangent of the angle to the vertical below which azimuth is undefined in double precision."""
 
 
 @njit(**KERNEL)
@@ -86,7 +96,7 @@ def close_gaps(plan: Plan, S: Storage, b: int) -> None:
         if gap >= count:
             break
         last = count - 1
-        move_block(S.P[b], plan.leading + 3 * last, plan.leading + 3 * gap)
+        move_block(S.P[b], plan.leading + plan.size * last, plan.leading + plan.size * gap, plan.size)
         for i in range(S.blocks.shape[2]):
             S.blocks[b, gap, i], S.first[b, gap, i] = S.blocks[b, last, i], S.first[b, last, i]
         S.kind[b, gap] = S.kind[b, last]
@@ -105,105 +115,167 @@ def close_gaps(plan: Plan, S: Storage, b: int) -> None:
 
 
 @njit(**KERNEL)
-def can_start(plan: Plan, x: FloatArray, u: float, v: float, d: float) -> bool:
-    """Whether a landmark can start from a measurement (`MapPolicy._can_start`)."""
-    if not (abs(u) < FARTHEST and abs(v) < FARTHEST and abs(d) < FARTHEST and d >= plan.min_disparity):
-        return False
-    view = view_of(plan, x)
-    if not plan.anchored:
-        return d - view.offset > 0.0
-    h0, h1, h2 = times(transposed(view.E), (u - plan.cx) / view.scale_u, (v - plan.cy) / view.scale_v, 1.0)
-    w0, w1, w2 = times(view.R, h0, h1, h2)
-    return w0 * w0 + w2 * w2 > VERTICAL * VERTICAL * w1 * w1
+def _see_new(routines: Routines, plan: Plan, x: FloatArray, s: Scratch, count: int) -> None:
+    """New landmarks, with the values that they start with, in the camera frame (`points`), and the sensor's numbers."""
+    clear_all(s.by_own, count)
+    clear(s.points[:count])
+    call(routines[POINTS], (plan.landmark, s.values[:count], s.points[:count], s.by_own[:count]))
+    R_cw = transposed(orientation(x))
+    for i in range(count):
+        p, scale = s.points[i], 0.0 if plan.anchored else s.points[i, 3]
+        p[0], p[1], p[2] = times(R_cw, p[0] - scale * x[0], p[1] - scale * x[1], p[2] - scale * x[2])
+    sense(routines, plan, s, s.points, count)
 
 
 @njit(**KERNEL)
-def initialise(
-    plan: Plan, x: FloatArray, u: float, v: float, d: float, block: FloatArray, J: FloatArray, B: FloatArray
-) -> None:
-    """`LandmarkModel.initialise` with the calibration: block (3,), J by the measured leading rows, B by (u, v, d)."""
-    view, measured = view_of(plan, x), plan.measured
-    e0, e1 = (u - plan.cx) / view.scale_u, (v - plan.cy) / view.scale_v  # the ray (e0, e1, 1) that is projected
-    per_d = 1.0 / view.scale_d
-    scale = (d - view.offset) * per_d
-    E_back = transposed(view.E)
-    h0, h1, h2 = times(E_back, e0, e1, 1.0)
-    w0, w1, w2 = times(view.R, h0, h1, h2)
-    for i in range(3):
-        for c in range(measured):
-            J[i, c] = 0.0
-    length_squared = e0 * e0 + e1 * e1 + 1.0
-    inverse_length = 1.0 / math.sqrt(length_squared)
-    if plan.anchored:
-        block[0], block[1] = math.atan2(w0, w2), math.atan2(-w1, math.sqrt(w0 * w0 + w2 * w2))
-        block[2] = scale * inverse_length
-    else:
-        block[0], block[1], block[2] = x[0] + w0 / scale, x[1] + w1 / scale, x[2] + w2 / scale
-        for i in range(3):
-            J[i, i] = 1.0
-    A = angles_jacobian(w0, w1, w2)
-    left = transposed(right_jacobian_of(*view.misalignment))
-    for c in range(12):  # rotation (3), u, v, d, and the six numbers of the calibration
-        row = plan.calibration[c - 6] if c >= 6 else c
-        if row < 0:
+def _add_prior(plan: Plan, x: FloatArray, s: Scratch, i: int, kept: int) -> None:
+    """(I - G H) prior (I - G H)^T, G d numbers / d (u, v, d) of `small[0]` and H its inverse (`start_landmarks`)."""
+    G, H, by_open, J, by_own = s.small[0], s.small[1], s.small[2], s.by_point[i], s.by_own[i]
+    R, most = orientation(x), plan.size - 3
+    for p in range(most):
+        column = 3 + p
+        scale = 0.0 if plan.anchored else by_own[3, column]
+        w = by_own[:, column]
+        c0, c1, c2 = times(transposed(R), w[0] - scale * x[0], w[1] - scale * x[1], w[2] - scale * x[2])
+        for q in range(3):
+            H[q, p] = J[q, 0] * c0 + J[q, 1] * c1 + J[q, 2] * c2
+            for e in range(3, J.shape[1]):
+                H[q, p] += J[q, e] * by_own[e, column]
+        for a in range(plan.size):
+            by_open[a, p] = 1.0 if a == column else 0.0
+            for q in range(3):
+                by_open[a, p] -= G[a, q] * H[q, p]
+    for a in range(plan.size):
+        for c in range(a, plan.size):
+            for p in range(most):
+                for q in range(most):
+                    s.values_noise[kept, a, c] += by_open[a, p] * plan.prior[p, q] * by_open[c, q]
+
+
+@unit(ADDRESSES, PLAN, STORAGE, types.int64, SCRATCH, FRAME, types.int64, types.int64)
+def start(routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch, frame: Frame, first: int, count: int) -> None:
+    """Landmarks at the `count` measurements in `place` (Eq. 19-25); those that can start stay, `result` counts them."""
+    x, measured = S.x[b], plan.measured
+    others = s.back_by_values.shape[2]
+    for i in range(count):
+        for a in range(3):
+            s.uvd[i, a] = frame.uvd[first + s.place[i], a]
+    take_variables(plan, x, s)
+    clear_all(s.by_uvd, count)
+    clear_all(s.back_by_values, count)
+    clear(s.points_c[:count])
+    given = plan.sensor, plan.camera, s.uvd[:count], s.sensed
+    call(routines[BACKPROJECT], (*given, s.points_c[:count], s.by_uvd[:count], s.back_by_values[:count]))
+    R = orientation(x)
+    for i in range(count):
+        scale = s.points_c[i, 3]
+        s.points[i, 0], s.points[i, 1], s.points[i, 2] = times(R, s.points_c[i, 0], s.points_c[i, 1], s.points_c[i, 2])
+        for a in range(3, s.points.shape[1]):
+            s.points[i, a] = s.points_c[i, a]
+        if not plan.anchored:
+            for a in range(3):
+                s.points[i, a] += scale * x[a]
+    clear_all(s.by_start, count)
+    clear(s.values[:count])
+    for i in range(count):
+        s.possible[i] = False
+    call(routines[START], (plan.landmark, s.points[:count], s.values[:count], s.by_start[:count], s.possible[:count]))
+    if plan.size > 3:
+        _see_new(routines, plan, x, s, count)
+    kept = 0
+    for i in range(count):
+        able = s.possible[i]
+        for a in range(3):
+            u = s.uvd[i, a]
+            able = able and abs(u) < FARTHEST
+        for a in range(s.points.shape[1]):
+            able = able and math.isfinite(s.points[i, a])
+        able = able and s.uvd[i, 2] >= plan.min_disparity
+        m = first + s.place[i]
+        frame.fates[m] = STARTED if able else REJECTED
+        if not able:
             continue
-        d0, d1, d2, ds, along = 0.0, 0.0, 0.0, 0.0, 0.0  # of the ray in the camera frame, of the scale, of e along e
-        if c < 3:
-            a0, a1, a2 = 1.0 if c == 0 else 0.0, 1.0 if c == 1 else 0.0, 1.0 if c == 2 else 0.0
-            d0, d1, d2 = a1 * h2 - a2 * h1, a2 * h0 - a0 * h2, a0 * h1 - a1 * h0
-        elif c < 5:
-            by0, by1 = (1.0 / view.scale_u, 0.0) if c == 3 else (0.0, 1.0 / view.scale_v)
-            d0, d1, d2 = times(E_back, by0, by1, 0.0)
-            along = e0 * by0 + e1 * by1
-        elif c == 5:
-            ds = per_d
-        elif c == 6:
-            ds = -per_d
-        elif c == 7:
-            by0, by1 = -e0 / view.focal, -e1 / view.focal
-            d0, d1, d2 = times(E_back, by0, by1, 0.0)
-            along, ds = e0 * by0 + e1 * by1, -scale / view.focal
-        elif c == 8:
-            ds = -scale / view.baseline
-        else:  # E_back [e]x J_l
-            a0, a1, a2 = left[c - 9], left[3 + c - 9], left[6 + c - 9]
-            d0, d1, d2 = times(E_back, e1 * a2 - a1, a0 - e0 * a2, e0 * a1 - e1 * a0)
-        g0, g1, g2 = times(view.R, d0, d1, d2)
-        if plan.anchored:
-            by0 = A[0] * g0 + A[1] * g1 + A[2] * g2
-            by1 = A[3] * g0 + A[4] * g1 + A[5] * g2
-            by2 = inverse_length * (ds - scale * along / length_squared)
-        else:
-            over = ds / scale
-            by0, by1, by2 = (g0 - w0 * over) / scale, (g1 - w1 * over) / scale, (g2 - w2 * over) / scale
-        if c < 3:
-            J[0, 3 + c], J[1, 3 + c], J[2, 3 + c] = by0, by1, by2
-        elif c < 6:
-            B[0, c - 3], B[1, c - 3], B[2, c - 3] = by0, by1, by2
-        else:
-            J[0, row], J[1, row], J[2, row] = by0, by1, by2
+        H, B, h = s.H[kept], s.small[0], s.points_c[i]
+        for a in range(plan.size):
+            J = s.by_start[i, a]
+            by_scale = J[3]
+            if not plan.anchored:
+                by_scale += J[0] * x[0] + J[1] * x[1] + J[2] * x[2]
+            c0, c1, c2 = times(transposed(R), J[0], J[1], J[2])
+            for k in range(3):
+                H[a, k] = 0.0 if plan.anchored else h[3] * J[k]
+                by_uvd = s.by_uvd[i]
+                B[a, k] = c0 * by_uvd[0, k] + c1 * by_uvd[1, k] + c2 * by_uvd[2, k] + by_scale * by_uvd[3, k]
+                for e in range(4, len(J)):
+                    B[a, k] += J[e] * by_uvd[e, k]
+            H[a, 3], H[a, 4], H[a, 5] = h[1] * c2 - h[2] * c1, h[2] * c0 - h[0] * c2, h[0] * c1 - h[1] * c0
+            for j in range(others):
+                by_other = s.back_by_values[i]
+                along = c0 * by_other[0, j] + c1 * by_other[1, j] + c2 * by_other[2, j]
+                H[a, 6 + j] = along + by_scale * by_other[3, j]
+                for e in range(4, len(J)):
+                    H[a, 6 + j] += J[e] * by_other[e, j]
+            if plan.sees_velocity:
+                by_velocity(plan, x, H[a])
+        for a in range(plan.size):
+            for c in range(a, plan.size):
+                total = 0.0
+                for p in range(3):
+                    for q in range(3):
+                        total += B[a, p] * frame.R[m, p, q] * B[c, q]
+                s.values_noise[kept, a, c] = total
+        if plan.size > 3:
+            _add_prior(plan, x, s, i, kept)
+        for a in range(s.values.shape[1]):
+            s.values[kept, a] = s.values[i, a]
+        s.place[kept], s.anchored[kept] = s.place[i], plan.anchored
+        kept += 1
+    if plan.first_estimates:
+        source = s.W[: plan.leading]
+        world_rotation(plan, S.predicted[b], source)
+        clear_all(s.effect, kept)
+        if not plan.points:
+            call(routines[EFFECT], (plan.landmark, s.values[:kept], s.effect[:kept]))
+        for i in range(kept):
+            if plan.points:
+                put(s.effect[i], 0, 0, cross_matrix(s.values[i, 0], s.values[i, 1], s.values[i, 2]), -1.0)
+            constrain(s.H[i], plan.size, measured, s.effect[i], source, orientation(S.predicted[b]))
+    J = s.by_anchor
+    for a in range(3):
+        for k in range(measured):
+            J[a, k] = 1.0 if a == k else 0.0
+    if plan.first_estimates:
+        put(s.block, 0, 0, cross_matrix(x[0], x[1], x[2]), -1.0)
+        constrain(J, 3, measured, s.block, source, orientation(S.predicted[b]))
+    s.result[0] = kept
 
 
 @njit(**KERNEL)
-def _add_block(plan: Plan, S: Storage, b: int, s: Scratch, n: int, row: int, J: FloatArray) -> None:
-    """Columns row to row + 2 of the whole leading rows: P J^T."""
+def _add_block(plan: Plan, s: Scratch, row: int, J: FloatArray) -> None:
+    """Columns of the block at row `row` of the whole leading rows: P J^T; zero behind the rows of J."""
     for i in range(plan.measured):
-        for c in range(3):
+        for c in range(len(J)):
             total = 0.0
             for k in range(plan.measured):
                 total += s.lead[i, k] * J[c, k]
             s.lead[i, row + c] = total
+        for c in range(len(J), plan.size):
+            s.lead[i, row + c] = 0.0
 
 
 @njit(**KERNEL)
 def _write_rows(plan: Plan, P: FloatArray, n: int, row: int, J: FloatArray, s: Scratch) -> None:
-    """Rows row to row + 2 of P: J times the leading rows, whole."""
+    """Rows of the block at row `row` of P: J times the leading rows, whole; zero behind the rows of J."""
     block = s.block
-    multiply_panel(block, 0, J, 3, s.lead, 0, 0, plan.measured, n)
+    for top in range(0, len(J), 3):
+        multiply_panel(block[top:], 0, J[top:], min(3, len(J) - top), s.lead, 0, 0, plan.measured, n)
+    for c in range(len(J), plan.size):
+        for j in range(n):
+            block[c, j] = 0.0
     for j in range(row):
-        for c in range(3):
+        for c in range(plan.size):
             P[j, row + c] = block[c, j]
-    for c in range(3):
+    for c in range(plan.size):
         for j in range(row + c, n):
             P[row + c, j] = block[c, j]
 
@@ -234,18 +306,16 @@ def _merge(
     counts[LANDMARKS] += count
 
 
-@unit(PLAN, STORAGE, types.int64, SCRATCH, NEW_IDS, NEW, NEW_NOISE, types.int64, types.int64)
-def enter(
-    plan: Plan, S: Storage, b: int, s: Scratch, ids: IntArray, uvd: FloatArray, R: FloatArray, first: int, count: int
-) -> None:
-    """Add landmarks from the `count` measurements in `place` (`JointState.augment`); there is room for them."""
+@unit(PLAN, STORAGE, types.int64, SCRATCH, FRAME, types.int64, types.int64)
+def enter(plan: Plan, S: Storage, b: int, s: Scratch, frame: Frame, first: int, count: int) -> None:
+    """Add the `count` landmarks that have started (`JointState.augment`); there is room for them."""
     P, x, blocks, users, counts = S.P[b], S.x[b], S.blocks[b], S.users[b], S.counts[b]
     measured, leading = plan.measured, plan.leading
     taken, by_landmark, made = s.core, s.land, s.select  # parameter and anchor block of each, all anchor blocks
     gap, anchors = 0, 0
     for i in range(count):
         by_landmark[i] = -1
-        if plan.anchored and (not plan.by_numbers or s.anchored[i]):
+        if plan.anchored and s.anchored[i]:
             if anchors == 0 or not plan.shares_anchors:
                 while gap < counts[BLOCKS] and users[gap] > 0:
                     gap += 1
@@ -261,57 +331,29 @@ def enter(
         if gap == counts[BLOCKS]:
             counts[BLOCKS] += 1
         users[gap], taken[i] = 1, gap
-        free = by_landmark[i] < 0 and (plan.changes or not plan.own_landmarks)
+        free = by_landmark[i] < 0 and (plan.changes or plan.points)
         S.kind[b, gap] = POINT if free else OWN
-    n = leading + 3 * counts[BLOCKS]
+    n = leading + plan.size * counts[BLOCKS]
     take_leading(P, n, measured, s.lead)
-    source, image = s.W, s.W[leading:]
-    R_predicted = orientation(S.predicted[b])
-    if plan.error == FIRST_ESTIMATES:
-        world_rotation(S.predicted[b], plan.velocity, source[:leading])
-    J = s.F[:3]  # of an anchor
     for i in range(anchors):
         for a in range(3):
             blocks[made[i], a] = S.first[b, made[i], a] = x[a]
-            for k in range(measured):
-                J[a, k] = 1.0 if a == k else 0.0
-        if plan.error == FIRST_ESTIMATES:
-            put(image, 0, 0, skew(x[0], x[1], x[2]), -1.0)
-            constrain(J, 3, 6, image, source, R_predicted)
-        _add_block(plan, S, b, s, n, leading + 3 * made[i], J)
+        for a in range(3, blocks.shape[1]):
+            blocks[made[i], a] = S.first[b, made[i], a] = 0.0
+        _add_block(plan, s, leading + plan.size * made[i], s.by_anchor)
     for i in range(count):
-        m, block = first + s.place[i], blocks[taken[i]]
-        if plan.by_numbers:  # H and noise are there
-            for a in range(blocks.shape[1]):
-                block[a] = S.first[b, taken[i], a] = s.values[i, a]
-        else:
-            initialise(plan, x, uvd[m, 0], uvd[m, 1], uvd[m, 2], block, s.H[i, :3], s.R[i])
-            for a in range(3):
-                S.first[b, taken[i], a] = block[a]
-            if plan.error == FIRST_ESTIMATES:
-                if plan.anchored:
-                    effect = ray_rotation(block[0], block[1])
-                    for a in range(3):
-                        image[0, a], image[1, a], image[2, a] = effect[a], effect[3 + a], 0.0
-                else:
-                    put(image, 0, 0, skew(block[0], block[1], block[2]), -1.0)
-                constrain(s.H[i, :3], 3, 6, image, source, R_predicted)
-        _add_block(plan, S, b, s, n, leading + 3 * taken[i], s.H[i, :3])
+        for a in range(s.values.shape[1]):
+            blocks[taken[i], a] = S.first[b, taken[i], a] = s.values[i, a]
+        _add_block(plan, s, leading + plan.size * taken[i], s.H[i, : plan.size])
     for i in range(anchors):
-        _write_rows(plan, P, n, leading + 3 * made[i], J, s)
+        _write_rows(plan, P, n, leading + plan.size * made[i], s.by_anchor, s)
     for i in range(count):
-        m, row = first + s.place[i], leading + 3 * taken[i]
-        _write_rows(plan, P, n, row, s.H[i, :3], s)
-        noise = R[m]
-        for a in range(3):
-            for c in range(a, 3):
-                if plan.by_numbers:
-                    P[row + a, row + c] += s.values_noise[i, a, c]
-                    continue
-                for p in range(3):
-                    for q in range(3):
-                        P[row + a, row + c] += s.R[i, a, p] * noise[p, q] * s.R[i, c, q]
-    _merge(S.ids[b], S.own[b], S.anchor[b], counts, s, ids, first, count)
+        row = leading + plan.size * taken[i]
+        _write_rows(plan, P, n, row, s.H[i, : plan.size], s)
+        for a in range(plan.size):
+            for c in range(a, plan.size):
+                P[row + a, row + c] += s.values_noise[i, a, c]
+    _merge(S.ids[b], S.own[b], S.anchor[b], counts, s, frame.ids, first, count)
 
 
 @njit(**KERNEL)
@@ -330,15 +372,15 @@ def clone_pose(plan: Plan, S: Storage, b: int, s: Scratch) -> None:
         S.kind[b, gap] = CLONE_POSITION + k
         for i in range(3 + k):
             S.blocks[b, gap, i] = S.first[b, gap, i] = x[3 * k + i]
-    n, J = plan.leading + 3 * counts[BLOCKS], s.F[:3]
+    n, J = plan.leading + plan.size * counts[BLOCKS], s.F[:3]
     take_leading(P, n, plan.measured, s.lead)
     for step in range(2):
         for k in range(2):
-            row = plan.leading + 3 * places[k]
+            row = plan.leading + plan.size * places[k]
             for a in range(3):
                 for c in range(plan.measured):
                     J[a, c] = 1.0 if c == 3 * k + a else 0.0
             if step == 0:
-                _add_block(plan, S, b, s, n, row, J)
+                _add_block(plan, s, row, J)
             else:
                 _write_rows(plan, P, n, row, J, s)

@@ -1,17 +1,36 @@
-"""The kernel that reads maps as their cameras see them: positions and covariances relative to the camera."""
+"""Kernels that read maps as their cameras see them: relative to the camera, and as predicted measurements."""
 
 from __future__ import annotations
 
 import math
 
 import numpy as np
-from numba import njit
+from numba import njit, types
 
-from filters.engine.compiled.blas import ENTRY
+from filters.engine.compiled.blas import ENTRY, PLAIN, Routines, call
 from filters.engine.compiled.disk_cache import KEPT
-from filters.engine.compiled.prediction import orientation, times, transposed
+from filters.engine.compiled.linearisation import expect
+from filters.engine.compiled.prediction import orientation
 from filters.engine.compiled.storage import LANDMARKS
+from filters.engine.compiled.units import (
+    ADDRESSES,
+    FLAGS,
+    INDEX,
+    MATRICES,
+    MATRIX,
+    read_plan,
+    read_scratch,
+    read_storage,
+)
+from filters.geometry.three_by_three import cross_matrix, put, times, transposed
+from filters.motions.model import POSE_SIZE
 from filters.validation import BoolArray, FloatArray, IntArray
+
+
+@njit(**KEPT, **ENTRY)
+def points_at(address: int, settings: FloatArray, values: FloatArray, points: FloatArray, J: FloatArray) -> None:
+    """Homogeneous points of landmarks by the kernel of their parametrisation."""
+    call(address, (settings, values, points, J))
 
 
 @njit(**KEPT, **ENTRY)
@@ -24,6 +43,8 @@ def relative_landmarks(
     counts: IntArray,
     leading: int,
     anchored: bool,
+    points: FloatArray,
+    by_own: FloatArray,
     offsets: IntArray,
     points_c: FloatArray,
     covariances: FloatArray,
@@ -31,64 +52,119 @@ def relative_landmarks(
 ) -> None:
     """p_c = R_wc^T (p_w - r) of the landmarks of all filters, and its covariance; the last three are written.
 
-    `located`: in front of the anchor, at a finite distance, with a finite covariance.
+    `points` (M, seen) and `by_own` (M, seen, size) are those of `points_at`. `located`: in front of the anchor, at a
+    finite distance, with a finite covariance.
     """
-    J, own_P, JP = np.empty((3, 12)), np.empty((12, 12)), np.empty((3, 12))
-    rows = np.empty(12, dtype=np.int64)
-    rows[:6] = np.arange(6)
+    size = by_own.shape[2]
+    most = POSE_SIZE + 3 + size
+    J, own_P, JP = np.empty((3, most)), np.empty((most, most)), np.empty((3, most))
+    rows, width = np.empty(most, dtype=np.int64), POSE_SIZE + size + (3 if anchored else 0)
+    rows[:POSE_SIZE] = np.arange(POSE_SIZE)
     for b in range(len(x)):
-        R = orientation(x[b])
-        R_cw = transposed(R)
-        P_b, size = P[b], 12 if anchored else 9
+        R_cw, P_b = transposed(orientation(x[b])), P[b]
         for i in range(counts[b, LANDMARKS]):
-            m, place, block = offsets[b] + i, own[b, i], blocks[b, own[b, i]]
-            rows[6:9] = leading + 3 * place + np.arange(3)
-            w0, w1, w2 = block[0] - x[b, 0], block[1] - x[b, 1], block[2] - x[b, 2]
-            ahead = True
+            m, first = offsets[b] + i, POSE_SIZE
+            w0, w1, w2, origin = -x[b, 0], -x[b, 1], -x[b, 2], anchor[b, i]
             if anchored:
-                theta, phi, rho = block[0], block[1], block[2]
-                first = blocks[b, anchor[b, i]]
-                rows[9:12] = leading + 3 * anchor[b, i] + np.arange(3)
-                sin_theta, cos_theta, sin_phi, cos_phi = (
-                    math.sin(theta),
-                    math.cos(theta),
-                    math.sin(phi),
-                    math.cos(phi),
+                w0, w1, w2 = w0 + blocks[b, origin, 0], w1 + blocks[b, origin, 1], w2 + blocks[b, origin, 2]
+                rows[first : first + 3] = leading + size * origin + np.arange(3)
+                first += 3
+            rows[first : first + size] = leading + size * own[b, i] + np.arange(size)
+            z = 1.0 / points[m, 3]
+            d0, d1, d2 = z * points[m, 0], z * points[m, 1], z * points[m, 2]
+            for k in range(size):
+                by_scale = by_own[m, 3, k]
+                J[0, first + k], J[1, first + k], J[2, first + k] = times(
+                    R_cw,
+                    z * (by_own[m, 0, k] - d0 * by_scale),
+                    z * (by_own[m, 1, k] - d1 * by_scale),
+                    z * (by_own[m, 2, k] - d2 * by_scale),
                 )
-                z, ahead = 1.0 / rho, rho > 0.0
-                d0, d1, d2 = z * cos_phi * sin_theta, -z * sin_phi, z * cos_phi * cos_theta
-                w0, w1, w2 = first[0] + d0 - x[b, 0], first[1] + d1 - x[b, 1], first[2] + d2 - x[b, 2]
-                # columns: theta, phi, rho
-                J[0, 6], J[1, 6], J[2, 6] = times(R_cw, d2, 0.0, -d0)
-                J[0, 7], J[1, 7], J[2, 7] = times(
-                    R_cw, -z * sin_phi * sin_theta, -z * cos_phi, -z * sin_phi * cos_theta
-                )
-                J[0, 8], J[1, 8], J[2, 8] = times(R_cw, -z * d0, -z * d1, -z * d2)
-            c0, c1, c2 = times(R_cw, w0, w1, w2)
+            ahead = z > 0.0
+            c0, c1, c2 = times(R_cw, w0 + d0, w1 + d1, w2 + d2)
             points_c[m, 0], points_c[m, 1], points_c[m, 2] = c0, c1, c2
             for a in range(3):
                 for k in range(3):
                     J[a, k] = -R_cw[3 * a + k]
-                    J[a, size - 3 + k] = R_cw[3 * a + k]
-            J[0, 3], J[0, 4], J[0, 5] = 0.0, -c2, c1
-            J[1, 3], J[1, 4], J[1, 5] = c2, 0.0, -c0
-            J[2, 3], J[2, 4], J[2, 5] = -c1, c0, 0.0
-            for k in range(size):
-                for q in range(k, size):
+                    if anchored:
+                        J[a, POSE_SIZE + k] = R_cw[3 * a + k]
+            put(J, 0, 3, cross_matrix(c0, c1, c2), 1.0)
+            for k in range(width):
+                for q in range(k, width):
                     p = P_b[min(rows[k], rows[q]), max(rows[k], rows[q])]
                     own_P[k, q], own_P[q, k] = p, p
             for a in range(3):
-                for q in range(size):
+                for q in range(width):
                     total = 0.0
-                    for k in range(size):
+                    for k in range(width):
                         total += J[a, k] * own_P[k, q]
                     JP[a, q] = total
             finite = math.isfinite(c0) and math.isfinite(c1) and math.isfinite(c2)
             for a in range(3):
                 for q in range(3):
                     total = 0.0
-                    for k in range(size):
+                    for k in range(width):
                         total += JP[a, k] * J[q, k]
                     covariances[m, a, q] = total
                     finite = finite and math.isfinite(total)
             located[m] = ahead and finite
+
+
+@njit(_nrt=False, **KEPT, **ENTRY)
+def forecasts(
+    routines: Routines,
+    plan_at: int,
+    storage_at: int,
+    scratch_at: int,
+    first: int,
+    offsets: IntArray,
+    noise: FloatArray,
+    uvd: FloatArray,
+    S: FloatArray,
+    in_front: BoolArray,
+) -> None:
+    """Predicted (u, v, d) of all landmarks of some filters, from the first on, and H P H^T + R of each.
+
+    Landmarks of filter first + f are at offsets[f] to offsets[f + 1] - 1 of the last three, which are written; its
+    noise is noise[f].
+    """
+    plan, storage, s = read_plan(plan_at), read_storage(storage_at), read_scratch(scratch_at)
+    measured, width = plan.measured, plan.measured + (3 if plan.anchored else 0) + plan.size
+    for f in range(len(offsets) - 1):
+        b, begin, count = first + f, offsets[f], offsets[f + 1] - offsets[f]
+        expect(routines, plan, storage, b, s, count)
+        P = storage.P[b]
+        for i in range(count):
+            m, H = begin + i, s.H[i]
+            in_front[m] = s.in_front[i]
+            for k in range(3):
+                uvd[m, k] = s.numbers[i, k]
+            for a in range(width):
+                s.gate_rows[a] = a
+            if plan.anchored:
+                for a in range(3):
+                    s.gate_rows[measured + a] = s.base[i, 0] + a
+            for a in range(plan.size):
+                s.gate_rows[width - plan.size + a] = s.base[i, 1] + a
+            for k in range(3):
+                for a in range(width):
+                    s.gate_HP[k, a] = 0.0
+            for a in range(width):
+                for c in range(width):
+                    p, q = s.gate_rows[a], s.gate_rows[c]
+                    covariance = P[min(p, q), max(p, q)]
+                    for k in range(3):
+                        s.gate_HP[k, c] += H[k, a] * covariance
+            for k in range(3):
+                for j in range(3):
+                    total = 0.0
+                    for c in range(width):
+                        total += s.gate_HP[k, c] * H[j, c]
+                    S[m, k, j] = total + noise[f, k, j]
+
+
+def compile_forecasts() -> None:
+    """Compile `forecasts`, or load it from the disk, before it is called."""
+    if not PLAIN and not forecasts.signatures:
+        arrays = INDEX, MATRICES, MATRIX, MATRICES, FLAGS
+        forecasts.compile(types.void(ADDRESSES, *[types.intp] * 3, types.int64, *arrays))

@@ -1,4 +1,4 @@
-"""Recipe of a filter in plain numbers, as kernels read it: parts, options and the leading variables of its state."""
+"""Recipe of a filter in plain numbers, as kernels read it: options, kernels of parts and their settings, places."""
 
 from __future__ import annotations
 
@@ -10,56 +10,74 @@ import numpy as np
 from scipy.special import chdtri
 
 from filters.contract.drift import LandmarkDrift
+from filters.errors.model import ErrorKernels
+from filters.landmarks.model import LandmarkKernels
+from filters.measurements.model import MeasurementKernels, StageRows
+from filters.motions.model import CAMERA_SIZE, POSE_SIZE, MotionKernels
 from filters.validation import FloatArray, IntArray
 
-ERRORS = ("quaternion", "so3", "first-estimates", "right-invariant", "invariant")
-QUATERNION, SO3, FIRST_ESTIMATES, RIGHT_INVARIANT, INVARIANT = range(5)
-CALIBRATION_SIZE = 6
-POSE_SIZE = 6
 MOST_ROWS, MOST_STAGES = 4, 4  # of a landmark's measurement in one stage, and of these
 
 
 class Plan(NamedTuple):
     """A recipe as the kernels take it."""
 
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-    disparity_constant: float
+    camera: FloatArray
+    """fx, fy, cx, cy, baseline."""
+    landmark: FloatArray
+    """Settings of the parts' kernels."""
+    sensor: FloatArray
+    motion: FloatArray
+    size: int
+    """Rows of a block: error numbers of a landmark."""
+    prior: FloatArray
+    """Covariance of those behind the third, (size - 3, size - 3)."""
     anchored: bool
     shares_anchors: bool
-    error: int
+    additive: bool
+    """Whether a landmark's retraction is addition."""
+    points: bool
+    """Whether landmarks without an anchor are points of W."""
+    follows: IntArray
+    """Numbers of a landmark's value that first-estimates Jacobians take from the present."""
+    additive_quaternion: bool
+    first_estimates: bool
+    turns: bool
+    resets: bool
     by_numbers: bool
     """Whether parts give measurements and new landmarks by numbers, through the doors."""
     moves_by_numbers: bool
     """Whether parts move the state by numbers."""
     changes: bool
     """Whether landmarks may become points after a frame."""
+    carries: bool
+    """Whether a step moves landmarks, which are in the frame of the camera."""
     most_landmarks: int
     """Of the landmarks in view, 0: no limit."""
-    joint: bool
-    """Whether (u, v, d) is what the first stage has."""
-    own_landmarks: bool
-    """Whether the landmarks are none that the kernels know."""
     walks_by_numbers: bool
     driven_by_numbers: bool
+    odometry_rows: int
+    """Numbers of odometry as a measurement after the step, 0: it is none."""
     consensus: bool
     tail_dof: float
     iterations: int
     drop_unseen: bool
     min_disparity: float
-    velocity_driven: bool
-    sigma_acceleration: float
-    sigma_angular_acceleration: float
     measured: int
-    """Leading rows that the measurements depend on: pose and calibration."""
+    """Leading rows that the measurements depend on: the pose, variables of the sensor, perhaps the velocity."""
     velocity: int
     """First row of the velocity."""
+    sees_velocity: bool
     leading: int
     """Leading rows in all."""
-    calibration: IntArray
-    """Row of each error of the calibration, -1 where it is no variable; (6,)."""
+    sensed: IntArray
+    """Places among the values of the sensor's variables."""
+    moved: IntArray
+    """Places among the values of what the motion moves."""
+    moved_rows: IntArray
+    """Rows of what the motion moves."""
+    in_world: IntArray
+    """First rows of variables that are vectors in W."""
     considered: IntArray
     """Rows whose values never move."""
     walk: FloatArray
@@ -67,7 +85,9 @@ class Plan(NamedTuple):
     stages: IntArray
     """Number of stages without and with a measured right row, (2,)."""
     T: FloatArray
-    """(2, stages + 1, 4, 3); the last is (u, v, d)."""
+    """By the numbers of the sensor, (2, stages + 1, 4, 4); the last stage is (u, v, d)."""
+    T_uvd: FloatArray
+    """By (u, v, d), (2, stages + 1, 4, 3)."""
     rows: IntArray
     """(2, stages, 3): rows of the stage, the row that `v_right` is for, the row apart from the others (-1: none)."""
     apart_scale: FloatArray
@@ -81,56 +101,34 @@ class Plan(NamedTuple):
 
 
 @dataclass(frozen=True)
-class StageRows:
-    """One stage of the update: z = T (u, v, d).
-
-    Attributes
-    ----------
-    T : tuple of (3,) tuples
-        One for each row of the measurement.
-    right_row : int
-        Row that takes the separately measured v_right; -1: none.
-    apart_row : int
-        Row whose error is independent of the other rows; -1: none.
-    apart_scale : float
-        Factor of the variance of that row.
-    """
-
-    T: tuple[tuple[float, float, float], ...]
-    right_row: int = -1
-    apart_row: int = -1
-    apart_scale: float = 1.0
-
-
-JOINT = StageRows(((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)))
-"""(u, v, d)."""
-
-
-@dataclass(frozen=True)
 class Recipe:
     """What a filter does.
 
     Attributes
     ----------
-    fx, fy, cx, cy, disparity_constant : float
-        Of the rectified pair, px and px m.
-    anchored, shares_anchors : bool
-        Of the landmarks: whether they have anchors, and those of one frame the same.
-    value_size : int
-        Numbers of a landmark's value.
-    own_landmarks : bool
-        Whether they are none that the kernels know.
-    by_numbers, moves_by_numbers, walks_by_numbers, changes : bool
-        Whether parts give measurements and new landmarks, move the state, say what a move of the world does, and make
-        points of landmarks, by numbers.
+    camera : tuple of float
+        fx, fy, cx, cy, px, and the baseline, m.
+    landmark, sensor, motion, error : kernels, optional
+        Of the parts; None: they go by numbers.
+    landmark_settings, sensor_settings, motion_settings : tuple of float
+        First argument of these kernels.
+    stages, stages_with_right : tuple of StageRows
+        Stages of the update where the right row is not measured on its own, and where it is.
+    sensor_size, size, value_size, seen_size : int
+        Numbers of the sensor, of a landmark's error, of its value, and by which it is seen.
+    prior : tuple of tuple of float
+        Covariance of the error numbers behind the third.
+    anchored, shares_anchors, additive, follows
+        As of `LandmarkModel`.
+    resets : bool
+        Whether P is carried along by the full Jacobian where the map turns with the camera.
+    by_numbers, moves_by_numbers, walks_by_numbers, changes, carries : bool
+        Whether parts give measurements and new landmarks, move the state, say what a move of the world does, make
+        points of landmarks, and move landmarks with the camera, by numbers.
     parts : tuple
         Those that do.
     most_landmarks : int
         Of the landmarks in view, 0: no limit.
-    error : {"quaternion", "so3", "first-estimates", "right-invariant", "invariant"}
-        Error definition; "invariant" is the right-invariant one with P carried along by the full Jacobian.
-    stages, stages_with_right : tuple of StageRows
-        Stages of the update where the right row is not measured on its own, and where it is.
     gate : float, optional
         Probability with which a consistent landmark passes all stages.
     consensus, tail_dof, iterations, drop_unseen, min_disparity
@@ -139,43 +137,49 @@ class Recipe:
         Process noise of measured landmarks, with (u, v, d) in one stage.
     gauge_walk : float
         Of camera and map together, rad per root of a radian of image motion.
-    motion : {"constant-velocity", "velocity-driven"}, optional
-        Motion model; None: by numbers.
-    sigma_acceleration, sigma_angular_acceleration : float
-        Of constant velocity, m/s^2 and rad/s^2.
-    measured_others : int
-        Further leading rows that the measurements depend on, by numbers.
-    calibration : tuple of int
-        Which errors of the pair are variables, ascending: those of disparity (0), focal lengths (1), baseline (2) and
-        orientation (3, 4, 5), see `CalibratedPair`.
-    others : int
-        Further numbers of the state, after the velocity.
-    more_values : int
-        Numbers of variables whose values have more than their errors; they stand at the end.
+    measured : int
+        Leading rows that the measurements depend on.
+    velocity : int
+        First row of the velocity.
+    leading, values : int
+        Leading rows, a multiple of three, and numbers of the leading variables.
+    sensed, moved, moved_rows : tuple of int
+        Places of the values of the sensor's variables, and of the values and errors of what the motion moves.
+    in_world : tuple of int
+        First rows of variables that are vectors in W.
     considered : tuple of int
         Leading rows that have covariance and correlations, and whose values never move (Schmidt).
     walk : tuple of float
         Variance that each leading row gains in a second; () for none.
     """
 
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-    disparity_constant: float
+    camera: tuple[float, ...]
+    landmark: LandmarkKernels | None
+    sensor: MeasurementKernels | None
+    motion: MotionKernels | None
+    error: ErrorKernels | None
+    stages: tuple[StageRows, ...]
+    stages_with_right: tuple[StageRows, ...]
+    landmark_settings: tuple[float, ...] = ()
+    sensor_settings: tuple[float, ...] = ()
+    motion_settings: tuple[float, ...] = ()
+    sensor_size: int = 3
+    size: int = 3
+    value_size: int = 3
+    seen_size: int = 4
+    prior: tuple[tuple[float, ...], ...] = ()
     anchored: bool = True
     shares_anchors: bool = False
-    value_size: int = 3
+    additive: bool = True
+    follows: tuple[int, ...] = ()
+    resets: bool = False
     by_numbers: bool = False
     moves_by_numbers: bool = False
-    own_landmarks: bool = False
     walks_by_numbers: bool = False
     changes: bool = False
+    carries: bool = False
     parts: tuple[Any, ...] = ()
     most_landmarks: int = 0
-    error: str = "quaternion"
-    stages: tuple[StageRows, ...] = (JOINT,)
-    stages_with_right: tuple[StageRows, ...] = (JOINT,)
     gate: float | None = 0.99
     consensus: bool = False
     tail_dof: float | None = None
@@ -184,116 +188,97 @@ class Recipe:
     min_disparity: float | None = None
     drift: LandmarkDrift | None = None
     gauge_walk: float = 0.0
-    motion: str | None = "constant-velocity"
-    sigma_acceleration: float = 3.0
-    sigma_angular_acceleration: float = 0.6
-    measured_others: int = 0
-    calibration: tuple[int, ...] = ()
-    others: int = 0
-    more_values: int = 0
+    measured: int = POSE_SIZE
+    velocity: int = POSE_SIZE
+    leading: int = CAMERA_SIZE
+    values: int = CAMERA_SIZE + 1
+    sensed: tuple[int, ...] = ()
+    moved: tuple[int, ...] = ()
+    moved_rows: tuple[int, ...] = ()
+    in_world: tuple[int, ...] = ()
     considered: tuple[int, ...] = ()
     walk: tuple[float, ...] = ()
-
-    def __post_init__(self) -> None:
-        if self.error not in ERRORS:
-            raise ValueError(f"error must be one of {', '.join(map(repr, ERRORS))}, got {self.error!r}")
-        if list(self.calibration) != [k for k in range(CALIBRATION_SIZE) if k in self.calibration]:
-            raise ValueError(f"calibration must be ascending numbers below {CALIBRATION_SIZE}, got {self.calibration}")
-        if any(not 0 <= row < self.leading for row in self.considered):
-            raise ValueError(f"considered must be rows below {self.leading}, got {self.considered!r}")
-        if len(self.walk) not in (0, self.leading):
-            raise ValueError(f"walk must have a rate for each of the {self.leading} leading rows, got {len(self.walk)}")
-        if self.consensus and self.gate is None:
-            raise ValueError("gate must be a probability with consensus=True, got None: it is the limit of agreement")
-
-    @cached_property
-    def calibration_rows(self) -> IntArray:
-        """Row of each error of the calibration, -1 where it is no variable; (6,)."""
-        rows = np.full(CALIBRATION_SIZE, -1)
-        rows[[*self.calibration]] = POSE_SIZE + np.arange(len(self.calibration))
-        return rows
-
-    @property
-    def measured(self) -> int:
-        """Leading rows that the measurements depend on."""
-        return POSE_SIZE + len(self.calibration) + self.measured_others
-
-    @property
-    def velocity(self) -> int:
-        """First row of the velocity."""
-        return self.measured
-
-    @property
-    def leading(self) -> int:
-        """Leading rows, a multiple of three: the last ones may be zero."""
-        return -(-(self.measured + 6 + self.others) // 3) * 3
 
     @property
     def asks(self) -> bool:
         """Whether the kernels ask parts for numbers in the middle of a frame."""
-        return self.by_numbers or self.moves_by_numbers or self.walks_by_numbers or self.most_landmarks > 0
+        numbers = self.by_numbers or self.moves_by_numbers or self.walks_by_numbers
+        return numbers or self.carries or self.most_landmarks > 0
 
     @property
     def block_values(self) -> int:
         """Numbers of a block's value: those of an orientation at least."""
         return max(4, self.value_size)
 
-    @property
-    def values(self) -> int:
-        """Numbers of the leading variables: the orientation has four."""
-        return self.leading + 1 + self.more_values
-
     @cached_property
     def plan(self) -> Plan:
         """The recipe as the kernels take it."""
         variants = (self.stages, self.stages_with_right)
         most = max(map(len, variants)) + 1
-        T, rows = np.zeros((2, most, MOST_ROWS, 3)), np.full((2, most, 3), -1)
-        scales, limits = np.ones((2, most)), np.full((2, most), np.inf)
+        T, T_uvd = np.zeros((2, most, MOST_ROWS, MOST_ROWS)), np.zeros((2, most, MOST_ROWS, 3))
+        rows, scales, limits = np.full((2, most, 3), -1), np.ones((2, most)), np.full((2, most), np.inf)
+        whole = StageRows(tuple(map(tuple, np.eye(3, self.sensor_size).tolist())))
         for i, stages in enumerate(variants):
-            T[i, most - 1, :3], rows[i, most - 1, 0] = np.eye(3), 3
-            for j, stage in enumerate(stages):
-                T[i, j, : len(stage.T)] = stage.T
-                rows[i, j] = len(stage.T), stage.right_row, stage.apart_row
+            for j, stage in (*enumerate(stages), (most - 1, whole)):
+                size = len(stage.T)
+                T[i, j, :size, : len(stage.T[0])], T_uvd[i, j, :size] = stage.T, stage.of_uvd()
+                rows[i, j] = size, stage.right_row, stage.apart_row
                 scales[i, j] = stage.apart_scale
                 if self.gate is not None:
-                    limits[i, j] = chdtri(len(stage.T), 1.0 - self.gate ** (1 / len(stages)))
+                    limits[i, j] = chdtri(size, 1.0 - self.gate ** (1 / max(1, len(stages))))
+        error = self.error or ErrorKernels()
+
+        def floats(numbers: tuple[float, ...]) -> FloatArray:
+            return np.array(numbers, dtype=np.float64)
+
+        def integers(numbers: tuple[int, ...]) -> IntArray:
+            return np.array(numbers, dtype=np.int64)
+
         return Plan(
-            fx=float(self.fx),
-            fy=float(self.fy),
-            cx=float(self.cx),
-            cy=float(self.cy),
-            disparity_constant=float(self.disparity_constant),
+            camera=floats(self.camera),
+            landmark=floats(self.landmark_settings),
+            sensor=floats(self.sensor_settings),
+            motion=floats(self.motion_settings),
+            size=self.size,
+            prior=np.array(self.prior, dtype=np.float64).reshape(len(self.prior), len(self.prior)),
             anchored=self.anchored,
             shares_anchors=self.shares_anchors,
+            additive=self.additive,
+            points=self.landmark is not None and self.landmark.turn is None,
+            follows=integers(self.follows),
+            additive_quaternion=error.additive_quaternion,
+            first_estimates=error.first_estimates,
+            turns=error.turns,
+            resets=error.turns and self.resets,
             by_numbers=self.by_numbers,
             moves_by_numbers=self.moves_by_numbers,
             changes=self.changes,
+            carries=self.carries,
             most_landmarks=self.most_landmarks,
-            joint=not self.by_numbers and all(stages[0] == JOINT for stages in variants),
-            own_landmarks=self.own_landmarks,
             walks_by_numbers=self.walks_by_numbers,
             driven_by_numbers=self.motion is None,
-            error=ERRORS.index(self.error),
+            odometry_rows=0 if self.motion is None else self.motion.rows,
             consensus=self.consensus,
             tail_dof=float("inf") if self.tail_dof is None else float(self.tail_dof),
             iterations=self.iterations,
             drop_unseen=self.drop_unseen,
             min_disparity=-float("inf") if self.min_disparity is None else float(self.min_disparity),
-            velocity_driven=self.motion == "velocity-driven",
-            sigma_acceleration=float(self.sigma_acceleration),
-            sigma_angular_acceleration=float(self.sigma_angular_acceleration),
             measured=self.measured,
             velocity=self.velocity,
+            sees_velocity=self.measured > self.velocity,
             leading=self.leading,
-            calibration=self.calibration_rows,
-            considered=np.array(self.considered, dtype=np.int64),
-            walk=np.array(self.walk or np.zeros(self.leading), dtype=np.float64),
+            sensed=integers(self.sensed),
+            moved=integers(self.moved),
+            moved_rows=integers(self.moved_rows),
+            in_world=integers(self.in_world),
+            considered=integers(self.considered),
+            walk=floats(self.walk or (0.0,) * self.leading),
             stages=np.array([len(stages) for stages in variants]),
             T=T,
+            T_uvd=T_uvd,
             rows=rows,
             apart_scale=scales,
-            gauge_walk=float(self.gauge_walk),
             drift=np.zeros((2, 4)) if self.drift is None else self.drift.parts,
+            gauge_walk=float(self.gauge_walk),
             limits=limits,
         )

@@ -1,4 +1,4 @@
-"""Kernels of the error definitions: retractions of the state, and P carried along with them."""
+"""Kernels of the error definitions: corrections of the state, and P carried along with them."""
 
 from __future__ import annotations
 
@@ -6,62 +6,22 @@ import math
 
 from numba import njit, types
 
-from filters.engine.compiled.blas import KERNEL
-from filters.engine.compiled.covariance import identity, scale_block, scale_blocks, shear_by_rotation, transform_leading
-from filters.engine.compiled.prediction import (
-    matrix_of,
-    multiply,
-    orientation,
-    product_of,
-    put,
-    quaternion_of,
-    right_jacobian_of,
-    skew,
-    times,
-    transposed,
-)
-from filters.engine.compiled.recipe import FIRST_ESTIMATES, INVARIANT, QUATERNION, RIGHT_INVARIANT, Plan
-from filters.engine.compiled.storage import CLONE_POSITION, CLONE_ROTATION, OWN, POINT, Scratch
-from filters.engine.compiled.units import INDEX, MATRIX, PLAN, SCRATCH, VECTOR, unit
+from filters.engine.compiled.blas import KERNEL, Routines, call
+from filters.engine.compiled.covariance import identity, scale_block, scale_blocks, shear, transform_leading
+from filters.engine.compiled.linearisation import clear_all
+from filters.engine.compiled.prediction import clear, orientation
+from filters.engine.compiled.recipe import Plan
+from filters.engine.compiled.scratch import Scratch
+from filters.engine.compiled.storage import BLOCKS, CLONE_ROTATION, OWN, POINT, Storage
+from filters.engine.compiled.units import ADDRESSES, EFFECT, PLAN, SCRATCH, STORAGE, TURN, unit
 from filters.geometry.retractions import additive_transport_of
-from filters.validation import FloatArray, IntArray
-
-_additive_transport_of = njit(**KERNEL)(additive_transport_of)
-
-
-@njit(**KERNEL)
-def ray(theta: float, phi: float) -> tuple[float, float, float]:
-    """`inverse_depth.ray_direction`."""
-    across = math.cos(phi)
-    return across * math.sin(theta), -math.sin(phi), across * math.cos(theta)
+from filters.geometry.rotations import Four, Nine, matrix_of, product_of, quaternion_of, right_jacobian_of
+from filters.geometry.three_by_three import IDENTITY, cross_matrix, multiply, put, times, transposed
+from filters.validation import FloatArray
 
 
 @njit(**KERNEL)
-def angles_jacobian(x: float, y: float, z: float) -> tuple[float, ...]:
-    """`inverse_depth.angles_jacobian`, row by row."""
-    across_squared = x * x + z * z
-    across, length_squared = math.sqrt(across_squared), across_squared + y * y
-    below = length_squared * across
-    return z / across_squared, 0.0, -x / across_squared, x * y / below, -across / length_squared, z * y / below
-
-
-@njit(**KERNEL)
-def ray_rotation(theta: float, phi: float) -> tuple[float, ...]:
-    """Effect of a rotation of the world on (theta, phi): -A [m]x, row by row (2, 3)."""
-    x, y, z = ray(theta, phi)
-    a = angles_jacobian(x, y, z)
-    return (  # -a^T [m]x = (m x a)^T
-        y * a[2] - z * a[1],
-        z * a[0] - x * a[2],
-        x * a[1] - y * a[0],
-        y * a[5] - z * a[4],
-        z * a[3] - x * a[5],
-        x * a[4] - y * a[3],
-    )
-
-
-@njit(**KERNEL)
-def left_jacobian_derivative(t0: float, t1: float, t2: float, a0: float, a1: float, a2: float) -> tuple[float, ...]:
+def left_jacobian_derivative(t0: float, t1: float, t2: float, a0: float, a1: float, a2: float) -> Nine:
     """d (J_l(t) a) / d t, row by row."""
     square = t0 * t0 + t1 * t1 + t2 * t2
     angle = math.sqrt(square)
@@ -94,229 +54,184 @@ def left_jacobian_derivative(t0: float, t1: float, t2: float, a0: float, a1: flo
 
 
 @njit(**KERNEL)
-def moved_by(
-    plan: Plan,
-    x: FloatArray,
-    blocks: FloatArray,
-    count: int,
-    delta: FloatArray,
-    kind: IntArray,
-    moved: FloatArray,
-    moved_blocks: FloatArray,
-) -> None:
-    """The state corrected by delta."""
-    q0, q1, q2, v = delta[3], delta[4], delta[5], plan.velocity
-    for i in range(3):
-        moved[i] = x[i] + delta[i]
-    for i in range(6, plan.leading):
-        moved[i + 1] = x[i + 1] + delta[i]
-    turn = (0.5 * q0, 0.5 * q1, 0.5 * q2, 1.0) if plan.error == QUATERNION else quaternion_of(q0, q1, q2)
-    moved[3], moved[4], moved[5], moved[6] = product_of(x[3], x[4], x[5], x[6], turn[0], turn[1], turn[2], turn[3])
-    leading = plan.leading
-    for c in range(count):
-        row = leading + 3 * c
-        if kind[c] == CLONE_ROTATION:
-            q0, q1, q2 = delta[row], delta[row + 1], delta[row + 2]
-            own = (0.5 * q0, 0.5 * q1, 0.5 * q2, 1.0) if plan.error == QUATERNION else quaternion_of(q0, q1, q2)
-            q0, q1, q2, q3 = product_of(
-                blocks[c, 0], blocks[c, 1], blocks[c, 2], blocks[c, 3], own[0], own[1], own[2], own[3]
-            )
-            moved_blocks[c, 0], moved_blocks[c, 1], moved_blocks[c, 2], moved_blocks[c, 3] = q0, q1, q2, q3
-        else:
-            for i in range(3):
-                moved_blocks[c, i] = blocks[c, i] + delta[row + i]
-    if plan.error < RIGHT_INVARIANT:
-        return
-    q0, q1, q2 = delta[3], delta[4], delta[5]
-    R = orientation(x)
-    t0, t1, t2 = times(R, q0, q1, q2)
-    J = transposed(right_jacobian_of(t0, t1, t2))
-    e = quaternion_of(t0, t1, t2)
-    world = matrix_of(e[0], e[1], e[2], e[3])
-    for start in (0, v):  # position, linear velocity
-        shift = 0 if start == 0 else 1
-        a, b, c = times(J, delta[start], delta[start + 1], delta[start + 2])
-        moved[start + shift] = x[start + shift] + a
-        moved[start + shift + 1] = x[start + shift + 1] + b
-        moved[start + shift + 2] = x[start + shift + 2] + c
-    for k in range(count):
-        d0, d1, d2 = delta[leading + 3 * k], delta[leading + 3 * k + 1], delta[leading + 3 * k + 2]
-        if kind[k] == OWN:
-            theta, phi = blocks[k, 0], blocks[k, 1]
-            g = ray_rotation(theta, phi)
-            theta += d0 - (g[0] * t0 + g[1] * t1 + g[2] * t2)
-            phi += d1 - (g[3] * t0 + g[4] * t1 + g[5] * t2)
-            mx, my, mz = ray(theta, phi)
-            mx, my, mz = times(world, mx, my, mz)
-            moved_blocks[k, 0] = math.atan2(mx, mz)
-            moved_blocks[k, 1] = math.atan2(-my, math.sqrt(mx * mx + mz * mz))
-            moved_blocks[k, 2] = blocks[k, 2] + d2
-        elif kind[k] == POINT:
-            a, b, c = times(J, d0, d1, d2)
-            moved_blocks[k, 0], moved_blocks[k, 1] = blocks[k, 0] + a, blocks[k, 1] + b
-            moved_blocks[k, 2] = blocks[k, 2] + c
+def _rotated(plan: Plan, q: FloatArray, x: float, y: float, z: float) -> Four:
+    """Retraction of an orientation."""
+    if plan.additive_quaternion:
+        return product_of(q[0], q[1], q[2], q[3], 0.5 * x, 0.5 * y, 0.5 * z, 1.0)
+    e0, e1, e2, e3 = quaternion_of(x, y, z)
+    return product_of(q[0], q[1], q[2], q[3], e0, e1, e2, e3)
 
 
 @njit(**KERNEL)
-def transport(
-    plan: Plan,
-    x: FloatArray,
-    blocks: FloatArray,
-    count: int,
-    delta: FloatArray,
-    kind: IntArray,
-    moved: FloatArray,
-    moved_blocks: FloatArray,
-    W: FloatArray,
-    D: FloatArray,
-) -> None:
-    """Jacobian D + W E^T that takes errors at the state to errors where delta has moved it; E selects the rotation.
-
-    D is block-diagonal: (C, 3, 3) for the blocks, only for clones unless the error is `INVARIANT`. There W has the
-    whole column of the rotation on its own rows, and D the identity; the leading points turn as the point blocks do.
-    """
-    leading, v = plan.leading, plan.velocity
-    q0, q1, q2 = delta[3], delta[4], delta[5]
-    for i in range(leading + 3 * count):
-        for a in range(3):
-            W[i, a] = 0.0
-    if plan.error == FIRST_ESTIMATES:
-        return
-    R = orientation(x)
-    if plan.error < RIGHT_INVARIANT or plan.error == INVARIANT:
-        if plan.error == QUATERNION:
-            put(W, 3, 0, _additive_transport_of(q0, q1, q2), 1.0)
-        else:
-            put(W, 3, 0, right_jacobian_of(q0, q1, q2), 1.0)
-        for i in range(3):
-            W[3 + i, i] -= 1.0
-        for k in range(count):
-            if kind[k] >= CLONE_POSITION:
-                put(D[k], 0, 0, (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0), 1.0)
-                if kind[k] == CLONE_ROTATION:
-                    row = leading + 3 * k
-                    put(D[k], 0, 0, _turned(plan, delta[row], delta[row + 1], delta[row + 2]), 1.0)
-        if plan.error < RIGHT_INVARIANT:
-            return
-        t0, t1, t2 = times(R, q0, q1, q2)
-        J = transposed(right_jacobian_of(t0, t1, t2))
-        e = quaternion_of(t0, t1, t2)
-        world = matrix_of(e[0], e[1], e[2], e[3])
-        put(W, 0, 0, multiply(left_jacobian_derivative(t0, t1, t2, delta[0], delta[1], delta[2]), R), 1.0)
-        put(W, v, 0, multiply(left_jacobian_derivative(t0, t1, t2, delta[v], delta[v + 1], delta[v + 2]), R), 1.0)
-        for k in range(count):
-            row = leading + 3 * k
-            d0, d1, d2 = delta[row], delta[row + 1], delta[row + 2]
-            if kind[k] == OWN:
-                _transport_ray(blocks, moved_blocks, k, row, d0, d1, t0, t1, t2, world, J, R, W, D)
-            elif kind[k] == POINT:
-                put(W, row, 0, multiply(left_jacobian_derivative(t0, t1, t2, d0, d1, d2), R), 1.0)
-                put(D[k], 0, 0, J, 1.0)
-        return
-    # right-invariant: (Gamma+ - Gamma) R_wc
-    put(W, 0, 0, multiply(skew(moved[0] - x[0], moved[1] - x[1], moved[2] - x[2]), R), -1.0)
-    put(
-        W,
-        v,
-        0,
-        multiply(skew(moved[v + 1] - x[v + 1], moved[v + 2] - x[v + 2], moved[v + 3] - x[v + 3]), R),
-        -1.0,
-    )
-    put(W, 3, 0, multiply(transposed(orientation(moved)), R), 1.0)
-    for i in range(3):
-        W[3 + i, i] -= 1.0
-    for k in range(count):
-        row = leading + 3 * k
-        if kind[k] == CLONE_ROTATION:  # (R+^T - R^T) R_wc
-            before, after = transposed(_orientation(blocks, k)), transposed(_orientation(moved_blocks, k))
-            put(W, row, 0, multiply(after, R), 1.0)
-            minus = multiply(before, R)
-            for i in range(9):
-                W[row + i // 3, i % 3] -= minus[i]
-        elif kind[k] == OWN:
-            after = ray_rotation(moved_blocks[k, 0], moved_blocks[k, 1])
-            before = ray_rotation(blocks[k, 0], blocks[k, 1])
-            for i in range(2):
-                g0, g1, g2 = (
-                    after[3 * i] - before[3 * i],
-                    after[3 * i + 1] - before[3 * i + 1],
-                    after[3 * i + 2] - before[3 * i + 2],
-                )
-                for a in range(3):
-                    W[row + i, a] = g0 * R[a] + g1 * R[3 + a] + g2 * R[6 + a]
-        else:
-            d0, d1, d2 = (
-                moved_blocks[k, 0] - blocks[k, 0],
-                moved_blocks[k, 1] - blocks[k, 1],
-                moved_blocks[k, 2] - blocks[k, 2],
-            )
-            put(W, row, 0, multiply(skew(d0, d1, d2), R), -1.0)
+def _rotation_transport(plan: Plan, x: float, y: float, z: float) -> Nine:
+    """Its `Retraction.transport`, row by row."""
+    return additive_transport_of(x, y, z) if plan.additive_quaternion else right_jacobian_of(x, y, z)
 
 
 @njit(**KERNEL)
-def _turned(plan: Plan, x: float, y: float, z: float) -> tuple[float, ...]:
-    """`Retraction.transport` of an orientation, row by row."""
-    return _additive_transport_of(x, y, z) if plan.error == QUATERNION else right_jacobian_of(x, y, z)
-
-
-@njit(**KERNEL)
-def _orientation(blocks: FloatArray, k: int) -> tuple[float, ...]:
+def _orientation(blocks: FloatArray, k: int) -> Nine:
     """Rotation matrix of a block of a clone, row by row."""
     return matrix_of(blocks[k, 0], blocks[k, 1], blocks[k, 2], blocks[k, 3])
 
 
 @njit(**KERNEL)
-def _transport_ray(
-    blocks: FloatArray,
-    moved_blocks: FloatArray,
-    k: int,
-    row: int,
-    d0: float,
-    d1: float,
-    t0: float,
-    t1: float,
-    t2: float,
-    world: tuple[float, ...],
-    J: tuple[float, ...],
-    R: tuple[float, ...],
-    W: FloatArray,
-    D: FloatArray,
-) -> None:
-    """Rows of a direction of `transport`, `INVARIANT`: a+ = angles(Exp(theta) m(a + da - Gamma theta))."""
-    g = ray_rotation(blocks[k, 0], blocks[k, 1])
-    theta = blocks[k, 0] + d0 - (g[0] * t0 + g[1] * t1 + g[2] * t2)
-    phi = blocks[k, 1] + d1 - (g[3] * t0 + g[4] * t1 + g[5] * t2)
-    sin_theta, cos_theta, sin_phi, cos_phi = math.sin(theta), math.cos(theta), math.sin(phi), math.cos(phi)
-    mx, my, mz = times(world, cos_phi * sin_theta, -sin_phi, cos_phi * cos_theta)
-    A = angles_jacobian(mx, my, mz)
-    u0, u1, u2 = times(world, cos_phi * cos_theta, 0.0, -cos_phi * sin_theta)
-    w0, w1, w2 = times(world, -sin_phi * sin_theta, -cos_phi, -sin_phi * cos_theta)
-    D[k, 0, 2] = D[k, 1, 2] = D[k, 2, 0] = D[k, 2, 1] = 0.0
-    D[k, 2, 2] = 1.0
-    for i in range(2):
-        a0, a1, a2 = A[3 * i], A[3 * i + 1], A[3 * i + 2]
-        by_theta, by_phi = a0 * u0 + a1 * u1 + a2 * u2, a0 * w0 + a1 * w1 + a2 * w2
-        D[k, i, 0], D[k, i, 1] = by_theta, by_phi
-        # by theta of the world: -a^T [m+]x J_l - (by the angles) Gamma
-        x0, x1, x2 = my * a2 - mz * a1, mz * a0 - mx * a2, mx * a1 - my * a0
-        r0 = x0 * J[0] + x1 * J[3] + x2 * J[6] - by_theta * g[0] - by_phi * g[3]
-        r1 = x0 * J[1] + x1 * J[4] + x2 * J[7] - by_theta * g[1] - by_phi * g[4]
-        r2 = x0 * J[2] + x1 * J[5] + x2 * J[8] - by_theta * g[2] - by_phi * g[5]
-        for a in range(3):
-            W[row + i, a] = r0 * R[a] + r1 * R[3 + a] + r2 * R[6 + a]
+def _turn_own(routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch) -> None:
+    """The landmarks' own values corrected by delta in `moved_blocks`, and their rows of the Jacobian in D and W.
+
+    Where camera and map turn together that is a turn by `theta` after a correction less what the turn does.
+    """
+    blocks, kind, delta, theta = S.blocks[b], S.kind[b], s.delta, s.theta
+    R, values, count = orientation(S.x[b]), s.values_taken.shape[1], 0
+    theta[0], theta[1], theta[2] = 0.0, 0.0, 0.0
+    if plan.turns:
+        theta[0], theta[1], theta[2] = times(R, delta[3], delta[4], delta[5])
+    for k in range(S.counts[b, BLOCKS]):
+        if kind[k] == OWN:
+            row = plan.leading + plan.size * k
+            s.taken[count] = k
+            for a in range(values):
+                s.values_taken[count, a] = blocks[k, a]
+            for a in range(plan.size):
+                s.correction[count, a] = delta[row + a]
+            count += 1
+    if count == 0:
+        return
+    clear_all(s.effect, count)
+    if plan.turns:
+        call(routines[EFFECT], (plan.landmark, s.values_taken[:count], s.effect[:count]))
+        for i in range(count):
+            for a in range(plan.size):
+                for c in range(3):
+                    s.correction[i, a] -= s.effect[i, a, c] * theta[c]
+    clear_all(s.by_correction, count)
+    clear_all(s.by_theta, count)
+    clear(s.values_moved[:count])
+    given = plan.landmark, s.values_taken[:count], theta, s.correction[:count], s.values_moved[:count]
+    call(routines[TURN], (*given, s.by_correction[:count], s.by_theta[:count]))
+    for i in range(count):
+        for a in range(values):
+            s.moved_blocks[s.taken[i], a] = s.values_moved[i, a]
+    full = plan.resets or not plan.turns
+    if not full:  # the effect of a turn there less that here
+        for i in range(count):
+            for a in range(plan.size):
+                for c in range(3):
+                    s.by_theta[i, a, c] = -s.effect[i, a, c]
+        clear_all(s.effect, count)
+        call(routines[EFFECT], (plan.landmark, s.values_moved[:count], s.effect[:count]))
+    for i in range(count):
+        row, J = plan.leading + plan.size * s.taken[i], s.by_correction[i]
+        for a in range(plan.size):
+            if full:
+                for c in range(plan.size):
+                    s.D[s.taken[i], a, c] = J[a, c]
+            for c in range(3):
+                by_turn = s.by_theta[i, a, c]
+                if full:
+                    for k in range(plan.size):
+                        by_turn -= J[a, k] * s.effect[i, k, c]
+                else:
+                    by_turn += s.effect[i, a, c]
+                if plan.turns:
+                    for m in range(3):
+                        s.W[row + a, m] += by_turn * R[3 * c + m]
 
 
 @njit(**KERNEL)
-def _scale(plan: Plan, P: FloatArray, n: int, x: FloatArray, delta: FloatArray, s: Scratch) -> None:
-    """The block-diagonal part of `transport` on P: `shear_by_rotation` follows, with W over what it leaves of D."""
-    v = plan.velocity
-    t0, t1, t2 = times(orientation(x), delta[3], delta[4], delta[5])
-    J = transposed(right_jacobian_of(t0, t1, t2))
-    identity(s.F)
-    put(s.F, 0, 0, J, 1.0)
-    put(s.F, v, v, J, 1.0)
-    transform_leading(P, n, s)
-    scale_blocks(P, n, plan.leading, s.D, s)
+def scales_blocks(plan: Plan) -> bool:
+    """Whether the blocks of D matter: where P goes to the new tangent spaces, and these are others."""
+    return plan.resets or not (plan.additive or plan.turns or plan.first_estimates)
+
+
+@njit(**KERNEL)
+def move(routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch) -> None:
+    """The state corrected by delta in `moved` and `moved_blocks`, and the Jacobian D + W E^T that takes errors there.
+
+    E selects the rotation, and W has the whole column of it on its own rows. D is block-diagonal, (C, s, s) for the
+    blocks, and the identity for the other leading rows; where it `resets`, leading points turn as the point blocks do.
+    """
+    x, blocks, kind, count, delta = S.x[b], S.blocks[b], S.kind[b], S.counts[b, BLOCKS], s.delta
+    leading, v, moved, moved_blocks, W, D = plan.leading, plan.velocity, s.moved, s.moved_blocks, s.W, s.D
+    for i in range(leading + plan.size * count):
+        W[i, 0] = W[i, 1] = W[i, 2] = 0.0
+    for i in range(3):
+        moved[i] = x[i] + delta[i]
+    for i in range(6, leading):
+        moved[i + 1] = x[i + 1] + delta[i]
+    moved[3], moved[4], moved[5], moved[6] = _rotated(plan, x[3:7], delta[3], delta[4], delta[5])
+    R = orientation(x)
+    t0, t1, t2 = times(R, delta[3], delta[4], delta[5])
+    spread = transposed(right_jacobian_of(t0, t1, t2))
+    for k in range(count):
+        row = leading + plan.size * k
+        d0, d1, d2 = delta[row], delta[row + 1], delta[row + 2]
+        put(D[k], 0, 0, IDENTITY, 1.0)
+        for a in range(3, plan.size):
+            for c in range(a):
+                D[k, a, c] = D[k, c, a] = 0.0
+            D[k, a, a] = 1.0
+        if kind[k] == CLONE_ROTATION:
+            q0, q1, q2, q3 = _rotated(plan, blocks[k], d0, d1, d2)
+            moved_blocks[k, 0], moved_blocks[k, 1], moved_blocks[k, 2], moved_blocks[k, 3] = q0, q1, q2, q3
+            put(D[k], 0, 0, _rotation_transport(plan, d0, d1, d2), 1.0)
+            continue
+        if plan.turns and kind[k] == POINT:
+            if plan.resets:
+                put(W, row, 0, multiply(left_jacobian_derivative(t0, t1, t2, d0, d1, d2), R), 1.0)
+                put(D[k], 0, 0, spread, 1.0)
+            d0, d1, d2 = times(spread, d0, d1, d2)
+        moved_blocks[k, 0], moved_blocks[k, 1], moved_blocks[k, 2] = (
+            blocks[k, 0] + d0,
+            blocks[k, 1] + d1,
+            blocks[k, 2] + d2,
+        )
+        for a in range(3, plan.size):
+            moved_blocks[k, a] = blocks[k, a] + delta[row + a]
+    if plan.turns or not plan.additive:
+        _turn_own(routines, plan, S, b, s)
+    if plan.first_estimates:  # errors stay those of the linearisation point
+        return
+    if not plan.turns or plan.resets:
+        put(W, 3, 0, _rotation_transport(plan, delta[3], delta[4], delta[5]), 1.0)
+    if plan.turns:
+        for first in (0, v):  # position, linear velocity
+            at = first if first == 0 else first + 1
+            d0, d1, d2 = delta[first], delta[first + 1], delta[first + 2]
+            if plan.resets:
+                put(W, first, 0, multiply(left_jacobian_derivative(t0, t1, t2, d0, d1, d2), R), 1.0)
+            d0, d1, d2 = times(spread, d0, d1, d2)
+            moved[at], moved[at + 1], moved[at + 2] = x[at] + d0, x[at + 1] + d1, x[at + 2] + d2
+        if not plan.resets:
+            _turn_with_world(plan, S, b, R, s)
+    for i in range(3):
+        W[3 + i, i] -= 1.0
+
+
+@njit(**KERNEL)
+def _turn_with_world(plan: Plan, S: Storage, b: int, R: Nine, s: Scratch) -> None:
+    """(Gamma+ - Gamma) R_wc of all but the landmarks' own rows, in W: what a turn of the world does there and here."""
+    x, moved, blocks, moved_blocks, kind, W = S.x[b], s.moved, S.blocks[b], s.moved_blocks, S.kind[b], s.W
+    put(W, 3, 0, multiply(transposed(orientation(moved)), R), 1.0)
+    _put_shift(W, 0, x, moved, 0, R)
+    _put_shift(W, plan.velocity, x, moved, plan.velocity + 1, R)
+    for row in plan.in_world:
+        _put_shift(W, row, x, moved, row + 1, R)
+    for k in range(S.counts[b, BLOCKS]):
+        row = plan.leading + plan.size * k
+        if kind[k] == CLONE_ROTATION:
+            put(W, row, 0, multiply(transposed(_orientation(moved_blocks, k)), R), 1.0)
+            before = multiply(transposed(_orientation(blocks, k)), R)
+            for i in range(9):
+                W[row + i // 3, i % 3] -= before[i]
+        elif kind[k] != OWN:
+            _put_shift(W, row, blocks[k], moved_blocks[k], 0, R)
+
+
+@njit(**KERNEL)
+def _put_shift(W: FloatArray, row: int, before: FloatArray, after: FloatArray, at: int, R: Nine) -> None:
+    """-[after - before]x R_wc of a point."""
+    shift = cross_matrix(after[at] - before[at], after[at + 1] - before[at + 1], after[at + 2] - before[at + 2])
+    put(W, row, 0, multiply(shift, R), -1.0)
 
 
 @njit(**KERNEL)
@@ -329,48 +244,44 @@ def _take_moved(x: FloatArray, blocks: FloatArray, count: int, s: Scratch) -> No
             blocks[c, i] = s.moved_blocks[c, i]
 
 
-@unit(PLAN, MATRIX, VECTOR, MATRIX, INDEX, types.int64, SCRATCH)
-def retract(
-    plan: Plan, P: FloatArray, x: FloatArray, blocks: FloatArray, kind: IntArray, count: int, s: Scratch
-) -> None:
-    """Move the state by delta and carry P along, the errors of landmarks being additive."""
-    leading, delta = plan.leading, s.delta
-    n = leading + 3 * count
-    if plan.error < FIRST_ESTIMATES:
+@unit(ADDRESSES, PLAN, STORAGE, types.int64, SCRATCH)
+def retract(routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch) -> None:
+    """Move the state by delta and carry P along."""
+    P, count, delta = S.P[b], S.counts[b, BLOCKS], s.delta
+    n = plan.leading + plan.size * count
+    move(routines, plan, S, b, s)
+    if plan.resets:
+        t0, t1, t2 = times(orientation(S.x[b]), delta[3], delta[4], delta[5])
+        spread = transposed(right_jacobian_of(t0, t1, t2))
         identity(s.F)
-        put(s.F, 3, 3, _turned(plan, delta[3], delta[4], delta[5]), 1.0)
+        put(s.F, 0, 0, spread, 1.0)
+        put(s.F, plan.velocity, plan.velocity, spread, 1.0)
         transform_leading(P, n, s)
+    elif not (plan.turns or plan.first_estimates):
+        identity(s.F)
+        put(s.F, 3, 3, _rotation_transport(plan, delta[3], delta[4], delta[5]), 1.0)
+        transform_leading(P, n, s)
+    if scales_blocks(plan):
+        scale_blocks(P, n, plan.leading, s.D, s)
+    elif not (plan.turns or plan.first_estimates):
         for c in range(count):
-            row = leading + 3 * c
-            if kind[c] == CLONE_ROTATION:
-                scale_block(P, n, row, _turned(plan, delta[row], delta[row + 1], delta[row + 2]), s.block)
-    moved_by(plan, x, blocks, count, delta, kind, s.moved, s.moved_blocks)
-    _take_moved(x, blocks, count, s)
+            if S.kind[b, c] == CLONE_ROTATION:
+                row = plan.leading + plan.size * c
+                D = _rotation_transport(plan, delta[row], delta[row + 1], delta[row + 2])
+                scale_block(P, n, row, D, s.block)
+    if plan.turns:
+        shear(P, n, 3, s.W, s)
+    _take_moved(S.x[b], S.blocks[b], count, s)
 
 
-@unit(PLAN, MATRIX, VECTOR, MATRIX, INDEX, types.int64, SCRATCH)
-def retract_invariant(
-    plan: Plan, P: FloatArray, x: FloatArray, blocks: FloatArray, kind: IntArray, count: int, s: Scratch
-) -> None:
-    """The same where they turn with the world."""
-    delta, n = s.delta, plan.leading + 3 * count
-    moved_by(plan, x, blocks, count, delta, kind, s.moved, s.moved_blocks)
-    transport(plan, x, blocks, count, delta, kind, s.moved, s.moved_blocks, s.W, s.D)
-    if plan.error == INVARIANT:
-        _scale(plan, P, n, x, delta, s)
-    shear_by_rotation(P, n, s.W, s)
-    _take_moved(x, blocks, count, s)
-
-
-@unit(PLAN, MATRIX, VECTOR, MATRIX, INDEX, types.int64, SCRATCH)
-def retract_by_numbers(
-    plan: Plan, P: FloatArray, x: FloatArray, blocks: FloatArray, kind: IntArray, count: int, s: Scratch
-) -> None:
+@unit(ADDRESSES, PLAN, STORAGE, types.int64, SCRATCH)
+def retract_by_numbers(routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch) -> None:
     """The same by what the door has written: F, and D and W where `result` says so."""
-    n = plan.leading + 3 * count
+    P, count = S.P[b], S.counts[b, BLOCKS]
+    n = plan.leading + plan.size * count
     transform_leading(P, n, s)
     if s.result[0] > 0.0:
         scale_blocks(P, n, plan.leading, s.D, s)
     if s.result[1] > 0.0:
-        shear_by_rotation(P, n, s.W, s)
-    _take_moved(x, blocks, count, s)
+        shear(P, n, 3, s.W, s)
+    _take_moved(S.x[b], S.blocks[b], count, s)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -10,10 +11,11 @@ import numpy as np
 from filters.engine.compiled.recipe import MOST_ROWS, MOST_STAGES, Recipe
 from filters.validation import BoolArray, FloatArray, IntArray
 
-CHUNK_ROWS = 36  # of measurement corrected with at a time: more cost more to factorise, fewer pass over P more often
 LANDMARKS, BLOCKS = 0, 1
 POINT, OWN, CLONE_POSITION, CLONE_ROTATION = range(4)
 """Kinds of blocks: points of W, a landmark's own numbers, and the two blocks of a clone of the pose."""
+USED, BEHIND, GATED, FAILED, STARTED, REJECTED = range(6)
+"""Outcome of a measurement: used, behind the camera, gated, no Cholesky factor of S; started a landmark, or not."""
 
 
 class Storage(NamedTuple):
@@ -28,9 +30,9 @@ class Storage(NamedTuple):
     x: FloatArray
     """Values of the leading variables, (B, values)."""
     predicted: FloatArray
-    """The same as they were predicted last, before any correction."""
+    """The same before landmarks last corrected them."""
     blocks: FloatArray
-    """Values of the blocks, (B, C, v): block c is at the rows leading + 3 c of P."""
+    """Values of the blocks, (B, C, v): block c of s rows is at the rows leading + s c of P."""
     first: FloatArray
     """The same when they entered."""
     ids: IntArray
@@ -57,9 +59,9 @@ class Frame(NamedTuple):
     fused: BoolArray
     """Whether there is odometry, (B,)."""
     odometry: FloatArray
-    """(B, 6)."""
-    odometry_covariance: FloatArray
-    """(B, 6, 6)."""
+    """`MotionModel.odometry_numbers`, (B, K, w)."""
+    odometry_rows: IntArray
+    """Rows of it that there are, (B,)."""
     seen: BoolArray
     """Whether there is an observation, (B,)."""
     offsets: IntArray
@@ -112,79 +114,19 @@ class Frame(NamedTuple):
     """(stages, M, 4, 4)."""
 
 
-class Scratch(NamedTuple):
-    """Room for one filter's frame at a time: one for each thread."""
-
-    F: FloatArray
-    old: FloatArray
-    half: FloatArray
-    changed: BoolArray
-    lead: FloatArray
-    """(leading or measured + 6, n): whole leading rows of P, and of the blocks of one landmark."""
-    G: FloatArray
-    """(6, n): factors of a change of rank six."""
-    block: FloatArray
-    point: FloatArray
-    before: FloatArray
-    moved: FloatArray
-    moved_blocks: FloatArray
-    point_blocks: FloatArray
-    where: IntArray
-    """Landmark of each measurement, -1: not in the map, (M,)."""
-    place: IntArray
-    land: IntArray
-    fates: IntArray
-    select: IntArray
-    core: IntArray
-    base: IntArray
-    z: FloatArray
-    R: FloatArray
-    H: FloatArray
-    """(M, 4, measured + 6): by leading rows, anchor, own rows."""
-    nu: FloatArray
-    distances: FloatArray
-    ahead: BoolArray
-    used: BoolArray
-    support: BoolArray
-    HP: FloatArray
-    S: FloatArray
-    shared: FloatArray
-    delta: FloatArray
-    kept: FloatArray
-    W: FloatArray
-    D: FloatArray
-    copy: FloatArray
-    odometry: FloatArray
-    odometry_nu: FloatArray
-    gate_rows: IntArray
-    gate_P: FloatArray
-    gate_HP: FloatArray
-    inverse_R: FloatArray
-    small: FloatArray
-    result: FloatArray
-    """What a unit gives back, (2,)."""
-    noise: FloatArray
-    """R of (u, v, d) of each measurement, (M, 3, 3)."""
-    gone: BoolArray
-    """Landmarks that leave, (C,)."""
-    values: FloatArray
-    """Of new landmarks, (M, v)."""
-    values_noise: FloatArray
-    """What the measurement adds to their covariance, (M, 3, 3)."""
-    anchored: BoolArray
-    """Whether they have an anchor, (M,)."""
-    door: IntArray
-    """Number of the thread, and whether a part has failed, (2,)."""
-    letters: IntArray
-    sizes: IntArray
-    """Arguments of LAPACK."""
+def aligned(*shape: int) -> FloatArray:
+    """Zeros from the start of a line of the cache on: vectors of eight numbers do not lie across two of them."""
+    size = math.prod(shape)
+    room = np.zeros(size + 7)
+    first = -(room.ctypes.data // 8) % 8
+    return room[first : first + size].reshape(shape)
 
 
 def empty_storage(recipe: Recipe, filters: int, blocks: int) -> Storage:
     """Storage of filters without a map, with room for so many blocks."""
-    rows = padded(recipe.leading + 3 * blocks)
+    rows = padded(recipe.leading + recipe.size * blocks)
     return Storage(
-        P=np.zeros((filters, rows, rows)),
+        P=aligned(filters, rows, rows),
         x=np.zeros((filters, recipe.values)),
         predicted=np.zeros((filters, recipe.values)),
         blocks=np.zeros((filters, blocks, recipe.block_values)),
@@ -210,66 +152,6 @@ def grown(storage: Storage, recipe: Recipe, blocks: int) -> Storage:
 def padded(rows: int) -> int:
     """Rows of P with a distance between them that does not fall on the same lines of a cache."""
     return -(-rows // 16) * 16 + 8
-
-
-def scratch(
-    recipe: Recipe, storage: Storage, measurements: int, rows: int = 0, columns: int = 0, thread: int = 0
-) -> Scratch:
-    """Room for a frame of so many measurements, and for one measurement of so many rows by so many errors."""
-    n, blocks, leading, M = storage.P.shape[1], storage.blocks.shape[1], recipe.leading, max(1, measurements)
-    at_once = recipe.consensus or recipe.iterations > 1
-    rows = max(8, rows + MOST_ROWS, M * MOST_ROWS if at_once else min(M * MOST_ROWS, CHUNK_ROWS + MOST_ROWS))
-    width = recipe.measured + 6
-    integers = {name: np.zeros(M, dtype=np.int64) for name in ("where", "place", "land", "select", "core")}
-    return Scratch(
-        F=np.zeros((leading, leading)),
-        old=np.zeros((leading, leading)),
-        half=np.zeros((leading, leading)),
-        changed=np.zeros(leading, dtype=np.bool_),
-        lead=np.zeros((max(leading, width, columns), n)),
-        G=np.zeros((6, n)),
-        block=np.zeros((3, n)),
-        point=np.zeros(recipe.values),
-        before=np.zeros(recipe.values),
-        moved=np.zeros(recipe.values),
-        moved_blocks=np.zeros((blocks, recipe.block_values)),
-        point_blocks=np.zeros((blocks, recipe.block_values)),
-        **integers,
-        fates=np.zeros(M, dtype=np.uint8),
-        base=np.zeros((M, 2), dtype=np.int64),
-        z=np.zeros((M, MOST_ROWS)),
-        R=np.zeros((M, MOST_ROWS, MOST_ROWS)),
-        H=np.zeros((M, MOST_ROWS, width)),
-        nu=np.zeros((M, MOST_ROWS)),
-        distances=np.zeros(M),
-        ahead=np.zeros(M, dtype=np.bool_),
-        used=np.zeros(M, dtype=np.bool_),
-        support=np.zeros((M, M) if recipe.consensus else (1, 1), dtype=np.bool_),
-        HP=np.zeros((rows, n + 16)),  # rows of 512 numbers, 8 more than 504, would fall on the same lines of a cache
-        S=np.zeros((rows, rows + 8)),
-        shared=np.zeros((width, rows + 8)),
-        delta=np.zeros(n),
-        kept=np.zeros((max(1, len(recipe.considered)),) * 2),
-        W=np.zeros((n, 3)),
-        D=np.zeros((blocks, 3, 3)),
-        copy=np.zeros((n, n) if recipe.iterations > 1 else (1, 1)),
-        odometry=np.zeros((6, leading)),
-        odometry_nu=np.zeros(6),
-        gate_rows=np.zeros(width, dtype=np.int64),
-        gate_P=np.zeros((width, width + 8)),
-        gate_HP=np.zeros((MOST_ROWS, width + 8)),
-        inverse_R=np.zeros((M if recipe.consensus else 1, MOST_ROWS, MOST_ROWS)),
-        small=np.zeros((3, MOST_ROWS, MOST_ROWS)),
-        result=np.zeros(2),
-        noise=np.zeros((M, 3, 3)),
-        gone=np.zeros(blocks, dtype=np.bool_),
-        values=np.zeros((M, recipe.block_values)),
-        values_noise=np.zeros((M, 3, 3)),
-        anchored=np.zeros(M, dtype=np.bool_),
-        door=np.array([thread, 0]),
-        letters=np.array((ord("L"),), dtype=np.uint8),
-        sizes=np.zeros(3, dtype=np.int32),
-    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -304,16 +186,18 @@ class FilterState:
     held: IntArray
 
 
-def empty_frame(recipe: Recipe, filters: int, blocks: int, measurements: int, rows: int = 1) -> Frame:
-    """A frame that brings nothing, with room for so many rows of odometry by numbers."""
+def empty_frame(
+    recipe: Recipe, filters: int, blocks: int, measurements: int, rows: int = 1, odometry: tuple[int, int] = (1, 1)
+) -> Frame:
+    """A frame that brings nothing, with room for odometry (K, w), and for so many rows of it by numbers."""
     M, leading = measurements, recipe.leading
     driven = filters if recipe.motion is None else 1
     stages, numbers = (MOST_STAGES, M) if recipe.by_numbers else (1, 1)
     return Frame(
         dt=np.zeros(filters),
         fused=np.zeros(filters, dtype=np.bool_),
-        odometry=np.zeros((filters, 6)),
-        odometry_covariance=np.zeros((filters, 6, 6)),
+        odometry=np.zeros((filters, *odometry)),
+        odometry_rows=np.zeros(filters, dtype=np.int64),
         seen=np.zeros(filters, dtype=np.bool_),
         offsets=np.zeros(filters + 1, dtype=np.int64),
         ids=np.zeros(M, dtype=np.int64),
@@ -345,7 +229,7 @@ def empty_frame(recipe: Recipe, filters: int, blocks: int, measurements: int, ro
 def exported(storage: Storage, recipe: Recipe, filter_index: int) -> FilterState:
     """A copy of the state of one filter."""
     b, (landmarks, blocks) = filter_index, storage.counts[filter_index]
-    n = recipe.leading + 3 * blocks
+    n = recipe.leading + recipe.size * blocks
     held = storage.held[b]
     return FilterState(
         x=storage.x[b].copy(),

@@ -6,8 +6,10 @@ are compiled once, kept on disk each by itself, and called like BLAS. They give 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
-from functools import cached_property
+from functools import cache, cached_property
+from pathlib import Path
 from typing import Any
 
 import numba
@@ -15,13 +17,15 @@ import numpy as np
 from llvmlite import ir
 from numba import cfunc, types
 from numba.core import cgutils
+from numba.core.errors import NumbaError
 from numba.core.typing.templates import AttributeTemplate
 from numba.extending import infer_getattr, intrinsic, lower_getattr_generic, models, register_model
 
 from filters.engine.compiled.blas import PLAIN, ROUTINES, UNIT
-from filters.engine.compiled.disk_cache import KEPT, sources_digest
+from filters.engine.compiled.disk_cache import KEPT, include, sources_digest
 from filters.engine.compiled.recipe import Recipe
-from filters.engine.compiled.storage import empty_frame, empty_storage, scratch
+from filters.engine.compiled.scratch import scratch
+from filters.engine.compiled.storage import empty_frame, empty_storage
 
 
 class Reference(types.Type):
@@ -77,36 +81,45 @@ def _words(kind: Any) -> int:
     return 1 + 2 * kind.ndim if isinstance(kind, types.Array) else 1
 
 
-_RECIPE = Recipe(1.0, 1.0, 0.0, 0.0, 1.0)
+_RECIPE = Recipe((1.0, 1.0, 0.0, 0.0, 1.0), None, None, None, None, (), ())
 _STORAGE = empty_storage(_RECIPE, 1, 1)
 PLAN, STORAGE = Reference(_RECIPE.plan), Reference(_STORAGE)
 SCRATCH, FRAME = Reference(scratch(_RECIPE, _STORAGE, 1)), Reference(empty_frame(_RECIPE, 1, 1, 1))
 VECTOR, MATRIX, INDEX = types.float64[::1], types.float64[:, ::1], types.int64[::1]
-GIVEN, GIVEN_COVARIANCE = (
-    types.Array(types.float64, 1, "C", readonly=True),
-    types.Array(types.float64, 2, "C", readonly=True),
-)
-"""Odometry of one filter."""
-UNITS = ("predict", "fuse", "linearise", "gate", "agree", "iterate", "correct", "retract", "enter", "walk")
+MATRICES, FLAGS = types.float64[:, :, ::1], types.boolean[::1]
+UNITS = ("predict", "fuse", "linearise", "gate", "agree", "iterate", "correct", "retract", "start", "enter", "walk")
+OF_PARTS = ("point", "start", "turn", "rotation", "predict", "backproject", "step", "measure")
 """Places of their addresses, after those of BLAS; the last place is that of the doors."""
-PREDICT, FUSE, LINEARISE, GATE, AGREE, ITERATE, CORRECT, RETRACT, ENTER, WALK, DOORS = range(
-    len(ROUTINES), len(ROUTINES) + len(UNITS) + 1
+PREDICT, FUSE, LINEARISE, GATE, AGREE, ITERATE, CORRECT, RETRACT, BEGIN, ENTER, WALK = range(
+    len(ROUTINES), len(ROUTINES) + len(UNITS)
 )
-ADDRESSES = types.UniTuple(types.intp, len(ROUTINES) + len(UNITS) + 1)
-TO_LINEARISE, TO_MOVE, TO_START, TO_SELECT, TO_CHANGE, TO_WALK, TO_DRIFT = range(7)
+POINTS, START, TURN, EFFECT, SENSE, BACKPROJECT, STEP, MEASURE, DOORS = range(WALK + 1, WALK + len(OF_PARTS) + 2)
+ADDRESSES = types.UniTuple(types.intp, DOORS + 1)
+TO_LINEARISE, TO_MOVE, TO_START, TO_SELECT, TO_CHANGE, TO_WALK, TO_DRIFT, TO_CARRY = range(8)
 """What the doors are asked for."""
+SIGNATURES: dict[str, tuple[Any, ...]] = {
+    "LandmarkKernels.point": (VECTOR, MATRIX, MATRIX, MATRICES),
+    "LandmarkKernels.start": (VECTOR, MATRIX, MATRIX, MATRICES, FLAGS),
+    "LandmarkKernels.turn": (VECTOR, MATRIX, VECTOR, MATRIX, MATRIX, MATRICES, MATRICES),
+    "LandmarkKernels.rotation": (VECTOR, MATRIX, MATRICES),
+    "MeasurementKernels.predict": (VECTOR, VECTOR, MATRIX, VECTOR, MATRIX, MATRICES, MATRICES, FLAGS),
+    "MeasurementKernels.backproject": (VECTOR, VECTOR, MATRIX, VECTOR, MATRIX, MATRICES, MATRICES),
+    "MotionKernels.step": (VECTOR, VECTOR, types.float64, MATRIX, VECTOR, MATRIX, MATRIX),
+    "MotionKernels.measure": (VECTOR, VECTOR, types.float64, MATRIX, VECTOR, MATRIX, MATRIX),
+}
+"""Arguments of the kernels of parts."""
 
 
 class Unit:
     """A kernel that is compiled when its address is first asked for."""
 
-    def __init__(self, kernel: Callable[..., None], *arguments: Any) -> None:
-        self.kernel, self.arguments = kernel, arguments
+    def __init__(self, kernel: Callable[..., None], *arguments: Any, **options: Any) -> None:
+        self.kernel, self.arguments, self.options = kernel, arguments, options or {**KEPT, **UNIT}
         sources_digest(kernel.__module__)  # as they are imported now
 
     @cached_property
     def _compiled(self) -> Any:
-        return cfunc(types.void(*self.arguments), **KEPT, **UNIT)(self.kernel)
+        return cfunc(types.void(*self.arguments), **self.options)(self.kernel)
 
     @property
     def address(self) -> Any:
@@ -118,6 +131,37 @@ class Unit:
 def unit(*arguments: Any) -> Callable[[Callable[..., None]], Unit]:
     """Make a kernel with these types of arguments a unit."""
     return lambda kernel: Unit(kernel, *arguments)
+
+
+@cache
+def of_part(kernels: Any, name: str) -> Any:
+    """Address of a kernel of a part; zero where it has none of that name.
+
+    Raises
+    ------
+    ValueError
+        Numba cannot compile it.
+    """
+    function, place = getattr(kernels, name), f"{type(kernels).__name__}.{name}"
+    if function is None:
+        return 0
+    function = getattr(function, "py_func", function)
+    include(function.__module__)
+    there = {**KEPT, "cache": Path(function.__code__.co_filename).exists()}  # else there is no place to keep it
+    try:
+        whole = Unit(function, *SIGNATURES[place], error_model="numpy", fastmath={"contract"}, **there)
+        _LOADED.append(whole)
+        return whole.address
+    except NumbaError as error:
+        reason = " ".join(_COLOUR.sub("", str(error)).split())[:_LONGEST]
+        raise ValueError(
+            f"{place} {function.__qualname__} must be a function that Numba can compile: {reason}"
+        ) from None
+
+
+_COLOUR, _LONGEST = re.compile(r"\x1b\[\d*m"), 400  # of what Numba says
+_LOADED: list[Unit] = []
+"""Whose addresses are known: they must stay."""
 
 
 def _reader(kind: Any) -> Any:

@@ -69,6 +69,21 @@ def test_a_batch_has_the_bits_of_single_filters(options: dict[str, object], thre
         assert_same_bits(batch, index, single, 0)
 
 
+@pytest.mark.parametrize("options", OPTIONS)
+def test_what_is_read_of_all_at_once_has_the_bits_of_what_each_says(options: dict[str, object]) -> None:
+    frames, batch = drives(), batch_of(COUNT, **options)
+    for k in range(4):
+        batch.step(DT, [frames[index][k] for index in range(COUNT)], [ODOMETRY] * COUNT)
+    forecasts, velocities = batch.forecasts(), batch.velocities
+    for index, slam in enumerate(batch):
+        alone = slam.forecast()
+        for name in ("ids", "uvd", "S", "in_view"):
+            np.testing.assert_array_equal(getattr(forecasts[index], name), getattr(alone, name), err_msg=name)
+        np.testing.assert_array_equal(velocities[index], np.append(slam.velocity.linear, slam.velocity.angular))
+        np.testing.assert_array_equal(batch.velocity_covariances[index], slam.velocity.covariance)
+        assert batch.state_sizes[index] == slam.state_size
+
+
 def test_the_filters_of_a_batch_believe_what_single_ones_do() -> None:
     frames, batch = drives(), batch_of(COUNT)
     for k in range(8):

@@ -8,23 +8,26 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from filters.engine.compiled.frame import FAILED
-from filters.engine.compiled.recipe import CALIBRATION_SIZE, Recipe
-from filters.engine.compiled.storage import FilterState
-from filters.engine.engine import Engine, Observations
+from filters import CalibratedPair, RightInvariant, StereoEKF, StereoNoise
+from filters.engine.compiled.recipe import Recipe
+from filters.engine.compiled.storage import FAILED, FilterState
+from filters.engine.engine import Engine
+from filters.engine.frames import Observations
 from filters.state import symmetric
 
 from ..drives import CAMERA
 
 R = np.array([[1.0, 0.0, 1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 2.0]])
-CALIBRATION = tuple(range(CALIBRATION_SIZE))
+INVARIANT = RightInvariant(reset=True)
 LANDMARKS = ("inverse-depth", "shared-anchor", "euclidean")
 
 
-def recipe_with(landmark: str, **options: object) -> Recipe:
-    options = {"calibration": CALIBRATION, "error": "so3", "gate": None, **options}
-    options |= {"anchored": landmark != "euclidean", "shares_anchors": landmark == "shared-anchor"}
-    return Recipe(CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy, CAMERA.disparity_constant, **options)
+def recipe_with(landmark: str, calibrated: bool = True, **options: object) -> Recipe:
+    given = {name: options.pop(name) for name in ("error", "iterations") if name in options}
+    pair = CalibratedPair(1.0, 1.0, 1.0, 1.0) if calibrated else "joint"
+    given = {"error": "so3", "gate": None, "landmark": landmark, "measurement": pair, **given}
+    recipe = StereoEKF(CAMERA, StereoNoise(R), **given).engine.recipe
+    return replace(recipe, **options)
 
 
 def started(recipe: Recipe) -> Engine:
@@ -33,7 +36,7 @@ def started(recipe: Recipe) -> Engine:
     engine, L = Engine(recipe), recipe.leading
     x = np.zeros(recipe.values)
     x[:3], x[3:7] = (1.0, 2.0, 3.0), Rotation.from_rotvec([0.2, -0.5, 0.1]).as_quat()
-    if recipe.calibration:
+    if recipe.sensed:
         x[7:13] = 0.7, 0.02, -0.03, 0.01, -0.02, 0.015
     v = recipe.velocity
     x[v + 1 : v + 7] = 0.5, 0.1, 4.0, 0.02, 0.1, -0.01
@@ -81,7 +84,7 @@ def jacobian(function, size: int, step: float = 1e-6) -> np.ndarray:
 
 
 def calibration_of(recipe: Recipe, x: np.ndarray) -> np.ndarray:
-    return x[7:13] if recipe.calibration else np.zeros(6)
+    return x[7:13] if recipe.sensed else np.zeros(6)
 
 
 def directions(angles: np.ndarray) -> np.ndarray:
@@ -99,12 +102,12 @@ def project(recipe: Recipe, state: FilterState) -> np.ndarray:
         h = rho[:, None] * (state.blocks[state.anchor] - state.x[:3]) + directions(own)
     o, focal, baseline, *turn = calibration_of(recipe, state.x)
     h = h @ rotation @ Rotation.from_rotvec(turn).as_matrix().T
-    u, v = recipe.fx * h[:, 0] / h[:, 2], recipe.fy * h[:, 1] / h[:, 2]
-    d = recipe.disparity_constant * rho / h[:, 2]
+    u, v = CAMERA.fx * h[:, 0] / h[:, 2], CAMERA.fy * h[:, 1] / h[:, 2]
+    d = CAMERA.disparity_constant * rho / h[:, 2]
     return np.column_stack(
         [
-            recipe.cx + (1 + focal) * u,
-            recipe.cy + (1 + focal) * v,
+            CAMERA.cx + (1 + focal) * u,
+            CAMERA.cy + (1 + focal) * v,
             (1 + focal) * (1 + baseline) * d + o,
         ]
     ).ravel()
@@ -115,12 +118,12 @@ def start_blocks(recipe: Recipe, state: FilterState, uvd: np.ndarray) -> np.ndar
     o, focal, baseline, *turn = calibration_of(recipe, state.x)
     rays = np.column_stack(
         [
-            (uvd[:, 0] - recipe.cx) / (recipe.fx * (1 + focal)),
-            (uvd[:, 1] - recipe.cy) / (recipe.fy * (1 + focal)),
+            (uvd[:, 0] - CAMERA.cx) / (CAMERA.fx * (1 + focal)),
+            (uvd[:, 1] - CAMERA.cy) / (CAMERA.fy * (1 + focal)),
             np.ones(len(uvd)),
         ]
     )
-    scale = (uvd[:, 2] - o) / ((1 + focal) * (1 + baseline) * recipe.disparity_constant)
+    scale = (uvd[:, 2] - o) / ((1 + focal) * (1 + baseline) * CAMERA.disparity_constant)
     h = rays @ Rotation.from_rotvec(turn).as_matrix() @ Rotation.from_quat(state.x[3:7]).as_matrix().T
     if not recipe.anchored:
         return state.x[:3] + h / scale[:, None]
@@ -129,10 +132,10 @@ def start_blocks(recipe: Recipe, state: FilterState, uvd: np.ndarray) -> np.ndar
     return np.vstack([anchors, np.column_stack([*angles, scale / np.linalg.norm(rays, axis=1)])])
 
 
-@pytest.mark.parametrize("calibration", [CALIBRATION, ()])
+@pytest.mark.parametrize("calibrated", [True, False])
 @pytest.mark.parametrize("landmark", LANDMARKS)
-def test_new_landmarks_inherit_the_uncertainty_of_pose_and_calibration(landmark: str, calibration: tuple) -> None:
-    recipe = recipe_with(landmark, calibration=calibration)
+def test_new_landmarks_inherit_the_uncertainty_of_pose_and_calibration(landmark: str, calibrated: bool) -> None:
+    recipe = recipe_with(landmark, calibrated)
     engine = started(recipe)
     before, L = exported(engine), recipe.leading
     engine.step(0.0, observed(UVD))
@@ -208,7 +211,7 @@ def _turned(angles: np.ndarray, turn: Rotation) -> np.ndarray:
 @pytest.mark.parametrize("landmark", LANDMARKS)
 def test_the_invariant_error_carries_P_along_by_the_whole_jacobian(landmark: str) -> None:
     uvd = UVD + np.array([3.0, -2.0, 1.0])
-    so3, invariant = (started(recipe_with(landmark, error=error)) for error in ("so3", "invariant"))
+    so3, invariant = (started(recipe_with(landmark, error=error)) for error in ("so3", INVARIANT))
     recipe = so3.recipe
     for engine in (so3, invariant):
         engine.step(0.0, observed(UVD))
@@ -228,9 +231,9 @@ def test_the_invariant_error_carries_P_along_by_the_whole_jacobian(landmark: str
     np.testing.assert_allclose(after.P / np.outer(sigmas, sigmas), expected / np.outer(sigmas, sigmas), atol=1e-4)
 
 
-@pytest.mark.parametrize("error", ["so3", "invariant"])
+@pytest.mark.parametrize("error", ["so3", INVARIANT], ids=["so3", "invariant"])
 @pytest.mark.parametrize("landmark", LANDMARKS)
-def test_passes_with_the_prior_held_end_at_the_most_probable_state(landmark: str, error: str) -> None:
+def test_passes_with_the_prior_held_end_at_the_most_probable_state(landmark: str, error: object) -> None:
     """There the correction is P H^T R^-1 times what is left of the measurement, H by the errors of the prior."""
     engine = started(recipe_with(landmark, error=error, iterations=300))
     recipe, retracted = engine.recipe, plus if error == "so3" else invariant_plus

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -21,7 +22,9 @@ def seen():
     p_c, P_c, located = np.zeros((1, 3)), np.zeros((1, 3, 3)), np.zeros(1, dtype=np.bool_)
     counts, offsets = np.array([[1, 1]]), np.array([0, 1])
     blocks = np.array([[[2.0, 3.0, 10.0]]])
-    relative_landmarks(np.eye(15)[None], x, blocks, own, none, counts, 12, False, offsets, p_c, P_c, located)
+    points, J = np.array([[2.0, 3.0, 10.0, 1.0]]), np.eye(4, 3)[None]
+    state = np.eye(15)[None], x, blocks, own, none, counts, 12, False
+    relative_landmarks(*state, points, J, offsets, p_c, P_c, located)
     return p_c[0].tolist(), sum(relative_landmarks.stats.cache_hits.values())
 
 if __name__ == "__main__":
@@ -76,6 +79,59 @@ def test_a_change_in_a_module_that_the_kernel_reaches_takes_effect(copy, process
     assert result(start(copy, process)) == [[3.0, 3.0, 10.0], 0]
 
 
+STRANGER = """
+from dataclasses import dataclass, replace
+import numpy as np
+from filters import ConstantVelocity, StereoCamera, StereoEKF, StereoNoise
+from strangers.speed import step
+
+@dataclass(frozen=True)
+class Scaled(ConstantVelocity):
+    kernels = replace(ConstantVelocity.kernels, step=step)
+
+camera = StereoCamera(721.5, 721.5, 672.0, 195.0, 0.571, 1344, 391)
+slam = StereoEKF(camera, StereoNoise.independent_pixels(1.0), motion=Scaled())
+slam.predict(1.0)
+print(slam.pose.position.tolist())
+"""
+SPEED = """
+from numba import njit
+
+@njit
+def far():
+    return 2.0
+
+def step(settings, state, dt, odometry, moved, F, Q):
+    moved[:] = state
+    moved[2] = far()
+    for i in range(len(F)):
+        F[i, i] = 1.0
+"""
+
+
+def test_a_kernel_of_a_third_party_is_that_of_its_present_sources(copy):
+    """Its package is one of those whose sources the stamp covers, those beside the kernel's file included."""
+    (copy / "strangers").mkdir()
+    (copy / "strangers" / "__init__.py").write_text("")
+    helper, kernel = SPEED.split("def step")
+    (copy / "strangers" / "distance.py").write_text(helper)
+    (copy / "strangers" / "speed.py").write_text("from .distance import far\n\n\ndef step" + kernel)
+    (copy / "strangers" / "drive.py").write_text(STRANGER)
+
+    def driven() -> str:
+        environment = {key: value for key, value in os.environ.items() if not key.startswith("NUMBA")}
+        program = [sys.executable, "-m", "strangers.drive"]
+        environment |= {"PYTHONPATH": str(copy), "XDG_CACHE_HOME": str(copy / "home")}
+        done = subprocess.run(program, cwd=copy, env=environment, text=True, capture_output=True, timeout=240)
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    assert driven() == driven() == "[0.0, 0.0, 2.0]\n"
+    assert any(path.name.startswith("speed.step") for path in copy.rglob("*.nbc"))
+    (copy / "strangers" / "distance.py").write_text(helper.replace("2.0", "3.0"))
+    assert driven() == "[0.0, 0.0, 3.0]\n"
+
+
 def test_what_did_not_change_comes_from_the_disk_and_old_code_leaves_it(copy):
     result(start(copy))
     assert result(start(copy)) == [[2.0, 3.0, 10.0], 1]
@@ -108,6 +164,32 @@ def test_where_the_package_cannot_be_written_to_the_cache_of_the_user_is_taken(c
     assert {path.relative_to(copy).parts[0] for path in kept(copy)} == {"home"}
 
 
+BELIEFS = """
+import hashlib, sys
+from tests.filters.engine.combinations import combinations, figures, run_case
+
+for case in list(combinations())[::11][:: int(sys.argv[1])]:
+    print(case.name, hashlib.sha256(figures(*run_case(case), case.clones).tobytes()).hexdigest())
+"""
+
+
+def beliefs(folder, order=1):
+    """What filters of many parts and options believe, to the last bit, by a process that has its machine code there."""
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "NUMBA_CACHE_DIR": str(folder)}
+    program, limit = [sys.executable, "-c", BELIEFS, str(order)], 280
+    ran = subprocess.run(program, cwd=ROOT, env=environment, text=True, capture_output=True, check=True, timeout=limit)
+    return dict(line.rsplit(" ", 1) for line in ran.stdout.splitlines()), "compiling machine code" in ran.stderr
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(590)
+def test_every_process_has_the_same_bits_whether_it_compiles_or_loads_and_in_any_order(tmp_path):
+    compiled, loaded, backwards = (beliefs(tmp_path / place, order) for place, order in (("a", 1), ("a", 1), ("b", -1)))
+    assert [compiles for _, compiles in (compiled, loaded, backwards)] == [True, False, True]
+    assert len(compiled[0]) > 100
+    assert loaded[0] == compiled[0] == backwards[0]
+
+
 FIRST_ESTIMATE = """
 from filters import StereoCamera, StereoNoise, StereoObservation, make_filter
 camera = StereoCamera(721.5, 721.5, 672.0, 195.0, 0.571, 1344, 391)
@@ -118,23 +200,93 @@ for u in (300.0, 301.0):
 """
 
 
-def test_the_first_filter_compiles_what_it_needs_and_says_so_once(copy):
+COUNTED = """
+import logging
+from filters.engine.compiled.progress import counted
+from points import seen
+{setting}
+with counted(2) as count:
+    seen()
+    count()
+    count()
+"""
+IN_TERMINAL = "import pty, sys; sys.exit(pty.spawn(sys.argv[1:]))"
+BAR = re.compile(r"compiling the filter, this once: \[(#*)(\.*)\] (\d+) of (\d+) parts(, \d+ s)?")
+
+
+def shown(copy, program, *, terminal=False):
+    """What a program writes to stderr, or to the terminal that it is called from."""
     environment = {key: value for key, value in os.environ.items() if not key.startswith("NUMBA")}
-    environment |= {"PYTHONPATH": str(copy)}
-    program = [sys.executable, "-c", FIRST_ESTIMATE]
-    first, second = (
-        subprocess.run(program, cwd=copy, env=environment, text=True, capture_output=True, check=True, timeout=240)
-        for _ in range(2)
+    environment |= {"PYTHONPATH": str(copy), "XDG_CACHE_HOME": str(copy / "home")}
+    command = [*([sys.executable, "-c", IN_TERMINAL] if terminal else []), sys.executable, "-c", program]
+    done = subprocess.run(
+        command,
+        cwd=copy,
+        env=environment,
+        capture_output=True,
+        stdin=subprocess.DEVNULL,
+        check=True,
+        timeout=240,
     )
-    assert first.stderr.count("compiling machine code") == len(first.stderr.splitlines()) == 1
-    assert second.stderr == ""
+    written = (done.stdout if terminal else done.stderr).decode()
+    return written.replace("\r\n", "\n").removesuffix("\x1b[0m")  # colours off: Numba's colorama at the end
+
+
+def test_at_a_terminal_a_bar_says_what_the_first_filter_compiles_which_is_no_more_than_it_needs(copy):
+    first, second = (shown(copy, FIRST_ESTIMATE, terminal=True) for _ in range(2))
+    drawn = [(int(done), int(parts)) for _, _, done, parts, _ in BAR.findall(first)]
+    assert drawn[:14] == [(done, 13) for done in range(14)]
+    assert first.count("\n") == 1
+    assert BAR.fullmatch(first.rpartition("\r")[2].rstrip("\n"))[5]  # the seconds that it took
+    assert second == ""
     compiled = {path.name.partition(".")[2].partition("-")[0] for path in copy.rglob("*.nbi")}
     assert compiled == {
         "advance",
         "predict",
-        "linearise_unit",
+        "linearise",
         "squared_distances",
         "correct",
         "retract",
+        "start",
         "enter",
+        *("_point", "_start", "_predict", "_backproject", "_step"),  # of the parts
     }
+
+
+def test_where_nobody_sees_a_bar_one_line_says_it(copy):
+    told = shown(copy, COUNTED.format(setting=""))
+    assert told.startswith("compiling machine code that is not on disk yet")
+    assert told.count("\n") == 1
+    assert "\r" not in told
+
+
+@pytest.mark.parametrize("terminal", [True, False])
+def test_it_is_silent_if_logging_says_so(copy, terminal):
+    quiet = COUNTED.format(setting="logging.getLogger('filters').setLevel(logging.ERROR)")
+    assert shown(copy, quiet, terminal=terminal) == ""
+
+
+def test_where_logging_is_set_up_it_is_a_record_there(copy):
+    setting = "logging.basicConfig(format='%(levelname)s %(name)s %(message)s')"
+    told = shown(copy, COUNTED.format(setting=setting), terminal=True)
+    assert told.startswith("WARNING filters.engine.compiled.progress compiling machine code")
+    assert told.count("\n") == 1
+
+
+def test_a_process_in_the_background_leaves_the_terminal_alone(copy):
+    """As those of a benchmark: in a session of their own."""
+    child = "import subprocess, sys; subprocess.run([sys.executable, '-c', {!r}], start_new_session=True, check=True)"
+    told = shown(copy, child.format(COUNTED.format(setting="")), terminal=True)
+    assert told.startswith("compiling machine code that is not on disk yet")
+    assert told.count("\n") == 1
+
+
+def test_functions_that_only_kernels_call_are_no_machine_code(copy):
+    program = """
+from filters.engine.compiled import prediction
+from filters.engine.compiled.frame import predict
+predict.address
+(made,) = prediction.constrain.overloads.values()
+print(made.library._compiled_object, file=__import__('sys').stderr)
+"""
+    assert shown(copy, program).splitlines()[-1] == "None"

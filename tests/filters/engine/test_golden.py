@@ -1,6 +1,8 @@
 """Beliefs of many combinations of parts and options, as an independent EKF in NumPy had them.
 
-That EKF had dense blocks, LAPACK and no kernels, and was part of this package until both had agreed for long.
+That EKF had dense blocks, LAPACK and no kernels, and was part of this package until both had agreed for long. Those of
+unscented updates are of the kernels as plain Python, since sigma points lie along the symmetric root of P. Those of
+first estimates with odometry are of `FirstEstimates` by its NumPy, which moves the linearisation point.
 """
 
 from __future__ import annotations
@@ -33,4 +35,4 @@ def test_every_recorded_combination_is_run() -> None:
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
 def test_a_combination_believes_what_it_did(case: Case) -> None:
     slam, reports = run_case(case)
-    np.testing.assert_allclose(figures(slam, reports, case.clones), recorded()[case.name], rtol=1e-12, atol=5e-9)
+    np.testing.assert_allclose(figures(slam, reports, case.clones), recorded()[case.name], rtol=1e-10, atol=1e-9)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
 from dataclasses import replace
 
 import numpy as np
@@ -50,13 +51,15 @@ def test_a_correction_is_one_update_of_filterpy(rows: int) -> None:
         H[:, place] = H_of[name]
     reference = kalman_filter(np.zeros(len(P)), P)
     reference.update(innovation, R=R, H=H)
+    still = deepcopy(slam)
+    still.correct(np.zeros(rows), H_of, R)  # nothing moves, so P is not carried to another first estimate
     told = slam.correct(innovation, H_of, R)
     after = slam.state
     delta = np.concatenate([after.blocks[k] - state.blocks[k] for k in state.parameter_block])
     own = state.own_rows().ravel()
     sigmas = np.sqrt(np.diag(reference.P))
     np.testing.assert_allclose(delta / sigmas[own], reference.x[own] / sigmas[own], rtol=0, atol=1e-8)
-    assert_covariances_equal(symmetric.full(after.P), reference.P, 1e-7)
+    assert_covariances_equal(symmetric.full(still.state.P), reference.P, 1e-7)
     assert told.nis == pytest.approx(float(reference.mahalanobis) ** 2, rel=1e-7)
     assert (told.used, told.nis_dof) == (True, rows)
 

@@ -8,7 +8,7 @@ import pickle
 import numpy as np
 import pytest
 
-from filters import StereoEKF, UpdateReport
+from filters import StereoEKF, StereoObservation, UpdateReport
 
 from ..drives import DT, Frame, drive
 from ..slots import ERRORS, LANDMARKS
@@ -40,6 +40,17 @@ def test_what_lies_outside_the_upper_triangle_in_use_plays_no_part(landmark: str
             slam.update(frame.observation)
     assert len(soiled.ids) > 10
     assert_same_belief(soiled, clean, 0.0)
+
+
+@pytest.mark.parametrize("landmark", LANDMARKS)
+def test_an_anchor_leaves_with_the_last_of_its_landmarks(landmark: str) -> None:
+    slam = make(landmark=landmark)
+    without_map = slam.state_size
+    reports_over(slam, drive(9, 6))
+    assert slam.state_size > without_map
+    slam.predict(DT)
+    slam.update(StereoObservation(np.zeros(0, dtype=np.int64), np.zeros((0, 3))))
+    assert slam.state_size == without_map
 
 
 @pytest.mark.parametrize("landmark", LANDMARKS)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from filters import BodyVelocity, Extended, Start, StereoEKF, StereoObservation, VelocityDriven
+from filters import BodyVelocity, Extended, FirstEstimates, Start, StereoEKF, StereoObservation, VelocityDriven
 from filters.geometry import rotations
 from filters.motions.model import ANGULAR, CAMERA_SIZE, LINEAR, POSITION, ROTATION
 from filters.state import symmetric
@@ -16,11 +16,13 @@ from filters.state.joint_state import JointState, world_rotation_of_variables
 from filters.state.linearised import LinearisedMeasurements
 
 from ..drives import CAMERA, DT, INDEPENDENT_PIXELS, SPEED, drive
-from ..engine.beliefs import make
+from ..engine.beliefs import assert_same_belief, make
 from ..engine.linear_problems import dense
 from ..slots import LANDMARKS, MOTIONS
 from ..state.states import without_map
 from .worlds import driven, odometry
+
+ODOMETRY = BodyVelocity((0.1, 0.0, SPEED), (0.0, 0.2, 0.01), np.diag(np.repeat([0.05, 0.01], 3) ** 2))
 
 
 class Watching(Extended):
@@ -35,8 +37,9 @@ class Watching(Extended):
         return self.seen[-1]
 
 
-def carried(slam: StereoEKF, directions: np.ndarray, step: BodyVelocity | None) -> np.ndarray:
-    """What a prediction makes of a covariance along these directions, without the noise that it adds."""
+def carried(slam: StereoEKF, step: BodyVelocity | None) -> tuple[np.ndarray, np.ndarray]:
+    """What a prediction makes of a covariance along the gauge, without the noise that it adds; the gauge there."""
+    directions = gauge(slam.state)
     found = []
     for P in (0.0, 1.0):
         twin = copy.deepcopy(slam)
@@ -45,7 +48,7 @@ def carried(slam: StereoEKF, directions: np.ndarray, step: BodyVelocity | None) 
         twin.state = state
         twin.predict(DT, step)
         found.append(symmetric.full(twin.state.P))
-    return found[1] - found[0]
+    return found[1] - found[0], gauge(twin.state)  # the noise alone has the gain of odometry: both move alike
 
 
 def translations(state: JointState) -> np.ndarray:
@@ -77,9 +80,9 @@ def test_first_estimates_hold_gamma_exactly(landmark: str, measurement: str, mot
     for k, frame in enumerate(frames):
         if k:
             moved = odometry(frames[k - 1], frame, rng, sigma=0.2)
-            after = carried(stereo_filter, gauge(stereo_filter.state), moved if motion == "velocity-driven" else None)
-            stereo_filter.predict(DT, moved if motion == "velocity-driven" else None)
-            there = gauge(stereo_filter.state)
+            told = moved if motion == "velocity-driven" or k % 2 else None
+            after, there = carried(stereo_filter, told)
+            stereo_filter.predict(DT, told)
             np.testing.assert_allclose(after, there @ there.T, rtol=0, atol=1e-10 * np.abs(there).max() ** 2)
         watching.seen.clear()
         prior = gauge(stereo_filter.state)
@@ -131,7 +134,12 @@ def local_observability(error: str, landmark: str, motion: str) -> tuple[np.ndar
             image = world_rotation_of_variables(state.layout, step.state)
             stereo_filter.predict(DT, moved)
             F = np.eye(len(product))
-            F[:CAMERA_SIZE, :CAMERA_SIZE] = parts.error.constrained(step.F, image, state)
+            settled = stereo_filter.state
+            image_settled = world_rotation_of_variables(state.layout, settled.camera)
+            by_odometry = parts.error.constrained(
+                np.eye(CAMERA_SIZE), image_settled, replace(state, predicted=step.state)
+            )
+            F[:CAMERA_SIZE, :CAMERA_SIZE] = by_odometry @ parts.error.constrained(step.F, image, state)
             product = F @ product
         seen = frame.observation
         watching.seen.clear()
@@ -169,3 +177,61 @@ def test_rank_of_the_local_observability_matrix(motion: str) -> None:
         values = np.linalg.svd(stacked / np.where(scale > 0, scale, 1.0), compute_uv=False)
         missing[error] = stacked.shape[1] - int(np.sum(values > 1e-11 * values[0])) - never_seen
     assert missing == {"first-estimates": 6, "so3": 3}
+
+
+class ByNumbers(FirstEstimates):
+    """A subclass states no kernels."""
+
+
+def corrected_by(slam: StereoEKF, told: BodyVelocity) -> None:
+    """The same as odometry, by a correction."""
+    measured = slam.options.motion.odometry_measurement(slam.state.camera, DT, told)
+    H = {"pose": measured.H[:, :6], "velocity": measured.H[:, 6:]}
+    assert slam.correct(measured.innovation, H, measured.R).used
+
+
+@pytest.mark.parametrize("error", ["first-estimates", ByNumbers()], ids=["compiled", "by numbers"])
+def test_h_is_taken_where_odometry_or_a_correction_has_led(error: object) -> None:
+    """Both come before the camera; landmarks that are measured then do not move the point."""
+    frames = drive(3, 2)
+    for fuse in (
+        lambda slam: slam.predict(DT, ODOMETRY),
+        lambda slam: (slam.predict(DT), corrected_by(slam, ODOMETRY)),
+    ):
+        slam = make(error=error)
+        slam.update(frames[0].observation)
+        fuse(slam)
+        at = slam.state.camera
+        slam.update(frames[1].observation)
+        after = slam.state
+        np.testing.assert_array_equal(after.predicted.linear_velocity, at.linear_velocity)
+        np.testing.assert_array_equal(after.predicted.position, at.position)
+        assert np.linalg.norm(after.camera.position - at.position) > 1e-4
+
+
+@pytest.mark.parametrize("error", ["first-estimates", "so3"])
+def test_odometry_is_a_correction_after_the_step(error: str) -> None:
+    fused, corrected = (make(error=error, drop_unseen=False) for _ in range(2))
+    for k, frame in enumerate(drive(4, 8)):
+        if k:
+            fused.predict(DT, ODOMETRY)
+            corrected.predict(DT)
+            corrected_by(corrected, ODOMETRY)
+        for slam in (fused, corrected):
+            slam.update(frame.observation)
+    assert_same_belief(fused, corrected, 1e-7)
+
+
+@pytest.mark.parametrize("motion", MOTIONS)
+@pytest.mark.parametrize("landmark", LANDMARKS)
+def test_a_subclass_has_the_same_jacobians_by_numbers(landmark: str, motion: str) -> None:
+    """H, F, and the Jacobians of new landmarks and of odometry; and the walk of the gauge."""
+    options = {"landmark": landmark, "motion": motion, "gauge_walk": 0.01, "iterations": 2}
+    frames = drive(5, 8, depths=(6.0, 25.0), noise_scale=3.0)
+    compiled, by_numbers, plain = (
+        driven(frames, error=error, **options | own)
+        for error, own in (("first-estimates", {}), (ByNumbers(), {}), ("so3", {"gauge_walk": 0.0}))
+    )
+    assert_same_belief(by_numbers, compiled, 1e-6)
+    with pytest.raises(AssertionError):
+        assert_same_belief(plain, compiled, 1e-3)

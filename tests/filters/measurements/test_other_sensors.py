@@ -65,6 +65,32 @@ def test_a_fisheye_sees_beyond_90_degrees_and_no_further_than_its_half_angle() -
     assert FisheyePair(half_angle=1.8).in_front(points).tolist() == [True, True, True, False]
 
 
+def test_a_fisheye_landmark_four_baselines_away_is_started_where_it_is() -> None:
+    """To rounding, in every direction in which one is started."""
+    directions = np.random.default_rng(0).normal(size=(100_000, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    points = np.column_stack([directions, np.full(len(directions), 0.25 / ALL_AROUND.baseline)])
+    points = points[FisheyePair().in_front(points)]
+    seen = FisheyePair().predict(ALL_AROUND, points, {})
+    found = FisheyePair().backproject(ALL_AROUND, seen[:, :3], {})
+    started = np.isfinite(found[:, 3])
+    assert started.mean() > 0.9
+    np.testing.assert_allclose(found[started], points[started], rtol=0.0, atol=1e-11)
+
+
+@pytest.mark.parametrize("baselines", [1.0, 1.5, 8.0])
+def test_a_fisheye_landmark_that_is_started_is_seen_where_it_was_measured(baselines: float) -> None:
+    """Close ones, too, for which Newton's method may go astray."""
+    directions = np.random.default_rng(1).normal(size=(200_000, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    points = np.column_stack([directions, np.full(len(directions), 1.0 / (baselines * ALL_AROUND.baseline))])
+    seen = FisheyePair().predict(ALL_AROUND, points[FisheyePair().in_front(points)], {})
+    found = FisheyePair().backproject(ALL_AROUND, seen[:, :3], {})
+    started = np.isfinite(found[:, 3])
+    again = FisheyePair().predict(ALL_AROUND, found[started], {})
+    np.testing.assert_allclose(again[:, :3], seen[started, :3], rtol=0.0, atol=2e-6)
+
+
 def test_a_fisheye_landmark_is_not_started_where_the_disparity_says_too_little() -> None:
     along_the_baseline = FisheyePair().predict(ALL_AROUND, np.array([[5.0, 0.1, 0.2, 1.0]]), {})
     assert np.isnan(FisheyePair().backproject(ALL_AROUND, along_the_baseline[:, :3], {})[0, 3])

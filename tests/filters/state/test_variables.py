@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from filters import BodyVelocity, Start, StereoEKF, StereoObservation, Variable
 from filters.contract.stereo_filter import StereoFilter
 from filters.state import symmetric
+from filters.state.joint_state import world_rotation_of_variables
 from filters.state.layout import Layout
 
 from ..drives import CAMERA, DT, INDEPENDENT_PIXELS, SPEED, drive, start
@@ -176,9 +177,9 @@ def test_sigma_points_know_no_variables() -> None:
 def test_a_correction_with_considered_rows_is_the_schmidt_kalman_filter(rows: int) -> None:
     """No gain for the considered rows, and the covariance that this gain really has."""
     rng = np.random.default_rng([33, rows])
-    slam = make(measurement=with_variable(considered=True), error="first-estimates")  # P is not carried along
+    slam = make(measurement=with_variable(considered=True), error="first-estimates")
     corrected(slam, drive(33, 4, visible=15, depths=(6.0, 30.0)))
-    layout, P = slam.options.layout, symmetric.full(slam.state.P)
+    state, layout, P = slam.state, slam.options.layout, symmetric.full(slam.state.P)
     names = ("velocity", "disparity-errors", "pose")
     H_of = {name: rng.standard_normal((rows, layout.rows_of((name,)).size)) for name in names}
     nu, R = 1e-3 * rng.standard_normal(rows), random_covariance(rng, rows) + 1e-3 * np.eye(rows)
@@ -189,6 +190,10 @@ def test_a_correction_with_considered_rows_is_the_schmidt_kalman_filter(rows: in
     I_KH = np.eye(len(P)) - K @ H
     expected, before = I_KH @ P @ I_KH.T + K @ R @ K.T, slam.velocity.linear
     assert slam.correct(nu, H_of, R).used
+    along = np.eye(len(P))  # the first estimate moves: P is carried to the effect of a turned world there
+    turned = world_rotation_of_variables(layout, slam.state.camera)
+    along[layout.rows[:, None], layout.rows] = slam.options.error.constrained(np.eye(layout.size), turned, state)
+    expected = along @ expected @ along.T
     actual, regular = symmetric.full(slam.state.P), np.flatnonzero(np.diag(P) > 0.0)
     assert_covariances_equal(actual[np.ix_(regular, regular)], expected[np.ix_(regular, regular)], 1e-8)
     np.testing.assert_allclose(slam.velocity.linear - before, (K @ nu)[layout.linear_velocity], rtol=1e-8, atol=1e-12)

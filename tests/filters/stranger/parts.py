@@ -1,6 +1,6 @@
-"""What a stranger writes against the public face alone: an inertial motion, a landmark on S^3, a camera, a window.
+"""What a stranger writes against the public face alone: a landmark on S^3 and a double-sphere camera.
 
-None of it is known to the engine; `test_stranger.py` checks, drives and times it.
+None of it is known to the engine; `test_stranger.py` checks, drives and times it, with the inertial motion.
 """
 
 from __future__ import annotations
@@ -9,30 +9,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+from numba import njit
 
-from filters import (
-    BodyVelocity,
-    CameraState,
-    LandmarkModel,
-    MeasurementModel,
-    MotionModel,
-    MotionPrediction,
-    StereoCamera,
-    Variable,
-)
-
-
-def skew(v: np.ndarray) -> np.ndarray:
-    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
-
-
-def right_jacobian(phi: np.ndarray) -> np.ndarray:
-    angle = np.linalg.norm(phi)
-    if angle < 1e-6:
-        return np.eye(3) - 0.5 * skew(phi)
-    K = skew(phi) / angle
-    return np.eye(3) - (1 - np.cos(angle)) / angle * K + (1 - np.sin(angle) / angle) * K @ K
+from filters import LandmarkKernels, LandmarkModel, MeasurementKernels, MeasurementModel, StereoCamera
+from filters.geometry.rotations import matrix_of, quaternion_of, right_jacobian_of
+from filters.geometry.three_by_three import times
 
 
 def _number(name: str, value: object, low: float, high: float) -> None:
@@ -40,64 +21,75 @@ def _number(name: str, value: object, low: float, high: float) -> None:
         raise ValueError(f"{name} must be a finite number from {low} to {high}, got {value!r}")
 
 
-@dataclass(frozen=True, eq=False)
-class ImuStep(BodyVelocity):
-    """Odometry that brings samples (K, 6) of gyro, rad/s, and accelerometer, m/s^2, camera frame, in equal times."""
-
-    samples: np.ndarray = None  # type: ignore[assignment]
-
-
-BIASES = Variable(
-    "imu-bias", np.zeros(6), np.diag([1e-2] * 3 + [5e-2] * 3) ** 2, random_walk=np.repeat([2e-5, 3e-3], 3)
-)
-AT_REST = np.tile([0.0, 0.1, 0.0, 0.0, -9.8, 0.0], (4, 1))
-GRAVITY = Variable("gravity", [0.0, 9.81, 0.0], 1e-4 * np.eye(3), in_world=True)
+def _s3_point(settings, values, points, J):
+    for i in range(len(values)):
+        for c in range(3):
+            b = _column(values[i], c)
+            for r in range(4):
+                points[i, r], J[i, r, c] = values[i, r], b[r]
 
 
-@dataclass(frozen=True)
-class Strapdown(MotionModel):
-    """Strapdown integration, midpoint attitude; biases and gravity are variables."""
+def _s3_start(settings, points, values, J, possible):
+    for i in range(len(points)):
+        square = 0.0
+        for r in range(4):
+            square += points[i, r] ** 2
+        norm = np.sqrt(square)
+        for r in range(4):
+            values[i, r] = points[i, r] / norm
+        for c in range(3):
+            b = _column(values[i], c)
+            for r in range(4):
+                J[i, c, r] = b[r] / norm
+        possible[i] = True
 
-    gyro_density: float = 1.7e-4
-    accelerometer_density: float = 2e-3
-    variables: tuple[Variable, ...] = (BIASES, GRAVITY)
 
-    def __post_init__(self) -> None:
-        for name in ("gyro_density", "accelerometer_density"):
-            _number(name, getattr(self, name), 0.0, np.inf)
+@njit
+def _column(q, c):
+    """q i, q j or q k of the quaternion q."""
+    x, y, z, w = q[0], q[1], q[2], q[3]
+    if c == 0:
+        return w, z, -y, -x
+    return (-z, w, x, -y) if c == 1 else (y, -x, w, -z)
 
-    def check_odometry(self, odometry: BodyVelocity | None) -> None:
-        """Samples are needed."""
-        if not isinstance(odometry, ImuStep):
-            raise ValueError(f"odometry must be an ImuStep with motion=Strapdown(), got {type(odometry).__name__}")
 
-    def predict(self, state: CameraState, dt: float, odometry: BodyVelocity | None) -> MotionPrediction:
-        """Step by step, with the Jacobians of each."""
-        samples = odometry.samples if isinstance(odometry, ImuStep) else AT_REST
-        bias, g, h = state.variables["imu-bias"], state.variables["gravity"], dt / len(samples)
-        p, R, v = state.position, Rotation.from_quat(state.orientation).as_matrix(), state.linear_velocity
-        F, Q, rate = np.eye(21), np.zeros((21, 21)), state.angular_velocity
-        densities = np.diag(np.repeat([self.gyro_density**2 / h, self.accelerometer_density**2 / h], 3))
-        for sample in samples:
-            rate, force = sample[:3] - bias[:3], sample[3:] - bias[3:]
-            half, turn = Rotation.from_rotvec(0.5 * h * rate).as_matrix(), Rotation.from_rotvec(h * rate).as_matrix()
-            R_h = R @ half
-            a = R_h @ force + g
-            A, J = np.eye(21), right_jacobian(h * rate)
-            by_rotation = -R @ skew(half @ force)
-            by_gyro = 0.5 * h * R_h @ skew(force) @ right_jacobian(0.5 * h * rate)
-            for rows, scale in ((slice(0, 3), 0.5 * h * h), (slice(6, 9), h)):
-                A[rows, 3:6] = scale * by_rotation
-                A[rows, 12:15], A[rows, 15:18], A[rows, 18:] = scale * by_gyro, -scale * R_h, scale * np.eye(3)
-            A[:3, 6:9] = h * np.eye(3)
-            A[3:6, 3:6], A[3:6, 12:15] = turn.T, -h * J
-            A[9:12, 9:12], A[9:12, 12:15] = 0.0, -np.eye(3)
-            G = -A[:, 12:18].copy()
-            G[12:18] = 0.0
-            F, Q = A @ F, A @ Q @ A.T + G @ densities @ G.T
-            p, v, R = p + h * v + 0.5 * h * h * a, v + h * a, R @ turn
-        moved = CameraState(p, Rotation.from_matrix(R).as_quat(), v, rate, state.variables)
-        return MotionPrediction(moved, F, np.eye(21), 0.5 * (Q + Q.T))
+def _s3_rotation(settings, values, effect):
+    for i in range(len(values)):
+        x, y, z = values[i, 0], values[i, 1], values[i, 2]
+        for c in range(3):
+            b = _column(values[i], c)  # b . (e x q) = e . (q x b)
+            effect[i, c, 0], effect[i, c, 1] = y * b[2] - z * b[1], z * b[0] - x * b[2]
+            effect[i, c, 2] = x * b[1] - y * b[0]
+
+
+def _s3_turn(settings, values, theta, correction, moved, J, J_theta):
+    q0, q1, q2, q3 = quaternion_of(theta[0], theta[1], theta[2])
+    R, spread = matrix_of(q0, q1, q2, q3), right_jacobian_of(-theta[0], -theta[1], -theta[2])
+    by_delta, there = np.zeros((4, 3)), np.zeros(4)
+    for i in range(len(values)):
+        q, e = values[i], correction[i]
+        square = e[0] * e[0] + e[1] * e[1] + e[2] * e[2]
+        angle = np.sqrt(square)
+        sinc, slope = 1.0 - square / 6.0, -1.0 / 3.0 + square / 30.0
+        if angle > 1e-3:
+            sinc = np.sin(angle) / angle
+            slope = (np.cos(angle) - sinc) / square
+        b = _column(q, 0), _column(q, 1), _column(q, 2)
+        for r in range(4):
+            along = b[0][r] * e[0] + b[1][r] * e[1] + b[2][r] * e[2]
+            there[r] = np.cos(angle) * q[r] + sinc * along
+            for c in range(3):
+                by_delta[r, c] = sinc * (b[c][r] - q[r] * e[c]) + slope * along * e[c]
+        x, y, z = times(R, there[0], there[1], there[2])
+        moved[i, 0], moved[i, 1], moved[i, 2], moved[i, 3] = x, y, z, there[3]
+        for a in range(3):
+            f = _column(moved[i], a)
+            for c in range(3):
+                d0, d1, d2 = times(R, by_delta[0, c], by_delta[1, c], by_delta[2, c])
+                J[i, a, c] = f[0] * d0 + f[1] * d1 + f[2] * d2 + f[3] * by_delta[3, c]
+            t0, t1, t2 = y * f[2] - z * f[1], z * f[0] - x * f[2], x * f[1] - y * f[0]
+            for c in range(3):
+                J_theta[i, a, c] = t0 * spread[c] + t1 * spread[3 + c] + t2 * spread[6 + c]
 
 
 @dataclass(frozen=True)
@@ -105,6 +97,7 @@ class OnS3(LandmarkModel):
     """A homogeneous point on the unit sphere S^3 in W, without an anchor: regular at infinity."""
 
     value_size = 4
+    kernels = LandmarkKernels(_s3_point, _s3_start, _s3_turn, _s3_rotation)
 
     def parameters_of(self, position, h_w, scale):
         """(h_w + scale r, scale), normalised."""
@@ -118,6 +111,11 @@ class OnS3(LandmarkModel):
     def rotated(self, anchors, parameters, R):
         """The first three numbers turn."""
         return np.hstack([parameters[:, :3] @ R.T, parameters[:, 3:]])
+
+    def shifted(self, parameters, shift):
+        """(x + w shift, w), normalised."""
+        point = np.hstack([parameters[:, :3] + parameters[:, 3:] * shift, parameters[:, 3:]])
+        return point / np.linalg.norm(point, axis=1, keepdims=True)
 
     def retract(self, parameters, delta):
         """Along the great circle of the basis."""
@@ -141,6 +139,87 @@ class OnS3(LandmarkModel):
         return np.stack([np.stack(column, axis=1) for column in columns], axis=2)
 
 
+@njit
+def _pixel(xi, alpha, x, y, z):
+    """x and y over what is below the fraction, and their Jacobians by the direction."""
+    d1 = np.sqrt(x * x + y * y + z * z)
+    z1 = xi * d1 + z
+    d2 = np.sqrt(x * x + y * y + z1 * z1)
+    below = alpha * d2 + (1.0 - alpha) * z1
+    z_x, z_y, z_z = xi * x / d1, xi * y / d1, xi * z / d1 + 1.0
+    b_x = alpha * (x + z1 * z_x) / d2 + (1.0 - alpha) * z_x
+    b_y = alpha * (y + z1 * z_y) / d2 + (1.0 - alpha) * z_y
+    b_z = alpha * z1 * z_z / d2 + (1.0 - alpha) * z_z
+    u, v = x / below, y / below
+    return (
+        u,
+        v,
+        (1.0 - u * b_x) / below,
+        -u * b_y / below,
+        -u * b_z / below,
+        -v * b_x / below,
+        (1.0 - v * b_y) / below,
+        -v * b_z / below,
+    )
+
+
+def _predict(settings, camera, points, values, numbers, J, J_values, in_front):
+    xi, alpha, fx, fy, b = settings[0], settings[1], camera[0], camera[1], camera[4]
+    for i in range(len(points)):
+        x, y, z, scale = points[i, 0], points[i, 1], points[i, 2], points[i, 3]
+        left, right = _pixel(xi, alpha, x, y, z), _pixel(xi, alpha, x - scale * b, y, z)
+        numbers[i, 0], numbers[i, 1] = fx * left[0] + camera[2], fy * left[1] + camera[3]
+        numbers[i, 2], numbers[i, 3] = fx * (left[0] - right[0]), fy * right[1] + camera[3]
+        for k in range(3):
+            J[i, 0, k], J[i, 1, k] = fx * left[2 + k], fy * left[5 + k]
+            J[i, 2, k], J[i, 3, k] = fx * (left[2 + k] - right[2 + k]), fy * right[5 + k]
+        J[i, 2, 3], J[i, 3, 3] = fx * b * right[2], -fy * b * right[5]
+        in_front[i] = z > 0.1 * np.sqrt(x * x + y * y + z * z)
+
+
+@njit
+def _point(xi, alpha, camera, u, v, d):
+    """The left ray by the inverse of the model, the scale by Newton's method on the right column."""
+    x, y = (u - camera[2]) / camera[0], (v - camera[3]) / camera[1]
+    r2 = x * x + y * y
+    mz = (1 - alpha * alpha * r2) / (alpha * np.sqrt(1 - (2 * alpha - 1) * r2) + 1 - alpha)
+    k = (mz * xi + np.sqrt(mz * mz + (1 - xi * xi) * r2)) / (mz * mz + r2)
+    x, y, z, b = k * x, k * y, k * mz - xi, camera[4]
+    scale = d / (camera[0] * b)
+    for _ in range(8):
+        right = _pixel(xi, alpha, x - scale * b, y, z)
+        scale += (right[0] - (u - d - camera[2]) / camera[0]) / (b * right[2])
+    return x, y, z, scale
+
+
+def _backproject(settings, camera, uvd, values, points, J, J_values):
+    step = 1e-3  # px
+    for i in range(len(uvd)):
+        u, v, d = uvd[i, 0], uvd[i, 1], uvd[i, 2]
+        points[i, 0], points[i, 1], points[i, 2], points[i, 3] = _point(settings[0], settings[1], camera, u, v, d)
+        for c in range(3):
+            e0, e1, e2 = step if c == 0 else 0.0, step if c == 1 else 0.0, step if c == 2 else 0.0
+            after = _point(settings[0], settings[1], camera, u + e0, v + e1, d + e2)
+            before = _point(settings[0], settings[1], camera, u - e0, v - e1, d - e2)
+            for r in range(4):
+                J[i, r, c] = (after[r] - before[r]) / (2 * step)
+
+
+@dataclass(frozen=True)
+class AnchoredOnS3(OnS3):
+    """The same with the place of the first sight as its origin."""
+
+    anchored = True
+
+    def parameters_of(self, position, h_w, scale):
+        """(h_w, scale), normalised."""
+        return super().parameters_of(np.zeros(3), h_w, scale)
+
+    def homogeneous(self, position, anchors, parameters):
+        """(x + w (anchor - r), w)."""
+        return super().homogeneous(position - anchors, None, parameters)
+
+
 @dataclass(frozen=True)
 class DoubleSphere(MeasurementModel):
     """A pair of double-sphere cameras (Usenko et al. 2018) with parallel axes; numbers (u, v, u - u_right), v_right."""
@@ -148,6 +227,7 @@ class DoubleSphere(MeasurementModel):
     xi: float = -0.2
     alpha: float = 0.55
     size = 4
+    kernels = MeasurementKernels(_predict, _backproject, settings=("xi", "alpha"))
 
     def __post_init__(self) -> None:
         _number("xi", self.xi, -1.0, 1.0)

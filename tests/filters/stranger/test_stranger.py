@@ -11,8 +11,9 @@ from scipy.spatial.transform import Rotation
 from filters import LandmarkModel, Start, StereoEKF, StereoObservation, check_part, nees
 
 from ..drives import CAMERA, DT, INDEPENDENT_PIXELS, SPEED, START_COVARIANCE, Frame, drive
+from .inertial import ImuStep, Strapdown
 from .msckf import WindowFilter
-from .parts import DoubleSphere, ImuStep, OnS3, Strapdown
+from .parts import DoubleSphere, OnS3
 
 START = Start(linear_velocity=(0.0, 0.0, SPEED), covariance=START_COVARIANCE)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from filterpy.kalman import MerweScaledSigmaPoints, unscented_transform
 from scipy.spatial.transform import Rotation
 
 from filters import Extended, RangeBearing, Stage, Start, StereoEKF, StereoObservation, Unscented, check_filter
@@ -39,6 +40,46 @@ def both(slam: StereoEKF) -> tuple:
     return tuple(way.linearise(RangeBearing(), CAMERA, state, index, stage) for way in (Extended(), Unscented()))
 
 
+def rows_of(state, i: int) -> np.ndarray:
+    """Rows of the error state that the measurement of a landmark depends on: of the pose, then its own."""
+    return np.concatenate([np.arange(6), state.map_rows(np.array([i]))[0]])
+
+
+def measured_at(state, i: int, errors: np.ndarray) -> np.ndarray:
+    """(u, v, d) of a landmark where the state has errors (N, w) in these rows; (N, 3)."""
+    index = np.array([i])
+    anchors = state.anchors(index)[0] + errors[:, 6:9] if state.model.anchored else None
+    parameters = state.parameters(index)[0] + errors[:, -3:]
+    seen = state.model.relative_to(state.camera.position + errors[:, :3], anchors, parameters).homogeneous
+    R_wc = state.camera.R_wc @ Rotation.from_rotvec(errors[:, 3:6]).as_matrix()
+    return CAMERA.project_scaled(np.einsum("nij,ni->nj", R_wc, seen[:, :3]), seen[:, 3])
+
+
+@pytest.mark.parametrize("landmark", LANDMARKS)
+def test_it_is_the_unscented_transform_of_filterpy(landmark: str) -> None:
+    """Mean and covariance of the measurement: what H leaves of it is in R."""
+    slam = started(landmark, 4.0, (2.5, 12.0) if landmark != "euclidean" else (6.0, 12.0))
+    _, fitted = both(slam)
+    state, P = slam.state, symmetric.full(slam.state.P)
+    S = fitted.innovation_covariances(state.P)
+
+    def root(covariance: np.ndarray) -> np.ndarray:
+        values, vectors = np.linalg.eigh(covariance)
+        return vectors * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
+
+    for i in range(COUNT):
+        rows = rows_of(state, i)
+        points = MerweScaledSigmaPoints(len(rows), 0.5, 2.0, 3.0 - len(rows), sqrt_method=root)
+        z = measured_at(state, i, points.sigma_points(np.zeros(len(rows)), P[np.ix_(rows, rows)]))
+        mean, covariance = unscented_transform(z, points.Wm, points.Wc, NOISE.R)
+        sigma = np.sqrt(np.diag(covariance))
+        np.testing.assert_allclose((fitted.innovation[i] + mean) / sigma, 0.0, atol=1e-10)
+        np.testing.assert_allclose(S[i] / np.outer(sigma, sigma), covariance / np.outer(sigma, sigma), atol=1e-9)
+        left = fitted.R[i] - NOISE.R
+        assert np.linalg.eigvalsh(left)[-1] > 1e-3
+        np.testing.assert_allclose(left, left.T, atol=1e-12)
+
+
 @pytest.mark.parametrize("landmark", LANDMARKS)
 def test_where_the_state_is_known_well_it_predicts_like_the_jacobians(landmark: str) -> None:
     slam = started(landmark, 1e-3, (60.0, 90.0))
@@ -61,12 +102,7 @@ def test_mean_and_covariance_are_nearer_to_monte_carlo_where_it_is_not(landmark:
     state, index = slam.state, np.arange(COUNT)
     mean_errors, spread_errors = [], []
     for i in index:
-        rows = state.map_rows(index)[i]
-        parameters = state.parameters(index)[i] + draws[:, rows[-3:]]
-        anchors = None if not state.model.anchored else state.anchors(index)[i] + draws[:, rows[:3]]
-        seen = state.model.relative_to(state.camera.position + draws[:, :3], anchors, parameters).homogeneous
-        R_wc = state.camera.R_wc @ Rotation.from_rotvec(draws[:, 3:6]).as_matrix()
-        z = CAMERA.project_scaled(np.einsum("nij,ni->nj", R_wc, seen[:, :3]), seen[:, 3])
+        z = measured_at(state, i, draws[:, rows_of(state, i)])
         z += np.random.default_rng(1).multivariate_normal(np.zeros(3), NOISE.R, len(z))
         for name, linear in (("analytic", analytic), ("fitted", fitted)):
             S = linear.innovation_covariances(slam.state.P)[i]

@@ -1,0 +1,301 @@
+"""Landmarks of more than three error numbers: own biases, and lines; against the textbook, each other and the truth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from filters import (
+    FilterBatch,
+    RightInvariant,
+    Start,
+    StereoEKF,
+    StereoObservation,
+    SubmapEKF,
+    check_part,
+    nees,
+)
+
+from .. import textbook
+from ..drives import CAMERA, DT, INDEPENDENT_PIXELS, SPEED, START_COVARIANCE, Frame, drive, finish, run, start
+from .biased import Biased, BiasedPair
+from .lines import ROWS, LinePair, Lines
+
+DEPTHS = (6.0, 40.0)
+BIASED = {"landmark": Biased(), "measurement": BiasedPair()}
+LINES = {"landmark": Lines(), "measurement": LinePair()}
+
+
+class BiasedByNumbers(Biased):
+    """A subclass states no kernels."""
+
+
+BY_NUMBERS = {"landmark": BiasedByNumbers(), "measurement": BiasedPair()}
+
+
+@pytest.mark.parametrize("part", [Biased(), BiasedPair(), Lines(), LinePair()], ids=lambda part: type(part).__name__)
+def test_the_part_is_right(part: object) -> None:
+    check_part(part)
+
+
+def biased_drive(seed: int, frames: int = 12, sigma: float = 2.0, **options: object) -> list[Frame]:
+    """A drive whose landmarks each have a bias of the disparity."""
+    rng, biases = np.random.default_rng(1000 + seed), {}
+    made = []
+    for frame in drive(seed, frames, depths=DEPTHS, **options):
+        ids, uvd = frame.observation.ids, frame.observation.uvd.copy()
+        uvd[:, 2] += [biases.setdefault(i, sigma * rng.standard_normal()) for i in ids.tolist()]
+        made.append(replace(frame, observation=StereoObservation(ids, uvd)))
+    return made
+
+
+@dataclass
+class TextbookWithBiases(textbook.TextbookEKF):
+    """The textbook's filter with a seventh number of each landmark, a bias of the disparity with a prior."""
+
+    sigma: float = 2.0
+
+    def _size(self) -> int:
+        return 7
+
+    def _predict_measurement(self, x: np.ndarray, known: list[int], T: np.ndarray) -> np.ndarray:
+        told = []
+        for i in known:
+            y = x[self._rows(i)]
+            point = textbook.point_of_inverse_depth(y[:6])
+            told.append(textbook.project(self.camera, x[:7], point) + np.array([0.0, 0.0, 1.0]) * y[6])
+        return np.concatenate(told)
+
+    def _add(self, identity: int, z: np.ndarray) -> None:
+        """y = g(pose, z - bias), bias: the bias is one more number that is not known, beside z."""
+
+        def g(pose: np.ndarray, given: np.ndarray) -> np.ndarray:
+            unbiased = given[:3] - np.array([0.0, 0.0, 1.0]) * given[3]
+            return np.append(textbook.new_inverse_depth(self.camera, pose, unbiased), given[3])
+
+        pose, given = self.x[:7], np.append(z, 0.0)
+        J_x = np.zeros((7, len(self.x)))
+        J_x[:, :7] = textbook.complex_step_jacobian(lambda p: g(p, given), pose)
+        J = textbook.complex_step_jacobian(lambda y: g(pose, y), given)
+        noise = np.zeros((4, 4))
+        noise[:3, :3], noise[3, 3] = self.R, self.sigma**2
+        cross = J_x @ self.P
+        self.P = np.block([[self.P, cross.T], [cross, cross @ J_x.T + J @ noise @ J.T]])
+        self.x = np.concatenate([self.x, g(pose, given).real])
+        self.ids = [*self.ids, identity]
+
+
+@pytest.mark.parametrize("options", [BIASED, BY_NUMBERS], ids=["compiled", "by numbers"])
+def test_landmarks_with_a_bias_are_those_of_the_textbook(options: dict[str, object]) -> None:
+    """In one frame, and after many in which landmarks come, go and are missed."""
+    slam = start(StereoEKF(CAMERA, INDEPENDENT_PIXELS, gate=None, **options))
+    book = TextbookWithBiases(CAMERA, INDEPENDENT_PIXELS.R)
+    book.reset(np.array([0.0, 0.0, SPEED]), START_COVARIANCE)
+    for k, frame in enumerate(biased_drive(3)):
+        if k:
+            slam.predict(DT)
+            book.predict(DT)
+        slam.update(frame.observation)
+        book.update(frame.observation)
+        covariance = book.error_covariance()
+        np.testing.assert_allclose(slam.pose.position, book.x[:3], atol=1e-9)
+        np.testing.assert_allclose(slam.pose.covariance, covariance[:6, :6], rtol=1e-7, atol=1e-12)
+        rows = {i: covariance_rows(book, i) for i in book.ids}
+        state = slam.state
+        for n, i in enumerate(state.ids.tolist()):
+            own = state.own_rows(np.array([n]))[0]
+            np.testing.assert_allclose(state.parameters()[n], book.landmark(i)[3:], atol=1e-9)
+            P = state.P[np.maximum(own[:, None], own), np.minimum(own[:, None], own)]
+            np.testing.assert_allclose(P, covariance[np.ix_(rows[i], rows[i])], rtol=1e-6, atol=1e-9)
+
+
+def covariance_rows(book: textbook.TextbookEKF, identity: int) -> np.ndarray:
+    """Rows of the errors of a landmark without its anchor: one fewer before it than there are numbers."""
+    return book._rows(identity)[3:] - 1
+
+
+def beliefs(slam: StereoEKF) -> np.ndarray:
+    """All that it believes."""
+    map_, pose, seen = slam.landmarks, slam.pose, slam.forecast()
+    joint = slam.joint_covariance()
+    forecast = [seen.uvd.ravel(), seen.S.ravel()]
+    return np.concatenate(
+        [pose.position, pose.orientation, map_.inverse_distance, joint[np.isfinite(joint)], *forecast]
+    )
+
+
+@pytest.mark.parametrize(
+    "error", ["quaternion", "so3", "first-estimates", "right-invariant", RightInvariant(reset=True)], ids=str
+)
+@pytest.mark.parametrize(
+    "option",
+    [
+        {"iterations": 2},
+        {"drift": 0.3},
+        {"consensus": True},
+        {"tail_dof": 4.0},
+        {"max_landmarks": 8},
+        {"drop_unseen": False},
+        {"gauge_walk": 1e-3},
+    ],
+    ids=lambda option: "-".join(option),
+)
+def test_kernels_lead_where_the_numbers_do(option: dict[str, object], error: object) -> None:
+    if "gauge_walk" in option and error not in ("first-estimates", "right-invariant"):
+        pytest.skip("such errors take no walk of the gauge")
+    frames, told = biased_drive(1, 8), []
+    for parts in (BIASED, BY_NUMBERS):
+        slam = start(StereoEKF(CAMERA, INDEPENDENT_PIXELS, error=error, **option, **parts))
+        for k, _ in enumerate(run(slam, frames)):
+            if k == 3:
+                slam.clone_pose("then")
+        told.append(np.append(beliefs(slam), slam.belief("then").covariance))
+    np.testing.assert_allclose(*told, rtol=1e-6, atol=1e-8)
+
+
+def test_a_batch_and_submaps_hold_them_too() -> None:
+    frames, batch = [biased_drive(seed, 8) for seed in (1, 2)], None
+    batch = FilterBatch(lambda: StereoEKF(CAMERA, INDEPENDENT_PIXELS, **BIASED), 2)
+    batch.reset(Start(linear_velocity=(0.0, 0.0, SPEED), covariance=START_COVARIANCE))
+    for k in range(8):
+        if k:
+            batch.predict(DT)
+        batch.update([frames[0][k].observation, frames[1][k].observation])
+    for number, slam in enumerate(batch):
+        alone = finish(StereoEKF(CAMERA, INDEPENDENT_PIXELS, **BIASED), frames[number])
+        np.testing.assert_array_equal(beliefs(slam), beliefs(alone))
+    assert batch.state_sizes.tolist() == [slam.state_size for slam in batch]
+    by_numbers = finish(StereoEKF(CAMERA, INDEPENDENT_PIXELS, **BY_NUMBERS), frames[0])
+    mine, theirs = batch.forecasts()[0], by_numbers.forecast()
+    np.testing.assert_allclose(mine.uvd, theirs.uvd, atol=1e-6)
+    np.testing.assert_allclose(mine.S, theirs.S, rtol=1e-6, atol=1e-8)
+    seen = batch.relative_landmarks()
+    first = batch[0]
+    expected = first.landmarks.positions - first.pose.position
+    expected = expected @ Rotation.from_quat(first.pose.orientation).as_matrix()
+    np.testing.assert_allclose(seen.points_c[: seen.offsets[1]], expected, rtol=1e-9)
+
+    whole = finish(StereoEKF(CAMERA, INDEPENDENT_PIXELS, drop_unseen=False, error="so3", **BIASED), biased_drive(4, 15))
+    parts = SubmapEKF(CAMERA, INDEPENDENT_PIXELS, max_unseen=3, error="so3", **BIASED)
+    finish(parts, biased_drive(4, 15))
+    assert parts.submaps > 1
+    np.testing.assert_allclose(parts.pose.covariance, whole.pose.covariance, rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(parts.landmarks.covariances, whole.landmarks.covariances, rtol=1e-5, atol=1e-7)
+
+
+def test_the_unscented_update_and_corrections_reach_all_numbers() -> None:
+    frames = biased_drive(2, 6)
+    extended = finish(StereoEKF(CAMERA, INDEPENDENT_PIXELS, error="so3", **BIASED), frames)
+    unscented = finish(StereoEKF(CAMERA, INDEPENDENT_PIXELS, error="so3", update="unscented", **BIASED), frames)
+    np.testing.assert_allclose(unscented.pose.position, extended.pose.position, atol=0.1)
+    identity = int(extended.ids[0])
+    H = np.zeros((1, 7))
+    H[0, 6] = 1.0  # the anchor's three numbers, then (theta, phi, rho, bias)
+    before = extended.state
+    assert extended.correct([0.5], {identity: H}, [[1e-12]]).used
+    after = extended.state
+    np.testing.assert_allclose(after.parameters()[0, 3] - before.parameters()[0, 3], 0.5, atol=1e-6)
+
+
+@pytest.mark.parametrize("error", ["so3", "first-estimates", "right-invariant"])
+def test_biases_are_estimated_and_the_filter_consistent(error: str) -> None:
+    """Mean of 12 x 6 numbers of variance one: within .6 and 1.5 (four sigmas and a half). Without, it is not."""
+    found, without = [], []
+    for seed in range(12):
+        frames = biased_drive(seed, 12, missed=0.0)
+        slam = finish(StereoEKF(CAMERA, INDEPENDENT_PIXELS, error=error, gate=None, **BIASED), frames)
+        found.append(final_nees(slam, frames[-1]))
+        plain = StereoEKF(CAMERA, INDEPENDENT_PIXELS, error=error, gate=None, landmark="shared-anchor")
+        without.append(final_nees(finish(plain, frames), frames[-1]))
+    assert 0.6 < np.mean(found) < 1.5
+    assert np.mean(without) > 2.0
+
+
+def final_nees(slam: StereoEKF, frame: Frame) -> float:
+    error, covariance = slam.pose_error(frame.position, frame.orientation)
+    return float(nees(error[None], covariance[None])[0]) / 6.0
+
+
+def pole_drive(seed: int, frames: int = 15, lean: float = 0.15, v_right: bool = False) -> list[Frame]:
+    """A drive with a turn past poles that lean by some angle."""
+    rng, sensor = np.random.default_rng(seed), LinePair()
+    count, rate = 40, rng.uniform(-0.3, 0.3)
+    points = np.column_stack([rng.uniform(-12, 12, count), np.zeros(count), rng.uniform(6, 40, count)])
+    V = np.column_stack([lean * rng.standard_normal(count), np.ones(count), lean * rng.standard_normal(count)])
+    sigma = np.array([1.0, 1.0, np.sqrt(2.0), 1.0])
+    position, heading, made = np.zeros(3), Rotation.identity(), []
+    for frame in range(frames):
+        if frame:
+            position = position + heading.apply([0.0, 0.0, SPEED * DT])
+            heading = heading * Rotation.from_rotvec([0.0, rate * DT, 0.0])
+        p_c, V_c = heading.inv().apply(points - position), heading.inv().apply(V)
+        numbers = sensor.predict(CAMERA, np.hstack([np.cross(p_c, V_c), V_c]), {})
+        nearest = p_c - V_c * (np.sum(p_c * V_c, axis=1) / np.sum(V_c**2, axis=1))[:, None]
+        seen = (nearest[:, 2] > 3.0) & (numbers[:, 0] > 5.0) & (numbers[:, 0] < CAMERA.width - 5.0)
+        ids = np.flatnonzero(seen)[:20]
+        z = numbers[ids] + sigma * rng.standard_normal((len(ids), 4))
+        R = np.broadcast_to(np.diag(sigma[:3] ** 2), (len(ids), 3, 3))
+        observation = StereoObservation(ids, z[:, :3], z[:, 3] if v_right else None, R)
+        made.append(Frame(position, heading.as_quat(), observation))
+    return made
+
+
+@pytest.mark.parametrize("v_right", [False, True], ids=["one slope", "both slopes"])
+@pytest.mark.parametrize("error", ["so3", "first-estimates", "right-invariant"])
+def test_poles_alone_tell_the_pose_consistently(error: str, v_right: bool) -> None:
+    """Mean of 12 x 6 numbers of variance one: within .6 and 1.5; height is not seen by poles, so it is as uncertain."""
+    found, across = [], []
+    for seed in range(12):
+        frames = pole_drive(seed, v_right=v_right)
+        options = {"error": error, "gate": None, "min_disparity": 4.0, **LINES}
+        slam = finish(StereoEKF(CAMERA, INDEPENDENT_PIXELS, **options), frames)
+        found.append(final_nees(slam, frames[-1]))
+        across.append(np.linalg.norm((slam.pose.position - frames[-1].position)[[0, 2]]))
+    assert 0.6 < np.mean(found) < 1.5
+    assert np.mean(across) < 0.3
+
+
+def test_the_map_has_the_point_of_a_line_nearest_to_the_origin() -> None:
+    slam = finish(StereoEKF(CAMERA, INDEPENDENT_PIXELS, error="so3", **LINES), pole_drive(0, 4))
+    map_ = slam.landmarks
+    assert map_.positions.shape == (len(map_.ids), 3)
+    assert (np.linalg.eigvalsh(map_.covariances)[:, 1:] > 0.0).all()
+    forecast = slam.forecast()
+    assert (np.linalg.eigvalsh(forecast.S) > 0.0).all()
+    assert forecast.uvd.shape == (len(map_.ids), 3)
+    assert np.abs(forecast.uvd[:, 1] - CAMERA.cy).max() < ROWS
+
+
+class WithoutPrior(Biased):
+    prior = None
+
+
+class TooSmall(Biased):
+    size = 2
+
+
+class NoShift(Biased):
+    anchored = shares_anchors = False
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"landmark": WithoutPrior(), "measurement": BiasedPair()}, r"prior of landmark WithoutPrior must .* \(1, 1\)"),
+        ({"landmark": TooSmall(), "measurement": BiasedPair()}, "size of landmark TooSmall must be from 3"),
+        ({"landmark": Biased()}, "measurement must have seen_size = 5 with landmark=Biased, got RangeBearing with 4"),
+        ({"measurement": LinePair()}, "measurement must have seen_size = 4 .* got LinePair with 6"),
+        (
+            {"landmark": NoShift(), "measurement": BiasedPair(), "gauge_walk": 1e-3, "error": "right-invariant"},
+            "landmark must have shifted with gauge_walk",
+        ),
+    ],
+    ids=["prior", "size", "seen", "points", "shift"],
+)
+def test_numbers_that_do_not_fit_are_refused_in_one_line(options: dict[str, object], words: str) -> None:
+    with pytest.raises(ValueError, match=words) as refused:
+        StereoEKF(CAMERA, INDEPENDENT_PIXELS, **options)
+    assert "\n" not in str(refused.value)

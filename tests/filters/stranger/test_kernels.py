@@ -1,0 +1,116 @@
+"""Kernels of a stranger's parts: the filter believes what it does by the numbers of the same part, at machine speed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from numba import config, njit
+
+from filters import ConformanceError, MeasurementKernels, MotionKernels, RightInvariant, StereoEKF, check_part
+
+from ..drives import CAMERA, INDEPENDENT_PIXELS, drive
+from .inertial import Strapdown
+from .parts import DoubleSphere, OnS3
+from .test_stranger import DT, START, imu_drive, seen_by
+
+
+class InertialByNumbers(Strapdown):
+    """A subclass states no kernels."""
+
+
+class SphereByNumbers(OnS3):
+    """Likewise."""
+
+
+class CameraByNumbers(DoubleSphere):
+    """Likewise."""
+
+
+def beliefs(**options: object) -> np.ndarray:
+    """Poses and covariances of a drive, with the options of a filter."""
+    slam = StereoEKF(CAMERA, INDEPENDENT_PIXELS, **{"landmark": "shared-anchor", "drop_unseen": False, **options})
+    slam.reset(START)
+    inertial = isinstance(slam.options.motion, Strapdown)
+    frames, steps = imu_drive(2, 8) if inertial else (drive(2, 8, depths=(6.0, 40.0)), None)
+    rng, told = np.random.default_rng(2), []
+    for k, frame in enumerate(frames):
+        if k:
+            slam.predict(DT, steps[k] if steps else None)
+        sensor = slam.options.measurement
+        slam.update(seen_by(sensor, frame, rng) if isinstance(sensor, DoubleSphere) else frame.observation)
+        told += [slam.pose.position, slam.pose.orientation, np.linalg.cholesky(slam.pose.covariance).ravel()]
+    return np.concatenate([*told, slam.landmarks.inverse_distance])
+
+
+@pytest.mark.parametrize(
+    "error", ["quaternion", "so3", "first-estimates", "right-invariant", RightInvariant(reset=True)], ids=str
+)
+@pytest.mark.parametrize(
+    ("slot", "compiled", "by_numbers"),
+    [
+        ("motion", Strapdown(), InertialByNumbers()),
+        ("landmark", OnS3(), SphereByNumbers()),
+        ("measurement", DoubleSphere(), CameraByNumbers()),
+    ],
+    ids=["inertial motion", "S3", "double sphere"],
+)
+def test_kernels_lead_where_the_numbers_do(slot: str, compiled: object, by_numbers: object, error: object) -> None:
+    options = {"error": error, "iterations": 2}
+    np.testing.assert_allclose(
+        beliefs(**{slot: compiled}, **options), beliefs(**{slot: by_numbers}, **options), rtol=1e-7, atol=1e-9
+    )
+
+
+@pytest.mark.parametrize(
+    "option", [{"drift": 0.3}, {"consensus": True}, {"tail_dof": 4.0}, {"max_landmarks": 8}], ids=str
+)
+def test_options_work_with_kernels_as_with_numbers(option: dict[str, object]) -> None:
+    for compiled, by_numbers in (
+        ({"measurement": DoubleSphere()}, {"measurement": CameraByNumbers()}),
+        ({"landmark": OnS3()}, {"landmark": SphereByNumbers()}),
+    ):
+        np.testing.assert_allclose(beliefs(**compiled, **option), beliefs(**by_numbers, **option), rtol=1e-7, atol=1e-9)
+
+
+def test_a_gauge_walk_turns_gravity_with_the_world() -> None:
+    option = {"error": "right-invariant", "gauge_walk": 1e-3}
+    compiled, by_numbers = beliefs(motion=Strapdown(), **option), beliefs(motion=InertialByNumbers(), **option)
+    np.testing.assert_allclose(compiled, by_numbers, rtol=1e-7, atol=1e-9)
+
+
+_predict = njit(DoubleSphere.kernels.predict)
+
+
+def _without_v_right(settings, camera, points, values, numbers, J, J_values, in_front):
+    _predict(settings, camera, points, values, numbers, J, J_values, in_front)
+    numbers[:, 3] = 0.0
+
+
+def _not_compiled(settings, state, dt, odometry, moved, F, Q):
+    moved[:] = sorted(state, key=abs)
+
+
+@dataclass(frozen=True)
+class Wrong(DoubleSphere):
+    kernels = MeasurementKernels(_without_v_right, DoubleSphere.kernels.backproject, settings=("xi", "alpha"))
+
+
+@dataclass(frozen=True)
+class Uncompiled(Strapdown):
+    kernels = MotionKernels(_not_compiled, settings=Strapdown.kernels.settings)
+
+
+def test_a_kernel_that_is_not_its_numpy_form_is_named_in_one_line() -> None:
+    with pytest.raises(ConformanceError) as refused:
+        check_part(Wrong())
+    (line,) = [line for line in str(refused.value).splitlines() if "kernel" in line and "off" in line]
+    assert "numbers of kernel predict is off by" in line
+
+
+@pytest.mark.skipif(config.DISABLE_JIT, reason="nothing is compiled")
+def test_a_kernel_that_cannot_be_compiled_is_named_in_one_line() -> None:
+    with pytest.raises(ValueError, match=r"MotionKernels.step _not_compiled must be a function .* Numba") as refused:
+        StereoEKF(CAMERA, INDEPENDENT_PIXELS, motion=Uncompiled())
+    assert "\n" not in str(refused.value)
